@@ -5,36 +5,31 @@
 //! be sorted, and the order is that of the 64-bit (tile | depth) key. Second, a Gaussian touches a tile only if the ellipse
 //! where alpha reaches 1/255 meets it.
 
-mod arguments;
-mod auxiliary;
 mod batches;
 mod blending;
 mod camera_block;
-mod cut_outs;
 mod filter_3d;
 mod inputs;
 mod instances;
 mod motion;
-mod scene_settings;
 mod settings;
-mod shape;
 mod views;
 
-use arguments::arguments;
-pub(crate) use arguments::range_arguments;
-pub use auxiliary::{Auxiliary, Before, MotionBuffers, PickBuffers, Seen};
 pub(crate) use batches::LEAST_SCENES;
 pub(crate) use blending::record_passes;
 pub use blending::{BlendVariant, Blending};
+pub(crate) use camera_block::CUT_OUT_BYTES;
+use camera_block::arguments;
 pub(crate) use camera_block::block_of;
+pub(crate) use camera_block::range_arguments;
 pub use camera_block::{POSE_BYTES, pose_of};
-pub(crate) use cut_outs::CUT_OUT_BYTES;
 pub use filter_3d::Filter3d;
 pub(crate) use inputs::Parameters;
+pub use inputs::{Auxiliary, Before, MotionBuffers, PickBuffers, Seen};
 pub use inputs::{Batch, FrameInputs, PlacedScene, SceneBuffers};
-pub use scene_settings::{MAX_TINT, SceneSettings, Selection};
 pub use settings::{Dropout, Extent, JacobianLimit, RenderSettings};
-pub use shape::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
+pub use settings::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
+pub use settings::{MAX_TINT, SceneSettings, Selection};
 
 use crate::error::Result;
 use crate::kernels::constants as c;

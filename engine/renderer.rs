@@ -3,22 +3,13 @@
 
 mod align;
 mod check;
-mod check_views;
 mod device_scene;
-mod first_frame;
 mod frame_store;
 mod gradients;
 mod inspect;
 mod record;
-mod reservation;
-mod reserve;
 mod runner;
-mod slot_memory;
 mod slots;
-mod targets;
-mod tile_lists;
-mod tiles;
-mod updates;
 mod views;
 
 pub use align::Alignment;
@@ -26,16 +17,16 @@ pub(crate) use align::{AlignRequest, Aligner};
 pub use device_scene::DeviceScene;
 pub(crate) use frame_store::{FrameStore, State};
 pub use gradients::Gradients;
+pub use inspect::TileReport;
 pub use inspect::{PixelReport, Sample};
+pub use inspect::{ProjectedSplat, TileLists};
+pub use record::Update;
 pub use record::{
     DepthTarget, HostImage, MotionTarget, Occluder, PickTarget, Placed, RecordedFrame, Release, Target,
 };
-pub use reservation::Reservation;
 pub(crate) use runner::{Failed, FrameRunner, Ran, Request};
+pub use slots::Reservation;
 pub use slots::SlotReport;
-pub use tile_lists::{ProjectedSplat, TileLists};
-pub use tiles::TileReport;
-pub use updates::Update;
 
 use crate::backward::Backward;
 use crate::compose::Compose;
@@ -77,7 +68,7 @@ pub struct Renderer {
     /// Reused list of a recording's scenes.
     placed: Vec<PlacedScene<'static>>,
     /// Reused lists of a recording's updates.
-    staged: updates::Staged,
+    staged: record::Staged,
 }
 
 /// A rendered frame.
@@ -148,7 +139,7 @@ impl Renderer {
             aligner: None,
             slots: slots::Slots::default(),
             placed: Vec::new(),
-            staged: updates::Staged::default(),
+            staged: record::Staged::default(),
         })
     }
 

@@ -6,12 +6,12 @@
 //! So a recording needs no host memory, and frames in flight do not share a block.
 
 use super::inputs::{FrameInputs, PlacedScene};
-use super::settings::{Dropout, JacobianLimit, RenderSettings};
-use super::shape::DrawnShape;
+use super::settings::{DrawnShape, Dropout, JacobianLimit, RenderSettings};
 use crate::kernels::blocks::CameraBlock;
-use crate::kernels::constants;
-use crate::plan::{CAMERA_BLOCK_BYTES, FrameBuffers};
-use crate::scene::{Camera, CutLimits};
+use crate::kernels::{constants, constants as c};
+use crate::plan::{CAMERA_BLOCK_BYTES, FrameBuffers, GaussianRange, LaunchSizes};
+use crate::scene::cut_out::Compared;
+use crate::scene::{Camera, CutLimits, CutOutLimits, Inside, MAX_CUT_OUTS};
 use crate::vk::{Buffer, MAX_UPDATE_BYTES, Recorder};
 use bytemuck::Zeroable;
 use std::mem::offset_of;
@@ -153,4 +153,62 @@ fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4] {
     let [x_low, x_high] = axis(camera.fx, camera.cx, camera.width);
     let [y_low, y_high] = axis(camera.fy, camera.cy, camera.height);
     [x_low, x_high, y_low, y_high]
+}
+
+// Cut-outs of a frame's scenes in the layout that culling reads (cut_outs.glsl).
+
+type Words = [[f32; 4]; c::CUT_OUT_PLANES as usize];
+
+/// Bytes of a cut-out on the device.
+pub(crate) const CUT_OUT_BYTES: u64 = size_of::<Words>() as u64;
+
+/// Records the writes of all scenes' cut-outs. The caller places a barrier after it.
+///
+/// # Panics
+/// If the buffer is too small.
+pub(super) fn record_cut_outs(r: &mut Recorder, inputs: &FrameInputs) {
+    // The last scene's lie behind all others'.
+    let end = inputs.scenes.last().map_or(0, |last| last.first_cut_out + last.settings.cut_out_count());
+    let needed = u64::from(end) * CUT_OUT_BYTES;
+    if needed == 0 {
+        return;
+    }
+    let Some(buffer) = inputs.cut_outs.filter(|buffer| buffer.bytes() >= needed) else {
+        panic!("FrameInputs::cut_outs has no room for {end} cut-outs, which take {needed} bytes");
+    };
+    for placed in inputs.scenes.iter().filter(|placed| placed.settings.cut_out_count() > 0) {
+        let mut words = [Words::default(); MAX_CUT_OUTS];
+        let own = placed.settings.cut_outs;
+        for (words, cut_out) in words.iter_mut().zip(own) {
+            *words = words_of(&cut_out.limits());
+        }
+        let (first, bytes) = (u64::from(placed.first_cut_out), own.len() as u64 * CUT_OUT_BYTES);
+        r.update(&buffer.range(first * CUT_OUT_BYTES, bytes), bytemuck::cast_slice(&words[..own.len()]));
+    }
+}
+
+fn words_of(limits: &CutOutLimits) -> Words {
+    let CutOutLimits { center, rows, bounds, compared, inside } = *limits;
+    let shape = match compared {
+        Compared::Box => c::CUT_OUT_BOX,
+        Compared::Ellipsoid => c::CUT_OUT_ELLIPSOID,
+        Compared::HalfSpace => c::CUT_OUT_HALF_SPACE,
+    };
+    let removes = if inside == Inside::Removed { c::CUT_OUT_REMOVES } else { 0 };
+    let with = |[x, y, z]: [f32; 3], w: f32| [x, y, z, w];
+    let [x, y, z] = [0, 1, 2].map(|axis| with(rows[axis], center[axis]));
+    [x, y, z, with(bounds, (shape + removes) as f32)]
+}
+
+// Places of a frame's indirect arguments.
+
+/// Indirect arguments of a dispatch over the visible Gaussians of one parameter range. Their index in `visible_ranges` is that
+/// of the range's first culling block.
+pub(crate) fn range_arguments(frame: &FrameBuffers, sizes: &LaunchSizes, range: GaussianRange) -> Buffer {
+    frame.visible_ranges.range(32 * u64::from(range.first / sizes.elementwise_workgroup), 12)
+}
+
+/// Indirect arguments at this index (ARGUMENTS_*).
+pub(super) fn arguments(frame: &FrameBuffers, index: u32) -> Buffer {
+    frame.arguments.range(u64::from(index) * 16, 12)
 }

@@ -1,7 +1,7 @@
 //! Motion of the visible Gaussians on the screen, in frames that request it.
 
-use super::auxiliary::{MotionBuffers, Seen};
 use super::inputs::Part;
+use super::inputs::{MotionBuffers, Seen};
 use super::{BlendVariant, Forward, FrameInputs, block_of, range_arguments};
 use crate::kernels::forward::screen_motion;
 use crate::vk::Recorder;

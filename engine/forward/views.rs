@@ -5,7 +5,7 @@
 //! that at least one view shows are compacted and sorted once. Each view then finds its own Gaussians in the order of a
 //! separate sort: by depth, then by index. The others touch none of its tiles.
 
-use super::{Forward, FrameInputs, auxiliary, camera_block, cut_outs};
+use super::{Forward, FrameInputs, camera_block, inputs};
 use crate::kernels::constants as c;
 use crate::vk::Recorder;
 
@@ -31,8 +31,8 @@ impl Forward {
         let f = inputs.frame;
         r.scope("clear", |r| {
             (0..views).for_each(|number| camera_block::record_blocks(r, &view(number)));
-            cut_outs::record(r, inputs);
-            auxiliary::record_firsts(r, inputs);
+            camera_block::record_cut_outs(r, inputs);
+            inputs::record_firsts(r, inputs);
             let overflow = 4 * u64::from(c::STATE_OVERFLOW);
             match inputs.keeps_overflow {
                 false => r.fill(&f.state, 0),
@@ -59,7 +59,7 @@ impl Forward {
     pub fn record_next(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         r.scope("clear", |r| {
-            auxiliary::record_firsts(r, inputs);
+            inputs::record_firsts(r, inputs);
             // Clears all counts but those of the visible Gaussians.
             let counts = 4 * u64::from(c::STATE_INSTANCES_NEEDED);
             r.fill(&f.state.range(counts, f.state.bytes() - counts), 0);

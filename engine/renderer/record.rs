@@ -2,14 +2,17 @@
 
 use super::Renderer;
 use super::device_scene::DeviceScene;
-use super::slot_memory::SlotMemory;
-use super::updates::Update;
-use crate::compose::{Background, Region};
+use super::slots::SlotMemory;
+use crate::compose::{Background, Compose, Region};
 use crate::error::Result;
 use crate::forward::{Auxiliary, Batch, Before, FrameInputs, PlacedScene, RenderSettings, SceneSettings};
-use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
-use crate::vk::{ForeignCommands, Image, ImageState};
+use crate::kernels::constants::PLANE_ROW;
+use crate::plan::{LaunchSizes, ScenePlan, plane_group};
+use crate::planes;
+use crate::scene::{Camera, ColorEncoding, DepthMapping, Gaussians, Pose};
+use crate::vk::{Buffer, ForeignCommands, Image, ImageState, Recorder};
 use ash::vk;
+use std::ops::Range;
 
 /// A scene with its pose and draw settings.
 #[derive(Clone, Copy)]
@@ -309,6 +312,266 @@ impl<'a> HostImage<'a> {
     pub(super) fn region(&self) -> Region<'a> {
         Region { image: self.image, offset: self.offset }
     }
+}
+
+// Writes a frame's buffers into the host's images, and tracks the images' uses within a recording.
+
+impl<'a> RecordedFrame<'a> {
+    /// Returns the host's images that the frame uses, by field.
+    pub(super) fn images(&self) -> [(&'static str, Option<&HostImage<'a>>); 5] {
+        let target = match &self.target {
+            Target::Image { to, .. } => Some(to),
+            Target::Slot => None,
+        };
+        [
+            ("target", target),
+            ("occluder", self.occluder.as_ref().map(|occluder| &occluder.depth)),
+            ("depth", self.depth.as_ref().map(|depth| &depth.to)),
+            ("pick", self.pick.as_ref().map(|pick| &pick.to)),
+            ("motion", self.motion.as_ref().map(|motion| &motion.to)),
+        ]
+    }
+
+    /// True if the frame uses this image.
+    pub(super) fn uses(&self, image: &Image) -> bool {
+        self.images().iter().any(|(_, host)| host.is_some_and(|host| host.image.is_same_as(image)))
+    }
+}
+
+/// The earlier views of a recording, and the last uses of their images.
+#[derive(Clone, Copy)]
+pub(super) struct Earlier<'a> {
+    pub frames: &'a [RecordedFrame<'a>],
+    pub releases: &'a [Release],
+}
+
+impl Earlier<'_> {
+    /// Returns the last use of an image in the recording.
+    fn last_use(&self, image: &Image) -> Option<ImageState> {
+        let views = self.frames.iter().zip(self.releases).rev();
+        views
+            .flat_map(|(frame, release)| frame.images().into_iter().zip(release.uses()))
+            .find_map(|((_, host), last)| host.filter(|host| host.image.is_same_as(image)).and(last))
+    }
+
+    /// Makes an image ready for kernels. An image of an earlier view is already ready: the barrier between two views orders
+    /// all kernels.
+    pub fn acquire(&self, r: &mut Recorder, host: &HostImage<'_>) -> ImageState {
+        self.last_use(host.image).unwrap_or_else(|| r.acquire_image(host.image, host.from))
+    }
+}
+
+impl Release {
+    /// Returns the last uses of [`RecordedFrame::images`].
+    fn uses(&self) -> [Option<ImageState>; 5] {
+        [self.color, self.occluder, self.depth, self.pick, self.motion]
+    }
+
+    fn uses_mut(&mut self) -> [&mut Option<ImageState>; 5] {
+        [&mut self.color, &mut self.occluder, &mut self.depth, &mut self.pick, &mut self.motion]
+    }
+}
+
+/// Releases images to the queue families that own them, each after its last use.
+pub(super) fn release_images(r: &mut Recorder, frames: &[RecordedFrame<'_>], releases: &mut [Release]) {
+    for (index, frame) in frames.iter().enumerate() {
+        let (earlier, own) = (&frames[..index], &mut releases[index]);
+        for ((_, host), used) in frame.images().into_iter().zip(own.uses_mut()) {
+            let (Some(host), Some(used)) = (host, used) else { continue };
+            if !earlier.iter().any(|frame| frame.uses(host.image)) {
+                r.release_image(host.image, *used);
+            }
+            *used = host.image.left(*used);
+        }
+    }
+}
+
+/// Records the writes of a frame into the host's images.
+pub(super) fn record_targets(
+    r: &mut Recorder,
+    (compose, sizes): (&Compose, &LaunchSizes),
+    inputs: &FrameInputs<'_>,
+    (frame, earlier): (&RecordedFrame<'_>, Earlier<'_>),
+) -> Release {
+    let size = [frame.camera.width, frame.camera.height];
+    let f = inputs.frame;
+    let mut release = Release {
+        stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
+        accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
+        ..Release::default()
+    };
+    r.scope("compose", |r| {
+        if let Target::Image { to, behind, encoding } = &frame.target {
+            release.color = Some(earlier.acquire(r, to));
+            compose.record_color(r, &f.accumulated, size, to.region(), (*behind, *encoding));
+        }
+        if let Some(depth) = &frame.depth {
+            release.depth = Some(earlier.acquire(r, &depth.to));
+            let limits = [depth.min_weight, depth.empty];
+            compose.record_expected_depth(
+                r,
+                [&f.accumulated, &f.inverse_depth],
+                size,
+                depth.to.region(),
+                limits,
+            );
+        }
+        if let (Some(PickTarget { to }), Some(own)) = (&frame.pick, inputs.auxiliary.picks) {
+            release.pick = Some(earlier.acquire(r, to));
+            let scenes = frame.scenes.len() as u32;
+            compose.record_picks(r, (f, sizes, own), (frame.camera, scenes), to.region());
+        }
+        if let (Some(motion), Some(own)) = (&frame.motion, inputs.auxiliary.motion) {
+            release.motion = Some(earlier.acquire(r, &motion.to));
+            let others = (motion.min_weight, motion.empty);
+            compose.record_motion(r, (&f.accumulated, own), size, motion.to.region(), others);
+        }
+    });
+    release
+}
+
+// New parameters for scenes, copied before a recorded frame.
+
+/// New parameters for some Gaussians of a scene, copied before the frame is rendered.
+#[derive(Clone, Copy)]
+pub struct Update<'a> {
+    /// The scene.
+    pub scene: &'a DeviceScene,
+    /// Index of the first replaced Gaussian.
+    pub first: u32,
+    /// The new Gaussians. SH above the scene's degree is dropped, missing SH is zero.
+    pub gaussians: &'a Gaussians,
+}
+
+impl Update<'_> {
+    /// True if both replace some of the same Gaussians. Clones of a scene share its buffers.
+    fn overlaps(&self, other: &Self) -> bool {
+        let range = |u: &Self| (u64::from(u.first), u64::from(u.first) + u.gaussians.len() as u64);
+        let ((first, end), (other_first, other_end)) = (range(self), range(other));
+        first < other_end && other_first < end && {
+            let (own, theirs) = (&self.scene.buffers.chunks, &other.scene.buffers.chunks);
+            own.iter().any(|chunk| theirs.iter().any(|their| their.handle() == chunk.handle()))
+        }
+    }
+}
+
+/// Copies of a frame's updates. The next frame reuses its memory.
+#[derive(Default)]
+pub(super) struct Staged {
+    words: Vec<[f32; 4]>,
+    copies: Vec<StagedCopy>,
+}
+
+/// A copy from staging memory to a scene.
+struct StagedCopy {
+    /// True if it needs a barrier: an update since the last barrier writes some of the same Gaussians.
+    behind_barrier: bool,
+    from: Buffer,
+    to: Buffer,
+}
+
+impl Staged {
+    /// Writes new parameters into the slot's staging memory, which must not be in use, and lists the copies from it.
+    pub(super) fn stage(&mut self, staging: Option<&Buffer>, updates: &[Update<'_>]) -> Result<()> {
+        self.copies.clear();
+        let Some(staging) = staging else { return Ok(()) };
+        let (mut offset, mut since_barrier) = (0, 0);
+        for (number, update) in updates.iter().enumerate() {
+            let mut behind_barrier =
+                updates[since_barrier..number].iter().any(|earlier| earlier.overlaps(update));
+            if behind_barrier {
+                since_barrier = number;
+            }
+            let (buffers, copies) = (&update.scene.buffers, &mut self.copies);
+            each_piece(update, &buffers.plan, &mut self.words, |chunk, at, words| {
+                let bytes = words.len() as u64 * 16;
+                staging.write(offset, bytemuck::cast_slice(words))?;
+                let (from, to) = (staging.range(offset, bytes), buffers.chunks[chunk].range(at, bytes));
+                copies.push(StagedCopy { behind_barrier, from, to });
+                behind_barrier = false;
+                offset += bytes;
+                Ok(())
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Records the copies, and drops the buffers.
+    pub(super) fn record(&mut self, r: &mut Recorder) {
+        if self.copies.is_empty() {
+            return;
+        }
+        r.scope("scene updates", |r| {
+            for StagedCopy { behind_barrier, from, to } in self.copies.drain(..) {
+                if behind_barrier {
+                    r.barrier();
+                }
+                r.copy(&from, &to);
+            }
+            r.barrier();
+        });
+    }
+}
+
+/// Splits an update into pieces that are contiguous on the device: chunk, bytes from its start, vec4s.
+fn each_piece(
+    update: &Update<'_>,
+    plan: &ScenePlan,
+    words: &mut Vec<[f32; 4]>,
+    mut piece: impl FnMut(usize, u64, &[[f32; 4]]) -> Result<()>,
+) -> Result<()> {
+    let (first, end) = (update.first, update.first + update.gaussians.len() as u32);
+    for range in plan.ranges(end) {
+        let (begin, stop) = (first.max(range.first), range.first + range.count);
+        if begin >= stop {
+            continue;
+        }
+        let own = (begin - first) as usize..(stop - first) as usize;
+        // Packs them as a chunk of only the touched rows.
+        let (begin, stop) = (begin - range.first, stop - range.first);
+        let rows = begin / PLANE_ROW..stop.div_ceil(PLANE_ROW);
+        let skipped = rows.start * PLANE_ROW;
+        let packed_plan = ScenePlan { chunk_gaussians: (rows.end - rows.start) * PLANE_ROW, ..*plan };
+        planes::pack_into(words, update.gaussians, own, &packed_plan, (begin - skipped) as usize);
+        each_run(plan, &packed_plan, rows, (begin, stop), |at, run| {
+            piece(range.chunk, 16 * at as u64, &words[run])
+        })?;
+    }
+    Ok(())
+}
+
+/// Calls `run` for contiguous ranges of Gaussians `begin` to `stop`: index in their chunk, and range in a chunk of only
+/// their rows.
+fn each_run(
+    plan: &ScenePlan,
+    packed: &ScenePlan,
+    rows: Range<u32>,
+    (begin, stop): (u32, u32),
+    mut run: impl FnMut(usize, Range<usize>) -> Result<()>,
+) -> Result<()> {
+    let mut last: Option<(usize, Range<usize>)> = None;
+    let mut next = 0;
+    while next < plan.planes {
+        let planes = plane_group(next);
+        next = planes.end;
+        for row in rows.clone() {
+            let from = begin.max(row * PLANE_ROW);
+            let count = (stop.min((row + 1) * PLANE_ROW) - from) as usize;
+            for plane in planes.clone() {
+                let at = plan.place(plane, from as usize);
+                let own = packed.place(plane, (from - rows.start * PLANE_ROW) as usize);
+                match &mut last {
+                    Some((begun, run)) if *begun + run.len() == at && run.end == own => run.end += count,
+                    _ => {
+                        if let Some((begun, whole)) = last.replace((at, own..own + count)) {
+                            run(begun, whole)?;
+                        }
+                    }
+                }
+            }
+        }
+    }
+    last.map_or(Ok(()), |(begun, whole)| run(begun, whole))
 }
 
 #[cfg(test)]

@@ -1,15 +1,15 @@
 //! Photographs on the device: all of them, or those of the next iterations.
 
-use std::sync::mpsc::{Receiver, sync_channel};
-
-use super::TrainView;
 use super::random::ViewOrder;
-use super::residency::{Residency, Use};
 use crate::error::{Error, Result};
-use crate::loss::{Windowing, check_depth_points, photo_bytes, photo_on_device};
-use crate::scene::StoredPhoto;
+use crate::loss::{
+    DepthPoint, DepthPointBuffers, Windowing, check_depth_points, photo_bytes, photo_on_device,
+};
 use crate::scene::stored_photo::TEXEL_BYTES;
+use crate::scene::{Camera, StoredPhoto};
 use crate::vk::{Buffer, Context, MemoryKind};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, sync_channel};
 
 /// Maximum number of photographs that a thread has read ahead and that wait on the host.
 const AHEAD: u64 = 2;
@@ -118,7 +118,7 @@ pub(super) fn device_bytes(
     file_memory: Option<u64>,
 ) -> Result<PhotoBytes> {
     let all = context.allocation_bytes(&requests(context, photos));
-    let maps = super::depth_maps::device_bytes(context, photos);
+    let maps = map_bytes(context, photos);
     Ok(match Residence::of(windowing_of(context), photos, file_memory)? {
         Residence::All => PhotoBytes { held: all + maps, staging: 0, all, budget: None },
         Residence::Places { count, bytes } => PhotoBytes {
@@ -375,5 +375,237 @@ impl Stream {
             ahead: None,
             texels,
         })
+    }
+}
+
+// Known depths of the views on the device: inverse-depth maps and sparse points.
+
+/// Per view: its inverse-depth map (a float per pixel, row by row) and its sparse points, if it has them.
+pub(super) struct DepthMaps(Vec<(Option<Buffer>, Option<DepthPointBuffers>)>);
+
+/// Buffers of all views in order, each view's map before its points.
+fn map_requests(photos: &[PhotoSize]) -> Vec<(&'static str, u64)> {
+    let of_photo = |photo: &PhotoSize| {
+        let pixels = u64::from(photo.width) * u64::from(photo.height);
+        let map = photo.inverse_depth.then_some(("inverse_depth_map", 4 * pixels));
+        let points = Some(photo.depth_points).filter(|&count| count > 0).map(DepthPointBuffers::requests);
+        map.into_iter().chain(points.into_iter().flatten())
+    };
+    photos.iter().flat_map(of_photo).collect()
+}
+
+/// Bytes of device memory for all maps and points.
+fn map_bytes(context: &Context, photos: &[PhotoSize]) -> u64 {
+    match map_requests(photos) {
+        none if none.is_empty() => 0,
+        requests => context.allocation_bytes(&requests),
+    }
+}
+
+impl DepthMaps {
+    /// Uploads the maps and points of the views, whose photographs have these sizes.
+    pub fn new(context: &Context, views: &[TrainView], sizes: &[PhotoSize]) -> Result<Self> {
+        let requests = map_requests(sizes);
+        let buffers = match requests.is_empty() {
+            true => Vec::new(),
+            false => context.allocate("depth maps", &requests, MemoryKind::Device)?,
+        };
+        let mut buffers = buffers.into_iter();
+        let each = views.iter().zip(sizes).map(|(view, size)| {
+            let map = view.inverse_depth.as_ref().and_then(|map| Some((map, buffers.next()?)));
+            if let Some((map, buffer)) = &map {
+                context.upload(buffer, bytemuck::cast_slice(map))?;
+            }
+            let points = match &view.depth_points {
+                Some(points) if size.depth_points > 0 => {
+                    let size = (view.photo.width, view.photo.height);
+                    let own = <[Buffer; 3]>::try_from(buffers.by_ref().take(3).collect::<Vec<_>>());
+                    let Ok(own) = own else { unreachable!("one buffer per request") };
+                    Some(DepthPointBuffers::upload(context, own, points, size)?)
+                }
+                _ => None,
+            };
+            Ok((map.map(|(_, buffer)| buffer), points))
+        });
+        Ok(Self(each.collect::<Result<_>>()?))
+    }
+
+    pub fn of(&self, view: usize) -> Option<&Buffer> {
+        self.0[view].0.as_ref()
+    }
+
+    pub fn points_of(&self, view: usize) -> Option<&DepthPointBuffers> {
+        self.0[view].1.as_ref()
+    }
+}
+
+// Selection of the photographs on the device if only some of them fit.
+
+/// Photograph of an iteration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Use {
+    pub view: usize,
+    /// Index of its place on the device.
+    pub place: usize,
+    /// True if it must be loaded into the place.
+    pub load: bool,
+}
+
+/// Belady's algorithm: the order is known, so a load replaces the photograph whose next use is last.
+#[derive(Clone)]
+pub(super) struct Residency {
+    order: ViewOrder,
+    /// Next iteration, counted from 1.
+    iteration: u32,
+    /// View in each place.
+    places: Vec<Option<usize>>,
+    /// Iterations at which each view is next used: in this epoch and in the next.
+    uses: Vec<[u32; 2]>,
+    /// Iteration from which `uses` must be recomputed.
+    epoch_end: u32,
+}
+
+impl Residency {
+    /// Starts at an iteration with empty places.
+    pub fn new(order: ViewOrder, places: usize, iteration: u32) -> Self {
+        let uses = vec![[0; 2]; order.views()];
+        Self { order, iteration, places: vec![None; places], uses, epoch_end: 0 }
+    }
+
+    /// Photograph of the next iteration.
+    pub fn advance(&mut self) -> Use {
+        let iteration = self.iteration;
+        self.iteration += 1;
+        if iteration >= self.epoch_end {
+            self.look_ahead(iteration);
+        }
+        let view = self.order.view(iteration);
+        if let Some(place) = self.places.iter().position(|&held| held == Some(view)) {
+            return Use { view, place, load: false };
+        }
+        let farthest =
+            |&place: &usize| self.places[place].map_or(u32::MAX, |held| self.next_use(held, iteration));
+        let place = (0..self.places.len()).max_by_key(farthest).unwrap_or(0);
+        self.places[place] = Some(view);
+        Use { view, place, load: true }
+    }
+
+    /// Notes the iteration of each view, in the epoch of the given iteration and in the next.
+    fn look_ahead(&mut self, iteration: u32) {
+        let views = self.uses.len() as u32;
+        let first = (iteration - 1) / views * views + 1;
+        for epoch in [1, 0] {
+            for at in first + epoch * views..first + (epoch + 1) * views {
+                self.uses[self.order.view(at)][epoch as usize] = at;
+            }
+        }
+        self.epoch_end = first + views;
+    }
+
+    fn next_use(&self, view: usize, iteration: u32) -> u32 {
+        let [this, next] = self.uses[view];
+        if this > iteration { this } else { next }
+    }
+}
+
+// Views of a training.
+
+/// A photograph and its camera.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct TrainView {
+    /// Camera of the photograph, with its size.
+    pub camera: Camera,
+    /// Photograph, kept on the device with 8 bits per channel. Masked pixels carry no loss. Photographs in a file are read
+    /// ahead of the iterations that need them.
+    pub photo: StoredPhoto,
+    /// Inverse depth that the photograph's pixels should have, row by row: the sum of blending weights / z, 1 / world units.
+    /// Pixels of [`MAP_NOTHING`](crate::kernels::constants::MAP_NOTHING) and above, like infinity, do not count. A view with a
+    /// map adds [`InverseDepth`](super::InverseDepth) to the loss.
+    pub inverse_depth: Option<Arc<[f32]>>,
+    /// Any id of the camera that took the photograph. Views with the same id share [`LensEffects`](crate::scene::LensEffects).
+    pub camera_id: u32,
+    /// Sparse points that the photograph shows. With [`TrainSettings::depth_points`](super::TrainSettings::depth_points) a view
+    /// with points adds [`SparseDepth`](super::SparseDepth) to the loss. Excludes inverse-depth maps.
+    pub depth_points: Option<Arc<[DepthPoint]>>,
+}
+
+impl TrainView {
+    /// Creates a view to train on.
+    pub fn new(camera: Camera, photo: impl Into<StoredPhoto>) -> Self {
+        Self { camera, photo: photo.into(), inverse_depth: None, camera_id: 0, depth_points: None }
+    }
+
+    /// Returns the view with an inverse-depth map: [`TrainView::inverse_depth`].
+    #[must_use]
+    pub fn with_inverse_depth(self, map: Option<Arc<[f32]>>) -> Self {
+        Self { inverse_depth: map, ..self }
+    }
+
+    /// Returns the view with the id of its camera: [`TrainView::camera_id`].
+    #[must_use]
+    pub fn taken_by(self, camera_id: u32) -> Self {
+        Self { camera_id, ..self }
+    }
+
+    /// Returns the view with sparse points: [`TrainView::depth_points`].
+    #[must_use]
+    pub fn with_depth_points(self, points: Option<Arc<[DepthPoint]>>) -> Self {
+        Self { depth_points: points, ..self }
+    }
+}
+
+#[cfg(test)]
+mod residency_tests {
+    use super::*;
+
+    /// Number of loads in `epochs` epochs.
+    fn loads(views: usize, places: usize, epochs: u32) -> u32 {
+        let mut schedule = Residency::new(ViewOrder::new(3, views), places, 1);
+        let mut order = ViewOrder::new(3, views);
+        let mut held = vec![None; places];
+        let mut loads = 0;
+        for iteration in 1..=epochs * views as u32 {
+            let at = schedule.advance();
+            assert_eq!(at.view, order.view(iteration));
+            if at.load {
+                assert!(!held.contains(&Some(at.view)), "it was there");
+                held[at.place] = Some(at.view);
+                loads += 1;
+            }
+            assert_eq!(held[at.place], Some(at.view));
+        }
+        loads
+    }
+
+    #[test]
+    fn what_fits_is_loaded_once() {
+        assert_eq!(loads(17, 17, 10), 17);
+        assert_eq!(loads(17, 1, 10), 170 - repeats(17, 10));
+    }
+
+    /// Number of views that come last in an epoch and first in the next.
+    fn repeats(views: usize, epochs: u32) -> u32 {
+        let mut order = ViewOrder::new(3, views);
+        let ends = (1..epochs).map(|epoch| epoch * views as u32);
+        ends.filter(|&at| order.view(at) == order.view(at + 1)).count() as u32
+    }
+
+    /// Least-recently-used replacement would load nearly all in every epoch.
+    #[test]
+    fn half_the_room_saves_half_the_loads() {
+        let of_all = f64::from(loads(40, 20, 20)) / 800.0;
+        // All in the first epoch, half in each of the others.
+        assert!(of_all <= (40.0 + 19.0 * 20.0) / 800.0, "{of_all}");
+    }
+
+    /// A resumed run has the same views.
+    #[test]
+    fn it_begins_anywhere() {
+        let mut schedule = Residency::new(ViewOrder::new(3, 9), 4, 14);
+        let mut order = ViewOrder::new(3, 9);
+        for iteration in 14..60 {
+            assert_eq!(schedule.advance().view, order.view(iteration));
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! Resources of a shader.
 
-use super::access::Access;
 use super::format::ImageKind;
+use super::hazard::Access;
 use super::texels::TexelFormat;
 use ash::vk;
 

@@ -1,10 +1,10 @@
 //! Records, submits, awaits and reuses command buffers.
 
-use super::copy_queue::Point;
+use super::debug::vk_error;
 use super::descriptors::DescriptorSets;
-use super::error::vk_error;
 use super::open_device::Device;
-use super::profiler::{MAX_SCOPES, QUERIES};
+use super::open_device::Point;
+use super::profile::{MAX_SCOPES, QUERIES};
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::atomic::Ordering;

@@ -1,6 +1,8 @@
 //! Names and labels for tools, and messages of the validation layers.
 
+use crate::Error;
 use ash::vk;
+use ash::vk::Result as R;
 use std::ffi::{CStr, CString, c_void};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -161,6 +163,21 @@ fn with_c_string(text: &str, f: impl FnOnce(&CStr)) {
 
 fn c_string(text: &str) -> CString {
     CString::new(text.replace('\0', "")).unwrap_or_default()
+}
+
+// Converts the result of a failed Vulkan call to an error.
+
+/// Returns the conversion for calls of this function.
+pub(super) fn vk_error(call: &'static str) -> impl Fn(R) -> Error {
+    move |result| {
+        let remedy = match result {
+            R::ERROR_DEVICE_LOST => return Error::DeviceLost { call },
+            R::ERROR_OUT_OF_DEVICE_MEMORY => "free device memory, or use a smaller scene or resolution",
+            R::ERROR_OUT_OF_HOST_MEMORY => "free memory, or use a smaller scene or resolution",
+            _ => "",
+        };
+        Error::Vulkan { call, result: format!("{result:?} ({result})"), remedy: remedy.to_owned() }
+    }
 }
 
 #[cfg(test)]

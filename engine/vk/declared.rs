@@ -1,8 +1,8 @@
 //! Accesses that a recording's commands declare to the hazard checker.
 
-use super::access::Access;
 use super::binding::BindingInfo;
 use super::buffer::Buffer;
+use super::hazard::Access;
 use super::hazard::{HazardTracker, Use, undeclared_alias};
 use super::image::Image;
 

@@ -1,7 +1,7 @@
 //! Enumerates the devices, checks them, and selects one.
 
 use super::clock::Calibrated;
-use super::error::vk_error;
+use super::debug::vk_error;
 use super::instance::Instance;
 use super::limits::Limits;
 use super::queues::{ComputeFamilies, compute_families};

@@ -1,6 +1,6 @@
 //! Reads compiler statistics of pipelines: VK_KHR_pipeline_executable_properties.
 
-use super::error::vk_error;
+use super::debug::vk_error;
 use crate::Result;
 use ash::vk;
 use std::ffi::{CStr, c_char};

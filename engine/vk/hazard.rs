@@ -6,7 +6,6 @@
 //!
 //! It does not use Vulkan: a block of memory is a number, so tests need no device.
 
-use super::access::Access;
 use std::fmt;
 use std::ops::Range;
 
@@ -124,4 +123,24 @@ fn conflict(a: &Use, b: &Use) -> bool {
         && a.bytes.start < b.bytes.end
         && b.bytes.start < a.bytes.end
         && (a.access.writes() || b.access.writes())
+}
+
+// How a command accesses a buffer.
+
+/// How a shader accesses a buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// `readonly`.
+    Read,
+    /// `writeonly`.
+    Write,
+    /// Neither.
+    ReadWrite,
+}
+
+impl Access {
+    /// True if it writes.
+    pub fn writes(self) -> bool {
+        self != Self::Read
+    }
 }

@@ -1,7 +1,7 @@
 //! Holds the queues of a context, for a host that submits beside it.
 
 use super::context::Context;
-use super::queue_lock::LockedQueue;
+use super::open_device::LockedQueue;
 use crate::Result;
 
 /// Locked queues of a context, owned by the holding thread: [`Context::hold_queues`].

@@ -3,7 +3,7 @@
 use super::allocator::MemoryKind;
 use super::buffer::Buffer;
 use super::context::Context;
-use super::error::vk_error;
+use super::debug::vk_error;
 use super::format::{ImageKind, ImageUse, aspect, has_stencil, texel_bytes};
 use super::memory::NEXT_ID;
 use super::open_device::Device;

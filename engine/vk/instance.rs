@@ -1,7 +1,7 @@
 //! The loader and the Vulkan instance.
 
 use super::debug::Messenger;
-use super::error::vk_error;
+use super::debug::vk_error;
 use crate::{Error, Result};
 use ash::vk;
 use std::ffi::{CStr, c_char};

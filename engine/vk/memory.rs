@@ -1,7 +1,7 @@
 //! Device memory. Requests are packed into blocks of one VkBuffer and one allocation each.
 
 use super::allocator::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
-use super::error::vk_error;
+use super::debug::vk_error;
 use super::memory_types::{self, Place};
 use super::open_device::Device;
 use super::texels::TexelViews;

@@ -57,13 +57,10 @@
 
 #![allow(unsafe_code)]
 
-mod access;
-mod adopt;
 mod allocate;
 mod allocator;
 mod arenas;
 mod audit;
-mod bind;
 mod binding;
 mod binding_numbers;
 mod budget;
@@ -73,13 +70,10 @@ mod clock;
 mod commands;
 mod compile_only;
 mod context;
-mod copy_queue;
-mod create_device;
 mod debug;
 mod declared;
 mod descriptors;
 mod device;
-mod error;
 mod executables;
 #[cfg(feature = "testing")]
 mod failing_calls;
@@ -97,7 +91,6 @@ mod image;
 mod image_owner;
 mod instance;
 mod kernel;
-mod kernel_job;
 mod kernel_set;
 mod limits;
 #[cfg(feature = "testing")]
@@ -110,14 +103,10 @@ mod open_device;
 mod pipeline;
 mod pipeline_cache;
 mod pipeline_statistics;
-mod pool;
 mod profile;
-mod profiler;
-mod queue_lock;
 mod queues;
 mod raw_device;
 mod record_audit;
-mod record_image;
 #[cfg(feature = "testing")]
 mod record_testing;
 mod recorder;
@@ -131,13 +120,13 @@ mod texels;
 mod transfer;
 mod workarounds;
 
-pub use access::Access;
 pub use allocator::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 pub use arenas::ArenaMemory;
 pub use audit::{Audit, AuditRecord};
 pub use binding::{BindingInfo, BindingKind, ImageInfo};
 pub use buffer::Buffer;
 pub use context::Context;
+pub use context::KernelJob;
 pub use device::{DeviceDescription, devices};
 pub use executables::{CompileOnly, Executable, Statistic};
 #[cfg(feature = "testing")]
@@ -146,12 +135,12 @@ pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
 pub use format::{
     COLOR_FORMATS, DEPTH_FORMAT, HOST_DEPTH_FORMATS, ImageKind, ImageUse, MOTION_FORMAT, PICK_FORMAT,
 };
+pub use hazard::Access;
 pub use held_queues::HeldQueues;
 pub use image::{ForeignImage, Image, ImageState};
 pub use instance::validation_available;
 pub(crate) use kernel::sealed::Generated;
 pub use kernel::{ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelVisitor};
-pub use kernel_job::KernelJob;
 pub use kernel_set::KernelSet;
 pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
 #[cfg(feature = "testing")]
@@ -159,10 +148,10 @@ pub use limits_override::LimitsOverride;
 pub use memory::{PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use memory_rates::{MemoryRates, Transfers};
 pub use open::ContextOptions;
+pub use open_device::QueueLock;
 pub use pipeline_cache::{PipelineCacheKey, PipelineCacheStore};
 pub use pipeline_statistics::PipelineStatistics;
 pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
-pub use queue_lock::QueueLock;
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use requirements::{Features, OptionalExtension, OptionalFeature, Requirements};
 pub use slot_recording::SlotRecording;

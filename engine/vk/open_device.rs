@@ -5,23 +5,22 @@ use super::allocator::HostAllocator;
 use super::arenas::Registry;
 use super::built::BuiltPipelines;
 use super::clock::Clock;
-use super::copy_queue::CopyQueue;
+use super::debug::vk_error;
 use super::debug::{Messages, Names};
 use super::device::DeviceDescription;
-use super::error::vk_error;
 use super::executables::Executables;
 use super::instance::Instance;
 use super::limits::Limits;
 use super::memory_types::Place;
 use super::pipeline_cache::PipelineCache;
-use super::queue_lock::QueueLock;
 use super::raw_device::RawDevice;
 use super::spirv::SubgroupRules;
 use crate::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
+use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// An open device. Everything made from it keeps it open.
@@ -148,5 +147,152 @@ impl Drop for Device {
             }
         }
         self.pipeline_cache.close(&self.device);
+    }
+}
+
+// A queue for copies only, on devices with such a queue family: uploads run beside the main queue's work.
+//
+// Each of the two queues counts its submissions in a timeline semaphore. A copy that must not overtake the main queue's
+// work waits for that count. The main queue waits for the copy queue's count to acquire the copied data.
+
+/// Semaphore that counts the submissions to a queue.
+pub(super) struct Timeline {
+    pub(super) semaphore: vk::Semaphore,
+    /// Submissions so far. Changed only under the queue's lock.
+    count: AtomicU64,
+}
+
+/// A value of a semaphore that a submission waits for.
+#[derive(Clone, Copy)]
+pub(super) struct Point {
+    pub(super) semaphore: vk::Semaphore,
+    pub(super) value: u64,
+}
+
+impl Timeline {
+    fn new(device: &RawDevice) -> Result<Self> {
+        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
+        let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
+        // SAFETY: valid create info; timelineSemaphore is on in devices with a queue for copies.
+        let semaphore = unsafe { device.create_semaphore(&info, None) };
+        Ok(Self { semaphore: semaphore.map_err(vk_error("vkCreateSemaphore"))?, count: AtomicU64::new(0) })
+    }
+
+    /// Returns the point after all submissions so far.
+    pub(super) fn last(&self) -> Point {
+        Point { semaphore: self.semaphore, value: self.count.load(Ordering::Acquire) }
+    }
+
+    /// Returns the point that the next submission signals.
+    pub(super) fn next(&self) -> Point {
+        let last = self.last();
+        Point { value: last.value + 1, ..last }
+    }
+
+    /// Counts a submission that was made.
+    pub(super) fn submitted(&self, point: Point) {
+        self.count.store(point.value, Ordering::Release);
+    }
+}
+
+/// The copy queue, with the timelines of both queues.
+pub(super) struct CopyQueue {
+    queue: Mutex<vk::Queue>,
+    pub(super) family: u32,
+    /// Timeline of the main queue.
+    pub(super) worked: Timeline,
+    /// Timeline of this queue.
+    pub(super) copied: Timeline,
+}
+
+impl CopyQueue {
+    /// # Errors
+    /// When the driver has no memory left.
+    pub(super) fn new(device: &RawDevice, family: u32) -> Result<Self> {
+        // SAFETY: the device was created with one queue of this family.
+        let queue = unsafe { device.get_device_queue(family, 0) };
+        let worked = Timeline::new(device)?;
+        let copied = Timeline::new(device).inspect_err(|_| {
+            // SAFETY: it was made just now, and is not in use.
+            unsafe { device.destroy_semaphore(worked.semaphore, None) }
+        })?;
+        Ok(Self { queue: Mutex::new(queue), family, worked, copied })
+    }
+
+    /// Locks the queue for this thread.
+    pub(super) fn lock(&self) -> LockedQueue<'_> {
+        LockedQueue::new(self.queue.lock().unwrap_or_else(PoisonError::into_inner), None)
+    }
+
+    /// Destroys the semaphores of an idle device.
+    pub(super) fn close(&self, device: &ash::Device) {
+        // SAFETY: whoever closes has waited for both queues.
+        unsafe {
+            device.destroy_semaphore(self.worked.semaphore, None);
+            device.destroy_semaphore(self.copied.semaphore, None);
+        }
+    }
+}
+
+// A queue locked for one thread, together with a host's lock of it.
+
+/// A host's lock of the queue that it gives to a context, for hosts whose other threads submit to that queue: see
+/// [`super::ForeignDevice::queue_lock`].
+///
+/// Operations that submit take it around each `vkQueueSubmit2`, and around a `vkQueueWaitIdle` after a wait has failed.
+/// They do not hold it while waiting for the device, and recording never takes it. A thread that holds it must not call
+/// anything that submits: it would deadlock.
+///
+/// # Safety
+/// From the return of [`QueueLock::lock`] to the call of [`QueueLock::unlock`], on the same thread, nobody else uses the queue.
+pub unsafe trait QueueLock: Send + Sync {
+    /// Waits for the lock and takes it.
+    fn lock(&self);
+
+    /// Releases the lock.
+    fn unlock(&self);
+}
+
+/// A queue, locked for this thread.
+pub(super) struct LockedQueue<'a> {
+    queue: MutexGuard<'a, vk::Queue>,
+    host: Option<&'a dyn QueueLock>,
+}
+
+impl<'a> LockedQueue<'a> {
+    /// Takes the host's lock after our own, so that our threads wait for each other without holding it.
+    pub(super) fn new(queue: MutexGuard<'a, vk::Queue>, host: Option<&'a dyn QueueLock>) -> Self {
+        if let Some(host) = host {
+            host.lock();
+        }
+        Self { queue, host }
+    }
+}
+
+impl Deref for LockedQueue<'_> {
+    type Target = vk::Queue;
+
+    fn deref(&self) -> &vk::Queue {
+        &self.queue
+    }
+}
+
+impl Drop for LockedQueue<'_> {
+    fn drop(&mut self) {
+        if let Some(host) = self.host {
+            host.unlock();
+        }
+    }
+}
+
+impl Device {
+    /// Locks the queue for this thread.
+    pub(super) fn lock_queue(&self) -> Result<LockedQueue<'_>> {
+        let Some(queue) = &self.queue else {
+            let problem = "the host keeps its queue: only recording into its command buffers is possible";
+            return Err(Error::argument("queue", problem));
+        };
+        let queue = queue.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok(LockedQueue::new(queue, self.queue_lock.as_deref()))
     }
 }

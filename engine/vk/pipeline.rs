@@ -2,8 +2,8 @@
 
 use super::binding::{BindingInfo, BindingKind, ImageInfo};
 use super::built::{PipelineHandles, PipelineKey};
+use super::debug::vk_error;
 use super::descriptors::{kind_of, layout_binding};
-use super::error::vk_error;
 use super::limits::Limits;
 use super::open_device::Device;
 use super::spirv::SubgroupRules;

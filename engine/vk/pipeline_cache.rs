@@ -1,6 +1,6 @@
 //! The VkPipelineCache with which kernels are built: a host's, our own, or none.
 
-use super::error::vk_error;
+use super::debug::vk_error;
 use crate::Result;
 use ash::vk;
 use std::fmt;

@@ -1,8 +1,8 @@
 //! Audit of a recording: copies the output of every command.
 
-use super::access::Access;
 use super::buffer::Buffer;
 use super::commands::Commands;
+use super::hazard::Access;
 use super::recorder::{Recorder, Target};
 use crate::Result;
 use ash::vk;

@@ -1,19 +1,23 @@
 //! Records commands: dispatches, fills, copies, and the barriers between them.
 
-use super::access::Access;
 use super::audit;
+use super::binding::{BindingInfo, BindingKind};
+use super::binding_numbers::BUFFERS;
 use super::buffer::Buffer;
 use super::commands::Commands;
 use super::declared::Hazards;
-use super::descriptors::{DescriptorSets, OwnedSets};
+use super::descriptors::{DescriptorSets, OwnedSets, PoolGuard};
+use super::format::ImageKind;
+use super::hazard::Access;
+use super::image::{Image, ImageState};
 use super::kernel::{Kernel, KernelInterface};
 use super::limits::Limits;
 use super::open_device::Device;
-use super::pipeline::Pipeline;
-use super::pool::PoolGuard;
+use super::pipeline::{MAX_BINDINGS, Pipeline};
+use super::profile::Profiler;
 use super::profile::{BoundBuffer, CommandRecord, Commands as Profiled};
-use super::profiler::Profiler;
 use super::resources::{Bound, Kept};
+use super::texels::{TexelFormat, TexelRange};
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
@@ -398,5 +402,282 @@ impl Recorder {
     /// Returns the number of calls of [`Recorder::barrier`].
     pub fn barriers(&self) -> u32 {
         self.barriers
+    }
+}
+
+// Binds the resources of a dispatch, by push descriptors or by a preallocated set.
+
+/// Most images of one kernel.
+const MAX_IMAGES: usize = 2;
+
+impl Recorder {
+    /// Binds the pipeline, its buffers, images and push constants. Returns false if this call or an earlier
+    /// one has failed. Nothing may be dispatched then, and the end of the recording reports the error
+    /// ([`Recorder::check`]).
+    pub(super) fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) -> bool {
+        if self.failed.is_none() {
+            self.failed = self.try_prepare(pipeline, bound, push).err();
+        }
+        self.failed.is_none()
+    }
+
+    fn try_prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) -> Result<()> {
+        assert!(pipeline.is_of(&self.inner), "kernel {} is of another context", pipeline.name);
+        let mut buffers = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];
+        let mut views = [vk::BufferView::null(); MAX_BINDINGS];
+        let descriptors = buffers.iter_mut().zip(&mut views).zip(pipeline.bindings);
+        for (((descriptor, view), info), buffer) in descriptors.zip(bound.buffers) {
+            self.check_binding(pipeline, info, buffer);
+            if let BindingKind::Texels(format) = info.kind {
+                *view = self.texel_view(pipeline, info.name, buffer, format)?;
+            }
+            self.keep(buffer);
+            let bytes = match info.kind {
+                BindingKind::Uniform { bytes } => bytes.into(),
+                _ => bound_bytes(buffer),
+            };
+            let offset = buffer.offset();
+            *descriptor =
+                vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(offset).range(bytes);
+        }
+        let mut images = [vk::DescriptorImageInfo::default(); MAX_IMAGES];
+        for ((descriptor, info), image) in images.iter_mut().zip(pipeline.images).zip(bound.images) {
+            let (kernel, name) = (pipeline.name, image.name());
+            assert!(image.purpose().kind() == info.kind, "{kernel}: image '{name}' is no {:?}", info.kind);
+            self.keep_image(image);
+            *descriptor = image.descriptor();
+        }
+        let mut writes = [vk::WriteDescriptorSet::default(); MAX_BINDINGS + MAX_IMAGES];
+        let (first, rest) = writes.split_at_mut(bound.buffers.len());
+        let descriptors = pipeline.bindings.iter().zip(&buffers).zip(&views);
+        for (write, ((info, descriptor), view)) in first.iter_mut().zip(descriptors) {
+            let empty = vk::WriteDescriptorSet::default().dst_binding(info.binding);
+            let empty = empty.descriptor_type(info.kind.descriptor_type());
+            *write = match info.kind {
+                BindingKind::Texels(_) => empty.texel_buffer_view(std::slice::from_ref(view)),
+                _ => empty.buffer_info(std::slice::from_ref(descriptor)),
+            };
+        }
+        for ((write, info), descriptor) in rest.iter_mut().zip(pipeline.images).zip(&images) {
+            *write = vk::WriteDescriptorSet::default()
+                .dst_binding(info.binding)
+                .descriptor_type(info.kind.descriptor_type())
+                .image_info(std::slice::from_ref(descriptor));
+        }
+        let mut count = bound.buffers.len() + bound.images.len();
+        let storage = pipeline.bindings.iter().position(|info| info.kind == BindingKind::Storage);
+        if let (Some(_), Some(any)) = (&self.inner.shared_layouts, storage) {
+            // No descriptor of an earlier use may remain in the set: see the module `descriptors`.
+            let missing = |binding: &u32| pipeline.bindings.iter().all(|info| info.binding != *binding);
+            for binding in (0..BUFFERS).filter(missing) {
+                writes[count] = vk::WriteDescriptorSet::default()
+                    .dst_binding(binding)
+                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                    .buffer_info(&buffers[any..=any]);
+                count += 1;
+            }
+        }
+        self.kept.pipeline(pipeline);
+        self.bind(pipeline, &mut writes[..count], push)
+    }
+
+    /// Keeps a buffer's memory alive for the recording. The buffer must belong to the recording's device.
+    pub(super) fn keep(&mut self, buffer: &Buffer) {
+        let block = buffer.block();
+        assert!(block.is_of(&self.inner), "buffer '{}' is of another context", buffer.name());
+        self.kept.block(block);
+    }
+
+    /// Same as [`Self::keep`], but for an image.
+    pub(super) fn keep_image(&mut self, image: &Image) {
+        assert!(image.is_of(&self.inner), "image '{}' is of another context", image.name());
+        self.kept.image(image);
+    }
+
+    /// Panics for a buffer that cannot be bound.
+    fn check_binding(&self, pipeline: &Pipeline, info: &BindingInfo, buffer: &Buffer) {
+        let limits = &self.inner.limits;
+        let (kernel, role, name, bytes) = (pipeline.name, info.name, buffer.name(), buffer.bytes());
+        let (least, most, alignment) = match info.kind {
+            BindingKind::Uniform { bytes } => (u64::from(bytes), u64::MAX, limits.uniform_alignment),
+            _ => (1, limits.max_storage_buffer_range, limits.storage_alignment),
+        };
+        assert!(
+            (least..=most).contains(&bytes),
+            "{kernel}: '{name}' bound as '{role}' has {bytes} bytes, the limits are {least} and {most}"
+        );
+        assert!(
+            buffer.offset().is_multiple_of(alignment),
+            "{kernel}: '{name}' bound as '{role}' begins at {}, no multiple of {alignment}",
+            buffer.offset()
+        );
+    }
+
+    /// Returns a texel view of a buffer. Panics for a buffer that cannot be bound as texels.
+    fn texel_view(
+        &self,
+        pipeline: &Pipeline,
+        role: &str,
+        buffer: &Buffer,
+        format: TexelFormat,
+    ) -> Result<vk::BufferView> {
+        let limits = &self.inner.limits;
+        let (kernel, name, offset, bytes) = (pipeline.name, buffer.name(), buffer.offset(), buffer.bytes());
+        let texels = bytes / format.bytes();
+        assert!(
+            texels <= limits.max_texels && texels > 0 && offset.is_multiple_of(limits.texel_alignment),
+            "{kernel}: '{name}' bound as '{role}' has {texels} texels at {offset}; at most {} at a multiple of {}",
+            limits.max_texels,
+            limits.texel_alignment
+        );
+        let block = buffer.block();
+        block.texels.of(&self.inner.device, buffer.raw(), TexelRange { offset, bytes, format })
+    }
+
+    fn bind(
+        &mut self,
+        pipeline: &Pipeline,
+        writes: &mut [vk::WriteDescriptorSet<'_>],
+        push: &[u8],
+    ) -> Result<()> {
+        let set = match self.commands.descriptors() {
+            Some(sets) if !writes.is_empty() => Some(sets.next(&self.inner, pipeline.handles.set_kind)?),
+            _ => None,
+        };
+        let (raw, device, point) = (self.raw(), &self.inner.device, vk::PipelineBindPoint::COMPUTE);
+        // SAFETY: recording state; pipeline, layout and descriptors belong together, and the recorder keeps all of
+        // them until the execution is over; a set is written once in a recording, before it is bound. `push` has the
+        // size that the layout was made with.
+        unsafe {
+            if self.bound != pipeline.handles.raw {
+                device.cmd_bind_pipeline(raw, point, pipeline.handles.raw);
+                self.bound = pipeline.handles.raw;
+            }
+            match (&self.inner.push_descriptor, set) {
+                (Some(extension), _) if !writes.is_empty() => {
+                    extension.cmd_push_descriptor_set(raw, point, pipeline.handles.layout, 0, writes);
+                }
+                (None, Some(set)) => {
+                    writes.iter_mut().for_each(|write| write.dst_set = set);
+                    device.update_descriptor_sets(writes, &[]);
+                    device.cmd_bind_descriptor_sets(raw, point, pipeline.handles.layout, 0, &[set], &[]);
+                }
+                _ => {}
+            }
+            if !push.is_empty() {
+                device.cmd_push_constants(
+                    raw,
+                    pipeline.handles.layout,
+                    vk::ShaderStageFlags::COMPUTE,
+                    0,
+                    push,
+                );
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Returns the number of bound bytes.
+#[cfg(not(feature = "testing"))]
+fn bound_bytes(buffer: &Buffer) -> u64 {
+    buffer.bytes()
+}
+
+/// Returns the number of bound bytes, including the guard band behind the buffer. Drivers drop writes outside the bound
+/// range, so a shorter range would hide breaches.
+#[cfg(feature = "testing")]
+fn bound_bytes(buffer: &Buffer) -> u64 {
+    buffer.bytes() + buffer.guard_behind()
+}
+
+// Commands on images: layouts and copies.
+
+impl Recorder {
+    /// Makes an image ready for kernels: waits for the use `from`, and changes the layout to [`Image::layout`]. Returns the
+    /// kernels' use.
+    pub fn acquire_image(&mut self, image: &Image, from: ImageState) -> ImageState {
+        let accesses = match image.purpose().kind() {
+            ImageKind::Storage => {
+                vk::AccessFlags2::SHADER_STORAGE_READ | vk::AccessFlags2::SHADER_STORAGE_WRITE
+            }
+            ImageKind::Sampled => vk::AccessFlags2::SHADER_SAMPLED_READ,
+        };
+        let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
+        let to = ImageState { layout: image.layout(), stages, accesses };
+        match image.acquisition(from) {
+            Some(half) => {
+                self.record_image_barrier(image, half.dst_stage_mask(stages).dst_access_mask(accesses));
+            }
+            None => self.image_barrier(image, from, to),
+        }
+        to
+    }
+
+    /// Copies a buffer of tightly packed texels into an image of our own, and leaves it ready for kernels.
+    ///
+    /// # Panics
+    /// When the buffer is smaller than the image.
+    pub fn copy_to_image(&mut self, from: &Buffer, image: &Image) {
+        let transfer = ImageState {
+            layout: vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+            stages: vk::PipelineStageFlags2::ALL_TRANSFER,
+            accesses: vk::AccessFlags2::TRANSFER_WRITE,
+        };
+        self.image_barrier(image, ImageState::UNDEFINED, transfer);
+        self.transfer("copy to image", &[(from, "source", Access::Read)]);
+        let region = image.copy_region(from);
+        // SAFETY: recording state; the layout is as the barrier says, the region is the whole level of the image.
+        unsafe {
+            let (raw, layout) = (self.raw(), transfer.layout);
+            self.inner.device.cmd_copy_buffer_to_image(raw, from.raw(), image.raw(), layout, &[region]);
+        }
+        self.acquire_image(image, transfer);
+    }
+
+    /// Copies an image that kernels have written into a buffer of tightly packed texels.
+    ///
+    /// # Panics
+    /// When the buffer is smaller than the image.
+    pub fn copy_from_image(&mut self, image: &Image, to: &Buffer) {
+        let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
+        let accesses = vk::AccessFlags2::SHADER_STORAGE_WRITE;
+        let written = ImageState { layout: image.layout(), stages, accesses };
+        let transfer = ImageState {
+            layout: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+            stages: vk::PipelineStageFlags2::ALL_TRANSFER,
+            accesses: vk::AccessFlags2::TRANSFER_READ,
+        };
+        self.image_barrier(image, written, transfer);
+        self.transfer("copy from image", &[(to, "destination", Access::Write)]);
+        let region = image.copy_region(to);
+        // SAFETY: as in `copy_to_image`.
+        unsafe {
+            let (raw, layout) = (self.raw(), transfer.layout);
+            self.inner.device.cmd_copy_image_to_buffer(raw, image.raw(), layout, to.raw(), &[region]);
+        }
+    }
+
+    fn image_barrier(&mut self, image: &Image, from: ImageState, to: ImageState) {
+        let barrier = vk::ImageMemoryBarrier2::default()
+            .src_stage_mask(from.stages)
+            .src_access_mask(from.accesses)
+            .dst_stage_mask(to.stages)
+            .dst_access_mask(to.accesses)
+            .old_layout(from.layout)
+            .new_layout(to.layout)
+            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .image(image.raw())
+            .subresource_range(image.whole_range());
+        self.record_image_barrier(image, barrier);
+    }
+
+    pub(super) fn record_image_barrier(&mut self, image: &Image, barrier: vk::ImageMemoryBarrier2<'_>) {
+        self.keep_image(image);
+        let barriers = [barrier];
+        let dependency = vk::DependencyInfo::default().image_memory_barriers(&barriers);
+        // SAFETY: recording state, outside of a render pass; the view's owner says that the image is alive.
+        unsafe { self.inner.device.cmd_pipeline_barrier2(self.raw(), &dependency) }
     }
 }

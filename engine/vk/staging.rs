@@ -8,8 +8,8 @@
 use super::allocator::MemoryKind;
 use super::buffer::Buffer;
 use super::commands::{Commands, Pools};
-use super::copy_queue::CopyQueue;
 use super::memory::PLACEMENT_ALIGNMENT;
+use super::open_device::CopyQueue;
 use super::open_device::Device;
 use crate::{Error, Result};
 use ash::vk;

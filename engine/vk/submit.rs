@@ -3,8 +3,8 @@
 use super::audit;
 use super::commands::Commands;
 use super::context::Context;
+use super::profile::Profiler;
 use super::profile::{self, HostTimes, ScopeTime};
-use super::profiler::Profiler;
 use super::recorder::Recorder;
 use super::resources::Kept;
 use crate::{Error, Result};

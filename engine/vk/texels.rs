@@ -5,7 +5,7 @@
 //! buffer. llvmpipe fetches a texel for all lanes by vector instructions. It reads every component of a storage buffer in a
 //! loop over the lanes: a vec4 by texel costs a quarter.
 
-use super::error::vk_error;
+use super::debug::vk_error;
 use super::raw_device::RawDevice;
 use crate::Result;
 use ash::vk;

@@ -21,7 +21,7 @@ fn fields<'a>(
 
 #[test]
 fn a_reservations_fields_have_their_names_in_c() {
-    let rust = include_str!("../../../engine/renderer/reservation.rs");
+    let rust = include_str!("../../../engine/renderer/slots.rs");
     let rust = fields(rust, ["pub struct Reservation {", "\n}"], |line| {
         Some(line.strip_prefix("pub ")?.split_once(':')?.0)
     });
