@@ -252,6 +252,17 @@ fn points_that_no_camera_sees_are_told() {
     .unwrap();
     let warnings = load(folder.path(), &DatasetOptions::default()).warnings;
     assert!(warnings[0].contains("0 of 30 of its points (a sample) lie in the view"), "{warnings:?}");
+
+    // All but a quarter of the cameras look at the points.
+    let mut cameras = write(folder.path(), 12, 0);
+    for camera in &mut cameras[..3] {
+        *camera =
+            Camera::look_at(camera.position(), 2.0 * camera.position(), Vec3::NEG_Y, camera.intrinsics());
+    }
+    std::fs::remove_file(folder.path().join("sparse/0/points3D.ply")).unwrap();
+    write_with(folder.path(), &cameras, 600);
+    let warnings = load(folder.path(), &DatasetOptions::default()).warnings.join("\n");
+    assert!(warnings.contains("3 of 12 of its cameras (a sample) see none of the points"), "{warnings}");
 }
 
 #[test]

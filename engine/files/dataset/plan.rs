@@ -214,6 +214,20 @@ impl Plan {
                 self.source.display(),
                 sample.len()
             ));
+            return;
+        }
+        // With poses from world to camera, many cameras look past the scene. In large scenes each camera sees few points, but some.
+        const DENSE: usize = 20_000;
+        const LEAST_CAMERAS: usize = 10;
+        let step = self.points.len().div_ceil(DENSE).max(1);
+        let dense = || self.points.positions.iter().step_by(step).copied().map(Vec3::from_array);
+        let blind = cameras.iter().filter(|camera| !dense().any(|point| camera.sees(point))).count();
+        if self.points.len() >= SAMPLE && cameras.len() >= LEAST_CAMERAS && 5 * blind >= cameras.len() {
+            self.warnings.push(format!(
+                "{}: {blind} of {} of its cameras (a sample) see none of the points: are the poses right, and from camera to world?",
+                self.list.display(),
+                cameras.len()
+            ));
         }
     }
 
