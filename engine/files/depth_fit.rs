@@ -43,6 +43,11 @@ impl DepthFit {
     /// Fits a map to its photo's points, so that medians and mean absolute deviations agree. `camera_size` is the size
     /// of the photo's camera.
     pub fn of(map: &DepthMap, camera_size: (u32, u32), points: &[DepthPoint]) -> Self {
+        Self::with_sense(map, camera_size, points).0
+    }
+
+    /// Does the same as [`DepthFit::of`], and returns true with it if the map falls where points come nearer: it holds depths then.
+    pub(crate) fn with_sense(map: &DepthMap, camera_size: (u32, u32), points: &[DepthPoint]) -> (Self, bool) {
         let ratio = f64::from(map.height) / f64::from(camera_size.1.max(1));
         let ends = [camera_size.0, camera_size.1].map(|side| f64::from(side) * ratio);
         let mut pairs = Vec::new();
@@ -57,7 +62,7 @@ impl DepthFit {
         let all = points.iter().map(|point| point.inverse_z);
         let range = all.clone().fold(f64::NEG_INFINITY, f64::max) - all.fold(f64::INFINITY, f64::min);
         if pairs.len() <= FEWEST || range.is_nan() || range <= LEAST_RANGE {
-            return Self::default();
+            return (Self::default(), false);
         }
         let (depths, values): (Vec<f64>, Vec<f64>) = pairs.into_iter().unzip();
         let (middle, middle_of_map) = (median(depths.clone()), median(values.clone()));
@@ -65,11 +70,14 @@ impl DepthFit {
             all.iter().map(|value| (value - middle).abs()).sum::<f64>() / all.len() as f64
         };
         let scale = deviation(&depths, middle) / deviation(&values, middle_of_map);
-        match scale.is_finite() {
+        let together: f64 =
+            depths.iter().zip(&values).map(|(depth, value)| (depth - middle) * (value - middle_of_map)).sum();
+        let fit = match scale.is_finite() {
             true => Self { scale, offset: middle - scale * middle_of_map },
             // A map with a single value cannot be fitted.
             false => Self::default(),
-        }
+        };
+        (fit, together < 0.0)
     }
 
     /// The median of all positive scales; 0 if there are none.

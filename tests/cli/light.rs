@@ -336,3 +336,18 @@ fn held_out_photos_need_no_depth_maps() {
     refuse(&halves, &["01.png", "depth map", "missing"]);
     mapped.refuses("depths", &["01.png", "depth map", "missing"]);
 }
+
+/// Depths in place of inverse depths.
+#[test]
+fn maps_of_depths_are_told() {
+    let mapped = Mapped::new();
+    for index in 0..VIEWS {
+        let mut map = image::open(mapped.map(index)).expect("a map").into_luma16();
+        map.pixels_mut().for_each(|pixel| pixel[0] = u16::MAX - pixel[0]);
+        map.save(mapped.map(index)).expect("saved");
+    }
+    let (data, out) = (mapped.data(), mapped.folder.path().join("out"));
+    let run = ["train", "-s", text(&data), "-m", text(&out), "--iterations=1", "-d", "depths"];
+    let said = finish(program().args(run)).stderr;
+    assert!(said.contains("fall where the sparse points come nearer"), "{said}");
+}

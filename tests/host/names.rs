@@ -366,6 +366,26 @@ fn masks_of_ones_hide_nothing() {
     assert_eq!((mask[0], mask[19]), (255, 0));
 }
 
+/// Background removers write the object's picture in place of its mask.
+#[test]
+fn masks_may_be_cut_outs() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path(), &["a.png"]);
+    photo(&folder.path().join("images/a.png"), 9);
+    std::fs::create_dir_all(folder.path().join("masks")).unwrap();
+    let cut_out = |x: u32| image::Rgba([90, 20, 200, if x < 10 { 255 } else { 0 }]);
+    let picture = image::RgbaImage::from_fn(20, 12, |x, _| cut_out(x));
+    picture.save(folder.path().join("masks/a.png")).unwrap();
+    let dataset = load(folder.path(), "images").unwrap();
+    let mask = dataset.train[0].photo.mask().unwrap().unwrap();
+    assert_eq!((mask[0], mask[19]), (255, 0));
+    assert!(
+        dataset.notes.iter().any(|note| note.contains("masks of 1 photos are cut-outs")),
+        "{:?}",
+        dataset.notes
+    );
+}
+
 #[test]
 fn depth_maps_that_are_not_used_are_told() {
     let folder = tempfile::tempdir().unwrap();

@@ -60,7 +60,7 @@ impl Plan {
         }
         let used: HashSet<&Path> = photos.keys().chain(masks.keys()).map(PathBuf::as_path).collect();
         self.tell_of_masks(&images, &folders, &used);
-        for folder in unused_folders(dataset) {
+        for folder in unused_folders(dataset, &folders, !masks.is_empty()) {
             let pictures = pictures_below(&folder).len();
             if pictures > 0 && !used.iter().any(|file| file.starts_with(&folder)) {
                 self.warnings.push(format!(

@@ -84,7 +84,19 @@ fn of_trained(
     let is_given = file.is_file();
     let fits = match is_given {
         true => given(&file, views, unit)?,
-        false => fitted(&model, (views, unit), &paths, options)?,
+        false => {
+            let fits = fitted(&model, (views, unit), &paths, options)?;
+            let falling = fits.iter().filter(|(_, falls)| *falls).count();
+            if 2 * falling > fits.len() {
+                warnings.push(format!(
+                    "{}: {falling} of {} depth maps fall where the sparse points come nearer: -d reads inverse depths, and these look \
+                     like depths",
+                    folder.display(),
+                    fits.len()
+                ));
+            }
+            fits.into_iter().map(|(fit, _)| fit).collect()
+        }
     };
     let median = DepthFit::median_scale(&fits);
     let maps = paths.into_iter().zip(fits).map(|(path, fit)| {
@@ -182,7 +194,7 @@ fn fitted(
     (views, unit): (&[&PlannedView], f64),
     paths: &[PathBuf],
     options: &DatasetOptions,
-) -> Result<Vec<DepthFit>> {
+) -> Result<Vec<(DepthFit, bool)>> {
     let mut observed = colmap::observations(model)?;
     observed.values_mut().flatten().for_each(|point| point.inverse_z *= unit);
     let sizes: HashMap<u32, (u32, u32)> = model
@@ -196,9 +208,9 @@ fn fitted(
     let fit = |(view, path): (&&PlannedView, &PathBuf)| {
         let id = view.image_id;
         let (Some(points), Some(size)) = (observed.get(&id), sizes.get(&id)) else {
-            return Ok(DepthFit::default());
+            return Ok((DepthFit::default(), false));
         };
-        Ok(DepthFit::of(&DepthMap::read(path, &options.host_memory)?, *size, points))
+        Ok(DepthFit::with_sense(&DepthMap::read(path, &options.host_memory)?, *size, points))
     };
     views.par_iter().zip(paths).map(fit).collect()
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::used_part::cut;
 use crate::host_memory::HostMemory;
-use crate::images::{Photo, Request, header, read_as, undistort};
+use crate::images::{Decoded, Photo, Request, header, read_as, undistort};
 use crate::names::Finder;
 use ashsplat::scene::camera::Intrinsics;
 use ashsplat::scene::lens::Lens;
@@ -51,13 +51,15 @@ impl Mask {
         Self { width, height, values }
     }
 
-    /// Reads the mask of a photo of this size. A mask of a larger version of the photo is scaled down.
+    /// Reads the mask of a photo of this size, and returns true with it if it is a cut-out: a picture with transparent
+    /// surroundings, as background removers write it. Its alpha channel is the mask then. A mask of a larger version of the photo
+    /// is scaled down.
     pub(super) fn read(
         path: &Path,
         turned: bool,
         (width, height): (u32, u32),
         memory: &HostMemory,
-    ) -> Result<Self> {
+    ) -> Result<(Self, bool)> {
         let size = header(path)?.size(turned);
         if !is_enlarged(size, (width, height)) {
             let problem = format!("is {}x{} pixels, its photo {width}x{height}", size.0, size.1);
@@ -67,8 +69,14 @@ impl Mask {
         // The mask's own values, and the scaled ones.
         let besides = 2 * u64::from(size.0) * u64::from(size.1);
         let request = Request { turned, size: Some(size), besides, ..Request::plain([0.0; 3], memory) };
-        let grey = read_as(path, &request)?;
-        Ok(Self::of_grey(grey.photo).of_bits().scaled_to(width, height))
+        let Decoded { photo, alpha, .. } = read_as(path, &request)?;
+        let cut_out = alpha.filter(|alpha| is_cut_out(&photo, alpha));
+        let is_cut_out = cut_out.is_some();
+        let mask = match cut_out {
+            Some(alpha) => Self::of_alpha(size.0, size.1, alpha),
+            None => Self::of_grey(photo).of_bits(),
+        };
+        Ok((mask.scaled_to(width, height), is_cut_out))
     }
 
     fn of_grey(grey: Photo) -> Self {
@@ -141,6 +149,19 @@ impl Mask {
     }
 }
 
+/// True if some pixels are transparent, and many others are neither black nor white.
+fn is_cut_out(photo: &Photo, alpha: &[u8]) -> bool {
+    const BLACK_OR_WHITE: [u8; 2] = [32, 223];
+    let opaque = photo.rgb.as_chunks::<3>().0.iter().zip(alpha).filter(|(_, alpha)| **alpha >= COUNTS);
+    let is_between = |value: &u8| (BLACK_OR_WHITE[0]..BLACK_OR_WHITE[1]).contains(value);
+    let (mut count, mut between) = (0, 0);
+    for (rgb, _) in opaque {
+        count += 1;
+        between += usize::from(rgb.iter().any(is_between));
+    }
+    count < alpha.len() && 10 * between > count
+}
+
 /// A grey picture of these values.
 pub(super) fn grey((width, height): (u32, u32), values: &[u8]) -> Photo {
     Photo { width, height, rgb: values.iter().flat_map(|&value| [value; 3]).collect() }
@@ -182,8 +203,9 @@ pub(super) fn folders_of_masks(dataset: &Path, images: &str, finder: &mut Finder
     folders
 }
 
-/// Unused folders with names like masks, such as `sky_masks`, which other programs combine with other masks.
-pub(super) fn unused_folders(dataset: &Path) -> Vec<PathBuf> {
+/// Unused folders with names like masks, such as `sky_masks`, which other programs combine with other masks. Masks of other
+/// sizes, such as `masks_2`, are among them unless there are masks in use.
+pub(super) fn unused_folders(dataset: &Path, used: &[PathBuf], has_masks: bool) -> Vec<PathBuf> {
     let is_known = |name: &str| {
         let stem = name.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('_');
         FOLDERS.contains(&stem)
@@ -192,7 +214,8 @@ pub(super) fn unused_folders(dataset: &Path) -> Vec<PathBuf> {
     let mut folders: Vec<PathBuf> = entries
         .filter(|entry| {
             let name = entry.file_name().to_string_lossy().to_lowercase();
-            name.contains("mask") && !is_known(&name) && !name.starts_with('.') && entry.path().is_dir()
+            let is_other = name.contains("mask") && !used.contains(&entry.path());
+            is_other && !(has_masks && is_known(&name)) && !name.starts_with('.') && entry.path().is_dir()
         })
         .map(|entry| entry.path())
         .collect();

@@ -7,6 +7,7 @@ use super::planned_view::{PlannedView, ReadPhoto};
 pub(super) struct PhotoUse {
     /// True if no pixel counts.
     is_hidden: bool,
+    mask_is_cut_out: bool,
     is_transparent: bool,
     gamma: Option<f32>,
 }
@@ -14,7 +15,8 @@ pub(super) struct PhotoUse {
 impl PhotoUse {
     pub(super) fn of(photo: &ReadPhoto) -> Self {
         let is_hidden = photo.mask.as_ref().is_some_and(Mask::hides_all);
-        Self { is_hidden, is_transparent: photo.is_transparent, gamma: photo.gamma }
+        let ReadPhoto { mask_is_cut_out, is_transparent, gamma, .. } = *photo;
+        Self { is_hidden, mask_is_cut_out, is_transparent, gamma }
     }
 }
 
@@ -24,11 +26,12 @@ pub(super) fn lines<'v>(
 ) -> (Vec<String>, Vec<String>) {
     /// 1 / 2.2 and the values of older screens, which look like sRGB.
     const USUAL_GAMMA: std::ops::RangeInclusive<f32> = 0.4..=0.6;
-    let (mut all, mut by_alpha, mut by_both, mut beside_mask) = (0, 0, 0, 0);
+    let (mut all, mut cut_outs, mut by_alpha, mut by_both, mut beside_mask) = (0, 0, 0, 0, 0);
     let mut hidden: Vec<&PlannedView> = Vec::new();
     let mut unusual: Vec<(&PlannedView, f32)> = Vec::new();
     for (view, photo) in photos {
         all += 1;
+        cut_outs += usize::from(photo.mask_is_cut_out);
         unusual.extend(photo.gamma.filter(|gamma| !USUAL_GAMMA.contains(gamma)).map(|gamma| (view, gamma)));
         if photo.is_hidden {
             hidden.push(view);
@@ -44,6 +47,7 @@ pub(super) fn lines<'v>(
         }
     }
     let notes = [
+        (cut_outs, "the masks of {} photos are cut-outs of pictures: their alpha channels are the masks"),
         (
             by_alpha,
             "the alpha channel of {} photos is taken as their mask: what is transparent there does not count (with a \

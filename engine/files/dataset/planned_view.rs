@@ -50,6 +50,8 @@ pub(super) struct ReadPhoto {
     opacity: Option<Photo>,
     /// Its mask at the file's size.
     pub(super) mask: Option<Mask>,
+    /// See [`Mask::read`].
+    pub(super) mask_is_cut_out: bool,
     /// True if its alpha channel has transparent pixels.
     pub(super) is_transparent: bool,
     /// See [`Decoded::gamma`].
@@ -124,6 +126,7 @@ impl PlannedView {
         // Reads one file at a time: a thread that waits for memory must hold none.
         let mask =
             self.mask_path.as_ref().map(|path| Mask::read(path, self.turned, own, memory)).transpose()?;
+        let (mask, mask_is_cut_out) = mask.map_or((None, false), |(mask, cut_out)| (Some(mask), cut_out));
         let scaled = options.resolution.apply(pinhole.width, pinhole.height);
         let bytes = |width: u32, height: u32| u64::from(width) * u64::from(height);
         let (before, after) = (bytes(lens.width, lens.height), bytes(pinhole.width, pinhole.height));
@@ -156,7 +159,8 @@ impl PlannedView {
         }
         let opacity = opacity.map(|opacity| opacity.scaled_to(scaled.0, scaled.1)).transpose()?;
         drop(lease);
-        Ok(ReadPhoto { photo, opacity, mask, is_transparent, gamma, camera: self.posed(pinhole) })
+        let camera = self.posed(pinhole);
+        Ok(ReadPhoto { photo, opacity, mask, mask_is_cut_out, is_transparent, gamma, camera })
     }
 
     /// Size at which the photo or its part will be used.
