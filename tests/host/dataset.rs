@@ -259,8 +259,12 @@ fn points_that_no_camera_sees_are_told() {
         *camera =
             Camera::look_at(camera.position(), 2.0 * camera.position(), Vec3::NEG_Y, camera.intrinsics());
     }
-    std::fs::remove_file(folder.path().join("sparse/0/points3D.ply")).unwrap();
-    write_with(folder.path(), &cameras, 600);
+    write_with(folder.path(), &cameras, 0);
+    std::fs::remove_file(folder.path().join("sparse/0/points3D.bin")).unwrap();
+    let positions: Vec<[f32; 3]> = (0..600).map(|k| [k as f32 * 1e-3 - 0.3, 0.0, 0.0]).collect();
+    let near = PointCloud { colors: vec![[9; 3]; positions.len()], positions };
+    let ply = folder.path().join("sparse/0/points3D.ply");
+    ashsplat_files::ply::write_points(ply, &near, &ashsplat::scene::WorldFrame::default()).unwrap();
     let warnings = load(folder.path(), &DatasetOptions::default()).warnings.join("\n");
     assert!(warnings.contains("3 of 12 of its cameras (a sample) see none of the points"), "{warnings}");
 }
