@@ -17,6 +17,6 @@ pub use read::{PlyOptions, PlyScene, read, read_points};
 pub use write::{write, write_filtered, write_points};
 
 pub(super) use compressed::CompressedPly;
-pub(super) use compressed_write::write_blocks as write_compressed_blocks;
+pub(super) use compressed_write::{typical_step, write_blocks as write_compressed_blocks};
 pub(super) use read::{GaussianRows, claimed_points, is_compressed, read_points_of};
 pub(super) use write::write_blocks;

@@ -705,6 +705,19 @@ fn spz_goes_by_the_size_of_the_scene() {
     let told = lines(&far, Format::CompressedPly);
     assert!(told.len() == 1 && told[0].contains("sizes of 1 of 300 Gaussians"), "{told:?}");
     assert_eq!(lines(&far, Format::Glb), [""; 0]);
+    // A road: long, flat, and fine.
+    let mut road = scene(5000, 0);
+    road.log_scales.fill([0.02_f32.ln(); 3]);
+    for (k, mean) in (0..).zip(&mut road.means) {
+        *mean = [k as f32, 0.3 * (k % 40) as f32, 0.1 * (k % 7) as f32];
+    }
+    let told = lines(&road, Format::CompressedPly);
+    assert!(
+        told.len() == 1 && told[0].contains("steps of 0.1") && told[0].contains("256 Gaussians"),
+        "{told:?}"
+    );
+    road.log_scales.fill([0.0; 3]);
+    assert_eq!(lines(&road, Format::CompressedPly), [""; 0]);
     let mut bright = scene(300, 0);
     bright.sh[..20].fill([4.0; 3]);
     for format in [Format::Spz, Format::Splat] {

@@ -33,7 +33,7 @@ const OPACITY: u32 = 0xff;
 /// Writes Gaussians along a space-filling curve, so that the 256 Gaussians of a chunk lie close together.
 pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     // Beside the Gaussians, their order and their packed form.
-    host_memory::check_writing(path, outline.count.saturating_mul(row_bytes(outline.sh_degree) + 100))?;
+    host_memory::check_writing(path, outline.count.saturating_mul(row_bytes(outline.sh_degree) + 132))?;
     let mut all = Gaussians { sh_degree: outline.sh_degree, ..Default::default() };
     produce(&mut |block| {
         all.append(&block);
@@ -95,6 +95,18 @@ impl Rows {
         }
         Self { order, padding }
     }
+}
+
+/// Steps of the positions in the median of the chunks that these Gaussians come into. Only means and base colours are read.
+pub(crate) fn typical_step(all: &Gaussians) -> f64 {
+    const LEVELS: [f64; 3] = [2047.0, 1023.0, 2047.0];
+    let step = |indices: &[usize]| {
+        let [min, max] = extremes(indices.iter().map(|&i| all.means[i]));
+        (0..3).map(|axis| f64::from(max[axis] - min[axis]) / LEVELS[axis]).fold(0.0, f64::max)
+    };
+    let mut steps: Vec<f64> = Rows::of(all).order.chunks(CHUNK).map(step).collect();
+    steps.sort_unstable_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Splits Gaussians by the magnitude of positions and colours: first those near the median, then the outliers.

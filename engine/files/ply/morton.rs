@@ -3,16 +3,17 @@
 /// Bits per axis in a code.
 const BITS: u32 = 21;
 
-/// Indices of points along the Z-order (Morton) curve through their box; coincident points keep their order.
+/// Indices of points along the Z-order (Morton) curve through the cube around them; coincident points keep their order. Its cells
+/// are cubes: those of a long, flat scene would otherwise be as long as the scene.
 pub(super) fn order(points: &[[f32; 3]]) -> Vec<usize> {
     let corner = |start: f32, pick: fn(f32, f32) -> f32| {
         points.iter().fold([start; 3], |corner, p| std::array::from_fn(|axis| pick(corner[axis], p[axis])))
     };
     let (min, max): ([f32; 3], [f32; 3]) =
         (corner(f32::INFINITY, f32::min), corner(f32::NEG_INFINITY, f32::max));
+    let size = (0..3).map(|axis| f64::from(max[axis]) - f64::from(min[axis])).fold(0.0, f64::max);
     let code = |point: &[f32; 3]| {
         (0..3).fold(0, |code, axis| {
-            let size = f64::from(max[axis]) - f64::from(min[axis]);
             let share = if size > 0.0 { (f64::from(point[axis]) - f64::from(min[axis])) / size } else { 0.0 };
             let cell = (share * f64::from((1u32 << BITS) - 1)) as u64;
             code | spread(cell) << axis

@@ -3,6 +3,7 @@
 use super::doubtful::{COARSE, short};
 use super::spz_write::{MAX_FRACTIONAL_BITS, farthest, fractional_bits};
 use super::{Format, MAX_COMPRESSED_LOG_SCALE, Outline};
+use crate::ply;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::sh::rgb_to_sh_dc;
 
@@ -26,6 +27,8 @@ pub(super) struct PackingLoss {
     cut_scales: u64,
     cut_colors: u64,
     cut_sh: u64,
+    /// Means and base colours, by which compressed PLY forms its chunks.
+    chunked: Option<Gaussians>,
 }
 
 impl PackingLoss {
@@ -39,8 +42,9 @@ impl PackingLoss {
             (Format::Splat, _) => (any, [f32::NEG_INFINITY, rgb_to_sh_dc(1.0)], f32::INFINITY),
             _ => return None,
         };
-        let (count, log_sizes) = (0, 0.0);
-        Some(Self { log_scales, dc, max_sh, count, log_sizes, cut_scales: 0, cut_colors: 0, cut_sh: 0 })
+        let chunked = (format == Format::CompressedPly).then(Gaussians::default);
+        let (count, log_sizes, cut_scales, cut_colors, cut_sh) = (0, 0.0, 0, 0, 0);
+        Some(Self { log_scales, dc, max_sh, count, log_sizes, cut_scales, cut_colors, cut_sh, chunked })
     }
 
     pub(super) fn add(&mut self, block: &Gaussians) {
@@ -54,6 +58,10 @@ impl PackingLoss {
             let [least, most] = self.dc;
             self.cut_colors += u64::from(dc[0].iter().any(|dc| !(least..=most).contains(dc)));
             self.cut_sh += u64::from(higher.as_flattened().iter().any(|sh| sh.abs() > self.max_sh));
+        }
+        if let Some(chunked) = &mut self.chunked {
+            chunked.means.extend_from_slice(&block.means);
+            chunked.sh.extend((0..block.len()).map(|index| block.sh_of(index)[0]));
         }
         self.count += block.len() as u64;
     }
@@ -74,6 +82,14 @@ impl PackingLoss {
             };
             losses.push(format!(
                 "positions are rounded to steps of {} (a typical size is {}), {reason}",
+                short(step),
+                short(typical)
+            ));
+        }
+        let step = self.chunked.as_ref().map_or(0.0, ply::typical_step);
+        if step > COARSE * typical {
+            losses.push(format!(
+                "positions are rounded to steps of {} (a typical size is {}), because 256 Gaussians share a box and lie far apart",
                 short(step),
                 short(typical)
             ));
