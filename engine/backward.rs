@@ -121,7 +121,7 @@ impl Backward {
     /// When the device refuses a pipeline.
     pub fn prepare(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
         self.prepare_blend(Sums::Gradients, variant)?;
-        self.prepare_project(sh_degree, variant, [false, false])
+        self.project.prepare(&self.context, self.project_spec(sh_degree, variant, [false, false]))
     }
 
     /// Same as [`Backward::prepare`], for [`Statistics::absolute`].
@@ -130,7 +130,7 @@ impl Backward {
     /// When the device refuses a pipeline.
     pub fn prepare_absolute(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
         self.prepare_blend(Sums::Absolute, variant)?;
-        self.prepare_project(sh_degree, variant, [true, false])
+        self.project.prepare(&self.context, self.project_spec(sh_degree, variant, [true, false]))
     }
 
     /// Builds the kernel of [`Backward::record_weights`] for a variant, if it is missing.
@@ -193,17 +193,7 @@ impl Backward {
         absolute: bool,
     ) -> Result<()> {
         self.prepare_blend(if absolute { Sums::Absolute } else { Sums::Gradients }, variant)?;
-        self.prepare_project(sh_degree, variant, [absolute, true])
-    }
-
-    fn prepare_project(
-        &mut self,
-        sh_degree: u32,
-        variant: BackwardVariant,
-        [absolute, pose_gradient]: [bool; 2],
-    ) -> Result<()> {
-        let spec = self.project_spec(sh_degree, variant, [absolute, pose_gradient]);
-        self.project.prepare(&self.context, spec)
+        self.project.prepare(&self.context, self.project_spec(sh_degree, variant, [absolute, true]))
     }
 
     fn project_spec(

@@ -375,7 +375,7 @@ fn memory_budget_stops_growth_not_training() {
     let context = with_memory(sets * 9 / 5);
     let (limited, kept, peak) = train(&context);
     assert!(limited.iter().any(|d| d.limited), "{limited:?}");
-    // As many as fit, chosen by the largest gradients.
+    // Growth adds as many as fit, chosen by the largest gradients.
     assert!(limited.iter().any(|d| d.limited && d.cloned + d.split > 0), "{limited:?}");
     for d in limited.iter().filter(|d| d.limited) {
         assert!((8800..=9000).contains(&d.rows()), "{d:?}");

@@ -40,7 +40,7 @@ fn absent(name: &str, reason: impl Into<String>) -> Trial {
     Trial::ignorable_test(name, move || Err(Failed::from(reason))).with_ignored_flag(true)
 }
 
-/// As [`absent`] for data that are expected beside the project: with `ASHSPLAT_REQUIRE_SHARED` set, as CI sets it, the trial is
+/// Same as [`absent`], for data that are expected beside the project: with `ASHSPLAT_REQUIRE_SHARED` set, as CI sets it, the trial is
 /// run, and fails.
 fn absent_data(name: &str, reason: impl Into<String>) -> Trial {
     let required = std::env::var_os("ASHSPLAT_REQUIRE_SHARED").is_some_and(|value| value != "0");

@@ -150,10 +150,10 @@ pub fn existing_folder(path: &Path) -> PathBuf {
 /// Rotation of photos by their metadata (Exif).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PhotoOrientation {
-    /// As stored, unless the sizes of their cameras are those of the rotated photos.
+    /// Photos are used as stored, unless their cameras have the sizes of the rotated photos.
     #[default]
     Auto,
-    /// As stored.
+    /// Photos are used as stored.
     Stored,
     /// Rotated by the metadata.
     Upright,

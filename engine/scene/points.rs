@@ -50,6 +50,14 @@ impl SourcePoints {
         self.positions.is_empty()
     }
 
+    /// Keeps the points with true in `kept`, which has one value per point.
+    pub fn retain(&mut self, kept: &[bool]) {
+        let mut of_position = kept.iter();
+        self.positions.retain(|_| of_position.next() == Some(&true));
+        let mut of_color = kept.iter();
+        self.colors.retain(|_| of_color.next() == Some(&true));
+    }
+
     /// Converts the points to the world coordinates of a frame.
     pub fn in_frame(self, frame: &WorldFrame) -> PointCloud {
         let positions = self.positions.iter().map(|&position| frame.world(position).to_array()).collect();

@@ -18,7 +18,7 @@ impl<K: KernelInterface> KernelSet<K> {
     /// Builds the kernel with these constants unless it exists.
     ///
     /// # Errors
-    /// As [`Kernel::new`].
+    /// Same as [`Kernel::new`].
     pub fn prepare(&mut self, context: &Context, spec: K::Spec) -> Result<()> {
         if !self.contains(&spec) {
             let kernel = Kernel::new(context, &spec)?;

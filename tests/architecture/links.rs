@@ -43,7 +43,7 @@ fn anchors(text: &str) -> Vec<String> {
         if is_code || heading.len() == line.len() || !heading.starts_with(' ') {
             continue;
         }
-        // Of a link, only its text counts.
+        // Only the text of a link counts.
         let mut shown = String::new();
         let mut rest = heading.trim();
         while let Some((before, target)) = rest.split_once("](") {

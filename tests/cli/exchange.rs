@@ -133,7 +133,7 @@ fn blocks_go_on_with_what_their_neighbours_have_trained() {
         assert_trained(&merge(&place, "scene.ply"));
         let scene = std::fs::read(place.model("scene.ply")).expect("a scene");
         for (number, (block, name)) in (1..).zip(blocks.iter().zip(&last)) {
-            // As a killed training leaves it: no note, and an earlier checkpoint.
+            // A killed training leaves no note, and an earlier checkpoint.
             let path = file_of(&place, block, name);
             let good = std::fs::read(&path).expect("a scene");
             std::fs::remove_file(file_of(&place, block, "block.json")).expect("removed");

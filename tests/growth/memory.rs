@@ -144,7 +144,7 @@ fn scenes_beyond_the_bound_are_refused_before_they_are_read() {
     }
 }
 
-/// As many short values as fit in a file: each would be 24 to 630 bytes of a `serde_json::Value`.
+/// A file holds as many short values as fit: each would be 24 to 630 bytes of a `serde_json::Value`.
 #[test]
 fn json_takes_little_memory() {
     const BYTES: usize = 4 << 20;

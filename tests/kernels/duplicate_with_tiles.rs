@@ -150,7 +150,7 @@ pub fn expand_of_many_without_tiles() {
     let gaussians: Vec<Gaussian> =
         (0..900).map(|i| small(f64::from(i % 30) * 0.05, if i == 450 { 2.0 } else { -9.0 })).collect();
     let frame = Projected::new(&gpu, &gaussians, &view);
-    // As if most ellipses met no row of their boxes.
+    // Most ellipses seem to meet no row of their boxes.
     let mut lists = gpu.read::<[u32; 2]>(&frame.tile_lists, gaussians.len());
     for (i, list) in lists.iter_mut().enumerate().filter(|(i, _)| i % 300 != 150) {
         // Empty lists, and no lists.

@@ -20,27 +20,26 @@ pub struct State {
     pub memory_bytes: u64,
 }
 
-/// A running mean of losses.
-pub struct MeanLoss {
-    /// Weight of the newest loss.
+/// A running mean.
+pub struct RunningMean {
+    /// Weight of the newest value.
     weight: f64,
     mean: Option<f64>,
 }
 
-impl MeanLoss {
+impl RunningMean {
     pub fn new(weight: f64) -> Self {
         Self { weight, mean: None }
     }
 
-    /// Adds the loss of an iteration; a skipped iteration has none.
-    pub fn add(&mut self, loss: f32) {
-        let loss = f64::from(loss);
-        if loss.is_finite() {
-            self.mean = Some(self.mean.map_or(loss, |mean| mean + self.weight * (loss - mean)));
+    /// Adds a value. Values that are not finite, such as the loss of a skipped iteration, are left out.
+    pub fn add(&mut self, value: f64) {
+        if value.is_finite() {
+            self.mean = Some(self.mean.map_or(value, |mean| mean + self.weight * (value - mean)));
         }
     }
 
-    /// The mean; `None` before the first loss.
+    /// The mean; `None` before the first value.
     pub fn value(&self) -> Option<f64> {
         self.mean
     }
@@ -58,9 +57,9 @@ pub struct TrainProgress {
     /// Time and iteration at which the current measurement of the speed began.
     window: (Instant, u32),
     iterations_per_second: f64,
-    /// Running mean of an iteration's time, seconds; 0 before the first measurement.
-    mean_seconds: f64,
-    mean_loss: MeanLoss,
+    /// Seconds per iteration.
+    mean_seconds: RunningMean,
+    mean_loss: RunningMean,
     /// The last measurement and its iteration.
     psnr: Option<(f64, u32)>,
 }
@@ -83,15 +82,15 @@ impl TrainProgress {
                 .max(settings.warm_up_end()),
             window: (Instant::now(), first),
             iterations_per_second: 0.0,
-            mean_seconds: 0.0,
-            mean_loss: MeanLoss::new(LOSS_WEIGHT),
+            mean_seconds: RunningMean::new(SPEED_WEIGHT),
+            mean_loss: RunningMean::new(LOSS_WEIGHT),
             psnr: None,
         }
     }
 
     /// Shows the state after an iteration.
     pub fn step(&mut self, state: &State) {
-        self.mean_loss.add(state.loss);
+        self.mean_loss.add(state.loss.into());
         let seconds = self.window.0.elapsed().as_secs_f64();
         // Kernels are built in the first iteration, so it does not count.
         if state.iteration == self.first + 1 {
@@ -99,9 +98,7 @@ impl TrainProgress {
         } else if seconds > 1.0 || self.iterations_per_second == 0.0 {
             self.iterations_per_second = f64::from(state.iteration - self.window.1) / seconds.max(1e-9);
             self.window = (Instant::now(), state.iteration);
-            let newest = self.iterations_per_second.recip();
-            let weight = if self.mean_seconds == 0.0 { 1.0 } else { SPEED_WEIGHT };
-            self.mean_seconds += weight * (newest - self.mean_seconds);
+            self.mean_seconds.add(self.iterations_per_second.recip());
         }
         if let Some(bar) = &self.bar {
             bar.set_position(u64::from(state.iteration));
@@ -146,12 +143,11 @@ impl TrainProgress {
 
     fn describe(&self, state: &State) -> String {
         let psnr = self.psnr.map_or_else(|| "-".into(), |(psnr, at)| format!("{psnr:.2} at {at}"));
-        let left = match self.iterations - state.iteration {
-            0 => String::new(),
-            _ if self.mean_seconds == 0.0 => String::new(),
-            left => {
+        let left = match (self.iterations - state.iteration, self.mean_seconds.value()) {
+            (0, _) | (_, None) => String::new(),
+            (left, Some(seconds)) => {
                 let more = if state.iteration < self.settled_from { "more than " } else { "" };
-                format!("  {more}{} left", clock(f64::from(left) * self.mean_seconds))
+                format!("  {more}{} left", clock(f64::from(left) * seconds))
             }
         };
         format!(

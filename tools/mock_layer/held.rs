@@ -13,7 +13,7 @@ pub(crate) type Point = (vk::Semaphore, u64);
 /// Family and index of one of the machine's queues.
 pub(crate) type Place = (u32, u32);
 
-/// What the host waits for.
+/// Object that the host waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Want {
     /// The submission with this fence.

@@ -212,10 +212,7 @@ fn points(source: &ModelFolder, warnings: &mut Vec<String>) -> Result<SourcePoin
             .push(format!("{ply}: has other points than {file}, which are used; remove that to use these"));
     }
     let finite: Vec<bool> = points.positions.iter().map(|p| p.as_vec3().is_finite()).collect();
-    let mut keep = finite.iter().copied();
-    points.positions.retain(|_| keep.next().unwrap_or(false));
-    let mut keep = finite.iter().copied();
-    points.colors.retain(|_| keep.next().unwrap_or(false));
+    points.retain(&finite);
     if points.len() < all {
         let dropped = all - points.len();
         warnings

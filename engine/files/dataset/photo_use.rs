@@ -3,7 +3,7 @@
 use super::mask::Mask;
 use super::planned_view::{PlannedView, ReadPhoto};
 
-/// What the pixels of a photo show.
+/// Findings in the pixels of a photo.
 pub(super) struct PhotoUse {
     /// True if no pixel counts.
     is_hidden: bool,

@@ -126,10 +126,7 @@ impl Plan {
             self.warnings.push(format!("{list}: {copies} of {count} {what}: their Gaussians begin smaller"));
             return;
         }
-        let mut keep = is_first.iter();
-        points.positions.retain(|_| keep.next() == Some(&true));
-        let mut keep = is_first.iter();
-        points.colors.retain(|_| keep.next() == Some(&true));
+        points.retain(&is_first);
         self.warnings.push(format!("{list}: {copies} of {count} {what} and are left out"));
     }
 

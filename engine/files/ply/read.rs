@@ -199,7 +199,7 @@ fn raw_values_doubtful(path: &Path, has_all: bool) -> Option<String> {
     if is_share(color) || color[0] >= 0.0 && color[1] > 10.0 {
         found.push("f_dc looks like colours, but is taken as SH coefficients");
     }
-    // As logarithms, these values would make every Gaussian at least a unit large, and most of them hardly larger.
+    // Taken as logarithms, these values would make every Gaussian at least a unit large, and most of them hardly larger.
     if scale[0] >= 0.0 && scale[1] > scale[0] && scales < count as f64 * 3.0 {
         found.push("scales look like sizes, but are taken as their logarithms");
     }

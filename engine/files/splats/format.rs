@@ -107,7 +107,7 @@ impl Format {
 
     pub(super) fn by_name(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
-        // Of several matching extensions, the longest.
+        // The longest of several matching extensions counts.
         Self::ALL.into_iter().filter(|f| name.ends_with(f.extension())).max_by_key(|f| f.extension().len())
     }
 }

@@ -60,6 +60,16 @@ enum Focal {
     Angle(f64),
 }
 
+impl Focal {
+    /// Focal length of a picture with this side, pixels.
+    fn pixels(self, side: f64) -> f64 {
+        match self {
+            Self::Pixels(focal) => focal,
+            Self::Angle(angle) => 0.5 * side / (0.5 * angle).tan(),
+        }
+    }
+}
+
 impl Optics {
     /// Width and height, or values proportional to them; `None` if the file has neither.
     pub(crate) fn sides(&self) -> Option<[f64; 2]> {
@@ -70,10 +80,7 @@ impl Optics {
     /// The lens for photos of this size.
     pub fn lens(&self, width: u32, height: u32) -> Lens {
         let sides = [f64::from(width), f64::from(height)];
-        let pixels = |axis: usize| match self.focal[axis]? {
-            Focal::Pixels(focal) => Some(focal),
-            Focal::Angle(angle) => Some(0.5 * sides[axis] / (0.5 * angle).tan()),
-        };
+        let pixels = |axis: usize| Some(self.focal[axis]?.pixels(sides[axis]));
         let [fx, fy] =
             [pixels(0).or(pixels(1)), pixels(1).or(pixels(0))].map(|focal| focal.unwrap_or(f64::NAN));
         let [cx, cy] = [0, 1].map(|axis| self.center[axis].unwrap_or(0.5 * sides[axis]));
@@ -418,7 +425,7 @@ impl Reader<'_> {
         size?.into_iter().zip(ways).find_map(|(side, (pixels, angle))| {
             let holder = if self.frame[pixels].is_null() { self.document } else { self.frame };
             let (focal, radians) = (holder[pixels].as_f64()?, holder[angle].as_f64()?);
-            let other = 0.5 * f64::from(side) / (0.5 * radians).tan();
+            let other = Focal::Angle(radians).pixels(side.into());
             let ratio = focal / other;
             (ratio.max(ratio.recip()) > SHOWS).then(|| {
                 let (path, index) = (self.path.display(), self.index);

@@ -41,7 +41,7 @@ impl Part {
     }
 }
 
-/// What the pixels of a small picture show.
+/// Content of a small picture's pixels.
 pub struct Shown {
     size: [usize; 2],
     /// True for pixels that show the block with its margin; `None` for transparent pixels.

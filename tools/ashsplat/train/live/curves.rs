@@ -1,6 +1,6 @@
 //! The curves of a training, in bounded memory.
 
-use crate::progress::MeanLoss;
+use crate::progress::RunningMean;
 use ashsplat::trainer::StepReport;
 use serde_json::{Value, json};
 use std::time::Instant;
@@ -31,7 +31,7 @@ pub struct Curves {
     psnr: Curve,
     gaussians: Curve,
     rate: Curve,
-    mean_loss: MeanLoss,
+    mean_loss: RunningMean,
     window: (Instant, u32),
     last_rate: f64,
     last_gaussians: u32,
@@ -49,7 +49,7 @@ impl Curves {
             psnr: Curve::default(),
             gaussians: Curve::default(),
             rate: Curve::default(),
-            mean_loss: MeanLoss::new(LOSS_WEIGHT),
+            mean_loss: RunningMean::new(LOSS_WEIGHT),
             window: (Instant::now(), 0),
             last_rate: 0.0,
             last_gaussians: 0,
@@ -63,7 +63,7 @@ impl Curves {
         }
         self.iteration = report.iteration;
         self.last_gaussians = report.gaussians;
-        self.mean_loss.add(report.loss);
+        self.mean_loss.add(report.loss.into());
         let seconds = self.window.0.elapsed().as_secs_f64();
         if seconds > RATE_WINDOW {
             self.last_rate = f64::from(report.iteration - self.window.1) / seconds;
