@@ -16,62 +16,48 @@
 //!
 //! ```text
 //!            per Gaussian        per visible              per (tile, Gaussian) instance          per tile, per pixel
-//!  forward   cull → compact ──→ project → depth sort ──→ count → scan → expand → tile sort ──→ ranges → blend
+//!  forward   cull → compact ──→ project → depth sort ──→ count → scan → duplicate → tile sort ──→ ranges → blend
 //!  backward  adam ←──────────── project backward ←─ instances' sums ←─────────────────────────── blend backward ← loss
 //!            densify: classify → scatter sources → gather
 //! ```
 //!
-//! - [`Renderer`] and [`Trainer`] own their submissions: they record, submit, wait and read back.
-//! - [`Renderer::record`] and [`Trainer::record_step`] record into a host engine's command buffer, on its device, with its
-//!   images.
-//! - [`forward`], [`backward`], [`loss`], [`exposure`], [`lens_effects`], [`optimizer`], [`densify`] only *record*, into a
-//!   [`vk::Recorder`].
-//! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`]; [`arithmetic`] measures a device.
-//! - [`lpips`] measures how different two pictures look, by the features of a neural network.
-//! - [`scene`] knows no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.
+//! To find the way through the source, read [`render`] first, where a frame is a list of passes, then [`passes`], then `glsl/`.
 //!
-//! [`plan`] computes all sizes as pure arithmetic. Only the device knows how many Gaussians are visible and how many
+//! - [`render`]: [`Renderer::render`] records a frame, submits, waits and reads back. [`Renderer::record`] records into a host
+//!   engine's command buffer, on its device, with its images.
+//! - [`train`]: [`Trainer`], likewise with [`Trainer::record_step`]; schedules, density control, checkpoints.
+//! - [`passes`]: one module per pass, each only *records* into a [`vk::Recorder`]. [`passes::sort`] and [`passes::scan`] are
+//!   usable alone, and [`passes::lpips`] measures how different two pictures look.
+//! - [`frame`]: what passes share: buffers and their sizes, scenes, the camera block, settings.
+//! - [`scene`]: Gaussians, cameras, photographs; it knows no Vulkan.
+//! - [`vk`]: memory, commands, pipelines, barriers; it knows no splats and holds all of the `unsafe`.
+//! - [`kernels`]: the typed interface of every shader, for those who want single kernels.
+//!
+//! All sizes are computed beforehand, as pure arithmetic. Only the device knows how many Gaussians are visible and how many
 //! instances they make. So dispatches over them are indirect, and buffers have capacities. A frame that needs more reports
 //! it and is run again. The same inputs on the same device give the same bits, in training too.
 
-pub mod arithmetic;
-pub mod backward;
-pub mod compose;
-pub mod densify;
 pub mod error;
-pub mod exposure;
-pub mod fingerprint;
-pub mod forward;
+pub mod frame;
 pub mod guide;
 pub mod kernels;
-pub mod lens_effects;
-pub mod loss;
-pub mod lpips;
-pub mod optimizer;
-pub mod pixels;
-pub mod plan;
-pub mod planes;
-pub mod poses;
-pub mod renderer;
-pub mod scan;
+pub mod passes;
+pub mod render;
 pub mod scene;
-pub mod sort;
-pub mod subgroups;
-pub mod trainer;
-pub mod tuning;
+pub mod train;
 pub mod vk;
 
 /// The Vulkan bindings whose types the API shows.
 pub use ash;
-pub use compose::Background;
 pub use error::{Error, Result};
-pub use forward::{Blending, Extent, JacobianLimit, RenderSettings, SceneSettings, Selection, Shape};
+pub use frame::{Blending, Extent, JacobianLimit, RenderSettings, SceneSettings, Selection, Shape};
 /// The vectors and matrices whose types the API shows.
 pub use glam;
-pub use renderer::{
+pub use passes::compose::Background;
+pub use render::{
     Alignment, BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, MotionTarget,
     Occluder, PickTarget, PixelReport, Placed, ProjectedSplat, RecordedFrame, Release, Renderer, Reservation,
     Sample, SlotReport, Target, TileLists, TileReport, Update,
 };
 pub use scene::{Camera, ColorEncoding, Gaussians};
-pub use trainer::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};
+pub use train::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

@@ -7,11 +7,13 @@ use std::path::Path;
 
 use ashsplat::Error;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
-use ashsplat::trainer::Checkpoint;
-use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage, Model};
+use ashsplat::train::Checkpoint;
+use ashsplat_files::colmap::{ColmapCamera, ColmapImage, Model};
 use ashsplat_files::dataset::{Dataset, DatasetOptions};
-use ashsplat_files::splats::{self, ConvertOptions, Format, ReadOptions, Target, WriteOptions};
-use ashsplat_files::{CheckpointFile, Photo, PhotoFileFormat, Progress, Resolution, cameras_json, ply};
+use ashsplat_files::splats::{ConvertOptions, Format, ReadOptions, Target, WriteOptions};
+use ashsplat_files::{
+    CheckpointFile, Photo, PhotoFileFormat, Progress, Resolution, cameras_json, colmap, ply, splats,
+};
 use glam::Vec3;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
@@ -31,7 +33,8 @@ fn address_space() -> u64 {
     kib << 10
 }
 
-/// Limits this process to `room` bytes more than it uses. New threads take their share first.
+/// Limits this process to `room` bytes more than it uses. It waits first until new threads have
+/// reserved their address space.
 fn limit_address_space(room: u64) {
     let mut size = address_space();
     loop {
@@ -45,7 +48,6 @@ fn limit_address_space(room: u64) {
     setrlimit(Resource::As, Rlimit { current, ..getrlimit(Resource::As) }).expect("a limit");
 }
 
-/// A COLMAP data set with this number of photos.
 fn dataset(folder: &Path, photos: u32, [width, height]: [u32; 2]) {
     let intrinsics = Intrinsics::from_fov_x(1.0, width, height);
     let camera =
@@ -63,7 +65,6 @@ fn dataset(folder: &Path, photos: u32, [width, height]: [u32; 2]) {
     colmap::write(folder.join("sparse/0"), &[lens], &images, &points).expect("a model");
 }
 
-/// A file with this many MiB of spaces.
 fn spaces(path: &Path, mib: usize) {
     fs::write(path, vec![b' '; mib << 20]).expect("a file");
 }

@@ -1,23 +1,12 @@
 //! Rows of the tuning table on the present device: a GPU's kernels on a software driver, and vice versa.
 
+use ashsplat::frame::tuning::{Backend, Tuning};
+use ashsplat::frame::{LaunchSizes, SortMethod};
 use ashsplat::kernels::sort::sort_downsweep;
-use ashsplat::plan::{LaunchSizes, SortMethod};
-use ashsplat::trainer::{StrategyType, Trainer};
-use ashsplat::tuning::{Backend, Tuning};
-use ashsplat::vk::{Context, ContextOptions, KernelInterface, LimitsOverride, Requirements, SpecOverride};
-use ashsplat::{RenderSettings, Renderer, TrainSettings};
+use ashsplat::vk::{KernelInterface, Requirements};
 
-use crate::checkpoints::{start, views};
 use crate::common::blending::assert_alike;
-use crate::common::engine::{camera, gaussians};
-use crate::common::gpu::Gpu;
-use crate::common::scenes::{Random, mixed_scene, small_view};
-use crate::common::{assert_silent, options};
-
-/// A context with overridden constants of kernels.
-fn context_with(overrides: Vec<SpecOverride>) -> Context {
-    Context::new(&ContextOptions { overrides, ..options() }).expect("a device")
-}
+use crate::common::prelude::*;
 
 fn context(backend: Backend) -> Context {
     Context::new(&ContextOptions { backend: Some(backend), ..options() }).expect("a device")
@@ -29,6 +18,14 @@ fn difference(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs() / b.abs().max(1.0)).fold(0.0, f32::max)
 }
 
+fn picture(context: &Context) -> Vec<f32> {
+    let scene = gaussians(&mixed_scene(&mut Random::new(5), 900, 16));
+    let camera = camera(&small_view([203, 117]));
+    let frame = loaded(context, &scene).render(&camera, &RenderSettings::default()).expect("a picture");
+    assert_silent(context);
+    frame.color.into_flattened()
+}
+
 #[test]
 fn backends_draw_the_same_picture_with_other_kernels() {
     let _gpu = Gpu::new();
@@ -36,15 +33,7 @@ fn backends_draw_the_same_picture_with_other_kernels() {
     let sizes = contexts.each_ref().map(|context| LaunchSizes::new(context.limits()));
     assert_ne!(sizes[0].sort_method, sizes[1].sort_method);
     assert_ne!(sizes[0].incremental_exp, sizes[1].incremental_exp);
-    let scene = gaussians(&mixed_scene(&mut Random::new(5), 900, 16));
-    let pictures = contexts.each_ref().map(|context| {
-        let mut renderer = Renderer::new(context).expect("kernels");
-        renderer.upload(&scene).expect("a scene");
-        let frame = renderer.render(&camera(&small_view([203, 117])), &RenderSettings::default());
-        let frame = frame.expect("a picture");
-        assert_silent(context);
-        frame.color.as_flattened().to_vec()
-    });
+    let pictures = contexts.each_ref().map(picture);
     assert!(pictures[0].iter().any(|&value| value > 0.1), "the picture is black");
     assert!(difference(&pictures[0], &pictures[1]) < 2e-4);
 }
@@ -60,11 +49,9 @@ fn backends_train_alike() {
     };
     let trained = [Backend::Processor, Backend::Gpu].map(|backend| {
         let context = context(backend);
-        let mut trainer =
-            Trainer::new(&context, views(2, 5), &start(), 5.0, settings.clone()).expect("a trainer");
-        let losses: Vec<f32> = (0..6).map(|_| trainer.step().expect("a step").loss).collect();
+        let reports = Run::new(&context, views(2, 5), settings.clone()).begin().steps(6);
         assert_silent(&context);
-        losses
+        reports.iter().map(|report| report.loss).collect::<Vec<f32>>()
     });
     assert!(difference(&trained[0], &trained[1]) < 1e-4, "{trained:?}");
 }
@@ -73,21 +60,16 @@ fn backends_train_alike() {
 /// poses. Sums over several views (`multi_step`) are excluded, because this driver rounds them differently in a
 /// loop.
 #[test]
-fn backends_of_both_kinds_of_loops_have_the_same_bits() {
-    compare_switched("SH_LOOPS");
+fn backends_of_both_kinds_of_loops_and_with_shared_splats_have_the_same_bits() {
+    ["SH_LOOPS", "SHARED_SPLATS"].into_iter().for_each(compare_switched);
 }
 
-#[test]
-fn backends_that_share_splats_have_the_same_bits() {
-    compare_switched("SHARED_SPLATS");
-}
-
-/// Compares pictures and trainings with a kernel constant off and on.
 fn compare_switched(constant: &str) {
     let _gpu = Gpu::new();
     let switched = |on: bool| {
-        let constant = constant.to_owned();
-        context_with(vec![SpecOverride { kernel: String::new(), constant, bits: on.into() }])
+        let overridden =
+            SpecOverride { kernel: String::new(), constant: constant.to_owned(), bits: on.into() };
+        Context::new(&ContextOptions { overrides: vec![overridden], ..options() }).expect("a device")
     };
     let scene = gaussians(&mixed_scene(&mut Random::new(6), 300, 16));
     for (strategy, pose_opt) in
@@ -104,15 +86,12 @@ fn compare_switched(constant: &str) {
         };
         let [off, on] = [false, true].map(|on| {
             let context = switched(on);
-            let mut renderer = Renderer::new(&context).expect("kernels");
-            renderer.upload(&scene).expect("a scene");
-            let frame = renderer.render(&camera(&small_view([67, 43])), &RenderSettings::default());
-            let mut trainer =
-                Trainer::new(&context, views(2, 5), &scene, 5.0, settings.clone()).expect("a trainer");
-            (0..20).for_each(|_| drop(trainer.step().expect("a step")));
+            let camera = camera(&small_view([67, 43]));
+            let frame = loaded(&context, &scene).render(&camera, &RenderSettings::default());
+            let run = Run::new(&context, views(2, 5), settings.clone());
+            let end = run.starting_at(&scene).end(&[]);
             assert_silent(&context);
-            let color = frame.expect("a picture").color;
-            (context, color, trainer.checkpoint().expect("a state").fingerprint())
+            (context, frame.expect("a picture").color, end.fingerprint())
         });
         assert!(off.1.iter().flatten().any(|&x| x > 0.1), "the picture is black");
         let what = format!("the pictures of {constant}, {strategy:?},");
@@ -180,11 +159,7 @@ fn backends_fit_into_the_workgroups_that_are_asked_of_devices() {
             };
             let shared = sort_downsweep::Interface::shared_bytes(&sort);
             let sorts = sizes.sort_method == SortMethod::Serial || shared <= limits.shared_memory_bytes;
-            assert!(
-                sorts && sizes.sort_items > 1,
-                "{lanes} lanes: {shared} bytes, {} keys",
-                sizes.sort_items
-            );
+            assert!(sorts && sizes.sort_items > 1, "{lanes} lanes: {shared} bytes, {}", sizes.sort_items);
         }
     }
     assert_eq!([32, 64].map(Requirements::workgroup_invocations), [128, 256]);
@@ -198,22 +173,12 @@ fn backends_fit_into_the_workgroups_that_are_asked_of_devices() {
     };
     assert!(refused(32).is_none());
     let said = refused(64).expect("refused").to_string();
-    assert!(said.contains("subgroup size 64") && said.contains("256") && said.contains("has 128"), "{said}");
-}
-
-#[test]
-fn backends_are_looked_up_by_their_class() {
-    for backend in [Backend::Processor, Backend::Gpu] {
-        let row = Tuning::of(backend);
-        assert_eq!(row.backend, backend);
-        assert!(row.tile_row_interleave.is_power_of_two() && row.scan_items >= 4);
-    }
+    assert_says(&said, &["subgroup size 64", "256", "has 128"]);
 }
 
 /// A device whose driver reports a subgroup size and does not let it be required.
 fn context_of_fixed_size(size: u32) -> Context {
-    let limits = LimitsOverride { fixed_subgroup_size: Some(size), ..LimitsOverride::default() };
-    Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device")
+    limited(LimitsOverride { fixed_subgroup_size: Some(size), ..LimitsOverride::default() })
 }
 
 #[test]
@@ -221,17 +186,7 @@ fn backends_whose_subgroup_size_cannot_be_required_have_the_same_bits() {
     let gpu = Gpu::new();
     let fixed = context_of_fixed_size(gpu.subgroup());
     assert!(!fixed.limits().subgroup_size_selectable);
-    let scene = gaussians(&mixed_scene(&mut Random::new(5), 900, 16));
-    let pictures = [gpu.context, &fixed].map(|context| {
-        let mut renderer = Renderer::new(context).expect("kernels");
-        renderer.upload(&scene).expect("a scene");
-        renderer
-            .render(&camera(&small_view([203, 117])), &RenderSettings::default())
-            .expect("a picture")
-            .color
-    });
-    assert_silent(&fixed);
-    assert!(pictures[0] == pictures[1]);
+    assert!(picture(gpu.context) == picture(&fixed));
 }
 
 /// The kernels would give wrong results without an error.
@@ -240,17 +195,9 @@ fn backends_with_other_subgroups_than_they_report_are_refused() {
     let gpu = Gpu::new();
     let (size, wrong) = (gpu.subgroup(), 2 * gpu.subgroup());
     let context = context_of_fixed_size(wrong);
-    let refused = [
-        Renderer::new(&context).err(),
-        Trainer::new(&context, views(2, 5), &start(), 5.0, TrainSettings::default()).err(),
-    ];
-    for error in refused {
-        let said = error.expect("refused").to_string();
-        assert!(
-            said.contains(&format!("subgroups of {wrong}"))
-                && said.contains(&format!("with {size} of {size}")),
-            "{said}"
-        );
+    let trainer = Run::new(&context, views(2, 5), TrainSettings::default()).try_begin();
+    for said in [refusal(Renderer::new(&context)), refusal(trainer)] {
+        assert_says(&said, &[&format!("subgroups of {wrong}"), &format!("with {size} of {size}")]);
     }
 }
 
@@ -271,9 +218,8 @@ fn backends_with_lanes_in_another_order_are_refused() {
     let spirv = compile(&glsl, &path, PROBE, &reversed, false).expect("a shader");
     context.replace_shader(PROBE, Some(spirv));
     let size = context.limits().subgroup_size;
-    let said = Renderer::new(&context).err().expect("refused").to_string();
     let place = format!("invocation 0 was at {} of its workgroup, in a subgroup that begins at 0", size - 1);
-    assert!(said.contains(&format!("subgroups of {size}")) && said.contains(&place), "{said}");
+    assert_says(refusal(Renderer::new(&context)), &[&format!("subgroups of {size}"), &place]);
     context.replace_shader(PROBE, None);
     Renderer::new(&context).expect("subgroups are as they should be");
     assert_silent(&context);

@@ -1,20 +1,18 @@
 //! Every barrier of a training step is needed, and the hazard checker notices each missing one.
 
-use ashsplat::backward::{Backward, BackwardVariant, Statistics};
-use ashsplat::forward::{
-    Auxiliary, BlendVariant, Forward, FrameInputs, POSE_BYTES, PlacedScene, SceneBuffers,
+use ashsplat::frame::{
+    Auxiliary, BlendVariant, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, POSE_BYTES,
+    PictureCapacity, PlacedScene, SceneBuffers, Strips, frame_requests, planes,
 };
-use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
-use ashsplat::optimizer::{Moments, Optimizer, Rates, Step, ViewSum};
-use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, Strips, frame_requests};
-use ashsplat::planes;
-use ashsplat::poses::{PoseBuffers, PoseGradient, PoseOptimizer, PoseStep};
-use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind, Recorder};
-use ashsplat::{Camera, RenderSettings};
+use ashsplat::passes::adam::{Moments, Optimizer, Rates, Step, ViewSum};
+use ashsplat::passes::backward::{Backward, BackwardVariant, Statistics};
+use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
+use ashsplat::passes::poses::{PoseBuffers, PoseGradient, PoseOptimizer, PoseStep};
+use ashsplat::render::Forward;
+use ashsplat::vk::{Buffer, Recorder};
 
-use crate::common::engine::{camera, gaussians, settings};
-use crate::common::options;
-use crate::common::scenes::{Random, small_scene, small_view};
+use crate::common::engine::settings;
+use crate::common::prelude::*;
 
 const SIZE: [u32; 2] = [40, 30];
 const SH_DEGREE: u32 = 1;
@@ -58,9 +56,7 @@ struct Training {
 impl Training {
     /// Parameters in several buffers and blending in two passes, so that every barrier occurs.
     fn new() -> Training {
-        let limits = LimitsOverride { max_storage_buffer_range: Some(100_000), ..LimitsOverride::default() };
-        let options = ContextOptions { limits_override: Some(limits), ..options() };
-        let context = Context::new(&options).expect("a device");
+        let context = with_range(100_000);
         let view = small_view(SIZE);
         let start = gaussians(&small_scene(&mut Random::new(1), 1200, 4));
         let scene = planes::upload(&context, "scene", &start, 1200, SH_DEGREE).expect("a scene");
@@ -138,10 +134,8 @@ impl Training {
             auxiliary: Auxiliary::default(),
             view: None,
         };
-        let [photo, losses, statistics, mean2d_gradients, image_gradient, scratch @ ..] = &self.others[..]
-        else {
-            unreachable!("as many as were asked for")
-        };
+        let others = self.others.split_first_chunk().expect("as many as were asked for");
+        let ([photo, losses, statistics, mean2d_gradients, image_gradient], scratch) = others;
         let statistics = Statistics { buffer: statistics, accumulate: true, absolute: None };
         self.forward.record(recorder, &inputs);
         recorder.barrier();
@@ -208,7 +202,7 @@ fn barriers_are_complete_and_none_is_superfluous() {
             (0..barriers).filter(|&index| training.hazards(kind, Some(index)).0.is_empty()).collect();
         assert!(superfluous.is_empty(), "{kind:?}: of {barriers} barriers, nothing needs {superfluous:?}");
     }
-    crate::common::assert_silent(&training.context);
+    assert_silent(&training.context);
 }
 
 /// Synchronization validation accepts what the checker accepts.
@@ -216,15 +210,13 @@ fn barriers_are_complete_and_none_is_superfluous() {
 fn barriers_satisfy_synchronization_validation() {
     let training = Training::new();
     for kind in KINDS {
-        training
-            .context
-            .run("training step", |recorder| {
-                training.record(recorder, kind);
-                Ok(())
-            })
-            .expect("a step");
+        let record = |recorder: &mut Recorder| {
+            training.record(recorder, kind);
+            Ok(())
+        };
+        training.context.run("training step", record).expect("a step");
     }
-    crate::common::assert_silent(&training.context);
+    assert_silent(&training.context);
 }
 
 #[test]

@@ -1,15 +1,12 @@
 //! The two forms of blending: the same bits through renderer and trainer, other work.
 
-use ashsplat::trainer::{TrainView, Trainer};
-use ashsplat::tuning::Backend;
-use ashsplat::vk::{Context, ContextOptions};
-use ashsplat::{BlendSamples, Blending, Frame, Gaussians, RenderSettings, Renderer, TrainSettings};
-use ashsplat_files::Photo;
+use ashsplat::frame::tuning::Backend;
+use ashsplat::{BlendSamples, Blending};
 
 use crate::common::blending::assert_same;
-use crate::common::engine::{camera, derivatives, gaussians, settings};
-use crate::common::scenes::{Random, mixed_scene, small_scene, small_view};
-use crate::common::{count_hits, options};
+use crate::common::count_hits;
+use crate::common::engine::{derivatives, settings};
+use crate::common::prelude::*;
 
 /// A device that counts blended samples: the count reveals which kernel ran.
 fn counting() -> Context {
@@ -38,8 +35,7 @@ fn blending_forms_draw_the_same_picture_with_other_work() {
         });
         assert!(regions.0.color.iter().flatten().filter(|x| **x > 0.1).count() > 1000, "little to be seen");
         assert_same(&context, &values(&regions.0), &values(&shared.0), ("the pictures", 1e-5));
-        let [of_regions, of_shared] =
-            [&regions.1, &shared.1].map(|gradients| derivatives(gradients).concat());
+        let [of_regions, of_shared] = [&regions.1, &shared.1].map(|all| derivatives(all).concat());
         assert!(of_regions.iter().any(|d| *d != 0.0));
         assert_same(&context, &of_regions, &of_shared, ("the gradients", 1e-3));
         let samples = |frame: &Frame| frame.stats.samples.forward;
@@ -52,24 +48,22 @@ fn blending_forms_draw_the_same_picture_with_other_work() {
 #[test]
 fn blending_from_shared_memory_walks_over_whole_lists() {
     let context = counting();
-    let mut renderer = Renderer::new(&context).expect("kernels");
     let mut scene = gaussians(&small_scene(&mut Random::new(33), 700, 1));
     scene.opacity_logits.fill(-4.0);
-    renderer.upload(&scene).expect("upload");
+    let mut renderer = loaded(&context, &scene);
     renderer.set_blending(Blending::SharedMemory);
-    let frame =
-        renderer.render(&camera(&small_view([96, 64])), &RenderSettings::default()).expect("a picture");
-    let expected = BlendSamples { forward: 256 * u64::from(frame.stats.instances), backward: 0 };
-    assert!(frame.stats.instances > 1000);
-    assert_eq!(frame.stats.samples, expected);
+    let frame = renderer.render(&camera(&small_view([96, 64])), &RenderSettings::default());
+    let stats = frame.expect("a picture").stats;
+    assert!(stats.instances > 1000);
+    let expected = BlendSamples { forward: 256 * u64::from(stats.instances), backward: 0 };
+    assert_eq!(stats.samples, expected);
 }
 
 /// Trains with one form, and from an iteration on with another. Returns samples of each half and the results.
 fn train(context: &Context, [first, then]: [Blending; 2]) -> ([u64; 2], Vec<u32>, Gaussians) {
-    let photo = |number: u32| {
+    let view = |number: u32| {
         let rgb = (0..56 * 40 * 3).map(|k| (k * (number + 2) / 7) as u8).collect();
-        let photo = Photo { width: 56, height: 40, rgb };
-        TrainView::new(camera(&small_view([56, 40])), photo)
+        TrainView::new(camera(&small_view([56, 40])), Photo { width: 56, height: 40, rgb })
     };
     let settings = TrainSettings {
         iterations: 40,
@@ -83,19 +77,14 @@ fn train(context: &Context, [first, then]: [Blending; 2]) -> ([u64; 2], Vec<u32>
         ..TrainSettings::default()
     };
     let start = gaussians(&small_scene(&mut Random::new(34), 200, 4));
-    let mut trainer =
-        Trainer::new(context, vec![photo(0), photo(1)], &start, 5.0, settings).expect("a trainer");
-    trainer.set_blending(first);
-    let (mut samples, mut losses) = ([0; 2], Vec::new());
-    for iteration in 0..40 {
-        if iteration == 20 {
-            trainer.set_blending(then);
-        }
-        let report = trainer.step().expect("a step");
-        samples[usize::from(iteration >= 20)] += report.samples.forward;
-        losses.push(report.loss.to_bits());
-    }
-    (samples, losses, trainer.gaussians().expect("Gaussians"))
+    let mut trainer = Run { start, ..Run::new(context, vec![view(0), view(1)], settings) }.begin();
+    let halves = [first, then].map(|form| {
+        trainer.set_blending(form);
+        trainer.steps(20)
+    });
+    let samples = halves.each_ref().map(|half| half.iter().map(|report| report.samples.forward).sum());
+    let losses = halves.iter().flatten().map(|report| report.loss.to_bits()).collect();
+    (samples, losses, trainer.trained())
 }
 
 #[test]

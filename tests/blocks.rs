@@ -1,22 +1,12 @@
 //! Training of a scene block: its frozen neighbours are drawn and do not change.
 
-use ashsplat::renderer::Renderer;
 use ashsplat::scene::{Bounds, Intrinsics};
-use ashsplat::trainer::checkpoint::GradientSums;
-use ashsplat::trainer::{
-    Checkpoint, Forecast, LightSums, PhotoSize, SceneBlock, StrategyType, TrainParts, TrainView, Trainer,
-};
-use ashsplat::vk::Context;
-use ashsplat::{Camera, Error, Gaussians, TrainSettings};
-use ashsplat_files::CheckpointFile;
-use glam::Vec3;
+use ashsplat::train::checkpoint::GradientSums;
+use ashsplat::train::{LightSums, SceneBlock, TrainParts};
 use std::collections::HashSet;
 
-use crate::checkpoints::{settings, start, views};
-use crate::common::bounded;
-use crate::common::gpu::Gpu;
-
-const EXTENT: f32 = 5.0;
+use crate::common::prelude::*;
+use crate::common::training::{forecast, photo_size, settings};
 
 /// Half of the scene, minus a margin.
 fn core() -> Bounds {
@@ -35,31 +25,34 @@ fn divided() -> (Gaussians, SceneBlock) {
     (trained, block)
 }
 
+/// Runs `act` with the training of a block, or of a whole scene.
+fn with_run<T>(
+    context: &Context,
+    initial: &Gaussians,
+    block: Option<&SceneBlock>,
+    settings: &TrainSettings,
+    act: impl FnOnce(&Run) -> T,
+) -> T {
+    let parts = || {
+        let of_settings = TrainParts::of_settings(context, settings).expect("parts");
+        TrainParts { block: block.cloned(), ..of_settings }
+    };
+    let run = Run::new(context, views(3, 9), settings.clone());
+    act(&Run { start: initial.clone(), parts: Some(&parts), ..run })
+}
+
 fn trainer(
     context: &Context,
     initial: &Gaussians,
-    block: Option<SceneBlock>,
+    block: Option<&SceneBlock>,
     settings: &TrainSettings,
-) -> Result<Trainer, Error> {
-    let parts = TrainParts { block, ..TrainParts::of_settings(context, settings)? };
-    Trainer::with_parts(context, views(3, 9), initial, EXTENT, settings.clone(), parts)
-}
-
-fn resumed(
-    context: &Context,
-    block: Option<SceneBlock>,
-    settings: &TrainSettings,
-    from: &Checkpoint,
-) -> Result<Trainer, Error> {
-    let parts = TrainParts { block, ..TrainParts::of_settings(context, settings)? };
-    Trainer::resume_with_parts(context, views(3, 9), (settings.clone(), EXTENT), parts, from)
+) -> Trainer {
+    with_run(context, initial, block, settings, |run| run.begin())
 }
 
 fn end(trainer: &mut Trainer) -> Checkpoint {
-    while trainer.iteration() < trainer.settings().iterations {
-        trainer.step().expect("a step");
-    }
-    trainer.checkpoint().expect("the end")
+    trainer.finish();
+    trainer.state()
 }
 
 fn inside(core: Bounds, mean: [f32; 3]) -> bool {
@@ -69,14 +62,13 @@ fn inside(core: Bounds, mean: [f32; 3]) -> bool {
 /// Without borders, nothing but plain training runs. With far borders the mask runs, and masks nothing.
 #[test]
 fn a_block_that_is_the_whole_scene_is_plain_training() {
-    let gpu = Gpu::new();
     for strategy in [StrategyType::Reference, StrategyType::Budget] {
         let settings =
             TrainSettings { strategy, absgrad: strategy == StrategyType::Budget, cap_max: 220, ..settings() };
         let run = |core: Option<Bounds>| {
             let divided = core.map(|core| SceneBlock::divide(&start(), core, 0.0).expect("a block"));
             let (initial, block) = divided.map_or((start(), None), |(initial, block)| (initial, Some(block)));
-            end(&mut trainer(gpu.context, &initial, block, &settings).expect("a trainer"))
+            with_run(context(), &initial, block.as_ref(), &settings, |run| run.end(&[]))
         };
         let plain = run(None);
         assert!(plain.gaussians.len() != start().len(), "nothing was added");
@@ -90,14 +82,13 @@ fn a_block_that_is_the_whole_scene_is_plain_training() {
 /// The picture equals that of the whole scene, bit for bit, and so does the first step of the trained Gaussians.
 #[test]
 fn the_first_step_of_a_block_is_that_of_the_whole_scene() {
-    let gpu = Gpu::new();
     let (initial, block) = divided();
     for filter_3d in [false, true] {
         let settings = TrainSettings { filter_3d, ..settings() };
         let mut whole = initial.clone();
         whole.append(&block.frozen);
-        let mut of_block = trainer(gpu.context, &initial, Some(block.clone()), &settings).expect("a trainer");
-        let mut of_whole = trainer(gpu.context, &whole, None, &settings).expect("a trainer");
+        let mut of_block = trainer(context(), &initial, Some(&block), &settings);
+        let mut of_whole = trainer(context(), &whole, None, &settings);
         let camera = views(3, 9)[1].camera;
         let render_settings = of_block.render_settings();
         let picture = |trainer: &mut Trainer| trainer.render(&camera, &render_settings).expect("a picture");
@@ -105,14 +96,12 @@ fn the_first_step_of_a_block_is_that_of_the_whole_scene() {
         assert!(pictures[0].color == pictures[1].color, "other pictures");
         assert_eq!(pictures[0].stats.gaussians, whole.len() as u32);
         if !filter_3d {
-            let mut renderer = Renderer::new(gpu.context).expect("a renderer");
-            renderer.upload(&initial).expect("loaded");
-            let alone = renderer.render(&camera, &render_settings).expect("a picture");
+            let alone = loaded(context(), &initial).render(&camera, &render_settings).expect("a picture");
             assert!(alone.color != pictures[0].color, "nothing of the rest is to be seen");
         }
-        let losses = [&mut of_block, &mut of_whole].map(|trainer| trainer.step().expect("a step").loss);
-        assert_eq!(losses[0].to_bits(), losses[1].to_bits());
-        let [ours, theirs] = [of_block, of_whole].map(|trainer| trainer.checkpoint().expect("a checkpoint"));
+        let losses = [&mut of_block, &mut of_whole].map(|trainer| trainer.steps(1)[0].loss.to_bits());
+        assert_eq!(losses[0], losses[1]);
+        let [ours, theirs] = [of_block, of_whole].map(|trainer| trainer.state());
         let rows: Vec<usize> = (0..initial.len()).collect();
         for (ours, theirs) in [
             (&ours.gaussians, &theirs.gaussians),
@@ -128,9 +117,8 @@ fn the_first_step_of_a_block_is_that_of_the_whole_scene() {
 
 #[test]
 fn what_lies_around_stays_as_it_is() {
-    let gpu = Gpu::new();
     let (initial, block) = divided();
-    let mut trainer = trainer(gpu.context, &initial, Some(block.clone()), &settings()).expect("a trainer");
+    let mut trainer = trainer(context(), &initial, Some(&block), &settings());
     let state = end(&mut trainer);
     assert!(state.gaussians.len() > initial.len(), "nothing was added");
     let around = trainer.surroundings().expect("Gaussians around").download().expect("downloaded");
@@ -144,7 +132,6 @@ fn what_lies_around_stays_as_it_is() {
 /// Half of the frozen Gaussians are out of all views. Checkpoints with and without them can resume each other.
 #[test]
 fn what_no_view_sees_can_be_left_out() {
-    let gpu = Gpu::new();
     let (initial, mut block) = divided();
     block.frozen.means.iter_mut().step_by(2).for_each(|mean| mean[1] += 900.0);
     let cameras: Vec<Camera> = views(3, 9).iter().map(|view| view.camera).collect();
@@ -154,34 +141,32 @@ fn what_no_view_sees_can_be_left_out() {
         let [all, seen] = [&block, &left].map(|block| block.frozen.len());
         assert!(2 * seen <= all && seen > 20, "{seen} of {all}");
         assert_eq!(left.clone().without_unseen(&cameras, &settings), left);
-        let run = |block: &SceneBlock| {
-            let mut trainer =
-                trainer(gpu.context, &initial, Some(block.clone()), &settings).expect("a trainer");
-            (0..15).for_each(|_| drop(trainer.step().expect("a step")));
-            let middle = trainer.checkpoint().expect("a checkpoint");
-            (middle, end(&mut trainer))
-        };
-        let [(_, whole), (middle, less)] = [run(&block), run(&left)];
+        let [(_, whole), (middle, less)] = [&block, &left].map(|block| {
+            let mut trainer = trainer(context(), &initial, Some(block), &settings);
+            trainer.steps(15);
+            (trainer.state(), end(&mut trainer))
+        });
         assert!(whole.gaussians.len() > initial.len() && whole.block == less.block);
-        let same = |a: &Checkpoint, b: &Checkpoint| Checkpoint { room: b.room, ..a.clone() } == *b;
+        let same =
+            |a: &Checkpoint, b: &Checkpoint| Checkpoint { capacities: b.capacities, ..a.clone() } == *b;
         assert!(same(&less, &whole), "warm-up {warm_up}: other bits");
-        let mut second = resumed(gpu.context, Some(block.clone()), &settings, &middle).expect("resumed");
+        let resume = |run: &Run| run.resume(&middle);
+        let mut second = with_run(context(), &initial, Some(&block), &settings, resume);
         assert!(same(&end(&mut second), &whole), "warm-up {warm_up}: other bits");
     }
     let filtered = TrainSettings { filter_3d: true, ..settings() };
     assert!(block.clone().without_unseen(&cameras, &filtered) == block);
     let nobody = block.without_unseen(&[], &settings());
     let poses = TrainSettings { pose_opt: true, ..settings() };
-    let refused = trainer(gpu.context, &initial, Some(nobody.clone()), &poses).err().expect("refused");
-    assert!(refused.to_string().contains("pose_opt"), "{refused}");
+    let refused = with_run(context(), &initial, Some(&nobody), &poses, |run| refusal(run.try_begin()));
+    assert_says(&refused, &["pose_opt"]);
     assert!(nobody.frozen.is_empty());
-    end(&mut trainer(gpu.context, &initial, Some(nobody), &settings()).expect("a trainer"));
+    end(&mut trainer(context(), &initial, Some(&nobody), &settings()));
 }
 
 /// With rates of 0 a clone equals its original, and a split original is gone.
 #[test]
 fn gaussians_are_added_in_the_core_only() {
-    let gpu = Gpu::new();
     let (initial, block) = divided();
     let still = |strategy, percent_dense| TrainSettings {
         position_lr_init: 1e-30,
@@ -205,12 +190,12 @@ fn gaussians_are_added_in_the_core_only() {
     ] {
         let key = |mean: &[f32; 3]| mean.map(f32::to_bits);
         // Means of the cloned or split Gaussians.
-        let chosen = |initial: &Gaussians, block: Option<SceneBlock>| -> Vec<[f32; 3]> {
-            let mut trainer = trainer(gpu.context, initial, block, &settings).expect("a trainer");
-            let densified = (0..16).filter_map(|_| trainer.step().expect("a step").densified).last();
+        let chosen = |block: &SceneBlock| -> Vec<[f32; 3]> {
+            let mut trainer = trainer(context(), &initial, Some(block), &settings);
+            let densified = trainer.steps(16).iter().rev().find_map(|report| report.densified);
             let densified = densified.expect("a densification");
             assert_eq!((densified.cloned > 0, densified.split > 0), (clones, !clones), "{densified:?}");
-            let after = trainer.gaussians().expect("Gaussians").means;
+            let after = trainer.trained().means;
             let mut seen = HashSet::new();
             match clones {
                 true => after.into_iter().filter(|mean| !seen.insert(key(mean))).collect(),
@@ -220,35 +205,24 @@ fn gaussians_are_added_in_the_core_only() {
                 }
             }
         };
-        let of_block = chosen(&initial, Some(block.clone()));
+        let of_block = chosen(&block);
         assert!(of_block.len() > 10, "{} of {:?}", of_block.len(), settings.strategy);
         assert!(of_block.iter().all(|&mean| inside(core(), mean)), "{:?}", settings.strategy);
         // Without a border, some of these Gaussians are outside.
         let free = SceneBlock { core: everything(), ..block.clone() };
-        assert!(chosen(&initial, Some(free)).iter().any(|&mean| !inside(core(), mean)));
+        assert!(chosen(&free).iter().any(|&mean| !inside(core(), mean)));
     }
 }
 
 #[test]
 fn a_resumed_block_ends_with_the_same_bits() {
-    let gpu = Gpu::new();
     let (initial, block) = divided();
     let settings = settings();
-    let mut whole = trainer(gpu.context, &initial, Some(block.clone()), &settings).expect("a trainer");
-    let whole = end(&mut whole);
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let file = folder.path().join("block.safetensors");
-    for stop in [7, 15, 20, 30] {
-        let mut first = trainer(gpu.context, &initial, Some(block.clone()), &settings).expect("a trainer");
-        (0..stop).for_each(|_| drop(first.step().expect("a step")));
-        let checkpoint = first.checkpoint().expect("a checkpoint");
-        drop(first);
-        checkpoint.write(&file).expect("written");
-        let checkpoint = Checkpoint::read(&file).expect("read");
-        let mut second = resumed(gpu.context, Some(block.clone()), &settings, &checkpoint).expect("resumed");
-        assert!(end(&mut second) == whole, "interrupted after {stop}: other bits");
-    }
-    let checkpoint = Checkpoint::read(&file).expect("read");
+    let stops: [&[u32]; 4] = [&[7], &[15], &[20], &[30]];
+    let checkpoint = with_run(context(), &initial, Some(&block), &settings, |run| {
+        run.check_stops(&stops);
+        run.until(30, &[])
+    });
     let mut moved = block.clone();
     moved.frozen.means[3][0] += 1e-3;
     let wider = SceneBlock { core: everything(), ..block.clone() };
@@ -257,34 +231,33 @@ fn a_resumed_block_ends_with_the_same_bits() {
         (Some(moved), "other Gaussians around the block"),
         (Some(wider), "was made for the block -inf,-1.2,-inf,0.2,1.3,9, here it is -inf,"),
     ] {
-        let refused = resumed(gpu.context, other, &settings, &checkpoint).err().expect("refused");
-        assert!(refused.to_string().contains(said), "{refused}");
+        let refused = |run: &Run| refusal(run.try_resume(&checkpoint));
+        assert_says(with_run(context(), &initial, other.as_ref(), &settings, refused), &[said]);
     }
 }
 
 #[test]
 fn senseless_blocks_are_refused() {
-    let gpu = Gpu::new();
     let (initial, block) = divided();
-    let refused = |settings: &TrainSettings, block: &SceneBlock| {
-        let refused = trainer(gpu.context, &initial, Some(block.clone()), settings);
-        refused.err().expect("refused").to_string()
+    let refused = |settings: &TrainSettings, block: &SceneBlock, word: &str| {
+        let said = with_run(context(), &initial, Some(block), settings, |run| refusal(run.try_begin()));
+        assert_says(&said, &[word]);
     };
     let mcmc = TrainSettings::of_strategy(StrategyType::Mcmc);
-    assert!(refused(&mcmc, &block).contains("'mcmc' adds Gaussians anywhere"));
+    refused(&mcmc, &block, "'mcmc' adds Gaussians anywhere");
     let poses = TrainSettings { pose_opt: true, ..settings() };
-    assert!(refused(&poses, &block).contains("pose_opt"));
+    refused(&poses, &block, "pose_opt");
     let flat = SceneBlock { core: Bounds { min: Vec3::ONE, max: Vec3::ONE }, ..block.clone() };
-    assert!(refused(&settings(), &flat).contains("block"));
+    refused(&settings(), &flat, "block");
     let mut short = block.clone();
     short.frozen.sh.pop();
-    assert!(!refused(&settings(), &short).is_empty());
+    refused(&settings(), &short, "");
     let alone = SceneBlock { frozen: Gaussians::default(), ..block.clone() };
-    assert!(refused(&mcmc, &alone).contains("'mcmc' adds Gaussians anywhere"));
-    let mut trainer = trainer(gpu.context, &initial, Some(block), &settings()).expect("a trainer");
+    refused(&mcmc, &alone, "'mcmc' adds Gaussians anywhere");
+    let mut trainer = trainer(context(), &initial, Some(&block), &settings());
     let TrainView { camera, photo, .. } = views(1, 9).remove(0);
     let aligned = trainer.align(&camera, &photo, &trainer.render_settings(), &Default::default());
-    assert!(aligned.expect_err("refused").to_string().contains("a block of one"));
+    assert_says(refusal(aligned), &["a block of one"]);
 }
 
 /// The forecast suffices. It counts frozen Gaussians with parameters and frames, but no moments.
@@ -292,26 +265,11 @@ fn senseless_blocks_are_refused() {
 fn the_memory_of_what_lies_around_is_planned() {
     let (initial, block) = divided();
     let settings = settings();
-    let photo = PhotoSize {
-        name: "a".into(),
-        width: 40,
-        height: 30,
-        masked: false,
-        inverse_depth: false,
-        depth_points: 0,
-    };
-    let photos = vec![photo; 3];
     let needed = |gaussians: u32, frozen: u32| {
-        let (photo_memory, room) = (None, None);
-        let photos = &photos;
-        let forecast = Forecast { settings: &settings, photos, photo_memory, gaussians, frozen, room };
-        match forecast.check(&bounded(Some(1))).expect_err("too little") {
-            Error::TooLarge { needed, what, .. } => {
-                assert_eq!(what.contains(" others"), frozen > 0, "{what}");
-                needed
-            }
-            other => panic!("{other}"),
-        }
+        let photos = vec![photo_size("a", [40, 30]); 3];
+        let (bytes, what) = forecast(&settings, &photos, [gaussians, frozen], &bounded(Some(1)));
+        assert_eq!(what.contains(" others"), frozen > 0, "{what}");
+        bytes
     };
     let (count, frozen) = (initial.len() as u32, 100_000);
     let alone = needed(count, 0);
@@ -324,7 +282,7 @@ fn the_memory_of_what_lies_around_is_planned() {
     (0..200).for_each(|_| many.frozen.append(&block.frozen));
     let bound = needed(count, many.frozen.len() as u32) + (1 << 20);
     let context = bounded(Some(bound));
-    let mut trainer = trainer(&context, &initial, Some(many), &settings).expect("a trainer");
+    let mut trainer = trainer(&context, &initial, Some(&many), &settings);
     end(&mut trainer);
     assert!(trainer.memory().last().expect("the total").peak_bytes <= bound);
 }
@@ -332,21 +290,17 @@ fn the_memory_of_what_lies_around_is_planned() {
 /// A camera far away from the block.
 #[test]
 fn a_picture_of_what_lies_around_alone_is_drawn() {
-    let gpu = Gpu::new();
     let (initial, block) = divided();
     let mut far = initial.clone();
     far.means.iter_mut().for_each(|mean| mean[0] -= 1e4);
-    let core = everything();
-    let block = SceneBlock { core, ..block };
-    let frozen = block.frozen.clone();
-    let mut trainer = trainer(gpu.context, &far, Some(block), &settings()).expect("a trainer");
+    let block = SceneBlock { core: everything(), ..block };
+    let mut trainer = trainer(context(), &far, Some(&block), &settings());
     let intrinsics = Intrinsics::from_fov_x(0.8, 40, 30);
     let camera = Camera::look_at(Vec3::new(0.0, 0.0, -6.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
     let settings = trainer.render_settings();
     let ours = trainer.render(&camera, &settings).expect("a picture");
-    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
-    renderer.upload(&frozen).expect("loaded");
-    let settings = ashsplat::RenderSettings { sh_degree: Some(trainer.sh_degree()), ..settings };
+    let mut renderer = loaded(context(), &block.frozen);
+    let settings = RenderSettings { sh_degree: Some(trainer.sh_degree()), ..settings };
     let theirs = renderer.render(&camera, &settings).expect("a picture");
     assert!(ours.color == theirs.color && theirs.stats.visible > 0);
 }
@@ -354,7 +308,6 @@ fn a_picture_of_what_lies_around_alone_is_drawn() {
 /// All values that a checkpoint keeps for a Gaussian move with it, in every strategy.
 #[test]
 fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
-    let gpu = Gpu::new();
     let settings = TrainSettings {
         strategy: StrategyType::Budget,
         absgrad: true,
@@ -362,9 +315,8 @@ fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
         filter_3d: true,
         ..settings()
     };
-    let mut trainer = trainer(gpu.context, &start(), None, &settings).expect("a trainer");
-    (0..12).for_each(|_| drop(trainer.step().expect("a step")));
-    let whole = trainer.checkpoint().expect("a checkpoint");
+    let run = Run::shared(views(3, 9), settings.clone());
+    let whole = run.until(12, &[]);
     assert!(whole.filters.len() == whole.gaussians.len() && whole.strategy.statistics.len() == 1);
     let kept = |of: &Checkpoint, rows: &[usize]| {
         let mut kept = of.clone();
@@ -382,22 +334,23 @@ fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
     // Training resumes with them, with capacity for their number.
     let (core, frozen) = (everything(), Gaussians::default());
     joined.settle_in(&SceneBlock { core, frozen, chosen_from: None });
-    let mut resumed = resumed(gpu.context, None, &settings, &joined).expect("resumed");
-    let last = end(&mut resumed);
+    let last = end(&mut run.resume(&joined));
     assert_eq!(last.iteration, settings.iterations);
     // The expected frames are like the previous ones, instead of showing all Gaussians that fit the capacity.
-    assert!(last.room.frame_instances >= last.room.most_instances && joined.room.most_instances > 0);
-    assert!(last.room.frame_instances < 6 * last.room.gaussians, "{:?}", last.room);
+    assert!(
+        last.capacities.frame_instances >= last.capacities.most_instances
+            && joined.capacities.most_instances > 0
+    );
+    assert!(last.capacities.frame_instances < 6 * last.capacities.gaussians, "{:?}", last.capacities);
 
-    let refused = |change: &dyn Fn(&mut Checkpoint)| {
+    let refused = |change: &dyn Fn(&mut Checkpoint), said: &str| {
         let mut other = whole.clone();
         change(&mut other);
-        whole.clone().append(&other).expect_err("refused").to_string()
+        assert_says(refusal(whole.clone().append(&other)), &[said]);
     };
-    let rate = |other: &mut Checkpoint| other.settings.opacity_lr = 0.5;
-    assert!(refused(&rate).contains("other settings: opacity_lr was 0.5, is "));
-    assert!(refused(&|other| other.strategy.name = "fixed".into()).contains("another strategy"));
-    assert!(refused(&|other| other.strategy.statistics.clear()).contains("another strategy"));
+    refused(&|other| other.settings.opacity_lr = 0.5, "other settings: opacity_lr was 0.5, is ");
+    refused(&|other| other.strategy.name = "fixed".into(), "another strategy");
+    refused(&|other| other.strategy.statistics.clear(), "another strategy");
     let summed = GradientSums {
         views: 3,
         sums: whole.gaussians.clone(),
@@ -405,7 +358,7 @@ fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
         poses: Vec::new(),
     };
     let sums = |other: &mut Checkpoint| other.gradient_sums = Some(summed.clone());
-    assert!(refused(&sums).contains("gradients of 3 views, not of 0"));
+    refused(&sums, "gradients of 3 views, not of 0");
     let mut summed_up = whole.clone();
     sums(&mut summed_up);
     let mut both = kept(&summed_up, &odd);

@@ -1,17 +1,13 @@
 //! Training with budgeted growth, and its parts that the reference's strategy can use.
 
-use ashsplat::densify::RESET_OPACITY;
-use ashsplat::trainer::{Checkpoint, ImportanceType, OptimizerType, SplitType, StrategyType, Trainer};
-use ashsplat::vk::Context;
-use ashsplat::{Gaussians, TrainSettings};
-use ashsplat_files::CheckpointFile;
+use ashsplat::passes::densify::RESET_OPACITY;
+use ashsplat::train::{ImportanceType, OptimizerType, SplitType};
 
-use crate::checkpoints::{check_growth_in_bounded_memory, start, views};
-use crate::common::gpu::Gpu;
+use crate::checkpoints::check_growth_in_bounded_memory;
+use crate::common::prelude::*;
 use crate::reference::linear::sigmoid;
 use crate::reference::schedule::quantile;
 
-const EXTENT: f32 = 5.0;
 const CAP: u32 = 260;
 
 /// 60 iterations: densifies after 15, 20, … 35, resets opacities after 20 and 40.
@@ -44,56 +40,44 @@ fn in_groups() -> TrainSettings {
     }
 }
 
-fn trainer(context: &Context, settings: &TrainSettings) -> Trainer {
-    Trainer::new(context, views(4, 9), &start(), EXTENT, settings.clone()).expect("a trainer")
+fn run(settings: &TrainSettings) -> Run<'static> {
+    Run::shared(views(4, 9), settings.clone())
 }
 
-fn refused(settings: TrainSettings) -> String {
-    let gpu = Gpu::new();
-    let refused = Trainer::new(gpu.context, views(1, 9), &start(), EXTENT, settings);
-    let message = refused.err().expect("refused").to_string();
+fn trainer(settings: &TrainSettings) -> Trainer {
+    run(settings).begin()
+}
+
+fn refused(settings: TrainSettings, words: &[&str]) {
+    let message = refusal(Run::shared(views(1, 9), settings).try_begin());
     assert_eq!(message.lines().count(), 1, "{message}");
-    message
+    assert_says(&message, words);
 }
 
 #[test]
 fn budget_splits_up_to_its_curve() {
-    let gpu = Gpu::new();
     for importance in [ImportanceType::Edges, ImportanceType::Statistic, ImportanceType::None] {
         let settings = TrainSettings { importance, ..settings() };
-        let mut trainer = trainer(gpu.context, &settings);
-        let (mut reports, mut split) = (vec![], 0);
-        for iteration in 1..=60 {
-            let report = trainer.step().expect("a step");
-            assert!(report.loss.is_finite() && report.skipped_non_finite == 0, "{iteration}");
-            if let Some(densified) = report.densified {
-                assert_eq!(densified.cloned, 0);
-                assert_eq!(densified.rows(), report.gaussians);
-                assert!(!densified.limited, "{iteration}");
-                split += densified.split;
-                reports.push((iteration - 1, densified));
-            }
-        }
-        let after: Vec<u32> = reports.iter().map(|(iteration, _)| *iteration).collect();
-        assert_eq!(after, [15, 20, 25, 30, 35]);
-        for (iteration, densified) in reports {
-            let schedule = ashsplat::trainer::GrowthSchedule::of(&settings, start().len() as u32);
+        let schedule = ashsplat::train::GrowthSchedule::of(&settings, start().len() as u32);
+        let (mut after, mut split) = (vec![], 0);
+        for report in trainer(&settings).finish() {
+            assert!(report.loss.is_finite() && report.skipped_non_finite == 0, "{report:?}");
+            let Some(densified) = report.densified else { continue };
+            let iteration = report.iteration - 1;
+            assert_eq!((densified.cloned, densified.rows()), (0, report.gaussians));
             let budget = schedule.budget(iteration).max(densified.before);
-            assert!(densified.rows() <= budget, "{iteration}: {densified:?}, {budget}");
+            assert!(!densified.limited && densified.rows() <= budget, "{report:?}, {budget}");
+            split += densified.split;
+            after.push(iteration);
         }
+        assert_eq!(after, [15, 20, 25, 30, 35]);
         assert!(split > 30, "{split} splits");
     }
 }
 
-/// Each switch changes the result of a run.
 #[test]
 fn budget_has_a_switch_for_each_part() {
-    let gpu = Gpu::new();
-    let end = |settings: TrainSettings| {
-        let mut trainer = trainer(gpu.context, &settings);
-        (0..60).for_each(|_| drop(trainer.step().expect("a step")));
-        trainer.gaussians().expect("Gaussians")
-    };
+    let end = |settings: TrainSettings| run(&settings).end(&[]).gaussians;
     type Change = fn(&mut TrainSettings);
     // With the statistic, so that all parts have an effect.
     let by_statistic = || TrainSettings { importance: ImportanceType::Statistic, ..in_groups() };
@@ -119,65 +103,35 @@ fn budget_has_a_switch_for_each_part() {
 
 #[test]
 fn budget_resumes_to_the_bit() {
-    let gpu = Gpu::new();
-    let run = |settings: &TrainSettings, stops: &[u32]| -> Checkpoint {
-        let mut trainer = trainer(gpu.context, settings);
-        for iteration in 1..=60 {
-            trainer.step().expect("a step");
-            if stops.contains(&iteration) {
-                let checkpoint = trainer.checkpoint().expect("a checkpoint");
-                let folder = tempfile::tempdir().expect("a temporary folder");
-                let path = folder.path().join("c.safetensors");
-                checkpoint.write(&path).expect("written");
-                let read = Checkpoint::read(&path).expect("read");
-                assert!(read == checkpoint, "the file of {iteration}");
-                let resumed = Trainer::resume(gpu.context, views(4, 9), EXTENT, settings.clone(), &read);
-                trainer = resumed.expect("resumed");
-            }
-        }
-        trainer.checkpoint().expect("the end")
-    };
-    let plain = settings();
-    let whole = run(&plain, &[]);
     // Around densifications, and between a reset and the next densification.
-    for stops in [[7, 15], [20, 23], [34, 35]] {
-        assert!(run(&plain, &stops) == whole, "interrupted after {stops:?}: other bits");
-    }
+    run(&settings()).check_stops(&[&[7, 15], &[20, 23], &[34, 35]]);
     // Within sums: 40 and 45 make steps, 48 begins groups of 20.
-    let grouped = in_groups();
-    let whole = run(&grouped, &[]);
+    let whole = run(&in_groups()).check_stops(&[&[41, 44], &[45, 52], &[59, 47]]);
     assert!(whole.gradient_sums.is_some(), "the last iteration makes no step");
-    for stops in [[41, 44], [45, 52], [59, 47]] {
-        assert!(run(&grouped, &stops) == whole, "interrupted after {stops:?}: other bits");
-    }
     // With exposures and poses, which also sum views.
     let lit = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..in_groups() };
-    let whole = run(&lit, &[]);
+    let whole = run(&lit).check_stops(&[&[18, 43], &[45, 52]]);
     let sums = whole.gradient_sums.as_ref().expect("the last iteration makes no step");
     assert_eq!((sums.light.exposures.len(), sums.poses.len()), (4, 4));
-    for stops in [[18, 43], [45, 52]] {
-        assert!(run(&lit, &stops) == whole, "interrupted after {stops:?}: other bits");
-    }
 }
 
 /// Each view of a step contributes to its own exposure and pose, not only the last view. Nothing moves between
 /// steps.
 #[test]
 fn budget_adds_up_exposures_and_poses() {
-    let gpu = Gpu::new();
     let settings = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..in_groups() };
-    let mut trainer = trainer(gpu.context, &settings);
-    (0..40).for_each(|_| drop(trainer.step().expect("a step")));
-    let before = trainer.checkpoint().expect("a state");
+    let mut trainer = trainer(&settings);
+    trainer.steps(40);
+    let before = trainer.state();
     let mut seen = [false; 4];
     for iteration in 41..=45 {
         seen[trainer.step().expect("a step").view] = true;
-        let after = trainer.checkpoint().expect("a state");
+        let after = trainer.state();
         let moved = after.exposures != before.exposures || after.poses != before.poses;
         assert_eq!(moved, iteration == 45, "{iteration}");
     }
     assert_eq!(seen, [true; 4]);
-    let after = trainer.checkpoint().expect("a state");
+    let after = trainer.state();
     // A second moment without a gradient decreases by a thousandth.
     let grown = |before: &[f32], after: &[f32]| before.iter().zip(after).any(|(b, a)| *a > 0.99901 * b);
     let [first, last] = [&before, &after].map(|state| state.poses.as_ref().expect("poses"));
@@ -192,25 +146,17 @@ fn budget_adds_up_exposures_and_poses() {
 /// A step after several views uses the sum of their gradients. Nothing moves between steps.
 #[test]
 fn budget_makes_one_step_of_several_views() {
-    let gpu = Gpu::new();
-    let mut trainer = trainer(gpu.context, &in_groups());
-    let mut moved = vec![];
-    let mut before = trainer.gaussians().expect("Gaussians");
-    for iteration in 1..=60 {
-        trainer.step().expect("a step");
-        let after = trainer.gaussians().expect("Gaussians");
-        if after != before {
-            moved.push(iteration);
-        }
-        before = after;
-    }
-    let expected: Vec<u32> = (1..=39).chain([40, 45]).collect();
-    assert_eq!(moved, expected);
-    let steps = trainer.checkpoint().expect("a checkpoint").optimizer_steps;
-    assert_eq!(steps, 41);
+    let mut trainer = trainer(&in_groups());
+    let mut moves = |_: &u32| {
+        let before = trainer.trained();
+        trainer.steps(1);
+        trainer.trained() != before
+    };
+    let moved: Vec<u32> = (1..=60).filter(&mut moves).collect();
+    assert_eq!(moved, (1..=39).chain([40, 45]).collect::<Vec<_>>());
+    assert_eq!(trainer.state().optimizer_steps, 41);
 }
 
-/// Number of Gaussians that are not fainter than the faintest fifth.
 fn not_of_the_faintest_fifth(all: &Gaussians) -> usize {
     let opacity = |&logit: &f32| sigmoid(logit.into());
     let opacities: Vec<f64> = all.opacity_logits.iter().map(opacity).collect();
@@ -221,7 +167,6 @@ fn not_of_the_faintest_fifth(all: &Gaussians) -> usize {
 /// With `recovery`, resets are milder, and Gaussians that stay faint are pruned.
 #[test]
 fn budget_prunes_what_does_not_recover() {
-    let gpu = Gpu::new();
     let settings = |recovery: bool| TrainSettings {
         iterations: 1000,
         densify_from_iter: 900,
@@ -233,18 +178,17 @@ fn budget_prunes_what_does_not_recover() {
     };
     let most = |g: &Gaussians| g.opacity_logits.iter().copied().fold(f32::MIN, f32::max);
     for (recovery, opacity) in [(true, 0.05), (false, RESET_OPACITY)] {
-        let mut trainer = trainer(gpu.context, &settings(recovery));
+        let mut trainer = trainer(&settings(recovery));
         let mut counts = vec![];
         for iteration in 1..=562 {
             if iteration == 131 {
-                let checkpoint = trainer.checkpoint().expect("a checkpoint");
-                assert!(checkpoint.due == ashsplat::trainer::Actions::RESET_OPACITY);
+                assert!(trainer.state().due == ashsplat::train::Actions::RESET_OPACITY);
             }
             let due = recovery && [431, 561].contains(&iteration);
-            let before = due.then(|| trainer.gaussians().expect("Gaussians"));
+            let before = due.then(|| trainer.trained());
             let report = trainer.step().expect("a step");
             if iteration == 131 {
-                let now = most(&trainer.gaussians().expect("Gaussians"));
+                let now = most(&trainer.trained());
                 let reset = (opacity / (1.0 - opacity)).ln() as f32;
                 assert!((now - reset).abs() < 0.2, "{now}, {reset}");
             }
@@ -273,7 +217,6 @@ fn budget_prunes_what_does_not_recover() {
 /// Only Gaussians that are faint late in a run are pruned. A resumed run has the same bits.
 #[test]
 fn budget_prunes_what_is_faint_late() {
-    let gpu = Gpu::new();
     let settings = TrainSettings {
         iterations: 600,
         densify_from_iter: 29_000,
@@ -284,13 +227,14 @@ fn budget_prunes_what_is_faint_late() {
         late_min_opacity: 0.1,
         ..settings()
     };
-    let mut whole = trainer(gpu.context, &settings);
+    let run = run(&settings);
+    let mut whole = run.begin();
     let (mut pruned, mut left_off) = (0, None);
     for iteration in 1..=430 {
         let due = [321, 361, 421].contains(&iteration);
-        let before = due.then(|| whole.gaussians().expect("Gaussians"));
+        let before = due.then(|| whole.trained());
         if iteration == 361 {
-            left_off = Some(whole.checkpoint().expect("a checkpoint"));
+            left_off = Some(whole.state());
         }
         let report = whole.step().expect("a step");
         assert_eq!(report.densified.is_some(), due, "{iteration}");
@@ -300,23 +244,20 @@ fn budget_prunes_what_is_faint_late() {
         let kept: Vec<usize> = (0..before.len()).filter(|&i| !faint(before.opacity_logits[i])).collect();
         assert_eq!((densified.before as usize, densified.kept as usize), (before.len(), kept.len()));
         // They keep their order; one step moves them by less.
-        let after = whole.gaussians().expect("Gaussians");
+        let after = whole.trained();
         for (&from, to) in kept.iter().zip(&after.means) {
             let moved = before.means[from].iter().zip(to).map(|(from, to)| (from - to).abs());
             assert!(moved.fold(0.0, f32::max) < 0.01, "{from}");
         }
         pruned += before.len() - kept.len();
     }
-    let end = whole.gaussians().expect("Gaussians");
+    let end = whole.trained();
     assert!(pruned > 0 && !end.is_empty(), "{pruned}");
-    let left_off = left_off.expect("a checkpoint");
-    let mut resumed =
-        Trainer::resume(gpu.context, views(4, 9), EXTENT, settings, &left_off).expect("resumed");
-    (361..=430).for_each(|_| drop(resumed.step().expect("a step")));
-    assert!(resumed.gaussians().expect("Gaussians") == end, "other bits");
+    let mut resumed = run.resume(&left_off.expect("a checkpoint"));
+    resumed.steps(70);
+    assert!(resumed.trained() == end, "other bits");
 }
 
-/// With insufficient memory it grows as far as possible, continues, and is still deterministic.
 #[test]
 fn budget_grows_as_far_as_the_memory_allows() {
     let settings = TrainSettings {
@@ -335,73 +276,50 @@ fn budget_grows_as_far_as_the_memory_allows() {
 #[test]
 fn budget_refuses_what_contradicts_itself() {
     let mcmc = TrainSettings { cap_max: 0, ..TrainSettings::of_strategy(StrategyType::Mcmc) };
-    assert!(refused(mcmc).contains("cap_max"));
-    let message = refused(TrainSettings { cap_max: 0, cap_ratio: 0.9, ..settings() });
-    assert!(message.contains("cap_ratio") && message.contains("1 or more"), "{message}");
-    let message = refused(TrainSettings { cap_max: 149, ..settings() });
-    assert!(message.contains("cap_max") && message.contains("149") && message.contains("150"), "{message}");
-    let sparse = OptimizerType::SparseAdam;
-    let message = refused(TrainSettings { optimizer_type: sparse, ..settings() });
-    assert!(message.contains("multi_step") && message.contains("sparse_adam"), "{message}");
+    refused(mcmc, &["cap_max"]);
+    refused(TrainSettings { cap_max: 0, cap_ratio: 0.9, ..settings() }, &["cap_ratio", "1 or more"]);
+    refused(TrainSettings { cap_max: 149, ..settings() }, &["cap_max", "149", "150"]);
+    let optimizer_type = OptimizerType::SparseAdam;
+    refused(TrainSettings { optimizer_type, ..settings() }, &["multi_step", "sparse_adam"]);
     // Parts that other strategies do not support.
     let usual = TrainSettings::default();
-    for (name, strategy) in [
-        ("recovery", StrategyType::Reference),
-        ("recovery", StrategyType::Mcmc),
-        ("recovery", StrategyType::Fixed),
-        ("late_min_opacity", StrategyType::Reference),
-        ("late_min_opacity", StrategyType::Mcmc),
-    ] {
-        let late_min_opacity = if name == "late_min_opacity" { 0.1 } else { 0.0 };
-        let recovery = name == "recovery";
-        let message = refused(TrainSettings { recovery, late_min_opacity, strategy, ..usual.clone() });
-        assert!(message.contains(name) && message.contains("budget"), "{message}");
+    for strategy in [StrategyType::Reference, StrategyType::Mcmc, StrategyType::Fixed] {
+        refused(TrainSettings { recovery: true, strategy, ..usual.clone() }, &["recovery", "budget"]);
     }
-    let message =
-        refused(TrainSettings { split: SplitType::LongAxis, strategy: StrategyType::Mcmc, ..usual });
-    assert!(message.contains("split") && message.contains("long-axis"), "{message}");
+    for strategy in [StrategyType::Reference, StrategyType::Mcmc] {
+        let late = TrainSettings { late_min_opacity: 0.1, strategy, ..usual.clone() };
+        refused(late, &["late_min_opacity", "budget"]);
+    }
+    let split = TrainSettings { split: SplitType::LongAxis, strategy: StrategyType::Mcmc, ..usual };
+    refused(split, &["split", "long-axis"]);
 }
 
 /// Both parts in the reference's strategy change the result, are deterministic, and resume to the bit.
 #[test]
 fn the_reference_strategy_takes_other_statistics_and_splits() {
-    let gpu = Gpu::new();
-    let run = |absgrad: bool, split: SplitType, stop: Option<u32>| {
-        let settings = TrainSettings { absgrad, split, ..crate::checkpoints::settings() };
-        let mut trainer = trainer(gpu.context, &settings);
-        for iteration in 1..=40 {
-            trainer.step().expect("a step");
-            if stop == Some(iteration) {
-                let from = trainer.checkpoint().expect("a checkpoint");
-                trainer = Trainer::resume(gpu.context, views(4, 9), EXTENT, settings.clone(), &from)
-                    .expect("resumed");
-            }
-        }
-        trainer.checkpoint().expect("the end")
+    let of = |absgrad, split| {
+        let settings = TrainSettings { absgrad, split, ..crate::common::training::settings() };
+        run(&settings)
     };
-    let usual = run(false, SplitType::Sample, None);
+    let usual = of(false, SplitType::Sample).end(&[]);
     for (absgrad, split) in
         [(true, SplitType::Sample), (false, SplitType::LongAxis), (true, SplitType::LongAxis)]
     {
-        let whole = run(absgrad, split, None);
+        let whole = of(absgrad, split).check_stops(&[&[22]]);
         assert!(whole.gaussians != usual.gaussians, "{absgrad} {split:?}");
-        assert!(run(absgrad, split, Some(22)) == whole, "{absgrad} {split:?}: other bits");
     }
 }
 
 /// Earlier versions called the reference's strategy `default`.
 #[test]
 fn checkpoints_of_the_strategy_default_go_on() {
-    let gpu = Gpu::new();
-    let settings = crate::checkpoints::settings();
-    let mut first = trainer(gpu.context, &settings);
-    (0..12).for_each(|_| drop(first.step().expect("a step")));
-    let mut from = first.checkpoint().expect("a checkpoint");
+    let run = run(&crate::common::training::settings());
+    let mut first = run.begin();
+    first.steps(12);
+    let mut from = first.state();
     from.strategy.name = "default".into();
-    let mut second = Trainer::resume(gpu.context, views(4, 9), EXTENT, settings, &from).expect("resumed");
-    (0..8).for_each(|_| {
-        first.step().expect("a step");
-        second.step().expect("a step");
-    });
-    assert!(first.checkpoint().expect("a state") == second.checkpoint().expect("a state"));
+    let mut second = run.resume(&from);
+    first.steps(8);
+    second.steps(8);
+    assert!(first.state() == second.state());
 }

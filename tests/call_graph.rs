@@ -69,33 +69,6 @@ fn in_circles(graph: Graph, part: &str) -> Vec<String> {
     circles
 }
 
-#[test]
-fn call_graph_circles_are_found() {
-    let lines = [
-        "0000000000001000 <leaf>:",
-        "    1000:\tret",
-        "0000000000001010 <a>:",
-        "    1010:\tcall   1000 <leaf>",
-        "    1014:\tjmp    1012 <a+0x2>",
-        "    1018:\tcall   1020 <b>",
-        "0000000000001020 <b>:",
-        "    1020:\tlea    0x10(%rip),%rax        # 1030 <c>",
-        "0000000000001030 <c>:",
-        "    1030:\tjmp    1010 <a>",
-        "0000000000001040 <once>:",
-        "    1040:\tjne    1044 <once+0x4>",
-        "    1044:\tcall   1010 <a>",
-        "0000000000001050 <own>:",
-        "    1050:\tcall   1050 <own>",
-        "0000000000001060 <passed>:",
-        "    1060:\tlea    -0x7(%rip),%rdi        # 1060 <passed>",
-        "0000000000001070 <table>:",
-        "    1070:\tlea    0x8(%rip),%rdi        # 107f <table+0xf>",
-    ];
-    let found = in_circles(graph(lines.iter().map(|line| (*line).to_owned())), "");
-    assert_eq!(found, ["a", "b", "c", "own", "passed"]);
-}
-
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 #[test]
 fn call_graph_of_the_readers_has_no_circles() {
@@ -118,7 +91,7 @@ fn call_graph_of_the_readers_has_no_circles() {
     let all = in_circles(graph, "ashsplat");
     assert!(all.iter().any(|name| name.contains("remove_leftovers_named")), "{all:#?}");
     // serde_json refuses more than 128 levels before these recurse.
-    let is_bounded = |name: &str| name.contains("TileJson") || name.contains("transforms..json..Pruned");
+    let is_bounded = |name: &str| name.contains("TileJson") || name.contains("transforms..Pruned");
     let readers = all.iter().filter(|name| name.contains("ashsplat_files") && !is_bounded(name));
     let readers: Vec<_> = readers.collect();
     assert!(readers.is_empty(), "{readers:#?}");

@@ -1,43 +1,43 @@
 //! The program `ashsplat`, run as users run it.
 
-mod archives;
 mod bad_input;
 mod blocks;
 mod checkpoints;
 mod commands;
 mod convert;
-mod divisions;
+mod data_sets;
 mod exchange;
-mod few_photos;
 mod filters;
-mod init;
 mod inspect;
-mod layouts;
 mod light;
-#[cfg(unix)]
-mod lock;
 mod lpips;
 mod merge;
 mod moved;
+mod place;
 mod pose_opt;
-// The stand-ins are shell scripts.
-#[cfg(unix)]
 mod poses;
-mod report;
 mod run;
-mod strategies;
+mod settings;
 mod tiles;
 mod training;
-mod unused;
 
-use ashsplat::scene::{Camera, Intrinsics, PointCloud};
-use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
-use ashsplat_files::{Photo, PhotoFileFormat};
-use glam::{Vec3, vec3};
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
-pub(crate) use run::{Finished, finish, program, text};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud, WorldFrame};
+use ashsplat::train::Checkpoint;
+use ashsplat_files::colmap::{ColmapCamera, ColmapImage};
+use ashsplat_files::splats::{ReadOptions, WriteOptions};
+use ashsplat_files::{CheckpointFile, Photo, PhotoFileFormat, colmap, splats};
+use glam::{Vec3, vec3};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::program::running::Running;
+pub(crate) use place::{Place, point_cloud, wait_until};
+pub(crate) use run::{Finished, assert_refused, finish, program, text};
 
 /// Size of the photos of [`write_dataset`], pixels.
 const SIZE: [u32; 2] = [48, 32];
@@ -45,64 +45,78 @@ const SIZE: [u32; 2] = [48, 32];
 const VIEWS: u32 = 9;
 
 /// Runs the program, which must succeed. Returns its stdout.
+#[track_caller]
 pub(crate) fn succeed(arguments: &[&str]) -> String {
-    let run = finish(program().args(arguments));
-    assert_eq!(run.code, Some(0), "{arguments:?}: {}", run.stderr);
-    run.stdout
-}
-
-/// Checks that the program refused: exit code 2, nothing on stdout, one line `error: …` with all of these words.
-pub(crate) fn assert_refused(run: &Finished, words: &[&str]) {
-    assert_eq!(run.code, Some(2), "{}{}", run.stdout, run.stderr);
-    let errors: Vec<&str> = run.stderr.lines().filter(|line| !line.starts_with("warning: ")).collect();
-    assert_eq!(errors.len(), 1, "{}", run.stderr);
-    assert!(errors[0].starts_with("error: "), "{}", run.stderr);
-    for word in words {
-        assert!(errors[0].contains(word), "no '{word}' in: {}", errors[0]);
-    }
+    finish(program().args(arguments)).ok().stdout
 }
 
 /// Runs the program, which must refuse.
+#[track_caller]
 pub(crate) fn refuse(arguments: &[&str], words: &[&str]) {
-    assert_refused(&finish(program().args(arguments)), words);
+    finish(program().args(arguments)).refused(words);
 }
 
-/// All files below a folder, sorted, with relative paths.
-fn files_below(folder: &Path) -> Vec<PathBuf> {
-    let mut files = Vec::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(next) = folders.pop() {
-        let Ok(entries) = std::fs::read_dir(&next) else { continue };
-        for entry in entries {
-            let path = entry.expect("a folder's entry").path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                files.push(path.strip_prefix(folder).expect("below the folder").to_owned());
-            }
-        }
+/// Checks that a text has all of these words.
+#[track_caller]
+pub(crate) fn assert_has(text: &str, words: &[&str]) {
+    for word in words {
+        assert!(text.contains(word), "no '{word}' in: {text}");
     }
-    files.sort();
-    files
 }
 
 /// Writes a COLMAP data set of a coloured wall, photographed from nine positions; a formula gives every pixel.
 pub(crate) fn write_dataset(folder: &Path) {
-    let views: Vec<Camera> = (0..VIEWS).map(view).collect();
-    let mut images = Vec::new();
     std::fs::create_dir_all(folder.join("images")).expect("a folder for the photos");
-    for (id, camera) in (1..).zip(&views) {
-        let name = format!("{id:02}.png");
-        photograph(camera).write_png(folder.join("images").join(&name)).expect("a photo");
-        images.push(ColmapImage::posed(id, 1, name, camera));
+    for id in 1..=VIEWS {
+        let photo = folder.join(format!("images/{id:02}.png"));
+        photograph(&view(id - 1)).write_png(photo).expect("a photo");
     }
-    write_model(folder, &images, &wall_points());
+    write_model(folder, &images(), &wall_points());
 }
 
 /// Writes the model of [`write_dataset`] with these images and points.
 fn write_model(folder: &Path, images: &[ColmapImage], points: &PointCloud) {
     let lens = ColmapCamera::pinhole(1, &view(0));
     colmap::write(folder.join("sparse/0"), &[lens], images, points).expect("a COLMAP model");
+}
+
+/// Replaces the model of [`write_dataset`] by text files.
+fn write_text_model(folder: &Path, images: &str, points: &str) {
+    let Camera { fx, fy, cx, cy, width, height, .. } = view(0);
+    let cameras = format!("1 PINHOLE {width} {height} {fx} {fy} {cx} {cy}\n");
+    for (part, text) in [("cameras", cameras.as_str()), ("images", images), ("points3D", points)] {
+        let file = folder.join("sparse/0").join(part);
+        std::fs::remove_file(file.with_extension("bin")).expect("removed");
+        std::fs::write(file.with_extension("txt"), text).expect("written");
+    }
+}
+
+/// Writes the data set of [`write_dataset`], with observations of the points in the photos.
+fn write_observed(folder: &Path) {
+    write_dataset(folder);
+    let (points, mut images, mut rows) = (wall_points(), String::new(), String::new());
+    for image in self::images() {
+        let ([w, x, y, z], [tx, ty, tz]) = (image.quat, image.translation);
+        images += &format!("{} {w} {x} {y} {z} {tx} {ty} {tz} 1 {}\n", image.id, image.name);
+        for (id, position) in (1..).zip(&points.positions) {
+            let (x, y, _) = view(image.id - 1).project(Vec3::from_array(*position));
+            images += &format!("{x} {y} {id} ");
+        }
+        images += "3 3 -1\n";
+    }
+    for (id, ([x, y, z], [r, g, b])) in (1..).zip(points.positions.iter().zip(&points.colors)) {
+        rows += &format!("{id} {x} {y} {z} {r} {g} {b} 0.5 1 2\n");
+    }
+    write_text_model(folder, &images, &rows);
+}
+
+/// Name of a view's photo.
+fn photo_name(index: u32) -> String {
+    format!("{:02}.png", index + 1)
+}
+
+fn images() -> Vec<ColmapImage> {
+    (0..VIEWS).map(|index| ColmapImage::posed(index + 1, 1, photo_name(index), &view(index))).collect()
 }
 
 fn view(index: u32) -> Camera {
@@ -136,4 +150,20 @@ fn wall_points() -> PointCloud {
         positions: places.iter().map(|p| p.to_array()).collect(),
         colors: places.iter().map(|&p| wall_color(p)).collect(),
     }
+}
+
+/// Gaussians at the wall's points, as training begins with them.
+fn wall(sh_degree: u32) -> Gaussians {
+    ashsplat_files::initial_gaussians(&wall_points(), sh_degree).expect("Gaussians")
+}
+
+/// The transforms.json of square photos from a row of places.
+pub(crate) fn transforms(names: &[String], side: u32) -> String {
+    let frame = |(index, name): (usize, &String)| {
+        let x = 0.1 * index as f64;
+        let rows = [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]];
+        serde_json::json!({ "file_path": name, "transform_matrix": rows })
+    };
+    let frames: Vec<Value> = names.iter().enumerate().map(frame).collect();
+    serde_json::json!({ "fl_x": side, "fl_y": side, "w": side, "h": side, "frames": frames }).to_string()
 }

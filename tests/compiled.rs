@@ -6,32 +6,36 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use tempfile::tempdir;
 
+use crate::bench::{number, read};
 use crate::cli::{Finished, assert_refused, finish, program, refuse, succeed, text};
-use crate::common::context;
+use crate::common::{assert_says, context, new_paths, root};
 
 /// One GPU each of RDNA2, GCN5 and RDNA3, with its names in all versions of Mesa: RDNA3's differs in Mesa 22.
 const FAMILIES: [&[&str]; 3] = [&["navi21"], &["vega10"], &["gfx1100", "navi31"]];
 
+const BLESS: &str = "run with ASHSPLAT_BLESS=1";
+
 /// Mesa's driver for AMD, if installed: it compiles without hardware.
 fn radv() -> Option<PathBuf> {
     let manifest = Path::new("/usr/share/vulkan/icd.d/radeon_icd.x86_64.json");
-    let found = manifest.exists().then(|| manifest.to_owned());
-    if found.is_none() {
+    if !manifest.exists() {
         eprintln!("skipped: no {}", manifest.display());
+        return None;
     }
-    found
+    Some(manifest.to_owned())
 }
 
 fn under(radv: &Path, family: &str, arguments: &[&str]) -> Finished {
     let mut program = program();
     program.env("VK_DRIVER_FILES", radv).env("VK_ICD_FILENAMES", radv).env("RADV_FORCE_FAMILY", family);
-    finish(
-        program
-            .env_remove("ASHSPLAT_DEVICE")
-            .env_remove("ASHSPLAT_BACKEND")
-            .args(["profile", "--static"])
-            .args(arguments),
-    )
+    program.env_remove("ASHSPLAT_DEVICE").env_remove("ASHSPLAT_BACKEND");
+    finish(program.args(["profile", "--static"]).args(arguments))
+}
+
+fn compile(radv: &Path, family: &str, arguments: &[&str]) -> Finished {
+    let run = under(radv, family, arguments);
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    run
 }
 
 /// Compiles for the first of a family's names that the driver knows; None if it knows none.
@@ -46,29 +50,27 @@ fn compiled(radv: &Path, names: &[&'static str], json: &Path) -> Option<(&'stati
     None
 }
 
-fn read(path: &Path) -> Value {
-    serde_json::from_str(&std::fs::read_to_string(path).expect("a file")).expect("JSON")
-}
-
-fn number(figures: &Value, name: &str) -> f64 {
-    figures[name].as_f64().unwrap_or_else(|| panic!("{name}: {figures}"))
+fn pipelines(compiled: &Value) -> &Vec<Value> {
+    compiled["pipelines"].as_array().expect("pipelines")
 }
 
 /// Fewest subgroups per SIMD and largest latency of each kernel, over its variants.
 fn worst(compiled: &Value) -> BTreeMap<String, (f64, f64)> {
     let mut kernels: BTreeMap<String, (f64, f64)> = BTreeMap::new();
-    for pipeline in compiled["pipelines"].as_array().expect("pipelines") {
+    for pipeline in pipelines(compiled) {
         let figures = &pipeline["figures"];
         let kernel = pipeline["kernel"].as_str().expect("a name").to_owned();
         let worst = kernels.entry(kernel).or_insert((f64::INFINITY, 0.0));
-        worst.0 = worst.0.min(number(figures, "subgroups_per_simd"));
-        worst.1 = worst.1.max(number(figures, "latency"));
+        worst.0 = worst.0.min(number(&figures["subgroups_per_simd"]));
+        worst.1 = worst.1.max(number(&figures["latency"]));
     }
     kernels
 }
 
-/// A row of the table: driver, family and kernel; fewest subgroups per SIMD, largest latency.
-type Row = ((String, String, String), (f64, f64));
+/// Driver, family and kernel.
+type Key = (String, String, String);
+/// A row of the table: also the fewest subgroups per SIMD, and the largest latency.
+type Row = (Key, (f64, f64));
 
 fn row(line: &str) -> Row {
     let words: Vec<&str> = line.split('\t').collect();
@@ -83,18 +85,18 @@ fn row(line: &str) -> Row {
 fn compiled_kernels_fit_into_registers() {
     let Some(radv) = radv() else { return };
     let folder = tempdir().expect("a temporary folder");
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../gpu_static.tsv");
+    let path = root().join("tools/gpu_static.tsv");
     let mut made: Vec<Row> = Vec::new();
     for names in FAMILIES {
         let Some((family, compiled)) = compiled(&radv, names, &folder.path().join(names[0])) else {
             eprintln!("skipped: this driver does not know {}", names.join(" or "));
             continue;
         };
-        let pipelines = compiled["pipelines"].as_array().expect("pipelines");
+        let pipelines = pipelines(&compiled);
         assert!(pipelines.len() > 100, "{family}: {} pipelines", pipelines.len());
         for pipeline in pipelines {
             let figures = &pipeline["figures"];
-            let spilled = number(figures, "spills") + number(figures, "scratch_bytes");
+            let spilled = number(&figures["spills"]) + number(&figures["scratch_bytes"]);
             assert!(spilled == 0.0, "{family}: {pipeline}");
         }
         let driver = compiled["device"]["driver"].as_str().expect("a driver");
@@ -112,24 +114,20 @@ fn compiled_kernels_fit_into_registers() {
     }
     let table = std::fs::read_to_string(&path).expect("the table");
     let table: BTreeMap<_, _> = table.lines().skip(1).map(row).collect();
-    let of_driver =
-        |(driver, ..): &(String, String, String)| made.iter().any(|((ours, ..), _)| ours == driver);
+    let of_driver = |key: &Key| made.iter().any(|(ours, _)| ours.0 == key.0);
     if !table.keys().any(of_driver) {
         eprintln!("skipped: the table is of another driver");
         return;
     }
     for (key, (subgroups, latency)) in &made {
-        let Some((least, most)) = table.get(key) else {
-            panic!("{key:?} is not in the table; run with ASHSPLAT_BLESS=1");
-        };
-        assert!(
-            subgroups >= least && *latency <= 1.1 * most,
-            "{key:?}: {subgroups} subgroups, {latency} cycles; the table has {least}, {most}"
-        );
+        let row = table.get(key);
+        let (least, most) = row.unwrap_or_else(|| panic!("{key:?} is not in the table; {BLESS}"));
+        let made = format!("{subgroups} subgroups, {latency} cycles");
+        assert!(subgroups >= least && *latency <= 1.1 * most, "{key:?}: {made}; the table has {row:?}");
     }
     // A family that this driver does not know has no rows.
     let gone = table.keys().find(|key| of_driver(key) && !made.iter().any(|(ours, _)| ours == *key));
-    assert!(gone.is_none(), "{gone:?} is in the table and was not compiled; run with ASHSPLAT_BLESS=1");
+    assert!(gone.is_none(), "{gone:?} is in the table and was not compiled; {BLESS}");
 }
 
 /// The heaviest kernels have another subgroup size if the driver supports both: in the shader's constant, and as the
@@ -142,12 +140,11 @@ fn compiled_subgroups_have_the_size_that_is_asked_for() {
     let folder = tempdir().expect("a temporary folder");
     for (family, heavy) in [("navi21", 32), ("vega10", 64)] {
         let json = folder.path().join(family);
-        let run = under(&radv, family, &["--json", text(&json)]);
-        assert_eq!(run.code, Some(0), "{}", run.stderr);
+        compile(&radv, family, &["--json", text(&json)]);
         let compiled = read(&json);
         assert_eq!(compiled["device"]["heavy_subgroup_size"], heavy);
         let mut sizes = BTreeMap::new();
-        for pipeline in compiled["pipelines"].as_array().expect("pipelines") {
+        for pipeline in pipelines(&compiled) {
             let Some(constant) = pipeline["constants"]["SUBGROUP_SIZE"].as_str() else { continue };
             let kernel = pipeline["kernel"].as_str().expect("a name");
             let wanted = if HEAVIEST.contains(&kernel) { heavy } else { 64 };
@@ -162,20 +159,14 @@ fn compiled_subgroups_have_the_size_that_is_asked_for() {
 #[test]
 fn compiled_files_stand_beside_each_other() {
     let Some(radv) = radv() else { return };
-    let folder = tempdir().expect("a temporary folder");
-    let [a, b, asm] = ["a.json", "b.json", "asm"].map(|name| folder.path().join(name));
+    let (_folder, [a, b, asm]) = new_paths(["a.json", "b.json", "asm"]);
     let run = under(&radv, "navi21", &["render", "--json", text(&a)]);
     assert!(run.code == Some(0) && run.stdout.contains("none of which has run"), "{}", run.stderr);
-    assert!(
-        run.stdout.contains("forward/blend ") && !run.stdout.contains("optimizer/adam"),
-        "{}",
-        run.stdout
-    );
+    assert_says(&run.stdout, &["forward/blend "]);
+    assert!(!run.stdout.contains("optimizer/adam"), "{}", run.stdout);
     let others = ["render", "--json", text(&b), "--beside", text(&a), "--asm", text(&asm)];
-    let run = under(&radv, "vega10", &others);
-    assert_eq!(run.code, Some(0), "{}", run.stderr);
-    let header = run.stdout.lines().next().expect("a header");
-    assert!(header.contains("VEGA10") && header.contains("NAVI21"), "{header}");
+    let run = compile(&radv, "vega10", &others);
+    assert_says(run.stdout.lines().next().expect("a header"), &["VEGA10", "NAVI21"]);
     let texts = std::fs::read_dir(asm.join("forward")).expect("texts");
     let assembly = texts.filter_map(Result::ok).find(|file| {
         file.file_name().to_string_lossy().starts_with("blend.0.")
@@ -184,17 +175,12 @@ fn compiled_files_stand_beside_each_other() {
     assert!(assembly.is_some(), "no machine code of blend");
     // If one kernel is requested, its variants are shown.
     let run = under(&radv, "navi21", &["--kernel", "forward/project"]);
-    assert!(run.stdout.contains("SH_DEGREE=3 SH_LOOPS"), "{}", run.stdout);
+    assert_says(&run.stdout, &["SH_DEGREE=3 SH_LOOPS"]);
     // Only this kernel in a comparison, too, although others have different pipelines.
     let run = under(&radv, "vega10", &["--kernel", "forward/project", "--beside", text(&a)]);
-    let rows =
-        run.stdout.lines().filter(|line| line.starts_with("| forward/") || line.starts_with("| sort/"));
-    assert_eq!(rows.count(), 1, "{}", run.stdout);
-    assert!(
-        run.stderr.contains("warning: ") && run.stderr.contains("a.json: has the pipelines of 'render'"),
-        "{}",
-        run.stderr
-    );
+    let is_row = |line: &&str| line.starts_with("| forward/") || line.starts_with("| sort/");
+    assert_eq!(run.stdout.lines().filter(is_row).count(), 1, "{}", run.stdout);
+    assert_says(&run.stderr, &["warning: ", "a.json: has the pipelines of 'render'"]);
     // Kernels that a frame does not use, and kernels that neither uses.
     let run = under(&radv, "navi21", &["render", "--kernel", "optimizer"]);
     assert_refused(&run, &["--kernel optimizer", "'render' has no pipeline of it", "forward/blend, "]);
@@ -207,10 +193,8 @@ fn compiled_files_stand_beside_each_other() {
 #[test]
 fn compiled_files_are_compared() {
     let Some(radv) = radv() else { return };
-    let folder = tempdir().expect("a temporary folder");
-    let [a, b] = ["a.json", "b.json"].map(|name| folder.path().join(name));
-    let run = under(&radv, "navi21", &["render", "--json", text(&a)]);
-    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    let (_folder, [a, b]) = new_paths(["a.json", "b.json"]);
+    compile(&radv, "navi21", &["render", "--json", text(&a)]);
     // Compares the file with a changed copy.
     let compare = |limit: &[&str], change: &dyn Fn(&mut Value)| {
         let mut changed = read(&a);
@@ -232,12 +216,11 @@ fn compiled_files_are_compared() {
 
     // Constants with other names: no variants match, so the worst ones are compared.
     let rename = |file: &mut Value, is_doubled: bool| {
-        for pipeline in file["pipelines"].as_array_mut().expect("pipelines") {
-            if pipeline["kernel"] == "forward/blend" {
-                pipeline["constants"]["ANOTHER"] = "1".into();
-                if is_doubled {
-                    double(pipeline);
-                }
+        let pipelines = file["pipelines"].as_array_mut().expect("pipelines");
+        for pipeline in pipelines.iter_mut().filter(|pipeline| pipeline["kernel"] == "forward/blend") {
+            pipeline["constants"]["ANOTHER"] = "1".into();
+            if is_doubled {
+                double(pipeline);
             }
         }
     };
@@ -246,11 +229,7 @@ fn compiled_files_are_compared() {
     assert!(run.stdout.starts_with("forward/blend (variants differ): latency "), "{}", run.stdout);
     let run = compare(&limit, &|file| rename(file, false));
     assert_eq!(run.code, Some(0), "{}", run.stderr);
-    assert!(
-        run.stdout.contains("only in B: forward/blend ") && run.stdout.contains("and 1 kernels"),
-        "{}",
-        run.stdout
-    );
+    assert_says(&run.stdout, &["only in B: forward/blend ", "and 1 kernels"]);
 
     // A kernel that only one file has.
     let without = |file: &mut Value| {
@@ -259,14 +238,7 @@ fn compiled_files_are_compared() {
     };
     let run = compare(&[], &without);
     assert!(run.code == Some(0) && run.stdout.contains("only in A: forward/blend\n"), "{}", run.stdout);
-    let run = compare(&limit, &without);
-    assert_eq!(run.code, Some(2), "{}", run.stderr);
-    assert!(
-        run.stderr.starts_with("error: kernels that cannot be compared")
-            && run.stderr.contains("forward/blend"),
-        "{}",
-        run.stderr
-    );
+    assert_refused(&compare(&limit, &without), &["error: kernels that cannot be compared", "forward/blend"]);
 
     // Files without anything to compare.
     let run = compare(&[], &|file| file["pipelines"] = Value::Array(Vec::new()));
@@ -306,14 +278,9 @@ echo "table under $FAMILY: $*""#;
         path
     };
     let (runner, program) = (script("runner", runner), script("program", program));
-    let tool = Path::new(env!("CARGO_MANIFEST_DIR")).join("../gpu_static");
-    finish(
-        std::process::Command::new(tool)
-            .env("ASHSPLAT_GPU_RUN", runner)
-            .env("ASHSPLAT", program)
-            .arg(folder.join("made"))
-            .args(configs),
-    )
+    let mut tool = std::process::Command::new(root().join("tools/gpu_static"));
+    tool.env("ASHSPLAT_GPU_RUN", runner).env("ASHSPLAT", program);
+    finish(tool.arg(folder.join("made")).args(configs))
 }
 
 #[cfg(unix)]

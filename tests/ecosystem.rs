@@ -10,7 +10,6 @@
 mod cesium;
 mod playcanvas;
 mod tiles;
-mod viewer;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -18,13 +17,13 @@ use std::sync::{Arc, OnceLock};
 
 use ashsplat::scene::{Gaussians, Similarity};
 use ashsplat_files::splats::{self, ConvertOptions, Format, ReadOptions, WriteOptions};
+use ashsplat_files::{Photo, PhotoFileFormat, metrics};
 use glam::{DQuat, DVec3, EulerRot};
 use libtest_mimic::{Failed, Trial};
 
 use crate::absent;
 use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, tolerance};
 
-/// Packages to install.
 const PACKAGES: [&str; 5] = [
     "cesium@1.145.0",
     "@playcanvas/splat-transform@2.7.1",
@@ -40,29 +39,33 @@ const KEEP: ReadOptions = ReadOptions { drop_invalid: false, max_host_memory: No
 /// A comparison with the packages in a folder, for a format.
 type Check = fn(&Path, Format);
 
-/// One trial per program and format.
 pub fn trials() -> Vec<Trial> {
-    let mut cases: Vec<(String, Check)> = Vec::new();
-    let name = |format: Format| format.extension().trim_start_matches('.').replace('.', "_");
+    let ending = |format: Format| format.extension().trim_start_matches('.').replace('.', "_");
+    let mut cases: Vec<(String, Format, Check)> = Vec::new();
     for format in [Format::Ply, Format::CompressedPly, Format::Splat, Format::Spz] {
-        cases.push((format!("splat_transform_reads_our_{}", name(format)), they_read_ours));
+        cases.push((format!("splat_transform_reads_our_{}", ending(format)), format, they_read_ours));
     }
     for format in [Format::Ply, Format::CompressedPly, Format::Spz, Format::Glb] {
-        cases.push((format!("splat_transform_writes_{}_for_us", name(format)), we_read_theirs));
+        cases.push((format!("splat_transform_writes_{}_for_us", ending(format)), format, we_read_theirs));
     }
-    cases.push(("splat_transform_moves_as_we_do_ply".into(), we_move_alike));
-    cases.push(("gltf_validator_accepts_our_glb".into(), the_validator_accepts_ours));
-    cases.push(("gltf_validator_accepts_our_gltf".into(), the_validator_accepts_ours));
     for format in [Format::Ply, Format::CompressedPly, Format::Glb] {
-        cases.push((format!("playcanvas_shows_our_{}", name(format)), playcanvas::shows_the_same));
+        let name = format!("playcanvas_shows_our_{}", ending(format));
+        cases.push((name, format, playcanvas::shows_the_same));
     }
-    cases.push(("playcanvas_shows_a_trained_scene_ply".into(), |modules, _| {
-        playcanvas::shows_a_trained_scene(modules, &trained_scene());
-    }));
-    for (name, run) in cesium::TRIALS.into_iter().chain(tiles::TRIALS) {
-        cases.push((name.into(), run));
+    for format in [Format::Glb, Format::Gltf] {
+        let name = format!("gltf_validator_accepts_our_{}", ending(format));
+        cases.push((name, format, the_validator_accepts_ours));
     }
-    cases.push(("viewer_in_chromium_ply".into(), viewer::works_in_chromium));
+    let others: [(&str, Check); 3] = [
+        ("splat_transform_moves_as_we_do_ply", we_move_alike),
+        ("playcanvas_shows_a_trained_scene_ply", |modules, _| {
+            playcanvas::shows_a_trained_scene(modules, &trained_scene());
+        }),
+        ("viewer_in_chromium_ply", viewer_works_in_chromium),
+    ];
+    for (name, check) in others.into_iter().chain(cesium::TRIALS).chain(tiles::TRIALS) {
+        cases.push((name.into(), Format::Ply, check));
+    }
     // Missing features of other programs.
     let missing = absent(
         "ecosystem_splat_transform_reads_our_glb",
@@ -70,35 +73,56 @@ pub fn trials() -> Vec<Trial> {
     );
     let wanted = std::env::var("ASHSPLAT_NPM").unwrap_or_default();
     let modules = Arc::new(OnceLock::new());
-    cases
-        .into_iter()
-        .map(|(name, run)| {
-            let full = format!("ecosystem_{name}");
-            if wanted.is_empty() {
-                return absent(&full, "ASHSPLAT_NPM is not set (1, or a node_modules folder)");
-            }
-            if (["playcanvas", "cesium", "chromium"].iter().any(|name| full.contains(name)))
-                && !has_chromium()
-            {
-                return absent(&full, "there is no chromium to run (Debian: apt-get install chromium)");
-            }
-            if full.contains("trained") && !trained_scene().is_file() {
-                return absent(&full, format!("{} is not there", trained_scene().display()));
-            }
-            let (wanted, modules) = (wanted.clone(), modules.clone());
-            Trial::test(full, move || {
-                let modules: &Result<PathBuf, String> = modules.get_or_init(|| install(&wanted));
-                let format = Format::ALL.into_iter().filter(|f| {
-                    let ending = f.extension().trim_start_matches('.').replace('.', "_");
-                    name.contains(&format!("_{ending}"))
-                });
-                let format = format.max_by_key(|f| f.extension().len()).expect("the name says it");
-                run(modules.as_ref().map_err(Failed::from)?, format);
-                Ok(())
-            })
+    let trial = |(name, format, check): (String, Format, Check)| {
+        let name = format!("ecosystem_{name}");
+        let needs_chromium = ["playcanvas", "cesium", "chromium"].iter().any(|page| name.contains(page));
+        if wanted.is_empty() {
+            return absent(&name, "ASHSPLAT_NPM is not set (1, or a node_modules folder)");
+        }
+        if needs_chromium && Command::new("chromium").arg("--version").output().is_err() {
+            return absent(&name, "there is no chromium to run (Debian: apt-get install chromium)");
+        }
+        if name.contains("trained") && !trained_scene().is_file() {
+            return absent(&name, format!("{} is not there", trained_scene().display()));
+        }
+        let (wanted, modules) = (wanted.clone(), modules.clone());
+        Trial::test(name, move || {
+            let modules: &Result<PathBuf, String> = modules.get_or_init(|| install(&wanted));
+            check(modules.as_ref().map_err(Failed::from)?, format);
+            Ok(())
         })
-        .chain([missing])
-        .collect()
+    };
+    cases.into_iter().map(trial).chain([missing]).collect()
+}
+
+/// Runs one of our scripts with Node. Returns its stdout.
+fn run_script(name: &str, arguments: &[&Path]) -> String {
+    let script = crate::common::root().join("tests/ecosystem").join(name);
+    let result = Command::new("node").arg(script).args(arguments).output().expect("node");
+    assert!(result.status.success(), "{}", String::from_utf8_lossy(&result.stderr));
+    String::from_utf8_lossy(&result.stdout).into_owned()
+}
+
+/// A picture below `target`, kept for inspection.
+fn kept(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.png"))
+}
+
+/// PSNR of two pictures, dB. They are kept side by side under a name.
+fn compare(name: &str, ours: &Photo, theirs: &Photo) -> f64 {
+    let row = 3 * ours.width as usize;
+    let rows = ours.rgb.chunks(row).zip(theirs.rgb.chunks(row));
+    let rgb = rows.flat_map(|(a, b)| [a, b].concat()).collect();
+    Photo { width: 2 * ours.width, height: ours.height, rgb }.write_png(kept(name)).unwrap();
+    let psnr = metrics::psnr(&ours.to_f32(), &theirs.to_f32()).unwrap();
+    println!("{name}: {psnr:.2} dB, {}", kept(name).display());
+    psnr
+}
+
+/// Same as [`compare`], but an error if the PSNR is too low.
+fn compare_at_least(least: f64, name: &str, ours: &Photo, theirs: &Photo) -> Result<(), String> {
+    let psnr = compare(name, ours, theirs);
+    if psnr >= least { Ok(()) } else { Err(format!("{psnr:.2} dB: see {}", kept(name).display())) }
 }
 
 /// Checks a picture that a page draws. The page's workers sort, and on a busy machine they may need more frames than
@@ -110,17 +134,11 @@ fn once_more_with_patience(still_frames: u32, check: impl Fn(u32) -> Result<(), 
     }
 }
 
-/// True if the browser for the pages is installed.
-fn has_chromium() -> bool {
-    Command::new("chromium").arg("--version").output().is_ok()
-}
-
 /// 185,761 Gaussians of SH degree 3.
 fn trained_scene() -> PathBuf {
     crate::common::shared_folder().join("data/trained/yushimatenjin_186k_sh3.inria.ply")
 }
 
-/// Folder with the packages.
 fn install(wanted: &str) -> Result<PathBuf, String> {
     if wanted != "1" {
         return Ok(PathBuf::from(wanted));
@@ -177,8 +195,8 @@ fn small(format: Format) -> Tolerance {
 /// It reads our files with the same result as we do.
 fn they_read_ours(modules: &Path, format: Format) {
     let folder = tempfile::tempdir().unwrap();
-    let (ours, theirs) =
-        (folder.path().join(format!("ours{}", format.extension())), folder.path().join("theirs.ply"));
+    let ours = folder.path().join(format!("ours{}", format.extension()));
+    let theirs = folder.path().join("theirs.ply");
     let expected = scene(1500, format.max_sh_degree());
     splats::write(&ours, &expected, &WriteOptions::default()).unwrap();
     splat_transform(modules, &[text(&ours), text(&theirs)]);
@@ -201,15 +219,9 @@ fn we_read_theirs(modules: &Path, format: Format) {
         let theirs = folder.path().join(format!("theirs{}", format.extension()));
         splat_transform(modules, &[&[text(&ours), text(&theirs)], *options].concat());
         assert_eq!(Format::of_file(&theirs).unwrap(), format);
-        assert_close(
-            &in_order_of(&expected, &read(&theirs)),
-            &expected,
-            &Tolerance {
-                mean: tolerance(format).mean + 2e-6,
-                sh: tolerance(format).sh + 2e-6,
-                ..tolerance(format)
-            },
-        );
+        let margin = tolerance(format);
+        let margin = Tolerance { mean: margin.mean + 2e-6, sh: margin.sh + 2e-6, ..margin };
+        assert_close(&in_order_of(&expected, &read(&theirs)), &expected, &margin);
     }
 }
 
@@ -219,10 +231,8 @@ fn we_move_alike(modules: &Path, _: Format) {
     let path = |name: &str| folder.path().join(name);
     splats::write(path("in.ply"), &scene(800, 3), &WriteOptions::default()).unwrap();
     let actions = ["-r", "-20,-130,50", "-s", "1.75", "-t", "-3,4.5,2"];
-    splat_transform(
-        modules,
-        &[&[text(&path("in.ply"))], &actions[..], &[text(&path("theirs.ply"))]].concat(),
-    );
+    let [before, after] = ["in.ply", "theirs.ply"].map(path);
+    splat_transform(modules, &[&[text(&before)], &actions[..], &[text(&after)]].concat());
     let [x, y, z] = [20f64, 130.0, 50.0].map(f64::to_radians);
     let similarity = Similarity {
         rotation: DQuat::from_euler(EulerRot::ZYX, z, y, x),
@@ -267,4 +277,15 @@ fn validate(modules: &Path, files: &[PathBuf], packed: bool) {
         let others: Vec<_> = messages.iter().filter(|issue| !unknown(issue)).collect();
         assert!(others.is_empty(), "{}: {others:#?}", file.display());
     }
+}
+
+/// Uses the viewer's page with a model and a training as a user would. The screenshots stay below `target`.
+fn viewer_works_in_chromium(modules: &Path, _: Format) {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("viewer");
+    std::fs::remove_dir_all(&folder).ok();
+    let program = env!("CARGO_BIN_EXE_ashsplat");
+    let demo =
+        Command::new(program).args(["demo", "--quiet", "--iterations", "150", "--out"]).arg(&folder).output();
+    assert!(demo.expect("the program").status.success());
+    run_script("viewer.mjs", &[modules, Path::new(program), &folder]);
 }

@@ -2,7 +2,6 @@
 
 extern crate ashsplat_reference as reference;
 
-mod absgrad;
 mod address_space;
 mod averages;
 mod backends;
@@ -12,7 +11,6 @@ mod blocks;
 mod budget;
 mod checkpoints;
 mod common;
-mod comparators;
 mod determinism;
 mod exposures;
 mod extremes;
@@ -25,7 +23,6 @@ mod hard_cases;
 mod interpreted;
 mod invariants;
 mod kernels;
-mod lens_effects;
 mod limits;
 mod lpips;
 mod mcmc;

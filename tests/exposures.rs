@@ -1,23 +1,18 @@
-//! Training that learns the exposures of its photographs.
+//! Training that learns the exposures of its photographs, and the cameras' vignetting and response.
 
-use ashsplat::scene::Exposure;
-use ashsplat::trainer::{Checkpoint, OptimizerType, Preset, Trainer};
-use ashsplat::{Camera, Gaussians, TrainSettings, TrainView};
-use ashsplat_files::{CheckpointFile, Photo, metrics};
+use ashsplat::scene::{Exposure, LensEffects};
+use ashsplat::train::{OptimizerType, Preset};
+use ashsplat_files::metrics;
 
-use crate::checkpoints::{check_memory_of, settings as small_settings, start, views};
-use crate::common::engine::{camera, gaussians};
-use crate::common::gpu::Gpu;
-use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
-use crate::reference::types::View;
+use crate::common::prelude::*;
+use crate::common::training::settings as small_settings;
 
-pub const EXTENT: f32 = 5.0;
 const VIEWS: usize = 10;
 /// Views with known gains of their channels. Their mean is 1, as the mean of all exposures stays.
 const CHANGED: [(usize, [f32; 3]); 3] =
     [(1, [0.75, 0.75, 0.75]), (4, [0.95, 1.0, 1.05]), (8, [1.3, 1.25, 1.2])];
 
-pub fn cameras() -> Vec<Camera> {
+fn cameras() -> Vec<Camera> {
     let turned = |i: usize| View {
         camera_from_world: rotation_about_y(0.11 * i as f64 - 0.5),
         sh_degree: 0,
@@ -28,7 +23,7 @@ pub fn cameras() -> Vec<Camera> {
 }
 
 /// Scene of the photographs, in colours that no gain clips.
-pub fn truth() -> Gaussians {
+fn truth() -> Gaussians {
     let mut scene = small_scene(&mut Random::new(5), 260, 1);
     for gaussian in &mut scene {
         gaussian.opacity_logit = 3.0;
@@ -39,7 +34,7 @@ pub fn truth() -> Gaussians {
 
 /// Every `share`-th Gaussian of the same scene, gray and faint. All of them can reproduce the photographs, a third
 /// cannot: exposures then compensate. With a third, those of unchanged photographs were off by 3.4 %, at any rate.
-pub fn gray(share: usize) -> Gaussians {
+fn gray(share: usize) -> Gaussians {
     let all = truth();
     let kept: Vec<usize> = (0..all.len()).filter(|i| i % share == 0).collect();
     Gaussians {
@@ -52,10 +47,8 @@ pub fn gray(share: usize) -> Gaussians {
     }
 }
 
-pub fn photographs(gpu: &Gpu) -> Vec<Photo> {
-    let settings = settings(false);
-    let mut trainer =
-        Trainer::new(gpu.context, views(1, 9), &truth(), EXTENT, settings).expect("a renderer of the truth");
+fn photographs(gpu: &Gpu) -> Vec<Photo> {
+    let mut trainer = Run::new(gpu.context, views(1, 9), settings()).starting_at(&truth()).begin();
     let render = trainer.render_settings();
     cameras()
         .iter()
@@ -66,7 +59,8 @@ pub fn photographs(gpu: &Gpu) -> Vec<Photo> {
         .collect()
 }
 
-fn settings(exposure: bool) -> TrainSettings {
+/// Learns colours fast, with the same Gaussians.
+fn settings() -> TrainSettings {
     TrainSettings {
         iterations: 1200,
         sh_degree: 0,
@@ -74,9 +68,8 @@ fn settings(exposure: bool) -> TrainSettings {
         opacity_lr: 0.05,
         densify_until_iter: 0,
         opacity_reset_interval: 100_000,
-        exposure,
         seed: 2,
-        ..with_exposures_of_presets(TrainSettings::default())
+        ..TrainSettings::default()
     }
 }
 
@@ -100,10 +93,8 @@ fn train(
     settings: &TrainSettings,
 ) -> (f64, Vec<Exposure>) {
     let views = cameras().into_iter().zip(taken).map(|(camera, photo)| TrainView::new(camera, photo.clone()));
-    let trainer = Trainer::new(gpu.context, views.collect(), start, EXTENT, settings.clone());
-    let mut trainer = trainer.expect("a trainer");
-    let steps = trainer.settings().iterations;
-    (0..steps).for_each(|_| assert!(trainer.step().expect("a step").loss.is_finite()));
+    let mut trainer = Run::new(gpu.context, views.collect(), settings.clone()).starting_at(start).begin();
+    assert!(trainer.finish().iter().all(|report| report.loss.is_finite()));
     let render = trainer.render_settings();
     let quality = cameras().into_iter().zip(shown).map(|(camera, photo)| {
         let frame = trainer.render(&camera, &render).expect("a frame");
@@ -126,7 +117,8 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
         taken[view] = Photo::from_f32(64, 48, &pixels.collect::<Vec<_>>()).expect("a photograph");
     }
     let few = gray(3);
-    let [without, with] = [false, true].map(settings);
+    let without = with_exposures_of_presets(settings());
+    let with = TrainSettings { exposure: true, ..without.clone() };
     let (unchanged, none) = train(&gpu, &few, [&shown, &shown], &without);
     assert!(none.is_empty());
     let (ignored, _) = train(&gpu, &few, [&taken, &shown], &without);
@@ -139,7 +131,7 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     for (view, gains) in CHANGED {
         let pixels = shown[view].to_f32();
         let mean = |k: usize| pixels.iter().map(|c| c[k]).sum::<f32>() / pixels.len() as f32;
-        let mean = [mean(0), mean(1), mean(2)];
+        let mean = [0, 1, 2].map(mean);
         let exposed = exposures[view].of(mean);
         for k in 0..3 {
             worst = worst.max((exposed[k] / mean[k] / gains[k] - 1.0).abs());
@@ -175,12 +167,10 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
 /// With a weight on all other terms, little but a gain per channel remains.
 #[test]
 fn exposures_are_pulled_to_gains() {
-    let gpu = Gpu::new();
     let train = |exposure_reg: f64| {
         let settings = TrainSettings { exposure: true, exposure_reg, ..small_settings() };
-        let mut trainer =
-            Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, settings).expect("a trainer");
-        (0..40).for_each(|_| drop(trainer.step().expect("a step")));
+        let mut trainer = Run::shared(views(3, 40), settings).begin();
+        trainer.finish();
         let (mut gains, mut others) = (0.0, 0.0);
         for exposure in trainer.exposures().expect("exposures") {
             for (row, usual) in exposure.rows.iter().zip(Exposure::IDENTITY.rows) {
@@ -201,27 +191,16 @@ fn exposures_are_pulled_to_gains() {
 /// Settings of unused exposures may differ, because presets have changed theirs.
 #[test]
 fn exposures_that_are_not_learned_do_not_count_in_checkpoints() {
-    let gpu = Gpu::new();
-    let mut trainer =
-        Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, small_settings()).expect("a trainer");
-    trainer.step().expect("a step");
-    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    let run = |settings| Run::shared(views(3, 40), settings);
     let other = with_exposures_of_presets(small_settings());
-    let resume =
-        |settings, from: &Checkpoint| Trainer::resume(gpu.context, views(3, 40), EXTENT, settings, from);
-    resume(other.clone(), &checkpoint).expect("resumed");
-    let with = TrainSettings { exposure: true, ..small_settings() };
-    let mut trainer = Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, with).expect("a trainer");
-    trainer.step().expect("a step");
-    let checkpoint = trainer.checkpoint().expect("a checkpoint");
-    let refused =
-        resume(TrainSettings { exposure: true, ..other }, &checkpoint).err().expect("refused").to_string();
-    assert!(refused.contains("exposure_reg was 0, is 0.1"), "{refused}");
+    run(other.clone()).resume(&run(small_settings()).until(1, &[]));
+    let from = run(TrainSettings { exposure: true, ..small_settings() }).until(1, &[]);
+    let refused = run(TrainSettings { exposure: true, ..other }).try_resume(&from);
+    assert_says(refusal(refused), &["exposure_reg was 0, is 0.1"]);
 }
 
 #[test]
 fn exposures_resume_to_the_bit() {
-    let gpu = Gpu::new();
     for optimizer_type in [OptimizerType::Default, OptimizerType::SparseAdam] {
         // The second form as in presets.
         let exposure_shared = optimizer_type == OptimizerType::SparseAdam;
@@ -234,38 +213,127 @@ fn exposures_resume_to_the_bit() {
             exposure_sparsity: exposure_reg,
             ..small_settings()
         };
-        let new = || {
-            Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, settings.clone()).expect("a trainer")
-        };
-        let mut whole = new();
-        (0..40).for_each(|_| drop(whole.step().expect("a step")));
-        let end = whole.checkpoint().expect("the end");
+        let run = Run::shared(views(3, 40), settings);
+        let mut end = run.check_stops(&[&[1], &[15], &[27]]);
         assert_eq!(end.exposures.values.len(), 3);
         assert!(end.exposures.values.iter().all(|rows| *rows != Exposure::IDENTITY.rows));
-        for stop in [1, 15, 27] {
-            let mut trainer = new();
-            (0..stop).for_each(|_| drop(trainer.step().expect("a step")));
-            let folder = tempfile::tempdir().expect("a temporary folder");
-            let path = folder.path().join("a.safetensors");
-            trainer.checkpoint().expect("a checkpoint").write(&path).expect("written");
-            let read = Checkpoint::read(&path).expect("read back");
-            let resumed = Trainer::resume(gpu.context, views(3, 40), EXTENT, settings.clone(), &read);
-            let mut trainer = resumed.expect("resumed");
-            (stop..40).for_each(|_| drop(trainer.step().expect("a step")));
-            assert!(trainer.checkpoint().expect("the end") == end, "interrupted after {stop}: other bits");
-        }
-        let mut lacks = end.clone();
-        lacks.iteration -= 1;
-        lacks.exposures.first_moments.pop();
-        let refused = Trainer::resume(gpu.context, views(3, 40), EXTENT, settings.clone(), &lacks);
-        let message = refused.err().expect("refused").to_string();
-        assert!(message.contains("exposures") && message.contains('3'), "{message}");
+        end.iteration -= 1;
+        end.exposures.first_moments.pop();
+        assert_says(refusal(run.try_resume(&end)), &["exposures", "3"]);
     }
 }
 
-/// The memory for exposures is forecast and counted.
+/// Every other photograph is from the second camera, which darkens corners, mostly in blue, and has another
+/// response.
+fn camera_of(view: usize) -> u32 {
+    if view.is_multiple_of(2) { 7 } else { 9 }
+}
+
+const KNOWN: LensEffects = LensEffects {
+    rows: [[-0.30, -0.10, -0.05, 0.14], [-0.30, -0.10, -0.05, 0.10], [-0.36, -0.16, -0.04, 0.06]],
+};
+/// One view of each camera.
+const HELD_OUT: [usize; 2] = [4, 7];
+
+fn taken(shown: &[Photo]) -> Vec<Photo> {
+    let of = |(view, photo): (usize, &Photo)| {
+        let mut pixels = photo.to_f32();
+        if camera_of(view) == 9 {
+            KNOWN.apply(&cameras()[view], &mut pixels);
+        }
+        Photo::from_f32(photo.width, photo.height, &pixels).expect("a photograph")
+    };
+    shown.iter().enumerate().map(of).collect()
+}
+
+/// Returns the mean PSNR of the held-out views against their photographs, and the effects of both cameras.
+fn train_lenses(gpu: &Gpu, taken: &[Photo], lens_effects: bool) -> (f64, Vec<LensEffects>) {
+    let all: Vec<usize> = (0..taken.len()).filter(|view| !HELD_OUT.contains(view)).collect();
+    let views = all
+        .iter()
+        .map(|&view| TrainView::new(cameras()[view], taken[view].clone()).taken_by(camera_of(view)));
+    let settings = TrainSettings { lens_effects, ..settings() };
+    let mut trainer = Run::new(gpu.context, views.collect(), settings).starting_at(&gray(1)).begin();
+    assert!(trainer.finish().iter().all(|report| report.loss.is_finite()));
+    let of_views = trainer.lens_effects().expect("effects");
+    let effects: Vec<LensEffects> = [7, 9]
+        .iter()
+        .filter_map(|&camera| {
+            let view = all.iter().position(|&view| camera_of(view) == camera).expect("a view");
+            of_views.get(view).copied()
+        })
+        .collect();
+    let render = trainer.render_settings();
+    let quality = HELD_OUT.map(|view| {
+        let camera = cameras()[view];
+        let mut frame = trainer.render(&camera, &render).expect("a frame");
+        if let Some(effects) = effects.get(view % 2) {
+            effects.apply(&camera, &mut frame.color);
+        }
+        metrics::psnr(&frame.color, &taken[view].to_f32()).expect("a number")
+    });
+    (quality.iter().sum::<f64>() / quality.len() as f64, effects)
+}
+
+fn from_first_to_second([first, second]: [&LensEffects; 2], color: f32, channel: usize, r2: f32) -> f32 {
+    let behind = color.powf(first.response()[channel].recip());
+    let scene = behind / first.vignetting(channel, r2);
+    second.of([scene; 3], r2)[channel]
+}
+
+/// Photographs of two cameras, one of which darkens corners and has another response. Training learns their
+/// difference, and held-out views come closer to their photographs.
 #[test]
-fn exposures_are_within_the_memory() {
-    let without = TrainSettings { iterations: 3, ..small_settings() };
-    check_memory_of(&TrainSettings { exposure: true, ..without.clone() }, &without);
+fn lens_effects_are_recovered() {
+    let gpu = Gpu::unchecked();
+    let taken = taken(&photographs(&gpu));
+    let (ignored, none) = train_lenses(&gpu, &taken, false);
+    assert!(none.is_empty());
+    let (learnt, effects) = train_lenses(&gpu, &taken, true);
+    let mut worst: f32 = 0.0;
+    for (channel, r2) in (0..3).flat_map(|channel| (0..=9).map(move |k| (channel, k as f32 / 10.0))) {
+        for color in [0.25, 0.5, 0.75] {
+            let expected = from_first_to_second([&LensEffects::default(), &KNOWN], color, channel, r2);
+            let found = from_first_to_second([&effects[0], &effects[1]], color, channel, r2);
+            worst = worst.max((found / expected - 1.0).abs());
+        }
+    }
+    println!("held out: ignored {ignored:.2} dB, learnt {learnt:.2} dB; off by {worst:.4}; {effects:?}");
+    assert!(worst < 0.04, "off by {worst}");
+    assert!(learnt > ignored + 2.0, "{ignored} dB, with lens effects {learnt} dB");
+}
+
+#[test]
+fn lens_effects_resume_to_the_bit() {
+    for exposure in [false, true] {
+        let settings = TrainSettings { lens_effects: true, exposure, lens_lr: 0.02, ..small_settings() };
+        let mut all = views(4, 40);
+        (all[1].camera_id, all[2].camera_id, all[3].camera_id) = (12, 5, 12);
+        let run = Run::shared(all, settings);
+        let mut end = run.check_stops(&[&[1], &[15], &[27]]);
+        assert_eq!(end.lenses.values.len(), 3);
+        assert!(end.lenses.values.iter().all(|rows| rows.as_flattened().iter().all(|&x| x != 0.0)));
+        let mut trainer = run.begin();
+        trainer.finish();
+        let effects = trainer.lens_effects().expect("effects");
+        assert!(effects.len() == 4 && effects[1] == effects[3] && effects[0] != effects[2]);
+        end.iteration -= 1;
+        let of_others = Run::shared(views(4, 40), run.settings.clone());
+        assert_says(refusal(of_others.try_resume(&end)), &["other photographs or cameras"]);
+        end.lenses.first_moments.pop();
+        assert_says(refusal(run.try_resume(&end)), &["lenses"]);
+    }
+}
+
+/// Without the option, the camera of a photograph does not matter.
+#[test]
+fn lens_effects_stay_none_unless_asked_for() {
+    let run = |camera_id: u32| {
+        let views = views(3, 40).into_iter().map(|view| view.taken_by(camera_id)).collect();
+        let mut trainer = Run::shared(views, small_settings()).begin();
+        trainer.steps(20);
+        assert!(trainer.lens_effects().expect("none").is_empty());
+        trainer.state()
+    };
+    assert!(run(0) == run(3));
 }

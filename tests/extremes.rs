@@ -1,17 +1,12 @@
 //! Parameters that no training should produce: no hang, no write out of bounds, no spreading NaN.
 
+use ashsplat::train::Densified;
+use ashsplat_files::splats;
+use ashsplat_files::splats::{Format, ReadOptions, WriteOptions};
+use proptest::prelude::*;
 use std::sync::OnceLock;
 
-use ashsplat::trainer::{Densified, Trainer};
-use ashsplat::vk::{Context, ContextOptions};
-use ashsplat::{Gaussians, RenderSettings, Renderer, TrainSettings};
-use ashsplat_files::splats::{self, Format, ReadOptions, WriteOptions};
-use proptest::prelude::*;
-
-use crate::checkpoints::{start, views};
-use crate::common::engine::camera;
-use crate::common::scenes::{Random, small_view};
-use crate::common::{assert_silent, options};
+use crate::common::prelude::*;
 
 const EXTREMES: [f32; 12] = [
     f32::NAN,
@@ -27,6 +22,11 @@ const EXTREMES: [f32; 12] = [
     88.0,
     -100.0,
 ];
+
+#[track_caller]
+fn assert_unbreached(context: &Context) {
+    assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new());
+}
 
 /// A separate device with guard bands around every buffer.
 fn guarded() -> &'static Context {
@@ -73,8 +73,7 @@ fn is_finite(scene: &Gaussians, i: usize) -> bool {
 fn check(seed: u64, sound: usize, gradient: f64) -> Densified {
     let context = guarded();
     let scene = spoilt(seed, sound);
-    let mut renderer = Renderer::new(context).expect("a renderer");
-    renderer.upload(&scene).expect("upload");
+    let mut renderer = loaded(context, &scene);
     let settings = RenderSettings { inverse_depth: true, ..RenderSettings::default() };
     for antialias in [false, true] {
         let settings = RenderSettings { antialias, ..settings };
@@ -82,7 +81,7 @@ fn check(seed: u64, sound: usize, gradient: f64) -> Densified {
         let bad = frame.color.iter().flatten().chain(&frame.transmittance).filter(|x| !x.is_finite()).count();
         assert_eq!(bad, 0, "seed {seed}: not finite in the picture");
     }
-    assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new(), "seed {seed}");
+    assert_unbreached(context);
     let settings = TrainSettings {
         sh_degree: 2,
         sh_degree_interval: 1,
@@ -92,21 +91,19 @@ fn check(seed: u64, sound: usize, gradient: f64) -> Densified {
         min_opacity: 0.0,
         ..TrainSettings::default()
     };
-    let mut trainer = Trainer::new(context, views(2, 50), &scene, 5.0, settings).expect("a trainer");
-    for _ in 0..2 {
-        trainer.step().expect("a step");
-    }
-    assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new(), "seed {seed}");
-    let after = trainer.gaussians().expect("Gaussians");
+    let mut trainer = Run::new(context, views(2, 50), settings).starting_at(&scene).begin();
+    trainer.steps(2);
+    assert_unbreached(context);
+    let after = trainer.trained();
     for i in 0..after.len() {
         assert!(!is_finite(&scene, i) || is_finite(&after, i), "seed {seed}: Gaussian {i} was sound");
     }
     // Also in densification: a Gaussian that is not finite has a spoilt ancestor, each with at most two descendants.
     let unsound = |scene: &Gaussians| (0..scene.len()).filter(|&i| !is_finite(scene, i)).count();
-    let reports: Vec<_> = (0..3).map(|_| trainer.step().expect("a step")).collect();
-    assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new(), "seed {seed}");
+    let reports = trainer.steps(3);
+    assert_unbreached(context);
     let densified = reports.iter().find_map(|r| r.densified).expect("one is due after three iterations");
-    let after = trainer.gaussians().expect("Gaussians");
+    let after = trainer.trained();
     let spoilt = scene.len() - sound;
     assert!(unsound(&after) <= 2 * spoilt, "seed {seed}: {} of {spoilt}", unsound(&after));
     assert!(after.len() >= sound, "seed {seed}: {} sound ones are {}", sound, after.len());
@@ -149,19 +146,15 @@ fn extremes_of_more_instances_than_32_bits_are_refused() {
         opacity_logits: vec![2.0; count],
         sh: vec![[0.5; 3]; count],
     };
-    let mut renderer = Renderer::new(context).expect("a renderer");
-    renderer.upload(&scene).expect("upload");
-    let result = renderer.render(&camera(&small_view([2048, 2048])), &RenderSettings::default());
-    let Err(error) = result else { panic!("too many instances") };
-    assert!(error.to_string().contains("instances"), "{error}");
-    assert_eq!(context.breached_guards().expect("guards"), Vec::<&str>::new());
+    let camera = camera(&small_view([2048, 2048]));
+    let refused = loaded(context, &scene).render(&camera, &RenderSettings::default());
+    assert_says(refusal(refused), &["instances"]);
+    assert_unbreached(context);
     assert_silent(context);
 }
 
-/// Replaces a parameter of a Gaussian by a value.
 type Replace = fn(&mut Gaussians, usize, f32);
 
-/// Replacements by the parameter's name.
 const PARAMETERS: [(&str, Replace); 6] = [
     ("mean", |scene, i, value| scene.means[i][i % 3] = value),
     ("quaternion", |scene, i, value| scene.quats[i][i % 4] = value),
@@ -226,7 +219,7 @@ fn extremes_in_files_are_refused_or_give_finite_pictures() {
     assert!(refuses((Format::Ply, "quaternion", 1e30)) && !refuses((Format::Ply, "log-scale", 69.0)));
     // Accepted Gaussians are drawn.
     assert!(brightest > 1e25, "{brightest:e}");
-    assert_eq!(guarded().breached_guards().expect("read"), Vec::<&str>::new());
+    assert_unbreached(guarded());
 }
 
 /// Values beyond a format's range become its largest value, and do not wrap around.
@@ -247,28 +240,13 @@ fn extremes_of_harmonics_are_packed_to_the_nearest() {
     }
 }
 
-/// Proves that the guards detect a write outside: here one by the host.
-#[test]
-fn extremes_would_be_seen_by_the_guards() {
-    use ashsplat::vk::MemoryKind;
-    let context = Context::new(&ContextOptions { guard_bands: true, ..options() }).expect("a device");
-    let requests = [("first", 100), ("second", 5000)];
-    let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
-    for buffer in &buffers {
-        context.upload(buffer, &vec![1; buffer.bytes() as usize]).expect("written");
-    }
-    assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new());
-    context.breach_guard(&buffers[1]).expect("written");
-    assert_eq!(context.breached_guards().expect("read"), ["second"]);
-}
-
 /// Proves that the guards detect a kernel that writes one element too many. The bands are bound with the buffer,
 /// because a driver drops writes outside the binding.
 #[test]
 fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
     use ashsplat::kernels::constants::CRITERION_GRADIENT;
     use ashsplat::kernels::densify::classify;
-    use ashsplat::vk::{Kernel, MemoryKind};
+    use ashsplat::vk::Kernel;
     const ROWS: u32 = 256;
     let context = Context::new(&ContextOptions { guard_bands: true, ..options() }).expect("a device");
     let (rows, room) = (u64::from(ROWS), 2 * u64::from(ROWS));

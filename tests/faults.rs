@@ -1,20 +1,12 @@
 //! Every Vulkan call that may fail is made to fail once. The result is a typed error, no panic, no leak. Affected
 //! objects work again or report that they do not.
 
-mod panics;
-mod pipelines;
-mod prunings;
-
+use ashsplat::train::SplitType;
+use ashsplat::vk::{Fault, Faults};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 
-use ashsplat::trainer::Trainer;
-use ashsplat::vk::{Context, ContextOptions, Fault, Faults};
-use ashsplat::{Error, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
-
-use crate::checkpoints::{start, views};
-use crate::common::engine::{camera, gaussians};
-use crate::common::options;
-use crate::common::scenes::{Random, small_scene, small_view};
+use crate::common::prelude::*;
 
 /// One in this many calls of a long list fails; `ASHSPLAT_ALL_FAULTS=1` makes each of them fail.
 const STRIDE: u64 = 29;
@@ -90,7 +82,7 @@ fn settings() -> TrainSettings {
 const STEPS: u32 = 4;
 
 fn trainer(context: &Context) -> Result<Trainer> {
-    Trainer::new(context, views(2, 5), &start(), 5.0, settings())
+    Run::new(context, views(2, 5), settings()).try_begin()
 }
 
 fn train(context: &Context) -> Result<Made<Gaussians>> {
@@ -104,10 +96,8 @@ fn train(context: &Context) -> Result<Made<Gaussians>> {
 
 fn is_of(fault: Fault, error: &Error) -> bool {
     let text = error.to_string();
-    assert!(
-        !text.contains('\n') && text.contains("failed") || matches!(error, Error::Timeout { .. }),
-        "{text}"
-    );
+    let is_line = !text.contains('\n') && text.contains("failed");
+    assert!(is_line || matches!(error, Error::Timeout { .. }), "{text}");
     match fault {
         Fault::Allocation => text.contains("OUT_OF_DEVICE_MEMORY") && text.contains("of arena"),
         Fault::Object | Fault::WaitMemory => text.contains("OUT_OF_HOST_MEMORY"),
@@ -117,35 +107,15 @@ fn is_of(fault: Fault, error: &Error) -> bool {
     }
 }
 
-/// Outcomes of a run's calls, each made to fail in turn.
-#[derive(Debug, Default)]
-struct Matrix {
-    calls: u64,
-    injected: u64,
-    refused: u64,
-    survived: u64,
-}
-
-impl Matrix {
-    fn count(&mut self, survived: bool) {
-        self.injected += 1;
-        self.survived += u64::from(survived);
-        self.refused += u64::from(!survived);
-    }
-}
-
 /// Calls of a kind to fail: the first and the last one of every function, and one in `stride`.
 fn chosen(fault: Fault, faults: &Faults, stride: usize) -> Vec<u64> {
     let mut chosen: Vec<u64> = (0..faults.calls(fault)).step_by(stride).collect();
-    if fault == Fault::Object {
-        let functions = faults.objects();
-        for (index, name) in functions.iter().enumerate() {
-            let (before, after) = (&functions[..index], &functions[index + 1..]);
-            if !before.contains(name) || !after.contains(name) {
-                chosen.push(index as u64);
-            }
-        }
-    }
+    let functions = if fault == Fault::Object { faults.objects() } else { Vec::new() };
+    let is_at_an_end = |&index: &usize| {
+        let (before, name, after) = (&functions[..index], &functions[index], &functions[index + 1..]);
+        !before.contains(name) || !after.contains(name)
+    };
+    chosen.extend((0..functions.len()).filter(is_at_an_end).map(|index| index as u64));
     chosen.sort_unstable();
     chosen.dedup();
     chosen
@@ -163,30 +133,21 @@ fn check_again_and_again<T: PartialEq>(
     let whole = run(&context).expect("no fault yet");
     faults.disarm();
     run(&context).expect("no fault yet");
-    let mut matrix = Matrix { calls: faults.calls(fault), ..Matrix::default() };
-    assert!(matrix.calls > 2, "{matrix:?}");
+    assert!(faults.calls(fault) > 2);
     let (indices, functions) = (chosen(fault, &faults, stride), faults.objects());
-    for index in indices {
+    for (number, index) in (1..).zip(indices) {
         faults.arm(fault, index);
         match run(&context) {
-            Ok(result) => {
-                let same = result.1 || result == whole;
-                assert!(same, "{name}: a wrong result after {fault:?} {index}");
-                matrix.count(true);
-            }
-            Err(error) => {
-                assert!(is_of(fault, &error), "{name}, {fault:?} {index}: {error}");
-                matrix.count(false);
-            }
+            Ok(result) => assert!(result.1 || result == whole, "{name}: wrong after {fault:?} {index}"),
+            Err(error) => assert!(is_of(fault, &error), "{name}, {fault:?} {index}: {error}"),
         }
-        assert_eq!(faults.injected(), matrix.injected, "{name}: {fault:?} {index} was not reached");
+        assert_eq!(faults.injected(), number, "{name}: {fault:?} {index} was not reached");
         let function = functions.get(index as usize).filter(|_| fault == Fault::Object);
         assert_nothing_allocated(&context, &format!("{name}, {fault:?} {index}, {function:?}"));
         assert!(!context.is_lost());
     }
     faults.disarm();
     assert!(run(&context).expect("works again") == whole, "{name}: another result afterwards");
-    eprintln!("{name}, {fault:?}: {matrix:?}");
     close(context);
     functions
 }
@@ -233,9 +194,9 @@ fn faults_of_descriptor_sets() {
 fn check_lost<T>(name: &str, fault: Fault, stride: usize, run: fn(&Context) -> Result<T>) {
     let (context, faults) = device();
     run(&context).map(drop).expect("no fault yet");
-    let mut matrix = Matrix { calls: faults.calls(fault), ..Matrix::default() };
+    let calls = faults.calls(fault);
     close(context);
-    for index in (0..matrix.calls).step_by(stride) {
+    for index in (0..calls).step_by(stride) {
         let (context, faults) = device();
         faults.arm(fault, index);
         let error = run(&context).map(drop).expect_err("lost");
@@ -243,10 +204,8 @@ fn check_lost<T>(name: &str, fault: Fault, stride: usize, run: fn(&Context) -> R
         assert!(context.is_lost());
         let error = run(&context).map(drop).expect_err("lost for good");
         assert!(matches!(error, Error::DeviceLost { .. }), "{error}");
-        matrix.count(false);
         close(context);
     }
-    eprintln!("{name}, {fault:?}: {matrix:?}");
 }
 
 #[test]
@@ -273,24 +232,21 @@ fn insist<T>(mut attempt: impl FnMut() -> Result<T>) -> (T, u32) {
 #[test]
 fn faults_leave_renderer_and_trainer_usable() {
     let (context, faults) = device();
-    let mut renderer = Renderer::new(&context).expect("a renderer");
-    renderer.upload(&start()).expect("upload");
+    let mut renderer = loaded(&context, &start());
     faults.disarm();
     let whole = picture(&mut renderer).expect("no fault yet");
     for fault in [Fault::Allocation, Fault::Object, Fault::Timeout, Fault::WaitMemory] {
         renderer.set_instance_capacity(3);
         faults.disarm();
         picture(&mut renderer).expect("no fault yet");
-        let mut matrix = Matrix { calls: faults.calls(fault), ..Matrix::default() };
-        for index in (0..matrix.calls).step_by(if fault == Fault::Object { stride(4) } else { 1 }) {
+        let calls = faults.calls(fault);
+        for index in (0..calls).step_by(if fault == Fault::Object { stride(4) } else { 1 }) {
             faults.arm(fault, index);
             let (color, failures) = insist(|| picture(&mut renderer));
             assert!(color == whole, "{fault:?} {index}: another picture");
             let waits = matches!(fault, Fault::Timeout | Fault::WaitMemory);
             assert!(failures > 0 || !waits, "{fault:?} {index} went unnoticed");
-            matrix.count(failures == 0);
         }
-        eprintln!("the same renderer, {fault:?}: {matrix:?}");
     }
     drop(renderer);
     let (whole, _) = train(&context).expect("no fault");
@@ -298,23 +254,21 @@ fn faults_leave_renderer_and_trainer_usable() {
         let mut first = trainer(&context).expect("a trainer");
         faults.disarm();
         insist(|| if first.step()?.iteration == STEPS { Ok(()) } else { Err(Error::Interrupted) });
-        let mut matrix = Matrix { calls: faults.calls(fault), ..Matrix::default() };
+        let calls = faults.calls(fault);
         drop(first);
-        for index in (0..matrix.calls).step_by(stride(9)) {
+        for index in (0..calls).step_by(stride(9)) {
             faults.disarm();
             let mut trainer = trainer(&context).expect("a trainer");
             faults.arm(fault, index);
             let mut limited = false;
-            let (_, unfinished) = insist(|| {
+            insist(|| {
                 let report = trainer.step()?;
                 limited |= report.densified.is_some_and(|d| d.limited);
                 if report.iteration == STEPS { Ok(()) } else { Err(Error::Interrupted) }
             });
             let same = limited || trainer.gaussians().expect("there") == whole;
             assert!(same, "{fault:?} {index}: other bits");
-            matrix.count(unfinished < STEPS);
         }
-        eprintln!("the same trainer, {fault:?}: {matrix:?}");
     }
     faults.disarm();
     close(context);
@@ -330,40 +284,31 @@ fn faults_of_timeouts_in_training() {
 fn check_waits(fault: Fault, stride: usize) {
     let (context, faults) = device();
     let (whole, _) = train(&context).expect("no fault");
-    let mut matrix = Matrix { calls: faults.calls(fault), ..Matrix::default() };
-    for index in (0..matrix.calls).step_by(stride) {
+    let calls = faults.calls(fault);
+    for index in (0..calls).step_by(stride) {
         faults.disarm();
         faults.arm(fault, index);
-        match trainer(&context) {
-            Err(error) => assert!(is_of(fault, &error), "{error}"),
-            Ok(mut trainer) => {
-                match (0..STEPS).find_map(|_| trainer.step().err()) {
-                    Some(error) => {
-                        assert!(is_of(fault, &error), "{error}");
-                        let error = trainer.step().expect_err("unknown state").to_string();
-                        assert!(error.contains("checkpoint"), "{error}");
-                        let handed_out = [
-                            trainer.checkpoint().map(drop),
-                            trainer.gaussians().map(drop),
-                            trainer.render(&views(1, 5)[0].camera, &trainer.render_settings()).map(drop),
-                        ];
-                        for refused in handed_out {
-                            let refused = refused.expect_err("the state is unknown").to_string();
-                            assert_eq!(refused, error);
-                        }
-                    }
-                    // The remaining waits belong to reading the result, which changes nothing.
-                    None => {
-                        let error = trainer.gaussians().expect_err("what else waits");
-                        assert!(is_of(fault, &error), "{error}");
-                        assert!(insist(|| trainer.gaussians()).0 == whole, "other bits");
-                    }
-                }
+        let mut trainer = match trainer(&context) {
+            Ok(trainer) => trainer,
+            Err(error) => {
+                assert!(is_of(fault, &error), "{error}");
+                continue;
             }
-        }
-        matrix.count(false);
+        };
+        let Some(error) = (0..STEPS).find_map(|_| trainer.step().err()) else {
+            // The remaining waits belong to reading the result, which changes nothing.
+            let error = trainer.gaussians().expect_err("what else waits");
+            assert!(is_of(fault, &error), "{error}");
+            assert!(insist(|| trainer.gaussians()).0 == whole, "other bits");
+            continue;
+        };
+        assert!(is_of(fault, &error), "{error}");
+        let error = refusal(trainer.step());
+        assert_says(&error, &["checkpoint"]);
+        assert_eq!(refusal(trainer.checkpoint()), error);
+        assert_eq!(refusal(trainer.gaussians()), error);
+        assert_eq!(refusal(trainer.render(&views(1, 5)[0].camera, &trainer.render_settings())), error);
     }
-    eprintln!("train, {fault:?}: {matrix:?}");
     faults.disarm();
     assert!(insist(|| train(&context)).0.0 == whole, "other bits");
     close(context);
@@ -375,8 +320,8 @@ fn about_to_grow(context: &Context) -> Trainer {
     let mut many = gaussians(&small_scene(&mut Random::new(42), 2800, 16));
     many.log_scales.iter_mut().flatten().for_each(|s| *s -= 2.5);
     let settings = TrainSettings { densify_grad_threshold: 0.0, sh_degree: 1, ..settings() };
-    let mut trainer = Trainer::new(context, views(2, 5), &many, 5.0, settings).expect("a trainer");
-    (0..2).for_each(|_| drop(trainer.step().expect("a step")));
+    let mut trainer = Run::new(context, views(2, 5), settings).starting_at(&many).begin();
+    trainer.steps(2);
     trainer
 }
 
@@ -433,5 +378,116 @@ fn faults_of_growth() {
         );
         assert!(limited > 0 && same > 0);
     }
+    close(context);
+}
+
+/// A viewer's picture between two steps panics; later steps have the same bits. With absolute gradients, frames of
+/// training have buffers that pictures lack.
+#[test]
+fn faults_that_panic_in_a_picture_leave_training_as_it_is() {
+    let (context, faults) = device();
+    let settings =
+        TrainSettings { absgrad: true, split: SplitType::LongAxis, ..crate::checkpoints::settings() };
+    let camera = views(1, 9)[0].camera;
+    let run = |panics: bool| {
+        let mut trainer =
+            Trainer::new(&context, views(3, 9), &start(), EXTENT, settings.clone()).expect("a trainer");
+        (0..12).for_each(|_| drop(trainer.step().expect("a step")));
+        if panics {
+            faults.disarm();
+            faults.arm(Fault::Panic, 0);
+            let picture =
+                catch_unwind(AssertUnwindSafe(|| trainer.render(&camera, &RenderSettings::default())));
+            assert!(picture.is_err() && faults.calls(Fault::Panic) == 1);
+            faults.disarm();
+        }
+        (0..12).for_each(|_| drop(trainer.step().expect("a step")));
+        trainer.render(&camera, &RenderSettings::default()).expect("a picture");
+        trainer.gaussians().expect("Gaussians")
+    };
+    let whole = run(false);
+    assert!(run(true) == whole, "other bits");
+    close(context);
+}
+
+/// A device builds each pipeline once. After a failed build, the next run on the device builds it.
+#[test]
+fn faults_of_pipelines() {
+    const OF_PIPELINES: [&str; 4] = [
+        "create_shader_module",
+        "create_compute_pipelines",
+        "create_pipeline_layout",
+        "create_descriptor_set_layout",
+    ];
+    let is_of_pipelines = |function: &&str| OF_PIPELINES.contains(function);
+    let (context, faults) = device();
+    let whole = render(&context).expect("no fault yet");
+    let calls = faults.objects();
+    faults.disarm();
+    assert!(render(&context).expect("no fault") == whole);
+    assert!(!faults.objects().iter().any(is_of_pipelines), "built twice");
+    close(context);
+    for function in OF_PIPELINES {
+        let places: Vec<usize> = (0..calls.len()).filter(|&place| calls[place] == function).collect();
+        for place in [places[0], places[places.len() / 2]] {
+            let (context, faults) = device();
+            faults.arm(Fault::Object, place as u64);
+            let error = render(&context).map(|_| ()).expect_err("a fault");
+            assert!(is_of(Fault::Object, &error), "{function} {place}: {error}");
+            assert_eq!(faults.objects().last(), Some(&function));
+            faults.disarm();
+            assert!(render(&context).expect("works again") == whole, "{function} {place}");
+            close(context);
+        }
+    }
+}
+
+/// Each allocation of a pruning of a share fails: the pruning is skipped, and training continues.
+#[test]
+fn faults_of_prunings() {
+    let (context, faults) = device();
+    let settings = TrainSettings {
+        iterations: 1000,
+        sh_degree: 1,
+        scale_schedule: false,
+        densify_from_iter: 900,
+        densify_until_iter: 990,
+        opacity_reset_interval: 130,
+        cap_max: 1000,
+        ..TrainSettings::of_strategy(StrategyType::Budget)
+    };
+    let mut trainer =
+        Trainer::new(&context, views(2, 5), &start(), EXTENT, settings.clone()).expect("a trainer");
+    (0..430).for_each(|_| drop(trainer.step().expect("a step")));
+    // The pruning is due next.
+    let before = trainer.checkpoint().expect("a checkpoint");
+    drop(trainer);
+    let resumed =
+        || Trainer::resume(&context, views(2, 5), EXTENT, settings.clone(), &before).expect("resumed");
+    let mut trainer = resumed();
+    faults.disarm();
+    let pruned = trainer.step().expect("a step").densified.expect("due");
+    assert!(pruned.kept < pruned.before && !pruned.limited, "{pruned:?}");
+    let calls = chosen(Fault::Allocation, &faults, 1);
+    drop(trainer);
+    let mut left_out = 0;
+    for (index, many) in calls.into_iter().flat_map(|index| [(index, 1), (index, 3)]) {
+        let mut trainer = resumed();
+        faults.arm_many(Fault::Allocation, index, many);
+        let step = trainer.step();
+        faults.disarm();
+        // The step itself allocates as well.
+        if let Ok(report) = step {
+            let densified = report.densified.expect("due");
+            assert!(densified == pruned || densified.limited, "{densified:?}");
+            assert!(!densified.limited || densified.rows() == densified.before, "{densified:?}");
+            left_out += u32::from(densified.limited);
+        }
+        trainer.step().expect("it goes on");
+        drop(trainer);
+        assert_nothing_allocated(&context, "prunings");
+    }
+    // One allocation for the order of opacities, one for the decisions.
+    assert!(left_out >= 2, "{left_out}");
     close(context);
 }

@@ -1,17 +1,9 @@
 //! Mip-Splatting's filters in training, in files and in pictures.
 
-use ashsplat::trainer::Trainer;
-
-use ashsplat::{Camera, RenderSettings, Renderer, TrainSettings};
 use ashsplat_files::ply;
 use ashsplat_files::splats::WriteOptions;
-use tempfile::tempdir;
 
-use crate::checkpoints::{end_of_run, start, views};
-use crate::common::bounded;
-use crate::common::gpu::Gpu;
-
-const EXTENT: f32 = 5.0;
+use crate::common::prelude::*;
 
 /// Densifies after 15, 20, ... 35, resets opacities after 20, computes new filter sizes after 100 and 200.
 fn settings() -> TrainSettings {
@@ -21,7 +13,7 @@ fn settings() -> TrainSettings {
         kernel_size: 0.1,
         filter_3d: true,
         densification_interval: 5,
-        ..crate::checkpoints::settings()
+        ..crate::common::training::settings()
     }
 }
 
@@ -31,69 +23,64 @@ fn cameras() -> Vec<Camera> {
 
 /// Filter sizes that a renderer computes for the trained scene.
 fn fresh(gpu: &Gpu, trainer: &Trainer) -> Vec<f32> {
-    let cameras = trainer.cameras().expect("cameras");
-    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
-    renderer.upload(&trainer.gaussians().expect("Gaussians")).expect("uploaded");
-    renderer.compute_filters(&cameras).expect("sizes");
-    renderer.filters().expect("sizes")
+    computed(gpu, &trainer.trained(), &trainer.cameras().expect("cameras"))
 }
 
-/// The same iterations, as shares of 30,000.
-fn scaled() -> TrainSettings {
-    TrainSettings { scale_schedule: true, densify_from_iter: 938, densify_until_iter: 3563, ..settings() }
+fn computed(gpu: &Gpu, scene: &Gaussians, cameras: &[Camera]) -> Vec<f32> {
+    let mut renderer = loaded(gpu.context, scene);
+    renderer.compute_filters(cameras).expect("sizes");
+    renderer.filters().expect("sizes")
 }
 
 #[test]
 fn filters_follow_the_gaussians_when_they_are_due() {
-    for settings in [settings(), scaled()] {
-        follow_the_gaussians(settings);
+    // The same iterations, as shares of 30,000.
+    let scaled = TrainSettings {
+        scale_schedule: true,
+        densify_from_iter: 938,
+        densify_until_iter: 3563,
+        ..settings()
+    };
+    for settings in [settings(), scaled] {
+        let gpu = Gpu::unchecked();
+        let mut trainer = Run::new(gpu.context, views(3, 9), settings).begin();
+        let mut before = trainer.filters().expect("sizes");
+        assert!(before == fresh(&gpu, &trainer), "at the start");
+        assert!(before.iter().all(|&size| size > 0.0));
+        let mut computed = Vec::new();
+        for iteration in 1..=320 {
+            trainer.steps(1);
+            let after = trainer.filters().expect("sizes");
+            if after != before {
+                computed.push(iteration);
+                assert!(iteration < 100 || after == fresh(&gpu, &trainer), "{iteration}");
+            }
+            before = after;
+        }
+        // The step after a densification first does the work that is due.
+        assert_eq!(computed, [16, 21, 26, 31, 36, 100, 200]);
     }
 }
 
-fn follow_the_gaussians(settings: TrainSettings) {
-    let gpu = Gpu::unchecked();
-    let mut trainer = Trainer::new(gpu.context, views(3, 9), &start(), EXTENT, settings).expect("a trainer");
-    assert!(trainer.filters().expect("sizes") == fresh(&gpu, &trainer), "at the start");
-    assert!(trainer.filters().expect("sizes").iter().all(|&size| size > 0.0));
-    let mut computed = Vec::new();
-    for iteration in 1..=320 {
-        let before = trainer.filters().expect("sizes");
-        trainer.step().expect("a step");
-        let after = trainer.filters().expect("sizes");
-        if after != before {
-            computed.push(iteration);
-        }
-        if iteration >= 100 && after != before {
-            assert!(after == fresh(&gpu, &trainer), "{iteration}");
-        }
-    }
-    // The step after a densification first does the work that is due.
-    assert_eq!(computed, [16, 21, 26, 31, 36, 100, 200]);
-}
-
-/// With pose optimisation, sizes depend on the current cameras.
 #[test]
 fn filters_follow_moved_cameras() {
     let gpu = Gpu::new();
     let settings = TrainSettings { pose_opt: true, pose_lr: 1e-2, ..settings() };
-    let mut trainer = Trainer::new(gpu.context, views(3, 9), &start(), EXTENT, settings).expect("a trainer");
-    (0..100).for_each(|_| drop(trainer.step().expect("a step")));
+    let mut trainer = Run::new(gpu.context, views(3, 9), settings).begin();
+    trainer.steps(100);
     assert!(trainer.cameras().expect("cameras") != cameras());
     let sizes = trainer.filters().expect("sizes");
     assert!(sizes == fresh(&gpu, &trainer));
-    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
-    renderer.upload(&trainer.gaussians().expect("Gaussians")).expect("uploaded");
-    renderer.compute_filters(&cameras()).expect("sizes");
-    assert!(sizes != renderer.filters().expect("sizes"), "the cameras as given");
+    assert!(sizes != computed(&gpu, &trainer.trained(), &cameras()), "the cameras as given");
 }
 
 #[test]
 fn filters_resume_to_the_bit() {
-    let run = |stops: &[u32]| end_of_run(&start(), &settings(), 220, stops);
-    let whole = run(&[]);
+    let run = Run::shared(views(3, 9), settings());
+    let whole = run.until(220, &[]);
     assert_eq!(whole.filters.len(), whole.gaussians.len());
     for stops in [[7, 20], [99, 150], [100, 201]] {
-        assert!(run(&stops) == whole, "interrupted after {stops:?}: other bits");
+        assert!(run.until(220, &stops) == whole, "interrupted after {stops:?}: other bits");
     }
 }
 
@@ -101,10 +88,8 @@ fn filters_resume_to_the_bit() {
 fn filters_are_within_the_memory() {
     let run = |max_memory: Option<u64>| {
         let context = bounded(max_memory);
-        let mut trainer =
-            Trainer::new(&context, views(3, 9), &start(), EXTENT, settings()).expect("a trainer");
-        (0..40).for_each(|_| drop(trainer.step().expect("a step")));
-        (trainer.checkpoint().expect("a state"), context.memory_total().peak_bytes)
+        let state = Run::new(&context, views(3, 9), settings()).until(40, &[]);
+        (state, context.memory_total().peak_bytes)
     };
     let (_, peak) = run(None);
     let (first, used) = run(Some(peak * 3 / 4));
@@ -115,11 +100,9 @@ fn filters_are_within_the_memory() {
 #[test]
 fn filters_are_baked_when_they_are_read() {
     let gpu = Gpu::new();
-    let folder = tempdir().expect("a temporary folder");
-    let path = folder.path().join("a.ply");
+    let (_folder, [path]) = new_paths(["a.ply"]);
     let mut gaussians = start();
-    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
-    renderer.upload(&gaussians).expect("uploaded");
+    let mut renderer = loaded(gpu.context, &gaussians);
     let (camera, plain) = (cameras()[0], RenderSettings { antialias: true, ..RenderSettings::default() });
     let before = renderer.render(&camera, &plain).expect("a frame").color;
     renderer.compute_filters(&cameras()).expect("sizes");
@@ -131,10 +114,7 @@ fn filters_are_baked_when_they_are_read() {
     let antialiased = WriteOptions { antialiased: true, ..Default::default() };
     ply::write_filtered(&path, &gaussians, &sizes, &antialiased).expect("written");
     let text = String::from_utf8_lossy(&std::fs::read(&path).expect("a file")[..2000]).into_owned();
-    assert!(
-        text.contains("property float filter_3D\nend_header")
-            && text.contains("comment SplatRenderMode: mip")
-    );
+    assert_says(&text, &["property float filter_3D\nend_header", "comment SplatRenderMode: mip"]);
     let read = ply::read(&path, &ply::PlyOptions::default()).expect("a scene").gaussians;
     gaussians.bake_filters(&sizes).expect("one each");
     assert!(read == gaussians);
@@ -150,8 +130,7 @@ fn filters_need_cameras_and_one_size_each() {
     let mut renderer = Renderer::new(gpu.context).expect("a renderer");
     assert!(renderer.compute_filters(&cameras()).is_err(), "no scene");
     renderer.upload(&start()).expect("uploaded");
-    let message = renderer.compute_filters(&[]).expect_err("no cameras").to_string();
-    assert!(message.contains("cameras"), "{message}");
+    assert_says(refusal(renderer.compute_filters(&[])), &["cameras"]);
     let path = tempdir().expect("a temporary folder").path().join("a.ply");
     assert!(ply::write_filtered(path, &start(), &[1.0], &WriteOptions::default()).is_err());
     for dilation_px2 in [0.0, -1.0, f32::NAN] {

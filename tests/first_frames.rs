@@ -1,15 +1,8 @@
 //! First frames start from an estimate of their instances, and are complete.
 
-use ashsplat::plan::{LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, initial_instances, initial_visible};
-use ashsplat::trainer::{TrainView, Trainer};
-use ashsplat::vk::Context;
-use ashsplat::{Camera, Error, Frame, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
-use ashsplat_files::Photo;
-use glam::Vec3;
+use ashsplat::frame::{LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, initial_instances, initial_visible};
 
-use crate::common::bounded;
-use crate::common::engine::{camera, gaussians};
-use crate::common::scenes::{Random, small_scene, small_view};
+use crate::common::prelude::*;
 
 const SIZE: [u32; 2] = [200, 120];
 
@@ -29,10 +22,8 @@ fn render(context: &Context, scene: &Gaussians, instances: Option<u32>) -> Resul
     renderer.render(&camera(&small_view(SIZE)), &RenderSettings::default())
 }
 
-fn view() -> TrainView {
-    let [width, height] = SIZE;
-    let rgb = (0..width * height * 3).map(|k| (k * 7) as u8).collect();
-    TrainView::new(camera(&small_view(SIZE)), Photo { width, height, rgb })
+fn peaks(context: &Context) -> u64 {
+    context.memory().iter().map(|arena| arena.peak_bytes).sum()
 }
 
 #[test]
@@ -54,7 +45,7 @@ fn a_first_frame_that_needs_less_than_estimated_is_not_refused() {
     let expected = render(&roomy, &scene, None).expect("a frame");
     let estimate = initial_instances(roomy.limits(), 4000, &PictureCapacity::of(SIZE[0], SIZE[1]));
     assert!(4 * expected.stats.instances < estimate, "{} of {estimate}", expected.stats.instances);
-    let with_estimate = roomy.memory().iter().map(|arena| arena.peak_bytes).sum::<u64>();
+    let with_estimate = peaks(&roomy);
     drop(roomy);
     let tight = bounded(Some(with_estimate - u64::from(estimate - expected.stats.instances) * 4));
     let frame = render(&tight, &scene, None).expect("a frame");
@@ -74,23 +65,19 @@ fn a_first_frame_that_shows_less_than_estimated_is_not_refused() {
     let scene = scene(COUNT, -3.0);
     let all = camera(&small_view(SIZE));
     let few = Camera { translation: all.translation + Vec3::X * 3.5, ..all };
-    let render = |context: &Context| -> Result<Frame> {
-        let mut renderer = Renderer::new(context)?;
-        renderer.upload(&scene)?;
-        renderer.render(&few, &RenderSettings::default())
+    let render = |context: &Context| {
+        loaded(context, &scene).render(&few, &RenderSettings::default()).expect("a frame")
     };
     let roomy = bounded(None);
-    let expected = render(&roomy).expect("a frame");
+    let expected = render(&roomy);
     let (estimate, visible) = (initial_visible(COUNT as u32), expected.stats.visible);
-    assert!(
-        expected.stats.retries == 0 && 2 * visible < estimate && visible > 100,
-        "{visible} of {estimate}"
-    );
-    let with_estimate = roomy.memory().iter().map(|arena| arena.peak_bytes).sum::<u64>();
+    assert_eq!(expected.stats.retries, 0);
+    assert!(2 * visible < estimate && visible > 100, "{visible} of {estimate}");
+    let with_estimate = peaks(&roomy);
     drop(roomy);
     // Less than half of the bytes of a visible Gaussian in a frame without gradients.
     let tight = bounded(Some(with_estimate - u64::from(estimate - 2 * visible) * 32));
-    let frame = render(&tight).expect("a frame");
+    let frame = render(&tight);
     assert!(frame.color == expected.color && frame.stats.visible == visible);
 }
 
@@ -101,8 +88,7 @@ fn frames_have_room_for_what_is_visible_and_grow_when_more_is() {
     let estimate = initial_visible(20_000);
     assert_eq!((estimate, initial_visible(LEAST_VISIBLE), initial_visible(7)), (5000, LEAST_VISIBLE, 7));
     let frame_bytes = || context.memory().iter().find(|arena| arena.name == "frame").map(|arena| arena.bytes);
-    let mut renderer = Renderer::new(&context).expect("a renderer");
-    renderer.upload(&scene).expect("upload");
+    let mut renderer = loaded(&context, &scene);
     let all = camera(&small_view(SIZE));
     // Away from most of the scene.
     let few = Camera { translation: all.translation + Vec3::X * 4.0, ..all };
@@ -119,8 +105,7 @@ fn frames_have_room_for_what_is_visible_and_grow_when_more_is() {
         assert_eq!((again.stats.retries, again.stats.visible), (0, first.stats.visible));
         assert!(again.color == first.color && again.transmittance == first.transmittance);
     }
-    let fewest = Gaussians::default();
-    renderer.upload(&fewest).expect("upload");
+    renderer.upload(&Gaussians::default()).expect("upload");
     assert_eq!(renderer.render(&all, &settings).expect("a frame").stats.visible, 0);
 }
 
@@ -129,10 +114,11 @@ fn frames_have_room_for_what_is_visible_and_grow_when_more_is() {
 fn a_first_frame_takes_the_place_of_the_reserve_of_a_training() {
     let scene = scene(3000, 2.5);
     let train = |context: &Context| -> Result<(Gaussians, u32)> {
-        let mut trainer = Trainer::new(context, vec![view()], &scene, 5.0, TrainSettings::default())?;
+        let run = Run::new(context, vec![view_of(SIZE)], TrainSettings::default());
+        let mut trainer = run.starting_at(&scene).try_begin()?;
         trainer.step()?;
         trainer.step()?;
-        Ok((trainer.gaussians()?, trainer.checkpoint()?.room.gaussians))
+        Ok((trainer.gaussians()?, trainer.checkpoint()?.capacities.gaussians))
     };
     let (expected, room) = train(&bounded(None)).expect("trained");
     assert!(room > 3000);
@@ -148,10 +134,7 @@ fn a_first_frame_takes_the_place_of_the_reserve_of_a_training() {
                 rooms.push((middle, room));
                 enough = middle;
             }
-            Err(error @ Error::TooLarge { .. }) => {
-                eprintln!("{middle}: {error}");
-                refused = middle;
-            }
+            Err(Error::TooLarge { .. }) => refused = middle,
             Err(error) => panic!("{middle}: {error}"),
         }
     }

@@ -10,7 +10,7 @@ mod gpu_training;
 mod importance;
 mod lpips;
 mod mcmc;
-pub mod npz;
+mod npz;
 mod poses;
 mod rendering;
 mod sets;
@@ -21,94 +21,101 @@ mod twin;
 
 use std::path::{Path, PathBuf};
 
+use ashsplat::scene::sh::rgb_to_sh_dc;
+use ashsplat::scene::{PointCloud, scene_extent};
+use ashsplat_files::init::mean_squared_neighbour_distances;
+use ashsplat_files::initial_gaussians;
+use glam::Vec3;
 use libtest_mimic::{Failed, Trial};
 
 use crate::absent_data;
 use crate::common::root;
 use crate::golden::npz::Npz;
+use crate::reference::types::Extent;
 
-/// Subject of a set, from the names of its fields.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    Rendering,
-    Loss,
-    Adam,
-    Rates,
-    Densify,
-    ResetOpacity,
-    Train,
-    Regularizers,
-    Relocation,
-    Antialias,
-    Filter3d,
-    AbsoluteGradient,
-    EdgeImportance,
-    LongAxisSplit,
-    GrowthSchedule,
-    Exposure,
-    Depth,
-    SparseDepth,
-    Lpips,
-    Poses,
-    /// `golden_host` tests it.
-    Initial,
-    Unknown,
+/// Result of a check.
+type Outcome = Result<(), Failed>;
+
+/// Checks the set of a file.
+type Check = fn(&Path) -> Outcome;
+
+/// Subjects of sets: fields by which they are known, name, checks of the twin and of the device. The first entry of
+/// which a set has all fields counts.
+const SUBJECTS: [(&str, &str, Check, Check); 19] = [
+    ("it1_image", "train", training::train, gpu_training::train),
+    ("fused_log_scales", "filter", antialias::filter_of_twin, antialias::filter_of_device),
+    ("detached kernel", "antialias", antialias::of_twin, antialias::of_device),
+    ("obs_inv_z", "depth", depth::of_twin_and_host, depth::of_device),
+    ("points_xy points_z", "sparse_depth", sparse_depth::of_twin, sparse_depth::of_device),
+    ("adam_E", "exposure", exposure::of_twin, exposure::of_device),
+    ("img gt d_img", "loss", training::loss, gpu_training::loss),
+    ("xyz_p0", "adam", training::adam, gpu_training::adam),
+    ("lr_xyz", "rates", training::rates, gpu_training::rates),
+    ("in_grad_accum out_kind", "densify", training::densify, gpu_training::densify),
+    ("reg_loss", "regularizers", training::regularizers, gpu_training::regularizers),
+    ("u_relocate", "relocation", mcmc::relocation_of_twin, mcmc::relocation_of_device),
+    ("xy_abs_pix", "absgrad", absgrad::of_twin, absgrad::of_device),
+    ("edge_raw", "importance", importance::of_twin, importance::of_device),
+    ("opacity_factor", "split", budget::split_of_twin, budget::split_of_device),
+    ("budget_iteration", "growth", budget::schedule_of_twin, budget::schedule_of_engine),
+    ("alex_layers vgg_layers", "distance", lpips::of_twin, lpips::of_device),
+    ("d_pose", "poses", poses::of_twin, poses::of_device),
+    ("logits out", "reset_opacity", training::reset_opacity, gpu_training::reset_opacity),
+];
+
+#[derive(Clone, Debug)]
+struct SetFile {
+    name: String,
+    path: PathBuf,
+    /// The set of the same name with the exact extent.
+    exact: Option<PathBuf>,
+    /// Names of its arrays.
+    fields: Vec<String>,
 }
 
-impl Kind {
-    fn of(fields: &[String]) -> Kind {
-        let has = |name: &str| fields.iter().any(|field| field == name);
-        match () {
-            () if has("it1_image") => Kind::Train,
-            () if has("fused_log_scales") => Kind::Filter3d,
-            () if has("detached") && has("kernel") => Kind::Antialias,
-            () if has("obs_inv_z") => Kind::Depth,
-            () if has("points_xy") && has("points_z") => Kind::SparseDepth,
-            () if has("means") && has("cam_K") && has("image") => Kind::Rendering,
-            () if has("adam_E") => Kind::Exposure,
-            () if has("img") && has("gt") && has("d_img") => Kind::Loss,
-            () if has("xyz_p0") => Kind::Adam,
-            () if has("lr_xyz") => Kind::Rates,
-            () if has("in_grad_accum") && has("out_kind") => Kind::Densify,
-            () if has("reg_loss") => Kind::Regularizers,
-            () if has("u_relocate") => Kind::Relocation,
-            () if has("xy_abs_pix") => Kind::AbsoluteGradient,
-            () if has("edge_raw") => Kind::EdgeImportance,
-            () if has("opacity_factor") => Kind::LongAxisSplit,
-            () if has("budget_iteration") => Kind::GrowthSchedule,
-            () if has("alex_layers") && has("vgg_layers") => Kind::Lpips,
-            () if has("d_pose") => Kind::Poses,
-            () if has("logits") && has("out") => Kind::ResetOpacity,
-            () if has("dist2") => Kind::Initial,
-            () => Kind::Unknown,
+impl SetFile {
+    /// The extents that there are results of.
+    fn extents(&self) -> impl Iterator<Item = Extent> {
+        std::iter::once(Extent::Reference).chain(self.exact.is_some().then_some(Extent::Exact))
+    }
+
+    /// True if the set has all of these fields.
+    fn has(&self, fields: &str) -> bool {
+        fields.split(' ').all(|name| self.fields.iter().any(|field| field == name))
+    }
+
+    /// One trial per implementation.
+    fn trials(&self) -> Vec<Trial> {
+        let trial = |implementation: &str, subject: &str, check: Check| {
+            let path = self.path.clone();
+            Trial::test(format!("golden_{implementation}_{subject}_{}", self.name), move || check(&path))
+        };
+        match SUBJECTS.iter().find(|(fields, ..)| self.has(fields)) {
+            Some(&(_, subject, twin, gpu)) => vec![trial("twin", subject, twin), trial("gpu", subject, gpu)],
+            None if self.has("means cam_K image") => {
+                twin::trials(self).into_iter().chain(gpu::trials(self)).collect()
+            }
+            None if self.has("dist2") => {
+                vec![trial("host", "start", |path| Ok(check_host(&Npz::read(path))?))]
+            }
+            None => vec![trial("unknown", "set", |_| Err("no test reads such a set".into()))],
         }
     }
 }
 
-/// A file of the folder.
-#[derive(Clone, Debug)]
-pub struct SetFile {
-    pub name: String,
-    pub path: PathBuf,
-    /// The set of the same name with the exact extent.
-    exact: Option<PathBuf>,
-    kind: Kind,
-}
+const FOLDERS: [&str; 3] = ["golden", "golden/needles", "golden/training"];
 
 /// One trial per set and implementation, for the project's own sets and those of the shared folder. If that folder
 /// is missing, an extra trial says so.
 pub fn trials(shared: &Path) -> Vec<Trial> {
     let sets = sets(shared);
     let mut trials = Vec::new();
-    let folders = ["golden", "golden/needles", "golden/training"].map(|folder| shared.join(folder));
+    let folders = FOLDERS.map(|folder| shared.join(folder));
     if let Some(absent) = folders.iter().find(|folder| !folder.is_dir()) {
         let reason = format!("no further golden vectors in {}", absent.display());
         trials.push(absent_data("golden_vectors_absent", reason));
     }
-    for set in &sets {
-        trials.extend(twin::trials(set));
-        trials.extend(gpu::trials(set));
-    }
+    trials.extend(sets.iter().flat_map(SetFile::trials));
     trials
 }
 
@@ -118,44 +125,73 @@ fn own() -> PathBuf {
 }
 
 /// The project's own sets, and those of the shared folder with other names.
-pub fn sets(shared: &Path) -> Vec<SetFile> {
+fn sets(shared: &Path) -> Vec<SetFile> {
     let mut sets = list(&own());
     assert!(!sets.is_empty(), "no golden vectors in {}", own().display());
-    let mut further = list(&shared.join("golden"));
-    further.extend(list(&shared.join("golden/needles")));
-    further.extend(list(&shared.join("golden/training")));
-    further.retain(|set| sets.iter().all(|own| own.name != set.name));
-    sets.append(&mut further);
+    let further = FOLDERS.iter().flat_map(|folder| list(&shared.join(folder)));
+    let further: Vec<SetFile> = further.filter(|set| sets.iter().all(|own| own.name != set.name)).collect();
+    sets.extend(further);
     sets.sort_by(|a, b| a.name.cmp(&b.name));
     sets
 }
 
 fn list(folder: &Path) -> Vec<SetFile> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
-    let sets: Vec<SetFile> = entries
+    entries
         .filter_map(|entry| Some(entry.ok()?.path()))
         .filter(|path| path.extension().is_some_and(|extension| extension == "npz"))
         .map(|path| {
             let exact = folder.join("exact").join(path.file_name().expect("a file"));
             SetFile {
                 name: path.file_stem().expect("a file").to_string_lossy().into_owned(),
-                kind: Kind::of(&Npz::names(&path)),
+                fields: Npz::names(&path),
                 exact: exact.exists().then_some(exact),
                 path,
             }
         })
-        .collect();
-    sets
-}
-
-/// A trial from a check.
-fn trial(name: String, check: impl FnOnce() -> Result<(), String> + Send + 'static) -> Trial {
-    Trial::test(name, move || check().map_err(Failed::from))
+        .collect()
 }
 
 /// Prints measured errors if `ASHSPLAT_GOLDEN_REPORT` is set.
 fn report(text: impl FnOnce() -> String) {
     if std::env::var_os("ASHSPLAT_GOLDEN_REPORT").is_some() {
         println!("{}", text());
+    }
+}
+
+/// The initial Gaussians and the scene extent, which the host computes.
+fn check_host(set: &Npz) -> Result<(), String> {
+    let [positions, rgb, centers] = ["xyz", "rgb", "cam_centers"].map(|name| set.rows::<3>(name));
+    let single = |rows: &[[f64; 3]]| rows.iter().map(|row| row.map(|v| v as f32)).collect::<Vec<_>>();
+    let positions = single(&positions);
+    let dist2 = mean_squared_neighbour_distances(&positions).map_err(|error| error.to_string())?;
+    assert_close("dist2", &dist2, set, 1e-6);
+
+    // A point cloud's colours have 8 bits, so the set's colours are stored in the coefficients afterwards.
+    let points = PointCloud { positions: positions.clone(), colors: vec![[0; 3]; positions.len()] };
+    let gaussians = initial_gaussians(&points, 3).expect("Gaussians");
+    gaussians.check_shapes().expect("vectors that fit together");
+    assert_eq!(gaussians.means, positions);
+    assert!(gaussians.quats.iter().all(|&q| q == [1.0, 0.0, 0.0, 0.0]));
+    let flat = |values: &[[f32; 3]]| values.as_flattened().iter().map(|&v| f64::from(v)).collect::<Vec<_>>();
+    assert_close("log_scales", &flat(&gaussians.log_scales), set, 2e-6);
+    let logits: Vec<f64> = gaussians.opacity_logits.iter().map(|&v| f64::from(v)).collect();
+    assert_close("opacity_logits", &logits, set, 1e-6);
+    let mut sh = gaussians.sh;
+    for (index, rgb) in single(&rgb).into_iter().enumerate() {
+        sh[16 * index] = rgb.map(rgb_to_sh_dc);
+    }
+    assert_close("sh", &flat(&sh), set, 1e-6);
+    let extent = scene_extent(single(&centers).into_iter().map(Vec3::from_array));
+    assert_close("scene_extent", &[f64::from(extent)], set, 1e-6);
+    Ok(())
+}
+
+/// Elementwise: the error is at most `tolerance`, relative above 1 and absolute below.
+fn assert_close(name: &str, computed: &[f64], set: &Npz, tolerance: f64) {
+    let expected = set.values(name);
+    assert_eq!(computed.len(), expected.len(), "{name}");
+    for (index, (a, b)) in computed.iter().zip(expected).enumerate() {
+        assert!((a - b).abs() <= tolerance * b.abs().max(1.0), "{name}[{index}]: {a}, expected {b}");
     }
 }

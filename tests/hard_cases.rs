@@ -1,15 +1,13 @@
 //! Extreme frames: very long tiles, nothing to draw, odd and large images, too little capacity.
 
-use ashsplat::{Frame, Renderer};
-
 use crate::common::compare::{GradientTolerance, PixelTolerance, gradient, pixels};
-use crate::common::engine::{camera, gaussians, renderer, settings, twins, widen};
-use crate::common::gpu::Gpu;
-use crate::common::scenes::{Random, small_scene, small_view};
-use crate::common::tiles::is_unstable;
-use crate::reference::blend_backward::PixelGradient;
-use crate::reference::pipeline::{self, backward, pixels_of, render, tile_of};
-use crate::reference::types::{Extent, Gaussian, Gradient, Splat, View};
+use crate::common::engine::{settings, twins, widen};
+use crate::common::frame::unstable_pixels;
+use crate::common::prelude::*;
+use crate::common::scenes::{by_parameter, scalars};
+use crate::gradients::{color_weights, narrowed};
+use crate::reference::pipeline::{self, backward, render};
+use crate::reference::types::Gradient;
 
 /// A camera at the origin that looks along z, so that depths are exact in float32.
 fn axis_view(size_px: [u32; 2]) -> View {
@@ -42,16 +40,6 @@ fn faint_points(count: usize, view: &View) -> Vec<Gaussian> {
         .collect()
 }
 
-/// True for pixels whose decisions may depend on float32 rounding.
-fn unstable(view: &View, frame: &pipeline::Frame) -> Vec<bool> {
-    let lists: Vec<Vec<&Splat>> = frame
-        .lists
-        .iter()
-        .map(|list| list.iter().map(|&g| frame.splats[g as usize].as_ref().expect("listed")).collect())
-        .collect();
-    pixels_of(view).map(|pixel| is_unstable(&lists[tile_of(view, pixel)], pixel, 2e-5)).collect()
-}
-
 fn compare_picture(actual: &Frame, expected: &pipeline::Frame, unstable: &[bool]) {
     let bound = PixelTolerance { max: 1e-4, mean: 2e-6, unstable: 2e-2 };
     let color: Vec<f64> = expected.pixels.iter().flat_map(|p| p.color).collect();
@@ -63,45 +51,28 @@ fn compare_picture(actual: &Frame, expected: &pipeline::Frame, unstable: &[bool]
 
 /// Compares forward and backward with the twin. Returns the number of entries of the fullest tile.
 fn check(gaussians_: &[Gaussian], view: &View) -> u32 {
-    let gpu = Gpu::new();
+    let _gpu = Gpu::new();
     let expected = render(gaussians_, view);
-    let unstable = unstable(view, &expected);
+    let unstable = unstable_pixels(view, &expected, 2e-5);
     let mut renderer = renderer();
     renderer.upload(&gaussians(gaussians_)).expect("upload");
     let actual = renderer.render(&camera(view), &settings(view)).expect("a frame");
     compare_picture(&actual, &expected, &unstable);
 
-    let mut random = Random::new(8);
-    let d: Vec<[f64; 3]> =
-        unstable.iter().map(|&u| if u { [0.0; 3] } else { [0; 3].map(|_| random.signed()) }).collect();
-    let d_pixels: Vec<PixelGradient> =
-        d.iter().map(|&color| PixelGradient { color, inverse_depth: 0.0 }).collect();
-    let target: Vec<[f32; 3]> = d.iter().map(|d| d.map(|x| x as f32)).collect();
+    let weights = color_weights(&mut Random::new(8), &unstable);
+    let (target, _) = narrowed(&weights);
     let actual_gradients =
         renderer.gradients(&camera(view), &settings(view), &target, None).expect("gradients").parameters;
     drop(renderer);
-    let expected_gradients = backward(gaussians_, view, &expected, &d_pixels).parameters;
+    let expected_gradients = backward(gaussians_, view, &expected, &weights).parameters;
     compare_gradients(&twins(&actual_gradients), &expected_gradients);
-    drop(gpu);
     actual.stats.longest_tile
 }
 
-/// Name, values of the device, values of the twin.
-type Field = (&'static str, fn(&Gaussian) -> Vec<f64>, fn(&Gradient) -> Vec<f64>);
-
 fn compare_gradients(actual: &[Gaussian], expected: &[Gradient]) {
-    let fields: [Field; 5] = [
-        ("means", |g| g.mean.to_vec(), |g| g.mean.to_vec()),
-        ("quaternions", |g| g.quat.to_vec(), |g| g.quat.to_vec()),
-        ("log-scales", |g| g.log_scale.to_vec(), |g| g.log_scale.to_vec()),
-        ("opacities", |g| vec![g.opacity_logit], |g| vec![g.opacity_logit]),
-        ("SH", |g| g.sh.concat(), |g| g.sh.concat()),
-    ];
     let skip = vec![false; expected.len()];
     let scale = expected.iter().flat_map(|g| g.log_scale).fold(0.0_f64, |largest, d| largest.max(d.abs()));
-    for (name, of_actual, of_expected) in fields {
-        let actual: Vec<f64> = actual.iter().flat_map(of_actual).collect();
-        let expected: Vec<f64> = expected.iter().flat_map(of_expected).collect();
+    for (name, actual, expected) in by_parameter(actual, expected) {
         let round = name == "quaternions" && expected.iter().all(|d| d.abs() <= 1e-12 * scale);
         if round {
             // Spheres have no orientation: only rounding remains.
@@ -113,31 +84,20 @@ fn compare_gradients(actual: &[Gaussian], expected: &[Gradient]) {
     }
 }
 
+/// The most are more entries than one invocation's loop makes rounds on lavapipe.
 #[test]
-fn hard_case_tile_of_300_entries() {
+fn hard_case_tiles_of_many_entries() {
     let view = axis_view([16, 16]);
-    assert!(check(&faint_points(310, &view), &view) >= 300);
-}
-
-#[test]
-fn hard_case_tile_of_5000_entries() {
-    let view = axis_view([16, 16]);
-    assert!(check(&faint_points(5_100, &view), &view) >= 5_000);
-}
-
-/// More entries than one invocation's loop makes rounds on lavapipe.
-#[test]
-fn hard_case_tile_of_100000_entries() {
-    let view = axis_view([16, 16]);
-    assert!(check(&faint_points(100_500, &view), &view) >= 100_000);
+    for (count, entries) in [(310, 300), (5_100, 5_000), (100_500, 100_000)] {
+        assert!(check(&faint_points(count, &view), &view) >= entries, "{count} points");
+    }
 }
 
 #[test]
 fn hard_case_no_gaussians() {
     let gpu = Gpu::new();
     let view = small_view([33, 18]);
-    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
-    renderer.upload(&ashsplat::Gaussians { sh_degree: 1, ..Default::default() }).expect("upload");
+    let mut renderer = loaded(gpu.context, &Gaussians { sh_degree: 1, ..Default::default() });
     let frame = renderer.render(&camera(&view), &settings(&view)).expect("a frame");
     assert!(frame.color.iter().all(|&c| c == [0.25, 0.5, 0.125]));
     assert!(frame.transmittance.iter().all(|&t| t == 1.0));
@@ -177,10 +137,9 @@ fn hard_case_large_image() {
     }
     let gpu = Gpu::new();
     let expected = render(&scene, &view);
-    let unstable = unstable(&view, &expected);
-    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
-    renderer.upload(&gaussians(&scene)).expect("upload");
-    let settings = ashsplat::RenderSettings { inverse_depth: false, ..settings(&view) };
+    let unstable = unstable_pixels(&view, &expected, 2e-5);
+    let mut renderer = loaded(gpu.context, &gaussians(&scene));
+    let settings = RenderSettings { inverse_depth: false, ..settings(&view) };
     let actual = renderer.render(&camera(&view), &settings).expect("a frame");
     compare_picture(&actual, &expected, &unstable);
 }
@@ -192,8 +151,7 @@ fn hard_case_overflow_then_growth() {
     let view = small_view([150, 90]);
     let scene = gaussians(&small_scene(&mut Random::new(4), 500, 16));
     let (camera, settings) = (camera(&view), settings(&view));
-    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
-    renderer.upload(&scene).expect("upload");
+    let mut renderer = loaded(gpu.context, &scene);
     renderer.set_instance_capacity(1 << 20);
     let roomy = renderer.render(&camera, &settings).expect("a frame");
     assert_eq!(roomy.stats.retries, 0);
@@ -203,10 +161,8 @@ fn hard_case_overflow_then_growth() {
         renderer.set_instance_capacity(capacity);
         let frame = renderer.render(&camera, &settings).expect("a frame");
         assert!(frame.stats.retries > 0, "capacity {capacity}");
-        assert!(
-            frame.color == roomy.color && frame.transmittance == roomy.transmittance,
-            "capacity {capacity}"
-        );
+        assert!(frame.color == roomy.color, "capacity {capacity}");
+        assert!(frame.transmittance == roomy.transmittance, "capacity {capacity}");
         assert!(frame.inverse_depth == roomy.inverse_depth, "capacity {capacity}");
         assert_eq!(frame.stats.instances, roomy.stats.instances);
         renderer.set_instance_capacity(capacity);
@@ -220,10 +176,9 @@ fn hard_case_overflow_then_growth() {
 /// NaN and infinite parameters do not affect the others' picture and gradients. Opacity logits of ±∞ are valid.
 #[test]
 fn hard_case_non_finite_parameters() {
-    let gpu = Gpu::new();
+    let _gpu = Gpu::new();
     let view = small_view([64, 48]);
-    let mut random = Random::new(9);
-    let mut scene = small_scene(&mut random, 100, 4);
+    let mut scene = small_scene(&mut Random::new(9), 100, 4);
     scene[10].opacity_logit = f64::INFINITY;
     scene[20].opacity_logit = f64::NEG_INFINITY;
     let (camera, settings) = (camera(&view), settings(&view));
@@ -254,12 +209,7 @@ fn hard_case_non_finite_parameters() {
     drop(renderer);
     let (clean, gradients) = (twins(&clean), twins(&gradients));
     assert!(clean == gradients[..100]);
-    let finite = |g: &Gaussian| {
-        let all = [&g.mean[..], &g.quat, &g.log_scale, &[g.opacity_logit], g.sh.as_flattened()].concat();
-        all.iter().all(|x| x.is_finite())
-    };
-    assert!(gradients.iter().all(finite));
-    drop(gpu);
+    assert!(gradients.iter().all(|g| scalars(&mut g.clone()).iter().all(|x| x.is_finite())));
 }
 
 /// Images that cannot be bound are refused before any work, with the number needed.
@@ -272,12 +222,10 @@ fn hard_case_image_beyond_the_limits() {
         return;
     }
     let view = small_view([side, side]);
-    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
-    renderer.upload(&gaussians(&small_scene(&mut Random::new(1), 3, 1))).expect("upload");
-    let error =
-        renderer.render(&camera(&view), &settings(&view)).expect_err("a picture larger than a binding");
+    let mut renderer = loaded(gpu.context, &gaussians(&small_scene(&mut Random::new(1), 3, 1)));
     let needed = u64::from(side) * u64::from(side) * 16;
-    assert!(error.to_string().contains(&needed.to_string()), "{error}");
+    let refused = renderer.render(&camera(&view), &settings(&view));
+    assert_says(refusal(refused), &[&needed.to_string()]);
     // The renderer still draws pictures that fit.
     let view = small_view([33, 18]);
     renderer.render(&camera(&view), &settings(&view)).expect("a frame");

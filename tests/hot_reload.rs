@@ -1,6 +1,7 @@
 //! Shaders that are edited while the program runs: its feature `hot-reload`. A separate test program, because the
 //! feature recompiles the engine.
 
+#[allow(dead_code)]
 #[path = "cli/run.rs"]
 mod run;
 #[path = "program/running.rs"]
@@ -15,7 +16,6 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use tempfile::tempdir;
 
-/// A workload that takes little time.
 const SMALL: [&str; 10] =
     ["--gaussians", "300", "--width", "80", "--height", "48", "--frames", "3", "--warmup", "1"];
 

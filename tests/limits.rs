@@ -1,24 +1,11 @@
 //! Lowered limits and little memory give the same picture and training, or an error with the numbers.
 
-use ashsplat::plan::{FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, frame_requests};
-use ashsplat::scene::{Camera, Intrinsics};
-use ashsplat::trainer::{Checkpoint, TrainView, Trainer};
-use ashsplat::tuning::Backend;
-use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
-use ashsplat::{Error, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
-use ashsplat_files::Photo;
-use glam::Vec3;
+use ashsplat::frame::tuning::Backend;
+use ashsplat::frame::{FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, frame_requests};
+use ashsplat::scene::Intrinsics;
 
-use crate::checkpoints::{start, views};
-use crate::common::device::{Bounded, assert_uses_all, bounded, planned_peak};
-use crate::common::engine::{camera, gaussians};
-use crate::common::gpu::Gpu;
-use crate::common::scenes::{Random, small_scene, small_view};
-use crate::common::{assert_silent, options};
-
-fn context(limits: LimitsOverride) -> Context {
-    Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device")
-}
+use crate::common::device::{assert_uses_all, planned_peak};
+use crate::common::prelude::*;
 
 fn render(context: &Context) -> Result<Vec<[f32; 3]>> {
     let mut renderer = Renderer::new(context)?;
@@ -37,8 +24,12 @@ fn settings() -> TrainSettings {
     }
 }
 
+fn run(context: &Context, views: Vec<TrainView>) -> Run<'_> {
+    Run::new(context, views, settings())
+}
+
 fn train(context: &Context) -> Result<Gaussians> {
-    let mut trainer = Trainer::new(context, views(2, 5), &start(), 5.0, settings())?;
+    let mut trainer = run(context, views(2, 5)).try_begin()?;
     for _ in 0..4 {
         if trainer.step()?.densified.is_some_and(|densified| densified.limited) {
             // Training continues with fewer Gaussians, and reports it.
@@ -82,19 +73,20 @@ fn limits_that_are_lowered_change_no_bit_or_are_named() {
     lowered.push(LimitsOverride { instances_per_dispatch: Some(150), ..none });
     let (mut equal, mut refused) = (0, 0);
     for limits in lowered {
-        let context = context(limits);
+        let context = limited(limits);
         let results = [
             equal_or_refused("render", limits, &picture, render(&context)),
             equal_or_refused("train", limits, &trained, train(&context)),
         ];
-        equal += results.iter().filter(|equal| **equal).count();
-        refused += results.iter().filter(|equal| !**equal).count();
+        let same = results.iter().filter(|equal| **equal).count();
+        equal += same;
+        refused += results.len() - same;
         eprintln!("{limits:?}: render, train: {results:?}");
         assert_silent(&context);
     }
     assert!(equal >= 15 && refused >= 8, "{equal} equal, {refused} refused");
     // Without texels, other kernels compute the loss and round differently, but the picture is the same.
-    let context = context(LimitsOverride { max_texels: Some(4096), ..none });
+    let context = limited(LimitsOverride { max_texels: Some(4096), ..none });
     assert!(render(&context).expect("a picture") == picture);
     assert_silent(&context);
 }
@@ -102,16 +94,13 @@ fn limits_that_are_lowered_change_no_bit_or_are_named() {
 /// 8K frames do not fit bindings of 128 MiB.
 #[test]
 fn limits_of_large_images_are_named() {
-    let context =
-        context(LimitsOverride { max_storage_buffer_range: Some(128 << 20), ..LimitsOverride::default() });
-    let mut renderer = Renderer::new(&context).expect("a renderer");
-    renderer.upload(&start()).expect("upload");
+    let context = with_range(128 << 20);
+    let mut renderer = loaded(&context, &start());
     let lens = Intrinsics::from_fov_x(0.8, 7680, 4320);
     let camera = Camera::look_at(Vec3::NEG_Z * 4.0, Vec3::ZERO, Vec3::NEG_Y, lens);
-    let message = renderer.render(&camera, &RenderSettings::default()).expect_err("too large").to_string();
-    for word in ["7680x4320", "accumulated", "530841600", "134217728", "maxStorageBufferRange"] {
-        assert!(message.contains(word), "no '{word}' in {message}");
-    }
+    let refused = renderer.render(&camera, &RenderSettings::default());
+    let words = ["7680x4320", "accumulated", "530841600", "134217728", "maxStorageBufferRange"];
+    assert_says(refusal(refused), &words);
     assert_silent(&context);
 }
 
@@ -120,8 +109,7 @@ fn limits_of_large_images_are_named() {
 #[test]
 fn limits_of_images_are_those_of_the_picture_in_training_too() {
     let largest = 128 << 20;
-    let context =
-        context(LimitsOverride { max_storage_buffer_range: Some(largest), ..LimitsOverride::default() });
+    let context = with_range(largest);
     for (width, height) in [(4096, 2048), (2048, 4096), (2896, 2896), (3840, 2160)] {
         let capacity = FrameCapacity {
             gaussians: 1000,
@@ -142,100 +130,93 @@ fn limits_of_images_are_those_of_the_picture_in_training_too() {
 /// Gradients lie in one buffer: growth stops when it is full, and a larger start is refused.
 #[test]
 fn limits_of_bindings_stop_growth_not_training() {
-    let limits = |gaussians: u64| LimitsOverride {
-        max_storage_buffer_range: Some(gaussians * 64),
-        ..LimitsOverride::default()
-    };
     let mut start = gaussians(&small_scene(&mut Random::new(42), 3000, 16));
     // Small Gaussians, so that instances are no limit here.
     start.log_scales.iter_mut().flatten().for_each(|s| *s -= 2.5);
-    let settings = TrainSettings { densify_grad_threshold: 0.0, ..settings() };
-    let context = context(limits(5000));
-    let mut trainer = Trainer::new(&context, views(2, 5), &start, 5.0, settings.clone()).expect("a trainer");
-    let densified = (0..8).filter_map(|_| trainer.step().expect("a step").densified);
-    assert!(densified.filter(|d| d.limited).count() > 0);
-    assert!((3000..=5000).contains(&trainer.gaussians().expect("Gaussians").len()));
-    let few = self::context(limits(2900));
-    let refused = Trainer::new(&few, views(2, 5), &start, 5.0, settings).err().expect("refused").to_string();
-    assert!(refused.contains("3000 Gaussians, more than 2900"), "{refused}");
+    let settings = || TrainSettings { densify_grad_threshold: 0.0, ..settings() };
+    let context = with_range(5000 * 64);
+    let mut trainer =
+        Run { start: start.clone(), settings: settings(), ..run(&context, views(2, 5)) }.begin();
+    assert!(trainer.steps(8).iter().filter_map(|r| r.densified).any(|densified| densified.limited));
+    assert!((3000..=5000).contains(&trainer.trained().len()));
+    let few = with_range(2900 * 64);
+    let refused = Run { start, settings: settings(), ..run(&few, views(2, 5)) }.try_begin();
+    assert_says(refusal(refused), &["3000 Gaussians, more than 2900"]);
 }
 
 /// Bindings that hold 3840 instances; each Gaussian covers all six tiles.
 #[test]
 fn limits_of_instances_stop_growth_and_lose_nothing() {
-    let limits = LimitsOverride { max_storage_buffer_range: Some(3840 * 16), ..LimitsOverride::default() };
-    let large = |count| {
-        let mut many = gaussians(&small_scene(&mut Random::new(43), count, 16));
-        many.log_scales.iter_mut().flatten().for_each(|s| *s += 2.0);
-        many
+    let context = with_range(3840 * 16);
+    let run = |context, count| Run {
+        start: large(count),
+        settings: TrainSettings { densify_grad_threshold: 0.0, ..settings() },
+        ..run(context, views(2, 5))
     };
-    let context = context(limits);
-    let settings = TrainSettings { densify_grad_threshold: 0.0, ..settings() };
     // Twice as many would not fit.
-    let mut trainer =
-        Trainer::new(&context, views(2, 5), &large(450), 5.0, settings.clone()).expect("a trainer");
-    let reports: Vec<_> = (0..6).map(|_| trainer.step().expect("a step")).collect();
+    let reports = run(&context, 450).begin().steps(6);
     let most = reports.iter().map(|r| r.instances).max();
     assert!(most > Some(2000) && most <= Some(3840), "{most:?}");
     assert!(reports.iter().any(|r| r.densified.is_some_and(|d| d.limited)));
-    drop(trainer);
     // Too many from the start: an error with the numbers, and a checkpoint that resumes on a larger device.
-    let mut trainer =
-        Trainer::new(&context, views(2, 5), &large(900), 5.0, settings.clone()).expect("a trainer");
-    let error = trainer.step().expect_err("too many");
-    assert!(matches!(error, Error::TooLarge { .. }) && error.to_string().contains("instances"), "{error}");
-    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    let mut trainer = run(&context, 900).begin();
+    assert_too_many_instances(trainer.step());
     let gpu = Gpu::new();
-    let resumed = Trainer::resume(gpu.context, views(2, 5), 5.0, settings, &checkpoint);
-    resumed.expect("resumed").step().expect("there is room here");
+    run(gpu.context, 900).resume(&trainer.state()).steps(1);
     drop(trainer);
     assert_silent(&context);
+}
+
+/// Gaussians that cover all tiles.
+fn large(count: usize) -> Gaussians {
+    let mut many = gaussians(&small_scene(&mut Random::new(43), count, 16));
+    many.log_scales.iter_mut().flatten().for_each(|s| *s += 2.0);
+    many
+}
+
+fn assert_too_many_instances<T>(result: Result<T>) {
+    let error = result.err().expect("too many");
+    assert!(matches!(error, Error::TooLarge { .. }) && error.to_string().contains("instances"), "{error}");
 }
 
 /// Number of instances that bindings hold.
 const FEW: u32 = 4608;
 
-/// A device with such bindings, and Gaussians that cover all tiles: six in one view, twelve in the other.
-fn crowded() -> (Context, Gaussians) {
-    let range = u64::from(FEW) * 16;
-    let limits = LimitsOverride { max_storage_buffer_range: Some(range), ..LimitsOverride::default() };
-    let mut scene = gaussians(&small_scene(&mut Random::new(43), 450, 16));
-    scene.log_scales.iter_mut().flatten().for_each(|s| *s += 2.0);
-    (context(limits), scene)
+/// A device with such bindings, where [`large`] ones are too many for a view of twelve tiles, but not of six.
+fn crowded() -> Context {
+    with_range(u64::from(FEW) * 16)
 }
 
-fn view_of(size: [u32; 2]) -> TrainView {
-    let [width, height] = size;
-    let rgb = (0..width * height * 3).map(|k| (k * 7) as u8).collect();
-    TrainView::new(camera(&small_view(size)), Photo { width, height, rgb })
+/// Two views that fit, and a large one.
+fn mixed(context: &Context, settings: TrainSettings) -> Run<'_> {
+    let views = vec![view_of([40, 30]), view_of([64, 48]), view_of([40, 30])];
+    Run { start: large(450), settings, ..run(context, views) }
 }
 
 /// Training skips a view whose frames are too large, trains the others, and does not grow meanwhile. A resumed run
 /// has the same bits.
 #[test]
 fn limits_of_instances_leave_out_the_views_beyond_them() {
-    let (context, scene) = crowded();
-    let views = || vec![view_of([40, 30]), view_of([64, 48]), view_of([40, 30])];
-    let wanted = TrainSettings { densify_grad_threshold: 0.0, ..settings() };
+    let context = crowded();
     let begin = |seed| {
-        let settings = TrainSettings { seed, ..wanted.clone() };
-        let mut trainer = Trainer::new(&context, views(), &scene, 5.0, settings.clone()).expect("a trainer");
+        let run = mixed(&context, TrainSettings { densify_grad_threshold: 0.0, seed, ..settings() });
+        let mut trainer = run.begin();
         let first = trainer.step();
-        (trainer, first, settings)
+        (trainer, first, run)
     };
     // A run that starts with the large view is refused, because no view is known to fit.
     let refused = (0..20).find_map(|seed| begin(seed).1.err()).expect("one of the seeds");
     assert!(matches!(refused, Error::TooLarge { .. }), "{refused}");
-    let (mut trainer, _, settings) =
+    let (mut trainer, _, run) =
         (0..20).map(begin).find(|(_, first, _)| first.is_ok()).expect("one of the seeds");
     let (mut skipped, mut trained, mut checkpoints) = (0, 0, Vec::new());
     for _ in 0..11 {
-        let before = trainer.gaussians().expect("Gaussians");
-        checkpoints.push(trainer.checkpoint().expect("a checkpoint"));
-        let report = trainer.step().expect("a step");
+        checkpoints.push(trainer.state());
+        let report = trainer.steps(1).remove(0);
         assert_eq!(report.skipped, report.view == 1, "{report:?}");
         assert_eq!(report.skipped, report.instances > FEW && report.loss.is_nan(), "{report:?}");
-        let (same, grown) = (trainer.gaussians().expect("Gaussians") == before, report.densified);
+        let same = checkpoints.last().is_some_and(|before| before.gaussians == trainer.trained());
+        let grown = report.densified;
         if skipped > 0
             && let Some(densified) = grown
         {
@@ -249,14 +230,11 @@ fn limits_of_instances_leave_out_the_views_beyond_them() {
         }
     }
     assert!(skipped >= 3 && trained >= 2, "{skipped} {trained}");
-    let end = trainer.checkpoint().expect("the end");
+    let end = trainer.state();
     for checkpoint in checkpoints.iter().step_by(3) {
-        let resumed = Trainer::resume(&context, views(), 5.0, settings.clone(), checkpoint);
-        let mut resumed = resumed.expect("resumed");
-        while resumed.iteration() < trainer.iteration() {
-            resumed.step().expect("a step");
-        }
-        assert!(resumed.checkpoint().expect("the end") == end, "resumed at {}", checkpoint.iteration);
+        let mut resumed = run.resume(checkpoint);
+        resumed.steps(end.iteration - checkpoint.iteration);
+        assert!(resumed.state() == end, "resumed at {}", checkpoint.iteration);
     }
     drop(trainer);
     assert_silent(&context);
@@ -265,31 +243,30 @@ fn limits_of_instances_leave_out_the_views_beyond_them() {
 /// A run whose last iteration was skipped resumes like a longer run.
 #[test]
 fn limits_of_instances_leave_out_the_last_iteration_of_a_run() {
-    let (context, scene) = crowded();
-    let views = || vec![view_of([40, 30]), view_of([64, 48]), view_of([40, 30])];
-    let wanted = TrainSettings { densify_grad_threshold: 0.0, iterations: 9, ..settings() };
-    let run = |settings: &TrainSettings| {
-        let mut trainer = Trainer::new(&context, views(), &scene, 5.0, settings.clone()).expect("a trainer");
-        let steps: Result<Vec<_>> = (0..settings.iterations).map(|_| trainer.step()).collect();
-        steps.map(|reports| (trainer.checkpoint().expect("a checkpoint"), reports))
+    let context = crowded();
+    let with = |seed, iterations| {
+        let settings = TrainSettings { densify_grad_threshold: 0.0, seed, iterations, ..settings() };
+        mixed(&context, settings)
     };
-    let seeds = (0..20).map(|seed| TrainSettings { seed, ..wanted.clone() });
-    let (longer, (end, reports)) =
-        seeds.filter_map(|s| run(&s).ok().map(|ran| (s, ran))).next().expect("one of the seeds");
+    let train = |run: &Run| {
+        let mut trainer = run.begin();
+        let steps: Result<Vec<_>> = (0..run.settings.iterations).map(|_| trainer.step()).collect();
+        steps.map(|reports| (trainer.state(), reports))
+    };
+    let tries = (0..20).map(|seed| (seed, train(&with(seed, 9))));
+    let (seed, (end, reports)) =
+        tries.filter_map(|(seed, run)| Some((seed, run.ok()?))).next().expect("one of the seeds");
+    let longer = with(seed, 9);
     let mut tried = 0;
     for last in reports[..8].iter().filter(|r| r.skipped || r.iteration % 3 == 0) {
-        let short = TrainSettings { iterations: last.iteration, ..longer.clone() };
-        let (checkpoint, parts) = run(&short).expect("a shorter run");
+        let (checkpoint, parts) = train(&with(seed, last.iteration)).expect("a shorter run");
         assert_eq!((parts[parts.len() - 1].skipped, checkpoint.skipped > 0), (last.skipped, last.skipped));
         // Older checkpoints lack this field.
         for skipped in [checkpoint.skipped, 0] {
             let from = Checkpoint { skipped, ..checkpoint.clone() };
-            let resumed = Trainer::resume(&context, views(), 5.0, longer.clone(), &from);
-            let mut resumed = resumed.expect("resumed");
-            while resumed.iteration() < longer.iterations {
-                resumed.step().expect("a step");
-            }
-            assert!(resumed.checkpoint().expect("the end") == end, "a run of {}: other bits", last.iteration);
+            let mut resumed = longer.resume(&from);
+            resumed.finish();
+            assert!(resumed.state() == end, "a run of {}: other bits", last.iteration);
         }
         tried += u32::from(last.skipped);
     }
@@ -300,57 +277,41 @@ fn limits_of_instances_leave_out_the_last_iteration_of_a_run() {
 /// If no view fits any more, training ends with the reason.
 #[test]
 fn limits_of_instances_end_a_training_of_nothing() {
-    let (context, scene) = crowded();
-    let views = || vec![view_of([64, 48]), view_of([64, 48])];
+    let context = crowded();
+    let run = |context| run(context, vec![view_of([64, 48]); 2]).starting_at(&large(450));
     let gpu = Gpu::new();
-    let mut trainer = Trainer::new(gpu.context, views(), &scene, 5.0, settings()).expect("a trainer");
-    trainer.step().expect("there is room here");
-    let checkpoint = trainer.checkpoint().expect("a checkpoint");
-    let mut trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
+    let mut checkpoint = run(gpu.context).until(1, &[]);
     for _ in 0..2 {
         // Interruptions do not matter.
-        let checkpoint = trainer.checkpoint().expect("a checkpoint");
-        trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
-        assert!(trainer.step().expect("left out").skipped);
+        let mut trainer = run(&context).resume(&checkpoint);
+        assert!(trainer.steps(1)[0].skipped);
+        checkpoint = trainer.state();
     }
-    let checkpoint = trainer.checkpoint().expect("a checkpoint");
-    let mut trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
-    let error = trainer.step().expect_err("nothing is trained");
-    assert!(matches!(error, Error::TooLarge { .. }) && error.to_string().contains("instances"), "{error}");
+    let mut trainer = run(&context).resume(&checkpoint);
+    assert_too_many_instances(trainer.step());
     // The scene remains available, and resumes on a larger device.
-    let checkpoint = trainer.checkpoint().expect("a checkpoint");
-    let mut resumed = Trainer::resume(gpu.context, views(), 5.0, settings(), &checkpoint).expect("resumed");
-    assert!(!resumed.step().expect("there is room here").skipped);
+    assert!(!run(gpu.context).resume(&trainer.state()).steps(1)[0].skipped);
     drop(trainer);
     assert_silent(&context);
 }
 
-fn with_memory(bytes: u64) -> Bounded {
-    bounded(Some(bytes))
-}
-
 #[test]
 fn memory_that_cannot_suffice_is_said_before_any_work() {
-    let context = with_memory(200_000);
-    let refused = Trainer::new(&context, views(2, 5), &start(), 5.0, settings()).err().expect("refused");
+    let context = bounded(Some(200_000));
+    let refused = run(&context, views(2, 5)).try_begin().err().expect("refused");
     assert!(matches!(refused, Error::TooLarge { limit: 200_000, .. }), "{refused}");
-    let message = refused.to_string();
-    for word in ["150 Gaussians of SH degree 3", "2 photographs", "--max-memory"] {
-        assert!(message.contains(word), "no '{word}' in {message}");
-    }
+    let words = ["150 Gaussians of SH degree 3", "2 photographs", "--max-memory"];
+    assert_says(refused.to_string(), &words);
     assert_eq!(context.memory_total().peak_bytes, 0, "nothing was allocated");
     drop(context);
     // The needed memory suffices, and less does not.
     let Error::TooLarge { needed, .. } = refused else { unreachable!("asserted above") };
-    assert!(Trainer::new(&with_memory(needed - 1), views(2, 5), &start(), 5.0, settings()).is_err());
-    let context = with_memory(needed);
-    let trainer = Trainer::new(&context, views(2, 5), &start(), 5.0, settings());
-    let mut trainer = trainer.expect("as much as was asked for");
-    trainer.step().expect("a step");
+    assert!(run(&bounded(Some(needed - 1)), views(2, 5)).try_begin().is_err());
+    let context = bounded(Some(needed));
+    let mut trainer = run(&context, views(2, 5)).begin();
+    trainer.steps(1);
     assert_uses_all(&context, needed);
-    for _ in 0..4 {
-        trainer.step().expect("a step");
-    }
+    trainer.steps(4);
 }
 
 /// With memory for the start only, training continues without growth. Memory that sufficed before suffices now.
@@ -359,20 +320,17 @@ fn memory_budget_stops_growth_not_training() {
     let start = gaussians(&small_scene(&mut Random::new(41), 6000, 16));
     let settings = TrainSettings { densify_grad_threshold: 0.0, min_opacity: 0.3, ..settings() };
     let train = |context: &Context| {
-        let mut trainer =
-            Trainer::new(context, views(2, 5), &start, 5.0, settings.clone()).expect("a trainer");
-        let mut densified = Vec::new();
-        for _ in 0..8 {
-            densified.extend(trainer.step().expect("a step").densified);
-        }
-        (densified, trainer.gaussians().expect("Gaussians").len(), context.memory_total().peak_bytes)
+        let run = Run { start: start.clone(), settings: settings.clone(), ..run(context, views(2, 5)) };
+        let mut trainer = run.begin();
+        let densified: Vec<_> = trainer.steps(8).iter().filter_map(|report| report.densified).collect();
+        (densified, trainer.trained().len(), context.memory_total().peak_bytes)
     };
     let gpu = Gpu::new();
     let (free, grown, _) = train(gpu.context);
     assert!(free.iter().all(|d| !d.limited) && grown > 9000, "{free:?}, {grown}");
     // Memory for the sets of 6000 Gaussians, half as many again, and the frame; not for twice the sets.
     let sets = 9000 * (4 * 240 + 8);
-    let context = with_memory(sets * 9 / 5);
+    let context = bounded(Some(sets * 9 / 5));
     let (limited, kept, peak) = train(&context);
     assert!(limited.iter().any(|d| d.limited), "{limited:?}");
     // Growth adds as many as fit, chosen by the largest gradients.
@@ -392,18 +350,18 @@ fn memory_budget_is_trainings_whoever_looks_on() {
     let settings = TrainSettings { densify_grad_threshold: 1e-7, ..settings() };
     let train = |max_memory: Option<u64>, looked_at: bool| {
         let context = bounded(max_memory);
-        let mut trainer =
-            Trainer::new(&context, views(2, 5), &start, 5.0, settings.clone()).expect("a trainer");
+        let run = Run { start: start.clone(), settings: settings.clone(), ..run(&context, views(2, 5)) };
+        let mut trainer = run.begin();
         let picture = RenderSettings { scale_modifier: 1.5, ..trainer.render_settings() };
         let (mut limited, mut seen) = (0, 0);
         for i in 0..10 {
-            limited += u32::from(trainer.step().expect("a step").densified.is_some_and(|d| d.limited));
+            limited += u32::from(trainer.steps(1)[0].densified.is_some_and(|d| d.limited));
             if looked_at {
                 let size = [[40, 30], [160, 90], [64, 48]][i % 3];
                 seen += u32::from(trainer.render(&camera(&small_view(size)), &picture).is_ok());
             }
         }
-        let end = trainer.checkpoint().expect("the end");
+        let end = trainer.state();
         drop(trainer);
         assert_silent(&context);
         let most = context.memory_total().peak_bytes;

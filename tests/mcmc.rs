@@ -1,12 +1,8 @@
 //! Training with the 3DGS-MCMC strategy.
 
-use ashsplat::trainer::{StrategyType, Trainer};
-use ashsplat::{Gaussians, TrainSettings};
+use crate::checkpoints::check_growth_in_bounded_memory;
+use crate::common::prelude::*;
 
-use crate::checkpoints::{check_growth_in_bounded_memory, end_of_run, start, views};
-use crate::common::gpu::Gpu;
-
-const EXTENT: f32 = 5.0;
 const CAP: u32 = 180;
 
 /// Densifies after 15, 20, 25, 30 and 35.
@@ -35,11 +31,13 @@ fn dead(gaussians: &Gaussians) -> usize {
     gaussians.opacity_logits.iter().filter(|&&logit| logit < -5.5).count()
 }
 
+fn run(views: Vec<TrainView>, settings: TrainSettings) -> Run<'static> {
+    Run::shared(views, settings).starting_at(&with_dead())
+}
+
 #[test]
 fn mcmc_moves_what_is_not_seen_and_grows_to_its_cap() {
-    let gpu = Gpu::new();
-    let mut trainer =
-        Trainer::new(gpu.context, views(3, 9), &with_dead(), EXTENT, settings()).expect("a trainer");
+    let mut trainer = run(views(3, 9), settings()).begin();
     let mut counts = vec![];
     for iteration in 1..=40 {
         let report = trainer.step().expect("a step");
@@ -51,8 +49,8 @@ fn mcmc_moves_what_is_not_seen_and_grows_to_its_cap() {
             counts.push(report.gaussians);
         }
         match iteration {
-            15 => assert!(dead(&trainer.gaussians().expect("Gaussians")) > 30),
-            16 => assert_eq!(dead(&trainer.gaussians().expect("Gaussians")), 0),
+            15 => assert!(dead(&trainer.trained()) > 30),
+            16 => assert_eq!(dead(&trainer.trained()), 0),
             _ => {}
         }
     }
@@ -63,13 +61,9 @@ fn mcmc_moves_what_is_not_seen_and_grows_to_its_cap() {
 /// The noise moves means even if nothing else does.
 #[test]
 fn mcmc_explores_with_noise() {
-    let gpu = Gpu::new();
     let moved = |noise_lr: f64| {
         let settings = TrainSettings { noise_lr, ..settings() };
-        let mut trainer =
-            Trainer::new(gpu.context, views(1, 9), &with_dead(), EXTENT, settings).expect("a trainer");
-        trainer.step().expect("a step");
-        trainer.gaussians().expect("Gaussians").means
+        run(views(1, 9), settings).until(1, &[]).gaussians.means
     };
     let (still, first, again) = (moved(0.0), moved(5e5), moved(5e5));
     assert_eq!(first, again);
@@ -80,15 +74,10 @@ fn mcmc_explores_with_noise() {
 
 #[test]
 fn mcmc_resumes_to_the_bit() {
-    let run = |stops: &[u32]| end_of_run(&with_dead(), &settings(), 40, stops);
-    let whole = run(&[]);
+    let whole = run(views(3, 9), settings()).check_stops(&[&[7, 15], &[16, 20], &[34, 35]]);
     assert_eq!(whole.gaussians.len() as u32, CAP);
-    for stops in [[7, 15], [16, 20], [34, 35]] {
-        assert!(run(&stops) == whole, "interrupted after {stops:?}: other bits");
-    }
 }
 
-/// With insufficient memory it grows as far as possible, continues, and is still deterministic.
 #[test]
 fn mcmc_grows_as_far_as_the_memory_allows() {
     let settings =
@@ -98,9 +87,7 @@ fn mcmc_grows_as_far_as_the_memory_allows() {
 
 #[test]
 fn mcmc_refuses_a_cap_below_the_start() {
-    let gpu = Gpu::new();
     let settings = TrainSettings { cap_max: 149, ..settings() };
-    let refused = Trainer::new(gpu.context, views(1, 9), &start(), EXTENT, settings);
-    let message = refused.err().expect("refused").to_string();
-    assert!(message.contains("cap_max") && message.contains("149") && message.contains("150"), "{message}");
+    let refused = Run::shared(views(1, 9), settings).try_begin();
+    assert_says(refusal(refused), &["cap_max", "149", "150"]);
 }

@@ -5,20 +5,15 @@
 //! This process therefore uses them as well. A training must end with the same bits, wherever memory lies and
 //! whichever queue copies. `tools/as_gpu mock:discrete` runs the whole suite on one.
 
-use std::path::Path;
+use ashsplat::frame::tuning::Backend;
+use ashsplat::vk::Transfers;
+use ashsplat_mock_layer::{FORGETTING, MACHINES, VARIABLE};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::sync::LazyLock;
 
-use ashsplat::trainer::Trainer;
-use ashsplat::tuning::Backend;
-use ashsplat::vk::{Context, ContextOptions, MemoryKind, Transfers};
-use ashsplat::{RenderSettings, Renderer, TrainSettings};
-use ashsplat_mock_layer::{FORGETTING, MACHINES, VARIABLE};
-
-use crate::checkpoints::{start, views};
-use crate::common::engine::{camera, gaussians};
-use crate::common::scenes::{Random, mixed_scene, small_view};
-use crate::common::{assert_silent, child, context, options, root};
+use crate::common::prelude::*;
+use crate::common::{child, context, root};
 
 /// Tests that a child runs: the device's claims, trainings and pictures for the parent, transfers of all kinds, and
 /// a training with photographs from a file.
@@ -33,9 +28,9 @@ const SELECTION: [&str; 6] = [
 
 /// Further tests on machines with other limits: kernels whose workgroups and shared memory depend on them.
 const SHAPES: [&str; 4] = [
-    "kernels::scan_apply::scan_apply_equals_its_twin",
-    "kernels::sort_downsweep::sort_downsweep_equals_its_twin",
-    "kernels::blend_shared::blend_shared_equals_blend_on_images_of_all_sizes_and_opaque_layers",
+    "kernels::scan::scan_apply_equals_its_twin",
+    "kernels::sort::sort_downsweep_equals_its_twin",
+    "kernels::blend::blend_shared_equals_blend_on_images_of_all_sizes_and_opaque_layers",
     "hard_cases::hard_case_images_of_odd_sizes",
 ];
 
@@ -67,15 +62,12 @@ fn trained(context: &Context) -> String {
         densify_grad_threshold: 1e-6,
         ..TrainSettings::default()
     };
-    let mut trainer = Trainer::new(context, views(3, 5), &start(), 5.0, settings).expect("a trainer");
-    (0..10).for_each(|_| drop(trainer.step().expect("a step")));
-    format!("{:?}", trainer.checkpoint().expect("a state").fingerprint())
+    format!("{:?}", Run::new(context, views(3, 5), settings).until(10, &[]).fingerprint())
 }
 
 /// A picture, and the fingerprint of a training.
 fn results(context: &Context) -> (Vec<f32>, String) {
-    let mut renderer = Renderer::new(context).expect("kernels");
-    renderer.upload(&gaussians(&mixed_scene(&mut Random::new(17), 1500, 16))).expect("a scene");
+    let mut renderer = loaded(context, &gaussians(&mixed_scene(&mut Random::new(17), 1500, 16)));
     let frame = renderer.render(&camera(&small_view([203, 117])), &RenderSettings::default());
     let trained = trained(context);
     assert_silent(context);
@@ -142,11 +134,7 @@ fn check(machine: &str) {
         assert!(largest < 1.0 / 128.0, "{machine}: pictures differ by {largest:e}");
     } else {
         assert!(largest == 0.0, "{machine}: pictures differ by {largest:e}");
-        assert_eq!(
-            String::from_utf8_lossy(&read("trained")),
-            *trained,
-            "{machine}: the training has other bits"
-        );
+        assert_eq!(String::from_utf8_lossy(&read("trained")), *trained, "{machine}: other bits");
     }
 }
 
@@ -198,7 +186,7 @@ fn mock_device_finds_missing_waits() {
 #[test]
 #[ignore = "the child's part of mock_device_…: results for the parent"]
 fn mock_device_results_in_a_child() {
-    let folder = std::env::var_os(RESULTS).expect("mock_device_… runs it, and says where results go");
+    let folder = PathBuf::from(std::env::var_os(RESULTS).expect("mock_device_… sets it"));
     let (picture, trained) = results(context());
     // With parameters and moments in this machine's host memory.
     context().set_offload(Some(1 << 30));
@@ -206,15 +194,15 @@ fn mock_device_results_in_a_child() {
     context().set_offload(None);
     assert!(context().memory_offloaded().peak_bytes > 0);
     assert_silent(context());
-    std::fs::write(Path::new(&folder).join("picture"), bytemuck::cast_slice::<f32, u8>(&picture))
-        .expect("written");
-    std::fs::write(Path::new(&folder).join("trained"), trained).expect("written");
+    let picture: &[u8] = bytemuck::cast_slice(&picture);
+    std::fs::write(folder.join("picture"), picture).expect("written");
+    std::fs::write(folder.join("trained"), trained).expect("written");
 }
 
 #[test]
 #[ignore = "the child's part of mock_device_…: the layer is there, and memory is as a card's"]
 fn mock_device_claims_in_a_child() {
-    let machine = std::env::var(VARIABLE).expect("mock_device_… runs it, and says which machine");
+    let machine = std::env::var(VARIABLE).expect("mock_device_… sets it");
     let context = context();
     assert!(context.device_name().starts_with(&format!("{machine} mock of ")), "{}", context.device_name());
     let kind = if machine.starts_with("unified") { "integrated GPU" } else { "discrete GPU" };
@@ -237,8 +225,7 @@ fn mock_device_claims_in_a_child() {
     };
     assert_eq!(context.transfers(), Transfers { writes_directly, reads_directly, copy_queue }, "{machine}");
     // New memory holds garbage, not zeros.
-    let buffer =
-        context.allocate("new", &[("words", 64)], MemoryKind::Device).expect("memory").swap_remove(0);
-    assert_eq!(context.download(&buffer).expect("download"), [0xFF; 64]);
+    let buffers = context.allocate("new", &[("words", 64)], MemoryKind::Device).expect("memory");
+    assert_eq!(context.download(&buffers[0]).expect("download"), [0xFF; 64]);
     assert_silent(context);
 }

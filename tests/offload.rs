@@ -1,15 +1,10 @@
 //! Training with parameters and moments in host memory: the same bits, and little device memory.
 
-use ashsplat::trainer::{Checkpoint, OptimizerType, StrategyType, Trainer};
-use ashsplat::vk::Context;
-use ashsplat::{Error, Gaussians, TrainSettings};
+use ashsplat::train::OptimizerType;
 
-use crate::checkpoints::views;
-use crate::common::engine::gaussians;
-use crate::common::scenes::{Random, gaussian};
-use crate::common::{assert_silent, bounded};
+use crate::common::prelude::*;
+use crate::common::scenes::gaussian;
 
-const EXTENT: f32 = 5.0;
 /// Bytes of a Gaussian of SH degree 3 in each of the four sets.
 const SET: u64 = 4 * (3 * 4 + 48);
 const HOST: Option<u64> = Some(1 << 30);
@@ -34,23 +29,21 @@ fn settings() -> TrainSettings {
     }
 }
 
-fn trainer(context: &Context, start: &Gaussians, settings: &TrainSettings) -> ashsplat::Result<Trainer> {
-    Trainer::new(context, views(3, 9), start, EXTENT, settings.clone())
+fn run<'a>(context: &'a Context, start: &Gaussians, settings: &TrainSettings) -> Run<'a> {
+    Run::new(context, views(3, 9), settings.clone()).starting_at(start)
 }
 
 /// The end of a run; then the device memory at the end, its peak, and the peak of the host memory, bytes.
-fn run(
+fn train(
     start: &Gaussians,
     settings: &TrainSettings,
     (max_memory, offload): (Option<u64>, Option<u64>),
-) -> ashsplat::Result<(Checkpoint, [u64; 3])> {
+) -> Result<(Checkpoint, [u64; 3])> {
     let context = bounded(max_memory);
     context.set_offload(offload);
-    let mut trainer = trainer(&context, start, settings)?;
-    for _ in 0..settings.iterations {
-        trainer.step()?;
-    }
-    let end = trainer.checkpoint()?;
+    let mut trainer = run(&context, start, settings).try_begin()?;
+    trainer.finish();
+    let end = trainer.state();
     let at_end = context.memory_total().bytes;
     drop(trainer);
     assert_silent(&context);
@@ -62,11 +55,11 @@ fn run(
 #[test]
 fn offload_trains_four_times_what_the_device_holds() {
     let start = start(20_000);
-    let (whole, [all, _, none]) = run(&start, &settings(), (None, None)).expect("trained");
+    let (whole, [all, _, none]) = train(&start, &settings(), (None, None)).expect("trained");
     assert_eq!(none, 0);
     let budget = Some(all / 4);
-    let (stunted, _) = run(&start, &settings(), (budget, None)).expect("trained");
-    let (end, [_, device, host]) = run(&start, &settings(), (budget, HOST)).expect("trained");
+    let (stunted, _) = train(&start, &settings(), (budget, None)).expect("trained");
+    let (end, [_, device, host]) = train(&start, &settings(), (budget, HOST)).expect("trained");
     assert!(Some(device) <= budget, "{device} bytes of {budget:?}");
     let rows = whole.gaussians.len() as u64;
     let held = stunted.gaussians.len() as u64;
@@ -84,20 +77,19 @@ fn offload_changes_no_bit_of_any_strategy() {
     let filtered = TrainSettings { filter_3d: true, opacity_reg: 0.01, ..settings() };
     let sparse = TrainSettings { optimizer_type: OptimizerType::SparseAdam, pose_opt: true, ..settings() };
     for settings in [budget, of(StrategyType::Mcmc), filtered, sparse] {
-        let (whole, _) = run(&start, &settings, (None, None)).expect("trained");
+        let (whole, _) = train(&start, &settings, (None, None)).expect("trained");
         let context = bounded(None);
-        let mut trainer = trainer(&context, &start, &settings).expect("a trainer");
+        let run = run(&context, &start, &settings);
+        let mut trainer = run.begin();
         for (offload, until) in [(HOST, 9), (None, 17), (HOST, settings.iterations)] {
             context.set_offload(offload);
-            let checkpoint = trainer.checkpoint().expect("a checkpoint");
+            let checkpoint = trainer.state();
             drop(trainer);
-            let resumed = Trainer::resume(&context, views(3, 9), EXTENT, settings.clone(), &checkpoint);
-            trainer = resumed.expect("resumed");
-            (checkpoint.iteration..until).for_each(|_| drop(trainer.step().expect("a step")));
+            trainer = run.resume(&checkpoint);
+            trainer.steps(until - checkpoint.iteration);
             assert_eq!(context.memory_offloaded().bytes > 0, offload.is_some());
         }
-        let end = trainer.checkpoint().expect("the end");
-        assert!(end == whole, "other bits with {:?}", settings.strategy);
+        assert!(trainer.state() == whole, "other bits with {:?}", settings.strategy);
     }
 }
 
@@ -107,17 +99,14 @@ fn offload_is_bounded() {
     let start = start(6000);
     let settings = TrainSettings { densify_grad_threshold: 0.0, ..settings() };
     let planes = 6144 * 4 * SET;
-    let error =
-        run(&start, &settings, (None, Some(planes - 1))).map(|(_, peaks)| peaks).expect_err("too little");
+    let error = train(&start, &settings, (None, Some(planes - 1))).expect_err("too little");
     let Error::TooLarge { needed, limit, limit_name, .. } = error else { panic!("{error}") };
     assert_eq!((needed, limit, limit_name), (planes, planes - 1, "--offload"));
     // Enough for half as many again, once, but not for the sets before and after.
     let bound = planes * 9 / 4;
-    let (end, [.., host]) = run(&start, &settings, (None, Some(bound))).expect("trained");
-    let (free, _) = run(&start, &settings, (None, HOST)).expect("trained");
+    let (end, [.., host]) = train(&start, &settings, (None, Some(bound))).expect("trained");
+    let (free, _) = train(&start, &settings, (None, HOST)).expect("trained");
     let (bounded, free) = (end.gaussians.len(), free.gaussians.len());
-    assert!(
-        host <= bound && (6000..=9216).contains(&bounded) && bounded < free,
-        "{bounded} of {free}, {host} bytes"
-    );
+    let is_bounded = host <= bound && (6000..=9216).contains(&bounded) && bounded < free;
+    assert!(is_bounded, "{bounded} of {free}, {host} bytes");
 }

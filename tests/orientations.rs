@@ -1,25 +1,16 @@
 //! Pictures of several shapes: wide and high ones share the memory of one, and large ones do not affect later ones.
 
-use ashsplat::scene::{Camera, Intrinsics};
-use ashsplat::trainer::{Checkpoint, Forecast, PhotoSize, Room, TrainView, Trainer};
-use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
-use ashsplat::{Error, RenderSettings, Renderer, TrainSettings};
-use ashsplat_files::{CheckpointFile, Photo};
-use glam::Vec3;
-use tempfile::tempdir;
+use ashsplat::scene::Intrinsics;
+use ashsplat::train::{Capacities, PhotoSize};
 
-use crate::checkpoints::start;
 use crate::common::device::assert_uses_all;
-use crate::common::engine::{camera, renderer};
-use crate::common::gpu::Gpu;
-use crate::common::scenes::small_view;
-use crate::common::{assert_silent, bounded, options};
+use crate::common::prelude::*;
+use crate::common::training::{forecast_of, photo_size};
 
 const WIDE: [u32; 2] = [320, 32];
 const HIGH: [u32; 2] = [32, 320];
 /// More bytes than a picture of either shape needs in one buffer, fewer than one that is both wide and high.
 const RANGE: u64 = 500_000;
-const EXTENT: f32 = 5.0;
 
 fn settings() -> TrainSettings {
     TrainSettings {
@@ -33,36 +24,20 @@ fn settings() -> TrainSettings {
     }
 }
 
-fn view_of(size: [u32; 2]) -> TrainView {
-    let [width, height] = size;
-    let rgb = (0..width * height * 3).map(|k| (k * 7) as u8).collect();
-    TrainView::new(camera(&small_view(size)), Photo { width, height, rgb })
-}
-
 fn views_of(sizes: &[[u32; 2]]) -> Vec<TrainView> {
     sizes.iter().map(|&size| view_of(size)).collect()
 }
 
-fn narrow_context() -> Context {
-    let limits = LimitsOverride { max_storage_buffer_range: Some(RANGE), ..LimitsOverride::default() };
-    Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device")
-}
-
-fn peak_of(context: &Context, arena: &str) -> u64 {
-    let all = context.memory();
-    all.iter().find(|memory| memory.name == arena).map_or(0, |memory| memory.peak_bytes)
-}
-
 /// Bytes of the frame and of the loss during four iterations.
 fn reserved(sizes: &[[u32; 2]]) -> [u64; 2] {
-    let context = narrow_context();
+    let context = with_range(RANGE);
     let still = TrainSettings { densify_from_iter: 100, ..settings() };
-    let mut trainer = Trainer::new(&context, views_of(sizes), &start(), EXTENT, still).expect("a trainer");
-    let used = |context: &Context| ["frame", "loss"].map(|arena| peak_of(context, arena));
-    trainer.step().expect("a step");
-    let first = used(&context);
-    (0..4).for_each(|_| drop(trainer.step().expect("a step")));
-    assert_eq!(used(&context), first, "all of it is there from the first iteration on");
+    let mut trainer = Run::new(&context, views_of(sizes), still).begin();
+    let used = || ["frame", "loss"].map(|arena| arena_peak(&context, arena));
+    trainer.steps(1);
+    let first = used();
+    trainer.steps(4);
+    assert_eq!(used(), first, "all of it is there from the first iteration on");
     drop(trainer);
     assert_silent(&context);
     first
@@ -75,7 +50,6 @@ fn orientations_train_together_in_the_memory_of_one() {
     assert_eq!(both, [0, 1].map(|arena| wide[arena].max(high[arena])), "{wide:?} {high:?}");
 }
 
-/// Pictures and gradients do not depend on earlier frames.
 #[test]
 fn orientations_of_earlier_frames_change_no_bit() {
     let cameras = [WIDE, HIGH, [150, 70]].map(|size| camera(&small_view(size)));
@@ -105,73 +79,45 @@ fn orientations_of_earlier_frames_change_no_bit() {
 /// read.
 #[test]
 fn orientations_that_do_not_fit_are_named_with_their_own_bytes() {
-    let context = narrow_context();
+    let context = with_range(RANGE);
     let (width, height) = (320, 128);
-    let photo = |name: &str, [width, height]: [u32; 2]| PhotoSize {
-        name: name.into(),
-        width,
-        height,
-        masked: false,
-        inverse_depth: false,
-        depth_points: 0,
-    };
-    let photos = [photo("a.jpg", WIDE), photo("sky/b.jpg", [width, height]), photo("c.jpg", HIGH)];
+    let photos =
+        [photo_size("a.jpg", WIDE), photo_size("sky/b.jpg", [width, height]), photo_size("c.jpg", HIGH)];
     let settings = settings();
-    let check = |photos: &[PhotoSize]| {
-        let (photo_memory, room) = (None, None);
-        Forecast { settings: &settings, photos, photo_memory, gaussians: 150, frozen: 0, room }
-            .check(&context)
-    };
+    let check = |photos: &[PhotoSize]| forecast_of(&settings, photos, [150, 0]).check(&context);
     let said = |error: &Error| {
         let Error::TooLarge { needed, limit: RANGE, .. } = error else { panic!("{error}") };
         (*needed, error.to_string())
     };
     let (needed, message) = said(&check(&photos).expect_err("too large"));
     assert_eq!(needed, u64::from(width * height) * 16, "{message}");
-    for word in ["'sky/b.jpg' of 320x128 pixels (", "-r ", "655360 bytes", "maxStorageBufferRange"] {
-        assert!(message.contains(word), "no '{word}' in {message}");
-    }
+    let words = ["'sky/b.jpg' of 320x128 pixels (", "-r ", "655360 bytes", "maxStorageBufferRange"];
+    assert_says(&message, &words);
     // The largest of several. The trainer gives the same error without names.
-    let twice = [&photos[..], &[photo("d.jpg", [136, 320])]].concat();
+    let twice = [&photos[..], &[photo_size("d.jpg", [136, 320])]].concat();
     let (_, message) = said(&check(&twice).expect_err("too large"));
-    assert!(message.contains("'d.jpg' of 136x320 pixels and 1 other"), "{message}");
-    let views = views_of(&[WIDE, [width, height], HIGH]);
-    let refused = Trainer::new(&context, views, &start(), EXTENT, settings.clone()).err().expect("refused");
-    assert!(said(&refused).1.contains("'view 1' of 320x128 pixels ("), "{refused}");
+    assert_says(&message, &["'d.jpg' of 136x320 pixels and 1 other"]);
+    let run = Run::new(&context, views_of(&[WIDE, [width, height], HIGH]), settings.clone());
+    assert_says(&said(&run.try_begin().err().expect("refused")).1, &["'view 1' of 320x128 pixels ("]);
     assert_eq!(context.memory_total().peak_bytes, 0, "nothing was allocated");
     // The photos that fit are trained on.
     check(&[photos[0].clone(), photos[2].clone()]).expect("both fit");
     assert_silent(&context);
 }
 
-/// Training takes exactly the memory that the forecast says.
 #[test]
 fn orientations_need_the_memory_that_is_forecast() {
     let sizes = [WIDE, HIGH, WIDE];
     let settings = settings();
-    let photo = |(index, &[width, height]): (usize, &[u32; 2])| PhotoSize {
-        name: format!("{index}.jpg"),
-        width,
-        height,
-        masked: false,
-        inverse_depth: false,
-        depth_points: 0,
-    };
+    let photo = |(index, &size)| photo_size(&format!("{index}.jpg"), size);
     let photos: Vec<_> = sizes.iter().enumerate().map(photo).collect();
-    let check = |context: &Context| {
-        let (photo_memory, room) = (None, None);
-        Forecast { settings: &settings, photos: &photos, photo_memory, gaussians: 150, frozen: 0, room }
-            .check(context)
-    };
+    let check = |context: &Context| forecast_of(&settings, &photos, [150, 0]).check(context);
     let refused = check(&bounded(Some(100_000))).expect_err("too little");
     let Error::TooLarge { needed, limit: 100_000, .. } = refused else { panic!("{refused}") };
-    for word in ["3 photographs", "of 320x32 pixels", "-r"] {
-        assert!(refused.to_string().contains(word), "no '{word}' in {refused}");
-    }
+    assert_says(refused.to_string(), &["3 photographs", "of 320x32 pixels", "-r"]);
     let context = bounded(Some(needed));
     check(&context).expect("as much as was asked for");
-    let trainer = Trainer::new(&context, views_of(&sizes), &start(), EXTENT, settings.clone());
-    trainer.expect("a trainer").step().expect("a step");
+    Run::new(&context, views_of(&sizes), settings.clone()).begin().steps(1);
     assert_uses_all(&context, needed);
     drop(context);
     assert!(check(&bounded(Some(needed - 1))).is_err());
@@ -181,32 +127,27 @@ fn orientations_need_the_memory_that_is_forecast() {
 #[test]
 fn orientations_go_on_from_checkpoints_of_earlier_versions() {
     let gpu = Gpu::new();
-    let views = || views_of(&[WIDE, HIGH, WIDE]);
-    let mut trainer = Trainer::new(gpu.context, views(), &start(), EXTENT, settings()).expect("a trainer");
-    (0..8).for_each(|_| drop(trainer.step().expect("a step")));
-    let folder = tempdir().expect("a folder");
-    let path = folder.path().join("a.safetensors");
-    let checkpoint = trainer.checkpoint().expect("a checkpoint");
-    checkpoint.write(&path).expect("written");
-    let read = Checkpoint::read(&path).expect("read");
-    // Stored in this form, because older programs need it.
-    assert_eq!((read.room.frame_width, read.room.frame_height), (320, 320));
-    while trainer.iteration() < settings().iterations {
-        trainer.step().expect("a step");
+    fn run(context: &Context) -> Run<'_> {
+        Run::new(context, views_of(&[WIDE, HIGH, WIDE]), settings())
     }
-    let end = trainer.checkpoint().expect("the end");
+    let mut trainer = run(gpu.context).begin();
+    trainer.steps(8);
+    let read = through_a_file(&trainer.state());
+    // Stored in this form, because older programs need it.
+    assert_eq!((read.capacities.frame_width, read.capacities.frame_height), (320, 320));
+    trainer.finish();
     for (frame_width, frame_height) in [(320, 320), (320, 32), (4000, 4000)] {
         // The product does not fit this device.
-        let context = narrow_context();
-        let from = Checkpoint { room: Room { frame_width, frame_height, ..read.room }, ..read.clone() };
-        let resumed = Trainer::resume(&context, views(), EXTENT, settings(), &from);
-        let mut resumed = resumed.expect("resumed");
-        assert_eq!(resumed.checkpoint().expect("a checkpoint").room, read.room);
-        while resumed.iteration() < settings().iterations {
-            resumed.step().expect("a step");
-        }
-        let there = resumed.checkpoint().expect("the end");
-        assert!(there.fingerprint() == end.fingerprint(), "{frame_width}x{frame_height}: other bits");
+        let context = with_range(RANGE);
+        let from = Checkpoint {
+            capacities: Capacities { frame_width, frame_height, ..read.capacities },
+            ..read.clone()
+        };
+        let mut resumed = run(&context).resume(&from);
+        assert_eq!(resumed.state().capacities, read.capacities);
+        resumed.finish();
+        let same = resumed.state().fingerprint() == trainer.state().fingerprint();
+        assert!(same, "{frame_width}x{frame_height}: other bits");
         drop(resumed);
         assert_silent(&context);
     }
@@ -220,11 +161,8 @@ fn odd_camera(width: u32, height: u32) -> Camera {
 /// A line of 65,535 pixels, followed by pictures of usual sizes.
 #[test]
 fn orientations_that_are_odd_spoil_no_later_frame() {
-    let limits = LimitsOverride { max_storage_buffer_range: Some(8 << 20), ..LimitsOverride::default() };
-    let context =
-        Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device");
-    let mut renderer = Renderer::new(&context).expect("a renderer");
-    renderer.upload(&start()).expect("uploaded");
+    let context = with_range(8 << 20);
+    let mut renderer = loaded(&context, &start());
     let settings = RenderSettings::default();
     let usual = renderer.render(&odd_camera(320, 180), &settings).expect("a frame");
     let bytes = renderer.frame_bytes();
@@ -252,9 +190,7 @@ fn orientations_of_earlier_frames_are_given_up_for_want_of_memory() {
     let image_gradient = vec![[0.5; 3]; 96 * 64];
     let fresh = |max_memory: Option<u64>| {
         let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
-        let mut renderer = Renderer::new(&context).expect("a renderer");
-        renderer.upload(&start()).expect("uploaded");
-        renderer
+        loaded(&context, &start())
     };
     let peak = |renderer: &Renderer| renderer.context().memory_total().peak_bytes;
     let mut alone = fresh(None);

@@ -1,16 +1,16 @@
 //! Orthographic cameras: pictures of known Gaussians by formula, and of random ones by the twin.
 
-use ashsplat::forward::Filter3d;
-use ashsplat::scene::{Camera, Gaussians, HostView, Intrinsics, Photo, WorldFrame};
-use ashsplat::{RenderSettings, Shape, TrainSettings, TrainView, Trainer};
+use ashsplat::Shape;
+use ashsplat::passes::filter_3d::Filter3d;
+use ashsplat::scene::{ClipY, DepthMapping, HostView, Intrinsics, Projection, WorldFrame};
 use ashsplat_files::cameras_json;
-use glam::{Mat3, Vec3};
+use glam::camera::rh::view::look_at_mat4;
+use glam::{Mat3, Mat4, Vec4};
 
-use crate::common::engine::{camera, gaussians, renderer, settings};
-use crate::common::gpu::Gpu;
-use crate::common::scenes::{Random, small_scene, small_view};
+use crate::common::engine::settings;
+use crate::common::prelude::*;
 use crate::reference::pipeline;
-use crate::reference::types::{Drawn, View};
+use crate::reference::types::Drawn;
 
 const SIZE: [u32; 2] = [64, 48];
 /// Pixels per unit.
@@ -40,7 +40,7 @@ fn one(mean: [f32; 3], sigmas: [f32; 3], logit: f32) -> Gaussians {
 /// (fx x, fy y). It does not depend on z or thickness.
 #[test]
 fn orthographic_gaussians_cover_the_same_pixels_at_every_depth() {
-    let gpu = Gpu::new();
+    let _gpu = Gpu::new();
     let mut pictures = Vec::new();
     for (z, thickness) in [(0.3, 0.01), (2.0, 0.5), (50.0, 0.5), (4000.0, 30.0)] {
         let (mean, sigmas) = ([1.25, -0.75, z], [0.5, 0.25, thickness]);
@@ -82,13 +82,12 @@ fn orthographic_gaussians_cover_the_same_pixels_at_every_depth() {
         let frame = renderer.render(&along_z(), &RenderSettings::default()).expect("a frame");
         assert_eq!(frame.stats.visible, visible, "{z}");
     }
-    drop((renderer, gpu));
 }
 
 /// Depth order, spherical harmonics, turned cameras and antialiasing equal the twin's blending.
 #[test]
 fn orthographic_pictures_equal_the_twins() {
-    let gpu = Gpu::new();
+    let _gpu = Gpu::new();
     for (seed, antialias, sh_degree) in [(1, false, 3), (2, true, 1), (3, false, 0)] {
         let scene = small_scene(&mut Random::new(seed), 120, 16);
         let drawn = Drawn { orthographic: true, ..Drawn::AS_THEY_ARE };
@@ -111,16 +110,15 @@ fn orthographic_pictures_equal_the_twins() {
         assert!(off <= expected.pixels.len() / 100, "{off} pixels");
         assert!(frame.stats.visible > 60, "{}", frame.stats.visible);
         // A pinhole gives another picture.
-        let pinhole = Camera { projection: ashsplat::scene::Projection::Perspective, ..camera(&view) };
+        let pinhole = Camera { projection: Projection::Perspective, ..camera(&view) };
         assert_ne!(renderer.render(&pinhole, &settings(&view)).expect("a frame").color, frame.color);
     }
-    drop(gpu);
 }
 
 /// Dots of the means lie at the positions of `Camera::project`.
 #[test]
 fn orthographic_points_lie_where_the_camera_projects_them() {
-    let gpu = Gpu::new();
+    let _gpu = Gpu::new();
     let mut renderer = renderer();
     let wanted = RenderSettings { shape: Shape::Point, ..RenderSettings::default() };
     for (x, y) in [(-2.0, 1.5), (0.0, 0.0), (3.0, -2.5)] {
@@ -132,40 +130,37 @@ fn orthographic_points_lie_where_the_camera_projects_them() {
         let place = py as usize * SIZE[0] as usize + px as usize;
         assert!(frame.transmittance[place] < 0.05 && frame.transmittance[place - 4] > 0.9);
     }
-    drop((renderer, gpu));
 }
 
 /// Errors name the field of features that only pinholes support.
 #[test]
 fn orthographic_cameras_have_no_gradients() {
-    let gpu = Gpu::new();
     let mut renderer = renderer();
     renderer.upload(&one([0.0, 0.0, 3.0], [0.5; 3], 1.0)).expect("a scene");
     let ones = vec![[1.0; 3]; (SIZE[0] * SIZE[1]) as usize];
     let refused = renderer.gradients(&along_z(), &RenderSettings::default(), &ones, None);
-    let error = refused.map_or_else(|error| error.to_string(), |_| "accepted".into());
-    assert!(error.contains("camera.projection") && error.contains("orthographic"), "{error}");
-    let refused = Filter3d::new(gpu.context, &[along_z()]).map(drop);
-    let error = refused.map_or_else(|error| error.to_string(), |()| "accepted".into());
-    assert!(error.contains("camera.projection"), "{error}");
+    assert_says(refusal(refused), &["camera.projection", "orthographic"]);
     drop(renderer);
+    assert_says(refusal(Filter3d::new(context(), &[along_z()])), &["camera.projection"]);
     let [width, height] = SIZE;
     let photo = Photo { width, height, rgb: vec![128; 3 * (width * height) as usize] };
-    let views = vec![TrainView::new(along_z(), photo)];
-    let start = one([0.0, 0.0, 3.0], [0.5; 3], 1.0);
-    let refused = Trainer::new(gpu.context, views, &start, 1.0, TrainSettings::default()).map(drop);
-    let error = refused.map_or_else(|error| error.to_string(), |()| "accepted".into());
-    assert!(error.contains("view 0.camera.projection: is orthographic"), "{error}");
+    let run = Run::shared(vec![TrainView::new(along_z(), photo)], TrainSettings::default());
+    let run = run.starting_at(&one([0.0, 0.0, 3.0], [0.5; 3], 1.0));
+    assert_says(refusal(run.try_begin()), &["view 0.camera.projection: is orthographic"]);
 }
 
 /// A host's matrices with standard and reversed depth, y up and down, off-centre, near planes before and behind the
 /// eye: pixels and depths of points equal those of the matrices.
 #[test]
 fn orthographic_matrices_become_a_camera() {
-    use ashsplat::scene::ClipY;
-    use glam::camera::rh::view::look_at_mat4;
-    use glam::{Mat4, Vec4};
     let view_from_world = look_at_mat4(Vec3::new(1.0, 2.0, 5.0), Vec3::new(0.0, 0.5, 0.0), Vec3::Y);
+    let host = |clip_from_view, clip_y| HostView {
+        view_from_world,
+        clip_from_view,
+        clip_y,
+        width: 640,
+        height: 480,
+    };
     for (near, far) in [(0.5_f32, 20.0_f32), (-10.0, 30.0), (0.0, 8.0)] {
         for (reversed, clip_y) in
             [(false, ClipY::Down), (true, ClipY::Down), (false, ClipY::Up), (true, ClipY::Up)]
@@ -180,8 +175,7 @@ fn orthographic_matrices_become_a_camera() {
                 Vec4::new(0.0, 0.0, -per_z, 0.0),
                 Vec4::new(0.125, -0.0625, d_near - per_z * near, 1.0),
             );
-            let host = HostView { view_from_world, clip_from_view, clip_y, width: 640, height: 480 };
-            let (camera, mapping) = host.camera().expect("a camera");
+            let (camera, mapping) = host(clip_from_view, clip_y).camera().expect("a camera");
             assert!(camera.is_orthographic() && mapping.linear);
             assert_eq!(mapping.clear_value, d_far);
             for point in [Vec3::ZERO, Vec3::new(1.0, -0.5, 0.25), Vec3::new(-2.0, 1.5, 1.0)] {
@@ -203,8 +197,7 @@ fn orthographic_matrices_become_a_camera() {
         let third = Vec4::new(0.0, 0.0, -1.0 / 40.0, 0.0);
         let clip_from_view =
             Mat4::from_cols(Vec4::X * 0.25, Vec4::Y * y, third, Vec4::new(0.0, 0.0, 0.25, 1.0));
-        let host = HostView { view_from_world, clip_from_view, clip_y: ClipY::Up, width: 640, height: 480 };
-        host.camera().expect("a camera")
+        host(clip_from_view, ClipY::Up).camera().expect("a camera")
     };
     let ((camera, standard), (back, reversed)) = (around(0.25), around(-0.25));
     assert_eq!((standard.clear_value, reversed.clear_value), (1.0, 0.0));
@@ -215,16 +208,13 @@ fn orthographic_matrices_become_a_camera() {
     for (clip_from_view, clip_y, expected) in
         [(wrong, ClipY::Up, "skewed"), (mirrored, ClipY::Down, "mirror the picture")]
     {
-        let host = HostView { view_from_world, clip_from_view, clip_y, width: 640, height: 480 };
-        let error = host.camera().map_or_else(|error| error.to_string(), |_| "accepted".into());
-        assert!(error.contains(expected), "{error}");
+        assert_says(refusal(host(clip_from_view, clip_y).camera()), &[expected]);
     }
 }
 
 /// The conversions of perspective depth are inverse to each other, too.
 #[test]
 fn orthographic_and_perspective_coefficients_invert_the_mapping() {
-    use ashsplat::scene::DepthMapping;
     let mappings = [
         (DepthMapping { scale: -9.99, offset: 10.0, clear_value: 1.0, linear: false }, 0.7),
         (DepthMapping { scale: 10.0, offset: 0.0, clear_value: 0.0, linear: false }, 12.0),
@@ -241,21 +231,14 @@ fn orthographic_and_perspective_coefficients_invert_the_mapping() {
 /// `cameras.json` keeps the projection, and omits it for pinholes.
 #[test]
 fn orthographic_cameras_come_back_from_their_file() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let path = folder.path().join("cameras.json");
-    let pinhole = Camera { projection: ashsplat::scene::Projection::Perspective, ..along_z() };
-    cameras_json::write(&path, [("parallel", &along_z()), ("pinhole", &pinhole)], &WorldFrame::default())
-        .expect("written");
-    let read: Vec<Camera> = cameras_json::read(&path, &WorldFrame::default())
-        .expect("cameras")
-        .iter()
-        .map(|named| named.camera)
-        .collect();
-    assert_eq!(read, [along_z(), pinhole]);
+    let (_folder, [path]) = new_paths(["cameras.json"]);
+    let pinhole = Camera { projection: Projection::Perspective, ..along_z() };
+    let (world, both) = (WorldFrame::default(), [("parallel", &along_z()), ("pinhole", &pinhole)]);
+    cameras_json::write(&path, both, &world).expect("written");
+    let read = cameras_json::read(&path, &world).expect("cameras");
+    assert_eq!([read[0].camera, read[1].camera], [along_z(), pinhole]);
     let text = std::fs::read_to_string(&path).expect("text");
     assert_eq!(text.matches("projection").count(), 1);
     std::fs::write(&path, text.replace("orthographic", "fisheye")).expect("written");
-    let error = cameras_json::read(&path, &WorldFrame::default())
-        .map_or_else(|error| error.to_string(), |_| "accepted".into());
-    assert!(error.contains("cameras.json") && error.contains("fisheye"), "{error}");
+    assert_says(refusal(cameras_json::read(&path, &world)), &["cameras.json", "fisheye"]);
 }

@@ -1,24 +1,19 @@
-//! Exchangeable parts of training: a strategy and loss terms that the library does not have.
+//! Exchangeable parts of training: strategies and loss terms that the library does not have, and what they can
+//! request.
 
-use ashsplat::densify::Densify;
-use ashsplat::loss::{LossTerm, PixelLayout, Targets, TermInputs};
-use ashsplat::scene::StoredPhoto;
-use ashsplat::trainer::strategy::{Changes, Hooks, Statistic, StepInputs, Work};
-use ashsplat::trainer::{
-    Actions, Checkpoint, Densified, Population, Regularizers, Strategy, TrainParts, Trainer,
+use ashsplat::passes::densify::{
+    Candidates, Chances, Densify, Importance, Selection, SelectionBuffers, SelectionDraw,
 };
-use ashsplat::vk::{Buffer, Context, ContextOptions, MemoryKind, Recorder};
-use ashsplat::{Gaussians, Result, TrainSettings, TrainView};
-use ashsplat_files::{CheckpointFile, Photo};
+use ashsplat::passes::loss::{LossTerm, PixelLayout, Targets, TermInputs};
+use ashsplat::scene::StoredPhoto;
+use ashsplat::train::strategy::{ABSOLUTE_STATISTIC, Changes, Hooks, Statistic, StepInputs, Work};
+use ashsplat::train::{Actions, Densified, Population, Regularizers, Strategy, TrainParts};
+use ashsplat::vk::{Buffer, Recorder};
+use std::sync::{Arc, Mutex};
 
-use crate::checkpoints::{start, views};
-use crate::common::engine::{camera, gaussians};
-use crate::common::gpu::Gpu;
-use crate::common::options;
-use crate::common::scenes::{Random, small_scene, small_view};
-use crate::reference::types::View;
+use crate::common::prelude::*;
+use crate::photos::in_a_file;
 
-const EXTENT: f32 = 5.0;
 /// An action of this strategy only.
 const PRUNE: Actions = Actions(1 << 7);
 
@@ -41,8 +36,7 @@ impl Strategy for RandomPrune {
     }
 
     fn work(&self, _: &TrainSettings, iteration: u32) -> Work {
-        let actions = PRUNE.when(iteration.is_multiple_of(4));
-        Work { accumulates: true, optimizes: true, sums_gradients: false, optimizes_opacity: true, actions }
+        Work { accumulates: true, ..optimizing(PRUNE.when(iteration.is_multiple_of(4))) }
     }
 
     fn statistics(&self) -> Vec<Statistic> {
@@ -86,15 +80,18 @@ fn settings() -> TrainSettings {
     TrainSettings { iterations: 20, sh_degree: 2, sh_degree_interval: 5, seed: 4, ..TrainSettings::default() }
 }
 
+/// Work of a step that optimises everything, followed by these actions.
+fn optimizing(actions: Actions) -> Work {
+    Work { accumulates: false, optimizes: true, optimizes_opacity: true, sums_gradients: false, actions }
+}
+
 #[test]
 fn a_strategy_of_a_host_prunes_and_resumes_to_the_bit() {
-    let gpu = Gpu::new();
-    let parts = || RandomPrune::parts(gpu.context);
-    let mut trainer = Trainer::with_parts(gpu.context, views(3, 9), &start(), EXTENT, settings(), parts())
-        .expect("a trainer");
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let file = folder.path().join("8.safetensors");
+    let parts = || RandomPrune::parts(context());
+    let run = Run::shared(views(3, 9), settings()).with_parts(&parts);
+    let mut trainer = run.begin();
     let mut count = start().len() as u32;
+    let mut middle = None;
     for iteration in 1..=20 {
         let report = trainer.step().expect("a step");
         assert_eq!(report.densified.is_some(), iteration > 4 && iteration % 4 == 1, "{iteration}");
@@ -104,105 +101,87 @@ fn a_strategy_of_a_host_prunes_and_resumes_to_the_bit() {
             count = densified.kept;
         }
         if iteration == 8 {
-            let checkpoint = trainer.checkpoint().expect("a checkpoint");
-            assert_eq!(checkpoint.due, PRUNE);
-            checkpoint.write(&file).expect("written");
+            middle = Some(through_a_file(&trainer.state()));
         }
     }
-    let end = trainer.checkpoint().expect("a checkpoint");
+    let end = trainer.state();
     let own = &end.strategy.statistics[0];
     assert_eq!((own.name.as_str(), own.floats, own.values.len()), ("iteration", 3, 3 * count as usize));
     assert!(own.values.iter().all(|&value| value == 20.0));
-    let read = Checkpoint::read(&file).expect("read back");
-    assert!(read.strategy.values[0].1.parse::<u32>().expect("a number") > 0);
-    let given = || (settings(), EXTENT);
-    let mut resumed =
-        Trainer::resume_with_parts(gpu.context, views(3, 9), given(), parts(), &read).expect("resumed");
-    for _ in 8..20 {
-        resumed.step().expect("a step");
-    }
-    let other = resumed.checkpoint().expect("a checkpoint");
-    assert_eq!(other.strategy, end.strategy);
-    assert_eq!(other.fingerprint(), end.fingerprint());
+    let middle = middle.expect("a checkpoint");
+    assert_eq!(middle.due, PRUNE);
+    assert!(middle.strategy.values[0].1.parse::<u32>().expect("a number") > 0);
+    let mut resumed = run.resume(&middle);
+    resumed.finish();
+    let other = resumed.state();
+    assert!(other.strategy == end.strategy && other.fingerprint() == end.fingerprint());
     // The library's own strategy has no such state.
-    let refused =
-        Trainer::resume(gpu.context, views(3, 9), EXTENT, settings(), &read).err().expect("refused");
-    assert!(refused.to_string().contains("strategy 'random_prune'"), "{refused}");
+    assert_says(refusal(Run { parts: None, ..run }.try_resume(&middle)), &["strategy 'random_prune'"]);
     // A run with other loss terms is a different run.
-    let terms: Vec<Box<dyn LossTerm>> =
-        vec![Box::new(Regularizers::new(gpu.context, 1.0, 0.0).expect("kernels"))];
-    let other = TrainParts { terms, ..parts() };
-    let refused = Trainer::resume_with_parts(gpu.context, views(3, 9), given(), other, &read).err();
-    let refused = refused.expect("refused").to_string();
-    assert!(refused.contains("regularizers"), "{refused}");
+    let regularized = || {
+        let regularizers = Regularizers::new(context(), 1.0, 0.0).expect("kernels");
+        TrainParts { terms: vec![Box::new(regularizers)], ..parts() }
+    };
+    let run = Run::shared(views(3, 9), settings()).with_parts(&regularized);
+    assert_says(refusal(run.try_resume(&middle)), &["regularizers"]);
 }
 
-/// Keeping a missing Gaussian, or none, is refused, and the set stays.
-struct Wrong {
-    kernels: Densify,
-}
+/// A strategy that optimises everything, and does something between the steps.
+struct Between<F>(F);
 
-impl Strategy for Wrong {
+impl<F: FnMut(&mut Population) -> Result<()> + Send> Strategy for Between<F> {
     fn name(&self) -> &'static str {
-        "wrong"
+        "between"
     }
 
     fn work(&self, _: &TrainSettings, _: u32) -> Work {
-        Work {
-            accumulates: false,
-            optimizes: true,
-            sums_gradients: false,
-            optimizes_opacity: true,
-            actions: PRUNE,
-        }
+        optimizing(Actions::DENSIFY)
     }
 
     fn between_steps(&mut self, population: &mut Population, _: Actions) -> Result<Changes> {
-        let beyond = population.count();
-        for (kept, problem) in
-            [(vec![0, beyond], "there are"), (vec![], "must be 1 to"), (vec![2, 2], "twice")]
-        {
-            let refused = population.keep(&kept, &self.kernels).expect_err("refused");
-            assert!(refused.to_string().contains(problem), "{refused}");
-        }
-        assert_eq!(population.count(), beyond);
+        (self.0)(population)?;
         Ok(Changes::default())
     }
 }
 
+fn between(act: impl FnMut(&mut Population) -> Result<()> + Send + 'static) -> TrainParts {
+    TrainParts { strategy: Box::new(Between(act)), terms: Vec::new(), block: None }
+}
+
+/// Keeping a missing Gaussian, or none, is refused, and the set stays.
 #[test]
 fn a_strategy_cannot_keep_what_does_not_exist() {
-    let gpu = Gpu::new();
-    let strategy = Box::new(Wrong { kernels: Densify::new(gpu.context).expect("kernels") });
-    let parts = TrainParts { strategy, terms: Vec::new(), block: None };
-    let mut trainer = Trainer::with_parts(gpu.context, views(2, 9), &start(), EXTENT, settings(), parts)
-        .expect("a trainer");
-    for _ in 0..2 {
-        trainer.step().expect("a step");
-    }
-    assert_eq!(trainer.gaussians().expect("Gaussians").len(), start().len());
+    let parts = || {
+        let kernels = Densify::new(context()).expect("kernels");
+        between(move |population| {
+            let beyond = population.count();
+            let wrong = [(vec![0, beyond], "there are"), (vec![], "must be 1 to"), (vec![2, 2], "twice")];
+            for (kept, problem) in wrong {
+                assert_says(refusal(population.keep(&kept, &kernels)), &[problem]);
+            }
+            assert_eq!(population.count(), beyond);
+            Ok(())
+        })
+    };
+    let end = Run::shared(views(2, 9), settings()).with_parts(&parts).until(2, &[]);
+    assert_eq!(end.gaussians.len(), start().len());
 }
 
 /// The `fixed` strategy keeps the number of Gaussians at iterations when the reference's would densify.
 #[test]
 fn the_fixed_strategy_keeps_the_number_of_gaussians() {
-    let gpu = Gpu::new();
-    let early = TrainSettings {
-        densify_from_iter: 1,
-        densification_interval: 2,
-        densify_grad_threshold: 1e-9,
-        ..settings()
-    };
     let count = |strategy| {
-        let settings = TrainSettings { strategy, ..early.clone() };
-        let mut trainer =
-            Trainer::new(gpu.context, views(2, 9), &start(), EXTENT, settings).expect("a trainer");
-        (0..6).for_each(|_| drop(trainer.step().expect("a step")));
-        trainer.gaussians().expect("Gaussians").len()
+        let early = TrainSettings {
+            densify_from_iter: 1,
+            densification_interval: 2,
+            densify_grad_threshold: 1e-9,
+            strategy,
+            ..settings()
+        };
+        Run::shared(views(2, 9), early).until(6, &[]).gaussians.len()
     };
-    use ashsplat::trainer::StrategyType::{Fixed, Reference};
-    assert_eq!(count(Fixed), start().len());
-    assert!(count(Reference) > start().len());
+    assert_eq!(count(StrategyType::Fixed), start().len());
+    assert!(count(StrategyType::Reference) > start().len());
 }
 
 /// Mean opacity and mean scale.
@@ -210,25 +189,19 @@ fn means(gaussians: &Gaussians) -> [f64; 2] {
     let opacity = |&logit: &f32| 1.0 / (1.0 + f64::from(-logit).exp());
     let scale = |scale: &f32| f64::from(*scale).exp();
     let n = gaussians.len() as f64;
-    let scales = gaussians.log_scales.iter().flat_map(|scale| scale.as_ref().iter());
-    [
-        gaussians.opacity_logits.iter().map(opacity).sum::<f64>() / n,
-        scales.map(scale).sum::<f64>() / (3.0 * n),
-    ]
+    let scales = gaussians.log_scales.as_flattened().iter().map(scale).sum::<f64>();
+    [gaussians.opacity_logits.iter().map(opacity).sum::<f64>() / n, scales / (3.0 * n)]
 }
 
 /// The report has the regularisers' value. They lower opacities and scales of all Gaussians, also outside the view.
 #[test]
 fn regularizers_lower_opacities_and_scales() {
-    let gpu = Gpu::new();
     let mut initial = start();
     // Behind the only camera.
     initial.means[3] = [0.0, 0.0, -500.0];
     let train = |settings: TrainSettings| {
-        let mut trainer =
-            Trainer::new(gpu.context, views(1, 9), &initial, EXTENT, settings).expect("a trainer");
-        let report = trainer.step().expect("a step");
-        (report, trainer.gaussians().expect("Gaussians"))
+        let mut trainer = Run::shared(views(1, 9), settings).starting_at(&initial).begin();
+        (trainer.steps(1).remove(0), trainer.trained())
     };
     let weighted = TrainSettings { opacity_reg: 3.0, scale_reg: 2.0, ..settings() };
     let (report, after) = train(weighted.clone());
@@ -240,9 +213,8 @@ fn regularizers_lower_opacities_and_scales() {
     assert!((value / expected - 1.0).abs() < 1e-5, "{value}, expected {expected}");
     assert_eq!(report.loss, report.terms[0].1 + report.terms[1].1);
     let lower = |gaussians: &Gaussians, i: usize| {
-        let falls = gaussians.log_scales[i].as_ref().iter().zip(initial.log_scales[i].as_ref());
-        gaussians.opacity_logits[i] < initial.opacity_logits[i]
-            && falls.into_iter().all(|(after, before)| after < before)
+        let (after, before) = (gaussians.log_scales[i], initial.log_scales[i]);
+        gaussians.opacity_logits[i] < initial.opacity_logits[i] && (0..3).all(|k| after[k] < before[k])
     };
     assert!(lower(&after, 3), "outside the view");
     let all = (0..initial.len()).filter(|&i| lower(&after, i)).count();
@@ -250,7 +222,7 @@ fn regularizers_lower_opacities_and_scales() {
     let (report, without) = train(settings());
     assert_eq!(report.terms.len(), 1);
     assert!(!lower(&without, 3));
-    let sparse = ashsplat::trainer::OptimizerType::SparseAdam;
+    let sparse = ashsplat::train::OptimizerType::SparseAdam;
     let (_, sparse) = train(TrainSettings { optimizer_type: sparse, ..weighted });
     assert!(!lower(&sparse, 3), "sparse Adam does not move what is not seen");
 }
@@ -280,6 +252,11 @@ impl LossTerm for Nearer {
     }
 }
 
+/// The parts of these settings, with another loss term.
+fn with_term(context: &Context, settings: &TrainSettings, term: impl LossTerm + 'static) -> TrainParts {
+    TrainParts { terms: vec![Box::new(term)], ..TrainParts::of_settings(context, settings).expect("parts") }
+}
+
 /// The gradient of the inverse depth reaches the means, in both layouts of pictures.
 #[test]
 fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
@@ -291,27 +268,20 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
         let camera = camera(&wide);
         let moved = |value: f32| {
             let pixels = (camera.width * camera.height) as usize;
+            let requests = [("gradient", 16 * pixels as u64)];
+            let gradient = context.allocate("test", &requests, MemoryKind::Device).expect("memory").remove(0);
             let texels = vec![[0.0, 0.0, 0.0, value]; pixels];
-            let bytes = 16 * pixels as u64;
-            let gradient = context.allocate("test", &[("gradient", bytes)], MemoryKind::Device);
-            let gradient = gradient.expect("memory").remove(0);
             context.upload(&gradient, bytemuck::cast_slice(&texels)).expect("uploaded");
-            let parts = TrainParts {
-                terms: vec![Box::new(Nearer { gradient })],
-                ..TrainParts::of_settings(&context, &settings()).expect("parts")
-            };
-            // The same photometric gradient in both runs, and far smaller than the term's.
-            let rgb = vec![0; 3 * pixels];
-            let photo = Photo { width: camera.width, height: camera.height, rgb };
             let settings = TrainSettings { sh_degree: 0, ..settings() };
-            let view = TrainView::new(camera, photo);
-            let mut trainer = Trainer::with_parts(&context, vec![view], &scene, EXTENT, settings, parts)
-                .expect("a trainer");
-            let report = trainer.step().expect("a step");
-            assert_eq!(report.terms[1], ("nearer", 0.0));
-            let after = trainer.gaussians().expect("Gaussians");
+            let parts = || with_term(&context, &settings, Nearer { gradient: gradient.clone() });
+            // The same photometric gradient in both runs, and far smaller than the term's.
+            let photo = Photo { width: camera.width, height: camera.height, rgb: vec![0; 3 * pixels] };
+            let run = Run::new(&context, vec![TrainView::new(camera, photo)], settings.clone());
+            let mut trainer = Run { start: scene.clone(), parts: Some(&parts), ..run }.begin();
+            assert_eq!(trainer.steps(1)[0].terms[1], ("nearer", 0.0));
+            let after = trainer.trained();
             let depth = |g: &Gaussians, i: usize| {
-                (camera.camera_from_world * glam::Vec3::from(g.means[i]) + camera.translation).z
+                (camera.camera_from_world * Vec3::from(g.means[i]) + camera.translation).z
             };
             (0..scene.len()).map(|i| depth(&after, i) - depth(&scene, i)).collect::<Vec<f32>>()
         };
@@ -326,6 +296,7 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
 }
 
 /// A term that keeps its inputs.
+#[derive(Clone)]
 struct Probe {
     picture: Buffer,
     photo: Buffer,
@@ -369,18 +340,17 @@ fn a_term_by_rows_sees_the_picture_and_the_photograph() {
         let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
         let (picture, photo) = (&buffers[0], &buffers[1]);
         let settings = TrainSettings { white_background: true, ..settings() };
-        let train = |terms: Vec<Box<dyn LossTerm>>| {
-            let parts = TrainParts { terms, ..TrainParts::of_settings(&context, &settings).expect("parts") };
-            let views = vec![TrainView::new(camera, stored.clone())];
-            let mut trainer = Trainer::with_parts(&context, views, &scene, EXTENT, settings.clone(), parts)
-                .expect("a trainer");
+        let probe = Probe { picture: picture.clone(), photo: photo.clone() };
+        let probed = || with_term(&context, &settings, probe.clone());
+        let train = |parts: Option<&dyn Fn() -> TrainParts>| {
+            let run = Run::new(&context, vec![TrainView::new(camera, stored.clone())], settings.clone());
+            let mut trainer = Run { start: scene.clone(), parts, ..run }.begin();
             let white = trainer.render_settings();
             let before = trainer.render(&camera, &white).expect("a picture").color;
-            trainer.step().expect("a step");
-            (before, trainer.checkpoint().expect("a checkpoint").fingerprint())
+            trainer.steps(1);
+            (before, trainer.state().fingerprint())
         };
-        let probe = Probe { picture: picture.clone(), photo: photo.clone() };
-        let (expected, fingerprint) = train(vec![Box::new(probe)]);
+        let (expected, fingerprint) = train(Some(&probed));
         let bytes = context.download(picture).expect("downloaded");
         for (actual, expected) in bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes).iter().zip(&expected) {
             let off = (0..3).map(|k| (actual[k] - expected[k]).abs()).fold(0.0, f32::max);
@@ -395,6 +365,190 @@ fn a_term_by_rows_sees_the_picture_and_the_photograph() {
                 false => assert_eq!(actual[..3], expected),
             }
         }
-        assert_eq!(fingerprint, train(Vec::new()).1, "the term has no gradient");
+        assert_eq!(fingerprint, train(None).1, "the term has no gradient");
+    }
+}
+
+/// Number of Gaussians removed at a time.
+const REMOVED: u32 = 9;
+
+/// Requests absolute statistics if `absolute`. After every `every` iterations it removes Gaussians, drawn in
+/// proportion to their importance.
+struct Watching {
+    absolute: bool,
+    every: u32,
+    kernels: (Densify, Importance, Selection),
+    /// Largest importance so far.
+    largest: f32,
+}
+
+impl Watching {
+    fn parts(context: &Context, absolute: bool, every: u32) -> TrainParts {
+        let kernels = (
+            Densify::new(context).expect("kernels"),
+            Importance::new(context, &settings().render_settings()).expect("kernels"),
+            Selection::new(context).expect("kernels"),
+        );
+        TrainParts {
+            strategy: Box::new(Self { absolute, every, kernels, largest: 0.0 }),
+            terms: Vec::new(),
+            block: None,
+        }
+    }
+}
+
+impl Strategy for Watching {
+    fn name(&self) -> &'static str {
+        "watching"
+    }
+
+    fn work(&self, _: &TrainSettings, iteration: u32) -> Work {
+        let actions = Actions::DENSIFY.when(iteration.is_multiple_of(self.every));
+        Work { accumulates: iteration % 7 != 3, ..optimizing(actions) }
+    }
+
+    fn statistics(&self) -> Vec<Statistic> {
+        let other = Statistic { name: "other", floats: 2 };
+        if self.absolute { vec![other, ABSOLUTE_STATISTIC] } else { vec![] }
+    }
+
+    fn between_steps(&mut self, population: &mut Population, _: Actions) -> Result<Changes> {
+        let (densify, importance, selection) = &self.kernels;
+        let before = population.count();
+        let views: Vec<usize> = (0..population.cameras().len()).rev().collect();
+        let Some(values) = population.importance(importance, &views)? else {
+            let densified = Densified { before, kept: before, limited: true, ..Densified::default() };
+            return Ok(Changes { densified: Some(densified), ..Changes::default() });
+        };
+        let context = population.context().clone();
+        let bytes = context.download(&values.range(0, u64::from(before) * 4))?;
+        let each: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
+        assert!(each.iter().all(|value| (0.0..=1.00001).contains(value)), "{each:?}");
+        self.largest = each.iter().copied().fold(self.largest, f32::max);
+        let buffers = context.allocate("densify", &selection.requests(before), MemoryKind::Device)?;
+        let buffers = SelectionBuffers::from_allocated(buffers);
+        let statistics = population.statistics();
+        let draw = SelectionDraw {
+            count: before,
+            wanted: REMOVED,
+            candidates: Candidates {
+                statistics: &statistics[0],
+                absolute: self.absolute.then(|| &statistics[2]),
+                threshold: 0.0,
+            },
+            chances: Chances::Importance(&values),
+            seed: population.settings().seed,
+            iteration: population.iteration(),
+            explicit: None,
+        };
+        context.run("select", |r| {
+            selection.record(r, &draw, &buffers);
+            Ok(())
+        })?;
+        let bytes = context.download(&buffers.selected.range(0, u64::from(before) * 4))?;
+        let selected: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
+        let kept: Vec<u32> = (0..before).filter(|&i| selected[i as usize] == 0).collect();
+        population.keep(&kept, densify)?;
+        let densified = Densified { before, kept: population.count(), ..Densified::default() };
+        Ok(Changes { densified: Some(densified), ..Changes::default() })
+    }
+
+    fn state(&self) -> Vec<(String, String)> {
+        vec![("largest".into(), self.largest.to_string())]
+    }
+
+    fn restore(&mut self, state: &[(String, String)]) -> Result<()> {
+        self.largest = state[0].1.parse().expect("a number");
+        Ok(())
+    }
+}
+
+fn run(
+    context: &Context,
+    views: Vec<TrainView>,
+    (absolute, every): (bool, u32),
+    stops: &[u32],
+) -> Checkpoint {
+    let parts = || Watching::parts(context, absolute, every);
+    Run::new(context, views, settings()).with_parts(&parts).end(stops)
+}
+
+/// Absolute statistics are never below the signed ones, and change no bit of the training.
+#[test]
+fn absolute_statistics_leave_the_training_as_it_is() {
+    let of = |absolute| run(context(), views(3, 9), (absolute, u32::MAX), &[]);
+    let (without, with) = (of(false), of(true));
+    assert!(without.gaussians == with.gaussians && without.first_moments == with.first_moments);
+    assert!(without.second_moments == with.second_moments && without.statistics == with.statistics);
+    let [other, absolute] = &with.strategy.statistics[..] else { panic!("two statistics") };
+    assert_eq!((absolute.name.as_str(), absolute.floats), ("absolute_statistics", 1));
+    assert!(other.values.iter().all(|&value| value == 0.0));
+    let pairs = || with.statistics.iter().zip(&absolute.values);
+    assert!(pairs().all(|(&[signed, _], &absolute)| absolute >= signed * 0.9999));
+    assert!(pairs().filter(|(statistic, absolute)| **absolute > 1.5 * statistic[0]).count() > 20);
+    // Same number of views: three of the iterations do not count.
+    let most = with.statistics.iter().fold(0.0_f32, |most, statistic| most.max(statistic[1]));
+    assert_eq!(most, (settings().iterations - 3) as f32);
+}
+
+#[test]
+fn importance_draws_the_same_gaussians_in_a_resumed_run_and_from_photographs_in_a_file() {
+    let whole = run(context(), views(3, 9), (true, 6), &[]);
+    assert_eq!(whole.gaussians.len(), start().len() - 3 * REMOVED as usize);
+    let largest: f32 = whole.strategy.values[0].1.parse().expect("a number");
+    assert!((1.0 / 3.0..=1.00001).contains(&largest), "{largest}");
+    for stops in [[5, 6], [12, 13]] {
+        let resumed = run(context(), views(3, 9), (true, 6), &stops);
+        assert!(resumed == whole, "interrupted after {stops:?}: other bits");
+    }
+    let streamed = run(context(), in_a_file(&views(3, 9), 5), (true, 6), &[]);
+    assert!(streamed.fingerprint() == whole.fingerprint());
+}
+
+/// A training that requests the importance after each iteration, and whether there was memory for it.
+fn asking(context: &Context, views_asked: &[usize]) -> (Trainer, Arc<Mutex<Vec<bool>>>) {
+    let answers: Arc<Mutex<Vec<bool>>> = Arc::default();
+    let kernels = Importance::new(context, &settings().render_settings()).expect("kernels");
+    let (asked, noted) = (views_asked.to_vec(), Arc::clone(&answers));
+    let parts = between(move |population| {
+        let there = population.importance(&kernels, &asked)?.is_some();
+        noted.lock().expect("one thread").push(there);
+        Ok(())
+    });
+    let trainer = Trainer::with_parts(context, views(3, 9), &start(), EXTENT, settings(), parts);
+    (trainer.expect("a trainer"), answers)
+}
+
+/// All of its memory is counted: without memory there is no importance, and the training continues.
+#[test]
+fn importance_keeps_within_a_bounded_memory() {
+    let of = |max_memory: Option<u64>| {
+        let context = bounded(max_memory);
+        let (mut trainer, answers) = asking(&context, &[0, 1, 2]);
+        trainer.steps(1);
+        let staged = context.free_staging();
+        let before = trainer.memory_bytes();
+        trainer.steps(1);
+        let there = answers.lock().expect("one thread")[0];
+        (before, context.memory_total().peak_bytes, there, trainer.trained(), staged)
+    };
+    let (before, peak, there, free, staged) = of(None);
+    assert!(there && peak > before);
+    for (bound, expected) in [(before + 64, false), (peak, true)] {
+        if staged && !expected {
+            eprintln!("skipped: no room for nothing but the training: transfers here need memory too");
+            continue;
+        }
+        let (_, used, there, bounded, _) = of(Some(bound));
+        assert!(there == expected && used <= bound && bounded == free, "{bound}: {there}, {used} bytes");
+    }
+}
+
+#[test]
+fn importance_of_views_that_do_not_exist_is_refused() {
+    for (views_asked, word) in [(vec![0, 3], "[0, 3]"), (vec![], "[]")] {
+        let (mut trainer, _) = asking(context(), &views_asked);
+        trainer.steps(1);
+        assert_says(refusal(trainer.step()), &[word, "views"]);
     }
 }

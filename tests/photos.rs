@@ -1,22 +1,12 @@
 //! Photographs in training: masked pixels have no loss, and reading photographs during training changes nothing.
 
-use ashsplat::loss::{Windowing, photo_bytes, photo_on_device};
-use ashsplat::plan::Strips;
-use ashsplat::trainer::{TrainView, Trainer};
-use ashsplat::vk::Context;
-use ashsplat::{Gaussians, TrainSettings};
-use ashsplat_files::metrics;
-use ashsplat_files::{Photo, PhotoMemory, StoredPhoto};
-use std::sync::Arc;
+use ashsplat::frame::Strips;
+use ashsplat::passes::loss::{Windowing, photo_bytes, photo_on_device};
+use ashsplat_files::{PhotoMemory, StoredPhoto, metrics};
 
-use crate::checkpoints;
-use crate::common::engine::{camera, gaussians, renderer, settings};
-use crate::common::gpu::Gpu;
-use crate::common::options;
-use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
-use crate::reference::types::View;
-
-const EXTENT: f32 = 5.0;
+use crate::common::engine::settings;
+use crate::common::prelude::*;
+use crate::common::training;
 
 /// Memory for `held` photographs on the device and, in the same form, on the host, while another is read.
 fn held_bytes(views: &[TrainView], held: u64) -> u64 {
@@ -41,13 +31,13 @@ fn short() -> TrainSettings {
     TrainSettings {
         opacity_reset_interval: usual.opacity_reset_interval,
         random_background: usual.random_background,
-        ..checkpoints::settings()
+        ..training::settings()
     }
 }
 
 /// Ten photographs, every third with a mask.
 fn views() -> Vec<TrainView> {
-    let mut views = checkpoints::views(10, 9);
+    let mut views = training::views(10, 9);
     for (i, view) in views.iter_mut().enumerate().filter(|(i, _)| i % 3 == 0) {
         let photo = view.photo.photo().expect("in memory");
         let mask = (0..40 * 30).map(|k| if (k / 7 + i) % 3 == 0 { 0 } else { 255 }).collect();
@@ -56,10 +46,13 @@ fn views() -> Vec<TrainView> {
     views
 }
 
+fn run(context: &Context, views: Vec<TrainView>) -> Run<'_> {
+    Run::new(context, views, short())
+}
+
 fn train(context: &Context, views: Vec<TrainView>, until: u32) -> (Trainer, Vec<f32>) {
-    let mut trainer =
-        Trainer::new(context, views, &checkpoints::start(), EXTENT, short()).expect("a trainer");
-    let losses = (0..until).map(|_| trainer.step().expect("a step").loss).collect();
+    let mut trainer = run(context, views).begin();
+    let losses = trainer.losses(until);
     (trainer, losses)
 }
 
@@ -68,8 +61,8 @@ fn photos_from_a_file_give_the_same_bits() {
     // A separate device, because other tests' photographs would be counted.
     let context = Context::new(&options()).expect("a device");
     let views = views();
-    let (trainer, losses) = train(&context, views.clone(), 40);
-    let expected = trainer.gaussians().expect("the Gaussians");
+    let (trainer, expected_losses) = train(&context, views.clone(), 40);
+    let expected = trainer.trained();
     let of_photos = |trainer: &Trainer| {
         trainer.memory().iter().find(|arena| arena.name == "photos").map(|arena| arena.bytes)
     };
@@ -77,38 +70,28 @@ fn photos_from_a_file_give_the_same_bits() {
     drop(trainer);
     for held in [5, 8, 14] {
         let (trainer, streamed) = train(&context, in_a_file(&views, held), 40);
-        assert_eq!(streamed, losses, "{held} held");
-        assert!(trainer.gaussians().expect("the Gaussians") == expected, "{held} held");
+        assert_eq!(streamed, expected_losses, "{held} held");
+        assert!(trainer.trained() == expected, "{held} held");
         assert!(held == 14 || of_photos(&trainer) < resident);
     }
     // A checkpoint does not depend on where the photographs were.
-    let (trainer, _) = train(&context, views.clone(), 17);
-    let checkpoint = trainer.checkpoint().expect("a checkpoint");
-    drop(trainer);
-    let mut resumed =
-        Trainer::resume(&context, in_a_file(&views, 6), EXTENT, short(), &checkpoint).expect("resumed");
-    let rest: Vec<f32> = (17..40).map(|_| resumed.step().expect("a step").loss).collect();
-    assert!(rest == losses[17..] && resumed.gaussians().expect("the Gaussians") == expected);
+    let checkpoint = run(&context, views.clone()).until(17, &[]);
+    let mut resumed = run(&context, in_a_file(&views, 6)).resume(&checkpoint);
+    assert!(resumed.losses(23) == expected_losses[17..] && resumed.trained() == expected);
     // A data set with another mask is a different one.
     let mut others = views;
     others[0].photo = StoredPhoto::from(Photo::clone(&others[0].photo.photo().expect("in memory")));
-    let refused = Trainer::resume(&context, others, EXTENT, short(), &checkpoint).err().expect("refused");
-    assert!(refused.to_string().contains("other photographs"), "{refused}");
+    assert_says(refusal(run(&context, others).try_resume(&checkpoint)), &["other photographs"]);
 }
 
 #[test]
 fn photos_without_memory_to_read_ahead_are_refused() {
-    let gpu = Gpu::new();
-    let views = views();
-    let views = in_a_file(&views, 4);
-    let refused = Trainer::new(gpu.context, views, &checkpoints::start(), EXTENT, short()).err();
-    let message = refused.expect("refused").to_string();
-    let expected = match Windowing::for_device(gpu.context.limits()) {
+    let expected = match Windowing::for_device(context().limits()) {
         Windowing::Blocks => "24000 bytes, more than 19200 (--photo-memory,",
         // Four planes of four strips, and the pixels of the photograph being read.
         Windowing::Sweeps => "31680 bytes, more than 26304 (--photo-memory,",
     };
-    assert!(message.contains(expected), "{message}");
+    assert_says(refusal(run(context(), in_a_file(&views(), 4)).try_begin()), &[expected]);
 }
 
 #[test]
@@ -123,16 +106,14 @@ fn photos_in_a_file_are_what_they_were() {
 
 #[test]
 fn photos_and_masks_of_wrong_sizes_are_refused() {
-    let gpu = Gpu::new();
-    let refusal = |photo: StoredPhoto| {
-        let view = TrainView::new(checkpoints::views(1, 3)[0].camera, photo);
-        let refused = Trainer::new(gpu.context, vec![view], &checkpoints::start(), EXTENT, short()).err();
-        refused.expect("refused").to_string()
+    let refused = |photo: StoredPhoto, said: &str| {
+        let view = TrainView::new(training::views(1, 3)[0].camera, photo);
+        assert_says(refusal(run(context(), vec![view]).try_begin()), &[said]);
     };
     let photo = |bytes: usize| Photo { width: 40, height: 30, rgb: vec![5; bytes] };
-    assert!(refusal(photo(77).into()).contains("has 77 bytes, not three per pixel"));
+    refused(photo(77).into(), "has 77 bytes, not three per pixel");
     let masked = StoredPhoto::new(photo(3600), Some(vec![255; 3]));
-    assert!(refusal(masked).contains("the mask has 3 bytes, not one per pixel"));
+    refused(masked, "the mask has 3 bytes, not one per pixel");
 }
 
 /// In strips each value is at its place; pixels that do not count, and padding, are 0.
@@ -193,12 +174,12 @@ fn training_in_strips_is_training_by_pixels() {
 /// the loss.
 #[test]
 fn transparent_photographs_have_the_random_background() {
-    let mut out_of_view = checkpoints::start();
+    let mut out_of_view = training::start();
     out_of_view.means.iter_mut().for_each(|mean| mean[1] += 1e5);
     let kinds: [(fn() -> Gpu, bool); 3] = [(Gpu::new, false), (Gpu::new, true), (Gpu::without_texels, true)];
     for (gpu, white_background) in kinds {
         let gpu = gpu();
-        let views: Vec<TrainView> = (checkpoints::views(3, 9).into_iter().enumerate())
+        let views: Vec<TrainView> = (training::views(3, 9).into_iter().enumerate())
             .map(|(i, view)| {
                 let rgb = vec![255 * u8::from(white_background); 40 * 30 * 3];
                 let mask = (i == 1).then(|| (0..40 * 30).map(|k| (k % 7 != 0).into()).collect());
@@ -208,10 +189,8 @@ fn transparent_photographs_have_the_random_background() {
             .collect();
         for views in [in_a_file(&views, 8), views] {
             let settings = TrainSettings { white_background, random_background: true, ..short() };
-            let trainer = Trainer::new(gpu.context, views, &out_of_view, EXTENT, settings);
-            let mut trainer = trainer.expect("a trainer");
-            for _ in 0..6 {
-                let report = trainer.step().expect("a step");
+            let run = Run::new(gpu.context, views, settings).starting_at(&out_of_view);
+            for report in run.begin().steps(6) {
                 assert!(report.visible == 0 && report.loss < 0.004, "white {white_background}: {report:?}");
             }
         }
@@ -245,7 +224,6 @@ fn seen(indices: impl Iterator<Item = u32>, occluder: Option<bool>) -> Vec<Train
     indices.map(of_view).collect()
 }
 
-/// Mean PSNR of held-out views.
 fn held_out_psnr(gpu: &Gpu, train: Vec<TrainView>, start: &Gaussians) -> f64 {
     let settings = TrainSettings {
         iterations: 400,
@@ -256,14 +234,14 @@ fn held_out_psnr(gpu: &Gpu, train: Vec<TrainView>, start: &Gaussians) -> f64 {
         opacity_reset_interval: u32::MAX,
         ..TrainSettings::default()
     };
-    let mut trainer = Trainer::new(gpu.context, train, start, EXTENT, settings).expect("a trainer");
-    (0..400).for_each(|_| drop(trainer.step().expect("a step")));
+    let mut trainer = Run::new(gpu.context, train, settings).starting_at(start).begin();
+    trainer.finish();
     let settings = trainer.render_settings();
     let held_out = seen((0..24).filter(|i| i % 4 == 3), None);
     let psnrs = held_out.iter().map(|view| {
         let frame = trainer.render(&view.camera, &settings).expect("a frame");
-        let photo: Arc<Photo> = view.photo.photo().expect("in memory");
-        metrics::psnr(&frame.color, &photo.to_f32()).expect("equal sizes")
+        let photo = view.photo.photo().expect("in memory").to_f32();
+        metrics::psnr(&frame.color, &photo).expect("equal sizes")
     });
     psnrs.sum::<f64>() / held_out.len() as f64
 }

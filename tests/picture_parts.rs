@@ -1,19 +1,14 @@
 //! Parts of pictures are rendered, differentiated and trained like the whole.
 
-use ashsplat::scene::{Intrinsics, Photo, StoredPhoto};
-use ashsplat::trainer::{Checkpoint, TrainView, Trainer};
-use ashsplat::{Camera, Gaussians, RenderSettings, TrainSettings};
-use glam::Vec3;
+use ashsplat::scene::{Intrinsics, StoredPhoto};
 
-use crate::common::engine::renderer;
-use crate::common::gpu::Gpu;
+use crate::common::prelude::*;
 use crate::common::splats::{ball, camera};
 
 /// Corners and sizes: aligned to tiles, across them, at the far edges, a single pixel.
 const PARTS: [([u32; 2], [u32; 2]); 4] =
     [([16, 16], [48, 32]), ([13, 7], [50, 41]), ([70, 40], [26, 24]), ([48, 30], [1, 1])];
 
-/// Pixels of a part of a picture.
 fn cut<T: Copy>(pixels: &[T], whole: u32, [left, top]: [u32; 2], [width, height]: [u32; 2]) -> Vec<T> {
     let rows = (top..top + height).map(|y| (y * whole + left) as usize);
     rows.flat_map(|first| &pixels[first..first + width as usize]).copied().collect()
@@ -104,15 +99,11 @@ fn views(part: Option<([u32; 2], [u32; 2])>, depths: bool) -> Vec<TrainView> {
 }
 
 fn trained(views: Vec<TrainView>, settings: &TrainSettings) -> (Checkpoint, f32) {
-    let gpu = Gpu::new();
-    let mut scene = ball(400);
-    scene.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.5);
-    let mut trainer = Trainer::new(gpu.context, views, &scene, 5.0, settings.clone()).expect("a trainer");
-    let mut loss = 0.0;
-    for _ in 0..settings.iterations - 1 {
-        loss = trainer.step().expect("a step").loss;
-    }
-    (trainer.checkpoint().expect("a checkpoint"), loss)
+    let mut start = ball(400);
+    start.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.5);
+    let mut trainer = Run { start, ..Run::shared(views, settings.clone()) }.begin();
+    let reports = trainer.steps(settings.iterations - 1);
+    (trainer.state(), reports.last().expect("steps").loss)
 }
 
 /// Results and counts do not depend on the black pixels around it, up to rounding.
@@ -141,15 +132,12 @@ fn training_on_a_part_is_that_on_the_whole() {
     }
 }
 
-/// A checkpoint with other parts counts as one with other photographs.
 #[test]
 fn a_run_does_not_go_on_with_other_parts() {
-    let gpu = Gpu::new();
     let settings = TrainSettings { iterations: 4, sh_degree: 1, ..Default::default() };
     let (checkpoint, _) = trained(views(Some(([24, 8], [48, 48])), false), &settings);
     for (part, accepted) in [(([24, 8], [48, 48]), true), (([20, 8], [48, 48]), false)] {
-        let resumed =
-            Trainer::resume(gpu.context, views(Some(part), false), 5.0, settings.clone(), &checkpoint);
-        assert_eq!(resumed.is_ok(), accepted, "{part:?}");
+        let run = Run::shared(views(Some(part), false), settings.clone());
+        assert_eq!(run.try_resume(&checkpoint).is_ok(), accepted, "{part:?}");
     }
 }

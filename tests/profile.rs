@@ -1,10 +1,11 @@
 //! `ashsplat profile`, run as users run it.
 
+use crate::bench::{number, read};
 use crate::cli::{refuse, succeed, text};
+use crate::common::{assert_says, new_paths};
 use serde_json::Value;
 use tempfile::tempdir;
 
-/// A workload that takes little time.
 const SMALL: [&str; 10] =
     ["--gaussians", "300", "--width", "80", "--height", "48", "--frames", "3", "--warmup", "1"];
 
@@ -26,7 +27,7 @@ fn profile_prints_a_table_of_one_kernel_or_folder() {
 fn profile_marks_one_iteration_for_a_capture() {
     let small = &SMALL[..6];
     let said = succeed(&[&["profile", "--capture", "--warmup", "1"], small].concat());
-    assert!(said.contains("one render was marked as a capture"));
+    assert_says(&said, &["one render was marked as a capture"]);
     refuse(&["profile", "--capture", "--html", "page.html"], &["--capture", "--html"]);
 }
 
@@ -49,24 +50,14 @@ fn profile_refuses_options_that_would_not_be_used() {
 }
 
 #[test]
-fn profile_page_names_other_constants() {
-    let folder = tempdir().expect("a temporary folder");
-    let html = folder.path().join("page.html");
+fn profile_page_stands_alone() {
+    let (_folder, [html]) = new_paths(["page.html"]);
     profile(&["--html", text(&html), "--spec", "sort.ITEMS=512"]);
     let page = std::fs::read_to_string(&html).expect("a page");
-    assert!(page.contains("with sort.ITEMS=512"), "the constants are part of what was measured");
-}
-
-#[test]
-fn profile_page_stands_alone() {
-    let folder = tempdir().expect("a temporary folder");
-    let html = folder.path().join("page.html");
-    profile(&["--html", text(&html)]);
-    let page = std::fs::read_to_string(&html).expect("a page");
+    assert_says(&page, &["with sort.ITEMS=512"]);
     assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"));
-    for part in ["Timeline", "Stages", "Kernels", "History", "Memory", "Tiles", "Histograms", "tile sort"] {
-        assert!(page.contains(part), "no '{part}'");
-    }
+    assert_says(&page, &["Timeline", "Stages", "Kernels", "History", "Memory", "Tiles", "Histograms"]);
+    assert_says(&page, &["tile sort"]);
     assert_eq!(page.matches("data:image/png;base64,").count(), 3);
     for outside in ["http://", "https://", "src=\"/", "@import", "url("] {
         assert!(!page.contains(outside), "the page needs '{outside}'");
@@ -77,21 +68,19 @@ fn profile_page_stands_alone() {
 
 #[test]
 fn profile_trace_nests_and_keeps_one_clock() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = folder.path().join("trace.json");
+    let (_folder, [path]) = new_paths(["trace.json"]);
     profile(&["--trace", text(&path)]);
-    let trace: Value = serde_json::from_str(&std::fs::read_to_string(&path).expect("a trace")).expect("JSON");
+    let trace = read(&path);
     assert!(trace["otherData"]["clock"].is_string());
     let events = trace["traceEvents"].as_array().expect("events");
-    let number = |event: &Value, field: &str| event[field].as_f64().unwrap_or_else(|| panic!("{event}"));
     for event in events {
         assert!(event["name"].is_string() && event["pid"].is_u64() && event["tid"].is_u64(), "{event}");
         assert!(["X", "M", "s", "f"].contains(&event["ph"].as_str().expect("a phase")), "{event}");
     }
     for process in [1, 2] {
         let own = |event: &&Value| event["ph"] == "X" && event["pid"] == process;
-        let mut spans: Vec<(f64, f64)> =
-            events.iter().filter(own).map(|e| (number(e, "ts"), number(e, "dur"))).collect();
+        let span = |event: &Value| (number(&event["ts"]), number(&event["dur"]));
+        let mut spans: Vec<(f64, f64)> = events.iter().filter(own).map(span).collect();
         assert!(spans.len() > 9, "process {process}");
         assert!(spans.iter().all(|(begin, duration)| *begin >= 0.0 && *duration >= 0.0));
         spans.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.total_cmp(&a.1)));
@@ -104,19 +93,15 @@ fn profile_trace_nests_and_keeps_one_clock() {
         }
     }
     // Three iterations on the host, each containing the device's work.
-    assert_eq!(events.iter().filter(|e| e["cat"] == "iteration").count(), 3);
-    assert_eq!(events.iter().filter(|e| e["name"] == "forward/blend").count(), 3);
-    assert_eq!(
-        events.iter().filter(|e| e["ph"] == "s").count(),
-        events.iter().filter(|e| e["ph"] == "f").count()
-    );
+    let count = |field: &str, value: &str| events.iter().filter(|event| event[field] == value).count();
+    assert_eq!((count("cat", "iteration"), count("name", "forward/blend")), (3, 3));
+    assert_eq!(count("ph", "s"), count("ph", "f"));
 }
 
 #[test]
 fn profile_compares_two_settings() {
     let table = profile(&["--ab", "sort.ITEMS=8", "-"]);
-    assert!(table.contains("A: sort.ITEMS=8   B: -"), "{table}");
-    assert!(table.contains("wall") && table.contains("largest difference of the pictures: 0"), "{table}");
+    assert_says(&table, &["A: sort.ITEMS=8   B: -", "wall", "largest difference of the pictures: 0"]);
     let other = profile(&["--ab", "-", "forward/project.SH_DEGREE=0"]);
     let last = other.lines().last().expect("a line");
     let difference: f32 = last.rsplit(' ').next().and_then(|n| n.parse().ok()).expect("a number");
@@ -127,9 +112,7 @@ fn profile_compares_two_settings() {
 fn profile_dumps_modules_with_their_instructions() {
     let folder = tempdir().expect("a temporary folder");
     let table = succeed(&["profile", "--dump", text(folder.path())]);
-    assert!(
-        table.lines().next().is_some_and(|head| head.contains("subgroup") && head.contains("transcend."))
-    );
+    assert_says(table.lines().next().expect("a header"), &["subgroup", "transcend."]);
     let line = table.lines().find(|line| line.starts_with("sort/sort_downsweep")).expect("its line");
     let numbers: Vec<u32> = line.split_whitespace().skip(1).filter_map(|n| n.parse().ok()).collect();
     assert!(numbers.len() == 9 && numbers[0] > 100 && numbers[1] > 10, "{line}");

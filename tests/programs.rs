@@ -17,39 +17,33 @@ use serde_json::json;
 mod run;
 
 use crate::absent;
-use crate::common::corner;
 use crate::common::lenses::write;
+use crate::common::splats::write_points;
+use crate::common::{assert_says, corner};
 use crate::program::cinema::{Cinema, film, pixels};
 use run::{finish, program};
 
-/// One trial per program.
 pub fn trials() -> Vec<Trial> {
-    let trial = |name: &str, program: &str, asked: &str, check: fn()| {
-        // Any answer shows that it is installed.
-        if let Err(error) = Command::new(program).arg(asked).output() {
-            return absent(name, format!("{program} is not installed: {error}"));
+    // Any answer shows that a program is installed.
+    let tried = |program: &str, argument: &str| Command::new(program).arg(argument).output();
+    let trial = |name: &str, programs: &[(&str, &str)], check: fn()| {
+        for &(program, argument) in programs {
+            if let Err(error) = tried(program, argument) {
+                return absent(name, format!("{program} is not installed: {error}"));
+            }
         }
         Trial::test(name, move || {
             check();
             Ok(())
         })
     };
+    let [colmap, ffmpeg] = [("colmap", "help"), ("ffmpeg", "-version")];
     vec![
-        trial("programs_colmap_undistorts_the_same", "colmap", "help", colmap_undistorts_the_same),
-        trial("programs_colmap_finds_poses", "colmap", "help", colmap_finds_poses),
-        match Command::new("ffmpeg").arg("-version").output() {
-            Ok(_) => trial(
-                "programs_colmap_finds_poses_of_a_video",
-                "colmap",
-                "help",
-                colmap_finds_poses_of_a_video,
-            ),
-            Err(error) => {
-                absent("programs_colmap_finds_poses_of_a_video", format!("ffmpeg is not installed: {error}"))
-            }
-        },
-        trial("programs_ffmpeg_makes_films", "ffmpeg", "-version", ffmpeg_makes_films),
-        trial("programs_ffmpeg_makes_rendered_films", "ffmpeg", "-version", ffmpeg_makes_rendered_films),
+        trial("programs_colmap_undistorts_the_same", &[colmap], colmap_undistorts_the_same),
+        trial("programs_colmap_finds_poses", &[colmap], colmap_finds_poses),
+        trial("programs_colmap_finds_poses_of_a_video", &[ffmpeg, colmap], colmap_finds_poses_of_a_video),
+        trial("programs_ffmpeg_makes_films", &[ffmpeg], ffmpeg_makes_films),
+        trial("programs_ffmpeg_makes_rendered_films", &[ffmpeg], ffmpeg_makes_rendered_films),
     ]
 }
 
@@ -58,16 +52,13 @@ fn colmap_undistorts_the_same() {
     let folder = tempfile::tempdir().unwrap();
     write(folder.path());
     let path = |name: &str| folder.path().join(name);
-    let run = Command::new("colmap")
+    let mut colmap = Command::new("colmap");
+    colmap
         .env("QT_QPA_PLATFORM", "offscreen")
         .args(["image_undistorter", "--image_path"])
-        .arg(path("images"))
-        .arg("--input_path")
-        .arg(path("sparse/0"))
-        .arg("--output_path")
-        .arg(path("theirs"))
-        .output()
-        .unwrap();
+        .arg(path("images"));
+    colmap.arg("--input_path").arg(path("sparse/0")).arg("--output_path").arg(path("theirs"));
+    let run = colmap.output().unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let ours = Dataset::load(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap();
     let theirs = Dataset::load(path("theirs"), &DatasetOptions::default(), Progress::NONE).unwrap();
@@ -80,20 +71,25 @@ fn colmap_undistorts_the_same() {
         for (x, y) in [(i.fx, j.fx), (i.fy, j.fy), (i.cx, j.cx), (i.cy, j.cy)] {
             assert!((x - y).abs() < 1e-3, "{i:?} {j:?}");
         }
-        let psnr =
-            metrics::psnr(&a.photo.photo().unwrap().to_f32(), &b.photo.photo().unwrap().to_f32()).unwrap();
+        let [ours, theirs] = [a, b].map(|view| view.photo.photo().unwrap().to_f32());
+        let psnr = metrics::psnr(&ours, &theirs).unwrap();
         assert!(psnr > 45.0, "{}: {psnr} dB", a.name);
     }
 }
 
+fn succeed(command: &mut Command) -> String {
+    let run = finish(command);
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    run.stdout
+}
+
 /// Runs `ashsplat poses` and loads its data set. Returns its output and the data set.
 fn poses(folder: &Path, arguments: &[&str], dataset: &str) -> (String, Dataset) {
-    let run = finish(program().current_dir(folder).arg("poses").args(arguments));
-    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    let said = succeed(program().current_dir(folder).arg("poses").args(arguments));
     let options = DatasetOptions::default();
     let report = Dataset::inspect(folder.join(dataset), &options, Progress::NONE);
     assert!(report.is_sound() && report.points > 300, "{report}");
-    (run.stdout, Dataset::load(folder.join(dataset), &options, Progress::NONE).unwrap())
+    (said, Dataset::load(folder.join(dataset), &options, Progress::NONE).unwrap())
 }
 
 /// Fails unless positions equal the true ones up to a similarity: all distances have the same ratio.
@@ -101,17 +97,14 @@ fn assert_placed(dataset: &Dataset, truth: impl Fn(&str) -> f32) {
     let views = dataset.views();
     let place = |view: &ashsplat_files::View| corner::camera(truth(&view.name)).position();
     let first = views[0];
-    let ratios: Vec<f32> = views[views.len() / 2..]
-        .iter()
-        .map(|view| {
-            view.camera.position().distance(first.camera.position()) / place(view).distance(place(first))
-        })
-        .collect();
+    let ratio = |view: &&ashsplat_files::View| {
+        view.camera.position().distance(first.camera.position()) / place(view).distance(place(first))
+    };
+    let ratios: Vec<f32> = views[views.len() / 2..].iter().map(ratio).collect();
     let mean = ratios.iter().sum::<f32>() / ratios.len() as f32;
     assert!(ratios.iter().all(|ratio| (ratio / mean - 1.0).abs() < 0.03), "{ratios:?}");
 }
 
-/// The number in a name.
 fn number(name: &str) -> f32 {
     name.chars().filter(char::is_ascii_digit).collect::<String>().parse().unwrap()
 }
@@ -140,8 +133,7 @@ fn colmap_finds_poses() {
     assert!(camera.width.abs_diff(height) < 9 && camera.height.abs_diff(width) < 9, "{camera:?}");
     assert_placed(&dataset, |name| number(name) / 10.0);
     let model = ["train", "-s", "my photos_dataset", "-m", "out", "--iterations", "20", "--quiet"];
-    let run = finish(program().current_dir(folder.path()).args(model));
-    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    succeed(program().current_dir(folder.path()).args(model));
 }
 
 /// A video with every fourth frame sharp.
@@ -168,6 +160,13 @@ fn colmap_finds_poses_of_a_video() {
     assert_placed(&dataset, |name| (4.0 * (number(name) - 1.0) + 2.0) / 47.0);
 }
 
+fn decoded(film: &Path, options: &[&str]) -> Vec<u8> {
+    let run = Command::new("ffmpeg").args(["-v", "error", "-i"]).arg(film).args(options).output();
+    let run = run.expect("ffmpeg");
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    run.stdout
+}
+
 /// Films with odd sides, whose colours ffmpeg must not shift.
 fn ffmpeg_makes_films() {
     let cinema = Cinema::open();
@@ -183,18 +182,15 @@ fn ffmpeg_makes_films() {
     assert_eq!(std::fs::read(&path).expect("a file"), bytes);
     // Decoded as players do: the tags define the colours.
     let decode = ["-f", "rawvideo", "-vf", "scale=in_color_matrix=auto", "-pix_fmt", "rgb24", "-"];
-    let decoded = Command::new("ffmpeg").args(["-v", "error", "-i"]).arg(&path).args(decode).output();
-    let decoded = decoded.expect("ffmpeg");
-    assert!(decoded.status.success(), "{}", String::from_utf8_lossy(&decoded.stderr));
+    let decoded = decoded(&path, &decode);
     let (width, height) = (162, 122);
-    assert_eq!(decoded.stdout.len(), 5 * width * height * 3);
+    assert_eq!(decoded.len(), 5 * width * height * 3);
     let frames = Path::new(files["frames"].as_str().expect("a folder"));
-    for (index, shown) in (0..).zip(decoded.stdout.chunks_exact(width * height * 3)) {
+    for (index, shown) in (0..).zip(decoded.chunks_exact(width * height * 3)) {
         let frame = pixels(frames, index);
         let rows = frame.chunks_exact(161 * 3).zip(shown.chunks_exact(width * 3));
-        let errors: Vec<f64> =
-            rows.flat_map(|(a, b)| a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b)))).collect();
-        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        let errors = rows.flat_map(|(a, b)| a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))));
+        let mean = errors.sum::<f64>() / frame.len() as f64;
         assert!(mean < 4.0, "frame {index}: {mean}");
     }
     // No temporary files remain.
@@ -205,20 +201,13 @@ fn ffmpeg_makes_films() {
 fn ffmpeg_makes_rendered_films() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let ply = folder.path().join("scene.ply");
-    let points = ashsplat::scene::PointCloud {
-        positions: (0..50)
-            .map(|i| [(0.3 * i as f32).sin(), 0.02 * i as f32, (0.7 * i as f32).cos()])
-            .collect(),
-        colors: vec![[230, 77, 26]; 50],
-    };
-    let gaussians = ashsplat_files::initial_gaussians(&points, 0).expect("Gaussians");
-    ashsplat_files::ply::write(&ply, &gaussians).expect("written");
+    let point = |i| [(0.3 * i as f32).sin(), 0.02 * i as f32, (0.7 * i as f32).cos()];
+    write_points(&ply, (0..50).map(point).collect(), 0);
     let render = |out: &Path, more: &[&str]| {
         let paths = ["render", ply.to_str().expect("a path"), "-o", out.to_str().expect("a path")];
         let arguments =
             [paths.as_slice(), &["--orbit", "7", "--width", "97", "--height", "53"], more].concat();
-        let run = finish(program().args(arguments));
-        assert_eq!(run.code, Some(0), "{}", run.stderr);
+        succeed(program().args(arguments));
     };
     render(&folder.path().join("frames"), &[]);
     for (name, format) in [("film.mp4", "mov,mp4"), ("film.webm", "matroska,webm")] {
@@ -226,10 +215,9 @@ fn ffmpeg_makes_rendered_films() {
         render(&path, &["--fps", "12"]);
         let probe = Command::new("ffmpeg").args(["-hide_banner", "-i"]).arg(&path).output().expect("ffmpeg");
         let said = String::from_utf8_lossy(&probe.stderr).into_owned();
-        assert!(said.contains(format) && said.contains("98x54") && said.contains("12 fps"), "{said}");
+        assert_says(&said, &[format, "98x54", "12 fps"]);
         let decode = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"];
-        let decoded = Command::new("ffmpeg").args(["-v", "error", "-i"]).arg(&path).args(decode).output();
-        let decoded = decoded.expect("ffmpeg").stdout;
+        let decoded = decoded(&path, &decode);
         assert_eq!(decoded.len(), 7 * 98 * 54 * 3, "{name}");
         for (index, shown) in (0..).zip(decoded.chunks_exact(98 * 54 * 3)) {
             let frame = pixels(&folder.path().join("frames"), index);

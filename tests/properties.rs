@@ -3,15 +3,13 @@
 use proptest::prelude::*;
 
 use crate::common::compare::{GradientTolerance, PixelTolerance, gradient, pixels};
-use crate::common::engine::{camera, gaussians, renderer, settings, twins, widen};
-use crate::common::gpu::Gpu;
-use crate::common::scenes::{Random, mixed_scene, rotation_about_y, small_view};
-use crate::common::tiles::is_unstable;
-use crate::reference::blend_backward::PixelGradient;
-use crate::reference::pipeline::{Frame, backward, pixels_of, render, tile_of};
-use crate::reference::types::{Extent, Gaussian, Splat, View};
+use crate::common::engine::{settings, twins, widen};
+use crate::common::frame::unstable_pixels;
+use crate::common::prelude::*;
+use crate::common::scenes::by_parameter;
+use crate::gradients::{color_weights, narrowed};
+use crate::reference::pipeline::{Frame, backward, render};
 
-/// A scene and a view.
 #[derive(Clone, Debug)]
 struct Case {
     seed: u64,
@@ -53,17 +51,11 @@ fn unstable(case: &Case, scene: &[Gaussian], frame: &Frame) -> Vec<bool> {
             render(scene, &View { center_px, ..view.clone() })
         })
         .collect();
-    pixels_of(view)
-        .enumerate()
-        .map(|(index, pixel)| {
-            let list: Vec<&Splat> = frame.lists[tile_of(view, pixel)]
-                .iter()
-                .map(|&g| frame.splats[g as usize].as_ref().expect("listed"))
-                .collect();
-            is_unstable(&list, pixel, 1e-4)
-                || nudged.iter().any(|other| other.pixels[index].blended != frame.pixels[index].blended)
-        })
-        .collect()
+    let mut unstable = unstable_pixels(view, frame, 1e-4);
+    for (index, unstable) in unstable.iter_mut().enumerate() {
+        *unstable |= nudged.iter().any(|other| other.pixels[index].blended != frame.pixels[index].blended);
+    }
+    unstable
 }
 
 fn check(case: &Case) -> Result<(), String> {
@@ -81,25 +73,22 @@ fn check(case: &Case) -> Result<(), String> {
     let color: Vec<f64> = frame.pixels.iter().flat_map(|p| p.color).collect();
     pixels("colour", &widen(&actual.color), &color, &unstable, bound)?;
 
-    let d: Vec<[f64; 3]> =
-        unstable.iter().map(|&u| if u { [0.0; 3] } else { [0; 3].map(|_| random.signed()) }).collect();
-    let target: Vec<[f32; 3]> = d.iter().map(|d| d.map(|x| x as f32)).collect();
+    let weights = color_weights(&mut random, &unstable);
+    let (target, _) = narrowed(&weights);
     let actual = renderer.gradients(&camera(view), &settings(view), &target, None).map_err(fail)?;
     drop(renderer);
-    let d_pixels: Vec<PixelGradient> =
-        d.into_iter().map(|color| PixelGradient { color, inverse_depth: 0.0 }).collect();
-    let expected = backward(&scene, view, &frame, &d_pixels).parameters;
-    let actual = twins(&actual.parameters);
+    let expected = backward(&scene, view, &frame, &weights).parameters;
     let none = vec![false; scene.len()];
-    let bound = GradientTolerance { relative_l2: 1e-3, max_over_max: 1e-3 };
-    let flat = |f: fn(&Gaussian) -> Vec<f64>| actual.iter().flat_map(f).collect::<Vec<f64>>();
-    let logits: Vec<f64> = expected.iter().map(|g| g.opacity_logit).collect();
-    gradient("opacities", &flat(|g| vec![g.opacity_logit]), &logits, &none, bound)?;
-    let scales: Vec<f64> = expected.iter().flat_map(|g| g.log_scale).collect();
-    gradient("log-scales", &flat(|g| g.log_scale.to_vec()), &scales, &none, bound)?;
-    let quats: Vec<f64> = expected.iter().flat_map(|g| g.quat).collect();
-    let loose = GradientTolerance { relative_l2: 5e-3, max_over_max: 5e-3 };
-    gradient("quaternions", &flat(|g| g.quat.to_vec()), &quats, &none, loose)?;
+    for (name, actual, expected) in by_parameter(&twins(&actual.parameters), &expected) {
+        let bound = match name {
+            "opacities" | "log-scales" => 1e-3,
+            "quaternions" => 5e-3,
+            // Colours may be clamped or not.
+            _ => continue,
+        };
+        let tolerance = GradientTolerance { relative_l2: bound, max_over_max: bound };
+        gradient(name, &actual, &expected, &none, tolerance)?;
+    }
     Ok(())
 }
 
@@ -113,8 +102,6 @@ proptest! {
 
     #[test]
     fn property_the_device_renders_what_the_twin_renders(case in cases()) {
-        if let Err(message) = check(&case) {
-            return Err(TestCaseError::fail(format!("{message}: {case:?}")));
-        }
+        check(&case).map_err(|message| TestCaseError::fail(format!("{message}: {case:?}")))?;
     }
 }

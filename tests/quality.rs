@@ -1,13 +1,15 @@
 //! `ashsplat bench quality`: trainings with several strategies and seeds.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use ashsplat::TrainSettings;
-use ashsplat::trainer::options::OptionKind;
+use ashsplat::train::settings::OptionKind;
 use serde_json::Value;
-use tempfile::tempdir;
+use tempfile::TempDir;
 
+use crate::bench::{number, read, runs};
 use crate::cli::{assert_refused, finish, program, succeed, text, write_dataset};
+use crate::common::new_paths;
 use crate::program::running::Running;
 
 /// Names of the default strategy and of another.
@@ -17,20 +19,24 @@ fn strategies() -> [&'static str; 2] {
     [names[0], "mcmc"]
 }
 
-fn json(path: &Path) -> Value {
-    serde_json::from_str(&std::fs::read_to_string(path).expect("a file")).expect("JSON")
+fn folders() -> (TempDir, PathBuf, PathBuf) {
+    let (folder, [data, out]) = new_paths(["data", "out"]);
+    write_dataset(&data);
+    (folder, data, out)
 }
 
-fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+/// Checks that the end of a run is that of `train`.
+fn assert_trained(end: &Value, model: &Path) {
+    let trained = &read(&model.join("results.json"))["ours_12"];
+    for (ours, theirs) in [("psnr", "PSNR"), ("ssim", "SSIM"), ("gaussians", "gaussians")] {
+        assert!((number(&end[ours]) - number(&trained[theirs])).abs() < 1e-9, "{ours}: {end} {trained}");
+    }
 }
 
 #[test]
 fn bench_quality_measures_what_training_gives_and_goes_on() {
-    let folder = tempdir().expect("a temporary folder");
-    let (data, out, model) =
-        (folder.path().join("data"), folder.path().join("out"), folder.path().join("model"));
-    write_dataset(&data);
+    let (folder, data, out) = folders();
+    let model = folder.path().join("model");
     let names = strategies();
     let both = names.join(",");
     let schedule = ["--sh-degree", "1", "--densify-from-iter", "2", "--densification-interval", "3"];
@@ -42,8 +48,8 @@ fn bench_quality_measures_what_training_gives_and_goes_on() {
     let said = succeed(&[&of_seeds("0..2")[..], &until].concat());
     assert!(said.contains("3 dB: by 2 of 2") && said.contains("99 dB: not reached"), "{said}");
 
-    let report = json(&out.join("quality.json"));
-    let runs = report["runs"].as_array().expect("runs");
+    let report = read(&out.join("quality.json"));
+    let runs = runs(&report);
     let order: Vec<(&str, u64)> = runs
         .iter()
         .map(|run| (run["strategy"].as_str().expect("a name"), run["seed"].as_u64().expect("a seed")))
@@ -57,9 +63,8 @@ fn bench_quality_measures_what_training_gives_and_goes_on() {
     }
     for (curve, name) in report["summary"]["curves"].as_array().expect("curves").iter().zip(names) {
         assert_eq!(curve["strategy"], name);
-        let ends =
-            runs.iter().filter(|run| run["strategy"] == name).map(|run| number(&run["points"][2]["psnr"]));
-        let ends: Vec<f64> = ends.collect();
+        let own = runs.iter().filter(|run| run["strategy"] == name);
+        let ends: Vec<f64> = own.map(|run| number(&run["points"][2]["psnr"])).collect();
         assert!((number(&curve["places"][2]["psnr"]["mean"]) - (ends[0] + ends[1]) / 2.0).abs() < 1e-9);
         assert_ne!(ends[0], ends[1], "seeds differ");
     }
@@ -72,11 +77,8 @@ fn bench_quality_measures_what_training_gives_and_goes_on() {
     let train = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--quiet", "--strategy", names[1]];
     let more = ["--iterations", "12", "--seed", "1", "--few-photos", "off"];
     succeed(&[&train[..], &schedule, &more].concat());
-    let trained = &json(&model.join("results.json"))["ours_12"];
     let end = &runs[3]["points"][2];
-    for (ours, theirs) in [("psnr", "PSNR"), ("ssim", "SSIM"), ("gaussians", "gaussians")] {
-        assert!((number(&end[ours]) - number(&trained[theirs])).abs() < 1e-9, "{ours}: {end} {trained}");
-    }
+    assert_trained(end, &model);
 
     // Finished runs are not repeated; missing ones are.
     let file = |strategy: &str, seed: u32| out.join(format!("runs/{strategy}-{seed}.json"));
@@ -84,7 +86,7 @@ fn bench_quality_measures_what_training_gives_and_goes_on() {
     std::fs::remove_file(file(names[1], 1)).expect("removed");
     succeed(&of_seeds("1,0"));
     assert_eq!(std::fs::read(file(names[0], 0)).expect("a run"), kept);
-    let again = json(&file(names[1], 1));
+    let again = read(&file(names[1], 1));
     assert_eq!(again["points"][2]["psnr"], end["psnr"], "the same bits");
     // Another measurement must not mix with it.
     let other = [&quality[..], &schedule, &["--iterations", "11", "--points", "3"]].concat();
@@ -95,29 +97,20 @@ fn bench_quality_measures_what_training_gives_and_goes_on() {
 
 #[test]
 fn bench_quality_measures_presets_beside_strategies() {
-    let folder = tempdir().expect("a temporary folder");
-    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
-    write_dataset(&data);
+    let (folder, data, out) = folders();
     let growth = ["--densify-from-iter", "2", "--densification-interval", "3"];
     let short = [&growth[..], &["--iterations", "12", "--quiet"]].concat();
     let both = ["--presets", "fast,quality", "--strategies", "reference", "--points", "2"];
     succeed(&[&["bench", "quality", text(&data), "-o", text(&out)], &both[..], &short].concat());
-    let report = json(&out.join("quality.json"));
-    let runs = report["runs"].as_array().expect("runs");
+    let report = read(&out.join("quality.json"));
+    let runs = runs(&report);
     let names: Vec<_> = runs.iter().map(|run| run["strategy"].as_str().expect("a name")).collect();
     assert_eq!(names, ["reference", "preset-fast", "preset-quality"]);
     for (run, preset) in runs[1..].iter().zip(["fast", "quality"]) {
         let model = folder.path().join(preset);
         let train = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--preset", preset];
         succeed(&[&train[..], &["--few-photos", "off"], &short].concat());
-        let trained = &json(&model.join("results.json"))["ours_12"];
-        let end = &run["points"][1];
-        for (ours, theirs) in [("psnr", "PSNR"), ("ssim", "SSIM"), ("gaussians", "gaussians")] {
-            assert!(
-                (number(&end[ours]) - number(&trained[theirs])).abs() < 1e-9,
-                "{preset}: {end} {trained}"
-            );
-        }
+        assert_trained(&run["points"][1], &model);
     }
     let plain = &runs[0]["points"][1]["psnr"];
     assert!(runs[1..].iter().all(|run| run["points"][1]["psnr"] != *plain), "presets are no reference");
@@ -125,9 +118,7 @@ fn bench_quality_measures_presets_beside_strategies() {
 
 #[test]
 fn bench_quality_refuses_what_makes_no_sense() {
-    let folder = tempdir().expect("a temporary folder");
-    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
-    write_dataset(&data);
+    let (_folder, data, out) = folders();
     let refused = |more: &[&str], words: &[&str]| {
         let arguments = [&["bench", "quality", text(&data), "-o", text(&out)], more].concat();
         assert_refused(&finish(program().args(arguments)), words);
@@ -157,7 +148,7 @@ fn bench_quality_refuses_what_makes_no_sense() {
     refused(&some, &["no points to start from", "--random-points"]);
     let wanted = ["--random-points", "--strategies", strategies()[0], "--iterations", "1", "--quiet"];
     succeed(&[&["bench", "quality", text(&data), "-o", text(&out)], &wanted[..]].concat());
-    let run = &json(&out.join("quality.json"))["runs"][0];
+    let run = &read(&out.join("quality.json"))["runs"][0];
     assert_eq!(run["setup"]["random_points"], true, "{run}");
 }
 
@@ -165,23 +156,11 @@ fn bench_quality_refuses_what_makes_no_sense() {
 #[cfg(unix)]
 #[test]
 fn bench_quality_keeps_what_is_over_when_stopped() {
-    let folder = tempdir().expect("a temporary folder");
-    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
-    write_dataset(&data);
+    let (_folder, data, out) = folders();
     let name = strategies()[0];
     let mut command = program();
-    command.args([
-        "bench",
-        "quality",
-        text(&data),
-        "-o",
-        text(&out),
-        "--strategies",
-        name,
-        "--seeds",
-        "0..1000",
-    ]);
-    command.args(["--iterations", "20", "--points", "2", "--quiet"]);
+    command.args(["bench", "quality", text(&data), "-o", text(&out), "--strategies", name]);
+    command.args(["--seeds", "0..1000", "--iterations", "20", "--points", "2", "--quiet"]);
     let mut child = Running::start(&mut command);
     let plot = out.join("quality.svg");
     while !plot.exists() {
@@ -190,7 +169,7 @@ fn bench_quality_keeps_what_is_over_when_stopped() {
     }
     child.interrupt();
     assert_eq!(child.finish().status.code(), Some(130));
-    let runs = json(&out.join("quality.json"))["runs"].as_array().expect("runs").len();
+    let runs = runs(&read(&out.join("quality.json"))).len();
     let files = std::fs::read_dir(out.join("runs")).expect("a folder").count();
     assert!(runs >= 1 && files == runs, "{files} files of {runs} runs");
     assert!(!out.join(".quality.lock").exists());

@@ -13,7 +13,6 @@ use libtest_mimic::Trial;
 
 use crate::absent_data;
 
-/// Trials of the available data sets and trained scenes.
 pub fn trials(shared: &Path) -> Vec<Trial> {
     let data = shared.join("data");
     let mut trials = Vec::new();

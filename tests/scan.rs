@@ -1,12 +1,12 @@
 //! The whole prefix sum.
 
-use ashsplat::scan::{Scan, ScanBuffers, Workgroups};
-use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
+use ashsplat::passes::scan::{Scan, ScanBuffers, Workgroups};
+use ashsplat::vk::{ContextOptions, LimitsOverride};
 
 use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::options;
 use crate::common::scenes::Random;
-use crate::reference::scan_apply::exclusive_scan;
+use crate::reference::scan::exclusive_scan;
 
 /// Scans on the device. The host or a buffer gives the number of workgroups.
 fn check(gpu: &Gpu, scan: &Scan, values: &[u32], indirect: bool) {
@@ -56,11 +56,9 @@ fn scan_wraps_around() {
     check(&gpu, &scan, &[u32::MAX; 3000], false);
 }
 
-/// Same with a two-dimensional grid of workgroups.
 #[test]
 fn scan_in_a_narrow_grid() {
     let limits = LimitsOverride { max_workgroups_per_axis: Some(7), ..LimitsOverride::default() };
-    let narrow = ContextOptions { limits_override: Some(limits), ..options() };
-    let gpu = Gpu::of(Box::leak(Box::new(Context::new(&narrow).expect("a device"))));
+    let gpu = Gpu::with(&ContextOptions { limits_override: Some(limits), ..options() });
     check_sizes(&gpu, &[1, 7 * 1024, 7 * 1024 + 1, 40 * 1024 + 3]);
 }

@@ -10,7 +10,6 @@ mod common;
 mod control_groups;
 mod ecosystem;
 mod golden;
-mod golden_host;
 mod malformed;
 mod program;
 mod programs;
@@ -24,7 +23,6 @@ fn main() -> ExitCode {
     let arguments = libtest_mimic::Arguments::from_args();
     let shared = common::shared_folder();
     let mut trials = golden::trials(&shared);
-    trials.extend(golden_host::trials(&shared));
     trials.extend(malformed::trials(&shared));
     trials.extend(real_data::trials(&shared));
     trials.extend(programs::trials());

@@ -1,19 +1,11 @@
 //! Many small steps and frames: neither memory nor results drift. Not part of CI:
 //! `cargo test --release --test engine -- --ignored soak --nocapture`.
 
-use std::time::Instant;
-
-use ashsplat::trainer::Trainer;
-use ashsplat::vk::{Context, ContextOptions};
-use ashsplat::{RenderSettings, Renderer, TrainSettings};
-
-use crate::checkpoints::{start, views};
-use crate::common::engine::camera;
-use crate::common::scenes::small_view;
+use crate::common::prelude::*;
 
 /// Without the validation layer, whose records would hide a growth of memory.
-fn context() -> Context {
-    Context::new(&ContextOptions::default()).expect("a device")
+fn context(max_memory: Option<u64>) -> Context {
+    Context::new(&ContextOptions { max_memory, ..ContextOptions::default() }).expect("a device")
 }
 
 /// Resident memory of the process, KiB; 0 if the system does not report it.
@@ -45,38 +37,26 @@ fn soak_training() {
         sh_degree_interval: 100,
         ..TrainSettings::default()
     };
-    let context = Context::new(&ContextOptions { max_memory: Some(MEMORY), ..ContextOptions::default() });
-    let context = context.expect("a device");
-    let mut trainer = Trainer::new(&context, views(5, 90), &start(), 5.0, settings).expect("a trainer");
-    let begin = Instant::now();
-    let (mut sum, mut losses) = (0.0, Vec::new());
-    let (mut device_bytes, mut resident, mut densified, mut limited) = (Vec::new(), Vec::new(), 0, 0);
-    for step in 1..=steps {
-        let report = trainer.step().expect("a step");
-        assert!(report.loss.is_finite() && report.skipped_non_finite == 0, "{report:?}");
-        sum += f64::from(report.loss);
-        densified += u32::from(report.densified.is_some());
-        limited += u32::from(report.densified.is_some_and(|d| d.limited));
-        if step % tenth == 0 {
-            losses.push(std::mem::take(&mut sum) / f64::from(tenth));
-            device_bytes.push(context.memory_total().bytes);
-            resident.push(resident_kib());
-            eprintln!(
-                "{step} steps, {:.0} s: mean loss {:.5}, {} Gaussians, {densified} densifications ({limited} without \
-                 room), {} KiB of device memory, {} KiB resident",
-                begin.elapsed().as_secs_f64(),
-                losses[losses.len() - 1],
-                report.gaussians,
-                device_bytes[device_bytes.len() - 1] >> 10,
-                resident[resident.len() - 1]
-            );
-        }
+    let context = context(Some(MEMORY));
+    let mut trainer = Run::new(&context, views(5, 90), settings).begin();
+    let (mut losses, mut device_bytes, mut resident, mut densified) = (Vec::new(), Vec::new(), Vec::new(), 0);
+    for part in 1..=10 {
+        let reports = trainer.steps(tenth);
+        assert!(reports.iter().all(|r| r.loss.is_finite() && r.skipped_non_finite == 0), "{reports:?}");
+        let loss = reports.iter().map(|report| f64::from(report.loss)).sum::<f64>() / f64::from(tenth);
+        densified += reports.iter().filter(|report| report.densified.is_some()).count();
+        let (bytes, kib) = (context.memory_total().bytes, resident_kib());
+        eprintln!(
+            "{part} of 10: mean loss {loss:.5}, {} KiB of device memory, {kib} KiB resident",
+            bytes >> 10
+        );
+        losses.push(loss);
+        device_bytes.push(bytes);
+        resident.push(kib);
     }
     assert!(densified > 0 && context.memory_total().peak_bytes <= MEMORY);
-    assert!(
-        device_bytes[6..].iter().all(|bytes| *bytes == device_bytes[6]),
-        "device memory grows: {device_bytes:?}"
-    );
+    let is_constant = device_bytes[6..].iter().all(|bytes| *bytes == device_bytes[6]);
+    assert!(is_constant, "device memory grows: {device_bytes:?}");
     assert!(resident[9] < resident[0] + 16_384, "memory grows, KiB: {resident:?}");
     // The second half keeps its results: no tenth is much worse than the best before it.
     let mut best = f64::INFINITY;
@@ -90,9 +70,8 @@ fn soak_training() {
 #[ignore = "takes minutes"]
 fn soak_rendering() {
     let frames = number("ASHSPLAT_SOAK_FRAMES", 5000);
-    let context = context();
-    let mut renderer = Renderer::new(&context).expect("a renderer");
-    renderer.upload(&start()).expect("upload");
+    let context = context(None);
+    let mut renderer = loaded(&context, &start());
     let sizes = [[70, 50], [33, 90], [128, 8]];
     let mut render = |size: [u32; 2]| {
         let frame = renderer.render(&camera(&small_view(size)), &RenderSettings::default());

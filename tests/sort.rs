@@ -1,13 +1,11 @@
 //! The whole radix sort with every method: order, permutation and stability.
 
-use ashsplat::plan::{LaunchSizes, SortMethod};
-use ashsplat::scan::Workgroups;
-use ashsplat::sort::{RadixSort, SortBuffers, Values};
-use ashsplat::vk::{Context, ContextOptions, LimitsOverride, SpecOverride};
+use ashsplat::frame::{LaunchSizes, SortMethod};
+use ashsplat::passes::scan::Workgroups;
+use ashsplat::passes::sort::{RadixSort, SortBuffers, Values};
 
-use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::options;
-use crate::common::scenes::Random;
+use crate::common::gpu::UNTOUCHED;
+use crate::common::prelude::*;
 use crate::reference::sort::sort_pairs;
 
 /// The sort by matching, by runs, and by runs with a single workgroup for few pairs.
@@ -22,12 +20,6 @@ fn sorts(gpu: &Gpu) -> [RadixSort; 3] {
     })
 }
 
-/// A device with other options, for the rest of the process.
-fn gpu_with(options: &ContextOptions) -> Gpu {
-    Gpu::of(Box::leak(Box::new(Context::new(options).expect("a device"))))
-}
-
-/// Sorts pairs on the device.
 fn sorted(
     gpu: &Gpu,
     sort: &RadixSort,
@@ -96,7 +88,7 @@ fn sort_of_many_sizes() {
 /// With short runs, whose block is as small as the other method's.
 #[test]
 fn sort_of_every_size_across_one_block() {
-    let gpu = gpu_with(&ContextOptions { overrides: vec![sort_constant("ITEMS", 16)], ..options() });
+    let gpu = Gpu::with(&ContextOptions { overrides: vec![sort_constant("ITEMS", 16)], ..options() });
     for sort in sorts(&gpu) {
         let mut random = Random::new(1);
         for n in 0..=sort.block() + 1 {
@@ -121,12 +113,9 @@ fn sort_of_special_keys() {
         for key in [0, 7, u32::MAX] {
             check(&gpu, &sort, &vec![key; n], 32);
         }
-        let ascending: Vec<u32> = (0..n as u32).collect();
-        let descending: Vec<u32> = (0..n as u32).rev().collect();
-        let alternating: Vec<u32> = (0..n as u32).map(|i| if i % 2 == 0 { u32::MAX } else { 0 }).collect();
-        for keys in [ascending, descending, alternating] {
-            check(&gpu, &sort, &keys, 32);
-        }
+        let alternating = (0..n as u32).map(|i| if i % 2 == 0 { u32::MAX } else { 0 }).collect();
+        let keys: [Vec<u32>; 3] = [(0..n as u32).collect(), (0..n as u32).rev().collect(), alternating];
+        keys.iter().for_each(|keys| check(&gpu, &sort, keys, 32));
     }
 }
 
@@ -142,11 +131,10 @@ fn sort_of_keys_of_few_bits() {
     }
 }
 
-/// Same with a two-dimensional grid of workgroups.
 #[test]
 fn sort_in_a_narrow_grid() {
     let limits = LimitsOverride { max_workgroups_per_axis: Some(5), ..LimitsOverride::default() };
-    let gpu = gpu_with(&ContextOptions { limits_override: Some(limits), ..options() });
+    let gpu = Gpu::with(&ContextOptions { limits_override: Some(limits), ..options() });
     // One dispatch scans the histogram, a row per digit: on wide blocks more workgroups than 5 × 5.
     for sort in sorts(&gpu) {
         let mut random = Random::new(4);
@@ -158,9 +146,8 @@ fn sort_in_a_narrow_grid() {
 /// One pass with the smallest blocks: more workgroups than one axis of a grid holds.
 #[test]
 fn sort_of_more_than_65535_workgroups() {
-    let one_subgroup = sort_constant("WORKGROUP_SIZE", 1);
-    let overrides = vec![one_subgroup, sort_constant("ITEMS", 1)];
-    let gpu = gpu_with(&ContextOptions { overrides, ..options() });
+    let overrides = vec![sort_constant("WORKGROUP_SIZE", 1), sort_constant("ITEMS", 1)];
+    let gpu = Gpu::with(&ContextOptions { overrides, ..options() });
     for sort in sorts(&gpu) {
         let n = 65_540 * sort.block() - 3;
         let bits = 3;

@@ -1,14 +1,12 @@
 //! Pictures after Gaussians are moved, decimated and stored.
 
-use ashsplat::RenderSettings;
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
+use ashsplat::scene::{Intrinsics, Similarity};
 use ashsplat_files::decimate::decimate;
 use ashsplat_files::metrics;
 use ashsplat_files::splats::{self, Format, WriteOptions};
-use glam::{DQuat, DVec3, EulerRot, Vec3};
+use glam::{DQuat, DVec3, EulerRot};
 
-use crate::common::engine::renderer;
-use crate::common::gpu::Gpu;
+use crate::common::prelude::*;
 use crate::common::splats::scene;
 
 /// A ball that fills the picture, with strongly view-dependent colours.
@@ -30,6 +28,10 @@ fn render(gaussians: &Gaussians, camera: &Camera) -> Vec<[f32; 3]> {
     renderer.render(camera, &RenderSettings::default()).expect("a frame").color
 }
 
+fn psnr(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
+    metrics::psnr(a, b).expect("one size")
+}
+
 /// The camera that sees the moved scene as `camera` sees the original.
 fn moved(camera: &Camera, similarity: &Similarity) -> Camera {
     let back = similarity.rotation.inverse();
@@ -41,7 +43,7 @@ fn moved(camera: &Camera, similarity: &Similarity) -> Camera {
 /// A similarity applies to means, shapes and spherical harmonics: the moved camera sees the same picture.
 #[test]
 fn splats_moved_with_their_camera_look_the_same() {
-    let gpu = Gpu::new();
+    let _gpu = Gpu::new();
     let before = render(&ball(), &camera());
     for (x, y, z, scale) in
         [(0.4, -1.2, 2.5, 1.0), (0.0, 0.0, std::f64::consts::PI, 3.0), (-2.0, 0.3, 0.1, 0.7)]
@@ -53,22 +55,20 @@ fn splats_moved_with_their_camera_look_the_same() {
         };
         let mut gaussians = ball();
         gaussians.transform(&similarity);
-        let after = render(&gaussians, &moved(&camera(), &similarity));
-        let psnr = metrics::psnr(&before, &after).expect("one size");
-        assert!(psnr > 60.0, "{similarity:?}: {psnr:.1} dB");
+        let psnr = |gaussians: &Gaussians| psnr(&before, &render(gaussians, &moved(&camera(), &similarity)));
+        let right = psnr(&gaussians);
+        assert!(right > 60.0, "{similarity:?}: {right:.1} dB");
         // Without the rotation of the spherical harmonics the picture differs.
         gaussians.sh = ball().sh;
-        let wrong =
-            metrics::psnr(&before, &render(&gaussians, &moved(&camera(), &similarity))).expect("one size");
+        let wrong = psnr(&gaussians);
         assert!(wrong < 40.0, "{wrong:.1} dB");
     }
-    drop(gpu);
 }
 
 /// Merging half of the Gaussians resembles the whole more than keeping the most opaque or largest half.
 #[test]
 fn splats_decimated_look_alike() {
-    let gpu = Gpu::new();
+    let _gpu = Gpu::new();
     let mut all = ball();
     // Neighbours have similar colours, as in real scenes.
     for (sh, mean) in all.sh.chunks_exact_mut(16).zip(&all.means) {
@@ -78,8 +78,7 @@ fn splats_decimated_look_alike() {
     let before = render(&all, &camera());
     let mut merged = all.clone();
     decimate(&mut merged, all.len() / 2);
-    let psnr =
-        |gaussians: &Gaussians| metrics::psnr(&before, &render(gaussians, &camera())).expect("one size");
+    let psnr = |gaussians: &Gaussians| psnr(&before, &render(gaussians, &camera()));
     let merged = psnr(&merged);
     let best = |key: &dyn Fn(usize) -> f32| {
         let mut order: Vec<usize> = (0..all.len()).collect();
@@ -90,20 +89,19 @@ fn splats_decimated_look_alike() {
     let large = best(&|i| all.opacity(i) * all.log_scales[i].iter().sum::<f32>().exp());
     assert!(merged > opaque && merged > large, "merged {merged:.1}, opaque {opaque:.1}, large {large:.1} dB");
     assert!(merged > 20.0, "{merged:.1} dB");
-    drop(gpu);
 }
 
 /// Loss of each format's quantisation, in dB, for an unordered scene.
 #[test]
 fn splats_stored_in_any_format_look_alike() {
-    let gpu = Gpu::new();
+    let _gpu = Gpu::new();
     let folder = tempfile::tempdir().expect("a temporary folder");
     for format in Format::ALL {
         let original = ball().with_sh_degree(format.max_sh_degree());
         let path = folder.path().join(format!("ball{}", format.extension()));
         splats::write(&path, &original, &WriteOptions::default()).expect("written");
         let read = splats::read(&path, &Default::default()).expect("read").gaussians;
-        let psnr = metrics::psnr(&render(&original, &camera()), &render(&read, &camera())).expect("one size");
+        let psnr = psnr(&render(&original, &camera()), &render(&read, &camera()));
         let least = match format {
             Format::Ply => f64::INFINITY,
             Format::Glb | Format::Gltf => 90.0,
@@ -112,5 +110,4 @@ fn splats_stored_in_any_format_look_alike() {
         };
         assert!(psnr >= least, "{format}: {psnr:.1} dB");
     }
-    drop(gpu);
 }

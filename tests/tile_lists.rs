@@ -1,8 +1,6 @@
 //! Reading back what each tile blends: [`ashsplat::TileLists`].
 
-use crate::common::engine::{camera, gaussians, renderer};
-use crate::common::scenes::{Random, mixed_scene, small_view};
-use ashsplat::RenderSettings;
+use crate::common::prelude::*;
 
 /// The lists have every instance once, front to back, in tiles that the Gaussian meets. A pixel's samples belong to
 /// its tile.

@@ -1,12 +1,8 @@
 //! The whole trainer against the combined twins: losses, densification, opacity reset, order of the steps.
 
-use ashsplat::trainer::{TrainView, Trainer};
-use ashsplat::{Gaussians, TrainSettings};
-use ashsplat_files::Photo;
-
-use crate::common::engine::{camera, gaussians, settings, twins};
-use crate::common::gpu::Gpu;
-use crate::common::scenes::{Random, scalars, small_scene, small_view};
+use crate::common::engine::{settings, twins};
+use crate::common::prelude::*;
+use crate::common::scenes::{gradient_scalars, scalars};
 use crate::reference::adam::{Parameter, adam};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::classify::Statistic;
@@ -16,7 +12,7 @@ use crate::reference::pipeline::{backward, render};
 use crate::reference::project_backward::mean2d_statistic;
 use crate::reference::reset_opacity::reset_opacity;
 use crate::reference::scatter_sources::{Densify, Kind, Placed, place};
-use crate::reference::types::{Gaussian, Gradient, View};
+use crate::reference::types::Gradient;
 use crate::reference::zorder::zorder;
 
 const SIZE: [u32; 2] = [48, 36];
@@ -56,15 +52,6 @@ fn photo() -> Photo {
 
 const OPACITY: usize = 10;
 
-fn gradient_scalars(gradient: &Gradient) -> Vec<f64> {
-    let mut all = gradient.mean.to_vec();
-    all.extend(gradient.quat);
-    all.extend(gradient.log_scale);
-    all.push(gradient.opacity_logit);
-    all.extend(gradient.sh.concat());
-    all
-}
-
 /// The reference implementation's loop, built from the twins.
 struct Twin {
     gaussians: Vec<Gaussian>,
@@ -77,13 +64,10 @@ struct Twin {
 
 impl Twin {
     fn new(gaussians: Vec<Gaussian>, photo: &Photo) -> Twin {
-        let count = gaussians.len();
+        let moments = |g: &Gaussian| vec![Parameter::default(); scalars(&mut g.clone()).len()];
         Twin {
-            moments: gaussians
-                .iter()
-                .map(|g| vec![Parameter::default(); scalars(&mut g.clone()).len()])
-                .collect(),
-            statistics: vec![Statistic { gradient: 0.0, views: 0.0 }; count],
+            moments: gaussians.iter().map(moments).collect(),
+            statistics: vec![Statistic { gradient: 0.0, views: 0.0 }; gaussians.len()],
             truth: photo.rgb.iter().map(|&byte| f64::from(byte) / 255.0).collect(),
             gaussians,
             steps: 0,
@@ -97,13 +81,9 @@ impl Twin {
         let frame = render(&self.gaussians, &view);
         let image: Vec<f64> = frame.pixels.iter().flat_map(|p| p.color).collect();
         let loss = loss_reduce::loss(&image, &self.truth, SIZE[0] as usize, SIZE[1] as usize);
-        let d_pixels: Vec<PixelGradient> = loss
-            .gradient
-            .as_chunks()
-            .0
-            .iter()
-            .map(|&color| PixelGradient { color, inverse_depth: 0.0 })
-            .collect();
+        let (colors, _) = loss.gradient.as_chunks();
+        let d_pixels: Vec<PixelGradient> =
+            colors.iter().map(|&color| PixelGradient { color, inverse_depth: 0.0 }).collect();
         let gradients = backward(&self.gaussians, &view, &frame, &d_pixels);
         if s.collects_statistics_at(iteration) {
             for (i, statistic) in self.statistics.iter_mut().enumerate() {
@@ -202,7 +182,7 @@ fn training_follows_the_twin() {
     for iteration in 1..=14 {
         let count = twin.gaussians.len() as u32;
         let expected = twin.step(iteration, &s);
-        let report = trainer.step().expect("a step");
+        let report = trainer.steps(1).remove(0);
         assert_eq!((report.iteration, report.gaussians), (iteration, count));
         let off = (f64::from(report.loss) / expected - 1.0).abs();
         assert!(off < 2e-4, "iteration {iteration}: loss {}, expected {expected}", report.loss);
@@ -212,28 +192,21 @@ fn training_follows_the_twin() {
         }
     }
     assert_ne!(twin.gaussians.len(), 120, "nothing was densified");
-    compare_scenes(&twins(&trainer.gaussians().expect("the Gaussians")), &twin.gaussians);
+    compare_scenes(&twins(&trainer.trained()), &twin.gaussians);
 }
 
 /// Adam's first steps are the rate times a sign, which rounding may flip if a gradient is nearly zero. Few
 /// parameters may differ by more, and the scenes must look the same.
 fn compare_scenes(actual: &[Gaussian], expected: &[Gaussian]) {
     assert_eq!(actual.len(), expected.len());
-    let flat = |scene: &[Gaussian]| -> Vec<f64> {
-        scene
-            .iter()
-            .flat_map(|g| scalars(&mut g.clone()).into_iter().map(|x| *x).collect::<Vec<f64>>())
-            .collect()
-    };
+    let values = |g: &Gaussian| scalars(&mut g.clone()).into_iter().map(|x| *x).collect::<Vec<f64>>();
+    let flat = |scene: &[Gaussian]| scene.iter().flat_map(values).collect::<Vec<f64>>();
     let (a, e) = (flat(actual), flat(expected));
     let off = a.iter().zip(&e).filter(|(a, e)| (*a - *e).abs() > 2e-4 * (1.0 + e.abs())).count();
     assert!(off * 100 <= a.len(), "{off} of {} parameters are off", a.len());
     let pictures = [actual, expected].map(|scene| render(scene, &view(1)).pixels);
-    let squares: f64 = pictures[0]
-        .iter()
-        .zip(&pictures[1])
-        .flat_map(|(a, e)| [0, 1, 2].map(|i| (a.color[i] - e.color[i]).powi(2)))
-        .sum();
+    let pixels = pictures[0].iter().zip(&pictures[1]);
+    let squares: f64 = pixels.flat_map(|(a, e)| [0, 1, 2].map(|i| (a.color[i] - e.color[i]).powi(2))).sum();
     let psnr = -10.0 * (squares / (3.0 * pictures[0].len() as f64)).log10();
     assert!(psnr > 60.0, "the scenes look different: {psnr:.1} dB");
 }
@@ -241,7 +214,6 @@ fn compare_scenes(actual: &[Gaussian], expected: &[Gaussian]) {
 /// A step whose frame overflows changes nothing and runs again, as if the capacity had sufficed from the start.
 #[test]
 fn training_step_that_overflows_is_run_again() {
-    let gpu = Gpu::new();
     let view = View { background: [0.0; 3], ..small_view([320, 240]) };
     let mut scene = small_scene(&mut Random::new(23), 200, 1);
     for gaussian in &mut scene {
@@ -253,14 +225,13 @@ fn training_step_that_overflows_is_run_again() {
     let s = TrainSettings { sh_degree: 0, ..TrainSettings::default() };
     let train = |room_first: bool| -> (Gaussians, Vec<f32>, u32) {
         let views = vec![TrainView::new(camera(&view), photo())];
-        let mut trainer =
-            Trainer::new(gpu.context, views, &gaussians(&scene), 5.0, s.clone()).expect("a trainer");
+        let mut trainer = Run::shared(views, s.clone()).starting_at(&gaussians(&scene)).begin();
         let mut retries = 0;
         if room_first {
             retries = trainer.render(&camera(&view), &settings(&view)).expect("a frame").stats.retries;
         }
-        let losses = (0..3).map(|_| trainer.step().expect("a step").loss).collect();
-        (trainer.gaussians().expect("the Gaussians"), losses, retries)
+        let losses = trainer.losses(3);
+        (trainer.trained(), losses, retries)
     };
     let (roomy, roomy_losses, retries) = train(true);
     assert!(retries > 0, "the first guess sufficed: the test tests nothing");

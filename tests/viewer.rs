@@ -4,7 +4,6 @@ mod cuts;
 mod films;
 mod frames;
 mod http;
-mod lights;
 mod opening;
 mod shapes;
 mod sibr;
@@ -19,10 +18,39 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ashsplat::scene::Camera;
-use ashsplat_files::splats::{self, WriteOptions};
+use ashsplat::scene::{Camera, WorldFrame};
+use ashsplat::{Gaussians, RenderSettings};
+use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
+use ashsplat_files::{Photo, cameras_json};
+use glam::Vec3;
 use serde_json::{Value, json};
-use tungstenite::Message;
 
-use crate::cli::text;
+use crate::cli::{Place, point_cloud, text, wait_until, write_dataset};
+use crate::common::engine::renderer;
 pub use crate::program::page::*;
+
+/// A viewer of a ball, and its folder.
+fn view_ball(count: usize, more: &[&str]) -> (Place, Server) {
+    let place = Place::empty();
+    let server = Server::view(&write_ball(&place.at(""), count), more);
+    (place, server)
+}
+
+/// Picture that the library renders, RGB.
+fn rendered(gaussians: &Gaussians, camera: &Camera, settings: &RenderSettings) -> Vec<u8> {
+    let mut renderer = renderer();
+    renderer.upload(gaussians).expect("uploaded");
+    let frame = renderer.render(camera, settings).expect("a frame");
+    Photo::from_f32(frame.width, frame.height, &frame.color).expect("a picture").rgb
+}
+
+/// JSON in the body of an answer.
+fn json_body(server: &Server, path: &str) -> Value {
+    serde_json::from_slice(&server.get(path, &[]).2).expect("JSON")
+}
+
+/// Mean difference of two pictures, in levels.
+fn mean_difference(a: &[u8], b: &[u8]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / a.len() as f64
+}

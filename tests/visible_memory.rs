@@ -1,20 +1,12 @@
 //! Training whose memory depends on the visible Gaussians: views that show more than estimated, within bounds.
 
-use ashsplat::plan::initial_visible;
-use ashsplat::trainer::{
-    Checkpoint, Forecast, PhotoSize, Room, SceneBlock, StepReport, StrategyType, TrainParts, TrainView,
-    Trainer,
-};
-use ashsplat::vk::{Context, MemoryKind};
-use ashsplat::{Camera, Error, Gaussians, Result, TrainSettings};
-use ashsplat_files::Photo;
-use glam::Vec3;
+use ashsplat::frame::initial_visible;
+use ashsplat::scene::Bounds;
+use ashsplat::train::{Capacities, SceneBlock};
 
-use crate::common::bounded;
 use crate::common::device::kept_for_transfers;
-use crate::common::engine::{camera, gaussians};
-use crate::common::gpu::Gpu;
-use crate::common::scenes::{Random, small_scene, small_view};
+use crate::common::prelude::*;
+use crate::common::training::{forecast, photo_size};
 
 const SIZE: [u32; 2] = [64, 48];
 const COUNT: u32 = 24_000;
@@ -40,31 +32,14 @@ fn settings() -> TrainSettings {
     TrainSettings { iterations: 8, sh_degree: 1, ..TrainSettings::of_strategy(StrategyType::Reference) }
 }
 
-fn trainer(context: &Context, settings: &TrainSettings) -> Result<Trainer> {
-    Trainer::new(context, views(), &scene(), 5.0, settings.clone())
-}
-
-fn steps(trainer: &mut Trainer, count: usize) -> Vec<StepReport> {
-    (0..count).map(|_| trainer.step().expect("a step")).collect()
+fn run(context: &Context, settings: TrainSettings) -> Run<'_> {
+    Run::new(context, views(), settings).starting_at(&scene())
 }
 
 /// Memory that a training needs, from its error.
 fn needed(settings: &TrainSettings) -> u64 {
-    let [width, height] = SIZE;
-    let photo =
-        PhotoSize { name: "a".into(), width, height, masked: false, inverse_depth: false, depth_points: 0 };
-    let forecast = Forecast {
-        settings,
-        photos: &vec![photo; 2],
-        photo_memory: None,
-        gaussians: COUNT,
-        frozen: 0,
-        room: None,
-    };
-    match forecast.check(&bounded(Some(1))) {
-        Err(Error::TooLarge { needed, .. }) => needed,
-        other => panic!("{other:?}"),
-    }
+    let photos = vec![photo_size("a", SIZE); 2];
+    forecast(settings, &photos, [COUNT, 0], &bounded(Some(1))).0
 }
 
 /// Trains with the memory that the error names, and with more. For some bounds a reserve of Gaussians fits beside an
@@ -74,27 +49,25 @@ fn every_view_is_trained_within_the_memory_that_is_asked_for() {
     let settings = settings();
     let expected = {
         let context = bounded(None);
-        let mut trainer = trainer(&context, &settings).expect("a trainer");
-        let reports = steps(&mut trainer, 8);
+        let mut trainer = run(&context, settings.clone()).begin();
+        let reports = trainer.steps(8);
         let visible = |view: usize| reports.iter().filter(|r| r.view == view).map(|r| r.visible).max();
         let [few, all] = [visible(0), visible(1)].map(|visible| visible.expect("both views"));
         assert!((1..initial_visible(COUNT)).contains(&few) && all > COUNT / 4 * 3, "{few} {all}");
-        trainer.checkpoint().expect("a checkpoint").fingerprint()
+        trainer.state().fingerprint()
     };
     let least = needed(&settings);
     for more in 0..14 {
         let context = bounded(Some(least + more * MIB));
-        let mut trainer = trainer(&context, &settings).expect("what is asked for suffices");
-        let skipped = steps(&mut trainer, 8).iter().filter(|report| report.skipped).count();
-        assert_eq!(skipped, 0, "{more} MiB more");
-        assert!(trainer.checkpoint().expect("a checkpoint").fingerprint() == expected, "{more} MiB more");
+        let mut trainer = run(&context, settings.clone()).begin();
+        assert!(trainer.steps(8).iter().all(|report| !report.skipped), "{more} MiB more");
+        assert!(trainer.state().fingerprint() == expected, "{more} MiB more");
     }
 }
 
 /// The bits equal those of frames with enough capacity from the start, also with other features that use frames.
 #[test]
 fn steps_that_are_run_again_leave_the_bits_of_others() {
-    let gpu = Gpu::new();
     let usual = TrainSettings { iterations: 12, ..settings() };
     let growing = TrainSettings {
         scale_schedule: false,
@@ -114,32 +87,28 @@ fn steps_that_are_run_again_leave_the_bits_of_others() {
             ..growing
         },
     ] {
-        let mut started = trainer(gpu.context, &settings).expect("a trainer");
-        let mut from = started.checkpoint().expect("a checkpoint");
-        let room = Room {
-            frame_gaussians: from.room.gaussians,
-            frame_visible: from.room.gaussians,
+        let run = run(context(), settings);
+        let mut started = run.begin();
+        let mut from = started.state();
+        from.capacities = Capacities {
+            frame_gaussians: from.capacities.gaussians,
+            frame_visible: from.capacities.gaussians,
             frame_instances: 1 << 20,
             frame_width: SIZE[0],
             frame_height: SIZE[1],
             blend_passes: 1,
             backward: 1,
-            ..from.room
+            ..from.capacities
         };
-        from.room = room;
-        let resumed = Trainer::resume(gpu.context, views(), 5.0, settings.clone(), &from);
-        let mut roomy = resumed.expect("a trainer");
+        let mut roomy = run.resume(&from);
         let mut repeated = false;
         for iteration in 1..=12 {
-            let [ours, theirs] = [&mut started, &mut roomy].map(|trainer| trainer.step().expect("a step"));
-            assert_eq!(
-                (ours.loss, ours.visible, ours.instances),
-                (theirs.loss, theirs.visible, theirs.instances)
-            );
+            let [ours, theirs] = [&mut started, &mut roomy].map(|trainer| trainer.steps(1).remove(0));
+            let counts = |report: &StepReport| (report.loss, report.visible, report.instances);
+            assert_eq!(counts(&ours), counts(&theirs));
             repeated |= ours.visible > initial_visible(COUNT);
-            let [ours, theirs] =
-                [&started, &roomy].map(|trainer| trainer.checkpoint().expect("a checkpoint"));
-            assert!(ours.fingerprint() == theirs.fingerprint(), "iteration {iteration}");
+            let [ours, theirs] = [&started, &roomy].map(|trainer| trainer.state().fingerprint());
+            assert!(ours == theirs, "iteration {iteration}");
         }
         assert!(repeated, "no frame had less room than it needed");
     }
@@ -147,11 +116,9 @@ fn steps_that_are_run_again_leave_the_bits_of_others() {
 
 /// Settings whose seed begins twice with the view that shows few Gaussians.
 fn few_first() -> TrainSettings {
-    let gpu = Gpu::new();
     let first = |seed: u32| {
         let settings = TrainSettings { seed, ..settings() };
-        let mut trainer = trainer(gpu.context, &settings).expect("a trainer");
-        steps(&mut trainer, 1)[0].view
+        run(context(), settings).begin().steps(1)[0].view
     };
     let seed = (0..16).find(|&seed| first(seed) == 0).expect("one of 16");
     TrainSettings { seed, ..settings() }
@@ -179,27 +146,27 @@ fn a_reserve_gives_way_to_a_frame_in_the_middle_of_a_run() {
 }
 
 fn a_reserve_gives_way(settings: &TrainSettings) {
-    let run = |ballast: Option<u64>| {
+    let train = |ballast: Option<u64>| {
         let context = bounded(Some(96 * MIB));
-        let mut trainer = trainer(&context, settings).expect("a trainer");
-        let first = steps(&mut trainer, 1).remove(0);
+        let mut trainer = run(&context, settings.clone()).begin();
+        let first = trainer.steps(1).remove(0);
         assert!(first.view == 0 && first.visible < initial_visible(COUNT), "{first:?}");
-        let reserved = trainer.checkpoint().expect("a checkpoint").room.gaussians;
+        let reserved = trainer.state().capacities.gaussians;
         // Another user takes memory.
         let held = ballast.map(|left| {
             context.free_staging();
             let bytes = 96 * MIB - context.memory_total().bytes - kept_for_transfers(&context) - left;
             context.allocate("ballast", &[("ballast", bytes)], MemoryKind::Device).expect("memory")
         });
-        let reports = steps(&mut trainer, 5);
+        let reports = trainer.steps(5);
         assert!(reports.iter().all(|report| !report.skipped), "{reports:?}");
-        let after = trainer.checkpoint().expect("a checkpoint");
+        let after = trainer.state();
         drop(held);
-        (after.fingerprint(), reserved, after.room.gaussians)
+        (after.fingerprint(), reserved, after.capacities.gaussians)
     };
-    let (expected, reserved, kept) = run(None);
+    let (expected, reserved, kept) = train(None);
     assert!(reserved > COUNT && kept == reserved);
-    let (trained, _, kept) = run(Some(0));
+    let (trained, _, kept) = train(Some(0));
     assert_eq!(kept, COUNT, "the reserve was kept");
     assert!(trained == expected, "other bits");
 }
@@ -214,25 +181,19 @@ fn a_view_that_shows_too_much_stops_growth() {
         densify_grad_threshold: 0.0,
         ..few_first()
     };
-    let run = |bound: Option<u64>| {
-        let context = bounded(bound);
-        let mut trainer = trainer(&context, &grows).expect("a trainer");
-        steps(&mut trainer, 6)
-    };
-    let free = run(None);
+    let train = |bound: Option<u64>| run(&bounded(bound), grows.clone()).begin().steps(6);
+    let free = train(None);
     assert!(free.iter().all(|report| !report.skipped) && free[5].gaussians > COUNT, "{free:?}");
     let all = free.iter().find(|report| report.view == 1).expect("the view");
     // Enough for the estimate, which exceeds the number of instances.
     let least = needed(&grows);
-    let mut tight = (1..16).map(|less| run(Some(least - less * MIB / 2)));
+    let mut tight = (1..16).map(|less| train(Some(least - less * MIB / 2)));
     let tight = tight.find(|reports| reports.iter().any(|report| report.skipped)).expect("a bound");
     for report in &tight {
         assert_eq!((report.skipped, report.gaussians), (report.view == 1, COUNT), "{report:?}");
         let estimate = f64::from(report.instances) / f64::from(all.instances);
-        assert!(
-            !report.skipped || report.visible == all.visible && (0.5..2.0).contains(&estimate),
-            "{report:?}"
-        );
+        let is_known = report.visible == all.visible && (0.5..2.0).contains(&estimate);
+        assert!(!report.skipped || is_known, "{report:?}");
     }
 }
 
@@ -243,39 +204,32 @@ fn what_is_expected_after_an_exchange_is_no_reason_to_refuse() {
     let settings = settings();
     let from = {
         let gpu = Gpu::new();
-        let mut trainer = trainer(gpu.context, &settings).expect("a trainer");
-        steps(&mut trainer, 4);
-        let mut from = trainer.checkpoint().expect("a checkpoint");
+        let mut from = run(gpu.context, settings.clone()).until(4, &[]);
         let block = SceneBlock {
-            core: ashsplat::scene::Bounds { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY },
+            core: Bounds { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY },
             frozen: Gaussians::default(),
             chosen_from: None,
         };
         from.settle_in(&block);
         from
     };
-    assert!(from.room.frame_visible > COUNT / 2 && from.room.gaussians == 0);
-    let resumed = |context: &Context, from: &Checkpoint| -> Result<(u64, bool)> {
-        let parts = TrainParts::of_settings(context, &settings)?;
-        let given = (settings.clone(), 5.0);
-        let mut trainer = Trainer::resume_with_parts(context, views(), given, parts, from)?;
-        let skipped = steps(&mut trainer, 4).iter().any(|report| report.skipped);
-        Ok((trainer.checkpoint()?.fingerprint(), skipped))
+    assert!(from.capacities.frame_visible > COUNT / 2 && from.capacities.gaussians == 0);
+    let resumed = |bound: Option<u64>| {
+        let context = bounded(bound);
+        let mut trainer = run(&context, settings.clone()).resume(&from);
+        let skipped = trainer.steps(4).iter().any(|report| report.skipped);
+        (trainer.state().fingerprint(), skipped)
     };
-    let (expected, _) = resumed(&bounded(None), &from).expect("trained");
+    let (expected, _) = resumed(None);
     let least = needed(&settings);
     for bound in [0, 1, 2, 3, 5, 8, 13].map(|more| least + more * MIB) {
-        assert_eq!(resumed(&bounded(Some(bound)), &from).expect("trained"), (expected, false), "{bound}");
+        assert_eq!(resumed(Some(bound)), (expected, false), "{bound}");
     }
     // With less memory than requested, the result is that without the expectation.
-    let unknown = Checkpoint { room: Room::default(), ..from.clone() };
+    let unknown = Checkpoint { capacities: Capacities::default(), ..from.clone() };
     for bound in (1..12).map(|less| least - less * MIB) {
-        let [with, without] = [&from, &unknown].map(|from| {
-            let context = bounded(Some(bound));
-            let parts = TrainParts::of_settings(&context, &settings).expect("parts");
-            let given = (settings.clone(), 5.0);
-            Trainer::resume_with_parts(&context, views(), given, parts, from).map(drop).is_ok()
-        });
+        let resumes = |from| run(&bounded(Some(bound)), settings.clone()).try_resume(from).is_ok();
+        let [with, without] = [&from, &unknown].map(resumes);
         assert_eq!(with, without, "{bound}");
     }
 }

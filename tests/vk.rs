@@ -8,3 +8,39 @@ mod overrides;
 mod profile;
 mod recorder;
 mod uniform;
+
+use ashsplat::vk::{Buffer, Context, ContextOptions, MemoryKind, Recorder, RunReport};
+
+use crate::common;
+
+/// Records, submits and waits.
+fn run(context: &Context, record: impl FnOnce(&mut Recorder)) -> RunReport {
+    let report = context.run("test", |r| {
+        record(r);
+        Ok(())
+    });
+    report.expect("a run")
+}
+
+/// Buffers of one arena of the device.
+fn allocate<const N: usize>(context: &Context, requests: [(&'static str, u64); N]) -> [Buffer; N] {
+    let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
+    buffers.try_into().expect("as many as requested")
+}
+
+/// Words of a buffer.
+fn words(context: &Context, buffer: &Buffer) -> Vec<u32> {
+    bytemuck::pod_collect_to_vec(&context.download(buffer).expect("download"))
+}
+
+/// Fails unless the validation layer, without our own hazard check, reports a hazard of these commands.
+fn assert_hazard_is_reported(record: impl FnOnce(&Context)) {
+    if !common::options().validation {
+        return eprintln!("SKIPPED: no validation layer");
+    }
+    let options = ContextOptions { hazard_check: false, ..common::options() };
+    let context = Context::new(&options).expect("a context");
+    record(&context);
+    let messages = context.validation_messages();
+    assert!(messages.iter().any(|m| m.contains("SYNC-HAZARD")), "{messages:?}");
+}

@@ -1,16 +1,10 @@
 //! Runs that start with small pictures.
 
-use ashsplat::trainer::{StrategyType, Trainer};
-use ashsplat::{TrainSettings, TrainView};
-use ashsplat_files::{Photo, StoredPhoto};
+use ashsplat_files::StoredPhoto;
 
-use crate::checkpoints::{check_memory_of, check_resumed_with, end_with, settings as small_settings, start};
-use crate::common::engine::camera;
-use crate::common::gpu::Gpu;
-use crate::common::scenes::{rotation_about_y, small_view};
-use crate::reference::types::View;
+use crate::common::prelude::*;
+use crate::common::training::settings as small_settings;
 
-const EXTENT: f32 = 5.0;
 const ITERATIONS: u32 = 24;
 const SIZE: [u32; 2] = [267, 259];
 const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
@@ -32,8 +26,8 @@ fn large() -> Vec<TrainView> {
     (0..3).map(view).collect()
 }
 
-fn trainer(gpu: &Gpu, settings: &TrainSettings) -> Trainer {
-    Trainer::new(gpu.context, large(), &start(), EXTENT, settings.clone()).expect("a trainer")
+fn run(settings: TrainSettings) -> Run<'static> {
+    Run::shared(large(), settings)
 }
 
 #[test]
@@ -41,23 +35,18 @@ fn warm_up_resumes_to_the_bit() {
     let others = TrainSettings { strategy: StrategyType::Mcmc, exposure: true, ..settings() };
     let moved = TrainSettings { pose_opt: true, pose_lr: 1e-3, lens_effects: true, ..settings() };
     for settings in [settings(), others, moved] {
-        let whole = check_resumed_with(large, &settings, &[3, 6, 9, 12]);
-        assert!(
-            end_with(large(), &TrainSettings { warm_up: 0, ..settings.clone() }) != whole,
-            "without effect"
-        );
+        let whole = run(settings.clone()).check_stops(&[&[], &[3], &[6], &[9], &[12]]);
+        assert!(run(TrainSettings { warm_up: 0, ..settings }).end(&[]) != whole, "without effect");
     }
 }
 
 /// Small pictures have fewer instances, and requested pictures keep their size.
 #[test]
 fn warm_up_draws_fewer_tiles_at_first() {
-    let gpu = Gpu::new();
-    let fixed = TrainSettings { strategy: StrategyType::Fixed, ..settings() };
-    let mut trainer = trainer(&gpu, &fixed);
+    let mut trainer = run(TrainSettings { strategy: StrategyType::Fixed, ..settings() }).begin();
     let mut instances = |until: u32| -> u64 {
-        let reports = (trainer.iteration()..until).map(|_| trainer.step().expect("a step"));
-        reports.map(|report| u64::from(report.instances)).sum()
+        let reports = trainer.steps(until - trainer.iteration());
+        reports.iter().map(|report| u64::from(report.instances)).sum()
     };
     let [first, quarter, half, whole] = [1, 6, 12, 18].map(&mut instances);
     assert!(quarter < half && half < whole && quarter < 5 * first, "{first} {quarter} {half} {whole}");
@@ -81,11 +70,9 @@ fn without_rates(settings: TrainSettings) -> TrainSettings {
 /// The losses equal those of a training on small photographs with matching cameras.
 #[test]
 fn warm_up_trains_on_means_of_pixels() {
-    let gpu = Gpu::new();
     let losses = |views: Vec<TrainView>, settings: TrainSettings| -> Vec<f32> {
-        let trainer = Trainer::new(gpu.context, views, &start(), EXTENT, settings);
-        let mut trainer = trainer.expect("a trainer");
-        (0..6).map(|_| trainer.step().expect("a step").loss).collect()
+        let mut trainer = Run { views, ..run(settings) }.begin();
+        trainer.losses(6)
     };
     let unmasked: Vec<TrainView> = large().into_iter().step_by(2).collect();
     let small = |view: &TrainView| {
@@ -113,25 +100,16 @@ fn warm_up_trains_on_means_of_pixels() {
 fn warm_up_ends_by_half_of_the_run() {
     let long = TrainSettings { warm_up: 500, ..settings() };
     let shorter = TrainSettings { warm_up: 10, ..settings() };
-    let end = |settings: TrainSettings| end_with(large(), &settings).gaussians;
+    let end = |settings: TrainSettings| run(settings).end(&[]).gaussians;
     let [half, limited, other] = [settings(), long, shorter].map(end);
     assert!(half == limited && half != other);
 }
 
 #[test]
-fn warm_up_is_within_the_memory_and_refuses_depths() {
-    // These views are too small to be reduced, but the forecast still includes the warm-up.
-    // Random backgrounds would need the same photograph without a warm-up.
-    let settings = || TrainSettings { random_background: false, ..settings() };
-    check_memory_of(&settings(), &TrainSettings { warm_up: 0, ..settings() });
-    let gpu = Gpu::new();
+fn warm_up_refuses_depths() {
     let map = vec![0.5; PIXELS];
-    let mapped = large().into_iter().map(|view| view.with_inverse_depth(Some(map.clone().into()))).collect();
-    let refused = Trainer::new(gpu.context, mapped, &start(), EXTENT, settings()).err().expect("refused");
-    assert!(
-        refused
-            .to_string()
-            .starts_with("warm_up: is 12 (preset fast sets it), which does not go together with depths"),
-        "{refused}"
-    );
+    let views = large().into_iter().map(|view| view.with_inverse_depth(Some(map.clone().into()))).collect();
+    let said = refusal(Run { views, ..run(settings()) }.try_begin());
+    let expected = "warm_up: is 12 (preset fast sets it), which does not go together with depths";
+    assert!(said.starts_with(expected), "{said}");
 }

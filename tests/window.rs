@@ -1,6 +1,7 @@
 //! `ashsplat view --window` on its own X server (Xvfb), drawn by the present device under the validation layer.
 //! Without Xvfb, the trial is listed as skipped.
 
+#[allow(dead_code)]
 #[path = "cli/run.rs"]
 mod run;
 #[path = "program/running.rs"]
@@ -20,14 +21,13 @@ use ashsplat_files::tiles::{self, TileOptions};
 use ashsplat_files::{Photo, PhotoFileFormat, Progress, cameras_json};
 use glam::Vec3;
 use libtest_mimic::{Failed, Trial};
-use run::{finish, program, text};
+use run::{Finished, finish, program, text};
 use running::Running;
-use server::{Desk, PATIENCE, PAUSE, Screenshot, Server};
+use server::{Desk, PATIENCE, PAUSE, Server};
 
 /// Size of the cameras, and of the resized window.
 const SIZE: [u32; 2] = [480, 360];
 const LARGER: [u32; 2] = [900, 610];
-/// Colour of letters.
 const LETTERS: [u8; 3] = [237, 242, 247];
 /// Key codes of X.
 const W: u8 = 25;
@@ -45,33 +45,29 @@ const HOME: u8 = 110;
 
 fn main() -> ExitCode {
     let arguments = libtest_mimic::Arguments::from_args();
-    let mut trials = vec![
-        Trial::test("window_without_a_display_is_one_line", || {
-            without_display();
-            Ok(())
-        }),
-        Trial::test("window_extensions_that_are_missing_are_named", || {
-            missing_extensions();
-            Ok(())
-        }),
-    ];
-    let trial = |name: &str, check: fn()| match Command::new("Xvfb").arg("-help").output() {
-        Ok(_) => Trial::test(name, move || {
+    let trial = |name: &str, check: fn()| {
+        Trial::test(name, move || {
             check();
             Ok(())
-        }),
+        })
+    };
+    let on_server = |name: &str, check: fn()| match Command::new("Xvfb").arg("-help").output() {
+        Ok(_) => trial(name, check),
         Err(error) => {
             let reason = format!("Xvfb is not installed: {error}");
             Trial::ignorable_test(name, move || Err(Failed::from(reason))).with_ignored_flag(true)
         }
     };
-    trials.push(trial("window_shows_what_render_draws", shows_what_render_draws));
-    trials.push(trial("window_streams_a_tree", streams_a_tree));
-    trials.push(trial("window_ends_in_every_way", ends_in_every_way));
+    let trials = vec![
+        trial("window_without_a_display_is_one_line", without_display),
+        trial("window_extensions_that_are_missing_are_named", missing_extensions),
+        on_server("window_shows_what_render_draws", shows_what_render_draws),
+        on_server("window_streams_a_tree", streams_a_tree),
+        on_server("window_ends_in_every_way", ends_in_every_way),
+    ];
     libtest_mimic::run(&arguments, trials).exit_code()
 }
 
-/// A ball of Gaussians of different colours.
 fn ball() -> Gaussians {
     let mut ball = Gaussians { sh_degree: 0, ..Gaussians::default() };
     for i in 0..1500 {
@@ -96,12 +92,10 @@ fn model(folder: &Path) -> PathBuf {
     let first = Camera::look_at(Vec3::new(0.5, -1.0, -4.0), Vec3::ZERO, Vec3::NEG_Y, lens);
     let odd = Intrinsics { fx: 520.0, fy: 500.0, cx: 200.0, cy: 205.0, ..lens };
     let second = Camera::look_at(Vec3::new(-3.0, 0.5, 2.0), Vec3::new(0.2, 0.0, 0.0), Vec3::NEG_Y, odd);
-    cameras_json::write(
-        model.join("cameras.json"),
-        [("one", &first), ("two", &second)],
-        &WorldFrame::default(),
-    )
-    .expect("cameras");
+    let write = |path: PathBuf, cameras: &[(&str, &Camera)]| {
+        cameras_json::write(path, cameras.iter().copied(), &WorldFrame::default()).expect("cameras");
+    };
+    write(model.join("cameras.json"), &[("one", &first), ("two", &second)]);
     // Exposure that training has learned for the second photo.
     let rows = [[0.6, 0.1, 0.0, 0.05], [0.0, 1.2, 0.0, 0.0], [0.1, 0.0, 0.8, 0.0]];
     exposure_json::write(model.join(EXPOSURE_FILE), [("two", &Exposure { rows })]).expect("exposures");
@@ -110,8 +104,7 @@ fn model(folder: &Path) -> PathBuf {
     let [cx, cy] = LARGER.map(|side| 0.5 * side as f32);
     let lens = Intrinsics { fx: f, fy: f, cx, cy, width: LARGER[0], height: LARGER[1] };
     let larger = Camera::with_pose(first.camera_from_world, first.translation, lens);
-    let path = [("one", &first), ("two", &second), ("three", &larger)];
-    cameras_json::write(folder.join("path.json"), path, &WorldFrame::default()).expect("cameras");
+    write(folder.join("path.json"), &[("one", &first), ("two", &second), ("three", &larger)]);
     model
 }
 
@@ -119,10 +112,8 @@ fn model(folder: &Path) -> PathBuf {
 fn rendered(model: &Path, folder: &Path, options: &[&str]) -> Vec<Photo> {
     let out = folder.join(format!("rendered{}", options.len()));
     let path = folder.join("path.json");
-    let run = finish(
-        program().args(["render", text(model), "--path", text(&path), "-o", text(&out)]).args(options),
-    );
-    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    let render = ["render", text(model), "--path", text(&path), "-o", text(&out)];
+    finish(program().args(render).args(options)).ok();
     pictures(&out)
 }
 
@@ -133,11 +124,7 @@ fn pictures(folder: &Path) -> Vec<Photo> {
     files.iter().map(|path| Photo::read(path, [0.0; 3]).expect("a picture")).collect()
 }
 
-fn start(server: &Server, model: &Path, out: &Path) -> Running {
-    start_with(server, model, out, &[])
-}
-
-fn start_with(server: &Server, model: &Path, out: &Path, options: &[&str]) -> Running {
+fn start(server: &Server, model: &Path, out: &Path, options: &[&str]) -> Running {
     let mut command = program();
     command.args(["view", text(model), "--window", "--validation", "-o", text(out)]).args(options);
     command.env("DISPLAY", &server.display).env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
@@ -145,7 +132,7 @@ fn start_with(server: &Server, model: &Path, out: &Path, options: &[&str]) -> Ru
 }
 
 /// Largest and mean difference of two pictures, in levels; None if their sizes differ.
-fn difference(shown: &Screenshot, photo: &Photo) -> Option<(u8, f64)> {
+fn difference(shown: &Photo, photo: &Photo) -> Option<(u8, f64)> {
     if [shown.width, shown.height] != [photo.width, photo.height] {
         return None;
     }
@@ -154,14 +141,33 @@ fn difference(shown: &Screenshot, photo: &Photo) -> Option<(u8, f64)> {
     Some((differences.max().unwrap_or(0), sum / shown.rgb.len() as f64))
 }
 
+/// Waits for a screenshot that the program saves.
+fn saved(out: &Path) -> Photo {
+    let start = Instant::now();
+    loop {
+        if out.is_dir()
+            && let Some(picture) = pictures(out).pop()
+        {
+            return picture;
+        }
+        assert!(start.elapsed() < PATIENCE, "no screenshot");
+        std::thread::sleep(PAUSE);
+    }
+}
+
+/// Waits for the program's end, which must be without complaint. Returns its stdout.
+fn end(child: Running, what: &str) -> String {
+    let run = Finished::from(child.finish());
+    assert_eq!((run.code, run.stderr.as_str()), (Some(0), ""), "{what}");
+    run.stdout
+}
+
+fn is_close(a: &[u8], b: &[u8]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 2)
+}
+
 /// Waits until the window's content satisfies a condition.
-fn wait_until(
-    desk: &Desk,
-    window: u32,
-    what: &str,
-    folder: &Path,
-    is: impl Fn(&Screenshot) -> bool,
-) -> Screenshot {
+fn wait_until(desk: &Desk, window: u32, what: &str, folder: &Path, is: impl Fn(&Photo) -> bool) -> Photo {
     let start = Instant::now();
     loop {
         let shown = desk.screenshot(window);
@@ -178,11 +184,10 @@ fn wait_until(
 }
 
 /// Writes a screenshot to the folder `ASHSPLAT_SCREENSHOTS`, for inspection.
-fn keep(shown: &Screenshot, what: &str, folder: &Path) -> PathBuf {
+fn keep(shown: &Photo, what: &str, folder: &Path) -> PathBuf {
     let folder = std::env::var_os("ASHSPLAT_SCREENSHOTS").map_or_else(|| folder.to_owned(), PathBuf::from);
     let path = folder.join(format!("window_{}.png", what.replace(' ', "_")));
-    let photo = Photo { width: shown.width, height: shown.height, rgb: shown.rgb.clone() };
-    photo.write_png(&path).expect("written");
+    shown.write_png(&path).expect("written");
     path
 }
 
@@ -194,56 +199,47 @@ fn shows_what_render_draws() {
     let differs = |(a, b): (&u8, &u8)| a.abs_diff(*b) > 2;
     assert!(expected[1].rgb.iter().zip(&exposed[1].rgb).any(differs), "the exposure changes nothing");
     let (server, out) = (Server::start(), folder.path().join("out"));
-    let child = start(&server, &model, &out);
+    let child = start(&server, &model, &out, &[]);
     let desk = server.connect();
     let window = desk.window("model");
-    let wait =
-        |what: &str, is: &dyn Fn(&Screenshot) -> bool| wait_until(&desk, window, what, folder.path(), is);
-    let equals = |photo: &Photo, shown: &Screenshot| {
+    let wait = |what: &str, is: &dyn Fn(&Photo) -> bool| wait_until(&desk, window, what, folder.path(), is);
+    let equals = |photo: &Photo, shown: &Photo| {
         difference(shown, photo).is_some_and(|(most, mean)| most <= 2 && mean < 0.05)
+    };
+    let press = |key: u8, what: &str, photo: &Photo| {
+        desk.key(key);
+        wait(what, &|shown| equals(photo, shown));
     };
     let first = wait("first", &|shown| shown.width == 1280 && shown.rgb.iter().any(|&v| v > 100));
     assert_eq!(first.height, 720);
     desk.resize(window, SIZE);
     // The text covers only the corner.
     let below = 3 * (SIZE[0] * (SIZE[1] * 3 / 5)) as usize;
-    let close = |a: &[u8], b: &[u8]| a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 2);
-    let white = |shown: &Screenshot| shown.rgb[..below].chunks_exact(3).filter(|p| **p == LETTERS).count();
+    let white = |shown: &Photo| shown.rgb[..below].chunks_exact(3).filter(|p| **p == LETTERS).count();
     wait("text", &|shown| {
         shown.height == SIZE[1]
-            && close(&shown.rgb[below..], &expected[0].rgb[below..])
+            && is_close(&shown.rgb[below..], &expected[0].rgb[below..])
             && white(shown) > 1000
     });
-    desk.key(H);
-    wait("splats", &|shown| equals(&expected[0], shown));
+    press(H, "splats", &expected[0]);
     // Every mode gives another picture; the first one returns.
-    let mut seen = vec![expected[0].rgb.clone()];
+    let mut seen = vec![expected[0].clone()];
     for (digit, mode) in DIGITS.iter().zip(["splats", "centres", "ellipsoids", "depth", "tiles"]).skip(1) {
         desk.key(*digit);
         let shown = wait(mode, &|shown| {
-            let means = seen.iter().map(|other| {
-                let sum: f64 = shown.rgb.iter().zip(other).map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
-                sum / other.len() as f64
-            });
-            means.fold(f64::MAX, f64::min) > 1.0
+            seen.iter().all(|other| difference(shown, other).is_some_and(|(_, mean)| mean > 1.0))
         });
-        seen.push(shown.rgb);
+        seen.push(shown);
     }
-    desk.key(DIGITS[0]);
-    wait("splats again", &|shown| equals(&expected[0], shown));
+    press(DIGITS[0], "splats again", &expected[0]);
     // The second photo's view with its lens. The message disappears by itself.
     desk.key(RIGHT_BRACKET);
-    desk.key(RIGHT_BRACKET);
-    wait("second view", &|shown| equals(&expected[1], shown));
-    desk.key(L);
-    wait("as photographed", &|shown| equals(&exposed[1], shown));
+    press(RIGHT_BRACKET, "second view", &expected[1]);
+    press(L, "as photographed", &exposed[1]);
     // Only for that photo's view.
-    desk.key(RIGHT_BRACKET);
-    wait("another photo's view", &|shown| equals(&expected[0], shown));
-    desk.key(RIGHT_BRACKET);
-    wait("as photographed again", &|shown| equals(&exposed[1], shown));
-    desk.key(L);
-    wait("as the scene is", &|shown| equals(&expected[1], shown));
+    press(RIGHT_BRACKET, "another photo's view", &expected[0]);
+    press(RIGHT_BRACKET, "as photographed again", &exposed[1]);
+    press(L, "as the scene is", &expected[1]);
     // Moved, and back at the first view.
     desk.hold(W, Duration::from_millis(300));
     desk.drag([200, 150], [260, 190]);
@@ -251,34 +247,24 @@ fn shows_what_render_draws() {
     desk.chord(SHIFT, SLASH);
     wait("keys", &|shown| white(shown) > 3000);
     desk.key(ESCAPE);
-    desk.key(HOME);
-    wait("home", &|shown| equals(&expected[0], shown));
+    press(HOME, "home", &expected[0]);
     desk.key(P);
-    let start = Instant::now();
-    while !out.is_dir() || pictures(&out).is_empty() {
-        assert!(start.elapsed() < PATIENCE, "no screenshot");
-        std::thread::sleep(PAUSE);
-    }
-    assert!(pictures(&out)[0].rgb == expected[0].rgb);
+    assert!(saved(&out).rgb == expected[0].rgb);
     // The message may still be shown; it lies in the upper part.
     desk.resize(window, LARGER);
     wait("larger", &|shown| {
         let half = 3 * (LARGER[0] * LARGER[1] / 2) as usize;
-        [shown.width, shown.height] == LARGER && close(&shown.rgb[half..], &expected[2].rgb[half..])
+        [shown.width, shown.height] == LARGER && is_close(&shown.rgb[half..], &expected[2].rgb[half..])
     });
     desk.close(window);
-    let output = child.finish();
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert_eq!((output.status.code(), stderr.as_ref()), (Some(0), ""));
-    assert!(String::from_utf8_lossy(&output.stdout).starts_with("window on "));
+    assert!(end(child, "model").starts_with("window on "));
 }
 
 /// Picture of a tree by `render` within a budget, from the window's first view.
 fn rendered_tree(tree: &Path, budget: &str) -> Photo {
     let out = tree.with_file_name(format!("budget{budget}"));
     let size = ["--orbit", "1", "--width", "1280", "--height", "720", "--fov", "57.295779513"];
-    let run = finish(program().args(["render", text(tree), "--budget", budget, "-o", text(&out)]).args(size));
-    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    finish(program().args(["render", text(tree), "--budget", budget, "-o", text(&out)]).args(size)).ok();
     pictures(&out).remove(0)
 }
 
@@ -293,16 +279,14 @@ fn streams_a_tree() {
         .expect("tiles");
     let [coarse, fine] = ["60", "600"].map(|budget| rendered_tree(&tree, budget));
     let server = Server::start();
-    let child = start_with(&server, &tree, &out, &["--budget", "600"]);
+    let child = start(&server, &tree, &out, &["--budget", "600"]);
     let desk = server.connect();
     let window = desk.window("tree");
-    let wait =
-        |what: &str, is: &dyn Fn(&Screenshot) -> bool| wait_until(&desk, window, what, folder.path(), is);
+    let wait = |what: &str, is: &dyn Fn(&Photo) -> bool| wait_until(&desk, window, what, folder.path(), is);
     // The text covers the upper part.
     let below = 3 * (1280 * 720 / 2) as usize;
-    let equals = |photo: &Photo, shown: &Screenshot, from: usize| {
-        shown.rgb.len() == photo.rgb.len()
-            && shown.rgb[from..].iter().zip(&photo.rgb[from..]).all(|(a, b)| a.abs_diff(*b) <= 2)
+    let equals = |photo: &Photo, shown: &Photo, from: usize| {
+        shown.rgb.len() == photo.rgb.len() && is_close(&shown.rgb[from..], &photo.rgb[from..])
     };
     let shown = wait("tree", &|shown| equals(&fine, shown, below));
     assert!(!equals(&coarse, &shown, below), "the coarsest tile looks the same");
@@ -325,23 +309,17 @@ fn streams_a_tree() {
     desk.key(HOME);
     wait("tree once more", &|shown| equals(&fine, shown, 0));
     desk.key(P);
-    let start = Instant::now();
-    while !out.is_dir() || pictures(&out).is_empty() {
-        assert!(start.elapsed() < PATIENCE, "no screenshot");
-        std::thread::sleep(PAUSE);
-    }
-    assert!(pictures(&out)[0].rgb == fine.rgb);
+    assert!(saved(&out).rgb == fine.rgb);
     desk.close(window);
-    let output = child.finish();
-    assert_eq!((output.status.code(), String::from_utf8_lossy(&output.stderr).as_ref()), (Some(0), ""));
+    end(child, "tree");
 }
 
 fn ends_in_every_way() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let model = model(folder.path());
     let server = Server::start();
-    type End = fn(&Desk, &Running);
-    let ways: [(&str, End); 3] = [
+    type Act = fn(&Desk, &Running);
+    let ways: [(&str, Act); 3] = [
         ("Escape", |desk, _| {
             // The first key press closes the list of keys.
             desk.chord(SHIFT, SLASH);
@@ -353,18 +331,16 @@ fn ends_in_every_way() {
         ("Ctrl Q", |desk, _| desk.chord(CONTROL, Q)),
         ("Ctrl-C", |_, child| child.interrupt()),
     ];
-    for (way, end) in ways {
-        let child = start(&server, &model, folder.path());
+    for (way, act) in ways {
+        let child = start(&server, &model, folder.path(), &[]);
         let desk = server.connect();
         let window = desk.window("model");
         wait_until(&desk, window, way, folder.path(), |shown| shown.rgb.iter().any(|&v| v > 100));
         if way == "Ctrl Q" {
             desk.click([640, 360]);
         }
-        end(&desk, &child);
-        let output = child.finish();
-        let stderr = String::from_utf8_lossy(&output.stderr);
-        assert_eq!((output.status.code(), stderr.as_ref()), (Some(0), ""), "{way}");
+        act(&desk, &child);
+        end(child, way);
     }
 }
 
@@ -389,15 +365,9 @@ fn without_display() {
         if let Some(display) = display {
             command.env("DISPLAY", display);
         }
-        let run = finish(&mut command);
-        assert_eq!((run.code, run.stdout.as_str()), (Some(2), ""), "{display:?}");
-        let lines: Vec<_> = run.stderr.lines().collect();
-        assert!(
-            lines.len() == 1
-                && lines[0].starts_with("error: --window: no display can be opened (")
-                && lines[0].ends_with("without --window the viewer is a page in a browser"),
-            "{display:?}: {}",
-            run.stderr
-        );
+        let run = finish(&mut command).refused(&["error: --window: no display can be opened ("]);
+        let remedy = "without --window the viewer is a page in a browser\n";
+        assert!(run.stderr.lines().count() == 1 && run.stderr.ends_with(remedy), "{}", run.stderr);
+        assert_eq!(run.stdout, "", "{display:?}");
     }
 }

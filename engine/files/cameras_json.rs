@@ -109,9 +109,6 @@ impl Entry {
 /// orthographic cameras `"projection": "orthographic"`. The cameras are in the world coordinates of `frame`. Positions
 /// are written in source units from the frame's origin, as in the PLY beside. `"origin"` and `"unit"` name a frame
 /// other than the default.
-///
-/// # Errors
-/// [`Error::Io`] naming the file.
 pub fn write<'a>(
     path: impl AsRef<Path>,
     cameras: impl IntoIterator<Item = (&'a str, &'a Camera)>,
@@ -125,28 +122,16 @@ pub fn write<'a>(
 
 /// Reads cameras that [`write()`] or the reference implementation wrote. Without cx and cy, the principal point is
 /// the image's centre. The cameras are returned in the world coordinates of `frame`.
-///
-/// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a list or a camera is unusable.
 pub fn read(path: impl AsRef<Path>, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let path = path.as_ref();
-    let text = text::read(path)?;
-    let entries: Vec<Entry> = serde_json::from_str(&text).map_err(|e| {
-        Error::input(
-            path,
-            format!("is not a list of cameras: {e}"),
-            "expected [{id, img_name, width, height, position, rotation, fx, fy}, …]",
-        )
-    })?;
+    let remedy = "expected [{id, img_name, width, height, position, rotation, fx, fy}, …]";
+    let entries: Vec<Entry> = text::json(path, "a list of cameras", remedy)?;
     let check = |entry: &Entry| {
         cost::step();
         let camera = entry.camera(frame);
         if let Some(problem) = camera.problem() {
-            return Err(Error::input(
-                path,
-                format!("camera {}: {problem}", entry.id),
-                "correct it in the file",
-            ));
+            let problem = format!("camera {}: {problem}", entry.id);
+            return Err(Error::input(path, problem, "correct it in the file"));
         }
         Ok(NamedCamera { name: entry.img_name.clone(), camera })
     };

@@ -1,24 +1,26 @@
 //! Checkpoint files: safetensors, written whole or not at all.
 
-use crate::host_memory::HostMemory;
-use crate::splats::Format;
-use crate::{atomic, cost, regular_file, sniff};
-use ashsplat::fingerprint::Fingerprint;
-use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Gaussians, WorldFrame};
-use ashsplat::trainer::BlockState;
-use ashsplat::trainer::checkpoint::{
-    Checkpoint, ExposureState, GradientSums, LightSums, MeanState, PoseState, Room, StrategyState,
-    StrategyStatistic, Tensor,
-};
-use ashsplat::trainer::strategy::Actions;
-use ashsplat::{Error, Result};
-use bytemuck::Pod;
-use glam::DVec3;
-use safetensors::{Dtype, SafeTensors};
-use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
+
+use bytemuck::Pod;
+use glam::DVec3;
+use safetensors::tensor::TensorView;
+use safetensors::{Dtype, SafeTensors};
+use serde_json::{Map, Value, json};
+
+use crate::host_memory::HostMemory;
+use crate::splats::Format;
+use crate::{atomic, cost, regular_file};
+use ashsplat::scene::gaussians::sh_coefficients;
+use ashsplat::scene::{Fingerprint, Gaussians, WorldFrame};
+use ashsplat::train::BlockState;
+use ashsplat::train::checkpoint::{
+    Capacities, Checkpoint, ExposureState, GradientSums, LightSums, MeanState, PoseState, StrategyState,
+    StrategyStatistic, Tensor,
+};
+use ashsplat::train::strategy::Actions;
+use ashsplat::{Error, Result};
 
 /// Changes when older files can no longer be read.
 const FORMAT: &str = "ashsplat-checkpoint/2";
@@ -26,6 +28,7 @@ const FORMAT: &str = "ashsplat-checkpoint/2";
 const FINGERPRINT: &str = "metadata_fingerprint";
 /// Present only if memory was bounded.
 const MAX_MEMORY: &str = "room_max_memory";
+const FRAME_GAUSSIANS: &str = "room_frame_gaussians";
 const FRAME_VISIBLE: &str = "room_frame_visible";
 const MOST_VISIBLE: &str = "most_visible";
 /// [`GradientSums::views`]. Present only if there are any.
@@ -55,24 +58,14 @@ const ALIGNMENT: usize = 8;
 /// Reads and writes a [`Checkpoint`] as a file.
 pub trait CheckpointFile: Sized {
     /// Writes the checkpoint under a temporary name and renames it when it is complete.
-    ///
-    /// # Errors
-    /// [`Error::Io`]; an older file of that name stays as it was.
     fn write(&self, path: impl AsRef<Path>) -> Result<()>;
 
     /// Reads a checkpoint and checks that it is whole.
-    ///
-    /// # Errors
-    /// [`Error::Io`], or [`Error::Input`] with the problem of the file; [`Error::TooLarge`] when the machine has too
-    /// little memory for it.
     fn read(path: impl AsRef<Path>) -> Result<Self> {
         Self::read_within(path, &HostMemory::default())
     }
 
     /// Same as [`CheckpointFile::read`], within a memory budget.
-    ///
-    /// # Errors
-    /// Same as [`CheckpointFile::read`].
     fn read_within(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self>;
 }
 
@@ -123,7 +116,7 @@ fn other_file(path: &Path, bytes: &[u8]) -> Option<(String, &'static str)> {
         let remedy = "start a new training from it: `--init FILE` in place of `--start-checkpoint FILE`";
         return Some((format!("is a scene ({format}), which has no state of a training"), remedy));
     }
-    sniff::recognise(bytes.get(..512).unwrap_or(bytes)).map(|(what, remedy)| (what.into(), remedy))
+    regular_file::recognise(bytes.get(..512).unwrap_or(bytes)).map(|(what, remedy)| (what.into(), remedy))
 }
 
 /// Metadata entries, all as text: safetensors allows nothing else.
@@ -131,9 +124,9 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     let settings = serde_json::to_string(&checkpoint.settings)
         .map_err(|e| Error::argument("settings", format!("cannot be written: {e}")))?;
     let views = checkpoint.views.max(1);
-    let Room { gaussians, frame_gaussians, frame_instances, frame_width, frame_height, .. } = checkpoint.room;
-    let Room { frame_visible, blend_passes, backward, most_visible, most_instances, max_memory, .. } =
-        checkpoint.room;
+    let mut room = checkpoint.capacities;
+    let max_memory = room.max_memory.map(|bytes| (MAX_MEMORY, bytes.to_string()));
+    let room = room_numbers(&mut room).map(|(name, number)| (name, number.to_string()));
     let pairs = [
         ("format", FORMAT.to_owned()),
         ("version", checkpoint.version.clone()),
@@ -151,23 +144,12 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         (STRATEGY_NAME, checkpoint.strategy.name.clone()),
         (TERMS, checkpoint.strategy.terms.join(",")),
         (SKIPPED, checkpoint.skipped.to_string()),
-        ("room_gaussians", gaussians.to_string()),
-        ("room_frame_gaussians", frame_gaussians.to_string()),
-        (FRAME_VISIBLE, frame_visible.to_string()),
-        ("room_frame_instances", frame_instances.to_string()),
-        ("room_frame_width", frame_width.to_string()),
-        ("room_frame_height", frame_height.to_string()),
-        ("room_blend_passes", blend_passes.to_string()),
-        ("room_backward", backward.to_string()),
-        (MOST_VISIBLE, most_visible.to_string()),
-        ("most_instances", most_instances.to_string()),
         // For readers of the file: both follow from seed and iteration, which key all random numbers.
         ("view_order_epoch", (u64::from(checkpoint.iteration) / views).to_string()),
         ("view_order_position", (u64::from(checkpoint.iteration) % views).to_string()),
     ];
     let summed = checkpoint.gradient_sums.as_ref().map(|sums| (SUMMED_VIEWS, sums.views.to_string()));
     let averaged = checkpoint.means.as_ref().map(|means| (AVERAGED_STEPS, means.steps.to_string()));
-    let max_memory = max_memory.map(|bytes| (MAX_MEMORY, bytes.to_string()));
     let due = DUE.map(|(name, action)| (name, checkpoint.due.contains(action).to_string()));
     let others = DUE.iter().fold(checkpoint.due, |due, (_, action)| due.without(*action));
     let others = (!others.is_empty()).then(|| (OTHERS_DUE, others.0.to_string()));
@@ -179,11 +161,28 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     let WorldFrame { origin, unit } = checkpoint.frame;
     let frame = [origin.x, origin.y, origin.z, unit].map(|value| value.to_string()).join(",");
     let frame = (!checkpoint.frame.is_identity()).then_some((FRAME, frame));
-    let named = pairs.into_iter().chain(kernels).chain(due).chain(others).chain(max_memory).chain(summed);
+    let named =
+        pairs.into_iter().chain(room).chain(kernels).chain(due).chain(others).chain(max_memory).chain(summed);
     let named = named.chain(averaged).chain(frame).chain(block);
     let own = checkpoint.strategy.values.iter();
     let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
     Ok(named.map(|(name, value)| (name.to_owned(), value)).chain(own).collect())
+}
+
+/// The numbers of a room, with the names of their entries.
+fn room_numbers(room: &mut Capacities) -> [(&'static str, &mut u32); 10] {
+    [
+        ("room_gaussians", &mut room.gaussians),
+        (FRAME_GAUSSIANS, &mut room.frame_gaussians),
+        (FRAME_VISIBLE, &mut room.frame_visible),
+        ("room_frame_instances", &mut room.frame_instances),
+        ("room_frame_width", &mut room.frame_width),
+        ("room_frame_height", &mut room.frame_height),
+        ("room_blend_passes", &mut room.blend_passes),
+        ("room_backward", &mut room.backward),
+        (MOST_VISIBLE, &mut room.most_visible),
+        ("most_instances", &mut room.most_instances),
+    ]
 }
 
 /// Hash of the metadata without the hash's own entry.
@@ -232,10 +231,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         first_moments: gaussians(&tensors, Checkpoint::SETS[1])?,
         second_moments: gaussians(&tensors, Checkpoint::SETS[2])?,
         statistics: values(&tensors, "statistics", &[2])?,
-        filters: match tensors.tensor(Checkpoint::FILTERS) {
-            Ok(_) => values(&tensors, Checkpoint::FILTERS, &[])?,
-            Err(_) => Vec::new(),
-        },
+        filters: optional_values(&tensors, Checkpoint::FILTERS, &[])?,
         strategy: StrategyState {
             name: metadata.optional(STRATEGY_NAME)?.unwrap_or_default(),
             terms: metadata.terms(),
@@ -248,7 +244,11 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
                 views,
                 sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)?,
                 light: light_sums(&tensors, Checkpoint::GRADIENT_SUMS)?,
-                poses: pose_sums(&tensors)?,
+                poses: optional_values(
+                    &tensors,
+                    &[Checkpoint::GRADIENT_SUMS, Checkpoint::POSES[0]].concat(),
+                    &[6],
+                )?,
             }),
         },
         means: match metadata.optional(AVERAGED_STEPS)? {
@@ -264,22 +264,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         poses: poses(&tensors)?,
         skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
         block: metadata.block()?,
-        room: Room {
-            gaussians: metadata.parsed("room_gaussians")?,
-            frame_gaussians: metadata.parsed("room_frame_gaussians")?,
-            frame_visible: match metadata.optional(FRAME_VISIBLE)? {
-                Some(visible) => visible,
-                None => metadata.parsed("room_frame_gaussians")?,
-            },
-            frame_instances: metadata.parsed("room_frame_instances")?,
-            frame_width: metadata.parsed("room_frame_width")?,
-            frame_height: metadata.parsed("room_frame_height")?,
-            blend_passes: metadata.parsed("room_blend_passes")?,
-            backward: metadata.parsed("room_backward")?,
-            most_visible: metadata.optional(MOST_VISIBLE)?.unwrap_or(0),
-            most_instances: metadata.parsed("most_instances")?,
-            max_memory: metadata.optional(MAX_MEMORY)?,
-        },
+        capacities: metadata.room()?,
     };
     if !cfg!(fuzzing) && checkpoint.fingerprint() != metadata.hexadecimal("data_fingerprint")? {
         return Err("is damaged: its contents do not have the fingerprint that they were written with".into());
@@ -307,15 +292,10 @@ impl Metadata {
 
     /// Returns the identity for older files.
     fn frame(&self) -> Result<WorldFrame, String> {
-        if !self.0.contains_key(FRAME) {
-            return Ok(WorldFrame::default());
-        }
-        let text = self.text(FRAME)?;
+        let Some(text) = self.0.get(FRAME) else { return Ok(WorldFrame::default()) };
         let values: Option<Vec<f64>> = text.split(',').map(|value| value.parse().ok()).collect();
         match values.as_deref() {
-            Some(&[x, y, z, unit])
-                if x.is_finite() && y.is_finite() && z.is_finite() && unit > 0.0 && unit.is_finite() =>
-            {
+            Some(&[x, y, z, unit]) if DVec3::new(x, y, z).is_finite() && unit > 0.0 && unit.is_finite() => {
                 Ok(WorldFrame { origin: DVec3::new(x, y, z), unit })
             }
             _ => Err(format!("has '{text}' as the metadata '{FRAME}'")),
@@ -325,20 +305,29 @@ impl Metadata {
     /// Returns `None` for a whole scene, and for older files.
     fn block(&self) -> Result<Option<BlockState>, String> {
         let [core, frozen, fingerprint] = BLOCK;
-        if !self.0.contains_key(core) {
-            return Ok(None);
-        }
-        let sides: Option<Vec<f32>> = self
-            .text(core)?
-            .split(',')
-            .map(|bits| u32::from_str_radix(bits, 16).ok().map(f32::from_bits))
-            .collect();
+        let Some(text) = self.0.get(core) else { return Ok(None) };
+        let side = |bits| u32::from_str_radix(bits, 16).ok().map(f32::from_bits);
+        let sides: Option<Vec<f32>> = text.split(',').map(side).collect();
         let Some(&[a, b, c, x, y, z]) = sides.as_deref() else {
-            return Err(format!("has '{}' as the metadata '{core}'", self.text(core)?));
+            return Err(format!("has '{text}' as the metadata '{core}'"));
         };
         let core = [[a, b, c], [x, y, z]];
         let fingerprint = self.hexadecimal(fingerprint)?;
         Ok(Some(BlockState { core, frozen: self.parsed(frozen)?, fingerprint }))
+    }
+
+    fn room(&self) -> Result<Capacities, String> {
+        let mut room = Capacities { max_memory: self.optional(MAX_MEMORY)?, ..Capacities::default() };
+        for (name, number) in room_numbers(&mut room) {
+            *number = match (name, self.optional(name)?) {
+                (_, Some(number)) => number,
+                // Older files lack two of them.
+                (MOST_VISIBLE, None) => 0,
+                (FRAME_VISIBLE, None) => self.parsed(FRAME_GAUSSIANS)?,
+                (name, None) => self.parsed(name)?,
+            };
+        }
+        Ok(room)
     }
 
     fn due(&self) -> Result<Actions, String> {
@@ -354,7 +343,6 @@ impl Metadata {
         all.split(',').filter(|term| !term.is_empty()).map(str::to_owned).collect()
     }
 
-    /// The strategy's own values.
     fn strategy(&self) -> Vec<(String, String)> {
         let own = |(name, value): (&String, &String)| {
             cost::step();
@@ -374,9 +362,18 @@ fn values<T: Pod>(tensors: &SafeTensors, name: &str, row: &[usize]) -> Result<Ve
     let tensor = tensors.tensor(name).map_err(|_| format!("lacks the tensor '{name}'"))?;
     let fits = tensor.dtype() == Dtype::F32 && tensor.shape().get(1..) == Some(row);
     if !fits || row.iter().product::<usize>() * 4 != size_of::<T>() {
-        return Err(format!("has a tensor '{name}' of {:?} {:?}", tensor.dtype(), tensor.shape()));
+        return Err(odd(name, &tensor));
     }
     Ok(bytemuck::pod_collect_to_vec(tensor.data()))
+}
+
+/// Same as [`values`]; empty if the tensor is missing, as in older files and if the values were not learned.
+fn optional_values<T: Pod>(tensors: &SafeTensors, name: &str, row: &[usize]) -> Result<Vec<T>, String> {
+    if tensors.tensor(name).is_err() { Ok(Vec::new()) } else { values(tensors, name, row) }
+}
+
+fn odd(name: &str, tensor: &TensorView<'_>) -> String {
+    format!("has a tensor '{name}' of {:?} {:?}", tensor.dtype(), tensor.shape())
 }
 
 /// Returns `None` if poses were not optimised.
@@ -385,26 +382,12 @@ fn poses(tensors: &SafeTensors) -> Result<Option<PoseState>, String> {
     if tensors.tensor(parameters).is_err() {
         return Ok(None);
     }
-    // Older files have no depths.
-    let depths = match tensors.tensor(Checkpoint::POSE_DEPTHS) {
-        Ok(_) => values(tensors, Checkpoint::POSE_DEPTHS, &[])?,
-        Err(_) => Vec::new(),
-    };
     Ok(Some(PoseState {
         parameters: values(tensors, parameters, &[6])?,
         first_moments: values(tensors, first, &[6])?,
         second_moments: values(tensors, second, &[6])?,
-        depths,
+        depths: optional_values(tensors, Checkpoint::POSE_DEPTHS, &[])?,
     }))
-}
-
-/// Empty if poses were not optimised, and in older files.
-fn pose_sums(tensors: &SafeTensors) -> Result<Vec<[f32; 6]>, String> {
-    let name = format!("{}{}", Checkpoint::GRADIENT_SUMS, Checkpoint::POSES[0]);
-    match tensors.tensor(&name) {
-        Ok(_) => values(tensors, &name, &[6]),
-        Err(_) => Ok(Vec::new()),
-    }
 }
 
 /// The strategy's own statistics, in the order of the file's data.
@@ -418,7 +401,7 @@ fn strategy_statistics(
         let Some(own) = name.strip_prefix(Checkpoint::STRATEGY) else { continue };
         let tensor = tensors.tensor(&name).map_err(|e| e.to_string())?;
         let (Dtype::F32, &[_, floats]) = (tensor.dtype(), tensor.shape()) else {
-            return Err(format!("has a tensor '{name}' of {:?} {:?}", tensor.dtype(), tensor.shape()));
+            return Err(odd(&name, &tensor));
         };
         let floats =
             u32::try_from(floats).map_err(|_| format!("has a tensor '{name}' of {floats} columns"))?;
@@ -437,18 +420,13 @@ fn light_state(tensors: &SafeTensors, own: &str) -> Result<ExposureState, String
     })
 }
 
-/// Empty if exposures and lens effects were not learned, and in older files.
 fn light_sums(tensors: &SafeTensors, prefix: &str) -> Result<LightSums, String> {
     let of = |own| matrices(tensors, prefix, own);
     Ok(LightSums { exposures: of(Checkpoint::EXPOSURES)?, lenses: of(Checkpoint::LENSES)? })
 }
 
 fn matrices(tensors: &SafeTensors, prefix: &str, own: &str) -> Result<Vec<[[f32; 4]; 3]>, String> {
-    let name = format!("{prefix}{own}");
-    match tensors.tensor(&name) {
-        Ok(_) => values(tensors, &name, &[3, 4]),
-        Err(_) => Ok(Vec::new()),
-    }
+    optional_values(tensors, &[prefix, own].concat(), &[3, 4])
 }
 
 fn gaussians(tensors: &SafeTensors, prefix: &str) -> Result<Gaussians, String> {
@@ -457,7 +435,7 @@ fn gaussians(tensors: &SafeTensors, prefix: &str) -> Result<Gaussians, String> {
     let sh = tensors.tensor(&sh_name).map_err(|_| format!("lacks the tensor '{sh_name}'"))?;
     let degree = (0..=3).find(|&d| sh.shape().get(1..) == Some(&[sh_coefficients(d), 3]));
     let Some(sh_degree) = degree.filter(|_| sh.dtype() == Dtype::F32) else {
-        return Err(format!("has a tensor '{sh_name}' of {:?} {:?}", sh.dtype(), sh.shape()));
+        return Err(odd(&sh_name, &sh));
     };
     Ok(Gaussians {
         sh_degree,

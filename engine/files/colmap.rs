@@ -6,14 +6,12 @@
 mod binary;
 mod find;
 mod model;
-mod observations;
+mod records;
 mod text;
-mod types;
-mod write;
 
+pub use binary::write;
+pub(crate) use find::is_data_set;
 pub use find::{ModelFolder, POSES_LOG, UNFINISHED_POSES, exists, find};
-pub use model::{Model, undistort_command};
-pub(crate) use observations::contradiction;
-pub use observations::{observations, tracks};
-pub use types::{CameraModel, ColmapCamera, ColmapImage};
-pub use write::write;
+pub(crate) use model::contradiction;
+pub use model::{Model, observations, tracks, undistort_command};
+pub use records::{CameraModel, ColmapCamera, ColmapImage};

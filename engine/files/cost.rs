@@ -34,6 +34,5 @@ impl<R: Seek> Seek for Counted<R> {
 
 #[cfg(test)]
 pub(crate) mod counter {
-    /// Steps of the process so far.
     pub(crate) static STEPS: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
 }

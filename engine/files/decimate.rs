@@ -10,32 +10,24 @@ use ashsplat::scene::sh::C0;
 
 /// Neighbours that each Gaussian may be merged with.
 const NEIGHBOURS: usize = 8;
-
 /// Bytes per Gaussian that a round needs beside the Gaussians. Pairs are in memory three times while they are collected
 /// and sorted; the tree has 64 bytes per Gaussian.
 pub(crate) const BYTES: u64 = (3 * NEIGHBOURS * size_of::<Pair>() + size_of::<Brief>() + 64) as u64;
-
 /// Largest share of the Gaussians that one round removes: later rounds see the merged ones.
 const SHARE_PER_ROUND: f64 = 0.2;
-
 /// Weight of a difference in colour (0 to 1) beside one of place, in units of the Gaussians' size.
 const COLOR_WEIGHT: f64 = 20.0;
-
 /// Weight of the distance in place and colour against the difference of pictures. Pictures of single pairs do not show
 /// their surroundings, and later rounds merge Gaussians that earlier ones have mixed. From 0 to 0.2 coarse levels gain
 /// 0.6 dB (tools/experiments.md).
 const APART_WEIGHT: f64 = 0.2;
-
 /// Weight of a difference in opacity against one in a channel's colour: other Gaussians may lie behind.
 const OPACITY_WEIGHT: f64 = 0.5;
-
 /// Largest opacity of a merged Gaussian: the rasterizer's largest alpha.
 const MAX_OPACITY: f64 = 0.99;
-
 /// Largest growth of a merged Gaussian's covariance in place of its opacity. Two Gaussians side by side, which cover
 /// twice the area of one, need 2.
 const MAX_GROWTH: f64 = 4.0;
-
 /// Least flatness of a Gaussian's picture, as the square of its axes' ratio. The determinant of a flatter one is a
 /// rounding error of two equal products, and areas of such needles would differ by a hundred powers of ten.
 const FLATTEST: f64 = 1e-12;
@@ -61,7 +53,6 @@ pub fn decimate(gaussians: &mut Gaussians, target: usize) {
     }
 }
 
-/// Two Gaussians and the cost of merging them.
 struct Pair {
     cost: f64,
     first: usize,
@@ -80,7 +71,6 @@ struct Brief {
     color: DVec3,
 }
 
-/// Two Gaussians merged into one.
 struct Joined {
     mean: DVec3,
     covariance: DMat3,
@@ -166,7 +156,6 @@ fn picture_difference(a: &Brief, b: &Brief) -> f64 {
     sum.max(0.0)
 }
 
-/// Cost of merging two Gaussians.
 fn cost(a: &Brief, b: &Brief) -> f64 {
     let apart = a.mean.distance_squared(b.mean) / (a.size2 + b.size2).max(f64::MIN_POSITIVE);
     let mass = a.mass * b.mass / (a.mass + b.mass).max(f64::MIN_POSITIVE);
@@ -287,15 +276,8 @@ mod tests {
 
     fn of(mean: DVec3, sigmas: DVec3, opacity: f64) -> Brief {
         let covariance = DMat3::from_diagonal(sigmas * sigmas);
-        let size2 = sigmas.length_squared() / 3.0;
-        Brief {
-            mean,
-            covariance,
-            opacity,
-            mass: opacity * area(&covariance),
-            size2,
-            color: DVec3::splat(0.5),
-        }
+        let (mass, size2) = (opacity * area(&covariance), sigmas.length_squared() / 3.0);
+        Brief { mean, covariance, opacity, mass, size2, color: DVec3::splat(0.5) }
     }
 
     /// Compares with sums over the pixels of three pictures.
@@ -326,7 +308,7 @@ mod tests {
         }
         let (found, expected) = (picture_difference(&a, &b), sum / std::f64::consts::TAU);
         assert!((found / expected - 1.0).abs() < 1e-6, "{found} {expected}");
-        // Merging two identical Gaussians loses only their occlusion.
+        // Two identical faint Gaussians merge exactly, but for their mutual occlusion, which the measure ignores.
         let faint = || of(DVec3::ONE, DVec3::splat(0.3), 0.1);
         assert!(picture_difference(&faint(), &faint()) < 1e-12);
     }

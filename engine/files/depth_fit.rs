@@ -20,8 +20,7 @@ const LEAST_RANGE: f64 = 1e-3;
 /// A map is skipped if its scale is outside of this range, times the median.
 const RELIABLE: [f64; 2] = [0.2, 5.0];
 
-/// Converts a map's value to an inverse depth in 1 / world units: `scale * value + offset`. Both are 0 for a map that
-/// could not be fitted.
+/// Inverse depth of a map's value, 1 / world units: `scale * value + offset`. Both are 0 if the map cannot be fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 pub struct DepthFit {
     /// Factor.
@@ -40,8 +39,7 @@ pub struct DepthPoint {
 }
 
 impl DepthFit {
-    /// Fits a map to its photo's points, so that medians and mean absolute deviations agree. `camera_size` is the size
-    /// of the photo's camera.
+    /// Fits a map to its photo's points: medians and mean absolute deviations agree. `camera_size`: of the photo's camera.
     pub fn of(map: &DepthMap, camera_size: (u32, u32), points: &[DepthPoint]) -> Self {
         Self::with_sense(map, camera_size, points).0
     }
@@ -92,17 +90,11 @@ impl DepthFit {
     }
 
     /// Reads `depth_params.json`: an object from photos' names without extension to scale and offset.
-    ///
-    /// # Errors
-    /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a list or has a number that is
-    /// not finite in 32 bits, as the device needs.
     pub fn read_all(path: impl AsRef<Path>) -> Result<BTreeMap<String, Self>> {
         let path = path.as_ref();
-        let text = text::read(path)?;
         let remedy =
             "expected {\"photo\": {\"scale\": 1.5, \"offset\": 0.1}, …}; without the file, they are fitted";
-        let fits: BTreeMap<String, Self> = serde_json::from_str(&text)
-            .map_err(|e| Error::input(path, format!("is not a list of depth parameters: {e}"), remedy))?;
+        let fits: BTreeMap<String, Self> = text::json(path, "a list of depth parameters", remedy)?;
         let finite = |fit: &Self| {
             cost::step();
             (fit.scale as f32).is_finite() && (fit.offset as f32).is_finite()

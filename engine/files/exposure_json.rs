@@ -12,9 +12,6 @@ use ashsplat::{Error, Result};
 pub const EXPOSURE_FILE: &str = "exposure.json";
 
 /// Writes exposures by the names of their photographs.
-///
-/// # Errors
-/// [`Error::Io`] naming the file.
 pub fn write<'a>(
     path: impl AsRef<Path>,
     exposures: impl IntoIterator<Item = (&'a str, &'a Exposure)>,
@@ -25,16 +22,10 @@ pub fn write<'a>(
 }
 
 /// Reads the exposures of [`write()`] or of the reference implementation.
-///
-/// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a list or has a number that is not
-/// finite.
 pub fn read(path: impl AsRef<Path>) -> Result<BTreeMap<String, Exposure>> {
     let path = path.as_ref();
-    let text = text::read(path)?;
     let remedy = "expected {\"photo.jpg\": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], …}";
-    let rows: BTreeMap<String, [[f32; 4]; 3]> = serde_json::from_str(&text)
-        .map_err(|e| Error::input(path, format!("is not a list of exposures: {e}"), remedy))?;
+    let rows: BTreeMap<String, [[f32; 4]; 3]> = text::json(path, "a list of exposures", remedy)?;
     let finite = |rows: &[[f32; 4]; 3]| {
         cost::step();
         rows.as_flattened().iter().all(|x| x.is_finite())

@@ -8,7 +8,6 @@ use ashsplat::{Error, Result};
 
 /// The budget if the system does not report its free memory.
 const UNKNOWN: u64 = 4 << 30;
-
 /// Share of the machine's free memory that reading may take; the rest is for other programs and for kept data.
 const SHARE: (u64, u64) = (3, 4);
 
@@ -16,8 +15,7 @@ const SHARE: (u64, u64) = (3, 4);
 static DEFAULT: AtomicU64 = AtomicU64::new(UNSET);
 const UNSET: u64 = u64::MAX;
 
-/// Budget of host memory for files while they are decoded. Clones share it: memory that one thread uses is not
-/// available to the others.
+/// Budget of host memory for files while they are decoded. Clones share it, for example those of several threads.
 #[derive(Clone, Debug)]
 pub struct HostMemory(Arc<State>);
 
@@ -81,24 +79,14 @@ impl HostMemory {
         self.0.limit
     }
 
-    /// Reserves memory for data that are kept while files are read. The files get the rest: see
-    /// [`HostMemory::beside_photos`].
-    ///
-    /// # Errors
-    /// [`Error::TooLarge`] when it exceeds the budget, or the system lacks the memory. `what` names the kept data.
-    pub(crate) fn keep(&self, what: &dyn Fn() -> String, bytes: u64) -> Result<Lease> {
-        self.lease(what, bytes)
-    }
-
     /// Reserves memory for reading a file; waits while others have it. The holder must not wait for other threads.
-    ///
-    /// # Errors
-    /// [`Error::TooLarge`] when it exceeds the budget, or the system lacks the memory.
     pub(crate) fn take(&self, path: &Path, bytes: u64) -> Result<Lease> {
-        self.lease(&|| reading(path), bytes)
+        self.keep(&|| reading(path), bytes)
     }
 
-    fn lease(&self, what: &dyn Fn() -> String, bytes: u64) -> Result<Lease> {
+    /// Reserves memory for data that `what` names, such as those that are kept while files are read. The files get the
+    /// rest: see [`HostMemory::beside_photos`].
+    pub(crate) fn keep(&self, what: &dyn Fn() -> String, bytes: u64) -> Result<Lease> {
         let Self(state) = self;
         if bytes > state.limit {
             return Err(too_large(what(), bytes, state.limit, state.limit_name));
@@ -129,9 +117,6 @@ pub(crate) fn check_writing(path: &Path, bytes: u64) -> Result<()> {
 }
 
 /// An empty vector with a capacity of `bytes`.
-///
-/// # Errors
-/// [`Error::TooLarge`] when the system lacks the memory.
 pub(crate) fn reserved(path: &Path, bytes: u64) -> Result<Vec<u8>> {
     reserved_for(&|| reading(path), bytes)
 }
@@ -244,10 +229,8 @@ mod tests {
         let memory = HostMemory::new(100);
         let path = Path::new("a.png");
         let message = memory.take(path, 101).expect_err("too much").to_string();
-        assert_eq!(
-            message,
-            "a.png: reading it needs 101 bytes of host memory, more than 100 (--max-host-memory)"
-        );
+        let expected = "a.png: reading it needs 101 bytes of host memory, more than 100 (--max-host-memory)";
+        assert_eq!(message, expected);
         let lease = memory.take(path, 60).expect("fits");
         let other = memory.clone();
         let thread = std::thread::spawn(move || other.take(Path::new("b.png"), 50).map(drop));

@@ -2,10 +2,7 @@
 
 mod decode;
 mod depth_map;
-mod jpeg;
-mod png_rows;
 mod scale;
-mod undistort;
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -13,16 +10,17 @@ use std::sync::Arc;
 
 use super::atomic;
 use super::host_memory::HostMemory;
+use crate::regular_file::OnFile;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
+use scale::RowScaler;
 
 pub use ashsplat::scene::photo::Photo;
 pub use ashsplat::scene::stored_photo::{PhotoFile, StoredPhoto};
 pub use decode::photo_size;
-pub(crate) use decode::{Decoded, Header, Request, header};
+pub(crate) use decode::{Decoded, Header, Request, header, read as read_as};
 pub use depth_map::DepthMap;
-use scale::RowScaler;
-pub use undistort::undistort;
+pub use scale::undistort;
 
 /// Widest picture that [`Resolution::Auto`] does not scale, pixels.
 pub const AUTO_MAX_WIDTH: u32 = 1600;
@@ -34,45 +32,25 @@ pub trait PhotoFileFormat: Sized {
     /// Ignores the orientation in a photo's metadata, as COLMAP, Pillow and stb_image do. Data sets may apply it if
     /// their cameras have the size of the rotated photos: see
     /// [`super::dataset::DatasetOptions::orientation`].
-    ///
-    /// # Errors
-    /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a picture, is cut short
-    /// or damaged, or claims a size that the file cannot hold; [`Error::TooLarge`] when the machine has too little
-    /// memory for it.
-    fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self>;
-
-    /// Same as [`PhotoFileFormat::read`], within a memory budget.
-    ///
-    /// # Errors
-    /// Same as [`PhotoFileFormat::read`].
-    fn read_within(path: impl AsRef<Path>, background: [f32; 3], memory: &HostMemory) -> Result<Self>;
-
-    /// Same as [`PhotoFileFormat::read`], but refuses a picture of another size before decoding it.
-    ///
-    /// # Errors
-    /// Same as [`PhotoFileFormat::read`], and [`Error::Input`] for another size.
-    fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self>;
-
-    /// Writes a PNG.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] when `rgb` has the wrong length, [`Error::Io`] naming the file when it cannot be
-    /// written; no partial file is left.
-    fn write_png(&self, path: impl AsRef<Path>) -> Result<()>;
-
-    /// The picture at another size, by bicubic interpolation over the covered area (the filter of the reference
-    /// implementation, which scales with Pillow's default).
-    ///
-    /// # Errors
-    /// [`Error::Argument`] when `rgb` has the wrong length, or one of the sizes is 0 or above 65,535.
-    fn scaled_to(self, width: u32, height: u32) -> Result<Self>;
-}
-
-impl PhotoFileFormat for Photo {
     fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self> {
         Self::read_within(path, background, &HostMemory::default())
     }
 
+    /// Same as [`PhotoFileFormat::read`], within a memory budget.
+    fn read_within(path: impl AsRef<Path>, background: [f32; 3], memory: &HostMemory) -> Result<Self>;
+
+    /// Same as [`PhotoFileFormat::read`], but refuses a picture of another size before decoding it.
+    fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self>;
+
+    /// Writes a PNG.
+    fn write_png(&self, path: impl AsRef<Path>) -> Result<()>;
+
+    /// The picture at another size, by bicubic interpolation over the covered area (the filter of the reference
+    /// implementation, which scales with Pillow's default).
+    fn scaled_to(self, width: u32, height: u32) -> Result<Self>;
+}
+
+impl PhotoFileFormat for Photo {
     fn read_within(path: impl AsRef<Path>, background: [f32; 3], memory: &HostMemory) -> Result<Self> {
         Ok(decode::read(path.as_ref(), &Request::plain(background, memory))?.photo)
     }
@@ -112,14 +90,6 @@ impl PhotoFileFormat for Photo {
     }
 }
 
-/// Reads a picture as `request` says.
-///
-/// # Errors
-/// Same as [`PhotoFileFormat::read_sized`].
-pub(crate) fn read_as(path: &Path, request: &Request<'_>) -> Result<Decoded> {
-    decode::read(path, request)
-}
-
 /// Memory budget of photos, and the folder for photos that exceed it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PhotoMemory {
@@ -131,12 +101,8 @@ pub struct PhotoMemory {
 
 impl PhotoMemory {
     /// Creates a file without a name for photos; it is removed with the value.
-    ///
-    /// # Errors
-    /// [`Error::Io`] when the file cannot be created.
     pub fn create_file(&self) -> Result<Arc<PhotoFile>> {
-        let file =
-            tempfile::tempfile_in(&self.folder).map_err(|e| Error::io(&self.folder, "create a file", e))?;
+        let file = tempfile::tempfile_in(&self.folder).on(&self.folder, "create a file")?;
         Ok(PhotoFile::new(file, self.folder.clone(), self.bytes))
     }
 }

@@ -21,20 +21,14 @@ pub const RANDOM_POINTS: usize = 100_000;
 
 /// Initial opacity of every Gaussian.
 const INITIAL_OPACITY: f64 = 0.1;
-
 /// Smallest mean squared distance to the neighbours, so that coincident points get a size, world units².
 const MIN_SQUARED_DISTANCE: f64 = 1e-7;
-
 /// Number of neighbours whose distance sets a Gaussian's size.
 const NEIGHBOURS: usize = 3;
 
 /// One isotropic Gaussian per point, as in the reference implementation: standard deviation = root of
 /// [`mean_squared_neighbour_distances`], identity rotation, opacity 0.1, the point's colour, no view
 /// dependence. `sh` has all coefficients of `sh_degree`.
-///
-/// # Errors
-/// [`Error::Argument`] for a degree above 3, positions that are not finite, or colours and positions of
-/// different number.
 pub fn initial_gaussians(points: &PointCloud, sh_degree: u32) -> Result<Gaussians> {
     if sh_degree > MAX_SH_DEGREE {
         return Err(Error::argument("sh_degree", format!("{sh_degree} is not between 0 and 3")));
@@ -59,13 +53,11 @@ pub fn initial_gaussians(points: &PointCloud, sh_degree: u32) -> Result<Gaussian
         sh,
     })
 }
+
 /// For each point the mean of the squared distances to its 3 nearest other points, at least 1e-7, world units².
 ///
 /// Coincident points are neighbours at distance 0. Where there are fewer than 3 other points, the mean is over
 /// those; a lone point gets the minimum.
-///
-/// # Errors
-/// [`Error::Argument`] for a position that is not finite.
 pub fn mean_squared_neighbour_distances(positions: &[[f32; 3]]) -> Result<Vec<f64>> {
     // Coincident points are merged first: in a search tree they would degenerate to a list.
     let mut copies: HashMap<[u32; 3], usize> = HashMap::with_capacity(positions.len());
@@ -81,18 +73,16 @@ pub fn mean_squared_neighbour_distances(positions: &[[f32; 3]]) -> Result<Vec<f6
             })?;
         }
     }
-    positions
-        .par_iter()
-        .map(|position| {
-            let nearest = tree
-                .nearest(&position.map(f64::from), NEIGHBOURS + 1, &squared_euclidean)
-                .map_err(|e| Error::argument("points", format!("no neighbours of {position:?}: {e}")))?;
-            // Each position counts once per coincident point. The first count is the point itself.
-            let distances = nearest.iter().flat_map(|&(d, key)| std::iter::repeat_n(d, copies[key]));
-            let (sum, n) = distances.skip(1).take(NEIGHBOURS).fold((0.0, 0), |(s, n), d| (s + d, n + 1));
-            Ok((sum / f64::from(n.max(1))).max(MIN_SQUARED_DISTANCE))
-        })
-        .collect()
+    let mean = |position: &[f32; 3]| {
+        let nearest = tree.nearest(&position.map(f64::from), NEIGHBOURS + 1, &squared_euclidean);
+        let nearest =
+            nearest.map_err(|e| Error::argument("points", format!("no neighbours of {position:?}: {e}")))?;
+        // Each position counts once per coincident point. The first count is the point itself.
+        let distances = nearest.iter().flat_map(|&(d, key)| std::iter::repeat_n(d, copies[key]));
+        let (sum, n) = distances.skip(1).take(NEIGHBOURS).fold((0.0, 0), |(s, n), d| (s + d, n + 1));
+        Ok((sum / f64::from(n.max(1))).max(MIN_SQUARED_DISTANCE))
+    };
+    positions.par_iter().map(mean).collect()
 }
 
 /// Grey points, uniformly distributed in a box; the same ones for the same seed.
@@ -148,15 +138,12 @@ pub fn seen_box(cameras: &[Camera]) -> Option<Bounds> {
         return None;
     }
     let center = (across.inverse() * sum).as_vec3();
-    let mut half_edges: Vec<f32> = Vec::new();
-    for camera in cameras {
+    let half_edge = |camera: &Camera| {
         let depth = camera.forward().dot(center - camera.position());
-        if depth <= 0.0 {
-            continue;
-        }
         let half = (0.5 * camera.width as f32 / camera.fx).min(0.5 * camera.height as f32 / camera.fy);
-        half_edges.push(depth * half);
-    }
+        (depth > 0.0).then_some(depth * half)
+    };
+    let mut half_edges: Vec<f32> = cameras.iter().filter_map(half_edge).collect();
     if 10 * half_edges.len() < 9 * cameras.len() {
         return None;
     }

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
+
 use super::{atomic, cost, text};
 use ashsplat::scene::LensEffects;
 use ashsplat::{Error, Result};
-use serde::{Deserialize, Serialize};
 
 /// Name of the file in a model folder.
 pub const LENS_FILE: &str = "lens.json";
@@ -46,9 +47,6 @@ impl LensFile {
     }
 
     /// Writes the file.
-    ///
-    /// # Errors
-    /// [`Error::Io`] naming the file.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
         let entry = |effects: &LensEffects| Entry {
             vignetting: effects.rows.map(|[a1, a2, a3, _]| [a1, a2, a3]),
@@ -60,18 +58,12 @@ impl LensFile {
     }
 
     /// Reads the file of [`LensFile::write`].
-    ///
-    /// # Errors
-    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is not such a document, has implausible
-    /// numbers, or a photograph of a missing camera.
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let text = text::read(path)?;
         let remedy = "expected {\"cameras\": {\"1\": {\"vignetting\": [[0, 0, 0], [0, 0, 0], [0, 0, 0]], \"response\": [1, 1, 1]}}, \
                       \"photos\": {\"photo.jpg\": 1}}";
         let problem = |problem: String| Error::input(path, problem, remedy);
-        let document: Document = serde_json::from_str(&text)
-            .map_err(|e| problem(format!("is not a description of cameras' light: {e}")))?;
+        let document: Document = text::json(path, "a description of cameras' light", remedy)?;
         let mut cameras = BTreeMap::new();
         for (id, Entry { vignetting, response }) in document.cameras {
             cost::step();

@@ -3,6 +3,12 @@
 //!
 //! Readers do not trust the counts in a file: every count is checked against the file's size before memory is
 //! reserved for it. Writers use [`atomic`], so that no partial file remains.
+//!
+//! Unless a function names other errors, they are [`Error::Io`](ashsplat::Error::Io) with the file that the system
+//! cannot read or write; [`Error::Input`](ashsplat::Error::Input) for a file of another kind, damaged or cut short;
+//! [`Error::TooLarge`](ashsplat::Error::TooLarge) when the machine or a budget has too little memory for it;
+//! [`Error::Argument`](ashsplat::Error::Argument) for an invalid argument, or for arguments that do not fit together;
+//! [`Error::Interrupted`](ashsplat::Error::Interrupted) when a [`Progress`] requests the stop.
 
 pub mod atomic;
 pub mod cameras_json;
@@ -13,7 +19,6 @@ pub mod dataset;
 pub mod decimate;
 pub mod depth_fit;
 pub mod exposure_json;
-mod file_hash;
 pub mod host_memory;
 pub mod images;
 pub mod init;
@@ -25,7 +30,6 @@ pub mod photo_points;
 pub mod ply;
 mod progress;
 pub mod regular_file;
-mod sniff;
 pub mod splats;
 pub mod text;
 pub mod tiles;
@@ -33,13 +37,13 @@ pub mod transforms;
 
 pub use checkpoint::CheckpointFile;
 pub use dataset::{Dataset, DatasetOptions, DatasetReport, Gallery, View};
-pub use file_hash::file_hash;
 pub use host_memory::HostMemory;
 pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use init::initial_gaussians;
 pub use lpips_weights::WeightsFile;
 pub use names::{has_photo_ending, has_video_ending, quoted};
 pub use progress::Progress;
+pub use regular_file::file_hash;
 
 #[cfg(test)]
 #[path = "../../tests/growth/mod.rs"]

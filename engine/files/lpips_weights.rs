@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
+use safetensors::{Dtype, SafeTensors};
+
 use crate::host_memory::HostMemory;
 use crate::{cost, regular_file};
-use ashsplat::lpips::{Layer, Network, Weights};
+use ashsplat::passes::lpips::{Layer, Network, Weights};
 use ashsplat::{Error, Result};
-use safetensors::{Dtype, SafeTensors};
 
 const REMEDY: &str =
     "give the weights of LPIPS 0.1 with AlexNet or VGG16, as tools/lpips_weights.py writes them";
@@ -24,11 +25,6 @@ pub trait WeightsFile: Sized {
     /// - `linK.model.1.weight` [1, channels, 1, 1], K from 0 to 4.
     ///
     /// Other tensors are ignored.
-    ///
-    /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] naming a tensor that is missing, given twice, or of another shape or type, or
-    /// whose values are not finite, beyond 1000, or negative in a head; [`Error::TooLarge`] when the machine has too
-    /// little memory.
     fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self>;
 }
 

@@ -6,13 +6,10 @@ use ashsplat::{Error, Result};
 
 /// Radius of SSIM's window: 11×11 pixels.
 const RADIUS: usize = 5;
-
 /// Width of SSIM's window, pixels.
 const WINDOW: usize = 2 * RADIUS + 1;
-
 /// Standard deviation of SSIM's Gaussian window, pixels.
 const SIGMA: f64 = 1.5;
-
 /// SSIM's constants for a range of 1: (0.01)² and (0.03)².
 const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
@@ -20,18 +17,12 @@ const C2: f64 = 9e-4;
 /// Peak signal-to-noise ratio in dB: −10 log₁₀ of the mean squared error over all pixels and channels.
 ///
 /// Both pictures are rgb, row-major, and clamped to [0, 1] first. Equal pictures give infinity.
-///
-/// # Errors
-/// [`Error::Argument`] for pictures of different or no size.
 pub fn psnr(image: &[[f32; 3]], reference: &[[f32; 3]]) -> Result<f64> {
     check_sizes(image.len(), reference.len())?;
     Ok(decibels(image.iter().zip(reference)))
 }
 
 /// [`psnr`] over the pixels whose mask byte is not 0.
-///
-/// # Errors
-/// Same as [`psnr`], and for a mask of another size or one that hides everything.
 pub fn masked_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8]) -> Result<f64> {
     check_sizes(image.len(), reference.len())?;
     check_mask(image.len(), mask)?;
@@ -52,20 +43,13 @@ fn decibels<'a>(pixels: impl Iterator<Item = (&'a [f32; 3], &'a [f32; 3])>) -> f
 ///
 /// 11×11 Gaussian window with σ = 1.5, zero padding, C1 = 1e-4, C2 = 9e-4, as in the reference implementation.
 /// Both pictures are rgb, row-major, `width` pixels wide, and clamped to [0, 1] first.
-///
-/// # Errors
-/// [`Error::Argument`] for pictures of different or no size, or a size that is no multiple of the width.
 pub fn ssim(image: &[[f32; 3]], reference: &[[f32; 3]], width: u32) -> Result<f64> {
     check_sizes(image.len(), reference.len())?;
     let map = ssim_rows(image, reference, width, &|_| true)?;
     Ok(map / (3 * image.len()) as f64)
 }
 
-/// SSIM of both pictures times the mask (one byte per pixel; 0 hides it): mean over the visible pixels and all
-/// channels.
-///
-/// # Errors
-/// Same as [`ssim`], and for a mask of another size or one that hides everything.
+/// SSIM of both pictures times the mask (a byte per pixel; 0 hides it): mean over the visible pixels and all channels.
 pub fn masked_ssim(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8], width: u32) -> Result<f64> {
     check_sizes(image.len(), reference.len())?;
     check_mask(image.len(), mask)?;

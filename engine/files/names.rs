@@ -1,8 +1,8 @@
-//! Finds files under the names that other programs give them: with another system's separators, another case, another
-//! extension or none.
+//! Finds files under the names of other programs: with another system's separators, another case or extension, or none.
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::{OsStr, OsString};
+use std::fs::DirEntry;
 use std::path::{Component, Path, PathBuf};
 
 use unicode_normalization::UnicodeNormalization;
@@ -18,13 +18,11 @@ const OTHER_ENDINGS: [&str; 16] = [
     "arw", "raf",
 ];
 
-/// Extensions of videos.
 const VIDEO_ENDINGS: [&str; 11] =
     ["mp4", "mov", "mkv", "webm", "avi", "m4v", "mpg", "mpeg", "mts", "3gp", "wmv"];
 
 /// Longest path that systems have, bytes. A longer one cannot exist.
 pub(super) const MAX_PATH_BYTES: usize = 4096;
-
 /// Largest depth of nested folders in which a differently written name is searched.
 pub(super) const MAX_DEPTH: usize = 64;
 
@@ -55,19 +53,17 @@ pub(super) fn ending(name: &str) -> String {
 
 /// True for the extension of a readable photo: `.jpg`, `.jpeg` or `.png`, in any case.
 pub fn has_photo_ending(name: &Path) -> bool {
-    name.extension().is_some_and(|ending| ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
-}
-
-/// True for the extension of a picture that must be converted first.
-fn has_other_ending(name: &str) -> bool {
-    let ending = Path::new(name).extension();
-    ending.is_some_and(|ending| OTHER_ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
+    has_one_of(name, &ENDINGS)
 }
 
 /// True for the extension of a video.
 pub fn has_video_ending(name: &Path) -> bool {
-    name.extension()
-        .is_some_and(|ending| VIDEO_ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
+    has_one_of(name, &VIDEO_ENDINGS)
+}
+
+/// True for a name with one of these extensions, in any case.
+pub(super) fn has_one_of(name: &Path, endings: &[&str]) -> bool {
+    name.extension().is_some_and(|own| endings.iter().any(|ending| own.eq_ignore_ascii_case(ending)))
 }
 
 /// A word for a shell: in quotes if it needs them.
@@ -79,10 +75,24 @@ pub fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 
+/// The entries of a folder, in any order; none if it cannot be read.
+pub(super) fn entries(folder: &Path) -> impl Iterator<Item = DirEntry> {
+    std::fs::read_dir(folder).into_iter().flatten().flatten()
+}
+
+/// The first file in a folder, by name, with one of these extensions.
+pub(super) fn first_with(folder: &Path, endings: &[&str]) -> Option<PathBuf> {
+    entries(folder).map(|entry| entry.path()).filter(|path| has_one_of(path, endings)).min()
+}
+
+/// True if a folder has photos where those of a data set may lie.
+pub(super) fn holds_photos(folder: &Path) -> bool {
+    has_photos(folder) || ["images", "input"].iter().any(|name| has_photos(&folder.join(name)))
+}
+
 /// True if photos lie directly in a folder.
 pub(super) fn has_photos(folder: &Path) -> bool {
-    let mut entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    entries.any(|entry| !is_hidden(&entry.file_name()) && has_photo_ending(&entry.path()))
+    entries(folder).any(|entry| !is_hidden(&entry.file_name()) && has_photo_ending(&entry.path()))
 }
 
 fn is_hidden(name: &OsStr) -> bool {
@@ -96,8 +106,7 @@ pub(super) fn photos_beside<'n>(folder: &Path, names: impl Iterator<Item = &'n s
         Some(name.trim_start_matches("./").split_once('/')?.0)
     };
     let folders: HashSet<&str> = names.filter_map(first).filter(|name| stays_inside(name)).collect();
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let here = entries.filter_map(|entry| {
+    let here = entries(folder).filter_map(|entry| {
         cost::step();
         let path = entry.path();
         let counts = !is_hidden(&entry.file_name()) && !is_companion(Path::new(&entry.file_name()));
@@ -111,7 +120,7 @@ pub(super) fn pictures_below(folder: &Path) -> Vec<PathBuf> {
     let mut open = vec![folder.to_owned()];
     let mut pictures = Vec::new();
     while let Some(folder) = open.pop() {
-        for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        for entry in entries(&folder) {
             cost::step();
             let path = entry.path();
             if is_hidden(&entry.file_name()) {
@@ -161,13 +170,12 @@ pub(super) struct Finder {
     trees: HashMap<PathBuf, HashMap<String, Vec<PathBuf>>>,
 }
 
-/// Contents of a folder.
 struct Listing {
     /// Names as written on disk.
     exact: HashSet<OsString>,
     /// Names by [`key`].
     names: HashMap<String, OsString>,
-    /// Photos by [`key`] without extension; the likeliest of several.
+    /// The likeliest photo for each [`key`] without extension.
     photos: HashMap<String, OsString>,
 }
 
@@ -177,7 +185,8 @@ impl Finder {
     pub(super) fn photo(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
         let found = self.file(folder, name);
         // The original of a converted photo may still be there.
-        if found.is_some() && !has_other_ending(name) {
+        let must_be_converted = has_one_of(Path::new(name), &OTHER_ENDINGS);
+        if found.is_some() && !must_be_converted {
             return found;
         }
         let mut converted = || {
@@ -185,7 +194,7 @@ impl Finder {
             let listing = self.listing(&folder);
             let key = key(name);
             let stem = Path::new(&key).file_stem()?.to_str()?;
-            let may_differ = has_photo_ending(Path::new(name)) || has_other_ending(name);
+            let may_differ = has_photo_ending(Path::new(name)) || must_be_converted;
             let other = listing.photos.get(&key);
             let other = other.or_else(|| listing.photos.get(stem).filter(|_| may_differ));
             other.map(|name| folder.join(name))
@@ -193,8 +202,7 @@ impl Finder {
         converted().or(found)
     }
 
-    /// Finds the file of a path below `folder`: itself, or one whose name differs in case or in the form of its
-    /// accents.
+    /// Finds the file of a path below `folder`: itself, or one whose name differs in case or in the form of accents.
     pub(super) fn file(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
         cost::step();
         if name.len() > MAX_PATH_BYTES {
@@ -287,7 +295,6 @@ impl Finder {
         Some((place, last))
     }
 
-    /// Finds a single name in a folder.
     fn within(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
         cost::step();
         let listing = self.listing(folder);
@@ -323,8 +330,7 @@ fn stem_key(name: &str) -> String {
 
 impl Listing {
     fn of(folder: &Path) -> Self {
-        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-        let mut all: Vec<OsString> = entries.map(|entry| entry.file_name()).collect();
+        let mut all: Vec<OsString> = entries(folder).map(|entry| entry.file_name()).collect();
         let rank = |name: &OsString| {
             let ending = Path::new(name).extension().map(|ending| ending.to_string_lossy().to_lowercase());
             ENDINGS.iter().position(|known| ending.as_deref() == Some(known)).unwrap_or(ENDINGS.len())

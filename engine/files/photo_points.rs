@@ -12,15 +12,14 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use ashsplat::Result;
-use ashsplat::scene::Camera;
-use ashsplat::scene::points::PointCloud;
-
-use crate::dataset::View;
+use crate::dataset::view::View;
 use crate::host_memory::HostMemory;
 use crate::images::{Photo, PhotoFileFormat};
 use crate::init::seen_box;
 use crate::progress::Progress;
+use ashsplat::Result;
+use ashsplat::scene::Camera;
+use ashsplat::scene::points::PointCloud;
 
 /// Largest number of kept points.
 pub const PHOTO_POINTS: usize = 20_000;
@@ -37,8 +36,7 @@ const AROUND_MIDDLE: [f32; 2] = [0.25, 6.0];
 const AROUND_CAMERAS: [f32; 2] = [0.25, 16.0];
 /// Number of views that a view is compared with.
 const COMPARED: usize = 4;
-/// Best distance of compared views, as a share of the depths' geometric mean. Nearer views show little depth, farther
-/// ones look different.
+/// Best distance of compared views, by the depths' geometric mean: nearer ones show no depth, farther ones differ.
 const BASELINE: f32 = 0.2;
 /// Radius of the windows, pixels.
 const RADIUS: usize = 3;
@@ -56,10 +54,6 @@ const SAME_DEPTH: f32 = 0.03;
 /// At most `count` points at which the views agree, with their colours, in arbitrary order. The same views and seed
 /// give the same points. There are few or none if photographs show no texture, hardly overlap, or are taken from one
 /// place.
-///
-/// # Errors
-/// [`Error::Interrupted`](ashsplat::Error::Interrupted); [`Error::TooLarge`](ashsplat::Error::TooLarge) when the copy of a
-/// photograph does not fit into `memory`; a photograph that cannot be read again.
 pub fn photo_points(
     views: &[View],
     scene_extent: f32,
@@ -82,44 +76,34 @@ pub fn photo_points(
     let small = chosen.into_par_iter().map(read).collect::<Result<Vec<_>>>()?;
     let cameras: Vec<Camera> = small.iter().map(|view| view.camera).collect();
     let middle = seen_box(&cameras).map(|bounds| (bounds.min + bounds.max) / 2.0);
-    let depths = (0..small.len())
-        .into_par_iter()
-        .map(|index| {
-            progress.check()?;
-            let range = depth_range(&cameras[index], middle, scene_extent);
-            let compared = neighbours(&cameras, index, range);
-            let depths = small[index].sweep(&compared.map(|other| &small[other]).collect::<Vec<_>>(), range);
-            step();
-            Ok(depths)
-        })
-        .collect::<Result<Vec<_>>>()?;
-    let agreed = |index| {
-        let range = depth_range(&cameras[index], middle, scene_extent);
-        agreed(&small, &depths, index, &witnesses(&cameras, index, range))
+    let range_of = |index: usize| depth_range(&cameras[index], middle, scene_extent);
+    let sweep = |index: usize| {
+        progress.check()?;
+        let range = range_of(index);
+        let compared: Vec<&Small> = neighbours(&cameras, index, range).map(|other| &small[other]).collect();
+        let depths = small[index].sweep(&compared, range);
+        step();
+        Ok(depths)
     };
+    let depths = (0..small.len()).into_par_iter().map(sweep).collect::<Result<Vec<_>>>()?;
+    let agreed = |index| agreed(&small, &depths, index, &witnesses(&cameras, index, range_of(index)));
     let found: Vec<(Vec3, [u8; 3])> = (0..small.len()).into_par_iter().flat_map_iter(agreed).collect();
-    let mut kept: Vec<usize> = if found.len() > count {
-        let mut random = ChaCha8Rng::seed_from_u64(seed);
-        rand::seq::index::sample(&mut random, found.len(), count).into_vec()
-    } else {
-        (0..found.len()).collect()
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut kept: Vec<usize> = match found.len() {
+        all if all > count => rand::seq::index::sample(&mut random, all, count).into_vec(),
+        all => (0..all).collect(),
     };
     kept.sort_unstable();
-    Ok(PointCloud {
-        positions: kept.iter().map(|&i| found[i].0.to_array()).collect(),
-        colors: kept.iter().map(|&i| found[i].1).collect(),
-    })
+    let (positions, colors) = kept.iter().map(|&i| (found[i].0.to_array(), found[i].1)).unzip();
+    Ok(PointCloud { positions, colors })
 }
 
 /// Nearest and farthest candidate depth of a view, world units.
 fn depth_range(camera: &Camera, middle: Option<Vec3>, scene_extent: f32) -> [f32; 2] {
-    match middle {
-        Some(middle) => {
-            let depth = camera.forward().dot(middle - camera.position());
-            AROUND_MIDDLE.map(|share| share * depth)
-        }
-        None => AROUND_CAMERAS.map(|share| share * scene_extent),
-    }
+    let depth = middle.map(|middle| camera.forward().dot(middle - camera.position()));
+    depth.map_or(AROUND_CAMERAS.map(|share| share * scene_extent), |depth| {
+        AROUND_MIDDLE.map(|share| share * depth)
+    })
 }
 
 /// The views that face the same way from another place, with their distances as shares of the depths' geometric mean. A

@@ -5,18 +5,16 @@
 //! quaternions w first. Read: by property name, in any order, encoding and scalar type.
 
 mod compressed;
-mod compressed_write;
 mod header;
-mod morton;
 mod read;
 mod rows;
 mod write;
 
+pub(super) use compressed::{CompressedPly, typical_step, write_blocks as write_compressed_blocks};
 pub use header::Encoding;
-pub use read::{PlyOptions, PlyScene, read, read_points};
-pub use write::{write, write_filtered, write_points};
-
-pub(super) use compressed::CompressedPly;
-pub(super) use compressed_write::{typical_step, write_blocks as write_compressed_blocks};
+pub(crate) use header::Scalar;
 pub(super) use read::{GaussianRows, claimed_points, is_compressed, read_points_of};
+pub use read::{PlyOptions, PlyScene, read, read_points};
+pub(crate) use rows::decode;
 pub(super) use write::write_blocks;
+pub use write::{write, write_filtered, write_points};

@@ -5,40 +5,29 @@
 //! it. Compressed PLY is sorted, so it is written from memory.
 
 mod convert;
-mod detect;
 mod dot_splat;
-mod doubtful;
-mod foreign;
 mod format;
 mod gltf;
-mod gltf_packed;
 mod gltf_write;
-mod merge;
-mod origin_file;
-mod packing_loss;
 mod spz;
-mod spz_pack;
-mod spz_write;
 mod stream;
 mod validation;
 
 use std::path::Path;
 
+use glam::Vec3;
+
 use super::ply;
 use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity};
 use ashsplat::{Error, Result};
-use glam::Vec3;
+use convert::changed;
+use validation::PackingLoss;
 
 pub(super) use convert::OriginSample;
-use convert::changed;
-pub use convert::{ConvertOptions, Converted, Input, Target, convert, join};
-pub use foreign::foreign;
-pub use format::Format;
-pub(crate) use format::MAX_COMPRESSED_LOG_SCALE;
+pub use convert::{ConvertOptions, Converted, Input, Merged, Part, Target, convert, join, merge};
+pub(crate) use format::{FARTHEST, MAX_COMPRESSED_LOG_SCALE};
+pub use format::{Format, foreign};
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION};
-pub use merge::{Merged, Part, merge};
-pub(crate) use origin_file::FARTHEST;
-use packing_loss::PackingLoss;
 pub(super) use stream::{
     BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, is_kernel_size, row_bytes,
 };
@@ -47,29 +36,19 @@ pub use stream::{Header, ReadOptions, Scene, WriteOptions};
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.
 ///
 /// # Errors
-/// [`ashsplat::Error::Io`] when the file cannot be read; [`ashsplat::Error::Input`] when it is not a file of Gaussians,
-/// is cut short or damaged, or has unusable parameters (see [`super::ply::read`]) without
-/// [`ReadOptions::drop_invalid`]; [`ashsplat::Error::TooLarge`] when it needs more memory than
-/// [`ReadOptions::max_host_memory`].
+/// [`ashsplat::Error::Input`] for unusable parameters too (see [`super::ply::read`]), without
+/// [`ReadOptions::drop_invalid`].
 pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
     open(path.as_ref(), options)?.collect()
 }
 
 /// Reads the properties of a file without its Gaussians.
-///
-/// # Errors
-/// Same as [`read`], except for errors in the Gaussians.
 pub fn header(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Header> {
     Ok(open(path.as_ref(), options)?.header().clone())
 }
 
 /// Writes Gaussians in the format of the path's extension, or in a given one. Returns a warning about visible losses of
 /// the format: steps of positions, sizes, colours.
-///
-/// # Errors
-/// [`ashsplat::Error::Argument`] when the vectors do not fit together, and for an SPZ version that the format does not
-/// have; [`ashsplat::Error::Input`] for an unknown extension or for data that the format cannot hold;
-/// [`ashsplat::Error::Io`] naming the file when it cannot be written. No partial file remains.
 pub fn write(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
@@ -77,10 +56,7 @@ pub fn write(
 ) -> Result<Option<String>> {
     gaussians.check_shapes()?;
     let path = path.as_ref();
-    let format = match options.format {
-        Some(format) => format,
-        None => Format::of_extension(path)?,
-    };
+    let format = Format::chosen(options.format, path)?;
     let outline = Outline::of(gaussians, options);
     let to_source = Similarity { scale: options.frame.unit, ..Default::default() };
     write_blocks(path, (format, options.spz_version), &outline, &mut |sink| {
@@ -94,10 +70,6 @@ pub fn write(
 /// Same as [`write()`], but only for the Gaussians that a cut keeps, in their order, with spherical harmonics up to a
 /// degree. Needs the memory of one block in addition. Returns the number of written Gaussians and the warning of
 /// [`write()`]. The file has the same bytes as that of [`convert()`].
-///
-/// # Errors
-/// Same as [`write()`]; [`ashsplat::Error::Argument`] for an invalid cut; [`ashsplat::Error::Input`] for parameters
-/// that [`read`] refuses.
 pub fn write_cut(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
@@ -106,10 +78,7 @@ pub fn write_cut(
 ) -> Result<(u64, Option<String>)> {
     gaussians.check_shapes()?;
     let path = path.as_ref();
-    let format = match options.format {
-        Some(format) => format,
-        None => Format::of_extension(path)?,
-    };
+    let format = Format::chosen(options.format, path)?;
     let sh_degree = sh_degree.min(gaussians.sh_degree).min(format.max_sh_degree());
     let to_source = Similarity { scale: options.frame.unit, ..Default::default() };
     cut.check()?;
@@ -129,9 +98,6 @@ pub fn write_cut(
 }
 
 /// Names the losses of a file of [`write_cut()`] in a format, one line each.
-///
-/// # Errors
-/// Same as [`write_cut()`], except for errors of the file.
 pub fn cut_losses(
     format: Format,
     gaussians: &Gaussians,
@@ -157,9 +123,6 @@ pub fn cut_losses(
 }
 
 /// Checks that a format has this version of SPZ: [`WriteOptions::spz_version`].
-///
-/// # Errors
-/// [`Error::Argument`].
 pub fn check_spz_version(format: Format, version: Option<u32>) -> Result<()> {
     match (format, version) {
         (_, None) | (Format::Spz, Some(2 | 4)) | (Format::Glb, Some(2)) => Ok(()),
@@ -202,22 +165,21 @@ fn write_blocks(
         })
     };
     let written = match format {
-        Format::Spz if spz_version == Some(2) => spz_write::write_old(path, outline, produce),
-        Format::Glb if spz_version == Some(2) => gltf_packed::write(path, outline, produce),
+        Format::Spz if spz_version == Some(2) => spz::write_old(path, outline, produce),
+        Format::Glb if spz_version == Some(2) => gltf_write::write_packed(path, outline, produce),
         Format::Ply => ply::write_blocks(path, outline, produce),
         Format::CompressedPly => ply::write_compressed_blocks(path, outline, produce),
         Format::Splat => dot_splat::write(path, outline, produce),
-        Format::Spz => spz_write::write(path, outline, produce),
+        Format::Spz => spz::write(path, outline, produce),
         Format::Glb | Format::Gltf => gltf_write::write(path, format, outline, produce),
     };
     match written {
-        Ok(()) if format.has_origin_file() => origin_file::write(path, outline.frame.origin),
+        Ok(()) if format.has_origin_file() => format::write_origin(path, outline.frame.origin),
         written => written,
     }?;
     Ok(loss.and_then(|loss| loss.line(format, outline)))
 }
 
-/// Opens a file of any format.
 pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
     let source: Box<dyn Source + 'a> = match Format::of_file(path)? {
         Format::Ply => Box::new(ply::GaussianRows::open(path)?),

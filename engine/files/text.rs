@@ -2,24 +2,25 @@
 
 use std::path::Path;
 
-use crate::{regular_file, sniff};
+use serde::de::DeserializeOwned;
+
+use crate::regular_file;
 use ashsplat::{Error, Result};
 
 /// Reads the text of a whole JSON file, without its byte-order mark.
-///
-/// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::TooLarge`] when the machine has too little memory for it,
-/// [`Error::Input`] when it is in UTF-16.
 pub(crate) fn read(path: &Path) -> Result<String> {
     from_bytes(path, regular_file::read_json(path)?)
 }
 
+/// Reads a JSON file. `kind` and `remedy`: what the file should be.
+pub(crate) fn json<T: DeserializeOwned>(path: &Path, kind: &str, remedy: &str) -> Result<T> {
+    let problem = |e: serde_json::Error| Error::input(path, format!("is not {kind}: {e}"), remedy);
+    serde_json::from_str(&read(path)?).map_err(problem)
+}
+
 /// Decodes the bytes of a file, without its byte-order mark.
-///
-/// # Errors
-/// [`Error::Input`] when it is in UTF-16.
 pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<String> {
-    if let Some((problem, remedy)) = sniff::utf16(&bytes) {
+    if let Some((problem, remedy)) = regular_file::utf16(&bytes) {
         return Err(Error::input(path, problem, remedy));
     }
     let text = decoded(bytes);

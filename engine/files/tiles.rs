@@ -1,31 +1,30 @@
 //! A scene as a tree of tiles in which coarser tiles are merged from finer ones: 3D Tiles 1.1 with
 //! `KHR_gaussian_splatting` in GLB.
 
-mod document;
 mod tree;
 
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec3, dvec3};
+use serde_json::{Value, json};
 
+use crate::atomic;
 use crate::decimate::{covariance_of, decimate};
-use crate::splats::{self, Format, OriginSample, ReadOptions, WriteOptions};
-use crate::{Progress, regular_file};
+use crate::progress::Progress;
+use crate::regular_file::{self, OnFile};
+use crate::splats::{self, EXTENSION, Format, OriginSample, PACKED_EXTENSION, ReadOptions, WriteOptions};
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Bounds, Cells, Cut, Gaussians, Similarity, WorldFrame};
+use ashsplat::scene::{Bounds, Cells, Cut, Gaussians, Similarity};
 use ashsplat::{Error, Result};
-use document::Tile;
 
 pub use tree::{Demand, TILESET_FILE, Tile as TreeTile, Tree};
 
 /// Number of Gaussians of finer tiles that become one of the coarser tile: on surfaces, half of the resolution.
 const MERGED: usize = 4;
-
 /// Reach of a Gaussian, standard deviations: an opaque one is drawn up to √(2 ln 255).
 const REACH: f64 = 3.34;
-
 /// Largest reach of a Gaussian from its mean, world units: single precision ends soon after.
 const MOST_REACH: f64 = 1e38;
 
@@ -76,9 +75,8 @@ pub struct Tiling {
 /// folder on disk meanwhile.
 ///
 /// # Errors
-/// [`Error::Input`] for more Gaussians at one place than a tile holds, for means that are too far out for SPZ, for a
-/// folder that is not empty, for a scene without Gaussians, and as [`splats::read`]; [`Error::Io`];
-/// [`Error::Interrupted`]; errors of `measure`. Nothing is left then.
+/// [`Error::Input`] for more Gaussians at one place than a tile holds, for means that are too far out for SPZ, and for a
+/// folder that is not empty; errors of `measure`. Nothing is left then.
 pub fn write(
     input: &Path,
     folder: &Path,
@@ -101,7 +99,7 @@ pub fn write(
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
     let unfinished = builder.prefix(".tiles").tempdir_in(beside);
-    let unfinished = unfinished.map_err(|e| Error::io(beside, "write into", e))?;
+    let unfinished = unfinished.on(beside, "write into")?;
     let (rows, spill) = Spill::of(input, unfinished.path(), options.most, read, progress)?;
     let mut writer = TileWriter {
         spill,
@@ -116,13 +114,13 @@ pub fn write(
     let steps = steps(&rows.means, &writer.spill.cells, options.most)?;
     writer.done = Tiling { gaussians: rows.means.len() as u64, warnings: rows.warnings, ..Tiling::default() };
     let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
-    document::write(&unfinished.path().join(TILESET_FILE), &root, rows.origin, options.packed)?;
+    write_tileset(&unfinished.path().join(TILESET_FILE), &root, rows.origin, options.packed)?;
     let mut done = Tiling { levels: root.levels, ..writer.done };
     done.warnings.extend(writer.loss.map(|(line, others)| match others {
         0 => line,
         others => format!("{line}; the same for {others} other tiles"),
     }));
-    fs::remove_dir(unfinished.path().join(ROWS)).map_err(|e| Error::io(folder, "write", e))?;
+    fs::remove_dir(unfinished.path().join(ROWS)).writing(folder)?;
     let whole = unfinished.keep();
     let renamed = if is_empty(folder) { fs::remove_dir(folder) } else { Ok(()) };
     renamed.and_then(|()| fs::rename(&whole, folder)).map_err(|e| {
@@ -183,7 +181,7 @@ impl Spill {
             Error::input(input, format!("cannot be divided: {e}"), "give more --max-gaussians")
         })?;
         let folder = folder.join(ROWS);
-        fs::create_dir(&folder).map_err(|e| Error::io(&folder, "create", e))?;
+        fs::create_dir(&folder).on(&folder, "create")?;
         let splats::Header { sh_degree, antialiased, kernel_size, .. } = header;
         let spill = Spill { folder, cells, sh_degree, antialiased, kernel_size };
         splats::open(input, read)?.blocks(&mut |mut block| {
@@ -214,7 +212,7 @@ impl Spill {
             }
             let path = self.path(rows[0].0);
             let file = File::options().append(true).create(true).open(&path);
-            file.and_then(|mut file| file.write_all(&bytes)).map_err(|e| Error::io(&path, "write", e))?;
+            file.and_then(|mut file| file.write_all(&bytes)).writing(&path)?;
         }
         Ok(())
     }
@@ -223,7 +221,7 @@ impl Spill {
     fn take(&self, cell: usize) -> Result<Gaussians> {
         let path = self.path(cell);
         let bytes = regular_file::read(&path, 3)?;
-        fs::remove_file(&path).map_err(|e| Error::io(&path, "remove", e))?;
+        fs::remove_file(&path).on(&path, "remove")?;
         let floats: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
         let width = 11 + 3 * sh_coefficients(self.sh_degree);
         let mut all = Gaussians::with_capacity(self.sh_degree, floats.len() / width);
@@ -246,9 +244,8 @@ enum Step {
     Above(usize),
 }
 
-/// The steps to all tiles. The same division of the same points ends earlier for larger cells, so that each consists of
-/// whole smaller ones.
-fn steps(means: &[[f32; 3]], finest: &Cells, most: usize) -> Result<Vec<Step>> {
+/// The steps to all tiles. The same division ends earlier for larger cells, so that each consists of whole smaller ones.
+fn steps(means: &[[f32; 3]], finest: &Cells, mut most: usize) -> Result<Vec<Step>> {
     let mut inside: Vec<Vec3> = vec![Vec3::NAN; finest.bounds().len()];
     for mean in means.iter().copied().map(Vec3::from_array) {
         if let Some(cell) = finest.at(mean) {
@@ -258,7 +255,6 @@ fn steps(means: &[[f32; 3]], finest: &Cells, most: usize) -> Result<Vec<Step>> {
     // Each tree with a place inside of it.
     let mut trees: Vec<(Vec<Step>, Vec3)> =
         inside.into_iter().enumerate().map(|(cell, place)| (vec![Step::Leaf(cell)], place)).collect();
-    let mut most = most;
     while trees.len() > 1 {
         most = most.saturating_mul(MERGED);
         let coarser = Cells::divide(means, most)?;
@@ -295,39 +291,26 @@ struct TileWriter<'a, 'm> {
     loss: Option<(String, usize)>,
 }
 
-/// A written tile with its Gaussians.
-struct Built {
-    gaussians: Gaussians,
-    tile: Tile,
-}
-
 impl TileWriter<'_, '_> {
     /// Writes all tiles. Returns the coarsest.
     fn write(&mut self, steps: &[Step]) -> Result<Option<Tile>> {
-        let mut written: Vec<Built> = Vec::new();
+        let mut written = Vec::new();
         for step in steps {
             let built = match *step {
-                Step::Leaf(cell) => {
-                    let gaussians = self.spill.take(cell)?;
-                    self.tile(gaussians, Vec::new(), 0.0, steps.len())?
-                }
-                Step::Above(count) => {
-                    let below = written.split_off(written.len() - count);
-                    self.above(below, steps.len())?
-                }
+                Step::Leaf(cell) => self.tile(self.spill.take(cell)?, Vec::new(), 0.0, steps.len())?,
+                Step::Above(count) => self.above(written.split_off(written.len() - count), steps.len())?,
             };
             written.push(built);
         }
-        Ok(written.pop().map(|root| root.tile))
+        Ok(written.pop().map(|(_, root)| root))
     }
 
-    /// Writes the parent of some tiles.
-    fn above(&mut self, below: Vec<Built>, total: usize) -> Result<Built> {
+    fn above(&mut self, below: Vec<(Gaussians, Tile)>, total: usize) -> Result<(Gaussians, Tile)> {
         let mut finer = Gaussians::with_capacity(self.spill.sh_degree, 0);
         let mut children = Vec::new();
-        for built in below {
-            finer.append(&built.gaussians);
-            children.push(built.tile);
+        for (gaussians, tile) in below {
+            finer.append(&gaussians);
+            children.push(tile);
         }
         let mut merged = finer.clone();
         decimate(&mut merged, (finer.len() / MERGED).clamp(1, self.options.most));
@@ -337,17 +320,22 @@ impl TileWriter<'_, '_> {
         self.tile(merged, children, error, total)
     }
 
-    fn tile(&mut self, gaussians: Gaussians, children: Vec<Tile>, error: f64, total: usize) -> Result<Built> {
+    fn tile(
+        &mut self,
+        gaussians: Gaussians,
+        children: Vec<Tile>,
+        error: f64,
+        total: usize,
+    ) -> Result<(Gaussians, Tile)> {
         self.progress.check()?;
         let name = format!("{}.glb", self.done.tiles);
+        // The root's transform places all tiles.
         let write = WriteOptions {
             format: Some(Format::Glb),
             antialiased: self.spill.antialiased,
             kernel_size: self.spill.kernel_size,
-            is_2dgs: false,
             spz_version: self.options.packed.then_some(2),
-            // The root's transform places all tiles.
-            frame: WorldFrame::default(),
+            ..WriteOptions::default()
         };
         let all = (&Cut::default(), gaussians.sh_degree);
         let written = splats::write_cut(self.folder.join(&name), &gaussians, all, &write);
@@ -369,7 +357,7 @@ impl TileWriter<'_, '_> {
         // A tile's bounds hold those of its children, whose Gaussians may reach farther than the merged ones.
         let reach = children.iter().map(|tile: &Tile| tile.bounds).fold(reach(&gaussians), enclosing);
         let tile = Tile::new(&name, gaussians.len(), (reach, error), children);
-        Ok(Built { gaussians, tile })
+        Ok((gaussians, tile))
     }
 }
 
@@ -387,4 +375,74 @@ fn reach(all: &Gaussians) -> Bounds {
         Bounds { min: mean - half, max: mean + half }
     };
     (0..all.len()).map(own).fold(nothing, enclosing)
+}
+
+pub(super) struct Tile {
+    /// Reach of the tile and its children, in this crate's frame.
+    pub(super) bounds: Bounds,
+    /// Geometric error, world units: 0 for the scene's own Gaussians.
+    pub(super) error: f64,
+    /// Number of levels from this tile to the finest.
+    pub(super) levels: usize,
+    json: Value,
+}
+
+impl Tile {
+    /// The tile of the file `name`, with its children.
+    pub(super) fn new(
+        name: &str,
+        gaussians: usize,
+        (bounds, error): (Bounds, f64),
+        children: Vec<Tile>,
+    ) -> Tile {
+        let mut json = json!({
+            "boundingVolume": { "box": box_of(bounds) },
+            "geometricError": error,
+            "refine": "REPLACE",
+            "content": { "uri": name },
+            "extras": { "gaussians": gaussians },
+        });
+        let levels = 1 + children.iter().map(|tile| tile.levels).max().unwrap_or(0);
+        if !children.is_empty() {
+            json["children"] = children.into_iter().map(|tile| tile.json).collect();
+        }
+        Tile { bounds, error, levels, json }
+    }
+}
+
+/// Converts a point from this crate's frame to that of tiles, and back.
+fn turned(point: DVec3) -> DVec3 {
+    dvec3(-point.x, -point.z, -point.y)
+}
+
+/// Centre and half axes of a box.
+fn box_of(bounds: Bounds) -> [f64; 12] {
+    let [a, b] = [bounds.min, bounds.max].map(|corner| turned(corner.as_dvec3()));
+    let (centre, half) = (0.5 * (a + b), 0.5 * (a - b).abs());
+    [centre.x, centre.y, centre.z, half.x, 0.0, 0.0, 0.0, half.y, 0.0, 0.0, 0.0, half.z]
+}
+
+/// Writes the description of a tree whose tiles are relative to an origin.
+fn write_tileset(path: &Path, root: &Tile, origin: DVec3, packed: bool) -> Result<()> {
+    // Error of drawing nothing at all.
+    let nothing = root.bounds.max.as_dvec3().distance(root.bounds.min.as_dvec3()).max(root.error);
+    // Viewers look here before they load the first tile.
+    let both = [EXTENSION, PACKED_EXTENSION];
+    let used = match packed {
+        true => json!({ "extensionsUsed": both, "extensionsRequired": both }),
+        false => json!({ "extensionsUsed": [EXTENSION] }),
+    };
+    let mut document = json!({
+        "asset": { "version": "1.1", "generator": concat!("ashsplat ", env!("CARGO_PKG_VERSION")) },
+        "extensionsUsed": ["3DTILES_content_gltf"],
+        "extensions": { "3DTILES_content_gltf": used },
+        "geometricError": nothing,
+        "root": root.json,
+    });
+    if origin != DVec3::ZERO {
+        let DVec3 { x, y, z } = turned(origin);
+        let columns = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, x, y, z, 1.0];
+        document["root"]["transform"] = json!(columns);
+    }
+    atomic::write(path, |writer| writer.write_all(format!("{document:#}\n").as_bytes()))
 }

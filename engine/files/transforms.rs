@@ -5,18 +5,18 @@
 //! `camera_model`.
 
 mod frame;
-mod json;
-mod split;
 
 use std::ffi::OsStr;
+use std::fmt::Formatter;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DMat3, DVec3};
-use serde_json::Value;
+use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde_json::{Map, Number, Value};
 
-use super::names::{Finder, ending, plain, stays_inside};
-use super::{cost, ply, regular_file, text};
+use crate::names::{Finder, ending, entries, first_with, plain, stays_inside};
+use crate::{cost, ply, regular_file, text};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
@@ -24,12 +24,11 @@ pub use frame::{Frame, Optics};
 
 /// Files of the synthetic NeRF scenes: for training, and for testing (the first that exists).
 const SPLIT_FILES: [&str; 3] = ["transforms_train.json", "transforms_test.json", "transforms_val.json"];
-
 /// The file of nerfstudio and instant-ngp.
 const SINGLE_FILE: &str = "transforms.json";
 
 /// Contents of the files.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Transforms {
     /// The file with the training views.
     pub source: PathBuf,
@@ -82,7 +81,6 @@ pub(crate) fn files_with_poses(folder: &Path) -> Vec<PathBuf> {
         let read = regular_file::open(path).map(|(file, _)| file.take(START_BYTES).read_to_end(&mut start));
         read.is_ok() && String::from_utf8_lossy(&start).contains("\"transform_matrix\"")
     };
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     // Editors on Windows may add `.txt`, which Windows hides.
     let is_json = |path: &PathBuf| {
         let name = name_of(path).to_ascii_lowercase();
@@ -90,7 +88,7 @@ pub(crate) fn files_with_poses(folder: &Path) -> Vec<PathBuf> {
     };
     let is_usual = |path: &Path| SPLIT_FILES.iter().any(|name| name_of(path).eq_ignore_ascii_case(name));
     let of_poses = |path: &PathBuf| is_json(path) && path.is_file() && (is_usual(path) || has_poses(path));
-    let mut files: Vec<PathBuf> = entries.filter(of_poses).collect();
+    let mut files: Vec<PathBuf> = entries(folder).map(|entry| entry.path()).filter(of_poses).collect();
     files.sort_unstable();
     files
 }
@@ -112,19 +110,9 @@ fn name_of(path: &Path) -> &str {
 
 impl Transforms {
     /// Reads the files of a data set, the training views first, and the points that they name.
-    ///
-    /// # Errors
-    /// [`Error::Io`] when a file cannot be read; [`Error::Input`] naming file and frame when one is not such JSON, has
-    /// no frames, no camera, a matrix that is not a pose, or paths that lead out of the folder.
     pub fn read(files: &[PathBuf]) -> Result<Self> {
-        let mut all = Self {
-            source: files.first().cloned().unwrap_or_default(),
-            frames: Vec::new(),
-            has_split: files.len() > 1,
-            points: SourcePoints::default(),
-            depth_maps: 0,
-            warnings: Vec::new(),
-        };
+        let source = files.first().cloned().unwrap_or_default();
+        let mut all = Self { source, has_split: files.len() > 1, ..Self::default() };
         if let [file, ..] = files
             && ![SINGLE_FILE, SPLIT_FILES[0]].contains(&name_of(file))
         {
@@ -161,18 +149,14 @@ impl Transforms {
             self.frames.iter().map(|frame| sample.iter().filter(|&&p| in_view(frame, p)).count()).sum()
         };
         let (as_stored, moved) = (seen(&|p| p), seen(&|p| applied.transform_point3(p)));
+        let path = path.display();
         if moved > as_stored + as_stored / 2 {
-            for position in &mut self.points.positions {
-                *position = applied.transform_point3(*position);
-            }
-            self.warnings.push(format!(
-                "{}: the points lie in the frame before {APPLIED}, and were moved",
-                path.display()
-            ));
+            self.points.positions.iter_mut().for_each(|point| *point = applied.transform_point3(*point));
+            self.warnings
+                .push(format!("{path}: the points lie in the frame before {APPLIED}, and were moved"));
         } else if as_stored < moved + moved / 2 {
             self.warnings.push(format!(
-                "{}: the cameras see as many points before {APPLIED} as after it: the points stay where they are",
-                path.display()
+                "{path}: the cameras see as many points before {APPLIED} as after it: the points stay where they are"
             ));
         }
     }
@@ -184,7 +168,7 @@ fn parse(path: &Path) -> Result<(String, Value)> {
     if text.trim_ascii().is_empty() {
         return Err(Error::input(path, "is empty", "download or copy it again"));
     }
-    let document = json::document(path, &text)?;
+    let document = read_document(path, &text)?;
     if document.is_object() {
         return Ok((text, document));
     }
@@ -192,11 +176,11 @@ fn parse(path: &Path) -> Result<(String, Value)> {
 }
 
 fn not_json(path: &Path, text: &str, error: &serde_json::Error) -> Error {
+    let damaged =
+        "the file is damaged or cut short, or holds numbers that JSON does not have (NaN): write it again";
     let remedy = match has_decimal_comma(text, error) {
         true => "a number there has a decimal comma: write it with a point",
-        false => {
-            "the file is damaged or cut short, or holds numbers that JSON does not have (NaN): write it again"
-        }
+        false => damaged,
     };
     Error::input(path, format!("is not JSON: {error}"), remedy)
 }
@@ -209,8 +193,7 @@ fn has_decimal_comma(text: &str, error: &serde_json::Error) -> bool {
     number.is_some_and(|at| at + 1 < before.len() && before[..at].last().is_some_and(u8::is_ascii_digit))
 }
 
-/// The point cloud that a file names or that lies beside it, and the transform and scale that were applied to
-/// the poses.
+/// The point cloud that a file names or that lies beside it, and the transform that was applied to the poses.
 fn cloud(
     path: &Path,
     document: &Value,
@@ -241,18 +224,14 @@ fn cloud(
 
 /// Finds the point cloud that a file names, or one below its folder whose path ends the same.
 fn named_cloud(path: &Path, named: &str, warnings: &mut Vec<String>) -> Result<PathBuf> {
-    let (folder, name, mut finder) =
-        (path.parent().unwrap_or(Path::new("")), plain(named), Finder::default());
+    let (folder, mut finder) = (path.parent().unwrap_or(Path::new("")), Finder::default());
     let inside = below(named);
     if let Some(file) = inside.as_deref().and_then(|name| finder.file(folder, name)) {
         return Ok(file);
     }
-    if let Some(file) = finder.file_by_end(folder, &name) {
-        let (path, named) = (path.display(), ending(named));
-        warnings.push(format!(
-            "{path}: ply_file_path {named:?} is not there; {} is taken for it",
-            file.display()
-        ));
+    if let Some(file) = finder.file_by_end(folder, &plain(named)) {
+        let (path, named, found) = (path.display(), ending(named), file.display());
+        warnings.push(format!("{path}: ply_file_path {named:?} is not there; {found} is taken for it"));
         return Ok(file);
     }
     match inside {
@@ -270,42 +249,32 @@ fn named_cloud(path: &Path, named: &str, warnings: &mut Vec<String>) -> Result<P
 /// Finds a point cloud with a usual name beside a file that names none.
 fn cloud_beside(path: &Path, warnings: &mut Vec<String>) -> Option<PathBuf> {
     /// The reference implementation uses the first name for the synthetic scenes.
-    const USUAL: [&str; 8] = [
-        "points3d.ply",
-        "sparse_pc.ply",
-        "pointcloud.ply",
-        "point_cloud.ply",
-        "points.ply",
-        "sparse.ply",
-        "input.ply",
-        "pcd.ply",
-    ];
+    const USUAL: [&str; 8] =
+        ["points3d", "sparse_pc", "pointcloud", "point_cloud", "points", "sparse", "input", "pcd"];
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut finder = Finder::default();
-    let mut found = USUAL.into_iter().filter_map(|name| finder.file(folder, name));
+    let mut found = USUAL.into_iter().filter_map(|name| finder.file(folder, &format!("{name}.ply")));
     if let Some(file) = found.next() {
         let others: String = found.map(|other| format!(", {} is not", other.display())).collect();
-        if !file.ends_with(USUAL[0]) || !others.is_empty() {
+        if !file.ends_with("points3d.ply") || !others.is_empty() {
             let (path, file) = (path.display(), file.display());
             warnings.push(format!("{path}: has no ply_file_path: the points of {file} are used{others}"));
         }
         return Some(file);
     }
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    let is_ply = |path: &PathBuf| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("ply"));
-    if let Some(other) = entries.filter(is_ply).min() {
+    if let Some(other) = first_with(folder, &["ply"]) {
         let (path, other) = (path.display(), other.display());
-        warnings.push(format!(
-            "{path}: has no ply_file_path: {other} is not used; name it there if it has the points"
-        ));
+        let line =
+            format!("{path}: has no ply_file_path: {other} is not used; name it there if it has the points");
+        warnings.push(line);
     }
     let of_colmap = ["colmap/sparse/0", "sparse/0"].map(|place| folder.join(place));
     if let Some(model) = of_colmap.iter().find(|model| model.join("points3D.bin").is_file()) {
-        let (model, points) = (model.display(), folder.join("points3D.ply"));
+        let points = folder.join("points3D.ply");
+        let (model, points) = (model.display(), points.display());
         warnings.push(format!(
-            "{model}: its points are not used; `colmap model_converter --input_path {model} --output_path {} --output_type PLY` \
-             puts them where they are",
-            points.display()
+            "{model}: its points are not used; `colmap model_converter --input_path {model} --output_path {points} --output_type PLY` \
+             puts them where they are"
         ));
     }
     None
@@ -321,5 +290,170 @@ impl Frame {
         let p = self.camera_from_source * point + self.translation;
         // About 30 degrees to each side: the field of view is not known yet.
         p.z > 0.0 && p.x.abs() < p.z * 0.6 && p.y.abs() < p.z * 0.6
+    }
+}
+
+/// Largest number of keys in an object.
+const MOST_KEYS: usize = 1000;
+/// Number of kept elements per list, except the file's lists of names; a matrix has up to 4.
+const MOST_ELEMENTS: usize = 8;
+/// Largest depth of nested lists that are kept: a matrix.
+const MOST_DEPTH: u32 = 2;
+
+/// The top-level values of the file. Objects inside lists are empty, `frames` among them.
+fn read_document(path: &Path, text: &str) -> Result<Value> {
+    read_json(path, text, Pruned { depth: 0, keeps_names: true })
+}
+
+/// Passes the frames of a file to `each`, one by one.
+fn each_frame(path: &Path, text: &str, each: &mut dyn FnMut(Value) -> Result<()>) -> Result<()> {
+    let mut failed = None;
+    let mut pass = |frame| each(frame).map_err(|error| failed = Some(error)).is_ok();
+    let result = read_json(path, text, Frames(&mut pass));
+    failed.map_or(result, Err)
+}
+
+fn read_json<'de, S: DeserializeSeed<'de>>(path: &Path, text: &'de str, seed: S) -> Result<S::Value> {
+    let mut json = serde_json::Deserializer::from_str(text);
+    let value = seed.deserialize(&mut json).and_then(|value| json.end().map(|()| value));
+    value.map_err(|e| not_json(path, text, &e))
+}
+
+/// Reads a value without the contents of nested objects, and with shortened lists.
+#[derive(Clone, Copy)]
+struct Pruned {
+    depth: u32,
+    /// True if lists of strings keep all elements.
+    keeps_names: bool,
+}
+
+impl<'de> DeserializeSeed<'de> for Pruned {
+    type Value = Value;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Value, D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Pruned {
+    type Value = Value;
+
+    fn expecting(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+        f.write_str("a value")
+    }
+
+    fn visit_unit<E>(self) -> Result<Value, E> {
+        Ok(Value::Null)
+    }
+
+    fn visit_bool<E>(self, value: bool) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_i64<E>(self, value: i64) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_u64<E>(self, value: u64) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_f64<E>(self, value: f64) -> Result<Value, E> {
+        Ok(Number::from_f64(value).into())
+    }
+
+    fn visit_str<E>(self, value: &str) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Value, A::Error> {
+        let (mut kept, mut others) = (Vec::new(), 0);
+        if self.depth > MOST_DEPTH {
+            while list.next_element::<IgnoredAny>()?.is_some() {}
+        }
+        let inside = Self { depth: self.depth + 1, ..self };
+        while let Some(value) = list.next_element_seed(inside)? {
+            let is_name = self.keeps_names && self.depth == 1 && value.is_string();
+            others += usize::from(!is_name);
+            if is_name || others <= MOST_ELEMENTS {
+                kept.push(value);
+            }
+        }
+        Ok(Value::Array(kept))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut object: A) -> Result<Value, A::Error> {
+        let mut kept = Map::new();
+        if self.depth > 0 {
+            while object.next_entry::<IgnoredAny, IgnoredAny>()?.is_some() {}
+        }
+        while let Some(key) = object.next_key::<String>()? {
+            kept.insert(key, object.next_value_seed(Self { depth: self.depth + 1, ..self })?);
+            if kept.len() > MOST_KEYS {
+                return Err(A::Error::custom(format!("an object has more than {MOST_KEYS} keys")));
+            }
+        }
+        Ok(Value::Object(kept))
+    }
+}
+
+/// Reads the object around the frames. Passes each frame on; `false` stops the reading.
+struct Frames<'a>(&'a mut dyn FnMut(Value) -> bool);
+
+/// Reads the list of frames.
+struct FrameList<'a>(&'a mut dyn FnMut(Value) -> bool);
+
+impl<'de> DeserializeSeed<'de> for Frames<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Frames<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut object: A) -> Result<(), A::Error> {
+        let mut is_read = false;
+        while let Some(key) = object.next_key::<String>()? {
+            if key != "frames" {
+                object.next_value::<IgnoredAny>()?;
+            } else if std::mem::replace(&mut is_read, true) {
+                return Err(A::Error::custom("the key `frames` comes twice"));
+            } else {
+                object.next_value_seed(FrameList(&mut *self.0))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl<'de> DeserializeSeed<'de> for FrameList<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for FrameList<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+        f.write_str("a list")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<(), A::Error> {
+        while let Some(frame) = list.next_element_seed(Pruned { depth: 0, keeps_names: false })? {
+            if !(self.0)(frame) {
+                return Err(A::Error::custom("stopped"));
+            }
+        }
+        Ok(())
     }
 }

@@ -7,17 +7,127 @@
 #[allow(clippy::duplicate_mod)]
 #[path = "../vk/binding_numbers.rs"]
 mod binding_numbers;
-#[path = "shader.rs"]
-mod shader;
-#[path = "shared_memory.rs"]
-mod shared_memory;
-#[path = "spirv.rs"]
-mod spirv;
 
 use binding_numbers::{BUFFERS, SAMPLED_IMAGE, STORAGE_IMAGE, UNIFORM_BLOCK};
-pub use shader::{Binding, BindingKind, Block, Field, ImageBinding, Shader, SpecConstant};
-use spirv::{operation, text};
 use std::collections::BTreeMap;
+
+/// Interface that a shader declares.
+#[derive(Debug, Default, PartialEq)]
+pub struct Shader {
+    /// Buffers by binding.
+    pub bindings: Vec<Binding>,
+    /// Images by binding.
+    pub images: Vec<ImageBinding>,
+    /// Members of the push constant block, in order.
+    pub push: Vec<Field>,
+    /// Specialization constants by id.
+    pub spec: Vec<SpecConstant>,
+    /// Workgroup size: a Rust expression of type u32 over `spec` for each axis.
+    pub workgroup_size: [String; 3],
+    /// Bytes of shared memory: a Rust expression of type u32 over `spec`.
+    pub shared_bytes: String,
+}
+
+impl Shader {
+    /// Returns the first part of the interface that differs from another shader's. With `forms`, the two may be forms of
+    /// one shader, which read the same buffers in different ways.
+    pub fn difference(&self, other: &Self, forms: bool) -> Option<&'static str> {
+        let same = |(a, b): (&Binding, &Binding)| {
+            let access = |binding: &Binding| (binding.reads, binding.writes, binding.aliased);
+            (&a.name, a.binding, access(a)) == (&b.name, b.binding, access(b))
+                && (a.kind == b.kind || forms && !a.is_uniform() && !b.is_uniform())
+        };
+        let buffers = self.bindings.len() == other.bindings.len()
+            && self.bindings.iter().zip(&other.bindings).all(same);
+        let parts = [
+            (buffers, "buffers"),
+            (self.images == other.images, "images"),
+            (self.push == other.push, "push constants"),
+            (self.spec == other.spec, "specialization constants"),
+            (self.workgroup_size == other.workgroup_size, "workgroup"),
+            (self.shared_bytes == other.shared_bytes, "shared memory"),
+        ];
+        parts.into_iter().find(|(same, _)| !same).map(|(_, what)| what)
+    }
+}
+
+/// A buffer, or the common part of an image.
+#[derive(Debug, PartialEq)]
+pub struct Binding {
+    /// First member of a storage buffer, name of a texel buffer or image, or name of a uniform block with underscores.
+    pub name: String,
+    /// Number of the binding in set 0.
+    pub binding: u32,
+    /// True if the shader may read it.
+    pub reads: bool,
+    /// True if the shader may write it.
+    pub writes: bool,
+    /// True if another binding of the shader may be the same memory while one of them is written.
+    pub aliased: bool,
+    /// How it is bound.
+    pub kind: BindingKind,
+}
+
+impl Binding {
+    fn is_uniform(&self) -> bool {
+        matches!(self.kind, BindingKind::Uniform(_))
+    }
+}
+
+/// How a buffer is bound.
+#[derive(Debug, PartialEq)]
+pub enum BindingKind {
+    /// Storage buffer.
+    Storage,
+    /// Texel buffer, of this variant of `TexelFormat`.
+    Texels(&'static str),
+    /// Uniform block.
+    Uniform(Block),
+}
+
+/// A uniform block.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Block {
+    /// Its name in the shader.
+    pub name: String,
+    /// Its members, in order.
+    pub members: Vec<Field>,
+}
+
+/// A storage image or a sampled image without sampler.
+#[derive(Debug, PartialEq)]
+pub struct ImageBinding {
+    /// Its name, number and use.
+    pub binding: Binding,
+    /// True for a storage image.
+    pub storage: bool,
+}
+
+/// A member of the push constant block or of a uniform block.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Field {
+    /// Its name.
+    pub name: String,
+    /// Bytes from the start of the block.
+    pub offset: u32,
+    /// Its type in Rust.
+    pub rust_type: String,
+    /// Its size.
+    pub bytes: u32,
+}
+
+/// A specialization constant.
+#[derive(Debug, PartialEq)]
+pub struct SpecConstant {
+    /// `constant_id`.
+    pub id: u32,
+    /// Its name in the shader.
+    pub name: String,
+    /// "bool", "u32", "i32" or "f32".
+    pub rust_type: &'static str,
+    /// The default's bits.
+    pub default_bits: u32,
+}
 
 #[derive(Clone, Debug)]
 enum Type {
@@ -121,7 +231,7 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
     }
     shader.bindings.sort_by_key(|b| b.binding);
     shader.images.sort_by_key(|i| i.binding.binding);
-    shader.shared_bytes = shared_memory::total(shared).bytes;
+    shader.shared_bytes = total(shared).bytes;
     shader.workgroup_size = module.workgroup_size(&shader.spec)?;
     Ok(shader)
 }
@@ -404,4 +514,87 @@ impl Module {
             _ => Err("an array length is not a constant".into()),
         }
     }
+
+    /// Returns the layout of a type.
+    fn shared_layout(&self, ty: u32, spec: &[SpecConstant]) -> Result<Layout, String> {
+        let times = |count: &str, of: u32| {
+            let Layout { bytes, alignment } = self.shared_layout(of, spec)?;
+            Ok(Layout { bytes: format!("({count}) * ({bytes})"), alignment })
+        };
+        let plain = |bytes: u32| Layout { bytes: bytes.to_string(), alignment: bytes };
+        match self.types.get(&ty) {
+            Some(Type::Bool) => Ok(plain(4)),
+            Some(Type::Int { bits, .. } | Type::Float { bits }) => Ok(plain(bits / 8)),
+            Some(Type::Vector { of, count }) => {
+                let components = count.next_power_of_two();
+                let Layout { bytes, alignment } = times(&components.to_string(), *of)?;
+                Ok(Layout { bytes, alignment: components * alignment })
+            }
+            Some(Type::Matrix { column, columns }) => times(&columns.to_string(), *column),
+            Some(Type::Array { of, length }) => times(&self.expression(*length, spec)?, *of),
+            Some(Type::Struct(members)) => {
+                let members: Result<_, String> =
+                    members.iter().map(|&m| self.shared_layout(m, spec)).collect();
+                Ok(total(members?))
+            }
+            other => Err(format!("shared memory of type {other:?} is not supported")),
+        }
+    }
+}
+
+// Upper bound of the shared memory that a shader takes.
+//
+// Vulkan leaves the layout to the driver, and counts its padding against maxComputeSharedMemorySize
+// (VUID-RuntimeSpirv-Workgroup-06530). Some drivers pad a `vec3` to four components, like GLSL's std430. So this follows
+// std430, and pads each variable and struct member to the widest alignment.
+
+/// Bytes, a multiple of the alignment, as an expression over `spec`.
+struct Layout {
+    bytes: String,
+    alignment: u32,
+}
+
+/// Returns the layout of variables, or of a struct's members, in any order.
+fn total(parts: Vec<Layout>) -> Layout {
+    let alignment = parts.iter().map(|part| part.alignment).max().unwrap_or(1);
+    let padded = |part: &Layout| match part.alignment == alignment {
+        true => part.bytes.clone(),
+        false => format!("({} + {}) / {alignment} * {alignment}", part.bytes, alignment - 1),
+    };
+    let bytes: Vec<_> = parts.iter().map(padded).collect();
+    Layout { bytes: if bytes.is_empty() { "0".into() } else { bytes.join(" + ") }, alignment }
+}
+
+/// Returns the Rust expression of a SPIR-V opcode over its operands' expressions.
+fn operation(opcode: u32, v: &[String]) -> Result<String, String> {
+    let binary = |op: &str| Ok(format!("(({}) {op} ({}))", v[0], v[1]));
+    let compare = |op: &str| Ok(format!("((({}) {op} ({})) as u32)", v[0], v[1]));
+    match opcode {
+        124 => Ok(v[0].clone()),
+        128 => binary("+"),
+        130 => binary("-"),
+        132 => binary("*"),
+        134 | 135 => binary("/"),
+        137..=139 => binary("%"),
+        194 | 195 => binary(">>"),
+        196 => binary("<<"),
+        166 | 197 => binary("|"),
+        198 => binary("^"),
+        167 | 199 => binary("&"),
+        169 => Ok(format!("(if ({}) != 0 {{ {} }} else {{ {} }})", v[0], v[1], v[2])),
+        164 | 170 => compare("=="),
+        165 | 171 => compare("!="),
+        172 | 173 => compare(">"),
+        174 | 175 => compare(">="),
+        176 | 177 => compare("<"),
+        178 | 179 => compare("<="),
+        168 => Ok(format!("(1 - ({}))", v[0])),
+        other => Err(format!("operation {other} in an array length is not supported")),
+    }
+}
+
+/// Returns the string stored in words.
+fn text(words: &[u32]) -> String {
+    let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).take_while(|&b| b != 0).collect();
+    String::from_utf8_lossy(&bytes).into_owned()
 }

@@ -2,8 +2,8 @@
 
 use super::compile;
 use super::reflect::reflect;
+use crate::error::{Error, Result};
 use crate::vk::{Form, KernelInterface, KernelVisitor, Limits};
-use crate::{Error, Result};
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -8,7 +8,8 @@ use crate::error::{Error, Result};
 
 /// Limits that remove Gaussians. The default removes none.
 ///
-/// [`CutLimits::keeps`] cuts files, and frames are cut on the device ([`RenderSettings::cut`](crate::RenderSettings::cut)).
+/// Files are cut on the host ([`CutLimits::keeps`]), frames on the device
+/// ([`RenderSettings::cut`](crate::RenderSettings::cut)).
 /// Both compare the same numbers in the same way, so both keep the same Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Cut {

@@ -2,9 +2,9 @@
 
 use glam::{DVec3, Vec3};
 
-use super::median_ball::median_ball;
 use super::points::Bounds;
-use crate::{Error, Result};
+use super::strays::median_ball;
+use crate::error::{Error, Result};
 
 /// Highest supported degree of the spherical harmonics.
 pub const MAX_SH_DEGREE: u32 = 3;

@@ -1,6 +1,6 @@
 //! Pictures in memory.
 
-use crate::{Error, Result};
+use crate::error::{Error, Result};
 
 /// A picture in memory: 8 bits per channel, as stored in the file (no colour management).
 #[derive(Clone, Debug, PartialEq, Eq)]

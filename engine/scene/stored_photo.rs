@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::photo::Photo;
-use crate::fingerprint::Fingerprint;
-use crate::{Error, Result};
+use crate::error::{Error, Result};
+use crate::scene::Fingerprint;
 
 /// Bytes of a pixel in a file: r, g, b, coverage.
 pub(crate) const TEXEL_BYTES: u64 = 4;

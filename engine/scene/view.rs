@@ -7,7 +7,7 @@ use glam::{Mat3, Mat4, Vec3, Vec4};
 
 use super::camera::{MAX_IMAGE_SIDE, NEAR_PLANE, is_rotation};
 use super::{Camera, Intrinsics};
-use crate::{Error, Result};
+use crate::error::{Error, Result};
 
 /// Direction of clip space's +y in the image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

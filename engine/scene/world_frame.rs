@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3, Vec3};
 
 use super::camera::NEAR_PLANE;
-use super::median_ball::median_ball;
+use super::strays::median_ball;
 
 /// Distance of a scene's centre from the origin, in radii of the scene, from which it gets its own origin. Below it, single
 /// precision resolves a 250,000th of the radius or finer.

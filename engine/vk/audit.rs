@@ -5,12 +5,13 @@
 //! races between commands. It is submitted in pieces, so that only a few copies exist at a time. New device memory is
 //! cleared, so that unwritten bytes are equal too.
 
-use super::allocator::MemoryKind;
-use super::buffer::Buffer;
+use super::lock::lock;
+use super::memory::Buffer;
+use super::memory_types::MemoryKind;
 use super::open_device::Device;
-use crate::fingerprint::Fingerprint;
-use crate::{Error, Result};
-use std::sync::{Arc, Mutex, PoisonError};
+use crate::error::{Error, Result};
+use crate::scene::Fingerprint;
+use std::sync::{Arc, Mutex};
 
 /// Bytes of snapshots that trigger a submission. A single snapshot may be larger.
 const MOST_BYTES: u64 = 64 << 20;
@@ -39,13 +40,11 @@ pub struct AuditRecord {
 #[derive(Default)]
 pub(super) struct Log(Mutex<Vec<AuditRecord>>);
 
-/// Outputs of a recording's commands.
 pub(super) struct Commands {
     log: Arc<Log>,
-    submission: String,
+    pub(super) submission: String,
     commands: u32,
     snapshots: Vec<(AuditRecord, Buffer)>,
-    /// Bytes of the snapshots.
     bytes: u64,
     failure: Option<Error>,
 }
@@ -54,10 +53,6 @@ impl Commands {
     pub(super) fn begin(log: Arc<Log>, submission: &str) -> Self {
         let submission = submission.to_owned();
         Self { log, submission, commands: 0, snapshots: Vec::new(), bytes: 0, failure: None }
-    }
-
-    pub(super) fn submission(&self) -> &str {
-        &self.submission
     }
 
     /// True if the snapshots take so much memory that they must be hashed.
@@ -81,7 +76,7 @@ impl Commands {
                 Err(error) => self.failure = self.failure.take().or(Some(error)),
                 Ok(mut allocated) => {
                     let to = allocated.swap_remove(0).range(0, from.bytes());
-                    let (submission, buffer) = (self.submission.clone(), from.static_name());
+                    let (submission, buffer) = (self.submission.clone(), from.name());
                     let record = AuditRecord { submission, command, kernel, buffer, hash: 0 };
                     self.snapshots.push((record, to.clone()));
                     self.bytes += to.bytes();
@@ -92,7 +87,6 @@ impl Commands {
         copies
     }
 
-    /// Hashes the copies, after the submission.
     pub(super) fn log(&mut self) -> Result<()> {
         if let Some(error) = self.failure.take() {
             return Err(error);
@@ -105,8 +99,7 @@ impl Commands {
             print.add(&bytes);
             AuditRecord { hash: print.finish(), ..record }
         });
-        let hashed: Vec<AuditRecord> = hashed.collect();
-        self.log.0.lock().unwrap_or_else(PoisonError::into_inner).extend(hashed);
+        lock(&self.log.0).extend(hashed);
         Ok(())
     }
 }
@@ -114,6 +107,6 @@ impl Commands {
 impl Audit {
     /// Returns the records since the last call, oldest first.
     pub fn take(&self) -> Vec<AuditRecord> {
-        std::mem::take(&mut *self.log.0.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut *lock(&self.log.0))
     }
 }

@@ -1,15 +1,18 @@
-//! Allocates memory in a context, and reports how much exists and is allowed.
+//! Allocates memory in a context, reports how much exists and is allowed, and measures its rates.
 
-use super::allocate::{MAX_MEMORY, UNBOUNDED};
-use super::allocator::MemoryKind;
-use super::arenas::ArenaMemory;
-use super::buffer::Buffer;
 use super::context::Context;
+use super::lock::lock;
+#[cfg(feature = "testing")]
+use super::memory::GUARD_BYTES;
+use super::memory::{Block, Buffer, MAX_MEMORY, UNBOUNDED};
+use super::memory_types::{ArenaMemory, MemoryKind};
+use super::recorder::Recorder;
 use super::staging;
-use crate::{Error, Result};
+use crate::error::{Error, Result};
 use ash::vk;
-use std::sync::PoisonError;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::Instant;
 
 impl Context {
     /// Allocates buffers of one lifetime. Messages name each as `arena.request`.
@@ -28,11 +31,11 @@ impl Context {
         requests: &[(&'static str, u64)],
         kind: MemoryKind,
     ) -> Result<Vec<Buffer>> {
-        let mut allocated = self.device.allocate(arena, requests, kind, self.room_of_transfers(kind));
-        if matches!(allocated, Err(Error::TooLarge { .. })) && self.free_staging() {
-            allocated = self.device.allocate(arena, requests, kind, self.room_of_transfers(kind));
-        }
-        let buffers = allocated?;
+        let allocate = || self.device.allocate(arena, requests, kind, self.room_of_transfers(kind));
+        let buffers = match allocate() {
+            Err(Error::TooLarge { .. }) if self.free_staging() => allocate()?,
+            allocated => allocated?,
+        };
         #[cfg(feature = "testing")]
         self.raise_guards(&buffers)?;
         self.clear_if_audited(&buffers, kind)?;
@@ -42,7 +45,7 @@ impl Context {
     /// Returns the bytes of bounded memory that an allocation leaves free for the next transfer.
     fn room_of_transfers(&self, kind: MemoryKind) -> u64 {
         // A running download holds the ring's lock.
-        if self.max_memory().is_none() || kind == MemoryKind::Offloaded || self.staging.lock().bytes() > 0 {
+        if self.max_memory().is_none() || kind == MemoryKind::Offloaded || lock(&self.staging).bytes() > 0 {
             return 0;
         }
         self.least_ring()
@@ -56,13 +59,13 @@ impl Context {
     /// Frees the staging memory kept for later transfers, if device memory is not mapped. Waits for uploads in flight.
     /// Returns true if there was any. Allocations that would not fit call this themselves.
     pub fn free_staging(&self) -> bool {
-        self.staging.lock().free()
+        lock(&self.staging).free()
     }
 
     /// Bytes of all arenas, for planning further allocations. The staging ring counts with its smallest size, because it
     /// can shrink to it. So a plan does not depend on earlier transfers.
     pub(crate) fn held_bytes(&self) -> u64 {
-        let ring = self.staging.lock().bytes();
+        let ring = lock(&self.staging).bytes();
         self.memory_total().bytes.saturating_sub(ring) + self.least_ring()
     }
 
@@ -71,17 +74,12 @@ impl Context {
         self.device.allocation_bytes(requests)
     }
 
-    /// Clears new memory if an audit exists.
     fn clear_if_audited(&self, buffers: &[Buffer], kind: MemoryKind) -> Result<()> {
-        let audited = self.logs.audit.lock().unwrap_or_else(PoisonError::into_inner).strong_count() > 0;
-        if !audited || kind == MemoryKind::HostVisible {
+        if !self.is_audited() || kind == MemoryKind::HostVisible {
             return Ok(());
         }
-        self.run("clear", |recorder| {
-            buffers.iter().for_each(|buffer| recorder.fill(buffer, 0));
-            Ok(())
-        })?;
-        Ok(())
+        let clear = |recorder: &mut Recorder| buffers.iter().for_each(|buffer| recorder.fill(buffer, 0));
+        self.run_command("clear", clear).map(drop)
     }
 
     /// Resets the peaks of [`Context::memory`] and [`Context::memory_total`] to the current bytes, and forgets empty
@@ -105,8 +103,8 @@ impl Context {
     /// smallest of [`super::ContextOptions::max_memory`], the driver's current budget (VK_EXT_memory_budget) and a GPU's
     /// largest device-local heap. None: unknown.
     pub fn memory_limit(&self) -> Option<(u64, &'static str)> {
-        let heap =
-            self.limits().tuning.heap_is_bound.then_some((self.limits().heap_bytes, "device-local heap"));
+        let limits = self.limits();
+        let heap = limits.tuning.heap_is_bound.then_some((limits.heap_bytes, "device-local heap"));
         let asked = self.max_memory().map(|bytes| (bytes, MAX_MEMORY));
         let driver = self.driver_budget().map(|bytes| (bytes, "VK_EXT_memory_budget"));
         [asked, driver, heap].into_iter().flatten().min_by_key(|(bytes, _)| *bytes)
@@ -168,21 +166,200 @@ fn of_driver(heap_budget: u64, heap_usage: u64, ours: u64) -> u64 {
     heap_budget.saturating_sub(heap_usage).saturating_add(ours)
 }
 
+/// For tests: content of the guard bands around every buffer, which detect writes outside it.
+#[cfg(feature = "testing")]
+const GUARD_PATTERN: u8 = 0xA5;
+
+#[cfg(feature = "testing")]
+fn guards(buffer: &Buffer) -> [Buffer; 2] {
+    let band = |offset| Buffer::new(buffer.block().clone(), offset, GUARD_BYTES, buffer.name());
+    [buffer.offset() - GUARD_BYTES, buffer.offset() + buffer.bytes()].map(band)
+}
+
+#[cfg(feature = "testing")]
+impl Context {
+    /// Fills the guard bands of new buffers with their pattern, if there are any.
+    fn raise_guards(&self, buffers: &[Buffer]) -> Result<()> {
+        if !self.device.guard_bands {
+            return Ok(());
+        }
+        for band in buffers.iter().flat_map(guards) {
+            self.upload(&band, &[GUARD_PATTERN; GUARD_BYTES as usize])?;
+        }
+        let mut blocks = lock(&self.logs.guarded);
+        blocks.retain(|block| block.strong_count() > 0);
+        for buffer in buffers {
+            let mut guarded = lock(&buffer.block().guarded);
+            if guarded.is_empty() {
+                blocks.push(Arc::downgrade(buffer.block()));
+            }
+            guarded.push((buffer.offset(), buffer.bytes(), buffer.name()));
+        }
+        Ok(())
+    }
+
+    /// Returns the names of living buffers with writes outside them; see [`super::ContextOptions::guard_bands`].
+    ///
+    /// # Errors
+    /// When a band cannot be read.
+    pub fn breached_guards(&self) -> Result<Vec<&'static str>> {
+        let blocks = lock(&self.logs.guarded).clone();
+        let mut breached = Vec::new();
+        for block in blocks.iter().filter_map(std::sync::Weak::upgrade) {
+            let guarded = lock(&block.guarded).clone();
+            for (offset, bytes, name) in guarded {
+                for band in guards(&Buffer::new(block.clone(), offset, bytes, name)) {
+                    if self.download(&band)?.iter().any(|&byte| byte != GUARD_PATTERN) {
+                        breached.push(name);
+                    }
+                }
+            }
+        }
+        Ok(breached)
+    }
+}
+
+const ROUNDS: usize = 3;
+/// Most bytes that the host reads: without a cache it reads a few MB per millisecond at best.
+const MOST_READ: u64 = 8 << 20;
+
+/// Rates of a host-visible memory type, from [`Context::measure_memory`]. Bytes per second.
+#[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
+pub struct MemoryRates {
+    /// Index of the memory type.
+    pub memory_type: u32,
+    /// True if it is device-local (for a card: seen over the bus).
+    pub device_local: bool,
+    /// True if the host reads it through its caches.
+    pub cached: bool,
+    /// True if the device's arenas are in it: uploads then write it directly.
+    pub holds_arenas: bool,
+    /// Bytes of its heap.
+    pub heap_bytes: u64,
+    /// Rate of host writes.
+    pub write: f64,
+    /// Rate of host reads.
+    pub read: f64,
+    /// Rate of device copies from it into device memory.
+    pub to_device: f64,
+    /// Rate of device copies from device memory into it.
+    pub from_device: f64,
+}
+
+/// Paths of uploads and downloads, by the device's memory types and queues.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Transfers {
+    /// True if uploads write device memory directly: it is host memory, or the host sees all of it (resizable BAR).
+    /// Otherwise they are copied from a ring of staging memory.
+    pub writes_directly: bool,
+    /// True if downloads read device memory directly: it is host memory, and cached. Otherwise they are copied first.
+    pub reads_directly: bool,
+    /// True if a separate queue copies staged uploads, beside the main queue's work. It also copies photographs that
+    /// training reads from a file, unless device memory is host memory.
+    pub copy_queue: bool,
+}
+
+impl Context {
+    /// Returns the paths of uploads and downloads.
+    pub fn transfers(&self) -> Transfers {
+        Transfers {
+            writes_directly: self.device.place.is_mapped(),
+            reads_directly: self.device.reads_mapped(),
+            copy_queue: self.device.copying.is_some(),
+        }
+    }
+
+    /// Measures every host-visible memory type, with buffers of this many bytes. Omits a type whose heap is too full.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for no bytes. Same as [`Context::allocate`] and [`Context::run`].
+    pub fn measure_memory(&self, bytes: u64) -> Result<Vec<MemoryRates>> {
+        if bytes == 0 {
+            return Err(Error::argument("bytes", "a measurement needs some"));
+        }
+        let device = self.allocate("measurement", &[("device", bytes)], MemoryKind::Device)?.swap_remove(0);
+        let memory = &self.device.memory;
+        let own = self.device.memory_type(u32::MAX, MemoryKind::Device)?;
+        let mut all = Vec::new();
+        for (index, of) in memory.memory_types_as_slice().iter().enumerate() {
+            type Flags = vk::MemoryPropertyFlags;
+            let (flags, index) = (of.property_flags, index as u32);
+            // Same rule as for memory in use.
+            let Ok(found) = self.device.memory_type(1 << index, MemoryKind::HostVisible) else { continue };
+            let Some(host) = self.of_type(found, device.bytes())? else { continue };
+            let (write, read) = host_rates(&host);
+            all.push(MemoryRates {
+                memory_type: index,
+                device_local: flags.contains(Flags::DEVICE_LOCAL),
+                cached: flags.contains(Flags::HOST_CACHED),
+                holds_arenas: index == own,
+                heap_bytes: memory.memory_heaps_as_slice()[of.heap_index as usize].size,
+                write,
+                read,
+                to_device: self.copy_rate(&host, &device)?,
+                from_device: self.copy_rate(&device, &host)?,
+            });
+        }
+        Ok(all)
+    }
+
+    /// Allocates a buffer in a memory type. None if it does not fit, or no buffer may use this type.
+    fn of_type(&self, index: u32, bytes: u64) -> Result<Option<Buffer>> {
+        let (arena, kind) = ("measurement".into(), MemoryKind::HostVisible);
+        match Block::new(&self.device, (&arena, 0), bytes, kind, 1 << index) {
+            Ok(block) => Ok(Some(Buffer::new(Arc::new(block), 0, bytes, "host"))),
+            Err(error @ Error::DeviceLost { .. }) => Err(error),
+            Err(_) => Ok(None),
+        }
+    }
+
+    fn copy_rate(&self, from: &Buffer, to: &Buffer) -> Result<f64> {
+        let mut best = f64::INFINITY;
+        for _ in 0..ROUNDS {
+            let begin = Instant::now();
+            let report = self.run_command("measurement", |recorder| recorder.copy(from, to))?;
+            let waited = begin.elapsed().as_secs_f64();
+            best = best.min(if report.nanoseconds > 0.0 { report.nanoseconds * 1e-9 } else { waited });
+        }
+        Ok(from.bytes() as f64 / best.max(1e-9))
+    }
+}
+
+fn host_rates(buffer: &Buffer) -> (f64, f64) {
+    let written = vec![0x5A; buffer.bytes() as usize];
+    let mut back = vec![0; buffer.bytes().min(MOST_READ) as usize];
+    let timed = |work: &mut dyn FnMut()| {
+        let begin = Instant::now();
+        work();
+        begin.elapsed().as_secs_f64()
+    };
+    let (mut write, mut read) = (f64::INFINITY, f64::INFINITY);
+    for _ in 0..ROUNDS {
+        write = write.min(timed(&mut || _ = buffer.block().write_mapped(buffer.offset(), &written)));
+        read = read.min(timed(&mut || _ = buffer.block().read_mapped(buffer.offset(), &mut back)));
+    }
+    // Uses the result, so that the reads are not optimized away.
+    assert!(back.iter().all(|&byte| byte == 0x5A), "memory does not hold what was written");
+    (written.len() as f64 / write.max(1e-9), back.len() as f64 / read.max(1e-9))
+}
+
 #[cfg(test)]
 mod tests {
     use super::of_driver;
 
     #[test]
     fn what_others_use_is_not_ours() {
-        // No other user.
-        assert_eq!(of_driver(1000, 300, 300), 1000);
-        assert_eq!(of_driver(1000, 0, 0), 1000);
-        // Another user has 500.
-        assert_eq!(of_driver(1000, 800, 300), 500);
-        // Over the budget already: nothing can be added, and the current bytes stay.
-        assert_eq!(of_driver(1000, 1200, 300), 300);
-        // A part of our bytes lies in another heap.
-        assert_eq!(of_driver(1000, 200, 300), 1100);
-        assert_eq!(of_driver(u64::MAX, 0, 9), u64::MAX);
+        let cases = [
+            ("no other user", [1000, 300, 300], 1000),
+            ("nothing in use", [1000, 0, 0], 1000),
+            ("another user has 500", [1000, 800, 300], 500),
+            ("over the budget: the current bytes stay", [1000, 1200, 300], 300),
+            ("a part of our bytes lies in another heap", [1000, 200, 300], 1100),
+            ("no budget", [u64::MAX, 0, 9], u64::MAX),
+        ];
+        for (case, [budget, usage, ours], share) in cases {
+            assert_eq!(of_driver(budget, usage, ours), share, "{case}");
+        }
     }
 }

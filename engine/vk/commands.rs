@@ -1,18 +1,18 @@
 //! Records, submits, awaits and reuses command buffers.
 
 use super::debug::vk_error;
-use super::descriptors::DescriptorSets;
-use super::open_device::Device;
-use super::open_device::Point;
+use super::lock::lock;
+use super::open_device::{CopyQueue, Device, LockedQueue};
+use super::pipeline::DescriptorSets;
 use super::profile::{MAX_SCOPES, QUERIES};
-use crate::{Error, Result};
+use crate::error::{Error, Result};
 use ash::vk;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// Vulkan objects of one recording, reused for later ones.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Slot {
     pool: vk::CommandPool,
     commands: vk::CommandBuffer,
@@ -21,15 +21,8 @@ struct Slot {
 }
 
 impl Slot {
-    /// Creates timestamp queries if `timed`.
     fn new(inner: &Device, family: u32, timed: bool) -> Result<Self> {
-        let null = Self {
-            pool: vk::CommandPool::null(),
-            commands: vk::CommandBuffer::null(),
-            fence: vk::Fence::null(),
-            queries: vk::QueryPool::null(),
-        };
-        let mut slot = null;
+        let mut slot = Self::default();
         slot.create(inner, family, timed).inspect_err(|_| slot.destroy(inner))?;
         Ok(slot)
     }
@@ -51,14 +44,9 @@ impl Slot {
             self.commands = commands.first().copied().unwrap_or_default();
             let fence = device.create_fence(&vk::FenceCreateInfo::default(), None);
             self.fence = fence.map_err(vk_error("vkCreateFence"))?;
-            if timed && inner.timestamp_bits > 0 {
-                let queries = vk::QueryPoolCreateInfo::default()
-                    .query_type(vk::QueryType::TIMESTAMP)
-                    .query_count(QUERIES);
-                let queries = device.create_query_pool(&queries, None);
-                self.queries = queries.map_err(vk_error("vkCreateQueryPool"))?;
-                inner.names.name(self.queries, "scope timestamps");
-            }
+        }
+        if timed {
+            self.queries = inner.create_queries(QUERIES, "scope timestamps")?;
         }
         inner.names.name(self.pool, "recorder pool");
         inner.names.name(self.fence, "recorder fence");
@@ -77,33 +65,25 @@ impl Slot {
 
 /// Idle objects of recordings. Every recording keeps the pools alive.
 pub(super) struct Pools {
-    inner: Arc<Device>,
-    slots: Mutex<Vec<Slot>>,
-    /// Slots of the copy queue.
-    copying: Mutex<Vec<Slot>>,
+    pub(super) device: Arc<Device>,
+    /// Slots of the main queue and of the copy queue.
+    slots: [Mutex<Vec<Slot>>; 2],
     /// Descriptor sets, on devices without push descriptors.
     descriptors: Mutex<Vec<DescriptorSets>>,
 }
 
 impl Pools {
-    pub(super) fn new(inner: Arc<Device>) -> Self {
-        Self { inner, slots: Mutex::default(), copying: Mutex::default(), descriptors: Mutex::default() }
-    }
-
-    pub(super) fn device(&self) -> &Arc<Device> {
-        &self.inner
+    pub(super) fn new(device: Arc<Device>) -> Self {
+        Self { device, slots: Default::default(), descriptors: Mutex::default() }
     }
 }
 
 impl Drop for Pools {
     fn drop(&mut self) {
         // All slots are idle: `Commands` waits for its submission before it returns a slot.
-        let slots = self.slots.get_mut().unwrap_or_else(PoisonError::into_inner);
-        slots.iter().for_each(|slot| slot.destroy(&self.inner));
-        let slots = self.copying.get_mut().unwrap_or_else(PoisonError::into_inner);
-        slots.iter().for_each(|slot| slot.destroy(&self.inner));
-        let sets = self.descriptors.get_mut().unwrap_or_else(PoisonError::into_inner);
-        sets.iter_mut().for_each(|sets| sets.destroy(&self.inner));
+        for slots in &self.slots {
+            lock(slots).iter().for_each(|slot| slot.destroy(&self.device));
+        }
     }
 }
 
@@ -112,7 +92,6 @@ pub(super) struct Commands {
     pub(super) pools: Arc<Pools>,
     pub(super) inner: Arc<Device>,
     slot: Slot,
-    /// True for the copy queue.
     copies: bool,
     pub(super) submitted: bool,
     pub(super) descriptors: Option<DescriptorSets>,
@@ -121,31 +100,22 @@ pub(super) struct Commands {
 impl Commands {
     /// Begins a recording. With `every_command`, it has queries for each command.
     pub(super) fn begin(pools: &Arc<Pools>, label: &str, every_command: bool) -> Result<Self> {
-        let inner = &pools.inner;
-        let free = pools.slots.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let slot = match free {
-            Some(slot) => slot,
-            None => Slot::new(inner, inner.queue_family, true)?,
-        };
-        let sets = pools.descriptors.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let descriptors = sets.or_else(|| DescriptorSets::new(inner));
-        Self::on(pools, slot, descriptors, false).begun(label, every_command)
+        Self::on(pools, None)?.begun(label, every_command)
     }
 
     /// Begins a recording for the copy queue, or for the main queue if there is none.
     pub(super) fn begin_copies(pools: &Arc<Pools>, label: &str) -> Result<Self> {
-        let inner = &pools.inner;
-        let Some(queue) = &inner.copying else { return Self::begin(pools, label, false) };
-        let free = pools.copying.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let slot = match free {
-            Some(slot) => slot,
-            None => Slot::new(inner, queue.family, false)?,
-        };
-        Self::on(pools, slot, None, true).begun(label, false)
+        Self::on(pools, pools.device.copying.as_ref())?.begun(label, false)
     }
 
-    fn on(pools: &Arc<Pools>, slot: Slot, descriptors: Option<DescriptorSets>, copies: bool) -> Self {
-        Self { pools: pools.clone(), inner: pools.inner.clone(), slot, copies, submitted: false, descriptors }
+    fn on(pools: &Arc<Pools>, copying: Option<&CopyQueue>) -> Result<Self> {
+        let (inner, copies) = (&pools.device, copying.is_some());
+        let family = copying.map_or(inner.queue_family, |copying| copying.family);
+        let free = lock(&pools.slots[usize::from(copies)]).pop();
+        let slot = free.map_or_else(|| Slot::new(inner, family, !copies), Ok)?;
+        let free = || lock(&pools.descriptors).pop();
+        let descriptors = if copies { None } else { free().or_else(|| DescriptorSets::new(inner)) };
+        Ok(Self { pools: pools.clone(), inner: inner.clone(), slot, copies, submitted: false, descriptors })
     }
 
     fn begun(self, label: &str, every_command: bool) -> Result<Self> {
@@ -163,12 +133,8 @@ impl Commands {
             }
         }
         // Makes the writes of all earlier submissions visible, including those not waited for.
-        let earlier = vk::MemoryBarrier2::default()
-            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
-            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
-            .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
-            .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE);
-        self.memory_barrier(earlier);
+        let all = vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE;
+        self.barrier_after_all(vk::PipelineStageFlags2::ALL_COMMANDS, all);
         Ok(self)
     }
 
@@ -182,65 +148,54 @@ impl Commands {
         if wanted { self.slot.queries } else { vk::QueryPool::null() }
     }
 
-    fn memory_barrier(&self, barrier: vk::MemoryBarrier2<'_>) {
-        let barriers = [barrier];
-        let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
-        // SAFETY: the command buffer is in the recording state.
-        unsafe { self.inner.device.cmd_pipeline_barrier2(self.slot.commands, &dependency) }
+    /// Makes all writes visible to these accesses.
+    fn barrier_after_all(&self, stages: vk::PipelineStageFlags2, accesses: vk::AccessFlags2) {
+        let barrier = vk::MemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+            .dst_stage_mask(stages)
+            .dst_access_mask(accesses);
+        self.inner.barrier(self.slot.commands, &vk::DependencyInfo::default().memory_barriers(&[barrier]));
     }
 
     /// Orders accesses to a range of a buffer, or transfers it to another queue family.
     pub(super) fn buffer_barrier(&mut self, barrier: vk::BufferMemoryBarrier2<'_>) {
-        let barriers = [barrier];
-        let dependency = vk::DependencyInfo::default().buffer_memory_barriers(&barriers);
-        // SAFETY: the command buffer is in the recording state; the caller keeps the buffer.
-        unsafe { self.inner.device.cmd_pipeline_barrier2(self.slot.commands, &dependency) }
+        let dependency = vk::DependencyInfo::default();
+        self.inner.barrier(self.slot.commands, &dependency.buffer_memory_barriers(&[barrier]));
     }
 
-    pub(super) fn submit(&mut self) -> Result<()> {
-        self.submit_after(None)
+    fn lock_queue(&self) -> Result<LockedQueue<'_>> {
+        match self.inner.copying.as_ref().filter(|_| self.copies) {
+            Some(copying) => Ok(copying.lock()),
+            None => self.inner.lock_queue(),
+        }
     }
 
     /// Submits, to run after a point of the other queue's timeline.
-    pub(super) fn submit_after(&mut self, after: Option<Point>) -> Result<()> {
+    pub(super) fn submit(&mut self, after: Option<vk::SemaphoreSubmitInfo<'static>>) -> Result<()> {
         // A fence alone does not make writes visible to the host.
-        let to_host = vk::MemoryBarrier2::default()
-            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
-            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
-            .dst_stage_mask(vk::PipelineStageFlags2::HOST)
-            .dst_access_mask(vk::AccessFlags2::HOST_READ | vk::AccessFlags2::HOST_WRITE);
-        self.memory_barrier(to_host);
+        let host = vk::AccessFlags2::HOST_READ | vk::AccessFlags2::HOST_WRITE;
+        self.barrier_after_all(vk::PipelineStageFlags2::HOST, host);
         let device = &self.inner.device;
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(self.slot.commands)];
+        let queue = self.lock_queue()?;
         let copying = self.inner.copying.as_ref();
-        let queue = match copying.filter(|_| self.copies) {
-            Some(copying) => copying.lock(),
-            None => self.inner.lock_queue()?,
-        };
         let timeline = copying.map(|copying| if self.copies { &copying.copied } else { &copying.worked });
         let done = timeline.map(|timeline| timeline.next());
-        let info = |point: Point| {
-            vk::SemaphoreSubmitInfo::default()
-                .semaphore(point.semaphore)
-                .value(point.value)
-                .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
-        };
-        let (waits, signals): (Vec<_>, Vec<_>) =
-            (after.map(info).into_iter().collect(), done.map(info).into_iter().collect());
         let submits = [vk::SubmitInfo2::default()
             .command_buffer_infos(&buffers)
-            .wait_semaphore_infos(&waits)
-            .signal_semaphore_infos(&signals)];
+            .wait_semaphore_infos(after.as_slice())
+            .signal_semaphore_infos(done.as_slice())];
         // SAFETY: the command buffer was recorded on this device and everything that it refers to is kept by the
         // caller until the fence has signalled; the lock gives the queue to this thread.
         unsafe {
             let ended = device.end_command_buffer(self.slot.commands);
             ended.map_err(vk_error("vkEndCommandBuffer"))?;
-            let submitted = device.queue_submit2(*queue, &submits, self.slot.fence);
+            let submitted = device.queue_submit2(*queue.queue, &submits, self.slot.fence);
             submitted.map_err(|error| self.inner.failed("vkQueueSubmit2", error))?;
         }
-        if let (Some(timeline), Some(done)) = (timeline, done) {
-            timeline.submitted(done);
+        if let Some(timeline) = timeline {
+            timeline.submitted();
         }
         drop(queue);
         self.submitted = true;
@@ -277,11 +232,10 @@ impl Commands {
     /// Waits until nothing of the submission runs any more, even after errors.
     pub(super) fn settle(&mut self) {
         if self.wait(None).is_err() && self.submitted {
-            let copying = self.inner.copying.as_ref().filter(|_| self.copies);
-            if let Ok(queue) = copying.map_or_else(|| self.inner.lock_queue(), |copying| Ok(copying.lock())) {
+            if let Ok(queue) = self.lock_queue() {
                 // Waits for this queue only: other threads may use other queues of a host's device.
                 // SAFETY: the lock gives the queue to this thread. When this fails, the device is lost.
-                let _ = unsafe { self.inner.device.queue_wait_idle(*queue) };
+                let _ = unsafe { self.inner.device.queue_wait_idle(*queue.queue) };
             }
             self.submitted = false;
         }
@@ -293,7 +247,7 @@ impl Drop for Commands {
         self.settle();
         if let Some(mut sets) = self.descriptors.take() {
             sets.reset();
-            self.pools.descriptors.lock().unwrap_or_else(PoisonError::into_inner).push(sets);
+            lock(&self.pools.descriptors).push(sets);
         }
         let device = &self.inner.device;
         // SAFETY: nothing of the slot is in use: it was never submitted, or has been waited for.
@@ -303,10 +257,7 @@ impl Drop for Commands {
                 .and_then(|()| device.reset_fences(&[self.slot.fence]))
         };
         match reset {
-            Ok(()) => {
-                let slots = if self.copies { &self.pools.copying } else { &self.pools.slots };
-                slots.lock().unwrap_or_else(PoisonError::into_inner).push(self.slot);
-            }
+            Ok(()) => lock(&self.pools.slots[usize::from(self.copies)]).push(self.slot),
             Err(_) => self.slot.destroy(&self.inner),
         }
     }

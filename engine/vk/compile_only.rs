@@ -6,6 +6,8 @@
 //!
 //! [`Context::pipeline_statistics`]: super::Context::pipeline_statistics
 
+use super::debug::vk_error;
+use crate::error::Result;
 use ash::vk::{self, Handle};
 use std::alloc::{Layout, alloc_zeroed, dealloc};
 use std::ffi::{CStr, c_char, c_void};
@@ -13,12 +15,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Reported size of device memory. The driver may have none.
 const HEAP_BYTES: u64 = 1 << 40;
-/// Alignment of all memory and buffers.
 const ALIGNMENT: u64 = 256;
 /// Alignment of the host memory. Up to this alignment the system provides zeros without writing them.
 const HOST_ALIGNMENT: usize = 16;
 
-/// Returns one heap with one host-visible memory type.
 pub(super) fn memory_properties() -> vk::PhysicalDeviceMemoryProperties {
     let mut memory = vk::PhysicalDeviceMemoryProperties {
         memory_type_count: 1,
@@ -48,8 +48,6 @@ const OF_THE_DRIVER: [&CStr; 12] = [
     c"vkGetDeviceQueue",
 ];
 
-/// Returns the device with this function table.
-///
 /// # Safety
 /// The device is of this instance.
 pub(super) unsafe fn table(instance: &ash::Instance, device: &ash::Device) -> ash::Device {
@@ -80,22 +78,16 @@ pub(super) fn push_descriptor(device: &ash::Device) -> ash::khr::push_descriptor
     }
 }
 
-/// Returns a unique number for a handle without contents.
-fn number() -> u64 {
-    static NEXT: AtomicU64 = AtomicU64::new(1);
-    NEXT.fetch_add(1, Ordering::Relaxed)
-}
-
-/// Writes a handle without contents.
+/// Writes a unique handle without contents.
 ///
 /// # Safety
 /// `out` can be written.
 unsafe fn make<T: Handle>(out: *mut T) {
+    static NEXT: AtomicU64 = AtomicU64::new(1);
     // SAFETY: the caller's word.
-    unsafe { out.write(T::from_raw(number())) };
+    unsafe { out.write(T::from_raw(NEXT.fetch_add(1, Ordering::Relaxed))) };
 }
 
-/// Memory that a handle points to.
 struct Memory {
     start: *mut u8,
     layout: Layout,
@@ -103,32 +95,40 @@ struct Memory {
 
 type Callbacks = *const vk::AllocationCallbacks<'static>;
 
-/// Defines functions with their Vulkan names. The last parameter of `make` functions receives the handle.
+unsafe extern "system" fn create<I, T: Handle>(
+    _: vk::Device,
+    _: *const I,
+    _: Callbacks,
+    out: *mut T,
+) -> vk::Result {
+    // SAFETY: the caller's pointer.
+    unsafe { make(out) };
+    vk::Result::SUCCESS
+}
+
+unsafe extern "system" fn destroy<T>(_: vk::Device, _: T, _: Callbacks) {}
+
+/// Defines `own`. Functions of `done` and `nothing` have parameters of these types and ignore them.
 macro_rules! functions {
-    (@body done) => { vk::Result::SUCCESS };
-    (@body nothing) => { {} };
-    (@type done) => { vk::Result };
-    (@type nothing) => { () };
     (
-        own { $($own_name:literal $own:ident;)* }
-        make { $($make_name:literal $make:ident($info:ty) -> $handle:ty;)* }
-        destroy { $($destroy_name:literal $destroy:ident($gone:ty);)* }
-        rest { $($name:literal $kind:ident $function:ident($($type:ty),*);)* }
+        own { $($own:literal $function:expr;)* }
+        done { $($done:literal($($done_type:ty),*);)* }
+        nothing { $($nothing:literal($($nothing_type:ty),*);)* }
     ) => {
-        $(unsafe extern "system" fn $make(_: vk::Device, _: *const $info, _: Callbacks, out: *mut $handle) -> vk::Result {
-            // SAFETY: the caller's pointer.
-            unsafe { make(out) };
-            vk::Result::SUCCESS
-        })*
-        $(unsafe extern "system" fn $destroy(_: vk::Device, _: $gone, _: Callbacks) {})*
-        $(unsafe extern "system" fn $function($(_: $type),*) -> functions!(@type $kind) { functions!(@body $kind) })*
         /// Returns this file's function of a name; null without one.
         fn own(name: &CStr) -> *const c_void {
             match name.to_bytes() {
-                $($own_name => $own as *const c_void,)*
-                $($make_name => $make as *const c_void,)*
-                $($destroy_name => $destroy as *const c_void,)*
-                $($name => $function as *const c_void,)*
+                $($own => $function as *const c_void,)*
+                $($done => {
+                    unsafe extern "system" fn done($(_: $done_type),*) -> vk::Result {
+                        vk::Result::SUCCESS
+                    }
+                    done as *const c_void
+                })*
+                $($nothing => {
+                    unsafe extern "system" fn nothing($(_: $nothing_type),*) {}
+                    nothing as *const c_void
+                })*
                 _ => std::ptr::null(),
             }
         }
@@ -137,6 +137,8 @@ macro_rules! functions {
 
 functions! {
     own {
+        b"vkAllocateCommandBuffers" allocate_commands;
+        b"vkAllocateDescriptorSets" allocate_sets;
         b"vkAllocateMemory" allocate_memory;
         b"vkFreeMemory" free_memory;
         b"vkMapMemory" map_memory;
@@ -144,72 +146,68 @@ functions! {
         b"vkDestroyBuffer" destroy_buffer;
         b"vkGetBufferMemoryRequirements" buffer_requirements;
         b"vkGetImageMemoryRequirements" image_requirements;
-        b"vkAllocateCommandBuffers" allocate_commands;
-        b"vkAllocateDescriptorSets" allocate_sets;
         b"vkGetQueryPoolResults" query_results;
         b"vkGetEventStatus" event_status;
+        b"vkCreateBufferView" create::<vk::BufferViewCreateInfo<'static>, vk::BufferView>;
+        b"vkCreateCommandPool" create::<vk::CommandPoolCreateInfo<'static>, vk::CommandPool>;
+        b"vkCreateDescriptorPool" create::<vk::DescriptorPoolCreateInfo<'static>, vk::DescriptorPool>;
+        b"vkCreateEvent" create::<vk::EventCreateInfo<'static>, vk::Event>;
+        b"vkCreateFence" create::<vk::FenceCreateInfo<'static>, vk::Fence>;
+        b"vkCreateImage" create::<vk::ImageCreateInfo<'static>, vk::Image>;
+        b"vkCreateImageView" create::<vk::ImageViewCreateInfo<'static>, vk::ImageView>;
+        b"vkCreateQueryPool" create::<vk::QueryPoolCreateInfo<'static>, vk::QueryPool>;
+        b"vkDestroyBufferView" destroy::<vk::BufferView>;
+        b"vkDestroyCommandPool" destroy::<vk::CommandPool>;
+        b"vkDestroyDescriptorPool" destroy::<vk::DescriptorPool>;
+        b"vkDestroyEvent" destroy::<vk::Event>;
+        b"vkDestroyFence" destroy::<vk::Fence>;
+        b"vkDestroyImage" destroy::<vk::Image>;
+        b"vkDestroyImageView" destroy::<vk::ImageView>;
+        b"vkDestroyQueryPool" destroy::<vk::QueryPool>;
     }
-    make {
-        b"vkCreateBufferView" create_buffer_view(vk::BufferViewCreateInfo<'static>) -> vk::BufferView;
-        b"vkCreateCommandPool" create_command_pool(vk::CommandPoolCreateInfo<'static>) -> vk::CommandPool;
-        b"vkCreateDescriptorPool" create_descriptor_pool(vk::DescriptorPoolCreateInfo<'static>) -> vk::DescriptorPool;
-        b"vkCreateEvent" create_event(vk::EventCreateInfo<'static>) -> vk::Event;
-        b"vkCreateFence" create_fence(vk::FenceCreateInfo<'static>) -> vk::Fence;
-        b"vkCreateImage" create_image(vk::ImageCreateInfo<'static>) -> vk::Image;
-        b"vkCreateImageView" create_image_view(vk::ImageViewCreateInfo<'static>) -> vk::ImageView;
-        b"vkCreateQueryPool" create_query_pool(vk::QueryPoolCreateInfo<'static>) -> vk::QueryPool;
+    done {
+        b"vkBeginCommandBuffer"(vk::CommandBuffer, *const vk::CommandBufferBeginInfo<'static>);
+        b"vkBindBufferMemory"(vk::Device, vk::Buffer, vk::DeviceMemory, u64);
+        b"vkBindImageMemory"(vk::Device, vk::Image, vk::DeviceMemory, u64);
+        b"vkDeviceWaitIdle"(vk::Device);
+        b"vkEndCommandBuffer"(vk::CommandBuffer);
+        b"vkQueueSubmit2"(vk::Queue, u32, *const vk::SubmitInfo2<'static>, vk::Fence);
+        b"vkQueueWaitIdle"(vk::Queue);
+        b"vkResetCommandPool"(vk::Device, vk::CommandPool, vk::CommandPoolResetFlags);
+        b"vkResetEvent"(vk::Device, vk::Event);
+        b"vkResetFences"(vk::Device, u32, *const vk::Fence);
+        b"vkWaitForFences"(vk::Device, u32, *const vk::Fence, vk::Bool32, u64);
     }
-    destroy {
-        b"vkDestroyBufferView" destroy_buffer_view(vk::BufferView);
-        b"vkDestroyCommandPool" destroy_command_pool(vk::CommandPool);
-        b"vkDestroyDescriptorPool" destroy_descriptor_pool(vk::DescriptorPool);
-        b"vkDestroyEvent" destroy_event(vk::Event);
-        b"vkDestroyFence" destroy_fence(vk::Fence);
-        b"vkDestroyImage" destroy_image(vk::Image);
-        b"vkDestroyImageView" destroy_image_view(vk::ImageView);
-        b"vkDestroyQueryPool" destroy_query_pool(vk::QueryPool);
-    }
-    rest {
-        b"vkBeginCommandBuffer" done begin(vk::CommandBuffer, *const vk::CommandBufferBeginInfo<'static>);
-        b"vkBindBufferMemory" done bind_buffer(vk::Device, vk::Buffer, vk::DeviceMemory, u64);
-        b"vkBindImageMemory" done bind_image(vk::Device, vk::Image, vk::DeviceMemory, u64);
-        b"vkCmdBindDescriptorSets" nothing bind_sets(
+    nothing {
+        b"vkCmdBindDescriptorSets"(
             vk::CommandBuffer, vk::PipelineBindPoint, vk::PipelineLayout, u32, u32, *const vk::DescriptorSet, u32, *const u32
         );
-        b"vkCmdBindPipeline" nothing bind_pipeline(vk::CommandBuffer, vk::PipelineBindPoint, vk::Pipeline);
-        b"vkCmdCopyBuffer" nothing copy_buffer(vk::CommandBuffer, vk::Buffer, vk::Buffer, u32, *const vk::BufferCopy);
-        b"vkCmdCopyBufferToImage" nothing copy_to_image(
+        b"vkCmdBindPipeline"(vk::CommandBuffer, vk::PipelineBindPoint, vk::Pipeline);
+        b"vkCmdCopyBuffer"(vk::CommandBuffer, vk::Buffer, vk::Buffer, u32, *const vk::BufferCopy);
+        b"vkCmdCopyBufferToImage"(
             vk::CommandBuffer, vk::Buffer, vk::Image, vk::ImageLayout, u32, *const vk::BufferImageCopy
         );
-        b"vkCmdCopyImageToBuffer" nothing copy_from_image(
+        b"vkCmdCopyImageToBuffer"(
             vk::CommandBuffer, vk::Image, vk::ImageLayout, vk::Buffer, u32, *const vk::BufferImageCopy
         );
-        b"vkCmdDispatch" nothing dispatch(vk::CommandBuffer, u32, u32, u32);
-        b"vkCmdDispatchIndirect" nothing dispatch_indirect(vk::CommandBuffer, vk::Buffer, u64);
-        b"vkCmdFillBuffer" nothing fill(vk::CommandBuffer, vk::Buffer, u64, u64, u32);
-        b"vkCmdPipelineBarrier2" nothing barrier(vk::CommandBuffer, *const vk::DependencyInfo<'static>);
-        b"vkCmdPushConstants" nothing push_constants(
+        b"vkCmdDispatch"(vk::CommandBuffer, u32, u32, u32);
+        b"vkCmdDispatchIndirect"(vk::CommandBuffer, vk::Buffer, u64);
+        b"vkCmdFillBuffer"(vk::CommandBuffer, vk::Buffer, u64, u64, u32);
+        b"vkCmdPipelineBarrier2"(vk::CommandBuffer, *const vk::DependencyInfo<'static>);
+        b"vkCmdPushConstants"(
             vk::CommandBuffer, vk::PipelineLayout, vk::ShaderStageFlags, u32, u32, *const c_void
         );
-        b"vkCmdPushDescriptorSetKHR" nothing push_set(
+        b"vkCmdPushDescriptorSetKHR"(
             vk::CommandBuffer, vk::PipelineBindPoint, vk::PipelineLayout, u32, u32, *const vk::WriteDescriptorSet<'static>
         );
-        b"vkCmdResetQueryPool" nothing reset_queries(vk::CommandBuffer, vk::QueryPool, u32, u32);
-        b"vkCmdSetEvent2" nothing set_event(vk::CommandBuffer, vk::Event, *const vk::DependencyInfo<'static>);
-        b"vkCmdUpdateBuffer" nothing update(vk::CommandBuffer, vk::Buffer, u64, u64, *const c_void);
-        b"vkCmdWriteTimestamp2" nothing timestamp(vk::CommandBuffer, vk::PipelineStageFlags2, vk::QueryPool, u32);
-        b"vkDeviceWaitIdle" done wait_device(vk::Device);
-        b"vkEndCommandBuffer" done end(vk::CommandBuffer);
-        b"vkQueueSubmit2" done submit(vk::Queue, u32, *const vk::SubmitInfo2<'static>, vk::Fence);
-        b"vkQueueWaitIdle" done wait_queue(vk::Queue);
-        b"vkResetCommandPool" done reset_commands(vk::Device, vk::CommandPool, vk::CommandPoolResetFlags);
-        b"vkResetEvent" done reset_event(vk::Device, vk::Event);
-        b"vkResetFences" done reset_fences(vk::Device, u32, *const vk::Fence);
-        b"vkUnmapMemory" nothing unmap(vk::Device, vk::DeviceMemory);
-        b"vkUpdateDescriptorSets" nothing update_sets(
+        b"vkCmdResetQueryPool"(vk::CommandBuffer, vk::QueryPool, u32, u32);
+        b"vkCmdSetEvent2"(vk::CommandBuffer, vk::Event, *const vk::DependencyInfo<'static>);
+        b"vkCmdUpdateBuffer"(vk::CommandBuffer, vk::Buffer, u64, u64, *const c_void);
+        b"vkCmdWriteTimestamp2"(vk::CommandBuffer, vk::PipelineStageFlags2, vk::QueryPool, u32);
+        b"vkUnmapMemory"(vk::Device, vk::DeviceMemory);
+        b"vkUpdateDescriptorSets"(
             vk::Device, u32, *const vk::WriteDescriptorSet<'static>, u32, *const vk::CopyDescriptorSet<'static>
         );
-        b"vkWaitForFences" done wait_fences(vk::Device, u32, *const vk::Fence, vk::Bool32, u64);
     }
 }
 
@@ -302,11 +300,7 @@ unsafe extern "system" fn allocate_commands(
     out: *mut vk::CommandBuffer,
 ) -> vk::Result {
     // SAFETY: the caller's pointers, with as many places as it asks for.
-    unsafe {
-        for k in 0..(*info).command_buffer_count as usize {
-            make(out.add(k));
-        }
-    }
+    unsafe { (0..(*info).command_buffer_count as usize).for_each(|k| make(out.add(k))) };
     vk::Result::SUCCESS
 }
 
@@ -316,11 +310,7 @@ unsafe extern "system" fn allocate_sets(
     out: *mut vk::DescriptorSet,
 ) -> vk::Result {
     // SAFETY: as above.
-    unsafe {
-        for k in 0..(*info).descriptor_set_count as usize {
-            make(out.add(k));
-        }
-    }
+    unsafe { (0..(*info).descriptor_set_count as usize).for_each(|k| make(out.add(k))) };
     vk::Result::SUCCESS
 }
 
@@ -341,4 +331,120 @@ unsafe extern "system" fn query_results(
 
 unsafe extern "system" fn event_status(_: vk::Device, _: vk::Event) -> vk::Result {
     vk::Result::EVENT_SET
+}
+
+/// Options of [`ContextOptions::compile_only`](super::ContextOptions::compile_only).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CompileOnly {
+    /// True to collect the compilers' texts, which include machine code.
+    pub texts: bool,
+}
+
+/// One program of a pipeline.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Executable {
+    /// The driver's name for it.
+    pub name: String,
+    /// Its subgroup size; 0: unknown to the driver.
+    pub subgroup_size: u32,
+    /// Its statistics, in the driver's order and words.
+    pub statistics: Vec<Statistic>,
+    /// With [`CompileOnly::texts`]: (name, text), including machine code.
+    pub texts: Vec<(String, String)>,
+}
+
+/// A statistic of a compiler.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Statistic {
+    /// The driver's name for it.
+    pub name: String,
+    /// Its meaning, in the driver's words.
+    pub description: String,
+    /// Value. Drivers give integers, except for estimates.
+    pub value: f64,
+}
+
+pub(super) struct Executables {
+    functions: ash::khr::pipeline_executable_properties::Device,
+    asked: CompileOnly,
+}
+
+impl Executables {
+    pub(super) fn new(instance: &ash::Instance, device: &ash::Device, asked: CompileOnly) -> Self {
+        Self { functions: ash::khr::pipeline_executable_properties::Device::new(instance, device), asked }
+    }
+
+    pub(super) fn flags(&self) -> vk::PipelineCreateFlags {
+        let texts = match self.asked.texts {
+            true => vk::PipelineCreateFlags::CAPTURE_INTERNAL_REPRESENTATIONS_KHR,
+            false => vk::PipelineCreateFlags::empty(),
+        };
+        vk::PipelineCreateFlags::CAPTURE_STATISTICS_KHR | texts
+    }
+
+    pub(super) fn of(&self, pipeline: vk::Pipeline) -> Result<Vec<Executable>> {
+        let info = vk::PipelineInfoKHR::default().pipeline(pipeline);
+        // SAFETY: the pipeline lives as long as the device, and was created with the flags.
+        let all = unsafe { self.functions.get_pipeline_executable_properties(&info) }
+            .map_err(vk_error("vkGetPipelineExecutablePropertiesKHR"))?;
+        let info = vk::PipelineExecutableInfoKHR::default().pipeline(pipeline);
+        let each = all.iter().zip(0..).map(|(executable, index)| {
+            let info = info.executable_index(index);
+            Ok(Executable {
+                name: text(&executable.name),
+                subgroup_size: executable.subgroup_size,
+                statistics: self.statistics(&info)?,
+                texts: if self.asked.texts { self.texts(&info)? } else { Vec::new() },
+            })
+        });
+        each.collect()
+    }
+
+    fn statistics(&self, info: &vk::PipelineExecutableInfoKHR<'_>) -> Result<Vec<Statistic>> {
+        // SAFETY: as above.
+        let statistics = unsafe { self.functions.get_pipeline_executable_statistics(info) }
+            .map_err(vk_error("vkGetPipelineExecutableStatisticsKHR"))?;
+        let of = |statistic: &vk::PipelineExecutableStatisticKHR<'_>| {
+            use vk::PipelineExecutableStatisticFormatKHR as Format;
+            // SAFETY: the format says which member the driver has written.
+            let value = unsafe {
+                match statistic.format {
+                    Format::BOOL32 => f64::from(statistic.value.b32),
+                    Format::INT64 => statistic.value.i64 as f64,
+                    Format::UINT64 => statistic.value.u64 as f64,
+                    _ => statistic.value.f64,
+                }
+            };
+            Statistic { name: text(&statistic.name), description: text(&statistic.description), value }
+        };
+        Ok(statistics.iter().map(of).collect())
+    }
+
+    fn texts(&self, info: &vk::PipelineExecutableInfoKHR<'_>) -> Result<Vec<(String, String)>> {
+        let failed = vk_error("vkGetPipelineExecutableInternalRepresentationsKHR");
+        let functions = &self.functions;
+        // SAFETY: as above. The first call gives the sizes, the second one writes into memory of these.
+        unsafe {
+            let mut all =
+                functions.get_pipeline_executable_internal_representations(info).map_err(&failed)?;
+            let mut bytes: Vec<Vec<u8>> = all.iter().map(|one| vec![0; one.data_size]).collect();
+            for (one, bytes) in all.iter_mut().zip(&mut bytes) {
+                one.p_data = bytes.as_mut_ptr().cast();
+            }
+            let mut count = all.len() as u32;
+            let get = functions.fp().get_pipeline_executable_internal_representations_khr;
+            get(functions.device(), info, &mut count, all.as_mut_ptr()).result().map_err(&failed)?;
+            let texts = all.iter().zip(&bytes).filter(|(one, _)| one.is_text != 0).map(|(one, bytes)| {
+                let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
+                (text(&one.name), String::from_utf8_lossy(&bytes[..end]).into_owned())
+            });
+            Ok(texts.collect())
+        }
+    }
+}
+
+/// Returns a driver's text up to its first zero.
+fn text(characters: &[c_char]) -> String {
+    let bytes: Vec<u8> = characters.iter().map(|&c| c as u8).collect();
+    CStr::from_bytes_until_nul(&bytes).unwrap_or_default().to_string_lossy().into_owned()
 }

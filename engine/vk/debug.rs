@@ -1,10 +1,11 @@
 //! Names and labels for tools, and messages of the validation layers.
 
-use crate::Error;
+use super::lock::lock;
+use crate::error::Error;
 use ash::vk;
 use ash::vk::Result as R;
 use std::ffi::{CStr, CString, c_void};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// All messages of the layers, oldest first.
 #[derive(Default)]
@@ -13,7 +14,6 @@ pub(super) struct Messages {
     printed: Mutex<Vec<String>>,
 }
 
-/// The layer's id of shader output.
 const PRINTF_ID: &str = "UNASSIGNED-DEBUG-PRINTF";
 
 impl Messages {
@@ -25,15 +25,15 @@ impl Messages {
             }
             None => return,
         };
-        list.lock().unwrap_or_else(PoisonError::into_inner).push(message);
+        lock(list).push(message);
     }
 
     pub(super) fn all(&self) -> Vec<String> {
-        self.validation.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        lock(&self.validation).clone()
     }
 
     pub(super) fn take_printed(&self) -> Vec<String> {
-        std::mem::take(&mut *self.printed.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut *lock(&self.printed))
     }
 }
 

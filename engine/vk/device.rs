@@ -1,16 +1,133 @@
-//! Enumerates the devices, checks them, and selects one.
+//! The loader, the Vulkan instance, and the devices: enumerates them, checks them, and selects one.
 
-use super::clock::Calibrated;
-use super::debug::vk_error;
-use super::instance::Instance;
-use super::limits::Limits;
-use super::queues::{ComputeFamilies, compute_families};
+use super::debug::{Messenger, vk_error};
+use super::limits::{Limits, Workarounds};
 use super::requirements::{Features, SUBGROUP_OPERATIONS, low_limits};
-use super::workarounds::Workarounds;
-use crate::tuning::{Backend, Tuning};
-use crate::{Error, Result};
+use crate::error::{Error, Result};
+use crate::frame::tuning::{Backend, Tuning};
 use ash::vk;
 use std::ffi::CStr;
+
+const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
+
+/// An instance of Vulkan 1.3 and the loader that it came from.
+pub(super) struct Instance {
+    pub(super) messenger: Option<Messenger>,
+    pub(super) has_debug_utils: bool,
+    /// Vulkan version of the validation layer, if it is on.
+    layer: Option<u32>,
+    pub(super) raw: ash::Instance,
+    // Unloads the library when dropped: keep it last.
+    _entry: ash::Entry,
+}
+
+impl Instance {
+    /// With `validation`, turns on the Khronos layer with synchronization validation, and collects its messages. With
+    /// `printf`, turns on the layer for shader output. Also enables all `extensions`.
+    pub(super) fn new(validation: bool, printf: bool, extensions: &[&CStr]) -> Result<Self> {
+        // SAFETY: loading the system's Vulkan loader runs its initialisers, which are sound for a proper install.
+        let entry = unsafe { ash::Entry::load() }
+            .map_err(|e| Error::NoLoader { reason: one_line(&e.to_string()) })?;
+        let layer = if validation || printf { layer_version(&entry)? } else { None };
+        if (validation || printf) && layer.is_none() {
+            return Err(lacks_on_this_machine(
+                "VK_LAYER_KHRONOS_validation (Debian: vulkan-validationlayers)".into(),
+            ));
+        }
+        // SAFETY: a plain query.
+        let present = unsafe { entry.enumerate_instance_extension_properties(None) };
+        let present = present.map_err(vk_error("vkEnumerateInstanceExtensionProperties"))?;
+        if let Some(lacking) = extensions.iter().find(|name| !has_extension(&present, name)) {
+            return Err(lacks_on_this_machine(lacking.to_string_lossy().into_owned()));
+        }
+        let has_debug_utils = has_extension(&present, ash::ext::debug_utils::NAME);
+        let has_portability = has_extension(&present, ash::khr::portability_enumeration::NAME);
+        let further = [
+            (has_debug_utils, ash::ext::debug_utils::NAME),
+            (has_portability, ash::khr::portability_enumeration::NAME),
+        ];
+        let further = further.into_iter().filter_map(|(has, name)| has.then_some(name));
+        let enabled: Vec<_> = extensions.iter().copied().chain(further).map(CStr::as_ptr).collect();
+        let flags = match has_portability {
+            true => vk::InstanceCreateFlags::ENUMERATE_PORTABILITY_KHR,
+            false => vk::InstanceCreateFlags::empty(),
+        };
+        let checks = [
+            (validation, vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION),
+            (printf, vk::ValidationFeatureEnableEXT::DEBUG_PRINTF),
+        ];
+        let checks: Vec<_> =
+            checks.into_iter().filter_map(|(wanted, check)| wanted.then_some(check)).collect();
+        let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&checks);
+        let application = vk::ApplicationInfo::default()
+            .application_name(c"ashsplat")
+            .engine_name(c"ashsplat")
+            .api_version(vk::API_VERSION_1_3);
+        let layers = [VALIDATION_LAYER.as_ptr()];
+        let mut info = vk::InstanceCreateInfo::default()
+            .flags(flags)
+            .application_info(&application)
+            .enabled_extension_names(&enabled);
+        if layer.is_some() {
+            info = info.enabled_layer_names(&layers).push_next(&mut features);
+        }
+        // SAFETY: every pointer in `info` outlives the call.
+        let raw = unsafe { entry.create_instance(&info, None) }.map_err(|error| match error {
+            vk::Result::ERROR_INCOMPATIBLE_DRIVER => {
+                Error::NoDevice { reason: "the loader found no driver for Vulkan 1.3".into() }
+            }
+            error => vk_error("vkCreateInstance")(error),
+        })?;
+        let wanted = layer.is_some() && has_debug_utils;
+        match wanted.then(|| Messenger::new(&entry, &raw, printf)).transpose() {
+            Ok(messenger) => Ok(Self { messenger, has_debug_utils, layer, raw, _entry: entry }),
+            Err(error) => {
+                // SAFETY: nothing was created from the instance.
+                unsafe { raw.destroy_instance(None) };
+                Err(vk_error("vkCreateDebugUtilsMessengerEXT")(error))
+            }
+        }
+    }
+
+    /// True if VK_KHR_shader_maximal_reconvergence can be used: older validation layers reject its SPIR-V.
+    pub(super) fn knows_reconvergence(&self) -> bool {
+        self.layer.is_none_or(|version| version >= vk::make_api_version(0, 1, 3, 280))
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        self.messenger = None;
+        // SAFETY: the messenger is gone, and the owner of this struct has destroyed its device before.
+        unsafe { self.raw.destroy_instance(None) }
+    }
+}
+
+/// True if the Khronos validation layer is installed; false without a loader.
+pub fn validation_available() -> bool {
+    // SAFETY: as in `Instance::new`.
+    unsafe { ash::Entry::load() }.is_ok_and(|entry| layer_version(&entry).is_ok_and(|v| v.is_some()))
+}
+
+fn layer_version(entry: &ash::Entry) -> Result<Option<u32>> {
+    // SAFETY: a plain query.
+    let layers = unsafe { entry.enumerate_instance_layer_properties() };
+    let layers = layers.map_err(vk_error("vkEnumerateInstanceLayerProperties"))?;
+    let layer = layers.iter().find(|l| l.layer_name_as_c_str() == Ok(VALIDATION_LAYER));
+    Ok(layer.map(|layer| layer.spec_version))
+}
+
+fn lacks_on_this_machine(feature: String) -> Error {
+    Error::MissingFeature { device: "this machine".into(), feature }
+}
+
+pub(super) fn has_extension(present: &[vk::ExtensionProperties], name: &CStr) -> bool {
+    present.iter().any(|extension| extension.extension_name_as_c_str() == Ok(name))
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
 
 /// See [`Limits::instances_per_dispatch`]: 256 pixels per instance, tens of milliseconds on a GPU.
 const INSTANCES_PER_DISPATCH: u32 = 1 << 25;
@@ -44,7 +161,6 @@ pub fn devices() -> Result<Vec<DeviceDescription>> {
     Ok(candidates(&instance.raw, vk::API_VERSION_1_3)?.into_iter().map(|c| c.description).collect())
 }
 
-/// A device, with the data to open it.
 pub(super) struct Candidate {
     pub(super) physical: vk::PhysicalDevice,
     pub(super) description: DeviceDescription,
@@ -80,23 +196,17 @@ impl Candidate {
 /// Features that are turned on if the device has them.
 #[derive(Clone, Copy, Default)]
 pub(super) struct OptionalFeatures {
-    pub(super) int8: bool,
+    /// Of Vulkan 1.2.
+    pub(super) v12: vk::PhysicalDeviceVulkan12Features<'static>,
     pub(super) int64: bool,
-    pub(super) storage8: bool,
-    pub(super) uniform_storage8: bool,
-    pub(super) memory_model: bool,
-    pub(super) memory_model_device_scope: bool,
     pub(super) push_descriptor: bool,
     pub(super) portability_subset: bool,
-    pub(super) calibrated_timestamps: Option<Calibrated>,
+    /// The extension that provides calibrated timestamps.
+    pub(super) calibrated_timestamps: Option<&'static CStr>,
     pub(super) memory_budget: bool,
-    /// subgroupBroadcastDynamicId.
     pub(super) dynamic_broadcasts: bool,
-    /// VK_KHR_shader_maximal_reconvergence.
     pub(super) reconverges: bool,
-    /// VK_KHR_shader_subgroup_uniform_control_flow.
     pub(super) uniform_control_flow: bool,
-    /// robustBufferAccess2 of VK_EXT_robustness2.
     pub(super) robust_buffers2: bool,
     /// fragmentStoresAndAtomics and vertexPipelineStoresAndAtomics, which the layer's debugPrintf requires.
     pub(super) graphics_stores: bool,
@@ -127,8 +237,15 @@ fn candidates(instance: &ash::Instance, least_version: u32) -> Result<Vec<Candid
     physical.map(|(index, physical)| describe(instance, index, physical, least_version)).collect()
 }
 
-/// Returns the device requested by index or by part of its name, or otherwise the best. Discrete, integrated, virtual and
-/// processor are preferred in this order.
+/// Types of devices and their names, the preferred first.
+const KINDS: [(vk::PhysicalDeviceType, &str); 4] = [
+    (vk::PhysicalDeviceType::DISCRETE_GPU, "discrete GPU"),
+    (vk::PhysicalDeviceType::INTEGRATED_GPU, "integrated GPU"),
+    (vk::PhysicalDeviceType::VIRTUAL_GPU, "virtual GPU"),
+    (vk::PhysicalDeviceType::CPU, "CPU"),
+];
+
+/// Returns the device requested by index or by part of its name, or otherwise the best by [`KINDS`].
 pub(super) fn choose(instance: &ash::Instance, asked: Option<&str>, least_version: u32) -> Result<Candidate> {
     let mut all = candidates(instance, least_version)?;
     if let Some(asked) = asked {
@@ -138,24 +255,16 @@ pub(super) fn choose(instance: &ash::Instance, asked: Option<&str>, least_versio
             return Err(Error::UnknownDevice { asked: asked.to_owned(), available });
         };
         let candidate = all.swap_remove(found);
-        return match &candidate.missing {
-            Some(feature) => Err(Error::MissingFeature {
-                device: candidate.description.name.clone(),
-                feature: feature.clone(),
-            }),
+        return match candidate.missing {
+            Some(feature) => Err(Error::MissingFeature { device: candidate.description.name, feature }),
             None => Ok(candidate),
         };
     }
-    let rank = |c: &Candidate| match c.device_type {
-        vk::PhysicalDeviceType::DISCRETE_GPU => 0,
-        vk::PhysicalDeviceType::INTEGRATED_GPU => 1,
-        vk::PhysicalDeviceType::VIRTUAL_GPU => 2,
-        vk::PhysicalDeviceType::CPU => 3,
-        _ => 4,
-    };
-    let reasons =
+    let rank =
+        |c: &Candidate| KINDS.iter().position(|(kind, _)| *kind == c.device_type).unwrap_or(KINDS.len());
+    let lacking =
         all.iter().filter_map(|c| Some(format!("'{}' lacks {}", c.description.name, c.missing.as_ref()?)));
-    let reason = reasons.collect::<Vec<_>>().join(", ");
+    let reason = lacking.collect::<Vec<_>>().join(", ");
     let usable = all.into_iter().filter(|c| c.missing.is_none());
     usable.min_by_key(rank).ok_or(Error::NoDevice { reason })
 }
@@ -168,9 +277,7 @@ fn find<'a>(names: impl Iterator<Item = &'a str> + Clone, asked: &str) -> Option
     }
     let lower = names.map(str::to_lowercase);
     let whole = lower.clone().position(|name| name == asked);
-    whole.or_else(
-        || if asked.is_empty() { None } else { lower.clone().position(|name| name.contains(&asked)) },
-    )
+    whole.or_else(|| lower.clone().position(|name| !asked.is_empty() && name.contains(&asked)))
 }
 
 pub(super) fn describe(
@@ -186,13 +293,7 @@ pub(super) fn describe(
         description: DeviceDescription {
             index,
             name: text(basic.device_name_as_c_str()),
-            kind: match basic.device_type {
-                vk::PhysicalDeviceType::DISCRETE_GPU => "discrete GPU",
-                vk::PhysicalDeviceType::INTEGRATED_GPU => "integrated GPU",
-                vk::PhysicalDeviceType::VIRTUAL_GPU => "virtual GPU",
-                vk::PhysicalDeviceType::CPU => "CPU",
-                _ => "other",
-            },
+            kind: KINDS.iter().find(|(kind, _)| *kind == basic.device_type).map_or("other", |(_, name)| name),
             driver: String::new(),
             api_version: version(basic.api_version),
             limits: None,
@@ -224,22 +325,16 @@ fn examine(
     // SAFETY: a plain query.
     let extensions = unsafe { instance.enumerate_device_extension_properties(physical) };
     let extensions = extensions.map_err(vk_error("vkEnumerateDeviceExtensionProperties"))?;
-    let has = |name: &CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
-    // SAFETY: a plain query.
-    let families = unsafe { instance.get_physical_device_queue_family_properties(physical) };
-    let Some(ComputeFamilies { alone, presenting, timed, copying }) = compute_families(&families) else {
+    let families = compute_families(&queue_families(instance, physical));
+    let Some(ComputeFamilies { alone, presenting, timed, copying }) = families else {
         return Ok(Some("a compute queue".into()));
     };
     (candidate.queue_family, candidate.presenting_family) = (alone, presenting);
     candidate.copying_family = copying;
     let (limits, lacking) = limits(instance, physical, timed, &mut candidate.description);
     candidate.description.limits = Some(limits);
-    let (optional, mut missing) = features(instance, physical, &has);
-    candidate.features = optional;
-    candidate.features.push_descriptor = has(ash::khr::push_descriptor::NAME);
-    candidate.features.portability_subset = has(c"VK_KHR_portability_subset");
-    candidate.features.calibrated_timestamps = Calibrated::find(has);
-    candidate.features.memory_budget = has(ash::ext::memory_budget::NAME);
+    let mut missing: Vec<String>;
+    (candidate.features, missing) = features(instance, physical, &extensions);
     missing.extend(lacking);
     Ok((!missing.is_empty()).then(|| missing.join(", ")))
 }
@@ -247,8 +342,9 @@ fn examine(
 fn features(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
-    has: &impl Fn(&CStr) -> bool,
+    extensions: &[vk::ExtensionProperties],
 ) -> (OptionalFeatures, Vec<String>) {
+    let has = |name: &CStr| has_extension(extensions, name);
     let mut robustness2 = vk::PhysicalDeviceRobustness2FeaturesEXT::default();
     let mut reconvergence = vk::PhysicalDeviceShaderMaximalReconvergenceFeaturesKHR::default();
     let mut uniform = vk::PhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR::default();
@@ -268,17 +364,22 @@ fn features(
     unsafe { instance.get_physical_device_features2(physical, &mut all) };
     let f = all.features;
     let missing = Features::of(&v12, &v13).missing().into_iter().map(str::to_owned).collect();
+    // Validation layers of 2023 warn about the newer extension.
+    let clocks = [ash::ext::calibrated_timestamps::NAME, ash::khr::calibrated_timestamps::NAME];
     let optional = OptionalFeatures {
-        int8: v12.shader_int8 != 0,
+        v12: vk::PhysicalDeviceVulkan12Features {
+            shader_int8: v12.shader_int8,
+            storage_buffer8_bit_access: v12.storage_buffer8_bit_access,
+            uniform_and_storage_buffer8_bit_access: v12.uniform_and_storage_buffer8_bit_access,
+            vulkan_memory_model: v12.vulkan_memory_model,
+            vulkan_memory_model_device_scope: v12.vulkan_memory_model_device_scope,
+            ..Default::default()
+        },
         int64: f.shader_int64 != 0,
-        storage8: v12.storage_buffer8_bit_access != 0,
-        uniform_storage8: v12.uniform_and_storage_buffer8_bit_access != 0,
-        memory_model: v12.vulkan_memory_model != 0,
-        memory_model_device_scope: v12.vulkan_memory_model_device_scope != 0,
-        push_descriptor: false,
-        portability_subset: false,
-        calibrated_timestamps: None,
-        memory_budget: false,
+        push_descriptor: has(ash::khr::push_descriptor::NAME),
+        portability_subset: has(ash::khr::portability_subset::NAME),
+        calibrated_timestamps: clocks.into_iter().find(|name| has(name)),
+        memory_budget: has(ash::ext::memory_budget::NAME),
         dynamic_broadcasts: v12.subgroup_broadcast_dynamic_id != 0,
         reconverges: reconvergence.shader_maximal_reconvergence != 0,
         uniform_control_flow: uniform.shader_subgroup_uniform_control_flow != 0,
@@ -312,11 +413,9 @@ fn limits(
     let local = memory.memory_heaps_as_slice().iter();
     let local = local.filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL)).map(|h| h.size).max();
     description.driver = format!("{} {}", text(v12.driver_name_as_c_str()), text(v12.driver_info_as_c_str()));
-    let lacking = SUBGROUP_OPERATIONS
-        .iter()
-        .filter(|(flag, _)| !v11.subgroup_supported_operations.contains(*flag))
-        .map(|(_, name)| *name);
-    let lacking = lacking.collect::<Vec<_>>().join(", ");
+    let operations = v11.subgroup_supported_operations;
+    let lacking = SUBGROUP_OPERATIONS.iter().filter(|(flag, _)| !operations.contains(*flag));
+    let lacking = lacking.map(|(_, name)| *name).collect::<Vec<_>>().join(", ");
     let mut missing = Vec::new();
     if !v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE) {
         missing.push("subgroup operations in compute shaders".to_owned());
@@ -356,8 +455,8 @@ fn limits(
         workarounds: Workarounds::of_driver(v12.driver_id, &text(v12.driver_info_as_c_str())),
         instances_per_dispatch: INSTANCES_PER_DISPATCH,
         overrides: Vec::new(),
-    };
-    let limits = limits.tuned(tuning);
+    }
+    .tuned(tuning);
     missing.extend(low_limits(&l, limits.subgroup_size.max(limits.heavy_subgroup_size)));
     (limits, missing)
 }
@@ -370,20 +469,55 @@ fn version(v: u32) -> String {
     format!("{}.{}.{}", vk::api_version_major(v), vk::api_version_minor(v), vk::api_version_patch(v))
 }
 
+pub(super) fn queue_families(
+    instance: &ash::Instance,
+    physical: vk::PhysicalDevice,
+) -> Vec<vk::QueueFamilyProperties> {
+    // SAFETY: the physical device is of this instance.
+    unsafe { instance.get_physical_device_queue_family_properties(physical) }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct ComputeFamilies {
+    /// For work without presentation. A family without graphics if there is one: its queue does not wait for other draws.
+    pub(super) alone: u32,
+    /// For work beside presentation to a screen.
+    pub(super) presenting: u32,
+    /// True if both have timestamps.
+    pub(super) timed: bool,
+    /// For copies only: its queue runs beside the others. None if there is no such family.
+    pub(super) copying: Option<u32>,
+}
+
+/// Returns None without compute. Prefers families with timestamps.
+pub(super) fn compute_families(families: &[vk::QueueFamilyProperties]) -> Option<ComputeFamilies> {
+    let is_timed = |f: &vk::QueueFamilyProperties| f.timestamp_valid_bits > 0;
+    let compute = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
+    let timed = families.iter().any(|f| compute(f) && is_timed(f));
+    let fits = |f: &vk::QueueFamilyProperties| compute(f) && (is_timed(f) || !timed);
+    let presenting = families.iter().position(fits)?;
+    let apart = |f: &vk::QueueFamilyProperties| fits(f) && !f.queue_flags.contains(vk::QueueFlags::GRAPHICS);
+    let alone = families.iter().position(apart).unwrap_or(presenting);
+    // Video families can copy too, but have another purpose.
+    let copies = vk::QueueFlags::TRANSFER | vk::QueueFlags::SPARSE_BINDING | vk::QueueFlags::PROTECTED;
+    let only_copies = |f: &vk::QueueFamilyProperties| {
+        f.queue_flags.contains(vk::QueueFlags::TRANSFER) && copies.contains(f.queue_flags)
+    };
+    let copying = families.iter().position(only_copies).map(|index| index as u32);
+    Some(ComputeFamilies { alone: alone as u32, presenting: presenting as u32, timed, copying })
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{CStr, Features, OptionalFeatures, find};
+    use super::*;
+    use vk::QueueFlags as Flags;
 
     #[test]
     fn a_device_is_found_by_index_and_by_part_of_its_name() {
         let names = ["NVIDIA H200", "llvmpipe (LLVM 15)", "AMD 200"];
-        let find = |asked| find(names.into_iter(), asked);
-        assert_eq!(find("1"), Some(1));
-        assert_eq!(find("3"), None);
-        assert_eq!(find("LLVMpipe"), Some(1));
-        assert_eq!(find("amd 200"), Some(2));
-        assert_eq!(find("intel"), None);
-        assert_eq!(find(""), None);
+        let asked = ["1", "3", "LLVMpipe", "amd 200", "intel", ""];
+        let found = asked.map(|asked| find(names.into_iter(), asked));
+        assert_eq!(found, [Some(1), None, Some(1), Some(2), None, None], "{asked:?}");
     }
 
     /// A device's feature is used only if the host has enabled it together with its extension.
@@ -394,13 +528,12 @@ mod tests {
             ash::khr::shader_subgroup_uniform_control_flow::NAME,
         );
         let kept = |told: &Features, extensions: &[&CStr]| {
-            let has = OptionalFeatures {
+            let mut kept = OptionalFeatures {
                 dynamic_broadcasts: true,
                 reconverges: true,
                 uniform_control_flow: true,
                 ..OptionalFeatures::default()
             };
-            let mut kept = has;
             kept.keep_enabled(told, extensions);
             [kept.dynamic_broadcasts, kept.reconverges, kept.uniform_control_flow]
         };
@@ -415,5 +548,46 @@ mod tests {
         assert_eq!(kept(&told, &[uniform]), [true, false, true]);
         // Maximal reconvergence includes uniform control flow.
         assert_eq!(kept(&told, &[maximal, uniform]), [true, true, false]);
+    }
+
+    /// Families of queues with these flags and bits of timestamps.
+    fn of(families: &[(Flags, u32)]) -> Option<ComputeFamilies> {
+        let family = |&(queue_flags, timestamp_valid_bits)| vk::QueueFamilyProperties {
+            queue_flags,
+            timestamp_valid_bits,
+            queue_count: 1,
+            ..vk::QueueFamilyProperties::default()
+        };
+        compute_families(&families.iter().map(family).collect::<Vec<_>>())
+    }
+
+    const APART: Flags = Flags::from_raw(Flags::COMPUTE.as_raw() | Flags::TRANSFER.as_raw());
+    const ALL: Flags = Flags::from_raw(APART.as_raw() | Flags::GRAPHICS.as_raw());
+
+    #[test]
+    fn copies_have_a_family_that_does_nothing_else() {
+        let copies = Flags::TRANSFER | Flags::SPARSE_BINDING;
+        let (all, apart, films) = (ALL | copies, APART | copies, copies | Flags::VIDEO_DECODE_KHR);
+        let copying = |flags: &[Flags]| {
+            of(&flags.iter().map(|&flags| (flags, 0)).collect::<Vec<_>>()).and_then(|found| found.copying)
+        };
+        // NVIDIA's order, AMD's order, and cards without a copy family.
+        assert_eq!(copying(&[all, copies, apart, films]), Some(1));
+        assert_eq!(copying(&[all, apart, films, copies]), Some(3));
+        assert_eq!(copying(&[all, apart, films]), None);
+    }
+
+    #[test]
+    fn families_without_graphics_come_first_for_work_alone() {
+        let of = |families| of(families).map(|found| (found.alone, found.presenting, found.timed));
+        // Orders of real cards, one with a copy family before the compute family.
+        assert_eq!(of(&[(ALL, 64), (Flags::TRANSFER, 64), (APART, 64)]), Some((2, 0, true)));
+        assert_eq!(of(&[(ALL, 64), (APART, 64)]), Some((1, 0, true)));
+        // One family for everything.
+        assert_eq!(of(&[(ALL, 36)]), Some((0, 0, true)));
+        // Timestamps are preferred to a separate queue.
+        assert_eq!(of(&[(ALL, 36), (APART, 0)]), Some((0, 0, true)));
+        assert_eq!(of(&[(ALL, 0), (APART, 0)]), Some((1, 0, false)));
+        assert_eq!(of(&[(Flags::TRANSFER, 64), (Flags::GRAPHICS, 64)]), None);
     }
 }

@@ -1,11 +1,12 @@
 //! For tests: Vulkan calls that fail on demand.
 //!
-//! [`super::ContextOptions::faults`] counts the calls that may fail (see the module `failing_calls`). A call is either
+//! [`super::ContextOptions::faults`] counts the calls that may fail (see the module `raw_device`). A call is either
 //! passed on or answered with an error, like a driver's. Code above cannot tell the difference. The validation layer is
 //! below and sees a program that handles the error.
 
+use super::lock::lock;
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// A function that fails, and its result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -60,7 +61,7 @@ impl Faults {
     }
 
     fn with<T>(&self, f: impl FnOnce(&mut State) -> T) -> T {
-        f(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+        f(&mut lock(&self.0))
     }
 
     /// Makes only the `index`-th call from now on fail, counted from 0.
@@ -99,7 +100,6 @@ impl Faults {
         self.with(|state| state.injected)
     }
 
-    /// Counts a call. Returns true if it fails.
     pub(super) fn strikes(&self, fault: Fault) -> bool {
         self.with(|state| {
             let counter = state.counters.entry(fault).or_default();

@@ -1,125 +1,20 @@
-//! Contexts on a host's device, and recording into the host's command buffers.
+//! Recording into a host's command buffers, and a host's buffers.
 
-use super::allocator::HostAllocator;
-use super::buffer::Buffer;
 use super::context::Context;
 use super::debug::vk_error;
-use super::descriptors::{OwnedSets, Pool, PoolGuard};
-use super::device;
-use super::memory::{Block, PLACEMENT_ALIGNMENT, SMALLEST_BUFFER, pack};
-use super::open::{ContextOptions, Parts, effective_limits};
-use super::open_device::{Device, Owner, QueueLock};
-use super::profile::ScopeTime;
-use super::profile::{MAX_SCOPES, Profiler};
-use super::raw_device::RawDevice;
-use super::recorder::{ForeignTarget, Recorder};
-use super::requirements::{Features, Requirements};
-use super::resources::Kept;
-use crate::{Error, Result};
+use super::lock::lock;
+use super::memory::{Block, Buffer, PLACEMENT_ALIGNMENT, pack, padded};
+use super::open_device::Device;
+use super::pipeline::DescriptorSets;
+use super::profile::{MAX_SCOPES, Profiler, ScopeTime};
+use super::recorder::{ForeignTarget, Kept, Recorder};
+use super::requirements::Requirements;
+use crate::error::{Error, Result};
 use ash::vk;
-use std::ffi::CStr;
-use std::sync::{Arc, Mutex, PoisonError};
-
-/// A host's device, and the features enabled at its creation.
-#[derive(Clone)]
-pub struct ForeignDevice<'a> {
-    /// The instance with its functions.
-    pub instance: &'a ash::Instance,
-    /// The physical device.
-    pub physical_device: vk::PhysicalDevice,
-    /// The device with its functions.
-    pub device: &'a ash::Device,
-    /// Family of the queues to which recordings are submitted.
-    pub queue_family: u32,
-    /// Queue of that family for operations that submit and wait themselves: [`Context::run`], [`Context::upload`],
-    /// [`crate::Renderer::render`]. None: these are refused, and only recording works.
-    pub queue: Option<vk::Queue>,
-    /// The host's lock of that queue. `None` if no other thread submits to it during such an operation.
-    pub queue_lock: Option<Arc<dyn QueueLock>>,
-    /// Features enabled at the device's creation: see [`Features::of`]. Optional ones that are not set are not used.
-    pub features: Features,
-    /// Device extensions enabled at its creation.
-    pub extensions: &'a [&'a CStr],
-    /// True if the instance was created with VK_EXT_debug_utils.
-    pub debug_utils: bool,
-    /// Allocator of the buffers' memory. None: the device itself.
-    pub allocator: Option<Arc<dyn HostAllocator>>,
-    /// The host's pipeline cache; null: none. The host keeps and destroys it.
-    pub pipeline_cache: vk::PipelineCache,
-}
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
 
 impl Context {
-    /// Creates a context on a host's device. It never destroys objects of the host: dropping it destroys only its own. Only
-    /// operations that submit wait for a queue, and only for the given one. After [`Error::Timeout`] a thread waits for the
-    /// late submission: device and queue must live until it has finished.
-    ///
-    /// `options` has the same meaning as for [`Context::new`], except for the choice of the device and the
-    /// layers, which are the host's.
-    ///
-    /// # Errors
-    /// [`Error::MissingFeature`] with all of [`Context::requirements`] that the device lacks or the host has not enabled.
-    /// [`Error::Argument`] for a null handle, a queue family without compute, or [`ContextOptions::compile_only`], which
-    /// needs a device of our own.
-    ///
-    /// # Safety
-    /// - `instance` and `device` are alive, were created for Vulkan 1.3 or later, and outlive the context and
-    ///   everything made from it;
-    /// - `device` was created from `physical_device`, with queues of `queue_family`;
-    /// - `features` and `extensions` were enabled at its creation, and VK_EXT_debug_utils if `debug_utils` is set;
-    /// - `queue`, if given, belongs to `device` and that family. During a call that submits, others use it only under
-    ///   `queue_lock`, or not at all;
-    /// - `device` was created with robustBufferAccess, or the push constants of all [`Recorder::dispatch`]es and
-    ///   the counts given to stages ([`crate::scan`], [`crate::sort`], …) fit their buffers. Renderer and trainer
-    ///   see to that themselves;
-    /// - the memory from `allocator` is memory of `device`;
-    /// - `pipeline_cache`, if it is not null, is of `device`, was created without EXTERNALLY_SYNCHRONIZED, and
-    ///   outlives the context.
-    pub unsafe fn from_foreign(host: &ForeignDevice<'_>, options: &ContextOptions) -> Result<Self> {
-        let null = [
-            ("instance", host.instance.handle() == vk::Instance::null()),
-            ("physical_device", host.physical_device == vk::PhysicalDevice::null()),
-            ("device", host.device.handle() == vk::Device::null()),
-            ("queue", host.queue == Some(vk::Queue::null())),
-        ];
-        if let Some((what, _)) = null.into_iter().find(|(_, null)| *null) {
-            return Err(Error::argument(what, "the handle is null"));
-        }
-        if options.compile_only.is_some() {
-            let problem = "takes a device of its own: use Context::new";
-            return Err(Error::argument("compile_only", problem));
-        }
-        let mut candidate = device::describe(host.instance, 0, host.physical_device, vk::API_VERSION_1_3)?;
-        if let Some(feature) = candidate.lacks(&host.features) {
-            return Err(Error::MissingFeature { device: candidate.description.name.clone(), feature });
-        }
-        // SAFETY: the physical device is of this instance.
-        let families =
-            unsafe { host.instance.get_physical_device_queue_family_properties(host.physical_device) };
-        let family = families.get(host.queue_family as usize).copied().unwrap_or_default();
-        if !family.queue_flags.contains(vk::QueueFlags::COMPUTE) {
-            let problem = format!("family {} of the device has no compute", host.queue_family);
-            return Err(Error::argument("queue_family", problem));
-        }
-        candidate.queue_family = host.queue_family;
-        candidate.features.push_descriptor &=
-            options.push_descriptors && host.extensions.contains(&ash::khr::push_descriptor::NAME);
-        candidate.features.calibrated_timestamps = None;
-        candidate.features.keep_enabled(&host.features, host.extensions);
-        let limits = effective_limits(&candidate, options)?;
-        Self::assemble(Parts {
-            owner: Owner::Host(host.instance.clone()),
-            candidate,
-            limits,
-            device: RawDevice::of_host(host.device.clone()),
-            queue: host.queue,
-            queue_lock: host.queue_lock.clone(),
-            debug_utils: host.debug_utils,
-            allocator: host.allocator.clone(),
-            pipeline_cache: host.pipeline_cache,
-            options,
-        })
-    }
-
     /// Returns the requirements of [`Context::from_foreign`].
     pub fn requirements() -> Requirements {
         Requirements::of_all()
@@ -129,7 +24,7 @@ impl Context {
     ///
     /// # Errors
     /// [`Error::Argument`] for a null handle. Also if the context opened its own device and reads texels
-    /// ([`ContextOptions::texels`]).
+    /// ([`ContextOptions::texels`](super::ContextOptions::texels)).
     ///
     /// # Safety
     /// - `commands` belongs to the context's device and queue family, and is in the recording state, outside a render pass;
@@ -192,15 +87,14 @@ impl ForeignCommands {
 /// finished.
 ///
 /// A leaked slot ([`std::mem::forget`]) keeps its context and the resources of its last recording forever. Nothing waits
-/// for it. A leaked recorder leaves its slot in flight until [`RecordSlot::discard`]; the next recording recreates the
-/// leaked objects.
+/// for it. A leaked recorder leaves its slot in flight until [`RecordSlot::discard`].
 pub struct RecordSlot {
     inner: Arc<Device>,
     event: vk::Event,
     queries: vk::QueryPool,
-    descriptors: Pool<OwnedSets>,
-    /// The resources of the last recording.
-    kept: Pool<Kept>,
+    /// None with push descriptors.
+    descriptors: Arc<Mutex<Option<DescriptorSets>>>,
+    kept: Arc<Mutex<Kept>>,
     profiler: Option<Profiler>,
     /// An idle profiler, whose memory is reused.
     spare: Option<Profiler>,
@@ -208,8 +102,6 @@ pub struct RecordSlot {
     recorded: bool,
     /// True if the last discarded recording had been executed.
     discarded_late: bool,
-    /// Number of dispatches that the slot was made for.
-    dispatches: usize,
 }
 
 impl RecordSlot {
@@ -222,13 +114,12 @@ impl RecordSlot {
         let mut slot = Self {
             event: vk::Event::null(),
             queries: vk::QueryPool::null(),
-            descriptors: Arc::new(Mutex::new(OwnedSets::new(&inner, dispatches)?)),
-            kept: Pool::default(),
+            descriptors: Arc::new(Mutex::new(DescriptorSets::reserved(&inner, dispatches)?)),
+            kept: Arc::default(),
             profiler: None,
             spare: None,
             recorded: false,
             discarded_late: false,
-            dispatches,
             inner,
         };
         slot.create()?;
@@ -237,34 +128,20 @@ impl RecordSlot {
 
     fn create(&mut self) -> Result<()> {
         let inner = &self.inner;
-        // SAFETY: valid create infos for this device.
-        unsafe {
-            let event = inner.device.create_event(&vk::EventCreateInfo::default(), None);
-            self.event = event.map_err(vk_error("vkCreateEvent"))?;
-            if inner.timestamp_bits > 0 {
-                let queries = vk::QueryPoolCreateInfo::default()
-                    .query_type(vk::QueryType::TIMESTAMP)
-                    .query_count(2 * MAX_SCOPES);
-                let queries = inner.device.create_query_pool(&queries, None);
-                self.queries = queries.map_err(vk_error("vkCreateQueryPool"))?;
-                inner.names.name(self.queries, "slot timestamps");
-            }
-        }
+        // SAFETY: a valid create info for this device.
+        let event = unsafe { inner.device.create_event(&vk::EventCreateInfo::default(), None) };
+        self.event = event.map_err(vk_error("vkCreateEvent"))?;
+        self.queries = inner.create_queries(2 * MAX_SCOPES, "slot timestamps")?;
         inner.names.name(self.event, "slot event");
         Ok(())
     }
 
     /// Allocates for recordings of up to `dispatches` dispatches, from the next one on. Allowed while one is in flight.
-    ///
-    /// # Errors
-    /// Same as [`RecordSlot::new`].
     pub(crate) fn reserve(&mut self, dispatches: usize) -> Result<()> {
-        let mut descriptors = self.descriptors.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(sets) = descriptors.sets() {
-            sets.reserve(&self.inner, dispatches)?;
+        match &mut *lock(&self.descriptors) {
+            Some(sets) => sets.reserve(dispatches),
+            None => Ok(()),
         }
-        self.dispatches = self.dispatches.max(dispatches);
-        Ok(())
     }
 
     /// True if the commands recorded through the slot have finished. True for a slot that was never used; false while the
@@ -284,12 +161,10 @@ impl RecordSlot {
     /// Fails while the last recording is in flight. Otherwise the rest of its command buffer has finished too, as its
     /// adopter has promised.
     pub(crate) fn check_free(&self) -> Result<()> {
-        match self.finished()? {
-            true => Ok(()),
-            false => {
-                Err(Error::argument("slot", "its last recording is still in flight: wait for its fence"))
-            }
+        if self.finished()? {
+            return Ok(());
         }
+        Err(Error::argument("slot", "its last recording is still in flight: wait for its fence"))
     }
 
     /// True if a recording was made through the slot and not discarded.
@@ -311,7 +186,7 @@ impl RecordSlot {
         self.discarded_late = self.recorded && self.finished().unwrap_or(true);
         self.recorded = false;
         self.retire_profiler();
-        self.clear();
+        lock(&self.kept).clear();
     }
 
     /// Releases all resources of the last recording, once its command buffer has finished. Scenes and image views dropped
@@ -321,16 +196,12 @@ impl RecordSlot {
     /// [`Error::Argument`] while the recording is in flight.
     pub fn release(&mut self) -> Result<()> {
         self.check_free()?;
-        self.clear();
+        lock(&self.kept).clear();
         Ok(())
     }
 
     fn retire_profiler(&mut self) {
         self.spare = self.profiler.take().or_else(|| self.spare.take());
-    }
-
-    fn clear(&self) {
-        self.kept.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 
     /// Begins a recording. On the device, it waits for the writes of earlier compute shaders and transfers in the queue.
@@ -345,31 +216,25 @@ impl RecordSlot {
         }
         self.check_free()?;
         let inner = &self.inner;
-        let mut descriptors = PoolGuard::take_from(&self.descriptors);
-        if descriptors.are_lost(inner) {
-            *descriptors = OwnedSets::new(inner, self.dispatches)?;
-        }
         // SAFETY: the event is not used by any submission: the last one has signalled it.
         let reset = unsafe { inner.device.reset_event(self.event) };
         reset.map_err(vk_error("vkResetEvent"))?;
         self.recorded = true;
-        self.clear();
+        lock(&self.kept).clear();
         self.retire_profiler();
         let inner = &self.inner;
-        let timed = inner.timestamps.load(std::sync::atomic::Ordering::Relaxed);
+        let timed = inner.timestamps.load(Ordering::Relaxed);
         let queries = if timed { self.queries } else { vk::QueryPool::null() };
         if queries != vk::QueryPool::null() {
             // SAFETY: recording state outside of a render pass, as the adopter has promised; the pool is idle.
             unsafe { inner.device.cmd_reset_query_pool(commands.raw, queries, 0, 2 * MAX_SCOPES) }
         }
-        if let Some(sets) = descriptors.sets() {
+        if let Some(sets) = &mut *lock(&self.descriptors) {
             sets.reset();
         }
-        let target = ForeignTarget { raw: commands.raw, descriptors };
-        let new = || Profiler::new(queries, None);
-        let profiler = self.spare.take().map_or_else(new, |spare| spare.again(queries));
-        let kept = PoolGuard::take_from(&self.kept);
-        let mut recorder = Recorder::foreign(inner, target, kept, profiler, label);
+        let target = ForeignTarget { raw: commands.raw, descriptors: self.descriptors.clone() };
+        let profiler = self.spare.take().unwrap_or_default().again(queries);
+        let mut recorder = Recorder::foreign(inner, target, self.kept.clone(), profiler, label);
         recorder.barrier();
         Ok(recorder)
     }
@@ -383,27 +248,24 @@ impl RecordSlot {
     /// # Panics
     /// If the recording was begun in another slot.
     pub fn end(&mut self, mut recorder: Recorder) -> Result<()> {
-        assert!(recorder.kept.is_from(&self.kept), "a recording ends in the slot that it was begun in");
+        assert!(Arc::ptr_eq(&recorder.kept, &self.kept), "a recording ends in the slot that it was begun in");
         let whole = recorder.check();
-        let (target, profiler, _kept) = recorder.finish_foreign();
+        let (commands, profiler) = recorder.finish_foreign();
         type Stage = vk::PipelineStageFlags2;
         // All stages: the timestamps wait for all commands, including those that the host recorded before.
-        let barriers = [vk::MemoryBarrier2::default()
+        let writes = vk::MemoryBarrier2::default()
             .src_stage_mask(Stage::ALL_COMMANDS)
             .src_access_mask(vk::AccessFlags2::SHADER_WRITE | vk::AccessFlags2::TRANSFER_WRITE)
             .dst_stage_mask(Stage::HOST | Stage::ALL_COMMANDS)
-            .dst_access_mask(vk::AccessFlags2::HOST_READ)];
-        let writes = vk::DependencyInfo::default().memory_barriers(&barriers);
+            .dst_access_mask(vk::AccessFlags2::HOST_READ);
+        self.inner.barrier(commands, &vk::DependencyInfo::default().memory_barriers(&[writes]));
         // Events do not accept the host stage. The barrier before has already made the writes visible.
         let order = [vk::MemoryBarrier2::default()
             .src_stage_mask(Stage::ALL_COMMANDS)
             .dst_stage_mask(Stage::ALL_COMMANDS)];
         let order = vk::DependencyInfo::default().memory_barriers(&order);
         // SAFETY: recording state outside of a render pass; the event is this slot's and was reset.
-        unsafe {
-            self.inner.device.cmd_pipeline_barrier2(target.raw, &writes);
-            self.inner.device.cmd_set_event2(target.raw, self.event, &order);
-        }
+        unsafe { self.inner.device.cmd_set_event2(commands, self.event, &order) }
         self.profiler = Some(profiler);
         whole
     }
@@ -488,39 +350,67 @@ impl Buffer {
         if self.belongs_to(context) {
             return Ok(self.clone());
         }
-        let bad = |problem: String| Err(Error::argument(format!("buffer '{}'", self.name()), problem));
-        let (own, other) = (self.block().device(), &context.device);
+        let (own, other) = (&self.block().inner, &context.device);
         if own.device.handle() != other.device.handle() {
-            return bad("it belongs to another device".into());
+            return Err(self.refused("it belongs to another device"));
         }
         if own.queue_family != other.queue_family {
-            return bad(format!(
+            return Err(self.refused(format!(
                 "queue family {} owns it, the context's queues are of family {}: a context of that family needs one of its own",
                 own.queue_family, other.queue_family
-            ));
+            )));
         }
         other.check_adoption()?;
         let block = Arc::new(Block::lent(other, self.block()));
-        Ok(Self::new(block, self.offset(), self.bytes(), self.static_name()))
+        Ok(Self::new(block, self.offset(), self.bytes(), self.name()))
     }
 
     /// Splits the buffer into buffers of these names and sizes, bytes, placed by [`pack`].
-    ///
-    /// # Panics
-    /// When they do not fit.
     pub(crate) fn split(&self, requests: &[(&'static str, u64)]) -> Vec<Self> {
         let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
         let Ok(packing) = pack(&sizes, u64::MAX) else { unreachable!("no size is above the largest") };
         let places = requests.iter().zip(packing.places);
-        let part = |(&(name, bytes), (_, offset)): (&(&'static str, u64), (usize, u64))| {
-            let part = self.range(offset, bytes.max(SMALLEST_BUFFER).next_multiple_of(4));
+        let parts = places.map(|(&(name, bytes), (_, offset))| {
+            let part = self.range(offset, padded(bytes));
             Self::new(part.block().clone(), part.offset(), part.bytes(), name)
-        };
-        places.map(part).collect()
+        });
+        parts.collect()
     }
 
     /// True if it belongs to this context's device.
     pub fn belongs_to(&self, context: &Context) -> bool {
         self.block().is_of(&context.device)
+    }
+}
+
+/// Recording state of a slot that belongs to a renderer or a trainer. It is not a `&mut RecordSlot`: a caller could swap
+/// that for another slot, which does not track the frame in flight.
+pub struct SlotRecording<'a>(&'a mut RecordSlot);
+
+impl<'a> SlotRecording<'a> {
+    pub(crate) fn new(slot: &'a mut RecordSlot) -> Self {
+        Self(slot)
+    }
+
+    /// See [`RecordSlot::is_recorded`].
+    pub fn is_recorded(&self) -> bool {
+        self.0.is_recorded()
+    }
+
+    /// See [`RecordSlot::finished`].
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn finished(&self) -> Result<bool> {
+        self.0.finished()
+    }
+
+    /// See [`RecordSlot::discard`].
+    ///
+    /// # Safety
+    /// Same as [`RecordSlot::discard`].
+    pub unsafe fn discard(&mut self) {
+        // SAFETY: as promised.
+        unsafe { self.0.discard() }
     }
 }

@@ -1,4 +1,4 @@
-//! Properties of image formats, and how kernels use images.
+//! Properties of formats, and how kernels use images.
 
 use ash::vk::{self, Format as F};
 
@@ -18,7 +18,7 @@ pub enum ImageUse {
 }
 
 /// How kernels bind an image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ImageKind {
     /// Read and written as a storage image, in the layout GENERAL.
     Storage,
@@ -33,6 +33,30 @@ impl ImageUse {
         match self {
             Self::Target | Self::Depth | Self::Pick | Self::Motion => ImageKind::Storage,
             Self::Occluder => ImageKind::Sampled,
+        }
+    }
+
+    /// Returns the formats of images with this use.
+    pub fn formats(self) -> &'static [F] {
+        match self {
+            Self::Target => &COLOR_FORMATS,
+            Self::Occluder => &HOST_DEPTH_FORMATS,
+            Self::Depth => &[DEPTH_FORMAT],
+            Self::Pick => &[PICK_FORMAT],
+            Self::Motion => &[MOTION_FORMAT],
+        }
+    }
+
+    /// Returns the format in which kernels see an image's texels. If it differs from the image's, the image was created
+    /// with MUTABLE_FORMAT.
+    ///
+    /// Shaders know few formats of storage images. All devices support those that are named here.
+    pub fn seen_as(self, format: F) -> F {
+        match (self.kind(), format) {
+            (ImageKind::Sampled, _) => format,
+            (_, F::R8G8B8A8_SRGB | F::B8G8R8A8_UNORM | F::B8G8R8A8_SRGB) => F::R8G8B8A8_UNORM,
+            (_, F::A2B10G10R10_UNORM_PACK32 | F::B10G11R11_UFLOAT_PACK32 | MOTION_FORMAT) => F::R32_UINT,
+            _ => format,
         }
     }
 }
@@ -94,36 +118,6 @@ pub const HOST_DEPTH_FORMATS: [F; 9] = [
     F::R32_SFLOAT,
 ];
 
-impl ImageUse {
-    /// Returns the formats of images with this use.
-    pub fn formats(self) -> &'static [F] {
-        match self {
-            Self::Target => &COLOR_FORMATS,
-            Self::Occluder => &HOST_DEPTH_FORMATS,
-            Self::Depth => &[DEPTH_FORMAT],
-            Self::Pick => &[PICK_FORMAT],
-            Self::Motion => &[MOTION_FORMAT],
-        }
-    }
-
-    /// Returns the format in which kernels see an image's texels. If it differs from the image's, the image was created
-    /// with MUTABLE_FORMAT.
-    ///
-    /// Shaders know few formats of storage images. All devices support those that are named here.
-    pub fn seen_as(self, format: F) -> F {
-        match (self.kind(), format) {
-            (ImageKind::Storage, F::R8G8B8A8_SRGB | F::B8G8R8A8_UNORM | F::B8G8R8A8_SRGB) => {
-                F::R8G8B8A8_UNORM
-            }
-            (
-                ImageKind::Storage,
-                F::A2B10G10R10_UNORM_PACK32 | F::B10G11R11_UFLOAT_PACK32 | MOTION_FORMAT,
-            ) => F::R32_UINT,
-            _ => format,
-        }
-    }
-}
-
 /// Returns the aspect that kernels see.
 pub(super) fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
     match format {
@@ -146,4 +140,35 @@ pub(super) fn texel_bytes(format: vk::Format) -> u64 {
 /// True if the format has both depth and stencil.
 pub(super) fn has_stencil(format: vk::Format) -> bool {
     matches!(format, F::D16_UNORM_S8_UINT | F::D24_UNORM_S8_UINT | F::D32_SFLOAT_S8_UINT)
+}
+
+/// Format of the texels of a buffer that kernels read as texels.
+///
+/// A shader declares `uniform textureBuffer name;` (vec4 of f32) or `uniform utextureBuffer name;` (u32), reads with
+/// `texelFetch(name, index)`, and is bound to an ordinary [`super::Buffer`]. On a GPU this is equivalent to a storage
+/// buffer. llvmpipe fetches a texel for all lanes by vector instructions. It reads every component of a storage buffer in a
+/// loop over the lanes: a vec4 by texel costs a quarter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum TexelFormat {
+    /// Four f32: `textureBuffer`.
+    Rgba32Float,
+    /// One u32: `utextureBuffer`.
+    R32Uint,
+}
+
+impl TexelFormat {
+    /// Bytes of a texel.
+    pub fn bytes(self) -> u64 {
+        match self {
+            Self::Rgba32Float => 16,
+            Self::R32Uint => 4,
+        }
+    }
+
+    pub(super) fn raw(self) -> vk::Format {
+        match self {
+            Self::Rgba32Float => vk::Format::R32G32B32A32_SFLOAT,
+            Self::R32Uint => vk::Format::R32_UINT,
+        }
+    }
 }

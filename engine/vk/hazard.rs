@@ -128,7 +128,7 @@ fn conflict(a: &Use, b: &Use) -> bool {
 // How a command accesses a buffer.
 
 /// How a shader accesses a buffer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Access {
     /// `readonly`.
     Read,

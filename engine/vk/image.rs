@@ -1,13 +1,12 @@
 //! Two-dimensional images: a host's, or our own.
 
-use super::allocator::MemoryKind;
-use super::buffer::Buffer;
 use super::context::Context;
 use super::debug::vk_error;
 use super::format::{ImageKind, ImageUse, aspect, has_stencil, texel_bytes};
-use super::memory::NEXT_ID;
+use super::memory::{Buffer, NEXT_ID};
+use super::memory_types::MemoryKind;
 use super::open_device::Device;
-use crate::{Error, Result};
+use crate::error::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -37,6 +36,19 @@ pub struct ForeignImage {
     pub mip_level: u32,
     /// Index of the array layer.
     pub layer: u32,
+}
+
+impl ForeignImage {
+    /// Its mip level and array layer, with the aspect that kernels see.
+    fn range(&self) -> vk::ImageSubresourceRange {
+        vk::ImageSubresourceRange {
+            aspect_mask: aspect(self.format),
+            base_mip_level: self.mip_level,
+            level_count: 1,
+            base_array_layer: self.layer,
+            layer_count: 1,
+        }
+    }
 }
 
 /// Use of an image at a point in a command buffer.
@@ -69,16 +81,12 @@ pub struct Image(
 
 struct View {
     inner: Arc<Device>,
-    image: vk::Image,
+    of: ForeignImage,
     view: vk::ImageView,
     /// Null if the image is a host's.
     memory: vk::DeviceMemory,
     bytes: u64,
-    format: vk::Format,
-    size: [u32; 2],
-    range: vk::ImageSubresourceRange,
     purpose: ImageUse,
-    is_attachment: bool,
     name: &'static str,
     id: u64,
 }
@@ -113,14 +121,15 @@ impl Image {
             let ([width, height], most) = (foreign.size, context.limits().max_image_side);
             return bad(format!("its size is {width} x {height}, each must be from 1 to {most}"));
         }
-        if foreign.samples != vk::SampleCountFlags::TYPE_1 {
-            let samples = foreign.samples.as_raw();
-            if samples == 0 {
-                return bad("samples is 0: say how many samples per pixel it has, 1 for most".into());
+        match foreign.samples.as_raw() {
+            1 => {}
+            0 => return bad("samples is 0: say how many samples per pixel it has, 1 for most".into()),
+            samples => {
+                return bad(format!(
+                    "it has {samples} samples per pixel, kernels see images of one: resolve it into such an image, \
+                     and give that"
+                ));
             }
-            return bad(format!(
-                "it has {samples} samples per pixel, kernels see images of one: resolve it into such an image, and give that"
-            ));
         }
         if !foreign.usage.contains(purpose.kind().usage()) {
             return bad(format!("its usage '{:?}' lacks {:?}", foreign.usage, purpose.kind().usage()));
@@ -193,19 +202,12 @@ impl Image {
         (memory, bytes): (vk::DeviceMemory, u64),
         purpose: ImageUse,
     ) -> Result<Self> {
-        let range = vk::ImageSubresourceRange {
-            aspect_mask: aspect(foreign.format),
-            base_mip_level: foreign.mip_level,
-            level_count: 1,
-            base_array_layer: foreign.layer,
-            layer_count: 1,
-        };
         let mut usage = vk::ImageViewUsageCreateInfo::default().usage(purpose.kind().usage());
         let info = vk::ImageViewCreateInfo::default()
             .image(foreign.image)
             .view_type(vk::ImageViewType::TYPE_2D)
             .format(purpose.seen_as(foreign.format))
-            .subresource_range(range)
+            .subresource_range(foreign.range())
             .push_next(&mut usage);
         let inner = context.device.clone();
         // SAFETY: the image is alive and of this device, with this format and usage.
@@ -216,20 +218,7 @@ impl Image {
         if bytes > 0 {
             inner.registry.add(&ARENA.into(), bytes, MemoryKind::Device);
         }
-        let view = View {
-            inner,
-            image: foreign.image,
-            view,
-            memory,
-            bytes,
-            format: foreign.format,
-            size: foreign.size,
-            range,
-            purpose,
-            is_attachment: foreign.usage.contains(vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT),
-            name,
-            id,
-        };
+        let view = View { inner, of: *foreign, view, memory, bytes, purpose, name, id };
         Ok(Self(Arc::new(view), vk::QUEUE_FAMILY_IGNORED))
     }
 
@@ -240,12 +229,12 @@ impl Image {
 
     /// Width and height, pixels.
     pub fn size(&self) -> [u32; 2] {
-        self.0.size
+        self.0.of.size
     }
 
     /// Its format at creation.
     pub fn format(&self) -> vk::Format {
-        self.0.format
+        self.0.of.format
     }
 
     /// The use that it was made for.
@@ -264,17 +253,18 @@ impl Image {
 
     /// Returns the layout that kernels require.
     pub fn layout(&self) -> vk::ImageLayout {
+        let is_attachment = self.0.of.usage.contains(vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT);
         match self.0.purpose.kind() {
             ImageKind::Storage => vk::ImageLayout::GENERAL,
             // The host may still test depth against it.
-            ImageKind::Sampled if self.0.is_attachment => vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL,
+            ImageKind::Sampled if is_attachment => vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL,
             ImageKind::Sampled => vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
         }
     }
 
     /// The Vulkan image, for a host's commands.
     pub fn handle(&self) -> vk::Image {
-        self.raw()
+        self.0.of.image
     }
 
     /// True if it belongs to this context's device.
@@ -286,22 +276,13 @@ impl Image {
         Arc::ptr_eq(&self.0.inner, inner)
     }
 
-    pub(super) fn device(&self) -> &Device {
-        &self.0.inner
-    }
-
-    /// True if both are views of the same texels.
     pub(crate) fn is_same_as(&self, other: &Self) -> bool {
-        let place = |view: &View| (view.image, view.range.base_mip_level, view.range.base_array_layer);
-        place(&self.0) == place(&other.0)
+        let place = |of: &ForeignImage| (of.image, of.mip_level, of.layer);
+        place(&self.0.of) == place(&other.0.of)
     }
 
     pub(super) fn id(&self) -> u64 {
         self.0.id
-    }
-
-    pub(super) fn raw(&self) -> vk::Image {
-        self.0.image
     }
 
     pub(super) fn descriptor(&self) -> vk::DescriptorImageInfo {
@@ -311,8 +292,8 @@ impl Image {
 
 impl std::fmt::Debug for Image {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let [width, height] = self.0.size;
-        write!(f, "Image('{}', {:?}, {width} x {height})", self.0.name, self.0.format)
+        let [width, height] = self.size();
+        write!(f, "Image('{}', {:?}, {width} x {height})", self.0.name, self.format())
     }
 }
 
@@ -324,7 +305,7 @@ impl Drop for View {
         unsafe {
             device.destroy_image_view(self.view, None);
             if self.memory != vk::DeviceMemory::null() {
-                device.destroy_image(self.image, None);
+                device.destroy_image(self.of.image, None);
                 device.free_memory(self.memory, None);
                 self.inner.registry.remove(&ARENA.into(), self.bytes, MemoryKind::Device);
             }
@@ -335,14 +316,12 @@ impl Drop for View {
 impl Context {
     /// Returns the flags that an image needs so that kernels see its texels.
     fn flags_for(&self, format: vk::Format, purpose: ImageUse) -> vk::ImageCreateFlags {
-        let mut flags = vk::ImageCreateFlags::empty();
-        if purpose.seen_as(format) != format {
-            flags |= vk::ImageCreateFlags::MUTABLE_FORMAT;
-            if !self.supports(format, purpose) {
-                flags |= vk::ImageCreateFlags::EXTENDED_USAGE;
-            }
+        type Flags = vk::ImageCreateFlags;
+        match (purpose.seen_as(format) == format, self.supports(format, purpose)) {
+            (true, _) => Flags::empty(),
+            (false, true) => Flags::MUTABLE_FORMAT,
+            (false, false) => Flags::MUTABLE_FORMAT | Flags::EXTENDED_USAGE,
         }
-        flags
     }
 
     fn has_images_of(&self, size: [u32; 2]) -> bool {
@@ -357,7 +336,6 @@ impl Context {
         has.optimal_tiling_features.contains(purpose.kind().feature())
     }
 
-    /// Allocates memory for an image and binds it. Returns the memory and its bytes.
     fn image_memory(&self, image: vk::Image) -> Result<(vk::DeviceMemory, u64)> {
         let device = &self.device.device;
         // SAFETY: the image is of this device and not bound yet; memory that cannot be bound is freed.
@@ -379,27 +357,127 @@ impl Context {
 
 impl Image {
     /// Returns the range including the stencil, whose layout changes together with the depth's.
-    pub(super) fn whole_range(&self) -> vk::ImageSubresourceRange {
-        let mut range = self.0.range;
-        if has_stencil(self.0.format) {
+    fn whole_range(&self) -> vk::ImageSubresourceRange {
+        let mut range = self.0.of.range();
+        if has_stencil(self.format()) {
             range.aspect_mask |= vk::ImageAspectFlags::STENCIL;
         }
         range
     }
 
     pub(super) fn copy_region(&self, buffer: &Buffer) -> vk::BufferImageCopy {
-        let [width, height] = self.0.size;
-        let bytes = u64::from(width) * u64::from(height) * texel_bytes(self.0.format);
+        let [width, height] = self.size();
+        let bytes = u64::from(width) * u64::from(height) * texel_bytes(self.format());
         assert!(bytes <= buffer.bytes(), "copy: {buffer:?} is smaller than {self:?}, {bytes} bytes");
-        let range = self.0.range;
+        let of = &self.0.of;
+        let layers = vk::ImageSubresourceLayers {
+            aspect_mask: aspect(of.format),
+            mip_level: of.mip_level,
+            base_array_layer: of.layer,
+            layer_count: 1,
+        };
         vk::BufferImageCopy::default()
             .buffer_offset(buffer.offset())
-            .image_subresource(vk::ImageSubresourceLayers {
-                aspect_mask: range.aspect_mask,
-                mip_level: range.base_mip_level,
-                base_array_layer: range.base_array_layer,
-                layer_count: 1,
-            })
+            .image_subresource(layers)
             .image_extent(vk::Extent3D { width, height, depth: 1 })
+    }
+}
+
+// Images that another queue family owns between recordings: for example, an asynchronous queue renders them and the graphics
+// queue shows them.
+//
+// A transfer of ownership has two halves, one in a queue of each family, ordered by a semaphore. The guest records its own
+// half; [`Image::hand_over`] and [`Image::take_back`] return the host's.
+
+const EVERYTHING: vk::PipelineStageFlags2 = vk::PipelineStageFlags2::ALL_COMMANDS;
+
+impl Image {
+    /// Returns the same image, owned by another queue family between recordings. Each recording acquires it from that
+    /// family, by a barrier that matches [`Image::hand_over`], and releases it to that family at its end.
+    ///
+    /// From [`ImageState::UNDEFINED`] the contents are discarded, and the image is not acquired: the host does not hand it
+    /// over then. It is released in any case.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a family that the device does not have.
+    pub fn of_family(self, queue_family: u32) -> Result<Self> {
+        let families = self.0.inner.queue_families().len();
+        if queue_family as usize >= families {
+            let problem = format!("queue family {queue_family}, the device has {families}");
+            return Err(Error::argument(format!("image '{}'", self.name()), problem));
+        }
+        Ok(Self(self.0, queue_family))
+    }
+
+    /// Returns the barrier that hands the image over to a recording with the same
+    /// [`HostImage::from`](crate::HostImage::from). The host records it in a queue of the image's family, after the image's
+    /// use `from`. The recording's submission waits for that queue's submission by a semaphore, in all stages. If another
+    /// family owns the image, the barrier changes the layout as the recording does; otherwise it keeps the layout.
+    pub fn hand_over(&self, from: ImageState) -> vk::ImageMemoryBarrier2<'static> {
+        let barrier = self.barrier(from.layout, [self.1, self.0.inner.queue_family]);
+        let to = if self.is_elsewhere() { self.layout() } else { from.layout };
+        barrier.new_layout(to).src_stage_mask(from.stages).src_access_mask(from.accesses)
+    }
+
+    /// Returns the barrier that takes the image back after a recording. The host records it in a queue of the image's
+    /// family, whose submission waits for the recording's by a semaphore, in all stages. The image then has
+    /// [`Image::layout`], and its last use is that of the [`Release`](crate::Release).
+    pub fn take_back(&self) -> vk::ImageMemoryBarrier2<'static> {
+        let all = vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE;
+        let barrier = self.barrier(self.layout(), [self.0.inner.queue_family, self.1]);
+        // The other family's release has already made the writes available.
+        let written = match self.is_elsewhere() {
+            true => vk::AccessFlags2::NONE,
+            false => vk::AccessFlags2::SHADER_STORAGE_WRITE,
+        };
+        let barrier = barrier.src_stage_mask(EVERYTHING).src_access_mask(written);
+        barrier.dst_stage_mask(EVERYTHING).dst_access_mask(all)
+    }
+
+    /// Returns a barrier into the kernels' layout, from one family to another.
+    pub(super) fn barrier(
+        &self,
+        from: vk::ImageLayout,
+        [owner, next]: [u32; 2],
+    ) -> vk::ImageMemoryBarrier2<'static> {
+        let [owner, next] = if self.is_elsewhere() { [owner, next] } else { [vk::QUEUE_FAMILY_IGNORED; 2] };
+        vk::ImageMemoryBarrier2::default()
+            .old_layout(from)
+            .new_layout(self.layout())
+            .src_queue_family_index(owner)
+            .dst_queue_family_index(next)
+            .image(self.handle())
+            .subresource_range(self.whole_range())
+    }
+
+    fn is_elsewhere(&self) -> bool {
+        self.1 != vk::QUEUE_FAMILY_IGNORED && self.1 != self.0.inner.queue_family
+    }
+
+    /// Returns the family that owns it between recordings, if that is not the context's.
+    pub(crate) fn other_family(&self) -> Option<u32> {
+        self.is_elsewhere().then_some(self.1)
+    }
+
+    /// Returns the guest's half of [`Image::hand_over`] if another family owns the image. If the contents are discarded, it
+    /// only changes the layout.
+    pub(super) fn acquisition(&self, from: ImageState) -> Option<vk::ImageMemoryBarrier2<'static>> {
+        if !self.is_elsewhere() {
+            return None;
+        }
+        let families = match from.layout {
+            vk::ImageLayout::UNDEFINED => [vk::QUEUE_FAMILY_IGNORED; 2],
+            _ => [self.1, self.0.inner.queue_family],
+        };
+        // This queue may lack the stages of the other queue. The semaphore is waited for in all stages.
+        Some(self.barrier(from.layout, families).src_stage_mask(EVERYTHING))
+    }
+
+    /// Returns the image's last use after a recording that leaves it in the state `used`.
+    pub(crate) fn left(&self, used: ImageState) -> ImageState {
+        match self.is_elsewhere() {
+            true => ImageState { stages: EVERYTHING, accesses: vk::AccessFlags2::NONE, ..used },
+            false => used,
+        }
     }
 }

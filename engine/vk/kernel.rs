@@ -1,12 +1,14 @@
 //! A compute pipeline with a typed interface.
 
-use super::binding::{BindingInfo, ImageInfo};
-use super::buffer::Buffer;
+use super::compile_only::Executable;
 use super::context::Context;
 use super::image::Image;
 use super::limits::{CHOSEN_BY_HOST, Limits};
-use super::pipeline::{Demands, Pipeline, check};
-use crate::Result;
+use super::lock::lock;
+use super::memory::Buffer;
+use super::pipeline::{Jobs, KernelJob, Pipeline, check};
+use super::pipeline_cache::{BindingInfo, ImageInfo, PipelineHandles, PipelineInfo};
+use crate::error::Result;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -124,39 +126,44 @@ impl<K: KernelInterface> Kernel<K> {
     /// [`crate::Error::Vulkan`] if the driver refuses.
     pub fn new(context: &Context, spec: &K::Spec) -> Result<Self> {
         let form = K::form(context.limits());
-        let demands = Demands {
+        let replaced = context.replaced_shader(K::NAME);
+        let mut info = PipelineInfo {
             name: K::NAME,
+            texels: form.texels,
+            replaced: None,
             subgroup_size: K::subgroup_size(spec),
             workgroup_size: K::workgroup_size(spec),
-            shared_bytes: K::shared_bytes(spec),
             push_bytes: K::PUSH_BYTES,
             bindings: form.bindings,
             images: K::IMAGES,
+            constants: overridden::<K>(context.limits(), K::spec_entries(spec)),
         };
-        check(&demands, context.limits())?;
-        let constants = overridden::<K>(context.limits(), K::spec_entries(spec));
-        let pipeline = match context.replaced_shader(K::NAME) {
+        check(&info, K::shared_bytes(spec), context.limits())?;
+        let pipeline = match (replaced, &context.jobs) {
             // A compile-only device keeps all that it builds, for its statistics.
-            Some(spirv) if context.device.executables.is_some() => {
+            (Some(spirv), _) if context.device.executables.is_some() => {
                 let mut hash = DefaultHasher::new();
                 spirv.hash(&mut hash);
-                let replaced = Some(hash.finish());
-                Pipeline::shared(&context.device, &demands, (form.texels, replaced, &spirv), constants)?
+                info.replaced = Some(hash.finish());
+                Pipeline::shared(&context.device, info, &spirv)?
             }
-            Some(spirv) => Pipeline::new(&context.device, &demands, &spirv, &constants)?,
-            None => match context.collect_job(&demands, (form.texels, form.spirv), &constants) {
-                Some(pipeline) => pipeline,
-                None => {
-                    Pipeline::shared(&context.device, &demands, (form.texels, None, form.spirv), constants)?
+            (Some(spirv), _) => Pipeline::new(&context.device, info, &spirv)?,
+            (None, Some(jobs)) => {
+                let mut jobs = lock(jobs);
+                if !jobs.iter().any(|other| other.info == info) {
+                    let (device, info) = (context.device.clone(), info.clone());
+                    jobs.push(KernelJob { device, info, spirv: form.spirv });
                 }
-            },
+                Pipeline::unbuilt(&context.device, info)
+            }
+            (None, None) => Pipeline::shared(&context.device, info, form.spirv)?,
         };
         Ok(Self { pipeline: Arc::new(pipeline), interface: PhantomData })
     }
 
     /// Returns the invocations of a workgroup on each axis.
     pub fn workgroup_size(&self) -> [u32; 3] {
-        self.pipeline.workgroup_size
+        self.pipeline.info.workgroup_size
     }
 }
 
@@ -176,7 +183,7 @@ impl Context {
     /// interface: see [`crate::kernels::compile`].
     #[cfg(feature = "hot-reload")]
     pub fn replace_shader(&self, kernel: &str, spirv: Option<Vec<u32>>) {
-        let mut replaced = self.device.replaced.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut replaced = lock(&self.device.replaced);
         match spirv {
             Some(spirv) => replaced.insert(kernel.to_owned(), Arc::new(spirv)),
             None => replaced.remove(kernel),
@@ -184,6 +191,56 @@ impl Context {
     }
 
     fn replaced_shader(&self, kernel: &str) -> Option<Arc<Vec<u32>>> {
-        self.device.replaced.lock().unwrap_or_else(std::sync::PoisonError::into_inner).get(kernel).cloned()
+        lock(&self.device.replaced).get(kernel).cloned()
+    }
+
+    /// Returns the kernels that `build` would build. `build` may use its context only to build kernels.
+    pub(crate) fn kernel_jobs(&self, build: impl FnOnce(&Context) -> Result<()>) -> Result<Vec<KernelJob>> {
+        let jobs = Jobs::default();
+        build(&Context { jobs: Some(jobs.clone()), ..self.clone() })?;
+        let mut list = lock(&jobs);
+        Ok(std::mem::take(&mut *list))
+    }
+}
+
+/// Compiler statistics of a pipeline.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PipelineStatistics {
+    /// Name of the kernel.
+    pub kernel: &'static str,
+    /// True for the form that reads texels.
+    pub texels: bool,
+    /// Required subgroup size; None: the driver's choice.
+    pub subgroup_size: Option<u32>,
+    /// Invocations of a workgroup on each axis.
+    pub workgroup_size: [u32; 3],
+    /// Specialization constants: (constant_id, bits).
+    pub constants: Vec<(u32, u32)>,
+    /// Its compiled programs: usually one, or one per subgroup size if the driver chooses the size.
+    pub executables: Vec<Executable>,
+}
+
+impl Context {
+    /// Returns the compiler's statistics of every pipeline built so far, sorted by kernel and constants. Empty without
+    /// [`ContextOptions::compile_only`](super::ContextOptions::compile_only).
+    ///
+    /// # Errors
+    /// When the driver refuses.
+    pub fn pipeline_statistics(&self) -> Result<Vec<PipelineStatistics>> {
+        let Some(functions) = &self.device.executables else { return Ok(Vec::new()) };
+        let of = |(info, handles): (PipelineInfo, PipelineHandles)| {
+            Ok(PipelineStatistics {
+                kernel: info.name,
+                texels: info.texels,
+                subgroup_size: info.subgroup_size,
+                workgroup_size: info.workgroup_size,
+                constants: info.constants,
+                executables: functions.of(handles.raw)?,
+            })
+        };
+        let mut all = self.device.built.all().into_iter().map(of).collect::<Result<Vec<_>>>()?;
+        let key = |p: &PipelineStatistics| (p.kernel, p.texels, p.constants.clone());
+        all.sort_by_key(key);
+        Ok(all)
     }
 }

@@ -1,8 +1,8 @@
-//! Limits of a device, read once.
+//! Limits of a device, read once, and faults of its driver.
 
-use super::texels::TexelFormat;
-use super::workarounds::Workarounds;
-use crate::tuning::Tuning;
+use super::format::TexelFormat;
+use crate::frame::tuning::Tuning;
+use ash::vk;
 
 /// Limits of a device, and the subgroup sizes of the kernels.
 #[derive(Clone, Debug, PartialEq)]
@@ -119,8 +119,8 @@ impl Limits {
         self
     }
 
-    /// Describes the kernels' forms: their backend and subgroup sizes, "gpu, subgroups of 16, of 8 in the heaviest". Other
-    /// forms give results with other bits.
+    /// Names what the bits of results depend on, the backend and the subgroup sizes, as in "gpu, subgroups of 16, of 8 in the
+    /// heaviest".
     pub fn kernel_forms(&self) -> String {
         let Self { subgroup_size, heavy_subgroup_size, .. } = self;
         let heaviest = match heavy_subgroup_size == subgroup_size {
@@ -153,14 +153,13 @@ impl Limits {
     }
 
     /// Returns the value in [`Limits::overrides`] for a constant of a kernel or of a folder of kernels; the last match
-    /// counts. The measurement of the arithmetic rate, [`crate::arithmetic`], has no overrides.
+    /// counts. The measurement of the arithmetic rate, [`crate::passes::arithmetic`], has no overrides.
     pub fn overridden(&self, kernel: &str, constant: &str) -> Option<u32> {
-        let meant = |o: &&SpecOverride| {
-            o.constant == constant && (o.kernel.is_empty() || is_kernel_of(kernel, &o.kernel))
-        };
         if is_yardstick(kernel) {
             return None;
         }
+        let is_of = |named: &str| named.is_empty() || is_kernel_of(kernel, named);
+        let meant = |o: &&SpecOverride| o.constant == constant && is_of(&o.kernel);
         self.overrides.iter().rev().find(meant).map(|o| o.bits)
     }
 
@@ -175,5 +174,99 @@ impl Limits {
         let (x, y) = if workgroups <= limit { (workgroups, 1) } else { (limit, workgroups.div_ceil(limit)) };
         assert!(y <= limit, "{workgroups} workgroups exceed {limit} x {limit}");
         [x as u32, y as u32, 1]
+    }
+}
+
+/// For tests: stricter limits than the device's; `None` keeps the device's.
+#[cfg(feature = "testing")]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LimitsOverride {
+    /// For [`Limits::max_storage_buffer_range`].
+    pub max_storage_buffer_range: Option<u64>,
+    /// For [`Limits::max_allocation_bytes`].
+    pub max_allocation_bytes: Option<u64>,
+    /// For [`Limits::max_workgroups_per_axis`].
+    pub max_workgroups_per_axis: Option<u32>,
+    /// For [`Limits::max_workgroup_invocations`].
+    pub max_workgroup_invocations: Option<u32>,
+    /// For [`Limits::shared_memory_bytes`].
+    pub shared_memory_bytes: Option<u32>,
+    /// For [`Limits::push_constant_bytes`].
+    pub push_constant_bytes: Option<u32>,
+    /// For [`Limits::max_workgroup_subgroups`].
+    pub max_workgroup_subgroups: Option<u32>,
+    /// For [`Limits::max_push_descriptors`].
+    pub max_push_descriptors: Option<u32>,
+    /// For [`Limits::max_texels`].
+    pub max_texels: Option<u64>,
+    /// For [`Limits::subgroup_size`]: emulates a device with this size that does not let it be required.
+    pub fixed_subgroup_size: Option<u32>,
+    /// For [`Limits::instances_per_dispatch`].
+    pub instances_per_dispatch: Option<u32>,
+}
+
+#[cfg(feature = "testing")]
+impl Limits {
+    /// Lowers each limit to the override's value. An override never raises a limit, except the fixed subgroup size.
+    pub fn lowered(mut self, to: &LimitsOverride) -> Self {
+        fn lower<T: Ord + Copy>(limit: &mut T, to: Option<T>) {
+            *limit = to.map_or(*limit, |to| to.min(*limit));
+        }
+        lower(&mut self.max_storage_buffer_range, to.max_storage_buffer_range);
+        lower(&mut self.max_allocation_bytes, to.max_allocation_bytes);
+        lower(&mut self.max_workgroups_per_axis, to.max_workgroups_per_axis);
+        lower(&mut self.max_workgroup_invocations, to.max_workgroup_invocations);
+        lower(&mut self.shared_memory_bytes, to.shared_memory_bytes);
+        lower(&mut self.push_constant_bytes, to.push_constant_bytes);
+        lower(&mut self.max_workgroup_subgroups, to.max_workgroup_subgroups);
+        lower(&mut self.max_push_descriptors, to.max_push_descriptors);
+        lower(&mut self.max_texels, to.max_texels);
+        lower(&mut self.instances_per_dispatch, to.instances_per_dispatch);
+        if let Some(size) = to.fixed_subgroup_size {
+            [self.subgroup_size, self.heavy_subgroup_size, self.own_subgroup_size] = [size; 3];
+            self.subgroup_size_selectable = false;
+        }
+        self
+    }
+}
+
+/// Set of flags; see the constants.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Workarounds(u32);
+
+impl Workarounds {
+    /// An invocation's loops stop silently after 65,535 iterations, all loops together. llvmpipe of Mesa before 25
+    /// (LP_MAX_TGSI_LOOP_ITERATIONS in gallivm's lp_bld_limits.h). Blending then processes fewer entries of a tile per
+    /// dispatch.
+    pub const LOOPS_STOP_AT_65535: Self = Self(1 << 0);
+
+    /// Returns the flags of a driver, by its id and its `driverInfo`, such as `Mesa 22.3.6`. (llvmpipe's `driverVersion` is
+    /// 1 in all versions.)
+    pub fn of_driver(id: vk::DriverId, info: &str) -> Self {
+        let version = info.strip_prefix("Mesa ").and_then(|rest| rest.split('.').next()?.parse::<u32>().ok());
+        let stops = id == vk::DriverId::MESA_LLVMPIPE && version.is_none_or(|major| major < 25);
+        if stops { Self::LOOPS_STOP_AT_65535 } else { Self::default() }
+    }
+
+    /// True if all flags of another set are set.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Workarounds;
+    use ash::vk;
+
+    #[test]
+    fn workarounds_go_by_the_driver() {
+        let of_llvmpipe = |info| Workarounds::of_driver(vk::DriverId::MESA_LLVMPIPE, info);
+        let llvmpipe = of_llvmpipe("Mesa 22.3.6 (LLVM 15.0.6)");
+        assert!(llvmpipe.contains(Workarounds::LOOPS_STOP_AT_65535));
+        assert_eq!([of_llvmpipe("Mesa 24.99.0"), of_llvmpipe("unknown")], [llvmpipe; 2]);
+        assert_eq!(of_llvmpipe("Mesa 25.0.7-2+deb13u1 (LLVM 19.1.7)"), Workarounds::default());
+        let other = Workarounds::of_driver(vk::DriverId::MESA_RADV, "Mesa 22.3.6");
+        assert!(!other.contains(Workarounds::LOOPS_STOP_AT_65535) && other == Workarounds::default());
     }
 }

@@ -1,15 +1,18 @@
-//! Device memory. Requests are packed into blocks of one VkBuffer and one allocation each.
+//! Device memory. Requests are packed into blocks of one VkBuffer and one allocation each; a [`Buffer`] is a named range of
+//! a block.
 
-use super::allocator::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 use super::debug::vk_error;
-use super::memory_types::{self, Place};
+use super::format::TexelFormat;
+use super::limits::Limits;
+use super::lock::lock;
+use super::memory_types::{HostAllocator, HostMemory, MAPPABLE, MemoryKind, MemoryRequest, Place, best};
 use super::open_device::Device;
-use super::texels::TexelViews;
-use crate::{Error, Result};
+use crate::error::{Error, Result};
 use ash::vk;
+use std::collections::HashMap;
 use std::ptr::NonNull;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Alignment of every buffer in its block. No device requires more.
 pub const PLACEMENT_ALIGNMENT: u64 = 256;
@@ -25,7 +28,6 @@ const STAGGERED: u64 = 1 << 20;
 /// their expected position. The keys and values that a sort writes are two such offsets apart.
 const STAGGER: u64 = 33 * PLACEMENT_ALIGNMENT;
 
-/// Returns the padding after a buffer of this size, bytes.
 const fn stagger_behind(bytes: u64) -> u64 {
     let apart = bytes.next_multiple_of(PLACEMENT_ALIGNMENT) % CACHE_WAY;
     if bytes < STAGGERED { 0 } else { (CACHE_WAY + STAGGER - apart) % CACHE_WAY }
@@ -40,6 +42,11 @@ pub struct Packing {
     pub places: Vec<(usize, u64)>,
 }
 
+/// Returns the size of a buffer for a request of this many bytes.
+pub(super) fn padded(bytes: u64) -> u64 {
+    bytes.max(SMALLEST_BUFFER).next_multiple_of(4)
+}
+
 /// Packs buffers of the given sizes into blocks of at most `largest_block` bytes, in order.
 ///
 /// # Errors
@@ -48,32 +55,26 @@ pub fn pack(sizes: &[u64], largest_block: u64) -> Result<Packing, usize> {
     let mut packing = Packing { blocks: Vec::new(), places: Vec::with_capacity(sizes.len()) };
     let mut stagger = 0;
     for (index, &bytes) in sizes.iter().enumerate() {
-        let bytes = bytes.max(SMALLEST_BUFFER).next_multiple_of(4);
+        let bytes = padded(bytes);
         if bytes > largest_block {
             return Err(index);
         }
-        let used = packing.blocks.last().map(|b| b.next_multiple_of(PLACEMENT_ALIGNMENT) + stagger);
-        stagger = stagger_behind(bytes);
-        match used {
-            Some(used) if used + bytes <= largest_block => {
-                packing.places.push((packing.blocks.len() - 1, used));
-                if let Some(block) = packing.blocks.last_mut() {
-                    *block = used + bytes;
-                }
+        let last = packing.blocks.len().wrapping_sub(1);
+        let begin = |block: u64| block.next_multiple_of(PLACEMENT_ALIGNMENT) + stagger;
+        match packing.blocks.last_mut() {
+            Some(block) if begin(*block) + bytes <= largest_block => {
+                packing.places.push((last, begin(*block)));
+                *block = begin(*block) + bytes;
             }
             _ => {
                 packing.places.push((packing.blocks.len(), 0));
                 packing.blocks.push(bytes);
             }
         }
+        stagger = stagger_behind(bytes);
     }
     Ok(packing)
 }
-
-/// Flags of a memory type that is mapped, and needs no flushes.
-const MAPPABLE: vk::MemoryPropertyFlags = vk::MemoryPropertyFlags::from_raw(
-    vk::MemoryPropertyFlags::HOST_VISIBLE.as_raw() | vk::MemoryPropertyFlags::HOST_COHERENT.as_raw(),
-);
 
 /// Address of a mapped block. Accessed only under the block's lock.
 struct Mapping(NonNull<u8>);
@@ -81,33 +82,30 @@ struct Mapping(NonNull<u8>);
 // SAFETY: an address of mapped device memory is valid on every thread; the lock around it orders host accesses.
 unsafe impl Send for Mapping {}
 
-/// One VkBuffer with its memory.
 pub(super) struct Block {
-    inner: Arc<Device>,
+    pub(super) inner: Arc<Device>,
     pub(super) raw: vk::Buffer,
     /// Null if the memory is a host's.
     memory: vk::DeviceMemory,
-    /// Memory from the host's allocator.
     hosted: Option<HostMemory>,
     mapping: Option<Mutex<Mapping>>,
-    bytes: u64,
+    pub(super) bytes: u64,
     arena: Arc<str>,
     pub(super) kind: MemoryKind,
     /// True if the processor caches the mapping, so that reading it is fast.
     cached: bool,
-    /// Id of the block in the hazard checker.
     pub(super) id: u64,
     /// True if the context owns the buffer and its memory.
     owned: bool,
     /// Block of the owning context, if another context lent this buffer; kept alive.
     lender: Option<Arc<Block>>,
-    /// The recording that kept the block last: see [`super::resources::Kept`].
+    /// The recording that kept the block last: see [`super::recorder::Kept`].
     pub(super) kept_by: AtomicU64,
     /// Submissions that use the block and were not waited for.
     pub(super) in_flight: AtomicU32,
-    pub(super) texels: TexelViews,
+    /// Views of ranges (offset, bytes) as texels.
+    texels: Mutex<HashMap<(u64, u64, TexelFormat), vk::BufferView>>,
     /// Offset, size and name of each buffer with guard bands.
-    #[cfg(feature = "testing")]
     pub(super) guarded: Mutex<Vec<(u64, u64, &'static str)>>,
 }
 
@@ -115,18 +113,30 @@ pub(super) struct Block {
 pub(super) static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
 impl Block {
-    pub(super) fn new(
-        inner: &Arc<Device>,
-        arena: &Arc<str>,
-        number: usize,
-        bytes: u64,
-        kind: MemoryKind,
-    ) -> Result<Self> {
-        Self::of_types(inner, (arena, number), bytes, kind, u32::MAX)
+    /// A block with a VkBuffer of the context, without memory, or with a buffer of a host.
+    fn with(inner: &Arc<Device>, arena: &Arc<str>, raw: vk::Buffer, bytes: u64, kind: MemoryKind) -> Self {
+        Self {
+            inner: inner.clone(),
+            raw,
+            memory: vk::DeviceMemory::null(),
+            hosted: None,
+            mapping: None,
+            bytes,
+            arena: arena.clone(),
+            kind,
+            cached: true,
+            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
+            owned: false,
+            lender: None,
+            kept_by: AtomicU64::new(0),
+            in_flight: AtomicU32::new(0),
+            texels: Default::default(),
+            guarded: Mutex::default(),
+        }
     }
 
     /// Allocates in one of the allowed memory types.
-    pub(super) fn of_types(
+    pub(super) fn new(
         inner: &Arc<Device>,
         (arena, number): (&Arc<str>, usize),
         bytes: u64,
@@ -142,27 +152,10 @@ impl Block {
         let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
         // SAFETY: valid create info, a device that `inner` keeps alive.
         let raw = unsafe { inner.device.create_buffer(&info, None) }.map_err(vk_error("vkCreateBuffer"))?;
-        let mut block = Self {
-            inner: inner.clone(),
-            raw,
-            memory: vk::DeviceMemory::null(),
-            hosted: None,
-            mapping: None,
-            bytes,
-            arena: arena.clone(),
-            kind,
-            cached: true,
-            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
-            owned: true,
-            lender: None,
-            kept_by: AtomicU64::new(0),
-            in_flight: AtomicU32::new(0),
-            texels: Default::default(),
-            #[cfg(feature = "testing")]
-            guarded: Mutex::default(),
-        };
+        let mut block = Self::with(inner, arena, raw, bytes, kind);
+        block.owned = true;
         inner.registry.add(arena, bytes, kind);
-        block.bind_memory(kind, allowed)?;
+        block.bind_memory(allowed)?;
         inner.names.name(block.raw, &format!("{arena}#{number}"));
         if block.hosted.is_none() {
             inner.names.name(block.memory, &format!("{arena}#{number} memory"));
@@ -170,27 +163,8 @@ impl Block {
         Ok(block)
     }
 
-    /// Wraps a host's buffer.
     pub(super) fn foreign(inner: &Arc<Device>, raw: vk::Buffer, bytes: u64) -> Self {
-        Self {
-            inner: inner.clone(),
-            raw,
-            memory: vk::DeviceMemory::null(),
-            hosted: None,
-            mapping: None,
-            bytes,
-            arena: "host".into(),
-            kind: MemoryKind::Device,
-            cached: true,
-            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
-            owned: false,
-            lender: None,
-            kept_by: AtomicU64::new(0),
-            in_flight: AtomicU32::new(0),
-            texels: Default::default(),
-            #[cfg(feature = "testing")]
-            guarded: Mutex::default(),
-        }
+        Self::with(inner, &"host".into(), raw, bytes, MemoryKind::Device)
     }
 
     /// Wraps a buffer of another context on the same VkDevice.
@@ -200,37 +174,28 @@ impl Block {
         lent
     }
 
-    pub(super) fn bytes(&self) -> u64 {
-        self.bytes
-    }
-
     pub(super) fn is_of(&self, inner: &Arc<Device>) -> bool {
         Arc::ptr_eq(&self.inner, inner)
     }
 
-    pub(super) fn device(&self) -> &Device {
-        &self.inner
-    }
-
-    fn bind_memory(&mut self, kind: MemoryKind, allowed: u32) -> Result<()> {
+    fn bind_memory(&mut self, allowed: u32) -> Result<()> {
         let device = &self.inner.device;
         // SAFETY: `raw` was created from this device.
         let needs = unsafe { device.get_buffer_memory_requirements(self.raw) };
         if let Some(allocator) = self.inner.allocator.clone() {
-            return self.bind_hosted(&*allocator, needs, kind);
+            return self.bind_hosted(&*allocator, needs);
         }
-        let types = self.inner.memory.memory_types_as_slice();
-        let index = self.inner.memory_type(needs.memory_type_bits & allowed, kind)?;
+        let index = self.inner.memory_type(needs.memory_type_bits & allowed, self.kind)?;
         let info = vk::MemoryAllocateInfo::default().allocation_size(needs.size).memory_type_index(index);
         // SAFETY: the type index is valid, and the buffer is bound once, at offset 0, to memory of its own.
         unsafe {
             self.memory = device.allocate_memory(&info, None).map_err(|e| self.out_of_memory(e))?;
             device.bind_buffer_memory(self.raw, self.memory, 0).map_err(vk_error("vkBindBufferMemory"))?;
         }
-        let flags = types[index as usize].property_flags;
+        let flags = self.inner.memory.memory_types_as_slice()[index as usize].property_flags;
         self.cached = self.inner.caches(flags);
         // Reading a GPU's own memory word by word over the bus is slower than staging: see `is_read_mapped`.
-        if flags.contains(MAPPABLE) && (kind != MemoryKind::Device || self.inner.place.is_mapped()) {
+        if flags.contains(MAPPABLE) && (self.kind != MemoryKind::Device || self.inner.place.is_mapped()) {
             // SAFETY: host-visible memory, mapped once, whole; freeing it unmaps it.
             let address =
                 unsafe { device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };
@@ -240,22 +205,17 @@ impl Block {
         Ok(())
     }
 
-    /// Binds memory from the host's allocator.
     fn bind_hosted(
         &mut self,
         allocator: &dyn HostAllocator,
         requirements: vk::MemoryRequirements,
-        kind: MemoryKind,
     ) -> Result<()> {
-        let request = MemoryRequest { name: &self.arena, requirements, kind };
-        let failed = |result: String| {
-            let result = format!("{result}, for {} bytes of arena '{}'", self.bytes, self.arena);
-            Error::Vulkan { call: "the host's allocator", result, remedy: String::new() }
-        };
-        let piece = allocator.allocate(&request).map_err(failed)?;
+        let kind = self.kind;
+        let piece = allocator.allocate(&MemoryRequest { name: &self.arena, requirements, kind });
+        let piece = piece.map_err(|reason| self.refused_by_host(&reason))?;
         self.hosted = Some(piece);
         if kind == MemoryKind::HostVisible && piece.mapped.is_none() {
-            return Err(failed("it has not mapped host-visible memory".into()));
+            return Err(self.refused_by_host("it has not mapped host-visible memory"));
         }
         // SAFETY: the allocator guarantees the requested size, alignment and type; the buffer is bound once.
         let bound = unsafe { self.inner.device.bind_buffer_memory(self.raw, piece.memory, piece.offset) };
@@ -266,15 +226,21 @@ impl Block {
         Ok(())
     }
 
-    /// Returns the error of a failed allocation, with its purpose.
+    fn refused_by_host(&self, reason: &str) -> Error {
+        let (call, result) = ("the host's allocator", self.with_purpose(reason));
+        Error::Vulkan { call, result, remedy: String::new() }
+    }
+
+    fn with_purpose(&self, failure: &str) -> String {
+        format!("{failure}, for {} bytes of arena '{}'", self.bytes, self.arena)
+    }
+
     fn out_of_memory(&self, result: vk::Result) -> Error {
-        match vk_error("vkAllocateMemory")(result) {
-            Error::Vulkan { call, result, remedy } => {
-                let result = format!("{result}, for {} bytes of arena '{}'", self.bytes, self.arena);
-                Error::Vulkan { call, result, remedy }
-            }
-            other => other,
+        let mut error = vk_error("vkAllocateMemory")(result);
+        if let Error::Vulkan { result, .. } = &mut error {
+            *result = self.with_purpose(result);
         }
+        error
     }
 
     pub(super) fn is_mapped(&self) -> bool {
@@ -286,49 +252,64 @@ impl Block {
         self.is_mapped() && (self.cached || self.kind != MemoryKind::Device)
     }
 
-    /// Copies into the block. Returns false if it is not mapped.
-    ///
-    /// # Panics
-    /// If the range exceeds the block.
-    pub(super) fn write_mapped(&self, offset: u64, bytes: &[u8]) -> bool {
-        let Some(mapping) = &self.mapping else { return false };
-        assert!(offset + bytes.len() as u64 <= self.bytes, "write outside of a block");
-        let mapping = mapping.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: within the mapping (asserted), to which the lock gives this thread sole access; no
-        // submission that uses the block is running (`Buffer` checks).
-        unsafe {
-            let to = mapping.0.as_ptr().add(offset as usize);
-            std::ptr::copy_nonoverlapping(bytes.as_ptr(), to, bytes.len());
+    /// Returns the view of a range, created on first use. Its offset must be aligned and its texels within the limit.
+    pub(super) fn texel_view(&self, offset: u64, bytes: u64, format: TexelFormat) -> Result<vk::BufferView> {
+        let mut views = lock(&self.texels);
+        if let Some(view) = views.get(&(offset, bytes, format)) {
+            return Ok(*view);
         }
-        true
+        let info = vk::BufferViewCreateInfo::default()
+            .buffer(self.raw)
+            .format(format.raw())
+            .offset(offset)
+            .range(bytes / format.bytes() * format.bytes());
+        // SAFETY: a range of a buffer with UNIFORM_TEXEL_BUFFER usage, checked by the recorder; every device has to
+        // support both formats.
+        let view = unsafe { self.inner.device.create_buffer_view(&info, None) };
+        let view = view.map_err(vk_error("vkCreateBufferView"))?;
+        views.insert((offset, bytes, format), view);
+        Ok(view)
+    }
+
+    /// Copies into the block. Returns false if it is not mapped.
+    pub(super) fn write_mapped(&self, offset: u64, bytes: &[u8]) -> bool {
+        self.access_mapped("write", offset, bytes.len(), |to| {
+            // SAFETY: as `access_mapped` says.
+            unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), to, bytes.len()) }
+        })
     }
 
     /// Copies out of the block. Returns false if it is not mapped.
-    ///
-    /// # Panics
-    /// If the range exceeds the block.
     pub(super) fn read_mapped(&self, offset: u64, bytes: &mut [u8]) -> bool {
+        self.access_mapped("read", offset, bytes.len(), |from| {
+            // SAFETY: as `access_mapped` says.
+            unsafe { std::ptr::copy_nonoverlapping(from, bytes.as_mut_ptr(), bytes.len()) }
+        })
+    }
+
+    /// Passes an address to `access` where this many bytes are mapped. The lock gives this thread sole access to them, and
+    /// no submission that uses the block is running (`Buffer` checks). False if the block is not mapped.
+    fn access_mapped(&self, what: &str, offset: u64, bytes: usize, access: impl FnOnce(*mut u8)) -> bool {
         let Some(mapping) = &self.mapping else { return false };
-        assert!(offset + bytes.len() as u64 <= self.bytes, "read outside of a block");
-        let mapping = mapping.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: as in `write_mapped`.
-        unsafe {
-            let from = mapping.0.as_ptr().add(offset as usize);
-            std::ptr::copy_nonoverlapping(from, bytes.as_mut_ptr(), bytes.len());
-        }
+        assert!(offset + bytes as u64 <= self.bytes, "{what} outside of a block");
+        let mapping = lock(mapping);
+        // SAFETY: within the mapping, as asserted.
+        access(unsafe { mapping.0.as_ptr().add(offset as usize) });
         true
     }
 }
 
 impl Drop for Block {
     fn drop(&mut self) {
-        self.texels.destroy(&self.inner.device);
+        for (_, view) in lock(&self.texels).drain() {
+            // SAFETY: recordings and submissions hold the block until they are done with it, so the view is idle.
+            unsafe { self.inner.device.destroy_buffer_view(view, None) }
+        }
         if !self.owned {
             return;
         }
         self.inner.registry.remove(&self.arena, self.bytes, self.kind);
-        // SAFETY: recordings and submissions hold the block until they are done with it, so it is idle; null handles
-        // are allowed.
+        // SAFETY: idle, as above; null handles are allowed.
         unsafe {
             self.inner.device.destroy_buffer(self.raw, None);
             self.inner.device.free_memory(self.memory, None);
@@ -341,11 +322,7 @@ impl Drop for Block {
 
 impl Device {
     fn caches(&self, flags: vk::MemoryPropertyFlags) -> bool {
-        #[cfg(feature = "testing")]
-        if self.force_uncached {
-            return false;
-        }
-        flags.contains(vk::MemoryPropertyFlags::HOST_CACHED)
+        flags.contains(vk::MemoryPropertyFlags::HOST_CACHED) && !self.force_uncached
     }
 
     /// True if the host reads and writes device memory in place, without staging.
@@ -358,11 +335,239 @@ impl Device {
         self.place == Place::Unified && direct
     }
 
-    /// Returns the best of the allowed memory types.
     pub(super) fn memory_type(&self, allowed: u32, kind: MemoryKind) -> Result<u32> {
-        memory_types::best(&self.memory, allowed, kind, self.place).ok_or_else(|| {
+        best(&self.memory, allowed, kind, self.place).ok_or_else(|| {
             let device = self.description.name.clone();
             Error::MissingFeature { device, feature: format!("a memory type for {kind:?} memory") }
         })
     }
 }
+
+/// A range of a block of device memory. Clones and [`Buffer::range`]s share the memory and keep it alive.
+#[derive(Clone)]
+pub struct Buffer {
+    block: Arc<Block>,
+    offset: u64,
+    bytes: u64,
+    name: &'static str,
+}
+
+impl Buffer {
+    pub(super) fn new(block: Arc<Block>, offset: u64, bytes: u64, name: &'static str) -> Self {
+        Self { block, offset, bytes, name }
+    }
+
+    /// The Vulkan buffer, and the byte offset of this range in it.
+    pub fn handle(&self) -> (vk::Buffer, u64) {
+        (self.raw(), self.offset)
+    }
+
+    /// Size, bytes.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Name in the allocation request.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Returns a part of the buffer, under the same name.
+    ///
+    /// # Panics
+    /// If the part does not lie inside.
+    pub fn range(&self, offset: u64, bytes: u64) -> Buffer {
+        let inside = offset.checked_add(bytes).is_some_and(|end| end <= self.bytes);
+        assert!(inside, "range {offset}+{bytes} lies outside of '{}' of {} bytes", self.name, self.bytes);
+        Buffer { offset: self.offset + offset, bytes, ..self.clone() }
+    }
+
+    /// Returns the whole VkBuffer that contains it, under the same name.
+    pub(crate) fn whole(&self) -> Buffer {
+        Buffer { offset: 0, bytes: self.block.bytes, ..self.clone() }
+    }
+
+    /// True if [`Buffer::whole`] can be bound.
+    pub(crate) fn whole_is_bindable(&self, limits: &Limits) -> bool {
+        self.block.bytes <= limits.max_storage_buffer_range
+    }
+
+    /// True if its VkBuffer could not hold another buffer of its size.
+    pub(crate) fn fills_its_memory(&self) -> bool {
+        self.block.bytes < 2 * self.bytes
+    }
+
+    /// Number of the VkBuffer that contains it, never 0.
+    pub(crate) fn memory_id(&self) -> u64 {
+        self.block.id
+    }
+
+    /// Writes into a [`MemoryKind::HostVisible`] buffer.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for device memory, outside of the buffer, or while a submission that uses the
+    /// buffer's arena is running.
+    pub fn write(&self, offset: u64, bytes: &[u8]) -> Result<()> {
+        self.check_host("written", offset, bytes.len())?;
+        self.block.write_mapped(self.offset + offset, bytes);
+        Ok(())
+    }
+
+    /// Reads from a [`MemoryKind::HostVisible`] buffer.
+    ///
+    /// # Errors
+    /// Same as [`Buffer::write`].
+    pub fn read(&self, offset: u64, bytes: &mut [u8]) -> Result<()> {
+        self.check_host("read", offset, bytes.len())?;
+        self.block.read_mapped(self.offset + offset, bytes);
+        Ok(())
+    }
+
+    fn check_host(&self, done: &str, offset: u64, bytes: usize) -> Result<()> {
+        if self.block.kind != MemoryKind::HostVisible {
+            return Err(self.refused(format!("device memory cannot be {done} directly")));
+        }
+        self.check_range(offset, bytes)?;
+        self.check_idle()
+    }
+
+    pub(super) fn check_range(&self, offset: u64, bytes: usize) -> Result<()> {
+        match offset.checked_add(bytes as u64) {
+            Some(end) if end <= self.bytes => Ok(()),
+            _ => Err(self.refused(format!("{bytes} bytes at {offset} do not fit into its {}", self.bytes))),
+        }
+    }
+
+    pub(super) fn refused(&self, problem: impl Into<String>) -> Error {
+        Error::argument(format!("buffer '{}'", self.name), problem)
+    }
+
+    pub(super) fn check_idle(&self) -> Result<()> {
+        match self.block.in_flight.load(Ordering::Acquire) {
+            0 => Ok(()),
+            _ => Err(self.refused("in use by a submission: wait for that first")),
+        }
+    }
+
+    pub(super) fn block(&self) -> &Arc<Block> {
+        &self.block
+    }
+
+    pub(super) fn raw(&self) -> vk::Buffer {
+        self.block.raw
+    }
+
+    pub(super) fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// Returns the bytes of the guard band behind the buffer, if the buffer ends where a guarded one does.
+    pub(super) fn guard_behind(&self) -> u64 {
+        let end = self.offset + self.bytes;
+        let is_guarded = || lock(&self.block.guarded).iter().any(|(offset, bytes, _)| offset + bytes == end);
+        if self.block.inner.guard_bands && is_guarded() { GUARD_BYTES } else { 0 }
+    }
+
+    /// Records a copy of the whole buffer to the start of another. The caller keeps both until it has run.
+    pub(super) fn record_copy(&self, commands: vk::CommandBuffer, to: &Self) {
+        let region = vk::BufferCopy::default().src_offset(self.offset).dst_offset(to.offset).size(self.bytes);
+        // SAFETY: recording state; ranges within buffers that are kept, with transfer usage, that do not overlap.
+        unsafe { self.block.inner.device.cmd_copy_buffer(commands, self.raw(), to.raw(), &[region]) }
+    }
+}
+
+impl std::fmt::Debug for Buffer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Buffer('{}', {} bytes)", self.name, self.bytes)
+    }
+}
+
+/// Setting that messages name for [`ContextOptions::max_memory`](super::ContextOptions::max_memory).
+pub(super) const MAX_MEMORY: &str = "--max-memory";
+
+/// Setting that messages name for [`ContextOptions::offload`](super::ContextOptions::offload).
+pub(super) const OFFLOAD: &str = "--offload";
+
+pub(super) const UNBOUNDED: u64 = u64::MAX;
+
+impl Device {
+    fn guard(&self) -> u64 {
+        if self.guard_bands { GUARD_BYTES } else { 0 }
+    }
+
+    fn sizes(&self, requests: &[(&'static str, u64)]) -> Vec<u64> {
+        requests.iter().map(|(_, bytes)| padded(*bytes) + 2 * self.guard()).collect()
+    }
+
+    /// Returns the bytes that [`Device::allocate`] takes for these requests. If it would refuse them, returns their sum.
+    pub(super) fn allocation_bytes(&self, requests: &[(&'static str, u64)]) -> u64 {
+        let sizes = self.sizes(requests);
+        let blocks = pack(&sizes, self.limits.max_allocation_bytes).map_or(sizes, |packing| packing.blocks);
+        blocks.iter().sum()
+    }
+
+    pub(super) fn max_memory(&self) -> Option<u64> {
+        Some(self.max_memory.load(Ordering::Relaxed)).filter(|&bytes| bytes != UNBOUNDED)
+    }
+
+    pub(super) fn offload(&self) -> Option<u64> {
+        Some(self.offload.load(Ordering::Relaxed)).filter(|&bytes| bytes > 0)
+    }
+
+    /// Same as [`Context::allocate`](super::Context::allocate), but without guard bands' contents and audits. `kept_free`:
+    /// bytes below the bound that remain for the next transfer.
+    pub(super) fn allocate(
+        self: &Arc<Self>,
+        arena: &str,
+        requests: &[(&'static str, u64)],
+        kind: MemoryKind,
+        kept_free: u64,
+    ) -> Result<Vec<Buffer>> {
+        let limits = &self.limits;
+        let too_large = |what: String, needed, limit, limit_name| {
+            Err(Error::TooLarge { what, needed, unit: "bytes", limit, limit_name })
+        };
+        let range = limits.max_storage_buffer_range;
+        if let Some(&(name, bytes)) = requests.iter().find(|(_, bytes)| *bytes > range) {
+            return too_large(format!("buffer {arena}.{name}"), bytes, range, "maxStorageBufferRange");
+        }
+        let guard = self.guard();
+        let sizes = self.sizes(requests);
+        let packing = match pack(&sizes, limits.max_allocation_bytes) {
+            Ok(packing) => packing,
+            Err(i) => {
+                let limit = limits.max_allocation_bytes;
+                let what = format!("buffer {arena}.{}", requests[i].0);
+                return too_large(what, sizes[i], limit, "maxMemoryAllocationSize");
+            }
+        };
+        let total: u64 = packing.blocks.iter().sum();
+        if total > limits.heap_bytes && kind == MemoryKind::Device && limits.tuning.heap_is_bound {
+            return too_large(format!("arena {arena}"), total, limits.heap_bytes, "device-local heap");
+        }
+        let (used, limit, limit_name) = match kind {
+            MemoryKind::Offloaded => (self.registry.offloaded().bytes, self.offload(), OFFLOAD),
+            _ => (self.registry.total().bytes + kept_free, self.max_memory(), MAX_MEMORY),
+        };
+        if let Some(limit) = limit.filter(|&limit| used.saturating_add(total) > limit) {
+            let what = match kept_free {
+                0 => format!("arena {arena} (beside {used} bytes in use)"),
+                _ => format!("arena {arena} (beside {used} bytes in use and for transfers)"),
+            };
+            return too_large(what, used.saturating_add(total), limit, limit_name);
+        }
+        let arena: Arc<str> = arena.into();
+        let blocks = (packing.blocks.iter().enumerate())
+            .map(|(number, &bytes)| Ok(Arc::new(Block::new(self, (&arena, number), bytes, kind, u32::MAX)?)))
+            .collect::<Result<Vec<_>>>()?;
+        let places = requests.iter().zip(&packing.places);
+        let buffers = places.map(|(&(name, bytes), &(block, offset))| {
+            Buffer::new(blocks[block].clone(), offset + guard, padded(bytes), name)
+        });
+        Ok(buffers.collect())
+    }
+}
+
+/// Bytes of the guard band before and after each buffer, which must not be written; a multiple of the buffers' alignment.
+/// The writes of one excess workgroup, of 256 invocations with a vec4 each, end within it.
+pub(super) const GUARD_BYTES: u64 = 16 * PLACEMENT_ALIGNMENT;

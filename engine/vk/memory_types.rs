@@ -1,7 +1,78 @@
-//! Chooses the memory type for each kind of memory.
+//! Kinds of device memory, their memory types, a host's allocator, and the bytes of each arena.
 
-use super::allocator::MemoryKind;
-use ash::vk;
+use super::lock::lock;
+use ash::vk::{self, MemoryPropertyFlags as Flags};
+use std::collections::BTreeMap;
+use std::ptr::NonNull;
+use std::sync::{Arc, Mutex};
+
+/// Kind of memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MemoryKind {
+    /// Fastest for kernels. Filled by [`Context::upload`](super::Context::upload), read by
+    /// [`Context::download`](super::Context::download).
+    Device,
+    /// Mapped, coherent and, where possible, cached: [`Buffer::write`](super::Buffer::write) and
+    /// [`Buffer::read`](super::Buffer::read).
+    HostVisible,
+    /// The host's memory, which kernels reach over the bus. Holds data that does not fit into device memory. Uploads and
+    /// downloads work as for [`MemoryKind::Device`]. It counts for
+    /// [`ContextOptions::offload`](super::ContextOptions::offload) and not for
+    /// [`ContextOptions::max_memory`](super::ContextOptions::max_memory).
+    Offloaded,
+}
+
+/// A request to a host's allocator.
+#[derive(Clone, Copy, Debug)]
+pub struct MemoryRequest<'a> {
+    /// Name of the block, for debugging.
+    pub name: &'a str,
+    /// Size, alignment and allowed memory types of the buffer.
+    pub requirements: vk::MemoryRequirements,
+    /// How the memory is used. [`MemoryKind::HostVisible`] must be mapped.
+    pub kind: MemoryKind,
+}
+
+/// A piece of device memory.
+#[derive(Clone, Copy, Debug)]
+pub struct HostMemory {
+    /// The memory object.
+    pub memory: vk::DeviceMemory,
+    /// Byte offset of the piece in the memory object.
+    pub offset: u64,
+    /// Host address of the piece, if it is mapped.
+    pub mapped: Option<NonNull<u8>>,
+    /// An identifier for the allocator's own use.
+    pub id: u64,
+}
+
+// SAFETY: an address of mapped device memory is valid on every thread; the engine orders accesses to it.
+unsafe impl Send for HostMemory {}
+// SAFETY: as above; a shared reference gives no access to the memory.
+unsafe impl Sync for HostMemory {}
+
+/// A host's allocator, which provides the memory of all buffers of a context: see [`super::ForeignDevice::allocator`].
+///
+/// Operations that allocate call it ([`super::Context::allocate`], uploads, `Renderer::reserve`); recording a frame never
+/// does. It is also called when the last owner of a buffer is dropped, on the thread of that drop. A slot owns the buffers
+/// of its last recording, until it is recorded again or released ([`super::RecordSlot::release`]).
+///
+/// # Safety
+/// - [`HostAllocator::allocate`] returns memory of the context's device, of a requested type, with the requested size and
+///   alignment;
+/// - the piece has no other user before it is freed;
+/// - if the piece is mapped, it is mapped at the given address until it is freed, and the memory type is
+///   host-coherent.
+pub unsafe trait HostAllocator: Send + Sync {
+    /// Allocates a piece of memory.
+    ///
+    /// # Errors
+    /// The reason, in one line.
+    fn allocate(&self, request: &MemoryRequest<'_>) -> Result<HostMemory, String>;
+
+    /// Frees a piece that is not in use any more.
+    fn free(&self, memory: HostMemory);
+}
 
 /// Location of device memory, as the host sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,27 +94,27 @@ impl Place {
     /// Returns the location for a card: [`Place::Window`] if the host sees all of its memory, not only a window of 256 MiB.
     pub(super) fn of_card(memory: &vk::PhysicalDeviceMemoryProperties) -> Self {
         const OLD_WINDOW: u64 = 256 << 20;
-        type Flags = vk::MemoryPropertyFlags;
         let heaps = memory.memory_heaps_as_slice();
         let local = heaps.iter().filter(|heap| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
         let largest = local.map(|heap| heap.size).max().unwrap_or(0);
-        let seen = memory.memory_types_as_slice().iter().any(|of| {
-            let flags = Flags::DEVICE_LOCAL | Flags::HOST_VISIBLE | Flags::HOST_COHERENT;
+        let sees_all = memory.memory_types_as_slice().iter().any(|of| {
             let size = heaps.get(of.heap_index as usize).map_or(0, |heap| heap.size);
-            of.property_flags.contains(flags)
+            of.property_flags.contains(Flags::DEVICE_LOCAL | MAPPABLE)
                 && !of.property_flags.intersects(SPECIAL)
                 && size == largest
                 && size > OLD_WINDOW
         });
-        if seen { Self::Window } else { Self::Card }
+        if sees_all { Self::Window } else { Self::Card }
     }
 }
 
+/// Flags of a memory type that is mapped, and needs no flushes.
+pub(super) const MAPPABLE: Flags =
+    Flags::from_raw(Flags::HOST_VISIBLE.as_raw() | Flags::HOST_COHERENT.as_raw());
+
 /// Flags of types that need special treatment.
-const SPECIAL: vk::MemoryPropertyFlags = vk::MemoryPropertyFlags::from_raw(
-    vk::MemoryPropertyFlags::PROTECTED.as_raw()
-        | vk::MemoryPropertyFlags::LAZILY_ALLOCATED.as_raw()
-        | vk::MemoryPropertyFlags::DEVICE_COHERENT_AMD.as_raw(),
+const SPECIAL: Flags = Flags::from_raw(
+    Flags::PROTECTED.as_raw() | Flags::LAZILY_ALLOCATED.as_raw() | Flags::DEVICE_COHERENT_AMD.as_raw(),
 );
 
 /// Returns the best memory type for a kind: the first whose flags match a wish, wishes in order. Among types with the same
@@ -54,41 +125,20 @@ pub(super) fn best(
     kind: MemoryKind,
     place: Place,
 ) -> Option<u32> {
-    type Flags = vk::MemoryPropertyFlags;
     let (types, heaps) = (memory.memory_types_as_slice(), memory.memory_heaps_as_slice());
-    let coherent = Flags::HOST_VISIBLE | Flags::HOST_COHERENT;
+    let (none, local, cached) = (Flags::empty(), Flags::DEVICE_LOCAL, MAPPABLE | Flags::HOST_CACHED);
     // (required flags, unwanted flags)
     let wishes = match (kind, place) {
-        (MemoryKind::Device, Place::Unified) => vec![
-            (Flags::DEVICE_LOCAL | coherent | Flags::HOST_CACHED, Flags::empty()),
-            (Flags::DEVICE_LOCAL | coherent, Flags::empty()),
-            (Flags::DEVICE_LOCAL, Flags::empty()),
-            (Flags::empty(), Flags::empty()),
-        ],
-        (MemoryKind::Device, Place::Window) => vec![
-            (Flags::DEVICE_LOCAL | coherent, Flags::empty()),
-            (Flags::DEVICE_LOCAL, Flags::empty()),
-            (Flags::empty(), Flags::empty()),
-        ],
-        (MemoryKind::Device, Place::Card) => vec![
-            (Flags::DEVICE_LOCAL, Flags::HOST_VISIBLE),
-            (Flags::DEVICE_LOCAL, Flags::empty()),
-            (Flags::empty(), Flags::empty()),
-        ],
+        (MemoryKind::Device, Place::Unified) => {
+            vec![(local | cached, none), (local | MAPPABLE, none), (local, none), (none, none)]
+        }
+        (MemoryKind::Device, Place::Window) => vec![(local | MAPPABLE, none), (local, none), (none, none)],
+        (MemoryKind::Device, Place::Card) => vec![(local, Flags::HOST_VISIBLE), (local, none), (none, none)],
         // All memory is host memory, so no type is better than the device's.
         (MemoryKind::Offloaded, Place::Unified) => return best(memory, allowed, MemoryKind::Device, place),
-        (MemoryKind::Offloaded, _) => vec![
-            (coherent | Flags::HOST_CACHED, Flags::DEVICE_LOCAL),
-            (coherent, Flags::DEVICE_LOCAL),
-            (Flags::empty(), Flags::DEVICE_LOCAL),
-            // A processor that is treated as a card.
-            (Flags::empty(), Flags::empty()),
-        ],
-        (MemoryKind::HostVisible, _) => vec![
-            (coherent | Flags::HOST_CACHED, Flags::empty()),
-            (coherent, Flags::DEVICE_LOCAL),
-            (coherent, Flags::empty()),
-        ],
+        // The last wish is for a processor that is treated as a card.
+        (MemoryKind::Offloaded, _) => vec![(cached, local), (MAPPABLE, local), (none, local), (none, none)],
+        (MemoryKind::HostVisible, _) => vec![(cached, none), (MAPPABLE, local), (MAPPABLE, none)],
     };
     let fits = |index: usize, with: Flags, without: Flags| {
         let flags = types[index].property_flags;
@@ -108,15 +158,87 @@ pub(super) fn best(
     found.next().map(|i| i as u32)
 }
 
+/// Memory of one arena.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArenaMemory {
+    /// The arena's name.
+    pub name: String,
+    /// Allocated now.
+    pub bytes: u64,
+    /// Peak of the allocated bytes.
+    pub peak_bytes: u64,
+}
+
+/// (current bytes, peak bytes).
+type Amount = (u64, u64);
+
+#[derive(Default)]
+pub(super) struct Registry(Mutex<Amounts>);
+
+#[derive(Default)]
+struct Amounts {
+    arenas: BTreeMap<Arc<str>, Amount>,
+    /// Excludes offloaded memory.
+    total: Amount,
+    offloaded: Amount,
+}
+
+impl Amounts {
+    /// Returns the amounts that memory of this arena and kind counts for.
+    fn of(&mut self, arena: &Arc<str>, kind: MemoryKind) -> [&mut Amount; 2] {
+        let all = if kind == MemoryKind::Offloaded { &mut self.offloaded } else { &mut self.total };
+        [self.arenas.entry(arena.clone()).or_default(), all]
+    }
+}
+
+impl Registry {
+    pub(super) fn add(&self, arena: &Arc<str>, bytes: u64, kind: MemoryKind) {
+        for (now, peak) in lock(&self.0).of(arena, kind) {
+            *now += bytes;
+            *peak = (*now).max(*peak);
+        }
+    }
+
+    pub(super) fn remove(&self, arena: &Arc<str>, bytes: u64, kind: MemoryKind) {
+        for (now, _) in lock(&self.0).of(arena, kind) {
+            *now -= bytes;
+        }
+    }
+
+    pub(super) fn reset_peaks(&self) {
+        let Amounts { arenas, total, offloaded } = &mut *lock(&self.0);
+        // Living blocks have bytes in their arena, so this removes no arena of a living block.
+        arenas.retain(|_, (now, _)| *now > 0);
+        arenas.values_mut().chain([total, offloaded]).for_each(|(now, peak)| *peak = *now);
+    }
+
+    pub(super) fn all(&self) -> Vec<ArenaMemory> {
+        lock(&self.0).arenas.iter().map(|(name, amount)| memory(name, *amount)).collect()
+    }
+
+    /// Memory of all arenas, without offloaded memory.
+    pub(super) fn total(&self) -> ArenaMemory {
+        memory("total", lock(&self.0).total)
+    }
+
+    pub(super) fn offloaded(&self) -> ArenaMemory {
+        memory("offloaded", lock(&self.0).offloaded)
+    }
+}
+
+fn memory(name: &str, (bytes, peak_bytes): Amount) -> ArenaMemory {
+    ArenaMemory { name: name.into(), bytes, peak_bytes }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vk::MemoryPropertyFlags as Flags;
 
-    const SEEN: Flags = Flags::from_raw(Flags::HOST_VISIBLE.as_raw() | Flags::HOST_COHERENT.as_raw());
-
+    const NONE: Flags = Flags::empty();
+    const SEEN: Flags = MAPPABLE;
     const CACHED: Flags = Flags::from_raw(SEEN.as_raw() | Flags::HOST_CACHED.as_raw());
     const LOCAL: Flags = Flags::DEVICE_LOCAL;
+    const SPECIAL: Flags = Flags::DEVICE_COHERENT_AMD;
 
     /// Builds a table of types with their heaps. Heaps are (MiB, true if device-local).
     fn memory(types: &[(Flags, u32)], heaps: &[(u64, bool)]) -> vk::PhysicalDeviceMemoryProperties {
@@ -136,89 +258,76 @@ mod tests {
         memory(&flags.iter().map(|&flags| (flags, 0)).collect::<Vec<_>>(), &[(0, true)])
     }
 
-    fn of(flags: &[Flags], unified: bool) -> [Option<u32>; 2] {
-        let place = if unified { Place::Unified } else { Place::Card };
+    fn of(flags: &[Flags], place: Place) -> [Option<u32>; 2] {
         [MemoryKind::Device, MemoryKind::HostVisible].map(|kind| best(&types(flags), u32::MAX, kind, place))
+    }
+
+    fn offloaded(flags: &[Flags], place: Place) -> Option<u32> {
+        best(&types(flags), u32::MAX, MemoryKind::Offloaded, place)
     }
 
     /// Tables of cards as drivers report them (vulkan.gpuinfo.org), without types for images.
     #[test]
     fn all_of_a_cards_memory_is_written_directly_where_the_host_sees_it() {
-        let chosen = |types: &[(Flags, u32)], heaps: &[(u64, bool)]| {
+        let check = |card: &str, types: &[(Flags, u32)], heaps: &[(u64, bool)], place, chosen: [u32; 2]| {
             let memory = memory(types, heaps);
-            let place = Place::of_card(&memory);
+            assert_eq!(Place::of_card(&memory), place, "{card}");
             let kinds = [MemoryKind::Device, MemoryKind::HostVisible, MemoryKind::Offloaded];
-            let [device, host, offloaded] = kinds.map(|kind| best(&memory, u32::MAX, kind, place));
             // Offloaded memory and read-back use the same cached host memory.
-            assert_eq!(offloaded, host);
-            (place, [device, host])
+            let expected = [chosen[0], chosen[1], chosen[1]].map(Some);
+            assert_eq!(kinds.map(|kind| best(&memory, u32::MAX, kind, place)), expected, "{card}");
         };
-        // NVIDIA, RTX 30 and later, without and with resizable BAR. The window is a separate heap, or absent.
-        let nvidia = [(Flags::empty(), 1), (LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, 2)];
-        let window = chosen(&nvidia, &[(24_576, true), (32_768, false), (246, true)]);
-        assert_eq!(window, (Place::Card, [Some(1), Some(3)]));
-        let whole = [(Flags::empty(), 1), (LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, 0)];
-        assert_eq!(chosen(&whole, &[(24_576, true), (32_768, false)]), (Place::Window, [Some(4), Some(3)]));
-        // AMD by Mesa: with the old window, and with all memory visible. Its coherent types come last.
-        let amd =
-            [(LOCAL, 0), (SEEN, 1), (LOCAL | SEEN, 2), (CACHED, 1), (LOCAL | Flags::DEVICE_COHERENT_AMD, 0)];
-        let window = chosen(&amd, &[(7_936, true), (16_000, false), (256, true)]);
-        assert_eq!(window, (Place::Card, [Some(0), Some(3)]));
-        let whole = [(LOCAL, 0), (SEEN, 1), (LOCAL | SEEN, 0), (CACHED, 1)];
-        assert_eq!(chosen(&whole, &[(16_368, true), (16_000, false)]), (Place::Window, [Some(2), Some(3)]));
-        // Intel's Arc.
+        let nvidia = |window| [(NONE, 1), (LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, window)];
+        let heaps = [(24_576, true), (32_768, false), (246, true)];
+        check("NVIDIA, RTX 30 and later, the window is a heap", &nvidia(2), &heaps, Place::Card, [1, 3]);
+        check("NVIDIA with resizable BAR", &nvidia(0), &heaps[..2], Place::Window, [4, 3]);
+        // Coherent types of AMD by Mesa come last.
+        let amd = [(LOCAL, 0), (SEEN, 1), (LOCAL | SEEN, 2), (CACHED, 1), (LOCAL | SPECIAL, 0)];
+        let heaps = [(7_936, true), (16_000, false), (256, true)];
+        check("AMD with the old window", &amd, &heaps, Place::Card, [0, 3]);
+        let amd = [(LOCAL, 0), (SEEN, 1), (LOCAL | SEEN, 0), (CACHED, 1)];
+        check("AMD, all visible", &amd, &[(16_368, true), (16_000, false)], Place::Window, [2, 3]);
         let arc = [(LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, 0)];
-        assert_eq!(chosen(&arc, &[(16_256, true), (31_900, false)]), (Place::Window, [Some(3), Some(2)]));
-        // A card whose memory the host does not see.
-        assert_eq!(chosen(&[(LOCAL, 0), (SEEN, 1)], &[(8_192, true), (8_192, false)]).0, Place::Card);
-        // Memory that only special types expose does not count as visible.
-        let special = [(LOCAL, 0), (LOCAL | SEEN | Flags::DEVICE_COHERENT_AMD, 0), (CACHED, 1)];
-        assert_eq!(chosen(&special, &[(8_192, true), (8_192, false)]), (Place::Card, [Some(0), Some(2)]));
+        check("Intel's Arc", &arc, &[(16_256, true), (31_900, false)], Place::Window, [3, 2]);
+        let hidden = [(LOCAL, 0), (SEEN, 1)];
+        check("the host does not see it", &hidden, &[(8_192, true), (8_192, false)], Place::Card, [0, 1]);
+        let special = [(LOCAL, 0), (LOCAL | SEEN | SPECIAL, 0), (CACHED, 1)];
+        let heaps = [(8_192, true), (8_192, false)];
+        check("only special types expose it", &special, &heaps, Place::Card, [0, 2]);
     }
 
     /// A card with a window of its memory on the bus: parameters stay where the host does not see them, read-back is
     /// cached.
     #[test]
     fn a_card_keeps_its_memory_and_reads_back_through_the_cache() {
-        let card = [
-            Flags::empty(),
-            Flags::DEVICE_LOCAL,
-            SEEN,
-            SEEN | Flags::HOST_CACHED,
-            Flags::DEVICE_LOCAL | SEEN,
-            Flags::DEVICE_LOCAL | Flags::PROTECTED,
-        ];
-        assert_eq!(of(&card, false), [Some(1), Some(3)]);
+        let card = [NONE, LOCAL, SEEN, CACHED, LOCAL | SEEN, LOCAL | Flags::PROTECTED];
+        assert_eq!(of(&card, Place::Card), [Some(1), Some(3)]);
         // Without such a window, and without cached memory.
-        assert_eq!(of(&card[..3], false), [Some(1), Some(2)]);
+        assert_eq!(of(&card[..3], Place::Card), [Some(1), Some(2)]);
         // All of the card's memory on the bus.
-        assert_eq!(of(&[Flags::DEVICE_LOCAL | SEEN, SEEN], false), [Some(0), Some(1)]);
+        assert_eq!(of(&[LOCAL | SEEN, SEEN], Place::Card), [Some(0), Some(1)]);
         // Offloaded memory leaves the card, even if the host cannot see it.
-        let offloaded = |flags: &[Flags]| best(&types(flags), u32::MAX, MemoryKind::Offloaded, Place::Card);
-        assert_eq!(offloaded(&card), Some(3));
-        assert_eq!(offloaded(&[Flags::DEVICE_LOCAL, Flags::DEVICE_LOCAL | SEEN, Flags::empty()]), Some(2));
-        assert_eq!(offloaded(&[Flags::DEVICE_LOCAL | SEEN]), Some(0));
+        assert_eq!(offloaded(&card, Place::Card), Some(3));
+        assert_eq!(offloaded(&[LOCAL, LOCAL | SEEN, NONE], Place::Card), Some(2));
+        assert_eq!(offloaded(&[LOCAL | SEEN], Place::Card), Some(0));
     }
 
     #[test]
     fn unified_memory_is_cached_where_it_can_be() {
-        let all = Flags::DEVICE_LOCAL | SEEN | Flags::HOST_CACHED;
-        assert_eq!(of(&[Flags::DEVICE_LOCAL | SEEN, all], true), [Some(1), Some(1)]);
-        assert_eq!(of(&[Flags::DEVICE_LOCAL, Flags::DEVICE_LOCAL | SEEN, SEEN], true), [Some(1), Some(2)]);
-        assert_eq!(
-            best(&types(&[LOCAL | SEEN, all]), u32::MAX, MemoryKind::Offloaded, Place::Unified),
-            Some(1)
-        );
+        let seen = [LOCAL | SEEN, LOCAL | CACHED];
+        assert_eq!(of(&seen, Place::Unified), [Some(1), Some(1)]);
+        assert_eq!(offloaded(&seen, Place::Unified), Some(1));
+        assert_eq!(of(&[LOCAL, LOCAL | SEEN, SEEN], Place::Unified), [Some(1), Some(2)]);
         // A part of main memory belongs to the device, invisible to the host.
-        assert_eq!(of(&[Flags::DEVICE_LOCAL, SEEN | Flags::HOST_CACHED], true), [Some(0), Some(1)]);
+        assert_eq!(of(&[LOCAL, CACHED], Place::Unified), [Some(0), Some(1)]);
     }
 
     #[test]
     fn only_allowed_types_are_taken() {
-        let two = types(&[Flags::DEVICE_LOCAL, Flags::DEVICE_LOCAL]);
+        let two = types(&[LOCAL, LOCAL]);
         assert_eq!(best(&two, 0b10, MemoryKind::Device, Place::Card), Some(1));
         assert_eq!(best(&two, 0b11, MemoryKind::HostVisible, Place::Card), None);
-        let special = types(&[Flags::DEVICE_LOCAL | Flags::DEVICE_COHERENT_AMD, Flags::empty()]);
+        let special = types(&[LOCAL | SPECIAL, NONE]);
         assert_eq!(best(&special, 0b11, MemoryKind::Device, Place::Card), Some(1));
     }
 }

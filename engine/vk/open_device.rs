@@ -1,54 +1,46 @@
 //! The open device: its functions, properties and settings, and state shared by everything made from it. It knows nothing
 //! of buffers, kernels or recordings, which depend on it.
 
-use super::allocator::HostAllocator;
-use super::arenas::Registry;
-use super::built::BuiltPipelines;
-use super::clock::Clock;
-use super::debug::vk_error;
-use super::debug::{Messages, Names};
-use super::device::DeviceDescription;
-use super::executables::Executables;
-use super::instance::Instance;
+use super::compile_only::Executables;
+use super::debug::{Messages, Names, vk_error};
+use super::device::{DeviceDescription, Instance, queue_families};
 use super::limits::Limits;
-use super::memory_types::Place;
-use super::pipeline_cache::PipelineCache;
+use super::lock::lock;
+use super::memory_types::{HostAllocator, Place, Registry};
+use super::pipeline_cache::{BuiltPipelines, PipelineCache};
 use super::raw_device::RawDevice;
 use super::spirv::SubgroupRules;
-use crate::{Error, Result};
+use crate::error::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
-use std::ops::Deref;
+use std::ffi::CStr;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 /// An open device. Everything made from it keeps it open.
 pub(super) struct Device {
-    /// Its functions.
     pub(super) device: RawDevice,
     /// None: sets of `shared_layouts` are bound instead.
     pub(super) push_descriptor: Option<ash::khr::push_descriptor::Device>,
     /// Present with [`super::ContextOptions::compile_only`].
     pub(super) executables: Option<Executables>,
-    /// Present without push descriptors: the layouts of the module `descriptors`.
+    /// Present without push descriptors: the layouts of the module `pipeline`.
     pub(super) shared_layouts: Option<Vec<vk::DescriptorSetLayout>>,
     pub(super) names: Names,
     /// None if a host keeps its queue to itself.
     pub(super) queue: Option<Mutex<vk::Queue>>,
-    /// A host's lock of the queue.
     pub(super) queue_lock: Option<Arc<dyn QueueLock>>,
     pub(super) queue_family: u32,
     /// Runs uploads if device memory is not mapped. None on a host's device, or without such a queue family.
     pub(super) copying: Option<CopyQueue>,
     pub(super) physical: vk::PhysicalDevice,
     pub(super) limits: Limits,
-    /// Rules for kernels that use subgroups.
     pub(super) subgroup_rules: SubgroupRules,
     pub(super) memory: vk::PhysicalDeviceMemoryProperties,
     /// Location of device memory, which decides between mapping and staging.
     pub(super) place: Place,
-    #[cfg(feature = "testing")]
+    /// For tests: device memory counts as not cached by the host.
     pub(super) force_uncached: bool,
     pub(super) timestamp_bits: u32,
     /// True while timestamps are written.
@@ -57,15 +49,14 @@ pub(super) struct Device {
     pub(super) clock: Option<Clock>,
     pub(super) hazard_check: bool,
     pub(super) timeout: Option<Duration>,
-    /// Most bytes of all arenas together; [`UNBOUNDED`] for no bound.
+    /// Most bytes of all arenas together; [`super::memory::UNBOUNDED`] for no bound.
     pub(super) max_memory: AtomicU64,
     /// Most bytes that may be offloaded; 0 for no offloading.
     pub(super) offload: AtomicU64,
-    #[cfg(feature = "testing")]
+    /// For tests: buffers have guard bands.
     pub(super) guard_bands: bool,
     /// Physical device for budget queries (VK_EXT_memory_budget).
     pub(super) budget: Option<vk::PhysicalDevice>,
-    /// True if the device is lost.
     pub(super) lost: AtomicBool,
     pub(super) description: DeviceDescription,
     pub(super) registry: Registry,
@@ -73,17 +64,14 @@ pub(super) struct Device {
     pub(super) replaced: Mutex<HashMap<String, Arc<Vec<u32>>>>,
     /// Allocator of the buffers' memory; None: the device.
     pub(super) allocator: Option<Arc<dyn HostAllocator>>,
-    /// Kernels that have been built.
     pub(super) built: BuiltPipelines,
-    /// True after the check of [`crate::subgroups`] has passed.
+    /// True after the check of [`crate::frame::subgroups`] has passed.
     pub(super) subgroups_are_sound: AtomicBool,
-    /// Cache with which kernels are built.
     pub(super) pipeline_cache: PipelineCache,
     // Destroyed after the device, so it must be the last field.
     pub(super) owner: Owner,
 }
 
-/// Owner of the instance and the device.
 pub(super) enum Owner {
     /// Ours; they are destroyed with this value.
     Us(Instance),
@@ -108,7 +96,6 @@ impl Owner {
 }
 
 impl Device {
-    /// True if the instance and the device are a host's.
     pub(super) fn is_foreign(&self) -> bool {
         matches!(self.owner, Owner::Host(_))
     }
@@ -117,6 +104,24 @@ impl Device {
     pub(super) fn failed(&self, call: &'static str, result: vk::Result) -> Error {
         self.lost.fetch_or(result == vk::Result::ERROR_DEVICE_LOST, Ordering::Relaxed);
         vk_error(call)(result)
+    }
+
+    pub(super) fn lock_queue(&self) -> Result<LockedQueue<'_>> {
+        let Some(queue) = &self.queue else {
+            let problem = "the host keeps its queue: only recording into its command buffers is possible";
+            return Err(Error::argument("queue", problem));
+        };
+        Ok(LockedQueue::new(queue, self.queue_lock.as_deref()))
+    }
+
+    pub(super) fn queue_families(&self) -> Vec<vk::QueueFamilyProperties> {
+        queue_families(self.owner.instance(), self.physical)
+    }
+
+    /// Records a barrier, outside of a render pass.
+    pub(super) fn barrier(&self, commands: vk::CommandBuffer, dependency: &vk::DependencyInfo<'_>) {
+        // SAFETY: the caller records into `commands`, and keeps the buffers and images of the barrier.
+        unsafe { self.device.cmd_pipeline_barrier2(commands, dependency) }
     }
 
     /// Fails if kernels read texels: the views are made while recording, and a host's buffers may lack the usage.
@@ -139,8 +144,8 @@ impl Drop for Device {
                 let _ = self.device.device_wait_idle();
             }
             self.built.close(&self.device);
-            if let Some(queue) = &self.copying {
-                queue.close(&self.device);
+            for timeline in self.copying.iter().flat_map(|queue| [&queue.worked, &queue.copied]) {
+                self.device.destroy_semaphore(timeline.semaphore, None);
             }
             for layout in self.shared_layouts.iter().flatten() {
                 self.device.destroy_descriptor_set_layout(*layout, None);
@@ -157,16 +162,9 @@ impl Drop for Device {
 
 /// Semaphore that counts the submissions to a queue.
 pub(super) struct Timeline {
-    pub(super) semaphore: vk::Semaphore,
+    semaphore: vk::Semaphore,
     /// Submissions so far. Changed only under the queue's lock.
     count: AtomicU64,
-}
-
-/// A value of a semaphore that a submission waits for.
-#[derive(Clone, Copy)]
-pub(super) struct Point {
-    pub(super) semaphore: vk::Semaphore,
-    pub(super) value: u64,
 }
 
 impl Timeline {
@@ -178,20 +176,22 @@ impl Timeline {
         Ok(Self { semaphore: semaphore.map_err(vk_error("vkCreateSemaphore"))?, count: AtomicU64::new(0) })
     }
 
-    /// Returns the point after all submissions so far.
-    pub(super) fn last(&self) -> Point {
-        Point { semaphore: self.semaphore, value: self.count.load(Ordering::Acquire) }
+    /// Returns the wait for all submissions so far.
+    pub(super) fn last(&self) -> vk::SemaphoreSubmitInfo<'static> {
+        vk::SemaphoreSubmitInfo::default()
+            .semaphore(self.semaphore)
+            .value(self.count.load(Ordering::Acquire))
+            .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
     }
 
-    /// Returns the point that the next submission signals.
-    pub(super) fn next(&self) -> Point {
+    /// Returns the signal of the next submission.
+    pub(super) fn next(&self) -> vk::SemaphoreSubmitInfo<'static> {
         let last = self.last();
-        Point { value: last.value + 1, ..last }
+        last.value(last.value + 1)
     }
 
-    /// Counts a submission that was made.
-    pub(super) fn submitted(&self, point: Point) {
-        self.count.store(point.value, Ordering::Release);
+    pub(super) fn submitted(&self) {
+        self.count.fetch_add(1, Ordering::Release);
     }
 }
 
@@ -199,38 +199,24 @@ impl Timeline {
 pub(super) struct CopyQueue {
     queue: Mutex<vk::Queue>,
     pub(super) family: u32,
-    /// Timeline of the main queue.
     pub(super) worked: Timeline,
-    /// Timeline of this queue.
     pub(super) copied: Timeline,
 }
 
 impl CopyQueue {
-    /// # Errors
-    /// When the driver has no memory left.
     pub(super) fn new(device: &RawDevice, family: u32) -> Result<Self> {
         // SAFETY: the device was created with one queue of this family.
-        let queue = unsafe { device.get_device_queue(family, 0) };
+        let queue = Mutex::new(unsafe { device.get_device_queue(family, 0) });
         let worked = Timeline::new(device)?;
         let copied = Timeline::new(device).inspect_err(|_| {
             // SAFETY: it was made just now, and is not in use.
             unsafe { device.destroy_semaphore(worked.semaphore, None) }
         })?;
-        Ok(Self { queue: Mutex::new(queue), family, worked, copied })
+        Ok(Self { queue, family, worked, copied })
     }
 
-    /// Locks the queue for this thread.
     pub(super) fn lock(&self) -> LockedQueue<'_> {
-        LockedQueue::new(self.queue.lock().unwrap_or_else(PoisonError::into_inner), None)
-    }
-
-    /// Destroys the semaphores of an idle device.
-    pub(super) fn close(&self, device: &ash::Device) {
-        // SAFETY: whoever closes has waited for both queues.
-        unsafe {
-            device.destroy_semaphore(self.worked.semaphore, None);
-            device.destroy_semaphore(self.copied.semaphore, None);
-        }
+        LockedQueue::new(&self.queue, None)
     }
 }
 
@@ -253,27 +239,19 @@ pub unsafe trait QueueLock: Send + Sync {
     fn unlock(&self);
 }
 
-/// A queue, locked for this thread.
 pub(super) struct LockedQueue<'a> {
-    queue: MutexGuard<'a, vk::Queue>,
+    pub(super) queue: MutexGuard<'a, vk::Queue>,
     host: Option<&'a dyn QueueLock>,
 }
 
 impl<'a> LockedQueue<'a> {
     /// Takes the host's lock after our own, so that our threads wait for each other without holding it.
-    pub(super) fn new(queue: MutexGuard<'a, vk::Queue>, host: Option<&'a dyn QueueLock>) -> Self {
+    fn new(queue: &'a Mutex<vk::Queue>, host: Option<&'a dyn QueueLock>) -> Self {
+        let queue = lock(queue);
         if let Some(host) = host {
             host.lock();
         }
         Self { queue, host }
-    }
-}
-
-impl Deref for LockedQueue<'_> {
-    type Target = vk::Queue;
-
-    fn deref(&self) -> &vk::Queue {
-        &self.queue
     }
 }
 
@@ -285,14 +263,30 @@ impl Drop for LockedQueue<'_> {
     }
 }
 
-impl Device {
-    /// Locks the queue for this thread.
-    pub(super) fn lock_queue(&self) -> Result<LockedQueue<'_>> {
-        let Some(queue) = &self.queue else {
-            let problem = "the host keeps its queue: only recording into its command buffers is possible";
-            return Err(Error::argument("queue", problem));
+/// The device's clock, by the extension that is enabled.
+pub(super) enum Clock {
+    Khr(ash::khr::calibrated_timestamps::Device),
+    Ext(ash::ext::calibrated_timestamps::Device),
+}
+
+impl Clock {
+    pub(super) fn new(instance: &ash::Instance, device: &ash::Device, extension: &CStr) -> Self {
+        match extension == ash::khr::calibrated_timestamps::NAME {
+            true => Self::Khr(ash::khr::calibrated_timestamps::Device::new(instance, device)),
+            false => Self::Ext(ash::ext::calibrated_timestamps::Device::new(instance, device)),
+        }
+    }
+
+    /// Returns the device's current clock, ticks; None if the driver fails.
+    pub(super) fn ticks(&self) -> Option<u64> {
+        let info = [vk::CalibratedTimestampInfoKHR::default().time_domain(vk::TimeDomainKHR::DEVICE)];
+        // SAFETY: the extension is enabled, and every implementation of it has the device's time domain.
+        let read = unsafe {
+            match self {
+                Self::Khr(clock) => clock.get_calibrated_timestamps(&info),
+                Self::Ext(clock) => clock.get_calibrated_timestamps(&info),
+            }
         };
-        let queue = queue.lock().unwrap_or_else(PoisonError::into_inner);
-        Ok(LockedQueue::new(queue, self.queue_lock.as_deref()))
+        read.ok()?.0.first().copied()
     }
 }

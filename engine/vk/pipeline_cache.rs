@@ -1,10 +1,155 @@
-//! The VkPipelineCache with which kernels are built: a host's, our own, or none.
+//! What a device keeps to build pipelines only once: the pipelines themselves, and the VkPipelineCache between runs.
 
 use super::debug::vk_error;
-use crate::Result;
+use super::format::{ImageKind, TexelFormat};
+use super::hazard::Access;
+use super::lock::lock;
+use super::raw_device::RawDevice;
+use crate::error::Result;
 use ash::vk;
+use std::collections::HashMap;
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
+
+/// A buffer of a shader.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct BindingInfo {
+    /// Its name, and the name of the field in `Bind`.
+    pub name: &'static str,
+    /// Its number in set 0.
+    pub binding: u32,
+    /// How the shader accesses it.
+    pub access: Access,
+    /// True if another binding of the shader may be the same memory while one of them is written.
+    pub aliased: bool,
+    /// How it is bound.
+    pub kind: BindingKind,
+}
+
+/// How a buffer is bound.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum BindingKind {
+    /// Storage buffer.
+    Storage,
+    /// Texel buffer.
+    Texels(TexelFormat),
+    /// Uniform block.
+    Uniform {
+        /// Size of the block.
+        bytes: u32,
+    },
+}
+
+impl BindingKind {
+    pub(super) fn descriptor_type(self) -> vk::DescriptorType {
+        match self {
+            Self::Storage => vk::DescriptorType::STORAGE_BUFFER,
+            Self::Texels(_) => vk::DescriptorType::UNIFORM_TEXEL_BUFFER,
+            Self::Uniform { .. } => vk::DescriptorType::UNIFORM_BUFFER,
+        }
+    }
+
+    pub(super) fn uniform_bytes(self) -> u64 {
+        match self {
+            Self::Uniform { bytes } => bytes.into(),
+            _ => 0,
+        }
+    }
+}
+
+/// An image of a shader.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ImageInfo {
+    /// Its name, and the name of the field in `Bind`.
+    pub name: &'static str,
+    /// Its number in set 0.
+    pub binding: u32,
+    /// How the shader accesses it.
+    pub access: Access,
+    /// How it is bound.
+    pub kind: ImageKind,
+}
+
+/// A kernel with its constants and its demands on a device: identifies a pipeline. Kernels' constants are flags, sizes and
+/// small counts, so there are few.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(super) struct PipelineInfo {
+    pub(super) name: &'static str,
+    /// True for the form that reads texels.
+    pub(super) texels: bool,
+    /// Hash of the replacement SPIR-V, if it is not the kernel's own.
+    pub(super) replaced: Option<u64>,
+    pub(super) subgroup_size: Option<u32>,
+    pub(super) workgroup_size: [u32; 3],
+    pub(super) push_bytes: u32,
+    pub(super) bindings: &'static [BindingInfo],
+    pub(super) images: &'static [ImageInfo],
+    /// (constant_id, bits).
+    pub(super) constants: Vec<(u32, u32)>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct PipelineHandles {
+    pub(super) raw: vk::Pipeline,
+    pub(super) layout: vk::PipelineLayout,
+    /// Null if all kernels share a layout.
+    pub(super) set_layout: vk::DescriptorSetLayout,
+    /// Kind of its descriptor sets, without push descriptors.
+    pub(super) set_kind: usize,
+}
+
+impl PipelineHandles {
+    /// # Safety
+    /// They are the device's, and nothing uses them any more.
+    pub(super) unsafe fn destroy(self, device: &RawDevice) {
+        // SAFETY: the caller's word; null handles are allowed.
+        unsafe {
+            device.destroy_pipeline(self.raw, None);
+            device.destroy_pipeline_layout(self.layout, None);
+            device.destroy_descriptor_set_layout(self.set_layout, None);
+        }
+    }
+}
+
+/// Entry of one pipeline, empty until it is built. The thread that builds it holds the lock.
+type Place = Arc<Mutex<Option<PipelineHandles>>>;
+
+/// Pipelines of a device, until it is closed.
+#[derive(Debug, Default)]
+pub(super) struct BuiltPipelines(Mutex<HashMap<PipelineInfo, Place>>);
+
+impl BuiltPipelines {
+    /// Returns a pipeline, and builds it if necessary. A caller waits while another thread builds the same pipeline; threads
+    /// that build different pipelines do not wait for each other.
+    pub(super) fn get_or_build(
+        &self,
+        info: &PipelineInfo,
+        build: impl FnOnce() -> Result<PipelineHandles>,
+    ) -> Result<PipelineHandles> {
+        let place = lock(&self.0).entry(info.clone()).or_default().clone();
+        let mut built = lock(&place);
+        match *built {
+            Some(handles) => Ok(handles),
+            None => Ok(*built.insert(build()?)),
+        }
+    }
+
+    pub(super) fn all(&self) -> Vec<(PipelineInfo, PipelineHandles)> {
+        let places = lock(&self.0).clone();
+        places.into_iter().filter_map(|(info, place)| Some((info, (*lock(&place))?))).collect()
+    }
+
+    /// # Safety
+    /// Nothing uses the pipelines any more.
+    pub(super) unsafe fn close(&self, device: &RawDevice) {
+        for (_, place) in lock(&self.0).drain() {
+            if let Some(handles) = lock(&place).take() {
+                // SAFETY: the caller's word.
+                unsafe { handles.destroy(device) };
+            }
+        }
+    }
+}
 
 /// Bytes of a version-one header: length, version, vendor, device, UUID of the cache.
 const HEADER_BYTES: usize = 32;
@@ -48,18 +193,15 @@ pub trait PipelineCacheStore: fmt::Debug + Send + Sync {
     fn save(&self, key: &PipelineCacheKey, data: &[u8]);
 }
 
-/// Cache of an open device.
 #[derive(Default)]
 pub(super) struct PipelineCache {
     pub(super) raw: vk::PipelineCache,
     own: Option<Own>,
 }
 
-/// A cache of our own.
 struct Own {
     store: Arc<dyn PipelineCacheStore>,
     key: PipelineCacheKey,
-    /// Data loaded at the beginning.
     data: Vec<u8>,
 }
 
@@ -107,8 +249,45 @@ impl PipelineCache {
 
 #[cfg(test)]
 mod tests {
-    use super::PipelineCacheKey;
-    use ash::vk;
+    use super::*;
+    use crate::error::Error;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    const INFO: PipelineInfo = PipelineInfo {
+        name: "sort",
+        texels: false,
+        replaced: None,
+        subgroup_size: None,
+        workgroup_size: [64, 1, 1],
+        push_bytes: 0,
+        bindings: &[],
+        images: &[],
+        constants: Vec::new(),
+    };
+
+    #[test]
+    fn threads_that_want_one_pipeline_build_it_once() {
+        let (built, builds) = (BuiltPipelines::default(), AtomicU32::new(0));
+        let build = || {
+            builds.fetch_add(1, Ordering::Relaxed);
+            // Long enough for the other threads to arrive.
+            std::thread::sleep(std::time::Duration::from_millis(50));
+            Ok(PipelineHandles { set_kind: 7, ..PipelineHandles::default() })
+        };
+        std::thread::scope(|scope| {
+            let ask = || built.get_or_build(&INFO, build).expect("a pipeline").set_kind;
+            let threads: Vec<_> = (0..4).map(|_| scope.spawn(ask)).collect();
+            assert!(threads.into_iter().all(|thread| thread.join().expect("no panic") == 7));
+        });
+        assert_eq!(builds.into_inner(), 1);
+    }
+
+    #[test]
+    fn a_pipeline_that_could_not_be_built_is_tried_again() {
+        let built = BuiltPipelines::default();
+        assert!(built.get_or_build(&INFO, || Err(Error::argument("kernel sort", "no memory"))).is_err());
+        assert!(built.get_or_build(&INFO, || Ok(PipelineHandles::default())).is_ok());
+    }
 
     #[test]
     fn pipeline_caches_of_other_devices_are_not_used() {

@@ -1,19 +1,19 @@
 //! Opt-in profile of a context: every command of every submission, with its resources and its time.
 
-use super::allocator::MemoryKind;
-use super::buffer::Buffer;
 use super::debug::vk_error;
 use super::hazard::Access;
+use super::lock::lock;
+use super::memory::Buffer;
+use super::memory_types::MemoryKind;
 use super::open_device::Device;
-use crate::Result;
+use crate::error::Result;
 use ash::vk;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Most timed commands of one profiled recording.
 pub(super) const MAX_COMMANDS: u32 = 1024;
 
-/// Number of readings of both clocks per submission.
 const CLOCK_READINGS: u32 = 3;
 
 /// Records all submissions of its context, command by command, until it is dropped. It costs a timestamp per command;
@@ -97,31 +97,6 @@ pub struct BoundBuffer {
     pub bytes: u64,
 }
 
-impl CommandRecord {
-    pub(super) fn new(
-        name: &'static str,
-        workgroups: Option<[u32; 3]>,
-        buffers: impl Iterator<Item = BoundBuffer>,
-    ) -> Self {
-        Self {
-            name,
-            scope: String::new(),
-            workgroups,
-            buffers: buffers.collect(),
-            barriers: 0,
-            begin_ns: None,
-            nanoseconds: None,
-        }
-    }
-}
-
-impl BoundBuffer {
-    pub(super) fn new(role: &'static str, buffer: &Buffer, access: Access) -> Self {
-        Self { role, name: buffer.static_name(), access, bytes: buffer.bytes() }
-    }
-}
-
-/// Device times of a recording.
 #[derive(Default)]
 pub(super) struct Collected {
     /// Time of the whole recording; None without timestamps.
@@ -139,7 +114,6 @@ pub(super) struct Log {
     spare: Mutex<Vec<Buffer>>,
 }
 
-/// Commands of a current recording.
 pub(super) struct Commands {
     log: Arc<Log>,
     records: Vec<CommandRecord>,
@@ -155,24 +129,15 @@ const GRID_BYTES: u64 = 12;
 impl Commands {
     pub(super) fn begin(inner: &Arc<Device>, log: Arc<Log>) -> Result<Self> {
         let begun = Instant::now();
-        let spare = log.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let request = [("indirect_arguments", u64::from(MAX_COMMANDS) * GRID_BYTES)];
+        let spare = lock(&log.spare).pop();
         let readback = match spare {
             Some(buffer) => buffer,
-            None => {
-                let request = [("indirect_arguments", u64::from(MAX_COMMANDS) * GRID_BYTES)];
-                inner.allocate("profile", &request, MemoryKind::HostVisible, 0)?.swap_remove(0)
-            }
+            None => inner.allocate("profile", &request, MemoryKind::HostVisible, 0)?.swap_remove(0),
         };
         Ok(Self { log, records: Vec::new(), indirect: Vec::new(), readback, begun })
     }
 
-    /// Adds a record and returns its index.
-    pub(super) fn push(&mut self, record: CommandRecord) -> u32 {
-        self.records.push(record);
-        self.records.len() as u32 - 1
-    }
-
-    /// Marks the last record as an indirect dispatch.
     pub(super) fn is_indirect(&mut self, arguments: &Buffer) {
         if self.indirect.len() < MAX_COMMANDS as usize
             && let Some(last) = self.records.len().checked_sub(1)
@@ -183,19 +148,21 @@ impl Commands {
 
     /// Returns the copies to record after all other commands, so that no command's time includes them.
     pub(super) fn copies(&self) -> impl Iterator<Item = (&Buffer, Buffer)> {
-        self.indirect
-            .iter()
-            .enumerate()
-            .map(|(i, (_, from))| (from, self.readback.range(i as u64 * GRID_BYTES, GRID_BYTES)))
+        (self.indirect.iter().zip(0..)).map(|((_, from), i)| (from, self.grid(i)))
+    }
+
+    /// Returns where the grid of an indirect dispatch is read back.
+    fn grid(&self, indirect: u64) -> Buffer {
+        self.readback.range(indirect * GRID_BYTES, GRID_BYTES)
     }
 
     /// Returns the records, with the grids of indirect dispatches. The submission must have been waited for.
     pub(super) fn take(&mut self) -> Vec<CommandRecord> {
         let mut records = std::mem::take(&mut self.records);
-        for (i, (record, _)) in self.indirect.iter().enumerate() {
+        for ((record, _), i) in self.indirect.iter().zip(0..) {
             let mut bytes = [0u8; GRID_BYTES as usize];
-            let offset = self.readback.offset() + i as u64 * GRID_BYTES;
-            if self.readback.block().read_mapped(offset, &mut bytes) {
+            let grid = self.grid(i);
+            if grid.block().read_mapped(grid.offset(), &mut bytes) {
                 records[*record].workgroups = Some(bytemuck::pod_read_unaligned(&bytes));
             }
         }
@@ -203,20 +170,23 @@ impl Commands {
         records
     }
 
-    /// Adds the submission to the log.
-    pub(super) fn log(self, inner: &Device, label: String, host: HostTimes, collected: Collected) {
-        let HostTimes { submitting, submitted, done } = host;
-        let calibrated = inner.now_on_both_clocks();
-        let begin = collected.begin_ticks;
-        let device_begun = match (collected.nanoseconds, calibrated) {
-            (None, _) => None,
-            (Some(_), Some(clocks)) => {
-                clocks.host.checked_sub(nanoseconds(inner.nanoseconds_between(begin, clocks.ticks)))
+    /// Adds the submission to the log. Its times on the host are `submitting`, `submitted` and `done`.
+    pub(super) fn log(
+        self,
+        inner: &Device,
+        label: String,
+        [submitting, submitted, done]: [Instant; 3],
+        collected: Collected,
+    ) {
+        let clocks = inner.now_on_both_clocks();
+        let device_begun = collected.nanoseconds.and_then(|whole| match clocks {
+            Some((ticks, host, _)) => {
+                host.checked_sub(nanoseconds(inner.nanoseconds_between(collected.begin_ticks, ticks)))
             }
-            (Some(whole), None) => done.checked_sub(nanoseconds(whole)),
-        };
-        let calibrated = calibrated.filter(|_| device_begun.is_some());
-        let submission = Submission {
+            None => done.checked_sub(nanoseconds(whole)),
+        });
+        let calibrated = clocks.filter(|_| device_begun.is_some());
+        lock(&self.log.submissions).push(Submission {
             label,
             commands: collected.commands,
             scopes: collected.scopes,
@@ -227,59 +197,55 @@ impl Commands {
             done,
             device_begun,
             calibrated: calibrated.is_some(),
-            calibration_error: calibrated.map_or(Duration::ZERO, |clocks| clocks.error),
-        };
-        self.log.submissions.lock().unwrap_or_else(PoisonError::into_inner).push(submission);
-        self.log.spare.lock().unwrap_or_else(PoisonError::into_inner).push(self.readback);
+            calibration_error: calibrated.map_or(Duration::ZERO, |(_, _, error)| error),
+        });
+        lock(&self.log.spare).push(self.readback);
     }
-}
-
-/// Device clock and host clock at the same moment, within an error.
-#[derive(Clone, Copy)]
-struct Clocks {
-    ticks: u64,
-    host: Instant,
-    error: Duration,
 }
 
 fn nanoseconds(n: f64) -> Duration {
     Duration::from_nanos(n.max(0.0) as u64)
 }
 
-/// Host times of a submission.
-#[derive(Clone, Copy)]
-pub(super) struct HostTimes {
-    pub(super) submitting: Instant,
-    pub(super) submitted: Instant,
-    pub(super) done: Instant,
-}
-
 impl Device {
-    /// Nanoseconds between two timestamps of the device.
+    /// Creates a pool of timestamp queries; null without timestamps.
+    pub(super) fn create_queries(&self, count: u32, name: &str) -> Result<vk::QueryPool> {
+        if self.timestamp_bits == 0 {
+            return Ok(vk::QueryPool::null());
+        }
+        let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(count);
+        // SAFETY: a valid create info for this device.
+        let pool = unsafe { self.device.create_query_pool(&info, None) };
+        let pool = pool.map_err(vk_error("vkCreateQueryPool"))?;
+        self.names.name(pool, name);
+        Ok(pool)
+    }
+
     pub(super) fn nanoseconds_between(&self, begin: u64, end: u64) -> f64 {
         let bits = self.timestamp_bits;
         let mask = if bits >= 64 { u64::MAX } else { (1 << bits) - 1 };
         (end.wrapping_sub(begin) & mask) as f64 * self.limits.timestamp_period_ns
     }
 
-    /// Reads both clocks at one moment; None if timestamps cannot be calibrated.
-    fn now_on_both_clocks(&self) -> Option<Clocks> {
+    /// Reads the device's clock (ticks) and the host's at the same moment, within an error; None if timestamps cannot be
+    /// calibrated.
+    fn now_on_both_clocks(&self) -> Option<(u64, Instant, Duration)> {
         let clock = self.clock.as_ref()?;
         // An interruption between two readings would offset them by milliseconds, so the closest pair counts.
         let readings = (0..CLOCK_READINGS).map(|_| {
             let before = Instant::now();
             let ticks = clock.ticks()?;
             let error = before.elapsed() / 2;
-            Some(Clocks { ticks, host: before + error, error })
+            Some((ticks, before + error, error))
         });
-        readings.collect::<Option<Vec<_>>>()?.into_iter().min_by_key(|clocks| clocks.error)
+        readings.collect::<Option<Vec<_>>>()?.into_iter().min_by_key(|(_, _, error)| *error)
     }
 }
 
 impl Profile {
     /// Returns the submissions that ended since the last call, oldest first.
     pub fn take(&self) -> Vec<Submission> {
-        std::mem::take(&mut *self.log.submissions.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut *lock(&self.log.submissions))
     }
 }
 
@@ -291,6 +257,7 @@ pub(super) const MAX_SCOPES: u32 = 256;
 pub(super) const QUERIES: u32 = 2 * MAX_SCOPES + MAX_COMMANDS;
 
 /// Scopes of a recording. Scope 0 is the whole recording.
+#[derive(Default)]
 pub(super) struct Profiler {
     pool: vk::QueryPool,
     /// The first [`Profiler::used`] belong to this recording. The others keep their names' memory for reuse.
@@ -303,7 +270,7 @@ pub(super) struct Profiler {
     fresh: bool,
     /// True if the recording follows a host's commands. After a render pass, llvmpipe writes a timestamp with the next
     /// flush, as it does for draws. A dispatch recorded after it may run before. A barrier flushes.
-    pub(super) behind_host: bool,
+    behind_host: bool,
     /// Present while a profile is held.
     pub(super) commands: Option<Commands>,
     /// Timestamp after each timed command.
@@ -322,26 +289,15 @@ struct Scope {
 impl Profiler {
     /// `pool` has [`QUERIES`] queries, all reset, or is null without timestamps.
     pub(super) fn new(pool: vk::QueryPool, commands: Option<Commands>) -> Self {
-        Self {
-            pool,
-            scopes: Vec::new(),
-            used: 0,
-            open: Vec::new(),
-            written: 0,
-            fresh: false,
-            behind_host: false,
-            commands,
-            command_ends: Vec::new(),
-            barriers: 0,
-        }
+        Self { pool, commands, ..Self::default() }
     }
 
-    /// Same as [`Self::new`], but reuses the memory of a finished recording.
+    /// For a recording behind a host's commands. Reuses the memory of a finished recording.
     pub(super) fn again(self, pool: vk::QueryPool) -> Self {
         let Self { scopes, mut open, mut command_ends, .. } = self;
         open.clear();
         command_ends.clear();
-        Self { scopes, open, command_ends, ..Self::new(pool, None) }
+        Self { pool, scopes, open, command_ends, behind_host: true, ..Self::default() }
     }
 
     pub(super) fn begin(&mut self, inner: &Device, commands: vk::CommandBuffer, name: &str) {
@@ -366,11 +322,10 @@ impl Profiler {
 
     /// Returns the name of the whole recording; empty without a profile.
     pub(super) fn label(&self) -> String {
-        let wanted = self.commands.is_some();
-        self.scopes[..self.used]
-            .first()
-            .filter(|_| wanted)
-            .map_or_else(String::new, |scope| scope.name.clone())
+        match self.scopes[..self.used].first() {
+            Some(whole) if self.commands.is_some() => whole.name.clone(),
+            _ => String::new(),
+        }
     }
 
     pub(super) fn end(&mut self, inner: &Device, commands: vk::CommandBuffer) {
@@ -393,7 +348,7 @@ impl Profiler {
         let scope = self.open.last().copied().flatten().filter(|&index| index > 0);
         let scope = scope.map_or_else(String::new, |index| self.scopes[index].name.clone());
         let waits = barriers - std::mem::replace(&mut self.barriers, barriers);
-        commands.push(CommandRecord { scope, barriers: waits, ..describe() });
+        commands.records.push(CommandRecord { scope, barriers: waits, ..describe() });
         if self.command_ends.len() < MAX_COMMANDS as usize {
             let end = self.now(inner, raw);
             self.command_ends.push(end);
@@ -407,20 +362,14 @@ impl Profiler {
             return self.written - 1;
         }
         if self.pool != vk::QueryPool::null() {
+            let (in_order, all) = (inner.limits.tuning.runs_in_order, vk::PipelineStageFlags2::ALL_COMMANDS);
+            // If commands run in order, a top-of-pipe timestamp marks the end of all earlier commands.
+            let stage = if in_order { vk::PipelineStageFlags2::TOP_OF_PIPE } else { all };
             // SAFETY: `commands` is in the recording state; the query was reset and is written once.
-            unsafe {
-                // If commands run in order, a top-of-pipe timestamp marks the end of all earlier commands.
-                let stage = match inner.limits.tuning.runs_in_order {
-                    true => vk::PipelineStageFlags2::TOP_OF_PIPE,
-                    false => vk::PipelineStageFlags2::ALL_COMMANDS,
-                };
-                inner.device.cmd_write_timestamp2(commands, stage, self.pool, self.written);
-                if self.behind_host && inner.limits.tuning.runs_in_order {
-                    let all = vk::PipelineStageFlags2::ALL_COMMANDS;
-                    let barriers = [vk::MemoryBarrier2::default().src_stage_mask(all).dst_stage_mask(all)];
-                    let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
-                    inner.device.cmd_pipeline_barrier2(commands, &dependency);
-                }
+            unsafe { inner.device.cmd_write_timestamp2(commands, stage, self.pool, self.written) }
+            if self.behind_host && in_order {
+                let barrier = vk::MemoryBarrier2::default().src_stage_mask(all).dst_stage_mask(all);
+                inner.barrier(commands, &vk::DependencyInfo::default().memory_barriers(&[barrier]));
             }
         }
         self.fresh = true;

@@ -1,26 +1,120 @@
 //! Records commands: dispatches, fills, copies, and the barriers between them.
 
 use super::audit;
-use super::binding::{BindingInfo, BindingKind};
 use super::binding_numbers::BUFFERS;
-use super::buffer::Buffer;
 use super::commands::Commands;
-use super::declared::Hazards;
-use super::descriptors::{DescriptorSets, OwnedSets, PoolGuard};
-use super::format::ImageKind;
-use super::hazard::Access;
+use super::context::Context;
+use super::format::{ImageKind, TexelFormat};
+use super::hazard::{Access, HazardTracker, Use, undeclared_alias};
 use super::image::{Image, ImageState};
 use super::kernel::{Kernel, KernelInterface};
 use super::limits::Limits;
+use super::lock::lock;
+use super::memory::{Block, Buffer};
 use super::open_device::Device;
-use super::pipeline::{MAX_BINDINGS, Pipeline};
-use super::profile::Profiler;
-use super::profile::{BoundBuffer, CommandRecord, Commands as Profiled};
-use super::resources::{Bound, Kept};
-use super::texels::{TexelFormat, TexelRange};
-use crate::{Error, Result};
+use super::pipeline::{DescriptorSets, MAX_BINDINGS, Pipeline};
+use super::pipeline_cache::{BindingInfo, BindingKind, PipelineHandles};
+use super::profile::{BoundBuffer, CommandRecord, Commands as Profiled, Profiler};
+use crate::error::{Error, Result};
 use ash::vk;
-use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+
+/// Accesses of the current command, and earlier ones.
+#[derive(Default)]
+pub(super) struct Hazards {
+    tracker: HazardTracker,
+    uses: Vec<Use>,
+    /// None: a hazard panics.
+    #[cfg(feature = "testing")]
+    collected: Option<Vec<String>>,
+}
+
+impl Hazards {
+    fn add(&mut self, buffer: &Buffer, role: &'static str, access: Access, aliased: bool) {
+        let bytes = buffer.offset()..buffer.offset() + buffer.bytes();
+        let (block, buffer) = (buffer.block().id, buffer.name());
+        self.uses.push(Use { block, bytes, buffer, role, access, aliased });
+    }
+
+    fn commit(&mut self, command: &'static str) {
+        let found = self.tracker.command(command, &self.uses);
+        let alias = undeclared_alias(command, &self.uses);
+        self.uses.clear();
+        #[cfg(feature = "testing")]
+        if let Some(collected) = &mut self.collected {
+            collected.extend(found.iter().map(ToString::to_string));
+            collected.extend(alias);
+            return;
+        }
+        if let Some(alias) = alias {
+            panic!("{alias}");
+        }
+        if let Some(hazard) = found.first() {
+            panic!("{hazard}");
+        }
+    }
+}
+
+struct Bound<'a> {
+    buffers: &'a [&'a Buffer],
+    images: &'a [&'a Image],
+}
+
+pub(super) struct Kept {
+    /// Unique id of this recording. Every block stores the id of the last recording that keeps it, which avoids searches.
+    id: u64,
+    pub(super) blocks: Vec<Arc<Block>>,
+    pipelines: Vec<Arc<Pipeline>>,
+    images: Vec<Image>,
+}
+
+impl Default for Kept {
+    fn default() -> Self {
+        Self { id: next_id(), blocks: Vec::new(), pipelines: Vec::new(), images: Vec::new() }
+    }
+}
+
+fn next_id() -> u64 {
+    static NEXT: AtomicU64 = AtomicU64::new(1);
+    NEXT.fetch_add(1, Ordering::Relaxed)
+}
+
+impl Kept {
+    fn block(&mut self, block: &Arc<Block>) {
+        // If two threads record with the same block, each may keep it more than once.
+        if block.kept_by.swap(self.id, Ordering::Relaxed) != self.id {
+            self.blocks.push(block.clone());
+        }
+    }
+
+    fn image(&mut self, image: &Image) {
+        if !self.images.iter().rev().any(|i| i.id() == image.id()) {
+            self.images.push(image.clone());
+        }
+    }
+
+    fn pipeline(&mut self, pipeline: &Arc<Pipeline>) {
+        if !self.pipelines.iter().rev().any(|p| Arc::ptr_eq(p, pipeline)) {
+            self.pipelines.push(pipeline.clone());
+        }
+    }
+
+    /// Releases all resources, but keeps the lists' memory. Resources without another owner are destroyed.
+    pub(super) fn clear(&mut self) {
+        self.id = next_id();
+        self.blocks.clear();
+        self.pipelines.clear();
+        self.images.clear();
+    }
+}
+
+/// Workgroups of a dispatch: a grid, or a buffer that holds it when the command runs.
+#[derive(Clone, Copy)]
+enum Grid<'a> {
+    Of([u32; 3]),
+    In(&'a Buffer),
+}
 
 /// Most bytes of [`Recorder::update`].
 pub const MAX_UPDATE_BYTES: usize = 65_536;
@@ -36,40 +130,30 @@ pub const MAX_UPDATE_BYTES: usize = 65_536;
 /// [`super::ContextOptions::hazard_check`], a missing barrier panics with the names of both commands.
 pub struct Recorder {
     // Fields drop in this order: the commands must be dropped before the memory that they use.
-    pub(super) commands: Target,
-    pub(super) inner: Arc<Device>,
+    commands: Target,
+    inner: Arc<Device>,
     profiler: Profiler,
-    pub(super) kept: PoolGuard<Kept>,
-    pub(super) bound: vk::Pipeline,
-    pub(super) hazards: Option<Hazards>,
-    pub(super) barriers: u32,
-    /// For tests: barriers to omit.
+    pub(super) kept: Arc<Mutex<Kept>>,
+    bound: vk::Pipeline,
+    hazards: Option<Hazards>,
+    barriers: u32,
     #[cfg(feature = "testing")]
-    pub(super) omitted: Vec<u32>,
-    /// Present if there is an audit.
-    pub(super) audit: Option<audit::Commands>,
+    omitted: Vec<u32>,
+    audit: Option<audit::Commands>,
     /// Error of the first call that failed. No dispatch is recorded after it, and the recording cannot be submitted.
-    pub(super) failed: Option<Error>,
+    failed: Option<Error>,
 }
 
-pub(super) enum Target {
-    Owned(Commands),
+enum Target {
+    Owned(Box<Commands>),
     Foreign(ForeignTarget),
 }
 
-/// A host's command buffer, and the objects that the recording borrows from a [`super::RecordSlot`].
+/// A host's command buffer, and the descriptor sets of a [`super::RecordSlot`].
 pub(super) struct ForeignTarget {
     pub(super) raw: vk::CommandBuffer,
-    pub(super) descriptors: PoolGuard<OwnedSets>,
-}
-
-impl Target {
-    pub(super) fn descriptors(&mut self) -> Option<&mut DescriptorSets> {
-        match self {
-            Self::Owned(commands) => commands.descriptors.as_mut(),
-            Self::Foreign(target) => target.descriptors.sets(),
-        }
-    }
+    /// None with push descriptors.
+    pub(super) descriptors: Arc<Mutex<Option<DescriptorSets>>>,
 }
 
 impl Recorder {
@@ -81,43 +165,33 @@ impl Recorder {
     ) -> Self {
         // An audited recording may use several command buffers.
         let queries = if audit.is_some() { vk::QueryPool::null() } else { commands.queries() };
-        let inner = commands.inner.clone();
-        let mut recorder = Self::with_target(Target::Owned(commands), inner, Profiler::new(queries, None));
-        recorder.profiler.commands = profiled;
-        recorder.audit = audit;
-        recorder.profiler.begin(&recorder.inner, recorder.raw(), label);
-        recorder
+        let (inner, profiler) = (commands.inner.clone(), Profiler::new(queries, profiled));
+        let target = Target::Owned(Box::new(commands));
+        Self { audit, ..Self::begin(target, inner, Arc::default(), profiler, label) }
     }
 
     /// Records into a command buffer that the host submits: see [`super::RecordSlot::begin`].
     pub(super) fn foreign(
         inner: &Arc<Device>,
         target: ForeignTarget,
-        kept: PoolGuard<Kept>,
+        kept: Arc<Mutex<Kept>>,
         profiler: Profiler,
         label: &str,
     ) -> Self {
-        let mut recorder = Self::with_target(Target::Foreign(target), inner.clone(), profiler);
-        recorder.kept = kept;
-        recorder.profiler.behind_host = true;
-        recorder.profiler.begin(inner, recorder.raw(), label);
-        recorder
+        Self::begin(Target::Foreign(target), inner.clone(), kept, profiler, label)
     }
 
-    /// Ends a recording into a host's command buffer. Borrowed objects return to their pools when they are dropped.
-    pub(super) fn finish_foreign(mut self) -> (ForeignTarget, Profiler, PoolGuard<Kept>) {
-        self.profiler.end(&self.inner, self.raw());
-        match self.commands {
-            Target::Foreign(target) => (target, self.profiler, self.kept),
-            Target::Owned(_) => panic!("an own command buffer is submitted by the context"),
-        }
-    }
-
-    fn with_target(commands: Target, inner: Arc<Device>, profiler: Profiler) -> Self {
-        Self {
+    fn begin(
+        commands: Target,
+        inner: Arc<Device>,
+        kept: Arc<Mutex<Kept>>,
+        profiler: Profiler,
+        label: &str,
+    ) -> Self {
+        let mut recorder = Self {
             commands,
             profiler,
-            kept: PoolGuard::default(),
+            kept,
             bound: vk::Pipeline::null(),
             hazards: inner.hazard_check.then(Hazards::default),
             barriers: 0,
@@ -126,6 +200,17 @@ impl Recorder {
             audit: None,
             failed: None,
             inner,
+        };
+        recorder.profiler.begin(&recorder.inner, recorder.raw(), label);
+        recorder
+    }
+
+    /// Ends a recording into a host's command buffer.
+    pub(super) fn finish_foreign(mut self) -> (vk::CommandBuffer, Profiler) {
+        self.profiler.end(&self.inner, self.raw());
+        match self.commands {
+            Target::Foreign(target) => (target.raw, self.profiler),
+            Target::Owned(_) => panic!("an own command buffer is submitted by the context"),
         }
     }
 
@@ -133,7 +218,10 @@ impl Recorder {
         self.profiler.end(&self.inner, self.raw());
         self.copy_indirect_arguments();
         match self.commands {
-            Target::Owned(commands) => (commands, self.profiler, self.kept.keep(), self.audit),
+            Target::Owned(commands) => {
+                let kept = std::mem::take(&mut *lock(&self.kept));
+                (*commands, self.profiler, kept, self.audit)
+            }
             Target::Foreign(_) => panic!("a foreign command buffer is submitted by its owner"),
         }
     }
@@ -174,18 +262,7 @@ impl Recorder {
     ) {
         let limit = self.inner.limits.max_workgroups_per_axis;
         assert!(x.max(y).max(z) <= limit, "{}: grid {x}x{y}x{z} exceeds {limit}", K::NAME);
-        let (buffers, images) = (K::buffers(bind), K::images(bind));
-        let bound = Bound { buffers: buffers.as_ref(), images: images.as_ref() };
-        self.declare(&kernel.pipeline, &bound, None);
-        if x == 0 || y == 0 || z == 0 {
-            return;
-        }
-        if !self.prepare(&kernel.pipeline, &bound, K::push_bytes(push)) {
-            return;
-        }
-        // SAFETY: the pipeline and everything that it uses are bound, the counts are within the limits.
-        unsafe { self.inner.device.cmd_dispatch(self.raw(), x, y, z) }
-        self.profile_dispatch(&kernel.pipeline, bound.buffers, Some([x, y, z]));
+        self.dispatch_grid(kernel, bind, push, Grid::Of([x, y, z]));
     }
 
     /// Dispatches the grid that `arguments` holds when the command runs: x, y, z as u32, in its first 12 bytes.
@@ -201,40 +278,62 @@ impl Recorder {
     ) {
         assert!(arguments.bytes() >= 12, "{}: '{}' holds no grid", K::NAME, arguments.name());
         assert!(arguments.offset().is_multiple_of(4), "{}: '{}' is misaligned", K::NAME, arguments.name());
+        self.dispatch_grid(kernel, bind, push, Grid::In(arguments));
+    }
+
+    fn dispatch_grid<K: KernelInterface>(
+        &mut self,
+        kernel: &Kernel<K>,
+        bind: &K::Bind<'_>,
+        push: &K::Push,
+        grid: Grid<'_>,
+    ) {
         let (buffers, images) = (K::buffers(bind), K::images(bind));
         let bound = Bound { buffers: buffers.as_ref(), images: images.as_ref() };
-        self.declare(&kernel.pipeline, &bound, Some(arguments));
+        self.declare(&kernel.pipeline, &bound, &grid);
+        if matches!(grid, Grid::Of(grid) if grid.contains(&0)) {
+            return;
+        }
         if !self.prepare(&kernel.pipeline, &bound, K::push_bytes(push)) {
             return;
         }
-        self.keep(arguments);
-        // SAFETY: as above; the buffer has the INDIRECT usage and twelve bytes at an offset divisible by four.
-        unsafe {
-            self.inner.device.cmd_dispatch_indirect(self.raw(), arguments.raw(), arguments.offset());
+        match grid {
+            // SAFETY: the pipeline and everything that it uses are bound, the counts are within the limits.
+            Grid::Of([x, y, z]) => unsafe { self.inner.device.cmd_dispatch(self.raw(), x, y, z) },
+            Grid::In(arguments) => {
+                self.keep(arguments);
+                let (buffer, offset) = arguments.handle();
+                // SAFETY: as above; the buffer has the INDIRECT usage and twelve bytes at an offset divisible by four.
+                unsafe { self.inner.device.cmd_dispatch_indirect(self.raw(), buffer, offset) }
+            }
         }
-        self.profile_dispatch(&kernel.pipeline, bound.buffers, None);
-        if let Some(profiled) = &mut self.profiler.commands {
+        let info = &kernel.pipeline.info;
+        let uses = info.bindings.iter().zip(bound.buffers);
+        let workgroups = if let Grid::Of(grid) = grid { Some(grid) } else { None };
+        self.observe(info.name, workgroups, uses.map(|(info, buffer)| (*buffer, info.name, info.access)));
+        if let (Grid::In(arguments), Some(profiled)) = (grid, &mut self.profiler.commands) {
             profiled.is_indirect(arguments);
         }
     }
 
-    fn profile_dispatch(&mut self, pipeline: &Pipeline, buffers: &[&Buffer], grid: Option<[u32; 3]>) {
-        let accesses = pipeline.bindings.iter().map(|info| info.access);
-        self.audit(pipeline.name, buffers.iter().copied().zip(accesses));
+    /// Audits and profiles a command that was just recorded, with its uses of buffers.
+    fn observe<'a>(
+        &mut self,
+        name: &'static str,
+        workgroups: Option<[u32; 3]>,
+        uses: impl Iterator<Item = (&'a Buffer, &'static str, Access)> + Clone,
+    ) {
+        self.audit(name, uses.clone());
         let raw = self.raw();
         self.profiler.command(&self.inner, raw, self.barriers, || {
-            let bound = pipeline.bindings.iter().zip(buffers);
-            let bound = bound.map(|(info, buffer)| BoundBuffer::new(info.name, buffer, info.access));
-            CommandRecord::new(pipeline.name, grid, bound)
-        });
-    }
-
-    fn profile_transfer(&mut self, command: &'static str, uses: &[(&Buffer, &'static str, Access)]) {
-        self.audit(command, uses.iter().map(|&(buffer, _, access)| (buffer, access)));
-        let raw = self.raw();
-        self.profiler.command(&self.inner, raw, self.barriers, || {
-            let bound = uses.iter().map(|&(buffer, role, access)| BoundBuffer::new(role, buffer, access));
-            CommandRecord::new(command, None, bound)
+            let bound = |(buffer, role, access): (&Buffer, _, _)| BoundBuffer {
+                role,
+                name: buffer.name(),
+                access,
+                bytes: buffer.bytes(),
+            };
+            let (scope, buffers) = (String::new(), uses.map(bound).collect());
+            CommandRecord { name, scope, workgroups, buffers, barriers: 0, begin_ns: None, nanoseconds: None }
         });
     }
 
@@ -246,11 +345,8 @@ impl Recorder {
             self.barrier();
         }
         for (from, to) in copies {
-            self.kept.block(to.block());
-            let region =
-                vk::BufferCopy::default().src_offset(from.offset()).dst_offset(to.offset()).size(to.bytes());
-            // SAFETY: recording state; ranges of equal size in buffers that are kept, with transfer usage.
-            unsafe { self.inner.device.cmd_copy_buffer(self.raw(), from.raw(), to.raw(), &[region]) }
+            lock(&self.kept).block(to.block());
+            from.record_copy(self.raw(), &to);
         }
         self.profiler.commands = Some(profiled);
     }
@@ -262,27 +358,25 @@ impl Recorder {
 
     /// Returns the first error of the recording so far: the driver had no memory for descriptors or views, or a kernel was
     /// not built. [`super::Context::submit`] checks this itself.
-    ///
-    /// # Errors
-    /// [`Error::Vulkan`], [`Error::Argument`]
     pub(crate) fn check(&mut self) -> Result<()> {
         self.failed.take().map_or(Ok(()), Err)
     }
 
     /// Declares the accesses of a dispatch to the hazard checker.
-    fn declare(&mut self, pipeline: &Pipeline, bound: &Bound<'_>, arguments: Option<&Buffer>) {
+    fn declare(&mut self, pipeline: &Pipeline, bound: &Bound<'_>, grid: &Grid<'_>) {
         let Some(hazards) = self.hazards.as_mut().filter(|_| self.failed.is_none()) else { return };
-        for (info, buffer) in pipeline.bindings.iter().zip(bound.buffers) {
-            hazards.add_binding(buffer, info);
+        for (info, buffer) in pipeline.info.bindings.iter().zip(bound.buffers) {
+            hazards.add(buffer, info.name, info.access, info.aliased);
         }
-        for (info, image) in pipeline.images.iter().zip(bound.images) {
-            hazards.add_image(image, info.name, info.access);
+        for (info, image) in pipeline.info.images.iter().zip(bound.images) {
+            let (block, buffer, role, access) = (image.id(), image.name(), info.name, info.access);
+            hazards.uses.push(Use { block, bytes: 0..1, buffer, role, access, aliased: false });
         }
-        if let Some(arguments) = arguments {
+        if let Grid::In(arguments) = grid {
             // Only the first three words are read.
-            hazards.add(&arguments.range(0, 12), "indirect arguments", Access::Read);
+            hazards.add(&arguments.range(0, 12), "indirect arguments", Access::Read, false);
         }
-        hazards.commit(pipeline.name);
+        hazards.commit(pipeline.info.name);
     }
 
     /// Sets every word of a buffer.
@@ -290,16 +384,15 @@ impl Recorder {
     /// # Panics
     /// When the buffer's offset or size is no multiple of 4, or a barrier is missing.
     pub fn fill(&mut self, buffer: &Buffer, value: u32) {
-        self.transfer("fill", &[(buffer, "destination", Access::Write)]);
+        let uses = [(buffer, "destination", Access::Write)];
+        self.transfer("fill", &uses);
         if buffer.bytes() == 0 {
             return;
         }
+        let (raw, offset) = buffer.handle();
         // SAFETY: recording state; a range within a buffer that is kept, with TRANSFER_DST usage.
-        unsafe {
-            let (offset, bytes) = (buffer.offset(), buffer.bytes());
-            self.inner.device.cmd_fill_buffer(self.raw(), buffer.raw(), offset, bytes, value);
-        }
-        self.profile_transfer("fill", &[(buffer, "destination", Access::Write)]);
+        unsafe { self.inner.device.cmd_fill_buffer(self.raw(), raw, offset, buffer.bytes(), value) }
+        self.observe("fill", None, uses.into_iter());
     }
 
     /// Copies a buffer to the start of another one.
@@ -317,10 +410,8 @@ impl Recorder {
         if bytes == 0 {
             return;
         }
-        let region = vk::BufferCopy::default().src_offset(from.offset()).dst_offset(to.offset()).size(bytes);
-        // SAFETY: recording state; ranges within buffers that are kept, with transfer usage, that do not overlap.
-        unsafe { self.inner.device.cmd_copy_buffer(self.raw(), from.raw(), to.raw(), &[region]) }
-        self.profile_transfer("copy", &uses);
+        from.record_copy(self.raw(), to);
+        self.observe("copy", None, uses.into_iter());
     }
 
     /// Writes bytes, stored in the recording itself, to the start of a buffer.
@@ -334,19 +425,20 @@ impl Recorder {
         if bytes.is_empty() {
             return;
         }
-        self.transfer("update", &[(&range, "destination", Access::Write)]);
+        let uses = [(&range, "destination", Access::Write)];
+        self.transfer("update", &uses);
         // SAFETY: recording state; a range within a buffer that is kept, sizes checked above.
         unsafe { self.inner.device.cmd_update_buffer(self.raw(), range.raw(), range.offset(), bytes) }
-        self.profile_transfer("update", &[(&range, "destination", Access::Write)]);
+        self.observe("update", None, uses.into_iter());
     }
 
-    pub(super) fn transfer(&mut self, command: &'static str, uses: &[(&Buffer, &'static str, Access)]) {
+    fn transfer(&mut self, command: &'static str, uses: &[(&Buffer, &'static str, Access)]) {
         for (buffer, role, access) in uses {
             let aligned = buffer.offset().is_multiple_of(4) && buffer.bytes().is_multiple_of(4);
             assert!(aligned, "{command}: '{}' is no range of whole words", buffer.name());
             self.keep(buffer);
             if let Some(hazards) = &mut self.hazards {
-                hazards.add(buffer, role, *access);
+                hazards.add(buffer, role, *access, false);
             }
         }
         if let Some(hazards) = &mut self.hazards {
@@ -368,7 +460,7 @@ impl Recorder {
         self.record_barrier();
     }
 
-    pub(super) fn record_barrier(&self) {
+    fn record_barrier(&self) {
         type Stage = vk::PipelineStageFlags2;
         type Flags = vk::AccessFlags2;
         // All stages on both sides: a write must also wait for earlier reads.
@@ -376,14 +468,12 @@ impl Recorder {
         let writes = Flags::SHADER_WRITE | Flags::TRANSFER_WRITE;
         let shader_reads = Flags::SHADER_READ | Flags::UNIFORM_READ;
         let reads = shader_reads | Flags::TRANSFER_READ | Flags::INDIRECT_COMMAND_READ;
-        let barriers = [vk::MemoryBarrier2::default()
+        let barrier = vk::MemoryBarrier2::default()
             .src_stage_mask(stages)
             .src_access_mask(writes)
             .dst_stage_mask(stages)
-            .dst_access_mask(reads | writes)];
-        let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
-        // SAFETY: recording state, outside of a render pass.
-        unsafe { self.inner.device.cmd_pipeline_barrier2(self.raw(), &dependency) }
+            .dst_access_mask(reads | writes);
+        self.inner.barrier(self.raw(), &vk::DependencyInfo::default().memory_barriers(&[barrier]));
     }
 
     /// Labels and times the commands that `f` records.
@@ -407,14 +497,13 @@ impl Recorder {
 
 // Binds the resources of a dispatch, by push descriptors or by a preallocated set.
 
-/// Most images of one kernel.
 const MAX_IMAGES: usize = 2;
 
 impl Recorder {
     /// Binds the pipeline, its buffers, images and push constants. Returns false if this call or an earlier
     /// one has failed. Nothing may be dispatched then, and the end of the recording reports the error
     /// ([`Recorder::check`]).
-    pub(super) fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) -> bool {
+    fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) -> bool {
         if self.failed.is_none() {
             self.failed = self.try_prepare(pipeline, bound, push).err();
         }
@@ -422,82 +511,83 @@ impl Recorder {
     }
 
     fn try_prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) -> Result<()> {
-        assert!(pipeline.is_of(&self.inner), "kernel {} is of another context", pipeline.name);
+        let info = &pipeline.info;
+        assert!(pipeline.is_of(&self.inner), "kernel {} is of another context", info.name);
         let mut buffers = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];
         let mut views = [vk::BufferView::null(); MAX_BINDINGS];
-        let descriptors = buffers.iter_mut().zip(&mut views).zip(pipeline.bindings);
-        for (((descriptor, view), info), buffer) in descriptors.zip(bound.buffers) {
-            self.check_binding(pipeline, info, buffer);
-            if let BindingKind::Texels(format) = info.kind {
-                *view = self.texel_view(pipeline, info.name, buffer, format)?;
+        let descriptors = buffers.iter_mut().zip(&mut views).zip(info.bindings);
+        for (((descriptor, view), binding), buffer) in descriptors.zip(bound.buffers) {
+            self.check_binding(info.name, binding, buffer);
+            if let BindingKind::Texels(format) = binding.kind {
+                *view = self.texel_view(info.name, binding.name, buffer, format)?;
             }
             self.keep(buffer);
-            let bytes = match info.kind {
+            let bytes = match binding.kind {
                 BindingKind::Uniform { bytes } => bytes.into(),
-                _ => bound_bytes(buffer),
+                // With the guard band: drivers drop writes outside the bound range, so a shorter one would hide breaches.
+                _ => buffer.bytes() + buffer.guard_behind(),
             };
-            let offset = buffer.offset();
-            *descriptor =
-                vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(offset).range(bytes);
+            let (raw, offset) = buffer.handle();
+            *descriptor = vk::DescriptorBufferInfo::default().buffer(raw).offset(offset).range(bytes);
         }
         let mut images = [vk::DescriptorImageInfo::default(); MAX_IMAGES];
-        for ((descriptor, info), image) in images.iter_mut().zip(pipeline.images).zip(bound.images) {
-            let (kernel, name) = (pipeline.name, image.name());
-            assert!(image.purpose().kind() == info.kind, "{kernel}: image '{name}' is no {:?}", info.kind);
+        for ((descriptor, binding), image) in images.iter_mut().zip(info.images).zip(bound.images) {
+            let (kernel, name) = (info.name, image.name());
+            assert!(
+                image.purpose().kind() == binding.kind,
+                "{kernel}: image '{name}' is no {:?}",
+                binding.kind
+            );
             self.keep_image(image);
             *descriptor = image.descriptor();
         }
+        let write =
+            |binding, kind| vk::WriteDescriptorSet::default().dst_binding(binding).descriptor_type(kind);
         let mut writes = [vk::WriteDescriptorSet::default(); MAX_BINDINGS + MAX_IMAGES];
-        let (first, rest) = writes.split_at_mut(bound.buffers.len());
-        let descriptors = pipeline.bindings.iter().zip(&buffers).zip(&views);
-        for (write, ((info, descriptor), view)) in first.iter_mut().zip(descriptors) {
-            let empty = vk::WriteDescriptorSet::default().dst_binding(info.binding);
-            let empty = empty.descriptor_type(info.kind.descriptor_type());
-            *write = match info.kind {
-                BindingKind::Texels(_) => empty.texel_buffer_view(std::slice::from_ref(view)),
-                _ => empty.buffer_info(std::slice::from_ref(descriptor)),
-            };
+        let mut count = 0;
+        let mut add = |write| {
+            writes[count] = write;
+            count += 1;
+        };
+        for ((binding, descriptor), view) in info.bindings.iter().zip(&buffers).zip(&views) {
+            let write = write(binding.binding, binding.kind.descriptor_type());
+            add(match binding.kind {
+                BindingKind::Texels(_) => write.texel_buffer_view(std::slice::from_ref(view)),
+                _ => write.buffer_info(std::slice::from_ref(descriptor)),
+            });
         }
-        for ((write, info), descriptor) in rest.iter_mut().zip(pipeline.images).zip(&images) {
-            *write = vk::WriteDescriptorSet::default()
-                .dst_binding(info.binding)
-                .descriptor_type(info.kind.descriptor_type())
-                .image_info(std::slice::from_ref(descriptor));
+        for (binding, descriptor) in info.images.iter().zip(&images) {
+            let write = write(binding.binding, binding.kind.descriptor_type());
+            add(write.image_info(std::slice::from_ref(descriptor)));
         }
-        let mut count = bound.buffers.len() + bound.images.len();
-        let storage = pipeline.bindings.iter().position(|info| info.kind == BindingKind::Storage);
+        let storage = info.bindings.iter().position(|binding| binding.kind == BindingKind::Storage);
         if let (Some(_), Some(any)) = (&self.inner.shared_layouts, storage) {
-            // No descriptor of an earlier use may remain in the set: see the module `descriptors`.
-            let missing = |binding: &u32| pipeline.bindings.iter().all(|info| info.binding != *binding);
-            for binding in (0..BUFFERS).filter(missing) {
-                writes[count] = vk::WriteDescriptorSet::default()
-                    .dst_binding(binding)
-                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
-                    .buffer_info(&buffers[any..=any]);
-                count += 1;
+            // No descriptor of an earlier use may remain in the set: see the module `pipeline`.
+            let missing = |number: &u32| info.bindings.iter().all(|binding| binding.binding != *number);
+            for number in (0..BUFFERS).filter(missing) {
+                add(write(number, vk::DescriptorType::STORAGE_BUFFER).buffer_info(&buffers[any..=any]));
             }
         }
-        self.kept.pipeline(pipeline);
+        lock(&self.kept).pipeline(pipeline);
         self.bind(pipeline, &mut writes[..count], push)
     }
 
     /// Keeps a buffer's memory alive for the recording. The buffer must belong to the recording's device.
-    pub(super) fn keep(&mut self, buffer: &Buffer) {
+    fn keep(&mut self, buffer: &Buffer) {
         let block = buffer.block();
         assert!(block.is_of(&self.inner), "buffer '{}' is of another context", buffer.name());
-        self.kept.block(block);
+        lock(&self.kept).block(block);
     }
 
-    /// Same as [`Self::keep`], but for an image.
-    pub(super) fn keep_image(&mut self, image: &Image) {
+    fn keep_image(&mut self, image: &Image) {
         assert!(image.is_of(&self.inner), "image '{}' is of another context", image.name());
-        self.kept.image(image);
+        lock(&self.kept).image(image);
     }
 
     /// Panics for a buffer that cannot be bound.
-    fn check_binding(&self, pipeline: &Pipeline, info: &BindingInfo, buffer: &Buffer) {
+    fn check_binding(&self, kernel: &str, info: &BindingInfo, buffer: &Buffer) {
         let limits = &self.inner.limits;
-        let (kernel, role, name, bytes) = (pipeline.name, info.name, buffer.name(), buffer.bytes());
+        let (role, name, bytes) = (info.name, buffer.name(), buffer.bytes());
         let (least, most, alignment) = match info.kind {
             BindingKind::Uniform { bytes } => (u64::from(bytes), u64::MAX, limits.uniform_alignment),
             _ => (1, limits.max_storage_buffer_range, limits.storage_alignment),
@@ -516,13 +606,13 @@ impl Recorder {
     /// Returns a texel view of a buffer. Panics for a buffer that cannot be bound as texels.
     fn texel_view(
         &self,
-        pipeline: &Pipeline,
+        kernel: &str,
         role: &str,
         buffer: &Buffer,
         format: TexelFormat,
     ) -> Result<vk::BufferView> {
         let limits = &self.inner.limits;
-        let (kernel, name, offset, bytes) = (pipeline.name, buffer.name(), buffer.offset(), buffer.bytes());
+        let (name, offset, bytes) = (buffer.name(), buffer.offset(), buffer.bytes());
         let texels = bytes / format.bytes();
         assert!(
             texels <= limits.max_texels && texels > 0 && offset.is_multiple_of(limits.texel_alignment),
@@ -530,8 +620,7 @@ impl Recorder {
             limits.max_texels,
             limits.texel_alignment
         );
-        let block = buffer.block();
-        block.texels.of(&self.inner.device, buffer.raw(), TexelRange { offset, bytes, format })
+        buffer.block().texel_view(offset, bytes, format)
     }
 
     fn bind(
@@ -540,55 +629,39 @@ impl Recorder {
         writes: &mut [vk::WriteDescriptorSet<'_>],
         push: &[u8],
     ) -> Result<()> {
-        let set = match self.commands.descriptors() {
-            Some(sets) if !writes.is_empty() => Some(sets.next(&self.inner, pipeline.handles.set_kind)?),
-            _ => None,
+        let next = |sets: &mut DescriptorSets| sets.next(pipeline.handles.set_kind);
+        let set = match &mut self.commands {
+            _ if writes.is_empty() => None,
+            Target::Owned(commands) => commands.descriptors.as_mut().map(next).transpose()?,
+            Target::Foreign(target) => lock(&target.descriptors).as_mut().map(next).transpose()?,
         };
         let (raw, device, point) = (self.raw(), &self.inner.device, vk::PipelineBindPoint::COMPUTE);
+        let PipelineHandles { raw: handle, layout, .. } = pipeline.handles;
         // SAFETY: recording state; pipeline, layout and descriptors belong together, and the recorder keeps all of
         // them until the execution is over; a set is written once in a recording, before it is bound. `push` has the
         // size that the layout was made with.
         unsafe {
-            if self.bound != pipeline.handles.raw {
-                device.cmd_bind_pipeline(raw, point, pipeline.handles.raw);
-                self.bound = pipeline.handles.raw;
+            if self.bound != handle {
+                device.cmd_bind_pipeline(raw, point, handle);
+                self.bound = handle;
             }
             match (&self.inner.push_descriptor, set) {
                 (Some(extension), _) if !writes.is_empty() => {
-                    extension.cmd_push_descriptor_set(raw, point, pipeline.handles.layout, 0, writes);
+                    extension.cmd_push_descriptor_set(raw, point, layout, 0, writes);
                 }
                 (None, Some(set)) => {
                     writes.iter_mut().for_each(|write| write.dst_set = set);
                     device.update_descriptor_sets(writes, &[]);
-                    device.cmd_bind_descriptor_sets(raw, point, pipeline.handles.layout, 0, &[set], &[]);
+                    device.cmd_bind_descriptor_sets(raw, point, layout, 0, &[set], &[]);
                 }
                 _ => {}
             }
             if !push.is_empty() {
-                device.cmd_push_constants(
-                    raw,
-                    pipeline.handles.layout,
-                    vk::ShaderStageFlags::COMPUTE,
-                    0,
-                    push,
-                );
+                device.cmd_push_constants(raw, layout, vk::ShaderStageFlags::COMPUTE, 0, push);
             }
         }
         Ok(())
     }
-}
-
-/// Returns the number of bound bytes.
-#[cfg(not(feature = "testing"))]
-fn bound_bytes(buffer: &Buffer) -> u64 {
-    buffer.bytes()
-}
-
-/// Returns the number of bound bytes, including the guard band behind the buffer. Drivers drop writes outside the bound
-/// range, so a shorter range would hide breaches.
-#[cfg(feature = "testing")]
-fn bound_bytes(buffer: &Buffer) -> u64 {
-    buffer.bytes() + buffer.guard_behind()
 }
 
 // Commands on images: layouts and copies.
@@ -597,11 +670,10 @@ impl Recorder {
     /// Makes an image ready for kernels: waits for the use `from`, and changes the layout to [`Image::layout`]. Returns the
     /// kernels' use.
     pub fn acquire_image(&mut self, image: &Image, from: ImageState) -> ImageState {
+        type Flags = vk::AccessFlags2;
         let accesses = match image.purpose().kind() {
-            ImageKind::Storage => {
-                vk::AccessFlags2::SHADER_STORAGE_READ | vk::AccessFlags2::SHADER_STORAGE_WRITE
-            }
-            ImageKind::Sampled => vk::AccessFlags2::SHADER_SAMPLED_READ,
+            ImageKind::Storage => Flags::SHADER_STORAGE_READ | Flags::SHADER_STORAGE_WRITE,
+            ImageKind::Sampled => Flags::SHADER_SAMPLED_READ,
         };
         let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
         let to = ImageState { layout: image.layout(), stages, accesses };
@@ -630,7 +702,7 @@ impl Recorder {
         // SAFETY: recording state; the layout is as the barrier says, the region is the whole level of the image.
         unsafe {
             let (raw, layout) = (self.raw(), transfer.layout);
-            self.inner.device.cmd_copy_buffer_to_image(raw, from.raw(), image.raw(), layout, &[region]);
+            self.inner.device.cmd_copy_buffer_to_image(raw, from.raw(), image.handle(), layout, &[region]);
         }
         self.acquire_image(image, transfer);
     }
@@ -654,30 +726,142 @@ impl Recorder {
         // SAFETY: as in `copy_to_image`.
         unsafe {
             let (raw, layout) = (self.raw(), transfer.layout);
-            self.inner.device.cmd_copy_image_to_buffer(raw, image.raw(), layout, to.raw(), &[region]);
+            self.inner.device.cmd_copy_image_to_buffer(raw, image.handle(), layout, to.raw(), &[region]);
         }
     }
 
     fn image_barrier(&mut self, image: &Image, from: ImageState, to: ImageState) {
-        let barrier = vk::ImageMemoryBarrier2::default()
+        let barrier = image
+            .barrier(from.layout, [vk::QUEUE_FAMILY_IGNORED; 2])
+            .new_layout(to.layout)
             .src_stage_mask(from.stages)
             .src_access_mask(from.accesses)
             .dst_stage_mask(to.stages)
-            .dst_access_mask(to.accesses)
-            .old_layout(from.layout)
-            .new_layout(to.layout)
-            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
-            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
-            .image(image.raw())
-            .subresource_range(image.whole_range());
+            .dst_access_mask(to.accesses);
         self.record_image_barrier(image, barrier);
     }
 
-    pub(super) fn record_image_barrier(&mut self, image: &Image, barrier: vk::ImageMemoryBarrier2<'_>) {
+    /// Releases an image that kernels have used to the family that owns it.
+    pub(crate) fn release_image(&mut self, image: &Image, used: ImageState) {
+        if image.other_family().is_some() {
+            let barrier = image.take_back().src_stage_mask(used.stages).src_access_mask(used.accesses);
+            let nothing = (vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
+            self.record_image_barrier(image, barrier.dst_stage_mask(nothing.0).dst_access_mask(nothing.1));
+        }
+    }
+
+    fn record_image_barrier(&mut self, image: &Image, barrier: vk::ImageMemoryBarrier2<'_>) {
         self.keep_image(image);
-        let barriers = [barrier];
-        let dependency = vk::DependencyInfo::default().image_memory_barriers(&barriers);
-        // SAFETY: recording state, outside of a render pass; the view's owner says that the image is alive.
-        unsafe { self.inner.device.cmd_pipeline_barrier2(self.raw(), &dependency) }
+        self.inner.barrier(self.raw(), &vk::DependencyInfo::default().image_memory_barriers(&[barrier]));
+    }
+}
+
+// Audit of a recording: copies the output of every command.
+
+impl Recorder {
+    fn audit<'a>(
+        &mut self,
+        command: &'static str,
+        uses: impl Iterator<Item = (&'a Buffer, &'static str, Access)>,
+    ) {
+        let Some(mut audit) = self.audit.take() else { return };
+        let written = uses.filter(|(_, _, access)| access.writes()).map(|(buffer, _, _)| buffer);
+        let copies = audit.snapshot(&self.inner, command, written);
+        self.record_barrier();
+        for (from, to) in copies {
+            // The audit keeps the copy until it is hashed.
+            from.record_copy(self.raw(), &to);
+        }
+        self.record_barrier();
+        let is_full = audit.is_full();
+        self.audit = Some(audit);
+        if is_full && let Err(error) = self.submit_snapshots() {
+            self.fail(error);
+        }
+    }
+
+    /// Submits the recording, hashes its snapshots, and continues the recording.
+    fn submit_snapshots(&mut self) -> Result<()> {
+        let (Target::Owned(commands), Some(audit)) = (&mut self.commands, &mut self.audit) else {
+            return Ok(());
+        };
+        let pools = commands.pools.clone();
+        commands.submit(None)?;
+        commands.wait(self.inner.timeout)?;
+        audit.log()?;
+        self.commands = Target::Owned(Box::new(Commands::begin(&pools, &audit.submission, false)?));
+        self.bound = vk::Pipeline::null();
+        Ok(())
+    }
+}
+
+/// For tests of barriers: omits some, and collects hazards.
+#[cfg(feature = "testing")]
+impl Recorder {
+    /// True if the test omits the next barrier; counts it. While collecting hazards, still records it on the device.
+    fn omits_barrier(&mut self) -> bool {
+        if !self.omitted.contains(&self.barriers) {
+            return false;
+        }
+        self.barriers += 1;
+        if self.hazards.as_ref().is_some_and(|hazards| hazards.collected.is_some()) {
+            self.record_barrier();
+        }
+        true
+    }
+
+    /// Omits the `index`-th call of [`Recorder::barrier`], counted from 0. A recording that collects hazards keeps the
+    /// barrier on the device and hides it from the checker only.
+    pub fn omit_barrier(&mut self, index: u32) {
+        self.omitted.push(index);
+    }
+
+    /// Collects hazards from the next command on, without panics; see [`Recorder::hazards`]. Works even if the context does
+    /// not check.
+    pub fn collect_hazards(&mut self) {
+        self.hazards = Some(Hazards { collected: Some(Vec::new()), ..Hazards::default() });
+    }
+
+    /// Returns the hazards found since [`Recorder::collect_hazards`].
+    pub fn hazards(&self) -> &[String] {
+        self.hazards.as_ref().and_then(|h| h.collected.as_deref()).unwrap_or_default()
+    }
+}
+
+/// The kernels of one shader by their specialization constants. They are built before recording.
+pub struct KernelSet<K: KernelInterface>(Vec<(K::Spec, Kernel<K>)>);
+
+impl<K: KernelInterface> Default for KernelSet<K> {
+    fn default() -> Self {
+        Self(Vec::new())
+    }
+}
+
+impl<K: KernelInterface> KernelSet<K> {
+    /// Builds the kernel with these constants unless it exists.
+    ///
+    /// # Errors
+    /// Same as [`Kernel::new`].
+    pub fn prepare(&mut self, context: &Context, spec: K::Spec) -> Result<()> {
+        if !self.contains(&spec) {
+            let kernel = Kernel::new(context, &spec)?;
+            self.0.push((spec, kernel));
+        }
+        Ok(())
+    }
+
+    /// True if the kernel with these constants is built.
+    pub fn contains(&self, spec: &K::Spec) -> bool {
+        self.0.iter().any(|(built, _)| built == spec)
+    }
+
+    /// The kernel with these constants. If it is not built, the recording fails with an error that names it.
+    pub fn get(&self, r: &mut Recorder, spec: &K::Spec) -> Option<&Kernel<K>> {
+        let found = self.0.iter().find(|(built, _)| built == spec);
+        if found.is_none() {
+            let problem = format!("{spec:?} is not built: prepare it before recording");
+            r.fail(Error::argument(format!("kernel {}", K::NAME), problem));
+        }
+        found.map(|(_, kernel)| kernel)
     }
 }

@@ -55,8 +55,7 @@ impl Features {
             subgroup_size_control: v13.subgroup_size_control != 0,
             compute_full_subgroups: v13.compute_full_subgroups != 0,
             subgroup_broadcast_dynamic_id: v12.subgroup_broadcast_dynamic_id != 0,
-            shader_maximal_reconvergence: false,
-            shader_subgroup_uniform_control_flow: false,
+            ..Self::default()
         }
     }
 
@@ -124,10 +123,8 @@ const FEW_LANES: u32 = 32;
 /// Returns all of [`LEAST_LIMITS`] that a device with subgroups of this size does not meet.
 pub(super) fn low_limits(l: &vk::PhysicalDeviceLimits, subgroup_size: u32) -> impl Iterator<Item = String> {
     let invocations = u64::from(Requirements::workgroup_invocations(subgroup_size));
-    let least = LEAST_LIMITS.map(|(name, least)| match name == LEAST_LIMITS[0].0 {
-        true => (name, least.max(invocations)),
-        false => (name, least),
-    });
+    let mut least = LEAST_LIMITS;
+    least[0].1 = invocations.max(least[0].1);
     let has = [
         l.max_compute_work_group_invocations,
         l.max_compute_shared_memory_size,
@@ -199,29 +196,22 @@ impl Requirements {
         if subgroup_size > FEW_LANES { 256 } else { 128 }
     }
 
-    /// Returns the requirements of every device.
     pub(super) fn of_all() -> Self {
         let operations = SUBGROUP_OPERATIONS.iter().map(|(flag, _)| *flag);
+        let extensions = [
+            (ash::khr::push_descriptor::NAME, "descriptor sets from pools, allocated ahead"),
+            (ash::khr::shader_maximal_reconvergence::NAME, "no shaderMaximalReconvergence"),
+            (ash::khr::shader_subgroup_uniform_control_flow::NAME, "no shaderSubgroupUniformControlFlow"),
+        ];
         Self {
             api_version: vk::API_VERSION_1_3,
             queue: vk::QueueFlags::COMPUTE,
             features: Features::REQUIRED,
             extensions: Vec::new(),
             optional_features: OPTIONAL_FEATURES.to_vec(),
-            optional_extensions: vec![
-                OptionalExtension {
-                    name: ash::khr::push_descriptor::NAME,
-                    without: "descriptor sets from pools, allocated ahead",
-                },
-                OptionalExtension {
-                    name: ash::khr::shader_maximal_reconvergence::NAME,
-                    without: "no shaderMaximalReconvergence",
-                },
-                OptionalExtension {
-                    name: ash::khr::shader_subgroup_uniform_control_flow::NAME,
-                    without: "no shaderSubgroupUniformControlFlow",
-                },
-            ],
+            optional_extensions: extensions
+                .map(|(name, without)| OptionalExtension { name, without })
+                .to_vec(),
             optional_instance_extensions: vec![OptionalExtension {
                 name: ash::ext::debug_utils::NAME,
                 without: "no names and labels in debuggers",
@@ -234,41 +224,35 @@ impl Requirements {
 
 impl fmt::Display for Requirements {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let version = self.api_version;
-        let (major, minor) = (vk::api_version_major(version), vk::api_version_minor(version));
-        writeln!(f, "Vulkan               {major}.{minor}, instance and device")?;
-        writeln!(f, "queue                compute (graphics is not needed)")?;
+        let (major, minor) =
+            (vk::api_version_major(self.api_version), vk::api_version_minor(self.api_version));
         let extensions: Vec<_> = self.extensions.iter().map(|name| name.to_string_lossy()).collect();
         let extensions = if extensions.is_empty() { "none".into() } else { extensions.join(", ") };
-        writeln!(f, "device extensions    {extensions}")?;
-        let mut head = "features";
-        for (name, required) in self.features.all() {
-            if required {
-                writeln!(f, "{head:20} {name}")?;
-                head = "";
-            }
-        }
-        let names: Vec<_> = SUBGROUP_OPERATIONS.iter().map(|(_, name)| *name).collect();
-        writeln!(f, "subgroup operations  {} (compute)", names.join(", "))?;
-        let mut head = "limits";
-        for (name, least) in &self.limits {
-            writeln!(f, "{head:20} {name} >= {least}")?;
-            head = "";
-        }
-        let (lanes, most) = (FEW_LANES, Self::workgroup_invocations(FEW_LANES + 1));
-        writeln!(f, "{head:20} {} >= {most} with subgroups of more than {lanes}", LEAST_LIMITS[0].0)?;
-        let mut head = "optional";
-        for OptionalFeature { name, without } in &self.optional_features {
-            writeln!(f, "{head:20} {name} (without: {without})")?;
-            head = "";
-        }
-        writeln!(
-            f,
-            "{head:20} robustBufferAccess (without: a host that records single stages sees to their counts)"
-        )?;
-        for optional in self.optional_extensions.iter().chain(&self.optional_instance_extensions) {
-            writeln!(f, "{head:20} {} (without: {})", optional.name.to_string_lossy(), optional.without)?;
-            head = "";
+        let operations: Vec<_> = SUBGROUP_OPERATIONS.iter().map(|(_, name)| *name).collect();
+        let mut rows = vec![
+            ("Vulkan", format!("{major}.{minor}, instance and device")),
+            ("queue", "compute (graphics is not needed)".to_owned()),
+            ("device extensions", extensions),
+        ];
+        let required = self.features.all().into_iter().filter(|(_, required)| *required);
+        rows.extend(required.map(|(name, _)| ("features", name.to_owned())));
+        rows.push(("subgroup operations", format!("{} (compute)", operations.join(", "))));
+        rows.extend(self.limits.iter().map(|(name, least)| ("limits", format!("{name} >= {least}"))));
+        let (name, most) = (LEAST_LIMITS[0].0, Self::workgroup_invocations(FEW_LANES + 1));
+        let large = format!("{name} >= {most} with subgroups of more than {FEW_LANES}");
+        rows.push(("limits", large));
+        let without = |name: &str, without: &str| ("optional", format!("{name} (without: {without})"));
+        rows.extend(self.optional_features.iter().map(|feature| without(feature.name, feature.without)));
+        let counts = "a host that records single stages sees to their counts";
+        rows.push(without("robustBufferAccess", counts));
+        let extensions = self.optional_extensions.iter().chain(&self.optional_instance_extensions);
+        rows.extend(
+            extensions.map(|extension| without(&extension.name.to_string_lossy(), extension.without)),
+        );
+        let mut before = "";
+        for (head, text) in rows {
+            writeln!(f, "{:20} {text}", if head == before { "" } else { head })?;
+            before = head;
         }
         Ok(())
     }

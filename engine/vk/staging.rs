@@ -2,31 +2,24 @@
 //!
 //! Each context has one buffer, allocated at the first such transfer. An upload writes a piece of it and submits a copy,
 //! without waiting: the host writes the next piece meanwhile. If the ring is full, it waits for the oldest copy. On devices
-//! with a copy queue (module `copy_queue`) uploads run there. The main queue then acquires the copied data before its next
+//! with a copy queue uploads run there. The main queue then acquires the copied data before its next
 //! work.
 
-use super::allocator::MemoryKind;
-use super::buffer::Buffer;
 use super::commands::{Commands, Pools};
-use super::memory::PLACEMENT_ALIGNMENT;
-use super::open_device::CopyQueue;
-use super::open_device::Device;
-use crate::{Error, Result};
+use super::memory::{Buffer, PLACEMENT_ALIGNMENT};
+use super::memory_types::MemoryKind;
+use super::open_device::{CopyQueue, Device};
+use crate::error::{Error, Result};
 use ash::vk;
 use std::collections::VecDeque;
 use std::ops::Range;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
-/// Most bytes of the ring.
 const RING_BYTES: u64 = 32 << 20;
 /// Fewest bytes, if memory is bounded: larger than an update that a recording stores itself.
 const LEAST_RING_BYTES: u64 = 1 << 18;
 /// Fewest pieces of a ring: the host writes one while the others are copied.
 const PIECES: u64 = 4;
-
-/// Ring of a context.
-#[derive(Default)]
-pub(super) struct Staging(Mutex<Ring>);
 
 /// Buffer of the ring and the copies in flight.
 #[derive(Default)]
@@ -34,25 +27,17 @@ pub(super) struct Ring {
     buffer: Option<Buffer>,
     /// Offset of the next piece.
     head: u64,
-    /// Submissions in flight, oldest first.
     running: VecDeque<Piece>,
     /// Buffers that the copy queue has released, and the main queue has not acquired yet.
     released: Vec<Buffer>,
 }
 
-/// A submission in flight.
 struct Piece {
     // Dropped first: its drop waits.
     commands: Commands,
     /// Byte range in the ring; empty for an acquisition.
     bytes: Range<u64>,
     _kept: Vec<Buffer>,
-}
-
-impl Staging {
-    pub(super) fn lock(&self) -> MutexGuard<'_, Ring> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 impl Ring {
@@ -91,8 +76,8 @@ impl Ring {
         let length = bytes.min(most);
         let first = if self.head + length > ring.bytes() { 0 } else { self.head };
         let place = first..first + length;
-        while self.running.iter().any(|piece| piece.bytes.start < place.end && place.start < piece.bytes.end)
-        {
+        let overlaps = |piece: &Piece| piece.bytes.start < place.end && place.start < piece.bytes.end;
+        while self.running.iter().any(overlaps) {
             self.wait_oldest(device)?;
         }
         Ok((ring, place))
@@ -107,33 +92,23 @@ impl Ring {
         bytes: &[u8],
         after_work: bool,
     ) -> Result<usize> {
-        let device = pools.device();
+        let device = &pools.device;
         let (ring, place) = self.reserve(device, bytes.len() as u64)?;
         let length = place.end - place.start;
         ring.block().write_mapped(ring.offset() + place.start, &bytes[..length as usize]);
         // The last piece may end within a word: the rest of that word is in the buffer's padding.
-        let whole = length.next_multiple_of(4).min(to.bytes());
+        let to = to.range(0, length.next_multiple_of(4).min(to.bytes()));
         let queue = device.copying.as_ref();
-        let mut commands = if queue.is_some() {
-            Commands::begin_copies(pools, "upload")?
-        } else {
-            Commands::begin(pools, "upload", false)?
-        };
-        let region = vk::BufferCopy::default()
-            .src_offset(ring.offset() + place.start)
-            .dst_offset(to.offset())
-            .size(whole);
-        // SAFETY: recording state; ranges within buffers that are kept until the copy is done, with transfer usage.
-        unsafe { device.device.cmd_copy_buffer(commands.raw(), ring.raw(), to.raw(), &[region]) }
+        let mut commands = Commands::begin_copies(pools, "upload")?;
+        ring.range(place.start, to.bytes()).record_copy(commands.raw(), &to);
         if let Some(queue) = queue {
             let (stage, access) = (vk::PipelineStageFlags2::COPY, vk::AccessFlags2::TRANSFER_WRITE);
-            let released = owner_change(queue, device, &to.range(0, whole));
+            let released = owner_change(queue, device, &to);
             commands.buffer_barrier(released.src_stage_mask(stage).src_access_mask(access));
         }
         let after = queue.filter(|_| after_work).map(|queue| queue.worked.last());
-        commands.submit_after(after)?;
+        commands.submit(after)?;
         self.head = place.end.next_multiple_of(PLACEMENT_ALIGNMENT);
-        let to = to.range(0, whole);
         self.released.extend(queue.map(|_| to.clone()));
         self.running.push_back(Piece { commands, bytes: place, _kept: vec![ring, to] });
         Ok(length as usize)
@@ -142,7 +117,7 @@ impl Ring {
     /// Makes the main queue acquire the data that the copy queue has written. Submissions after this one wait for the
     /// copies and see the data. The host does not wait.
     pub(super) fn take_over(&mut self, pools: &Arc<Pools>) -> Result<()> {
-        let device = pools.device();
+        let device = &pools.device;
         let Some(queue) = device.copying.as_ref().filter(|_| !self.released.is_empty()) else {
             return Ok(());
         };
@@ -155,7 +130,7 @@ impl Ring {
                 .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE);
             commands.buffer_barrier(acquire);
         }
-        commands.submit_after(Some(queue.copied.last()))?;
+        commands.submit(Some(queue.copied.last()))?;
         // Cleared only after success, so that a second attempt acquires the same buffers.
         let released = std::mem::take(&mut self.released);
         self.running.push_back(Piece { commands, bytes: 0..0, _kept: released });
@@ -182,7 +157,6 @@ impl Ring {
         Ok(())
     }
 
-    /// Waits for all submissions.
     pub(super) fn settle(&mut self, device: &Device) -> Result<()> {
         while !self.running.is_empty() {
             self.wait_oldest(device)?;
@@ -190,7 +164,6 @@ impl Ring {
         Ok(())
     }
 
-    /// Returns the current size.
     pub(super) fn bytes(&self) -> u64 {
         self.buffer.as_ref().map_or(0, Buffer::bytes)
     }
@@ -218,17 +191,14 @@ impl Ring {
     }
 }
 
-/// Returns the most bytes of a ring on a device.
 fn most_bytes(device: &Device) -> u64 {
     device.limits.max_storage_buffer_range.min(device.limits.max_allocation_bytes)
 }
 
-/// Returns the fewest bytes of a ring on a device.
 fn least_bytes(device: &Device) -> u64 {
     LEAST_RING_BYTES.min(most_bytes(device) / 2)
 }
 
-/// Returns the device memory of the smallest ring.
 pub(super) fn least_room(device: &Device) -> u64 {
     device.allocation_bytes(&[("ring", least_bytes(device))])
 }

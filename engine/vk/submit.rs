@@ -1,14 +1,14 @@
-//! Submits recordings and waits for them.
+//! Submits recordings and waits for them; uploads to and downloads from device memory.
 
 use super::audit;
 use super::commands::Commands;
 use super::context::Context;
-use super::profile::Profiler;
-use super::profile::{self, HostTimes, ScopeTime};
-use super::recorder::Recorder;
-use super::resources::Kept;
-use crate::{Error, Result};
-use std::sync::PoisonError;
+use super::lock::lock;
+use super::memory::Buffer;
+use super::memory_types::Place;
+use super::profile::{self, Profiler, ScopeTime};
+use super::recorder::{Kept, MAX_UPDATE_BYTES, Recorder};
+use crate::error::{Error, Result};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
@@ -27,9 +27,8 @@ pub struct RunReport {
 pub struct Pending {
     // Drop order matters: the wait must come before the memory is freed.
     commands: Commands,
-    profiler: Option<Profiler>,
+    profiler: Profiler,
     audit: Option<audit::Commands>,
-    label: String,
     submitting: Instant,
     submitted: Instant,
     kept: Kept,
@@ -54,17 +53,15 @@ impl Pending {
         if let Some(mut audit) = self.audit.take() {
             audit.log()?;
         }
-        let Some(mut profiler) = self.profiler.take() else { return Ok(RunReport::default()) };
+        let mut profiler = std::mem::take(&mut self.profiler);
         let inner = &self.commands.inner;
         // The results are valid even if the times cannot be read.
         let collected = profiler.collect(inner).unwrap_or_default();
-        let report = RunReport {
-            scopes: collected.scopes.clone(),
-            nanoseconds: collected.nanoseconds.unwrap_or_default(),
-        };
+        let nanoseconds = collected.nanoseconds.unwrap_or_default();
+        let report = RunReport { scopes: collected.scopes.clone(), nanoseconds };
+        let label = profiler.label();
         if let Some(commands) = profiler.commands {
-            let host = HostTimes { submitting: self.submitting, submitted: self.submitted, done };
-            commands.log(inner, std::mem::take(&mut self.label), host, collected);
+            commands.log(inner, label, [self.submitting, self.submitted, done], collected);
         }
         Ok(report)
     }
@@ -80,7 +77,6 @@ impl Drop for Pending {
 }
 
 impl Context {
-    /// Fails if the device is lost.
     pub(crate) fn check_alive(&self) -> Result<()> {
         if self.is_lost() { Err(Error::DeviceLost { call: "an earlier call" }) } else { Ok(()) }
     }
@@ -91,9 +87,9 @@ impl Context {
     /// [`Error::Vulkan`] when the driver has no memory left, [`Error::DeviceLost`].
     pub fn begin(&self, label: &str) -> Result<Recorder> {
         self.check_alive()?;
-        let profile = self.logs.profile.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
+        let profile = lock(&self.logs.profile).upgrade();
         let profiled = profile.map(|log| profile::Commands::begin(&self.device, log)).transpose()?;
-        let audit = self.logs.audit.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
+        let audit = lock(&self.logs.audit).upgrade();
         let commands = Commands::begin(&self.pools, label, profiled.is_some())?;
         let audited = audit.map(|log| audit::Commands::begin(log, label));
         Ok(Recorder::new(commands, label, profiled, audited))
@@ -110,20 +106,11 @@ impl Context {
         let submitting = Instant::now();
         recorder.check()?;
         let (commands, profiler, kept, audit) = recorder.finish();
-        let label = profiler.label();
-        let mut pending = Pending {
-            commands,
-            profiler: Some(profiler),
-            audit,
-            label,
-            submitting,
-            submitted: submitting,
-            kept,
-        };
+        let mut pending = Pending { commands, profiler, audit, submitting, submitted: submitting, kept };
         for block in &pending.kept.blocks {
             block.in_flight.fetch_add(1, Ordering::Release);
         }
-        pending.commands.submit()?;
+        pending.commands.submit(None)?;
         pending.submitted = Instant::now();
         Ok(pending)
     }
@@ -136,5 +123,193 @@ impl Context {
         let mut recorder = self.begin(label)?;
         record(&mut recorder)?;
         self.submit(recorder)?.wait()
+    }
+}
+
+const CHUNK_BYTES: u64 = 16 << 20;
+/// Chunk size when reading mapped memory: chunks stay in the cache.
+const MAPPED_CHUNK_BYTES: u64 = 256 << 10;
+
+impl Context {
+    /// Copies bytes to the start of a buffer and waits. Writes directly if the memory is mapped, otherwise copies from a
+    /// ring of staging memory that the context keeps ([`Context::free_staging`]).
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] when the bytes do not fit, or while a submission that uses the buffer's
+    /// arena is running.
+    pub fn upload(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
+        buffer.check_range(0, bytes.len())?;
+        if bytes.is_empty() {
+            return Ok(());
+        }
+        if buffer.block().is_mapped() {
+            buffer.check_idle()?;
+            buffer.block().write_mapped(buffer.offset(), bytes);
+            return Ok(());
+        }
+        let whole_words = bytes.len().is_multiple_of(4) && buffer.offset().is_multiple_of(4);
+        if bytes.len() <= MAX_UPDATE_BYTES && whole_words {
+            return self.run_command("upload", |recorder| recorder.update(buffer, bytes)).map(drop);
+        }
+        let copied = match self.is_watched() {
+            true => self.upload_watched(buffer, bytes),
+            false => self.copy_staged(buffer, bytes, true).and_then(|()| self.finish_uploads()),
+        };
+        if self.is_foreign() {
+            // A host gets its memory back.
+            self.free_staging();
+        }
+        copied
+    }
+
+    pub(super) fn run_command(&self, label: &str, record: impl FnOnce(&mut Recorder)) -> Result<RunReport> {
+        self.run(label, |recorder| {
+            record(recorder);
+            Ok(())
+        })
+    }
+
+    /// Same as [`Context::upload`], but without waiting: the bytes are copied to staging memory. Submissions after
+    /// [`Context::take_over_uploads`] see them in the buffer. Until then the caller must not write these bytes otherwise,
+    /// and nothing in flight may use them: a copy queue may write them at once.
+    pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
+        if buffer.block().is_mapped() || self.is_foreign() || self.is_watched() {
+            return self.upload(buffer, bytes);
+        }
+        buffer.check_range(0, bytes.len())?;
+        self.copy_staged(buffer, bytes, false)
+    }
+
+    /// Same as [`Context::begin_upload`], but uses the copy queue even if the host sees a card's memory (resizable BAR).
+    /// Writing that memory would have to wait for the main queue's work. All uploads to a buffer use this function or none:
+    /// the host writes only memory that no copy is known to use.
+    pub(crate) fn begin_upload_beside(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
+        if self.device.place != Place::Window || self.device.copying.is_none() {
+            return self.begin_upload(buffer, bytes);
+        }
+        if self.is_watched() {
+            self.finish_uploads()?;
+            return self.upload(buffer, bytes);
+        }
+        buffer.check_range(0, bytes.len())?;
+        self.copy_staged(buffer, bytes, false)
+    }
+
+    /// Makes all later submissions see the uploaded data.
+    pub(crate) fn take_over_uploads(&self) -> Result<()> {
+        lock(&self.staging).take_over(&self.pools)
+    }
+
+    /// True if a profile or an audit observes every command.
+    fn is_watched(&self) -> bool {
+        lock(&self.logs.profile).strong_count() > 0 || self.is_audited()
+    }
+
+    pub(super) fn is_audited(&self) -> bool {
+        lock(&self.logs.audit).strong_count() > 0
+    }
+
+    /// Waits for all uploads in flight.
+    pub(crate) fn finish_uploads(&self) -> Result<()> {
+        self.take_over_uploads()?;
+        lock(&self.staging).settle(&self.device)
+    }
+
+    fn copy_staged(&self, buffer: &Buffer, bytes: &[u8], after_work: bool) -> Result<()> {
+        self.check_alive()?;
+        let mut ring = lock(&self.staging);
+        let mut done = 0;
+        while done < bytes.len() {
+            let rest = buffer.range(done as u64, buffer.bytes() - done as u64);
+            let copied = ring.copy(&self.pools, &rest, &bytes[done..], after_work);
+            done += copied.inspect_err(|_| ring.forget(buffer))?;
+        }
+        Ok(())
+    }
+
+    /// Uploads piece by piece, each as a command that a profile times and an audit hashes.
+    fn upload_watched(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
+        let mut ring = lock(&self.staging);
+        let mut offset = 0;
+        while offset < bytes.len() {
+            let (staging, place) = ring.reserve(&self.device, (bytes.len() - offset) as u64)?;
+            let length = place.end - place.start;
+            let piece = &bytes[offset..][..length as usize];
+            staging.block().write_mapped(staging.offset() + place.start, piece);
+            // The last piece may end within a word: the rest of that word is in the buffer's padding.
+            let whole = length.next_multiple_of(4).min(buffer.bytes() - offset as u64);
+            let (from, to) = (staging.range(place.start, whole), buffer.range(offset as u64, whole));
+            let ran = self.run_command("upload", |recorder| recorder.copy(&from, &to));
+            ran.inspect_err(|_| ring.abandon())?;
+            offset += length as usize;
+        }
+        Ok(())
+    }
+
+    /// Returns the bytes of a buffer, after all earlier submissions.
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] while a submission that uses the buffer's arena is running.
+    pub fn download(&self, buffer: &Buffer) -> Result<Vec<u8>> {
+        let mut bytes = Vec::with_capacity(buffer.bytes() as usize);
+        self.download_chunks(buffer, |chunk| bytes.extend_from_slice(chunk))?;
+        Ok(bytes)
+    }
+
+    /// Passes the contents of a buffer to `take` in order, chunk by chunk, so that they are not held twice. All chunks
+    /// except the last have a multiple of 256 bytes.
+    ///
+    /// # Errors
+    /// Same as [`Context::download`].
+    pub fn download_chunks(&self, buffer: &Buffer, take: impl FnMut(&[u8])) -> Result<()> {
+        let downloaded = self.download_pieces(buffer, take);
+        if self.is_foreign() && !buffer.block().is_read_mapped() {
+            self.free_staging();
+        }
+        downloaded
+    }
+
+    fn download_pieces(&self, buffer: &Buffer, mut take: impl FnMut(&[u8])) -> Result<()> {
+        let total = buffer.bytes();
+        let mapped = buffer.block().is_read_mapped();
+        if total == 0 {
+            return Ok(());
+        }
+        if mapped {
+            buffer.check_idle()?;
+        }
+        let step = if mapped { MAPPED_CHUNK_BYTES } else { CHUNK_BYTES };
+        let mut chunk = vec![0; total.min(step) as usize];
+        let mut offset = 0;
+        while offset < total {
+            let length = (total - offset).min(step);
+            let mut bytes = &mut chunk[..length as usize];
+            if mapped {
+                buffer.block().read_mapped(buffer.offset() + offset, bytes);
+            } else {
+                let length = self.download_staged(&buffer.range(offset, length), bytes)?;
+                bytes = &mut bytes[..length];
+            }
+            offset += bytes.len() as u64;
+            take(bytes);
+        }
+        Ok(())
+    }
+
+    /// Reads as many bytes of a buffer as fit a piece of the ring, and returns their number.
+    fn download_staged(&self, from: &Buffer, bytes: &mut [u8]) -> Result<usize> {
+        let mut ring = lock(&self.staging);
+        let (staging, place) = ring.reserve(&self.device, from.bytes())?;
+        let length = place.end - place.start;
+        let (from, to) = (from.range(0, length), staging.range(place.start, length));
+        let ran = self.run_command("download", |recorder| recorder.copy(&from, &to));
+        ran.inspect_err(|_| ring.abandon())?;
+        to.block().read_mapped(to.offset(), &mut bytes[..length as usize]);
+        Ok(length as usize)
+    }
+
+    /// Returns the most bytes of temporary memory for an upload of `bytes` bytes.
+    pub(crate) fn staging_bytes(&self, bytes: u64) -> u64 {
+        if self.device.reads_mapped() { 0 } else { bytes.min(CHUNK_BYTES) }
     }
 }

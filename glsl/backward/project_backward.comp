@@ -296,9 +296,8 @@ void main() {
     // The rows of M are J times the scaled axes.
     d_row_x *= p.scale;
     d_row_y *= p.scale;
-    float inverse_z = 1.0 / p.mean_camera.z;
-    vec2 j_diagonal = focal_px * inverse_z;
-    vec2 j_depth = -j_diagonal * p.slope;
+    vec2 j_diagonal = p.jacobian.diagonal;
+    vec2 j_depth = p.jacobian.depth;
     mat3 axes_t = transpose(p.axes_camera);
     vec2 d_j_diagonal = vec2(dot(d_row_x, axes_t[0]), dot(d_row_y, axes_t[1]));
     vec2 d_j_depth = vec2(dot(d_row_x, axes_t[2]), dot(d_row_y, axes_t[2]));
@@ -309,15 +308,10 @@ void main() {
         d_quat = axes_backward(p, d_axes);
     }
 
-    // J = (f/z, -f slope / z). An unclamped slope is x/z; a clamped slope does not depend on the mean.
-    vec2 through_slope = vec2(p.clamped.x ? 0.0 : 1.0, p.clamped.y ? 0.0 : 1.0);
-    vec2 d_slope = -j_diagonal * d_j_depth * through_slope + d_mean2d * focal_px;
+    vec3 d_camera = jacobian_backward(p.jacobian, p.mean_camera, d_mean2d, d_j_diagonal, d_j_depth);
     // The blended depth is 1/z or z. This is its gradient towards the camera.
-    float d_nearness = Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z;
-    vec3 d_camera;
-    d_camera.xy = d_slope * inverse_z;
-    d_camera.z = -inverse_z * inverse_z * (dot(d_j_diagonal, focal_px) - dot(d_j_depth, focal_px * p.slope))
-        - inverse_z * dot(d_slope, p.mean_camera.xy * inverse_z) - d_nearness;
+    float inverse_z = 1.0 / p.mean_camera.z;
+    d_camera.z -= Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z;
     vec3 d_mean = from_camera(d_camera);
 
     d_mean += d_towards;

@@ -26,8 +26,8 @@ layout(constant_id = 4) const bool DROPOUT = false;
 layout(constant_id = 5) const bool TINTED = false;
 // True if volumes keep or remove Gaussians: see cut_outs.glsl.
 layout(constant_id = 6) const bool CUT_OUTS = false;
-// True if the camera's rays are parallel: see projection.glsl.
-layout(constant_id = 7) const bool ORTHOGRAPHIC = false;
+// Projection of the camera: see camera.glsl.
+layout(constant_id = 7) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 // True if the flags already hold the visible Gaussians of an earlier view.
 layout(constant_id = 8) const bool ADDS = false;
 layout(local_size_x_id = 0) in;

@@ -20,7 +20,7 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 3) const bool FILTER_3D = false;
 layout(constant_id = 5) const bool TINTED = false;
 layout(constant_id = 6) const bool CUT_OUTS = false;
-layout(constant_id = 7) const bool ORTHOGRAPHIC = false;
+layout(constant_id = 7) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 8) const bool ADDS = false;
 const bool DROPOUT = false;
 layout(local_size_x_id = 0) in;

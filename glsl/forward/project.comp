@@ -1,6 +1,6 @@
 // Screen-space attributes of the visible Gaussians: mean, conic, extent, tiles, depth, and colour from spherical harmonics
 // (paper, section 4; reference preprocessCUDA and computeColorFromSH). With TINTED, colours and opacities have the scene's
-// factors. With ORTHOGRAPHIC, all are seen along the camera's z axis. With MAY_BE_UNSEEN, the list may have Gaussians that only
+// factors. All are seen along the camera's z axis if its projection is parallel. With MAY_BE_UNSEEN, the list may have Gaussians that only
 // another view shows: they touch no tile.
 //
 // invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
@@ -28,8 +28,8 @@ layout(constant_id = 5) const bool Z_RECORD = false;
 layout(constant_id = 6) const bool TINTED = false;
 // True if some Gaussians have another colour: those with a set bit in `selection`.
 layout(constant_id = 7) const bool SELECTION = false;
-// True if the camera's rays are parallel: see projection.glsl.
-layout(constant_id = 8) const bool ORTHOGRAPHIC = false;
+// Projection of the camera: see camera.glsl.
+layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 // True if the list has Gaussians of other views.
 layout(constant_id = 10) const bool MAY_BE_UNSEEN = false;

@@ -18,7 +18,7 @@ layout(constant_id = 2) const uint SH_DEGREE = 3;
 // Same as in project.comp. Frames with dropout have no batches, and scenes with a selection are outside batches.
 layout(constant_id = 3) const bool FILTER_3D = false;
 layout(constant_id = 6) const bool TINTED = false;
-layout(constant_id = 8) const bool ORTHOGRAPHIC = false;
+layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 layout(constant_id = 10) const bool MAY_BE_UNSEEN = false;
 const bool DROPOUT = false;

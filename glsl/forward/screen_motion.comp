@@ -1,7 +1,6 @@
 // Motion of the visible Gaussians' means on the screen, from the previous frame to this one, by both cameras and poses.
 //
-//   m = p - p', p = f (R mean + t).xy / (R mean + t).z + c, with ORTHOGRAPHIC p = f (R mean + t).xy + c; p' is p in the
-//   previous frame
+//   m = p - p', where p is the projection of R mean + t (for a pinhole f xy / z + c), and p' is p in the previous frame
 //
 // Zero if the mean was not in front of the previous camera (z > NEAR_PLANE), or if a number is not finite. Limited to the
 // picture's width and height, which lead out of the picture from any pixel. A Gaussian close to the previous camera's plane has
@@ -19,9 +18,9 @@
 #include "buffers.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-// True if the rays of the current and of the previous camera are parallel: see projection.glsl.
-layout(constant_id = 2) const bool ORTHOGRAPHIC = false;
-layout(constant_id = 3) const bool PREVIOUS_ORTHOGRAPHIC = false;
+// Projections of the current and of the previous camera: see camera.glsl.
+layout(constant_id = 2) const uint PROJECTION = PROJECTION_PERSPECTIVE;
+layout(constant_id = 3) const uint PREVIOUS_PROJECTION = PROJECTION_PERSPECTIVE;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -42,15 +41,16 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "camera_block.glsl"
+#define PRECISE_SCREEN
+#include "camera.glsl"
 #include "dispatch.glsl"
 #include "finite.glsl"
 #include "planes.glsl"
 
 // Screen position (px) and depth of a point.
-vec3 seen(vec3 point, mat3 rows, vec3 translation, vec2 focal, vec2 center, bool parallel) {
+vec3 seen(vec3 point, mat3 rows, vec3 translation, vec2 focal, vec2 center, uint projection) {
     precise vec3 at = vec3(dot(rows[0], point), dot(rows[1], point), dot(rows[2], point)) + translation;
-    precise vec2 screen = focal * at.xy / (parallel ? 1.0 : at.z) + center;
-    return vec3(screen, at.z);
+    return vec3(screen_of(projection, at, focal, center), at.z);
 }
 
 void main() {
@@ -64,9 +64,9 @@ void main() {
     vec3 mean = VEC4_AT(parameters, geometry_at(PLANE_MEAN_OPACITY, index)).xyz;
     mat3 rows = mat3(camera_row_x, camera_row_y, camera_row_z);
     mat3 previous_rows = mat3(previous_row_x, previous_row_y, previous_row_z);
-    vec3 now = seen(mean, rows, camera_translation, focal_px, center_px, ORTHOGRAPHIC);
+    vec3 now = seen(mean, rows, camera_translation, focal_px, center_px, PROJECTION);
     vec3 before = seen(
-        mean, previous_rows, previous_translation, previous_focal_px, previous_center_px, PREVIOUS_ORTHOGRAPHIC
+        mean, previous_rows, previous_translation, previous_focal_px, previous_center_px, PREVIOUS_PROJECTION
     );
     vec2 motion = now.xy - before.xy;
     bool known = before.z > NEAR_PLANE && finite(vec4(motion, 0.0, 0.0));

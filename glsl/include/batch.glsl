@@ -1,4 +1,4 @@
-// Kernels that draw several scenes in one dispatch: a batch (engine/forward/batches.rs). A workgroup is a culling block of one
+// Kernels that draw several scenes in one dispatch: a batch (engine/frame/batches.rs). A workgroup is a culling block of one
 // scene. Here the values that kernels of one scene read from a uniform block or push constants are variables of the same names.
 // Needs constants.glsl, dispatch.glsl, WORKGROUP_SIZE, SCENE_BLOCKS, and push constants: `first_block` and `end_block`, the
 // first culling block of the dispatch and one past the last; `scenes` of the frame; `batch`, the place of the batch's first

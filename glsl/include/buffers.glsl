@@ -1,5 +1,5 @@
 // Each buffer has two forms. A shader with this include is compiled twice: unchanged, and with TEXELS for drivers of
-// processors. The TEXELS form reads by texel, a quarter of the work there (engine/vk/texels.rs), and can write 64 bits at once.
+// processors. The TEXELS form reads by texel, a quarter of the work there (engine/vk/format.rs), and can write 64 bits at once.
 // On a processor each store is a loop over the lanes, and each lane recomputes its address unless stores share it. The wide
 // store pays if a kernel mostly stores. `Limits::prefers_texels` selects the form for a device. Both forms have the same
 // interface and give the same bits.

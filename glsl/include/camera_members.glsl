@@ -15,7 +15,7 @@ uint whole_width;
 uint whole_height;
 // 1 / scale^2.
 float inverse_scale_squared;
-// Shape of Gaussians (engine/forward/shape.rs): a factor of the scales; a term added to both screen variances; an opacity
+// Shape of Gaussians (engine/frame/settings.rs): a factor of the scales; a term added to both screen variances; an opacity
 // override. The override is off at 0. If positive, it replaces every opacity; if negative, only opacities of at least
 // ELLIPSOID_LEAST_OPACITY.
 float shape_scale;
@@ -33,7 +33,7 @@ uint dropout_seed;
 uint dropout_iteration;
 uint dropout_below;
 float dropout_factor;
-// Factors of the scene's colours and opacities (engine/forward/scene_settings.rs). Only read with TINTED.
+// Factors of the scene's colours and opacities (engine/frame/settings.rs). Only read with TINTED.
 vec3 scene_tint;
 float scene_opacity;
 // Colour of the scene's selected Gaussians, and its share. Only read with SELECTION.
@@ -44,7 +44,7 @@ float selection_share;
 uint scene_first;
 uint scene_count;
 uint scene_chunk_gaussians;
-// Batch of the scene (engine/forward/batches.rs): place of the batch's first scene in the frame, or NO_BATCH; first vec4 of the
+// Batch of the scene (engine/frame/batches.rs): place of the batch's first scene in the frame, or NO_BATCH; first vec4 of the
 // scene's parameters in the batch's buffer; first cut-out and their number.
 uint scene_batch;
 uint scene_parameters;

@@ -34,6 +34,10 @@ const uint CUT_OUT_PLANES = 4;
 const uint ANTIALIAS_COMPENSATED = 1;
 const uint ANTIALIAS_DETACHED = 2;
 
+// Projections of a camera: through its centre, or along parallel rays.
+const uint PROJECTION_PERSPECTIVE = 0;
+const uint PROJECTION_ORTHOGRAPHIC = 1;
+
 // Extent modes: methods of finding a Gaussian's tiles.
 const uint EXTENT_EXACT = 0;
 const uint EXTENT_REFERENCE = 1;

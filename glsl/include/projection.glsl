@@ -3,23 +3,20 @@
 // Needs filter_3d.glsl, FILTER_3D, and the push constant `antialias` with ANTIALIAS_ bits.
 // Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES and get footprint_of. They need
 // tile_span.glsl and the push constant `extent`, DROPOUT (dropout.glsl), TINTED (true if the scene has its own factors) and
-// ORTHOGRAPHIC (true if the camera's rays are parallel).
+// PROJECTION (see camera.glsl).
 
 #include "opacity.glsl"
+#include "camera.glsl"
 
 #ifdef DRAWS_SHAPES
 #define SCALE_MODIFIER shape_scale
 #define SCREEN_DILATION_PX2 shape_dilation_px2
-#define PARALLEL_RAYS ORTHOGRAPHIC
 #else
 // Only Gaussians themselves are differentiated. The backward pass has OWN_DILATION.
 #define SCALE_MODIFIER 1.0
 #define SCREEN_DILATION_PX2 (OWN_DILATION ? shape_dilation_px2 : DILATION_PX2)
-#define PARALLEL_RAYS false
+#define PROJECTION PROJECTION_PERSPECTIVE
 #endif
-
-// With ORTHOGRAPHIC, the camera's x and y replace x/z and y/z, and focal_px are pixels per unit. The Jacobian is diag(fx, fy)
-// without a third column.
 
 struct Projection {
     vec3 mean_camera;      // R mean + t
@@ -27,8 +24,7 @@ struct Projection {
     vec3 scale;            // exp(log_scale) times the scale modifier
     vec4 quat;             // unit, or zero
     float inverse_norm;    // 1 / |q|, or 0 for a zero quaternion
-    vec2 slope;            // x/z and y/z, clamped to the Jacobian limits; 0 with ORTHOGRAPHIC
-    bvec2 clamped;
+    Jacobian jacobian;
     // Rows of M = J R R(q) S: cov2d = M M^T + dilation I.
     vec3 row_x;
     vec3 row_y;
@@ -45,19 +41,6 @@ mat3 rotation_of(vec4 q) {
         2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
 }
 
-vec3 to_camera(vec3 world) {
-    return vec3(dot(camera_row_x, world), dot(camera_row_y, world), dot(camera_row_z, world));
-}
-
-vec3 from_camera(vec3 v) {
-    return camera_row_x * v.x + camera_row_y * v.y + camera_row_z * v.z;
-}
-
-vec3 camera_position() {
-    // The transpose of a scaled rotation is its inverse times scale^2.
-    return -from_camera(camera_translation) * inverse_scale_squared;
-}
-
 Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     Projection p;
     p.mean_camera = to_camera(mean) + camera_translation;
@@ -68,18 +51,13 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     mat3 axes = rotation_of(p.quat);
     p.axes_camera = mat3(to_camera(axes[0]), to_camera(axes[1]), to_camera(axes[2]));
 
-    float inverse_z = PARALLEL_RAYS ? 1.0 : 1.0 / p.mean_camera.z;
-    vec2 slope = PARALLEL_RAYS ? vec2(0.0) : p.mean_camera.xy * inverse_z;
-    p.slope = PARALLEL_RAYS ? slope : clamp(slope, jacobian_limits.xz, jacobian_limits.yw);
-    p.clamped = notEqual(p.slope, slope);
-    vec2 j_diagonal = focal_px * inverse_z;
-    vec2 j_depth = -j_diagonal * p.slope;
+    p.jacobian = jacobian_at(PROJECTION, p.mean_camera);
 
     vec3 axes_x = vec3(p.axes_camera[0].x, p.axes_camera[1].x, p.axes_camera[2].x);
     vec3 axes_y = vec3(p.axes_camera[0].y, p.axes_camera[1].y, p.axes_camera[2].y);
     vec3 axes_z = vec3(p.axes_camera[0].z, p.axes_camera[1].z, p.axes_camera[2].z);
-    p.row_x = (j_diagonal.x * axes_x + j_depth.x * axes_z) * p.scale;
-    p.row_y = (j_diagonal.y * axes_y + j_depth.y * axes_z) * p.scale;
+    p.row_x = (p.jacobian.diagonal.x * axes_x + p.jacobian.depth.x * axes_z) * p.scale;
+    p.row_y = (p.jacobian.diagonal.y * axes_y + p.jacobian.depth.y * axes_z) * p.scale;
 
     // det(M M^T) = |row_x x row_y|^2 (Cauchy-Binet). The difference of products would cancel for a needle-shaped Gaussian.
     float xx = dot(p.row_x, p.row_x);
@@ -144,7 +122,7 @@ Footprint footprint_of(Projection p, float opacity_logit) {
     if (DROPOUT) {
         f.opacity *= dropout_factor;
     }
-    f.mean2d_px = focal_px * p.mean_camera.xy / (ORTHOGRAPHIC ? 1.0 : p.mean_camera.z) + center_px;
+    f.mean2d_px = screen_of(PROJECTION, p.mean_camera, focal_px, center_px);
     bool valid = p.mean_camera.z > NEAR_PLANE && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
         && is_finite(p.cov2d.z) && is_finite(f.mean2d_px.x) && is_finite(f.mean2d_px.y) && is_finite(f.opacity);
 

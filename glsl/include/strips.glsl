@@ -1,7 +1,7 @@
 // Planes of one value per pixel in strips of STRIP_ROWS rows. On processors blending, the loss and the backward pass
 // exchange data in this layout. The values of a strip's column are contiguous; columns, strips and planes follow in this
 // order. An invocation that owns a column of pixels reads or writes it with one access, and a sweep along a strip reads
-// consecutive memory (engine/plan/strips.rs).
+// consecutive memory (engine/frame/strips.rs).
 // Needs constants.glsl, image_width, image_height.
 
 uint strips_of_image() {

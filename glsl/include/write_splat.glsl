@@ -15,7 +15,7 @@ void write_splat(uint visible, uint index) {
     Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
     Footprint f = footprint_of(p, filtered.opacity_logit);
 
-    vec3 direction = normalize(ORTHOGRAPHIC ? camera_row_z : mean_opacity.xyz - camera_position());
+    vec3 direction = direction_to(PROJECTION, mean_opacity.xyz);
     vec3 color = sh_color(index, direction);
     // A coefficient that is not finite must not reach the pixels.
     bool valid = is_finite(color.x) && is_finite(color.y) && is_finite(color.z);

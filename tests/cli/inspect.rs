@@ -1,11 +1,9 @@
-//! `inspect` on a small example worked out by hand, through the library and through the program.
+//! `inspect` on a small example worked out by hand.
 
 use super::*;
-use ashsplat::scene::{Gaussians, sh};
-use ashsplat::vk::{Context, ContextOptions};
-use ashsplat::{RenderSettings, Renderer};
+use ashsplat::RenderSettings;
+use ashsplat::scene::sh;
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, Mat3};
-use tempfile::tempdir;
 
 const MEANS: [[f32; 3]; 3] = [[0.1, 0.1, 2.5], [0.12, 0.08, 3.2], [0.08, 0.14, 1.8]];
 const SCALES: [[f32; 3]; 3] = [[0.2, 0.08, 0.1], [0.3, 0.15, 0.1], [0.15, 0.15, 0.15]];
@@ -50,72 +48,47 @@ fn alpha(index: usize) -> f64 {
 }
 
 #[test]
-fn worked_example_by_the_library() {
-    let context = Context::new(&ContextOptions::default()).expect("a device");
-    let mut renderer = Renderer::new(&context).expect("a renderer");
-    renderer.upload(&example()).expect("uploaded");
-    let intrinsics = Intrinsics {
-        fx: FOCAL as f32,
-        fy: FOCAL as f32,
-        cx: MIDDLE as f32,
-        cy: MIDDLE as f32,
-        width: 800,
-        height: 800,
-    };
-    let camera = Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, intrinsics);
-    let settings = RenderSettings::default();
-    let report = renderer.inspect(&camera, &settings, PIXEL).expect("a report");
-    let ids: Vec<usize> = report.samples.iter().map(|s| s.gaussian as usize).collect();
-    assert_eq!(ids, ORDER);
-    let mut left = 1.0;
-    let mut color = DVec3::ZERO;
-    for (sample, index) in report.samples.iter().zip(ORDER) {
-        let alpha = alpha(index);
-        assert!(
-            (f64::from(sample.alpha) - alpha).abs() < 1e-5,
-            "alpha {} of {index}, not {alpha}",
-            sample.alpha
-        );
-        assert!((f64::from(sample.weight) - alpha * left).abs() < 1e-5, "weight of {index}");
-        assert_eq!(sample.depth, MEANS[index][2]);
-        color += alpha * left * DVec3::from_array(COLORS[index].map(f64::from));
-        left *= 1.0 - alpha;
-        assert!((f64::from(sample.transmittance_after) - left).abs() < 1e-5, "transmittance after {index}");
-    }
-    let reported = DVec3::from_array(report.color.map(f64::from));
-    assert!(reported.abs_diff_eq(color, 1e-5), "{reported} instead of {color}");
-    // The report matches the picture: same pixel, same colour.
-    let frame = renderer.render(&camera, &settings).expect("a frame");
-    let drawn = frame.color[(PIXEL[1] * 800 + PIXEL[0]) as usize];
-    assert!(Vec3::from_array(drawn).abs_diff_eq(Vec3::from_array(report.color), 1e-6), "{drawn:?}");
-}
-
-#[test]
-fn worked_example_by_the_program() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = folder.path().join("example.ply");
-    ashsplat_files::ply::write(&path, &example()).expect("written");
-    let camera = ["--fx", "500", "--width", "800", "--height", "800"];
-    let command = [["inspect", text(&path), "--pixel", "420,420"].as_slice(), &camera].concat();
-    let report: serde_json::Value =
-        serde_json::from_str(&succeed(&[command.as_slice(), &["--json"]].concat())).expect("JSON");
+fn worked_example() {
+    let place = Place::empty();
+    place.write_scene("example.ply", &example());
+    let inspect = "inspect @example.ply --fx 500 --width 800 --height 800 --pixel";
+    let report = place.json_of(format!("{inspect} 420,420 --json"));
     let samples = report["samples"].as_array().expect("samples");
     assert_eq!(samples.len(), 3);
-    let mut left = 1.0;
+    let (mut left, mut color) = (1.0, DVec3::ZERO);
     for (sample, index) in samples.iter().zip(ORDER) {
-        assert_eq!(sample["id"].as_u64(), Some(index as u64));
-        let weight = sample["weight"].as_f64().expect("a weight");
-        assert!((weight - alpha(index) * left).abs() < 1e-5, "weight {weight} of {index}");
-        left *= 1.0 - alpha(index);
+        let alpha = alpha(index);
+        let weight = alpha * left;
+        left *= 1.0 - alpha;
+        color += weight * DVec3::from_array(COLORS[index].map(f64::from));
+        assert_eq!(sample["id"], index);
+        let depth = f64::from(MEANS[index][2]);
+        let expected = [("depth", depth), ("alpha", alpha), ("weight", weight), ("transmittance_left", left)];
+        for (name, expected) in expected {
+            let value = sample[name].as_f64().expect("a number");
+            assert!((value - expected).abs() < 1e-5, "{name} {value} of {index}, not {expected}");
+        }
     }
-    let table = succeed(&command);
+    let reported: [f64; 3] = serde_json::from_value(report["color"].clone()).expect("a colour");
+    let reported = DVec3::from_array(reported);
+    assert!(reported.abs_diff_eq(color, 1e-5), "{reported} instead of {color}");
+    // The report matches the picture: same pixel, same colour.
+    let [focal, middle] = [FOCAL, MIDDLE].map(|value| value as f32);
+    let size = Intrinsics::from_fov_x(0.8, 800, 800);
+    let intrinsics = Intrinsics { fx: focal, fy: focal, cx: middle, cy: middle, ..size };
+    let camera = Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, intrinsics);
+    let mut renderer = crate::common::engine::renderer();
+    renderer.upload(&example()).expect("uploaded");
+    let frame = renderer.render(&camera, &RenderSettings::default()).expect("a frame");
+    let drawn = Vec3::from_array(frame.color[(PIXEL[1] * 800 + PIXEL[0]) as usize]);
+    assert!(drawn.as_dvec3().abs_diff_eq(reported, 1e-6), "{drawn}");
+
+    let table = place.run(format!("{inspect} 420,420")).ok().stdout;
     let rows: Vec<&str> = table.lines().collect();
     assert_eq!(rows.len(), 5, "{table}");
-    assert!(
-        rows[1].contains("1.8000") && rows[2].contains("2.5000") && rows[3].contains("3.2000"),
-        "{table}"
-    );
+    for (row, depth) in rows[1..4].iter().zip(["1.8000", "2.5000", "3.2000"]) {
+        assert_has(row, &[depth]);
+    }
     assert!(rows[4].starts_with("final colour "), "{table}");
-    let outside = [["inspect", text(&path), "--pixel", "800,0"].as_slice(), &camera].concat();
-    refuse(&outside, &["800,0", "800x800"]);
+    place.run(format!("{inspect} 800,0")).refused(&["800,0", "800x800"]);
 }

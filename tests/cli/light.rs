@@ -3,96 +3,78 @@
 use super::*;
 use ashsplat_files::exposure_json;
 use ashsplat_files::lens_json::LensFile;
-use glam::Mat3;
-use tempfile::{TempDir, tempdir};
 
-const FEW: [&str; 6] = ["--iterations", "40", "--test-iterations=-1", "--sh-degree=0", "--quiet", "--seed=3"];
-
-fn train(data: &Path, model: &Path, more: &[&str]) -> String {
-    let paths = ["train", "-s", text(data), "-m", text(model)];
-    succeed(&[&paths, FEW.as_slice(), more].concat())
-}
-
-fn report(model: &Path) -> String {
-    std::fs::read_to_string(model.join("report.html")).expect("a report")
-}
-
-fn picture(folder: &Path) -> Vec<u8> {
-    std::fs::read(folder.join("00000.png")).expect("a picture")
+fn train(place: &Place, model: &str, more: &str) {
+    let few = "--iterations 40 --test-iterations=-1 --sh-degree=0 --quiet --seed=3";
+    place.run(format!("train -s @data -m @{model} {few} {more}")).ok();
 }
 
 #[test]
 fn exposures_are_learnt_saved_and_asked_for() {
-    let folder = tempdir().expect("a temporary folder");
-    let at = |name: &str| folder.path().join(name);
-    write_dataset(&at("data"));
-    train(&at("data"), &at("model"), &["--eval", "--exposure", "--exposure-lr-init=0.1"]);
-    let exposures = exposure_json::read(at("model").join("exposure.json")).expect("the exposures");
+    let place = Place::new();
+    train(&place, "model", "--eval --exposure --exposure-lr-init=0.1");
+    let exposures = exposure_json::read(place.at("model/exposure.json")).expect("the exposures");
     // Held-out photos have no exposure.
     let names: Vec<&str> = exposures.keys().map(String::as_str).collect();
     assert_eq!(names, ["02.png", "03.png", "04.png", "05.png", "06.png", "07.png", "08.png"]);
     assert!(exposures.values().all(|exposure| *exposure != Default::default()));
-    let page = report(&at("model"));
+    let page = place.read_text("model/report.html");
     let gain = exposures["04.png"].of([0.5; 3])[0] / 0.5;
     assert!(page.contains(&format!("04.png</td><td>{gain:.3}</td>")), "{page}");
     assert!(!page.contains("<h2>Lens effects"), "{page}");
-    let render = |out: &Path, more: &[&str]| {
-        let model = at("model");
-        succeed(&[&["render", text(&model), "-o", text(out), "--quiet"], more].concat());
-        picture(out)
-    };
-    let (plain, exposed) = (render(&at("a"), &[]), render(&at("b"), &["--exposure-of", "03.png"]));
+    let [plain, exposed] = ["", "--exposure-of 03.png"].map(|more| {
+        place.run(format!("render @model -o @out --quiet {more}")).ok();
+        place.read("out/00000.png")
+    });
     assert_ne!(plain, exposed);
-    let (model, out, none) = (at("model"), at("c"), at("none"));
-    let wanted = ["render", text(&model), "-o", text(&out), "--exposure-of"];
-    refuse(&[wanted.as_slice(), &["01.png"]].concat(), &["exposure.json", "01.png", "02.png"]);
-    let ply = at("model").join("point_cloud/iteration_40/point_cloud.ply");
-    let bare = ["render", text(&ply), "-o", text(&out), "--orbit=1", "--exposure-of", "02.png"];
-    refuse(&bare, &["--exposure-of", "model folder"]);
+    let refused = |photo: &str, words: &[&str]| {
+        place.run(format!("render @model -o @none --exposure-of {photo}")).refused(words);
+    };
+    refused("01.png", &["exposure.json", "01.png", "02.png"]);
+    let ply = point_cloud("model", 40);
+    let bare = format!("render @{ply} -o @none --orbit=1 --exposure-of 02.png");
+    place.run(bare).refused(&["--exposure-of", "model folder"]);
     // A new training removes the exposures of an older one.
-    train(&at("data"), &model, &["--eval"]);
-    assert!(!at("model").join("exposure.json").exists());
-    refuse(&[wanted.as_slice(), &["02.png"]].concat(), &["exposure.json", "--exposure"]);
-    std::fs::write(at("model").join("exposure.json"), "{\"02.png\": [[1, 2], 3]}").expect("written");
-    refuse(&[wanted.as_slice(), &["02.png"]].concat(), &["exposure.json", "not a list of exposures"]);
-    assert!(!out.exists() && !none.exists());
+    train(&place, "model", "--eval");
+    assert!(!place.has("model/exposure.json"));
+    refused("02.png", &["exposure.json", "--exposure"]);
+    place.write("model/exposure.json", "{\"02.png\": [[1, 2], 3]}");
+    refused("02.png", &["exposure.json", "not a list of exposures"]);
+    assert!(!place.has("none"));
 }
 
 /// Vignetting and response: learned, saved for all photos, used by `render` and by measurements.
 #[test]
 fn lens_effects_are_learnt_saved_and_asked_for() {
-    let folder = tempdir().expect("a temporary folder");
-    let at = |name: &str| folder.path().join(name);
-    write_dataset(&at("data"));
-    let (data, model, out) = (at("data"), at("model"), at("out"));
-    train(&data, &model, &["--eval", "--lens-effects", "--lens-lr=0.05"]);
-    let lenses = LensFile::read(model.join("lens.json")).expect("the lenses");
+    let place = Place::new();
+    train(&place, "model", "--eval --lens-effects --lens-lr=0.05");
+    let lenses = LensFile::read(place.at("model/lens.json")).expect("the lenses");
     assert_eq!((lenses.cameras.len(), lenses.photos.len()), (1, 9));
     let learnt = lenses.of("01.png").expect("that of a held-out photo");
     assert!(learnt != Default::default() && lenses.of("none.png").is_none());
-    assert!(!model.join("exposure.json").exists());
-    let page = report(&model);
+    assert!(!place.has("model/exposure.json"));
+    let page = place.read_text("model/report.html");
     let corner = learnt.vignetting(0, 1.0);
     assert!(page.contains(&format!(">1</td><td>9</td><td>{corner:.3}</td>")), "{page}");
     assert!(!page.contains("<h2>Exposures"), "{page}");
     // `eval` gives the training's results.
-    let results = || std::fs::read_to_string(model.join("per_view.json")).expect("results");
+    let results = || place.read_text("model/per_view.json");
     let trained = results();
-    succeed(&["eval", text(&model), "--quiet"]);
+    place.run("eval @model --quiet").ok();
     assert_eq!(trained, results());
-    std::fs::rename(model.join("lens.json"), at("aside.json")).expect("moved");
-    succeed(&["eval", text(&model), "--quiet"]);
+    place.rename("model/lens.json", "aside.json");
+    place.run("eval @model --quiet").ok();
     assert_ne!(trained, results());
-    let wanted = ["render", text(&model), "-o", text(&out), "--quiet", "--lens-of"];
-    refuse(&[wanted.as_slice(), &["01.png"]].concat(), &["lens.json", "--lens-effects"]);
-    std::fs::rename(at("aside.json"), model.join("lens.json")).expect("back");
-    refuse(&[wanted.as_slice(), &["99.png"]].concat(), &["lens.json", "99.png", "01.png"]);
-    succeed(&wanted[..5]);
-    let plain = picture(&out);
-    succeed(&[wanted.as_slice(), &["01.png"]].concat());
-    assert_ne!(plain, picture(&out));
-    // Invalid files.
-    let good = std::fs::read_to_string(model.join("lens.json")).expect("text");
+    let render = |more: &str| place.run(format!("render @model -o @out --quiet {more}"));
+    render("--lens-of 01.png").refused(&["lens.json", "--lens-effects"]);
+    place.rename("aside.json", "model/lens.json");
+    render("--lens-of 99.png").refused(&["lens.json", "99.png", "01.png"]);
+    let [plain, with_lens] = ["", "--lens-of 01.png"].map(|more| {
+        render(more).ok();
+        place.read("out/00000.png")
+    });
+    assert_ne!(plain, with_lens);
+    let good = place.read_text("model/lens.json");
     let unknown = good.replace("\"01.png\": 1", "\"01.png\": 8");
     assert_ne!(good, unknown);
     for (spoilt, words) in [
@@ -101,41 +83,33 @@ fn lens_effects_are_learnt_saved_and_asked_for() {
         (good.replace("\"response\": [", "\"response\": [0.0,"), ["lens.json", "light"]),
         (good.replace("\"vignetting\"", "\"vignette\""), ["lens.json", "vignett"]),
     ] {
-        std::fs::write(model.join("lens.json"), spoilt).expect("written");
-        refuse(&[wanted.as_slice(), &["01.png"]].concat(), &words);
+        place.write("model/lens.json", spoilt);
+        render("--lens-of 01.png").refused(&words);
     }
     // A new training removes them.
-    train(&data, &model, &["--eval"]);
-    assert!(!model.join("lens.json").exists());
+    train(&place, "model", "--eval");
+    assert!(!place.has("model/lens.json"));
 }
 
 /// The reference's protocol: trains on the left half of the held-out views, and measures the right half.
 #[test]
 fn held_out_views_are_trained_on_their_left_half() {
-    let folder = tempdir().expect("a temporary folder");
-    let at = |name: &str| folder.path().join(name);
-    write_dataset(&at("data"));
-    let (data, model) = (at("data"), at("model"));
-    refuse(
-        &["train", "-s", text(&data), "-m", text(&model), "--train-test-exp"],
-        &["train_test_exp", "--eval"],
-    );
-    train(&data, &model, &["--eval", "--train_test_exp"]);
-    assert_eq!(exposure_json::read(model.join("exposure.json")).expect("the exposures").len(), 9);
+    let place = Place::new();
+    place.run("train -s @data -m @model --train-test-exp").refused(&["train_test_exp", "--eval"]);
+    train(&place, "model", "--eval --train_test_exp");
+    assert_eq!(exposure_json::read(place.at("model/exposure.json")).expect("the exposures").len(), 9);
     // The test's pictures are halves.
-    let saved = |kind: &str| at("model").join("test/ours_40").join(kind).join("00000.png");
     for kind in ["gt", "renders"] {
-        let size = ashsplat_files::images::photo_size(saved(kind)).expect("a picture");
+        let saved = place.at(format!("model/test/ours_40/{kind}/00000.png"));
+        let size = ashsplat_files::images::photo_size(saved).expect("a picture");
         assert_eq!(size, (SIZE[0] / 2, SIZE[1]));
     }
-    let results = |_| std::fs::read_to_string(at("model").join("per_view.json")).expect("results");
-    let trained = results(());
-    succeed(&["eval", text(&model), "--quiet"]);
-    assert_eq!(trained, results(()));
-    let cameras = std::fs::read_to_string(model.join("cameras.json")).expect("cameras");
-    assert_eq!(cameras.matches("img_name").count(), 9);
+    let trained = place.read_text("model/per_view.json");
+    place.run("eval @model --quiet").ok();
+    assert_eq!(trained, place.read_text("model/per_view.json"));
+    assert_eq!(place.read_text("model/cameras.json").matches("img_name").count(), 9);
     // The right half's pixels do not matter.
-    let held_out = data.join("images/01.png");
+    let held_out = place.at("data/images/01.png");
     let mut photo = Photo::read(&held_out, [0.0; 3]).expect("a photo");
     for (pixel, rgb) in photo.rgb.chunks_mut(3).enumerate() {
         if pixel as u32 % SIZE[0] >= SIZE[0] / 2 {
@@ -143,82 +117,39 @@ fn held_out_views_are_trained_on_their_left_half() {
         }
     }
     photo.write_png(&held_out).expect("written");
-    let spoilt = at("spoilt");
-    train(&data, &spoilt, &["--eval", "--train_test_exp"]);
-    let gaussians = |model: &Path| {
-        std::fs::read(model.join("point_cloud/iteration_40/point_cloud.ply")).expect("the scene")
-    };
-    assert_eq!(gaussians(&model), gaussians(&spoilt));
-    std::fs::remove_file(model.join("exposure.json")).expect("removed");
-    refuse(&["eval", text(&model), "--quiet"], &["exposure.json"]);
-}
-
-/// A data set with observations of its points, and maps that are no inverse depths yet. Those of photo k are (1 / z
-/// - 0.1) / (1 + k / 10).
-struct Mapped {
-    folder: TempDir,
+    train(&place, "spoilt", "--eval --train_test_exp");
+    assert_eq!(place.ply("model", 40), place.ply("spoilt", 40));
+    place.remove("model/exposure.json");
+    place.run("eval @model --quiet").refused(&["exposure.json"]);
 }
 
 fn scale_of(index: u32) -> f32 {
     1.0 + index as f32 / 10.0
 }
 
+const PARAMS: &str = "data/sparse/0/depth_params.json";
+
+/// A data set with observations of its points, and maps that are no inverse depths yet. Those of photo k are
+/// (1 / z - 0.1) / (1 + k / 10).
+struct Mapped(Place);
+
 impl Mapped {
     fn new() -> Mapped {
-        let folder = tempdir().expect("a temporary folder");
-        let data = folder.path().join("data");
-        write_dataset(&data);
-        let mapped = Mapped { folder };
-        mapped.write_text_model();
-        std::fs::create_dir(data.join("depths")).expect("a folder");
+        let place = Place::empty();
+        write_observed(&place.at("data"));
+        place.create_folder("data/depths");
+        let mapped = Mapped(place);
         (0..VIEWS).for_each(|index| mapped.write_map(index));
         mapped
     }
 
-    fn data(&self) -> PathBuf {
-        self.folder.path().join("data")
-    }
-
     fn map(&self, index: u32) -> PathBuf {
-        self.data().join("depths").join(format!("{:02}.png", index + 1))
-    }
-
-    fn params(&self) -> PathBuf {
-        self.data().join("sparse/0/depth_params.json")
-    }
-
-    fn write_text_model(&self) {
-        let folder = self.data().join("sparse/0");
-        std::fs::remove_dir_all(&folder).expect("removed");
-        std::fs::create_dir_all(&folder).expect("created");
-        let lens = view(0);
-        let camera =
-            format!("1 PINHOLE {} {} {} {} {} {}\n", SIZE[0], SIZE[1], lens.fx, lens.fy, lens.cx, lens.cy);
-        std::fs::write(folder.join("cameras.txt"), camera).expect("written");
-        let points = wall_points();
-        let (mut images, mut rows) = (String::new(), String::new());
-        for index in 0..VIEWS {
-            let camera = view(index);
-            let image = ColmapImage::posed(index + 1, 1, format!("{:02}.png", index + 1), &camera);
-            let ([w, x, y, z], [tx, ty, tz]) = (image.quat, image.translation);
-            images += &format!("{} {w} {x} {y} {z} {tx} {ty} {tz} 1 {}\n", image.id, image.name);
-            for (id, point) in points.positions.iter().enumerate() {
-                let p = camera.camera_from_world * Vec3::from_array(*point) + camera.translation;
-                let place = [camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy];
-                images += &format!("{} {} {} ", place[0], place[1], id + 1);
-            }
-            images += "3 3 -1\n";
-        }
-        for (id, (p, c)) in points.positions.iter().zip(&points.colors).enumerate() {
-            rows += &format!("{} {} {} {} {} {} {} 0.5 1 2\n", id + 1, p[0], p[1], p[2], c[0], c[1], c[2]);
-        }
-        std::fs::write(folder.join("images.txt"), images).expect("written");
-        std::fs::write(folder.join("points3D.txt"), rows).expect("written");
+        self.0.at("data/depths").join(photo_name(index))
     }
 
     fn write_map(&self, index: u32) {
         let camera = view(index);
-        let world_from_camera: Mat3 = camera.camera_from_world.transpose();
+        let world_from_camera = camera.camera_from_world.transpose();
         let map = image::ImageBuffer::from_fn(SIZE[0], SIZE[1], |x, y| {
             let (x, y) = (x as f32 + 0.5 - camera.cx, y as f32 + 0.5 - camera.cy);
             let ray = world_from_camera * Vec3::new(x / camera.fx, y / camera.fy, 1.0);
@@ -229,74 +160,67 @@ impl Mapped {
         map.save(self.map(index)).expect("a map");
     }
 
+    /// Writes the scales of these photos' maps.
+    fn write_params(&self, indices: std::ops::Range<u32>, scale: impl Fn(u32) -> String) {
+        let entry =
+            |index: u32| format!("\"{:02}\": {{\"scale\": {}, \"offset\": 0.1}}", index + 1, scale(index));
+        let entries: Vec<String> = indices.map(entry).collect();
+        self.0.write(PARAMS, format!("{{{}}}", entries.join(", ")));
+    }
+
     fn refuses(&self, folder: &str, words: &[&str]) {
-        let out = self.folder.path().join("out");
-        let data = self.data();
-        refuse(&["train", "-s", text(&data), "-m", text(&out), "-d", folder, "--quiet"], words);
-        assert!(!out.exists(), "{:?}", files_below(&out));
+        self.0.run(format!("train -s @data -m @out -d {folder} --quiet")).refused(words);
+        assert!(!self.0.has("out"), "{:?}", self.0.files("out"));
     }
 }
 
 #[test]
 fn depth_maps_are_scaled_and_trained_on() {
     let mapped = Mapped::new();
-    let at = |name: &str| mapped.folder.path().join(name);
-    let losses = |model: &Path| {
-        let checkpoint = model.join("chkpnt40.safetensors");
-        let read = <ashsplat::trainer::Checkpoint as ashsplat_files::CheckpointFile>::read(checkpoint);
-        read.expect("a checkpoint").strategy.terms
+    let place = &mapped.0;
+    let losses = |model: &str| {
+        let checkpoint = Checkpoint::read(place.at(model).join("chkpnt40.safetensors"));
+        checkpoint.expect("a checkpoint").strategy.terms
     };
-    let depth_of = |model: &Path| {
-        let out = at("depth");
-        succeed(&["render", text(model), "-o", text(&out), "--format=exr", "--quiet"]);
-        std::fs::read(out.join("00000.exr")).expect("a picture")
+    let depth_of = |model: &str| {
+        place.run(format!("render @{model} -o @depth --format=exr --quiet")).ok();
+        place.read("depth/00000.exr")
     };
-    let data = mapped.data();
     // Switches off the terms that few photos add.
-    let [alone, too] = ["--opacity-reg=0", "--scale-reg=0"];
-    train(&data, &at("plain"), &["--checkpoint-iterations=40", alone, too]);
-    train(&data, &at("fitted"), &["--checkpoint-iterations=40", "-d", "depths", alone, too]);
-    assert_eq!(losses(&at("plain")), ["photometric"]);
-    assert_eq!(losses(&at("fitted")), ["photometric", "inverse_depth"]);
-    assert_ne!(depth_of(&at("plain")), depth_of(&at("fitted")));
+    let alone = "--opacity-reg=0 --scale-reg=0";
+    train(place, "plain", &format!("--checkpoint-iterations=40 {alone}"));
+    train(place, "fitted", &format!("--checkpoint-iterations=40 -d depths {alone}"));
+    assert_eq!(losses("plain"), ["photometric"]);
+    assert_eq!(losses("fitted"), ["photometric", "inverse_depth"]);
+    assert_ne!(depth_of("plain"), depth_of("fitted"));
     // Parameters from a file have priority. These are the true ones, so the scene is nearly the same.
-    let entry =
-        |index: u32| format!("\"{:02}\": {{\"scale\": {}, \"offset\": 0.1}}", index + 1, scale_of(index));
-    let entries: Vec<String> = (0..VIEWS).map(entry).collect();
-    std::fs::write(mapped.params(), format!("{{{}}}", entries.join(", "))).expect("written");
-    train(&data, &at("given"), &["--depths", "depths", alone, too]);
-    let means = |model: &str| {
-        let ply = at(model).join("point_cloud/iteration_40/point_cloud.ply");
-        ashsplat_files::splats::read(ply, &Default::default()).expect("a scene").gaussians.means
-    };
+    mapped.write_params(0..VIEWS, |index| scale_of(index).to_string());
+    train(place, "given", &format!("--depths depths {alone}"));
+    let [plain, fitted, given] =
+        ["plain", "fitted", "given"].map(|model| place.gaussians(point_cloud(model, 40)).means);
     let apart = |a: &[[f32; 3]], b: &[[f32; 3]]| {
         a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
     };
-    let (plain, fitted, given) = (means("plain"), means("fitted"), means("given"));
     assert!(apart(&fitted, &given) < 0.2 * apart(&fitted, &plain), "{}", apart(&fitted, &given));
 }
 
 #[test]
 fn depth_maps_that_lack_something_are_refused() {
     let mapped = Mapped::new();
+    let place = &mapped.0;
     mapped.refuses("nowhere", &["nowhere", "no folder with depth maps"]);
     // A file with only some photos.
-    std::fs::write(mapped.params(), "{\"01\": {\"scale\": 1, \"offset\": 0}}").expect("written");
+    place.write(PARAMS, "{\"01\": {\"scale\": 1, \"offset\": 0}}");
     mapped.refuses("depths", &["depth_params.json", "02.png"]);
-    std::fs::write(mapped.params(), "{\"01\": {\"scale\": 1}}").expect("written");
+    place.write(PARAMS, "{\"01\": {\"scale\": 1}}");
     mapped.refuses("depths", &["depth_params.json", "offset"]);
     // Values beyond the device's range; and values that no photograph can use, which is no fault of the sparse
     // points.
-    let all_of = |scale: &str| {
-        let entry = |index: u32| format!("\"{:02}\": {{\"scale\": {scale}, \"offset\": 0.1}}", index + 1);
-        let entries: Vec<String> = (0..VIEWS).map(entry).collect();
-        std::fs::write(mapped.params(), format!("{{{}}}", entries.join(", "))).expect("written");
-    };
-    all_of("1e300");
+    mapped.write_params(0..VIEWS, |_| "1e300".into());
     mapped.refuses("depths", &["depth_params.json", "01 has a number that is too large"]);
-    all_of("-1");
+    mapped.write_params(0..VIEWS, |_| "-1".into());
     mapped.refuses("depths", &["depth_params.json: has no scale above 0 for any photo", "remove it"]);
-    std::fs::remove_file(mapped.params()).expect("removed");
+    place.remove(PARAMS);
     std::fs::remove_file(mapped.map(4)).expect("removed");
     mapped.refuses("depths", &["05.png", "depth map", "missing"]);
     image::GrayImage::new(SIZE[0], SIZE[1]).save(mapped.map(4)).expect("written");
@@ -305,11 +229,8 @@ fn depth_maps_that_lack_something_are_refused() {
     mapped.refuses("depths", &["05.png"]);
     mapped.write_map(4);
     // Without observations the scale is unknown.
-    write_dataset(&mapped.data());
-    let text_parts = ["cameras.txt", "images.txt", "points3D.txt"];
-    text_parts
-        .iter()
-        .for_each(|part| std::fs::remove_file(mapped.data().join("sparse/0").join(part)).expect("removed"));
+    place.remove("data/sparse");
+    write_dataset(&place.at("data"));
     mapped.refuses("depths", &["depths", "none of the depth maps", "depth_params.json"]);
 }
 
@@ -317,24 +238,19 @@ fn depth_maps_that_lack_something_are_refused() {
 #[test]
 fn held_out_photos_need_no_depth_maps() {
     let mapped = Mapped::new();
-    let data = mapped.data();
-    let scene_of = |name: &str| {
-        let model = mapped.folder.path().join(name);
-        train(&data, &model, &["--eval", "-d", "depths"]);
-        std::fs::read(model.join("point_cloud/iteration_40/point_cloud.ply")).expect("a scene")
+    let scene_of = |model: &str| {
+        train(&mapped.0, model, "--eval -d depths");
+        mapped.0.ply(model, 40)
     };
     let with_all = scene_of("all");
     [0, VIEWS - 1].iter().for_each(|&index| std::fs::remove_file(mapped.map(index)).expect("removed"));
     assert!(scene_of("some") == with_all);
-    let entry = |index: u32| format!("\"{:02}\": {{\"scale\": 1.0, \"offset\": 0.1}}", index + 1);
-    let entries: Vec<String> = (1..VIEWS - 1).map(entry).collect();
-    std::fs::write(mapped.params(), format!("{{{}}}", entries.join(", "))).expect("written");
+    mapped.write_params(1..VIEWS - 1, |_| "1.0".into());
     assert!(scene_of("given") != with_all);
     // Training uses halves of the held-out photographs.
-    let out = mapped.folder.path().join("out");
-    let halves = ["train", "-s", text(&data), "-m", text(&out), "-d", "depths", "--eval", "--train-test-exp"];
-    refuse(&halves, &["01.png", "depth map", "missing"]);
-    mapped.refuses("depths", &["01.png", "depth map", "missing"]);
+    let words = ["01.png", "depth map", "missing"];
+    mapped.0.run("train -s @data -m @out -d depths --eval --train-test-exp").refused(&words);
+    mapped.refuses("depths", &words);
 }
 
 /// Depths in place of inverse depths.
@@ -346,8 +262,6 @@ fn maps_of_depths_are_told() {
         map.pixels_mut().for_each(|pixel| pixel[0] = u16::MAX - pixel[0]);
         map.save(mapped.map(index)).expect("saved");
     }
-    let (data, out) = (mapped.data(), mapped.folder.path().join("out"));
-    let run = ["train", "-s", text(&data), "-m", text(&out), "--iterations=1", "-d", "depths"];
-    let said = finish(program().args(run)).stderr;
-    assert!(said.contains("fall where the sparse points come nearer"), "{said}");
+    let run = mapped.0.run("train -s @data -m @out --iterations=1 -d depths");
+    run.warns(&["fall where the sparse points come nearer"]);
 }

@@ -1,52 +1,63 @@
 //! `partition`, `train --job` and `merge`: a scene that is trained in blocks.
 
-use super::checkpoints::{Place, assert_trained};
 use super::*;
-use ashsplat::Gaussians;
 use ashsplat::scene::Bounds;
-use ashsplat_files::splats::{self, ReadOptions};
-use serde_json::Value;
 
-pub(super) fn read(path: &Path) -> Gaussians {
-    splats::read(path, &ReadOptions::default()).expect("Gaussians").gaussians
+impl Place {
+    /// A data set and a coarse model of it.
+    pub(super) fn with_coarse_model() -> Place {
+        let place = Place::new();
+        place.train("coarse", "--iterations 12 --eval");
+        place
+    }
+
+    pub(super) fn partition(&self, file: &str, more: &str) -> Finished {
+        // The Gaussians are faint after so few steps.
+        let share = if more.contains("--min-share") { "" } else { "--min-share 0.03" };
+        self.run(format!("partition --coarse @coarse -o @{file} --iterations 14 {share} {more}"))
+    }
+
+    /// Trains a block for a few steps, with the low SH degree of the coarse model.
+    pub(super) fn job(&self, number: u64, more: &str) -> Finished {
+        self.run(format!("train --job @blocks.json:{number} --quiet --sh-degree 1 {more}"))
+    }
+
+    pub(super) fn merge(&self, out: &str) -> Finished {
+        self.run(format!("merge @blocks.json -o @{out}"))
+    }
+
+    /// Status of each block, and the number of trained blocks.
+    pub(super) fn status(&self) -> (Vec<Value>, Value) {
+        let told = self.json_of("blocks @blocks.json --json");
+        (list(&told, "blocks").clone(), told["trained"].clone())
+    }
+
+    pub(super) fn division(&self) -> Value {
+        self.read_json("blocks.json")
+    }
 }
 
-/// A data set and a coarse model of it.
-pub(super) fn place() -> Place {
-    let place = Place::new();
-    assert_trained(&place.train("coarse", &["--iterations", "12", "--eval"]));
-    place
+/// A list in a JSON object.
+pub(super) fn list<'a>(of: &'a Value, name: &str) -> &'a Vec<Value> {
+    of[name].as_array().unwrap_or_else(|| panic!("no list {name}"))
 }
 
-pub(super) fn partition(place: &Place, file: &str, more: &[&str]) -> Finished {
-    let (coarse, out) = (place.model("coarse"), place.model(file));
-    let given = ["partition", "--coarse", text(&coarse), "-o", text(&out), "--iterations", "14"];
-    // The Gaussians are faint after so few steps.
-    let share = if more.contains(&"--min-share") { &[][..] } else { &["--min-share", "0.03"] };
-    finish(program().args(given).args(share).args(more))
+pub(super) fn number(of: &Value, name: &str) -> u64 {
+    of[name].as_u64().unwrap_or_else(|| panic!("no number {name} in {of}"))
 }
 
-/// Trains a block for a few steps, with the low SH degree of the coarse model.
-pub(super) fn job(place: &Place, number: u32, more: &[&str]) -> Finished {
-    let job = format!("{}:{number}", text(&place.model("blocks.json")));
-    finish(program().args(["train", "--job", &job, "--quiet", "--sh-degree", "1"]).args(more))
+fn real(of: &Value, name: &str) -> f64 {
+    of[name].as_f64().unwrap_or_else(|| panic!("no number {name} in {of}"))
 }
 
-pub(super) fn merge(place: &Place, out: &str) -> Finished {
-    let (blocks, out) = (place.model("blocks.json"), place.model(out));
-    finish(program().args(["merge", text(&blocks), "-o", text(&out)]))
+/// A file in a block's folder.
+pub(super) fn file_of(block: &Value, name: &str) -> String {
+    format!("{}/{name}", block["folder"].as_str().expect("a folder"))
 }
 
-/// Status of each block, and the number of trained blocks.
-pub(super) fn status(place: &Place) -> (Vec<Value>, Value) {
-    let told = succeed(&["blocks", text(&place.model("blocks.json")), "--json"]);
-    let told: Value = serde_json::from_str(&told).expect("JSON");
-    (told["blocks"].as_array().expect("blocks").clone(), told["trained"].clone())
-}
-
-pub(super) fn division(place: &Place) -> Value {
-    let text = std::fs::read_to_string(place.model("blocks.json")).expect("blocks.json");
-    serde_json::from_str(&text).expect("JSON")
+/// The scene of a block that is trained to its end.
+pub(super) fn scene_of(block: &Value) -> String {
+    point_cloud(block["folder"].as_str().expect("a folder"), number(block, "iterations") as u32)
 }
 
 /// Number of pixels of a block's photos or of the parts used.
@@ -76,53 +87,59 @@ pub(super) fn core(block: &Value) -> Bounds {
     Bounds { min: corner("min", f32::NEG_INFINITY), max: corner("max", f32::INFINITY) }
 }
 
+/// True for a mean in the core box of a block.
+pub(super) fn in_core(block: &Value, mean: [f32; 3]) -> bool {
+    core(block).contains(Vec3::from_array(mean))
+}
+
+/// Holds a lock file, as another process would.
+pub(super) fn hold(place: &Place, name: &str, holder: &str) -> nix::fcntl::Flock<std::fs::File> {
+    place.write(name, holder);
+    let file = std::fs::File::open(place.at(name)).expect("it is there");
+    nix::fcntl::Flock::lock(file, nix::fcntl::FlockArg::LockExclusiveNonblock).expect("free")
+}
+
 #[test]
 fn blocks_are_trained_one_by_one_and_merged() {
-    let place = place();
-    let plot = place.model("plan.svg");
-    let mut files = files_below(&place.model(""));
-    assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300", "--plot", text(&plot)]));
+    let place = Place::with_coarse_model();
+    let mut files = place.files("");
+    place.partition("blocks.json", "--max-gaussians 300 --plot @plan.svg").ok();
     // Photos are referenced, not copied.
     files.extend(["blocks.json", "plan.svg"].map(PathBuf::from));
     files.sort();
-    assert_eq!(files_below(&place.model("")), files);
+    assert_eq!(place.files(""), files);
     // A repeated partition gives the same bytes.
-    let first = std::fs::read(place.model("blocks.json")).expect("blocks.json");
-    let data = place.model("data");
-    assert_trained(&partition(&place, "blocks.json", &[text(&data), "--max-gaussians", "300"]));
-    assert!(first == std::fs::read(place.model("blocks.json")).expect("blocks.json"), "other bytes");
+    let first = place.read("blocks.json");
+    place.partition("blocks.json", "@data --max-gaussians 300").ok();
+    assert!(first == place.read("blocks.json"), "other bytes");
 
-    let division = division(&place);
-    let blocks = division["blocks"].as_array().expect("blocks");
+    let division = place.division();
+    let blocks = list(&division, "blocks");
     // Rates are those of a training of the whole scene, with the first and the ninth view held out.
     let extent = ashsplat::scene::scene_extent((1..VIEWS - 1).map(|index| view(index).position()));
-    let written = division["scene_extent"].as_f64().expect("an extent");
+    let written = real(&division, "scene_extent");
     assert!((written - f64::from(extent)).abs() < 1e-5, "{written} {extent}");
-    let coarse = read(&place.model("coarse/point_cloud/iteration_12/point_cloud.ply"));
-    let drawn = std::fs::read_to_string(&plot).expect("a drawing");
+    let coarse = place.gaussians(point_cloud("coarse", 12));
+    let drawn = place.read_text("plan.svg");
     assert!(blocks.len() > 2 && drawn.matches(">block ").count() == blocks.len(), "{drawn}");
     // From above and from the side, because the cells of a wall lie one above another.
     let views: Vec<&str> = drawn.split("<g ").skip(1).collect();
     assert_eq!(views.iter().map(|view| view.matches("<title>").count()).collect::<Vec<_>>(), [9, 9]);
     assert!(views[1].matches("stroke-width=\"1.5\"").count() > 1, "{drawn}");
-    let told = succeed(&["blocks", text(&place.model("blocks.json"))]);
-    let waiting = format!("block 2: waiting, 0/{}\n", blocks[1]["iterations"]);
-    assert!(
-        told.contains(&waiting) && told.ends_with(&format!("\n0 of {} blocks trained\n", blocks.len())),
-        "{told}"
-    );
+    let told = place.run("blocks @blocks.json").ok().stdout;
+    assert_has(&told, &[&format!("block 2: waiting, 0/{}\n", blocks[1]["iterations"])]);
+    assert!(told.ends_with(&format!("\n0 of {} blocks trained\n", blocks.len())), "{told}");
     for block in blocks {
-        let inside =
-            coarse.means.iter().filter(|&&mean| core(block).contains(Vec3::from_array(mean))).count();
+        let inside = coarse.means.iter().filter(|&&mean| in_core(block, mean)).count();
         assert_eq!(block["gaussians"], inside, "{block}");
-        assert!((1..=300).contains(&inside) && block["trained"].as_u64() > Some(inside as u64), "{block}");
-        let photos = block["photos"].as_array().expect("photos");
+        assert!((1..=300).contains(&inside) && number(block, "trained") > inside as u64, "{block}");
+        let photos = list(block, "photos");
         // The first and the ninth photo are held out; 14 iterations use each photo twice.
         assert!(photos.iter().all(|name| name != "01.png" && name != "09.png"), "{block}");
         assert_eq!(block["iterations"], 2 * photos.len(), "{block}");
-        assert_trained(&job(&place, block["number"].as_u64().expect("a number") as u32, &[]));
+        place.job(number(block, "number"), "").ok();
     }
-    let (all, trained) = status(&place);
+    let (all, trained) = place.status();
     assert_eq!(trained, blocks.len());
     for (status, block) in all.iter().zip(blocks) {
         assert_eq!((&status["state"], &status["iteration"]), (&"trained".into(), &block["iterations"]));
@@ -130,271 +147,315 @@ fn blocks_are_trained_one_by_one_and_merged() {
         let measured = ["gaussians", "psnr", "iterations_per_second", "peak_bytes"];
         assert!(measured.iter().all(|name| status[name].as_f64() > Some(1.0)), "{status}");
         assert!(status["trainer"].is_null());
-        let begun = block["trained"].as_u64().expect("a number");
-        let pixels = block["pixels"].as_u64().expect("a number");
+        let pixels = number(block, "pixels");
         assert_eq!(pixels, pixels_of(block));
-        assert_eq!(status["memory_bytes"], 1_500_000_000 + 4 * pixels + 10 * 944 * begun);
+        let memory = 1_500_000_000 + 4 * pixels + 10 * 944 * number(block, "trained");
+        assert_eq!(status["memory_bytes"], memory);
     }
-    refuse(
-        &["blocks", text(&place.model("blocks.json")), "--json", "--growth", "0.5"],
-        &["--growth", "1 or more"],
-    );
-    let told = succeed(&["blocks", text(&place.model("blocks.json"))]);
+    place.run("blocks @blocks.json --json --growth 0.5").refused(&["--growth", "1 or more"]);
+    let told = place.run("blocks @blocks.json").ok().stdout;
     for line in told.lines().take(blocks.len()) {
-        assert!(
-            ["trained", " dB, ", " it/s, ", " Gaussians"].iter().all(|word| line.contains(word)),
-            "{line}"
-        );
+        assert_has(line, &["trained", " dB, ", " it/s, ", " Gaussians"]);
     }
     // `--watch` ends when all blocks are trained.
-    succeed(&["blocks", text(&place.model("blocks.json")), "--watch", "1"]);
-    let sum = |name: &str| blocks.iter().filter_map(|block| block[name].as_u64()).sum::<u64>();
-    assert_eq!(sum("gaussians"), coarse.len() as u64);
+    place.run("blocks @blocks.json --watch 1").ok();
+    assert_eq!(blocks.iter().map(|block| number(block, "gaussians")).sum::<u64>(), coarse.len() as u64);
 
-    let merged = merge(&place, "new/scene.ply");
-    assert_trained(&merged);
+    let merged = place.merge("new/scene.ply").ok();
     let mut union = Gaussians { sh_degree: 1, ..Default::default() };
     for block in blocks {
-        let folder = place.model("").join(block["folder"].as_str().expect("a folder"));
-        let scene = folder.join(format!("point_cloud/iteration_{}/point_cloud.ply", block["iterations"]));
-        let mut own = read(&scene);
+        let mut own = place.gaussians(scene_of(block));
         let all = own.len();
-        own.retain(|own, index| core(block).contains(Vec3::from_array(own.means[index])));
-        assert!(
-            own.len() < all && own.len() > 20,
-            "the margin is trained, and left out: {} {all}",
-            own.len()
-        );
-        assert!(merged.stdout.contains(&format!("block {}: {} Gaussians", block["number"], own.len())));
+        own.retain(|own, index| in_core(block, own.means[index]));
+        let left = own.len();
+        assert!(left < all && left > 20, "the margin is trained, and left out: {left} {all}");
+        assert_has(&merged.stdout, &[&format!("block {}: {left} Gaussians", block["number"])]);
         union.append(&own);
     }
-    let scene = read(&place.model("new/scene.ply"));
+    let scene = place.gaussians("new/scene.ply");
     assert!(scene == union, "{} {}", scene.len(), union.len());
-    for mean in scene.means.iter().map(|&mean| Vec3::from_array(mean)) {
-        assert_eq!(blocks.iter().filter(|block| core(block).contains(mean)).count(), 1, "{mean}");
+    for &mean in &scene.means {
+        assert_eq!(blocks.iter().filter(|block| in_core(block, mean)).count(), 1, "{mean:?}");
     }
-    // `merge --report` measures the scene and the coarse model as `eval` does.
-    let (blocks_json, coarse_model) = (place.model("blocks.json"), place.model("coarse"));
-    let (out, page) = (place.model("again.ply"), place.model("quality/page.html"));
-    let measured = ["merge", text(&blocks_json), "-o", text(&out), "--report", text(&page), "--against"];
-    let said = succeed(&[&measured[..], &[text(&coarse_model)]].concat());
-    assert!(std::fs::read(&out).ok() == std::fs::read(place.model("new/scene.ply")).ok(), "other bytes");
-    let results = std::fs::read(place.model("quality/page.html.json")).expect("JSON");
-    let results: Value = serde_json::from_slice(&results).expect("JSON");
-    for (name, model) in [("merged", &out), ("against", &coarse_model)] {
-        let table = succeed(&["eval", text(model), "-s", text(&data), "--eval", "--quiet", "--json"]);
-        let table: Value = serde_json::from_str(&table).expect("JSON");
-        let [own, evaluated] =
-            [&results[name]["mean_psnr"], &table["mean"]["PSNR"]].map(|psnr| psnr.as_f64());
-        assert!(
-            own.zip(evaluated).is_some_and(|(own, evaluated)| (own - evaluated).abs() < 0.01),
-            "{own:?} {table}"
-        );
-        // Every pixel lies either inside or along a seam.
-        let part = |part: &str| results[name][part].as_f64().expect("a number");
-        let (least, most) =
-            (part("inside_psnr").min(part("seam_psnr")), part("inside_psnr").max(part("seam_psnr")));
-        assert!((least..=most).contains(&part("psnr")) && least < most, "{results}");
-        assert!(
-            said.contains(&format!("{name}: PSNR {:.2} dB on 2 held-out views", part("mean_psnr"))),
-            "{said}"
-        );
-    }
-    let seams = results["seams"].as_array().expect("seams");
-    let psnr: Vec<f64> = seams.iter().filter_map(|seam| seam["psnr"].as_f64()).collect();
-    assert!(psnr.len() == seams.len() && psnr.is_sorted() && !psnr.is_empty(), "{results}");
-    let page = std::fs::read_to_string(page).expect("a page");
-    assert_eq!(page.matches("<img").count(), 3);
+    check_quality(&place);
     // Another format gives the file that convert writes.
-    assert_trained(&merge(&place, "scene.spz"));
-    let (ply, spz) = (place.model("new/scene.ply"), place.model("converted.spz"));
-    succeed(&["convert", text(&ply), text(&spz)]);
-    assert!(std::fs::read(place.model("scene.spz")).ok() == std::fs::read(spz).ok(), "other bytes");
+    place.merge("scene.spz").ok();
+    place.run("convert @new/scene.ply @converted.spz").ok();
+    assert!(place.read("scene.spz") == place.read("converted.spz"), "other bytes");
 
     // Input files are never overwritten.
-    let own = place
-        .model("blocks/001")
-        .join(format!("point_cloud/iteration_{}/point_cloud.ply", blocks[0]["iterations"]));
-    let aside = place.model("aside.ply");
-    for (out, page) in [(&own, &place.model("page.html")), (&aside, &blocks_json)] {
-        let merged =
-            finish(program().args(["merge", text(&blocks_json), "-o", text(out), "--report", text(page)]));
-        assert_refused(&merged, &["is read; give another file"]);
+    let report = |out: &str, page: &str| place.run(format!("merge @blocks.json -o @{out} --report @{page}"));
+    for (out, page) in [(scene_of(&blocks[0]).as_str(), "page.html"), ("aside.ply", "blocks.json")] {
+        report(out, page).refused(&["is read; give another file"]);
     }
-    assert!(std::fs::read(&blocks_json).ok() == Some(first) && !aside.exists());
+    assert!(place.read("blocks.json") == first);
     // Photos whose poses changed since the blocks were trained cannot measure the scene.
-    let (images, kept) = (data.join("sparse/0/images.bin"), place.model("kept.bin"));
-    std::fs::copy(&images, &kept).expect("copied");
-    let mut moved = std::fs::read(&images).expect("images");
+    let images = place.read("data/sparse/0/images.bin");
+    let mut moved = images.clone();
     // The first image's tx: it follows the count, the image's id, and its rotation.
     moved[8 + 4 + 32..][..8].copy_from_slice(&0.25_f64.to_le_bytes());
-    std::fs::write(&images, moved).expect("written");
-    let page = place.model("page.html");
-    let merged =
-        finish(program().args(["merge", text(&blocks_json), "-o", text(&aside), "--report", text(&page)]));
-    assert_refused(&merged, &["data", "its cameras are not those", "blocks.json"]);
-    assert!(!aside.exists() && !page.exists());
-    std::fs::rename(&kept, images).expect("moved");
+    place.write("data/sparse/0/images.bin", moved);
+    report("aside.ply", "page.html").refused(&["data", "its cameras are not those", "blocks.json"]);
+    place.write("data/sparse/0/images.bin", images);
 
     // A held-out photo is missing.
-    let photo = data.join("images/09.png");
-    std::fs::rename(&photo, &kept).expect("moved");
-    let merged =
-        finish(program().args(["merge", text(&blocks_json), "-o", text(&aside), "--report", text(&page)]));
-    assert_refused(&merged, &["09.png"]);
-    assert!(!aside.exists() && !page.exists());
-    std::fs::rename(&kept, &photo).expect("moved");
+    place.rename("data/images/09.png", "kept.png");
+    report("aside.ply", "page.html").refused(&["09.png"]);
+    assert!(!place.has("aside.ply") && !place.has("page.html"));
+    place.rename("kept.png", "data/images/09.png");
 
     // A block is done when its note exists and its scene is intact.
-    let folder = place.model("blocks/002");
-    let ply = folder.join(format!("point_cloud/iteration_{}/point_cloud.ply", blocks[1]["iterations"]));
-    let good = std::fs::read(&ply).expect("a scene");
-    let again = job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]);
-    assert!(again.stdout.contains("is trained to its end already"), "{}{}", again.stdout, again.stderr);
-    assert!(!folder.join("earlier_1").exists());
+    let good = place.read(scene_of(&blocks[1]));
+    let again = || place.job(2, "--start-checkpoint auto --checkpoint-every 5");
+    again().says(&["is trained to its end already"]);
+    assert!(!place.has("blocks/002/earlier_1"));
     // `eval` uses the block's photos, one of which is held out.
     let known = blocks[1]["held_out"].as_array().map_or(0, Vec::len);
-    let evaluated = finish(program().args(["eval", text(&folder), "--quiet"]));
-    assert!(
-        evaluated.stdout.contains(&format!("mean of {known}")),
-        "{}{}",
-        evaluated.stdout,
-        evaluated.stderr
-    );
+    place.run("eval @blocks/002 --quiet").says(&[&format!("mean of {known}")]);
 
     // One scene is damaged, and one is missing.
     let mut bad = good.clone();
     let last = bad.len() - 3;
     bad[last] ^= 1;
-    std::fs::write(&ply, &bad).expect("written");
-    std::fs::rename(place.model("blocks/001/block.json"), place.model("kept")).expect("moved");
-    let before = files_below(&place.model(""));
-    let refused = merge(&place, "other/scene.ply");
-    assert_refused(&refused, &["blocks.json", "1 not trained to the end", "2 damaged", "--job"]);
-    assert_eq!(files_below(&place.model("")), before);
+    place.write(scene_of(&blocks[1]), &bad);
+    place.rename("blocks/001/block.json", "kept");
+    let before = place.files("");
+    let words = ["blocks.json", "1 not trained to the end", "2 damaged", "--job"];
+    place.merge("other/scene.ply").refused(&words);
+    assert_eq!(place.files(""), before);
     // The same command repairs it.
-    assert_trained(&job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]));
-    assert!(std::fs::read(&ply).ok() == Some(good), "other bytes");
-    std::fs::rename(place.model("kept"), place.model("blocks/001/block.json")).expect("moved");
-    assert_trained(&merge(&place, "new/scene.ply"));
+    again().ok();
+    assert!(place.read(scene_of(&blocks[1])) == good, "other bytes");
+    place.rename("kept", "blocks/001/block.json");
+    place.merge("new/scene.ply").ok();
     // A new division must not replace one whose blocks have been trained. If the file is removed, results belong to
     // another division.
-    let replaced = partition(&place, "blocks.json", &["--max-gaussians", "300", "--margin", "0.4"]);
-    assert_refused(&replaced, &["blocks.json", "blocks have been trained", "(now 0.4)", "another -o"]);
-    std::fs::remove_file(&blocks_json).expect("removed");
-    assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300", "--margin", "0.4"]));
-    assert_refused(&merge(&place, "other/scene.ply"), &["1, 2", "trained for another division"]);
-    let begun = job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]);
-    assert_refused(&begun, &["of another scene or margin"]);
-    assert_eq!(status(&place).0[1]["state"], "of another division");
+    let divide = || place.partition("blocks.json", "--max-gaussians 300 --margin 0.4");
+    divide().refused(&["blocks.json", "blocks have been trained", "(now 0.4)", "another -o"]);
+    place.remove("blocks.json");
+    divide().ok();
+    place.merge("other/scene.ply").refused(&["1, 2", "trained for another division"]);
+    again().refused(&["of another scene or margin"]);
+    assert_eq!(place.status().0[1]["state"], "of another division");
     // A training of the old division cannot resume as one of the new division.
-    let settings = folder.join("settings.toml");
-    let begun =
-        finish(program().args(["train", "--config", text(&settings), "--start-checkpoint", "latest"]));
-    assert_refused(&begun, &["blocks.json", "another division than the one that block 2", "--job"]);
+    let begun = place.run("train --config @blocks/002/settings.toml --start-checkpoint latest");
+    begun.refused(&["blocks.json", "another division than the one that block 2", "--job"]);
 }
 
-#[cfg(unix)]
-/// The file lists the parts of photos that a block uses.
+/// `merge --report` measures the scene and the coarse model as `eval` does.
+fn check_quality(place: &Place) {
+    let measured = "merge @blocks.json -o @again.ply --report @quality/page.html --against @coarse";
+    let said = place.run(measured).ok().stdout;
+    assert!(place.read("again.ply") == place.read("new/scene.ply"), "other bytes");
+    let results = place.read_json("quality/page.html.json");
+    for (name, model) in [("merged", "again.ply"), ("against", "coarse")] {
+        let table = place.json_of(format!("eval @{model} -s @data --eval --quiet --json"));
+        let part = |part: &str| real(&results[name], part);
+        assert!((part("mean_psnr") - real(&table["mean"], "PSNR")).abs() < 0.01, "{results} {table}");
+        // Every pixel lies either inside or along a seam.
+        let [inside, seam] = ["inside_psnr", "seam_psnr"].map(part);
+        let (least, most) = (inside.min(seam), inside.max(seam));
+        assert!((least..=most).contains(&part("psnr")) && least < most, "{results}");
+        let line = format!("{name}: PSNR {:.2} dB on 2 held-out views", part("mean_psnr"));
+        assert_has(&said, &[&line]);
+    }
+    let seams = list(&results, "seams");
+    let psnr: Vec<f64> = seams.iter().filter_map(|seam| seam["psnr"].as_f64()).collect();
+    assert!(psnr.len() == seams.len() && psnr.is_sorted() && !psnr.is_empty(), "{results}");
+    assert_eq!(place.read_text("quality/page.html").matches("<img").count(), 3);
+}
+
 #[test]
 fn jobs_use_the_parts_of_photos_that_show_them() {
-    let place = place();
-    let parts = ["--max-gaussians", "300", "--margin", "0.02", "--photo-parts", "on"];
-    assert_trained(&partition(&place, "blocks.json", &parts));
-    let mut division = division(&place);
-    let blocks = division["blocks"].as_array().expect("blocks");
-    let names = |block: &Value, kind: &str| -> Vec<String> {
-        let all = block[kind].as_array().expect("photos").iter();
-        all.map(|name| name.as_str().expect("a name").to_owned()).collect()
-    };
-    for block in blocks {
-        let own = [names(block, "photos"), names(block, "held_out")].concat();
+    let place = Place::with_coarse_model();
+    let parts = "--max-gaussians 300 --margin 0.02 --photo-parts on";
+    place.partition("blocks.json", parts).ok();
+    let mut division = place.division();
+    for block in list(&division, "blocks") {
+        let own = [list(block, "photos").as_slice(), list(block, "held_out")].concat();
         let parts = block["parts"].as_object().expect("parts");
-        assert!(!parts.is_empty() && parts.keys().all(|name| own.contains(name)), "{block}");
+        let known = |name: &String| own.iter().any(|own| own == name);
+        assert!(!parts.is_empty() && parts.keys().all(known), "{block}");
     }
-    let (block, number) = (blocks[0].clone(), blocks[0]["number"].as_u64().expect("a number") as u32);
+    let block = division["blocks"][0].clone();
     // Tiles and windows fill these small photos: use a smaller part of one.
-    let part = |of: u64| serde_json::json!({ "of": [of, of], "columns": [0, 1], "rows": [0, of] });
-    let photo = block["photos"][0].as_str().expect("a photo").to_owned();
-    division["blocks"][0]["parts"][&photo] = part(8);
-    let write = |division: &Value| {
-        std::fs::write(place.model("blocks.json"), division.to_string()).expect("written");
-    };
-    write(&division);
-    let loud = |more: &[&str]| {
-        let job = format!("{}:{number}", text(&place.model("blocks.json")));
-        finish(program().args(["train", "--job", &job, "--sh-degree", "1"]).args(more))
-    };
-    let iterations = block["iterations"].as_u64().expect("iterations");
-    let scene = || {
-        let folder = place.model(block["folder"].as_str().expect("a folder"));
-        std::fs::read(folder.join(format!("point_cloud/iteration_{iterations}/point_cloud.ply")))
-            .expect("a scene")
-    };
-    let of_parts = loud(&[]);
-    assert_trained(&of_parts);
-    assert!(
-        of_parts.stderr.contains("of the photos ") && of_parts.stderr.contains("--photo-parts"),
-        "{}",
-        of_parts.stderr
-    );
-    let ours = scene();
-    let whole = loud(&["--photo-parts", "off"]);
-    assert_trained(&whole);
-    assert!(!whole.stderr.contains("--photo-parts") && scene() != ours, "it changes nothing");
-    assert_trained(&loud(&["--photo-parts", "on"]));
-    assert!(scene() == ours, "other bytes");
+    let part = serde_json::json!({ "of": [8, 8], "columns": [0, 1], "rows": [0, 8] });
+    let [photo, held_out] = ["photos", "held_out"].map(|list| block[list][0].as_str().expect("a photo"));
+    division["blocks"][0]["parts"][photo] = part.clone();
+    place.write("blocks.json", division.to_string());
+    let loud =
+        |more: &str| place.run(format!("train --job @blocks.json:{} --sh-degree 1 {more}", block["number"]));
+    loud("").ok().warns(&["of the photos ", "--photo-parts"]);
+    let ours = place.read(scene_of(&block));
+    let whole = loud("--photo-parts off").ok();
+    assert!(!whole.stderr.contains("--photo-parts"), "{}", whole.stderr);
+    assert!(place.read(scene_of(&block)) != ours, "it changes nothing");
+    loud("--photo-parts on").ok();
+    assert!(place.read(scene_of(&block)) == ours, "other bytes");
 
-    let weights = place.model("alex.safetensors");
+    let weights = place.at("alex.safetensors");
     crate::common::lpips_files::write(&weights, &crate::common::lpips_files::alexnet(0));
-    let held_out = block["held_out"][0].as_str().expect("a photo").to_owned();
-    division["blocks"][0]["parts"][&held_out] = part(8);
-    write(&division);
-    let measured = loud(&["--lpips-weights", text(&weights)]);
-    assert_refused(&measured, &["the part that shows the block of photo", "--photo-parts off"]);
+    division["blocks"][0]["parts"][held_out] = part;
+    place.write("blocks.json", division.to_string());
+    let words = ["the part that shows the block of photo", "--photo-parts off"];
+    loud("--lpips-weights @alex.safetensors").refused(&words);
 
-    division["blocks"][0]["parts"][&photo]["columns"] = serde_json::json!([7, 7]);
-    write(&division);
-    assert_refused(&loud(&[]), &["blocks.json", &photo, "block 1", "ashsplat partition"]);
+    division["blocks"][0]["parts"][photo]["columns"] = serde_json::json!([7, 7]);
+    place.write("blocks.json", division.to_string());
+    loud("").refused(&["blocks.json", photo, "block 1", "ashsplat partition"]);
 }
 
 #[test]
 fn two_merges_at_once_are_refused() {
-    use nix::fcntl::{Flock, FlockArg};
-    let place = place();
-    assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "100000"]));
+    let place = Place::with_coarse_model();
+    place.partition("blocks.json", "--max-gaussians 100000").ok();
     // The photos lie elsewhere, as on another machine.
-    let moved = place.model("elsewhere");
-    std::fs::rename(place.model("data"), &moved).expect("moved");
-    assert_trained(&job(&place, 1, &["-s", text(&moved)]));
-    std::fs::rename(&moved, place.model("data")).expect("moved");
+    place.rename("data", "elsewhere");
+    place.job(1, "-s @elsewhere").ok();
+    place.rename("elsewhere", "data");
     // Progress of a block that another process trains.
-    let path = place.model("blocks/001/.training.lock");
-    std::fs::write(&path, "process 7 on node3").expect("written");
-    let file = std::fs::File::open(&path).expect("it is there");
-    let held = Flock::lock(file, FlockArg::LockExclusiveNonblock).expect("free");
-    assert_eq!(status(&place).0[0]["state"], "training");
-    let told = succeed(&["blocks", text(&place.model("blocks.json"))]);
-    assert!(told.contains("block 1: training, 14/14") && told.contains(", process 7 on node3\n"), "{told}");
+    let held = hold(&place, "blocks/001/.training.lock", "process 7 on node3");
+    assert_eq!(place.status().0[0]["state"], "training");
+    let words = ["block 1: training, 14/14", ", process 7 on node3\n"];
+    place.run("blocks @blocks.json").ok().says(&words);
     drop(held);
-    let path = place.model(".merge.lock");
-    std::fs::write(&path, "process 1").expect("written");
-    let file = std::fs::File::open(&path).expect("it is there");
-    let held = Flock::lock(file, FlockArg::LockExclusiveNonblock).expect("free");
-    assert_refused(&merge(&place, "scene.ply"), &["another merge (process 1)", "choose another -o"]);
-    assert!(!place.model("scene.ply").exists());
+    let held = hold(&place, ".merge.lock", "process 1");
+    place.merge("scene.ply").refused(&["another merge (process 1)", "choose another -o"]);
+    assert!(!place.has("scene.ply"));
     drop(held);
-    assert_trained(&merge(&place, "scene.ply"));
-    assert!(!path.exists());
+    place.merge("scene.ply").ok();
+    assert!(!place.has(".merge.lock"));
     // A single block is the whole scene, with all photos listed.
-    let whole = place.model("coarse/point_cloud/iteration_12/point_cloud.ply");
-    let same = place
-        .train("whole", &["--init", text(&whole), "--eval", "--iterations", "14", "--few-photos", "off"]);
-    assert_trained(&same);
-    let options = ["--strategy", "reference", "--densify-from-iter", "5", "--densification-interval", "10"];
-    let options = [&options[..], &["--densify-until-iter", "35", "--opacity-reset-interval", "22"]].concat();
-    assert_trained(&job(&place, 1, &options));
-    assert_trained(&merge(&place, "scene.ply"));
-    let merged = std::fs::read(place.model("scene.ply")).expect("a scene");
-    assert!(merged == place.ply("whole", 14), "other bits");
+    let init = format!("--init @{}", point_cloud("coarse", 12));
+    place.train("whole", format!("{init} --eval --iterations 14 --few-photos off"));
+    let options = "--strategy reference --densify-from-iter 5 --densification-interval 10 \
+                   --densify-until-iter 35 --opacity-reset-interval 22";
+    place.job(1, options).ok();
+    place.merge("scene.ply").ok();
+    assert!(place.read("scene.ply") == place.ply("whole", 14), "other bits");
+}
+
+#[test]
+fn what_cannot_be_divided_or_trained_is_refused() {
+    let place = Place::with_coarse_model();
+    place.partition("plan", "--max-gaussians 300").refused(&["--out", ".json"]);
+    let refused = |more: &str, words: &[&str]| {
+        place.partition("blocks.json", more).refused(words);
+        assert!(!place.has("blocks.json") && !place.has("plan.svg"));
+    };
+    let words = ["block ", "has no photo", "--min-share"];
+    refused("--max-gaussians 9 --min-share 1 --plot @plan.svg", &words);
+    refused("--max-gaussians 300 --min-share nan", &["--min-share"]);
+    refused("--max-gaussians 300 --margin=-1", &["--margin"]);
+    refused("--max-gaussians 0", &["--max-gaussians"]);
+    place.rename("data/images/05.png", "kept.png");
+    refused("--max-gaussians 300", &["05.png", "the photo of image 5 is missing"]);
+    place.rename("kept.png", "data/images/05.png");
+    // Another data set, with other positions, and with photos that see nothing.
+    write_dataset(&place.at("other"));
+    let images = |turned: f32| -> Vec<ColmapImage> {
+        let image = |index: u32| {
+            let eye = vec3(0.1 * (index + 1) as f32, 5.0, -2.5);
+            let lens = view(0).intrinsics();
+            let camera = Camera::look_at(eye, eye + turned * Vec3::Z, Vec3::NEG_Y, lens);
+            ColmapImage::posed(index + 1, 1, photo_name(index), &camera)
+        };
+        (0..9).map(image).collect()
+    };
+    write_model(&place.at("other"), &images(1.0), &wall_points());
+    let words = ["cameras.json", "of its 9 cameras 0 are in", "another scene"];
+    refused("@other --max-gaussians 300", &words);
+    write_model(&place.at("other"), &images(-1.0), &wall_points());
+    let ply = point_cloud("coarse", 12);
+    let bare = |data: &str, scene: &str| {
+        place.run(format!("partition @{data} --coarse @{scene} --max-gaussians 300 -o @blocks.json"))
+    };
+    bare("other", &ply).refused(&["point_cloud.ply", "next to nothing"]);
+    // Same size, other colours.
+    let mut negative = place.gaussians(&ply);
+    negative.sh.iter_mut().flatten().for_each(|coefficient| *coefficient *= -1.0);
+    place.write_scene("negative.ply", &negative);
+    let words = ["negative.ply", "does not look like the photos", "another scene"];
+    bare("data", "negative.ply").refused(&words);
+
+    place.partition("blocks.json", "--max-gaussians 300").ok();
+    let (written, before) = (place.read_text("blocks.json"), place.files(""));
+    let changed = |from: &str, to: &str, words: &[&str]| {
+        assert!(written.contains(from), "{from}");
+        place.write("blocks.json", written.replacen(from, to, 1));
+        place.job(1, "").refused(words);
+        place.merge("scene.ply").refused(words);
+        place.run("exchange @blocks.json").refused(words);
+        place.run("blocks @blocks.json").refused(words);
+        place.write("blocks.json", &written);
+    };
+    let mut none = place.division();
+    none["blocks"][1]["photos"] = serde_json::json!([]);
+    place.write("blocks.json", none.to_string());
+    for refused in [place.job(2, ""), place.merge("scene.ply")] {
+        refused.refused(&["blocks.json", "block 2 has no photos to train on"]);
+    }
+    changed("\"version\": 1", "\"version\": 2", &["blocks.json", "is of version 2", "partition"]);
+    changed("\"version\": 1", "\"versions\": 1", &["blocks.json", "no version"]);
+    changed("{", "", &["blocks.json", "no list of blocks"]);
+    changed("\"number\": 2", "\"number\": 7", &["blocks.json", "numbered"]);
+    changed("null", "-0.3", &["blocks.json", "do not divide"]);
+    changed("\"margin\"", "\"margins\"", &["blocks.json", "margins"]);
+    place.run("train --job @blocks.json:9999").refused(&["job", "has the blocks 1 to"]);
+    place.run("train --job @blocks.json").refused(&["job", "blocks.json:3"]);
+    place.run("train --job @blocks.json:9999 --margin 1").refused(&["--job", "cannot be used with"]);
+    // A file that the blocks refer to has changed.
+    place.rename("data/images/05.png", "kept.png");
+    place.job(1, "").refused(&["05.png", "the photo of image 5 is missing"]);
+    place.rename("kept.png", "data/images/05.png");
+    let kept = place.read(&ply);
+    let mut other = kept.clone();
+    other[kept.len() - 3] ^= 1;
+    place.write(&ply, other);
+    place.job(1, "").refused(&["point_cloud.ply", "is not the coarse model that"]);
+    place.write(&ply, kept);
+    assert_eq!(place.files(""), before);
+    write_model(&place.at("data"), &images(1.0), &wall_points());
+    place.job(1, "").refused(&["data: its cameras are not those that", "blocks.json"]);
+    assert!(!place.has("blocks"));
+}
+
+#[test]
+fn photos_of_a_single_object_are_used_whole() {
+    let place = Place::with_coarse_model();
+    let divided = |more: &str| {
+        let out = place.partition("blocks.json", &format!("--max-gaussians 500 {more}")).ok();
+        (place.division(), out.stdout)
+    };
+    let parts = |of: &Value| -> Vec<Value> {
+        list(of, "blocks").iter().map(|block| block["parts"].clone()).collect()
+    };
+    let used = |of: &Value| -> usize {
+        let both = |block| list(block, "photos").len() + list(block, "held_out").len();
+        list(of, "blocks").iter().map(both).sum()
+    };
+    let (whole, said) = divided("");
+    let margin = whole["margin"].as_f64().expect("a margin");
+    assert!(used(&whole) == 18 && said.contains("a single object: photos show 100 %"), "{said}");
+    assert!(said.contains("whole photos") && parts(&whole) == [Value::Null, Value::Null], "{whole}");
+    let (rounds, said) = divided("--rounds 2");
+    assert!(said.contains("whole photos") && rounds["blocks"] == whole["blocks"], "{said}");
+    assert_eq!(rounds["margin"], whole["margin"]);
+    // Parts of photos include the wide margin, too.
+    let (of_parts, said) = divided("--rounds 2 --photo-parts on");
+    assert!(said.contains("parts of photos") && of_parts["margin"] == whole["margin"], "{said}");
+    let (given, _) = divided(&format!("--rounds 2 --photo-parts on --margin {}", margin as f32));
+    assert!(parts(&given) != [Value::Null, Value::Null] && given == of_parts, "{given}");
+    let (narrow, _) = divided("--rounds 2 --photo-parts on --margin 0.001");
+    assert!(parts(&narrow) != parts(&given), "{narrow}");
+    assert_eq!(narrow["margin"].as_f64().map(|margin| margin as f32), Some(0.001));
+
+    // Each photo is used for the block that it shows most of, and some photos for more.
+    let (several_places, said) = divided("--rounds 2 --min-share 0.33");
+    assert!(used(&several_places) < 15 && !said.contains("single object"), "{said}");
+    assert!(parts(&several_places) != [Value::Null, Value::Null], "{several_places}");
+    let thin = several_places["margin"].as_f64().expect("a margin");
+    assert!((thin - margin / 3.0).abs() < 1e-6 * margin, "{thin} {margin}");
+    let (off, _) = divided("--rounds 2 --min-share 0.33 --photo-parts off");
+    assert_eq!(parts(&off), [Value::Null, Value::Null]);
 }

@@ -1,13 +1,85 @@
 //! Runs of the program.
 
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Output};
 
 /// A finished run of the program.
 pub(crate) struct Finished {
+    /// The command line, for failure messages.
+    command: String,
     pub(crate) code: Option<i32>,
     pub(crate) stdout: String,
     pub(crate) stderr: String,
+}
+
+impl From<Output> for Finished {
+    fn from(output: Output) -> Finished {
+        Finished {
+            command: String::new(),
+            code: output.status.code(),
+            stdout: String::from_utf8_lossy(&output.stdout).into_owned(),
+            stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
+        }
+    }
+}
+
+impl Finished {
+    /// Checks that the program succeeded.
+    #[track_caller]
+    pub(crate) fn ok(self) -> Finished {
+        assert_eq!(self.code, Some(0), "{}: {}{}", self.command, self.stdout, self.stderr);
+        self
+    }
+
+    /// Checks that stdout has all of these words.
+    #[track_caller]
+    pub(crate) fn says(self, words: &[&str]) -> Finished {
+        self.has(&self.stdout, words);
+        self
+    }
+
+    /// Checks that stderr has all of these words.
+    #[track_caller]
+    pub(crate) fn warns(self, words: &[&str]) -> Finished {
+        self.has(&self.stderr, words);
+        self
+    }
+
+    /// See [`assert_refused`].
+    #[track_caller]
+    pub(crate) fn refused(self, words: &[&str]) -> Finished {
+        assert_refused(&self, words);
+        self
+    }
+
+    /// Checks that the program failed: exit code 2, and a last line `error: …` with all of these words.
+    #[track_caller]
+    pub(crate) fn fails(self, words: &[&str]) -> Finished {
+        self.ends_with_error(self.stderr.lines().last().unwrap_or_default(), words);
+        self
+    }
+
+    #[track_caller]
+    fn ends_with_error(&self, line: &str, words: &[&str]) {
+        assert_eq!(self.code, Some(2), "{}: {}{}", self.command, self.stdout, self.stderr);
+        assert!(line.starts_with("error: "), "{}: {}", self.command, self.stderr);
+        self.has(line, words);
+    }
+
+    #[track_caller]
+    fn has(&self, text: &str, words: &[&str]) {
+        for word in words {
+            assert!(text.contains(word), "{}: no '{word}' in: {text}", self.command);
+        }
+    }
+}
+
+/// Checks that the program refused: exit code 2, and beside warnings one line `error: …` with all of these words.
+#[track_caller]
+pub(crate) fn assert_refused(run: &Finished, words: &[&str]) {
+    let errors: Vec<&str> = run.stderr.lines().filter(|line| !line.starts_with("warning: ")).collect();
+    assert_eq!(errors.len(), 1, "{}: {}", run.command, run.stderr);
+    run.ends_with_error(errors[0], words);
 }
 
 /// The program, not yet started, in a clean environment except for the choice of the driver.
@@ -19,11 +91,7 @@ pub(crate) fn program() -> Command {
 
 pub(crate) fn finish(command: &mut Command) -> Finished {
     let output = command.output().expect("the program starts");
-    Finished {
-        code: output.status.code(),
-        stdout: String::from_utf8_lossy(&output.stdout).into_owned(),
-        stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
-    }
+    Finished { command: format!("{command:?}"), ..output.into() }
 }
 
 /// A path as an argument.

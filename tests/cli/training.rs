@@ -2,80 +2,51 @@
 
 use super::*;
 use crate::common::gpu::Gpu;
-use crate::program::running::Running;
-use ashsplat::loss::Windowing;
-use ashsplat::trainer::Checkpoint;
-use ashsplat_files::CheckpointFile;
-use serde_json::Value;
-use std::io::{BufRead, BufReader};
-use std::process::Stdio;
+use ashsplat::passes::loss::Windowing;
 use std::sync::OnceLock;
-use tempfile::tempdir;
 
-/// A data set and a model trained on it for a few iterations; created once.
-pub(super) struct Trained {
-    pub(super) data: PathBuf,
-    pub(super) model: PathBuf,
-    stdout: String,
-}
-
-pub(super) fn trained() -> &'static Trained {
-    static TRAINED: OnceLock<Trained> = OnceLock::new();
+/// A folder with a data set, a model trained on it for a few iterations, and the training's stdout; created once.
+pub(super) fn trained() -> &'static Place {
+    static TRAINED: OnceLock<Place> = OnceLock::new();
     TRAINED.get_or_init(|| {
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("cli");
-        std::fs::remove_dir_all(&folder).ok();
-        let (data, model) = (folder.join("data"), folder.join("model"));
-        write_dataset(&data);
+        let place = Place::lasting("cli");
+        write_dataset(&place.at("data"));
         // Option names with hyphens and with underscores.
-        let schedule =
-            ["--iterations", "30", "--sh_degree", "1", "--sh-degree-interval=10", "--test_iterations", "10"];
-        let densify = ["--densify_from_iter", "5", "--densification-interval=10", "--densify_until_iter=25"];
-        let paths =
-            ["train", "-s", text(&data), "-m", text(&model), "--eval", "--seed=4", "--save-iterations", "20"];
-        let stdout = succeed(&[paths.as_slice(), &schedule, &densify].concat());
-        Trained { data, model, stdout }
+        let schedule = "--iterations 30 --sh_degree 1 --sh-degree-interval=10 --test_iterations 10";
+        let densify = "--densify_from_iter 5 --densification-interval=10 --densify_until_iter=25";
+        let train = "train -s @data -m @model --eval --seed=4 --save-iterations 20";
+        let run = place.run(format!("{train} {schedule} {densify}")).ok();
+        place.write("stdout", run.stdout);
+        place
     })
 }
 
-fn json(path: PathBuf) -> Value {
-    let text = std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-    serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+/// Fails unless two tables of means agree.
+#[track_caller]
+fn assert_near(a: &Value, b: &Value, metrics: &[&str]) {
+    for metric in metrics {
+        let value = |of: &Value| of[metric].as_f64().expect("a number");
+        assert!((value(a) - value(b)).abs() < 1e-4, "{metric}: {a} {b}");
+    }
 }
 
 #[test]
 fn leaves_what_the_reference_leaves() {
-    let model = &trained().model;
-    let mut expected: Vec<PathBuf> = [
-        "cameras.json",
-        "cfg_args",
-        "input.ply",
-        "last_iteration",
-        "per_view.json",
-        "report.html",
-        "results.json",
-        "settings.toml",
-        "train_log.csv",
-    ]
-    .map(PathBuf::from)
-    .to_vec();
-    for iteration in [20, 30] {
-        expected.push(format!("point_cloud/iteration_{iteration}/point_cloud.ply").into());
-    }
-    for (iteration, kind, index) in [10, 30]
-        .iter()
-        .flat_map(|i| ["renders", "gt"].map(|k| (i, k)))
-        .flat_map(|(i, k)| [0, 1].map(|n| (i, k, n)))
-    {
-        expected.push(format!("test/ours_{iteration}/{kind}/{index:05}.png").into());
+    let names = "cameras.json cfg_args input.ply last_iteration per_view.json report.html results.json \
+                 settings.toml train_log.csv point_cloud/iteration_20/point_cloud.ply \
+                 point_cloud/iteration_30/point_cloud.ply";
+    let mut expected: Vec<PathBuf> = names.split_whitespace().map(PathBuf::from).collect();
+    for folder in ["ours_10/renders", "ours_10/gt", "ours_30/renders", "ours_30/gt"] {
+        expected.extend([0, 1].map(|index| PathBuf::from(format!("test/{folder}/{index:05}.png"))));
     }
     expected.sort();
-    assert_eq!(files_below(model), expected);
+    assert_eq!(trained().files("model"), expected);
 }
 
 #[test]
 fn results_have_the_references_form() {
-    let model = &trained().model;
-    let (results, per_view) = (json(model.join("results.json")), json(model.join("per_view.json")));
+    let [results, per_view] =
+        ["results", "per_view"].map(|name| trained().read_json(format!("model/{name}.json")));
     for run in ["ours_10", "ours_30"] {
         for metric in ["PSNR", "SSIM"] {
             let views = per_view[run][metric].as_object().expect("views");
@@ -85,12 +56,12 @@ fn results_have_the_references_form() {
         }
     }
     assert!(results["ours_30"]["PSNR"].as_f64() > results["ours_10"]["PSNR"].as_f64(), "{results}");
-    assert_eq!(json(model.join("cameras.json")).as_array().map(Vec::len), Some(9));
+    assert_eq!(trained().read_json("model/cameras.json").as_array().map(Vec::len), Some(9));
 }
 
 #[test]
 fn log_has_a_line_for_each_iteration() {
-    let log = std::fs::read_to_string(trained().model.join("train_log.csv")).expect("the log");
+    let log = trained().read_text("model/train_log.csv");
     let rows: Vec<Vec<&str>> = log.lines().map(|line| line.split(',').collect()).collect();
     assert_eq!(rows.len(), 31);
     assert_eq!(rows[0][..6], ["iteration", "loss", "psnr", "gaussians", "ms", "skipped"]);
@@ -117,285 +88,197 @@ fn log_has_a_line_for_each_iteration() {
 
 #[test]
 fn reports_speed_and_quality() {
-    let said = &trained().stdout;
-    for word in ["iteration 30: PSNR", "held-out views", "it/s", "all 30 iterations"] {
-        assert!(said.contains(word), "no '{word}' in {said}");
-    }
+    let said = trained().read_text("stdout");
+    assert_has(&said, &["iteration 30: PSNR", "held-out views", "it/s", "all 30 iterations"]);
     if cfg!(target_os = "linux") {
-        assert!(said.contains("CPU-seconds per iteration"), "{said}");
+        assert_has(&said, &["CPU-seconds per iteration"]);
     }
 }
 
 #[test]
 fn settings_are_dumped_and_read_back() {
-    let Trained { model, .. } = trained();
-    let dump = std::fs::read_to_string(model.join("settings.toml")).expect("the dump");
+    let place = trained();
+    let dump = place.read_text("model/settings.toml");
     for line in
         ["sh_degree = 1", "densification_interval = 10", "densify_until_iter = 25", "seed = 4", "eval = true"]
     {
         assert!(dump.lines().any(|l| l == line), "no '{line}' in {dump}");
     }
-    let arguments = std::fs::read_to_string(model.join("cfg_args")).expect("cfg_args");
+    let arguments = place.read_text("model/cfg_args");
     assert!(arguments.starts_with("Namespace(sh_degree=1, source_path='"), "{arguments}");
     // The same settings give the same scene, to the last bit. The command line has priority over the file.
-    let folder = tempdir().expect("a temporary folder");
-    let again = folder.path().join("again");
-    succeed(&[
-        "train",
-        "--config",
-        text(&model.join("settings.toml")),
-        "-m",
-        text(&again),
-        "--test_iterations",
-        "-1",
-        "--quiet",
-    ]);
-    let ply = |folder: &Path| {
-        std::fs::read(folder.join("point_cloud/iteration_30/point_cloud.ply")).expect("a PLY")
-    };
-    assert!(ply(&again) == ply(model), "two runs with the same settings differ");
+    place.run("train --config @model/settings.toml -m @again --test_iterations -1 --quiet").ok();
+    assert!(place.ply("again", 30) == place.ply("model", 30), "two runs with the same settings differ");
 }
 
 #[test]
 fn eval_agrees_with_training() {
-    let Trained { data, model, .. } = trained();
-    let during = json(model.join("results.json"))["ours_30"].clone();
-    let after: Value =
-        serde_json::from_str(&succeed(&["eval", text(model), "--json", "--quiet"])).expect("JSON");
+    let place = trained();
+    let during = &place.read_json("model/results.json")["ours_30"];
+    let after = &place.json_of("eval @model --json --quiet")["mean"];
     // The PLY alone with the data set: the same views are held out.
-    let ply = model.join("point_cloud/iteration_30/point_cloud.ply");
-    let bare: Value =
-        serde_json::from_str(&succeed(&["eval", text(&ply), "-s", text(data), "--json"])).expect("JSON");
-    for metric in ["PSNR", "SSIM"] {
-        let value = |of: &Value| of[metric].as_f64().expect("a number");
-        assert!((value(&during) - value(&after["mean"])).abs() < 1e-4, "{during} {after}");
-        assert!((value(&bare["mean"]) - value(&after["mean"])).abs() < 1e-4, "{bare} {after}");
+    let ply = point_cloud("model", 30);
+    let bare = &place.json_of(format!("eval @{ply} -s @data --json"))["mean"];
+    for other in [during, bare] {
+        assert_near(other, after, &["PSNR", "SSIM"]);
     }
-    let table = succeed(&["eval", "-m", text(model), "--quiet"]);
-    assert!(table.contains("01.png") && table.contains("09.png") && table.contains("mean of 2"), "{table}");
+    place.run("eval -m @model --quiet").ok().says(&["01.png", "09.png", "mean of 2"]);
 
     // A model trained on all views has no held-out views to measure.
-    let folder = tempdir().expect("a temporary folder");
-    let saved = "point_cloud/iteration_30/point_cloud.ply";
-    std::fs::create_dir_all(folder.path().join(saved).parent().expect("a folder")).expect("created");
-    std::fs::copy(&ply, folder.path().join(saved)).expect("copied");
-    let settings = std::fs::read_to_string(model.join("settings.toml")).expect("the dump");
-    let settings = settings.replace("eval = true", "eval = false");
-    std::fs::write(folder.path().join("settings.toml"), settings).expect("written");
-    let run = finish(program().args(["eval", text(folder.path()), "--eval", "--quiet"]));
-    assert!(run.code == Some(0) && run.stderr.contains("was trained on all views"), "{}", run.stderr);
+    place.write(point_cloud("on_all", 30), place.read(ply));
+    let settings = place.read_text("model/settings.toml");
+    place.write("on_all/settings.toml", settings.replace("eval = true", "eval = false"));
+    place.run("eval @on_all --eval --quiet").ok().warns(&["was trained on all views"]);
 }
 
 /// `eval` reads photos one at a time, and only those that it measures.
 #[test]
 fn eval_reads_what_it_measures() {
-    let folder = tempdir().expect("a temporary folder");
-    let data = folder.path().join("data");
-    write_dataset(&data);
-    std::fs::write(data.join("images/04.png"), "damaged").expect("written");
-    let ply = trained().model.join("point_cloud/iteration_30/point_cloud.ply");
-    let eval = ["eval", text(&ply), "-s", text(&data), "--json", "--quiet"];
-    let measured: Value = serde_json::from_str(&succeed(&eval)).expect("JSON");
-    let during = json(trained().model.join("results.json"))["ours_30"].clone();
-    let value = |of: &Value| of["PSNR"].as_f64().expect("a number");
-    assert!((value(&during) - value(&measured["mean"])).abs() < 1e-4, "{during} {measured}");
-    assert_refused(&finish(program().args(eval).arg("--all")), &["04.png"]);
+    let place = trained();
+    write_dataset(&place.at("damaged"));
+    place.write("damaged/images/04.png", "damaged");
+    let eval = format!("eval @{} -s @damaged --json --quiet", point_cloud("model", 30));
+    let during = &place.read_json("model/results.json")["ours_30"];
+    assert_near(during, &place.json_of(&eval)["mean"], &["PSNR"]);
+    place.run(eval + " --all").refused(&["04.png"]);
 }
 
 #[test]
 fn renders_its_own_cameras_and_those_of_a_data_set() {
-    let Trained { data, model, .. } = trained();
-    let folder = tempdir().expect("a temporary folder");
-    let (own, from_data) = (folder.path().join("own"), folder.path().join("data"));
-    succeed(&["render", "-m", text(model), "-o", text(&own)]);
-    succeed(&["render", text(model), "-s", text(data), "-o", text(&from_data), "--width", "24"]);
-    assert_eq!((files_below(&own).len(), files_below(&from_data).len()), (9, 9));
-    let size = |path: PathBuf| image::image_dimensions(path).expect("a PNG");
-    assert_eq!(size(own.join("00000.png")), (48, 32));
-    assert_eq!(size(from_data.join("00008.png")), (24, 16));
+    let place = trained();
+    place.run("render -m @model -o @own").ok();
+    place.run("render @model -s @data -o @from_data --width 24").ok();
+    assert_eq!((place.files("own").len(), place.files("from_data").len()), (9, 9));
+    let own = place.picture("own/00000.png");
+    assert_eq!(own.dimensions(), (48, 32));
+    assert_eq!(place.picture("from_data/00008.png").dimensions(), (24, 16));
     // The first of the model's cameras is the first held-out one; training has saved the same picture.
-    let bytes = |path: PathBuf| image::open(path).expect("a PNG").to_rgb8().into_raw();
-    assert_eq!(bytes(own.join("00000.png")), bytes(model.join("test/ours_30/renders/00000.png")));
+    assert!(own == place.picture("model/test/ours_30/renders/00000.png"));
 }
 
 #[test]
 fn inspect_takes_the_trainings_cameras() {
-    let model = text(&trained().model);
-    let [own, first, second] = [
-        succeed(&["inspect", model, "--pixel", "24,16"]),
-        succeed(&["inspect", model, "--pixel", "24,16", "--camera", "01.png"]),
-        succeed(&["inspect", model, "--pixel", "24,16", "--camera", "02.png"]),
-    ];
-    assert!(own.contains("final colour"), "{own}");
+    let inspect = |camera: &str| {
+        trained().run(format!("inspect @model --pixel 24,16 {camera}")).ok().says(&["final colour"]).stdout
+    };
+    let [own, first, second] = ["", "--camera 01.png", "--camera 02.png"].map(inspect);
     // Held-out views come first in cameras.json.
     assert!(own == first && own != second, "{own}{first}{second}");
 }
 
 #[test]
 fn demo_leaves_data_set_sheet_metrics_and_scene() {
-    let folder = tempdir().expect("a temporary folder");
-    let out = folder.path().join("demo");
-    let said = succeed(&["demo", "--out", text(&out), "--iterations", "6", "--quiet"]);
-    for file in ["contact_sheet.png", "metrics.json", "model/point_cloud/iteration_6/point_cloud.ply"] {
-        assert!(out.join(file).is_file(), "{file} in {:?}", files_below(&out));
-        assert!(said.contains(text(&out.join(file))), "{file} in {said}");
+    let place = Place::empty();
+    let said = place.run("demo --out @demo --iterations 6 --quiet").ok().stdout;
+    for file in ["contact_sheet.png", "metrics.json", &point_cloud("model", 6)] {
+        let path = place.at("demo").join(file);
+        assert!(path.is_file(), "{file} in {:?}", place.files("demo"));
+        assert_has(&said, &[text(&path)]);
     }
-    let metrics = json(out.join("metrics.json"));
+    let metrics = place.read_json("demo/metrics.json");
     assert_eq!(metrics["views"].as_array().map(Vec::len), Some(5));
     assert!(metrics["psnr"].as_f64() > Some(5.0), "{metrics}");
     // The demo's data set works like any other.
-    let info = succeed(&["info", text(&out.join("dataset")), "--eval"]);
-    assert!(info.contains("40 registered, 40 sound photos"), "{info}");
-    assert!(info.contains("35 for training, 5 held out"), "{info}");
+    let words = ["40 registered, 40 sound photos", "35 for training, 5 held out"];
+    place.run("info @demo/dataset --eval").ok().says(&words);
     // Three columns with margins.
-    assert_eq!(image::image_dimensions(out.join("contact_sheet.png")).expect("a PNG").0, 3 * 256 + 4 * 8);
-}
-
-/// A data set, a model folder and a short training for one test.
-struct Short {
-    folder: tempfile::TempDir,
-}
-
-impl Short {
-    fn new() -> Short {
-        let folder = tempdir().expect("a temporary folder");
-        write_dataset(&folder.path().join("data"));
-        Short { folder }
-    }
-
-    fn model(&self) -> PathBuf {
-        self.folder.path().join("model")
-    }
-
-    fn train(&self, more: &[&str]) -> Finished {
-        let (data, model) = (self.folder.path().join("data"), self.model());
-        finish(program().args(["train", "-s", text(&data), "-m", text(&model), "--quiet"]).args(more))
-    }
-
-    fn ply(&self, iteration: u32) -> PathBuf {
-        self.model().join(format!("point_cloud/iteration_{iteration}/point_cloud.ply"))
-    }
+    assert_eq!(place.picture("demo/contact_sheet.png").width(), 3 * 256 + 4 * 8);
 }
 
 /// The point cloud of an earlier, longer training in the same folder is not mistaken for the new one.
 #[test]
 fn newest_point_cloud_counts_not_the_highest_number() {
-    let short = Short::new();
-    let checkpoint = ["--iterations", "5", "--checkpoint_iterations", "3"];
-    assert_eq!(short.train(&checkpoint).stderr, "");
-    let mut had = files_below(&short.model());
+    let place = Place::new();
+    let train = "train -s @data -m @model --quiet";
+    let first = place.run(format!("{train} --iterations 5 --checkpoint_iterations 3"));
+    assert_eq!(first.stderr, "");
+    let mut had = place.files("model");
     had.retain(|name| !name.ends_with(".training.lock"));
     assert!(had.len() > 8, "{had:?}");
     // A temporary file of a run that was killed while saving.
-    let leftover = short.ply(5).with_file_name(".point_cloud.ply.aB3dE6.tmp");
-    std::fs::write(&leftover, "half").expect("written");
-    let again = short.train(&["--iterations", "3"]);
-    assert_eq!(again.code, Some(0), "{}", again.stderr);
+    let leftover = "model/point_cloud/iteration_5/.point_cloud.ply.aB3dE6.tmp";
+    place.write(leftover, "half");
+    let again = place.run(format!("{train} --iterations 3")).ok();
     assert!(again.stderr.starts_with("warning: ") && again.stderr.contains("earlier_1"), "{}", again.stderr);
     // The earlier training becomes its own model folder, with all its files.
-    let earlier = short.model().join("earlier_1");
-    assert!(!short.ply(5).exists() && !leftover.exists());
-    assert_eq!(files_below(&earlier), had);
-    let log = |folder: &Path| std::fs::read_to_string(folder.join("train_log.csv")).expect("the log");
-    assert_eq!(log(&earlier).lines().count(), 6);
-    let shown = succeed(&["info", text(&earlier), "--json"]);
-    assert!(shown.contains("iteration_5"), "{shown}");
-    assert_eq!(log(&short.model()).lines().count(), 4);
-    let info: Value =
-        serde_json::from_str(&succeed(&["info", text(&short.model()), "--json"])).expect("JSON");
-    assert_eq!(info["file"].as_str(), short.ply(3).to_str());
+    assert!(!place.has(point_cloud("model", 5)) && !place.has(leftover));
+    assert_eq!(place.files("model/earlier_1"), had);
+    assert_eq!(place.read_text("model/earlier_1/train_log.csv").lines().count(), 6);
+    place.run("info @model/earlier_1 --json").ok().says(&["iteration_5"]);
+    assert_eq!(place.read_text("model/train_log.csv").lines().count(), 4);
+    let info = place.json_of("info @model --json");
+    assert_eq!(info["file"].as_str(), place.at(point_cloud("model", 3)).to_str());
 }
 
 #[test]
 fn a_training_that_fails_saves_what_it_has() {
-    let short = Short::new();
-    std::fs::create_dir(short.model()).expect("created");
-    std::fs::write(short.model().join("test"), "no folder").expect("written");
-    let run = short.train(&["--iterations", "9", "--eval", "--test_iterations", "6"]);
+    let place = Place::new();
+    place.write("model/test", "no folder");
+    let run = place.run("train -s @data -m @model --quiet --iterations 9 --eval --test_iterations 6");
     // Before the end this is a warning, and the measurements are kept.
     assert!(run.stderr.starts_with("warning: the test of iteration 6 is not saved"), "{}", run.stderr);
-    assert_refused(&run, &["model/test", "cannot create"]);
-    assert!(short.ply(9).is_file(), "{:?}", files_below(&short.model()));
-    assert!(short.model().join("chkpnt9.safetensors").is_file(), "{:?}", files_below(&short.model()));
-    succeed(&["info", text(&short.model())]);
-    let log = std::fs::read_to_string(short.model().join("train_log.csv")).expect("the log");
+    run.refused(&["model/test", "cannot create"]);
+    for file in [point_cloud("model", 9), "model/chkpnt9.safetensors".into()] {
+        assert!(place.at(&file).is_file(), "{file} in {:?}", place.files("model"));
+    }
+    place.run("info @model").ok();
+    let log = place.read_text("model/train_log.csv");
     assert_eq!(log.lines().count(), 10, "{log}");
 }
 
 /// Every Gaussian is too faint and is pruned.
 #[test]
 fn training_ends_when_nothing_is_left() {
-    let short = Short::new();
-    let schedule =
-        ["--densify_from_iter", "2", "--densification_interval", "2", "--densify_until_iter", "20"];
-    let run = short.train(
-        &[&["--iterations", "30", "--min_opacity", "1", "--strategy", "reference"], schedule.as_slice()]
-            .concat(),
-    );
-    assert_refused(&run, &["no Gaussians", "--min-opacity"]);
-    assert!(!short.model().join("point_cloud").exists(), "{:?}", files_below(&short.model()));
+    let place = Place::new();
+    let schedule = "--densify_from_iter 2 --densification_interval 2 --densify_until_iter 20";
+    let faint = "--iterations 30 --min_opacity 1 --strategy reference";
+    let run = place.run(format!("train -s @data -m @model --quiet {faint} {schedule}"));
+    run.refused(&["no Gaussians", "--min-opacity"]);
+    assert!(!place.has("model/point_cloud"), "{:?}", place.files("model"));
 }
 
 /// Ctrl-C during training: it finishes the iteration, saves the scene and exits with the code of an interrupted
 /// program.
-#[cfg(unix)]
 #[test]
 fn ctrl_c_saves() {
-    let folder = tempdir().expect("a temporary folder");
-    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
-    write_dataset(&data);
-    let mut command = program();
-    command.args(["train", "-s", text(&data), "-m", text(&out), "--iterations", "1000000"]);
-    command.args(["--max-memory", "2048M", "--offload", "1G"]);
-    let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
-    let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
-    let first = lines.find(|line| line.starts_with("100/1000000")).expect("progress after 100 iterations");
-    assert!(first.contains("it/s") && first.contains("Gaussians") && first.contains("left"), "{first}");
-    child.interrupt();
-    let rest: Vec<String> = lines.collect();
-    assert_eq!(child.wait().expect("it ends").code(), Some(130), "{rest:?}");
+    let place = Place::new();
+    let mut training =
+        place.start("train -s @data -m @out --iterations 1000000 --max-memory 2048M --offload 1G");
+    let first = training.wait_for("100/1000000");
+    assert_has(&first, &["it/s", "Gaussians", "left"]);
+    let rest = training.interrupt();
     assert!(rest.iter().any(|line| line.starts_with("interrupted: saved ")), "{rest:?}");
-    let log = std::fs::read_to_string(out.join("train_log.csv")).expect("the log");
+    let log = place.read_text("out/train_log.csv");
     let last = log.lines().last().and_then(|line| line.split(',').next()).expect("a line");
-    let saved = out.join(format!("point_cloud/iteration_{last}/point_cloud.ply"));
-    assert!(saved.is_file(), "{:?}", files_below(&out));
-    assert!(out.join(format!("chkpnt{last}.safetensors")).is_file(), "{:?}", files_below(&out));
-    let report = || std::fs::read_to_string(out.join("report.html")).expect("the report");
-    assert!(report().contains(&format!("stopped after {last} of 1,000,000 iterations")));
+    let last: u32 = last.parse().expect("a number");
+    for file in [point_cloud("out", last), format!("out/chkpnt{last}.safetensors")] {
+        assert!(place.at(&file).is_file(), "{file} in {:?}", place.files("out"));
+    }
+    let stopped = format!("stopped after {last} of 1,000,000 iterations");
+    assert_has(&place.read_text("out/report.html"), &[&stopped]);
     let advice = rest.iter().find(|line| line.starts_with("interrupted: to go on, ")).expect("how to go on");
     // The printed command works, with --offload and --max-memory.
-    let typed: Vec<&str> = advice.split(", ashsplat ").nth(1).expect("a command").split(' ').collect();
-    let same = ["--start-checkpoint", "latest", "--max-memory", "2G", "--offload", "1G"];
-    assert!(typed.ends_with(&same), "{advice}");
-    let next = last.parse::<u32>().expect("a number") + 3;
-    let more = ["--iterations", &next.to_string(), "--quiet"];
-    succeed(&[typed.as_slice(), &more].concat());
-    assert!(out.join(format!("point_cloud/iteration_{next}/point_cloud.ply")).is_file());
+    let typed = advice.split(", ashsplat ").nth(1).expect("a command");
+    assert!(typed.ends_with(" --start-checkpoint latest --max-memory 2G --offload 1G"), "{advice}");
+    let next = last + 3;
+    place.run(format!("{typed} --iterations {next} --quiet")).ok();
+    assert!(place.at(point_cloud("out", next)).is_file());
     // The curves begin with the first run.
-    assert!(report().contains(&format!("\">{next} iterations</span>")) && report().contains(",1,\""));
+    assert_has(&place.read_text("out/report.html"), &[&format!("\">{next} iterations</span>"), ",1,\""]);
 }
 
 /// A scene that cannot be saved is a warning, because the checkpoint has everything. SIGTERM acts like Ctrl-C.
-#[cfg(unix)]
 #[test]
 fn sigterm_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
-    let folder = tempdir().expect("a temporary folder");
-    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
-    write_dataset(&data);
-    std::fs::create_dir(&out).expect("created");
-    std::fs::write(out.join("point_cloud"), "no folder").expect("written");
-    let mut command = program();
-    command.args(["train", "-s", text(&data), "-m", text(&out), "--iterations", "1000000"]);
-    let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
-    let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
-    lines.find(|line| line.starts_with("100/1000000")).expect("progress after 100 iterations");
-    child.signal(nix::sys::signal::Signal::SIGTERM);
-    let rest: Vec<String> = lines.collect();
-    assert_eq!(child.wait().expect("it ends").code(), Some(130), "{rest:?}");
-    assert!(
-        rest.iter().any(|line| line.starts_with("warning: ") && line.contains("point_cloud")),
-        "{rest:?}"
-    );
+    let place = Place::new();
+    place.write("out/point_cloud", "no folder");
+    let mut training = place.start("train -s @data -m @out --iterations 1000000");
+    training.wait_for("100/1000000");
+    training.child.signal(nix::sys::signal::Signal::SIGTERM);
+    let (code, rest) = training.end();
+    assert_eq!(code, Some(130), "{rest:?}");
+    let warned = |line: &String| line.starts_with("warning: ") && line.contains("point_cloud");
+    assert!(rest.iter().any(warned), "{rest:?}");
     let path = rest.iter().find_map(|line| line.strip_prefix("checkpoint ")).expect("a checkpoint");
     Checkpoint::read(path).expect("whole");
 }
@@ -403,34 +286,163 @@ fn sigterm_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
 /// Photographs that do not fit are read during training, and nothing else changes.
 #[test]
 fn photos_may_stay_on_disk() {
-    let folder = tempdir().expect("a temporary folder");
-    let data = folder.path().join("data");
-    write_dataset(&data);
-    let train = |name: &str, more: &[&str]| {
-        let model = folder.path().join(name);
-        let run = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--iterations", "25", "--quiet"];
-        let run = finish(program().args([&run[..], more].concat()));
-        assert_eq!(run.code, Some(0), "{}", run.stderr);
-        let read = |file: &str| std::fs::read(model.join(file)).expect(file);
-        let files = ["point_cloud/iteration_25/point_cloud.ply", "results.json", "test/ours_25/gt/00001.png"];
-        let [scene, results, photo] = files.map(read);
-        let mut results: Value = serde_json::from_slice(&results).expect("JSON");
+    let place = Place::new();
+    let train = |model: &str, more: &str| {
+        let run = place.run(format!("train -s @data -m @{model} --eval --iterations 25 --quiet {more}")).ok();
+        let mut results = place.read_json(format!("{model}/results.json"));
         // A time, which varies.
         let tested = results["ours_25"].as_object_mut().expect("a test");
         assert!(tested.remove("frame_ms").is_some_and(|time| time.as_f64() > Some(0.0)));
-        ((scene, results, photo), run.stderr)
+        let photo = place.read(format!("{model}/test/ours_25/gt/00001.png"));
+        ((place.ply(model, 25), results, photo), run.stderr)
     };
-    let (in_memory, said) = train("memory", &[]);
+    let (in_memory, said) = train("memory", "");
     assert!(!said.contains("kept in a file"), "{said}");
-    let (on_disk, said) = train("disk", &["--photo-memory", "40K"]);
-    assert!(said.contains("are kept in a file in"), "{said}");
+    let (on_disk, said) = train("disk", "--photo-memory 40K");
+    assert_has(&said, &["are kept in a file in"]);
     assert!(in_memory == on_disk);
-    let left = std::fs::read_dir(folder.path()).expect("the folder").count();
+    let left = std::fs::read_dir(place.at("")).expect("the folder").count();
     assert_eq!(left, 3, "the file goes with the program");
-    let model = folder.path().join("refused");
-    let run = ["train", "-s", text(&data), "-m", text(&model), "--photo-memory", "20K"];
     // In planes (as on CPUs), or pixel by pixel.
     let planes = Windowing::for_device(Gpu::new().context.limits()) == Windowing::Sweeps;
     let needed = if planes { "30144 bytes" } else { "30720 bytes" };
-    assert_refused(&finish(program().args(run)), &["reading ahead", needed, "20480"]);
+    let refused = place.run("train -s @data -m @refused --photo-memory 20K");
+    refused.refused(&["reading ahead", needed, "20480"]);
+}
+
+#[test]
+fn a_training_begins_with_a_scene() {
+    let place = Place::new();
+    let still = "--strategy fixed --position_lr_init 1e-12 --position_lr_final 1e-12 --feature_lr 0 --opacity_lr 0 \
+                 --scaling_lr 0 --rotation_lr 0 --iterations 1";
+    // SH degree 1 is active from iteration 5 on, so that the scene has higher coefficients.
+    place.train("coarse", "--iterations 30 --sh_degree_interval 5");
+    let coarse = point_cloud("coarse", 30);
+    let begin = |model: &str, scene: &str, more: &str| {
+        place.run(format!("train -s @data -m @{model} --quiet --init @{scene} {more}"))
+    };
+    let first = place.gaussians(&coarse);
+    assert!(first.sh.iter().skip(1).step_by(4).flatten().any(|&c| c != 0.0), "no SH above degree 0");
+    // One step with zero rates keeps the scene. Its SH coefficients are cut to the degree asked for, or padded.
+    let [cut, same, more] = [0, 1, 2].map(|degree| {
+        let model = format!("degree{degree}");
+        begin(&model, &coarse, &format!("{still} --sh_degree {degree}")).ok();
+        place.gaussians(point_cloud(&model, 1))
+    });
+    assert_eq!((same.means.len(), &same.sh), (first.means.len(), &first.sh));
+    assert_eq!((&same.opacity_logits, &same.log_scales), (&first.opacity_logits, &first.log_scales));
+    assert!(!place.has("degree1/input.ply"));
+    // The scene's SH degree is active at once.
+    assert_has(&place.read_text("degree1/settings.toml"), &["sh_degree_start = 1"]);
+    assert_eq!(cut.sh.len(), first.means.len());
+    let rows = more.sh.chunks_exact(9).zip(first.sh.chunks_exact(4));
+    assert!(rows.into_iter().all(|(more, first)| more[..4] == *first && more[4..] == [[0.0; 3]; 5]));
+    // Training from a compressed scene, with a checkpoint to resume from.
+    place.run(format!("convert @{coarse} @coarse.spz")).ok();
+    let options = "--strategy reference --iterations 12 --checkpoint_iterations 8";
+    begin("on", "coarse.spz", options).ok();
+    let ply = place.ply("on", 12);
+    place.remove("on/point_cloud");
+    begin("on", "coarse.spz", &format!("{options} --start-checkpoint latest")).ok();
+    assert!(place.ply("on", 12) == ply, "other bits");
+    // A file that this training would move away.
+    begin("on", &point_cloud("on", 12), options).refused(&["lies in the model folder"]);
+    begin("none", "nowhere.ply", "").refused(&["nowhere.ply"]);
+    assert!(!place.has("none"));
+}
+
+/// A second training into the same folder is refused while the first runs, and removes none of its files.
+#[test]
+fn one_training_at_a_time_writes_into_a_folder() {
+    let place = Place::new();
+    let mut first = place.start("train -s @data -m @model --iterations 1000000");
+    first.wait_for("100/1000000");
+    // A temporary file, as the first training has it while it writes.
+    let unfinished = "model/.chkpnt100.safetensors.aB3dE6.tmp";
+    place.write(unfinished, "half");
+    place.attempt("model", "--iterations 3").refused(&["another training (process ", "choose another -m"]);
+    assert!(place.has(unfinished) && place.has("model/train_log.csv"), "{:?}", place.files("model"));
+    // With --wait, a training runs after the first one.
+    let mut patient = place.start("train -s @data -m @model --iterations 3 --wait");
+    let waiting = format!("waiting for another training (process {} on ", first.child.id());
+    assert!(patient.lines.next().is_some_and(|line| line.starts_with(&waiting)), "{waiting}");
+    first.interrupt();
+    let (code, rest) = patient.end();
+    assert!(rest.iter().any(|line| line.contains("had an earlier training")), "{rest:?}");
+    assert_eq!(code, Some(0));
+    // The folder is free again, as it is after a kill.
+    assert!(!place.has("model/.training.lock"), "{:?}", place.files("model"));
+}
+
+/// A scheduler starts a job twice at once: one trains, and the others find it done.
+#[test]
+fn patient_trainings_of_a_new_folder_are_one() {
+    let place = Place::new();
+    let train = "train -s @data -m @blocks/one --wait --start-checkpoint auto --checkpoint-every 10 \
+                 --iterations 25 --quiet";
+    let start = |_| Running::start(place.command(train).stdout(Stdio::piped()).stderr(Stdio::piped()));
+    let all: Vec<Running> = (0..3).map(start).collect();
+    let ends: Vec<Finished> = all.into_iter().map(|running| Finished::from(running.finish()).ok()).collect();
+    let done = ends.iter().filter(|end| end.stdout.contains("is trained to its end already"));
+    assert_eq!(done.count(), 2);
+    assert!(!place.has("blocks/one/earlier_1"), "{:?}", place.files("blocks"));
+    // A refused training leaves no folder.
+    let none = "train -s @data -m @none/at/all --wait --few-photos off --strategy mcmc --cap-max 7";
+    place.run(none).refused(&["cap_max"]);
+    assert!(!place.has("none"));
+}
+
+#[test]
+fn report_is_whole_and_needs_nothing_else() {
+    let page = trained().read_text("model/report.html");
+    assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"));
+    for address in ["http:", "https:", "//cdn", "@import", "<link"] {
+        assert!(!page.contains(address), "{address}");
+    }
+    let addresses = page.matches(" src=\"").count();
+    assert_eq!(addresses, 6, "photo, render and error of two views");
+    assert_eq!(page.matches(" src=\"data:image/jpeg;base64,/9j/").count(), addresses);
+    for title in ["Curves", "Contact sheet", "Views", "Gaussians", "Kernels", "Device memory", "Settings"] {
+        assert!(page.contains(&format!("<h2>{title}</h2>")), "{title}");
+    }
+    for words in [
+        "LPIPS is not computed",
+        // Kernels were timed.
+        "backward/blend_backward",
+        "optimizer/adam",
+        "<tr class=\"own\"><td class=\"name\">iterations</td><td>30</td></tr>",
+        // A default is not bold.
+        "<tr><td class=\"name\">lambda_dssim</td>",
+    ] {
+        assert!(page.contains(words), "no '{words}'");
+    }
+    // The same figures as in the results, with the worst view first.
+    let results = trained().read_json("model/per_view.json");
+    let views = results["ours_30"]["PSNR"].as_object().expect("views");
+    let mut psnrs: Vec<f64> = views.values().filter_map(Value::as_f64).collect();
+    psnrs.sort_by(f64::total_cmp);
+    let places: Vec<usize> =
+        psnrs.iter().map(|psnr| page.find(&format!("</b> {psnr:.2} dB")).expect("in the sheet")).collect();
+    assert!(places.is_sorted(), "{psnrs:?}");
+    assert_eq!(page.matches("<span class=\"badge\">30 iterations</span>").count(), 1);
+}
+
+/// Charts are valid JSON, with one entry per iteration of a short run.
+#[test]
+fn report_has_the_curves_of_all_iterations() {
+    let page = trained().read_text("model/report.html");
+    let data: Vec<Vec<(f64, f64, u32, String)>> = page
+        .split("<script type=\"application/json\">")
+        .skip(1)
+        .map(|part| serde_json::from_str(part.split("</script>").next().expect("an end")).expect("JSON"))
+        .collect();
+    let lengths: Vec<usize> = data.iter().map(Vec::len).collect();
+    // The PSNR is measured at tests, and in between as often as its share of the time allows.
+    let [loss, psnr, gaussians, speed] = lengths[..] else { panic!("{lengths:?}") };
+    assert_eq!([loss, gaussians, speed], [30; 3]);
+    assert!((2..=30).contains(&psnr), "{psnr}");
+    assert_eq!((data[0][0].2, data[0][29].2), (1, 30));
+    let measured: Vec<u32> = data[1].iter().map(|(.., iteration, _)| *iteration).collect();
+    assert!(measured.is_sorted() && [10, 30].iter().all(|tested| measured.contains(tested)), "{measured:?}");
+    assert!(data.iter().flatten().all(|(x, y, ..)| (0.0..=560.0).contains(x) && (0.0..=220.0).contains(y)));
 }

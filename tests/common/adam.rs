@@ -1,12 +1,12 @@
 //! The optimiser's kernel with its state on the device.
 
 use ashsplat::kernels::blocks::CameraBlock;
-use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_WORDS};
+use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_OVERFLOW};
 use ashsplat::kernels::optimizer::adam::{self, Push};
 use ashsplat::vk::{Buffer, Kernel};
 
 use super::gpu::Gpu;
-use super::layout::{pack, pack_filtered, planes, room, unpack};
+use super::layout::{pack, planes, room, unpack};
 use crate::reference::types::Gaussian;
 
 /// Gradients of a visible Gaussian, as the kernel reads them.
@@ -38,20 +38,6 @@ pub struct Step {
     pub camera_position: [f64; 3],
 }
 
-fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool, parameter_gradients: bool) -> Kernel<adam::Interface> {
-    let workgroup_size = gpu.workgroup(64);
-    let (sums, moved_camera) = (false, false);
-    gpu.kernel(&adam::Spec {
-        workgroup_size,
-        sh_degree,
-        sparse,
-        parameter_gradients,
-        sums,
-        moved_camera,
-        sh_loops: gpu.context.limits().tuning.sh_loops,
-    })
-}
-
 /// Camera at this position, turned by a quarter about y. Without `moved` its translation is NaN, so that a kernel
 /// that reads it fails.
 pub fn camera_block(position: [f64; 3], moved: bool) -> CameraBlock {
@@ -69,39 +55,38 @@ pub fn camera_block(position: [f64; 3], moved: bool) -> CameraBlock {
     }
 }
 
-/// Parameters and moments on the device.
 pub struct AdamState<'a> {
     gpu: &'a Gpu,
+    spec: adam::Spec,
     kernel: Kernel<adam::Interface>,
-    workgroup: u32,
     count: usize,
     coefficients: usize,
     pub room: usize,
     pub parameters: Buffer,
     pub moments: [Buffer; 2],
     parameter_gradients: Option<Buffer>,
-    moved_camera: bool,
 }
 
 impl<'a> AdamState<'a> {
-    /// Uploads Gaussians with zero moments. All have a 3D filter of this size; 0 for none.
-    pub fn filtered(gpu: &'a Gpu, gaussians: &[Gaussian], sh_degree: u32, size: f64) -> AdamState<'a> {
-        let state = AdamState::new(gpu, gaussians, sh_degree, false);
-        let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, state.room, size));
-        AdamState { parameters, ..state }
-    }
-
     /// Uploads Gaussians with zero moments.
     pub fn new(gpu: &'a Gpu, gaussians: &[Gaussian], sh_degree: u32, sparse: bool) -> AdamState<'a> {
         let (count, coefficients) = (gaussians.len(), gaussians[0].sh.len());
         let room = room(count);
         let zeros = || gpu.zeros::<[f32; 4]>("moments", planes(coefficients) * room);
+        let spec = adam::Spec {
+            workgroup_size: gpu.workgroup(64),
+            sh_degree,
+            sparse,
+            parameter_gradients: false,
+            sums: false,
+            moved_camera: false,
+            sh_loops: gpu.context.limits().tuning.sh_loops,
+        };
         AdamState {
             gpu,
-            kernel: kernel(gpu, sh_degree, sparse, false),
+            spec,
+            kernel: gpu.kernel(&spec),
             parameter_gradients: None,
-            moved_camera: false,
-            workgroup: gpu.workgroup(64),
             count,
             coefficients,
             room,
@@ -110,62 +95,40 @@ impl<'a> AdamState<'a> {
         }
     }
 
-    /// Continues with the same parameters and moments in another variant of the optimiser.
-    pub fn continued(&self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
-        AdamState {
-            gpu: self.gpu,
-            kernel: kernel(self.gpu, sh_degree, sparse, false),
-            parameter_gradients: None,
-            parameters: self.parameters.clone(),
-            moments: self.moments.clone(),
-            ..*self
-        }
+    /// Continues with the same parameters and moments in steps of the visible Gaussians only.
+    pub fn sparse(&self) -> AdamState<'a> {
+        let (parameters, moments) = (self.parameters.clone(), self.moments.clone());
+        let spec = adam::Spec { sparse: true, ..self.spec };
+        let kernel = self.gpu.kernel(&spec);
+        AdamState { spec, kernel, parameter_gradients: None, parameters, moments, ..*self }
     }
 
     /// Adds gradients with respect to the parameters themselves: `direct`'s means, quaternions, scales and
     /// opacities.
-    pub fn with_parameter_gradients(
-        self,
-        sh_degree: u32,
-        sparse: bool,
-        direct: &[Gaussian],
-    ) -> AdamState<'a> {
+    pub fn with_parameter_gradients(self, direct: &[Gaussian]) -> AdamState<'a> {
         let mut planes = pack(direct, self.room);
         planes.truncate(PLANE_SH as usize * self.room);
-        let kernel = kernel(self.gpu, sh_degree, sparse, true);
+        let spec = adam::Spec { parameter_gradients: true, ..self.spec };
         let parameter_gradients = Some(self.gpu.buffer("parameter_gradients", &planes));
-        AdamState { kernel, parameter_gradients, ..self }
+        AdamState { spec, kernel: self.gpu.kernel(&spec), parameter_gradients, ..self }
     }
 
     /// Reads the camera's position from the camera block only.
-    pub fn with_moved_camera(self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
-        let (workgroup_size, parameter_gradients) = (self.workgroup, self.parameter_gradients.is_some());
-        let (sums, moved_camera) = (false, true);
-        let sh_loops = self.gpu.context.limits().tuning.sh_loops;
-        let spec = adam::Spec {
-            workgroup_size,
-            sh_degree,
-            sparse,
-            parameter_gradients,
-            sums,
-            moved_camera,
-            sh_loops,
-        };
-        AdamState { kernel: self.gpu.kernel(&spec), moved_camera: true, ..self }
+    pub fn with_moved_camera(self) -> AdamState<'a> {
+        let spec = adam::Spec { moved_camera: true, ..self.spec };
+        AdamState { spec, kernel: self.gpu.kernel(&spec), ..self }
     }
 
     /// Makes one step. `gradients` has `None` for Gaussians that are not visible. Returns the number of Gaussians
     /// skipped as not finite.
     pub fn step(&self, gradients: &[Option<VisibleGradient>], step: &Step, overflow: bool) -> u32 {
         let (visible_index, rows) = self.gradient_planes(gradients);
-        let mut state = vec![0; STATE_WORDS as usize];
-        state[ashsplat::kernels::constants::STATE_OVERFLOW as usize] = u32::from(overflow);
-        let state = self.gpu.buffer("state", &state);
+        let state = self.gpu.frame_state(&[(STATE_OVERFLOW, overflow.into())]);
         let (index, rows) =
             (self.gpu.buffer("visible_index", &visible_index), self.gpu.buffer("gradients", &rows));
         let (parameters, [moments_1, moments_2]) = (&self.parameters, &self.moments);
         let (visible_index, gradients, state) = (&index, &rows, &state);
-        let workgroups = (self.count as u64).div_ceil(self.workgroup.into());
+        let workgroups = (self.count as u64).div_ceil(self.spec.workgroup_size.into());
         let push = self.push(step);
         let bind = adam::Bind {
             parameters,
@@ -180,10 +143,10 @@ impl<'a> AdamState<'a> {
             parameter_gradients: self.parameter_gradients.as_ref().unwrap_or(gradients),
             camera_block: &self
                 .gpu
-                .buffer("camera_block", &[camera_block(step.camera_position, self.moved_camera)]),
+                .buffer("camera_block", &[camera_block(step.camera_position, self.spec.moved_camera)]),
         };
         self.gpu.run(|recorder| recorder.dispatch(&self.kernel, &bind, &push, workgroups));
-        self.gpu.read::<u32>(state, STATE_WORDS as usize)[STATE_NON_FINITE as usize]
+        self.gpu.read_state(state, STATE_NON_FINITE)
     }
 
     pub fn push(&self, step: &Step) -> Push {
@@ -192,7 +155,7 @@ impl<'a> AdamState<'a> {
         let rate = |rate: f64| (rate / correction(beta_1)) as f32;
         let inverse_bias_2 = correction(beta_2).sqrt().recip() as f32;
         Push {
-            camera_position: match self.moved_camera {
+            camera_position: match self.spec.moved_camera {
                 true => [f32::NAN; 3],
                 false => step.camera_position.map(|x| x as f32),
             },

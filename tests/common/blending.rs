@@ -1,13 +1,13 @@
 //! The two blending kernels over tile lists.
 
+use ashsplat::frame::Strips;
+use ashsplat::frame::tuning::Backend;
 use ashsplat::kernels::backward::{blend_backward, blend_backward_subgroup_per_tile};
 use ashsplat::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary};
-use ashsplat::plan::Strips;
-use ashsplat::tuning::Backend;
 use ashsplat::vk::{Buffer, Context};
 
+use super::frame::Lists;
 use super::gpu::Gpu;
-use super::tiles::Lists;
 
 /// Outputs of the forward kernel that the backward kernel reads.
 pub struct Blended {
@@ -63,13 +63,41 @@ fn workgroup(gpu: &Gpu, how: How) -> u32 {
     gpu.subgroup() * 32 / region_height(gpu, how)
 }
 
-/// Runs a blending kernel over lists, with at most `$entries_per_pass` entries of each tile per pass.
+/// Runs the passes of a kernel, with a workgroup too many. `$more` are fields of a pass's push constants that only
+/// this kernel has.
+macro_rules! run_passes {
+    (
+        $gpu:expr, $lists:expr, $how:expr, $kernel:ident, $spec:expr, $bind:expr,
+        |$pass:ident| { $($more:ident: $value:expr,)* }
+    ) => {{
+        let (lists, max_entries) = ($lists, $how.entries_per_pass);
+        let [tiles_per_row, rows] = lists.view.tiles();
+        let pushes = dispatches(lists, $how).map(|($pass, [first_instance, max_instances])| $kernel::Push {
+            image_width: lists.view.size_px[0],
+            image_height: lists.view.size_px[1],
+            tiles_per_row,
+            tile_count: tiles_per_row * rows,
+            first_entry: $pass * max_entries,
+            max_entries,
+            first_instance,
+            max_instances,
+            tile_row_interleave: ROW_STRANDS,
+            splat_stride: 1,
+            background: lists.view.background.map(|x| x as f32),
+            $($more: $value,)*
+        });
+        let workgroups = u64::from(tiles_per_row * rows) + 1;
+        $gpu.dispatch_each::<$kernel::Interface>(&$spec, &$bind, pushes, workgroups);
+    }};
+}
+
+/// Runs a blending kernel over lists, with at most `$how.entries_per_pass` entries of each tile per pass.
 macro_rules! blend_lists {
     (
-        $gpu:expr, $lists:expr, $kernel:ident, $spec:expr, $entries_per_pass:expr, $limits:expr
+        $gpu:expr, $lists:expr, $kernel:ident, $spec:expr, $how:expr, $limits:expr
         $(, $auxiliary:ident: $buffer:expr)*
     ) => {{
-        let (gpu, lists, entries_per_pass) = ($gpu, $lists, $entries_per_pass);
+        let (gpu, lists) = ($gpu, $lists);
         let pixels = lists.view.pixels();
         let blended = Blended {
             accumulated: gpu.untouched::<[f32; 4]>("accumulated", pixels),
@@ -91,24 +119,9 @@ macro_rules! blend_lists {
             depth_limits: $limits.unwrap_or(&lists.tile_ranges),
             $($auxiliary: $buffer,)*
         };
-        let [tiles_per_row, rows] = lists.view.tiles();
-        let pushes = dispatches(lists, entries_per_pass).map(|(pass, [first_instance, max_instances])| {
-            $kernel::Push {
-                image_width: lists.view.size_px[0],
-                image_height: lists.view.size_px[1],
-                tiles_per_row,
-                tile_count: tiles_per_row * rows,
-                first_entry: pass * entries_per_pass,
-                max_entries: entries_per_pass,
-                first_instance,
-                max_instances,
-                tile_row_interleave: ROW_STRANDS,
-                last_pass: u32::from(pass + 1 == passes(lists, entries_per_pass)),
-                splat_stride: 1,
-                background: lists.view.background.map(|x| x as f32),
-            }
+        run_passes!(gpu, lists, $how, $kernel, $spec, bind, |pass| {
+            last_pass: u32::from(pass + 1 == passes(lists, $how)),
         });
-        gpu.dispatch_each::<$kernel::Interface>(&$spec, &bind, pushes, u64::from(tiles_per_row * rows) + 1);
         blended
     }};
 }
@@ -121,10 +134,14 @@ pub struct How {
     /// REGIONS_PER_SUBGROUP: regions of a subgroup.
     pub parts: u32,
     pub entries_per_pass: u32,
+    /// Number of passes; None for as many as the longest list needs.
+    pub passes: Option<u32>,
     /// REGION_HEIGHT 4 instead of 8 (if the subgroup is no higher), and BROADCAST.
     pub low_regions: bool,
     /// SHARED_SPLATS.
     pub shares: bool,
+    /// Invocations per tile of the kernels `blend_shared*`; None for the others.
+    pub by_workgroup: Option<u32>,
     /// STRIPS: pictures and gradients are planes in strips.
     pub strips: bool,
     pub sums: OtherSums,
@@ -147,18 +164,16 @@ pub const CHAINED: How = How {
     incremental_exp: true,
     parts: 1,
     entries_per_pass: u32::MAX,
+    passes: None,
     low_regions: false,
     shares: false,
+    by_workgroup: None,
     strips: false,
     sums: OtherSums::None,
 };
-/// Same as [`CHAINED`], but with an exponential for each opacity.
 pub const UNCHAINED: How = How { incremental_exp: false, ..CHAINED };
-/// Same as [`UNCHAINED`], but with low regions.
 pub const LOW: How = How { low_regions: true, ..UNCHAINED };
-/// Same as [`UNCHAINED`], but with splats in shared memory.
 pub const SHARED: How = How { shares: true, ..UNCHAINED };
-/// Same as [`CHAINED`], but with planes in strips.
 pub const IN_STRIPS: How = How { strips: true, ..CHAINED };
 
 /// Forms to test: all on a device; on the slower interpreter only those that GPUs use.
@@ -170,7 +185,7 @@ pub fn forms(gpu: &Gpu) -> Vec<How> {
     }
 }
 
-/// Blends lists by `forward/blend`.
+/// Blends lists by `forward/blend` or `forward/blend_shared`.
 pub fn forward(gpu: &Gpu, lists: &Lists, how: How) -> Blended {
     forward_limited(gpu, lists, how, false, None)
 }
@@ -183,49 +198,36 @@ pub fn forward_limited(
     linear_depth: bool,
     limits: Option<&Buffer>,
 ) -> Blended {
-    let How { inverse_depth, incremental_exp, parts, entries_per_pass, strips, .. } = how;
+    let How { inverse_depth, incremental_exp, parts, strips, .. } = how;
+    let (subgroup_size, depth_limit, count_hits) = (gpu.subgroup(), limits.is_some(), false);
+    if let Some(workgroup_size) = how.by_workgroup {
+        let spec = blend_shared::Spec {
+            workgroup_size,
+            subgroup_size,
+            inverse_depth,
+            depth_limit,
+            linear_depth,
+            incremental_exp,
+            count_hits,
+            strips,
+        };
+        return blend_lists!(gpu, lists, blend_shared, spec, how, limits);
+    }
     let spec = blend::Spec {
         workgroup_size: workgroup(gpu, how) / parts,
-        subgroup_size: gpu.subgroup(),
+        subgroup_size,
         inverse_depth,
-        depth_limit: limits.is_some(),
+        depth_limit,
         linear_depth,
         incremental_exp,
         regions_per_subgroup: parts,
-        count_hits: false,
+        count_hits,
         strips,
         region_height: region_height(gpu, how),
         broadcast: how.low_regions,
         shared_splats: how.shares,
     };
-    blend_lists!(gpu, lists, blend, spec, entries_per_pass, limits)
-}
-
-/// Blends lists by `forward/blend_shared` with `workgroup_size` invocations per tile.
-pub fn forward_shared(gpu: &Gpu, lists: &Lists, workgroup_size: u32, how: How) -> Blended {
-    forward_shared_limited(gpu, lists, workgroup_size, how, None)
-}
-
-/// Same as [`forward_shared`], but with depth limits (1/z per pixel).
-pub fn forward_shared_limited(
-    gpu: &Gpu,
-    lists: &Lists,
-    workgroup_size: u32,
-    how: How,
-    limits: Option<&Buffer>,
-) -> Blended {
-    let How { inverse_depth, incremental_exp, entries_per_pass, strips, .. } = how;
-    let spec = blend_shared::Spec {
-        workgroup_size,
-        subgroup_size: gpu.subgroup(),
-        inverse_depth,
-        depth_limit: limits.is_some(),
-        linear_depth: false,
-        incremental_exp,
-        count_hits: false,
-        strips,
-    };
-    blend_lists!(gpu, lists, blend_shared, spec, entries_per_pass, limits)
+    blend_lists!(gpu, lists, blend, spec, how, limits)
 }
 
 /// Outputs of the auxiliary kernels.
@@ -237,22 +239,22 @@ pub struct Beside {
     pub motion_sums: Buffer,
 }
 
-/// Blends lists by `forward/blend_auxiliary`, or by `forward/blend_shared_auxiliary` with `shared` invocations per
-/// tile. Writes picks and motions if asked for.
+/// Blends lists by `forward/blend_auxiliary` or `forward/blend_shared_auxiliary`. Writes picks and motions if asked
+/// for.
 pub fn forward_auxiliary(
     gpu: &Gpu,
     lists: &Lists,
-    (how, shared): (How, Option<u32>),
+    how: How,
     motions: &[[f32; 2]],
     [pick, motion]: [bool; 2],
 ) -> Beside {
-    let How { inverse_depth, incremental_exp, parts, entries_per_pass, .. } = how;
+    let How { inverse_depth, incremental_exp, parts, .. } = how;
     let pixels = lists.view.pixels();
     let picks = gpu.untouched::<[u32; 2]>("picks", pixels);
     let motion_sums = gpu.untouched::<[f32; 2]>("motion_sums", pixels);
     let motions = gpu.buffer("motions", motions);
     let (subgroup_size, limits) = (gpu.subgroup(), None::<&Buffer>);
-    let blended = match shared {
+    let blended = match how.by_workgroup {
         None => {
             let spec = blend_auxiliary::Spec {
                 workgroup_size: workgroup(gpu, how) / parts,
@@ -268,7 +270,7 @@ pub fn forward_auxiliary(
                 ..blend_auxiliary::Spec::default()
             };
             blend_lists!(
-                gpu, lists, blend_auxiliary, spec, entries_per_pass, limits,
+                gpu, lists, blend_auxiliary, spec, how, limits,
                 picks: &picks, motions: &motions, motion_sums: &motion_sums
             )
         }
@@ -283,7 +285,7 @@ pub fn forward_auxiliary(
                 ..blend_shared_auxiliary::Spec::default()
             };
             blend_lists!(
-                gpu, lists, blend_shared_auxiliary, spec, entries_per_pass, limits,
+                gpu, lists, blend_shared_auxiliary, spec, how, limits,
                 picks: &picks, motions: &motions, motion_sums: &motion_sums
             )
         }
@@ -291,14 +293,13 @@ pub fn forward_auxiliary(
     Beside { blended, picks, motion_sums }
 }
 
-/// Runs a backward kernel over lists.
 macro_rules! backward_of_lists {
     (
         $kernel:ident, $gpu:expr, $lists:expr, $blended:expr, $gradient:expr, $how:expr, $workgroup_size:expr
         $(, $region_height:ident)?
     ) => {{
         let (gpu, lists, blended) = ($gpu, $lists, $blended);
-        let How { inverse_depth, incremental_exp, entries_per_pass, strips, sums, .. } = $how;
+        let How { inverse_depth, incremental_exp, strips, sums, .. } = $how;
         let (workgroup_size, subgroup_size) = ($workgroup_size, gpu.subgroup());
         let count_hits = false;
         let spec = $kernel::Spec {
@@ -343,23 +344,7 @@ macro_rules! backward_of_lists {
             instance_gradients_d: &instance_gradients_d,
             state: &lists.state,
         };
-        let [tiles_per_row, rows] = lists.view.tiles();
-        let pushes = dispatches(lists, entries_per_pass).map(|(pass, [first_instance, max_instances])| {
-                $kernel::Push {
-                    image_width: lists.view.size_px[0],
-                    image_height: lists.view.size_px[1],
-                    tiles_per_row,
-                    tile_count: tiles_per_row * rows,
-                    first_entry: pass * entries_per_pass,
-                    max_entries: entries_per_pass,
-                    first_instance,
-                    max_instances,
-                    tile_row_interleave: ROW_STRANDS,
-                    background: lists.view.background.map(|x| x as f32),
-                    splat_stride: 1,
-                }
-        });
-        gpu.dispatch_each::<$kernel::Interface>(&spec, &bind, pushes, u64::from(tiles_per_row * rows) + 1);
+        run_passes!(gpu, lists, $how, $kernel, spec, bind, |pass| {});
         let (a, b) = (
             gpu.read::<[f32; 4]>(&instance_gradients_a, instances),
             gpu.read::<[f32; 4]>(&instance_gradients_b, instances),
@@ -401,14 +386,14 @@ pub fn backward_alone(
 /// Number of strands that the rows of tiles are dealt to.
 const ROW_STRANDS: u32 = 4;
 
-fn passes(lists: &Lists, entries_per_pass: u32) -> u32 {
+fn passes(lists: &Lists, how: How) -> u32 {
     let longest = lists.lists.iter().map(Vec::len).max().unwrap_or(0) as u32;
-    longest.div_ceil(entries_per_pass).max(1)
+    how.passes.unwrap_or_else(|| longest.div_ceil(how.entries_per_pass).max(1))
 }
 
 /// Passes, each once for the tiles that begin in the first half of the instances and once for the others.
-fn dispatches(lists: &Lists, entries_per_pass: u32) -> impl Iterator<Item = (u32, [u32; 2])> {
+fn dispatches(lists: &Lists, how: How) -> impl Iterator<Item = (u32, [u32; 2])> {
     let half = lists.instances.len() as u32 / 2;
     let parts = [[0, half], [half, u32::MAX - half]];
-    (0..passes(lists, entries_per_pass)).flat_map(move |pass| parts.map(|part| (pass, part)))
+    (0..passes(lists, how)).flat_map(move |pass| parts.map(|part| (pass, part)))
 }

@@ -1,11 +1,9 @@
-//! Comparators of pictures and gradients. `comparators.rs` proves that they reject wrong values.
+//! Comparators of pictures and gradients.
 
 /// Bounds for a picture. A pixel is unstable if a decision of the blending depends on rounding.
 #[derive(Clone, Copy, Debug)]
 pub struct PixelTolerance {
-    /// Largest absolute difference.
     pub max: f64,
-    /// Mean absolute difference.
     pub mean: f64,
     /// Largest difference of an unstable pixel, except for [`UNSTABLE_SHARE`] of them.
     pub unstable: f64,
@@ -14,9 +12,7 @@ pub struct PixelTolerance {
 /// Measured errors.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PixelErrors {
-    /// Largest absolute difference at stable pixels.
     pub max: f64,
-    /// Mean absolute difference at stable pixels.
     pub mean: f64,
     /// Number of unstable pixels that differ by more than their bound.
     pub unstable_off: usize,
@@ -53,17 +49,12 @@ pub fn pixels(
     }
     errors.mean /= stable_values.max(1) as f64;
     let unstable_count = unstable.iter().filter(|&&unstable| unstable).count();
-    if errors.max > tolerance.max {
-        return Err(format!(
-            "{what}: off by {:.3e} at pixel {place}, accepted {:.1e}",
-            errors.max, tolerance.max
-        ));
-    }
-    if errors.mean > tolerance.mean {
-        return Err(format!(
-            "{what}: off by {:.3e} on average, accepted {:.1e}",
-            errors.mean, tolerance.mean
-        ));
+    let at = format!("at pixel {place}");
+    let bounds = [(errors.max, tolerance.max, at.as_str()), (errors.mean, tolerance.mean, "on average")];
+    for (measured, accepted, place) in bounds {
+        if measured > accepted {
+            return Err(format!("{what}: off by {measured:.3e} {place}, accepted {accepted:.1e}"));
+        }
     }
     if errors.unstable_off as f64 > UNSTABLE_SHARE * unstable_count as f64 {
         return Err(format!("{what}: {} of {unstable_count} unstable pixels are off", errors.unstable_off));
@@ -163,6 +154,12 @@ pub fn elementwise(
         largest = largest.max((a - e).abs());
     }
     Ok(largest)
+}
+
+/// Compares element by element with a bound relative to the largest expected value.
+pub fn relative(what: &str, actual: &[f64], expected: &[f64], bound: f64) -> Result<(), String> {
+    let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+    elementwise(what, actual, expected, bound * largest, 0.0).map(drop)
 }
 
 pub fn equal<T: PartialEq + std::fmt::Debug>(what: &str, actual: &[T], expected: &[T]) -> Result<(), String> {

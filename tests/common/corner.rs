@@ -3,7 +3,6 @@
 use ashsplat::scene::{Camera, Intrinsics, Photo};
 use glam::{Vec3, vec3};
 
-/// Width and height, pixels.
 pub const SIZE: [u32; 2] = [480, 360];
 
 /// Camera on a walk along the corner, at `share` (0 to 1) of its length.
@@ -13,7 +12,6 @@ pub fn camera(share: f32) -> Camera {
     Camera::look_at(eye, vec3(0.9, 0.5, 3.0), Vec3::NEG_Y, intrinsics)
 }
 
-/// Photograph that the camera takes.
 pub fn photograph(camera: &Camera) -> Photo {
     let world_from_camera = camera.camera_from_world.transpose();
     let eye = camera.position();

@@ -1,6 +1,6 @@
 //! The device that all tests share, with all checks on.
 
-use ashsplat::vk::{Context, ContextOptions, SpecOverride, validation_available};
+use ashsplat::vk::{Context, ContextOptions, LimitsOverride, SpecOverride, validation_available};
 use std::cell::RefCell;
 use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -24,7 +24,6 @@ pub fn options() -> ContextOptions {
     checked()
 }
 
-/// Makes blending kernels count what they compute.
 pub fn count_hits() -> SpecOverride {
     SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 }
 }
@@ -45,7 +44,21 @@ fn checked() -> ContextOptions {
     ContextOptions { validation, hazard_check: true, ..ContextOptions::default() }
 }
 
-/// The device that tests share.
+/// A separate device with lower limits.
+pub fn limited(limits: LimitsOverride) -> Context {
+    Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device")
+}
+
+/// A separate device whose bindings hold no more than these bytes.
+pub fn with_range(bytes: u64) -> Context {
+    limited(LimitsOverride { max_storage_buffer_range: Some(bytes), ..LimitsOverride::default() })
+}
+
+/// Peak bytes of an arena; 0 without it.
+pub fn arena_peak(context: &Context, name: &str) -> u64 {
+    context.memory().iter().find(|arena| arena.name == name).map_or(0, |arena| arena.peak_bytes)
+}
+
 pub fn context() -> &'static Context {
     static CONTEXT: OnceLock<Context> = OnceLock::new();
     CONTEXT.get_or_init(|| Context::new(&checked()).expect("a Vulkan device for the tests"))
@@ -57,7 +70,6 @@ pub struct Bounded(&'static Context);
 
 static BOUNDED: AtomicBool = AtomicBool::new(false);
 
-/// Returns that device with this bound.
 pub fn bounded(max_memory: Option<u64>) -> Bounded {
     static CONTEXT: OnceLock<Context> = OnceLock::new();
     let options = options();
@@ -109,7 +121,6 @@ impl Drop for Bounded {
     }
 }
 
-/// Fails if there are validation messages.
 #[track_caller]
 pub fn assert_silent(context: &Context) {
     let messages = context.validation_messages();

@@ -2,8 +2,9 @@
 
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
-use ashsplat::forward::Dropout;
+use ashsplat::frame::Dropout;
 use ashsplat::scene::Projection;
+use ashsplat::vk::Context;
 use ashsplat::{Camera, Gaussians, Gradients, JacobianLimit, RenderSettings, Renderer};
 use glam::{Mat3, Vec3};
 
@@ -38,7 +39,6 @@ pub fn twins(gaussians: &Gaussians) -> Vec<Gaussian> {
         .collect()
 }
 
-/// The camera of a view.
 pub fn camera(view: &View) -> Camera {
     let f = |x: f64| x as f32;
     let [x, y, z] = view.camera_from_world.map(|row| Vec3::from_array(row.map(f)));
@@ -59,7 +59,6 @@ pub fn camera(view: &View) -> Camera {
     }
 }
 
-/// The settings of a view, with the inverse depth.
 pub fn settings(view: &View) -> RenderSettings {
     RenderSettings {
         extent: match view.extent {
@@ -94,7 +93,12 @@ pub fn renderer() -> MutexGuard<'static, Renderer> {
     renderer.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
-/// Flattens float32 values as float64.
+pub fn loaded(context: &Context, scene: &Gaussians) -> Renderer {
+    let mut renderer = Renderer::new(context).expect("a renderer");
+    renderer.upload(scene).expect("upload");
+    renderer
+}
+
 pub fn widen<const N: usize>(values: &[[f32; N]]) -> Vec<f64> {
     values.as_flattened().iter().map(|&x| f64::from(x)).collect()
 }

@@ -1,6 +1,6 @@
-//! Splats of a random scene as inputs of the kernels that follow the projection.
+//! Splats of a random scene and their tile lists, as inputs of the kernels that follow the projection.
 
-use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_INSTANCES, STATE_VISIBLE, STATE_WORDS};
+use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_INSTANCES, STATE_VISIBLE};
 use ashsplat::kernels::forward::project;
 use ashsplat::vk::Buffer;
 
@@ -9,9 +9,13 @@ use super::layout::{
     SplatPlanes, antialias_word, camera_block, extent_word, pack_filtered, pack_splats, room, rounded,
 };
 use super::scenes::{Random, mixed_scene};
+use crate::reference::blend::samples;
+use crate::reference::pipeline::{Frame, pixels_of, tile_of};
 use crate::reference::project as twin;
-use crate::reference::tiles::{touched, touches_by_pixels};
-use crate::reference::types::{ALPHA_MIN, Extent, Gaussian, Selection, Splat, View};
+use crate::reference::tiles::{alpha_unclamped, touched, touches_by_pixels};
+use crate::reference::types::{
+    ALPHA_MAX, ALPHA_MIN, Extent, Gaussian, Selection, Splat, TRANSMITTANCE_MIN, View,
+};
 
 /// Visible splats: on the host with the blending's precision, and on the device.
 pub struct Splats {
@@ -35,7 +39,6 @@ impl Splats {
 
 /// Output of `forward/project` for the visible Gaussians of a scene.
 pub struct Projected {
-    /// The twin's splats.
     pub expected: Vec<Splat>,
     pub mean2d_extent: Buffer,
     pub conic_opacity: Buffer,
@@ -48,29 +51,21 @@ pub struct Projected {
 impl Projected {
     /// Projects a scene. Each output has one row more than there are visible Gaussians.
     pub fn new(gpu: &Gpu, gaussians: &[Gaussian], view: &View) -> Projected {
-        Self::of(gpu, gaussians, view, false)
+        Self::listing(gpu, gaussians, view, false)
     }
 
-    /// Same as [`Self::new`], but all Gaussians are listed as visible. `expected` has only those that are.
-    pub fn of_all(gpu: &Gpu, gaussians: &[Gaussian], view: &View) -> Projected {
-        Self::of(gpu, gaussians, view, true)
-    }
-
-    fn of(gpu: &Gpu, gaussians: &[Gaussian], view: &View, may_be_unseen: bool) -> Projected {
-        // The view's degree may be lower than the stored one.
-        let (sh_degree, filter_3d) = (view.sh_degree, view.filter_3d > 0.0);
-        let (dropout, z_record, tinted) =
-            (view.drawn.dropout.is_some(), view.drawn.z_record, view.drawn.tint.is_some());
-        let workgroup_size = gpu.workgroup(64);
+    /// Same as [`Self::new`]; all Gaussians may be listed as visible. `expected` has only those that are.
+    pub fn listing(gpu: &Gpu, gaussians: &[Gaussian], view: &View, may_be_unseen: bool) -> Projected {
         let spec = project::Spec {
-            workgroup_size,
-            sh_degree,
-            filter_3d,
-            dropout,
-            tinted,
+            workgroup_size: gpu.workgroup(64),
+            // May be lower than the stored one.
+            sh_degree: view.sh_degree,
+            filter_3d: view.filter_3d > 0.0,
+            dropout: view.drawn.dropout.is_some(),
+            tinted: view.drawn.tint.is_some(),
             selection: view.drawn.selection.is_some(),
-            z_record,
-            orthographic: view.drawn.orthographic,
+            z_record: view.drawn.z_record,
+            projection: view.drawn.projection(),
             sh_loops: gpu.limits().tuning.sh_loops,
             may_be_unseen,
         };
@@ -207,18 +202,13 @@ pub fn touched_at_most(splat: &Splat, view: &View) -> Vec<u32> {
     tiles
 }
 
-/// Frame state of one scene with these counts.
-pub fn state(gpu: &Gpu, visible: usize, instances: usize) -> Buffer {
-    state_of_scenes(gpu, visible, visible, instances)
-}
-
-/// Frame state of several scenes. The first scene has `first_scene` of the visible Gaussians.
-pub fn state_of_scenes(gpu: &Gpu, first_scene: usize, visible: usize, instances: usize) -> Buffer {
-    let mut words = vec![0; STATE_WORDS as usize];
-    words[STATE_VISIBLE as usize] = visible as u32;
-    words[STATE_FIRST_SCENE_VISIBLE as usize] = first_scene as u32;
-    words[STATE_INSTANCES as usize] = instances as u32;
-    gpu.buffer("state", &words)
+/// Frame state with these counts. The first scene has `first_scene` of the visible Gaussians.
+pub fn state(gpu: &Gpu, [first_scene, visible, instances]: [usize; 3]) -> Buffer {
+    gpu.frame_state(&[
+        (STATE_VISIBLE, visible as u32),
+        (STATE_FIRST_SCENE_VISIBLE, first_scene as u32),
+        (STATE_INSTANCES, instances as u32),
+    ])
 }
 
 /// A random permutation, in place of a depth sort.
@@ -229,4 +219,133 @@ pub fn shuffled(count: usize) -> Vec<u32> {
         order.swap(last, random.below(last as u32 + 1) as usize);
     }
     order
+}
+
+/// Splats in tile lists: each tile has its own list of visible indices, front to back.
+pub struct Lists {
+    pub view: View,
+    pub frame: Splats,
+    pub lists: Vec<Vec<u32>>,
+    pub tile_ranges: Buffer,
+    pub sorted_visible: Buffer,
+    /// Slot before the tile sort of each sorted instance.
+    pub instances: Vec<u32>,
+    pub sorted_instances: Buffer,
+    pub state: Buffer,
+}
+
+impl Lists {
+    /// Uploads lists. The instances are a random permutation.
+    pub fn new(gpu: &Gpu, splats: Vec<Splat>, lists: Vec<Vec<u32>>, view: &View) -> Lists {
+        let mut ranges = Vec::new();
+        let mut sorted: Vec<u32> = Vec::new();
+        for list in &lists {
+            let begin = sorted.len() as u32;
+            sorted.extend(list);
+            ranges.push(if list.is_empty() { [0, 0] } else { [begin, sorted.len() as u32] });
+        }
+        let instances = shuffled(sorted.len());
+        let state = state(gpu, [splats.len(), splats.len(), sorted.len()]);
+        Lists {
+            view: view.clone(),
+            frame: Splats::new(gpu, splats),
+            lists,
+            tile_ranges: gpu.buffer("tile_ranges", &ranges),
+            sorted_visible: gpu.buffer("sorted_visible", &sorted),
+            sorted_instances: gpu.buffer("sorted_instances", &instances),
+            instances,
+            state,
+        }
+    }
+
+    /// `entries` splats per tile, so faint and small that every entry contributes.
+    pub fn long(gpu: &Gpu, entries: usize, opacity: [f64; 2], view: &View) -> Lists {
+        let mut random = Random::new(entries as u64);
+        let tiles = view.tiles();
+        let mut splats = Vec::new();
+        let mut lists = Vec::new();
+        for tile in 0..tiles[0] * tiles[1] {
+            let corner = [tile % tiles[0], tile / tiles[0]].map(|t| f64::from(t * 16));
+            let first = splats.len() as u32;
+            splats.extend((0..entries).map(|_| random_splat(&mut random, corner, opacity)));
+            lists.push((first..splats.len() as u32).collect());
+        }
+        Lists::new(gpu, splats, lists, view)
+    }
+
+    /// Same as [`Self::long`], but every list is in order of depth, as in a frame.
+    pub fn sorted(gpu: &Gpu, entries: usize, opacity: [f64; 2], view: &View) -> Lists {
+        let Lists { frame, mut lists, view, .. } = Lists::long(gpu, entries, opacity, view);
+        for list in &mut lists {
+            list.sort_by(|&a, &b| frame.splats[a as usize].depth.total_cmp(&frame.splats[b as usize].depth));
+        }
+        Lists::new(gpu, frame.splats, lists, &view)
+    }
+
+    /// The splats of the list of a pixel's tile.
+    pub fn list_of(&self, pixel: [u32; 2]) -> Vec<&Splat> {
+        self.lists[tile_of(&self.view, pixel)].iter().map(|&i| &self.frame.splats[i as usize]).collect()
+    }
+
+    /// Pixels at which float32 rounding may change a decision of the blending: exp is accurate to 17 ulp on
+    /// lavapipe, and its argument is rounded too.
+    pub fn unstable(&self) -> Vec<bool> {
+        pixels_of(&self.view)
+            .map(|pixel| {
+                let list = self.list_of(pixel);
+                is_unstable(&list, pixel, 2e-5)
+            })
+            .collect()
+    }
+}
+
+/// A random splat near a tile.
+fn random_splat(random: &mut Random, corner: [f64; 2], opacity: [f64; 2]) -> Splat {
+    let [xx, yy] = [0; 2].map(|_| random.between(0.5, 60.0));
+    let xy = random.between(-0.9, 0.9) * (xx * yy).sqrt();
+    let determinant = xx * yy - xy * xy;
+    Splat {
+        depth: random.between(0.5, 9.0),
+        mean2d_px: corner.map(|x| x + random.between(-8.0, 24.0)),
+        cov2d: [xx, xy, yy],
+        conic: [yy / determinant, -xy / determinant, xx / determinant],
+        opacity: random.between(opacity[0], opacity[1]),
+        color: [0; 3].map(|_| random.unit()),
+        radius_px: 0,
+    }
+}
+
+/// True if a relative error of α may change a decision at this pixel.
+pub fn is_unstable(list: &[&Splat], pixel: [u32; 2], margin: f64) -> bool {
+    let near = |x: f64, threshold: f64, margin: f64| (x / threshold - 1.0).abs() < margin;
+    let (blended, _) = samples(list, pixel);
+    let end = blended.last().map_or(0, |sample| sample.entry + 1);
+    let mut transmittance = 1.0;
+    let mut decided = blended.iter().peekable();
+    for (entry, splat) in list.iter().enumerate() {
+        let Some(alpha) = alpha_unclamped(splat, pixel) else { continue };
+        if near(alpha, ALPHA_MIN, margin) || near(alpha, ALPHA_MAX, margin) {
+            return true;
+        }
+        if alpha >= ALPHA_MIN {
+            let next = transmittance * (1.0 - alpha.min(ALPHA_MAX));
+            if near(next, TRANSMITTANCE_MIN, 10.0 * margin) {
+                return true;
+            }
+        }
+        if decided.peek().is_some_and(|sample| sample.entry == entry) {
+            let sample = decided.next().expect("peeked");
+            transmittance = sample.transmittance * (1.0 - sample.alpha);
+        } else if entry > end && alpha >= ALPHA_MIN {
+            break;
+        }
+    }
+    false
+}
+
+/// Pixels of a frame at which a relative error of α may change a decision.
+pub fn unstable_pixels(view: &View, frame: &Frame, margin: f64) -> Vec<bool> {
+    let splat = |&index: &u32| frame.splats[index as usize].as_ref().expect("listed");
+    let lists: Vec<Vec<&Splat>> = frame.lists.iter().map(|list| list.iter().map(splat).collect()).collect();
+    pixels_of(view).map(|pixel| is_unstable(&lists[tile_of(view, pixel)], pixel, margin)).collect()
 }

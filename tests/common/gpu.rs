@@ -2,12 +2,16 @@
 
 use std::sync::OnceLock;
 
-use ashsplat::loss::Windowing;
+use ashsplat::kernels::constants::STATE_WORDS;
+use ashsplat::passes::loss::Windowing;
 use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, KernelInterface, Limits, MemoryKind, Recorder};
 use bytemuck::Pod;
 
+use super::compare::equal;
+use super::layout::{pack, planes, room, unpack};
 use super::machine::{self, Machine};
 use super::{assert_silent, context, options};
+use crate::reference::types::Gaussian;
 
 /// Initial word of every output, so that tests see what a kernel writes.
 pub const UNTOUCHED: u32 = 0xDEAD_BEEF;
@@ -33,12 +37,14 @@ impl Gpu {
         Gpu { context, machine, limits: machine.limits(context.limits()) }
     }
 
-    /// True if an interpreter runs the kernels.
+    pub fn with(options: &ContextOptions) -> Gpu {
+        Gpu::of(Box::leak(Box::new(Context::new(options).expect("a device"))))
+    }
+
     pub fn is_interpreted(&self) -> bool {
         matches!(self.machine, Machine::Interpreter { .. })
     }
 
-    /// Limits of the machine that runs the kernels.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
@@ -63,19 +69,17 @@ impl Gpu {
         static CONTEXT: OnceLock<Context> = OnceLock::new();
         // Called each time: `options` makes the calling test the only one with such a device.
         let options = options();
-        let plain = || Context::new(&ContextOptions { push_descriptors: false, ..options });
-        Gpu::of(CONTEXT.get_or_init(|| plain().expect("a device")))
+        let plain = ContextOptions { push_descriptors: false, ..options };
+        Gpu::of(CONTEXT.get_or_init(|| Context::new(&plain).expect("a device")))
     }
 
     /// A device without validation, for thousands of steps whose result alone matters. Validation would double their
     /// time, and shorter tests check the same kernels.
     pub fn unchecked() -> Gpu {
         static CONTEXT: OnceLock<Context> = OnceLock::new();
-        let plain = || Context::new(&ContextOptions::default());
-        Gpu::of(CONTEXT.get_or_init(|| plain().expect("a device")))
+        Gpu::of(CONTEXT.get_or_init(|| Context::new(&ContextOptions::default()).expect("a device")))
     }
 
-    /// Subgroup size of the kernels.
     pub fn subgroup(&self) -> u32 {
         self.limits.subgroup_size
     }
@@ -88,28 +92,26 @@ impl Gpu {
         }
     }
 
-    /// Creates a buffer with these contents.
     pub fn buffer<T: Pod>(&self, name: &'static str, values: &[T]) -> Buffer {
         let bytes: &[u8] = bytemuck::cast_slice(values);
-        let buffer = self.allocate(name, bytes.len() as u64);
+        let request = [(name, (bytes.len() as u64).max(16).next_multiple_of(4))];
+        let buffers = self.context.allocate("test", &request, MemoryKind::Device);
+        let buffer = buffers.expect("memory").remove(0);
         if !bytes.is_empty() {
             self.context.upload(&buffer.range(0, bytes.len() as u64), bytes).expect("upload");
         }
         buffer
     }
 
-    /// Creates a buffer of `count` elements, each word [`UNTOUCHED`].
     pub fn untouched<T: Pod>(&self, name: &'static str, count: usize) -> Buffer {
         let words = (count * size_of::<T>()).div_ceil(4).max(4);
         self.buffer(name, &vec![UNTOUCHED; words])
     }
 
-    /// Creates a buffer of zeros.
     pub fn zeros<T: Pod>(&self, name: &'static str, count: usize) -> Buffer {
         self.buffer(name, &vec![0_u8; (count * size_of::<T>()).next_multiple_of(4).max(16)])
     }
 
-    /// Reads the first `count` elements of a buffer.
     pub fn read<T: Pod>(&self, buffer: &Buffer, count: usize) -> Vec<T> {
         if count == 0 {
             return Vec::new();
@@ -119,11 +121,48 @@ impl Gpu {
         bytemuck::pod_collect_to_vec(&bytes)
     }
 
+    /// Fails unless a buffer has these values and, behind them, only [`UNTOUCHED`] words.
+    #[track_caller]
+    pub fn assert_values<T: Pod>(&self, buffer: &Buffer, expected: &[T], case: &str) {
+        let expected: &[u32] = bytemuck::cast_slice(expected);
+        let words = self.read::<u32>(buffer, buffer.bytes() as usize / 4);
+        let (own, behind) = words.split_at(expected.len());
+        equal(buffer.name(), own, expected).unwrap_or_else(|error| panic!("{case}: {error}"));
+        let untouched = behind.iter().all(|&word| word == UNTOUCHED);
+        assert!(untouched, "{case}: '{}' is written behind its end", buffer.name());
+    }
+
+    /// Creates the planes of Gaussians, with a few unused places behind them.
+    pub fn gaussians(&self, name: &'static str, gaussians: &[Gaussian]) -> Buffer {
+        self.buffer(name, &pack(gaussians, room(gaussians.len())))
+    }
+
+    /// Reads Gaussians from planes as those of [`Self::gaussians`].
+    pub fn read_gaussians(&self, buffer: &Buffer, count: usize, coefficients: usize) -> Vec<Gaussian> {
+        let room = room(count);
+        unpack(&self.read::<[f32; 4]>(buffer, planes(coefficients) * room), room, count, coefficients)
+    }
+
+    /// Creates a frame's state from some of its words; the others are 0.
+    pub fn frame_state(&self, words: &[(u32, u32)]) -> Buffer {
+        let mut state = vec![0; STATE_WORDS as usize];
+        words.iter().for_each(|&(index, word)| state[index as usize] = word);
+        self.buffer("state", &state)
+    }
+
+    pub fn read_state(&self, state: &Buffer, index: u32) -> u32 {
+        self.read::<u32>(state, STATE_WORDS as usize)[index as usize]
+    }
+
+    /// Reads the first `count` numbers of a buffer as float64.
+    pub fn read_f64<T: Pod + Into<f64>>(&self, buffer: &Buffer, count: usize) -> Vec<f64> {
+        self.read::<T>(buffer, count).into_iter().map(Into::into).collect()
+    }
+
     pub fn kernel<K: KernelInterface>(&self, spec: &K::Spec) -> Kernel<K> {
         Kernel::new(self.context, spec).expect(K::NAME)
     }
 
-    /// Records, submits and waits.
     pub fn run(&self, record: impl FnOnce(&mut Recorder)) {
         self.context
             .run("test", |recorder| {
@@ -142,6 +181,18 @@ impl Gpu {
         workgroups: u64,
     ) {
         self.dispatch_each::<K>(spec, bind, [*push], workgroups);
+    }
+
+    /// Runs a kernel once with an invocation per element and one workgroup more, which must write nothing.
+    pub fn dispatch_over<K: KernelInterface>(
+        &self,
+        spec: &K::Spec,
+        bind: &K::Bind<'_>,
+        push: &K::Push,
+        elements: usize,
+    ) {
+        let invocations: u32 = K::workgroup_size(spec).iter().product();
+        self.dispatch::<K>(spec, bind, push, elements as u64 / u64::from(invocations) + 1);
     }
 
     /// Runs a kernel several times, with barriers in between.
@@ -172,11 +223,6 @@ impl Gpu {
                 machine::compare::<K>(self.context, error, (spec, bind, &push), workgroups, run);
             }),
         }
-    }
-
-    fn allocate(&self, name: &'static str, bytes: u64) -> Buffer {
-        let request = [(name, bytes.max(16).next_multiple_of(4))];
-        self.context.allocate("test", &request, MemoryKind::Device).expect("memory").remove(0)
     }
 }
 

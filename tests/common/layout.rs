@@ -34,7 +34,6 @@ pub fn place(plane: u32, index: usize, room: usize) -> usize {
     first * room + (index / 8 * planes + plane as usize - first) * 8 + index % 8
 }
 
-/// Packs Gaussians into planes.
 pub fn pack(gaussians: &[Gaussian], room: usize) -> Vec<[f32; 4]> {
     let coefficients = gaussians.first().map_or(16, |g| g.sh.len());
     let mut packed = vec![[0.0; 4]; planes(coefficients) * room];
@@ -60,7 +59,6 @@ pub fn pack_filtered(gaussians: &[Gaussian], room: usize, size: f64) -> Vec<[f32
     packed
 }
 
-/// Word with the ANTIALIAS_ bits.
 pub fn antialias_word(view: &View) -> u32 {
     let bit = |on: bool, bit: u32| if on { bit } else { 0 };
     bit(view.antialias, ANTIALIAS_COMPENSATED) | bit(view.antialias_detached, ANTIALIAS_DETACHED)
@@ -127,7 +125,6 @@ pub fn camera_block(view: &View) -> CameraBlock {
 }
 
 /// Camera blocks of several scenes in a row, as the kernels over all scenes read them.
-#[allow(dead_code)]
 pub fn scene_blocks(blocks: &[CameraBlock]) -> Vec<[u32; CAMERA_BLOCK_WORDS as usize]> {
     let padded = |block: &CameraBlock| {
         let mut words = [0xDEAD_BEEF; CAMERA_BLOCK_WORDS as usize];
@@ -139,7 +136,6 @@ pub fn scene_blocks(blocks: &[CameraBlock]) -> Vec<[u32; CAMERA_BLOCK_WORDS as u
 }
 
 /// Cut-outs of a view, behind two that culling must not read. Also the index of the first and their number.
-#[allow(dead_code)]
 pub fn cut_outs(view: &View) -> (Vec<[f32; 4]>, [u32; 2]) {
     let mut words = vec![[f32::NAN; 4]; 8];
     let own = view.drawn.cut_outs.iter().flatten();
@@ -153,7 +149,6 @@ pub fn cut_outs(view: &View) -> (Vec<[f32; 4]>, [u32; 2]) {
     (words, [2, own.count() as u32])
 }
 
-/// EXTENT_EXACT or EXTENT_REFERENCE.
 pub fn extent_word(view: &View) -> u32 {
     use crate::reference::types::Extent;
     match view.extent {

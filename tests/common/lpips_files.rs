@@ -4,7 +4,6 @@ use std::path::Path;
 
 use crate::reference::lpips::{ALEXNET, Step, VGG16, formula};
 
-/// A tensor of a file.
 #[derive(Clone, Debug)]
 pub struct Tensor {
     pub name: String,
@@ -48,7 +47,6 @@ fn tensors(steps: &[Step], indices: &[usize], tag: u32) -> Vec<Tensor> {
     tensors
 }
 
-/// Writes tensors as safetensors.
 pub fn write(path: &Path, tensors: &[Tensor]) {
     let mut header = serde_json::Map::new();
     let mut data: Vec<u8> = vec![];

@@ -4,7 +4,7 @@ use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
 use std::rc::Rc;
 
-use ashsplat::tuning::Tuning;
+use ashsplat::frame::tuning::Tuning;
 use ashsplat::vk::{Buffer, Context, KernelInterface, Limits};
 use ashsplat_interpreter::{Dispatch, Fault, Order, Program};
 
@@ -14,12 +14,16 @@ const READ_UNWRITTEN: [&str; 1] = ["backward/blend_backward"];
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Machine {
-    /// The device.
     Device,
     /// The interpreter with this many lanes, and at least this many invocations per workgroup.
-    Interpreter { lanes: u32, workgroup: u32 },
+    Interpreter {
+        lanes: u32,
+        workgroup: u32,
+    },
     /// Both, with the device's lanes. Words agree to the bit; floats within |a - b| <= `error` * (1 + |b|).
-    Both { error: f32 },
+    Both {
+        error: f32,
+    },
 }
 
 thread_local! {
@@ -42,7 +46,6 @@ pub fn on(machine: Machine, tests: impl FnOnce()) {
     tests();
 }
 
-/// Machine of the calling thread.
 pub fn current() -> Machine {
     MACHINE.get()
 }
@@ -80,7 +83,6 @@ fn program<K: KernelInterface>(spec: &K::Spec, lanes: u32) -> Rc<Program> {
 /// Words of buffers by binding.
 pub type Words = Vec<(u32, Vec<u32>)>;
 
-/// Downloads the words of a dispatch's buffers.
 fn words<K: KernelInterface>(context: &Context, bind: &K::Bind<'_>) -> Words {
     let word = |buffer: &Buffer| {
         let bytes = context.download(&buffer.range(0, buffer.bytes())).expect("a download");
@@ -104,20 +106,30 @@ pub fn run(
     program.run(&Dispatch { workgroups, push, order, accepts_unwritten_shared }, words)
 }
 
-/// Interprets one dispatch, over the contents of the device's buffers.
-pub fn interpret<K: KernelInterface>(
+/// Interprets one dispatch over the contents of the device's buffers. Returns the program, and the words before and
+/// after.
+fn interpreted<K: KernelInterface>(
     context: &Context,
     lanes: u32,
     (spec, bind, push): (&K::Spec, &K::Bind<'_>, &K::Push),
     workgroups: u64,
-) {
+) -> (Rc<Program>, [Words; 2]) {
     let before = words::<K>(context, bind);
-    let mut after = before.clone();
-    let workgroups = context.limits().grid(workgroups);
-    let program = program::<K>(spec, lanes);
-    run(&program, K::NAME, K::push_bytes(push), workgroups, &mut after)
+    let (program, mut after) = (program::<K>(spec, lanes), before.clone());
+    run(&program, K::NAME, K::push_bytes(push), context.limits().grid(workgroups), &mut after)
         .unwrap_or_else(|fault| panic!("{fault}"));
-    let buffers = K::buffers(bind);
+    (program, [before, after])
+}
+
+/// Interprets one dispatch, and writes the device's buffers.
+pub fn interpret<K: KernelInterface>(
+    context: &Context,
+    lanes: u32,
+    dispatch: (&K::Spec, &K::Bind<'_>, &K::Push),
+    workgroups: u64,
+) {
+    let (_, [before, after]) = interpreted::<K>(context, lanes, dispatch, workgroups);
+    let buffers = K::buffers(dispatch.1);
     for ((buffer, before), after) in buffers.as_ref().iter().zip(&before).zip(&after) {
         if before != after {
             let bytes = bytemuck::cast_slice(&after.1);
@@ -130,18 +142,15 @@ pub fn interpret<K: KernelInterface>(
 pub fn compare<K: KernelInterface>(
     context: &Context,
     error: f32,
-    (spec, bind, push): (&K::Spec, &K::Bind<'_>, &K::Push),
+    dispatch: (&K::Spec, &K::Bind<'_>, &K::Push),
     workgroups: u64,
     device: impl FnOnce(),
 ) {
-    let mut interpreted = words::<K>(context, bind);
-    let program = program::<K>(spec, context.limits().subgroup_size);
-    let workgroups = context.limits().grid(workgroups);
-    run(&program, K::NAME, K::push_bytes(push), workgroups, &mut interpreted)
-        .unwrap_or_else(|fault| panic!("{fault}"));
+    let lanes = context.limits().subgroup_size;
+    let (program, [_, interpreted]) = interpreted::<K>(context, lanes, dispatch, workgroups);
     device();
     let floats: HashMap<u32, bool> = program.bindings().collect();
-    for ((binding, device), (_, interpreted)) in words::<K>(context, bind).iter().zip(&interpreted) {
+    for ((binding, device), (_, interpreted)) in words::<K>(context, dispatch.1).iter().zip(&interpreted) {
         let is_float = floats.get(binding).is_some_and(|is_float| *is_float);
         let same = |(a, b): (&u32, &u32)| {
             let [x, y] = [*a, *b].map(f32::from_bits);

@@ -7,28 +7,21 @@ pub mod adam;
 pub mod blending;
 pub mod child;
 pub mod compare;
-pub mod compose;
 pub mod corner;
-pub mod depth_points;
 pub mod device;
 pub mod engine;
-pub mod exposures;
-pub mod feature_maps;
 pub mod frame;
 pub mod gpu;
-pub mod inverse_depth;
-pub mod keys;
 pub mod layout;
-pub mod lens_rows;
 pub mod lenses;
-pub mod loss;
 pub mod lpips_files;
 pub mod machine;
 pub mod poses;
-pub mod regularizers;
+pub mod prelude;
 pub mod scenes;
 pub mod splats;
-pub mod tiles;
+pub mod terms;
+pub mod training;
 
 pub use device::{assert_silent, bounded, context, count_hits, options};
 use std::path::{Path, PathBuf};
@@ -38,9 +31,43 @@ pub fn shared_folder() -> PathBuf {
     std::env::var_os("ASHSPLAT_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from)
 }
 
-/// Root folder of the repository.
 pub fn root() -> PathBuf {
     let package = Path::new(env!("CARGO_MANIFEST_DIR"));
     let is_root = |folder: &&Path| folder.join("glsl").is_dir();
     package.ancestors().find(is_root).expect("packages lie within the project").to_owned()
+}
+
+/// All files below a folder, sorted, with relative paths. None if there is no such folder.
+pub fn files_below(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        let Ok(entries) = std::fs::read_dir(&next) else { continue };
+        for entry in entries {
+            let path = entry.expect("a folder's entry").path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                files.push(path.strip_prefix(folder).expect("below the folder").to_owned());
+            }
+        }
+    }
+    files.sort();
+    files
+}
+
+/// Fails unless a message has all of these words.
+#[track_caller]
+pub fn assert_says(message: impl AsRef<str>, words: &[&str]) {
+    let message = message.as_ref();
+    for word in words {
+        assert!(message.contains(word), "no '{word}' in: {message}");
+    }
+}
+
+/// Paths of these names in a new folder, which exists as long as the first value.
+pub fn new_paths<const N: usize>(names: [&str; N]) -> (tempfile::TempDir, [PathBuf; N]) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let paths = names.map(|name| folder.path().join(name));
+    (folder, paths)
 }

@@ -1,6 +1,6 @@
 //! The kernels of poses with their buffers.
 
-use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
+use ashsplat::kernels::constants::STATE_OVERFLOW;
 use ashsplat::kernels::poses::{pose_gradient, pose_step};
 use ashsplat::vk::Buffer;
 
@@ -60,8 +60,6 @@ pub fn pose_view(
     let kernel = gpu.kernel::<pose_step::Interface>(&spec);
     let images = poses.parameters.len();
     let (seen, gradient, rate, count) = step.unwrap_or((0, [f32::NAN; 6], 1.0, 1));
-    let mut state = vec![0_u32; STATE_WORDS as usize];
-    state[STATE_OVERFLOW as usize] = overflow;
     let (parameters, moments) =
         (gpu.buffer("pose_parameters", &poses.parameters), gpu.buffer("pose_moments", &poses.moments));
     let cameras = gpu.buffer("pose_cameras", &poses.cameras);
@@ -72,7 +70,7 @@ pub fn pose_view(
         pose_parameters: &parameters,
         pose_moments: &moments,
         pose_cameras: &cameras,
-        state: &gpu.buffer("state", &state),
+        state: &gpu.frame_state(&[(STATE_OVERFLOW, overflow)]),
         pose_view_sums: view_sums,
         pose_depths: &gpu.buffer("pose_depths", &poses.depths),
     };

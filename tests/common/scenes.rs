@@ -1,17 +1,15 @@
 //! Random scenes and numbers, identical in every run.
 
-use crate::reference::types::{Drawn, Extent, Gaussian, View};
+use crate::reference::types::{Drawn, Extent, Gaussian, Gradient, View};
 
 /// SplitMix64.
 pub struct Random(u64);
 
 impl Random {
-    /// Sequence of this seed.
     pub fn new(seed: u64) -> Random {
         Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(1))
     }
 
-    /// 64 random bits.
     pub fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut x = self.0;
@@ -20,7 +18,6 @@ impl Random {
         x ^ (x >> 31)
     }
 
-    /// A word below `limit`.
     pub fn below(&mut self, limit: u32) -> u32 {
         (((self.bits() >> 32) * u64::from(limit)) >> 32) as u32
     }
@@ -69,7 +66,6 @@ pub fn small_view(size_px: [u32; 2]) -> View {
 
 /// Other shapes: smaller Gaussians; opaque ellipsoids without faint Gaussians; dots. Every number is exact in
 /// float32.
-#[allow(dead_code)]
 pub fn drawn_shapes() -> [Drawn; 3] {
     let exp = |steepness: f32| f64::from(steepness.exp());
     [
@@ -131,4 +127,29 @@ pub fn scalars(gaussian: &mut Gaussian) -> Vec<&mut f64> {
     all.push(&mut gaussian.opacity_logit);
     all.extend(gaussian.sh.iter_mut().flatten());
     all
+}
+
+/// Gradients of one Gaussian, in the order of [`scalars`].
+pub fn gradient_scalars(gradient: &Gradient) -> Vec<f64> {
+    scalars(&mut as_gaussian(gradient)).into_iter().map(|x| *x).collect()
+}
+
+/// Names of the parameters, with the device's and the twin's gradients of all Gaussians.
+pub fn by_parameter(actual: &[Gaussian], expected: &[Gradient]) -> [(&'static str, Vec<f64>, Vec<f64>); 5] {
+    let expected: Vec<Gaussian> = expected.iter().map(as_gaussian).collect();
+    type Parameter = fn(&Gaussian) -> Vec<f64>;
+    let parameters: [(&str, Parameter); 5] = [
+        ("means", |g| g.mean.to_vec()),
+        ("quaternions", |g| g.quat.to_vec()),
+        ("log-scales", |g| g.log_scale.to_vec()),
+        ("opacities", |g| vec![g.opacity_logit]),
+        ("SH", |g| g.sh.concat()),
+    ];
+    let flat = |of, all: &[Gaussian]| all.iter().flat_map(of).collect();
+    parameters.map(|(name, of)| (name, flat(of, actual), flat(of, &expected)))
+}
+
+fn as_gaussian(gradient: &Gradient) -> Gaussian {
+    let Gradient { mean, quat, log_scale, opacity_logit, sh } = gradient.clone();
+    Gaussian { mean, quat, log_scale, opacity_logit, sh }
 }

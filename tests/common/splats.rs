@@ -1,10 +1,12 @@
 //! Gaussians for the tests of files, and the tolerance of each format.
 
-use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud};
 use ashsplat_files::splats::Format;
+use ashsplat_files::{initial_gaussians, ply};
 use glam::Vec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::path::Path;
 
 /// Gaussians as training produces them: within 20 units, sizes from centimetres to a metre, any shape and colour.
 pub fn scene(count: usize, sh_degree: u32) -> Gaussians {
@@ -106,22 +108,15 @@ pub fn assert_close(actual: &Gaussians, expected: &Gaussians, tolerance: &Tolera
 
 /// Reorders Gaussians of a sorted file by their nearest originals.
 pub fn in_order_of(expected: &Gaussians, actual: &Gaussians) -> Gaussians {
-    let distance2 = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
     let mut free: Vec<usize> = (0..actual.len()).collect();
-    let order: Vec<usize> = expected
-        .means
-        .iter()
-        .map(|mean| {
-            let (place, _) = free
-                .iter()
-                .enumerate()
-                .min_by(|(_, a), (_, b)| {
-                    distance2(&actual.means[**a], mean).total_cmp(&distance2(&actual.means[**b], mean))
-                })
-                .expect("as many as expected");
-            free.swap_remove(place)
-        })
-        .collect();
+    let nearest = |mean: &[f32; 3]| {
+        let distance2 = |&place: &usize| {
+            actual.means[free[place]].iter().zip(mean).map(|(a, b)| (a - b) * (a - b)).sum::<f32>()
+        };
+        let place = (0..free.len()).min_by(|a, b| distance2(a).total_cmp(&distance2(b)));
+        free.swap_remove(place.expect("as many as expected"))
+    };
+    let order: Vec<usize> = expected.means.iter().map(nearest).collect();
     actual.select(&order)
 }
 
@@ -137,4 +132,11 @@ pub fn ball(count: usize) -> Gaussians {
     gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.12);
     gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s = 0.5 * *s - 2.2);
     gaussians
+}
+
+/// Writes the first Gaussians of orange points.
+pub fn write_points(path: &Path, positions: Vec<[f32; 3]>, sh_degree: u32) {
+    let colors = vec![[230, 77, 26]; positions.len()];
+    let gaussians = initial_gaussians(&PointCloud { positions, colors }, sh_degree).expect("Gaussians");
+    ply::write(path, &gaussians).expect("written");
 }

@@ -1,16 +1,15 @@
 //! CesiumJS in headless Chromium draws our trees of tiles as we draw their Gaussians.
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::Path;
 
 use ashsplat::scene::{Camera, Gaussians};
-use ashsplat_files::{Photo, PhotoFileFormat, metrics, splats};
+use ashsplat_files::{Photo, PhotoFileFormat};
 use glam::Vec3;
 use serde_json::Value;
 
-use super::once_more_with_patience;
-use super::playcanvas::{camera, render, side_by_side};
+use super::playcanvas::{camera, render};
 use super::tiles::{document, tree_of_the_ball};
+use super::{compare_at_least, once_more_with_patience, read, run_script};
 
 /// Least PSNR between its picture and ours of the same tiles, dB.
 const LEAST_PSNR: f64 = 35.0;
@@ -33,20 +32,16 @@ fn shows_the_tree(modules: &Path) {
         let picture = folder.path().join("cesium.png");
         let mut gaussians = Gaussians { sh_degree: 3, ..Default::default() };
         for tile in &expected {
-            gaussians.append(&splats::read(tree.join(tile), &Default::default()).unwrap().gaussians);
+            gaussians.append(&read(&tree.join(tile)));
         }
         let ours = render(&gaussians, &camera);
-        let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("cesium_{name}.png"));
         once_more_with_patience(8, |still_frames| {
             let drawn = draw(modules, &tree, &camera, (error, still_frames), &picture);
             if drawn != expected {
                 return Err(format!("{name}: {drawn:?} are drawn in place of {expected:?}"));
             }
             let theirs = Photo::read(&picture, [0.0; 3]).unwrap();
-            side_by_side(&ours, &theirs).write_png(&kept).unwrap();
-            let psnr = metrics::psnr(&ours.to_f32(), &theirs.to_f32()).unwrap();
-            println!("{name}: {} tiles, {psnr:.2} dB, {}", drawn.len(), kept.display());
-            if psnr >= LEAST_PSNR { Ok(()) } else { Err(format!("{psnr:.2} dB: see {}", kept.display())) }
+            compare_at_least(LEAST_PSNR, &format!("cesium_{name}"), &ours, &theirs)
         });
     }
 }
@@ -88,11 +83,8 @@ fn draw(
     });
     let file = output.with_extension("json");
     std::fs::write(&file, description.to_string()).unwrap();
-    let script = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/ecosystem/cesium.mjs"));
-    let mut node = Command::new("node");
-    let result = node.arg(script).arg(modules).arg(tree).arg(file).arg(output).output().expect("node");
-    assert!(result.status.success(), "{}", String::from_utf8_lossy(&result.stderr));
-    let mut drawn: Vec<String> = String::from_utf8_lossy(&result.stdout).lines().map(Into::into).collect();
+    let said = run_script("cesium.mjs", &[modules, tree, &file, output]);
+    let mut drawn: Vec<String> = said.lines().map(Into::into).collect();
     drawn.sort();
     drawn
 }

@@ -5,8 +5,12 @@
 //   quat: [x, y, z, w] of the rotation from a camera with y up and z backward to the file's own axes,
 //   still_frames: for how many frames the picture must stay the same,
 //   reference_dilation: whether to widen splats by 0.3 pixels squared as the reference does. The engine adds its 0.3 to a
-//   covariance in units of half pixels, which is a quarter of that, and its small splats are sharper for it }
-import { readFileSync } from 'node:fs';
+//   covariance in units of half pixels, which is a quarter of that, and its small splats are sharper for it,
+//   timed_frames: optional, how many frames are timed once the picture stays the same }
+//
+// A timed frame is `app.render()` and the reading of its pixels, which waits for them. The engine sorts in a worker when the camera
+// moves; it stands still here, so that no sort is in the time. The median is printed.
+import { readFileSync, readdirSync } from 'node:fs';
 import { basename, join } from 'node:path';
 import { BEGIN, show } from './browser.mjs';
 
@@ -23,6 +27,34 @@ const engine = () => {
         text = text.replaceAll(own, `float ${name} = ${place} + 1.2;`);
     }
     return text;
+};
+
+// Milliseconds of processors that the browser's processes have had: all that descend from this one.
+const cpuMilliseconds = () => {
+    const parents = new Map();
+    for (const id of readdirSync('/proc').filter((name) => /^\d+$/.test(name))) {
+        try {
+            const stat = readFileSync(`/proc/${id}/stat`, 'utf8');
+            parents.set(id, stat.slice(stat.lastIndexOf(')') + 2).split(' ')[1]);
+        } catch (error) {
+            // It has ended.
+        }
+    }
+    const descends = (id) => {
+        for (let at = parents.get(id); at && at !== '0'; at = parents.get(at)) if (at === String(process.pid)) return true;
+        return false;
+    };
+    let sum = 0;
+    for (const id of [...parents.keys()].filter(descends)) {
+        try {
+            for (const task of readdirSync(`/proc/${id}/task`)) {
+                sum += Number(readFileSync(`/proc/${id}/task/${task}/schedstat`, 'utf8').split(' ')[0]);
+            }
+        } catch (error) {
+            // It has ended.
+        }
+    }
+    return String(sum * 1e-6);
 };
 
 const page = `<!DOCTYPE html><meta charset="utf-8"><canvas id="c" width="${camera.width}" height="${camera.height}"></canvas>
@@ -71,12 +103,32 @@ for (let frame = 0; frame < 60 + camera.still_frames && same < camera.still_fram
     last = now;
     await say('/frame', String(frame));
 }
+if (camera.timed_frames) {
+    const gl = device.gl, pixels = new Uint8Array(4 * camera.width * camera.height);
+    const draw = () => {
+        const start = performance.now();
+        app.render();
+        gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+        gl.readPixels(0, 0, camera.width, camera.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+        return performance.now() - start;
+    };
+    const cpu = async () => Number(await (await fetch('/cpu')).text());
+    draw();
+    const before = await cpu(), times = [];
+    for (let frame = 0; frame < camera.timed_frames; ++frame) times.push(draw());
+    const spent = (await cpu() - before) / camera.timed_frames;
+    times.sort((a, b) => a - b);
+    const lit = pixels.reduce((sum, value, i) => sum + (i % 4 < 3 && value > 0), 0);
+    if (lit < pixels.length / 100) throw new Error('the frames that were timed are empty');
+    await say('/text', times[times.length >> 1].toFixed(1) + ' ms, ' + spent.toFixed(1) + ' CPU-ms');
+}
 await say('/done', last);
 </script>`;
 
 const files = {
     '/': ['text/html', () => page],
     '/playcanvas.mjs': ['text/javascript', engine],
+    '/cpu': ['text/plain', cpuMilliseconds],
     ['/' + sceneName]: ['application/octet-stream', () => readFileSync(scene)]
 };
 const content = (url) => {

@@ -1,16 +1,14 @@
 //! The PlayCanvas engine in headless Chromium draws our files as we do.
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::Path;
 
 use ashsplat::RenderSettings;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
-use ashsplat_files::metrics;
 use ashsplat_files::splats::{self, Format, WriteOptions};
 use ashsplat_files::{Photo, PhotoFileFormat};
 use glam::{Mat3, Quat, Vec3};
 
-use super::once_more_with_patience;
+use super::{compare, compare_at_least, once_more_with_patience, read, run_script};
 use crate::common::engine::renderer;
 use crate::common::splats::scene;
 
@@ -25,16 +23,11 @@ pub fn shows_the_same(modules: &Path, format: Format) {
     splats::write(&path, &ball(), &WriteOptions::default()).unwrap();
     let camera = camera();
     let picture = folder.path().join("playcanvas.png");
-    let ours = render(&splats::read(&path, &Default::default()).unwrap().gaussians, &camera);
-    // Kept for inspection.
-    let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("playcanvas{}.png", format.extension()));
+    let ours = render(&read(&path), &camera);
+    let name = format!("playcanvas{}", format.extension());
     once_more_with_patience(STILL_FRAMES, |still_frames| {
         draw(modules, &path, &camera, &picture, (false, still_frames));
-        let theirs = Photo::read(&picture, [0.0; 3]).unwrap();
-        side_by_side(&ours, &theirs).write_png(&kept).unwrap();
-        let psnr = metrics::psnr(&ours.to_f32(), &theirs.to_f32()).unwrap();
-        println!("{format}: {psnr:.2} dB, {}", kept.display());
-        if psnr >= LEAST_PSNR { Ok(()) } else { Err(format!("{psnr:.2} dB: see {}", kept.display())) }
+        compare_at_least(LEAST_PSNR, &name, &ours, &Photo::read(&picture, [0.0; 3]).unwrap())
     });
     let bright = ours.rgb.iter().filter(|&&v| v > 60).count();
     assert!(bright > ours.rgb.len() / 4, "an empty picture proves nothing");
@@ -69,7 +62,7 @@ pub fn shows_a_trained_scene(modules: &Path, scene: &Path) {
         Vec3::NEG_Y,
         Intrinsics::from_fov_x(60f32.to_radians(), 640, 360),
     );
-    let gaussians = splats::read(&path, &Default::default()).unwrap().gaussians;
+    let gaussians = read(&path);
     let (ours, in_half_pixels) = (render(&gaussians, &camera), render_in_half_pixels(&gaussians, &camera));
     once_more_with_patience(STILL_FRAMES, |still_frames| {
         let theirs = [false, true].map(|reference_dilation| {
@@ -87,17 +80,9 @@ fn compare_dilations(
     [ours, in_half_pixels]: [&Photo; 2],
     [own, reference]: &[Photo; 2],
 ) -> Result<(), String> {
-    let psnr = |name: &str, ours: &Photo, theirs: &Photo| {
-        let name = format!("playcanvas_trained_{name}.png");
-        side_by_side(ours, theirs).write_png(Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)).unwrap();
-        metrics::psnr(&ours.to_f32(), &theirs.to_f32()).unwrap()
-    };
-    let unlike = psnr("own", ours, own);
-    let theirs = psnr("half_pixels", in_half_pixels, own);
-    let references = psnr("reference", ours, reference);
-    println!(
-        "trained scene: {unlike:.2} dB, both with the engine's dilation {theirs:.2} dB, with the reference's {references:.2} dB"
-    );
+    let unlike = compare("playcanvas_trained_own", ours, own);
+    let theirs = compare("playcanvas_trained_half_pixels", in_half_pixels, own);
+    let references = compare("playcanvas_trained_reference", ours, reference);
     let least = LEAST_PSNR.max(unlike + 5.0);
     if theirs >= least && references >= least {
         return Ok(());
@@ -153,18 +138,5 @@ fn draw(
     });
     let file = output.with_extension("json");
     std::fs::write(&file, description.to_string()).unwrap();
-    let script = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/ecosystem/playcanvas.mjs"));
-    let mut node = Command::new("node");
-    let result = node.arg(script).arg(modules).arg(scene).arg(file).arg(output).output().expect("node");
-    assert!(result.status.success(), "{}", String::from_utf8_lossy(&result.stderr));
-}
-
-pub fn side_by_side(left: &Photo, right: &Photo) -> Photo {
-    let row = 3 * left.width as usize;
-    let rows = left.rgb.chunks(row).zip(right.rgb.chunks(row));
-    Photo {
-        width: 2 * left.width,
-        height: left.height,
-        rgb: rows.flat_map(|(a, b)| [a, b].concat()).collect(),
-    }
+    run_script("playcanvas.mjs", &[modules, scene, &file, output]);
 }

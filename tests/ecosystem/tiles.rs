@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use ashsplat::scene::Gaussians;
-use ashsplat_files::splats::{self, ConvertOptions, Format, Target, WriteOptions};
+use ashsplat_files::Progress;
+use ashsplat_files::splats::{self, ConvertOptions, Target, WriteOptions};
 use ashsplat_files::tiles::{self, TileOptions};
-use ashsplat_files::{Progress, metrics};
 use serde_json::Value;
 
 use super::playcanvas::{ball, camera, render};
-use super::text;
+use super::{compare, read, text};
 
 pub const TRIALS: [(&str, super::Check); 3] = [
     ("gltf_validator_accepts_our_tiles_ply", |modules, _| {
@@ -32,8 +32,7 @@ fn each_tree(check: impl Fn(&Path, bool)) {
 /// Writes the ball as a tree, whose coarser tiles have an error of 0.05.
 pub fn tree_of_the_ball(folder: &Path, packed: bool) -> PathBuf {
     let (scene, tree) = (folder.join("scene.ply"), folder.join(if packed { "packed" } else { "plain" }));
-    splats::write(&scene, &ball(), &WriteOptions { format: Some(Format::Ply), ..Default::default() })
-        .unwrap();
+    splats::write(&scene, &ball(), &WriteOptions::default()).unwrap();
     let options = TileOptions { most: 1000, packed };
     let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.05);
     tiles::write(&scene, &tree, &options, &Default::default(), &mut measure, &Progress::NONE).unwrap();
@@ -55,45 +54,28 @@ fn it_bundles_our_levels(modules: &Path) {
     let meta = folder.path().join("out/lod-meta.json");
     let paths = [0, 1, 2].map(level);
     let [fine, middle, coarse] = paths.each_ref().map(|path| text(path));
-    super::splat_transform(
-        modules,
-        &["-g", "cpu", fine, "-l", "0", middle, "-l", "1", coarse, "-l", "2", text(&meta)],
-    );
+    let levels = ["-g", "cpu", fine, "-l", "0", middle, "-l", "1", coarse, "-l", "2", text(&meta)];
+    super::splat_transform(modules, &levels);
     let told: Value = serde_json::from_slice(&std::fs::read(&meta).unwrap()).unwrap();
     assert_eq!(told["counts"], serde_json::json!([6000, 1500, 360]));
     for (number, path) in paths.iter().enumerate() {
         let back = folder.path().join("back.ply");
-        super::splat_transform(
-            modules,
-            &[text(&folder.path().join(format!("out/{number}_0/meta.json"))), text(&back)],
-        );
-        let [ours, theirs] = [path, &back]
-            .map(|path| render(&splats::read(path, &Default::default()).unwrap().gaussians, &camera()));
-        let psnr = metrics::psnr(&ours.to_f32(), &theirs.to_f32()).unwrap();
-        println!("level {number}: {psnr:.2} dB");
+        let bundled = folder.path().join(format!("out/{number}_0/meta.json"));
+        super::splat_transform(modules, &[text(&bundled), text(&back)]);
+        let [ours, theirs] = [path, &back].map(|path| render(&read(path), &camera()));
+        let psnr = compare(&format!("splat_transform_level_{number}"), &ours, &theirs);
         assert!(psnr > 50.0, "level {number}: {psnr:.2} dB");
     }
 }
 
-/// Sorted files below a folder with this ending.
-fn files(folder: &Path, ending: &str) -> Vec<PathBuf> {
-    let (mut found, mut open) = (Vec::new(), vec![folder.to_owned()]);
-    while let Some(next) = open.pop() {
-        for entry in std::fs::read_dir(next).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                open.push(path);
-            } else if path.extension().is_some_and(|own| own == ending) {
-                found.push(path);
-            }
-        }
-    }
-    found.sort();
-    found
+/// Sorted tiles below a folder.
+fn glbs(folder: &Path) -> Vec<PathBuf> {
+    let files = crate::common::files_below(folder).into_iter().map(|file| folder.join(file));
+    files.filter(|file| file.extension().is_some_and(|own| own == "glb")).collect()
 }
 
 fn the_validator_accepts(modules: &Path, tree: &Path, packed: bool) {
-    let tiles = files(tree, "glb");
+    let tiles = glbs(tree);
     assert!(tiles.len() >= 8, "{tiles:?}");
     super::validate(modules, &tiles, packed);
 }
@@ -118,10 +100,10 @@ fn the_tools_read(modules: &Path, tree: &Path) {
         let name = folder.file_name().unwrap().to_str().unwrap();
         assert_eq!(as_said(read, name, &whole), as_said(&ours["root"], "", tree));
     }
-    let tiles = files(tree, "glb");
+    let tiles = glbs(tree);
     assert!(trees.len() == 2 && tiles.len() >= 8, "{tiles:?}");
     for copies in [&back, &whole.join(tree.file_name().unwrap()), &whole.join(back.file_name().unwrap())] {
-        assert_eq!(files(copies, "glb").len(), tiles.len());
+        assert_eq!(glbs(copies).len(), tiles.len());
         for tile in &tiles {
             let copy = copies.join(tile.strip_prefix(tree).unwrap());
             assert!(std::fs::read(tile).unwrap() == std::fs::read(&copy).unwrap(), "{}", copy.display());

@@ -1,32 +1,20 @@
 //! Picks and motion of a frame, compared with the host's own arithmetic.
 
-mod cameras;
 mod costs;
 pub mod flight;
-pub mod outputs;
 pub mod truth;
 
+use crate::orthographic;
 use crate::scene_settings::{HIDDEN, USUAL};
-use crate::scenes::{appended, depth_image};
-use crate::stage::{
-    assert_same, camera, guest, guest_of_small_bindings, options, owned, rendered, with_host,
-};
-use ashsplat::ash::vk;
+use crate::scenes::appended;
+use crate::stage::*;
 use ashsplat::kernels::constants::NOT_PICKED;
-use ashsplat::scene::{Camera, CutOut, DepthMapping, Inside, Pose, Volume};
-use ashsplat::vk::{Image, ImageState, ImageUse};
-use ashsplat::{
-    Blending, DeviceScene, HostImage, MotionTarget, Occluder, PickTarget, Placed, RecordedFrame,
-    RenderSettings, Renderer, Reservation, SceneSettings,
-};
-use glam::{Mat3, Quat, Vec3};
-use truth::{SIZE, Screens, Truth, WRITTEN, ball, both, round, shifted, turned};
+use truth::{SIZE, Screens, Truth, ball, both, round, shifted, turned};
 
 /// Four Gaussians at known positions: the picked one, its depth, its weight, its motion.
 #[test]
 fn picks_and_motion_of_a_scene_on_paper() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let view = Camera { cx: 40.5, cy: 35.5, ..camera(0.0, SIZE[0], SIZE[1]) };
         let screens = Screens::new(host, &context, SIZE);
         // Opacity 0.2 in front of 0.9 at the pixel (40, 35): weights of 0.2 and 0.72. Also 0.6 in front of 0.9:
@@ -40,15 +28,14 @@ fn picks_and_motion_of_a_scene_on_paper() {
             &ball(&view, [0.0, 0.0, 6.0], [0.1, 0.9]),
             &ball(&view, [right(5.0), 0.0, 5.0], [0.1, 0.9]),
         );
-        let scenes = [&first, &second].map(|part| DeviceScene::upload(&context, part, 0).expect("a scene"));
+        let scenes = [&first, &second].map(|part| uploaded(&context, part));
         let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
-        let settings = RenderSettings::default();
         for form in Blending::ALL {
             let mut renderer = Renderer::new(&context).expect("kernels");
             renderer.set_blending(form);
             let wanted = Reservation { scenes: 2, ..Reservation::new(4, 0, SIZE[0], SIZE[1]) };
             renderer.reserve(&both(wanted)).expect("memory");
-            let frame = RecordedFrame::new(&placed, &view, &settings);
+            let frame = frame_of(&placed, &view);
             let at = |[x, y]: [u32; 2]| (y * SIZE[0] + x) as usize;
             // The camera moved right by 0.1, so everything moves to the left, near things faster.
             let before = shifted(&view, [-0.1, 0.0, 0.0]);
@@ -87,20 +74,17 @@ fn picks_and_motion_of_a_scene_on_paper() {
             let expected = -0.72 * view.fy * 0.5 / 6.0 / 0.92;
             assert!(x.abs() < 1e-3 && (y - expected).abs() < 5e-3 * expected.abs(), "{x} {y}, {expected}");
         }
-        screens.destroy();
     });
 }
 
 /// Random scenes, drawn in every way that a frame allows.
 #[test]
 fn picks_and_motion_of_random_scenes() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let view = camera(0.3, SIZE[0], SIZE[1]);
         let before = turned(&shifted(&view, [0.05, -0.02, 0.1]), -0.03);
         let parts = [round(300, 1), round(257, 2), round(200, 3)];
-        let scenes: Vec<_> =
-            parts.iter().map(|part| DeviceScene::upload(&context, part, 0).expect("a scene")).collect();
+        let scenes: Vec<_> = parts.iter().map(|part| uploaded(&context, part)).collect();
         let screens = Screens::new(host, &context, SIZE);
         let pose = |angle: f32, x: f32, scale| Pose {
             world_from_object: Mat3::from_quat(Quat::from_rotation_z(angle)),
@@ -111,7 +95,6 @@ fn picks_and_motion_of_random_scenes() {
             [Pose::IDENTITY, pose(0.5, 0.3, 1.25), pose(-0.25, -0.2, 0.75)],
             [Pose::IDENTITY, pose(0.45, 0.35, 1.25), pose(-0.25, -0.2, 0.8)],
         );
-        let settings = RenderSettings::default();
         let mut colors = Vec::new();
         for form in Blending::ALL {
             let mut renderer = Renderer::new(&context).expect("kernels");
@@ -129,7 +112,7 @@ fn picks_and_motion_of_random_scenes() {
             };
             let of = |i: usize| (i as u32, &parts[i], poses[i], earlier[i]);
             let all = placed([USUAL; 3]);
-            let frame = RecordedFrame::new(&all, &view, &settings);
+            let frame = frame_of(&all, &view);
             let shot = screens.shot(&mut renderer, &frame, &before);
             let truth = Truth::new(&[of(0), of(1), of(2)], [&view, &before]);
             let covered = truth.check(&shot, SIZE);
@@ -137,9 +120,9 @@ fn picks_and_motion_of_random_scenes() {
             // Picks and motion leave the picture's bits, and each alone equals both.
             let plain = rendered(host, &mut renderer, &frame);
             assert!(plain == shot.pixels, "{form:?}: the picture changes");
-            let pick = RecordedFrame { pick: Some(PickTarget { to: screens.to(0) }), ..frame };
+            let pick = RecordedFrame { pick: Some(screens.pick()), ..frame };
             assert!(rendered(host, &mut renderer, &pick) == plain);
-            assert!(screens.read::<[u32; 4]>(0) == shot.picks);
+            assert!(screens.picks() == shot.picks);
             let motion = RecordedFrame { motion: Some(screens.motion(&before)), ..frame };
             assert!(rendered(host, &mut renderer, &motion) == plain);
             assert!(screens.motions() == shot.motions);
@@ -154,11 +137,8 @@ fn picks_and_motion_of_random_scenes() {
             }
             // Behind the host's wall.
             let wall = 4.1;
-            let (texture, state) = depth_image(host, SIZE, 0.1 / wall);
-            // SAFETY: the description matches the image, which outlives the frame.
-            let image = unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Occluder) };
-            let image = image.expect("adopted");
-            let depth = HostImage { image: &image, from: state, offset: [0; 2] };
+            let picture = Picture::of_depth(host, &context, SIZE, 0.1 / wall);
+            let depth = host_image(&picture.image, COPIED);
             let mapping = DepthMapping { scale: 10.0, offset: 0.0, clear_value: 0.0, linear: false };
             let hidden = RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..frame };
             let shot = screens.shot(&mut renderer, &hidden, &before);
@@ -167,13 +147,10 @@ fn picks_and_motion_of_random_scenes() {
             let left = truth.check(&shot, SIZE);
             assert!(left > 500 && left < covered, "{left} of {covered}");
             rendered(host, &mut renderer, &frame);
-            drop(image);
-            texture.destroy(host);
             colors.push((shot.picks, shot.motions));
         }
         // Both forms blend identically.
         assert!(colors[0] == colors[1]);
-        screens.destroy();
     });
 }
 
@@ -186,17 +163,15 @@ fn picks_and_motion_go_on_from_chunk_to_chunk() {
         let view = camera(0.3, size[0], size[1]);
         let before = shifted(&view, [0.05, 0.0, 0.02]);
         let part = round(2500, 6);
-        let scene = DeviceScene::upload(&context, &part, 0).expect("a scene");
+        let scene = uploaded(&context, &part);
         assert!(scene.plan().chunks > 1);
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&both(Reservation::new(2500, 0, size[0], size[1]))).expect("memory");
+        let mut renderer = reserved(&context, &both(Reservation::new(2500, 0, size[0], size[1])));
         let screens = Screens::new(host, &context, size);
-        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
-        let shot = screens.shot(&mut renderer, &RecordedFrame::new(&placed, &view, &settings), &before);
+        let placed = [Placed::from(&scene)];
+        let shot = screens.shot(&mut renderer, &frame_of(&placed, &view), &before);
         let truth = Truth::new(&[(0, &part, Pose::IDENTITY, Pose::IDENTITY)], [&view, &before]);
         assert!(truth.check(&shot, size) > 2000);
         assert!(shot.picks.iter().any(|pick| pick[0] > 2400 && pick[0] < 2500), "none of the last chunk");
-        screens.destroy();
     });
 }
 
@@ -206,15 +181,13 @@ fn picks_and_motion_go_on_from_chunk_to_chunk() {
 fn picks_know_a_thousand_scenes() {
     const COLUMNS: u32 = 44;
     const SCENES: u32 = 25 * COLUMNS;
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let (width, height) = (4 * COLUMNS, 100);
         let view = Camera { cx: 0.5, cy: 0.5, ..camera(0.0, width, height) };
         let small = ball(&view, [0.0, 0.0, 4.0], [0.001, 0.9]);
-        let scene = DeviceScene::upload(&context, &small, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
+        let scene = uploaded(&context, &small);
         let wanted = Reservation { scenes: SCENES, ..Reservation::new(SCENES, 0, width, height) };
-        renderer.reserve(&Reservation { pick: true, ..wanted }).expect("memory");
+        let mut renderer = reserved(&context, &Reservation { pick: true, ..wanted });
         let screens = Screens::new(host, &context, [width, height]);
         let place = |scene: u32| [4 * (scene % COLUMNS) + 2, 4 * (scene / COLUMNS) + 1];
         let is_hidden = |scene: u32| scene.is_multiple_of(10) || (1020..1030).contains(&scene);
@@ -227,17 +200,16 @@ fn picks_know_a_thousand_scenes() {
             })
             .collect();
         let settings = RenderSettings::default();
-        let pick = Some(PickTarget { to: screens.to(0) });
+        let pick = Some(screens.pick());
         let frame = RecordedFrame { pick, ..RecordedFrame::new(&placed, &view, &settings) };
         rendered(host, &mut renderer, &frame);
-        let picks = screens.read::<[u32; 4]>(0);
+        let picks = screens.picks();
         for index in 0..SCENES {
             let [x, y] = place(index);
             let [gaussian, found, ..] = picks[(y * width + x) as usize];
             let expected = if is_hidden(index) { [NOT_PICKED; 2] } else { [0, index] };
             assert_eq!([gaussian, found], expected, "scene {index}");
         }
-        screens.destroy();
     });
 }
 
@@ -245,14 +217,12 @@ fn picks_know_a_thousand_scenes() {
 /// scene.
 #[test]
 fn picks_know_scenes_in_ways_of_their_own() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let view = camera(0.3, SIZE[0], SIZE[1]);
         let part = round(400, 4);
-        let scene = DeviceScene::upload(&context, &part, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
+        let scene = uploaded(&context, &part);
         let wanted = Reservation::new(400, 0, SIZE[0], SIZE[1]);
-        renderer.reserve(&both(Reservation { cut_outs: 1, tint: true, ..wanted })).expect("memory");
+        let mut renderer = reserved(&context, &both(Reservation { cut_outs: 1, tint: true, ..wanted }));
         let screens = Screens::new(host, &context, SIZE);
         let volume = Volume::Ellipsoid { radii: Vec3::splat(0.8) };
         let cut_outs = [CutOut { volume, pose: Pose::IDENTITY, inside: Inside::Removed }];
@@ -273,24 +243,21 @@ fn picks_know_scenes_in_ways_of_their_own() {
         let mut truth = Truth::new(&[(0, &kept, Pose::IDENTITY, Pose::IDENTITY)], [&view, &view]);
         truth.who = left.iter().map(|&i| (i, 0, [0.0; 2])).collect();
         assert!(truth.check(&shot, SIZE) > 1000);
-        screens.destroy();
     });
 }
 
 /// A part of a larger image, its previous contents, and pixels with little coverage.
 #[test]
 fn picks_and_motion_go_into_a_part_of_an_image() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let view = camera(0.3, 48, 33);
         let before = shifted(&view, [0.1, 0.0, 0.0]);
         let part = round(60, 5);
-        let scene = DeviceScene::upload(&context, &part, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&both(Reservation::new(60, 0, 48, 33))).expect("memory");
+        let scene = uploaded(&context, &part);
+        let mut renderer = reserved(&context, &both(Reservation::new(60, 0, 48, 33)));
         let (whole, own) = (Screens::new(host, &context, SIZE), Screens::new(host, &context, [48, 33]));
-        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
-        let frame = RecordedFrame::new(&placed, &view, &settings);
+        let placed = [Placed::from(&scene)];
+        let frame = frame_of(&placed, &view);
         let shot = own.shot(&mut renderer, &frame, &before);
         // First the whole image, then a part over its contents.
         let large = camera(0.3, SIZE[0], SIZE[1]);
@@ -298,19 +265,14 @@ fn picks_and_motion_go_into_a_part_of_an_image() {
         renderer.reserve(&both(Reservation::new(60, 0, SIZE[0], SIZE[1]))).expect("memory");
         let mut motion = whole.motion(&large);
         motion.empty = Some([3.0, -4.0]);
-        let all = RecordedFrame {
-            pick: Some(PickTarget { to: whole.to(0) }),
-            motion: Some(motion),
-            ..RecordedFrame::new(&cleared, &large, &settings)
-        };
+        let all =
+            RecordedFrame { pick: Some(whole.pick()), motion: Some(motion), ..frame_of(&cleared, &large) };
         rendered(host, &mut renderer, &all);
         assert!(whole.motions().iter().all(|motion| *motion == [3.0, -4.0]));
         let offset = [29, 31];
-        let read = (vk::ImageLayout::TRANSFER_SRC_OPTIMAL, vk::PipelineStageFlags2::ALL_TRANSFER);
-        let from = ImageState { layout: read.0, stages: read.1, accesses: vk::AccessFlags2::NONE };
         // The motion image was read last. The picks are still in the state of their write.
         let motion = MotionTarget {
-            to: HostImage { from, offset, ..whole.to(1) },
+            to: HostImage { from: READ, offset, ..whole.to(1) },
             min_weight: 0.5,
             empty: None,
             ..whole.motion(&before)
@@ -319,7 +281,7 @@ fn picks_and_motion_go_into_a_part_of_an_image() {
         let pixels =
             rendered(host, &mut renderer, &RecordedFrame { pick: Some(pick), motion: Some(motion), ..frame });
         assert!(pixels == shot.pixels);
-        let (picks, motions): (Vec<[u32; 4]>, _) = (whole.read(0), whole.motions());
+        let (picks, motions) = (whole.picks(), whole.motions());
         let mut kinds = [0; 3];
         for (index, (pick, motion)) in picks.into_iter().zip(motions).enumerate() {
             let [x, y] = [index as u32 % SIZE[0], index as u32 / SIZE[0]];
@@ -336,18 +298,15 @@ fn picks_and_motion_go_into_a_part_of_an_image() {
             assert_eq!(motion, if kind == 2 { shot.motions[place] } else { [3.0, -4.0] }, "({x}, {y})");
         }
         assert!(kinds.iter().all(|&count| count > 50), "{kinds:?}");
-        whole.destroy();
-        own.destroy();
     });
 }
 
 /// Refusals name the caller's field. Outputs that are not reserved take no memory.
 #[test]
 fn bad_picks_and_motions_are_refused_by_name() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let view = camera(0.3, SIZE[0], SIZE[1]);
-        let scene = DeviceScene::upload(&context, &round(60, 5), 0).expect("a scene");
+        let scene = uploaded(&context, &round(60, 5));
         let mut renderer = Renderer::new(&context).expect("kernels");
         let plain = Reservation::new(60, 0, SIZE[0], SIZE[1]);
         let bytes = |wanted: &Reservation| renderer.reservation_bytes(wanted).expect("bytes");
@@ -356,8 +315,8 @@ fn bad_picks_and_motions_are_refused_by_name() {
         assert!((16 * pixels..16 * pixels + 4096).contains(&more), "{more}");
         let screens = Screens::new(host, &context, SIZE);
         let small = Screens::new(host, &context, [SIZE[0], SIZE[1] - 1]);
-        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
-        let good = RecordedFrame::new(&placed, &view, &settings);
+        let placed = [Placed::from(&scene)];
+        let good = frame_of(&placed, &view);
         let pick = |to| RecordedFrame { pick: Some(PickTarget { to }), ..good };
         let usual = screens.motion(&view);
         let motion = |motion| RecordedFrame { motion: Some(motion), ..good };
@@ -365,22 +324,16 @@ fn bad_picks_and_motions_are_refused_by_name() {
         let nowhere = Camera { fx: f32::NAN, ..view };
         let lost = Pose { translation: Vec3::NAN, ..Pose::IDENTITY };
         let lost = [Placed { previous_pose: Some(lost), ..placed[0] }];
-        let refused = |renderer: &mut Renderer, frame: &RecordedFrame<'_>, expected: &str| {
-            let in_flight = crate::host::InFlight::new(host).expect("a command buffer");
-            in_flight.begin(host).expect("recording");
-            let commands = crate::stage::adopt(&context, &in_flight);
-            let error = renderer.record(commands, 0, frame).expect_err(expected);
-            assert!(matches!(error, ashsplat::Error::Argument { .. }), "{error:?}");
-            assert!(error.to_string().contains(expected), "{error} (expected {expected})");
-            in_flight.destroy(host);
+        let assert_refused = |renderer: &mut Renderer, frame: &RecordedFrame<'_>, expected: &str| {
+            assert_argument(&refused(host, renderer, frame), expected);
         };
         renderer.reserve(&plain).expect("memory");
-        refused(
+        assert_refused(
             &mut renderer,
             &pick(screens.to(0)),
             "Reservation::pick: not reserved, and the frame needs it",
         );
-        refused(&mut renderer, &motion(usual), "Reservation::motion: not reserved");
+        assert_refused(&mut renderer, &motion(usual), "Reservation::motion: not reserved");
         renderer.reserve(&both(plain)).expect("memory");
         let bad = [
             (pick(screens.to(1)), "pick (image 'beside'): it was adopted for Motion, not for Pick"),
@@ -399,12 +352,130 @@ fn bad_picks_and_motions_are_refused_by_name() {
             (RecordedFrame { scenes: &lost, ..good }, "scenes[0].previous_pose"),
         ];
         for (frame, expected) in bad {
-            refused(&mut renderer, &frame, expected);
+            assert_refused(&mut renderer, &frame, expected);
         }
         // Nothing was recorded, and the renderer still works.
         let shot = screens.shot(&mut renderer, &good, &view);
-        assert_same(&shot.pixels, &owned(&round(60, 5), &view, &settings), [0.0; 3]);
-        screens.destroy();
-        small.destroy();
+        assert_same(&shot.pixels, &owned(&round(60, 5), &view, &SETTINGS));
+    });
+}
+
+/// Orthographic camera with the pixels per unit of a pinhole at a distance of 4.
+fn parallel(camera: &Camera) -> Camera {
+    Camera { fx: camera.fx / 4.0, fy: camera.fy / 4.0, ..camera.orthographic() }
+}
+
+/// Orthographic cameras in this frame, in the previous one, and in both.
+#[test]
+fn picks_and_motion_of_orthographic_cameras() {
+    with_guest(|host, context| {
+        let view = camera(0.3, SIZE[0], SIZE[1]);
+        let before = turned(&shifted(&view, [0.05, -0.02, 0.1]), -0.03);
+        let parts = [round(300, 1), round(257, 2)];
+        let scenes = parts.each_ref().map(|part| uploaded(&context, part));
+        let pose = |angle, scale| Pose {
+            world_from_object: Mat3::from_rotation_z(angle),
+            translation: Vec3::new(0.3, 0.1, -0.3),
+            scale,
+        };
+        let poses = [[Pose::IDENTITY; 2], [pose(0.5, 1.25), pose(0.45, 1.2)]];
+        let place =
+            |i: usize| Placed { previous_pose: Some(poses[i][1]), ..Placed::at(&scenes[i], poses[i][0]) };
+        let placed = [place(0), place(1)];
+        let of = |i: usize| (i as u32, &parts[i], poses[i][0], poses[i][1]);
+        let screens = Screens::new(host, &context, SIZE);
+        for form in Blending::ALL {
+            let mut renderer = Renderer::new(&context).expect("kernels");
+            renderer.set_blending(form);
+            let wanted =
+                Reservation { scenes: 2, orthographic: true, ..Reservation::new(557, 0, SIZE[0], SIZE[1]) };
+            renderer.reserve(&both(wanted)).expect("memory");
+            let pairs =
+                [(parallel(&view), parallel(&before)), (parallel(&view), before), (view, parallel(&before))];
+            for (now, before) in &pairs {
+                let frame = frame_of(&placed, now);
+                let shot = screens.shot(&mut renderer, &frame, before);
+                let covered = Truth::new(&[of(0), of(1)], [now, before]).check(&shot, SIZE);
+                assert!(covered > 1500, "{covered}");
+            }
+            let now = parallel(&view);
+            let still = [0, 1].map(|i| Placed::at(&scenes[i], poses[i][0]));
+            let shot = screens.shot(&mut renderer, &frame_of(&still, &now), &now);
+            assert!(shot.motions.iter().all(|motion| *motion == [0.0; 2]), "what stands still moves");
+        }
+    });
+}
+
+/// The depth of a pick, through the host's mapping, equals that of the host's matrices.
+#[test]
+fn picks_have_the_depth_of_an_orthographic_host() {
+    with_guest(|host, context| {
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let size = orthographic::SIZE;
+        let wanted =
+            Reservation { pick: true, orthographic: true, ..Reservation::new(2, 0, size[0], size[1]) };
+        renderer.reserve(&wanted).expect("memory");
+        let screens = Screens::new(host, &context, size);
+        for reversed in [false, true] {
+            let matrices = orthographic::view(reversed);
+            let (view, mapping) = matrices.camera().expect("a camera");
+            // In front of the eye, and behind it, where the near plane lies.
+            for z in [1.0, 5.0] {
+                let one = ball(&view, [0.2, -0.15, z], [0.1, 0.9]);
+                let mean = Vec3::from(one.means[0]);
+                let scene = uploaded(&context, &one);
+                let placed = [Placed::from(&scene)];
+                let pick = Some(screens.pick());
+                let frame = RecordedFrame { pick, ..frame_of(&placed, &view) };
+                rendered(host, &mut renderer, &frame);
+                let (x, y, _) = view.project(mean);
+                let [gaussian, scene, depth, _] = screens.picks()[(y as u32 * size[0] + x as u32) as usize];
+                let clip = matrices.clip_from_view * matrices.view_from_world * mean.extend(1.0);
+                let found = mapping.depth(f32::from_bits(depth));
+                assert_eq!([gaussian, scene], [0, 0]);
+                assert!((found - clip.z).abs() < 1e-5, "z {z}: {found}, {}", clip.z);
+            }
+        }
+    });
+}
+
+/// An orthographic previous camera must be reserved like a current one.
+#[test]
+fn an_orthographic_camera_before_is_reserved() {
+    with_guest(|host, context| {
+        let view = camera(0.3, SIZE[0], SIZE[1]);
+        let scene = uploaded(&context, &round(60, 5));
+        let mut renderer = reserved(&context, &both(Reservation::new(60, 0, SIZE[0], SIZE[1])));
+        let screens = Screens::new(host, &context, SIZE);
+        let (placed, before) = ([Placed::from(&scene)], parallel(&view));
+        let motion = Some(screens.motion(&before));
+        let frame = RecordedFrame { motion, ..frame_of(&placed, &view) };
+        let error = refused(host, &mut renderer, &frame).to_string();
+        assert_eq!(error, "Reservation::orthographic: not reserved, and the frame needs it");
+    });
+}
+
+/// The previous camera stood among the Gaussians. Those behind it have no motion. The motion of those near its plane
+/// is at most the picture's size.
+#[test]
+fn gaussians_that_the_earlier_camera_did_not_see_do_not_outweigh_others() {
+    with_guest(|host, context| {
+        let view = camera(0.3, SIZE[0], SIZE[1]);
+        let before = shifted(&view, [0.0, 0.0, 4.0]);
+        let part = round(400, 7);
+        let scene = uploaded(&context, &part);
+        let mut renderer = reserved(&context, &both(Reservation::new(400, 0, SIZE[0], SIZE[1])));
+        let screens = Screens::new(host, &context, SIZE);
+        let placed = [Placed::from(&scene)];
+        let shot = screens.shot(&mut renderer, &frame_of(&placed, &view), &before);
+        let truth = Truth::new(&[(0, &part, Pose::IDENTITY, Pose::IDENTITY)], [&view, &before]);
+        let count =
+            |is: &dyn Fn([f64; 2]) -> bool| truth.who.iter().filter(|(.., motion)| is(*motion)).count();
+        let [w, h] = SIZE.map(f64::from);
+        let (unknown, cut) = (count(&|m| m == [0.0; 2]), count(&|[x, y]| x.abs() == w || y.abs() == h));
+        assert!(unknown > 100 && cut > 20, "{unknown} behind, {cut} cut");
+        assert!(truth.check(&shot, SIZE) > 1500);
+        assert!(shot.picks.iter().any(|pick| pick[1] != NOT_PICKED));
+        assert!(shot.motions.iter().all(|[x, y]| f64::from(x.abs()) <= w && f64::from(y.abs()) <= h));
     });
 }

@@ -2,17 +2,8 @@
 
 use crate::array_image::ArrayImage;
 use crate::cost::record_cost;
-use crate::host::HostOptions;
-use crate::memory::HostBuffer;
 use crate::scenes::planes;
-use crate::stage::{camera, cloud, guest, guest_of_small_bindings, options, rendered, with_host};
-use crate::views::{BLACK, into, render_views};
-use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
-use ashsplat::vk::{Buffer, Context, Image, MemoryKind};
-use ashsplat::{
-    DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings, Selection,
-};
-use glam::{Mat3, Quat, Vec3};
+use crate::stage::*;
 
 /// Gaussian counts of many sizes: none, a part of a block, a block, several blocks. One scene has more than a batch
 /// takes.
@@ -27,9 +18,9 @@ fn clouds() -> Vec<Gaussians> {
 }
 
 /// Uploads scenes to few buffers, and again each to its own buffer.
-fn uploaded(context: &Context, clouds: &[Gaussians]) -> [Vec<DeviceScene>; 2] {
+fn each_way(context: &Context, clouds: &[Gaussians]) -> [Vec<DeviceScene>; 2] {
     let together = DeviceScene::upload_all(context, &clouds.iter().collect::<Vec<_>>()).expect("scenes");
-    let apart = clouds.iter().map(|cloud| DeviceScene::upload(context, cloud, 0).expect("a scene"));
+    let apart = clouds.iter().map(|cloud| uploaded(context, cloud));
     [together, apart.collect()]
 }
 
@@ -47,20 +38,13 @@ fn pose(number: usize) -> Pose {
     }
 }
 
-fn renderer(context: &Context, wanted: &Reservation) -> Renderer {
-    let mut renderer = Renderer::new(context).expect("kernels");
-    renderer.reserve(wanted).expect("memory");
-    renderer
-}
-
 /// Poses, scales, tints, degrees, cut-outs, a selection, hidden scenes, and some scenes from a separate buffer among
 /// the others.
 #[test]
 fn batches_have_the_bits_of_single_scenes() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let clouds = clouds();
-        let [together, apart] = uploaded(&context, &clouds);
+        let [together, apart] = each_way(&context, &clouds);
         let gaussians: usize = clouds.iter().map(Gaussians::len).sum();
         let wanted = Reservation {
             scenes: clouds.len() as u32,
@@ -71,12 +55,11 @@ fn batches_have_the_bits_of_single_scenes() {
             orthographic: true,
             ..Reservation::new(gaussians as u32, 1, 110, 70)
         };
-        let mut renderer = renderer(&context, &wanted);
+        let mut renderer = reserved(&context, &wanted);
         let volume = Volume::Ellipsoid { radii: Vec3::splat(0.5) };
         let cut_outs = [CutOut { volume, pose: Pose::IDENTITY, inside: Inside::Removed }; 2];
-        let mask = context.allocate("selection", &[("mask", 1024)], MemoryKind::Device).expect("memory");
-        context.upload(&mask[0], &[0x55; 1024]).expect("uploaded");
-        let selection = Some(Selection { mask: &mask[0], color: [1.0, 0.5, 0.0], share: 0.5 });
+        let mask = mask_of(&context, &[0x55; 1024]);
+        let selection = Some(Selection { mask: &mask, color: [1.0, 0.5, 0.0], share: 0.5 });
         let settings = |number: usize| match number % 11 {
             2 | 3 => SceneSettings { tint: [1.0, 0.5, 0.25], opacity: 0.75, ..SceneSettings::default() },
             4 => SceneSettings { cut_outs: &cut_outs[..1 + number % 2], ..SceneSettings::default() },
@@ -104,7 +87,7 @@ fn batches_have_the_bits_of_single_scenes() {
                 });
                 let placed: Vec<Placed> = placed.collect();
                 pictures.push(rendered(host, &mut renderer, &RecordedFrame::new(&placed, camera, own)));
-                let report = renderer.slot_report(0).expect("a report").expect("finished");
+                let report = report_of(&mut renderer, 0);
                 assert!(report.visible > 1000 && !report.overflow, "{report:?}");
                 // Three batches: 25 scenes, 15 of SH degree 0, 10 with a tint. The others are in separate buffers,
                 // hidden, selected, too large, or too few.
@@ -120,56 +103,42 @@ fn batches_have_the_bits_of_single_scenes() {
 /// descriptors.
 #[test]
 fn batches_of_instances_are_seen_by_several_views() {
-    for push_descriptors in [true, false] {
-        with_host(&HostOptions { push_descriptors, ..options() }, |host| {
-            let context = guest(host);
-            let cloud = cloud(70, 4);
-            let scene = DeviceScene::upload(&context, &cloud, 0).expect("a scene");
-            let apart: Vec<_> =
-                (0..12).map(|_| DeviceScene::upload(&context, &cloud, 0).expect("a scene")).collect();
-            let left = camera(0.3, 48, 40).moved_aside([-1.0, 0.0]);
-            let eyes = [left, left.moved_aside([2.0, 0.1])];
-            let array = ArrayImage::new(host, [48, 40], 2);
-            let layers: Vec<Image> = (0..2).map(|layer| array.adopt(&context, layer)).collect();
-            let settings = RenderSettings::default();
-            let mut pictures = Vec::new();
-            for (shared_sort, is_apart) in [(false, true), (false, false), (true, false), (true, true)] {
-                let own = Reservation::new(12 * 70, 1, 48, 40);
-                let wanted = Reservation { scenes: 12, views: 2, images_only: true, shared_sort, ..own };
-                let mut renderer = renderer(&context, &wanted);
-                let place =
-                    |number: usize| Placed::at(if is_apart { &apart[number] } else { &scene }, pose(number));
-                let placed: Vec<Placed> = (0..12).map(place).collect();
-                let frames = [0, 1].map(|eye| RecordedFrame {
-                    target: into(&layers[eye], BLACK, [0; 2]),
-                    ..RecordedFrame::new(&placed, &eyes[eye], &settings)
-                });
-                render_views(host, &mut renderer, &frames);
-                let report = renderer.slot_report(0).expect("a report").expect("finished");
-                assert_eq!(report.batched_scenes, if is_apart { 0 } else { 24 });
-                assert_eq!(report.sorts, if shared_sort { 1 } else { 2 });
-                assert!(report.visible > 500, "{report:?}");
-                pictures.push(array.read(host));
-            }
-            assert!(
-                pictures.iter().all(|picture| *picture == pictures[0]) && pictures[0][0] != pictures[0][1]
-            );
-            drop(layers);
-            array.destroy(host);
-        });
-    }
+    with_each_guest(|host, context| {
+        let cloud = cloud(70, 4);
+        let scene = uploaded(&context, &cloud);
+        let apart: Vec<_> = (0..12).map(|_| uploaded(&context, &cloud)).collect();
+        let left = camera(0.3, 48, 40).moved_aside([-1.0, 0.0]);
+        let eyes = [left, left.moved_aside([2.0, 0.1])];
+        let array = ArrayImage::new(host, &context, [48, 40], 2);
+        let mut pictures = Vec::new();
+        for (shared_sort, is_apart) in [(false, true), (false, false), (true, false), (true, true)] {
+            let own = Reservation::new(12 * 70, 1, 48, 40);
+            let wanted = Reservation { scenes: 12, views: 2, images_only: true, shared_sort, ..own };
+            let mut renderer = reserved(&context, &wanted);
+            let place =
+                |number: usize| Placed::at(if is_apart { &apart[number] } else { &scene }, pose(number));
+            let placed: Vec<Placed> = (0..12).map(place).collect();
+            let frames = array.frames(&placed, &eyes);
+            render_views(host, &mut renderer, &frames);
+            let report = report_of(&mut renderer, 0);
+            assert_eq!(report.batched_scenes, if is_apart { 0 } else { 24 });
+            assert_eq!(report.sorts, if shared_sort { 1 } else { 2 });
+            assert!(report.visible > 500, "{report:?}");
+            pictures.push(array.read());
+        }
+        assert!(pictures.iter().all(|picture| *picture == pictures[0]) && pictures[0][0] != pictures[0][1]);
+    });
 }
 
 /// A host's scenes are batched as ranges of one adopted buffer. Adopted one by one, they are drawn alone and look
 /// the same.
 #[test]
 fn batches_of_a_hosts_buffer_are_of_one_adoption() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let clouds: Vec<_> = (0..12).map(|number| cloud(20, number)).collect();
         let plan = DeviceScene::plan_for(&context, 20, 1).expect("a plan");
         let stride = plan.chunk_bytes().next_multiple_of(256);
-        let own = HostBuffer::new(host, 12 * stride).expect("memory");
+        let own = Staging::new(host, 12 * stride);
         // SAFETY: the buffer is the host's, of this size, and outlives the scenes. Uses of overlapping ranges are apart in time.
         let adopt = |offset, bytes| unsafe { Buffer::adopt(&context, "scenes", own.raw, offset, bytes) };
         let whole = adopt(0, 12 * stride).expect("adopted");
@@ -186,20 +155,19 @@ fn batches_of_a_hosts_buffer_are_of_one_adoption() {
             (0..).zip(&clouds).map(scene).collect::<Vec<_>>()
         });
         let wanted = Reservation { scenes: 12, ..Reservation::new(12 * 20, 1, 64, 48) };
-        let mut renderer = renderer(&context, &wanted);
-        let (camera, settings) = (camera(0.3, 64, 48), RenderSettings::default());
+        let mut renderer = reserved(&context, &wanted);
+        let camera = camera(0.3, 64, 48);
         let pictures = [0, 1].map(|which| {
             let placed = scenes[which].iter().enumerate();
             let placed: Vec<Placed> = placed.map(|(number, scene)| Placed::at(scene, pose(number))).collect();
-            let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
-            let report = renderer.slot_report(0).expect("a report").expect("finished");
+            let pixels = rendered(host, &mut renderer, &frame_of(&placed, &camera));
+            let report = report_of(&mut renderer, 0);
             assert!(report.visible > 100, "{report:?}");
             assert_eq!(report.batched_scenes, [12, 0][which]);
             pixels
         });
         assert!(pictures[0] == pictures[1]);
         drop((renderer, scenes, whole));
-        own.destroy(host);
     });
 }
 
@@ -222,14 +190,14 @@ fn batches_fit_what_can_be_bound() {
         // One scene has two chunks.
         let clouds: Vec<_> =
             (0..20).map(|number| cloud(if number == 3 { 600 } else { 20 }, number)).collect();
-        let [together, apart] = uploaded(&context, &clouds);
+        let [together, apart] = each_way(&context, &clouds);
         let wanted = Reservation { scenes: 20, ..Reservation::new(980, 1, 64, 48) };
-        let mut renderer = renderer(&context, &wanted);
-        let (camera, settings) = (camera(0.3, 64, 48), RenderSettings::default());
+        let mut renderer = reserved(&context, &wanted);
+        let camera = camera(0.3, 64, 48);
         let pictures = [&together, &apart].map(|scenes| {
             let placed = scenes.iter().enumerate().map(|(number, scene)| Placed::at(scene, pose(number)));
             let placed: Vec<Placed> = placed.collect();
-            rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings))
+            rendered(host, &mut renderer, &frame_of(&placed, &camera))
         });
         assert!(pictures[0] == pictures[1]);
         for (scene, cloud) in together.iter().zip(&clouds) {

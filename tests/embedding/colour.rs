@@ -1,29 +1,53 @@
 //! Contents of a host's images: their formats, and linear light. The expected values are the twin of `compose` over
 //! the frame's own pixels.
 
-mod formats;
-
-use self::formats::{BELOW, cleared, is_srgb, rounding, unorm_steps};
-use crate::host::{Host, InFlight};
-use crate::memory::{HostBuffer, HostTexture, Use};
-use crate::stage::{adopt, camera, cloud, guest, options, rendered, with_host};
-use ashsplat::ash::vk::{self, Format};
-use ashsplat::compose::Compose;
-use ashsplat::vk::{Context, ContextOptions, Image, ImageState, ImageUse};
-use ashsplat::{
-    Background, Camera, ColorEncoding, DeviceScene, Gaussians, HostImage, RecordedFrame, RenderSettings,
-    Renderer, Reservation, Target,
-};
-use ashsplat_reference::compose_rgba32f::{compose, compose_linear, decode, encode};
+use crate::stage::*;
+use ashsplat::ash::vk::Format;
+use ashsplat::passes::compose::Compose;
+use ashsplat_reference::compose::{compose, compose_linear, decode, encode};
 
 const SIZE: [u32; 2] = [64, 48];
 const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
-const WRITTEN: Use = (
-    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-    vk::PipelineStageFlags2::ALL_TRANSFER,
-    vk::AccessFlags2::TRANSFER_WRITE,
-);
 const EXPOSED: ColorEncoding = ColorEncoding::LinearSrgb { exposure: 0.7 };
+
+/// Previous contents of the host's image; exact in formats of floats.
+const BELOW: [f32; 4] = [0.25, 0.5, 0.75, 1.0];
+/// The same for formats of codes. Neither the values nor their linear light lie midway between two codes, where
+/// devices may round either way.
+const BELOW_CODES: [f32; 4] = [79.0 / 255.0, 85.0 / 255.0, 177.0 / 255.0, 1.0];
+
+fn is_srgb(format: Format) -> bool {
+    matches!(format, Format::R8G8B8A8_SRGB | Format::B8G8R8A8_SRGB)
+}
+
+/// Largest rounding error of a format: half the distance between its values. The device's conversion to 16-bit
+/// floats may also truncate.
+fn rounding(format: Format, channel: usize, value: f64) -> f64 {
+    let float =
+        |mantissa: i32| 2f64.powi(-mantissa - 1) * 2f64.powf(value.max(2f64.powi(-14)).log2().floor());
+    match format {
+        Format::R32G32B32A32_SFLOAT => 0.0,
+        Format::R16G16B16A16_SFLOAT => 2.0 * float(10),
+        Format::B10G11R11_UFLOAT_PACK32 => float(if channel == 2 { 5 } else { 6 }),
+        Format::A2B10G10R10_UNORM_PACK32 if channel == 3 => 0.5 / 3.0,
+        Format::A2B10G10R10_UNORM_PACK32 => 0.5 / 1023.0,
+        _ => 0.5 / 255.0,
+    }
+}
+
+/// Number of steps between 0 and 1 of a normalised format.
+fn unorm_steps(format: Format) -> Option<f64> {
+    match format {
+        Format::B10G11R11_UFLOAT_PACK32 | Format::R16G16B16A16_SFLOAT | Format::R32G32B32A32_SFLOAT => None,
+        Format::A2B10G10R10_UNORM_PACK32 => Some(1023.0),
+        _ => Some(255.0),
+    }
+}
+
+/// Clear colour for an image of this format.
+fn cleared(format: Format) -> [f32; 4] {
+    if unorm_steps(format).is_some() { BELOW_CODES } else { BELOW }
+}
 
 /// A guest with a scene, and its blended pixels: premultiplied colours and transmittance.
 struct Scene {
@@ -37,9 +61,8 @@ struct Scene {
 impl Scene {
     fn new(host: &Host, gaussians: &Gaussians) -> Self {
         let context = guest(host);
-        let scene = DeviceScene::upload(&context, gaussians, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&Reservation::new(scene.count(), 1, SIZE[0], SIZE[1])).expect("memory");
+        let scene = uploaded(&context, gaussians);
+        let mut renderer = reserved(&context, &Reservation::new(scene.count(), 1, SIZE[0], SIZE[1]));
         let camera = camera(0.3, SIZE[0], SIZE[1]);
         let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
         let blended = rendered(host, &mut renderer, &RecordedFrame::new(&scenes, &camera, &settings));
@@ -55,52 +78,31 @@ impl Scene {
         onto: (Background, ColorEncoding),
         convert: bool,
     ) -> Vec<[f64; 4]> {
-        let transfer = vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
-        let usage = transfer | vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::COLOR_ATTACHMENT;
-        let texture = HostTexture::new(host, format, usage, SIZE).expect("an image");
-        let floats = HostTexture::new(
-            host,
-            Format::R32G32B32A32_SFLOAT,
-            transfer | vk::ImageUsageFlags::SAMPLED,
-            SIZE,
-        );
-        let floats = floats.expect("an image");
-        // SAFETY: the description matches the image, which outlives the view.
-        let image = unsafe { Image::adopt(&self.context, "target", &texture.foreign(), ImageUse::Target) };
-        let image = image.expect("adopted");
-        let (read_from, bytes) = if convert { (&floats, 16) } else { (&texture, texel_bytes(format)) };
-        let staging = HostBuffer::new(host, (PIXELS * bytes) as u64).expect("memory");
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        in_flight.begin(host).expect("recording");
-        clear(host, &in_flight, &texture);
-        let (layout, stages, accesses) = WRITTEN;
-        let from = ImageState { layout, stages, accesses };
-        let target = Target::Image {
-            to: HostImage { image: &image, from, offset: [0; 2] },
-            behind: onto.0,
-            encoding: onto.1,
+        let target = Picture::new(host, &self.context, ("target", ImageUse::Target), format, SIZE);
+        let copies = vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
+        let usage = copies | vk::ImageUsageFlags::SAMPLED;
+        let floats = Texture::new(host, Format::R32G32B32A32_SFLOAT, usage, SIZE);
+        let read_from = if convert { &floats } else { &target.texture };
+        let (staging, commands) = (read_from.staging(), Commands::new(host));
+        let adopted = commands.begun(&self.context);
+        target.texture.clear(commands.commands, ImageState::UNDEFINED, cleared(format));
+        let to = host_image(&target.image, COPIED);
+        let scenes = [(&self.scene).into()];
+        let frame = RecordedFrame {
+            target: Target::Image { to, behind: onto.0, encoding: onto.1 },
+            ..frame_of(&scenes, &self.camera)
         };
-        let (settings, scenes) = (RenderSettings::default(), [(&self.scene).into()]);
-        let frame = RecordedFrame { target, ..RecordedFrame::new(&scenes, &self.camera, &settings) };
-        let release = self.renderer.record(adopt(&self.context, &in_flight), 0, &frame).expect("a recording");
-        let left = release.color.expect("a target");
-        let mut left = (left.layout, left.stages, left.accesses);
+        let release = self.renderer.record(adopted, 0, &frame).expect("a recording");
+        let mut left = used(release.color.expect("a target"));
         if convert {
-            blit(host, &in_flight, [&texture, &floats], left);
-            left = WRITTEN;
+            blit(commands.commands, [&target.texture, &floats], left);
+            left = used(COPIED);
         }
-        read_from.record_read(host, in_flight.commands, left, &staging);
-        in_flight.submit(host).expect("a submission");
-        in_flight.wait(host).expect("done");
+        read_from.record_read(host, commands.commands, left, &staging);
+        commands.finish();
         self.renderer.release_slot(0).expect("finished");
-        let read = staging.read(host, PIXELS * bytes).expect("bytes");
-        drop(image);
-        staging.destroy(host);
-        in_flight.destroy(host);
-        texture.destroy(host);
-        floats.destroy(host);
-        let format = if convert { Format::R32G32B32A32_SFLOAT } else { format };
-        read.chunks_exact(bytes).map(|texel| texel_of(format, texel)).collect()
+        let bytes = texel_bytes(read_from.format) as usize;
+        staging.read::<u8>().chunks_exact(bytes).map(|texel| texel_of(read_from.format, texel)).collect()
     }
 
     /// Composes the frame's pixels over `below` with the twin.
@@ -118,28 +120,12 @@ impl Scene {
     }
 }
 
-fn clear(host: &Host, in_flight: &InFlight, texture: &HostTexture) {
-    let fresh = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
-    texture.barrier(host, in_flight.commands, fresh, WRITTEN);
-    let color = vk::ClearColorValue { float32: cleared(texture.format) };
-    let whole = vk::ImageSubresourceRange {
-        aspect_mask: texture.aspect,
-        level_count: 1,
-        layer_count: 1,
-        ..Default::default()
-    };
-    // SAFETY: recording state; the layout is as the barrier says.
-    unsafe {
-        host.device.cmd_clear_color_image(in_flight.commands, texture.image, WRITTEN.0, &color, &[whole])
-    }
-}
-
 /// Copies an image to one of another format. The device converts and decodes sRGB.
-fn blit(host: &Host, in_flight: &InFlight, [from, to]: [&HostTexture; 2], left: Use) {
-    let read = (vk::ImageLayout::TRANSFER_SRC_OPTIMAL, WRITTEN.1, vk::AccessFlags2::TRANSFER_READ);
-    let fresh = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
-    from.barrier(host, in_flight.commands, left, read);
-    to.barrier(host, in_flight.commands, fresh, WRITTEN);
+fn blit(commands: vk::CommandBuffer, [from, to]: [&Texture<'_>; 2], left: Use) {
+    let host = from.host;
+    let read = ImageState { accesses: vk::AccessFlags2::TRANSFER_READ, ..READ };
+    from.barrier(host, commands, left, used(read));
+    to.barrier(host, commands, used(ImageState::UNDEFINED), used(COPIED));
     let layers =
         vk::ImageSubresourceLayers { aspect_mask: from.aspect, layer_count: 1, ..Default::default() };
     let [x, y] = SIZE.map(|side| side as i32);
@@ -149,18 +135,10 @@ fn blit(host: &Host, in_flight: &InFlight, [from, to]: [&HostTexture; 2], left: 
         .dst_subresource(layers)
         .src_offsets(ends)
         .dst_offsets(ends);
+    let (filter, layouts) = (vk::Filter::NEAREST, (READ.layout, COPIED.layout));
     // SAFETY: recording state; the layouts are as the barriers say.
     unsafe {
-        let (commands, filter) = (in_flight.commands, vk::Filter::NEAREST);
-        host.device.cmd_blit_image(commands, from.image, read.0, to.image, WRITTEN.0, &[region], filter);
-    }
-}
-
-fn texel_bytes(format: Format) -> usize {
-    match format {
-        Format::R16G16B16A16_SFLOAT => 8,
-        Format::R32G32B32A32_SFLOAT => 16,
-        _ => 4,
+        host.device.cmd_blit_image(commands, from.image, layouts.0, to.image, layouts.1, &[region], filter);
     }
 }
 
@@ -330,54 +308,26 @@ fn what_was_trained_is_washed_out_unless_it_is_linear() {
 #[test]
 #[ignore = "a measurement"]
 fn what_linear_light_costs() {
-    with_host(&crate::host::HostOptions::default(), |host| {
-        // SAFETY: as in `guest`.
-        let context = unsafe { Context::from_foreign(&host.foreign(), &ContextOptions::default()) };
-        let context = context.expect("a context");
-        let scene = DeviceScene::upload(&context, &cloud(20_000, 3), 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&Reservation::new(scene.count(), 1, 1280, 720)).expect("memory");
-        let (usage, size) = (vk::ImageUsageFlags::STORAGE, [1280, 720]);
-        let texture = HostTexture::new(host, Format::R16G16B16A16_SFLOAT, usage, size).expect("an image");
-        // SAFETY: the description matches the image, which outlives the view.
-        let image = unsafe { Image::adopt(&context, "target", &texture.foreign(), ImageUse::Target) };
-        let image = image.expect("adopted");
-        let (camera, settings, scenes) =
-            (camera(0.3, 1280, 720), RenderSettings::default(), [(&scene).into()]);
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        let mut times = [[Vec::new(), Vec::new()], [Vec::new(), Vec::new()]];
-        let general = ImageState { layout: vk::ImageLayout::GENERAL, ..ImageState::UNDEFINED };
-        for round in 0..42 {
-            let encoding = [ColorEncoding::AsTrained, ColorEncoding::LINEAR][round % 2];
-            let from = if round == 0 { ImageState::UNDEFINED } else { general };
-            let behind = if round == 0 { Background::Nothing } else { Background::Image };
-            let to = HostImage { image: &image, from, offset: [0; 2] };
-            let frame = RecordedFrame {
-                target: Target::Image { to, behind, encoding },
-                ..RecordedFrame::new(&scenes, &camera, &settings)
-            };
-            in_flight.begin(host).expect("recording");
-            renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
-            in_flight.submit(host).expect("a submission");
-            in_flight.wait(host).expect("done");
-            let scopes = renderer.slot_report(0).expect("a report").expect("finished").scopes;
-            let compose = scopes.iter().filter(|scope| scope.name == "compose");
-            let [stage, whole] = &mut times[round % 2];
-            stage.push(compose.map(|scope| scope.nanoseconds).sum::<f64>());
-            whole.push(scopes.iter().filter(|scope| scope.depth == 0).map(|scope| scope.nanoseconds).sum());
-        }
-        let median = |times: &mut Vec<f64>| {
-            times.sort_by(f64::total_cmp);
-            times[times.len() / 2] / 1e6
-        };
-        let [trained, linear] = times.each_mut().map(|kinds| kinds.each_mut().map(median));
-        for (what, k) in [("compose", 0), ("the frame", 1)] {
-            let ratio = linear[k] / trained[k];
-            println!("{what}: {:.2} ms as trained, {:.2} ms linear, ratio {ratio:.2}", trained[k], linear[k]);
-        }
-        in_flight.destroy(host);
-        drop((renderer, image));
-        texture.destroy(host);
+    with_host(&HostOptions::default(), |host| {
+        let context = crate::cost::shipped(host, true);
+        let scene = uploaded(&context, &cloud(20_000, 3));
+        let mut renderer = reserved(&context, &Reservation::new(scene.count(), 1, 1280, 720));
+        let format = Format::R16G16B16A16_SFLOAT;
+        let target = Picture::new(host, &context, ("target", ImageUse::Target), format, [1280, 720]);
+        // Every frame leaves the image in this state.
+        let made = host.run(|commands| {
+            target.texture.barrier(host, commands, used(ImageState::UNDEFINED), used(WRITTEN));
+            Ok(())
+        });
+        made.expect("a layout");
+        let (camera, placed) = (camera(0.3, 1280, 720), [Placed::from(&scene)]);
+        let cases = [("as trained", ColorEncoding::AsTrained), ("linear", ColorEncoding::LINEAR)];
+        let cases = cases.map(|(name, encoding)| {
+            let to = host_image(&target.image, WRITTEN);
+            let target = Target::Image { to, behind: Background::Image, encoding };
+            (name, RecordedFrame { target, ..frame_of(&placed, &camera) })
+        });
+        crate::cost::print_stages(host, &mut renderer, &cases, &["compose"], 20);
     });
 }
 
@@ -408,7 +358,7 @@ fn pictures_of_the_guide() {
     // Over white in linear light: premultiplied colours decoded directly, and colours decoded before the product
     // with alpha.
     let camera = camera(0.6, 120, 106);
-    let frame = crate::stage::owned(&crate::guest::ring(), &camera, &RenderSettings::default());
+    let frame = owned(&crate::guest::ring(), &camera, &RenderSettings::default());
     let over_white = |light: &dyn Fn(f64, f64) -> f64| {
         let mut picture = image::RgbImage::new(camera.width, camera.height);
         for (pixel, (color, transmittance)) in

@@ -4,16 +4,8 @@
 
 use crate::auxiliary::truth::Screens;
 use crate::counting::allocations;
-use crate::host::{Host, HostOptions, InFlight};
-use crate::stage::{adopt, camera, cloud, options, with_host};
+use crate::stage::*;
 use crate::table::Images;
-use ashsplat::scene::{CutOut, Inside, Pose, Volume};
-use ashsplat::vk::{Context, ContextOptions, MemoryKind};
-use ashsplat::{
-    DeviceScene, PickTarget, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings,
-    Selection,
-};
-use glam::Vec3;
 use std::sync::Mutex;
 use std::time::Instant;
 
@@ -33,46 +25,48 @@ fn reserved_bytes(context: &Context, wanted: &Reservation) -> u64 {
     context.memory_total().bytes - before - empty
 }
 
-/// Times of stages, in milliseconds, of frames measured in turn: `[frame][stage][round]`. An empty name is the whole
-/// frame. Ignores a first round.
-pub fn in_turn<const STAGES: usize>(
+/// Prints the median milliseconds of stages and of the whole, for frames measured in turn. In brackets: the median
+/// of the ratios to the first frame's. Ignores a first round.
+pub fn print_stages(
     host: &Host,
     renderer: &mut Renderer,
-    frames: &[RecordedFrame<'_>],
-    stages: [&str; STAGES],
+    cases: &[(&str, RecordedFrame<'_>)],
+    stages: &[&str],
     rounds: usize,
-) -> Vec<[Vec<f64>; STAGES]> {
-    let in_flight = InFlight::new(host).expect("a command buffer");
-    let mut times = vec![[const { Vec::new() }; STAGES]; frames.len()];
+) {
+    let commands = Commands::new(host);
+    // Of each frame, of each stage and of the whole, in each round.
+    let mut times = vec![vec![Vec::<f64>::new(); stages.len() + 1]; cases.len()];
     for round in 0..=rounds {
-        for (frame, times) in frames.iter().zip(&mut times) {
-            in_flight.begin(host).expect("recording");
-            renderer.record(adopt(renderer.context(), &in_flight), 0, frame).expect("a recording");
-            in_flight.submit(host).expect("a submission");
-            in_flight.wait(host).expect("done");
-            let report = renderer.slot_report(0).expect("a report").expect("finished");
-            if round > 0 {
-                for (times, stage) in times.iter_mut().zip(stages) {
-                    let is_own =
-                        |name: &str, depth| if stage.is_empty() { depth == 0 } else { name == stage };
-                    let own = report.scopes.iter().filter(|scope| is_own(&scope.name, scope.depth));
-                    times.push(own.map(|scope| scope.nanoseconds / 1e6).sum());
-                }
+        for ((_, frame), times) in cases.iter().zip(&mut times) {
+            renderer.record(commands.begun(renderer.context()), 0, frame).expect("a recording");
+            commands.finish();
+            let scopes = report_of(renderer, 0).scopes;
+            for (stage, times) in times.iter_mut().enumerate().filter(|_| round > 0) {
+                let name = stages.get(stage);
+                let own = scopes.iter().filter(|s| name.map_or(s.depth == 0, |name| s.name == *name));
+                times.push(own.map(|scope| scope.nanoseconds / 1e6).sum());
             }
         }
     }
-    in_flight.destroy(host);
-    times
+    println!("frame | {}, whole, ms (ratio of pairs)", stages.join(", "));
+    for ((name, _), own) in cases.iter().zip(&times) {
+        let figures = own
+            .iter()
+            .zip(&times[0])
+            .map(|(own, first)| format!("{:.2} ({:.3})", median(own.iter().copied()), ratio(own, first)));
+        println!("{name} | {}", figures.collect::<Vec<_>>().join(" | "));
+    }
 }
 
-pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
+fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.into_iter().collect();
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
 }
 
 /// Median of the ratios of pairs.
-pub fn ratio(own: &[f64], other: &[f64]) -> f64 {
+fn ratio(own: &[f64], other: &[f64]) -> f64 {
     median(own.iter().zip(other).map(|(own, other)| own / other))
 }
 
@@ -108,41 +102,35 @@ pub fn record_cost(
     let gaussians = cloud(8, 1);
     let scenes: Vec<_> = match together {
         true => DeviceScene::upload_all(&context, &vec![&gaussians; scenes as usize]).expect("scenes"),
-        false => {
-            (0..scenes).map(|_| DeviceScene::upload(&context, &gaussians, 0).expect("a scene")).collect()
-        }
+        false => (0..scenes).map(|_| uploaded(&context, &gaussians)).collect(),
     };
     let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
     let count = scenes.len() as u32;
-    let mut renderer = Renderer::new(&context).expect("kernels");
     let wanted = Reservation { slots: 2, scenes: count, ..Reservation::new(8 * count, 1, 64, 48) };
-    renderer.reserve(&Reservation { motion, ..wanted }).expect("memory");
+    let mut renderer = reserved(&context, &Reservation { motion, ..wanted });
     let screens = Screens::new(host, &context, [64, 48]);
-    let in_flight = [0; 2].map(|_| InFlight::new(host).expect("a command buffer"));
-    let (view, settings) = (camera(0.3, 64, 48), RenderSettings::default());
+    let in_flight = [0; 2].map(|_| Commands::new(host));
+    let view = camera(0.3, 64, 48);
     let (mut times, mut most) = (Vec::new(), 0);
     for number in 0..frames + 4 {
         let (slot, frame) = (number % 2, &in_flight[number % 2]);
-        frame.begin(host).expect("recording");
-        let commands = adopt(&context, frame);
+        let commands = frame.begun(&context);
         let motion = motion.then(|| screens.motion(&view));
-        let recorded = RecordedFrame { motion, ..RecordedFrame::new(&placed, &view, &settings) };
+        let recorded = RecordedFrame { motion, ..frame_of(&placed, &view) };
         let start = Instant::now();
         let (asked, done) = allocations(|| renderer.record(commands, slot as u32, &recorded));
         let time = start.elapsed().as_secs_f64() * 1e6;
         done.expect("a recording");
-        frame.submit(host).expect("a submission");
+        frame.submit();
         // A CPU device would slow down the next recording.
-        frame.wait(host).expect("done");
+        frame.wait();
         // Allocations of the first frames are not counted.
         if number >= 4 {
             times.push(time);
             most = most.max(asked);
         }
     }
-    in_flight.into_iter().for_each(|frame| frame.destroy(host));
     drop(renderer);
-    screens.destroy();
     times.sort_by(f64::total_cmp);
     ([times[times.len() / 2], times[0]], most)
 }
@@ -152,8 +140,7 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
     with_host(host_options, |host| {
         let context = shipped(host, timestamps);
         let (gaussians, few, view) = (cloud(600, 1), cloud(50, 2), camera(0.3, 96, 64));
-        let scenes = [&gaussians, &few, &few].map(|g| DeviceScene::upload(&context, g, 0).expect("a scene"));
-        let mut renderer = Renderer::new(&context).expect("kernels");
+        let scenes = [&gaussians, &few, &few].map(|g| uploaded(&context, g));
         let reservation = Reservation {
             slots: 2,
             scenes: 4,
@@ -166,21 +153,19 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
             staging_bytes: Reservation::update_bytes(600, 1),
             ..Reservation::new(700, 1, 96, 64)
         };
-        renderer.reserve(&reservation).expect("memory");
+        let mut renderer = reserved(&context, &reservation);
         let volume = Volume::Ellipsoid { radii: Vec3::ONE };
         let cut_outs = [CutOut { volume, pose: Pose::IDENTITY, inside: Inside::Kept }; 2];
-        let bits = context.allocate("selection", &[("mask", 8)], MemoryKind::Device).expect("memory");
-        context.upload(&bits[0], &[0x55; 8]).expect("uploaded");
-        let selection = Some(Selection { mask: &bits[0], color: [1.0, 0.5, 0.0], share: 0.5 });
+        let bits = mask_of(&context, &[0x55; 8]);
+        let selection = Some(Selection { mask: &bits, color: [1.0, 0.5, 0.0], share: 0.5 });
         let images = Images::new(host, &context);
         let screens = Screens::new(host, &context, [96, 64]);
-        let in_flight = InFlight::new(host).expect("a command buffer");
+        let in_flight = Commands::new(host);
+        let updates = [Update { scene: &scenes[0], first: 0, gaussians: &gaussians }];
         let mut asked = Vec::new();
         for number in 0..8 {
             let slot = number % 2;
-            in_flight.begin(host).expect("recording");
-            let commands = adopt(&context, &in_flight);
-            let everything = images.frame(&scenes[0], &gaussians, &view);
+            let commands = in_flight.begun(&context);
             let tinted = SceneSettings { tint: [1.0, 0.5, 0.5], opacity: 0.5, ..SceneSettings::default() };
             let placed = [
                 Placed::from(&scenes[0]),
@@ -188,23 +173,20 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
                 Placed { settings: SceneSettings { visible: false, ..tinted }, ..(&scenes[0]).into() },
                 Placed { settings: SceneSettings { selection, ..tinted }, ..(&scenes[2]).into() },
             ];
-            let (pick, motion) = (Some(PickTarget { to: screens.to(0) }), Some(screens.motion(&view)));
-            let frame = RecordedFrame { scenes: &placed, pick, motion, ..everything.recorded() };
+            let (pick, motion) = (Some(screens.pick()), Some(screens.motion(&view)));
+            let frame = RecordedFrame { pick, motion, ..frame_of(&placed, &view) };
+            let frame = images.used_by(frame, &updates);
             let (count, recorded) = allocations(|| renderer.record(commands, slot, &frame));
             recorded.expect("a recording");
-            in_flight.submit(host).expect("a submission");
-            in_flight.wait(host).expect("done");
-            let report = renderer.slot_report(slot).expect("a report").expect("finished");
+            in_flight.finish();
+            let report = report_of(&mut renderer, slot);
             assert!(report.visible > 100 && !report.overflow, "{report:?}");
             renderer.release_slot(slot).expect("over");
             asked.push(count);
         }
         assert!(asked[0] > 0, "the allocator counts");
         assert_eq!(asked[2..], [0; 6], "heap allocations of {asked:?}");
-        in_flight.destroy(host);
         drop(renderer);
-        screens.destroy();
-        images.destroy(host);
     });
 }
 
@@ -225,7 +207,7 @@ fn record_takes_nothing_from_the_heap() {
 fn first_frame(threads: usize) -> [f64; 4] {
     let host = Host::new(&HostOptions::default()).expect("a host");
     let context = shipped(&host, false);
-    let scene = DeviceScene::upload(&context, &cloud(10_000, 1), 0).expect("a scene");
+    let scene = uploaded(&context, &cloud(10_000, 1));
     let wanted = Reservation { occlusion: true, ..Reservation::new(10_000, 1, 640, 480) };
     let ms = |start: Instant| start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
@@ -244,23 +226,19 @@ fn first_frame(threads: usize) -> [f64; 4] {
     }
     let ahead = ms(start);
     let start = Instant::now();
-    let mut renderer = Renderer::new(&context).expect("kernels");
-    renderer.reserve(&wanted).expect("memory");
+    let mut renderer = reserved(&context, &wanted);
     let reserved = ms(start);
-    let in_flight = InFlight::new(&host).expect("a command buffer");
-    let (view, settings, placed) = (camera(0.3, 640, 480), RenderSettings::default(), [(&scene).into()]);
+    let in_flight = Commands::new(&host);
+    let (view, placed) = (camera(0.3, 640, 480), [(&scene).into()]);
     let mut frame = || {
         let start = Instant::now();
-        in_flight.begin(&host).expect("recording");
-        let recorded = RecordedFrame::new(&placed, &view, &settings);
-        renderer.record(adopt(&context, &in_flight), 0, &recorded).expect("a recording");
-        in_flight.submit(&host).expect("a submission");
-        in_flight.wait(&host).expect("done");
+        let recorded = frame_of(&placed, &view);
+        renderer.record(in_flight.begun(&context), 0, &recorded).expect("a recording");
+        in_flight.finish();
         ms(start)
     };
     let frames = [frame(), frame()];
-    in_flight.destroy(&host);
-    drop((renderer, scene, context));
+    drop((in_flight, renderer, scene, context));
     host.destroy();
     [ahead, reserved, frames[0], frames[1]]
 }

@@ -2,19 +2,11 @@
 
 mod at_random;
 
-use crate::cost::{in_turn, median};
-use crate::host::HostOptions;
+use crate::cost::print_stages;
 use crate::scene_settings::{HIDDEN, Stage, USUAL};
 use crate::scenes::appended;
-use crate::stage::{assert_same, camera, cloud, options, owned, with_host};
-use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
-use ashsplat::vk::MemoryKind;
-use ashsplat::{
-    DeviceScene, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings,
-    Selection,
-};
+use crate::stage::*;
 pub use at_random::{HIDES, Kinds, Random, mapping, parallel};
-use glam::{Mat3, Quat, Vec3};
 
 fn pose(turn: f32, translation: Vec3, scale: f32) -> Pose {
     let turn = Quat::from_euler(glam::EulerRot::XYZ, turn, -2.0 * turn, 0.5 * turn);
@@ -75,15 +67,13 @@ fn cut_outs_leave_the_bits_of_a_filtered_scene() {
             let cut_outs = SceneSettings { cut_outs: set, ..USUAL };
             let [first, second] = [0, 1].map(|part| filtered(&parts[part], set));
             assert!(first.len() > 50 && first.len() < 450, "{} of 500 are left", first.len());
-            let pixels = stage.pixels(&[cut_outs, USUAL]);
-            let expected = owned(&appended(&first, &parts[1]), &stage.camera, &stage.frame);
-            assert_same(&pixels, &expected, [0.0; 3]);
+            stage.assert_drawn(&[cut_outs, USUAL], &appended(&first, &parts[1]));
             let pixels = stage.pixels(&[USUAL, SceneSettings { cut_outs: &set[..1], ..USUAL }]);
             let second = if set.len() > 1 { filtered(&parts[1], &set[..1]) } else { second };
             let expected = owned(&appended(&parts[0], &second), &stage.camera, &stage.frame);
-            assert_same(&pixels, &expected, [0.0; 3]);
+            assert_same(&pixels, &expected);
         }
-        let report = stage.renderer.slot_report(0).expect("a report").expect("finished");
+        let report = report_of(&mut stage.renderer, 0);
         assert_eq!(report.gaussians, 900, "they count, and are not visible");
     });
 }
@@ -124,20 +114,18 @@ fn cut_outs_of_the_world_stay_where_they_are() {
 fn costs() {
     with_host(&HostOptions::default(), |host| {
         let context = crate::cost::shipped(host, true);
-        let scene = DeviceScene::upload(&context, &cloud(200_000, 1), 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
+        let scene = uploaded(&context, &cloud(200_000, 1));
         let wanted = Reservation {
             tint: true,
             cut_outs: 16,
             selection: true,
             ..Reservation::new(200_000, 1, 640, 480)
         };
-        renderer.reserve(&wanted).expect("memory");
+        let mut renderer = reserved(&context, &wanted);
         let volume = Volume::Box { half_size: Vec3::splat(9.0) };
         let around = [CutOut { volume, pose: pose(0.3, Vec3::ZERO, 1.0), inside: Inside::Kept }; 16];
-        let bits = context.allocate("selection", &[("mask", 25_000)], MemoryKind::Device).expect("memory");
-        context.upload(&bits[0], &[0x55; 25_000]).expect("uploaded");
-        let selection = Some(Selection { mask: &bits[0], color: [1.0, 0.5, 0.0], share: 0.5 });
+        let bits = mask_of(&context, &[0x55; 25_000]);
+        let selection = Some(Selection { mask: &bits, color: [1.0, 0.5, 0.0], share: 0.5 });
         let cases = [
             ("as it is", USUAL),
             ("tint and opacity", SceneSettings { tint: [1.0, 1.0, 0.99], opacity: 0.999, ..USUAL }),
@@ -147,15 +135,11 @@ fn costs() {
             ("a selection of half", SceneSettings { selection, ..USUAL }),
             ("not visible", HIDDEN),
         ];
-        let (view, settings) = (camera(0.7, 640, 480), RenderSettings::default());
+        let view = camera(0.7, 640, 480);
         let placed = cases.map(|(_, settings)| [Placed { settings, ..Placed::from(&scene) }]);
-        let frames = placed.each_ref().map(|placed| RecordedFrame::new(placed, &view, &settings));
-        let times = in_turn(host, &mut renderer, &frames, ["cull", "project", ""], 10);
-        println!("scene | cull, ms | project, ms | frame, ms");
-        for ((name, _), own) in cases.iter().zip(&times) {
-            let [cull, project, all] = [0, 1, 2].map(|stage| median(own[stage].iter().copied()));
-            println!("{name} | {cull:.2} | {project:.2} | {all:.1}");
-        }
+        let frames: Vec<_> =
+            cases.iter().zip(&placed).map(|((name, _), placed)| (*name, frame_of(placed, &view))).collect();
+        print_stages(host, &mut renderer, &frames, &["cull", "project"], 10);
     });
 }
 
@@ -185,17 +169,14 @@ fn bad_cut_outs_are_refused_by_name() {
             (&seventeen, "scenes[1].settings.cut_outs: 17 of them, there may be 16"),
         ];
         for (cut_outs, expected) in bad {
-            let error = stage.refused(&[USUAL, SceneSettings { cut_outs, ..USUAL }]);
-            assert!(matches!(error, Error::Argument { .. }), "{error:?}");
-            assert!(error.to_string().contains(expected), "{error} (expected {expected})");
+            stage.assert_refused(&[USUAL, SceneSettings { cut_outs, ..USUAL }], expected);
         }
         let eleven = SceneSettings { cut_outs: &ten, ..USUAL };
         let error = stage.refused(&[eleven, eleven]).to_string();
         assert_eq!(error, "scenes: the frame needs 22 cut-outs, more than 20 (Reservation::cut_outs)");
         // A hidden scene has no cut-outs.
         let hidden = SceneSettings { visible: false, ..eleven };
-        let expected = owned(&filtered(&part, &ten), &stage.camera, &stage.frame);
-        assert_same(&stage.pixels(&[hidden, eleven]), &expected, [0.0; 3]);
+        stage.assert_drawn(&[hidden, eleven], &filtered(&part, &ten));
         let mut none = Stage::new(host, &[&part], &|wanted| wanted);
         let error = none.refused(&[eleven]).to_string();
         assert_eq!(error, "scenes: the frame needs 11 cut-outs, more than 0 (Reservation::cut_outs)");

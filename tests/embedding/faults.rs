@@ -1,15 +1,11 @@
 //! On a host's device every call of the guest that may fail is made to fail once. The result is a typed error, no
 //! panic, and no leak.
 
-use crate::host::{Host, HostOptions, InFlight};
-use crate::stage::{adopt, camera, cloud, options, with_host};
+use crate::stage::*;
 use crate::training::trainer;
-use ashsplat::ash::vk;
-use ashsplat::trainer::StepReservation;
-use ashsplat::vk::{Context, ContextOptions, Fault, Faults, Image, ImageUse, MemoryKind};
-use ashsplat::{
-    DeviceScene, Error, RecordedFrame, RenderSettings, Renderer, Reservation, Result, TrainSettings,
-};
+use ashsplat::Result;
+use ashsplat::train::StepReservation;
+use ashsplat::vk::{Fault, Faults};
 
 fn guest(host: &Host, faults: &Faults) -> Result<Context> {
     let options =
@@ -25,17 +21,13 @@ fn frame(host: &Host, faults: &Faults) -> Result<u32> {
     let mut renderer = Renderer::new(&context)?;
     renderer.reserve(&Reservation::new(60, 1, 40, 30))?;
     Image::new(&context, "own", vk::Format::R32_SFLOAT, [40, 30], ImageUse::Depth)?;
-    let (scenes, camera, settings) = ([(&scene).into()], camera(0.3, 40, 30), RenderSettings::default());
-    let in_flight = InFlight::new(host).expect("a command buffer");
-    in_flight.begin(host).expect("recording");
-    let recorded =
-        renderer.record(adopt(&context, &in_flight), 0, &RecordedFrame::new(&scenes, &camera, &settings));
+    let (scenes, camera) = ([(&scene).into()], camera(0.3, 40, 30));
+    let in_flight = Commands::new(host);
+    let recorded = renderer.record(in_flight.begun(&context), 0, &frame_of(&scenes, &camera));
     if recorded.is_ok() {
-        in_flight.submit(host).expect("a submission");
-        in_flight.wait(host).expect("done");
+        in_flight.finish();
     }
     // An incomplete recording is thrown away.
-    in_flight.destroy(host);
     recorded?;
     Ok(renderer.slot_report(0)?.expect("finished").visible)
 }
@@ -81,24 +73,21 @@ fn a_lost_device_records_nothing() {
     with_host(&options(), |host| {
         let faults = Faults::new();
         let context = guest(host, &faults).expect("a context");
-        let scene = DeviceScene::upload(&context, &cloud(60, 1), 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&Reservation::new(60, 1, 40, 30)).expect("memory");
+        let scene = uploaded(&context, &cloud(60, 1));
+        let mut renderer = reserved(&context, &Reservation::new(60, 1, 40, 30));
         let mut trainer = trainer(&context, TrainSettings { iterations: 10, ..TrainSettings::default() });
         trainer.reserve_steps(&StepReservation::default()).expect("memory");
-        let (scenes, camera, settings) = ([(&scene).into()], camera(0.3, 40, 30), RenderSettings::default());
-        let frame = RecordedFrame::new(&scenes, &camera, &settings);
-        let in_flight = InFlight::new(host).expect("a command buffer");
+        let (scenes, camera) = ([(&scene).into()], camera(0.3, 40, 30));
+        let frame = frame_of(&scenes, &camera);
+        let in_flight = Commands::new(host);
         faults.arm(Fault::WaitLost, 0);
         assert!(matches!(context.run("nothing", |_| Ok(())), Err(Error::DeviceLost { .. })));
         faults.disarm();
         assert!(context.is_lost());
-        in_flight.begin(host).expect("recording");
-        let recorded = renderer.record(adopt(&context, &in_flight), 0, &frame);
+        let recorded = renderer.record(in_flight.begun(&context), 0, &frame);
         assert!(matches!(recorded, Err(Error::DeviceLost { .. })), "{recorded:?}");
-        let recorded = trainer.record_step(adopt(&context, &in_flight), 0);
+        let recorded = trainer.record_step(in_flight.adopt(&context), 0);
         assert!(matches!(recorded, Err(Error::DeviceLost { .. })), "{recorded:?}");
-        in_flight.destroy(host);
     });
 }
 
@@ -109,10 +98,9 @@ fn a_run_that_is_over_records_no_step() {
         let context = guest(host, &Faults::new()).expect("a context");
         let mut trainer = trainer(&context, TrainSettings { iterations: 3, ..TrainSettings::default() });
         trainer.reserve_steps(&StepReservation { slots: 4, instances: 0, visible: 0 }).expect("memory");
-        let frames = [0; 4].map(|_| InFlight::new(host).expect("a command buffer"));
+        let frames = [0; 4].map(|_| Commands::new(host));
         for (slot, in_flight) in frames.iter().enumerate() {
-            in_flight.begin(host).expect("recording");
-            let recorded = trainer.record_step(adopt(&context, in_flight), slot as u32);
+            let recorded = trainer.record_step(in_flight.begun(&context), slot as u32);
             // Steps in flight count.
             match slot {
                 3 => {
@@ -121,12 +109,11 @@ fn a_run_that_is_over_records_no_step() {
                 }
                 _ => assert_eq!(recorded.expect("a recording").iteration, slot as u32 + 1),
             }
-            in_flight.submit(host).expect("a submission");
+            in_flight.submit();
         }
-        frames.iter().for_each(|in_flight| in_flight.wait(host).expect("done"));
+        frames.iter().for_each(|in_flight| in_flight.wait());
         assert_eq!(trainer.settle().expect("settled"), 0);
         assert_eq!(trainer.iteration(), 3);
-        frames.into_iter().for_each(|in_flight| in_flight.destroy(host));
     });
 }
 
@@ -139,12 +126,11 @@ fn refused_reservations_build_no_kernels() {
         let mut renderer = Renderer::new(&context).expect("kernels");
         let own = Reservation::new(60, 1, 40, 30);
         renderer.reserve(&own).expect("memory");
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        in_flight.begin(host).expect("recording");
-        let scene = DeviceScene::upload(&context, &cloud(60, 1), 0).expect("a scene");
-        let (scenes, camera, settings) = ([(&scene).into()], camera(0.3, 40, 30), RenderSettings::default());
-        let frame = RecordedFrame::new(&scenes, &camera, &settings);
-        renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
+        let in_flight = Commands::new(host);
+        let scene = uploaded(&context, &cloud(60, 1));
+        let (scenes, camera) = ([(&scene).into()], camera(0.3, 40, 30));
+        let frame = frame_of(&scenes, &camera);
+        renderer.record(in_flight.begun(&context), 0, &frame).expect("a recording");
         // All of these need kernels of their own.
         let good = Reservation { pick: true, motion: true, tint: true, orthographic: true, ..own };
         let block = context.allocate("block", &[("small", 256)], MemoryKind::Device).expect("memory");
@@ -161,17 +147,13 @@ fn refused_reservations_build_no_kernels() {
         refused("growth keeps", renderer.grow(&Reservation { slots: 2, ..good }));
         refused("width and height", renderer.grow(&Reservation { width: 0, ..good }));
         refused("bytes", renderer.grow_in(&good, &block[0]));
-        in_flight.submit(host).expect("a submission");
-        in_flight.wait(host).expect("done");
+        in_flight.finish();
         refused("bytes", renderer.reserve_in(&good, &block[0]));
         refused("needs", renderer.reserve(&Reservation { gaussians: u32::MAX, ..good }));
         // The previous reservation is still valid.
-        in_flight.begin(host).expect("recording");
-        renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
-        in_flight.submit(host).expect("a submission");
-        in_flight.wait(host).expect("done");
+        renderer.record(in_flight.begun(&context), 0, &frame).expect("a recording");
+        in_flight.finish();
         renderer.reserve(&good).expect("memory");
         assert!(faults.objects().contains(&"create_compute_pipelines"), "{:?}", faults.objects());
-        in_flight.destroy(host);
     });
 }

@@ -1,12 +1,6 @@
 //! Frames in flight, changing sizes and cameras, several renderers, insufficient capacity.
 
-use crate::host::{HostOptions, InFlight};
-use crate::memory::HostBuffer;
-use crate::stage::{
-    adopt, assert_same, camera, cloud, copy_pixels, guest, options, owned, rendered, with_host,
-};
-use ashsplat::vk::Context;
-use ashsplat::{DeviceScene, RecordedFrame, RenderSettings, Renderer, Reservation};
+use crate::stage::*;
 use std::sync::Mutex;
 
 #[test]
@@ -14,94 +8,80 @@ fn a_recorded_frame_is_the_owned_paths_to_the_bit() {
     let (gaussians, camera) = (cloud(1500, 3), camera(0.4, 150, 100));
     let settings = RenderSettings { inverse_depth: true, ..RenderSettings::default() };
     let expected = owned(&gaussians, &camera, &settings);
-    for push_descriptors in [true, false] {
-        with_host(&HostOptions { push_descriptors, ..options() }, |host| {
-            let context = guest(host);
-            let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
-            let mut renderer = Renderer::new(&context).expect("kernels");
-            let reservation = Reservation { inverse_depth: true, ..Reservation::new(1500, 1, 150, 100) };
-            renderer.reserve(&reservation).expect("memory");
-            let scenes = [(&scene).into()];
-            let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&scenes, &camera, &settings));
-            assert_same(&pixels, &expected, settings.background);
-            let report = renderer.slot_report(0).expect("a report").expect("finished");
-            assert_eq!(report.visible, expected.stats.visible);
-            assert_eq!(report.instances_needed, expected.stats.instances);
-            assert!(!report.overflow && report.gaussians == 1500, "{report:?}");
-            if context.limits().timestamp_period_ns > 0.0 {
-                assert!(report.scopes.iter().any(|s| s.name == "blend" && s.nanoseconds > 0.0), "{report:?}");
-            }
-            // [`Renderer::render`], which submits by itself, works on the host's queue as well.
-            renderer.upload(&gaussians).expect("a scene");
-            let frame = renderer.render(&camera, &settings).expect("a frame");
-            assert_eq!(frame.color, expected.color);
-        });
-    }
+    with_each_guest(|host, context| {
+        let scene = uploaded(&context, &gaussians);
+        let reservation = Reservation { inverse_depth: true, ..Reservation::new(1500, 1, 150, 100) };
+        let mut renderer = reserved(&context, &reservation);
+        let scenes = [(&scene).into()];
+        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&scenes, &camera, &settings));
+        assert_same(&pixels, &expected);
+        let report = report_of(&mut renderer, 0);
+        assert_eq!(report.visible, expected.stats.visible);
+        assert_eq!(report.instances_needed, expected.stats.instances);
+        assert!(!report.overflow && report.gaussians == 1500, "{report:?}");
+        if context.limits().timestamp_period_ns > 0.0 {
+            assert!(report.scopes.iter().any(|s| s.name == "blend" && s.nanoseconds > 0.0), "{report:?}");
+        }
+        // [`Renderer::render`], which submits by itself, works on the host's queue as well.
+        renderer.upload(&gaussians).expect("a scene");
+        let frame = renderer.render(&camera, &settings).expect("a frame");
+        assert_eq!(frame.color, expected.color);
+    });
 }
 
 #[test]
 fn three_frames_in_flight_do_not_disturb_each_other() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let gaussians = cloud(1200, 4);
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&Reservation { slots: 3, ..Reservation::new(1200, 1, 120, 90) }).expect("memory");
-        let settings = RenderSettings::default();
+        let scene = uploaded(&context, &gaussians);
+        let mut renderer =
+            reserved(&context, &Reservation { slots: 3, ..Reservation::new(1200, 1, 120, 90) });
         let scenes = [(&scene).into()];
         let cameras = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0].map(|turn| camera(turn, 120, 90));
-        let frames = [0; 3].map(|_| InFlight::new(host).expect("a command buffer"));
-        let staging = [0; 6].map(|_| HostBuffer::new(host, 16 * 120 * 90).expect("memory"));
+        let frames = [0; 3].map(|_| Commands::new(host));
+        let staging = [0; 6].map(|_| Staging::new(host, 16 * 120 * 90));
         for round in 0..2 {
             for (slot, frame) in frames.iter().enumerate() {
                 let number = 3 * round + slot;
-                frame.begin(host).expect("recording");
-                let recorded = RecordedFrame::new(&scenes, &cameras[number], &settings);
-                renderer.record(adopt(&context, frame), slot as u32, &recorded).expect("a recording");
-                copy_pixels(host, &mut renderer, slot as u32, frame, &staging[number], 120 * 90);
+                let recorded = frame_of(&scenes, &cameras[number]);
+                renderer.record(frame.begun(&context), slot as u32, &recorded).expect("a recording");
+                copy_pixels(&mut renderer, slot as u32, frame, &staging[number]);
                 // Recorded but not submitted: the slot is in flight, and has no statistics yet.
                 assert!(!renderer.slot_finished(slot as u32).expect("a status"));
                 assert_eq!(renderer.slot_report(slot as u32).expect("no report"), None);
-                frame.submit(host).expect("a submission");
+                frame.submit();
             }
             for (slot, frame) in frames.iter().enumerate() {
-                frame.wait(host).expect("done");
+                frame.wait();
                 assert!(renderer.slot_finished(slot as u32).expect("a status"));
                 assert!(renderer.slot_report(slot as u32).expect("a report").is_some());
             }
         }
         for (number, staging) in staging.into_iter().enumerate() {
-            let bytes = staging.read(host, 16 * 120 * 90).expect("bytes");
-            let pixels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
-            assert_same(&pixels, &owned(&gaussians, &cameras[number], &settings), [0.0; 3]);
-            staging.destroy(host);
+            assert_same(&staging.read(), &owned(&gaussians, &cameras[number], &SETTINGS));
         }
-        frames.into_iter().for_each(|frame| frame.destroy(host));
     });
 }
 
 #[test]
 fn two_renderers_share_a_device() {
     with_host(&options(), |host| {
-        let settings = RenderSettings::default();
         // Two renderers share a context, the third has its own.
         let first = guest(host);
         let contexts: [Context; 3] = [first.clone(), first, guest(host)];
         let mut renderers = Vec::new();
         for (number, context) in contexts.iter().enumerate() {
             let gaussians = cloud(300 + 100 * number, number as u32);
-            let scene = DeviceScene::upload(context, &gaussians, 0).expect("a scene");
-            let mut renderer = Renderer::new(context).expect("kernels");
-            renderer.reserve(&Reservation::new(600, 1, 64, 48)).expect("memory");
+            let scene = uploaded(context, &gaussians);
+            let renderer = reserved(context, &Reservation::new(600, 1, 64, 48));
             renderers.push((renderer, scene, gaussians));
         }
         for turn in [0.5, 1.5] {
             let camera = camera(turn, 64, 48);
             for (renderer, scene, gaussians) in &mut renderers {
                 let scenes = [(&*scene).into()];
-                let frame = RecordedFrame::new(&scenes, &camera, &settings);
-                let pixels = rendered(host, renderer, &frame);
-                assert_same(&pixels, &owned(gaussians, &camera, &settings), [0.0; 3]);
+                let frame = frame_of(&scenes, &camera);
+                assert_drawn(host, renderer, &frame, gaussians);
             }
         }
     });
@@ -110,8 +90,7 @@ fn two_renderers_share_a_device() {
 /// Threads render with their own renderers on one context; the host gives its queue to one thread at a time.
 #[test]
 fn renderers_may_be_used_by_different_threads() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let queue = Mutex::new(());
         std::thread::scope(|threads| {
             for number in 0..3 {
@@ -121,19 +100,18 @@ fn renderers_may_be_used_by_different_threads() {
                     let gaussians = cloud(300 + 50 * number, number as u32);
                     let scene = {
                         let _queue = locked();
-                        DeviceScene::upload(&context, &gaussians, 0).expect("a scene")
+                        uploaded(&context, &gaussians)
                     };
-                    let mut renderer = Renderer::new(&context).expect("kernels");
-                    renderer.reserve(&Reservation::new(600, 1, 64, 48)).expect("memory");
-                    let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
+                    let mut renderer = reserved(&context, &Reservation::new(600, 1, 64, 48));
+                    let scenes = [(&scene).into()];
                     for turn in [0.5, 1.5, 2.5] {
                         let camera = camera(turn, 64, 48);
                         // Only one thread at a time may use the host's command pool, like its queue.
                         let pixels = {
                             let _queue = locked();
-                            rendered(host, &mut renderer, &RecordedFrame::new(&scenes, &camera, &settings))
+                            rendered(host, &mut renderer, &frame_of(&scenes, &camera))
                         };
-                        assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+                        assert_same(&pixels, &owned(&gaussians, &camera, &SETTINGS));
                     }
                 });
             }
@@ -141,57 +119,60 @@ fn renderers_may_be_used_by_different_threads() {
     });
 }
 
+/// Draws a thousand frames of changing size and camera in three slots. `before` is called with each frame's number,
+/// and with the number of frames at the end.
+pub fn draw_a_thousand(host: &Host, context: &Context, mut before: impl FnMut(u32)) {
+    let scene = uploaded(context, &cloud(150, 7));
+    let mut renderer = reserved(context, &Reservation { slots: 3, ..Reservation::new(150, 1, 64, 48) });
+    let scenes = [(&scene).into()];
+    let frames = [0; 3].map(|_| Commands::new(host));
+    let memory = context.memory();
+    for number in 0..1000 {
+        before(number);
+        let (slot, frame) = (number % 3, &frames[(number % 3) as usize]);
+        if number >= 3 {
+            frame.wait();
+            let report = report_of(&mut renderer, slot);
+            assert!(!report.overflow, "frame {number}: {report:?}");
+        }
+        let camera = changing_view(number);
+        renderer.record(frame.begun(context), slot, &frame_of(&scenes, &camera)).expect("a recording");
+        frame.submit();
+    }
+    frames.iter().for_each(Commands::wait);
+    before(1000);
+    assert_eq!(context.memory(), memory);
+}
+
+/// A camera whose picture is never larger than 64 x 48 pixels.
+pub fn changing_view(number: u32) -> Camera {
+    camera(number as f32 * 0.1, 1 + number * 7 % 64, 1 + number * 5 % 48)
+}
+
 /// Changing sizes and cameras allocate nothing beyond the reservation.
 #[test]
 fn a_thousand_frames_of_changing_size_take_no_memory() {
-    with_host(&options(), |host| {
-        let context = guest(host);
-        let gaussians = cloud(150, 7);
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&Reservation { slots: 3, ..Reservation::new(150, 1, 64, 48) }).expect("memory");
-        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
-        let frames = [0; 3].map(|_| InFlight::new(host).expect("a command buffer"));
-        let reserved = context.memory();
-        for number in 0..1000u32 {
-            let (slot, frame) = (number % 3, &frames[(number % 3) as usize]);
-            if number >= 3 {
-                frame.wait(host).expect("done");
-                let report = renderer.slot_report(slot).expect("a report").expect("finished");
-                assert!(!report.overflow, "frame {number}: {report:?}");
-            }
-            let camera = camera(number as f32 * 0.1, 1 + number * 7 % 64, 1 + number * 5 % 48);
-            frame.begin(host).expect("recording");
-            let recorded = RecordedFrame::new(&scenes, &camera, &settings);
-            renderer.record(adopt(&context, frame), slot, &recorded).expect("a recording");
-            frame.submit(host).expect("a submission");
-        }
-        frames.iter().for_each(|frame| frame.wait(host).expect("done"));
-        assert_eq!(context.memory(), reserved);
-        frames.into_iter().for_each(|frame| frame.destroy(host));
-    });
+    with_guest(|host, context| draw_a_thousand(host, &context, |_| ()));
 }
 
 #[test]
 fn a_frame_without_room_says_what_it_needs() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let (gaussians, camera) = (cloud(800, 9), camera(0.2, 96, 96));
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let scene = uploaded(&context, &gaussians);
         let mut renderer = Renderer::new(&context).expect("kernels");
         let small = Reservation { instances: 100, ..Reservation::new(800, 1, 96, 96) };
         renderer.reserve(&small).expect("memory");
-        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
-        let frame = RecordedFrame::new(&scenes, &camera, &settings);
+        let scenes = [(&scene).into()];
+        let frame = frame_of(&scenes, &camera);
         rendered(host, &mut renderer, &frame);
-        let report = renderer.slot_report(0).expect("a report").expect("finished");
+        let report = report_of(&mut renderer, 0);
         assert!(report.overflow && report.instances_needed > report.instance_capacity, "{report:?}");
         let grown = small.grown(&report);
         assert!(grown.instances >= report.instances_needed);
         renderer.reserve(&grown).expect("memory");
-        let pixels = rendered(host, &mut renderer, &frame);
-        assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
-        let report = renderer.slot_report(0).expect("a report").expect("finished");
+        assert_drawn(host, &mut renderer, &frame, &gaussians);
+        let report = report_of(&mut renderer, 0);
         assert!(!report.overflow, "{report:?}");
         assert_eq!(grown.grown(&report), grown);
         // No reservation fits a number that cannot be counted.
@@ -204,21 +185,20 @@ fn a_frame_without_room_says_what_it_needs() {
 /// A tile with more entries than two passes take, if the driver limits loops. Otherwise one pass is enough.
 #[test]
 fn long_tiles_are_blended_in_several_passes() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let (gaussians, camera) = (cloud(30_000, 9), camera(0.2, 16, 16));
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let scene = uploaded(&context, &gaussians);
         let mut renderer = Renderer::new(&context).expect("kernels");
         let estimated = Reservation::new(scene.count(), 1, 16, 16);
-        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
-        let frame = RecordedFrame::new(&scenes, &camera, &settings);
+        let scenes = [(&scene).into()];
+        let frame = frame_of(&scenes, &camera);
         let mut passes = |wanted: &Reservation| {
             renderer.reserve(wanted).expect("memory");
             let pixels = rendered(host, &mut renderer, &frame);
-            let report = renderer.slot_report(0).expect("a report").expect("finished");
+            let report = report_of(&mut renderer, 0);
             assert_eq!(report.overflow, report.blend_passes < report.blend_passes_needed, "{report:?}");
             if !report.overflow {
-                assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+                assert_same(&pixels, &owned(&gaussians, &camera, &SETTINGS));
             }
             report
         };
@@ -235,58 +215,34 @@ fn long_tiles_are_blended_in_several_passes() {
     });
 }
 
-#[test]
-fn a_recording_that_is_thrown_away_frees_its_slot() {
-    with_host(&options(), |host| {
-        let context = guest(host);
-        let (gaussians, camera) = (cloud(100, 9), camera(0.2, 32, 32));
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&Reservation::new(100, 1, 32, 32)).expect("memory");
-        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
-        let recorded = RecordedFrame::new(&scenes, &camera, &settings);
-        let frame = InFlight::new(host).expect("a command buffer");
-        frame.begin(host).expect("recording");
-        renderer.record(adopt(&context, &frame), 0, &recorded).expect("a recording");
-        frame.destroy(host);
-        assert!(!renderer.slot_finished(0).expect("a status"));
-        // SAFETY: the command buffer was freed without ever being submitted.
-        unsafe { renderer.slot_recording(0).expect("a slot").discard() };
-        let pixels = rendered(host, &mut renderer, &recorded);
-        assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
-    });
-}
-
 /// The first frame is complete even if it has more instances than a default reservation expects.
 #[test]
 fn the_first_frame_that_is_reserved_for_is_whole() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let (mut gaussians, camera) = (cloud(600, 9), camera(0.2, 96, 96));
         gaussians.log_scales.iter_mut().flatten().for_each(|s| *s += 3.0);
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
-        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
-        let frame = RecordedFrame::new(&scenes, &camera, &settings);
+        let scene = uploaded(&context, &gaussians);
+        let scenes = [(&scene).into()];
+        let frame = frame_of(&scenes, &camera);
         let wanted = Reservation { slots: 2, ..Reservation::new(600, 1, 96, 96) };
         let mut renderer = Renderer::new(&context).expect("kernels");
         // A plain reservation cuts the frame off.
         renderer.reserve(&wanted).expect("memory");
         rendered(host, &mut renderer, &frame);
-        assert!(renderer.slot_report(0).expect("a report").expect("finished").overflow);
+        assert!(report_of(&mut renderer, 0).overflow);
         let reserved = renderer.reserve_for(&wanted, &frame).expect("memory");
         assert_eq!((reserved.slots, reserved.gaussians), (2, 600));
         assert_eq!(renderer.slot_report(0).expect("none"), None);
-        let expected = owned(&gaussians, &camera, &settings);
+        let expected = owned(&gaussians, &camera, &SETTINGS);
         assert!(reserved.instances >= expected.stats.instances);
-        assert_same(&rendered(host, &mut renderer, &frame), &expected, [0.0; 3]);
-        assert!(!renderer.slot_report(0).expect("a report").expect("finished").overflow);
+        assert_same(&rendered(host, &mut renderer, &frame), &expected);
+        assert!(!report_of(&mut renderer, 0).overflow);
         // A reservation that fits stays; a feature that is not reserved is refused.
         let few = cloud(20, 9);
-        let scene = DeviceScene::upload(&context, &few, 0).expect("a scene");
+        let scene = uploaded(&context, &few);
         let scenes = [(&scene).into()];
-        let small = RecordedFrame::new(&scenes, &camera, &settings);
+        let small = frame_of(&scenes, &camera);
         assert_eq!(renderer.reserve_for(&wanted, &small).expect("memory"), wanted);
-        let error = renderer.reserve_for(&Reservation::new(10, 1, 96, 96), &small).expect_err("too many");
-        assert!(error.to_string().contains("20 Gaussians"), "{error}");
+        assert_error(renderer.reserve_for(&Reservation::new(10, 1, 96, 96), &small), "20 Gaussians");
     });
 }

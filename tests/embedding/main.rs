@@ -5,9 +5,6 @@
 #[path = "../../tools/embed/allocator.rs"]
 mod allocator;
 #[allow(dead_code)]
-#[path = "../../tools/embed/cube.rs"]
-mod cube;
-#[allow(dead_code)]
 #[path = "../../tools/embed/guest.rs"]
 mod guest;
 #[allow(dead_code)]
@@ -17,14 +14,11 @@ mod host;
 #[path = "../../tools/embed/memory.rs"]
 mod memory;
 #[allow(dead_code)]
-#[path = "../../tools/embed/pass.rs"]
-mod pass;
+#[path = "../../tools/embed/messages.rs"]
+mod messages;
 #[allow(dead_code)]
-#[path = "../../tools/embed/splat_depth.rs"]
-mod splat_depth;
-#[allow(dead_code)]
-#[path = "../../tools/embed/tonemap.rs"]
-mod tonemap;
+#[path = "../../tools/embed/passes.rs"]
+mod passes;
 
 #[path = "../common/child.rs"]
 mod child;
@@ -33,7 +27,6 @@ mod array_image;
 mod auxiliary;
 mod bad_input;
 mod batches;
-mod blocks;
 mod colour;
 mod cost;
 mod counting;
@@ -59,7 +52,6 @@ mod times;
 mod training;
 mod updates;
 mod views;
-mod warm_up;
 
 /// Counts heap allocations, for the tests that bound them.
 #[global_allocator]

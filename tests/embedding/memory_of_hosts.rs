@@ -1,10 +1,8 @@
 //! Memory from the host's allocator, through an adapter for the crate `gpu-allocator`.
 
 use crate::allocator::Adapter;
-use crate::host::Host;
-use crate::stage::{assert_same, camera, cloud, options, owned, rendered, with_host};
-use ashsplat::vk::{Context, ContextOptions, ForeignDevice, HostAllocator, HostMemory, MemoryRequest};
-use ashsplat::{DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
+use crate::stage::*;
+use ashsplat::vk::{HostAllocator, HostMemory, MemoryRequest};
 use std::sync::Arc;
 
 /// An allocator without any memory.
@@ -31,19 +29,17 @@ fn all_memory_comes_from_the_hosts_allocator() {
         let adapter = Arc::new(Adapter::new(host).expect("an allocator"));
         let context = context(host, adapter.clone());
         let (gaussians, camera) = (cloud(400, 2), camera(0.3, 96, 64));
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&Reservation { slots: 2, ..Reservation::new(400, 1, 96, 64) }).expect("memory");
+        let scene = uploaded(&context, &gaussians);
+        let mut renderer = reserved(&context, &Reservation { slots: 2, ..Reservation::new(400, 1, 96, 64) });
         let blocks = adapter.pieces();
         assert!(blocks >= 5, "{blocks} pieces for a scene and two slots");
-        let (settings, placed) = (RenderSettings::default(), [Placed::from(&scene)]);
+        let placed = [Placed::from(&scene)];
         for _ in 0..3 {
-            let frame = RecordedFrame::new(&placed, &camera, &settings);
-            let pixels = rendered(host, &mut renderer, &frame);
-            assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+            let frame = frame_of(&placed, &camera);
+            assert_drawn(host, &mut renderer, &frame, &gaussians);
             assert_eq!(adapter.pieces(), blocks);
         }
-        assert!(renderer.slot_report(0).expect("a report").expect("finished").visible > 100);
+        assert!(report_of(&mut renderer, 0).visible > 100);
         drop((renderer, scene, context));
         assert_eq!(adapter.pieces(), 0, "everything was given back");
     });

@@ -1,19 +1,13 @@
 //! Hosts with orthographic projections: pictures, occlusion and expected depth.
 
-use ashsplat::ash::vk;
-use ashsplat::glam::{self, Mat3, Mat4, Quat, Vec3, Vec4, camera::rh::view::look_at_mat4};
-use ashsplat::scene::{ClipY, DepthMapping, Gaussians, HostView, Pose};
-use ashsplat::vk::{Image, ImageState, ImageUse};
-use ashsplat::{
-    Camera, DepthTarget, DeviceScene, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Renderer,
-    Reservation,
-};
+use crate::stage::*;
+use ashsplat::glam;
+use ashsplat::glam::camera::rh::view::look_at_mat4;
+use ashsplat::glam::{Mat4, Vec4};
+use ashsplat::scene::{ClipY, HostView};
 
-use crate::cost::{in_turn, median, ratio};
-use crate::host::{Host, HostOptions};
-use crate::memory::HostTexture;
-use crate::scenes::{assert_nearly_equal, depth_image};
-use crate::stage::{assert_same, camera, cloud, guest, options, owned, read_texture, rendered, with_host};
+use crate::cost::print_stages;
+use crate::scenes::assert_nearly_equal;
 
 pub const SIZE: [u32; 2] = [110, 70];
 
@@ -37,18 +31,16 @@ pub fn view(reversed: bool) -> HostView {
 }
 
 fn with_scene(test: impl Fn(&Host, &mut Renderer, &DeviceScene, &Gaussians)) {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let gaussians = cloud(600, 11);
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
+        let scene = uploaded(&context, &gaussians);
         let wanted = Reservation {
             occlusion: true,
             expected_depth: true,
             orthographic: true,
             ..Reservation::new(600, 1, SIZE[0], SIZE[1])
         };
-        renderer.reserve(&wanted).expect("memory");
+        let mut renderer = reserved(&context, &wanted);
         test(host, &mut renderer, &scene, &gaussians);
     });
 }
@@ -58,14 +50,13 @@ fn with_scene(test: impl Fn(&Host, &mut Renderer, &DeviceScene, &Gaussians)) {
 #[test]
 fn an_orthographic_hosts_depth_hides_what_lies_behind_it() {
     with_scene(|host, renderer, scene, gaussians| {
-        let settings = RenderSettings::default();
         let placed = [Placed::from(scene)];
         let mut pictures = Vec::new();
         for reversed in [false, true] {
             let (camera, mapping) = view(reversed).camera().expect("a camera");
             assert!(mapping.linear && camera.is_orthographic());
-            let plain = RecordedFrame::new(&placed, &camera, &settings);
-            assert_same(&rendered(host, renderer, &plain), &owned(gaussians, &camera, &settings), [0.0; 3]);
+            let plain = frame_of(&placed, &camera);
+            assert_drawn(host, renderer, &plain, gaussians);
             let depth = |g: usize| camera.project(Vec3::from(gaussians.means[g])).2;
             // A wall in the middle, by the host's own matrix: z_view = -3.
             let clip = view(reversed).clip_from_view * Vec4::new(0.0, 0.0, -3.0, 1.0);
@@ -77,29 +68,22 @@ fn an_orthographic_hosts_depth_hides_what_lies_behind_it() {
             let none = Gaussians { sh_degree: 1, ..Gaussians::default() };
             let nearest = if reversed { 1.0 } else { 0.0 };
             for (value, expected) in [(mapping.clear_value, gaussians), (clip.z, &kept), (nearest, &none)] {
-                let (texture, state) = depth_image(host, SIZE, value);
-                // SAFETY: the description matches the image, which outlives the frame.
-                let image = unsafe {
-                    Image::adopt(renderer.context(), "depth", &texture.foreign(), ImageUse::Occluder)
-                };
-                let image = image.expect("adopted");
-                let depth = HostImage { image: &image, from: state, offset: [0; 2] };
+                let picture = Picture::of_depth(host, renderer.context(), SIZE, value);
+                let depth = host_image(&picture.image, COPIED);
                 let occluder = Some(Occluder { depth, mapping });
                 let pixels = rendered(host, renderer, &RecordedFrame { occluder, ..plain });
                 if expected.is_empty() {
                     assert!(pixels.iter().all(|pixel| *pixel == [0.0, 0.0, 0.0, 1.0]));
                 } else {
-                    assert_same(&pixels, &owned(expected, &camera, &settings), [0.0; 3]);
+                    assert_same(&pixels, &owned(expected, &camera, &SETTINGS));
                 }
                 pictures.push(pixels);
                 // The slot's next recording releases the image.
                 rendered(host, renderer, &plain);
-                drop(image);
-                texture.destroy(host);
             }
             let pinhole = Camera { projection: ashsplat::scene::Projection::Perspective, ..camera };
-            let frame = RecordedFrame::new(&placed, &pinhole, &settings);
-            assert_same(&rendered(host, renderer, &frame), &owned(gaussians, &pinhole, &settings), [0.0; 3]);
+            let frame = frame_of(&placed, &pinhole);
+            assert_same(&rendered(host, renderer, &frame), &owned(gaussians, &pinhole, &SETTINGS));
         }
         assert_eq!(pictures[..3], pictures[3..], "depth is reversed, the picture is not");
     });
@@ -110,14 +94,13 @@ fn an_orthographic_hosts_depth_hides_what_lies_behind_it() {
 #[test]
 fn parallel_rays_see_a_turned_scene_from_its_own_side() {
     with_scene(|host, renderer, scene, gaussians| {
-        let settings = RenderSettings::default();
         let (camera, _) = view(false).camera().expect("a camera");
         let (turn, shift) =
             (Quat::from_euler(glam::EulerRot::XYZ, 0.4, 1.5, -0.7), Vec3::new(0.2, -0.1, 0.3));
         let rotation = Mat3::from_quat(turn);
         let pose = Pose { world_from_object: rotation, translation: shift, scale: 2.0 };
         let placed = [Placed::at(scene, pose)];
-        let pixels = rendered(host, renderer, &RecordedFrame::new(&placed, &camera, &settings));
+        let pixels = rendered(host, renderer, &frame_of(&placed, &camera));
         // x_camera = 2 R_c R (x + Rᵀ shift / 2) + t_c: half as many units, each of twice as many pixels.
         let camera_from_world = camera.camera_from_world * rotation;
         let own = Camera {
@@ -127,10 +110,10 @@ fn parallel_rays_see_a_turned_scene_from_its_own_side() {
             fy: 2.0 * camera.fy,
             ..camera
         };
-        assert_nearly_equal(&pixels, &owned(gaussians, &own, &settings));
-        // Colours that do not depend on the direction would hide the difference.
+        assert_nearly_equal(&pixels, &owned(gaussians, &own, &SETTINGS));
+        // The scene shows the difference: without view-dependent colours the picture is another one.
         let plain = gaussians.with_sh_degree(0);
-        let differs = owned(&plain, &own, &settings);
+        let differs = owned(&plain, &own, &SETTINGS);
         let far = pixels.iter().zip(&differs.color).filter(|(p, c)| (p[0] - c[0]).abs() > 0.02).count();
         assert!(far > pixels.len() / 20, "{far}");
     });
@@ -155,27 +138,14 @@ fn expected_depth_of_parallel_rays_is_z() {
             sheet.opacity_logits.push(4.0);
             sheet.sh.push([0.5; 3]);
         }
-        let scene = DeviceScene::upload(&context, &sheet, 0).expect("a scene");
-        let usage = vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::TRANSFER_SRC;
-        let texture = HostTexture::new(host, vk::Format::R32_SFLOAT, usage, SIZE).expect("an image");
-        // SAFETY: the description matches the image, which outlives the frame.
-        let image = unsafe { Image::adopt(&context, "expected", &texture.foreign(), ImageUse::Depth) };
-        let image = image.expect("adopted");
+        let scene = uploaded(&context, &sheet);
+        let picture =
+            Picture::new(host, &context, ("expected", ImageUse::Depth), vk::Format::R32_SFLOAT, SIZE);
         let placed = [Placed::at(&scene, Pose { scale: 2.0, ..Pose::IDENTITY })];
-        let settings = RenderSettings::default();
-        let depth = Some(DepthTarget {
-            to: HostImage { image: &image, from: ImageState::UNDEFINED, offset: [0; 2] },
-            min_weight: 0.5,
-            empty: -1.0,
-        });
-        let frame = RecordedFrame { depth, ..RecordedFrame::new(&placed, &camera, &settings) };
+        let depth = Some(DepthTarget { to: picture.unused(), min_weight: 0.5, empty: -1.0 });
+        let frame = RecordedFrame { depth, ..frame_of(&placed, &camera) };
         let pixels = rendered(host, renderer, &frame);
-        let from = (
-            vk::ImageLayout::GENERAL,
-            vk::PipelineStageFlags2::COMPUTE_SHADER,
-            vk::AccessFlags2::SHADER_STORAGE_WRITE,
-        );
-        let depths: Vec<f32> = bytemuck::pod_collect_to_vec(&read_texture(host, &texture, from));
+        let depths: Vec<f32> = picture.texture.read(WRITTEN);
         let host_view = view(true);
         let clip = host_view.clip_from_view * host_view.view_from_world * Vec4::W;
         let mut covered = 0;
@@ -191,31 +161,20 @@ fn expected_depth_of_parallel_rays_is_z() {
         }
         assert!(covered > 1000, "{covered}");
         // The slot's next recording releases the image.
-        rendered(host, renderer, &RecordedFrame::new(&placed, &camera, &settings));
-        drop(image);
-        texture.destroy(host);
+        rendered(host, renderer, &frame_of(&placed, &camera));
     });
 }
 
 /// A frame without reserved kernels is refused before its first command.
 #[test]
 fn an_orthographic_camera_is_reserved() {
-    with_host(&options(), |host| {
-        let context = guest(host);
-        let scene = DeviceScene::upload(&context, &cloud(50, 1), 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&Reservation::new(50, 1, SIZE[0], SIZE[1])).expect("memory");
+    with_guest(|host, context| {
+        let scene = uploaded(&context, &cloud(50, 1));
+        let mut renderer = reserved(&context, &Reservation::new(50, 1, SIZE[0], SIZE[1]));
         let (camera, _) = view(false).camera().expect("a camera");
-        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
-        let in_flight = crate::host::InFlight::new(host).expect("a command buffer");
-        in_flight.begin(host).expect("recording");
-        let commands = crate::stage::adopt(&context, &in_flight);
-        let refused = renderer.record(commands, 0, &RecordedFrame::new(&placed, &camera, &settings));
-        let error = refused.map_or_else(|error| error.to_string(), |_| "accepted".into());
+        let placed = [Placed::from(&scene)];
+        let error = refused(host, &mut renderer, &frame_of(&placed, &camera)).to_string();
         assert!(error.contains("Reservation::orthographic: not reserved"), "{error}");
-        in_flight.submit(host).expect("submitted");
-        in_flight.wait(host).expect("done");
-        in_flight.destroy(host);
     });
 }
 
@@ -225,29 +184,22 @@ fn an_orthographic_camera_is_reserved() {
 fn costs() {
     with_host(&HostOptions::default(), |host| {
         let context = crate::cost::shipped(host, true);
-        let scene = DeviceScene::upload(&context, &cloud(200_000, 1), 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
+        let scene = uploaded(&context, &cloud(200_000, 1));
         let wanted = Reservation { orthographic: true, ..Reservation::new(200_000, 1, 640, 480) };
-        renderer.reserve(&wanted).expect("memory");
+        let mut renderer = reserved(&context, &wanted);
         let pinhole = camera(0.7, 640, 480);
         // The pixel scale of the pinhole at the middle of the cloud.
         let distance = pinhole.project(Vec3::ZERO).2;
         let parallel =
             Camera { fx: pinhole.fx / distance, fy: pinhole.fy / distance, ..pinhole.orthographic() };
-        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
-        let frames = [&pinhole, &parallel].map(|camera| RecordedFrame::new(&placed, camera, &settings));
-        let stages = ["cull", "project", "blend", ""];
-        let times = in_turn(host, &mut renderer, &frames, stages, 30);
-        for frame in &frames {
-            in_turn(host, &mut renderer, std::slice::from_ref(frame), stages, 0);
-            let report = renderer.slot_report(0).expect("a report").expect("finished");
-            println!("{} visible, {} instances", report.visible, report.instances_needed);
-        }
-        println!("of | pinhole, ms | orthographic, ms | ratio of pairs");
-        for (stage, name) in ["cull", "project", "blend", "frame"].into_iter().enumerate() {
-            let [one, other] = [0, 1].map(|case| &times[case][stage]);
-            let medians = [one, other].map(|times| median(times.iter().copied()));
-            println!("{name} | {:.1} | {:.1} | {:.3}", medians[0], medians[1], ratio(other, one));
+        let placed = [Placed::from(&scene)];
+        let cases = [("pinhole", &pinhole), ("orthographic", &parallel)]
+            .map(|(name, camera)| (name, frame_of(&placed, camera)));
+        print_stages(host, &mut renderer, &cases, &["cull", "project", "blend"], 30);
+        for (name, frame) in &cases {
+            rendered(host, &mut renderer, frame);
+            let report = report_of(&mut renderer, 0);
+            println!("{name}: {} visible, {} instances", report.visible, report.instances_needed);
         }
     });
 }

@@ -1,23 +1,14 @@
 //! A host's queues: one of another family with images that change owners, one that other threads submit to
 //! ([`lock`]), and contexts that share device objects.
 
-mod failed_wait;
 mod lock;
 
 use crate::child;
-use crate::host::{AsyncQueue, Host, HostOptions};
-use crate::memory::{HostBuffer, HostTexture};
-use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
-use ashsplat::ash::vk;
-use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageState, ImageUse, LimitsOverride};
-use ashsplat::{
-    Background, ColorEncoding, DeviceScene, HostImage, Placed, RecordedFrame, Release, RenderSettings,
-    Renderer, Reservation, Target,
-};
+use crate::host::AsyncQueue;
+use crate::stage::*;
 use std::path::Path;
 
 const SIZE: [u32; 2] = [64, 48];
-const PIXELS: usize = 64 * 48;
 
 /// A context with the host's compute queue.
 fn asynchronous(host: &Host) -> Context {
@@ -34,7 +25,6 @@ fn on_a_machine_with_two_queues(trial: &str) {
     // SAFETY: a plain query.
     let properties = unsafe { own.instance.get_physical_device_properties(own.physical) };
     let name = properties.device_name_as_c_str().unwrap_or_default().to_string_lossy().into_owned();
-    own.destroy();
     if !cfg!(target_os = "linux") || !name.contains("llvmpipe") {
         eprintln!("skipped: machines are claimed over llvmpipe on Linux only");
         return;
@@ -107,8 +97,13 @@ impl<'a> Work<'a> {
             self.host.device.queue_submit2(self.queue, &submits, vk::Fence::null()).expect("submitted");
         }
     }
+}
 
-    fn destroy(self) {
+impl Drop for Work<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            return;
+        }
         // SAFETY: the host has waited.
         unsafe {
             self.host.device.destroy_semaphore(self.done, None);
@@ -117,39 +112,12 @@ impl<'a> Work<'a> {
     }
 }
 
-const CLEARED: ImageState = ImageState {
-    layout: vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-    stages: vk::PipelineStageFlags2::ALL_TRANSFER,
-    accesses: vk::AccessFlags2::TRANSFER_WRITE,
-};
-
-/// Records a host's picture in the graphics queue.
-fn clear(work: &Work<'_>, image: &Image, used: ImageState, grey: f32) {
-    let mut ready = vk::ImageMemoryBarrier2::default()
-        .src_stage_mask(used.stages)
-        .src_access_mask(used.accesses)
-        .dst_stage_mask(CLEARED.stages)
-        .dst_access_mask(CLEARED.accesses)
-        .old_layout(used.layout)
-        .new_layout(CLEARED.layout)
-        .image(image.handle());
-    ready.subresource_range = image.hand_over(CLEARED).subresource_range;
-    work.image_barrier(ready);
-    let color = vk::ClearColorValue { float32: [grey, grey, grey, 1.0] };
-    let ranges = [ready.subresource_range];
-    // SAFETY: recording state; the image is in this layout and has TRANSFER_DST.
-    unsafe {
-        let device = &work.host.device;
-        device.cmd_clear_color_image(work.commands, image.handle(), CLEARED.layout, &color, &ranges);
-    }
-}
-
 /// Uses before a recording. A compute queue has no fragment stage, and discarded contents need no ownership
 /// transfer.
 fn uses() -> [ImageState; 4] {
     let fragments = vk::PipelineStageFlags2::FRAGMENT_SHADER;
-    let drawn = ImageState { stages: CLEARED.stages | fragments, ..CLEARED };
-    [CLEARED, drawn, ImageState::UNDEFINED, ImageState { stages: fragments, ..ImageState::UNDEFINED }]
+    let drawn = ImageState { stages: COPIED.stages | fragments, ..COPIED };
+    [COPIED, drawn, ImageState::UNDEFINED, ImageState { stages: fragments, ..ImageState::UNDEFINED }]
 }
 
 /// Draws frames of the guest's queue over the host's picture, or over a colour if that is discarded, and returns the
@@ -158,23 +126,22 @@ fn draw_in_turns(
     host: &Host,
     context: &Context,
     of_guest: (vk::Queue, vk::CommandPool),
-    (image, texture): (&Image, &HostTexture),
+    (image, texture): (&Image, &Texture<'_>),
 ) {
-    let (gaussians, settings) = (cloud(300, 3), RenderSettings::default());
-    let scene = DeviceScene::upload(context, &gaussians, 0).expect("a scene");
-    let mut renderer = Renderer::new(context).expect("kernels");
+    let gaussians = cloud(300, 3);
+    let scene = uploaded(context, &gaussians);
     let wanted = Reservation { views: 2, images_only: true, ..Reservation::new(300, 1, SIZE[0], SIZE[1]) };
-    renderer.reserve(&wanted).expect("memory");
+    let mut renderer = reserved(context, &wanted);
     let placed = [Placed::from(&scene)];
-    let staging = HostBuffer::new(host, 16 * PIXELS as u64).expect("memory");
-    let mut used = ImageState::UNDEFINED;
+    let staging = texture.staging();
+    let mut last = ImageState::UNDEFINED;
     for (frame, from) in uses().into_iter().enumerate() {
         let grey = 0.25 * (frame + 1) as f32;
         let keeps = from.layout != vk::ImageLayout::UNDEFINED;
         let whole = camera(0.3 * frame as f32, SIZE[0], SIZE[1]);
         let inset = camera(1.0, 16, 16);
         let before = Work::begin(host, host.queue, host.pool);
-        clear(&before, image, used, grey);
+        texture.clear(before.commands, last, [grey, grey, grey, 1.0]);
         if keeps {
             before.image_barrier(image.hand_over(from));
         }
@@ -185,27 +152,25 @@ fn draw_in_turns(
             encoding: ColorEncoding::AsTrained,
         };
         let views = [
-            RecordedFrame { target: target([0; 2]), ..RecordedFrame::new(&placed, &whole, &settings) },
-            RecordedFrame { target: target([48, 32]), ..RecordedFrame::new(&placed, &inset, &settings) },
+            RecordedFrame { target: target([0; 2]), ..frame_of(&placed, &whole) },
+            RecordedFrame { target: target([48, 32]), ..frame_of(&placed, &inset) },
         ];
         // SAFETY: it is being recorded, is submitted once and waited for.
         let commands = unsafe { context.adopt_commands(guests.commands) }.expect("a command buffer");
         let mut releases = [Release::default(); 2];
         renderer.record_views(commands, 0, &views, &mut releases).expect("a recording");
-        let last = releases[1].color.expect("a target");
-        assert_eq!((releases[0].color, last.layout), (Some(last), image.layout()));
+        let release = releases[1].color.expect("a target");
+        assert_eq!((releases[0].color, release.layout), (Some(release), image.layout()));
         let behind = Work::begin(host, host.queue, host.pool);
         behind.image_barrier(image.take_back());
-        let of_release = (last.layout, last.stages, last.accesses);
-        let (layout, stages, _) = texture.record_read(host, behind.commands, of_release, &staging);
-        used = ImageState { layout, stages, accesses: vk::AccessFlags2::NONE };
+        texture.record_read(host, behind.commands, used(release), &staging);
+        last = READ;
         before.submit(None, true);
         guests.submit(Some(&before), true);
         behind.submit(Some(&guests), false);
         host.wait().expect("done");
-        let texels: Vec<[f32; 4]> =
-            bytemuck::pod_collect_to_vec(&staging.read(host, 16 * PIXELS).expect("bytes"));
-        let [below, above] = [whole, inset].map(|camera| owned(&gaussians, &camera, &settings));
+        let texels: Vec<[f32; 4]> = staging.read();
+        let [below, above] = [whole, inset].map(|camera| owned(&gaussians, &camera, &SETTINGS));
         for (i, texel) in texels.iter().enumerate() {
             let [x, y] = [i % SIZE[0] as usize, i / SIZE[0] as usize];
             let mut expected = below.color[i].map(|c| c + below.transmittance[i] * grey);
@@ -217,20 +182,14 @@ fn draw_in_turns(
             let near = (0..3).all(|c| (texel[c] - expected[c]).abs() < 1e-6);
             assert!(near, "frame {frame}, ({x}, {y}): {texel:?}, not {expected:?}");
         }
-        [before, guests, behind].into_iter().for_each(Work::destroy);
     }
     drop(renderer);
-    staging.destroy(host);
 }
 
 /// An image that the host and the guest draw into.
-fn shared_image(host: &Host, context: &Context) -> (HostTexture, Image) {
-    let usage =
-        vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
-    let texture = HostTexture::new(host, vk::Format::R32G32B32A32_SFLOAT, usage, SIZE).expect("an image");
-    // SAFETY: the description matches the image, which outlives the view.
-    let image = unsafe { Image::adopt(context, "shared", &texture.foreign(), ImageUse::Target) };
-    (texture, image.expect("adopted"))
+fn shared_image<'a>(host: &'a Host, context: &Context) -> Picture<'a> {
+    let target = ("shared", ImageUse::Target);
+    Picture::new(host, context, target, vk::Format::R32G32B32A32_SFLOAT, SIZE)
 }
 
 /// Two views into one image must agree on the family that owns it.
@@ -240,19 +199,17 @@ fn assert_one_owner(
     of_guest: (vk::Queue, vk::CommandPool),
     images: [&Image; 2],
 ) {
-    let scene = DeviceScene::upload(context, &cloud(300, 3), 0).expect("a scene");
-    let settings = RenderSettings::default();
+    let scene = uploaded(context, &cloud(300, 3));
     let (placed, eye) = ([Placed::from(&scene)], camera(0.3, SIZE[0], SIZE[1]));
-    let mut renderer = Renderer::new(context).expect("kernels");
     let wanted = Reservation { views: 2, images_only: true, ..Reservation::new(300, 1, SIZE[0], SIZE[1]) };
-    renderer.reserve(&wanted).expect("memory");
+    let mut renderer = reserved(context, &wanted);
     let views = images.map(|image| RecordedFrame {
         target: Target::Image {
             to: HostImage { image, from: ImageState::UNDEFINED, offset: [0; 2] },
             behind: Background::Color([0.0; 3]),
             encoding: ColorEncoding::AsTrained,
         },
-        ..RecordedFrame::new(&placed, &eye, &settings)
+        ..frame_of(&placed, &eye)
     });
     let work = Work::begin(host, of_guest.0, of_guest.1);
     // SAFETY: it is being recorded, and thrown away.
@@ -262,7 +219,6 @@ fn assert_one_owner(
     let wanted = "views[1].target (image 'shared'): is also views[0].target: they say that other queue families own it";
     assert!(error.contains(wanted), "{error}");
     drop(renderer);
-    work.destroy();
 }
 
 /// Frames of a compute queue over the graphics queue's picture, and back to that queue.
@@ -273,44 +229,39 @@ fn images_change_hands_in_a_child() {
         let context = asynchronous(host);
         let apart = host.async_queue.expect("asked for");
         assert_ne!(apart.family, host.queue_family);
-        let scene = DeviceScene::upload(&context, &cloud(300, 3), 0).expect("a scene");
+        let scene = uploaded(&context, &cloud(300, 3));
         // A scene that the other family owns cannot be drawn here.
         let other = guest(host);
-        let error = scene.in_context(&other).err().expect("another family").to_string();
-        assert!(
-            error.contains("scene: queue family 2 owns it, the context's queues are of family 0"),
-            "{error}"
+        assert_error(
+            scene.in_context(&other),
+            "scene: queue family 2 owns it, the context's queues are of family 0",
         );
         drop(other);
-        let (texture, image) = shared_image(host, &context);
-        let error = image.clone().of_family(3).expect_err("no such family").to_string();
-        assert!(error.contains("image 'shared': queue family 3, the device has 3"), "{error}");
+        let Picture { image, texture } = shared_image(host, &context);
+        assert_error(image.clone().of_family(3), "image 'shared': queue family 3, the device has 3");
         let owned = image.clone().of_family(host.queue_family).expect("a family");
         let of_guest = (apart.queue, apart.pool);
         assert_one_owner(host, &context, of_guest, [&image, &owned]);
         assert_one_owner(host, &context, of_guest, [&owned, &image]);
         draw_in_turns(host, &context, of_guest, (&owned, &texture));
         drop((scene, owned, image));
-        texture.destroy(host);
     });
 }
 
 /// If the context's own family owns an image, both of the host's barriers are plain ones.
 #[test]
 fn barriers_fit_images_of_the_own_family() {
-    with_host(&options(), |host| {
-        let context = guest(host);
-        let (texture, image) = shared_image(host, &context);
+    with_guest(|host, context| {
+        let Picture { image, texture } = shared_image(host, &context);
         let named = image.clone().of_family(host.queue_family).expect("a family");
         for image in [&image, &named] {
-            let (there, back) = (image.hand_over(CLEARED), image.take_back());
-            assert_eq!([there.old_layout, there.new_layout], [CLEARED.layout; 2]);
+            let (there, back) = (image.hand_over(COPIED), image.take_back());
+            assert_eq!([there.old_layout, there.new_layout], [COPIED.layout; 2]);
             assert_eq!([back.old_layout, back.new_layout], [image.layout(); 2]);
             assert_eq!(back.src_access_mask, vk::AccessFlags2::SHADER_STORAGE_WRITE);
         }
         draw_in_turns(host, &context, (host.queue, host.pool), (&named, &texture));
         drop((named, image));
-        texture.destroy(host);
     });
 }
 
@@ -324,35 +275,30 @@ fn images_change_hands_between_queues() {
 fn contexts_of_a_device_share_scenes() {
     with_host(&options(), |host| {
         let (first, second) = (guest(host), guest(host));
-        let (gaussians, settings) = (cloud(300, 3), RenderSettings::default());
+        let gaussians = cloud(300, 3);
         let view = camera(0.3, SIZE[0], SIZE[1]);
-        let scene = DeviceScene::upload(&first, &gaussians, 0).expect("a scene");
-        let mut renderer = Renderer::new(&second).expect("kernels");
-        renderer.reserve(&Reservation::new(300, 1, SIZE[0], SIZE[1])).expect("memory");
-        let error = renderer.render_scene(&scene, &view, &settings).expect_err("the other's").to_string();
-        assert!(error.contains("another context: on the same VkDevice, DeviceScene::in_context"), "{error}");
+        let scene = uploaded(&first, &gaussians);
+        let mut renderer = reserved(&second, &Reservation::new(300, 1, SIZE[0], SIZE[1]));
+        assert_error(
+            renderer.render_scene(&scene, &view, &SETTINGS),
+            "another context: on the same VkDevice, DeviceScene::in_context",
+        );
         let shared = scene.in_context(&second).expect("the same family");
         let held = first.memory_total().bytes;
         drop(scene);
-        let expected = owned(&gaussians, &view, &settings);
+        let expected = owned(&gaussians, &view, &SETTINGS);
         let placed = [Placed::from(&shared)];
-        let frame = RecordedFrame::new(&placed, &view, &settings);
-        assert_same(&rendered(host, &mut renderer, &frame), &expected, [0.0; 3]);
-        let own = renderer.render_scene(&shared, &view, &settings).expect("a frame");
+        let frame = frame_of(&placed, &view);
+        assert_same(&rendered(host, &mut renderer, &frame), &expected);
+        let own = renderer.render_scene(&shared, &view, &SETTINGS).expect("a frame");
         assert!(own.color == expected.color);
         assert_eq!(first.memory_total().bytes, held, "the other context keeps it");
         drop((renderer, shared));
         assert!(first.memory_total().bytes < held, "nobody keeps it any more");
 
-        let scene = DeviceScene::upload(&first, &gaussians, 0).expect("a scene");
-        let limits_override =
-            Some(LimitsOverride { max_storage_buffer_range: Some(16 * 1024), ..LimitsOverride::default() });
-        let options = ContextOptions { limits_override, ..ContextOptions::default() };
-        // SAFETY: as in `guest`.
-        let small = unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context");
-        let error = scene.in_context(&small).err().expect("other chunks").to_string();
-        assert!(error.contains("scene: the limits of the context ask for another plan"), "{error}");
-        let error = scene.in_context(crate::stage::own_device()).err().expect("no").to_string();
-        assert!(error.contains("scene: it belongs to another device"), "{error}");
+        let scene = uploaded(&first, &gaussians);
+        let small = guest_of(&host.foreign(), &small_bindings(16 * 1024));
+        assert_error(scene.in_context(&small), "scene: the limits of the context ask for another plan");
+        assert_error(scene.in_context(own_device()), "scene: it belongs to another device");
     });
 }

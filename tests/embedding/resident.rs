@@ -2,9 +2,8 @@
 //! other test allocates, and no validation layer, which keeps records.
 
 use crate::child;
-use crate::host::{HostOptions, InFlight};
-use crate::stage::{adopt, camera, cloud, guest, with_host};
-use ashsplat::{Camera, DeviceScene, RecordedFrame, RenderSettings, Renderer, Reservation};
+use crate::frames::{changing_view, draw_a_thousand};
+use crate::stage::*;
 
 const FRAMES: u32 = 1000;
 /// Number of frames after which allocators and the driver have settled.
@@ -17,28 +16,34 @@ fn resident_kib() -> Option<u64> {
     Some(pages * 4)
 }
 
-fn view(number: u32) -> Camera {
-    camera(number as f32 * 0.1, 1 + number * 7 % 64, 1 + number * 5 % 48)
+/// Memory once settled, and after the last frame.
+#[derive(Default)]
+struct Measured {
+    resident_kib: [u64; 2],
+    device_bytes: [u64; 2],
 }
 
-/// Runs all frames. Returns the resident memory once settled and at the end.
-fn measured(mut frame: impl FnMut(u32)) -> [u64; 2] {
-    let mut settled = 0;
-    for number in 0..FRAMES {
-        if number == SETTLED {
-            settled = resident_kib().expect("asked before");
-        }
-        frame(number);
+impl Measured {
+    /// Before each frame, and after the last.
+    fn note(&mut self, context: &Context, number: u32) {
+        let at = match number {
+            SETTLED => 0,
+            FRAMES => 1,
+            _ => return,
+        };
+        self.resident_kib[at] = resident_kib().expect("asked before");
+        self.device_bytes[at] = context.memory_total().bytes;
     }
-    [settled, resident_kib().expect("asked before")]
-}
 
-fn report(path: &str, [settled, end]: [u64; 2], device_bytes: u64) {
-    println!(
-        "{path}: {settled} KiB resident after {SETTLED} frames, {end} after {FRAMES}; device memory {} KiB all along",
-        device_bytes >> 10
-    );
-    assert!(end <= settled + 1024, "{path}: resident memory grows from {settled} to {end} KiB");
+    fn report(&self, path: &str) {
+        let ([settled, end], [device, device_end]) = (self.resident_kib, self.device_bytes);
+        println!(
+            "{path}: {settled} KiB resident after {SETTLED} frames, {end} after {FRAMES}; device memory {} KiB all along",
+            device >> 10
+        );
+        assert!(end <= settled + 1024, "{path}: resident memory grows from {settled} to {end} KiB");
+        assert_eq!(device, device_end, "{path}");
+    }
 }
 
 #[test]
@@ -46,43 +51,19 @@ fn report(path: &str, [settled, end]: [u64; 2], device_bytes: u64) {
 fn resident_memory_in_a_child() {
     with_host(&HostOptions::default(), |host| {
         let context = guest(host);
-        let gaussians = cloud(150, 7);
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
-        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
+        let mut recorded = Measured::default();
+        draw_a_thousand(host, &context, |number| recorded.note(&context, number));
+        recorded.report("recorded");
 
         let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&Reservation { slots: 3, ..Reservation::new(150, 1, 64, 48) }).expect("memory");
-        let in_flight = [0; 3].map(|_| InFlight::new(host).expect("a command buffer"));
-        let reserved = context.memory_total().bytes;
-        let recorded = measured(|number| {
-            let (slot, frame) = (number % 3, &in_flight[(number % 3) as usize]);
-            if number >= 3 {
-                frame.wait(host).expect("done");
-                assert!(renderer.slot_report(slot).expect("a report").is_some_and(|r| !r.overflow));
-            }
-            frame.begin(host).expect("recording");
-            let camera = view(number);
-            let recorded = RecordedFrame::new(&scenes, &camera, &settings);
-            renderer.record(adopt(&context, frame), slot, &recorded).expect("a recording");
-            frame.submit(host).expect("a submission");
-        });
-        in_flight.iter().for_each(|frame| frame.wait(host).expect("done"));
-        assert_eq!(context.memory_total().bytes, reserved);
-        report("recorded", recorded, reserved);
-        in_flight.into_iter().for_each(|frame| frame.destroy(host));
-        drop(renderer);
-
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.upload(&gaussians).expect("a scene");
-        let mut settled = 0;
-        let owned = measured(|number| {
-            if number == SETTLED {
-                settled = context.memory_total().bytes;
-            }
-            renderer.render(&view(number), &settings).expect("a frame");
-        });
-        assert_eq!(context.memory_total().bytes, settled);
-        report("owned", owned, settled);
+        renderer.upload(&cloud(150, 7)).expect("a scene");
+        let mut owned = Measured::default();
+        for number in 0..FRAMES {
+            owned.note(&context, number);
+            renderer.render(&changing_view(number), &SETTINGS).expect("a frame");
+        }
+        owned.note(&context, FRAMES);
+        owned.report("owned");
     });
 }
 

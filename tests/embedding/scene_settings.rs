@@ -1,13 +1,8 @@
 //! Scenes of one frame with different settings.
 
-use crate::host::{Host, InFlight};
 use crate::scenes::{appended, assert_nearly_equal};
-use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
-use ashsplat::scene::{Camera, Gaussians, Pose};
-use ashsplat::vk::Context;
-use ashsplat::{
-    DeviceScene, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings, Shape,
-};
+use crate::stage::*;
+use ashsplat::Shape;
 
 pub const SIZE: [u32; 2] = [110, 70];
 
@@ -33,7 +28,7 @@ impl<'a> Stage<'a> {
         parts: &[&Gaussians],
         wanted: &dyn Fn(Reservation) -> Reservation,
     ) -> Self {
-        let upload = |part: &&Gaussians| DeviceScene::upload(context, part, 0).expect("a scene");
+        let upload = |part: &&Gaussians| uploaded(context, part);
         let mut renderer = Renderer::new(context).expect("kernels");
         let gaussians: usize = parts.iter().map(|part| part.len()).sum();
         let least = Reservation::new(gaussians as u32, 1, SIZE[0], SIZE[1]);
@@ -51,14 +46,18 @@ impl<'a> Stage<'a> {
 
     /// The error of a refused frame.
     pub fn refused(&mut self, settings: &[SceneSettings]) -> Error {
-        let in_flight = InFlight::new(self.host).expect("a command buffer");
-        in_flight.begin(self.host).expect("recording");
-        let commands = crate::stage::adopt(self.renderer.context(), &in_flight);
         let placed = placed(&self.scenes, &self.poses, settings);
-        let frame = RecordedFrame::new(&placed, &self.camera, &self.frame);
-        let error = self.renderer.record(commands, 0, &frame).expect_err("refused");
-        in_flight.destroy(self.host);
-        error
+        refused(self.host, &mut self.renderer, &RecordedFrame::new(&placed, &self.camera, &self.frame))
+    }
+
+    /// Fails unless a frame with these settings is refused for this reason.
+    pub fn assert_refused(&mut self, settings: &[SceneSettings], expected: &str) {
+        assert_argument(&self.refused(settings), expected);
+    }
+
+    /// Fails unless the picture is the engine's own of these Gaussians, to the bit.
+    pub fn assert_drawn(&mut self, settings: &[SceneSettings], gaussians: &Gaussians) {
+        assert_same(&self.pixels(settings), &owned(gaussians, &self.camera, &self.frame));
     }
 }
 
@@ -92,24 +91,14 @@ fn scenes_that_are_not_drawn_leave_no_trace() {
         // The second scene alone would not fit.
         let least = |wanted| Reservation { gaussians: 600, ..wanted };
         let mut stage = Stage::new(host, &[&parts[0], &parts[1], &parts[2]], &least);
-        let (camera, frame) = (stage.camera, stage.frame);
         for hidden in [HIDDEN, FADED] {
-            let rest = owned(&appended(&parts[0], &parts[2]), &camera, &frame);
-            assert_same(&stage.pixels(&[USUAL, hidden, USUAL]), &rest, [0.0; 3]);
-            let report = stage.renderer.slot_report(0).expect("a report").expect("finished");
+            stage.assert_drawn(&[USUAL, hidden, USUAL], &appended(&parts[0], &parts[2]));
+            let report = report_of(&mut stage.renderer, 0);
             assert_eq!(report.gaussians, 557);
-            assert_same(
-                &stage.pixels(&[hidden, hidden, USUAL]),
-                &owned(&parts[2], &camera, &frame),
-                [0.0; 3],
-            );
-            assert_same(
-                &stage.pixels(&[USUAL, hidden, hidden]),
-                &owned(&parts[0], &camera, &frame),
-                [0.0; 3],
-            );
+            stage.assert_drawn(&[hidden, hidden, USUAL], &parts[2]);
+            stage.assert_drawn(&[USUAL, hidden, hidden], &parts[0]);
             assert!(stage.pixels(&[hidden; 3]).iter().all(|pixel| *pixel == [0.0, 0.0, 0.0, 1.0]));
-            let report = stage.renderer.slot_report(0).expect("a report").expect("finished");
+            let report = report_of(&mut stage.renderer, 0);
             assert_eq!((report.gaussians, report.visible), (0, 0));
         }
         let error = stage.refused(&[USUAL, USUAL, HIDDEN]);
@@ -129,14 +118,13 @@ fn a_scene_has_an_sh_degree_of_its_own() {
         let expected = owned(&appended(&flat, &parts[1]), &stage.camera, &stage.frame);
         // A sum with zeros rounds differently.
         assert_nearly_equal(&stage.pixels(&[degree(0), degree(3)]), &expected);
-        let whole = owned(&appended(&parts[0], &parts[1]), &stage.camera, &stage.frame);
-        assert_same(&stage.pixels(&[degree(1), USUAL]), &whole, [0.0; 3]);
+        stage.assert_drawn(&[degree(1), USUAL], &appended(&parts[0], &parts[1]));
         // The frame's limit applies to all scenes.
         stage.frame.sh_degree = Some(0);
         let all_flat = owned(&appended(&parts[0], &parts[1]), &stage.camera, &stage.frame);
-        assert_same(&stage.pixels(&[degree(1), degree(3)]), &all_flat, [0.0; 3]);
+        assert_same(&stage.pixels(&[degree(1), degree(3)]), &all_flat);
         stage.frame.sh_degree = None;
-        assert_same(&stage.pixels(&[degree(0), degree(0)]), &all_flat, [0.0; 3]);
+        assert_same(&stage.pixels(&[degree(0), degree(0)]), &all_flat);
     });
 }
 
@@ -147,8 +135,9 @@ fn a_tint_and_an_opacity_are_factors() {
         let (mut tinted, other) = (cloud(300, 1), cloud(280, 2));
         tinted.sh.chunks_mut(4).for_each(|sh| sh[1..].fill([0.0; 3]));
         let mut stage = Stage::new(host, &[&tinted, &other], &|wanted| Reservation { tint: true, ..wanted });
-        let whole = owned(&appended(&tinted, &other), &stage.camera, &stage.frame);
-        assert_same(&stage.pixels(&[USUAL, USUAL]), &whole, [0.0; 3]);
+        let both = appended(&tinted, &other);
+        let whole = owned(&both, &stage.camera, &stage.frame);
+        assert_same(&stage.pixels(&[USUAL, USUAL]), &whole);
         // The kernels of a tint, with a tint of almost 1.
         let least = SceneSettings { tint: [1.0, 1.0, 1.0f32.next_down()], ..USUAL };
         assert_nearly_equal(&stage.pixels(&[least, USUAL]), &whole);
@@ -169,9 +158,7 @@ fn a_tint_and_an_opacity_are_factors() {
         assert_nearly_equal(&stage.pixels(&[settings, HIDDEN]), &expected);
         // Dots stay opaque.
         stage.frame.shape = Shape::Point;
-        let opaque = stage.pixels(&[SceneSettings { opacity: 0.01, ..USUAL }, USUAL]);
-        let dots = owned(&appended(&tinted, &other), &stage.camera, &stage.frame);
-        assert_same(&opaque, &dots, [0.0; 3]);
+        stage.assert_drawn(&[SceneSettings { opacity: 0.01, ..USUAL }, USUAL], &both);
     });
 }
 
@@ -205,13 +192,11 @@ fn bad_settings_of_a_scene_are_refused_by_name() {
             ),
         ];
         for (settings, expected) in bad {
-            let error = stage.refused(&[USUAL, settings]);
-            assert!(matches!(error, Error::Argument { .. }), "{error:?}");
-            assert!(error.to_string().contains(expected), "{error} (expected {expected})");
+            stage.assert_refused(&[USUAL, settings], expected);
         }
         // A hidden scene needs no reserved features.
         let expected = owned(&part, &stage.camera, &stage.frame);
         let unseen = SceneSettings { visible: false, tint: [0.5; 3], ..USUAL };
-        assert_same(&stage.pixels(&[USUAL, unseen]), &expected, [0.0; 3]);
+        assert_same(&stage.pixels(&[USUAL, unseen]), &expected);
     });
 }

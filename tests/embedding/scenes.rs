@@ -1,20 +1,8 @@
 //! Scenes that change, have poses, lie in the host's memory, or share a frame.
 
-use crate::host::Host;
-use crate::memory::{HostBuffer, HostTexture};
-use crate::stage::{
-    assert_same, camera, cloud, guest, guest_of_small_bindings, options, owned, read_texture, rendered,
-    with_host,
-};
-use ashsplat::ash::vk;
-use ashsplat::plan::ScenePlan;
-use ashsplat::scene::{Gaussians, Pose, Similarity};
-use ashsplat::vk::{Buffer, Context, Image, ImageState, ImageUse};
-use ashsplat::{
-    DepthTarget, DeviceScene, Error, Frame, HostImage, Placed, RecordedFrame, RenderSettings, Renderer,
-    Reservation,
-};
-use glam::{Mat3, Quat, Vec3};
+use crate::stage::*;
+use ashsplat::frame::ScenePlan;
+use ashsplat::scene::Similarity;
 
 pub fn appended(a: &Gaussians, b: &Gaussians) -> Gaussians {
     let mut both = a.clone();
@@ -27,30 +15,24 @@ pub fn appended(a: &Gaussians, b: &Gaussians) -> Gaussians {
 }
 
 pub fn renderer(context: &Context, gaussians: u32, staging_bytes: u64) -> Renderer {
-    let mut renderer = Renderer::new(context).expect("kernels");
     let reservation = Reservation { scenes: 3, staging_bytes, ..Reservation::new(gaussians, 1, 110, 70) };
-    renderer.reserve(&reservation).expect("memory");
-    renderer
+    reserved(context, &reservation)
 }
 
 /// Scenes are sorted together: the picture equals that of one scene with all Gaussians, to the bit.
 #[test]
 fn several_scenes_are_one_picture() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let parts = [cloud(300, 1), cloud(0, 2), cloud(257, 3)];
-        let scenes: Vec<_> =
-            parts.iter().map(|p| DeviceScene::upload(&context, p, 0).expect("a scene")).collect();
+        let scenes: Vec<_> = parts.iter().map(|p| uploaded(&context, p)).collect();
         let mut renderer = renderer(&context, 557, 0);
-        let settings = RenderSettings::default();
         let all = appended(&appended(&parts[0], &parts[1]), &parts[2]);
         for turn in [0.3, 2.0] {
             let camera = camera(turn, 110, 70);
             let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
-            let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
-            assert_same(&pixels, &owned(&all, &camera, &settings), [0.0; 3]);
+            assert_drawn(host, &mut renderer, &frame_of(&placed, &camera), &all);
         }
-        let report = renderer.slot_report(0).expect("a report").expect("finished");
+        let report = report_of(&mut renderer, 0);
         assert_eq!(report.gaussians, 557);
     });
 }
@@ -68,8 +50,7 @@ pub fn assert_nearly_equal(pixels: &[[f32; 4]], expected: &Frame) {
 /// A pose moves a scene as if its Gaussians had moved, and turns its spherical harmonics.
 #[test]
 fn a_pose_moves_a_scene() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let turn = Quat::from_euler(glam::EulerRot::XYZ, 0.4, -0.8, 1.9);
         let shift = Vec3::new(0.2, -0.3, 0.4);
         // Without view-dependent colour, the host can move the Gaussians itself.
@@ -84,27 +65,27 @@ fn a_pose_moves_a_scene() {
             let rotated = turn * Quat::from_xyzw(x, y, z, w).normalize();
             *quat = [rotated.w, rotated.x, rotated.y, rotated.z];
         }
-        let scene = DeviceScene::upload(&context, &object, 0).expect("a scene");
+        let scene = uploaded(&context, &object);
         let mut renderer = renderer(&context, 400, 0);
-        let (settings, camera) = (RenderSettings::default(), camera(0.7, 110, 70));
+        let camera = camera(0.7, 110, 70);
         let pose = Pose { world_from_object: Mat3::from_quat(turn), translation: shift, scale: 1.0 };
         let placed = [Placed::at(&scene, pose)];
-        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
-        let expected = owned(&moved, &camera, &settings);
+        let pixels = rendered(host, &mut renderer, &frame_of(&placed, &camera));
+        let expected = owned(&moved, &camera, &SETTINGS);
         assert_nearly_equal(&pixels, &expected);
 
         // With view-dependent colour: turning object and camera together changes nothing.
         let object = cloud(400, 6);
-        let scene = DeviceScene::upload(&context, &object, 0).expect("a scene");
+        let scene = uploaded(&context, &object);
         let rotation = Mat3::from_quat(turn);
-        let turned = ashsplat::Camera {
+        let turned = Camera {
             camera_from_world: camera.camera_from_world * rotation.transpose(),
             translation: camera.translation - camera.camera_from_world * rotation.transpose() * shift,
             ..camera
         };
         let placed = [Placed::at(&scene, pose)];
-        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &turned, &settings));
-        let expected = owned(&object, &camera, &settings);
+        let pixels = rendered(host, &mut renderer, &frame_of(&placed, &turned));
+        let expected = owned(&object, &camera, &SETTINGS);
         assert_nearly_equal(&pixels, &expected);
     });
 }
@@ -112,11 +93,10 @@ fn a_pose_moves_a_scene() {
 /// A uniform scale equals larger Gaussians farther apart, also for Gaussians before and behind them.
 #[test]
 fn a_pose_scales_a_scene() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let turn = Quat::from_euler(glam::EulerRot::XYZ, -0.3, 0.5, 0.2);
         let (object, other) = (cloud(400, 8), cloud(300, 9));
-        let scenes = [&object, &other].map(|g| DeviceScene::upload(&context, g, 0).expect("a scene"));
+        let scenes = [&object, &other].map(|g| uploaded(&context, g));
         let mut renderer = renderer(&context, 2000, 0);
         renderer
             .reserve(&Reservation { scenes: 2, inverse_depth: true, ..Reservation::new(2000, 1, 110, 70) })
@@ -148,23 +128,21 @@ fn a_pose_scales_a_scene() {
 
 #[test]
 fn a_scene_may_lie_in_the_hosts_buffers() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let gaussians = cloud(300, 8);
         let plan = DeviceScene::plan_for(&context, 300, 1).expect("a plan");
         assert_eq!(plan.chunks, 1);
         let bytes = plan.chunk_bytes() + 4096;
-        let own = HostBuffer::new(host, bytes).expect("memory");
-        own.write(host, &planes(&gaussians, plan.chunk_gaussians as usize)).expect("written");
+        let own = Staging::new(host, bytes);
+        own.write(&planes(&gaussians, plan.chunk_gaussians as usize));
         // SAFETY: the buffer is the host's, of this size, and outlives the scene.
         let adopted = unsafe { Buffer::adopt(&context, "host's scene", own.raw, 0, bytes) };
         let adopted = adopted.expect("adopted");
         let scene = DeviceScene::from_buffers(&context, plan, vec![adopted.clone()], 300).expect("a scene");
         let mut renderer = renderer(&context, 300, 0);
-        let (settings, camera) = (RenderSettings::default(), camera(0.1, 110, 70));
+        let camera = camera(0.1, 110, 70);
         let placed = [Placed::from(&scene)];
-        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
-        assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+        assert_drawn(host, &mut renderer, &frame_of(&placed, &camera), &gaussians);
         let other = guest(host);
         // SAFETY: as above.
         let elsewhere = unsafe { Buffer::adopt(&other, "other's", own.raw, 0, bytes) }.expect("adopted");
@@ -201,7 +179,6 @@ fn a_scene_may_lie_in_the_hosts_buffers() {
         let error = DeviceScene::upload_all(&context, &[&gaussians, &shapeless]).err().expect("as above");
         assert!(error.to_string().starts_with("scenes[1].quats: 0 entries"), "{error}");
         drop((scene, adopted, renderer, other));
-        own.destroy(host);
     });
 }
 
@@ -213,8 +190,8 @@ fn a_hosts_buffers_may_exceed_what_can_be_bound() {
         let gaussians = cloud(600, 8);
         let plan = DeviceScene::plan_for(&context, 1200, 1).expect("a plan");
         assert_eq!(plan.chunks, 2, "{plan:?}");
-        let own = [0; 2].map(|_| HostBuffer::new(host, 1 << 20).expect("memory"));
-        own[0].write(host, &planes(&gaussians, plan.chunk_gaussians as usize)).expect("written");
+        let own = [0; 2].map(|_| Staging::new(host, 1 << 20));
+        own[0].write(&planes(&gaussians, plan.chunk_gaussians as usize));
         // SAFETY: the buffers are the host's, of this size, and outlive the scene.
         let adopt = |b: &HostBuffer| unsafe { Buffer::adopt(&context, "planes", b.raw, 0, 1 << 20) };
         let adopted: Vec<_> = own.iter().map(|b| adopt(b).expect("adopted")).collect();
@@ -230,13 +207,10 @@ fn a_hosts_buffers_may_exceed_what_can_be_bound() {
             assert!(error.to_string().starts_with(problem), "{error}");
         }
         let scene = DeviceScene::from_buffers(&context, plan, adopted, 600).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&Reservation::new(600, 1, 64, 48)).expect("memory");
-        let (settings, camera, placed) = (RenderSettings::default(), camera(0.1, 64, 48), [(&scene).into()]);
-        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
-        assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+        let mut renderer = reserved(&context, &Reservation::new(600, 1, 64, 48));
+        let (camera, placed) = (camera(0.1, 64, 48), [(&scene).into()]);
+        assert_drawn(host, &mut renderer, &frame_of(&placed, &camera), &gaussians);
         drop((scene, renderer));
-        own.into_iter().for_each(|buffer| buffer.destroy(host));
     });
 }
 
@@ -261,8 +235,7 @@ pub fn planes(g: &Gaussians, room: usize) -> Vec<u8> {
 /// The expected depth of a wall of Gaussians at one depth is that depth.
 #[test]
 fn expected_depth_is_the_depth_of_a_wall() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let camera = camera(0.0, 64, 48);
         let mut wall = Gaussians { sh_degree: 0, ..Gaussians::default() };
         for i in 0..400 {
@@ -274,29 +247,18 @@ fn expected_depth_is_the_depth_of_a_wall() {
             wall.opacity_logits.push(3.0);
             wall.sh.push([1.0; 3]);
         }
-        let scene = DeviceScene::upload(&context, &wall, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
+        let scene = uploaded(&context, &wall);
         let reservation = Reservation { expected_depth: true, ..Reservation::new(400, 0, 64, 48) };
-        renderer.reserve(&reservation).expect("memory");
-        let usage = vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::TRANSFER_SRC;
-        let texture = HostTexture::new(host, vk::Format::R32_SFLOAT, usage, [64, 48]).expect("an image");
-        // SAFETY: the description matches the image, which outlives the renderer.
-        let image =
-            unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Depth) }.expect("adopted");
-        let to = HostImage { image: &image, from: ImageState::UNDEFINED, offset: [0; 2] };
-        let (settings, placed) = (RenderSettings::default(), [Placed::from(&scene)]);
+        let mut renderer = reserved(&context, &reservation);
+        let picture =
+            Picture::new(host, &context, ("depth", ImageUse::Depth), vk::Format::R32_SFLOAT, [64, 48]);
+        let placed = [Placed::from(&scene)];
         let frame = RecordedFrame {
-            depth: Some(DepthTarget { to, min_weight: 0.5, empty: -1.0 }),
-            ..RecordedFrame::new(&placed, &camera, &settings)
+            depth: Some(DepthTarget { to: picture.unused(), min_weight: 0.5, empty: -1.0 }),
+            ..frame_of(&placed, &camera)
         };
         let pixels = rendered(host, &mut renderer, &frame);
-        let written = (
-            vk::ImageLayout::GENERAL,
-            vk::PipelineStageFlags2::COMPUTE_SHADER,
-            vk::AccessFlags2::SHADER_STORAGE_WRITE,
-        );
-        let depths = read_texture(host, &texture, written);
-        let depths: Vec<f32> = bytemuck::pod_collect_to_vec(&depths);
+        let depths: Vec<f32> = picture.texture.read(WRITTEN);
         let mut covered = 0;
         for (depth, [_, _, _, transmittance]) in depths.into_iter().zip(pixels) {
             if transmittance > 0.5 {
@@ -307,23 +269,17 @@ fn expected_depth_is_the_depth_of_a_wall() {
             }
         }
         assert!(covered > 64 * 48 / 4, "{covered}");
-        drop((renderer, image));
-        texture.destroy(host);
     });
 }
 
 /// Gaussians in front of the host's depth are visible, those behind are not.
 #[test]
 fn a_hosts_depth_hides_what_lies_behind_it() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let (gaussians, camera) = (cloud(600, 11), camera(0.0, 110, 70));
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer
-            .reserve(&Reservation { occlusion: true, ..Reservation::new(600, 1, 110, 70) })
-            .expect("memory");
-        let settings = RenderSettings::default();
+        let scene = uploaded(&context, &gaussians);
+        let mut renderer =
+            reserved(&context, &Reservation { occlusion: true, ..Reservation::new(600, 1, 110, 70) });
         let depth = |g: usize| camera.project(Vec3::from(gaussians.means[g])).2;
         // A wall between the Gaussians, in reversed depth with an infinite far plane: d = near / z.
         let (near, wall) = (0.1, 4.2);
@@ -338,49 +294,15 @@ fn a_hosts_depth_hides_what_lies_behind_it() {
             kept.sh.extend(&gaussians.sh[4 * g..4 * g + 4]);
         }
         let placed = [Placed::from(&scene)];
-        let plain = RecordedFrame::new(&placed, &camera, &settings);
-        let mapping =
-            ashsplat::scene::DepthMapping { scale: 1.0 / near, offset: 0.0, clear_value: 0.0, linear: false };
+        let plain = frame_of(&placed, &camera);
+        let mapping = DepthMapping { scale: 1.0 / near, offset: 0.0, clear_value: 0.0, linear: false };
         for (value, expected) in [(near / wall, &kept), (0.0, &gaussians)] {
-            let (texture, state) = depth_image(host, [110, 70], value);
-            // SAFETY: the description matches the image, which outlives the frame.
-            let image = unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Occluder) };
-            let image = image.expect("adopted");
-            let depth = HostImage { image: &image, from: state, offset: [0; 2] };
-            let occluder = Some(ashsplat::Occluder { depth, mapping });
+            let depth = Picture::of_depth(host, &context, [110, 70], value);
+            let occluder = Some(Occluder { depth: host_image(&depth.image, COPIED), mapping });
             let pixels = rendered(host, &mut renderer, &RecordedFrame { occluder, ..plain });
-            assert_same(&pixels, &owned(expected, &camera, &settings), [0.0; 3]);
+            assert_same(&pixels, &owned(expected, &camera, &SETTINGS));
             // The slot's next recording releases the image.
             rendered(host, &mut renderer, &plain);
-            drop(image);
-            texture.destroy(host);
         }
     });
-}
-
-/// A depth image of one value.
-pub fn depth_image(host: &Host, size: [u32; 2], value: f32) -> (HostTexture, ImageState) {
-    let usage = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST;
-    let texture = HostTexture::new(host, vk::Format::D32_SFLOAT, usage, size).expect("an image");
-    let texels = vec![value; (size[0] * size[1]) as usize];
-    let staging = HostBuffer::new(host, 4 * texels.len() as u64).expect("memory");
-    staging.write(host, bytemuck::cast_slice(&texels)).expect("written");
-    let fresh = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
-    let written = (
-        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-        vk::PipelineStageFlags2::ALL_TRANSFER,
-        vk::AccessFlags2::TRANSFER_WRITE,
-    );
-    let copied = host.run(|commands| {
-        texture.barrier(host, commands, fresh, written);
-        // SAFETY: recording state; the staging buffer holds the whole image.
-        unsafe {
-            let regions = [texture.region()];
-            host.device.cmd_copy_buffer_to_image(commands, staging.raw, texture.image, written.0, &regions);
-        }
-        Ok(())
-    });
-    copied.expect("a copy");
-    staging.destroy(host);
-    (texture, ImageState { layout: written.0, stages: written.1, accesses: written.2 })
 }

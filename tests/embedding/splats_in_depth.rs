@@ -1,19 +1,11 @@
 //! The splats' depth in a host's depth attachment: the example's pass, for each kind of projection.
 
-use ashsplat::ash::vk;
+use crate::stage::*;
 use ashsplat::glam::camera::rh::{proj::vulkan, view::look_at_mat4};
-use ashsplat::glam::{Mat4, Vec3, Vec4};
+use ashsplat::glam::{Mat4, Vec4};
 use ashsplat::scene::{ClipY, HostView};
-use ashsplat::vk::{Image, ImageState, ImageUse};
-use ashsplat::{
-    DepthTarget, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
-};
 
-use crate::cube::DEPTH_WRITTEN;
-use crate::host::{Host, InFlight};
-use crate::memory::{HostBuffer, HostTexture};
-use crate::splat_depth::{EMPTY, SplatDepth};
-use crate::stage::{adopt, cloud, guest, options, with_host};
+use crate::passes::{DEPTH_WRITTEN, EMPTY, SplatDepth};
 
 const SIZE: [u32; 2] = [64, 48];
 
@@ -40,68 +32,46 @@ fn drawn(
     let (camera, mapping) = view.camera().expect("a camera");
     let copies = vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
     let usage = vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::SAMPLED | copies;
-    let expected = HostTexture::new(host, vk::Format::R32_SFLOAT, usage, SIZE).expect("an image");
+    let expected = Texture::new(host, vk::Format::R32_SFLOAT, usage, SIZE);
     let usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | copies;
-    let depth = HostTexture::new(host, vk::Format::D32_SFLOAT, usage, SIZE).expect("an image");
-    // SAFETY: the description matches the image, which outlives the frame.
-    let image = unsafe { Image::adopt(renderer.context(), "z", &expected.foreign(), ImageUse::Depth) };
-    let image = image.expect("adopted");
+    let depth = Texture::new(host, vk::Format::D32_SFLOAT, usage, SIZE);
+    let image = expected.adopt(renderer.context(), "z", ImageUse::Depth);
     let pass = SplatDepth::new(host, &expected, depth.format).expect("a pass");
-    let [read_depth, read_z] =
-        [(); 2].map(|()| HostBuffer::new(host, 4 * u64::from(SIZE[0] * SIZE[1])).expect("memory"));
-    let frame = InFlight::new(host).expect("a command buffer");
-    frame.begin(host).expect("recording");
-    let fresh = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
-    let written = (
-        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-        vk::PipelineStageFlags2::ALL_TRANSFER,
-        vk::AccessFlags2::TRANSFER_WRITE,
-    );
-    depth.barrier(host, frame.commands, fresh, written);
-    let ranges = [vk::ImageSubresourceRange {
-        aspect_mask: vk::ImageAspectFlags::DEPTH,
-        level_count: 1,
-        layer_count: 1,
-        ..Default::default()
-    }];
+    let (read_depth, read_z) = (depth.staging(), expected.staging());
+    let frame = Commands::new(host);
+    let commands = frame.begun(renderer.context());
+    depth.barrier(host, frame.commands, used(ImageState::UNDEFINED), used(COPIED));
     let value = vk::ClearDepthStencilValue { depth: surface, stencil: 0 };
     // SAFETY: recording state, outside of a pass.
     unsafe {
-        host.device.cmd_clear_depth_stencil_image(frame.commands, depth.image, written.0, &value, &ranges);
+        host.device.cmd_clear_depth_stencil_image(
+            frame.commands,
+            depth.image,
+            COPIED.layout,
+            &value,
+            &[whole(depth.aspect)],
+        );
     }
-    let (placed, settings) = ([Placed::from(scene)], RenderSettings::default());
-    let to = HostImage { image: &image, from: ImageState::UNDEFINED, offset: [0; 2] };
+    let placed = [Placed::from(scene)];
+    let to = host_image(&image, ImageState::UNDEFINED);
     let target = Some(DepthTarget { to, min_weight: 0.5, empty: EMPTY });
-    let recorded = RecordedFrame { depth: target, ..RecordedFrame::new(&placed, &camera, &settings) };
-    let left = renderer.record(adopt(renderer.context(), &frame), 0, &recorded).expect("a recording");
-    let state = left.depth.expect("it was written");
-    let uses = [(state.layout, state.stages, state.accesses), written];
-    let images = [&expected, &depth];
-    let [sampled, tested] = pass.record(host, frame.commands, images, uses, &mapping);
+    let recorded = RecordedFrame { depth: target, ..frame_of(&placed, &camera) };
+    let left = renderer.record(commands, 0, &recorded).expect("a recording");
+    let uses = [used(left.depth.expect("it was written")), used(COPIED)];
+    let [sampled, tested] = pass.record(host, frame.commands, [&*expected, &*depth], uses, &mapping);
     assert_eq!(tested, DEPTH_WRITTEN);
     depth.record_read(host, frame.commands, tested, &read_depth);
     expected.record_read(host, frame.commands, sampled, &read_z);
-    frame.submit(host).expect("a submission");
-    frame.wait(host).expect("done");
-    let bytes = 4 * (SIZE[0] * SIZE[1]) as usize;
-    let read = [&read_depth, &read_z]
-        .map(|buffer| bytemuck::pod_collect_to_vec(&buffer.read(host, bytes).expect("bytes")));
+    frame.finish();
     renderer.release_slot(0).expect("released");
-    drop(image);
-    frame.destroy(host);
     pass.destroy(host);
-    read_depth.destroy(host);
-    read_z.destroy(host);
-    expected.destroy(host);
-    depth.destroy(host);
-    read
+    [read_depth.read(), read_z.read()]
 }
 
 #[test]
 fn splats_are_written_into_a_hosts_depth_attachment() {
-    with_host(&options(), |host| {
-        let context = guest(host);
-        let scene = DeviceScene::upload(&context, &cloud(900, 5), 0).expect("a scene");
+    with_guest(|host, context| {
+        let scene = uploaded(&context, &cloud(900, 5));
         let mut renderer = Renderer::new(&context).expect("kernels");
         let reserved = Reservation::new(900, 1, SIZE[0], SIZE[1]);
         renderer

@@ -1,14 +1,28 @@
 //! A host with a guest. The final checks: validation is silent, and nothing of the guest's is left on the device.
+//!
+//! Tests import all of this module, which includes the names of host and guest that most of them use.
 
-use crate::host::{Host, HostOptions, InFlight};
-use crate::memory::{HostBuffer, HostTexture, Use};
-use ashsplat::ash::{self, vk};
-use ashsplat::scene::{Camera, Gaussians, Intrinsics};
-use ashsplat::vk::{Context, ContextOptions, ForeignCommands, LimitsOverride, validation_available};
-use ashsplat::{Frame, RecordedFrame, RenderSettings, Renderer};
-use glam::Vec3;
-use std::ffi::{CStr, c_void};
-use std::sync::{Mutex, OnceLock, PoisonError};
+pub use crate::host::{Host, HostOptions, InFlight};
+pub use crate::memory::{HostBuffer, HostTexture, Use};
+pub use ashsplat::ash::{self, vk};
+pub use ashsplat::scene::{Camera, CutOut, DepthMapping, Gaussians, Inside, Intrinsics, Pose, Volume};
+pub use ashsplat::vk::{
+    Buffer, Context, ContextOptions, ForeignCommands, ForeignDevice, Image, ImageState, ImageUse,
+    LimitsOverride, MemoryKind,
+};
+pub use ashsplat::{
+    Background, Blending, ColorEncoding, DepthTarget, DeviceScene, Error, Frame, HostImage, MotionTarget,
+    Occluder, PickTarget, Placed, RecordedFrame, Release, RenderSettings, Renderer, Reservation,
+    SceneSettings, Selection, SlotReport, Target, TrainSettings, Update,
+};
+pub use glam::{Mat3, Quat, Vec3};
+pub use std::ffi::{CStr, c_void};
+
+use ashsplat::train::StepReservation;
+use ashsplat::vk::validation_available;
+use std::ops::Deref;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 
 /// A host with validation if installed.
 pub fn options() -> HostOptions {
@@ -32,6 +46,18 @@ pub fn with_host(options: &HostOptions, test: impl FnOnce(&Host)) {
     assert!(messages.is_empty(), "validation:\n{}", messages.join("\n"));
 }
 
+/// Runs a test on a host's device under validation, with a guest.
+pub fn with_guest(test: impl FnOnce(&Host, Context)) {
+    with_host(&options(), |host| test(host, guest(host)));
+}
+
+/// Same as [`with_guest`], once with push descriptors and once without.
+pub fn with_each_guest(test: impl Fn(&Host, Context)) {
+    for push_descriptors in [true, false] {
+        with_host(&HostOptions { push_descriptors, ..options() }, |host| test(host, guest(host)));
+    }
+}
+
 /// The host's device with another function table. `replace` gets each function's name and address, null if the
 /// device has none, and returns the address for the guest.
 ///
@@ -50,30 +76,365 @@ pub unsafe fn device_with(
     unsafe { ash::Device::load_with(load, host.device.handle()) }
 }
 
+/// A function that a test wraps: its name, the place of the device's own address, and the wrapper.
+pub type Wrapped<'a> = (&'a CStr, &'a AtomicUsize, *const c_void);
+
+/// The host's device with some functions wrapped. Their own addresses are stored.
+///
+/// # Safety
+/// Each wrapper is of its function's type, and calls the stored address.
+pub unsafe fn device_wrapping(host: &Host, functions: &[Wrapped<'_>]) -> ash::Device {
+    let replace = |name: &CStr, address: *const c_void| {
+        let Some((_, real, wrapper)) = functions.iter().find(|(own, ..)| *own == name) else {
+            return address;
+        };
+        real.store(address as usize, Ordering::SeqCst);
+        *wrapper
+    };
+    // SAFETY: every address is null, the device's own function, or a wrapper of its type.
+    unsafe { device_with(host, replace) }
+}
+
 /// The guest's context on a host's device.
 pub fn guest(host: &Host) -> Context {
-    guest_within(host, None)
+    guest_of(&host.foreign(), &ContextOptions { hazard_check: true, ..ContextOptions::default() })
 }
 
 /// Same as [`guest`], but with bindings of at most 96 KiB.
 pub fn guest_of_small_bindings(host: &Host) -> Context {
-    guest_within(
-        host,
-        Some(LimitsOverride { max_storage_buffer_range: Some(96 * 1024), ..LimitsOverride::default() }),
-    )
+    let options = ContextOptions { hazard_check: true, ..small_bindings(96 * 1024) };
+    guest_of(&host.foreign(), &options)
 }
 
-fn guest_within(host: &Host, limits_override: Option<LimitsOverride>) -> Context {
-    let options = ContextOptions { hazard_check: true, limits_override, ..ContextOptions::default() };
-    // SAFETY: the host outlives the context in all tests, which use the queue from one thread. The host lists
-    // the enabled features.
-    unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context")
+/// Options of a context with bindings of at most so many bytes.
+pub fn small_bindings(bytes: u64) -> ContextOptions {
+    let limits = LimitsOverride { max_storage_buffer_range: Some(bytes), ..LimitsOverride::default() };
+    ContextOptions { limits_override: Some(limits), ..ContextOptions::default() }
 }
 
-/// A host's command buffer for the guest.
-pub fn adopt(context: &Context, frame: &InFlight) -> ForeignCommands {
-    // SAFETY: the tests begin it before, record it from one thread, submit it once and wait before it is used again.
-    unsafe { context.adopt_commands(frame.commands) }.expect("a command buffer")
+/// A context on a host's device, described in another way or with other options.
+pub fn guest_of(foreign: &ForeignDevice<'_>, options: &ContextOptions) -> Context {
+    // SAFETY: the host outlives the context in all tests. They use the queue from one thread, or under its lock. The
+    // host lists the enabled features.
+    unsafe { Context::from_foreign(foreign, options) }.expect("a context")
+}
+
+/// A host's object that is destroyed when it is dropped. A failed test leaves it, because the device may use it.
+pub struct Own<'a, T> {
+    pub host: &'a Host,
+    object: Option<T>,
+    destroy: fn(T, &Host),
+}
+
+impl<'a, T> Own<'a, T> {
+    pub fn of(host: &'a Host, object: T, destroy: fn(T, &Host)) -> Self {
+        Self { host, object: Some(object), destroy }
+    }
+}
+
+impl<T> Deref for Own<'_, T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        self.object.as_ref().expect("it is there until dropped")
+    }
+}
+
+impl<T> Drop for Own<'_, T> {
+    fn drop(&mut self) {
+        if let Some(object) = self.object.take().filter(|_| !std::thread::panicking()) {
+            (self.destroy)(object, self.host);
+        }
+    }
+}
+
+/// A host's command buffer with its fence.
+pub type Commands<'a> = Own<'a, InFlight>;
+
+impl<'a> Own<'a, InFlight> {
+    pub fn new(host: &'a Host) -> Self {
+        Self::of(host, InFlight::new(host).expect("a command buffer"), InFlight::destroy)
+    }
+
+    pub fn begin(&self) {
+        InFlight::begin(self, self.host).expect("recording");
+    }
+
+    /// The command buffer, for the guest. The host has begun it.
+    pub fn adopt(&self, context: &Context) -> ForeignCommands {
+        // SAFETY: the tests record it from one thread, submit it once and wait before it is used again.
+        unsafe { context.adopt_commands(self.commands) }.expect("a command buffer")
+    }
+
+    /// Begins the command buffer, for the guest.
+    pub fn begun(&self, context: &Context) -> ForeignCommands {
+        self.begin();
+        self.adopt(context)
+    }
+
+    pub fn submit(&self) {
+        InFlight::submit(self, self.host).expect("a submission");
+    }
+
+    pub fn wait(&self) {
+        InFlight::wait(self, self.host).expect("done");
+    }
+
+    /// Submits and waits.
+    pub fn finish(&self) {
+        self.submit();
+        self.wait();
+    }
+}
+
+/// An event that the device waits for.
+pub struct Gate<'a>(Own<'a, vk::Event>);
+
+impl<'a> Gate<'a> {
+    pub fn closed(host: &'a Host) -> Self {
+        // SAFETY: a valid create info.
+        let event = unsafe { host.device.create_event(&vk::EventCreateInfo::default(), None) };
+        // SAFETY: nothing waits for it any more when it is dropped.
+        let destroy = |event, host: &Host| unsafe { host.device.destroy_event(event, None) };
+        Self(Own::of(host, event.expect("an event"), destroy))
+    }
+
+    /// All later commands wait until the gate is open.
+    pub fn record_wait(&self, commands: vk::CommandBuffer) {
+        let (from, to) = (vk::PipelineStageFlags::HOST, vk::PipelineStageFlags::ALL_COMMANDS);
+        // SAFETY: recording state; the event lives until the submission is over.
+        unsafe { self.0.host.device.cmd_wait_events(commands, &[*self.0], from, to, &[], &[], &[]) }
+    }
+
+    pub fn open(&self) {
+        // SAFETY: the event is alive.
+        unsafe { self.0.host.device.set_event(*self.0) }.expect("set");
+    }
+}
+
+/// A host's buffer in mapped memory.
+pub struct Staging<'a> {
+    buffer: Own<'a, HostBuffer>,
+    bytes: u64,
+}
+
+impl<'a> Staging<'a> {
+    pub fn new(host: &'a Host, bytes: u64) -> Self {
+        Self {
+            buffer: Own::of(host, HostBuffer::new(host, bytes).expect("memory"), HostBuffer::destroy),
+            bytes,
+        }
+    }
+
+    pub fn holding(host: &'a Host, bytes: &[u8]) -> Self {
+        let staging = Self::new(host, bytes.len() as u64);
+        staging.write(bytes);
+        staging
+    }
+
+    pub fn write(&self, bytes: &[u8]) {
+        self.buffer.write(self.buffer.host, bytes).expect("written");
+    }
+
+    /// Reads the whole buffer.
+    pub fn read<T: bytemuck::Pod>(&self) -> Vec<T> {
+        let read = self.buffer.read(self.buffer.host, self.bytes as usize);
+        bytemuck::pod_collect_to_vec(&read.expect("bytes"))
+    }
+
+    /// The buffer's part as the guest's.
+    pub fn adopt(&self, context: &Context, name: &'static str, offset: u64, bytes: u64) -> Buffer {
+        // SAFETY: the buffer is the host's, of this size, and outlives what the guest makes of it. Uses of overlapping
+        // ranges are apart in time.
+        unsafe { Buffer::adopt(context, name, self.raw, offset, bytes) }.expect("adopted")
+    }
+}
+
+impl Deref for Staging<'_> {
+    type Target = HostBuffer;
+
+    fn deref(&self) -> &HostBuffer {
+        &self.buffer
+    }
+}
+
+/// State of an image that kernels have written.
+pub const WRITTEN: ImageState = ImageState {
+    layout: vk::ImageLayout::GENERAL,
+    stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
+    accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
+};
+/// State of an image that the host has cleared or copied to.
+pub const COPIED: ImageState = ImageState {
+    layout: vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+    stages: vk::PipelineStageFlags2::ALL_TRANSFER,
+    accesses: vk::AccessFlags2::TRANSFER_WRITE,
+};
+/// State of an image that the host has read.
+pub const READ: ImageState = ImageState {
+    layout: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+    stages: vk::PipelineStageFlags2::ALL_TRANSFER,
+    accesses: vk::AccessFlags2::NONE,
+};
+
+/// The guest's state of an image as the host's.
+pub fn used(ImageState { layout, stages, accesses }: ImageState) -> Use {
+    (layout, stages, accesses)
+}
+
+/// Bytes of a texel of a host's image.
+pub fn texel_bytes(format: vk::Format) -> u32 {
+    match format {
+        vk::Format::R16G16B16A16_SFLOAT => 8,
+        vk::Format::R32G32B32A32_SFLOAT | vk::Format::R32G32B32A32_UINT => 16,
+        _ => 4,
+    }
+}
+
+/// A host's image.
+pub type Texture<'a> = Own<'a, HostTexture>;
+
+impl<'a> Own<'a, HostTexture> {
+    pub fn new(host: &'a Host, format: vk::Format, usage: vk::ImageUsageFlags, size: [u32; 2]) -> Self {
+        Self::of(host, HostTexture::new(host, format, usage, size).expect("an image"), HostTexture::destroy)
+    }
+
+    /// The image as the guest's.
+    pub fn adopt(&self, context: &Context, name: &'static str, purpose: ImageUse) -> Image {
+        // SAFETY: the description matches the image, which outlives every use of the view.
+        unsafe { Image::adopt(context, name, &self.foreign(), purpose) }.expect("adopted")
+    }
+
+    /// A buffer of the image's size.
+    pub fn staging(&self) -> Staging<'a> {
+        Staging::new(self.host, u64::from(texel_bytes(self.format) * self.size[0] * self.size[1]))
+    }
+
+    /// Reads the texels after the image's last use.
+    pub fn read<T: bytemuck::Pod>(&self, from: ImageState) -> Vec<T> {
+        let staging = self.staging();
+        let copied = self.host.run(|commands| {
+            self.record_read(self.host, commands, used(from), &staging);
+            Ok(())
+        });
+        copied.expect("copied");
+        staging.read()
+    }
+
+    /// Writes all texels. The image is [`COPIED`] then.
+    pub fn write<T: bytemuck::Pod>(&self, texels: &[T]) {
+        let staging = Staging::holding(self.host, bytemuck::cast_slice(texels));
+        let copied = self.host.run(|commands| {
+            self.barrier(self.host, commands, used(ImageState::UNDEFINED), used(COPIED));
+            let (device, regions) = (&self.host.device, [self.region()]);
+            // SAFETY: recording state; the staging buffer holds the whole image.
+            unsafe {
+                device.cmd_copy_buffer_to_image(commands, staging.raw, self.image, COPIED.layout, &regions);
+            }
+            Ok(())
+        });
+        copied.expect("copied");
+    }
+
+    /// Records a clear of a colour image, which is [`COPIED`] then.
+    pub fn clear(&self, commands: vk::CommandBuffer, from: ImageState, float32: [f32; 4]) {
+        self.barrier(self.host, commands, used(from), used(COPIED));
+        let (device, color) = (&self.host.device, vk::ClearColorValue { float32 });
+        // SAFETY: recording state; the image has TRANSFER_DST and this layout.
+        unsafe {
+            device.cmd_clear_color_image(commands, self.image, COPIED.layout, &color, &[whole(self.aspect)]);
+        }
+    }
+}
+
+/// All of an image with one layer.
+pub fn whole(aspect_mask: vk::ImageAspectFlags) -> vk::ImageSubresourceRange {
+    vk::ImageSubresourceRange { aspect_mask, level_count: 1, layer_count: 1, ..Default::default() }
+}
+
+/// An image for a frame.
+pub fn host_image(image: &Image, from: ImageState) -> HostImage<'_> {
+    HostImage { image, from, offset: [0; 2] }
+}
+
+/// A host's image with the guest's view of it.
+pub struct Picture<'a> {
+    // The view goes before its image.
+    pub image: Image,
+    pub texture: Texture<'a>,
+}
+
+impl<'a> Picture<'a> {
+    pub fn new(
+        host: &'a Host,
+        context: &Context,
+        (name, purpose): (&'static str, ImageUse),
+        format: vk::Format,
+        size: [u32; 2],
+    ) -> Self {
+        let copies = vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
+        let usage = match purpose {
+            ImageUse::Occluder => vk::ImageUsageFlags::SAMPLED | copies,
+            ImageUse::Target => vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::COLOR_ATTACHMENT | copies,
+            _ => vk::ImageUsageFlags::STORAGE | copies,
+        };
+        let texture = Texture::new(host, format, usage, size);
+        Self { image: texture.adopt(context, name, purpose), texture }
+    }
+
+    /// A host's depth that has one value. It is [`COPIED`].
+    pub fn of_depth(host: &'a Host, context: &Context, size: [u32; 2], value: f32) -> Self {
+        let depth = Self::new(host, context, ("depth", ImageUse::Occluder), vk::Format::D32_SFLOAT, size);
+        depth.texture.write(&vec![value; (size[0] * size[1]) as usize]);
+        depth
+    }
+
+    /// The image, for a frame that discards its contents.
+    pub fn unused(&self) -> HostImage<'_> {
+        host_image(&self.image, ImageState::UNDEFINED)
+    }
+}
+
+/// Target for a view's colours as trained.
+pub fn into(image: &Image, behind: Background, offset: [u32; 2]) -> Target<'_> {
+    let to = HostImage { offset, ..host_image(image, ImageState::UNDEFINED) };
+    Target::Image { to, behind, encoding: ColorEncoding::AsTrained }
+}
+
+/// A scene on the guest's device.
+pub fn uploaded(context: &Context, gaussians: &Gaussians) -> DeviceScene {
+    DeviceScene::upload(context, gaussians, 0).expect("a scene")
+}
+
+/// A mask of a selection on the guest's device.
+pub fn mask_of(context: &Context, bytes: &[u8]) -> Buffer {
+    let request = [("mask", bytes.len() as u64)];
+    let mask = context.allocate("selection", &request, MemoryKind::Device).expect("memory");
+    context.upload(&mask[0], bytes).expect("uploaded");
+    mask[0].clone()
+}
+
+/// A renderer with memory for a host's frames.
+pub fn reserved(context: &Context, wanted: &Reservation) -> Renderer {
+    let mut renderer = Renderer::new(context).expect("kernels");
+    renderer.reserve(wanted).expect("memory");
+    renderer
+}
+
+/// Settings of frames unless a test is about them.
+pub static SETTINGS: LazyLock<RenderSettings> = LazyLock::new(RenderSettings::default);
+
+/// Recorded training with one step in flight.
+pub const ONE_SLOT: StepReservation = StepReservation { slots: 1, instances: 0, visible: 0 };
+
+/// A frame into the slot's buffer, with the usual settings.
+pub fn frame_of<'a>(scenes: &'a [Placed<'a>], camera: &'a Camera) -> RecordedFrame<'a> {
+    RecordedFrame::new(scenes, camera, &SETTINGS)
+}
+
+/// The report of a slot whose frame has finished.
+pub fn report_of(renderer: &mut Renderer, slot: u32) -> SlotReport {
+    renderer.slot_report(slot).expect("a report").expect("finished")
 }
 
 /// Gaussians in front of the cameras of these tests.
@@ -122,29 +483,51 @@ pub fn owned(gaussians: &Gaussians, camera: &Camera, settings: &RenderSettings) 
 
 /// Records, submits and waits for a frame in slot 0. Returns its pixels (r, g, b, transmittance).
 pub fn rendered(host: &Host, renderer: &mut Renderer, frame: &RecordedFrame<'_>) -> Vec<[f32; 4]> {
-    let in_flight = InFlight::new(host).expect("a command buffer");
-    in_flight.begin(host).expect("recording");
-    renderer.record(adopt(renderer.context(), &in_flight), 0, frame).expect("a recording");
-    let pixels = (frame.camera.width * frame.camera.height) as usize;
-    let staging = HostBuffer::new(host, 16 * pixels as u64).expect("memory");
-    copy_pixels(host, renderer, 0, &in_flight, &staging, pixels);
-    in_flight.submit(host).expect("a submission");
-    in_flight.wait(host).expect("done");
-    let bytes = staging.read(host, 16 * pixels).expect("bytes");
-    staging.destroy(host);
-    in_flight.destroy(host);
-    bytemuck::pod_collect_to_vec(&bytes)
+    let commands = Commands::new(host);
+    let staging = Staging::new(host, 16 * u64::from(frame.camera.width * frame.camera.height));
+    renderer.record(commands.begun(renderer.context()), 0, frame).expect("a recording");
+    copy_pixels(renderer, 0, &commands, &staging);
+    commands.finish();
+    staging.read()
+}
+
+/// Renders as [`rendered`]. Fails unless the picture is the engine's own of these Gaussians, to the bit.
+pub fn assert_drawn(host: &Host, renderer: &mut Renderer, frame: &RecordedFrame<'_>, gaussians: &Gaussians) {
+    assert_same(&rendered(host, renderer, frame), &owned(gaussians, frame.camera, frame.settings));
+}
+
+/// Records, submits and waits for views in slot 0.
+pub fn render_views(host: &Host, renderer: &mut Renderer, views: &[RecordedFrame<'_>]) -> Vec<Release> {
+    let commands = Commands::new(host);
+    let mut releases = vec![Release::default(); views.len()];
+    let adopted = commands.begun(renderer.context());
+    renderer.record_views(adopted, 0, views, &mut releases).expect("a recording");
+    commands.finish();
+    releases
+}
+
+/// The error of a frame that is refused.
+pub fn refused(host: &Host, renderer: &mut Renderer, frame: &RecordedFrame<'_>) -> Error {
+    let commands = Commands::new(host);
+    renderer.record(commands.begun(renderer.context()), 0, frame).expect_err("refused")
+}
+
+/// Fails unless a call is refused, and its error says this.
+pub fn assert_error<T>(result: Result<T, Error>, expected: &str) {
+    match result {
+        Ok(_) => panic!("accepted (expected {expected})"),
+        Err(error) => assert!(error.to_string().contains(expected), "{error} (expected {expected})"),
+    }
+}
+
+/// Fails unless an error of the caller says this.
+pub fn assert_argument(error: &Error, expected: &str) {
+    assert!(matches!(error, Error::Argument { .. }), "{error:?}");
+    assert!(error.to_string().contains(expected), "{error} (expected {expected})");
 }
 
 /// Records a copy of a slot's pixels, as a host does, with a wait as the release requires.
-pub fn copy_pixels(
-    host: &Host,
-    renderer: &mut Renderer,
-    slot: u32,
-    in_flight: &InFlight,
-    to: &HostBuffer,
-    pixels: usize,
-) {
+pub fn copy_pixels(renderer: &mut Renderer, slot: u32, commands: &Commands<'_>, to: &Staging<'_>) {
     let (from, offset) = renderer.slot_pixels(slot).expect("a slot").handle();
     let barriers = [vk::MemoryBarrier2::default()
         .src_stage_mask(vk::PipelineStageFlags2::COMPUTE_SHADER)
@@ -152,42 +535,28 @@ pub fn copy_pixels(
         .dst_stage_mask(vk::PipelineStageFlags2::ALL_TRANSFER)
         .dst_access_mask(vk::AccessFlags2::TRANSFER_READ)];
     let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
-    let region = vk::BufferCopy::default().src_offset(offset).size(16 * pixels as u64);
+    let region = vk::BufferCopy::default().src_offset(offset).size(to.bytes);
+    let device = &commands.host.device;
     // SAFETY: recording state; both buffers hold the pixels.
     unsafe {
-        host.device.cmd_pipeline_barrier2(in_flight.commands, &dependency);
-        host.device.cmd_copy_buffer(in_flight.commands, from, to.raw, &[region]);
+        device.cmd_pipeline_barrier2(commands.commands, &dependency);
+        device.cmd_copy_buffer(commands.commands, from, to.raw, &[region]);
     }
-    to.to_host(host, in_flight.commands);
+    to.to_host(commands.host, commands.commands);
 }
 
-/// Reads the texels of an image with four bytes each; `from` is its last use.
-pub fn read_texture(host: &Host, texture: &HostTexture, from: Use) -> Vec<u8> {
-    let bytes = 4 * texture.size[0] as usize * texture.size[1] as usize;
-    let staging = HostBuffer::new(host, bytes as u64).expect("memory");
-    let copied = host.run(|commands| {
-        texture.record_read(host, commands, from, &staging);
-        Ok(())
-    });
-    copied.expect("copied");
-    let read = staging.read(host, bytes).expect("bytes");
-    staging.destroy(host);
-    read
-}
-
-/// Fails unless recorded pixels equal a frame's, to the bit.
-pub fn assert_same(recorded: &[[f32; 4]], frame: &Frame, background: [f32; 3]) {
+/// Fails unless recorded pixels equal a frame's over black, to the bit.
+pub fn assert_same(recorded: &[[f32; 4]], frame: &Frame) {
     assert_eq!(recorded.len(), frame.color.len());
     for (index, &[r, g, b, t]) in recorded.iter().enumerate() {
-        let [x, y, z] = background;
-        assert_eq!([r + t * x, g + t * y, b + t * z], frame.color[index], "colour of pixel {index}");
+        assert_eq!([r, g, b], frame.color[index], "colour of pixel {index}");
         assert_eq!(t, frame.transmittance[index], "transmittance of pixel {index}");
     }
 }
 
 /// Points within a picture of 48 x 36 pixels.
-pub fn depth_points() -> Vec<ashsplat::loss::DepthPoint> {
-    let point = |k: u32| ashsplat::loss::DepthPoint {
+pub fn depth_points() -> Vec<ashsplat::passes::loss::DepthPoint> {
+    let point = |k: u32| ashsplat::passes::loss::DepthPoint {
         position_px: [(k * 7 % 47) as f32 + 0.25, (k * 11 % 35) as f32 + 0.5],
         inverse_z: 0.2 + 0.01 * k as f32,
     };

@@ -1,19 +1,12 @@
 //! A tree of tiles in a host's frames: each tile is a scene that a thread reads and a recorded update writes.
 
+use crate::stage::*;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::mpsc;
 
-use crate::host::InFlight;
-use crate::memory::HostBuffer;
-use crate::stage::{adopt, assert_same, cloud, copy_pixels, guest, options, owned, with_host};
-use ashsplat::scene::Intrinsics;
-use ashsplat::{
-    Camera, DeviceScene, Gaussians, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, Update,
-};
 use ashsplat_files::Progress;
 use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
 use ashsplat_files::tiles::{self, Demand, TileOptions, Tree};
-use glam::Vec3;
 
 /// Gaussians of a tile.
 const MOST: usize = 20;
@@ -67,16 +60,15 @@ fn tiles_stream_into_recorded_frames() {
                 send.send((tile, own)).expect("a host that listens");
             }
         });
-        with_host(&options(), |host| {
-            let context = guest(host);
+        with_guest(|host, context| {
             let mut renderer = Renderer::new(&context).expect("kernels");
             let staging_bytes = Reservation::update_bytes(MOST as u32, 1);
             let wanted = Reservation::new((ROOM * MOST) as u32, 1, SIZE[0], SIZE[1]);
             let (slots, scenes) = (SLOTS as u32, ROOM as u32);
             renderer.reserve(&Reservation { slots, scenes, staging_bytes, ..wanted }).expect("memory");
             let pixels = (SIZE[0] * SIZE[1]) as usize;
-            let commands = [0; SLOTS].map(|_| InFlight::new(host).expect("a command buffer"));
-            let pictures = [0; SLOTS].map(|_| HostBuffer::new(host, 16 * pixels as u64).expect("memory"));
+            let commands = [0; SLOTS].map(|_| Commands::new(host));
+            let pictures = [0; SLOTS].map(|_| Staging::new(host, 16 * pixels as u64));
             let mut flying: [Option<Flying>; SLOTS] = [const { None }; SLOTS];
             let empty = || DeviceScene::empty(&context, MOST as u32, 1).expect("a scene");
             let mut free: Vec<DeviceScene> = (0..ROOM).map(|_| empty()).collect();
@@ -85,17 +77,14 @@ fn tiles_stream_into_recorded_frames() {
             let mut there: BTreeMap<usize, (DeviceScene, Gaussians)> = BTreeMap::new();
             let mut wished = BTreeSet::from([0]);
             ask.send(0).expect("a loader");
-            let settings = RenderSettings::default();
             let (mut covered, mut settled, mut replaced, mut overlapped) = (0, 0, 0, 0);
             for frame in 0..200 {
                 let slot = frame % SLOTS;
                 if let Some(done) = flying[slot].take() {
-                    commands[slot].wait(host).expect("done");
-                    let bytes = pictures[slot].read(host, 16 * pixels).expect("bytes");
+                    commands[slot].wait();
                     // Frames of both slots in turn.
                     if frame % 5 == 0 || frame > 190 {
-                        let shown: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
-                        assert_same(&shown, &owned(&done.gaussians, &done.camera, &settings), [0.0; 3]);
+                        assert_same(&pictures[slot].read(), &owned(&done.gaussians, &done.camera, &SETTINGS));
                     }
                 }
                 while leaving.front().is_some_and(|(from, ..)| *from <= frame) {
@@ -150,22 +139,16 @@ fn tiles_stream_into_recorded_frames() {
                 };
                 let updates: Vec<Update> = new.into_iter().map(update).collect();
                 let placed: Vec<Placed> = drawn.iter().map(|tile| Placed::from(&there[tile].0)).collect();
-                let recorded =
-                    RecordedFrame { updates: &updates, ..RecordedFrame::new(&placed, &camera, &settings) };
+                let recorded = RecordedFrame { updates: &updates, ..frame_of(&placed, &camera) };
                 let in_flight = &commands[slot];
-                in_flight.begin(host).expect("recording");
-                renderer.record(adopt(&context, in_flight), slot as u32, &recorded).expect("a recording");
-                copy_pixels(host, &mut renderer, slot as u32, in_flight, &pictures[slot], pixels);
-                in_flight.submit(host).expect("a submission");
+                renderer.record(in_flight.begun(&context), slot as u32, &recorded).expect("a recording");
+                copy_pixels(&mut renderer, slot as u32, in_flight, &pictures[slot]);
+                in_flight.submit();
                 let mut gaussians = Gaussians { sh_degree: 1, ..Default::default() };
                 drawn.iter().for_each(|tile| gaussians.append(&there[tile].1));
                 flying[slot] = Some(Flying { camera, tiles: drawn, gaussians });
             }
-            for (in_flight, picture) in commands.into_iter().zip(pictures) {
-                in_flight.wait(host).expect("done");
-                in_flight.destroy(host);
-                picture.destroy(host);
-            }
+            commands.iter().for_each(Commands::wait);
             assert!(
                 covered > 5 && settled > 50 && replaced > 5 && overlapped > 5,
                 "{covered} covered, {settled} settled, {replaced} replaced, {overlapped} while a frame flew"

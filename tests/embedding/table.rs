@@ -3,18 +3,10 @@
 //! Each function of the guest's table is passed through, counted or absent. The first kind is `vkCmd*`, and four
 //! others that only touch the guest's own descriptors and events. A call of an absent function panics.
 
-use crate::host::{Host, HostOptions, InFlight};
-use crate::stage::{adopt, camera, cloud, device_with, guest, options, with_host};
-use ashsplat::ash::{self, vk, vk::Handle};
-use ashsplat::scene::Gaussians;
-use ashsplat::trainer::{StepOutcome, StepReservation};
-use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageState, ImageUse};
-use ashsplat::{
-    Background, ColorEncoding, DeviceScene, HostImage, Occluder, Placed, RecordedFrame, RenderSettings,
-    Renderer, Reservation, Target, TrainSettings, Update,
-};
+use crate::stage::*;
+use ashsplat::ash::vk::Handle;
+use ashsplat::train::StepOutcome;
 use std::collections::BTreeSet;
-use std::ffi::{CStr, c_void};
 use std::mem::transmute;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -161,11 +153,9 @@ fn record_and_count(host_options: &HostOptions) {
         let (device, absent) = instrumented(host);
         assert!(absent.contains("vkFlushMappedMemoryRanges") && absent.contains("vkWaitSemaphores"));
         let foreign = ForeignDevice { device: &device, ..host.foreign() };
-        // SAFETY: as in `guest`.
-        let context =
-            unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context");
+        let context = guest_of(&foreign, &ContextOptions::default());
         let gaussians = cloud(600, 1);
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let scene = uploaded(&context, &gaussians);
         let mut renderer = Renderer::new(&context).expect("kernels");
         let camera = camera(0.3, 96, 64);
         let reservation = Reservation {
@@ -176,54 +166,48 @@ fn record_and_count(host_options: &HostOptions) {
         };
         renderer.reserve(&reservation).expect("memory");
         let images = Images::new(host, &context);
+        let placed = [Placed::from(&scene)];
+        let updates = [Update { scene: &scene, first: 0, gaussians: &gaussians }];
         assert!(take_calls().iter().any(|(name, _)| *name == "vkAllocateMemory"), "the table counts");
 
-        let in_flight = InFlight::new(host).expect("a command buffer");
+        let in_flight = Commands::new(host);
         for number in 0..4 {
             let slot = number % 2;
-            in_flight.begin(host).expect("recording");
-            let commands = adopt(&context, &in_flight);
-            let frame = images.frame(&scene, &gaussians, &camera);
+            let commands = in_flight.begun(&context);
+            let frame = images.used_by(frame_of(&placed, &camera), &updates);
             take_calls();
-            renderer.record(commands, slot, &frame.recorded()).expect("a recording");
+            renderer.record(commands, slot, &frame).expect("a recording");
             assert_eq!(take_calls(), [], "frame {number}: record only records");
-            in_flight.submit(host).expect("a submission");
-            in_flight.wait(host).expect("done");
-            let report = renderer.slot_report(slot).expect("a report").expect("finished");
+            in_flight.finish();
+            let report = report_of(&mut renderer, slot);
             assert!(report.visible > 100 && !report.overflow, "{report:?}");
             let asked = take_calls();
             let allowed = |name: &str| name == "vkGetQueryPoolResults";
             assert!(asked.iter().all(|(name, _)| allowed(name)), "asking for statistics: {asked:?}");
         }
-        many_scenes(host, &context, &mut renderer, &in_flight);
-        training_steps(host, &context, &in_flight);
-        in_flight.destroy(host);
-        drop(renderer);
-        images.destroy(host);
+        many_scenes(&context, &mut renderer, &in_flight);
+        training_steps(&context, &in_flight);
     });
 }
 
 /// Records a frame of many scenes. Each has its own dispatches, which a reservation must count.
-fn many_scenes(host: &Host, context: &Context, renderer: &mut Renderer, in_flight: &InFlight) {
+fn many_scenes(context: &Context, renderer: &mut Renderer, in_flight: &Commands<'_>) {
     const SCENES: u32 = 100;
     let gaussians = cloud(6, 1);
-    let scenes: Vec<_> =
-        (0..SCENES).map(|_| DeviceScene::upload(context, &gaussians, 0).expect("a scene")).collect();
+    let scenes: Vec<_> = (0..SCENES).map(|_| uploaded(context, &gaussians)).collect();
     let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
     let reservation = Reservation { scenes: SCENES, ..Reservation::new(SCENES * 6, 1, 96, 64) };
     renderer.reserve(&reservation).expect("memory");
-    in_flight.begin(host).expect("recording");
-    let commands = adopt(context, in_flight);
-    let (camera, settings) = (camera(0.3, 96, 64), RenderSettings::default());
+    let commands = in_flight.begun(context);
+    let camera = camera(0.3, 96, 64);
     take_calls();
-    renderer.record(commands, 0, &RecordedFrame::new(&placed, &camera, &settings)).expect("a recording");
+    renderer.record(commands, 0, &frame_of(&placed, &camera)).expect("a recording");
     assert_eq!(take_calls(), [], "record only records");
-    in_flight.submit(host).expect("a submission");
-    in_flight.wait(host).expect("done");
+    in_flight.finish();
 }
 
 /// Records training steps, before and after a densification and an opacity reset.
-fn training_steps(host: &Host, context: &Context, in_flight: &InFlight) {
+fn training_steps(context: &Context, in_flight: &Commands<'_>) {
     let settings = TrainSettings {
         iterations: 20,
         densify_from_iter: 0,
@@ -234,7 +218,7 @@ fn training_steps(host: &Host, context: &Context, in_flight: &InFlight) {
         ..TrainSettings::default()
     };
     let mut trainer = crate::training::trainer(context, settings);
-    trainer.reserve_steps(&StepReservation { slots: 1, instances: 0, visible: 0 }).expect("memory");
+    trainer.reserve_steps(&ONE_SLOT).expect("memory");
     let mut maintained = 0;
     for iteration in 1..=12 {
         take_calls();
@@ -249,13 +233,11 @@ fn training_steps(host: &Host, context: &Context, in_flight: &InFlight) {
             maintained += 1;
             assert!(!take_calls().is_empty(), "maintenance submits");
         }
-        in_flight.begin(host).expect("recording");
-        let commands = adopt(context, in_flight);
+        let commands = in_flight.begun(context);
         take_calls();
         trainer.record_step(commands, 0).expect("a recording");
         assert_eq!(take_calls(), [], "iteration {iteration}: record_step only records");
-        in_flight.submit(host).expect("a submission");
-        in_flight.wait(host).expect("done");
+        in_flight.finish();
         if iteration % 2 == 0 {
             continue;
         }
@@ -267,88 +249,46 @@ fn training_steps(host: &Host, context: &Context, in_flight: &InFlight) {
     assert_eq!(maintained, 5, "densified after 3, 6, 9, reset after 5 and 10");
 }
 
-/// Images of a frame with every feature: updates, a host's depth, a host's image.
-pub struct Images {
-    color: crate::memory::HostTexture,
-    depth: crate::memory::HostTexture,
-    adopted: [Image; 2],
-    /// Last use of the depth image.
-    depth_state: ImageState,
+/// Images of a frame that draws into a host's image, behind a host's depth.
+pub struct Images<'a> {
+    views: [Image; 2],
+    _textures: [Texture<'a>; 2],
 }
 
-pub struct Everything<'a> {
-    scenes: [Placed<'a>; 1],
-    camera: &'a ashsplat::Camera,
-    settings: RenderSettings,
-    updates: [Update<'a>; 1],
-    adopted: &'a [Image; 2],
-    depth_state: ImageState,
-}
+/// State of the depth before and after every frame.
+const READ_ONLY: ImageState = ImageState {
+    layout: vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL,
+    stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
+    accesses: vk::AccessFlags2::SHADER_SAMPLED_READ,
+};
 
-impl Images {
-    pub fn new(host: &Host, context: &Context) -> Self {
-        let texture = |format, usage| crate::memory::HostTexture::new(host, format, usage, [96, 64]);
-        let color = texture(vk::Format::R16G16B16A16_SFLOAT, vk::ImageUsageFlags::STORAGE).expect("an image");
-        let depth = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
-        let depth = texture(vk::Format::D32_SFLOAT, depth).expect("an image");
-        // SAFETY: the descriptions match the images, which outlive the renderer.
-        let adopted = unsafe {
-            [
-                Image::adopt(context, "color", &color.foreign(), ImageUse::Target).expect("adopted"),
-                Image::adopt(context, "depth", &depth.foreign(), ImageUse::Occluder).expect("adopted"),
-            ]
-        };
-        let layout = vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL;
-        let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
-        let accesses = vk::AccessFlags2::SHADER_SAMPLED_READ;
-        let none = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
+impl<'a> Images<'a> {
+    pub fn new(host: &'a Host, context: &Context) -> Self {
+        let new = |format, usage| Texture::new(host, format, usage, [96, 64]);
+        let color = new(vk::Format::R16G16B16A16_SFLOAT, vk::ImageUsageFlags::STORAGE);
+        let usage = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
+        let depth = new(vk::Format::D32_SFLOAT, usage);
         let made = host.run(|commands| {
-            depth.barrier(host, commands, none, (layout, stages, accesses));
+            depth.barrier(host, commands, used(ImageState::UNDEFINED), used(READ_ONLY));
             Ok(())
         });
         made.expect("a layout");
-        Self { color, depth, adopted, depth_state: ImageState { layout, stages, accesses } }
+        let target = color.adopt(context, "color", ImageUse::Target);
+        let views = [target, depth.adopt(context, "depth", ImageUse::Occluder)];
+        Self { views, _textures: [color, depth] }
     }
 
-    pub fn frame<'a>(
-        &'a self,
-        scene: &'a DeviceScene,
-        gaussians: &'a Gaussians,
-        camera: &'a ashsplat::Camera,
-    ) -> Everything<'a> {
-        Everything {
-            scenes: [scene.into()],
-            camera,
-            settings: RenderSettings::default(),
-            updates: [Update { scene, first: 0, gaussians }],
-            adopted: &self.adopted,
-            depth_state: self.depth_state,
-        }
-    }
-
-    pub fn destroy(self, host: &Host) {
-        drop(self.adopted);
-        self.color.destroy(host);
-        self.depth.destroy(host);
-    }
-}
-
-impl<'a> Everything<'a> {
-    pub fn recorded(&'a self) -> RecordedFrame<'a> {
-        let used = |image, from| HostImage { image, from, offset: [0; 2] };
+    /// A frame with the images, and with updates.
+    pub fn used_by<'b>(&'b self, frame: RecordedFrame<'b>, updates: &'b [Update<'b>]) -> RecordedFrame<'b> {
         // Nothing draws into the depth image; its contents do not matter.
-        let mapping =
-            ashsplat::scene::DepthMapping { scale: 1e-9, offset: 0.0, clear_value: 2.0, linear: false };
-        RecordedFrame {
-            target: Target::Image {
-                to: used(&self.adopted[0], ImageState::UNDEFINED),
-                behind: Background::Nothing,
-                encoding: ColorEncoding::LINEAR,
-            },
-            occluder: Some(Occluder { depth: used(&self.adopted[1], self.depth_state), mapping }),
-            updates: &self.updates,
-            ..RecordedFrame::new(&self.scenes, self.camera, &self.settings)
-        }
+        let mapping = DepthMapping { scale: 1e-9, offset: 0.0, clear_value: 2.0, linear: false };
+        let target = Target::Image {
+            to: host_image(&self.views[0], ImageState::UNDEFINED),
+            behind: Background::Nothing,
+            encoding: ColorEncoding::LINEAR,
+        };
+        let depth = host_image(&self.views[1], READ_ONLY);
+        RecordedFrame { target, occluder: Some(Occluder { depth, mapping }), updates, ..frame }
     }
 }
 
@@ -369,9 +309,7 @@ fn kernels_of_threads(host_options: &HostOptions) {
         // SAFETY: a valid create info.
         let pipeline_cache = unsafe { host.device.create_pipeline_cache(&info, None) }.expect("a cache");
         let foreign = ForeignDevice { device: &device, pipeline_cache, ..host.foreign() };
-        // SAFETY: as in `guest`; the cache is destroyed after the context.
-        let context =
-            unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context");
+        let context = guest_of(&foreign, &ContextOptions::default());
         let wanted = Reservation {
             occlusion: true,
             expected_depth: true,
@@ -405,8 +343,7 @@ fn kernels_of_threads(host_options: &HostOptions) {
         assert_eq!(pipelines(&take_calls()), count);
         let caches = std::mem::take(&mut *CACHES.lock().expect("no panic while held"));
         assert_eq!(caches, [pipeline_cache.as_raw()].into());
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&wanted).expect("memory");
+        let renderer = reserved(&context, &wanted);
         assert_eq!(pipelines(&take_calls()), 0, "all are there");
         drop((renderer, context));
         // SAFETY: nothing is built with it any more.
@@ -417,8 +354,7 @@ fn kernels_of_threads(host_options: &HostOptions) {
 /// The counters detect a call.
 #[test]
 fn the_untouched_table_is_the_hosts() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         assert!(context.is_foreign());
         assert_eq!(context.handles().2.handle(), host.device.handle());
     });

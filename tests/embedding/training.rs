@@ -1,18 +1,13 @@
 //! Training steps in a host's command buffer.
 
-mod discarded;
-mod visible;
-
-use crate::host::{Host, HostOptions, InFlight};
-use crate::stage::{adopt, assert_same, camera, cloud, guest, options, own_device, rendered, with_host};
-use ashsplat::trainer::{
-    OptimizerType, Preset, SplitType, StepOutcome, StepReservation, StrategyType, Trainer,
+use crate::stage::*;
+use ashsplat::frame::LEAST_VISIBLE;
+use ashsplat::scene::Bounds;
+use ashsplat::train::{
+    OptimizerType, Preset, SceneBlock, SplitType, StepOutcome, StepReservation, StrategyType, TrainParts,
+    Trainer,
 };
-use ashsplat::vk::{Context, ContextOptions, ForeignDevice, LimitsOverride};
-use ashsplat::{
-    Blending, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings,
-    TrainView,
-};
+use ashsplat::{StepReport, TrainView};
 use ashsplat_files::{Photo, PhotoMemory, StoredPhoto};
 
 /// Densifies after 20, 40, 60, 80; resets opacities after 50.
@@ -48,7 +43,7 @@ pub fn trainer(context: &Context, settings: TrainSettings) -> Trainer {
     let mut views = views();
     views[2].camera_id = 4;
     views[1].inverse_depth = settings.exposure.then(|| vec![0.25; 48 * 36].into());
-    views[1].depth_points = (settings.depth_points > 0.0).then(|| crate::stage::depth_points().into());
+    views[1].depth_points = (settings.depth_points > 0.0).then(|| depth_points().into());
     Trainer::new(context, views, &cloud(300, 5), 4.0, settings).expect("a trainer")
 }
 
@@ -60,11 +55,14 @@ fn done(trainer: &mut Trainer, slot: u32) -> StepReport {
 }
 
 /// Records and executes one step in slot 0.
-pub fn step(host: &Host, trainer: &mut Trainer, context: &Context, in_flight: &InFlight) -> StepReport {
-    in_flight.begin(host).expect("recording");
-    trainer.record_step(adopt(context, in_flight), 0).expect("a recording");
-    in_flight.submit(host).expect("a submission");
-    in_flight.wait(host).expect("done");
+fn execute(trainer: &mut Trainer, context: &Context, in_flight: &Commands<'_>) {
+    trainer.record_step(in_flight.begun(context), 0).expect("a recording");
+    in_flight.finish();
+}
+
+/// Executes one step in slot 0, which has enough capacity.
+pub fn step(trainer: &mut Trainer, context: &Context, in_flight: &Commands<'_>) -> StepReport {
+    execute(trainer, context, in_flight);
     done(trainer, 0)
 }
 
@@ -88,10 +86,10 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
     recorded
         .reserve_steps(&StepReservation { slots: SLOTS as u32, instances: 0, visible: 0 })
         .expect("memory");
-    let frames = [0; SLOTS].map(|_| InFlight::new(host).expect("a command buffer"));
+    let frames = [0; SLOTS].map(|_| Commands::new(host));
     let (mut pending, mut densifications) = (Vec::<(usize, u32)>::new(), 0);
     let check = |trainer: &mut Trainer, (slot, iteration): (usize, u32)| {
-        frames[slot].wait(host).expect("done");
+        frames[slot].wait();
         let (got, wanted) = (done(trainer, slot as u32), &expected[iteration as usize - 1]);
         assert_eq!(got.iteration, iteration);
         let sizes = |r: &StepReport| (r.gaussians, r.visible, r.instances, r.skipped_non_finite);
@@ -111,9 +109,8 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
         } else if pending.len() == SLOTS {
             check(&mut recorded, pending.remove(0));
         }
-        frames[slot].begin(host).expect("recording");
-        let step = recorded.record_step(adopt(&context, &frames[slot]), slot as u32).expect("a recording");
-        frames[slot].submit(host).expect("a submission");
+        let step = recorded.record_step(frames[slot].begun(&context), slot as u32).expect("a recording");
+        frames[slot].submit();
         pending.push((slot, step.iteration));
     }
     for step in pending.drain(..) {
@@ -127,7 +124,6 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
     assert_eq!(recorded.settle().expect("an answer"), 0);
     let (got, wanted) = (recorded.checkpoint().expect("a state"), owned.checkpoint().expect("a state"));
     assert!(got == wanted, "after {} iterations: other bits", got.iteration);
-    frames.into_iter().for_each(|frame| frame.destroy(host));
 }
 
 #[test]
@@ -186,55 +182,46 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
 /// bits.
 #[test]
 fn another_form_of_blending_is_due_maintenance() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let [own, other] = Blending::ALL;
         let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
-        recorded.reserve_steps(&StepReservation { slots: 1, instances: 0, visible: 0 }).expect("memory");
-        let frame = InFlight::new(host).expect("a command buffer");
+        recorded.reserve_steps(&ONE_SLOT).expect("memory");
+        let frame = Commands::new(host);
         // Nothing is due if nothing changes.
         recorded.set_blending(own);
         assert!(!recorded.maintenance_is_due().expect("an answer"));
         // A recorded step keeps its form.
-        frame.begin(host).expect("recording");
-        recorded.record_step(adopt(&context, &frame), 0).expect("a recording");
+        recorded.record_step(frame.begun(&context), 0).expect("a recording");
         recorded.set_blending(other);
-        frame.submit(host).expect("a submission");
-        frame.wait(host).expect("done");
+        frame.finish();
         let first = done(&mut recorded, 0);
         assert!(recorded.maintenance_is_due().expect("an answer"));
-        let refused = InFlight::new(host).expect("a command buffer");
-        refused.begin(host).expect("recording");
-        let error = recorded.record_step(adopt(&context, &refused), 0).expect_err("no kernels");
-        assert!(error.to_string().contains("maintain"), "{error}");
-        refused.destroy(host);
+        let refused = Commands::new(host);
+        assert_error(recorded.record_step(refused.begun(&context), 0), "maintain");
         recorded.maintain().expect("kernels");
-        let second = step(host, &mut recorded, &context, &frame);
+        let second = step(&mut recorded, &context, &frame);
         expected.step().expect("a step");
         expected.set_blending(other);
         let wanted = expected.step().expect("a step");
         assert_eq!((first.iteration, second.iteration), (1, 2));
         assert_eq!(second.loss.to_bits(), wanted.loss.to_bits());
         assert!(recorded.checkpoint().expect("a state") == expected.checkpoint().expect("a state"));
-        frame.destroy(host);
     });
 }
 
 /// A step without capacity changes nothing, nor do the steps behind it. All are recorded before the first one runs.
 #[test]
 fn steps_without_room_change_nothing() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
         recorded.reserve_steps(&StepReservation { slots: 3, instances: 20, visible: 0 }).expect("memory");
         let before = recorded.checkpoint().expect("a state");
-        let frames = [0; 3].map(|_| InFlight::new(host).expect("a command buffer"));
+        let frames = [0; 3].map(|_| Commands::new(host));
         for (slot, frame) in (0..).zip(&frames) {
-            frame.begin(host).expect("recording");
-            recorded.record_step(adopt(&context, frame), slot).expect("a recording");
+            recorded.record_step(frame.begun(&context), slot).expect("a recording");
         }
-        frames.iter().for_each(|frame| frame.submit(host).expect("a submission"));
-        frames.iter().for_each(|frame| frame.wait(host).expect("done"));
+        frames.iter().for_each(|frame| frame.submit());
+        frames.iter().for_each(|frame| frame.wait());
         for slot in 0..3 {
             let outcome = recorded.step_outcome(slot).expect("an outcome").expect("finished");
             let StepOutcome::Overflowed { iteration, instances_needed, instance_capacity, .. } = outcome
@@ -250,20 +237,17 @@ fn steps_without_room_change_nothing() {
             "a step without room has changed something"
         );
         assert!(recorded.maintenance_is_due().expect("an answer"));
-        frames[0].begin(host).expect("recording");
-        let error = recorded.record_step(adopt(&context, &frames[0]), 0).expect_err("no room");
-        assert!(error.to_string().contains("maintain"), "{error}");
+        assert_error(recorded.record_step(frames[0].begun(&context), 0), "maintain");
         assert!(recorded.maintain().expect("room").grown);
         for frame in &frames[1..] {
-            step(host, &mut recorded, &context, frame);
+            step(&mut recorded, &context, frame);
             expected.step().expect("a step");
         }
         let (got, mut wanted) =
             (recorded.checkpoint().expect("a state"), expected.checkpoint().expect("a state"));
         // This trainer had to grow more.
-        wanted.room = got.room;
+        wanted.capacities = got.capacities;
         assert!(got == wanted, "other bits after more room");
-        frames.into_iter().for_each(|frame| frame.destroy(host));
     });
 }
 
@@ -272,13 +256,7 @@ fn steps_without_room_change_nothing() {
 fn steps_that_no_room_suffices_for_are_left_out() {
     const INSTANCES: u32 = 6400;
     with_host(&options(), |host| {
-        let limits = LimitsOverride {
-            max_storage_buffer_range: Some(u64::from(INSTANCES) * 16),
-            ..LimitsOverride::default()
-        };
-        let options = ContextOptions { limits_override: Some(limits), ..ContextOptions::default() };
-        // SAFETY: as in `guest`.
-        let context = unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context");
+        let context = guest_of(&host.foreign(), &small_bindings(u64::from(INSTANCES) * 16));
         // All Gaussians in all tiles: nine tiles in two views, twelve in the others.
         let mut scene = cloud(600, 5);
         scene.log_scales.iter_mut().flatten().for_each(|s| *s += 3.5);
@@ -289,18 +267,15 @@ fn steps_that_no_room_suffices_for_are_left_out() {
         let seed = (0..20).find(|&seed| begin(seed).step().is_ok()).expect("a small view comes first");
         let (mut owned, mut recorded) = (begin(seed), begin(seed));
         let expected: Vec<StepReport> = (0..24).map(|_| owned.step().expect("a step")).collect();
-        recorded.reserve_steps(&StepReservation { slots: 1, instances: 0, visible: 0 }).expect("memory");
-        let in_flight = InFlight::new(host).expect("a command buffer");
+        recorded.reserve_steps(&ONE_SLOT).expect("memory");
+        let in_flight = Commands::new(host);
         let mut skipped = Vec::new();
         while recorded.iteration() < 24 {
             if recorded.maintenance_is_due().expect("an answer") {
                 skipped.extend(recorded.maintain().expect("maintained").skipped);
                 continue;
             }
-            in_flight.begin(host).expect("recording");
-            recorded.record_step(adopt(&context, &in_flight), 0).expect("a recording");
-            in_flight.submit(host).expect("a submission");
-            in_flight.wait(host).expect("done");
+            execute(&mut recorded, &context, &in_flight);
             recorded.settle().expect("an answer");
         }
         let wanted: Vec<u32> = expected.iter().filter(|r| r.skipped).map(|r| r.iteration).collect();
@@ -308,35 +283,30 @@ fn steps_that_no_room_suffices_for_are_left_out() {
         assert!(expected.iter().all(|r| r.skipped == (r.instances > INSTANCES)), "{expected:?}");
         let (got, mut wanted) =
             (recorded.checkpoint().expect("a state"), owned.checkpoint().expect("a state"));
-        wanted.room = got.room;
+        wanted.capacities = got.capacities;
         assert!(got == wanted, "other bits");
-        in_flight.destroy(host);
     });
 }
 
 /// A host renders the Gaussians in the command buffer that trains them.
 #[test]
 fn a_host_renders_what_it_trains() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
         recorded.reserve_steps(&StepReservation::default()).expect("memory");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&Reservation::new(4096, 2, 80, 60)).expect("memory");
-        let in_flight = InFlight::new(host).expect("a command buffer");
+        let mut renderer = reserved(&context, &Reservation::new(4096, 2, 80, 60));
+        let in_flight = Commands::new(host);
         let view = camera(0.7, 80, 60);
         for _ in 0..42 {
             if recorded.maintenance_is_due().expect("an answer") {
                 recorded.maintain().expect("maintained");
             }
-            in_flight.begin(host).expect("recording");
-            recorded.record_step(adopt(&context, &in_flight), 0).expect("a recording");
+            recorded.record_step(in_flight.begun(&context), 0).expect("a recording");
             let (scene, settings) = (recorded.scene(), RenderSettings::default());
             let placed = [Placed::from(&scene)];
             let frame = RecordedFrame::new(&placed, &view, &settings);
-            renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
-            in_flight.submit(host).expect("a submission");
-            in_flight.wait(host).expect("done");
+            renderer.record(in_flight.adopt(&context), 0, &frame).expect("a recording");
+            in_flight.finish();
             assert_eq!(done(&mut recorded, 0).iteration, expected.step().expect("a step").iteration);
         }
         let settings = RenderSettings { sh_degree: Some(recorded.sh_degree()), ..RenderSettings::default() };
@@ -346,8 +316,7 @@ fn a_host_renders_what_it_trains() {
         scene = recorded.scene();
         placed = [Placed::from(&scene)];
         let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &view, &settings));
-        assert_same(&pixels, &wanted, settings.background);
-        in_flight.destroy(host);
+        assert_same(&pixels, &wanted);
     });
 }
 
@@ -357,24 +326,21 @@ fn bad_steps_are_refused_before_anything_is_recorded() {
         let (context, other) = (guest(host), guest(host));
         let quick = TrainSettings { densify_from_iter: 0, densification_interval: 2, ..settings() };
         let mut training = trainer(&context, quick.clone());
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        in_flight.begin(host).expect("recording");
+        let in_flight = Commands::new(host);
+        in_flight.begin();
         let refused = |training: &mut Trainer, context: &Context, slot: u32, expected: &str| {
-            let error = training.record_step(adopt(context, &in_flight), slot).expect_err(expected);
-            assert!(matches!(error, Error::Argument { .. }), "{error:?}");
-            assert!(error.to_string().contains(expected), "{error}");
+            let error = training.record_step(in_flight.adopt(context), slot).expect_err(expected);
+            assert_argument(&error, expected);
         };
         refused(&mut training, &context, 0, "reserve_steps");
-        let none = training
-            .reserve_steps(&StepReservation { slots: 0, instances: 0, visible: 0 })
-            .expect_err("none");
-        assert!(none.to_string().contains("slots: is 0, it may be 1 to 1024"), "{none}");
+        let none = StepReservation { slots: 0, ..ONE_SLOT };
+        assert_error(training.reserve_steps(&none), "slots: is 0, it may be 1 to 1024");
         training.reserve_steps(&StepReservation::default()).expect("memory");
         refused(&mut training, &other, 0, "commands: it belongs to another context");
         refused(&mut training, &context, 2, "2: 2 are reserved");
-        training.record_step(adopt(&context, &in_flight), 0).expect("a recording");
+        training.record_step(in_flight.adopt(&context), 0).expect("a recording");
         refused(&mut training, &context, 0, "still in flight");
-        training.record_step(adopt(&context, &in_flight), 1).expect("a recording");
+        training.record_step(in_flight.adopt(&context), 1).expect("a recording");
         let unsettled = [
             training.step().err(),
             training.gaussians().err(),
@@ -386,27 +352,23 @@ fn bad_steps_are_refused_before_anything_is_recorded() {
         for error in unsettled {
             assert!(error.expect("refused").to_string().contains("in flight"));
         }
-        in_flight.submit(host).expect("a submission");
-        in_flight.wait(host).expect("done");
+        in_flight.finish();
         assert_eq!(done(&mut training, 1).iteration, 2);
-        in_flight.begin(host).expect("recording");
+        in_flight.begin();
         refused(&mut training, &context, 0, "maintenance is due");
         assert!(training.maintain().expect("maintained").densified.is_some());
-        training.record_step(adopt(&context, &in_flight), 0).expect("a recording");
-        in_flight.submit(host).expect("a submission");
-        in_flight.wait(host).expect("done");
+        training.record_step(in_flight.adopt(&context), 0).expect("a recording");
+        in_flight.finish();
         assert_eq!(done(&mut training, 0).iteration, 3);
 
         // After the last step, no maintenance is required first.
         let mut ending = trainer(&context, TrainSettings { iterations: 2, ..quick });
         ending.reserve_steps(&StepReservation::default()).expect("memory");
-        assert_eq!([0; 2].map(|_| step(host, &mut ending, &context, &in_flight).iteration), [1, 2]);
+        assert_eq!([0; 2].map(|_| step(&mut ending, &context, &in_flight).iteration), [1, 2]);
         assert!(ending.maintenance_is_due().expect("an answer"));
-        in_flight.begin(host).expect("recording");
+        in_flight.begin();
         refused(&mut ending, &context, 0, "training step: the run is over: its settings have 2 iterations");
-        in_flight.submit(host).expect("a submission");
-        in_flight.wait(host).expect("done");
-        in_flight.destroy(host);
+        in_flight.finish();
     });
 }
 
@@ -415,9 +377,7 @@ fn bad_steps_are_refused_before_anything_is_recorded() {
 fn a_trainer_needs_a_queue() {
     with_host(&options(), |host| {
         let foreign = ForeignDevice { queue: None, ..host.foreign() };
-        // SAFETY: as in `guest`.
-        let context =
-            unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context");
+        let context = guest_of(&foreign, &ContextOptions::default());
         let error = Trainer::new(&context, views(), &cloud(10, 1), 4.0, settings()).err().expect("refused");
         assert!(error.to_string().contains("queue") && matches!(error, Error::Argument { .. }), "{error}");
     });
@@ -426,8 +386,7 @@ fn a_trainer_needs_a_queue() {
 /// Steps cannot be recorded if photographs are read from a file during training.
 #[test]
 fn photographs_in_a_file_are_refused() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|_, context| {
         let (mut views, folder) = (views(), tempfile::tempdir().expect("a folder"));
         let memory = PhotoMemory { bytes: 1 << 20, folder: folder.path().to_owned() };
         let file = memory.create_file().expect("a file");
@@ -435,7 +394,173 @@ fn photographs_in_a_file_are_refused() {
             view.photo = file.store(&view.photo).expect("stored");
         }
         let mut trainer = Trainer::new(&context, views, &cloud(10, 1), 4.0, settings()).expect("a trainer");
-        let error = trainer.reserve_steps(&StepReservation::default()).expect_err("refused");
-        assert!(error.to_string().contains("lie in a file"), "{error}");
+        assert_error(trainer.reserve_steps(&StepReservation::default()), "lie in a file");
+    });
+}
+
+/// The first step sees more Gaussians than estimated. It changes nothing and is repeated with more capacity, to the
+/// same bits.
+#[test]
+fn steps_that_see_more_than_estimated_are_repeated() {
+    with_guest(|host, context| {
+        let trainer = || {
+            let start = cloud(3 * LEAST_VISIBLE as usize, 5);
+            Trainer::new(&context, views(), &start, 4.0, settings()).expect("a trainer")
+        };
+        let (mut recorded, mut expected) = (trainer(), trainer());
+        recorded.reserve_steps(&ONE_SLOT).expect("memory");
+        let frame = Commands::new(host);
+        execute(&mut recorded, &context, &frame);
+        let outcome = recorded.step_outcome(0).expect("an outcome").expect("finished");
+        let StepOutcome::Overflowed { iteration, visible_needed, visible_capacity, .. } = outcome else {
+            panic!("{outcome:?}");
+        };
+        assert_eq!(iteration, 1);
+        assert!(visible_needed > visible_capacity && visible_capacity >= LEAST_VISIBLE);
+        while recorded.iteration() < 3 {
+            if recorded.maintenance_is_due().expect("an answer") {
+                assert!(recorded.maintain().expect("room").grown);
+            }
+            execute(&mut recorded, &context, &frame);
+            recorded.settle().expect("settled");
+        }
+        (0..3).for_each(|_| assert!(!expected.step().expect("a step").skipped));
+        assert!(recorded.gaussians().expect("Gaussians") == expected.gaussians().expect("Gaussians"));
+        // With enough capacity from the start, no step is repeated.
+        let mut roomy = trainer();
+        let all = StepReservation { slots: 1, instances: 1 << 18, visible: 3 * LEAST_VISIBLE };
+        roomy.reserve_steps(&all).expect("memory");
+        for _ in 0..3 {
+            execute(&mut roomy, &context, &frame);
+            let outcome = roomy.step_outcome(0).expect("an outcome").expect("finished");
+            assert!(matches!(outcome, StepOutcome::Done(_)), "{outcome:?}");
+        }
+        assert!(roomy.gaussians().expect("Gaussians") == expected.gaussians().expect("Gaussians"));
+    });
+}
+
+/// A discarded command buffer takes back its steps; later ones must be discarded, too.
+#[test]
+fn steps_that_are_thrown_away_are_recorded_again() {
+    with_guest(|host, context| {
+        let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
+        recorded.reserve_steps(&StepReservation::default()).expect("memory");
+        let record_and_throw_away = |trainer: &mut Trainer| {
+            for slot in 0..2 {
+                let frame = Commands::new(host);
+                trainer.record_step(frame.begun(&context), slot).expect("a recording");
+            }
+        };
+        record_and_throw_away(&mut recorded);
+        for slot in 0..2 {
+            // SAFETY: neither command buffer was submitted: both are gone.
+            unsafe { recorded.step_recording(slot).expect("a slot").discard() };
+        }
+        assert_eq!((recorded.settle().expect("none"), recorded.iteration()), (0, 0));
+        let in_flight = Commands::new(host);
+        for _ in 0..2 {
+            let wanted = expected.step().expect("a step");
+            let got = step(&mut recorded, &context, &in_flight);
+            assert_eq!((got.iteration, got.loss.to_bits()), (wanted.iteration, wanted.loss.to_bits()));
+        }
+        record_and_throw_away(&mut recorded);
+        // SAFETY: as above.
+        unsafe { recorded.step_recording(0).expect("a slot").discard() };
+        assert_error(recorded.settle(), "thrown away");
+        assert!(recorded.step().is_err());
+    });
+}
+
+/// Executed steps cannot be taken back.
+#[test]
+fn steps_that_are_discarded_too_late_break_the_trainer() {
+    with_guest(|host, context| {
+        let mut recorded = trainer(&context, settings());
+        recorded.reserve_steps(&StepReservation::default()).expect("memory");
+        let frame = Commands::new(host);
+        execute(&mut recorded, &context, &frame);
+        // SAFETY: the execution is over.
+        unsafe { recorded.step_recording(0).expect("a slot").discard() };
+        assert_error(recorded.settle(), "executed");
+        assert!(recorded.step().is_err());
+    });
+}
+
+/// Iterations of a run with a warm-up.
+const ITERATIONS: u32 = 16;
+
+/// Trainer of a run that starts with small pictures.
+fn warm_up_trainer(context: &Context) -> Trainer {
+    let (width, height) = (272, 260);
+    let view = |number: u32| {
+        let rgb = (0..width * height * 3).map(|k| (k * (number + 2) / 700) as u8).collect();
+        TrainView::new(camera(number as f32, width, height), Photo { width, height, rgb })
+    };
+    let settings = TrainSettings {
+        iterations: ITERATIONS,
+        warm_up: 8,
+        strategy: StrategyType::Fixed,
+        ..TrainSettings::default()
+    };
+    Trainer::new(context, (0..3).map(view).collect(), &cloud(300, 5), 4.0, settings).expect("a trainer")
+}
+
+/// The reservation prepares pictures of every size, whichever comes first.
+#[test]
+fn recorded_steps_of_a_warm_up_have_the_owned_paths_bits() {
+    with_guest(|host, context| {
+        for begun in [0, 2, 6, 10] {
+            let (mut owned, mut recorded) = (warm_up_trainer(&context), warm_up_trainer(&context));
+            for trainer in [&mut owned, &mut recorded] {
+                (0..begun).for_each(|_| drop(trainer.step().expect("a step")));
+            }
+            recorded.reserve_steps(&ONE_SLOT).expect("memory");
+            let frame = Commands::new(host);
+            for _ in begun..ITERATIONS {
+                let expected = owned.step().expect("a step");
+                if recorded.maintenance_is_due().expect("an answer") {
+                    recorded.maintain().expect("maintained");
+                }
+                execute(&mut recorded, &context, &frame);
+                recorded.settle().expect("an answer");
+                assert_eq!(recorded.iteration(), expected.iteration);
+            }
+            let states = [&recorded, &owned].map(|trainer| trainer.checkpoint().expect("a state"));
+            assert!(states[0] == states[1], "recorded after {begun}: other bits");
+        }
+    });
+}
+
+/// Trainer of half a scene, with the other half frozen.
+fn block_trainer(context: &Context) -> Trainer {
+    let core = Bounds { min: Vec3::NEG_INFINITY, max: Vec3::new(0.0, f32::INFINITY, f32::INFINITY) };
+    let (initial, block) = SceneBlock::divide(&cloud(300, 5), core, 0.2).expect("a block");
+    assert!(initial.len() > 50 && block.frozen.len() > 50);
+    let parts = TrainParts::of_settings(context, &settings()).expect("parts");
+    let parts = TrainParts { block: Some(block), ..parts };
+    Trainer::with_parts(context, views(), &initial, 4.0, settings(), parts).expect("a trainer")
+}
+
+#[test]
+fn recorded_training_of_a_block_is_the_owned_paths_to_the_bit() {
+    with_each_guest(|host, context| {
+        let mut owned = block_trainer(own_device());
+        let mut recorded = block_trainer(&context);
+        recorded.reserve_steps(&ONE_SLOT).expect("memory");
+        let in_flight = Commands::new(host);
+        let mut added = 0;
+        for _ in 0..45 {
+            let expected = owned.step().expect("a step");
+            if recorded.maintenance_is_due().expect("an answer") {
+                let densified = recorded.maintain().expect("maintained").densified;
+                added += densified.map_or(0, |densified| densified.cloned + densified.split);
+            }
+            let got = step(&mut recorded, &context, &in_flight);
+            assert_eq!((got.iteration, got.gaussians), (expected.iteration, expected.gaussians));
+            assert_eq!(got.loss.to_bits(), expected.loss.to_bits(), "iteration {}", got.iteration);
+        }
+        assert!(added > 0, "nothing was added");
+        let states = [&recorded, &owned].map(|trainer| trainer.checkpoint().expect("a state"));
+        assert!(states[0] == states[1], "other bits");
     });
 }

@@ -7,26 +7,18 @@ mod costs;
 mod split_screen;
 
 use crate::array_image::ArrayImage;
-use crate::auxiliary::truth::WRITTEN;
-use crate::host::{Host, InFlight};
-use crate::memory::HostTexture;
-use crate::stage::{adopt, camera, cloud, guest, options, owned, with_host};
-use ashsplat::ash::vk;
-use ashsplat::scene::Gaussians;
-use ashsplat::vk::{Image, ImageState, ImageUse};
-use ashsplat::{
-    Background, Camera, ColorEncoding, DepthTarget, DeviceScene, HostImage, Occluder, Placed, RecordedFrame,
-    Release, RenderSettings, Renderer, Reservation, SceneSettings, Target, Update,
-};
-use glam::{Mat3, Vec3};
+use crate::stage::*;
 
 const SIZE: [u32; 2] = [72, 56];
 pub const BLACK: Background = Background::Color([0.0; 3]);
 
-/// Target for a view's colours as trained.
-pub fn into(image: &Image, behind: Background, offset: [u32; 2]) -> Target<'_> {
-    let to = HostImage { image, from: ImageState::UNDEFINED, offset };
-    Target::Image { to, behind, encoding: ColorEncoding::AsTrained }
+/// Records groups of at most two views in one command buffer, each group in its own slot.
+fn record_groups(commands: &Commands<'_>, renderer: &mut Renderer, groups: &[&[RecordedFrame<'_>]]) {
+    for (slot, group) in (0..).zip(groups) {
+        let mut releases = [Release::default(); 2];
+        let adopted = commands.adopt(renderer.context());
+        renderer.record_views(adopted, slot, group, &mut releases[..group.len()]).expect("a recording");
+    }
 }
 
 /// A cloud with Gaussians that only one eye sees, and some that no view can show.
@@ -41,26 +33,12 @@ fn hard_cloud() -> Gaussians {
     hard
 }
 
-/// Records, submits and waits.
-pub fn render_views(host: &Host, renderer: &mut Renderer, views: &[RecordedFrame<'_>]) -> Vec<Release> {
-    let in_flight = InFlight::new(host).expect("a command buffer");
-    in_flight.begin(host).expect("recording");
-    let mut releases = vec![Release::default(); views.len()];
-    let commands = adopt(renderer.context(), &in_flight);
-    renderer.record_views(commands, 0, views, &mut releases).expect("a recording");
-    in_flight.submit(host).expect("a submission");
-    in_flight.wait(host).expect("done");
-    in_flight.destroy(host);
-    releases
-}
-
 /// Two eyes, one beside them whose depths differ in the last bit, and a picture-in-picture from elsewhere.
 #[test]
 fn layers_have_the_bits_of_frames_alone() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let gaussians = hard_cloud();
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let scene = uploaded(&context, &gaussians);
         // Each eye sees Gaussians that the other does not.
         let left = camera(0.3, SIZE[0], SIZE[1]).moved_aside([-1.0, 0.0]);
         let right = left.moved_aside([2.0, 0.1]);
@@ -78,18 +56,10 @@ fn layers_have_the_bits_of_frames_alone() {
         };
         let elsewhere = camera(2.0, 33, 20);
         let cameras = [left, right, turned, nearly, elsewhere];
-        let array = ArrayImage::new(host, SIZE, 5);
-        let layers: Vec<Image> = (0..5).map(|layer| array.adopt(&context, layer)).collect();
-        let (settings, placed) = (RenderSettings::default(), [Placed::from(&scene)]);
-        let frames: Vec<RecordedFrame> = cameras
-            .iter()
-            .zip(&layers)
-            .map(|(camera, layer)| RecordedFrame {
-                target: into(layer, BLACK, [0; 2]),
-                ..RecordedFrame::new(&placed, camera, &settings)
-            })
-            .collect();
-        let expected = cameras.map(|camera| owned(&gaussians, &camera, &settings));
+        let array = ArrayImage::new(host, &context, SIZE, 5);
+        let placed = [Placed::from(&scene)];
+        let frames = array.frames(&placed, &cameras);
+        let expected = cameras.map(|camera| owned(&gaussians, &camera, &SETTINGS));
         let mut renderer = Renderer::new(&context).expect("kernels");
         for (shared_sort, sorts) in [(false, 5), (true, 3)] {
             let wanted =
@@ -97,13 +67,13 @@ fn layers_have_the_bits_of_frames_alone() {
             renderer.reserve(&wanted).expect("memory");
             let releases = render_views(host, &mut renderer, &frames);
             assert!(releases.iter().all(|release| release.color == Some(written())), "{releases:?}");
-            for ((layer, camera), frame) in array.read(host).iter().zip(&cameras).zip(&expected) {
+            for ((layer, camera), frame) in array.read().iter().zip(&cameras).zip(&expected) {
                 let (width, height) = (camera.width as usize, camera.height as usize);
                 let rows = layer.chunks(SIZE[0] as usize).take(height).flat_map(|row| &row[..width]);
                 let colors: Vec<[f32; 3]> = rows.map(|&[r, g, b, _]| [r, g, b]).collect();
                 assert!(colors == frame.color, "shared: {shared_sort}, {width} x {height}");
             }
-            let report = renderer.slot_report(0).expect("a report").expect("finished");
+            let report = report_of(&mut renderer, 0);
             let most = |of: fn(&ashsplat::FrameStats) -> u32| expected.iter().map(|f| of(&f.stats)).max();
             assert_eq!(report.sorts, sorts);
             assert_eq!(Some(report.instances_needed), most(|stats| stats.instances));
@@ -112,8 +82,6 @@ fn layers_have_the_bits_of_frames_alone() {
             // The eyes' sum, or the largest of them.
             assert!(if shared_sort { report.visible >= visible } else { report.visible == visible });
         }
-        drop((renderer, layers));
-        array.destroy(host);
     });
 }
 
@@ -126,26 +94,22 @@ fn written() -> ImageState {
 /// A picture-in-picture over another view: views are drawn in order.
 #[test]
 fn views_may_overlap() {
-    with_host(&options(), |host| {
-        let context = guest(host);
-        let (gaussians, settings) = (cloud(300, 3), RenderSettings::default());
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+    with_guest(|host, context| {
+        let gaussians = cloud(300, 3);
+        let scene = uploaded(&context, &gaussians);
         let placed = [Placed::from(&scene)];
-        let array = ArrayImage::new(host, SIZE, 1);
-        let image = array.adopt(&context, 0);
+        let array = ArrayImage::new(host, &context, SIZE, 1);
         let cameras = [camera(0.3, SIZE[0], SIZE[1]), camera(1.3, 30, 20)];
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer
-            .reserve(&Reservation { views: 2, ..Reservation::new(300, 1, SIZE[0], SIZE[1]) })
-            .expect("memory");
+        let mut renderer =
+            reserved(&context, &Reservation { views: 2, ..Reservation::new(300, 1, SIZE[0], SIZE[1]) });
         let offsets = [[0; 2], [40, 30]];
         let views = [0, 1].map(|view| RecordedFrame {
-            target: into(&image, [BLACK, Background::Image][view], offsets[view]),
-            ..RecordedFrame::new(&placed, &cameras[view], &settings)
+            target: into(&array.layers[0], [BLACK, Background::Image][view], offsets[view]),
+            ..frame_of(&placed, &cameras[view])
         });
         render_views(host, &mut renderer, &views);
-        let [below, above] = [0, 1].map(|view| owned(&gaussians, &cameras[view], &settings));
-        let texels = &array.read(host)[0];
+        let [below, above] = [0, 1].map(|view| owned(&gaussians, &cameras[view], &SETTINGS));
+        let texels = &array.read()[0];
         for (i, texel) in texels.iter().enumerate() {
             let [x, y] = [i % SIZE[0] as usize, i / SIZE[0] as usize];
             let behind = below.color[i];
@@ -158,52 +122,42 @@ fn views_may_overlap() {
                 assert!((texel[channel] - expected).abs() < 1e-6, "({x}, {y}): {texel:?}, not {expected}");
             }
         }
-        drop((renderer, image));
-        array.destroy(host);
     });
 }
 
 #[test]
 fn bad_views_are_refused_by_name() {
-    with_host(&options(), |host| {
-        let context = guest(host);
+    with_guest(|host, context| {
         let few = cloud(20, 7);
-        let scene = DeviceScene::upload(&context, &few, 0).expect("a scene");
-        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
+        let scene = uploaded(&context, &few);
+        let placed = [Placed::from(&scene)];
         let (view, large) = (camera(0.3, SIZE[0], SIZE[1]), camera(0.3, 200, 200));
         let broken = Camera { fx: f32::NAN, ..view };
-        let mut renderer = Renderer::new(&context).expect("kernels");
         let wanted = Reservation {
             views: 2,
             expected_depth: true,
             occlusion: true,
             ..Reservation::new(20, 1, 72, 56)
         };
-        renderer.reserve(&wanted).expect("memory");
-        let array = ArrayImage::new(host, [200, 200], 2);
-        let layers = [0, 1].map(|layer| array.adopt(&context, layer));
+        let mut renderer = reserved(&context, &wanted);
+        let array = ArrayImage::new(host, &context, [200, 200], 2);
         let (storage, sampled) = (vk::ImageUsageFlags::STORAGE, vk::ImageUsageFlags::SAMPLED);
-        let both = HostTexture::new(host, vk::Format::R32_SFLOAT, storage | sampled, SIZE).expect("an image");
-        let [read, write] = [ImageUse::Occluder, ImageUse::Depth].map(|purpose| {
-            // SAFETY: the description matches the image, which outlives the view.
-            unsafe { Image::adopt(&context, "both", &both.foreign(), purpose) }.expect("adopted")
-        });
-        let good = RecordedFrame {
-            target: into(&layers[0], BLACK, [0; 2]),
-            ..RecordedFrame::new(&placed, &view, &settings)
-        };
+        let both = Texture::new(host, vk::Format::R32_SFLOAT, storage | sampled, SIZE);
+        let read = both.adopt(&context, "both", ImageUse::Occluder);
+        let write = both.adopt(&context, "both", ImageUse::Depth);
+        let good =
+            RecordedFrame { target: into(&array.layers[0], BLACK, [0; 2]), ..frame_of(&placed, &view) };
         let slot = RecordedFrame { target: Target::Slot, ..good };
         let updates = [Update { scene: &scene, first: 0, gaussians: &few }];
         let updated = RecordedFrame { updates: &updates, ..good };
-        let outside = RecordedFrame { target: into(&layers[1], BLACK, [150, 0]), ..good };
-        let over = RecordedFrame { target: into(&layers[1], Background::Image, [0; 2]), ..good };
+        let outside = RecordedFrame { target: into(&array.layers[1], BLACK, [150, 0]), ..good };
+        let over = RecordedFrame { target: into(&array.layers[1], Background::Image, [0; 2]), ..good };
         let used = ImageState { layout: vk::ImageLayout::GENERAL, ..ImageState::UNDEFINED };
         let host_image = |image| HostImage { image, from: used, offset: [0; 2] };
         let writes = DepthTarget { to: host_image(&write), min_weight: 0.5, empty: 0.0 };
-        let mapping =
-            ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0, linear: false };
+        let mapping = DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0, linear: false };
         let hides = RecordedFrame { occluder: Some(Occluder { depth: host_image(&read), mapping }), ..good };
-        let deep = RenderSettings { inverse_depth: true, ..settings };
+        let deep = RenderSettings { inverse_depth: true, ..*SETTINGS };
         let tinted = [Placed {
             settings: SceneSettings { opacity: 0.5, ..SceneSettings::default() },
             ..Placed::from(&scene)
@@ -235,11 +189,11 @@ fn bad_views_are_refused_by_name() {
                 "views[1].occluder (image 'both'): is also views[0].depth: one samples it",
             ),
         ];
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        in_flight.begin(host).expect("recording");
+        let in_flight = Commands::new(host);
+        in_flight.begin();
         for (views, room, expected) in cases {
             let mut releases = vec![Release::default(); room];
-            let commands = adopt(&context, &in_flight);
+            let commands = in_flight.adopt(&context);
             let error = renderer.record_views(commands, 0, views, &mut releases).expect_err(expected);
             assert!(error.to_string().contains(expected), "{error}");
             assert!(releases.iter().all(|release| *release == Release::default()));
@@ -248,11 +202,7 @@ fn bad_views_are_refused_by_name() {
         assert!(error.to_string().contains("views is 3, 2 are reserved"), "{error}");
         // The error of a single frame names no view.
         let alone = RecordedFrame { camera: &broken, ..good };
-        let error = renderer.record(adopt(&context, &in_flight), 0, &alone).expect_err("no camera");
+        let error = renderer.record(in_flight.adopt(&context), 0, &alone).expect_err("no camera");
         assert!(!error.to_string().contains("views"), "{error}");
-        in_flight.destroy(host);
-        drop((renderer, layers, read, write));
-        both.destroy(host);
-        array.destroy(host);
     });
 }

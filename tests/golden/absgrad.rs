@@ -2,30 +2,22 @@
 
 use std::path::Path;
 
-use ashsplat::backward::Statistics;
-use ashsplat::pixels::PixelBorder;
+use ashsplat::passes::backward::Statistics;
+use ashsplat::passes::pixels::PixelBorder;
 
+use super::Outcome;
 use super::rendering::{DOUBLE, SINGLE};
-use super::sets::gaussians;
+use super::sets::{EXTENTS, gaussians, pixel_gradients};
 use super::stages::{Stages, field, views};
-use crate::common::compare::{GradientTolerance, elementwise, equal, gradient};
+use crate::common::compare::{GradientTolerance, equal, gradient, relative};
 use crate::common::gpu::Gpu;
 use crate::golden::npz::Npz;
-use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::project_backward::mean2d_statistic;
 use crate::reference::types::{Extent, Gaussian, View};
 
-const EXTENTS: [Extent; 2] = [Extent::Exact, Extent::Reference];
-
 /// Norms of the signed and of the absolute gradients, and true if visible, per Gaussian.
 type Norms = Vec<(f64, f64, bool)>;
-
-/// Compares with a tolerance relative to the largest value.
-fn relative(name: &str, actual: &[f64], expected: &[f64], part: f64) -> Result<(), String> {
-    let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-    elementwise(name, actual, expected, part * largest, 0.0).map(|_| ())
-}
 
 /// dL/dpixel of each view.
 fn image_gradients(npz: &Npz, views: &[View]) -> Vec<Vec<[f64; 3]>> {
@@ -34,7 +26,7 @@ fn image_gradients(npz: &Npz, views: &[View]) -> Vec<Vec<[f64; 3]>> {
 }
 
 /// Checks a set's values of each view, and of all views together.
-fn check(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64) -> Result<(), String> {
+fn check(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64) -> Outcome {
     let of = |name: &str| npz.values(&field(extent, name));
     let signed: Vec<f64> = views.iter().flatten().map(|norms| norms.0).collect();
     let absolute: Vec<f64> = views.iter().flatten().map(|norms| norms.1).collect();
@@ -65,7 +57,7 @@ fn check(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64
 }
 
 /// Clone and split decisions by the means over views: AbsGS's rule, and absolute gradients for both.
-fn decisions(npz: &Npz, set: &[Gaussian], [signed, absolute, views]: [&[f64]; 3]) -> Result<(), String> {
+fn decisions(npz: &Npz, set: &[Gaussian], [signed, absolute, views]: [&[f64]; 3]) -> Outcome {
     let most = npz.scalar("percent_dense") * npz.scalar("extent");
     let decide = |sum: &[f64], threshold: &str, large: bool| -> Vec<f64> {
         let of = |(i, g): (usize, &Gaussian)| {
@@ -78,19 +70,18 @@ fn decisions(npz: &Npz, set: &[Gaussian], [signed, absolute, views]: [&[f64]; 3]
     equal("clone", &decide(signed, "thr_signed", false), npz.values("clone"))?;
     equal("split", &decide(absolute, "thr_abs", true), npz.values("split"))?;
     equal("only_clone", &decide(absolute, "thr_abs_only", false), npz.values("only_clone"))?;
-    equal("only_split", &decide(absolute, "thr_abs_only", true), npz.values("only_split"))
+    Ok(equal("only_split", &decide(absolute, "thr_abs_only", true), npz.values("only_split"))?)
 }
 
-pub fn of_twin(path: &Path) -> Result<(), String> {
+pub fn of_twin(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let set = gaussians(&npz, "");
-    for extent in EXTENTS {
+    for (extent, _) in EXTENTS {
         let views = views(&npz, extent);
         let (mut signed, mut absolute, mut all) = (vec![], vec![], vec![]);
         for (view, colors) in views.iter().zip(image_gradients(&npz, &views)) {
             let frame = render(&set, view);
-            let d = colors.into_iter().map(|color| PixelGradient { color, inverse_depth: 0.0 });
-            let splats = backward(&set, view, &frame, &d.collect::<Vec<_>>()).splats;
+            let splats = backward(&set, view, &frame, &pixel_gradients(colors)).splats;
             signed.extend(splats.iter().flat_map(|d| d.mean2d_px));
             absolute.extend(splats.iter().flat_map(|d| d.absolute_px));
             let norm = |px| mean2d_statistic(view, px);
@@ -110,12 +101,12 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-pub fn of_device(path: &Path) -> Result<(), String> {
+pub fn of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let set = gaussians(&npz, "");
     let border = PixelBorder::new(gpu.context).expect("kernels");
-    for extent in EXTENTS {
+    for (extent, _) in EXTENTS {
         let views = views(&npz, extent);
         let stages = Stages::new(&gpu, &set, &views);
         // Sums over single views, and over all.
@@ -151,8 +142,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
         let part = SINGLE.gradient.relative_l2;
         check(&npz, &set, extent, &all, part)?;
         let sums = gpu.read::<[f32; 2]>(&sums, set.len());
-        let absolute: Vec<f64> =
-            gpu.read::<f32>(&absolute_sums, set.len()).into_iter().map(f64::from).collect();
+        let absolute: Vec<f64> = gpu.read_f64::<f32>(&absolute_sums, set.len());
         let signed: Vec<f64> = sums.iter().map(|sum| sum[0].into()).collect();
         relative("sums of signed norms", &signed, npz.values(&field(extent, "acc_signed")), part)?;
         relative("sums of absolute norms", &absolute, npz.values(&field(extent, "acc_abs")), part)?;

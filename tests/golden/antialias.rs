@@ -6,13 +6,13 @@ use std::path::Path;
 use ashsplat::scene::filtered as baked;
 use ashsplat::{RenderSettings, Renderer};
 
+use super::Outcome;
 use super::rendering::{DOUBLE, SINGLE, judge_gradients, judge_picture};
-use super::sets::{RenderingSet, views};
+use super::sets::{EXTENTS, RenderingSet, views};
 use super::{gpu, twin};
-use crate::common::compare::{elementwise, equal};
+use crate::common::compare::{elementwise, equal, relative};
 use crate::common::engine::{camera, gaussians, renderer, settings, widen};
 use crate::common::{assert_silent, context};
-use crate::reference::blend_backward::PixelGradient;
 use crate::reference::filter_sizes::{filter_sizes, filtered, filtered_backward, shrink};
 use crate::reference::linear::sigmoid;
 use crate::reference::nearest_depths::nearest_depth;
@@ -21,13 +21,12 @@ use crate::reference::project::intermediate;
 use crate::reference::reset_opacity::reset_opacity;
 use crate::reference::types::{Extent, Gaussian, Gradient, View};
 
-const EXTENTS: [Extent; 2] = [Extent::Exact, Extent::Reference];
 const NAME: &str = "antialias";
 
 /// Pictures, gradients, factors and covariances of the twins.
-pub fn of_twin(path: &Path) -> Result<(), String> {
+pub fn of_twin(path: &Path) -> Outcome {
     let set = RenderingSet::of_feature(path);
-    for extent in EXTENTS {
+    for (extent, _) in EXTENTS {
         let view = set.view_with(extent);
         let (frame, gradient) = rendered(&set, &set.gaussians, &view, extent);
         judge(&set, extent, &frame, gradient)?;
@@ -36,18 +35,18 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
 }
 
 /// Pictures and gradients of the device.
-pub fn of_device(path: &Path) -> Result<(), String> {
+pub fn of_device(path: &Path) -> Outcome {
     let set = RenderingSet::of_feature(path);
     let mut renderer = renderer();
-    renderer.upload(&gaussians(&set.gaussians)).map_err(|e| e.to_string())?;
-    EXTENTS.into_iter().try_for_each(|extent| {
+    renderer.upload(&gaussians(&set.gaussians))?;
+    EXTENTS.into_iter().try_for_each(|(extent, _)| {
         let view = set.view_with(extent);
         judge_device(&mut renderer, &set, extent, &settings(&view))
     })
 }
 
 /// Filter sizes, filtered Gaussians, gradients of filtered and stored Gaussians, opacity reset.
-pub fn filter_of_twin(path: &Path) -> Result<(), String> {
+pub fn filter_of_twin(path: &Path) -> Outcome {
     let set = RenderingSet::of_feature(path);
     let npz = &set.npz;
     let sizes = sizes_of_twin(&set);
@@ -67,7 +66,7 @@ pub fn filter_of_twin(path: &Path) -> Result<(), String> {
         .map(|(g, &shrink)| reset_opacity(g.opacity_logit, shrink))
         .collect();
     elementwise("reset_opacity_logits", &reset, npz.values("reset_opacity_logits"), 2e-7, 2e-7)?;
-    for extent in EXTENTS {
+    for (extent, _) in EXTENTS {
         let view = set.view_with(extent);
         let (frame, gradient) = rendered(&set, &drawn, &view, extent);
         if extent == Extent::Exact {
@@ -91,33 +90,33 @@ pub fn filter_of_twin(path: &Path) -> Result<(), String> {
 }
 
 /// Filter sizes from all cameras, pictures and gradients of the device; filtered Gaussians of the host.
-pub fn filter_of_device(path: &Path) -> Result<(), String> {
+pub fn filter_of_device(path: &Path) -> Outcome {
     let set = RenderingSet::of_feature(path);
     let npz = &set.npz;
     let cameras: Vec<_> = views(npz).iter().map(camera).collect();
     let stored = gaussians(&set.gaussians);
     let mut renderer = renderer();
-    renderer.upload(&stored).map_err(|e| e.to_string())?;
-    renderer.compute_filters(&cameras).map_err(|e| e.to_string())?;
-    let sizes = renderer.filters().map_err(|e| e.to_string())?;
+    renderer.upload(&stored)?;
+    renderer.compute_filters(&cameras)?;
+    let sizes = renderer.filters()?;
     let wide: Vec<f64> = sizes.iter().map(|&size| f64::from(size)).collect();
     relative("filter", &wide, npz.values("filter"), 1e-6)?;
     let mut drawn = stored.clone();
-    drawn.bake_filters(&sizes).map_err(|e| e.to_string())?;
+    drawn.bake_filters(&sizes)?;
     let logits: Vec<f64> = drawn.opacity_logits.iter().map(|&x| f64::from(x)).collect();
     elementwise("fused_log_scales", &widen(&drawn.log_scales), npz.values("fused_log_scales"), 1e-5, 1e-5)?;
     elementwise("fused_opacity_logits", &logits, npz.values("fused_opacity_logits"), 1e-5, 1e-5)?;
     assert_eq!(baked(stored.log_scales[0], stored.opacity_logits[0], sizes[0]).0, drawn.log_scales[0]);
-    for extent in EXTENTS {
+    for (extent, _) in EXTENTS {
         let settings = RenderSettings { filter_3d: true, ..settings(&set.view_with(extent)) };
         judge_device(&mut renderer, &set, extent, &settings)?;
     }
     // The filtered Gaussians give the same picture without a filter.
-    renderer.upload(&drawn).map_err(|e| e.to_string())?;
+    renderer.upload(&drawn)?;
     let settings = settings(&set.view_with(Extent::Exact));
-    let frame = renderer.render(&camera(&set.view), &settings).map_err(|e| e.to_string())?;
+    let frame = renderer.render(&camera(&set.view), &settings)?;
     drop(renderer);
-    judge_picture(NAME, &set, Extent::Exact, &gpu::picture(&frame), SINGLE)
+    Ok(judge_picture(NAME, &set, Extent::Exact, &gpu::picture(&frame), SINGLE)?)
 }
 
 fn sizes_of_twin(set: &RenderingSet) -> Vec<f64> {
@@ -137,23 +136,17 @@ fn rendered(
     extent: Extent,
 ) -> (Frame, FrameGradient) {
     let frame = render(gaussians, view);
-    let (color, inverse_depth) = set.image_gradient(extent);
-    let d_pixels: Vec<PixelGradient> = color
-        .into_iter()
-        .zip(inverse_depth)
-        .map(|(color, inverse_depth)| PixelGradient { color, inverse_depth })
-        .collect();
-    let gradient = backward(gaussians, view, &frame, &d_pixels);
+    let gradient = backward(gaussians, view, &frame, &set.image_gradient(extent));
     (frame, gradient)
 }
 
-fn judge(set: &RenderingSet, extent: Extent, frame: &Frame, gradient: FrameGradient) -> Result<(), String> {
+fn judge(set: &RenderingSet, extent: Extent, frame: &Frame, gradient: FrameGradient) -> Outcome {
     judge_picture(NAME, set, extent, &twin::picture(frame), DOUBLE)?;
-    judge_gradients(NAME, set, extent, &twin::gradients(&gradient), DOUBLE)
+    Ok(judge_gradients(NAME, set, extent, &twin::gradients(&gradient), DOUBLE)?)
 }
 
-/// Opacity factors and dilated covariances of the filtered Gaussians.
-fn check_factors(set: &RenderingSet, drawn: &[Gaussian]) -> Result<(), String> {
+/// Compares the filtered Gaussians' opacity factors and dilated covariances with the set's.
+fn check_factors(set: &RenderingSet, drawn: &[Gaussian]) -> Outcome {
     let (expected, cov2d) = (set.npz.values("factor"), set.npz.rows::<3>("cov2d"));
     for (i, gaussian) in drawn.iter().enumerate() {
         let Some(on_the_way) = intermediate(gaussian, &set.view) else { continue };
@@ -170,20 +163,15 @@ fn judge_device(
     set: &RenderingSet,
     extent: Extent,
     settings: &RenderSettings,
-) -> Result<(), String> {
+) -> Outcome {
     let settings = RenderSettings { inverse_depth: false, ..*settings };
     let camera = camera(&set.view);
-    let frame = renderer.render(&camera, &settings).map_err(|e| e.to_string())?;
+    let frame = renderer.render(&camera, &settings)?;
     judge_picture(NAME, set, extent, &gpu::picture(&frame), SINGLE)?;
-    let color: Vec<[f32; 3]> = set.image_gradient(extent).0.iter().map(|c| c.map(|x| x as f32)).collect();
-    let gradients = renderer.gradients(&camera, &settings, &color, None).map_err(|e| e.to_string())?;
+    let pixels = set.image_gradient(extent);
+    let color: Vec<[f32; 3]> = pixels.iter().map(|d| d.color.map(|x| x as f32)).collect();
+    let gradients = renderer.gradients(&camera, &settings, &color, None)?;
     judge_gradients(NAME, set, extent, &gpu::gradients(&gradients), SINGLE)?;
     assert_silent(context());
     Ok(())
-}
-
-/// Compares with a tolerance relative to the largest value.
-fn relative(what: &str, actual: &[f64], expected: &[f64], bound: f64) -> Result<(), String> {
-    let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
-    elementwise(what, actual, expected, bound * largest, 0.0).map(drop)
 }

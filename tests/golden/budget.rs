@@ -3,18 +3,13 @@
 use std::path::Path;
 
 use ashsplat::TrainSettings;
-use ashsplat::densify::{
-    ClassifyInputs, Criterion, Densify, DensifyBuffers, DensifyForm, DensifySettings, Gather, RandomKey,
-};
-use ashsplat::forward::SceneBuffers;
-use ashsplat::plan::LaunchSizes;
-use ashsplat::planes;
-use ashsplat::trainer::{GrowthSchedule, QuantilePlace, StrategyType};
+use ashsplat::passes::densify::{ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings};
+use ashsplat::train::{GrowthSchedule, QuantilePlace, StrategyType};
 
+use super::Outcome;
+use super::gpu_training::{compare_parameters, densified};
 use super::sets::gaussians;
-use super::training::FIELDS;
 use crate::common::compare::{elementwise, equal};
-use crate::common::engine;
 use crate::common::gpu::Gpu;
 use crate::golden::npz::Npz;
 use crate::reference::gather::long_axis_child;
@@ -26,16 +21,7 @@ use crate::reference::types::Gaussian;
 const DEVICE: f64 = 2e-6;
 const TWIN: f64 = 1.5e-7;
 
-fn compare(npz: &Npz, actual: &[Gaussian], tolerance: f64) -> Result<(), String> {
-    for (field, _, values) in FIELDS {
-        let name = format!("out_{field}");
-        let actual: Vec<f64> = actual.iter().flat_map(values).collect();
-        elementwise(&name, &actual, npz.values(&name), tolerance, tolerance)?;
-    }
-    Ok(())
-}
-
-pub fn split_of_twin(path: &Path) -> Result<(), String> {
+pub fn split_of_twin(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let before = gaussians(&npz, "in_");
     let selected = npz.flags("selected");
@@ -49,47 +35,23 @@ pub fn split_of_twin(path: &Path) -> Result<(), String> {
     let after: Vec<(usize, Gaussian, f64)> = kept.chain(children).collect();
     equal("parent", &after.iter().map(|row| row.0 as f64).collect::<Vec<_>>(), npz.values("out_parent"))?;
     equal("kind", &after.iter().map(|row| row.2).collect::<Vec<_>>(), npz.values("out_kind"))?;
-    compare(&npz, &after.into_iter().map(|row| row.1).collect::<Vec<_>>(), TWIN)
+    compare_parameters(&npz, &after.into_iter().map(|row| row.1).collect::<Vec<_>>(), TWIN)
 }
 
-pub fn split_of_device(path: &Path) -> Result<(), String> {
+pub fn split_of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
-    let before = gaussians(&npz, "in_");
-    let count = before.len() as u32;
     let form = DensifyForm { long_axis: true, criterion: Criterion::Selected };
-    let densify = Densify::with_form(gpu.context, form).expect("the kernels of densification");
-    let input = engine::gaussians(&before);
-    let scene = planes::upload(gpu.context, "test", &input, count, input.sh_degree).expect("upload");
-    let requests = DensifyBuffers::requests(&LaunchSizes::new(gpu.context.limits()), count, 2 * count);
-    let buffers = requests.map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize));
-    let buffers = DensifyBuffers::from_allocated(buffers.into());
+    let densify = Densify::with_form(gpu.context, form)?;
     let selected: Vec<u32> = npz.values("selected").iter().map(|&x| x as u32).collect();
-    let (statistics, selected) =
-        (gpu.zeros::<[f32; 2]>("statistics", before.len()), gpu.buffer("selected", &selected));
+    let statistics = gpu.zeros::<[f32; 2]>("statistics", selected.len());
+    let selected = gpu.buffer("selected", &selected);
+    let inputs = ClassifyInputs { statistics: &statistics, criteria: Some(&selected) };
     // Nothing is pruned.
     let settings =
         DensifySettings { gradient_threshold: 0.0, clone_scale: 0.0, min_opacity: 0.0, max_scale: 0.0 };
-    let inputs = ClassifyInputs { statistics: &statistics, criteria: Some(&selected) };
-    gpu.run(|r| densify.record_classify_by(r, &scene, inputs, &buffers, &settings));
-    let totals = gpu.read::<u32>(&buffers.totals, 3);
-    let rows = totals[0] + totals[1] + 2 * totals[2];
-    let target = planes::upload(gpu.context, "test", &ashsplat::Gaussians::default(), rows, input.sh_degree);
-    let target = SceneBuffers { count: rows, ..target.expect("memory") };
-    let key = RandomKey { seed: 0, iteration: 0, explicit: None };
-    gpu.run(|r| {
-        densify.record_scatter_sources(r, count, rows, &buffers);
-        r.barrier();
-        let gather = Gather { from: &scene, to: &target, sources: &buffers.sources };
-        densify.record_gather_parameters(r, &gather, &key);
-    });
-    let sources = gpu.read::<u32>(&buffers.sources, rows as usize);
-    let parents: Vec<f64> = sources.iter().map(|source| f64::from(source & 0x3FFF_FFFF)).collect();
-    equal("parent", &parents, npz.values("out_parent"))?;
-    let kinds: Vec<f64> = sources.iter().map(|source| f64::from((source >> 30).min(2))).collect();
-    equal("kind", &kinds, npz.values("out_kind"))?;
-    let after = planes::download(gpu.context, &target).expect("download");
-    compare(&npz, &engine::twins(&after), DEVICE)
+    let after = densified(&gpu, &npz, &densify, (inputs, &settings), None)?;
+    compare_parameters(&npz, &after, DEVICE)
 }
 
 /// Compares budgets, steps, the opacity threshold and the Gaussians above it.
@@ -98,7 +60,7 @@ fn compare_schedule(
     budget: impl Fn(u32) -> f64,
     makes_step: impl Fn(u32) -> bool,
     quantile: impl Fn(&[f64], f64) -> f64,
-) -> Result<(), String> {
+) -> Outcome {
     let at = |name: &str| npz.values(name).iter().map(|&i| i as u32).collect::<Vec<u32>>();
     let budgets: Vec<f64> = at("budget_iteration").into_iter().map(budget).collect();
     equal("budget", &budgets, npz.values("budget"))?;
@@ -109,17 +71,17 @@ fn compare_schedule(
     let threshold = quantile(&opacities, npz.scalar("quantile"));
     elementwise("threshold", &[threshold], npz.values("threshold"), 1e-6, 0.0)?;
     let keep: Vec<f64> = opacities.iter().map(|&opacity| f64::from(u8::from(opacity >= threshold))).collect();
-    equal("keep", &keep, npz.values("keep"))
+    Ok(equal("keep", &keep, npz.values("keep"))?)
 }
 
-pub fn schedule_of_twin(path: &Path) -> Result<(), String> {
+pub fn schedule_of_twin(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let last = npz.scalar("budget_final");
     let budget = |i: u32| schedule::growth_budget(i.into(), last);
     compare_schedule(&npz, budget, schedule::makes_step, schedule::quantile)
 }
 
-pub fn schedule_of_engine(path: &Path) -> Result<(), String> {
+pub fn schedule_of_engine(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let cap_max = npz.scalar("budget_final") as u32;
     let mut settings = TrainSettings { cap_max, ..TrainSettings::of_strategy(StrategyType::Budget) };

@@ -6,19 +6,18 @@ use ashsplat::RenderSettings;
 use ashsplat_files::depth_fit::{DepthFit, DepthPoint};
 use ashsplat_files::images::DepthMap;
 
+use super::Outcome;
 use super::rendering::{DOUBLE, SINGLE, Tolerance};
-use super::sets::{gaussians, view};
+use super::sets::{EXTENTS, gaussians, view};
 use crate::common::compare::{elementwise, equal, gradient, pixels};
 use crate::common::engine;
 use crate::common::gpu::Gpu;
-use crate::common::inverse_depth::inverse_depth_l1;
+use crate::common::terms::inverse_depth_l1;
 use crate::golden::npz::Npz;
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::inverse_depth_l1::inverse_depth_l1 as twin;
 use crate::reference::pipeline::{backward, render};
-use crate::reference::types::{Extent, View};
-
-const EXTENTS: [(Extent, &str); 2] = [(Extent::Exact, ""), (Extent::Reference, "ref_")];
+use crate::reference::types::View;
 
 /// Results of an implementation with one extent.
 struct Computed {
@@ -50,7 +49,8 @@ fn targets(npz: &Npz) -> Vec<Option<f64>> {
     pairs.map(|(&target, &mask)| Some(target).filter(|_| mask != 0.0)).collect()
 }
 
-pub fn of_twin(path: &Path) -> Result<(), String> {
+pub fn of_twin_and_host(path: &Path) -> Outcome {
+    of_host(path)?;
     let npz = Npz::read(path);
     let set = gaussians(&npz, "");
     for (extent, prefix) in EXTENTS {
@@ -75,7 +75,7 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-pub fn of_device(path: &Path) -> Result<(), String> {
+pub fn of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let map: Vec<f32> =
@@ -86,8 +86,8 @@ pub fn of_device(path: &Path) -> Result<(), String> {
         let settings = RenderSettings { inverse_depth: true, ..engine::settings(&view) };
         let camera = engine::camera(&view);
         let mut renderer = engine::renderer();
-        renderer.upload(&engine::gaussians(&gaussians(&npz, ""))).map_err(|e| e.to_string())?;
-        let frame = renderer.render(&camera, &settings).map_err(|e| e.to_string())?;
+        renderer.upload(&engine::gaussians(&gaussians(&npz, "")))?;
+        let frame = renderer.render(&camera, &settings)?;
         let depth = frame.inverse_depth.expect("asked for");
         let mut found = Vec::new();
         for strips in [false, true] {
@@ -98,10 +98,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
         equal("gradient of strips", &found[0].1, &of_inverse_depth)?;
         let narrow: Vec<f32> = of_inverse_depth.iter().map(|&x| x as f32).collect();
         let none = vec![[0.0; 3]; narrow.len()];
-        let all = renderer
-            .gradients(&camera, &settings, &none, Some(&narrow))
-            .map_err(|e| e.to_string())?
-            .parameters;
+        let all = renderer.gradients(&camera, &settings, &none, Some(&narrow))?.parameters;
         drop(renderer);
         let gradients = [
             engine::widen(&all.means),
@@ -117,7 +114,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
 }
 
 /// Scales and offsets of the maps, the maps kept, and the target of one.
-pub fn of_host(path: &Path) -> Result<(), String> {
+fn of_host(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let &[maps, height, width] = &npz.array("mono").shape[..] else { return Err("no maps".into()) };
     let mono: Vec<f32> = npz.values("mono").iter().map(|&x| x as f32).collect();

@@ -4,17 +4,18 @@ use std::path::Path;
 
 use ashsplat::kernels::constants::{STATE_WORDS, TERM_PARTIALS};
 use ashsplat::kernels::exposure::{expose, expose_backward, exposure_step};
-use ashsplat::loss::Windowing;
+use ashsplat::passes::loss::Windowing;
 
+use super::Outcome;
 use super::gpu_training::device_loss;
 use super::rendering::SINGLE;
 use crate::common::compare::{GradientTolerance, elementwise, gradient};
-use crate::common::exposures::{colors, place, values};
 use crate::common::gpu::Gpu;
+use crate::common::terms::{colors, place, values};
 use crate::golden::npz::{Npz, rows};
-use crate::reference::expose::{Matrix, expose as expose_twin};
-use crate::reference::expose_backward::expose_backward as backward_twin;
-use crate::reference::exposure_step::Exposures;
+use crate::reference::exposure::{
+    Exposures, Matrix, expose as expose_twin, expose_backward as backward_twin,
+};
 use crate::reference::loss_reduce;
 
 const ROUNDING: f64 = 1.5e-7;
@@ -41,7 +42,7 @@ fn matrix(values: &[f64]) -> Matrix {
     rows::<4>(values).try_into().expect("three rows")
 }
 
-fn judge(npz: &Npz, computed: &Computed, tolerances: &Tolerances) -> Result<(), String> {
+fn judge(npz: &Npz, computed: &Computed, tolerances: &Tolerances) -> Outcome {
     let Computed { out, loss, of_out, of_picture, of_matrix } = computed;
     elementwise("out", out.as_flattened(), npz.values("out"), tolerances.out, tolerances.out)?;
     elementwise("loss", &[*loss], npz.values("loss"), 0.0, tolerances.loss)?;
@@ -63,12 +64,13 @@ fn steps(npz: &Npz) -> Vec<(usize, Matrix, f64, Vec<Matrix>)> {
         .collect()
 }
 
-fn judge_steps(actual: &[Matrix], expected: &[Matrix], tolerance: f64) -> Result<(), String> {
+fn judge_steps(actual: &[Matrix], expected: &[Matrix], tolerance: f64) -> Outcome {
     let flat = |all: &[Matrix]| all.iter().flat_map(|m| m.as_flattened().to_vec()).collect::<Vec<f64>>();
-    elementwise("E after a step", &flat(actual), &flat(expected), tolerance, tolerance).map(drop)
+    elementwise("E after a step", &flat(actual), &flat(expected), tolerance, tolerance)?;
+    Ok(())
 }
 
-pub fn of_twin(path: &Path) -> Result<(), String> {
+pub fn of_twin(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let tolerances = Tolerances { out: ROUNDING, loss: ROUNDING, gradient: DOUBLE, adam: ROUNDING };
     let shape = &npz.array("img").shape;
@@ -87,7 +89,7 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-pub fn of_device(path: &Path) -> Result<(), String> {
+pub fn of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let tolerances = Tolerances { out: 1e-6, loss: 2e-6, gradient: SINGLE.gradient, adam: 1e-6 };
     let gpu = Gpu::new();
@@ -144,7 +146,7 @@ fn compute(gpu: &Gpu, npz: &Npz, windowing: Windowing) -> Computed {
     Computed { out, loss, of_out, of_picture, of_matrix }
 }
 
-fn adam_of_device(gpu: &Gpu, npz: &Npz, tolerance: f64) -> Result<(), String> {
+fn adam_of_device(gpu: &Gpu, npz: &Npz, tolerance: f64) -> Outcome {
     let steps = steps(npz);
     let photographs = steps[0].3.len();
     let narrow = |matrix: &Matrix| matrix.map(|row| row.map(|x| x as f32));

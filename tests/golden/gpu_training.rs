@@ -2,14 +2,16 @@
 
 use std::path::Path;
 
-use ashsplat::densify::{Densify, DensifyBuffers, DensifySettings, ExplicitNoise, Gather, RandomKey};
-use ashsplat::forward::SceneBuffers;
-use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing};
-use ashsplat::optimizer::Moments;
-use ashsplat::plan::LaunchSizes;
-use ashsplat::plan::Strips;
-use ashsplat::{TrainSettings, planes};
+use ashsplat::TrainSettings;
+use ashsplat::frame::{LaunchSizes, SceneBuffers, Strips, planes};
+use ashsplat::passes::adam::Moments;
+use ashsplat::passes::densify::{
+    ClassifyInputs, Densify, DensifyBuffers, DensifySettings, ExplicitNoise, Gather, RandomKey,
+};
+use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing};
+use libtest_mimic::Failed;
 
+use super::Outcome;
 use super::rendering::SINGLE;
 use super::report;
 use super::sets::{gaussians, view};
@@ -18,10 +20,10 @@ use crate::common::adam::{AdamState, Rates, Step, VisibleGradient};
 use crate::common::compare::{PixelTolerance, elementwise, equal, gradient, pixels};
 use crate::common::engine;
 use crate::common::gpu::Gpu;
-use crate::common::regularizers::regularize;
+use crate::common::terms::regularize;
 use crate::golden::npz::{Npz, rows};
 use crate::reference::pipeline::render;
-use crate::reference::types::{Gaussian, Gradient};
+use crate::reference::types::Gaussian;
 use crate::reference::{schedule, sh};
 
 /// A few roundings of float32.
@@ -84,7 +86,7 @@ pub(super) fn device_loss(
     ([value, l1, ssim].map(f64::from), gradient)
 }
 
-pub fn loss(path: &Path) -> Result<(), String> {
+pub fn loss(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let shape = &npz.array("img").shape;
     let size = [shape[1] as u32, shape[0] as u32];
@@ -177,7 +179,7 @@ fn rates_of(group: &str, rate: f64) -> Rates {
     rates
 }
 
-pub fn adam(path: &Path) -> Result<(), String> {
+pub fn adam(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     for group in GROUPS {
@@ -194,7 +196,7 @@ pub fn adam(path: &Path) -> Result<(), String> {
             compare_adam(group, &dense, expected)?;
         }
         let visible = field("sp_vis");
-        let sparse = dense.continued(1, true);
+        let sparse = dense.sparse();
         let gradients = as_gradients(group, &field("g")[..count]);
         let per_flag = gradients.len() / visible.len();
         let gradients: Vec<_> = gradients
@@ -208,7 +210,7 @@ pub fn adam(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-fn compare_adam(group: &str, state: &AdamState, expected: [&[f64]; 3]) -> Result<(), String> {
+fn compare_adam(group: &str, state: &AdamState, expected: [&[f64]; 3]) -> Outcome {
     let actual = state.download().map(|gaussians| of_gaussians(group, &gaussians));
     elementwise(&format!("{group} value"), &actual[0], expected[0], 1e-6, ROUNDING)?;
     // Gradients of both signs cancel in the first moment.
@@ -219,7 +221,7 @@ fn compare_adam(group: &str, state: &AdamState, expected: [&[f64]; 3]) -> Result
 }
 
 /// Schedule of the resolved training settings.
-pub fn rates(path: &Path) -> Result<(), String> {
+pub fn rates(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let settings = TrainSettings::default();
     let steps = npz.values("steps");
@@ -233,10 +235,9 @@ pub fn rates(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-pub fn densify(path: &Path) -> Result<(), String> {
+pub fn densify(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
-    let before = gaussians(&npz, "in_");
     let scene_extent = npz.scalar("extent");
     let prune_big = npz.scalar("max_screen") != 0.0;
     let settings = DensifySettings {
@@ -245,24 +246,22 @@ pub fn densify(path: &Path) -> Result<(), String> {
         min_opacity: 0.005,
         max_scale: if prune_big { (0.1 * scene_extent) as f32 } else { 0.0 },
     };
-    let statistics: Vec<[f32; 2]> = npz
-        .values("in_grad_accum")
-        .iter()
-        .zip(npz.values("in_denom"))
-        .map(|(&gradient, &views)| [gradient as f32, views as f32])
-        .collect();
-    let (after, sources) = densified(&gpu, &before, &statistics, &settings, &noise_of_gaussians(&npz));
-    equal(
-        "parent",
-        &sources.iter().map(|s| f64::from(s & 0x3FFF_FFFF)).collect::<Vec<_>>(),
-        npz.values("out_parent"),
-    )?;
-    let kinds: Vec<f64> = sources.iter().map(|s| f64::from((s >> 30).min(2))).collect();
-    equal("kind", &kinds, npz.values("out_kind"))?;
+    let sums = npz.values("in_grad_accum").iter().zip(npz.values("in_denom"));
+    let statistics: Vec<[f32; 2]> = sums.map(|(&sum, &views)| [sum as f32, views as f32]).collect();
+    let statistics = gpu.buffer("statistics", &statistics);
+    let inputs = ClassifyInputs { statistics: &statistics, criteria: None };
+    let densify = Densify::new(gpu.context).expect("the kernels of densification");
+    let noise = noise_of_gaussians(&npz);
+    let after = densified(&gpu, &npz, &densify, (inputs, &settings), Some(&noise))?;
+    compare_parameters(&npz, &after, 2.0 * ROUNDING)
+}
+
+/// Compares parameters after a densification.
+pub(super) fn compare_parameters(npz: &Npz, after: &[Gaussian], tolerance: f64) -> Outcome {
     for (field, _, values) in FIELDS {
         let name = format!("out_{field}");
         let actual: Vec<f64> = after.iter().flat_map(values).collect();
-        elementwise(&name, &actual, npz.values(&name), 2.0 * ROUNDING, 2.0 * ROUNDING)?;
+        elementwise(&name, &actual, npz.values(&name), tolerance, tolerance)?;
     }
     Ok(())
 }
@@ -281,41 +280,43 @@ fn noise_of_gaussians(npz: &Npz) -> Vec<[f32; 3]> {
     by_gaussian
 }
 
-/// Runs a densification. Returns the new Gaussians and their sources.
-fn densified(
+/// Densifies a set's Gaussians, compares their sources and returns them.
+pub(super) fn densified(
     gpu: &Gpu,
-    before: &[Gaussian],
-    statistics: &[[f32; 2]],
-    settings: &DensifySettings,
-    noise: &[[f32; 3]],
-) -> (Vec<Gaussian>, Vec<u32>) {
-    let densify = Densify::new(gpu.context).expect("the kernels of densification");
-    let count = before.len() as u32;
-    let input = engine::gaussians(before);
-    let scene = planes::upload(gpu.context, "test", &input, count, input.sh_degree).expect("upload");
+    npz: &Npz,
+    densify: &Densify,
+    (inputs, settings): (ClassifyInputs, &DensifySettings),
+    noise: Option<&[[f32; 3]]>,
+) -> Result<Vec<Gaussian>, Failed> {
+    let input = engine::gaussians(&gaussians(npz, "in_"));
+    let count = input.len() as u32;
+    let scene = planes::upload(gpu.context, "test", &input, count, input.sh_degree)?;
     let requests = DensifyBuffers::requests(&LaunchSizes::new(gpu.context.limits()), count, 2 * count);
     let buffers = requests.map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize));
     let buffers = DensifyBuffers::from_allocated(buffers.into());
-    let statistics = gpu.buffer("statistics", statistics);
-    gpu.run(|recorder| densify.record_classify(recorder, &scene, &statistics, &buffers, settings));
+    gpu.run(|r| densify.record_classify_by(r, &scene, inputs, &buffers, settings));
     let totals = gpu.read::<u32>(&buffers.totals, 3);
     let rows = totals[0] + totals[1] + 2 * totals[2];
-    let target = planes::upload(gpu.context, "test", &ashsplat::Gaussians::default(), rows, input.sh_degree);
-    let target = SceneBuffers { count: rows, ..target.expect("memory") };
-    let noise = gpu.buffer("noise", noise);
-    let explicit = Some(ExplicitNoise { buffer: &noise, stride: count });
+    let target = planes::upload(gpu.context, "test", &ashsplat::Gaussians::default(), rows, input.sh_degree)?;
+    let target = SceneBuffers { count: rows, ..target };
+    let noise = noise.map(|noise| gpu.buffer("noise", noise));
+    let explicit = noise.as_ref().map(|buffer| ExplicitNoise { buffer, stride: count });
     let key = RandomKey { seed: 0, iteration: 0, explicit };
-    gpu.run(|recorder| {
-        densify.record_scatter_sources(recorder, count, rows, &buffers);
-        recorder.barrier();
+    gpu.run(|r| {
+        densify.record_scatter_sources(r, count, rows, &buffers);
+        r.barrier();
         let gather = Gather { from: &scene, to: &target, sources: &buffers.sources };
-        densify.record_gather_parameters(recorder, &gather, &key);
+        densify.record_gather_parameters(r, &gather, &key);
     });
-    let after = planes::download(gpu.context, &target).expect("download");
-    (engine::twins(&after), gpu.read(&buffers.sources, rows as usize))
+    let sources = gpu.read::<u32>(&buffers.sources, rows as usize);
+    let parents: Vec<f64> = sources.iter().map(|source| f64::from(source & 0x3FFF_FFFF)).collect();
+    equal("parent", &parents, npz.values("out_parent"))?;
+    let kinds: Vec<f64> = sources.iter().map(|source| f64::from((source >> 30).min(2))).collect();
+    equal("kind", &kinds, npz.values("out_kind"))?;
+    Ok(engine::twins(&planes::download(gpu.context, &target)?))
 }
 
-pub fn reset_opacity(path: &Path) -> Result<(), String> {
+pub fn reset_opacity(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let before = as_gaussians("opacity", npz.values("logits"));
@@ -335,13 +336,14 @@ pub fn reset_opacity(path: &Path) -> Result<(), String> {
             .iter()
             .all(|m| m.opacity_logit == 0.0 && unchanged(m) == unchanged(before));
         if unchanged(after) != unchanged(before) || !zeroed {
-            return Err(format!("more than the opacity has changed: {after:?}, {moments:?}"));
+            return Err(format!("more than the opacity has changed: {after:?}, {moments:?}").into());
         }
     }
     Ok(())
 }
 
-pub fn regularizers(path: &Path) -> Result<(), String> {
+pub fn regularizers(path: &Path) -> Outcome {
+    super::mcmc::noise_of_device(path)?;
     let (set, npz) = (RegularizerSet::read(path), Npz::read(path));
     let gpu = Gpu::new();
     let ([loss, ..], gradients) = regularize(&gpu, &set.gaussians, REGULARIZER_WEIGHTS);
@@ -350,7 +352,7 @@ pub fn regularizers(path: &Path) -> Result<(), String> {
 }
 
 /// Full iterations on the device: picture, loss, gradients and step.
-pub fn train(path: &Path) -> Result<(), String> {
+pub fn train(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let view = view(&npz);
     let gpu = Gpu::new();
@@ -361,9 +363,8 @@ pub fn train(path: &Path) -> Result<(), String> {
         let field = |name: &str| format!("it{iteration}_{name}");
         let [before, ..] = adam.download();
         let mut renderer = engine::renderer();
-        let fail = |e: ashsplat::Error| e.to_string();
-        renderer.upload(&engine::gaussians(&before)).map_err(fail)?;
-        let image = engine::widen(&renderer.render(&camera, &settings).map_err(fail)?.color);
+        renderer.upload(&engine::gaussians(&before))?;
+        let image = engine::widen(&renderer.render(&camera, &settings)?.color);
         let unstable = npz.flags(&field("pix_unstable"));
         pixels("image", &image, npz.values(&field("image")), &unstable, SINGLE.image)?;
         let ([loss, ..], d_img) = device_loss(
@@ -376,7 +377,7 @@ pub fn train(path: &Path) -> Result<(), String> {
         let bound = PixelTolerance { max: 1e-7, mean: 1e-9, unstable: 1e-3 };
         pixels("d_img", &d_img, npz.values(&field("d_img")), &unstable, bound)?;
         let target: Vec<[f32; 3]> = rows::<3>(&d_img).into_iter().map(|d| d.map(|x| x as f32)).collect();
-        let gradients = renderer.gradients(&camera, &settings, &target, None).map_err(fail)?;
+        let gradients = renderer.gradients(&camera, &settings, &target, None)?;
         drop(renderer);
         let gradients = engine::twins(&gradients.parameters);
         let step = Step {
@@ -416,16 +417,9 @@ fn compare_iteration(
     iteration: i32,
     (after, gradients): (&[Gaussian], &[Gaussian]),
     departing: &[bool],
-) -> Result<(), String> {
-    for (name, of_gradient, of_gaussian) in FIELDS {
-        let as_gradient = |g: &Gaussian| Gradient {
-            mean: g.mean,
-            quat: g.quat,
-            log_scale: g.log_scale,
-            opacity_logit: g.opacity_logit,
-            sh: g.sh.clone(),
-        };
-        let d: Vec<f64> = gradients.iter().flat_map(|g| of_gradient(&as_gradient(g))).collect();
+) -> Outcome {
+    for (name, _, of_gaussian) in FIELDS {
+        let d: Vec<f64> = gradients.iter().flat_map(of_gaussian).collect();
         let d_name = format!("it{iteration}_d_{name}");
         let bound = if name == "quats" { SINGLE.quats } else { SINGLE.gradient };
         let expected_gradient = npz.values(&d_name);

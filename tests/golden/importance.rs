@@ -3,35 +3,26 @@
 use std::path::Path;
 
 use ashsplat::RenderSettings;
-use ashsplat::densify::{
+use ashsplat::passes::densify::{
     Candidates, Chances, EdgePhoto, Importance, ImportanceBuffers, Selection, SelectionBuffers, SelectionDraw,
 };
-use ashsplat::loss::{Windowing, photo_on_device};
-use ashsplat::pixels::PixelBorder;
+use ashsplat::passes::loss::{Windowing, photo_on_device};
+use ashsplat::passes::pixels::PixelBorder;
 use ashsplat::vk::MemoryKind;
 
-use super::sets::gaussians;
+use super::Outcome;
+use super::sets::{EXTENTS, gaussians, pixel_gradients};
 use super::stages::{Stages, field, views};
-use crate::common::compare::{elementwise, equal};
+use crate::common::compare::{elementwise, equal, relative};
 use crate::common::gpu::Gpu;
 use crate::golden::npz::{Npz, rows};
-use crate::reference::add_importance::importance;
-use crate::reference::blend_backward::PixelGradient;
-use crate::reference::draw_keys::key;
-use crate::reference::edge_gradient::edges;
-use crate::reference::edge_response::{gray, responses};
-use crate::reference::mark_drawn::mark;
+use crate::reference::draws::{edges, gray, importance, key, mark, responses};
 use crate::reference::pipeline::{backward, render};
-use crate::reference::types::{Extent, View};
+use crate::reference::types::View;
 
 /// Tolerances relative to the largest value.
 const DEVICE: f64 = 1e-5;
 const TWIN: f64 = 1e-6;
-
-fn relative(name: &str, actual: &[f64], expected: &[f64], part: f64) -> Result<(), String> {
-    let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-    elementwise(name, actual, expected, part * largest, 0.0).map(|_| ())
-}
 
 /// The values of each view.
 fn by_view<'a>(npz: &'a Npz, name: &str, views: &[View]) -> Vec<&'a [f64]> {
@@ -39,10 +30,10 @@ fn by_view<'a>(npz: &'a Npz, name: &str, views: &[View]) -> Vec<&'a [f64]> {
     values.chunks(values.len() / views.len()).collect()
 }
 
-pub fn of_twin(path: &Path) -> Result<(), String> {
+pub fn of_twin(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let set = gaussians(&npz, "");
-    for extent in [Extent::Exact, Extent::Reference] {
+    for (extent, _) in EXTENTS {
         let views = views(&npz, extent);
         let mut all = Vec::new();
         for (i, view) in views.iter().enumerate() {
@@ -54,9 +45,8 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
             let raw = responses(&grays, view.size_px.map(|n| n as usize));
             equal("edge_raw", &wide(&raw), of("edge_raw"))?;
             elementwise("edge", &edges(&raw), of("edge"), 1e-6, 0.0)?;
-            let d =
-                of("edge_used").iter().map(|&e| PixelGradient { color: [e, 0.0, 0.0], inverse_depth: 0.0 });
-            let gradient = backward(&set, view, &render(&set, view), &d.collect::<Vec<_>>());
+            let d = pixel_gradients(of("edge_used").iter().map(|&edge| [edge, 0.0, 0.0]));
+            let gradient = backward(&set, view, &render(&set, view), &d);
             let weights: Vec<f64> = gradient.splats.iter().map(|splat| splat.color[0]).collect();
             relative("weights", &weights, by_view(&npz, &field(extent, "weights"), &views)[i], TWIN)?;
             all.push(weights);
@@ -67,16 +57,16 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
     let keys = npz.values("importance").iter().zip(npz.values("u")).zip(&candidates);
     let keys: Vec<_> = keys.map(|((&chance, &u), &may)| key(if may { chance } else { 0.0 }, u)).collect();
     let selected: Vec<f64> = mark(&keys, npz.scalar("count") as usize).into_iter().map(f64::from).collect();
-    equal("selected", &selected, npz.values("selected"))
+    Ok(equal("selected", &selected, npz.values("selected"))?)
 }
 
-pub fn of_device(path: &Path) -> Result<(), String> {
+pub fn of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let set = gaussians(&npz, "");
     let kernels = Importance::new(gpu.context, &RenderSettings::default()).expect("kernels");
     let border = PixelBorder::new(gpu.context).expect("kernels");
-    for extent in [Extent::Exact, Extent::Reference] {
+    for (extent, _) in EXTENTS {
         let views = views(&npz, extent);
         let stages = Stages::new(&gpu, &set, &views);
         let pixels = views.iter().map(|view| view.pixels() as u64).max().expect("a view");
@@ -102,7 +92,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
             let weights: Vec<f64> = weights.into_iter().map(f64::from).collect();
             relative("weights", &weights, by_view(&npz, &field(extent, "weights"), &views)[i], DEVICE)?;
         }
-        let sum: Vec<f64> = gpu.read::<f32>(&sum, set.len()).into_iter().map(f64::from).collect();
+        let sum: Vec<f64> = gpu.read_f64::<f32>(&sum, set.len());
         relative("importance", &sum, npz.values(&field(extent, "importance")), DEVICE)?;
     }
     selection_of_device(&gpu, &npz)
@@ -115,7 +105,7 @@ fn edges_of_device<'a>(
     buffers: &ImportanceBuffers,
     view: &View,
     of: &dyn Fn(&str) -> &'a [f64],
-) -> Result<(), String> {
+) -> Outcome {
     let [width, height] = view.size_px;
     let rgbm = rows::<3>(of("photo")).into_iter().flat_map(|[r, g, b]| [r, g, b, 255.0].map(|x| x as u8));
     let windowing = Windowing::for_device(gpu.context.limits());
@@ -124,20 +114,20 @@ fn edges_of_device<'a>(
     let photo = EdgePhoto { texels, size: (width, height), masked: false, cut_sides: [false; 4] };
     let native = gpu.zeros::<u8>("native", PixelBorder::gradient_bytes(width, height) as usize);
     gpu.run(|r| kernels.record_edges(r, &photo, buffers, &native));
-    let raw: Vec<f64> =
-        gpu.read::<u32>(&buffers.responses, view.pixels()).into_iter().map(f64::from).collect();
+    let raw: Vec<f64> = gpu.read_f64::<u32>(&buffers.responses, view.pixels());
     equal("edge_raw", &raw, of("edge_raw"))?;
     let native = gpu.read::<f32>(&native, native.bytes() as usize / 4);
-    let strips = ashsplat::plan::Strips { width, height };
+    let strips = ashsplat::frame::Strips { width, height };
     let place = |i: u32| match windowing {
         Windowing::Blocks => 4 * i as usize,
         Windowing::Sweeps => strips.index(0, i % width, i / width),
     };
     let edges: Vec<f64> = (0..width * height).map(|i| native[place(i)].into()).collect();
-    elementwise("edge", &edges, of("edge"), 1e-6, 0.0).map(|_| ())
+    elementwise("edge", &edges, of("edge"), 1e-6, 0.0)?;
+    Ok(())
 }
 
-fn selection_of_device(gpu: &Gpu, npz: &Npz) -> Result<(), String> {
+fn selection_of_device(gpu: &Gpu, npz: &Npz) -> Outcome {
     let selection = Selection::new(gpu.context).expect("kernels");
     let single = |name: &str| npz.values(name).iter().map(|&x| x as f32).collect::<Vec<f32>>();
     let count = npz.values("u").len();
@@ -158,6 +148,6 @@ fn selection_of_device(gpu: &Gpu, npz: &Npz) -> Result<(), String> {
         explicit: Some(&uniforms),
     };
     gpu.run(|r| selection.record(r, &draw, &buffers));
-    let selected: Vec<f64> = gpu.read::<u32>(&buffers.selected, count).into_iter().map(f64::from).collect();
-    equal("selected", &selected, npz.values("selected"))
+    let selected: Vec<f64> = gpu.read_f64::<u32>(&buffers.selected, count);
+    Ok(equal("selected", &selected, npz.values("selected"))?)
 }

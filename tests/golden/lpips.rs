@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use ashsplat::lpips::{InputRange, Lpips, Network, Weights};
+use ashsplat::passes::lpips::{InputRange, Lpips, Network, Weights};
 
+use super::Outcome;
 use crate::common::compare::elementwise;
 use crate::common::gpu::Gpu;
 use crate::golden::npz::Npz;
@@ -22,7 +23,7 @@ fn picture(npz: &Npz, name: &str) -> (Vec<[f64; 3]>, [usize; 2]) {
     (pixels, [shape[1], shape[0]])
 }
 
-fn compare(npz: &Npz, name: &str, parts: &[f64], tolerance: f64) -> Result<(), String> {
+fn compare(npz: &Npz, name: &str, parts: &[f64], tolerance: f64) -> Outcome {
     elementwise(&format!("parts of {name}"), parts, npz.values(&format!("{name}_layers")), 0.0, tolerance)?;
     elementwise(name, &[parts.iter().sum()], npz.values(name), 0.0, tolerance)?;
     super::report(|| {
@@ -37,7 +38,7 @@ fn first_tag(npz: &Npz) -> u32 {
     if npz.has("tag") { npz.scalar("tag") as u32 } else { 0 }
 }
 
-pub fn of_twin(path: &Path) -> Result<(), String> {
+pub fn of_twin(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let ((a, size), (b, _)) = (picture(&npz, "a"), picture(&npz, "b"));
     for (name, steps, tags, _) in NETWORKS {
@@ -51,7 +52,7 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-pub fn of_device(path: &Path) -> Result<(), String> {
+pub fn of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let single = |name: &str| {

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use ashsplat::densify::{Densify, Draw, DrawBuffers, Gather, RandomKey, Relocation};
-use ashsplat::forward::SceneBuffers;
+use ashsplat::frame::{SceneBuffers, planes};
 use ashsplat::kernels::constants::STATE_WORDS;
-use ashsplat::optimizer::Moments;
-use ashsplat::planes;
+use ashsplat::passes::adam::Moments;
+use ashsplat::passes::densify::{Densify, Draw, DrawBuffers, Gather, RandomKey, Relocation};
 use ashsplat::vk::MemoryKind;
 
+use super::Outcome;
 use super::sets::gaussians;
 use crate::common::compare::{elementwise, equal};
 use crate::common::engine;
@@ -60,7 +60,7 @@ fn steps(npz: &Npz) -> [Step; 2] {
     ]
 }
 
-fn compare(npz: &Npz, prefix: &str, actual: &[Gaussian], tolerance: f64) -> Result<(), String> {
+fn compare(npz: &Npz, prefix: &str, actual: &[Gaussian], tolerance: f64) -> Outcome {
     let field = |name: &str| npz.values(&format!("{prefix}_{name}"));
     let column = |of: fn(&Gaussian) -> Vec<f64>| actual.iter().flat_map(of).collect::<Vec<f64>>();
     let logits = column(|g| vec![g.opacity_logit]);
@@ -73,10 +73,10 @@ fn compare(npz: &Npz, prefix: &str, actual: &[Gaussian], tolerance: f64) -> Resu
     }
     // Growth copies them.
     equal("out quaternion", &column(|g| g.quat.to_vec()), field("quats"))?;
-    equal("out SH", &column(|g| g.sh.as_flattened().to_vec()), field("sh"))
+    Ok(equal("out SH", &column(|g| g.sh.as_flattened().to_vec()), field("sh"))?)
 }
 
-pub fn relocation_of_twin(path: &Path) -> Result<(), String> {
+pub fn relocation_of_twin(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let mut set = gaussians(&npz, "in_");
     for (step, prefix) in steps(&npz).iter().zip(["mid", "out"]) {
@@ -113,7 +113,7 @@ pub fn relocation_of_twin(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-pub fn relocation_of_device(path: &Path) -> Result<(), String> {
+pub fn relocation_of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let context = gpu.context;
@@ -169,8 +169,7 @@ pub fn relocation_of_device(path: &Path) -> Result<(), String> {
         let sources = gpu.read::<u32>(&buffers.sources, step.rows).into_iter();
         let sources: Vec<f64> = sources.map(|source| f64::from(source & 0x3FFF_FFFF)).collect();
         equal("source", &sources, &step.sources)?;
-        let draws: Vec<f64> =
-            gpu.read::<u32>(&buffers.draws, count as usize).into_iter().map(f64::from).collect();
+        let draws: Vec<f64> = gpu.read_f64::<u32>(&buffers.draws, count as usize);
         equal("draws", &draws, &step.draws)?;
         sets = after;
         let set = engine::twins(&planes::download(context, &sets[0]).expect("download"));
@@ -199,7 +198,7 @@ fn noise_set(npz: &Npz) -> (Vec<Gaussian>, Vec<[f64; 3]>, f64) {
     (set, normals, npz.scalar("rate") * npz.scalar("noise_lr"))
 }
 
-fn compare_noise(npz: &Npz, deltas: &[[f64; 3]], relative: f64) -> Result<(), String> {
+fn compare_noise(npz: &Npz, deltas: &[[f64; 3]], relative: f64) -> Outcome {
     for (i, (actual, expected)) in deltas.iter().zip(npz.rows::<3>("delta")).enumerate() {
         let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
         // If the gate is closed to 24 digits, its rounding is larger than the noise.
@@ -208,14 +207,14 @@ fn compare_noise(npz: &Npz, deltas: &[[f64; 3]], relative: f64) -> Result<(), St
     Ok(())
 }
 
-pub fn noise_of_twin(path: &Path) -> Result<(), String> {
+pub fn noise_of_twin(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let (set, normals, rate) = noise_set(&npz);
     let deltas: Vec<[f64; 3]> = set.iter().zip(normals).map(|(g, normal)| noise(g, normal, rate)).collect();
     compare_noise(&npz, &deltas, 1e-6)
 }
 
-pub fn noise_of_device(path: &Path) -> Result<(), String> {
+pub fn noise_of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let (set, normals, rate) = noise_set(&npz);

@@ -2,15 +2,15 @@
 
 use std::path::Path;
 
-use super::sets::{self, gaussians};
-use crate::common::compare::elementwise;
+use super::Outcome;
+use super::sets::{self, EXTENTS, gaussians, pixel_gradients};
+use crate::common::compare::{elementwise, relative};
 use crate::common::engine::{self, camera, renderer, settings};
 use crate::common::gpu::Gpu;
 use crate::common::poses::{Poses, pose_gradient, pose_step};
 use crate::common::{assert_silent, context};
 use crate::golden::npz::{Npz, rows};
 use crate::reference::adam::Parameter;
-use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::pose_gradient::gradient_of_parameters;
 use crate::reference::pose_step::{moved, pose_step as twin_step};
@@ -32,35 +32,26 @@ fn views(npz: &Npz, extent: Extent) -> Vec<[View; 2]> {
     sets::views(npz).into_iter().enumerate().map(both).collect()
 }
 
-const EXTENTS: [(Extent, &str); 2] = [(Extent::Exact, ""), (Extent::Reference, "ref_")];
 const FIELDS: [&str; 2] = ["d_pose", "d_pose_xi"];
 
-/// Compares with a tolerance relative to the largest entry.
-fn compare(what: &str, actual: &[f64], expected: &[f64], relative: f64) -> Result<(), String> {
-    let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-    elementwise(what, actual, expected, relative * largest, 0.0).map(drop)
-}
-
-pub fn of_twin(path: &Path) -> Result<(), String> {
+pub fn of_twin(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let scene = gaussians(&npz, "");
     let weights = npz.rows::<3>("G");
     for (extent, prefix) in EXTENTS {
         let mut weights = weights.iter();
         for (index, pair) in views(&npz, extent).iter().enumerate() {
-            let own: Vec<PixelGradient> = (weights.by_ref().take(pair[0].pixels()))
-                .map(|&color| PixelGradient { color, inverse_depth: 0.0 })
-                .collect();
+            let own = pixel_gradients(weights.by_ref().take(pair[0].pixels()).copied());
             let xi = npz.rows::<6>("xi")[index];
             for (view, field) in pair.iter().zip(FIELDS) {
                 let name = format!("{prefix}{field}");
                 let pose = backward(&scene, view, &render(&scene, view), &own).pose;
                 // The moved camera is stored in float32.
                 let tolerance = if field == "d_pose" { TWIN } else { 1e-5 };
-                compare(&name, &pose, &npz.rows::<6>(&name)[index], tolerance)?;
+                relative(&name, &pose, &npz.rows::<6>(&name)[index], tolerance)?;
             }
             let [g, expected] = ["d_pose_xi", "d_xi"].map(|field| npz.rows::<6>(&format!("{prefix}{field}")));
-            compare("d_xi", &gradient_of_parameters(xi, g[index]), &expected[index], TWIN)?;
+            relative("d_xi", &gradient_of_parameters(xi, g[index]), &expected[index], TWIN)?;
             let start = (&pair[0].camera_from_world, pair[0].translation);
             let (rotation, translation) = moved(xi, start);
             elementwise("R", &rotation.concat(), &pair[1].camera_from_world.concat(), 1.5e-7, 0.0)?;
@@ -78,7 +69,7 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-pub fn of_device(path: &Path) -> Result<(), String> {
+pub fn of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     gradients_of_device(&npz)?;
     let gpu = Gpu::new();
@@ -88,7 +79,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
         let [g, expected] = ["d_pose_xi", "d_xi"].map(|field| npz.rows::<6>(&format!("{prefix}{field}")));
         for image in 0..views.len() {
             let [_, of_parameters] = pose_gradient(&gpu, &[g[image].map(|x| x as f32)], &xi, image as u32);
-            compare("d_xi", &of_parameters, &expected[image], 1e-6)?;
+            relative("d_xi", &of_parameters, &expected[image], 1e-6)?;
         }
     }
     let start = |view: &View| {
@@ -114,16 +105,16 @@ pub fn of_device(path: &Path) -> Result<(), String> {
         let gradient = gradient.map(|g| g as f32);
         poses = pose_step(&gpu, &poses, Some((0, gradient, *rate, step as u32 + 1)), 0);
         let actual = poses.parameters[0].map(f64::from);
-        compare("adam", &actual, &npz.rows::<6>("adam_xi")[step], 1e-5)?;
+        relative("adam", &actual, &npz.rows::<6>("adam_xi")[step], 1e-5)?;
     }
     Ok(())
 }
 
-fn gradients_of_device(npz: &Npz) -> Result<(), String> {
+fn gradients_of_device(npz: &Npz) -> Outcome {
     let scene = gaussians(npz, "");
     let weights = npz.rows::<3>("G");
     let mut renderer = renderer();
-    renderer.upload(&engine::gaussians(&scene)).map_err(|e| e.to_string())?;
+    renderer.upload(&engine::gaussians(&scene))?;
     for (extent, prefix) in EXTENTS {
         let mut weights = weights.iter();
         for (index, pair) in views(npz, extent).iter().enumerate() {
@@ -131,11 +122,9 @@ fn gradients_of_device(npz: &Npz) -> Result<(), String> {
                 weights.by_ref().take(pair[0].pixels()).map(|color| color.map(|x| x as f32)).collect();
             for (view, field) in pair.iter().zip(FIELDS) {
                 let name = format!("{prefix}{field}");
-                let gradients = renderer
-                    .gradients_with_pose(&camera(view), &settings(view), &own, None)
-                    .map_err(|e| e.to_string())?;
+                let gradients = renderer.gradients_with_pose(&camera(view), &settings(view), &own, None)?;
                 let pose = gradients.pose.ok_or("no gradient of the pose")?.map(f64::from);
-                compare(&name, &pose, &npz.rows::<6>(&name)[index], DEVICE)?;
+                relative(&name, &pose, &npz.rows::<6>(&name)[index], DEVICE)?;
             }
         }
     }

@@ -3,7 +3,11 @@
 use std::path::Path;
 
 use crate::golden::npz::{Npz, rows};
+use crate::reference::blend_backward::PixelGradient;
 use crate::reference::types::{Drawn, Extent, Gaussian, View};
+
+/// The extents with the prefix of their fields.
+pub const EXTENTS: [(Extent, &str); 2] = [(Extent::Exact, ""), (Extent::Reference, "ref_")];
 
 pub struct RenderingSet {
     /// Inputs, and results with the reference extent.
@@ -44,15 +48,15 @@ impl RenderingSet {
         View { extent, ..self.view.clone() }
     }
 
-    /// dL/dimage and dL/d(inverse depth).
-    pub fn image_gradient(&self, extent: Extent) -> (Vec<[f64; 3]>, Vec<f64>) {
+    /// dL/dpixel.
+    pub fn image_gradient(&self, extent: Extent) -> Vec<PixelGradient> {
         let results = self.results(extent);
-        let color = results.rows("G");
-        let inverse_depth = match results.has("Gd") {
-            true => results.values("Gd").to_vec(),
-            false => vec![0.0; color.len()],
-        };
-        (color, inverse_depth)
+        let mut pixels = pixel_gradients(results.rows("G"));
+        if results.has("Gd") {
+            let all = pixels.iter_mut().zip(results.values("Gd"));
+            all.for_each(|(pixel, &inverse_depth)| pixel.inverse_depth = inverse_depth);
+        }
+        pixels
     }
 
     /// Flags of Gaussians; for the bits see the README of the vectors.
@@ -62,6 +66,11 @@ impl RenderingSet {
         }
         self.npz.values("g_unstable").iter().map(|&flags| flags as u8 & bit != 0).collect()
     }
+}
+
+/// dL/dpixel of colours alone.
+pub fn pixel_gradients(colors: impl IntoIterator<Item = [f64; 3]>) -> Vec<PixelGradient> {
+    colors.into_iter().map(|color| PixelGradient { color, inverse_depth: 0.0 }).collect()
 }
 
 /// Gaussians of an archive whose fields have this prefix.

@@ -2,19 +2,20 @@
 
 use std::path::Path;
 
-use ashsplat::backward::Statistics;
-use ashsplat::forward::SceneBuffers;
-use ashsplat::loss::{DepthPointBuffers, LossTerm, TermInputs};
-use ashsplat::pixels::PixelBorder;
-use ashsplat::trainer::SparseDepth;
-use ashsplat::{Gaussians, TrainSettings, planes};
+use ashsplat::frame::{SceneBuffers, planes};
+use ashsplat::passes::backward::Statistics;
+use ashsplat::passes::loss::{DepthPointBuffers, LossTerm, TermInputs};
+use ashsplat::passes::pixels::PixelBorder;
+use ashsplat::train::SparseDepth;
+use ashsplat::{Gaussians, TrainSettings};
 
+use super::Outcome;
 use super::sets::{gaussians, view};
 use super::stages::Stages;
 use crate::common::compare::{GradientTolerance, elementwise, gradient};
-use crate::common::depth_points::points as engine_points;
 use crate::common::engine::twins;
 use crate::common::gpu::Gpu;
+use crate::common::terms::points as engine_points;
 use crate::golden::npz::Npz;
 use crate::reference::pipeline::{pixels_of, render, tile_of};
 use crate::reference::project_backward::project_backward;
@@ -52,13 +53,13 @@ const DEVICE: Bounds = Bounds {
     gradient: GradientTolerance { relative_l2: 1e-3, max_over_max: 1e-3 },
 };
 
-fn judge(npz: &Npz, computed: &Computed, bounds: &Bounds) -> Result<(), String> {
+fn judge(npz: &Npz, computed: &Computed, bounds: &Bounds) -> Outcome {
     let unstable = npz.flags("pix_unstable");
     let wanted = npz.values("expected_depth");
     let counts = |pixel: &usize| computed.coverage[*pixel] > 0.01 && !unstable[*pixel];
     let places: Vec<usize> = (0..wanted.len()).filter(counts).collect();
     if 2 * places.len() < wanted.len() {
-        return Err(format!("only {} pixels are compared", places.len()));
+        return Err(format!("only {} pixels are compared", places.len()).into());
     }
     let of = |values: &[f64]| places.iter().map(|&pixel| values[pixel]).collect::<Vec<f64>>();
     elementwise("depth", &of(&computed.expected_depth), &of(wanted), 0.0, bounds.depth)?;
@@ -123,58 +124,14 @@ fn by_twin(set: &[Gaussian], view: &View, points: &[Point], weight: f64) -> Comp
     Computed { expected_depth, coverage, loss, gradients: gradients.collect() }
 }
 
-pub fn of_twin(path: &Path) -> Result<(), String> {
+pub fn of_twin(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let (set, points, weight) = (gaussians(&npz, ""), points(&npz), weight(&npz));
     let view = View { extent: Extent::Exact, ..view(&npz) };
-    let computed = by_twin(&set, &view, &points, weight);
-    judge(&npz, &computed, &TWIN)?;
-    agrees_with_differences(&set, &view, &points, weight, &computed.gradients)
+    judge(&npz, &by_twin(&set, &view, &points, weight), &TWIN)
 }
 
-/// Finite differences confirm the twin's gradients.
-fn agrees_with_differences(
-    set: &[Gaussian],
-    view: &View,
-    points: &[Point],
-    weight: f64,
-    gradients: &[Gradient],
-) -> Result<(), String> {
-    let scalars = |g: &Gradient| [&g.mean[..], &g.quat, &g.log_scale, &[g.opacity_logit]].concat();
-    let largest = gradients.iter().flat_map(scalars).fold(0.0_f64, |most, x| most.max(x.abs()));
-    let blended = |set: &[Gaussian]| {
-        render(set, view).pixels.iter().map(|pixel| (pixel.blended, pixel.last)).collect::<Vec<_>>()
-    };
-    let mut compared = 0;
-    for (index, own) in gradients.iter().enumerate() {
-        for (place, derivative) in scalars(own).into_iter().enumerate().skip(index % 3).step_by(3) {
-            let step = 1e-6;
-            let moved = |by: f64| {
-                let mut set = set.to_vec();
-                *crate::common::scenes::scalars(&mut set[index])[place] += by;
-                set
-            };
-            let (after, before) = (moved(step), moved(-step));
-            if blended(&after) != blended(&before) {
-                continue;
-            }
-            let loss = |set: &[Gaussian]| by_twin(set, view, points, weight).loss;
-            let difference = (loss(&after) - loss(&before)) / (2.0 * step);
-            if (difference - derivative).abs() > 1e-5 * largest {
-                return Err(format!(
-                    "Gaussian {index}, {place}: {derivative:.9e}, by differences {difference:.9e}"
-                ));
-            }
-            compared += 1;
-        }
-    }
-    if compared < gradients.len() {
-        return Err(format!("only {compared} derivatives could be compared"));
-    }
-    Ok(())
-}
-
-pub fn of_device(path: &Path) -> Result<(), String> {
+pub fn of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let (context, set) = (gpu.context, gaussians(&npz, ""));
@@ -182,11 +139,11 @@ pub fn of_device(path: &Path) -> Result<(), String> {
     let stages = Stages::with_depth(&gpu, &set, std::slice::from_ref(&view), true);
     let size = (view.size_px[0], view.size_px[1]);
     let all = engine_points(&points(&npz));
-    let points = DepthPointBuffers::new(context, &all, size).map_err(|e| e.to_string())?;
+    let points = DepthPointBuffers::new(context, &all, size)?;
     // The weight is the first iteration's.
     let settings = TrainSettings { depth_points: npz.scalar("weight"), ..TrainSettings::default() };
     let extent = npz.scalar("scene_scale") as f32;
-    let term = SparseDepth::new(context, &settings, extent, all.len() as u32).map_err(|e| e.to_string())?;
+    let term = SparseDepth::new(context, &settings, extent, all.len() as u32)?;
     let scratch: Vec<_> = term
         .scratch_requests(&[size])
         .into_iter()
@@ -196,7 +153,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
     let gradient = gpu.zeros::<u8>("image_gradient", PixelBorder::gradient_bytes(size.0, size.1) as usize);
     let statistics = gpu.zeros::<[f32; 2]>("statistics", set.len());
     let mean2d = gpu.zeros::<[f32; 2]>("mean2d_gradients", set.len());
-    let chunks = planes::allocate(context, "gradients", &stages.scene.plan).map_err(|e| e.to_string())?;
+    let chunks = planes::allocate(context, "gradients", &stages.scene.plan)?;
     let pixels = view.pixels();
     let [mut sums, mut transmittances] = [Vec::new(), Vec::new()];
     for records in [false, true] {
@@ -235,7 +192,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
         }
     }
     let planes_of = SceneBuffers { chunks, ..stages.scene.clone() };
-    let all: Gaussians = planes::download(context, &planes_of).map_err(|e| e.to_string())?;
+    let all: Gaussians = planes::download(context, &planes_of)?;
     let gradients = twins(&all).into_iter().map(|g| Gradient {
         mean: g.mean,
         quat: g.quat,

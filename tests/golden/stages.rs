@@ -1,11 +1,14 @@
 //! Frames with backward passes by the engine's stages, for values that a renderer does not return.
 
-use ashsplat::backward::{Backward, BackwardVariant};
-use ashsplat::forward::{Auxiliary, BlendVariant, Forward, FrameInputs, PlacedScene, SceneBuffers};
+use ashsplat::RenderSettings;
+use ashsplat::frame::{
+    Auxiliary, BlendVariant, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, PictureCapacity,
+    PlacedScene, SceneBuffers, frame_requests, planes,
+};
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
-use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, frame_requests};
+use ashsplat::passes::backward::{Backward, BackwardVariant};
+use ashsplat::render::Forward;
 use ashsplat::vk::{MemoryKind, Recorder};
-use ashsplat::{RenderSettings, planes};
 
 use super::sets;
 use crate::common::engine::{camera, gaussians, settings};

@@ -2,28 +2,25 @@
 
 use std::path::Path;
 
+use super::Outcome;
 use super::report;
-use super::sets::{gaussians, view};
+use super::sets::{gaussians, pixel_gradients, view};
 use crate::common::compare::{GradientTolerance, PixelTolerance, elementwise, equal, gradient, pixels};
 use crate::golden::npz::Npz;
 use crate::reference::adam::{Parameter, adam as adam_step, adam_sparse};
-use crate::reference::blend_backward::PixelGradient;
 use crate::reference::classify::{Decision, Statistic, decide};
 use crate::reference::pipeline::{Frame, backward, pixels_of, render, tile_of};
 use crate::reference::project::intermediate;
 use crate::reference::scatter_sources::{Densify, place};
 use crate::reference::tiles::alpha_unclamped;
 use crate::reference::types::{ALPHA_MAX, Gaussian, Gradient, View};
-use crate::reference::{
-    loss_reduce, regularize as regularize_twin, reset_opacity as reset_twin, schedule,
-    term_reduce as term_reduce_twin,
-};
+use crate::reference::{loss_reduce, regularize as regularize_twin, reset_opacity as reset_twin, schedule};
 
 /// The rounding of stored float32.
 const ROUNDING: f64 = 1.5e-7;
 const GRADIENT: GradientTolerance = GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 };
 
-pub fn loss(path: &Path) -> Result<(), String> {
+pub fn loss(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let shape = &npz.array("img").shape;
     let (height, width) = (shape[0], shape[1]);
@@ -41,7 +38,7 @@ pub fn loss(path: &Path) -> Result<(), String> {
 /// The parameter groups of the vectors.
 pub const GROUPS: [&str; 6] = ["xyz", "f_dc", "f_rest", "opacity", "scaling", "rotation"];
 
-pub fn adam(path: &Path) -> Result<(), String> {
+pub fn adam(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     for group in GROUPS {
         let field = |name: &str| npz.values(&format!("{group}_{name}"));
@@ -73,7 +70,7 @@ pub fn adam(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-fn compare_adam(group: &str, parameters: &[Parameter], expected: [&[f64]; 3]) -> Result<(), String> {
+fn compare_adam(group: &str, parameters: &[Parameter], expected: [&[f64]; 3]) -> Outcome {
     let column = |value: fn(&Parameter) -> f64| parameters.iter().map(value).collect::<Vec<f64>>();
     elementwise(&format!("{group} value"), &column(|p| p.value), expected[0], 1e-7, ROUNDING)?;
     elementwise(&format!("{group} first moment"), &column(|p| p.moment1), expected[1], 1e-12, ROUNDING)?;
@@ -81,7 +78,7 @@ fn compare_adam(group: &str, parameters: &[Parameter], expected: [&[f64]; 3]) ->
     Ok(())
 }
 
-pub fn rates(path: &Path) -> Result<(), String> {
+pub fn rates(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let steps = npz.values("steps");
     let position: Vec<f64> = npz
@@ -97,7 +94,7 @@ pub fn rates(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-pub fn densify(path: &Path) -> Result<(), String> {
+pub fn densify(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let before = gaussians(&npz, "in_");
     let statistics: Vec<Statistic> = npz
@@ -122,16 +119,14 @@ pub fn densify(path: &Path) -> Result<(), String> {
     };
     equal("parent", &column(&|p| vec![p.parent as f64]), npz.values("out_parent"))?;
     equal("kind", &column(&|p| vec![p.kind as u8 as f64]), npz.values("out_kind"))?;
-    let exact = |name: &str, values: Vec<f64>| elementwise(name, &values, npz.values(name), 1e-7, ROUNDING);
-    exact("out_means", column(&|p| p.gaussian.mean.to_vec()))?;
-    exact("out_quats", column(&|p| p.gaussian.quat.to_vec()))?;
-    exact("out_log_scales", column(&|p| p.gaussian.log_scale.to_vec()))?;
-    exact("out_opacity_logits", column(&|p| vec![p.gaussian.opacity_logit]))?;
-    exact("out_sh", column(&|p| p.gaussian.sh.concat()))?;
+    for (field, _, values) in FIELDS {
+        let name = format!("out_{field}");
+        elementwise(&name, &column(&|p| values(&p.gaussian)), npz.values(&name), 1e-7, ROUNDING)?;
+    }
     Ok(())
 }
 
-pub fn reset_opacity(path: &Path) -> Result<(), String> {
+pub fn reset_opacity(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let out: Vec<f64> =
         npz.values("logits").iter().map(|&logit| reset_twin::reset_opacity(logit, 1.0)).collect();
@@ -140,7 +135,7 @@ pub fn reset_opacity(path: &Path) -> Result<(), String> {
 }
 
 /// Full iterations: picture, loss, gradients, step.
-pub fn train(path: &Path) -> Result<(), String> {
+pub fn train(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let view = view(&npz);
     let [width, height] = view.size_px.map(|n| n as usize);
@@ -162,13 +157,7 @@ pub fn train(path: &Path) -> Result<(), String> {
             &vec![false; width * height],
             GRADIENT,
         )?;
-        let d_pixels: Vec<PixelGradient> = loss
-            .gradient
-            .as_chunks()
-            .0
-            .iter()
-            .map(|&color| PixelGradient { color, inverse_depth: 0.0 })
-            .collect();
+        let d_pixels = pixel_gradients(loss.gradient.as_chunks().0.iter().copied());
         let gradients = backward(&gaussians, &view, &frame, &d_pixels).parameters;
         let extent = npz.scalar("extent");
         let departing = departing(&gaussians, &view, &frame);
@@ -203,7 +192,7 @@ fn compare_iteration(
     iteration: u32,
     (after, gradients): (&[Gaussian], &[Gradient]),
     departing: &[bool],
-) -> Result<(), String> {
+) -> Outcome {
     for (name, of_gradient, of_gaussian) in FIELDS {
         let d: Vec<f64> = gradients.iter().flat_map(of_gradient).collect();
         let d_name = format!("it{iteration}_d_{name}");
@@ -274,20 +263,22 @@ impl RegularizerSet {
     }
 
     /// Compares gradients of all Gaussians.
-    pub fn check_gradients(&self, npz: &Npz, actual: &[Gaussian], relative: f64) -> Result<(), String> {
+    pub fn check_gradients(&self, npz: &Npz, actual: &[Gaussian], relative: f64) -> Outcome {
         let logits: Vec<f64> = actual.iter().map(|g| g.opacity_logit).collect();
         let scales: Vec<f64> = actual.iter().flat_map(|g| g.log_scale).collect();
         let absolute = |values: &[f64]| relative * values.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
         let (d_logits, d_scales) = (npz.values("reg_d_opacity_logits"), npz.values("reg_d_log_scales"));
         elementwise("d opacity logit", &logits, d_logits, absolute(d_logits), relative)?;
-        elementwise("d log-scale", &scales, d_scales, absolute(d_scales), relative).map(|_| ())
+        elementwise("d log-scale", &scales, d_scales, absolute(d_scales), relative)?;
+        Ok(())
     }
 }
 
-pub fn regularizers(path: &Path) -> Result<(), String> {
+pub fn regularizers(path: &Path) -> Outcome {
+    super::mcmc::noise_of_twin(path)?;
     let (set, npz) = (RegularizerSet::read(path), Npz::read(path));
     let sums = regularize_twin::regularize(&set.gaussians, REGULARIZER_WEIGHTS);
-    let [loss, ..] = term_reduce_twin::losses(&sums, set.gaussians.len(), REGULARIZER_WEIGHTS);
+    let [loss, ..] = regularize_twin::losses(&sums, set.gaussians.len(), REGULARIZER_WEIGHTS);
     elementwise("loss", &[loss], npz.values("reg_loss"), 0.0, 2e-7)?;
     set.check_gradients(&npz, &sums.gradients, 2e-7)
 }

@@ -10,16 +10,20 @@ use crate::progress::Progress;
 
 const INTRINSICS: Intrinsics = Intrinsics { fx: 5.0, fy: 5.0, cx: 2.0, cy: 1.0, width: 4, height: 2 };
 
+/// Rotations, and positions away from the origin.
+fn poses(count: u32) -> impl Iterator<Item = (DMat3, DVec3)> {
+    (0..count).map(f64::from).map(|index| {
+        let rotation = DQuat::from_xyzw(0.3, -0.2, 0.1 * index, 0.9).normalize();
+        (DMat3::from_quat(rotation), DVec3::new(61.3, -17.9, 25.0 + 0.37 * index))
+    })
+}
+
 /// Far from the origin, a camera's position is accurate to one unit in the last place, instead of accumulating an
 /// error per operation.
 #[test]
 fn cameras_far_out_keep_their_place() {
-    let _turn = super::turn();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("cameras.json");
-    for index in 0..50 {
-        let rotation = DMat3::from_quat(DQuat::from_xyzw(0.3, -0.2, 0.1 * f64::from(index), 0.9).normalize());
-        let position = DVec3::new(61.3, -17.9, 25.0 + 0.37 * f64::from(index));
+    let (_turn, _folder, path) = super::alone("cameras.json");
+    for (rotation, position) in poses(50) {
         let row = |i: usize| rotation.transpose().row(i).to_array();
         let text = format!(
             "[{{\"id\": 0, \"img_name\": \"a\", \"width\": 4, \"height\": 2, \"position\": {:?}, \"rotation\": {:?}, \
@@ -49,9 +53,7 @@ fn cameras_that_look_from_far_out_keep_their_place() {
 #[test]
 fn frames_far_out_keep_their_place() {
     let _turn = super::turn();
-    for index in 0..20 {
-        let rotation = DMat3::from_quat(DQuat::from_xyzw(0.3, -0.2, 0.1 * f64::from(index), 0.9).normalize());
-        let place = DVec3::new(61.3, -17.9, 25.0 + 0.37 * f64::from(index));
+    for (rotation, place) in poses(20) {
         let rows: Vec<_> =
             (0..3).map(|i| [rotation.row(i).to_array().to_vec(), vec![place[i]]].concat()).collect();
         let camera = load_posed(&format!("{rows:?}"), "\"k1\": 0.0").unwrap().train[0].camera;

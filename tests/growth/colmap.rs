@@ -7,7 +7,7 @@ use super::assert_linear;
 use crate::colmap::Model;
 
 /// Writes a text model; images have observations, points have tracks.
-fn write_model(folder: &Path, cameras: &str, images: &str, points: &str) {
+pub(super) fn write_model(folder: &Path, cameras: &str, images: &str, points: &str) {
     std::fs::create_dir_all(folder).unwrap();
     for (name, text) in [("cameras", cameras), ("images", images), ("points3D", points)] {
         std::fs::write(folder.join(name).with_extension("txt"), text).unwrap();

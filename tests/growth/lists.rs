@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use ashsplat::lpips::Weights;
+use ashsplat::passes::lpips::Weights;
 use ashsplat::scene::{Exposure, LensEffects};
 use image::{ImageBuffer, Luma};
 use serde_json::{Map, Value, json};
 
 use super::assert_linear;
+use super::colmap::write_model;
 use crate::dataset::{Dataset, DatasetOptions};
 use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
 use crate::exposure_json;
@@ -18,16 +19,35 @@ use crate::lens_json::LensFile;
 use crate::lpips_weights::WeightsFile;
 use crate::progress::Progress;
 
+/// Exposures and parameters of depth maps by name, and lenses of photographs with a camera each.
 #[test]
-fn exposures_of_many_photographs() {
-    let write = |folder: &Path, size: usize| {
+fn values_of_many_photographs() {
+    let exposures = |folder: &Path, size: usize| {
         let names: Vec<String> = (0..size).map(|index| format!("photo {index}.jpg")).collect();
         let exposure = Exposure::default();
-        exposure_json::write(folder.join("exposure.json"), names.iter().map(|name| (&**name, &exposure)))
-            .unwrap();
+        let all = names.iter().map(|name| (&**name, &exposure));
+        exposure_json::write(folder.join("exposure.json"), all).unwrap();
     };
-    assert_linear(2000, write, |folder| {
+    assert_linear(2000, exposures, |folder| {
         assert!(exposure_json::read(folder.join("exposure.json")).unwrap().len() >= 2000);
+    });
+    let lenses = |folder: &Path, size: usize| {
+        let size = size as u32;
+        let cameras = (0..size).map(|id| (id, LensEffects::default())).collect();
+        let photos = (0..size).map(|id| (format!("photo {id}.jpg"), id)).collect();
+        LensFile { cameras, photos }.write(folder.join("lens.json")).unwrap();
+    };
+    assert_linear(2000, lenses, |folder| {
+        assert!(LensFile::read(folder.join("lens.json")).unwrap().photos.len() >= 2000);
+    });
+    let depths = |folder: &Path, size: usize| {
+        let fit = json!({"scale": 1.5, "offset": 0.1});
+        let all: BTreeMap<String, Value> =
+            (0..size).map(|index| (format!("photo {index}"), fit.clone())).collect();
+        std::fs::write(folder.join(DEPTH_PARAMS_FILE), serde_json::to_vec(&all).unwrap()).unwrap();
+    };
+    assert_linear(2000, depths, |folder| {
+        assert!(DepthFit::read_all(folder.join(DEPTH_PARAMS_FILE)).unwrap().len() >= 2000);
     });
 }
 
@@ -43,40 +63,11 @@ fn exposures_of_one_name_many_times() {
     });
 }
 
-/// Each photograph has its own camera.
-#[test]
-fn lenses_of_many_photographs() {
-    let write = |folder: &Path, size: usize| {
-        let size = size as u32;
-        let cameras = (0..size).map(|id| (id, LensEffects::default())).collect();
-        let photos = (0..size).map(|id| (format!("photo {id}.jpg"), id)).collect();
-        LensFile { cameras, photos }.write(folder.join("lens.json")).unwrap();
-    };
-    assert_linear(2000, write, |folder| {
-        assert!(LensFile::read(folder.join("lens.json")).unwrap().photos.len() >= 2000);
-    });
-}
-
-#[test]
-fn depth_parameters_of_many_photographs() {
-    let write = |folder: &Path, size: usize| {
-        let all: BTreeMap<String, Value> =
-            (0..size).map(|index| (format!("photo {index}"), json!({"scale": 1.5, "offset": 0.1}))).collect();
-        std::fs::write(folder.join(DEPTH_PARAMS_FILE), serde_json::to_vec(&all).unwrap()).unwrap();
-    };
-    assert_linear(2000, write, |folder| {
-        assert!(DepthFit::read_all(folder.join(DEPTH_PARAMS_FILE)).unwrap().len() >= 2000);
-    });
-}
-
 /// Photographs with sparse points and a map that is fitted to them.
 #[test]
 fn depth_maps_of_many_photographs_with_many_points() {
     let write = |folder: &Path, size: usize| {
-        let model = folder.join("sparse/0");
-        for path in [&model, &folder.join("images"), &folder.join("depth")] {
-            std::fs::create_dir_all(path).unwrap();
-        }
+        ["images", "depth"].iter().for_each(|name| std::fs::create_dir_all(folder.join(name)).unwrap());
         let (mut images, mut points) = (String::new(), String::new());
         for id in 1..=size {
             let seen: String = (0..20).map(|k| format!("{} 1.5 {} ", f64::from(k) * 0.35, k + 1)).collect();
@@ -90,11 +81,7 @@ fn depth_maps_of_many_photographs_with_many_points() {
         for id in 1..=20 {
             points += &format!("{id} 0 0 {} 1 2 3 0.5 1 0\n", 2 + id);
         }
-        for (name, text) in
-            [("cameras", "1 PINHOLE 8 4 8 8 4 2\n"), ("images", &*images), ("points3D", &points)]
-        {
-            std::fs::write(model.join(name).with_extension("txt"), text).unwrap();
-        }
+        write_model(&folder.join("sparse/0"), "1 PINHOLE 8 4 8 8 4 2\n", &images, &points);
     };
     assert_linear(20, write, |folder| {
         let options = DatasetOptions { depths: Some("depth".into()), ..DatasetOptions::default() };

@@ -4,12 +4,11 @@ use std::io::Write;
 use std::path::Path;
 
 use ashsplat::Error;
-use ashsplat::scene::Gaussians;
 use image::codecs::jpeg::JpegEncoder;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Cost, turn};
+use super::{Cost, alone, gaussians};
 use crate::HostMemory;
 use crate::dataset::{Dataset, DatasetOptions};
 use crate::images::{Photo, PhotoFileFormat, PhotoMemory, Resolution};
@@ -43,9 +42,7 @@ fn read(path: &Path, bytes: &[u8]) -> Result<Photo, String> {
 
 #[test]
 fn a_jpeg_of_a_few_bytes_is_no_large_picture() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.jpg");
+    let (_turn, _folder, path) = alone("a.jpg");
     let mut bytes = jpeg(16, 16);
     assert!(read(&path, &bytes).is_ok());
     claim(&mut bytes, 20_000, 20_000);
@@ -57,9 +54,7 @@ fn a_jpeg_of_a_few_bytes_is_no_large_picture() {
 /// Bytes that cameras leave after the end and between the parts are harmless; inside the data they are errors.
 #[test]
 fn damaged_jpegs_are_found() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.jpg");
+    let (_turn, _folder, path) = alone("a.jpg");
     let whole = jpeg(160, 120);
     assert!(read(&path, &[&whole[..], b"\0\0\0 a preview"].concat()).is_ok());
     let frame = whole.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
@@ -77,8 +72,7 @@ fn damaged_jpegs_are_found() {
 
 #[test]
 fn photos_beyond_the_bound_are_refused_before_they_are_decoded() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
+    let (_turn, folder, _) = alone("");
     std::fs::create_dir(folder.path().join("images")).unwrap();
     let photo = Photo { width: 4000, height: 3000, rgb: vec![9; 36_000_000] };
     photo.write_png(folder.path().join("images/a.png")).unwrap();
@@ -91,23 +85,22 @@ fn photos_beyond_the_bound_are_refused_before_they_are_decoded() {
         let options = DatasetOptions { host_memory, resolution, photo_memory, ..Default::default() };
         Dataset::load(folder.path(), &options, Progress::NONE)
     };
+    let says = |refused: ashsplat::Result<Dataset>, words: &str| {
+        let message = refused.unwrap_err().to_string();
+        assert!(message.contains(words) && message.contains("--max-host-memory"), "{message}");
+    };
     let whole = Resolution::Factor(1);
     // Four bytes per pixel stay in memory, or none if there is a file for them.
     let (cost, refused) = Cost::of(|| load(30 << 20, whole, None));
-    let message = refused.unwrap_err().to_string();
-    let words =
-        "transforms.json: keeping its 1 photos in memory (-r makes them smaller) needs 48000000 bytes";
-    assert!(message.contains(words) && message.contains("--max-host-memory"), "{message}");
+    says(
+        refused,
+        "transforms.json: keeping its 1 photos in memory (-r makes them smaller) needs 48000000 bytes",
+    );
     assert!(cost.bytes < 4 << 20, "{cost:?}");
-    let refused = load(60 << 20, whole, None).unwrap_err().to_string();
-    assert!(refused.contains("what --max-host-memory leaves beside the photos kept"), "{refused}");
+    says(load(60 << 20, whole, None), "what --max-host-memory leaves beside the photos kept");
     let in_a_file = || Some(PhotoMemory { bytes: u64::MAX, folder: folder.path().into() });
     let (cost, refused) = Cost::of(|| load(30 << 20, whole, in_a_file()));
-    let message = refused.unwrap_err().to_string();
-    assert!(
-        message.contains("images/a.png: reading it needs ") && message.contains("--max-host-memory"),
-        "{message}"
-    );
+    says(refused, "images/a.png: reading it needs ");
     assert!(cost.bytes < 4 << 20, "{cost:?}");
     let loaded = load(60 << 20, whole, in_a_file()).unwrap();
     assert!(
@@ -121,17 +114,9 @@ fn photos_beyond_the_bound_are_refused_before_they_are_decoded() {
 
 #[test]
 fn scenes_beyond_the_bound_are_refused_before_they_are_read() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
+    let (_turn, folder, _) = alone("");
     let count = 200_000;
-    let gaussians = Gaussians {
-        sh_degree: 3,
-        means: (0..count as u32).map(|i| [i.wrapping_mul(2_654_435_761) as f32 * 1e-7, 0.0, 1.0]).collect(),
-        quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
-        log_scales: vec![[-3.0; 3]; count],
-        opacity_logits: vec![0.5; count],
-        sh: vec![[0.1; 3]; 16 * count],
-    };
+    let gaussians = gaussians(count, 3);
     for name in ["a.spz", "a.ply", "a.glb"] {
         let path = folder.path().join(name);
         splats::write(&path, &gaussians, &WriteOptions::default()).unwrap();
@@ -148,8 +133,7 @@ fn scenes_beyond_the_bound_are_refused_before_they_are_read() {
 #[test]
 fn json_takes_little_memory() {
     const BYTES: usize = 4 << 20;
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
+    let (_turn, folder, _) = alone("");
     let path = |name: &str| folder.path().join(name);
     let write = |name: &str, head: &str, unit: &str, tail: &str| {
         let text = format!("{head}{}{tail}", unit.repeat(BYTES / unit.len()));
@@ -191,18 +175,9 @@ fn json_takes_little_memory() {
 /// Only one encoder is open at a time, and the packed Gaussians are not kept in memory.
 #[test]
 fn writing_spz_takes_little_memory() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.spz");
-    let gaussians = Gaussians {
-        sh_degree: 3,
-        means: (0..100_000).map(|i| [i as f32 * 1e-3, 0.0, 1.0]).collect(),
-        quats: vec![[1.0, 0.0, 0.0, 0.0]; 100_000],
-        log_scales: vec![[-3.0; 3]; 100_000],
-        opacity_logits: vec![0.5; 100_000],
-        sh: vec![[0.1; 3]; 1_600_000],
-    };
-    let peak = peak_mib(|| drop(splats::write(&path, &gaussians, &WriteOptions::default()).unwrap()));
+    let (_turn, _folder, path) = alone("a.spz");
+    let peak =
+        peak_mib(|| drop(splats::write(&path, &gaussians(100_000, 3), &WriteOptions::default()).unwrap()));
     assert!(peak < 60, "{peak} MiB");
 }
 
@@ -242,8 +217,7 @@ fn old_spz(path: &Path, count: u32, flags: u8, behind: &[u8]) {
 /// The reader unpacks one block of each plane at a time, whatever the unpacked size.
 #[test]
 fn reading_spz_takes_little_memory() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
+    let (_turn, folder, _) = alone("");
     let [old, new, out] = ["old.spz", "new.spz", "out.splat"].map(|name| folder.path().join(name));
     let count = 1_500_000;
     old_spz(&old, count, 0, &[]);
@@ -258,9 +232,7 @@ fn reading_spz_takes_little_memory() {
 
 #[test]
 fn damaged_old_spz_are_found() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.spz");
+    let (_turn, _folder, path) = alone("a.spz");
     let read = || splats::read(&path, &ReadOptions::default()).map_err(|error| error.to_string());
     for count in [1, 20_000] {
         old_spz(&path, count, 0, &[]);

@@ -14,10 +14,11 @@ mod photos;
 mod scenes;
 
 use std::alloc::System;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use ashsplat::scene::Gaussians;
 use cap::Cap;
 
 use crate::cost::counter::STEPS;
@@ -32,6 +33,13 @@ static MEMORY: Cap<System> = Cap::new(System, usize::MAX);
 pub(crate) fn turn() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The turn, with a temporary folder and the path of a file in it.
+fn alone(name: &str) -> (MutexGuard<'static, ()>, tempfile::TempDir, PathBuf) {
+    let (turn, folder) = (turn(), tempfile::tempdir().unwrap());
+    let path = folder.path().join(name);
+    (turn, folder, path)
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -68,7 +76,18 @@ fn inspect(folder: &Path) -> DatasetReport {
     Dataset::inspect(folder, &DatasetOptions::default(), Progress::NONE)
 }
 
-/// Runs work with a small stack.
+fn gaussians(count: usize, sh_degree: u32) -> Gaussians {
+    let coefficients = (sh_degree as usize + 1).pow(2);
+    Gaussians {
+        sh_degree,
+        means: (0..count as u32).map(|i| [i.wrapping_mul(2_654_435_761) as f32 * 1e-7, 0.0, 1.0]).collect(),
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
+        log_scales: vec![[-3.0; 3]; count],
+        opacity_logits: vec![0.5; count],
+        sh: vec![[0.1; 3]; coefficients * count],
+    }
+}
+
 fn on_a_small_stack(work: impl FnOnce() + Send + 'static) {
     let _turn = turn();
     std::thread::Builder::new().stack_size(256 << 10).spawn(work).unwrap().join().unwrap();

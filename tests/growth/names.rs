@@ -73,39 +73,43 @@ fn folders_within_folders_need_no_stack() {
     });
 }
 
+/// Folders that are not there, or that are.
 #[test]
 fn a_path_of_many_folders_that_leads_out() {
-    for key in ["file_path", "mask_path"] {
-        let write = |folder: &Path, size: usize| write(folder, &["../".to_owned() + &"a/".repeat(size)], key);
-        assert_linear(500, write, |folder| refused(folder, "leads out of the folder"));
+    for (key, step, size) in
+        [("file_path", "a/", 500), ("mask_path", "a/", 500), ("file_path", "images/", 128)]
+    {
+        let write = |folder: &Path, size: usize| {
+            write(folder, &["../".to_owned() + &step.repeat(size)], key);
+            std::fs::create_dir_all(folder.join("images/".repeat(16))).unwrap();
+        };
+        assert_linear(size, write, |folder| refused(folder, "leads out of the folder"));
     }
 }
 
+/// Paths of frames that lead out; photos that are missing, each with its own lens; and photos under another case,
+/// for which a folder is listed once, instead of once per name.
 #[test]
-fn a_path_of_many_folders_that_are_there() {
-    let write = |folder: &Path, size: usize| {
-        write(folder, &["../".to_owned() + &"images/".repeat(size)], "file_path");
-        std::fs::create_dir_all(folder.join("images/".repeat(16))).unwrap();
+fn many_paths() {
+    let paths = |size: usize, path: &dyn Fn(usize) -> String| (0..size).map(path).collect::<Vec<String>>();
+    let write_outside = |folder: &Path, size: usize| {
+        write(folder, &paths(size, &|index| format!("/home/me/{index}/images/A.png")), "file_path");
     };
-    assert_linear(128, write, |folder| refused(folder, "leads out of the folder"));
-}
-
-#[test]
-fn many_paths_that_lead_out() {
-    let paths =
-        |size: usize| (0..size).map(|index| format!("/home/me/{index}/images/A.png")).collect::<Vec<_>>();
-    let write = |folder: &Path, size: usize| write(folder, &paths(size), "file_path");
-    assert_linear(100, write, |folder| assert!(inspect(folder).is_sound()));
-}
-
-/// Every frame has a different lens.
-#[test]
-fn many_missing_photos() {
-    let paths = |size: usize| (0..size).map(|index| format!("images/{index}.png")).collect::<Vec<_>>();
-    let write_all = |folder: &Path, size: usize| write(folder, &paths(size), "file_path");
-    assert_linear(250, write_all, |folder| assert!(inspect(folder).problems.len() >= 250));
-    let write_all = |folder: &Path, size: usize| colmap(folder, &paths(size));
-    assert_linear(250, write_all, |folder| assert!(inspect(folder).problems.len() >= 250));
+    assert_linear(100, write_outside, |folder| assert!(inspect(folder).is_sound()));
+    let missing = |size| paths(size, &|index| format!("images/{index}.png"));
+    let of_frames = |folder: &Path, size: usize| write(folder, &missing(size), "file_path");
+    let of_a_model = |folder: &Path, size: usize| colmap(folder, &missing(size));
+    for write in [&of_frames as &dyn Fn(&Path, usize), &of_a_model] {
+        assert_linear(250, write, |folder| assert!(inspect(folder).problems.len() >= 250));
+    }
+    let of_another_case = |folder: &Path, size: usize| {
+        write(folder, &paths(size, &|index| format!("images/img_{index}.png")), "file_path");
+        for index in 0..size {
+            std::fs::copy(folder.join("images/a.png"), folder.join(format!("images/IMG_{index}.PNG")))
+                .unwrap();
+        }
+    };
+    assert_linear(100, of_another_case, |folder| assert!(inspect(folder).is_sound()));
 }
 
 /// macOS stores accents separately from their letters, other systems as one character.
@@ -121,18 +125,4 @@ fn accents_are_found_in_either_form() {
         let report = inspect(folder.path());
         assert!(report.is_sound(), "{report}");
     }
-}
-
-/// A folder is listed once, instead of once per name.
-#[test]
-fn many_photos_under_another_case() {
-    let paths = |size: usize| (0..size).map(|index| format!("images/img_{index}.png")).collect::<Vec<_>>();
-    let write = |folder: &Path, size: usize| {
-        write(folder, &paths(size), "file_path");
-        let photo = folder.join("images/a.png");
-        for index in 0..size {
-            std::fs::copy(&photo, folder.join(format!("images/IMG_{index}.PNG"))).unwrap();
-        }
-    };
-    assert_linear(100, write, |folder| assert!(inspect(folder).is_sound()));
 }

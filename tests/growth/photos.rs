@@ -7,7 +7,7 @@ use image::{DynamicImage, RgbImage};
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 
 use super::memory::peak_mib;
-use super::{assert_linear, turn};
+use super::{alone, assert_linear};
 use crate::HostMemory;
 use crate::images::{Photo, PhotoFileFormat, Request, read_as};
 
@@ -24,9 +24,7 @@ fn picture(width: u32, height: u32) -> DynamicImage {
 /// Scaling during decoding gives the same bits as scaling the whole picture, in every colour type.
 #[test]
 fn rows_have_the_bits_of_whole_photos() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.png");
+    let (_turn, _folder, path) = alone("a.png");
     let memory = HostMemory::default();
     let all = picture(61, 47);
     let kinds: [(&str, DynamicImage); 10] = [
@@ -64,9 +62,7 @@ fn rows_have_the_bits_of_whole_photos() {
 /// Scaling down a large PNG keeps only a few rows in memory, within the forecast.
 #[test]
 fn large_photos_that_are_scaled_down_take_little_memory() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.png");
+    let (_turn, _folder, path) = alone("a.png");
     let (width, height) = (6000, 4000);
     let rgb = (0..width * height).flat_map(|i| [(i % width / 24) as u8, (i / width / 16) as u8, 9]).collect();
     Photo { width, height, rgb }.write_png(&path).unwrap();
@@ -155,9 +151,7 @@ fn jpegs_of_many_parts() {
 /// Each pass covers the whole picture, so the work for many passes would be quadratic.
 #[test]
 fn jpegs_of_many_passes_are_refused() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.jpg");
+    let (_turn, _folder, path) = alone("a.jpg");
     let whole = jpeg(64, 64, "passes");
     let scan = whole.windows(2).rposition(|w| w == [0xff, 0xda]).unwrap();
     let (before, last) = whole[..whole.len() - 2].split_at(scan);
@@ -202,9 +196,7 @@ fn pngs_of_many_chunks() {
 /// An end marker after half of the data does not make it complete: an aborted transfer may write one.
 #[test]
 fn jpegs_cut_short_before_an_end_marker_are_found() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.jpg");
+    let (_turn, _folder, path) = alone("a.jpg");
     for kind in ["plain", "4:2:0", "own tables", "restarts", "grey", "passes"] {
         for (width, height) in [(8, 8), (33, 17), (96, 64)] {
             let whole = jpeg(width, height, kind);
@@ -225,9 +217,7 @@ fn jpegs_cut_short_before_an_end_marker_are_found() {
 /// With another crate's encoder, at sizes around its block size: complete files are not taken for truncated ones.
 #[test]
 fn whole_jpegs_of_every_size_are_read() {
-    let _turn = turn();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.jpg");
+    let (_turn, _folder, path) = alone("a.jpg");
     for side in 1..40 {
         let size = (side, 1 + side * 7 % 23);
         for kind in ["plain", "4:2:0", "restarts", "grey", "passes"] {

@@ -5,12 +5,11 @@ use std::io::Error;
 use ashsplat::scene::Gaussians;
 use ashsplat_files::{atomic, ply};
 
-use super::files::names;
+use super::files::{Folder, assert_says, names, refusal};
 
 #[test]
 fn a_failing_writer_leaves_the_old_file_and_nothing_else() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.ply");
+    let (folder, path) = Folder::with("scene.ply");
     atomic::write(&path, |w| w.write_all(b"old")).unwrap();
     let error = atomic::write(&path, |w| {
         w.write_all(&[0; 3 << 20])?;
@@ -18,44 +17,40 @@ fn a_failing_writer_leaves_the_old_file_and_nothing_else() {
     });
     let message = error.unwrap_err().to_string();
     assert_eq!(message, format!("{}: cannot write: disk full", path.display()));
-    assert_eq!(names(folder.path()), ["scene.ply"]);
+    assert_eq!(names(&folder), ["scene.ply"]);
     assert_eq!(std::fs::read(&path).unwrap(), b"old");
 }
 
 #[test]
 fn a_panicking_writer_leaves_nothing() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.ply");
+    let (folder, path) = Folder::with("scene.ply");
     let result = std::panic::catch_unwind(|| atomic::write(&path, |_| panic!("on purpose")));
     assert!(result.is_err());
-    assert_eq!(names(folder.path()), [""; 0]);
+    assert_eq!(names(&folder), [""; 0]);
 }
 
 #[test]
 fn missing_folders_and_folders_in_the_way_are_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("no/such/scene.ply");
-    let message = ply::write(&path, &Gaussians::default()).unwrap_err().to_string();
-    assert!(message.starts_with(&format!("{}: cannot write: No such file", path.display())), "{message}");
+    let (folder, path) = Folder::with("no/such/scene.ply");
+    let message = refusal(&path, ply::write(&path, &Gaussians::default()));
+    assert_says(&message, &["scene.ply: cannot write: No such file"]);
     assert!(!message.contains(".tmp\""), "{message}");
-    let message = ply::write(folder.path(), &Gaussians::default()).unwrap_err().to_string();
-    assert!(message.starts_with(folder.path().to_str().unwrap()), "{message}");
-    assert_eq!(names(folder.path()), [""; 0]);
+    refusal(&folder, ply::write(&folder, &Gaussians::default()));
+    assert_eq!(names(&folder), [""; 0]);
     assert!(ply::write("", &Gaussians::default()).is_err());
 }
 
 #[test]
 fn a_new_file_replaces_a_longer_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a");
+    let (folder, path) = Folder::with("a");
     for text in ["a long text", "short"] {
         atomic::write(&path, |w| w.write_all(text.as_bytes())).unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
     }
-    atomic::create_folder(folder.path().join("b/c")).unwrap();
-    atomic::create_folder(folder.path().join("b/c")).unwrap();
-    let message = atomic::create_folder(path.join("below a file")).unwrap_err().to_string();
-    assert!(message.contains("below a file: cannot create: "), "{message}");
+    atomic::create_folder(folder.join("b/c")).unwrap();
+    atomic::create_folder(folder.join("b/c")).unwrap();
+    let below = path.join("below a file");
+    assert_says(refusal(&below, atomic::create_folder(&below)), &["cannot create: "]);
 }
 
 #[cfg(target_os = "linux")]
@@ -74,8 +69,8 @@ fn a_full_disk_is_named() {
 #[test]
 fn permissions_are_usual_and_links_are_followed() {
     use std::os::unix::fs::{PermissionsExt, symlink};
-    let folder = tempfile::tempdir().unwrap();
-    let [plain, written, link] = ["plain", "written", "link"].map(|name| folder.path().join(name));
+    let folder = Folder::new();
+    let [plain, written, link] = ["plain", "written", "link"].map(|name| folder.join(name));
     std::fs::write(&plain, "x").unwrap();
     atomic::write(&written, |w| w.write_all(b"x")).unwrap();
     let mode = |path: &std::path::Path| std::fs::metadata(path).unwrap().permissions().mode();

@@ -5,7 +5,7 @@ use ashsplat_files::cameras_json;
 use ashsplat_files::init::seen_box;
 use glam::{DVec3, Mat3, Quat, Vec3};
 
-use super::files::names;
+use super::files::{Folder, assert_says, names, refusal};
 
 fn intrinsics() -> Intrinsics {
     Intrinsics { fx: 60.0, fy: 61.0, cx: 31.0, cy: 25.0, width: 64, height: 48 }
@@ -183,11 +183,10 @@ fn an_orbit_is_a_circle_around_its_centre() {
 
 #[test]
 fn cameras_json_has_the_names_of_the_reference_and_reads_back() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("cameras.json");
+    let (folder, path) = Folder::with("cameras.json");
     let camera = oblique();
     cameras_json::write(&path, [("a.png", &camera), ("b.png", &camera)], &WorldFrame::default()).unwrap();
-    assert_eq!(names(folder.path()), ["cameras.json"]);
+    assert_eq!(names(&folder), ["cameras.json"]);
     let mut json: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
     let entry = &json[1];
     assert_eq!((entry["id"].as_u64(), entry["img_name"].as_str()), (Some(1), Some("b.png")));
@@ -197,35 +196,30 @@ fn cameras_json_has_the_names_of_the_reference_and_reads_back() {
         assert!((entry["rotation"][axis][2].as_f64().unwrap() as f32 - camera.forward()[axis]).abs() < 1e-6);
         assert!((entry["position"][axis].as_f64().unwrap() as f32 - camera.position()[axis]).abs() < 1e-6);
     }
-    let read = cameras_json::read(&path, &WorldFrame::default()).unwrap();
-    assert_eq!(read[1].name, "b.png");
-    assert!(read[1].camera.translation.abs_diff_eq(camera.translation, 1e-5));
-    assert_eq!(read[1].camera.intrinsics(), camera.intrinsics());
-    assert!(read[1].camera.camera_from_world.abs_diff_eq(camera.camera_from_world, 1e-6));
+    let read = || cameras_json::read(&path, &WorldFrame::default());
+    let refused = || refusal(&path, read());
+    let list = read().unwrap();
+    assert_eq!(list[1].name, "b.png");
+    assert!(list[1].camera.translation.abs_diff_eq(camera.translation, 1e-5));
+    assert_eq!(list[1].camera.intrinsics(), camera.intrinsics());
+    assert!(list[1].camera.camera_from_world.abs_diff_eq(camera.camera_from_world, 1e-6));
 
     // The reference's files have no principal point.
     json[0].as_object_mut().unwrap().retain(|key, _| key != "cx" && key != "cy");
     json[1]["fx"] = 0.into();
-    let list = serde_json::Value::Array(vec![json[0].clone()]);
-    std::fs::write(&path, list.to_string()).unwrap();
-    assert_eq!(cameras_json::read(&path, &WorldFrame::default()).unwrap()[0].camera.cx, 32.0);
+    let first = serde_json::Value::Array(vec![json[0].clone()]);
+    std::fs::write(&path, first.to_string()).unwrap();
+    assert_eq!(read().unwrap()[0].camera.cx, 32.0);
     std::fs::write(&path, json.to_string()).unwrap();
-    let message = cameras_json::read(&path, &WorldFrame::default()).unwrap_err().to_string();
-    assert!(message.contains("camera 1: focal length (0, 61)"), "{message}");
+    assert_says(refused(), &["camera 1: focal length (0, 61)"]);
     std::fs::write(&path, "{}").unwrap();
-    assert!(
-        cameras_json::read(&path, &WorldFrame::default())
-            .unwrap_err()
-            .to_string()
-            .contains("is not a list of cameras")
-    );
+    assert_says(refused(), &["is not a list of cameras"]);
 }
 
 /// Positions are those of the PLY beside the file: in source units from the named origin.
 #[test]
 fn cameras_json_keeps_the_origin() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("cameras.json");
+    let (_folder, path) = Folder::with("cameras.json");
     let parallel = oblique().orthographic();
     let origin = DVec3::new(500_000.0, 5_000_000.0, 120.0);
     let frame = WorldFrame { origin, unit: 0.01 };

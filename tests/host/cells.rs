@@ -4,12 +4,13 @@ use ashsplat::scene::{Bounds, Cells};
 use glam::Vec3;
 use proptest::prelude::*;
 
+use super::files::assert_says;
+
 /// Cells whose boxes contain a position.
 fn holders(cells: &Cells, place: Vec3) -> Vec<usize> {
     (0..cells.bounds().len()).filter(|&cell| cells.bounds()[cell].contains(place)).collect()
 }
 
-/// Positions on borders and next to them.
 fn around_borders(cells: &Cells) -> Vec<Vec3> {
     let sides = |axis: usize| {
         let all = cells.bounds().iter().flat_map(move |b| [b.min[axis], b.max[axis]]);
@@ -73,7 +74,7 @@ fn what_is_nowhere_is_in_no_cell() {
     assert!(holders(&cells, Vec3::new(0.0, f32::NAN, 0.0)).is_empty());
     assert!(Cells::divide(&[], 1).is_err() && Cells::divide(&[[0.0; 3]], 0).is_err());
     let crowd = Cells::divide(&[[1.0, 2.0, 3.0]; 5], 4).unwrap_err().to_string();
-    assert!(crowd.contains("5 Gaussians are at [1, 2, 3]"), "{crowd}");
+    assert_says(&crowd, &["5 Gaussians are at [1, 2, 3]"]);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat_files::colmap::{self, CameraModel, ColmapCamera, ColmapImage, Model};
 use glam::Vec3;
 
-use super::files::{for_each_mutation, for_each_truncation, names};
+use super::files::{Folder, assert_says, for_each_mutation, for_each_truncation, names, refusal};
 
 struct Parts {
     cameras: Vec<ColmapCamera>,
@@ -74,22 +74,20 @@ fn assert_same(model: &Model, parts: &Parts) {
 }
 
 fn error(dataset: &Path) -> String {
-    let message = Model::of_dataset(dataset).unwrap_err().to_string();
-    assert!(message.starts_with(dataset.to_str().unwrap()) && !message.contains('\n'), "{message}");
-    message
+    refusal(dataset, Model::of_dataset(dataset))
 }
 
 #[test]
 fn binary_round_trip_and_text_are_equal() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     let parts = parts();
-    write(folder.path(), "binary/sparse/0", &parts);
-    write_text(&folder.path().join("text/sparse/0"), &parts);
-    assert_eq!(names(&folder.path().join("binary/sparse/0")), ["cameras.bin", "images.bin", "points3D.bin"]);
-    let binary = Model::of_dataset(folder.path().join("binary")).unwrap();
+    write(&folder, "binary/sparse/0", &parts);
+    write_text(&folder.join("text/sparse/0"), &parts);
+    assert_eq!(names(&folder.join("binary/sparse/0")), ["cameras.bin", "images.bin", "points3D.bin"]);
+    let binary = Model::of_dataset(folder.join("binary")).unwrap();
     assert_same(&binary, &parts);
     assert!(binary.warnings.is_empty() && !binary.source.text);
-    let text = Model::of_dataset(folder.path().join("text")).unwrap();
+    let text = Model::of_dataset(folder.join("text")).unwrap();
     assert_same(&text, &parts);
     assert!(text.warnings.is_empty() && text.source.text);
     // The pose survives the conversion to a quaternion.
@@ -106,12 +104,12 @@ fn every_place_of_a_model_is_found() {
     for (place, text) in
         [("sparse/0", false), ("sparse", false), (".", false), ("sparse/0", true), ("sparse", true)]
     {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Folder::new();
         match text {
-            true => write_text(&folder.path().join(place), &parts),
-            false => write(folder.path(), place, &parts),
+            true => write_text(&folder.join(place), &parts),
+            false => write(&folder, place, &parts),
         }
-        let model = Model::of_dataset(folder.path()).unwrap();
+        let model = Model::of_dataset(&folder).unwrap();
         assert_same(&model, &parts);
         assert_eq!((model.source.text, model.warnings.len()), (text, 0), "{place}");
     }
@@ -119,83 +117,69 @@ fn every_place_of_a_model_is_found() {
 
 #[test]
 fn binary_is_preferred_to_text_and_folders_without_model_are_passed_over() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     let all = parts();
-    write(folder.path(), "sparse/1", &all);
+    write(&folder, "sparse/1", &all);
     let fewer = Parts { images: all.images[..1].to_vec(), ..parts() };
-    write_text(&folder.path().join("sparse/1"), &fewer);
-    std::fs::create_dir_all(folder.path().join("sparse/0")).unwrap();
-    let model = Model::of_dataset(folder.path()).unwrap();
+    write_text(&folder.join("sparse/1"), &fewer);
+    std::fs::create_dir_all(folder.join("sparse/0")).unwrap();
+    let model = Model::of_dataset(&folder).unwrap();
     assert_same(&model, &all);
     assert!(model.warnings.is_empty());
     // The text was edited after the conversion.
-    let images =
-        std::fs::File::options().append(true).open(folder.path().join("sparse/1/images.txt")).unwrap();
+    let images = std::fs::File::options().append(true).open(folder.join("sparse/1/images.txt")).unwrap();
     images.set_modified(SystemTime::now() + Duration::from_secs(9)).unwrap();
-    let model = Model::of_dataset(folder.path()).unwrap();
+    let model = Model::of_dataset(&folder).unwrap();
     assert!(model.warnings[0].contains("images.txt is newer than images.bin, which is used"));
 }
 
 #[test]
 fn the_largest_of_several_is_taken() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     let all = parts();
     let images = |n: usize| Parts { images: all.images[..n].to_vec(), ..parts() };
     let no_points = Parts { points: PointCloud::default(), ..parts() };
-    write(folder.path(), "sparse/0", &images(2));
-    write(folder.path(), "sparse/10", &all);
-    write(folder.path(), "sparse/2", &no_points);
-    write_text(&folder.path().join("sparse/3"), &images(1));
+    write(&folder, "sparse/0", &images(2));
+    write(&folder, "sparse/10", &all);
+    write(&folder, "sparse/2", &no_points);
+    write_text(&folder.join("sparse/3"), &images(1));
     let chosen = |expected: &str| {
-        let found = colmap::find(folder.path()).unwrap();
-        assert_eq!(found.folder, folder.path().join("sparse").join(expected));
+        let found = colmap::find(&folder).unwrap();
+        assert_eq!(found.folder, folder.join("sparse").join(expected));
         assert!(found.warning.unwrap().contains(&format!("sparse/{expected}, the largest")));
     };
     chosen("10");
-    write_text(&folder.path().join("sparse/3"), &all);
+    write_text(&folder.join("sparse/3"), &all);
     // Among equally large models, the lowest number.
     chosen("3");
-    std::fs::remove_dir_all(folder.path().join("sparse/3")).unwrap();
-    std::fs::remove_dir_all(folder.path().join("sparse/10")).unwrap();
+    std::fs::remove_dir_all(folder.join("sparse/3")).unwrap();
+    std::fs::remove_dir_all(folder.join("sparse/10")).unwrap();
     chosen("2");
 }
 
 #[test]
 fn what_is_missing_is_named() {
-    let folder = tempfile::tempdir().unwrap();
-    assert!(error(&folder.path().join("none")).contains("none: cannot read"));
+    let folder = Folder::new();
+    assert!(error(&folder.join("none")).contains("none: cannot read"));
     assert!(
-        error(folder.path())
-            .contains("has no COLMAP model (sparse/0/cameras.bin or .txt) and no transforms.json")
+        error(&folder).contains("has no COLMAP model (sparse/0/cameras.bin or .txt) and no transforms.json")
     );
-    write(folder.path(), "sparse/0", &parts());
-    let model = folder.path().join("sparse/0");
+    write(&folder, "sparse/0", &parts());
+    let model = folder.join("sparse/0");
     std::fs::remove_file(model.join("cameras.bin")).unwrap();
-    assert!(error(folder.path()).contains("the model has no cameras.bin"));
+    assert!(error(&folder).contains("the model has no cameras.bin"));
     std::fs::remove_file(model.join("images.bin")).unwrap();
-    assert!(error(folder.path()).contains("has no COLMAP model"));
-    let file = folder.path().join("file");
+    assert!(error(&folder).contains("has no COLMAP model"));
+    let file = folder.join("file");
     std::fs::write(&file, "x").unwrap();
     assert!(error(&file).contains("is not a folder"));
 }
 
 #[test]
-fn no_truncation_of_a_binary_model_is_accepted() {
-    let folder = tempfile::tempdir().unwrap();
-    write(folder.path(), "sparse/0", &parts());
-    for part in ["cameras", "images", "points3D"] {
-        let path = folder.path().join("sparse/0").join(part).with_extension("bin");
-        let bytes = std::fs::read(&path).unwrap();
-        for_each_truncation(&path, &bytes, |_| assert!(error(folder.path()).contains(part)));
-        std::fs::write(&path, &bytes).unwrap();
-    }
-}
-
-#[test]
-fn no_mutation_panics() {
-    let folder = tempfile::tempdir().unwrap();
+fn no_truncation_of_a_binary_model_is_accepted_and_no_mutation_panics() {
+    let folder = Folder::new();
     let check = || {
-        if let Ok(model) = Model::of_dataset(folder.path()) {
+        if let Ok(model) = Model::of_dataset(&folder) {
             assert_eq!(model.points.colors.len(), model.points.len());
             for image in &model.images {
                 if let Ok(camera) = model.camera_of(image) {
@@ -207,26 +191,29 @@ fn no_mutation_panics() {
     };
     for text in [false, true] {
         match text {
-            true => write_text(&folder.path().join("sparse/0"), &parts()),
-            false => write(folder.path(), "sparse/0", &parts()),
+            true => write_text(&folder.join("sparse/0"), &parts()),
+            false => write(&folder, "sparse/0", &parts()),
         }
         for part in ["cameras", "images", "points3D"] {
             let ending = if text { "txt" } else { "bin" };
-            let path = folder.path().join("sparse/0").join(part).with_extension(ending);
+            let path = folder.join("sparse/0").join(part).with_extension(ending);
             let bytes = std::fs::read(&path).unwrap();
-            for_each_mutation(&path, &bytes, |_| check());
-            for_each_truncation(&path, &bytes, |_| check());
+            for_each_mutation(&path, &bytes, check);
+            for_each_truncation(&path, &bytes, |_| match text {
+                true => check(),
+                false => assert!(error(&folder).contains(part)),
+            });
             std::fs::write(&path, &bytes).unwrap();
         }
-        assert_same(&Model::of_dataset(folder.path()).unwrap(), &parts());
-        std::fs::remove_dir_all(folder.path().join("sparse")).unwrap();
+        assert_same(&Model::of_dataset(&folder).unwrap(), &parts());
+        std::fs::remove_dir_all(folder.join("sparse")).unwrap();
     }
 }
 
 #[test]
 fn text_errors_name_the_line() {
-    let folder = tempfile::tempdir().unwrap();
-    let model = folder.path().join("sparse/0");
+    let folder = Folder::new();
+    let model = folder.join("sparse/0");
     for (part, text, words) in [
         ("cameras", "1 PINHOLE 64 48 1 2 3", "cameras.txt: line 1: the parameter is missing"),
         ("cameras", "# x\n1 PINHOLE 64 48 1 2 3 4 5", "line 2: has more values than its camera model"),
@@ -249,15 +236,15 @@ fn text_errors_name_the_line() {
     ] {
         write_text(&model, &parts());
         std::fs::write(model.join(part).with_extension("txt"), text).unwrap();
-        assert!(error(folder.path()).contains(words), "{}", error(folder.path()));
+        assert_says(error(&folder), &[words]);
     }
 }
 
 /// Other programs omit the lines of observations, or insert blank lines, whatever the names are.
 #[test]
 fn images_are_told_from_observations_by_their_words() {
-    let folder = tempfile::tempdir().unwrap();
-    let model = folder.path().join("sparse/0");
+    let folder = Folder::new();
+    let model = folder.join("sparse/0");
     let parts = Parts { points: PointCloud::default(), ..parts() };
     let three_words = ["one.png", "shot 2.png", "my shot 3.png"];
     for between in ["", "\n", "\n\n", "1.5 2.5 -1\n", "\n1.5 2.5 -1 10 2e1 3\n\n"] {
@@ -267,7 +254,7 @@ fn images_are_told_from_observations_by_their_words() {
             text += &format!("{id} 1 0 0 0 0 0 0 7 {name}\n{between}");
         }
         std::fs::write(model.join("images.txt"), text).unwrap();
-        let read = Model::of_dataset(folder.path()).unwrap();
+        let read = Model::of_dataset(&folder).unwrap();
         let names: Vec<&str> = read.images.iter().map(|image| image.name.as_str()).collect();
         assert_eq!(names, three_words, "{between:?}");
         assert_eq!(colmap::observations(&read).unwrap().len(), 3);
@@ -276,42 +263,42 @@ fn images_are_told_from_observations_by_their_words() {
 
 #[test]
 fn text_may_have_a_byte_order_mark_or_be_latin_1() {
-    let folder = tempfile::tempdir().unwrap();
-    let model = folder.path().join("sparse/0");
+    let folder = Folder::new();
+    let model = folder.join("sparse/0");
     write_text(&model, &parts());
     for part in ["cameras", "images", "points3D"] {
         let path = model.join(part).with_extension("txt");
         let text = std::fs::read(&path).unwrap();
         std::fs::write(&path, [b"\xef\xbb\xbf", &*text].concat()).unwrap();
     }
-    assert_same(&Model::of_dataset(folder.path()).unwrap(), &parts());
+    assert_same(&Model::of_dataset(&folder).unwrap(), &parts());
     let images = std::fs::read_to_string(model.join("images.txt")).unwrap();
     let latin_1: Vec<u8> = images.chars().skip(1).map(|c| u8::try_from(c).unwrap()).collect();
     std::fs::write(model.join("images.txt"), latin_1).unwrap();
-    assert_same(&Model::of_dataset(folder.path()).unwrap(), &parts());
+    assert_same(&Model::of_dataset(&folder).unwrap(), &parts());
     let utf_16: Vec<u8> = images.encode_utf16().flat_map(u16::to_le_bytes).collect();
     std::fs::write(model.join("images.txt"), utf_16).unwrap();
-    assert!(error(folder.path()).contains("images.txt: is text in UTF-16; save it in UTF-8"));
+    assert!(error(&folder).contains("images.txt: is text in UTF-16; save it in UTF-8"));
     std::fs::write(model.join("images.txt"), images.replace('\n', "\r")).unwrap();
-    assert!(error(folder.path()).contains("images.txt: ends its lines with CR alone"));
+    assert!(error(&folder).contains("images.txt: ends its lines with CR alone"));
 }
 
 /// Points may be in points3D.ply, as the reference reads it.
 #[test]
 fn points_may_be_a_ply() {
-    let folder = tempfile::tempdir().unwrap();
-    let model = folder.path().join("sparse/0");
-    write(folder.path(), "sparse/0", &parts());
+    let folder = Folder::new();
+    let model = folder.join("sparse/0");
+    write(&folder, "sparse/0", &parts());
     let more = PointCloud { positions: vec![[1.0; 3]; 9], colors: vec![[7; 3]; 9] };
     ashsplat_files::ply::write_points(model.join("points3D.ply"), &more, &WorldFrame::default()).unwrap();
     let points = |read: &Model| read.points.clone().in_frame(&WorldFrame::default());
-    let read = Model::of_dataset(folder.path()).unwrap();
+    let read = Model::of_dataset(&folder).unwrap();
     assert_eq!(points(&read), parts().points);
-    assert!(read.warnings[0].contains("points3D.ply: has other points than"), "{:?}", read.warnings);
+    assert_says(&read.warnings[0], &["points3D.ply: has other points than"]);
     std::fs::write(model.join("points3D.bin"), 0_u64.to_le_bytes()).unwrap();
-    assert_eq!(points(&Model::of_dataset(folder.path()).unwrap()), more);
+    assert_eq!(points(&Model::of_dataset(&folder).unwrap()), more);
     std::fs::remove_file(model.join("points3D.bin")).unwrap();
-    let read = Model::of_dataset(folder.path()).unwrap();
+    let read = Model::of_dataset(&folder).unwrap();
     assert_eq!((points(&read), read.warnings.len()), (more, 0));
     assert!(colmap::observations(&read).is_ok());
 }
@@ -332,22 +319,22 @@ fn names_stay_in_the_images_folder() {
 
 #[test]
 fn what_cannot_be_written_is_refused() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     let mut parts = parts();
     parts.cameras[0].parameters.pop();
-    assert!(colmap::write(folder.path(), &parts.cameras, &[], &parts.points).is_err());
+    assert!(colmap::write(&folder, &parts.cameras, &[], &parts.points).is_err());
     parts.images[0].name = "a\0b".into();
-    assert!(colmap::write(folder.path(), &[], &parts.images, &parts.points).is_err());
-    assert_eq!(names(folder.path()), [""; 0]);
+    assert!(colmap::write(&folder, &[], &parts.images, &parts.points).is_err());
+    assert_eq!(names(&folder), [""; 0]);
 }
 
 /// In text, points have the ids 0, 1, …; in binary 1, 2, ….
 #[test]
 fn observations_are_those_of_the_points_that_exist() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     let parts = parts();
-    write_text(&folder.path().join("text/sparse/0"), &parts);
-    write(folder.path(), "binary/sparse/0", &parts);
+    write_text(&folder.join("text/sparse/0"), &parts);
+    write(&folder, "binary/sparse/0", &parts);
     let mut images = 3_u64.to_le_bytes().to_vec();
     for (index, image) in parts.images.iter().enumerate() {
         let seen: &[([f64; 2], u64)] = match index {
@@ -365,9 +352,9 @@ fn observations_are_those_of_the_points_that_exist() {
             images.extend(point.to_le_bytes());
         }
     }
-    std::fs::write(folder.path().join("binary/sparse/0/images.bin"), images).unwrap();
+    folder.put("binary/sparse/0/images.bin", images);
     for name in ["text", "binary"] {
-        let all = colmap::observations(&Model::of_dataset(folder.path().join(name)).unwrap()).unwrap();
+        let all = colmap::observations(&Model::of_dataset(folder.join(name)).unwrap()).unwrap();
         assert_eq!(all.len(), 3, "{name}");
         let [point] = all[&12][..] else { panic!("{name}: {:?}", all[&12]) };
         assert_eq!(point.position_px, [3.0, 4.0], "{name}");

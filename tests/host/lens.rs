@@ -10,10 +10,12 @@ use proptest::prelude::*;
 
 use crate::common::lenses::write;
 
+use super::files::Folder;
+
 fn lenses() -> Vec<Lens> {
-    let folder = tempfile::tempdir().unwrap();
-    write(folder.path());
-    let model = Model::of_dataset(folder.path()).unwrap();
+    let folder = Folder::new();
+    write(&folder);
+    let model = Model::of_dataset(&folder).unwrap();
     model.cameras.values().map(|camera| model.lens(camera).unwrap()).collect()
 }
 
@@ -109,11 +111,11 @@ fn the_pinhole_is_inscribed() {
 /// Distortion is no problem: a note names it and the size used.
 #[test]
 fn what_happens_to_distorted_photos_is_no_warning() {
-    let folder = tempfile::tempdir().unwrap();
-    write(folder.path());
+    let folder = Folder::new();
+    write(&folder);
     for (resolution, end) in [("1", ""), ("2", " (-r 2)")] {
         let options = DatasetOptions { resolution: resolution.parse().unwrap(), ..Default::default() };
-        let gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
+        let gallery = Gallery::open(&folder, &options, Progress::NONE).unwrap();
         // The largest photo, because the cameras have several sizes.
         let largest = gallery.train_photos().iter().map(|photo| photo.width * photo.height).max();
         let photos = gallery.train_photos();
@@ -121,11 +123,7 @@ fn what_happens_to_distorted_photos_is_no_warning() {
         let used = format!("used at up to {}x{} pixels{end}", size.width, size.height);
         let [note] = gallery.notes() else { panic!("{:?}", gallery.notes()) };
         assert!(note.contains("all 6 cameras have lens distortion") && note.ends_with(&used), "{note}");
-        assert!(
-            gallery.warnings().iter().all(|warning| !warning.contains("lens")),
-            "{:?}",
-            gallery.warnings()
-        );
+        assert!(!gallery.warnings().concat().contains("lens"), "{:?}", gallery.warnings());
     }
 }
 

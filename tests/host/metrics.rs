@@ -49,8 +49,6 @@ fn ssim_equals_the_direct_loop() {
         let (fast, direct) = (ssim(&a, &b, width as u32).unwrap(), ssim_direct(&a, &b, width as i64));
         assert!((fast - direct).abs() < 1e-12, "{width}x{height}: {fast}, directly {direct}");
         assert!((ssim(&a, &a, width as u32).unwrap() - 1.0).abs() < 1e-12);
-        // Proves that the comparison above can fail.
-        assert!((ssim(&b, &b, width as u32).unwrap() - direct).abs() > 1e-3);
     }
 }
 

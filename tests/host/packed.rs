@@ -9,6 +9,8 @@ use serde_json::{Value, json};
 
 use crate::common::splats::{Tolerance, assert_close, scene, tolerance};
 
+use super::files::{Folder, assert_says};
+
 const COMPRESSION: &str = "KHR_gaussian_splatting_compression_spz_2";
 
 fn read(path: &Path) -> ashsplat::Result<Scene> {
@@ -20,6 +22,12 @@ fn write(path: &Path, gaussians: &Gaussians) {
     splats::write(path, gaussians, &options).unwrap();
 }
 
+fn spz_of(gaussians: &Gaussians) -> Vec<u8> {
+    let (_folder, path) = Folder::with("scene.spz");
+    write(&path, gaussians);
+    std::fs::read(path).unwrap()
+}
+
 /// Version 2 has 8 bits for each of x, y and z of a quaternion. w follows from them, and is least exact near 0.
 fn tolerance_of_2() -> Tolerance {
     Tolerance { rotation: 7e-3, ..tolerance(Format::Spz) }
@@ -27,9 +35,9 @@ fn tolerance_of_2() -> Tolerance {
 
 #[test]
 fn spz_2_comes_back() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     for degree in 0..=3 {
-        let (path, expected) = (folder.path().join("scene.spz"), scene(700, degree));
+        let (path, expected) = (folder.join("scene.spz"), scene(700, degree));
         write(&path, &expected);
         let mut head = [0; 16];
         flate2::read::GzDecoder::new(std::fs::File::open(&path).unwrap()).read_exact(&mut head).unwrap();
@@ -44,8 +52,7 @@ fn spz_2_comes_back() {
 /// Warnings name unknown parts of a valid file: flags that change the Gaussians, and extensions.
 #[test]
 fn unknown_parts_of_an_spz_are_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.spz");
+    let (_folder, path) = Folder::with("scene.spz");
     write(&path, &scene(20, 0));
     let mut bytes = Vec::new();
     flate2::read::GzDecoder::new(std::fs::File::open(&path).unwrap()).read_to_end(&mut bytes).unwrap();
@@ -58,8 +65,7 @@ fn unknown_parts_of_an_spz_are_named() {
         std::fs::write(&path, encoder.finish().unwrap()).unwrap();
         read(&path)
     };
-    let error = packed(0x81, &[]).unwrap_err().to_string();
-    assert!(error.contains("has flags that are not known (0x80)"), "{error}");
+    assert_says(packed(0x81, &[]).unwrap_err().to_string(), &["has flags that are not known (0x80)"]);
     let georeference = [0x01, 0, 0x53, 0x4e, 4, 0, 0, 0, 1, 2, 3, 4];
     let warnings = packed(2, &georeference).unwrap().warnings;
     assert!(warnings[0].ends_with("the extension 0x4e530001 is not used"), "{warnings:?}");
@@ -67,22 +73,21 @@ fn unknown_parts_of_an_spz_are_named() {
 
 #[test]
 fn packed_glb_comes_back() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     for degree in 0..=3 {
-        let (path, expected) = (folder.path().join("scene.glb"), scene(20_000, degree));
+        let (path, expected) = (folder.join("scene.glb"), scene(20_000, degree));
         write(&path, &expected);
         let back = read(&path).unwrap();
         assert_eq!((back.header.format, back.header.antialiased), (Format::Glb, true));
         assert_close(&back.gaussians, &expected, &tolerance_of_2());
         // 11 to 56 floats become 19 to 64 bytes.
-        let plain = folder.path().join("plain.glb");
+        let plain = folder.join("plain.glb");
         splats::write(&plain, &expected, &WriteOptions::default()).unwrap();
         let [packed, plain] = [&path, &plain].map(|path| path.metadata().unwrap().len());
         assert!(2 * packed < plain, "{packed} of {plain}");
     }
 }
 
-/// Writes a GLB that contains an SPZ.
 fn glb(path: &Path, spz: &[u8], change: impl FnOnce(&mut Value)) {
     let mut document = json!({
         "asset": { "version": "2.0" },
@@ -113,11 +118,9 @@ fn glb(path: &Path, spz: &[u8], change: impl FnOnce(&mut Value)) {
 /// With a kernel, the SPZ has its own axes, as the draft requires. Nodes place it like any primitive.
 #[test]
 fn the_drafts_axes_are_spzs() {
-    let folder = tempfile::tempdir().unwrap();
-    let [spz, path] = ["scene.spz", "scene.glb"].map(|name| folder.path().join(name));
+    let (_folder, path) = Folder::with("scene.glb");
     let expected = scene(90, 3);
-    write(&spz, &expected);
-    let spz = std::fs::read(spz).unwrap();
+    let spz = spz_of(&expected);
     glb(&path, &spz, |_| {});
     assert_close(&read(&path).unwrap().gaussians, &expected, &tolerance_of_2());
     // glTF's (2, 3, 4) are (-2, -3, 4) here.
@@ -129,14 +132,11 @@ fn the_drafts_axes_are_spzs() {
 
 #[test]
 fn damaged_packed_glb_is_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let [spz, path] = ["scene.spz", "scene.glb"].map(|name| folder.path().join(name));
-    write(&spz, &scene(90, 0));
-    let spz = std::fs::read(spz).unwrap();
+    let (_folder, path) = Folder::with("scene.glb");
+    let spz = spz_of(&scene(90, 0));
     let refused = |change: &dyn Fn(&mut Value), spz: &[u8], word: &str| {
         glb(&path, spz, change);
-        let error = read(&path).expect_err(word).to_string();
-        assert!(error.contains(word) && error.contains("scene.glb"), "{word}: {error}");
+        assert_says(read(&path).expect_err(word).to_string(), &[word, "scene.glb"]);
     };
     refused(&|d| d["accessors"][0]["count"] = json!(91), &spz, "90 Gaussians, where 91 are due");
     refused(&|d| d["bufferViews"][0]["byteLength"] = json!(100_000), &spz, "behind its buffer");
@@ -151,12 +151,12 @@ fn damaged_packed_glb_is_refused() {
 
 #[test]
 fn versions_that_a_format_has_not_are_refused() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     for (name, version) in [("a.spz", 3), ("a.glb", 4), ("a.gltf", 2), ("a.ply", 2), ("a.splat", 4)] {
-        let path = folder.path().join(name);
+        let path = folder.join(name);
         let options = WriteOptions { spz_version: Some(version), ..Default::default() };
         let error = splats::write(&path, &scene(3, 0), &options).unwrap_err().to_string();
-        assert!(error.contains("SPZ has 2 and 4"), "{error}");
+        assert_says(error, &["SPZ has 2 and 4"]);
         assert!(!path.exists());
     }
 }

@@ -7,6 +7,8 @@ use ashsplat_files::photo_points::photo_points;
 use ashsplat_files::{HostMemory, Photo, Progress, View};
 use glam::{Vec3, vec3};
 
+use super::files::assert_says;
+
 const SIZE: [u32; 2] = [160, 120];
 
 /// Distance from the wall z = 4 + 0.3 x.
@@ -94,8 +96,7 @@ fn photo_points_keep_to_the_memory_given() {
     let one = 7 * u64::from(SIZE[0] * SIZE[1]);
     let within = |bytes| photo_points(&views, 1.0, 500, 0, &HostMemory::new(bytes), Progress::NONE);
     assert!(within(one).expect("points") == found(&views, 500, 0));
-    let error = within(one - 1).expect_err("no room").to_string();
-    assert!(error.contains(".png") && error.contains("--max-host-memory"), "{error}");
+    assert_says(within(one - 1).expect_err("no room").to_string(), &[".png", "--max-host-memory"]);
 }
 
 #[test]

@@ -6,7 +6,7 @@ use ashsplat::scene::{Gaussians, PointCloud, WorldFrame};
 use ashsplat_files::ply::{self, PlyOptions};
 use proptest::prelude::*;
 
-use super::files::{for_each_mutation, for_each_truncation, names};
+use super::files::{Folder, assert_says, for_each_mutation, for_each_truncation, names, refusal};
 
 const KEEP: PlyOptions = PlyOptions { drop_invalid: false };
 const DROP: PlyOptions = PlyOptions { drop_invalid: true };
@@ -47,15 +47,12 @@ fn named(gaussians: &Gaussians, index: usize) -> Vec<(String, f32)> {
 }
 
 fn message(path: &Path, options: &PlyOptions) -> String {
-    let message = ply::read(path, options).unwrap_err().to_string();
-    assert!(message.starts_with(path.to_str().unwrap()) && !message.contains('\n'), "{message}");
-    message
+    refusal(path, ply::read(path, options))
 }
 
 #[test]
 fn round_trips_are_bit_exact() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
+    let (folder, path) = Folder::with("a.ply");
     for degree in 0..=3 {
         for count in [0, 1, 3000] {
             let mut gaussians = numbered(count, degree);
@@ -71,13 +68,12 @@ fn round_trips_are_bit_exact() {
             assert!(count == 0 || scene.gaussians.means[0][0].is_sign_negative());
         }
     }
-    assert_eq!(names(folder.path()), ["a.ply"]);
+    assert_eq!(names(&folder), ["a.ply"]);
 }
 
 #[test]
 fn the_written_layout_is_that_of_the_reference() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
+    let (_folder, path) = Folder::with("a.ply");
     ply::write(&path, &numbered(2, 1)).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     let data = bytes.len() - 2 * 4 * (6 + 3 + 9 + 8);
@@ -100,11 +96,11 @@ fn the_written_layout_is_that_of_the_reference() {
 
 #[test]
 fn shapes_are_checked_before_writing() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     let mut gaussians = numbered(3, 1);
     gaussians.sh.pop();
-    assert!(ply::write(folder.path().join("a.ply"), &gaussians).is_err());
-    assert_eq!(names(folder.path()), [""; 0]);
+    assert!(ply::write(folder.join("a.ply"), &gaussians).is_err());
+    assert_eq!(names(&folder), [""; 0]);
 }
 
 /// Layout of a test file.
@@ -205,13 +201,12 @@ proptest! {
         let mut gaussians = numbered(5, degree);
         // Integers that every type can hold.
         let whole = |v: &mut f32| *v = (v.abs() * 3.0).round() % 80.0;
-        gaussians.means.as_flattened_mut().iter_mut().for_each(whole);
         gaussians.quats.as_flattened_mut().iter_mut().for_each(whole);
-        gaussians.log_scales.as_flattened_mut().iter_mut().for_each(whole);
-        gaussians.sh.as_flattened_mut().iter_mut().for_each(whole);
+        for rows in [&mut gaussians.means, &mut gaussians.log_scales, &mut gaussians.sh] {
+            rows.as_flattened_mut().iter_mut().for_each(whole);
+        }
         gaussians.opacity_logits.iter_mut().for_each(whole);
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.ply");
+        let (_folder, path) = Folder::with("a.ply");
         std::fs::write(&path, file_of(&gaussians, &shape)).unwrap();
         prop_assert_eq!(ply::read(&path, &KEEP).unwrap().gaussians, gaussians);
     }
@@ -226,8 +221,7 @@ proptest! {
         gaussians.opacity_logits[0] = value(10);
         gaussians.sh[0] = [value(11), value(12), value(13)];
         let shape = Shape { order: (0..14).collect(), types: vec![0; 14], encoding, crlf: false, extra: false };
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.ply");
+        let (_folder, path) = Folder::with("a.ply");
         std::fs::write(&path, file_of(&gaussians, &shape)).unwrap();
         // A zero quaternion is no rotation.
         if gaussians.quats[0].iter().map(|q| q * q).sum::<f32>().sqrt() <= 1e-12 {
@@ -237,46 +231,39 @@ proptest! {
     }
 }
 
-fn plain_shape(encoding: usize) -> Shape {
-    Shape { order: (0..23).collect(), types: vec![0; 23], encoding, crlf: false, extra: true }
-}
-
 #[test]
-fn no_truncation_gives_a_scene() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
+fn no_truncation_gives_a_scene_and_no_mutation_panics() {
+    let (_folder, path) = Folder::with("a.ply");
+    let check_points = || {
+        if let Ok(points) = ply::read_points(&path) {
+            assert_eq!(points.colors.len(), points.len());
+        }
+    };
     for encoding in 0..3 {
-        let bytes = file_of(&numbered(2, 1), &plain_shape(encoding));
+        let shape =
+            Shape { order: (0..23).collect(), types: vec![0; 23], encoding, crlf: false, extra: true };
+        let bytes = file_of(&numbered(2, 1), &shape);
         for_each_truncation(&path, &bytes, |length| match ply::read(&path, &KEEP) {
             Err(e) => assert!(e.to_string().starts_with(path.to_str().unwrap()), "{e}"),
             // A truncated text may lose digits of its last number unnoticed, or its end of line.
             Ok(scene) => assert!(encoding == 0 && length + 30 > bytes.len() && scene.gaussians.len() == 2),
         });
-    }
-}
-
-#[test]
-fn no_mutation_panics() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
-    for encoding in 0..3 {
-        let bytes = file_of(&numbered(2, 1), &plain_shape(encoding));
-        for_each_mutation(&path, &bytes, |_| {
+        for_each_mutation(&path, &bytes, || {
             if let Ok(scene) = ply::read(&path, &DROP) {
                 scene.gaussians.check_shapes().unwrap();
                 assert!(scene.gaussians.means.as_flattened().iter().all(|v| v.is_finite()));
             }
-            if let Ok(points) = ply::read_points(&path) {
-                assert_eq!(points.colors.len(), points.len());
-            }
+            check_points();
         });
     }
+    let points = PointCloud { positions: vec![[0.0, 1.0, 2.0]; 5], colors: vec![[1, 2, 3]; 5] };
+    ply::write_points(&path, &points, &WorldFrame::default()).unwrap();
+    for_each_mutation(&path, &std::fs::read(&path).unwrap(), check_points);
 }
 
 #[test]
 fn unusable_values_are_counted_and_dropped_on_request() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
+    let (_folder, path) = Folder::with("a.ply");
     let mut gaussians = numbered(6, 0);
     gaussians.means[1][2] = f32::NAN;
     gaussians.log_scales[3][1] = 89.0;
@@ -284,7 +271,7 @@ fn unusable_values_are_counted_and_dropped_on_request() {
     gaussians.opacity_logits = vec![f32::INFINITY, 0.0, f32::NEG_INFINITY, 0.0, 1e30, 0.0];
     ply::write(&path, &gaussians).unwrap();
     let text = message(&path, &KEEP);
-    assert!(text.contains("3 of 6 Gaussians") && text.contains("vertex 1: z = NaN"), "{text}");
+    assert_says(&text, &["3 of 6 Gaussians", "vertex 1: z = NaN"]);
     assert!(text.ends_with("--drop-invalid leaves them out"));
     let scene = ply::read(&path, &DROP).unwrap();
     assert_eq!((scene.dropped, scene.gaussians.len()), (3, 3));
@@ -292,48 +279,53 @@ fn unusable_values_are_counted_and_dropped_on_request() {
     assert_eq!(scene.gaussians.means[2], gaussians.means[4]);
 }
 
+const PLACE: [(&str, &str); 3] = [("float", "x"), ("float", "y"), ("float", "z")];
+
+/// A file in text, with a vertex per row.
+fn text_ply(comments: &[&str], properties: &[(&str, &str)], rows: &str) -> String {
+    let comments: String = comments.iter().map(|comment| format!("comment {comment}\n")).collect();
+    let header: String = properties.iter().map(|(kind, name)| format!("property {kind} {name}\n")).collect();
+    let count = rows.lines().count();
+    format!("ply\nformat ascii 1.0\n{comments}element vertex {count}\n{header}end_header\n{rows}")
+}
+
 #[test]
 fn points_round_trip_and_are_no_gaussians() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("input.ply");
+    let (_folder, path) = Folder::with("input.ply");
     let points = PointCloud { positions: vec![[1.5, -2.0, 3e-8]; 100], colors: vec![[0, 127, 255]; 100] };
     ply::write_points(&path, &points, &WorldFrame::default()).unwrap();
     let read = || ply::read_points(&path).unwrap().in_frame(&WorldFrame::default());
     assert_eq!(read(), points);
     assert!(message(&path, &KEEP).contains("is a point cloud"));
-    std::fs::write(&path, "ply\nformat ascii 1.0\nelement vertex 1\nproperty int x\nproperty int y\nproperty int z\nend_header\n1 2 3").unwrap();
+    let integers = ["x", "y", "z"].map(|name| ("int", name));
+    std::fs::write(&path, text_ply(&[], &integers, "1 2 3\n")).unwrap();
     assert_eq!(read(), PointCloud { positions: vec![[1.0, 2.0, 3.0]], colors: vec![[255; 3]] });
 }
 
 /// Points without finite positions are left out. A file with no other is refused, as is one with a byte-order mark.
 #[test]
 fn points_without_a_place_are_left_out() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
+    let (_folder, path) = Folder::with("a.ply");
+    let columns = [PLACE, ["red", "green", "blue"].map(|name| ("uchar", name))].concat();
     let write = |mark: &str, rows: &str| {
-        let columns = "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue";
-        let head = format!("ply\nformat ascii 1.0\nelement vertex 2\n{columns}\nend_header");
-        std::fs::write(&path, format!("{mark}{head}\n{rows}")).unwrap();
+        std::fs::write(&path, mark.to_owned() + &text_ply(&[], &columns, rows)).unwrap();
     };
     write("", "nan 0 0 1 2 3\n4 5 6 7 8 9\n");
     let points = ply::read_points(&path).unwrap().in_frame(&WorldFrame::default());
     assert_eq!(points, PointCloud { positions: vec![[4.0, 5.0, 6.0]], colors: vec![[7, 8, 9]] });
     write("", "nan 0 0 1 2 3\n4 5 inf 7 8 9\n");
-    let refusal = || ply::read_points(&path).unwrap_err().to_string();
-    assert!(refusal().contains("none of its 2 points has a finite position"), "{}", refusal());
+    let refused = || refusal(&path, ply::read_points(&path));
+    assert_says(refused(), &["none of its 2 points has a finite position"]);
     write("\u{feff}", "1 2 3 1 2 3\n4 5 6 7 8 9\n");
-    assert!(refusal().contains("begins with a byte-order mark"), "{}", refusal());
+    assert_says(refused(), &["begins with a byte-order mark"]);
 }
 
 #[test]
 fn points_have_the_colours_that_their_file_means() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
+    let (_folder, path) = Folder::with("a.ply");
     let colors = |names: [&str; 3], kind: &str, rows: &str| {
-        let [a, b, c] = names.map(|name| format!("property {kind} {name}\n"));
-        let head =
-            "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n";
-        std::fs::write(&path, format!("{head}{a}{b}{c}end_header\n{rows}")).unwrap();
+        let columns = [PLACE, names.map(|name| (kind, name))].concat();
+        std::fs::write(&path, text_ply(&[], &columns, rows)).unwrap();
         ply::read_points(&path).unwrap().colors
     };
     let rgb = ["red", "green", "blue"];
@@ -348,8 +340,7 @@ fn points_have_the_colours_that_their_file_means() {
 
 #[test]
 fn files_that_are_something_else_are_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
+    let (folder, path) = Folder::with("a.ply");
     for (bytes, words) in [
         (&b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n"[..], "is a Git LFS pointer"),
         (b"\n<!DOCTYPE html><html>", "is a web page"),
@@ -361,19 +352,17 @@ fn files_that_are_something_else_are_named() {
         (b"hello", "is not a PLY file"),
     ] {
         std::fs::write(&path, bytes).unwrap();
-        assert!(message(&path, &KEEP).contains(words), "{}", message(&path, &KEEP));
+        assert_says(message(&path, &KEEP), &[words]);
     }
-    assert!(message(folder.path(), &KEEP).contains("is not a file"));
-    assert!(message(&folder.path().join("none.ply"), &KEEP).contains("cannot read: No such file"));
+    assert!(message(&folder, &KEEP).contains("is not a file"));
+    assert!(message(&folder.join("none.ply"), &KEEP).contains("cannot read: No such file"));
 }
 
-/// An ASCII file of one Gaussian with these comments and properties.
+/// A file of one Gaussian with these comments and properties.
 fn ascii(comments: &[&str], properties: &[(&str, &str, f64)]) -> String {
-    let comments = comments.iter().map(|comment| format!("comment {comment}\n"));
-    let header = properties.iter().map(|(kind, name, _)| format!("property {kind} {name}\n"));
+    let names: Vec<_> = properties.iter().map(|(kind, name, _)| (*kind, *name)).collect();
     let values: Vec<String> = properties.iter().map(|(.., value)| value.to_string()).collect();
-    let [comments, header] = [comments.collect::<String>(), header.collect()];
-    format!("ply\nformat ascii 1.0\n{comments}element vertex 1\n{header}end_header\n{}\n", values.join(" "))
+    text_ply(comments, &names, &(values.join(" ") + "\n"))
 }
 
 /// All properties of a Gaussian except its colour.
@@ -399,10 +388,13 @@ fn with_colour(
     WITHOUT_COLOUR.into_iter().chain((0..3).map(|i| (kind, names[i], values[i]))).collect()
 }
 
+fn whole() -> Vec<(&'static str, &'static str, f64)> {
+    with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.0; 3])
+}
+
 #[test]
 fn colours_are_read_in_place_of_f_dc() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("rgb.ply");
+    let (_folder, path) = Folder::with("rgb.ply");
     for (kind, names, values, white) in [
         ("uchar", ["red", "green", "blue"], [255.0, 51.0, 0.0], 255),
         ("ushort", ["red", "green", "blue"], [65535.0, 13107.0, 0.0], 65535),
@@ -428,9 +420,7 @@ fn colours_are_read_in_place_of_f_dc() {
 
 #[test]
 fn parts_that_are_missing_are_all_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("part.ply");
-    let whole = with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.0; 3]);
+    let (_folder, path) = Folder::with("part.ply");
     for (missing, words) in [
         (&["rot_3"][..], "property rot_3 of element vertex is missing"),
         (&["scale_1", "scale_2"], "properties scale_1, scale_2 of element vertex are missing"),
@@ -439,32 +429,29 @@ fn parts_that_are_missing_are_all_named() {
             "properties opacity, scale_2, f_dc_1 of element vertex are missing",
         ),
     ] {
-        let left: Vec<_> = whole.iter().copied().filter(|(_, name, _)| !missing.contains(name)).collect();
+        let left: Vec<_> = whole().into_iter().filter(|(_, name, _)| !missing.contains(name)).collect();
         std::fs::write(&path, ascii(&[], &left)).unwrap();
-        assert!(message(&path, &KEEP).contains(words), "{}", message(&path, &KEEP));
+        assert_says(message(&path, &KEEP), &[words]);
     }
 }
 
 /// Warnings about opacities after the sigmoid, colours, sizes, and properties that are not read.
 #[test]
 fn what_is_taken_otherwise_than_it_may_be_meant_is_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.ply");
+    let (_folder, path) = Folder::with("scene.ply");
     let said_of = |name: &str, values: [f64; 2], count: usize, property: &str| {
-        let mut properties = with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.0; 3]);
+        let mut properties = whole();
         if !property.is_empty() {
             properties.push(("float", property, 0.0));
         }
-        let rows = (0..count).map(|row| {
+        let row = |row: usize| {
             let value = |(_, own, usual): &(&str, &str, f64)| {
                 (if own.starts_with(name) { values[row % 2] } else { *usual }).to_string()
             };
             properties.iter().map(value).collect::<Vec<_>>().join(" ") + "\n"
-        });
-        let names = properties.iter().map(|(kind, name, _)| format!("property {kind} {name}\n"));
-        let names = names.collect::<String>();
-        let header = format!("ply\nformat ascii 1.0\nelement vertex {count}\n{names}end_header\n");
-        std::fs::write(&path, header + &rows.collect::<String>()).unwrap();
+        };
+        let names: Vec<_> = properties.iter().map(|(kind, name, _)| (*kind, *name)).collect();
+        std::fs::write(&path, text_ply(&[], &names, &(0..count).map(row).collect::<String>())).unwrap();
         ply::read(&path, &KEEP).unwrap().warning.unwrap_or_default()
     };
     let said = |opacities, count, property| said_of("opacity", opacities, count, property);
@@ -474,7 +461,7 @@ fn what_is_taken_otherwise_than_it_may_be_meant_is_named() {
     }
     for property in ["trbf_center", "motion_0", "omega_2", "rot_r_0", "scale_t", "scale_3"] {
         let words = format!("property {property} is not used: Gaussians that move or have another shape");
-        assert!(said([-2.0, 2.0], 9, property).contains(&words), "{property}");
+        assert_says(said([-2.0, 2.0], 9, property), &[&words]);
     }
     assert_eq!(said([-2.0, 2.0], 9, "nx"), "");
     assert!(said([-2.0, 2.0], 9, "nu_degree").contains("nu_degree: such properties are not used"));
@@ -485,19 +472,17 @@ fn what_is_taken_otherwise_than_it_may_be_meant_is_named() {
         ("f_dc", [12.0, 240.0], colors),
         ("scale", [0.01, 0.2], "scales look like sizes, but are taken as their logarithms"),
     ] {
-        assert!(said_of(name, values, 20, "").contains(line), "{name} {values:?}");
+        assert_says(said_of(name, values, 20, ""), &[line]);
     }
-    for (name, values) in
-        [("f_dc", [-0.1, 0.9]), ("f_dc", [0.5, 3.0]), ("scale", [-1.0, 2.0]), ("scale", [1.5, 6.0])]
-    {
+    let others = [("f_dc", [-0.1, 0.9]), ("f_dc", [0.5, 3.0]), ("scale", [-1.0, 2.0]), ("scale", [1.5, 6.0])];
+    for (name, values) in others {
         assert_eq!(said_of(name, values, 20, ""), "", "{name} {values:?}");
     }
 }
 
 #[test]
 fn bytes_behind_the_gaussians_are_told() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("two.ply");
+    let (_folder, path) = Folder::with("two.ply");
     let scene = numbered(5, 0);
     ply::write(&path, &scene).unwrap();
     let one = std::fs::read(&path).unwrap();
@@ -510,18 +495,16 @@ fn bytes_behind_the_gaussians_are_told() {
 /// Names and comments of other programs: each gives a warning.
 #[test]
 fn names_and_comments_of_other_programs_are_used_or_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
-    let whole = with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.0; 3]);
+    let (_folder, path) = Folder::with("a.ply");
     let line = |comments: &[&str], properties: &[_]| {
         std::fs::write(&path, ascii(comments, properties)).unwrap();
         ply::read(&path, &KEEP).unwrap().warning.unwrap_or_default()
     };
-    let filtered = [whole.as_slice(), &[("float", "filter_3D", 0.1)]].concat();
+    let filtered = [&whole()[..], &[("float", "filter_3D", 0.1)]].concat();
     assert!(line(&[], &filtered).contains("needs `--antialiasing --kernel-size 0.1`"));
     assert_eq!(line(&["SplatRenderMode: mip"], &filtered), "");
-    assert!(line(&["Vertical Axis: z"], &whole).contains("`--up 0,0,1`"));
-    let of_cloud_compare = ascii(&[], &whole).replace("float opacity", "float scalar_opacity");
+    assert!(line(&["Vertical Axis: z"], &whole()).contains("`--up 0,0,1`"));
+    let of_cloud_compare = ascii(&[], &whole()).replace("float opacity", "float scalar_opacity");
     std::fs::write(&path, of_cloud_compare.replace("float scale_", "float scalar_scale_")).unwrap();
     assert_eq!(ply::read(&path, &KEEP).unwrap().gaussians.log_scales[0], [-2.0, -3.0, -4.0]);
 }
@@ -529,12 +512,10 @@ fn names_and_comments_of_other_programs_are_used_or_named() {
 /// Two scales mean the disks of 2DGS.
 #[test]
 fn a_scene_of_2dgs_is_read_flat_and_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("2dgs.ply");
-    let whole = with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.0; 3]);
-    let flat: Vec<_> = whole.iter().copied().filter(|(_, name, _)| *name != "scale_2").collect();
+    let (_folder, path) = Folder::with("2dgs.ply");
+    let flat: Vec<_> = whole().into_iter().filter(|(_, name, _)| *name != "scale_2").collect();
     for (comments, properties) in
-        [(&[][..], &flat), (&["SplatRenderMode: mip"][..], &flat), (&["SplatRenderMode: 2dgs"], &whole)]
+        [(&[][..], &flat), (&["SplatRenderMode: mip"][..], &flat), (&["SplatRenderMode: 2dgs"], &whole())]
     {
         std::fs::write(&path, ascii(comments, properties)).unwrap();
         let scene = ply::read(&path, &KEEP).unwrap();

@@ -14,23 +14,25 @@ use serde_json::Value;
 
 use crate::common::splats::scene;
 
+use super::files::{Folder, assert_says, names, refusal};
+
 const KEEP: ReadOptions = ReadOptions { drop_invalid: false, max_host_memory: None };
 
 /// A scene's file, and a folder for its tiles.
 struct Place {
-    own: tempfile::TempDir,
+    own: Folder,
     scene: Gaussians,
 }
 
 impl Place {
     fn new(scene: Gaussians) -> Place {
-        let own = tempfile::tempdir().unwrap();
-        splats::write(own.path().join("scene.ply"), &scene, &WriteOptions::default()).unwrap();
+        let own = Folder::new();
+        splats::write(own.join("scene.ply"), &scene, &WriteOptions::default()).unwrap();
         Place { own, scene }
     }
 
     fn folder(&self, name: &str) -> PathBuf {
-        self.own.path().join(name)
+        self.own.join(name)
     }
 
     /// Each merge has an error of 2 units and is recorded in `told`.
@@ -42,15 +44,17 @@ impl Place {
         let (input, options) = (self.folder("scene.ply"), TileOptions { most, packed: false });
         tiles::write(&input, &self.folder(name), &options, &KEEP, &mut measure, &Progress::default())
     }
+}
 
-    /// Names in the folder.
-    fn names(&self) -> Vec<String> {
-        let entries = fs::read_dir(self.own.path()).unwrap();
-        let mut names: Vec<String> =
-            entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
-    }
+fn tree(scene: Gaussians, most: usize) -> (Place, Tree) {
+    let place = Place::new(scene);
+    place.tiled("tiles", most, &mut Vec::new()).unwrap();
+    let tree = Tree::open(place.folder("tiles")).unwrap();
+    (place, tree)
+}
+
+fn count(tree: &Tree, tiles: &[usize]) -> usize {
+    tiles.iter().map(|&tile| tree.tiles()[tile].gaussians).sum()
 }
 
 fn tileset(folder: &Path) -> Value {
@@ -139,7 +143,7 @@ fn the_finest_tiles_hold_each_gaussian_once() {
     assert_eq!(done.written, 3000 + merged as u64);
     // Only the tiles and their description.
     assert_eq!(fs::read_dir(&folder).unwrap().count(), tiles + 1);
-    assert_eq!(place.names(), ["scene.ply", "tiles"]);
+    assert_eq!(names(&place.own), ["scene.ply", "tiles"]);
     let nothing = document["geometricError"].as_f64().unwrap();
     assert!(nothing >= document["root"]["geometricError"].as_f64().unwrap());
     assert_eq!(document["asset"]["version"], "1.1");
@@ -183,7 +187,7 @@ fn tiles_that_fail_leave_nothing() {
     let options = TileOptions { most: 64, packed: false };
     let failed =
         tiles::write(&input, &folder, &options, &KEEP, &mut fails_late, &Progress::default()).unwrap_err();
-    assert!(failed.to_string().contains("is lost"), "{failed}");
+    assert_says(failed.to_string(), &["is lost"]);
     let stop = std::sync::atomic::AtomicBool::new(true);
     let progress = Progress { report: None, interrupted: Some(&stop) };
     let mut measure = |_: &Gaussians, _: &Gaussians| Ok(1.0);
@@ -194,21 +198,14 @@ fn tiles_that_fail_leave_nothing() {
     heap.means.fill([1.0, 2.0, 3.0]);
     splats::write(&input, &heap, &WriteOptions::default()).unwrap();
     let refused = place.tiled("tiles", 64, &mut Vec::new()).unwrap_err();
-    let told = refused.to_string();
-    assert!(
-        told.contains("scene.ply")
-            && told.contains("70 Gaussians are at")
-            && told.contains("--max-gaussians"),
-        "{told}"
-    );
+    assert_says(refused.to_string(), &["scene.ply", "70 Gaussians are at", "--max-gaussians"]);
     // Farther away than SPZ can store.
     let mut far = scene(70, 0);
     far.means[3] = [1e15, 0.0, 0.0];
     splats::write(&input, &far, &WriteOptions::default()).unwrap();
     let packed = TileOptions { most: 64, packed: true };
-    let told =
-        tiles::write(&input, &folder, &packed, &KEEP, &mut measure, &Progress::NONE).unwrap_err().to_string();
-    assert!(told.contains("scene.ply: ") && told.contains("too far out for SPZ"), "{told}");
+    let refused = tiles::write(&input, &folder, &packed, &KEEP, &mut measure, &Progress::NONE);
+    assert_says(refusal(&input, refused), &["too far out for SPZ"]);
     // Coarse, with a warning.
     far.means[3] = [6e6, 0.0, 0.0];
     splats::write(&input, &far, &WriteOptions::default()).unwrap();
@@ -216,14 +213,14 @@ fn tiles_that_fail_leave_nothing() {
     let done = tiles::write(&input, &coarse, &packed, &KEEP, &mut measure, &Progress::NONE).unwrap();
     assert!(done.warnings.len() == 1 && done.warnings[0].contains("rounded to steps of 1.0"), "{done:?}");
     fs::remove_dir_all(coarse).unwrap();
-    assert_eq!(place.names(), ["scene.ply"]);
+    assert_eq!(names(&place.own), ["scene.ply"]);
     // A folder with contents stays unchanged.
     fs::create_dir(&folder).unwrap();
     fs::write(folder.join("note"), "mine").unwrap();
     let refused = place.tiled("tiles", 64, &mut Vec::new()).unwrap_err();
-    assert!(refused.to_string().contains("is there already"), "{refused}");
+    assert_says(refused.to_string(), &["is there already"]);
     assert_eq!(fs::read_to_string(folder.join("note")).unwrap(), "mine");
-    assert_eq!(place.names(), ["scene.ply", "tiles"]);
+    assert_eq!(names(&place.own), ["scene.ply", "tiles"]);
 }
 
 /// A camera outside with the whole scene of 20 units in its picture.
@@ -250,12 +247,10 @@ fn assert_covered(tree: &Tree, cut: &[usize]) {
 
 #[test]
 fn a_cut_of_the_tree_is_as_fine_as_its_budget() {
-    let place = Place::new(scene(3000, 0));
-    place.tiled("tiles", 100, &mut Vec::new()).unwrap();
-    let tree = Tree::open(place.folder("tiles")).unwrap();
+    let (place, tree) = tree(scene(3000, 0), 100);
     assert_eq!(tree.gaussians(), 3000);
-    let (camera, count) =
-        (from_outside(), |cut: &[usize]| cut.iter().map(|&tile| tree.tiles()[tile].gaussians).sum::<usize>());
+    let camera = from_outside();
+    let count = |cut: &[usize]| count(&tree, cut);
     assert_eq!(tree.cut(&camera, 0), [0]);
     let mut last = 0;
     for budget in [100, 300, 1000, 2000, 3000] {
@@ -301,9 +296,7 @@ fn a_cut_of_the_tree_is_as_fine_as_its_budget() {
 /// With both kinds of cameras, near tiles are finer, and tiles out of view are not drawn.
 #[test]
 fn a_cut_is_finer_where_it_is_nearer_and_leaves_out_what_is_not_seen() {
-    let place = Place::new(scene(3000, 0));
-    place.tiled("tiles", 50, &mut Vec::new()).unwrap();
-    let tree = Tree::open(place.folder("tiles")).unwrap();
+    let (_place, tree) = tree(scene(3000, 0), 50);
     let intrinsics = Intrinsics::from_fov_x(1.0, 400, 300);
     let near = Camera::look_at(vec3(0.0, 0.0, -13.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
     let drawn: Vec<_> = tree.cut(&near, 1200).into_iter().map(|tile| &tree.tiles()[tile]).collect();
@@ -347,7 +340,7 @@ fn trees_of_others_are_refused() {
         change(&mut document);
         fs::write(folder.join(TILESET_FILE), document.to_string()).unwrap();
         let error = Tree::open(&folder).expect_err(word).to_string();
-        assert!(error.contains(TILESET_FILE) && error.contains(word), "{word}: {error}");
+        assert_says(&error, &[TILESET_FILE, word]);
     };
     refused(&|d| d["root"]["content"]["uri"] = "../0.glb".into(), "must lie beside it");
     refused(&|d| d["root"]["content"]["uri"] = "..".into(), "must lie beside it");
@@ -367,8 +360,7 @@ fn trees_of_others_are_refused() {
     let mut document = good.clone();
     document["root"]["extras"]["gaussians"] = 7.into();
     fs::write(folder.join(TILESET_FILE), document.to_string()).unwrap();
-    let error = Tree::open(&folder).unwrap().read(0, &KEEP).unwrap_err().to_string();
-    assert!(error.contains("says 7"), "{error}");
+    assert_says(Tree::open(&folder).unwrap().read(0, &KEEP).unwrap_err().to_string(), &["says 7"]);
 }
 
 /// Gaussians as large as single precision allows have finite numbers in the description, no nulls.
@@ -387,9 +379,7 @@ fn enormous_gaussians_have_finite_boxes() {
 /// those inside.
 #[test]
 fn a_cut_is_for_several_cameras_and_for_what_lies_beyond_their_pictures() {
-    let place = Place::new(scene(3000, 0));
-    place.tiled("tiles", 50, &mut Vec::new()).unwrap();
-    let tree = Tree::open(place.folder("tiles")).unwrap();
+    let (_place, tree) = tree(scene(3000, 0), 50);
     let intrinsics = Intrinsics::from_fov_x(0.5, 400, 300);
     let towards = |x: f32| Camera::look_at(Vec3::ZERO, vec3(x, 0.0, 10.0), Vec3::NEG_Y, intrinsics);
     let finest = |cut: Vec<usize>| -> Vec<usize> {
@@ -419,7 +409,7 @@ fn a_cut_is_for_several_cameras_and_for_what_lies_beyond_their_pictures() {
     }
     assert!(new.iter().filter(|tile| around.contains(tile)).count() > new.len() / 2);
     // With a small budget, more of the picture than of its border is finest.
-    let count = |cut: &[usize]| cut.iter().map(|&tile| tree.tiles()[tile].gaussians).sum::<usize>();
+    let count = |cut: &[usize]| count(&tree, cut);
     let budget = (count(&narrow) + count(&around)) / 2;
     let short = tree.cut_among(&Demand { budget, ..wide }, |_| true);
     assert!(count(&short) <= budget);

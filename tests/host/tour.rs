@@ -8,6 +8,10 @@ fn intrinsics() -> Intrinsics {
     Intrinsics::from_fov_x(0.9, 64, 48)
 }
 
+fn look(eye: Vec3, target: Vec3) -> Camera {
+    Camera::look_at(eye, target, Vec3::NEG_Y, intrinsics())
+}
+
 /// Target of the cameras of [`ring`].
 const MIDDLE: Vec3 = vec3(3.0, -2.0, 5.0);
 
@@ -16,7 +20,7 @@ fn ring(azimuths: impl Iterator<Item = f32>) -> Vec<Camera> {
     let camera = |azimuth: f32| {
         let (sine, cosine) = azimuth.sin_cos();
         let eye = MIDDLE + vec3(4.0 * cosine, -1.0, 4.0 * sine);
-        Camera::look_at(eye, MIDDLE, Vec3::NEG_Y, intrinsics())
+        look(eye, MIDDLE)
     };
     azimuths.map(camera).collect()
 }
@@ -36,19 +40,15 @@ fn a_motion_suits_the_cameras() {
     // The azimuths wrap around inside the arc.
     let facade = ring((0..11).map(|i| PI - 0.5 + 0.1 * i as f32));
     assert_eq!(Motion::of(&facade), Motion::Arc);
-    let stack: Vec<Camera> = (0..5)
-        .map(|i| Camera::look_at(vec3(0.0, i as f32, -4.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics()))
-        .collect();
+    let stack: Vec<Camera> = (0..5).map(|i| look(vec3(0.0, i as f32, -4.0), Vec3::ZERO)).collect();
     assert_eq!(Motion::of(&stack), Motion::Arc);
     let corridor: Vec<Camera> = (0..30)
         .map(|i| vec3(0.1 * i as f32, 0.0, i as f32))
         .map(|eye| Camera::look_at(eye, eye + vec3(0.3 * eye.z.sin(), 0.0, 1.0), Vec3::NEG_Y, intrinsics()))
         .collect();
     assert_eq!(Motion::of(&corridor), Motion::Path);
-    let outward: Vec<Camera> = around
-        .iter()
-        .map(|c| Camera::look_at(c.position(), 2.0 * c.position() - MIDDLE, Vec3::NEG_Y, intrinsics()))
-        .collect();
+    let outward: Vec<Camera> =
+        around.iter().map(|c| look(c.position(), 2.0 * c.position() - MIDDLE)).collect();
     assert_eq!(Motion::of(&outward), Motion::Path);
     assert_eq!(Motion::of(&around[..2]), Motion::Path);
 }
@@ -59,7 +59,7 @@ fn an_orbit_is_level() {
     let cameras: Vec<Camera> = (0..20)
         .map(|i| TAU * i as f32 / 25.0)
         .map(|azimuth| MIDDLE + vec3(4.0 * azimuth.cos(), -4.0, 4.0 * azimuth.sin()))
-        .map(|eye| Camera::look_at(eye, MIDDLE, Vec3::NEG_Y, intrinsics()))
+        .map(|eye| look(eye, MIDDLE))
         .collect();
     assert_eq!(Motion::of(&cameras), Motion::Orbit);
     for camera in Motion::Orbit.cameras(&cameras, 12, true, intrinsics()) {
@@ -102,7 +102,7 @@ fn an_arc_is_smooth() {
     let cameras: Vec<Camera> = (0..40)
         .map(|i| (0.04 * i as f32, if i % 2 == 0 { -1.5 } else { 1.5 }))
         .map(|(azimuth, y)| MIDDLE + vec3(4.0 * azimuth.cos(), y, 4.0 * azimuth.sin()))
-        .map(|eye| Camera::look_at(eye, MIDDLE, Vec3::NEG_Y, intrinsics()))
+        .map(|eye| look(eye, MIDDLE))
         .collect();
     assert_eq!(Motion::of(&cameras), Motion::Arc);
     for camera in Motion::Arc.cameras(&cameras, 60, true, intrinsics()) {
@@ -113,9 +113,7 @@ fn an_arc_is_smooth() {
 #[test]
 fn a_path_passes_along_the_cameras() {
     let eye = |z: f32| vec3((0.3 * z).sin(), 0.0, z);
-    let mut cameras: Vec<Camera> = (0..30)
-        .map(|i| Camera::look_at(eye(i as f32), eye(i as f32) + Vec3::Z, Vec3::NEG_Y, intrinsics()))
-        .collect();
+    let mut cameras: Vec<Camera> = (0..30).map(|i| look(eye(i as f32), eye(i as f32) + Vec3::Z)).collect();
     let near_the_corridor = |way: &[Camera]| {
         let (mut last, mut longest) = (way[0].position(), 0f32);
         for camera in way {
@@ -147,10 +145,8 @@ fn a_path_along_many_cameras_ends() {
     let count = 200_000_u32;
     // Unordered: an odd multiplier visits each position once.
     let place = |i: u32| (u64::from(i) * 77_773 % u64::from(count)) as f32 * 1e-3;
-    let cameras: Vec<Camera> = (0..count)
-        .map(|i| vec3(0.0, 0.0, place(i)))
-        .map(|eye| Camera::look_at(eye, eye + Vec3::Z, Vec3::NEG_Y, intrinsics()))
-        .collect();
+    let cameras: Vec<Camera> =
+        (0..count).map(|i| vec3(0.0, 0.0, place(i))).map(|eye| look(eye, eye + Vec3::Z)).collect();
     for motion in [Motion::Path, Motion::Arc] {
         let way = motion.cameras(&cameras, 100, false, intrinsics());
         for pair in way.windows(2) {

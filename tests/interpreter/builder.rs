@@ -4,9 +4,8 @@
 use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 
-use crate::arithmetic::{binary, ternary, unary};
-use crate::module::{BINDING, BUILT_IN, Id, Instruction, Module, NON_WRITABLE, Variable};
-use crate::outline::Outline;
+use crate::arithmetic::evaluate;
+use crate::module::{BINDING, BUILT_IN, Id, Instruction, Module, NON_WRITABLE, Variable, has_result};
 use crate::program::{Edge, Kind, Memory, NO_SLOT, Operation, Slot};
 
 /// Target of a pointer.
@@ -180,16 +179,10 @@ impl<'m> Builder<'m> {
     /// Emits an operation on words, or computes it if all operands are constants.
     pub(crate) fn compute(&mut self, code: u16, operands: &[Slot]) -> Result<Slot, String> {
         let known: Option<Vec<u32>> = operands.iter().map(|slot| self.known(*slot)).collect();
-        let value = |words: &[u32]| match *words {
-            [a] => unary(code, [a]),
-            [a, b] => binary(code, [a, b]),
-            [a, b, c] => ternary(code, [a, b, c]),
-            _ => None,
-        };
-        if value(&vec![1; operands.len()]).is_none() {
+        if evaluate(code, &vec![1; operands.len()]).is_none() {
             return Err(format!("operation {code} is not supported"));
         }
-        if let Some(word) = known.and_then(|words| value(&words)) {
+        if let Some(word) = known.and_then(|words| evaluate(code, &words)) {
             return Ok(self.constant(word));
         }
         let target = self.temporary(1);
@@ -436,4 +429,79 @@ impl<'m> Builder<'m> {
         }
         Ok(Edge { block, moves: (begin, self.moves.len() as u32) })
     }
+}
+
+// ---- outlines ----
+
+/// Values read outside their blocks, and the phis of blocks.
+#[derive(Default)]
+struct Outline {
+    crossing: HashSet<Id>,
+    phis: HashMap<Id, Vec<(Id, Vec<u32>)>>,
+}
+
+impl Outline {
+    fn new(body: &[Instruction]) -> Result<Self, String> {
+        check_order(body)?;
+        Ok(outline_of(body))
+    }
+}
+
+/// Checks that merge blocks follow their constructs and that only the ends of loops branch back. Waiting lanes then
+/// always meet at the first block that any of them has reached.
+fn check_order(body: &[Instruction]) -> Result<(), String> {
+    let labels = body.iter().filter(|i| i.opcode == 248).map(|i| i.operands[0]);
+    let places: HashMap<Id, usize> = labels.enumerate().map(|(place, label)| (label, place)).collect();
+    let (mut here, mut ends) = (0, HashMap::new());
+    for instruction in body {
+        let o = instruction.operands;
+        let place = |index: usize| places.get(&o[index]).copied().unwrap_or(0);
+        let is_ordered = match instruction.opcode {
+            248 => {
+                here = place(0);
+                true
+            }
+            247 => here < place(0),
+            246 => {
+                ends.insert(here, place(1)..place(0));
+                here <= place(1) && place(1) < place(0)
+            }
+            249 | 250 => (usize::from(instruction.opcode == 250)..o.len().min(3)).all(|index| {
+                let target = place(index);
+                target > here || ends.get(&target).is_some_and(|end| end.contains(&here))
+            }),
+            _ => true,
+        };
+        if !is_ordered {
+            return Err(format!("word {}: blocks in an order that is not supported", instruction.at));
+        }
+    }
+    Ok(())
+}
+
+/// Values read outside their blocks (a call ends a block), and the phis of each block.
+fn outline_of(body: &[Instruction]) -> Outline {
+    let mut outline = Outline::default();
+    let mut made: HashMap<Id, u32> = HashMap::new();
+    let (mut part, mut block) = (0, 0);
+    for instruction in body {
+        let o = instruction.operands;
+        match instruction.opcode {
+            248 => (part, block) = (part + 1, o[0]),
+            245 => {
+                outline.crossing.extend(o[2..].chunks_exact(2).map(|pair| pair[0]));
+                outline.phis.entry(block).or_default().push((o[1], o[2..].to_vec()));
+            }
+            opcode => {
+                let read = if has_result(opcode) { &o[2..] } else { o };
+                outline.crossing.extend(read.iter().filter(|id| made.get(id).is_some_and(|at| *at != part)));
+                if has_result(opcode) {
+                    // A call's result lies in kept slots.
+                    part += u32::from(opcode == 57);
+                    made.insert(o[1], part);
+                }
+            }
+        }
+    }
+    outline
 }

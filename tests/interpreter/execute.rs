@@ -3,10 +3,9 @@
 use std::fmt;
 
 use crate::arithmetic::POISON;
-use crate::lockstep::Subgroup;
+use crate::lockstep::{Problem, Subgroup};
 use crate::memory::Words;
 use crate::program::{Kind, Program};
-use crate::subgroup::Problem;
 
 /// Order of workgroups, and of a workgroup's subgroups between barriers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -133,18 +132,10 @@ impl Program {
         for subgroup in subgroups.iter_mut() {
             subgroup.begin(self, dispatch.workgroups, (number, at), count);
         }
-        let fault = |subgroup: &Subgroup, at: usize, (problem, lane): Problem| {
-            let (word, opcode) = self.sources[at];
+        let fault = |subgroup: &Subgroup, operation: usize, (problem, lane): Problem| {
+            let (word, opcode) = self.sources[operation];
             let (kernel, subgroup) = (self.name.clone(), subgroup.number);
-            Fault {
-                kernel,
-                problem,
-                word,
-                opcode,
-                workgroup: at_of(number, dispatch.workgroups),
-                subgroup,
-                lane,
-            }
+            Fault { kernel, problem, word, opcode, workgroup: at, subgroup, lane }
         };
         let mut stage = 0;
         loop {
@@ -166,8 +157,4 @@ impl Program {
             stage += 1;
         }
     }
-}
-
-fn at_of(number: u32, [x, y, _]: [u32; 3]) -> [u32; 3] {
-    [number % x, number / x % y, number / (x * y)]
 }

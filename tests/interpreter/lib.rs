@@ -18,9 +18,7 @@ mod execute;
 mod lockstep;
 mod memory;
 mod module;
-mod outline;
 mod program;
-mod subgroup;
 mod values;
 
 pub use execute::{Dispatch, Fault, Order};

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use crate::arithmetic::{POISON, binary, ternary, unary};
+use crate::arithmetic::{POISON, evaluate};
 
 pub(crate) type Id = u32;
 
@@ -224,12 +224,7 @@ impl<'m> Module<'m> {
         let parts: Result<Vec<_>, _> = ids.iter().map(|id| self.constant(*id)).collect();
         let parts = parts?;
         let word = |part: &Vec<u32>, k: usize| part[if part.len() == 1 { 0 } else { k }];
-        let value = |k: usize| match parts.as_slice() {
-            [a] => unary(code, [word(a, k)]),
-            [a, b] => binary(code, [word(a, k), word(b, k)]),
-            [a, b, c] => ternary(code, [word(a, k), word(b, k), word(c, k)]),
-            _ => None,
-        };
+        let value = |k| evaluate(code, &parts.iter().map(|part| word(part, k)).collect::<Vec<u32>>());
         let values: Option<Vec<u32>> = (0..self.size(o[0])? as usize).map(value).collect();
         values.ok_or_else(|| format!("constant {}: operation {code} is not supported", o[1]))
     }

@@ -1,4 +1,4 @@
-//! Small handwritten modules that test branches, loops and barriers.
+//! Small handwritten modules whose faults must be found. The kernels' tests judge the results (tests/interpreted.rs).
 
 use crate::{Dispatch, Fault, Order, Program};
 
@@ -22,7 +22,6 @@ const OUTPUT: u32 = 11;
 const TO_WORD: u32 = 12;
 const MAIN: u32 = 13;
 const INDEX: u32 = 14;
-const THREE: u32 = 15;
 
 /// A module with workgroups of 16 invocations, a buffer of words, and this body of its entry point.
 fn module(body: &[Vec<u32>]) -> Vec<u32> {
@@ -45,7 +44,6 @@ fn module(body: &[Vec<u32>]) -> Vec<u32> {
         i(43, &[UINT, ZERO, 0]),
         i(43, &[UINT, ONE, 1]),
         i(43, &[UINT, TWO, 2]),
-        i(43, &[UINT, THREE, 3]),
         i(43, &[UINT, BARRIER_OF_SHARED, 0x108]),
         i(32, &[input, 1, UINT]),
         i(29, &[22, UINT]),
@@ -97,45 +95,6 @@ fn barriers_that_not_all_reach_are_faults() {
     );
 }
 
-/// Stores a value at an index.
-fn store(index: u32, value: u32, pointer: u32) -> Vec<u32> {
-    [i(65, &[TO_WORD, pointer, OUTPUT, ZERO, index]), i(62, &[pointer, value])].concat()
-}
-
-/// Lanes leave a loop after as many rounds as their numbers, and reconverge behind it.
-#[test]
-fn lanes_are_together_again_at_merge_blocks() {
-    let body = |merged: Vec<u32>| {
-        vec![
-            i(248, &[30]),
-            i(61, &[UINT, 31, LANE]),
-            i(61, &[UINT, 32, INDEX]),
-            i(249, &[33]),
-            i(248, &[33]),
-            // round = 0, then round + 1
-            i(245, &[UINT, 34, ZERO, 30, 35, 36]),
-            i(246, &[37, 36, 0]),
-            i(249, &[38]),
-            i(248, &[38]),
-            i(176, &[BOOL, 39, 34, 31]),
-            i(250, &[39, 36, 37]),
-            i(248, &[36]),
-            i(128, &[UINT, 35, 34, ONE]),
-            i(249, &[33]),
-            i(248, &[37]),
-            // The sum over all lanes of their rounds; smaller if the lanes have not reconverged.
-            i(349, &[UINT, 40, THREE, 0, 34]),
-            merged,
-            i(253, &[]),
-        ]
-    };
-    let expected: Vec<u32> = vec![28; 16];
-    assert_eq!(run(&body(store(32, 40, 41)), 16), Ok(expected));
-    // Each lane has its own number of rounds.
-    let rounds: Vec<u32> = (0..16).map(|lane| lane % 8).collect();
-    assert_eq!(run(&body(store(32, 34, 41)), 16), Ok(rounds));
-}
-
 #[test]
 fn accesses_that_no_barrier_orders_are_faults() {
     let to = |index, value| {
@@ -143,7 +102,8 @@ fn accesses_that_no_barrier_orders_are_faults() {
             i(248, &[30]),
             i(61, &[UINT, 31, LANE]),
             i(61, &[UINT, 32, INDEX]),
-            store(index, value, 33),
+            i(65, &[TO_WORD, 33, OUTPUT, ZERO, index]),
+            i(62, &[33, value]),
             i(253, &[]),
         ];
         run(&body, 16)
@@ -156,21 +116,4 @@ fn accesses_that_no_barrier_orders_are_faults() {
     assert!(fault.problem.contains("writes word 0 of 'ord', which lane 0 of subgroup 1"), "{fault}");
     let fault = to(ONE, 31).expect_err("all lanes of a subgroup");
     assert_eq!((fault.subgroup, fault.lane), (1, Some(1)), "{fault}");
-}
-
-#[test]
-fn what_is_no_module_or_not_supported_is_refused() {
-    let error = |words: &[u32], lanes| Program::new("small", words, &[], lanes).expect_err("refused");
-    assert_eq!(error(&[], 8), "small: no SPIR-V");
-    let whole = module(&barrier_if(LANE));
-    assert_eq!(error(&whole[..7], 8), "small: truncated at word 5");
-    assert_eq!(error(&whole[..whole.len() - 1], 8), "small: truncated: a function without an end");
-    assert!(
-        error(&whole, 3).contains("subgroups of 3") && error(&whole, 32).contains("no full subgroups of 32")
-    );
-    // OpImageWrite; a backward jump without a loop.
-    let unknown = [i(248, &[30]), i(99, &[1, 2, 3]), i(253, &[])];
-    assert!(error(&module(&unknown), 8).contains("opcode 99"), "{}", error(&module(&unknown), 8));
-    let back = [i(248, &[30]), i(249, &[31]), i(248, &[31]), i(249, &[30])];
-    assert!(error(&module(&back), 8).contains("an order that is not supported"));
 }

@@ -1,21 +1,76 @@
-//! `forward/blend` against its twin.
+//! The kernels that blend, `forward/blend`, `forward/blend_shared`, `forward/blend_auxiliary` and
+//! `forward/blend_shared_auxiliary`, against one twin; and the pictures of the last three against the first two.
 
-use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW, STATE_WORDS};
-use ashsplat::kernels::forward::blend::{Bind, Interface, Push, Spec};
-use ashsplat::plan::LaunchSizes;
+use ashsplat::frame::LaunchSizes;
+use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW};
+use ashsplat::vk::Buffer;
 
 use crate::common::blending::{
-    CHAINED, How, LOW, SHARED, UNCHAINED, forms, forward, forward_limited, strips_of,
+    Beside, Blended, CHAINED, How, LOW, SHARED, UNCHAINED, assert_same, forms, forward, forward_auxiliary,
+    forward_limited, has_strips, strips_of,
 };
 use crate::common::compare::{PixelTolerance, pixels};
+use crate::common::frame::Lists;
 use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::scenes::small_view;
-use crate::common::tiles::Lists;
-use crate::reference::blend::{Pixel, before, blend, samples};
-use crate::reference::pipeline::pixels_of;
+use crate::reference::blend::{Pixel, before, beside, blend, samples};
+use crate::reference::pipeline::{pixels_of, tile_of};
 use crate::reference::types::Splat;
 
 const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstable: 2e-2 };
+const SIZE: [u32; 2] = [37, 21];
+
+/// Lists of so many entries in a picture of [`SIZE`].
+fn lists(gpu: &Gpu, entries: usize, opacity: [f64; 2]) -> Lists {
+    Lists::long(gpu, entries, opacity, &small_view(SIZE))
+}
+
+/// A list of all splats in each tile.
+fn everywhere(gpu: &Gpu, splats: Vec<Splat>, size: [u32; 2]) -> Lists {
+    let view = small_view(size);
+    let [columns, rows] = view.tiles();
+    let lists = vec![(0..splats.len() as u32).collect(); (columns * rows) as usize];
+    Lists::new(gpu, splats, lists, &view)
+}
+
+/// Number of regions that a subgroup may have.
+fn region_counts(gpu: &Gpu) -> impl Iterator<Item = u32> + use<> {
+    let most = if gpu.subgroup() <= 64 { 4 } else { 2 };
+    [2, 4].into_iter().filter(move |&parts| parts <= most)
+}
+
+/// Compares stable pixels' colour and transmittance with the twin's. `visible` shortens a pixel's list.
+fn assert_pixels<'a>(
+    gpu: &Gpu,
+    lists: &'a Lists,
+    blended: &Blended,
+    what: &str,
+    visible: impl Fn(usize, Vec<&'a Splat>) -> Vec<&'a Splat>,
+) {
+    let accumulated = gpu.read::<[f32; 4]>(&blended.accumulated, lists.view.pixels());
+    let unstable = lists.unstable();
+    for (index, at) in pixels_of(&lists.view).enumerate().filter(|&(index, _)| !unstable[index]) {
+        let expected = blend(&visible(index, lists.list_of(at)), at, [0.0; 3]);
+        let [x, y, z] = expected.color;
+        let pairs = accumulated[index].into_iter().zip([x, y, z, expected.transmittance]);
+        for (actual, expected) in pairs {
+            let close = (f64::from(actual) - expected).abs() < 5e-5;
+            assert!(close, "{what}, pixel {index}: {actual}, expected {expected}");
+        }
+    }
+}
+
+/// Asserts that two pictures, inverse depths and last entries have the same bits.
+fn assert_same_bits(gpu: &Gpu, [a, b]: [&Blended; 2], pixels: usize, what: &str) {
+    for (a, b, words) in [
+        (&a.accumulated, &b.accumulated, 4),
+        (&a.inverse_depth, &b.inverse_depth, 1),
+        (&a.last_entries, &b.last_entries, 1),
+    ] {
+        let [a, b] = [a, b].map(|buffer| gpu.read::<u32>(buffer, words * pixels));
+        assert!(a == b, "{what}");
+    }
+}
 
 /// Blends on the device in all forms and by the twin, and compares every output.
 fn check(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) {
@@ -65,16 +120,14 @@ fn check_one(gpu: &Gpu, lists: &Lists, how: How) {
     let share = unstable.iter().filter(|&&unstable| unstable).count();
     assert!(share <= 1 + count / 10, "{share} of {count} pixels hang on rounding: the scene tests little");
 
-    let accumulated = gpu.read::<[f32; 4]>(&blended.accumulated, count);
-    let actual: Vec<f64> = accumulated.as_flattened().iter().map(|&x| f64::from(x)).collect();
+    let actual = gpu.read_f64::<f32>(&blended.accumulated, 4 * count);
     let values: Vec<f64> =
         expected.iter().flat_map(|p| [p.color[0], p.color[1], p.color[2], p.transmittance]).collect();
     pixels("accumulated", &actual, &values, &unstable, TOLERANCE)
         .unwrap_or_else(|error| panic!("{how:?}: {error}"));
 
     if how.inverse_depth {
-        let actual: Vec<f64> =
-            gpu.read::<f32>(&blended.inverse_depth, count).iter().map(|&x| f64::from(x)).collect();
+        let actual = gpu.read_f64::<f32>(&blended.inverse_depth, count);
         let values: Vec<f64> = expected.iter().map(|p| p.inverse_depth).collect();
         pixels("inverse depth", &actual, &values, &unstable, TOLERANCE)
             .unwrap_or_else(|error| panic!("{how:?}: {error}"));
@@ -83,12 +136,8 @@ fn check_one(gpu: &Gpu, lists: &Lists, how: How) {
     }
     let last = gpu.read::<u32>(&blended.last_entries, count);
     for (index, (pixel, unstable)) in expected.iter().zip(&unstable).enumerate() {
-        assert!(
-            *unstable || last[index] == pixel.last,
-            "last of {index}: {}, expected {}",
-            last[index],
-            pixel.last
-        );
+        let agrees = *unstable || last[index] == pixel.last;
+        assert!(agrees, "last of {index}: {}, expected {}", last[index], pixel.last);
     }
 }
 
@@ -97,11 +146,11 @@ pub fn blend_equals_its_twin_on_lists_of_all_lengths() {
     let gpu = Gpu::new();
     let subgroup = gpu.subgroup() as usize;
     for entries in [0, 1, subgroup - 1, subgroup, subgroup + 1, 31, 32, 33, 300] {
-        let lists = Lists::long(&gpu, entries, [0.02, 0.6], &small_view([37, 21]));
+        let lists = lists(&gpu, entries, [0.02, 0.6]);
         check(&gpu, &lists, true, u32::MAX);
-        let state = gpu.read::<u32>(&lists.state, STATE_WORDS as usize);
-        assert_eq!(state[STATE_LONGEST_TILE as usize], entries as u32);
-        assert_eq!(state[STATE_OVERFLOW as usize], 0);
+        let [longest, overflow] =
+            [STATE_LONGEST_TILE, STATE_OVERFLOW].map(|word| gpu.read_state(&lists.state, word));
+        assert_eq!((longest, overflow), (entries as u32, 0));
     }
 }
 
@@ -118,7 +167,7 @@ pub fn blend_equals_its_twin_on_images_of_all_sizes() {
 #[test]
 pub fn blend_of_opaque_layers() {
     let gpu = Gpu::new();
-    check(&gpu, &Lists::long(&gpu, 50, [0.98, 1.0], &small_view([37, 21])), true, u32::MAX);
+    check(&gpu, &lists(&gpu, 50, [0.98, 1.0]), true, u32::MAX);
 }
 
 /// Passes over parts of the lists give the same picture, to the bit.
@@ -126,29 +175,19 @@ pub fn blend_of_opaque_layers() {
 pub fn blend_in_passes_equals_blend_at_once() {
     let gpu = Gpu::new();
     for (opacity, how) in [([0.005, 0.03], CHAINED), ([0.5, 1.0], CHAINED), ([0.02, 1.0], UNCHAINED)] {
-        let lists = Lists::long(&gpu, 301, opacity, &small_view([37, 21]));
+        let lists = lists(&gpu, 301, opacity);
         let at_once = forward(&gpu, &lists, how);
-        let count = lists.view.pixels();
         for entries_per_pass in [64, 100, 300, 301] {
             check(&gpu, &lists, true, entries_per_pass);
             let passes = forward(&gpu, &lists, How { entries_per_pass, ..how });
-            let equal = |a, b, words: usize| {
-                assert_eq!(
-                    gpu.read::<u32>(a, words),
-                    gpu.read::<u32>(b, words),
-                    "{entries_per_pass} per pass"
-                );
-            };
-            equal(&at_once.accumulated, &passes.accumulated, 4 * count);
-            equal(&at_once.inverse_depth, &passes.inverse_depth, count);
-            equal(&at_once.last_entries, &passes.last_entries, count);
+            let what = format!("{entries_per_pass} per pass");
+            assert_same_bits(&gpu, [&at_once, &passes], lists.view.pixels(), &what);
         }
     }
 }
 
 /// Splats in all directions, of variances from the dilation's minimum to `longest` px².
 fn needles(gpu: &Gpu, longest: f64) -> Lists {
-    let view = small_view([64, 48]);
     let splats: Vec<Splat> = (0..600)
         .map(|i| {
             let (sine, cosine) = (f64::from(i) * 0.0209).sin_cos();
@@ -168,9 +207,7 @@ fn needles(gpu: &Gpu, longest: f64) -> Lists {
             }
         })
         .collect();
-    let [columns, rows] = view.tiles();
-    let lists = (0..columns * rows).map(|_| (0..splats.len() as u32).collect()).collect();
-    Lists::new(gpu, splats, lists, &view)
+    everywhere(gpu, splats, [64, 48])
 }
 
 /// The opacities of a column change fastest, and the chain starts far from the visible pixels.
@@ -208,47 +245,12 @@ pub fn blend_of_long_needles_errs_no_more_in_chained_columns() {
 #[test]
 pub fn blend_reports_tiles_that_no_pass_finishes() {
     let gpu = Gpu::new();
-    let subgroup_size = gpu.subgroup();
-    let workgroup_size = subgroup_size * if subgroup_size <= 64 { 4 } else { 2 };
-    let spec = Spec { workgroup_size, subgroup_size, ..Spec::default() };
-    let lists = Lists::long(&gpu, 100, [0.02, 0.6], &small_view([37, 21]));
-    let pixels = lists.view.pixels();
-    let accumulated = gpu.zeros::<[f32; 4]>("accumulated", pixels);
-    let inverse_depth = gpu.zeros::<f32>("inverse_depth", pixels);
-    let last_entries = gpu.zeros::<u32>("last_entries", pixels);
-    let bind = Bind {
-        tile_ranges: &lists.tile_ranges,
-        sorted_visible: &lists.sorted_visible,
-        mean2d_extent: &lists.frame.mean2d_extent,
-        conic_opacity: &lists.frame.conic_opacity,
-        color_inverse_depth: &lists.frame.color_inverse_depth,
-        accumulated: &accumulated,
-        inverse_depth: &inverse_depth,
-        last_entries: &last_entries,
-        state: &lists.state,
-        depth_limits: &lists.tile_ranges,
-        composited: &accumulated,
-    };
-    let [tiles_per_row, rows] = lists.view.tiles();
-    // The lists exceed the last pass, fit it, or another pass follows.
-    for (max_entries, last_pass, overflow) in [(99, 0, 0), (100, 1, 0), (99, 1, 1)] {
-        let push = Push {
-            image_width: lists.view.size_px[0],
-            image_height: lists.view.size_px[1],
-            tiles_per_row,
-            tile_count: tiles_per_row * rows,
-            first_entry: 0,
-            max_entries,
-            first_instance: 0,
-            max_instances: u32::MAX,
-            tile_row_interleave: 2,
-            last_pass,
-            splat_stride: 1,
-            background: [0.0; 3],
-        };
-        gpu.dispatch::<Interface>(&spec, &bind, &push, u64::from(tiles_per_row * rows));
-        let state = gpu.read::<u32>(&lists.state, STATE_WORDS as usize);
-        assert_eq!(state[STATE_OVERFLOW as usize], overflow, "{max_entries} entries, last pass {last_pass}");
+    // The lists fit several passes, fit the only pass, or exceed it.
+    for (entries_per_pass, passes, overflow) in [(99, None, 0), (100, Some(1), 0), (99, Some(1), 1)] {
+        let lists = lists(&gpu, 100, [0.02, 0.6]);
+        forward(&gpu, &lists, How { entries_per_pass, passes, ..UNCHAINED });
+        let reported = gpu.read_state(&lists.state, STATE_OVERFLOW);
+        assert_eq!(reported, overflow, "{entries_per_pass} entries per pass, {passes:?} passes");
     }
 }
 
@@ -256,40 +258,30 @@ pub fn blend_reports_tiles_that_no_pass_finishes() {
 #[test]
 pub fn blend_stops_at_the_depth_limit() {
     let gpu = Gpu::new();
-    let lists = Lists::sorted(&gpu, 70, [0.02, 0.6], &small_view([37, 21]));
+    let lists = Lists::sorted(&gpu, 70, [0.02, 0.6], &small_view(SIZE));
     let count = lists.view.pixels();
     let unstable = lists.unstable();
     // Nothing hidden, everything hidden, and depths in between: the splats lie between 0.5 and 9.
     let limits: Vec<f32> =
         (0..count).map(|i| [0.0, 1.0 / 0.4, 1.0 / 8.9, 1.0 / 4.0][i % 4] * (1.0 + i as f32 * 1e-5)).collect();
     let buffer = gpu.buffer("depth_limits", &limits);
+    let how = How { entries_per_pass: 32, ..CHAINED };
     for linear_depth in [false, true] {
-        let blended = forward_limited(
-            &gpu,
-            &lists,
-            How { entries_per_pass: 32, ..CHAINED },
-            linear_depth,
-            Some(&buffer),
-        );
-        let accumulated = gpu.read::<[f32; 4]>(&blended.accumulated, count);
-        let depths = gpu.read::<f32>(&blended.inverse_depth, count);
+        let blended = forward_limited(&gpu, &lists, how, linear_depth, Some(&buffer));
+        let visible = |index: usize, list: Vec<_>| before(&list, limits[index].into()).to_vec();
+        assert_pixels(&gpu, &lists, &blended, "with limits", visible);
+        let depths = gpu.read_f64::<f32>(&blended.inverse_depth, count);
         for (index, at) in pixels_of(&lists.view).enumerate().filter(|&(index, _)| !unstable[index]) {
-            let list = lists.list_of(at);
-            let list = before(&list, limits[index].into());
-            let expected = blend(list, at, [0.0; 3]);
-            let [x, y, z] = expected.color;
-            let actual = accumulated[index].map(f64::from);
-            for (actual, expected) in actual.into_iter().zip([x, y, z, expected.transmittance]) {
-                assert!((actual - expected).abs() < 5e-5, "pixel {index}: {actual}, expected {expected}");
-            }
-            let depth = match linear_depth {
-                false => expected.inverse_depth,
-                true => {
-                    samples(list, at).0.iter().map(|s| s.alpha * s.transmittance * list[s.entry].depth).sum()
-                }
+            let list = visible(index, lists.list_of(at));
+            let expected: f64 = match linear_depth {
+                false => blend(&list, at, [0.0; 3]).inverse_depth,
+                true => samples(&list, at).0.iter().map(|s| s.weight() * list[s.entry].depth).sum(),
             };
-            let actual = f64::from(depths[index]);
-            assert!((actual - depth).abs() < 1e-3, "depth of pixel {index}: {actual}, expected {depth}");
+            let actual = depths[index];
+            assert!(
+                (actual - expected).abs() < 1e-3,
+                "depth of pixel {index}: {actual}, expected {expected}"
+            );
         }
     }
 }
@@ -321,13 +313,11 @@ pub fn blend_of_more_hits_than_an_invocation_has_rounds() {
     let [red, _, _, transmittance] = chosen[2 * 16 + 2];
     assert!(red > 0.8 && transmittance < 0.2, "the last entry is lost: {red}, {transmittance}");
     assert!(chosen == blend(1, 1000), "fewer entries per pass change the picture");
-    // Proves that the test detects such a driver.
+    // A driver that bounds loops would lose entries in one pass.
     let rounds = gpu.limits().max_loop_iterations().map_or(usize::MAX, |rounds| rounds as usize);
     if blocks.regions_per_subgroup as usize * ENTRIES > rounds {
-        assert!(
-            chosen != blend(blocks.regions_per_subgroup, u32::MAX),
-            "the driver has more rounds than it is said to"
-        );
+        let at_once = blend(blocks.regions_per_subgroup, u32::MAX);
+        assert!(chosen != at_once, "the driver has more rounds than it is said to");
     }
 }
 
@@ -335,19 +325,243 @@ pub fn blend_of_more_hits_than_an_invocation_has_rounds() {
 #[test]
 pub fn blend_of_several_regions_per_subgroup_is_the_same() {
     let gpu = Gpu::new();
-    let lists = Lists::long(&gpu, 200, [0.02, 0.99], &small_view([37, 21]));
+    let lists = lists(&gpu, 200, [0.02, 0.99]);
     let count = lists.view.pixels();
-    let regions = if gpu.subgroup() <= 64 { 4 } else { 2 };
     let words = |how| {
         let blended = forward(&gpu, &lists, how);
         let accumulated = gpu.read::<u32>(&blended.accumulated, 4 * count);
         (accumulated, gpu.read::<u32>(&blended.last_entries, count))
     };
     let one = words(CHAINED);
-    for parts in [2, 4].into_iter().filter(|&parts| parts <= regions) {
+    for parts in region_counts(&gpu) {
         assert!(words(How { parts, ..CHAINED }) == one, "{parts} regions per subgroup");
     }
     // The height of regions does not, either, if each opacity is computed alone.
     assert!(words(LOW) == words(UNCHAINED), "low regions");
     assert!(words(SHARED) == words(UNCHAINED), "splats in shared memory");
+}
+
+/// The form `how` with a workgroup of this many invocations per tile.
+fn shared(invocations: u32, how: How) -> How {
+    How { by_workgroup: Some(invocations), ..how }
+}
+
+fn check_shared(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass: u32) {
+    check_shared_form(gpu, lists, shared(workgroup_size, How { entries_per_pass, ..UNCHAINED }));
+    // Columns of up to 8 pixels.
+    check_shared_form(gpu, lists, shared(workgroup_size.min(32), How { entries_per_pass, ..CHAINED }));
+}
+
+/// Compares colours, transmittances and inverse depths.
+fn assert_alike(gpu: &Gpu, [a, b]: [&Blended; 2], count: usize, what: &str) {
+    for (a, b, values) in
+        [(&a.accumulated, &b.accumulated, 4 * count), (&a.inverse_depth, &b.inverse_depth, count)]
+    {
+        let [a, b] = [a, b].map(|buffer| gpu.read::<f32>(buffer, values));
+        assert_same(gpu.context, &a, &b, (what, 1e-5));
+    }
+}
+
+fn check_shared_form(gpu: &Gpu, lists: &Lists, how: How) {
+    let both = |how: How| {
+        let regions = How { by_workgroup: None, entries_per_pass: u32::MAX, ..how };
+        [how, regions].map(|how| forward(gpu, lists, how))
+    };
+    let [shared, regions] = both(how);
+    let count = lists.view.pixels();
+    let what = format!("{how:?}");
+    let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
+    // Precise arithmetic decides everywhere which entries count.
+    assert_eq!(words(&shared.last_entries, count), words(&regions.last_entries, count), "{what}");
+    assert_alike(gpu, [&shared, &regions], count, &what);
+    if has_strips(gpu) && how.incremental_exp {
+        let [shared, regions] = both(How { strips: true, ..how });
+        let count = 3 * strips_of(lists).values() as usize;
+        assert_eq!(words(&shared.composited, count), words(&regions.composited, count), "{what}");
+    }
+
+    assert_pixels(gpu, lists, &shared, &what, |_, list| list);
+}
+
+#[test]
+fn blend_shared_equals_blend_on_lists_of_all_lengths() {
+    let gpu = Gpu::new();
+    let largest = gpu.context.limits().workgroup_size(256);
+    for entries in [0, 1, 31, 32, 33, 127, 128, 129, 300] {
+        let lists = lists(&gpu, entries, [0.02, 0.6]);
+        for workgroup_size in [32, 64, largest] {
+            check_shared(&gpu, &lists, workgroup_size, u32::MAX);
+        }
+    }
+}
+
+#[test]
+fn blend_shared_equals_blend_on_images_of_all_sizes_and_opaque_layers() {
+    let gpu = Gpu::new();
+    let largest = gpu.context.limits().workgroup_size(256);
+    for size in [[1, 1], [17, 5], [16, 16], [64, 48]] {
+        check_shared(&gpu, &Lists::long(&gpu, 200, [0.9, 1.0], &small_view(size)), largest, u32::MAX);
+    }
+}
+
+#[test]
+fn blend_shared_in_passes_equals_blend_at_once() {
+    let gpu = Gpu::new();
+    for opacity in [[0.005, 0.03], [0.5, 1.0]] {
+        let lists = lists(&gpu, 301, opacity);
+        for entries_per_pass in [64, 100, 301] {
+            check_shared(&gpu, &lists, 64, entries_per_pass);
+        }
+    }
+}
+
+#[test]
+fn blend_shared_equals_blend_with_depth_limits() {
+    let gpu = Gpu::new();
+    let lists = Lists::sorted(&gpu, 90, [0.02, 0.6], &small_view(SIZE));
+    let count = lists.view.pixels();
+    let limits: Vec<f32> = (0..count).map(|i| (i % 9) as f32 / 5.0).collect();
+    let buffer = gpu.buffer("depth_limits", &limits);
+    for (how, workgroup_size) in [(CHAINED, 32), (UNCHAINED, 64)] {
+        let in_passes = shared(workgroup_size, How { entries_per_pass: 32, ..how });
+        let shared = forward_limited(&gpu, &lists, in_passes, false, Some(&buffer));
+        let regions = forward_limited(&gpu, &lists, how, false, Some(&buffer));
+        let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
+        assert!(words(&shared.last_entries, count) == words(&regions.last_entries, count));
+        assert_alike(&gpu, [&shared, &regions], count, &format!("{workgroup_size} invocations"));
+    }
+}
+
+/// Motions of splats, px.
+fn motions(lists: &Lists) -> Vec<[f32; 2]> {
+    (0..lists.frame.splats.len()).map(|i| [(i % 17) as f32 - 8.0, (i % 5) as f32 * 0.25]).collect()
+}
+
+/// Compares the auxiliary values of stable pixels with the twin's.
+fn assert_auxiliary(gpu: &Gpu, lists: &Lists, auxiliary: &Beside, motions: &[[f32; 2]], what: &str) {
+    let count = lists.view.pixels();
+    let picks = gpu.read::<[u32; 2]>(&auxiliary.picks, count);
+    let sums = gpu.read::<[f32; 2]>(&auxiliary.motion_sums, count);
+    let unstable = lists.unstable();
+    for (index, pixel) in pixels_of(&lists.view).enumerate().filter(|(index, _)| !unstable[*index]) {
+        let list = &lists.lists[tile_of(&lists.view, pixel)];
+        let own: Vec<[f64; 2]> = list.iter().map(|&i| motions[i as usize].map(f64::from)).collect();
+        let (expected, weights) = beside(&lists.list_of(pixel), &own, pixel);
+        let [place, bits] = picks[index];
+        let weight = f64::from(f32::from_bits(bits));
+        // Any of several almost equal weights may be the largest.
+        let picked = match place {
+            0 => expected.heaviest == 0.0 && bits == 0,
+            _ => (weights[place as usize - 1] - weight).abs() < 2e-5 && weight > expected.heaviest - 2e-5,
+        };
+        let close = |axis: usize| (f64::from(sums[index][axis]) - expected.motion[axis]).abs() < 1e-3;
+        assert!(picked && close(0) && close(1), "{what}, pixel {index}: {expected:?}, {:?}", picks[index]);
+    }
+}
+
+fn check_auxiliary(gpu: &Gpu, lists: &Lists, how: How) {
+    let motions = motions(lists);
+    let both = forward_auxiliary(gpu, lists, how, &motions, [true; 2]);
+    let what = format!("{how:?}");
+    assert_auxiliary(gpu, lists, &both, &motions, &what);
+    // The picture of the kernel without auxiliary outputs, in one pass.
+    let alone = forward(gpu, lists, How { entries_per_pass: u32::MAX, ..how });
+    assert_same_bits(gpu, [&both.blended, &alone], lists.view.pixels(), &what);
+}
+
+/// Picks or motion alone equal those of both together, and the other output stays untouched.
+fn check_apart(gpu: &Gpu, lists: &Lists, how: How) {
+    let (motions, count) = (motions(lists), lists.view.pixels());
+    let words = |buffer: &Buffer| gpu.read::<u32>(buffer, 2 * count);
+    let both = forward_auxiliary(gpu, lists, how, &motions, [true; 2]);
+    for (pick, motion) in [(true, false), (false, true)] {
+        let one = forward_auxiliary(gpu, lists, how, &motions, [pick, motion]);
+        for (on, buffer, other) in
+            [(pick, &one.picks, &both.picks), (motion, &one.motion_sums, &both.motion_sums)]
+        {
+            let own = words(buffer);
+            assert!(if on { own == words(other) } else { own.iter().all(|&word| word == UNTOUCHED) });
+        }
+    }
+}
+
+/// The nearer of two splats with equal weights wins: 1/4 in front; behind it 3/4 of a third, which rounds to 1/4.
+/// With a third plus one step, the farther one wins. The splats are so wide that alpha is their opacity at each
+/// pixel.
+fn check_ties(gpu: &Gpu, how: How) {
+    let third = 1.0f32 / 3.0;
+    let more = f32::from_bits(third.to_bits() + 1);
+    assert!(0.75 * third == 0.25 && 0.75 * more > 0.25);
+    for (behind, place) in [(third, 2), (more, 3)] {
+        let splat = |opacity: f32| Splat {
+            depth: 2.0,
+            mean2d_px: [18.0, 10.0],
+            cov2d: [1e8, 0.0, 1e8],
+            conic: [0.0; 3],
+            opacity: f64::from(opacity),
+            color: [0.5; 3],
+            radius_px: 0,
+        };
+        // The first is too faint to be blended, the last too faint to win.
+        let splats = [0.001, 0.25, behind, 0.125].map(splat).to_vec();
+        let lists = everywhere(gpu, splats, SIZE);
+        let beside = forward_auxiliary(gpu, &lists, how, &motions(&lists), [true, false]);
+        for [picked, weight] in gpu.read::<[u32; 2]>(&beside.picks, lists.view.pixels()) {
+            assert_eq!((picked, f32::from_bits(weight) >= 0.25), (place, true), "{how:?}");
+        }
+    }
+}
+
+#[test]
+fn blend_auxiliary_picks_the_nearest_of_equal_weights() {
+    let gpu = Gpu::new();
+    for how in [CHAINED, UNCHAINED, LOW, SHARED, How { entries_per_pass: 2, ..CHAINED }] {
+        check_ties(&gpu, how);
+    }
+}
+
+#[test]
+fn blend_auxiliary_equals_its_twin() {
+    let gpu = Gpu::new();
+    for how in [CHAINED, UNCHAINED, LOW, SHARED] {
+        for entries in [0, 33, 300] {
+            check_auxiliary(&gpu, &lists(&gpu, entries, [0.02, 0.6]), how);
+        }
+        check_auxiliary(&gpu, &Lists::long(&gpu, 40, [0.5, 1.0], &small_view([64, 48])), how);
+    }
+}
+
+#[test]
+fn blend_auxiliary_equals_its_twin_in_passes_and_regions() {
+    let gpu = Gpu::new();
+    let lists = lists(&gpu, 301, [0.005, 0.3]);
+    check_apart(&gpu, &lists, How { entries_per_pass: 64, ..CHAINED });
+    for entries_per_pass in [100, 301] {
+        check_auxiliary(&gpu, &lists, How { entries_per_pass, ..CHAINED });
+    }
+    for parts in region_counts(&gpu) {
+        check_auxiliary(&gpu, &lists, How { parts, entries_per_pass: 128, ..CHAINED });
+    }
+}
+
+#[test]
+fn blend_shared_auxiliary_picks_the_nearest_of_equal_weights() {
+    let gpu = Gpu::new();
+    for how in [CHAINED, UNCHAINED, How { entries_per_pass: 2, ..CHAINED }] {
+        check_ties(&gpu, shared(32, how));
+    }
+}
+
+#[test]
+fn blend_shared_auxiliary_equals_its_twin() {
+    let gpu = Gpu::new();
+    let largest = gpu.context.limits().workgroup_size(256);
+    for entries in [0, 33, 300] {
+        let lists = lists(&gpu, entries, [0.02, 0.6]);
+        check_auxiliary(&gpu, &lists, shared(32, CHAINED));
+        check_auxiliary(&gpu, &lists, shared(largest, UNCHAINED));
+        check_auxiliary(&gpu, &lists, shared(64, How { entries_per_pass: 100, ..UNCHAINED }));
+    }
+    let lists = lists(&gpu, 301, [0.005, 0.3]);
+    check_apart(&gpu, &lists, shared(32, How { entries_per_pass: 64, ..CHAINED }));
 }

@@ -1,11 +1,13 @@
-//! `backward/blend_backward` against its twin.
+//! `backward/blend_backward` and `backward/blend_backward_subgroup_per_tile` against one twin.
 
-use crate::common::blending::{Blended, CHAINED, How, OtherSums, SlotSums, backward, forms, forward};
+use crate::common::blending::{
+    Blended, CHAINED, How, OtherSums, SlotSums, backward, backward_alone, forms, forward,
+};
 use crate::common::compare::{GradientTolerance, gradient};
-use crate::common::frame::state_of_scenes;
+use crate::common::frame::{Lists, state};
 use crate::common::gpu::Gpu;
+use crate::common::machine::{Machine, current};
 use crate::common::scenes::{Random, small_view};
-use crate::common::tiles::Lists;
 use crate::reference::blend_backward::{PixelGradient, blend_backward};
 use crate::reference::pipeline::{pixels_of, tile_of};
 use crate::reference::types::{Splat, SplatGradient};
@@ -13,7 +15,7 @@ use crate::reference::types::{Splat, SplatGradient};
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 
 /// Random dL/dpixel, zero where rounding may change a decision.
-pub fn image_gradient(lists: &Lists) -> Vec<[f32; 4]> {
+fn image_gradient(lists: &Lists) -> Vec<[f32; 4]> {
     let mut random = Random::new(17);
     let unstable = lists.unstable();
     unstable
@@ -23,7 +25,7 @@ pub fn image_gradient(lists: &Lists) -> Vec<[f32; 4]> {
 }
 
 /// The twin's gradient of each sorted instance.
-pub fn expected(lists: &Lists, d_pixels: &[[f32; 4]]) -> Vec<SplatGradient> {
+fn expected(lists: &Lists, d_pixels: &[[f32; 4]]) -> Vec<SplatGradient> {
     let mut by_tile: Vec<Vec<SplatGradient>> =
         lists.lists.iter().map(|list| vec![SplatGradient::default(); list.len()]).collect();
     for (pixel, d) in pixels_of(&lists.view).zip(d_pixels) {
@@ -60,7 +62,7 @@ fn actual(lists: &Lists, sums: &SlotSums) -> Vec<SplatGradient> {
 
 type Field = (&'static str, fn(&SplatGradient) -> Vec<f64>);
 
-pub fn compare(actual: &[SplatGradient], expected: &[SplatGradient]) {
+fn compare(kernel: &str, actual: &[SplatGradient], expected: &[SplatGradient]) {
     let skip = vec![false; expected.len()];
     let fields: [Field; 5] = [
         ("mean2d", |g| g.mean2d_px.to_vec()),
@@ -71,64 +73,79 @@ pub fn compare(actual: &[SplatGradient], expected: &[SplatGradient]) {
     ];
     for (name, field) in fields {
         let [actual, expected] = [actual, expected].map(|g| g.iter().flat_map(field).collect::<Vec<f64>>());
-        gradient(name, &actual, &expected, &skip, TOLERANCE).expect("gradients of instances");
+        gradient(name, &actual, &expected, &skip, TOLERANCE).unwrap_or_else(|e| panic!("{kernel}: {e}"));
     }
 }
 
-/// One of the backward kernels over lists.
-pub type Kernel = fn(&Gpu, &Lists, &Blended, Option<&[[f32; 4]]>, How) -> SlotSums;
+/// A kernel's name, and how it runs over lists.
+type Kernel = (&'static str, fn(&Gpu, &Lists, &Blended, Option<&[[f32; 4]]>, How) -> SlotSums);
 
-fn check(kernel: Kernel, gpu: &Gpu, lists: &Lists, entries_per_pass: u32) {
+/// Both kernels on a device; the interpreter runs only the first.
+fn kernels() -> &'static [Kernel] {
+    const KERNELS: [Kernel; 2] =
+        [("blend_backward", backward), ("blend_backward_subgroup_per_tile", backward_alone)];
+    if current() == Machine::Device { &KERNELS } else { &KERNELS[..1] }
+}
+
+fn check(gpu: &Gpu, lists: &Lists, entries_per_pass: u32) {
     let d_pixels = image_gradient(lists);
     let expected = expected(lists, &d_pixels);
     for how in forms(gpu).into_iter().map(|how| How { entries_per_pass, ..how }) {
         let blended = forward(gpu, lists, how);
-        let sums = kernel(gpu, lists, &blended, Some(&d_pixels), how);
-        compare(&actual(lists, &sums), &expected);
-    }
-}
-
-pub fn on_lists_of_all_lengths(kernel: Kernel) {
-    let gpu = Gpu::new();
-    let subgroup = gpu.subgroup() as usize;
-    for entries in [0, 1, subgroup - 1, subgroup, subgroup + 1, 31, 32, 33, 300] {
-        check(kernel, &gpu, &Lists::long(&gpu, entries, [0.02, 0.6], &small_view([37, 21])), u32::MAX);
-    }
-}
-
-pub fn on_images_of_all_sizes(kernel: Kernel) {
-    let gpu = Gpu::new();
-    for size in [[1, 1], [17, 5], [16, 16], [15, 33], [64, 48]] {
-        check(kernel, &gpu, &Lists::long(&gpu, 40, [0.02, 0.9], &small_view(size)), u32::MAX);
-    }
-}
-
-pub fn of_opaque_layers(kernel: Kernel) {
-    let gpu = Gpu::new();
-    check(kernel, &gpu, &Lists::long(&gpu, 50, [0.98, 1.0], &small_view([37, 21])), u32::MAX);
-}
-
-pub fn in_passes(kernel: Kernel) {
-    let gpu = Gpu::new();
-    for opacity in [[0.005, 0.03], [0.5, 1.0]] {
-        let lists = Lists::long(&gpu, 301, opacity, &small_view([37, 21]));
-        for entries_per_pass in [64, 96, 320] {
-            check(kernel, &gpu, &lists, entries_per_pass);
+        for (name, kernel) in kernels() {
+            let sums = kernel(gpu, lists, &blended, Some(&d_pixels), how);
+            compare(name, &actual(lists, &sums), &expected);
         }
     }
 }
 
+#[test]
+pub fn blend_backward_equals_its_twin_on_lists_of_all_lengths() {
+    let gpu = Gpu::new();
+    let subgroup = gpu.subgroup() as usize;
+    for entries in [0, 1, subgroup - 1, subgroup, subgroup + 1, 31, 32, 33, 300] {
+        check(&gpu, &Lists::long(&gpu, entries, [0.02, 0.6], &small_view([37, 21])), u32::MAX);
+    }
+}
+
+#[test]
+pub fn blend_backward_equals_its_twin_on_images_of_all_sizes() {
+    let gpu = Gpu::new();
+    for size in [[1, 1], [17, 5], [16, 16], [15, 33], [64, 48]] {
+        check(&gpu, &Lists::long(&gpu, 40, [0.02, 0.9], &small_view(size)), u32::MAX);
+    }
+}
+
+#[test]
+pub fn blend_backward_of_opaque_layers() {
+    let gpu = Gpu::new();
+    check(&gpu, &Lists::long(&gpu, 50, [0.98, 1.0], &small_view([37, 21])), u32::MAX);
+}
+
+#[test]
+pub fn blend_backward_in_passes() {
+    let gpu = Gpu::new();
+    for opacity in [[0.005, 0.03], [0.5, 1.0]] {
+        let lists = Lists::long(&gpu, 301, opacity, &small_view([37, 21]));
+        [64, 96, 320].into_iter().for_each(|entries_per_pass| check(&gpu, &lists, entries_per_pass));
+    }
+}
+
 /// Every instance is written, even if no pixel has a gradient.
-pub fn of_nothing(kernel: Kernel) {
+#[test]
+pub fn blend_backward_of_nothing_is_zero() {
     let gpu = Gpu::new();
     let lists = Lists::long(&gpu, 70, [0.5, 1.0], &small_view([37, 21]));
     let blended = forward(&gpu, &lists, CHAINED);
-    let sums = kernel(&gpu, &lists, &blended, None, CHAINED);
-    assert!(sums.sums.iter().flatten().all(|&sum| sum == 0.0));
+    for (name, kernel) in kernels() {
+        let sums = kernel(&gpu, &lists, &blended, None, CHAINED);
+        assert!(sums.sums.iter().flatten().all(|&sum| sum == 0.0), "{name}");
+    }
 }
 
 /// Variants with other sums: absolute gradients beside the usual sums, which keep their bits; and the weights alone.
-pub fn with_other_sums(kernel: Kernel) {
+#[test]
+pub fn blend_backward_with_other_sums_equals_its_twin() {
     let gpu = Gpu::new();
     for (entries, size, entries_per_pass) in [(1, [17, 5], u32::MAX), (33, [37, 21], 64), (300, [37, 21], 96)]
     {
@@ -138,30 +155,35 @@ pub fn with_other_sums(kernel: Kernel) {
         // Only the weights of red.
         let edges: Vec<[f32; 4]> = d_pixels.iter().map(|d| [d[0].abs(), 0.0, 0.0, 0.0]).collect();
         let weights = self::expected(&lists, &edges);
-        for how in forms(&gpu).into_iter().map(|how| How { entries_per_pass, ..how }) {
+        let ways = forms(&gpu).into_iter().flat_map(|how| kernels().iter().map(move |kernel| (how, kernel)));
+        for (how, (name, kernel)) in ways {
+            let how = How { entries_per_pass, ..how };
             let blended = forward(&gpu, &lists, how);
             let usual = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
             let how = How { sums: OtherSums::Absolute, ..how };
             let absolute = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
-            assert!(usual.sums == absolute.sums, "{how:?}: other bits");
+            assert!(usual.sums == absolute.sums, "{name}, {how:?}: other bits");
             let of_instances: Vec<f64> =
                 lists.instances.iter().flat_map(|&at| absolute.absolute[at as usize]).collect();
             let twin: Vec<f64> = expected.iter().flat_map(|d| d.absolute_px).collect();
             let skip = vec![false; expected.len()];
-            gradient("absolute", &of_instances, &twin, &skip, TOLERANCE).expect("absolute gradients");
+            gradient("absolute", &of_instances, &twin, &skip, TOLERANCE)
+                .unwrap_or_else(|e| panic!("{name}: {e}"));
             let how = How { inverse_depth: false, sums: OtherSums::Weights, ..how };
             let sums = kernel(&gpu, &lists, &blended, Some(&edges), how);
             let of_instances: Vec<f64> =
                 lists.instances.iter().map(|&at| sums.sums[at as usize][8]).collect();
             let twin: Vec<f64> = weights.iter().map(|d| d.color[0]).collect();
-            gradient("weights", &of_instances, &twin, &skip, TOLERANCE).expect("weights");
+            gradient("weights", &of_instances, &twin, &skip, TOLERANCE)
+                .unwrap_or_else(|e| panic!("{name}: {e}"));
         }
     }
 }
 
 /// The first scene has the same bits when the frame has other scenes. In a single pass, nothing a batch or more
 /// behind it is blended.
-pub fn of_the_first_scene(kernel: Kernel) {
+#[test]
+pub fn blend_backward_of_the_first_scene_alone() {
     let gpu = Gpu::new();
     let cases = [
         (7, [16, 16], u32::MAX, OtherSums::None),
@@ -169,7 +191,8 @@ pub fn of_the_first_scene(kernel: Kernel) {
         (300, [16, 16], u32::MAX, OtherSums::Absolute),
         (70, [37, 21], 96, OtherSums::Weights),
     ];
-    for (entries, size, entries_per_pass, sums) in cases {
+    let ways = cases.into_iter().flat_map(|case| kernels().iter().map(move |kernel| (case, kernel)));
+    for ((entries, size, entries_per_pass, sums), (name, kernel)) in ways {
         let mut lists = Lists::sorted(&gpu, entries, [0.02, 0.2], &small_view(size));
         let d_pixels = image_gradient(&lists);
         let visible = lists.frame.splats.len();
@@ -179,7 +202,7 @@ pub fn of_the_first_scene(kernel: Kernel) {
         // Only the weights are written.
         let first_sum = if sums == OtherSums::Weights { 8 } else { 0 };
         let mut of_scenes = |first_scene: usize| -> Vec<Vec<f64>> {
-            lists.state = state_of_scenes(&gpu, first_scene, visible, instances.len());
+            lists.state = state(&gpu, [first_scene, visible, instances.len()]);
             let SlotSums { sums: own, absolute } = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
             let absolute = absolute
                 .into_iter()
@@ -197,7 +220,8 @@ pub fn of_the_first_scene(kernel: Kernel) {
                 let is_of_first = |&visible: &u32| (visible as usize) < first_scene;
                 let end = list.iter().rposition(is_of_first).map_or(0, |last| last + 1);
                 for (entry, at) in instances.by_ref().take(list.len()).enumerate() {
-                    let what = format!("{how:?}, {first_scene} of {visible}, entry {entry}, {end} count");
+                    let what =
+                        format!("{name}, {how:?}, {first_scene} of {visible}, entry {entry}, {end} count");
                     assert!(entry >= end || some[at] == all[at], "{what}");
                     let is_behind = single && entry >= end + batch;
                     assert!(!is_behind || is_nothing(&some[at]), "{what}");
@@ -205,41 +229,6 @@ pub fn of_the_first_scene(kernel: Kernel) {
                 }
             }
         }
-        assert!(!single || entries <= batch || spared > 0, "{how:?}: nothing to spare");
+        assert!(!single || entries <= batch || spared > 0, "{name}, {how:?}: nothing to spare");
     }
-}
-
-#[test]
-pub fn blend_backward_of_the_first_scene_alone() {
-    of_the_first_scene(backward);
-}
-
-#[test]
-pub fn blend_backward_with_other_sums_equals_its_twin() {
-    with_other_sums(backward);
-}
-
-#[test]
-pub fn blend_backward_equals_its_twin_on_lists_of_all_lengths() {
-    on_lists_of_all_lengths(backward);
-}
-
-#[test]
-pub fn blend_backward_equals_its_twin_on_images_of_all_sizes() {
-    on_images_of_all_sizes(backward);
-}
-
-#[test]
-pub fn blend_backward_of_opaque_layers() {
-    of_opaque_layers(backward);
-}
-
-#[test]
-pub fn blend_backward_in_passes() {
-    in_passes(backward);
-}
-
-#[test]
-pub fn blend_backward_of_nothing_is_zero() {
-    of_nothing(backward);
 }

@@ -38,8 +38,8 @@ fn moved(gpu: &Gpu, gaussians: &[Gaussian], view: &View, before: &View) -> Vec<[
         previous_center_px: before.center_px.map(|x| f(x - 0.5)),
     };
     let workgroups = visible.len() as u64 / u64::from(workgroup_size) + 1;
-    let [orthographic, previous_orthographic] = [view, before].map(|view| view.drawn.orthographic);
-    let spec = Spec { workgroup_size, orthographic, previous_orthographic };
+    let [projection, previous_projection] = [view, before].map(|view| view.drawn.projection());
+    let spec = Spec { workgroup_size, projection, previous_projection };
     gpu.dispatch::<Interface>(&spec, &bind, &push, workgroups);
     let words = gpu.read::<u32>(&motions, 2 * (end as usize + 2));
     assert!(words[..6].iter().chain(&words[2 * end as usize..]).all(|&word| word == UNTOUCHED));

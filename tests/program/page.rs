@@ -29,49 +29,31 @@ pub struct Server {
 impl Server {
     /// Starts the program and waits for the line that names the page.
     pub fn start(arguments: &[&str]) -> Server {
-        Server::start_until(arguments, "viewer at ")
-    }
-
-    /// Same as [`Server::start`], but waits for a line with `last`.
-    pub fn start_until(arguments: &[&str], last: &str) -> Server {
-        Server::run(Command::new(env!("CARGO_BIN_EXE_ashsplat")), arguments, last)
-    }
-
-    /// Same as [`Server::start_until`], but with a limit on file descriptors.
-    #[cfg(unix)]
-    pub fn start_within(descriptors: u32, arguments: &[&str], last: &str) -> Server {
-        let mut command = Command::new("sh");
-        command.args(["-c", &format!("ulimit -n {descriptors}; exec \"$0\" \"$@\"")]);
-        command.arg(env!("CARGO_BIN_EXE_ashsplat"));
-        Server::run(command, arguments, last)
+        Server::run(program(), arguments, "viewer at ")
     }
 
     /// Same as [`Server::start`], but in this folder and with these environment variables.
     pub fn start_in(folder: &Path, variables: &[(&str, &str)], arguments: &[&str]) -> Server {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_ashsplat"));
+        let mut command = program();
         command.current_dir(folder).envs(variables.iter().copied());
         Server::run(command, arguments, "viewer at ")
     }
 
-    fn run(mut command: Command, arguments: &[&str], last: &str) -> Server {
+    /// Adds arguments to a command, starts it and waits for a line that begins with `last`.
+    pub fn run(mut command: Command, arguments: &[&str], last: &str) -> Server {
         command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");
         let mut child = Running::start(command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()));
         let mut lines =
             BufReader::new(child.stdout.take().expect("its stdout")).lines().map_while(Result::ok);
-        let mut said = Vec::new();
-        for line in lines.by_ref() {
+        let mut said: Vec<String> = Vec::new();
+        while !said.last().is_some_and(|line| line.starts_with(last)) {
+            let Some(line) = lines.next() else {
+                panic!("{arguments:?}: {said:?}, {}", String::from_utf8_lossy(&child.finish().stderr));
+            };
             said.push(line);
-            if said.last().is_some_and(|line| line.starts_with(last)) {
-                break;
-            }
         }
         let found = said.iter().find_map(|line| line.strip_prefix("viewer at http://"));
         let host = found.map(|rest| rest.split('/').next().unwrap_or_default().to_owned());
-        if host.is_none() && !said.iter().any(|line| line.starts_with(last)) {
-            let mut stderr = String::new();
-            child.stderr.take().expect("its stderr").read_to_string(&mut stderr).ok();
-            panic!("{arguments:?}: {said:?}, {stderr}");
-        }
         // Drain the rest of the output, so that the program never blocks.
         std::thread::spawn(move || lines.for_each(drop));
         Server { child, said, host: host.unwrap_or_default() }
@@ -121,13 +103,7 @@ impl Server {
         self.request("POST", path, &[headers, if own { &[] } else { &length }].concat(), body)
     }
 
-    /// Returns status and headers of an answer to any method.
-    pub fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> (u16, String) {
-        let (code, head, _) = self.request(method, path, headers, &[]);
-        (code, head)
-    }
-
-    fn request(
+    pub fn request(
         &self,
         method: &str,
         path: &str,
@@ -171,10 +147,20 @@ impl Server {
     }
 }
 
+fn program() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_ashsplat"))
+}
+
 /// A client that does what the browser's page does.
 pub struct Page {
     pub socket: WebSocket<TcpStream>,
     pub greeting: Value,
+}
+
+/// What the server sends.
+pub enum Heard {
+    Frame(Shown),
+    Message(Value),
 }
 
 /// A frame as received.
@@ -195,12 +181,29 @@ impl Page {
         self.socket.send(Message::text(message.to_string())).expect("sent");
     }
 
-    /// Waits for the next message of this type and skips others.
+    /// Waits for the next frame or message.
+    pub fn hear(&mut self) -> Heard {
+        loop {
+            match self.socket.read().expect("a message") {
+                Message::Binary(bytes) => {
+                    let (length, rest) = bytes.split_at(4);
+                    let length = u32::from_le_bytes(length.try_into().expect("4 bytes")) as usize;
+                    let header = serde_json::from_slice(&rest[..length]).expect("a header");
+                    return Heard::Frame(Shown { header, picture: rest[length..].to_vec() });
+                }
+                Message::Text(text) => {
+                    return Heard::Message(serde_json::from_str(text.as_str()).expect("JSON"));
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Waits for the next message of this type and skips others, except problems.
     pub fn wait_for(&mut self, kind: &str) -> Value {
         let start = Instant::now();
         while start.elapsed() < PATIENCE {
-            if let Message::Text(text) = self.socket.read().expect("a message") {
-                let message: Value = serde_json::from_str(text.as_str()).expect("JSON");
+            if let Heard::Message(message) = self.hear() {
                 if message["type"] == kind {
                     return message;
                 }
@@ -210,18 +213,17 @@ impl Page {
         panic!("no {kind}");
     }
 
+    /// Waits for the next error message.
+    pub fn wait_for_problem(&mut self) -> String {
+        self.wait_for("problem")["message"].as_str().expect("words").to_owned()
+    }
+
     /// Waits for the next frame.
     pub fn frame(&mut self) -> Shown {
         loop {
-            match self.socket.read().expect("a message") {
-                Message::Binary(bytes) => {
-                    let (length, rest) = bytes.split_at(4);
-                    let length = u32::from_le_bytes(length.try_into().expect("4 bytes")) as usize;
-                    let header = serde_json::from_slice(&rest[..length]).expect("a header");
-                    return Shown { header, picture: rest[length..].to_vec() };
-                }
-                Message::Text(text) => assert!(!text.contains("\"problem\""), "{text}"),
-                _ => {}
+            match self.hear() {
+                Heard::Frame(shown) => return shown,
+                Heard::Message(message) => assert_ne!(message["type"], "problem", "{message}"),
             }
         }
     }

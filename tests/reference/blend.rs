@@ -7,20 +7,17 @@ use super::types::{ALPHA_MAX, ALPHA_MIN, Splat, TRANSMITTANCE_MIN};
 pub struct Pixel {
     /// Colour over the background.
     pub color: [f64; 3],
-    /// Transmittance left.
     pub transmittance: f64,
     /// Σ α T / z.
     pub inverse_depth: f64,
     /// 1-based place in the list of the last entry blended, 0 when none.
     pub last: u32,
-    /// Number of entries blended.
     pub blended: u32,
 }
 
 /// One entry that was blended at a pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
-    /// Place in the list.
     pub entry: usize,
     /// α after the clamp.
     pub alpha: f64,
@@ -28,6 +25,13 @@ pub struct Sample {
     pub clamped: bool,
     /// Transmittance in front of it.
     pub transmittance: f64,
+}
+
+impl Sample {
+    /// Share of the pixel's colour.
+    pub fn weight(&self) -> f64 {
+        self.alpha * self.transmittance
+    }
 }
 
 /// The entries of `list` (front to back) that are blended at a pixel, and the transmittance behind them.
@@ -49,13 +53,11 @@ pub fn samples(list: &[&Splat], pixel: [u32; 2]) -> (Vec<Sample>, f64) {
     (samples, transmittance)
 }
 
-/// Blends a pixel.
 pub fn blend(list: &[&Splat], pixel: [u32; 2], background: [f64; 3]) -> Pixel {
     let (samples, transmittance) = samples(list, pixel);
     let mut result = Pixel { transmittance, ..Pixel::default() };
     for sample in &samples {
-        let splat = list[sample.entry];
-        let weight = sample.alpha * sample.transmittance;
+        let (splat, weight) = (list[sample.entry], sample.weight());
         for channel in 0..3 {
             result.color[channel] += weight * splat.color[channel];
         }
@@ -82,7 +84,7 @@ pub struct Beside {
 pub fn beside(list: &[&Splat], motions: &[[f64; 2]], pixel: [u32; 2]) -> (Beside, Vec<f64>) {
     let (mut result, mut weights) = (Beside::default(), vec![0.0; list.len()]);
     for sample in &samples(list, pixel).0 {
-        let weight = sample.alpha * sample.transmittance;
+        let weight = sample.weight();
         weights[sample.entry] = weight;
         result.heaviest = result.heaviest.max(weight);
         for axis in 0..2 {

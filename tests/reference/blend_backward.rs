@@ -6,9 +6,7 @@ use super::types::{Splat, SplatGradient};
 /// Gradient of the loss with respect to a pixel.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PixelGradient {
-    /// dL/dcolour.
     pub color: [f64; 3],
-    /// dL/d(inverse depth).
     pub inverse_depth: f64,
 }
 
@@ -27,7 +25,7 @@ pub fn blend_backward(
     for sample in samples.iter().rev() {
         let splat = list[sample.entry];
         let gradient = &mut gradients[sample.entry];
-        let weight = sample.alpha * sample.transmittance;
+        let weight = sample.weight();
         let mut d_alpha = 0.0;
         for channel in 0..3 {
             gradient.color[channel] += weight * d_pixel.color[channel];

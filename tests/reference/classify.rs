@@ -1,4 +1,5 @@
-//! Which Gaussians are cloned and split (spec: "Densify"), the twin of `densify/classify`.
+//! Which Gaussians are cloned and split (spec: "Densify"), and statistics of those outside a box: the twins of
+//! `densify/classify` and `densify/mask_outside`.
 
 use super::linear::sigmoid;
 
@@ -11,7 +12,6 @@ pub const OPACITY_MIN: f64 = 0.005;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Decision {
-    /// Nothing.
     Keep,
     /// A copy in place, both kept.
     Clone,
@@ -28,7 +28,6 @@ pub struct Statistic {
     pub views: f64,
 }
 
-/// Decides for one Gaussian.
 pub fn decide(log_scale: [f64; 3], statistic: Statistic, scene_extent: f64) -> Decision {
     let mean = if statistic.views > 0.0 { statistic.gradient / statistic.views } else { 0.0 };
     if mean < GRADIENT_THRESHOLD {
@@ -47,4 +46,10 @@ pub fn is_pruned(opacity_logit: f64, log_scale: [f64; 3], scene_extent: f64, pru
 
 fn largest_scale(log_scale: [f64; 3]) -> f64 {
     log_scale.iter().copied().fold(f64::NEG_INFINITY, f64::max).exp()
+}
+
+/// Sum of norms of a Gaussian with this mean: below every threshold outside a box, which includes its sides.
+pub fn masked(sum: f64, mean: [f64; 3], [low, high]: [[f64; 3]; 2]) -> f64 {
+    let inside = (0..3).all(|axis| low[axis] <= mean[axis] && mean[axis] <= high[axis]);
+    if inside { sum } else { f64::from(-3e38_f32) }
 }

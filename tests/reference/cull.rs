@@ -4,7 +4,6 @@ use super::linear::apply;
 use super::project;
 use super::types::{Gaussian, View};
 
-/// Position in the camera's frame.
 pub fn camera_position(gaussian: &Gaussian, view: &View) -> [f64; 3] {
     let rotated = apply(&view.camera_from_world, gaussian.mean);
     [0, 1, 2].map(|i| rotated[i] + view.translation[i])

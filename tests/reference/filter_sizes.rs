@@ -26,7 +26,6 @@ pub fn filtered(gaussian: &Gaussian, size: f64) -> Gaussian {
     }
 }
 
-/// Factor of the opacity.
 pub fn shrink(gaussian: &Gaussian, size: f64) -> f64 {
     gaussian.log_scale.map(f64::exp).map(|s| s / s.hypot(size)).into_iter().product()
 }

@@ -3,46 +3,27 @@
 /// A row-major 3×3 matrix.
 pub type Mat3 = [[f64; 3]; 3];
 
-/// Scalar product.
 pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Vector product.
 pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// A v.
 pub fn apply(a: &Mat3, v: [f64; 3]) -> [f64; 3] {
     [dot(a[0], v), dot(a[1], v), dot(a[2], v)]
 }
 
-/// Aᵀ.
 pub fn transpose(a: &Mat3) -> Mat3 {
-    let mut t = [[0.0; 3]; 3];
-    for row in 0..3 {
-        for column in 0..3 {
-            t[column][row] = a[row][column];
-        }
-    }
-    t
+    [0, 1, 2].map(|column| a.map(|row| row[column]))
 }
 
-/// A B.
 pub fn multiply(a: &Mat3, b: &Mat3) -> Mat3 {
-    let mut product = [[0.0; 3]; 3];
-    for row in 0..3 {
-        for column in 0..3 {
-            for k in 0..3 {
-                product[row][column] += a[row][k] * b[k][column];
-            }
-        }
-    }
-    product
+    let columns = transpose(b);
+    a.map(|row| columns.map(|column| dot(row, column)))
 }
 
-/// f A.
 pub fn scale(a: &Mat3, factor: f64) -> Mat3 {
     a.map(|row| row.map(|x| x * factor))
 }
@@ -83,7 +64,6 @@ pub fn normalize_quat(q: [f64; 4]) -> ([f64; 4], f64) {
     (q.map(|x| x / norm), norm)
 }
 
-/// The logistic function.
 pub fn sigmoid(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }

@@ -1,7 +1,6 @@
 //! The loss as one number, the twin of `loss/loss_reduce`.
 
-use super::ssim_backward::ssim_backward;
-use super::ssim_forward::{Plane, ssim_forward};
+use super::ssim::{Plane, ssim_backward, ssim_forward};
 
 /// Weight of 1 − SSIM in the loss.
 pub const LAMBDA_DSSIM: f64 = 0.2;
@@ -10,13 +9,10 @@ pub const LAMBDA_DSSIM: f64 = 0.2;
 pub struct Loss {
     /// (1 − λ)·l1 + λ·(1 − ssim).
     pub loss: f64,
-    /// Mean absolute difference.
     pub l1: f64,
-    /// Mean SSIM.
     pub ssim: f64,
     /// SSIM per pixel and channel.
     pub ssim_map: Vec<f64>,
-    /// dL/dx.
     pub gradient: Vec<f64>,
 }
 

@@ -1,10 +1,108 @@
-//! LPIPS from the twins of its layers, and weights by the formula of the golden vectors.
+//! LPIPS, and weights by the formula of the golden vectors. Its layers are the twins of `lpips/convolve`,
+//! `lpips/max_pool` and `lpips/feature_difference`.
 
-use super::convolve::{Features, Window, convolve};
-use super::feature_difference::feature_difference;
-use super::max_pool::max_pool;
+/// Features of a picture: channels, rows, columns.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Features {
+    pub channels: usize,
+    pub height: usize,
+    pub width: usize,
+    pub values: Vec<f64>,
+}
 
-/// A step of a network.
+impl Features {
+    /// Features with values computed by a formula.
+    pub fn new(
+        [channels, height, width]: [usize; 3],
+        mut value: impl FnMut(usize, usize, usize) -> f64,
+    ) -> Features {
+        let at = |i: usize| value(i / (height * width), i / width % height, i % width);
+        Features { channels, height, width, values: (0..channels * height * width).map(at).collect() }
+    }
+
+    pub fn at(&self, c: usize, y: usize, x: usize) -> f64 {
+        self.values[(c * self.height + y) * self.width + x]
+    }
+
+    /// Row `y` of channel `c`.
+    pub fn row(&self, c: usize, y: usize) -> &[f64] {
+        let start = (c * self.height + y) * self.width;
+        &self.values[start..start + self.width]
+    }
+}
+
+/// Side of the window, stride, and zero padding around the picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    pub size: usize,
+    pub stride: usize,
+    pub padding: usize,
+}
+
+impl Window {
+    /// Number of windows along a side.
+    pub fn count(&self, side: usize) -> usize {
+        (side + 2 * self.padding - self.size) / self.stride + 1
+    }
+}
+
+/// `weights` in the order (output, input, y, x).
+pub fn convolve(input: &Features, weights: &[f64], biases: &[f64], window: Window) -> Features {
+    let Window { size, stride, padding } = window;
+    let (height, width) = (window.count(input.height), window.count(input.width));
+    let mut output = Features::new([biases.len(), height, width], |o, _, _| biases[o]);
+    for o in 0..biases.len() {
+        for (y, row) in
+            output.values[o * height * width..(o + 1) * height * width].chunks_mut(width).enumerate()
+        {
+            for (i, ky) in (0..input.channels).flat_map(|i| (0..size).map(move |ky| (i, ky))) {
+                let from = y * stride + ky;
+                if from < padding || from - padding >= input.height {
+                    continue;
+                }
+                let from = input.row(i, from - padding);
+                for kx in 0..size {
+                    let weight = weights[((o * input.channels + i) * size + ky) * size + kx];
+                    for (x, sum) in row.iter_mut().enumerate() {
+                        let place = x * stride + kx;
+                        if place >= padding && place - padding < input.width {
+                            *sum += weight * from[place - padding];
+                        }
+                    }
+                }
+            }
+        }
+    }
+    output.values.iter_mut().for_each(|value| *value = value.max(0.0));
+    output
+}
+
+/// The largest value of each window, in each channel; there is no padding.
+pub fn max_pool(input: &Features, window: Window) -> Features {
+    let shape = [input.channels, window.count(input.height), window.count(input.width)];
+    Features::new(shape, |c, y, x| {
+        let mut largest = f64::NEG_INFINITY;
+        for (ky, kx) in (0..window.size).flat_map(|ky| (0..window.size).map(move |kx| (ky, kx))) {
+            largest = largest.max(input.at(c, y * window.stride + ky, x * window.stride + kx));
+        }
+        largest
+    })
+}
+
+/// Differences of normalised features per pixel (Zhang et al. 2018, equation 1), row by row.
+pub fn feature_difference(a: &Features, b: &Features, head: &[f64]) -> Vec<f64> {
+    let norm = |features: &Features, y: usize, x: usize| {
+        (0..features.channels).map(|c| features.at(c, y, x).powi(2)).sum::<f64>().sqrt() + 1e-10
+    };
+    let mut differences = Vec::new();
+    for (y, x) in (0..a.height).flat_map(|y| (0..a.width).map(move |x| (y, x))) {
+        let (norm_a, norm_b) = (norm(a, y, x), norm(b, y, x));
+        let channel = |c: usize| head[c] * (a.at(c, y, x) / norm_a - b.at(c, y, x) / norm_b).powi(2);
+        differences.push((0..a.channels).map(channel).sum());
+    }
+    differences
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
     /// Convolution with this number of outputs.
@@ -105,7 +203,7 @@ pub fn formula(steps: &[Step], tags: u32) -> Weights {
     weights
 }
 
-fn wide(values: &[f32]) -> Vec<f64> {
+pub fn wide(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&value| f64::from(value)).collect()
 }
 

@@ -5,9 +5,8 @@ use super::blend_backward::{PixelGradient, blend_backward};
 use super::project::project;
 use super::project_backward::{pose_gradient, project_backward};
 use super::types::{Gaussian, Gradient, Splat, SplatGradient, TILE, View};
-use super::{duplicate_with_tiles, ranges, sort};
+use super::{lists, sort};
 
-/// A frame and its intermediate results.
 pub struct Frame {
     /// Per Gaussian, `None` when culled.
     pub splats: Vec<Option<Splat>>,
@@ -15,11 +14,9 @@ pub struct Frame {
     pub tiles_touched: Vec<u32>,
     /// Per tile, its Gaussians front to back.
     pub lists: Vec<Vec<u32>>,
-    /// Per pixel.
     pub pixels: Vec<Pixel>,
 }
 
-/// Gradients of a frame.
 pub struct FrameGradient {
     /// Gradients of the splats, per Gaussian.
     pub splats: Vec<SplatGradient>,
@@ -32,12 +29,12 @@ pub struct FrameGradient {
 pub fn render(gaussians: &[Gaussian], view: &View) -> Frame {
     let kept = |(index, g)| if view.drawn.drops(index) { None } else { project(g, view) };
     let splats: Vec<Option<Splat>> = gaussians.iter().enumerate().map(kept).collect();
-    let mut instances = duplicate_with_tiles::expand(&splats, view);
+    let mut instances = lists::expand(&splats, view);
     let tiles_touched = tiles_touched(&instances, gaussians.len());
     sort::sort_by_tile_and_depth(&mut instances);
     let tile_ids: Vec<u32> = instances.iter().map(|instance| instance.tile).collect();
     let tile_count = view.tiles()[0] * view.tiles()[1];
-    let lists: Vec<Vec<u32>> = ranges::ranges(&tile_ids, tile_count)
+    let lists: Vec<Vec<u32>> = lists::ranges(&tile_ids, tile_count)
         .into_iter()
         .map(|[begin, end]| {
             instances[begin as usize..end as usize].iter().map(|instance| instance.gaussian).collect()
@@ -108,7 +105,6 @@ pub fn pixels_of(view: &View) -> impl Iterator<Item = [u32; 2]> + use<> {
     (0..height).flat_map(move |y| (0..width).map(move |x| [x, y]))
 }
 
-/// Index of the tile of a pixel.
 pub fn tile_of(view: &View, pixel: [u32; 2]) -> usize {
     ((pixel[1] / TILE) * view.tiles()[0] + pixel[0] / TILE) as usize
 }
@@ -117,7 +113,7 @@ fn splats_of<'a>(splats: &'a [Option<Splat>], list: &[u32]) -> Vec<&'a Splat> {
     list.iter().map(|&g| splats[g as usize].as_ref().expect("only visible Gaussians are listed")).collect()
 }
 
-fn tiles_touched(instances: &[duplicate_with_tiles::Instance], gaussians: usize) -> Vec<u32> {
+fn tiles_touched(instances: &[lists::Instance], gaussians: usize) -> Vec<u32> {
     let mut touched = vec![0; gaussians];
     for instance in instances {
         touched[instance.gaussian as usize] += 1;

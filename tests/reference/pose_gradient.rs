@@ -2,7 +2,6 @@
 
 use super::linear::Mat3;
 
-/// A row-major 6×6 matrix.
 pub type Mat6 = [[f64; 6]; 6];
 
 /// ω^: the matrix of the vector product with ω.
@@ -25,13 +24,7 @@ fn ad(xi: [f64; 6]) -> Mat6 {
 }
 
 fn multiply(a: &Mat6, b: &Mat6) -> Mat6 {
-    let mut product = [[0.0; 6]; 6];
-    for row in 0..6 {
-        for column in 0..6 {
-            product[row][column] = (0..6).map(|k| a[row][k] * b[k][column]).sum();
-        }
-    }
-    product
+    a.map(|row| [0, 1, 2, 3, 4, 5].map(|column| (0..6).map(|k| row[k] * b[k][column]).sum()))
 }
 
 /// The left Jacobian of SE(3): Σ ad^k / (k + 1)!.
@@ -44,10 +37,8 @@ pub fn left_jacobian(xi: [f64; 6]) -> Mat6 {
     for k in 1..60 {
         power = multiply(&power, &ad);
         factorial *= f64::from(k + 1);
-        for row in 0..6 {
-            for column in 0..6 {
-                sum[row][column] += power[row][column] / factorial;
-            }
+        for (sum, x) in sum.as_flattened_mut().iter_mut().zip(power.as_flattened()) {
+            *sum += x / factorial;
         }
     }
     sum

@@ -4,7 +4,6 @@ use super::adam::{BETA1, BETA2, Parameter};
 use super::linear::{Mat3, apply, cross, multiply, rotation};
 use super::pose_gradient::left_jacobian;
 
-/// ε.
 pub const EPSILON: f64 = 1e-8;
 /// Weight decay: the gradient gains this factor times the parameter.
 pub const WEIGHT_DECAY: f64 = 1e-6;

@@ -17,7 +17,6 @@ pub struct Intermediate {
     pub limited: [bool; 2],
     /// Unit quaternion and the norm it was divided by.
     pub unit_quat: ([f64; 4], f64),
-    /// Standard deviations.
     pub scale: [f64; 3],
     /// Σ.
     pub cov3d: Mat3,
@@ -148,7 +147,6 @@ pub fn radius_px([a, b, c]: [f64; 3]) -> i32 {
     (3.0 * largest.sqrt()).ceil() as i32
 }
 
-/// The camera's position in the world.
 pub fn camera_position(view: &View) -> [f64; 3] {
     apply(&transpose(&view.camera_from_world), view.translation).map(|x| -x)
 }

@@ -1,4 +1,5 @@
-//! Sums of opacities and scales, and the gradient of their weighted means; the twin of `loss/regularize`.
+//! Sums of opacities and scales, and the gradient of their weighted means: the twins of `loss/regularize` and
+//! `loss/term_reduce`.
 
 use super::linear::sigmoid;
 use super::types::Gaussian;
@@ -28,4 +29,10 @@ pub fn regularize(gaussians: &[Gaussian], weights: [f64; 2]) -> Sums {
         });
     }
     sums
+}
+
+/// Returns the weighted sum, the mean opacity and the mean scale.
+pub fn losses(sums: &Sums, count: usize, weights: [f64; 2]) -> [f64; 3] {
+    let (opacity, scale) = (sums.opacity / count as f64, sums.scale / (3 * count) as f64);
+    [weights[0] * opacity + weights[1] * scale, opacity, scale]
 }

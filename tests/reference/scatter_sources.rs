@@ -4,17 +4,14 @@ use super::classify::{Decision, Statistic, decide, is_pruned};
 use super::gather::child_of;
 use super::types::Gaussian;
 
-/// Origin of a Gaussian in the new set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Unchanged.
     Kept = 0,
     Clone = 1,
     /// Half of a split Gaussian.
     Child = 2,
 }
 
-/// A Gaussian of the new set.
 #[derive(Clone, Debug)]
 pub struct Placed {
     /// Its index before densification; the parent's for clones and children.

@@ -1,12 +1,12 @@
 //! The motion of a Gaussian's mean on the screen, the twin of `forward/screen_motion`.
 
+use super::linear::apply;
 use super::types::View;
 
 /// Screen position of a mean (px, pixel centres at the integers) and its depth.
 fn seen(mean: [f64; 3], view: &View) -> ([f64; 2], f64) {
-    let row =
-        |k: usize| (0..3).map(|j| view.camera_from_world[k][j] * mean[j]).sum::<f64>() + view.translation[k];
-    let [x, y, z] = [row(0), row(1), row(2)];
+    let rotated = apply(&view.camera_from_world, mean);
+    let [x, y, z] = [0, 1, 2].map(|i| rotated[i] + view.translation[i]);
     let distance = if view.drawn.orthographic { 1.0 } else { z };
     let at = |k: usize, v: f64| view.focal_px[k] * v / distance + view.center_px[k] - 0.5;
     ([at(0, x), at(1, y)], z)

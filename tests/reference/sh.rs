@@ -1,4 +1,5 @@
-//! Real spherical harmonics up to degree 3, with the reference implementation's signs.
+//! Real spherical harmonics up to degree 3, with the reference implementation's signs; and the twin of
+//! `backward/expand_gradients`.
 
 const C0: f64 = 0.282_094_791_773_878_14;
 const C1: f64 = 0.488_602_511_902_919_9;
@@ -68,7 +69,13 @@ pub fn basis_gradient(direction: [f64; 3]) -> [[f64; 3]; 16] {
     ]
 }
 
-/// Number of coefficients of a degree.
 pub fn coefficients(degree: u32) -> usize {
     ((degree + 1) * (degree + 1)) as usize
+}
+
+/// dL/dSH from dL/dcolour before its clamp: Y_k(direction)·d for the active degree, zero above.
+pub fn sh_gradient(direction: [f64; 3], d_color: [f64; 3], degree: u32, stored: usize) -> Vec<[f64; 3]> {
+    let basis = basis(direction);
+    let active = coefficients(degree);
+    (0..stored).map(|k| if k < active { d_color.map(|d| d * basis[k]) } else { [0.0; 3] }).collect()
 }

@@ -14,12 +14,10 @@ pub struct Point {
 pub fn depth_sums(list: &[&Splat], pixel: [u32; 2]) -> [f64; 2] {
     let (samples, _) = samples(list, pixel);
     samples.iter().fold([0.0; 2], |[z, one], sample| {
-        let weight = sample.alpha * sample.transmittance;
-        [z + weight * list[sample.entry].depth, one + weight]
+        [z + sample.weight() * list[sample.entry].depth, one + sample.weight()]
     })
 }
 
-/// Expected depth.
 pub fn expected([z, one]: [f64; 2]) -> f64 {
     z / one.max(1e-10)
 }

@@ -25,7 +25,7 @@ pub fn expected_depth_backward(
     gradients: &mut [SplatGradient],
 ) {
     let (samples, _) = samples(list, pixel);
-    let weight = |at: usize| samples[at].alpha * samples[at].transmittance;
+    let weight = |at: usize| samples[at].weight();
     let coverage: f64 = (0..samples.len()).map(weight).sum();
     if coverage <= 1e-10 {
         return;

@@ -5,7 +5,6 @@ use super::types::{ALPHA_MIN, Extent, Splat, TILE, View};
 /// Tile columns [x0, x1) and rows [y0, y1), as [x0, y0, x1, y1].
 pub type TileBox = [u32; 4];
 
-/// True if the box holds no tile.
 pub fn is_empty([x0, y0, x1, y1]: TileBox) -> bool {
     x0 >= x1 || y0 >= y1
 }
@@ -51,14 +50,10 @@ pub fn exact_box(splat: &Splat, view: &View) -> TileBox {
 
 /// True if α ≥ 1/255 at some pixel centre of the tile; tries all 256.
 pub fn touches_by_pixels(splat: &Splat, tile: [u32; 2]) -> bool {
-    let mut touches = false;
-    for y in 0..TILE {
-        for x in 0..TILE {
-            let pixel = [tile[0] * TILE + x, tile[1] * TILE + y];
-            touches |= alpha_unclamped(splat, pixel).is_some_and(|alpha| alpha >= ALPHA_MIN);
-        }
-    }
-    touches
+    (0..TILE * TILE).any(|i| {
+        let pixel = [tile[0] * TILE + i % TILE, tile[1] * TILE + i / TILE];
+        alpha_unclamped(splat, pixel).is_some_and(|alpha| alpha >= ALPHA_MIN)
+    })
 }
 
 /// o·exp(power) at a pixel, `None` where power > 0.
@@ -106,13 +101,7 @@ pub fn touched(splat: &Splat, view: &View) -> Vec<u32> {
         Extent::Exact => exact_box(splat, view),
         Extent::Reference => reference_square(splat, view),
     };
-    let mut tiles = Vec::new();
-    for y in y0..y1 {
-        for x in x0..x1 {
-            if view.extent == Extent::Reference || touches_rectangle(splat, [x, y]) {
-                tiles.push(y * view.tiles()[0] + x);
-            }
-        }
-    }
-    tiles
+    let tiles = (y0..y1).flat_map(|y| (x0..x1).map(move |x| [x, y]));
+    let met = tiles.filter(|tile| view.extent == Extent::Reference || touches_rectangle(splat, *tile));
+    met.map(|[x, y]| y * view.tiles()[0] + x).collect()
 }

@@ -30,16 +30,12 @@ pub struct Gaussian {
 pub struct View {
     /// Row-major rotation, x_camera = R x_world + t.
     pub camera_from_world: [[f64; 3]; 3],
-    /// t.
     pub translation: [f64; 3],
-    /// fx, fy.
     pub focal_px: [f64; 2],
     /// cx, cy with pixel centres at +0.5.
     pub center_px: [f64; 2],
-    /// Width, height.
     pub size_px: [u32; 2],
     pub background: [f64; 3],
-    /// Active SH degree.
     pub sh_degree: u32,
     /// Opacity compensation for the dilation.
     pub antialias: bool,
@@ -49,9 +45,7 @@ pub struct View {
     pub filter_3d: f64,
     /// Jacobian limits ±1.3 tan(fov/2), instead of the image edges plus 0.3 tan(fov/2).
     pub symmetric_limit: bool,
-    /// Which pixels a Gaussian may reach.
     pub extent: Extent,
-    /// How Gaussians are drawn.
     pub drawn: Drawn,
 }
 
@@ -83,7 +77,6 @@ pub struct Drawn {
 /// Factors of a scene's colours and opacities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tint {
-    /// Red, green and blue.
     pub color: [f64; 3],
     /// Factor of the Gaussians' own opacities, 0 to 1.
     pub opacity: f64,
@@ -104,7 +97,6 @@ pub struct CutOut {
 }
 
 impl CutOut {
-    /// True if a mean lies inside.
     pub fn contains(&self, mean: [f64; 3]) -> bool {
         let from = [0, 1, 2].map(|i| mean[i] as f32 - self.center[i]);
         let q = self.rows.map(|[a, b, c]| a * from[0] + b * from[1] + c * from[2]);
@@ -125,7 +117,6 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// True if a Gaussian is selected.
     pub fn selects(gaussian: usize) -> bool {
         pcg4d([gaussian as u32, 1, 2, 3])[0] & 1 == 1
     }
@@ -136,9 +127,8 @@ impl Selection {
 pub struct Dropout {
     /// Number out of 2^24.
     pub below: u32,
-    /// Key of the random numbers.
+    /// Seed and iteration are the key of the random numbers.
     pub seed: u32,
-    /// Key of the random numbers.
     pub iteration: u32,
 }
 
@@ -166,14 +156,12 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Keeps all Gaussians.
     pub const NONE: Self = Self {
         mean: [[f32::MIN as f64; 3], [f32::MAX as f64; 3]],
         opacity_logit: f32::MIN as f64,
         log_density: f32::MIN as f64,
     };
 
-    /// True if a Gaussian is drawn.
     pub fn keep(&self, gaussian: &Gaussian) -> bool {
         let [low, high] = self.mean;
         let inside = (0..3).all(|i| (low[i]..=high[i]).contains(&gaussian.mean[i]));
@@ -184,7 +172,11 @@ impl Limits {
 }
 
 impl Drawn {
-    /// The Gaussians themselves.
+    /// The projection as the kernels know it (PROJECTION_*).
+    pub fn projection(&self) -> u32 {
+        self.orthographic.into()
+    }
+
     pub const AS_THEY_ARE: Self = Self {
         scale_modifier: 1.0,
         dilation_px2: DILATION,
@@ -248,7 +240,6 @@ impl View {
         self.size_px.map(|n| n.div_ceil(TILE))
     }
 
-    /// Number of pixels of the image.
     pub fn pixels(&self) -> usize {
         self.size_px[0] as usize * self.size_px[1] as usize
     }
@@ -259,7 +250,7 @@ impl View {
 pub struct Splat {
     /// View depth z.
     pub depth: f64,
-    /// Centre, pixel centres at the integers.
+    /// Pixel centres at the integers.
     pub mean2d_px: [f64; 2],
     /// 2-D covariance (xx, xy, yy) after the dilation.
     pub cov2d: [f64; 3],
@@ -276,13 +267,10 @@ pub struct Splat {
 /// Gradient with respect to what the blending reads of a splat.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SplatGradient {
-    /// dL/d(centre in pixels).
     pub mean2d_px: [f64; 2],
-    /// dL/d(A, B, C).
     pub conic: [f64; 3],
     /// dL/d(opacity after compensation).
     pub opacity: f64,
-    /// dL/dcolour.
     pub color: [f64; 3],
     /// dL/d(1/z) through the inverse-depth image.
     pub inverse_depth: f64,
@@ -293,15 +281,11 @@ pub struct SplatGradient {
 /// Gradient with respect to a Gaussian's raw parameters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gradient {
-    /// dL/dmean.
     pub mean: [f64; 3],
-    /// dL/dquaternion.
     pub quat: [f64; 4],
-    /// dL/dlog-scale.
     pub log_scale: [f64; 3],
-    /// dL/dlogit.
     pub opacity_logit: f64,
-    /// dL/dSH, as many as stored.
+    /// As many as stored.
     pub sh: Vec<[f64; 3]>,
 }
 

@@ -1,14 +1,11 @@
 //! Cuts, and exported files: those of the viewer and of `ashsplat convert`.
 
 use super::*;
-use crate::cli::{succeed, write_dataset};
-use crate::common::engine::renderer;
-use ashsplat::scene::{Bounds, Cut, WorldFrame};
-use ashsplat::{Gaussians, RenderSettings};
-use ashsplat_files::Photo;
+use ashsplat::scene::{Bounds, Cut};
 use ashsplat_files::splats::Format;
-use glam::{DVec3, Vec3};
-use tempfile::tempdir;
+use glam::DVec3;
+
+use super::training::Training;
 
 const COUNT: usize = 900;
 
@@ -28,60 +25,38 @@ fn cuts() -> Vec<Value> {
 
 /// Picture of Gaussians that the test has cut itself.
 fn picture(gaussians: &Gaussians, camera: &Camera) -> Vec<u8> {
-    let mut renderer = renderer();
-    renderer.upload(gaussians).expect("uploaded");
-    let frame = renderer.render(camera, &RenderSettings::default()).expect("a frame");
-    Photo::from_f32(frame.width, frame.height, &frame.color).expect("a picture").rgb
-}
-
-fn read(path: &Path) -> Gaussians {
-    splats::read(path, &splats::ReadOptions::default()).expect("a scene").gaussians
+    rendered(gaussians, camera, &RenderSettings::default())
 }
 
 /// The viewer's picture equals that of the file which the displayed command writes. Its exports equal that file,
 /// byte for byte.
 #[test]
 fn viewer_cuts_as_convert_does() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = folder.path().join("ball.ply");
-    splats::write(&path, &ball(COUNT), &WriteOptions::default()).expect("a PLY");
-    let server = Server::view(&path, &[]);
+    let (place, server) = view_ball(COUNT, &[]);
     let mut page = server.page();
-    let command = page.greeting["convert"].as_str().expect("a command").to_owned();
-    assert_eq!(command, format!("ashsplat convert {} ball_cut.ply", path.display()));
+    let path = place.at("ball.ply");
+    assert_eq!(page.greeting["convert"], format!("ashsplat convert {} ball_cut.ply", path.display()));
     assert_eq!(page.greeting["stem"], "ball");
     let camera = camera(0.3);
     let mut sizes = Vec::new();
     for (number, cut) in cuts().iter().enumerate() {
         let shown = page.look(&camera, &json!({ "quality": 0, "cut": cut }));
-        let options = shown.header["convert"].as_str().expect("options").to_owned();
+        let options = shown.header["convert"].as_str().expect("options");
         assert_eq!(options.is_empty(), number == 0, "{options}");
+        let address = shown.header["export"].as_str().expect("an address");
         for format in [Format::Ply, Format::Spz] {
-            let converted = folder.path().join(format!("{number}{}", format.extension()));
-            let words: Vec<&str> = ["convert", text(&path), text(&converted)]
-                .into_iter()
-                .chain(options.split_whitespace())
-                .collect();
-            succeed(&words);
-            let address = shown.header["export"].as_str().expect("an address");
-            let (code, head, body) =
-                server.get(&format!("/export/ball_cut{}?{address}", format.extension()), &[]);
-            assert_eq!(code, 200, "{head}");
-            assert!(head.contains("content-disposition: attachment"), "{head}");
-            assert!(body == std::fs::read(&converted).expect("a file"), "{options}: {format}");
-            if format == Format::Ply {
-                let left = read(&converted);
-                let (code, head, body) = server.get(&format!("/count?{address}"), &[]);
-                let counts: Value = serde_json::from_slice(&body).expect("JSON");
-                assert_eq!(
-                    (code, counts),
-                    (200, json!({ "kept": left.len(), "of": COUNT, "losses": [] })),
-                    "{head}"
-                );
-                assert!(shown.rgb() == picture(&left, &camera), "{options}");
-                sizes.push(left.len());
-            }
+            let converted = format!("{number}{}", format.extension());
+            place.run(format!("convert @ball.ply @{converted} {options}")).ok();
+            let export = format!("/export/ball_cut{}?{address}", format.extension());
+            let (code, head, body) = server.get(&export, &[]);
+            assert!(code == 200 && head.contains("content-disposition: attachment"), "{head}");
+            assert!(body == place.read(&converted), "{options}: {format}");
         }
+        let left = place.gaussians(format!("{number}.ply"));
+        let counts = json_body(&server, &format!("/count?{address}"));
+        assert_eq!(counts, json!({ "kept": left.len(), "of": COUNT, "losses": [] }));
+        assert!(shown.rgb() == picture(&left, &camera), "{options}");
+        sizes.push(left.len());
     }
     assert!(sizes[0] == COUNT && sizes[1..].iter().all(|&left| 20 < left && left < COUNT), "{sizes:?}");
     assert_eq!(sizes[2], COUNT - COUNT / 3, "a third is less dense");
@@ -90,45 +65,36 @@ fn viewer_cuts_as_convert_does() {
     let pick = json!({ "type": "pick", "id": 1, "camera": message(&camera), "pixel": [48, 32], "look": { "cut": cut } });
     page.send(&pick);
     let picked = page.wait_for("picked");
-    let ids: Vec<usize> = picked["samples"]
-        .as_array()
-        .expect("samples")
-        .iter()
-        .map(|s| s["id"].as_u64().expect("a number") as usize)
-        .collect();
-    assert!(!ids.is_empty() && ids.iter().all(|&id| ball(COUNT).means[id][2] >= 0.0), "{ids:?}");
+    let samples = picked["samples"].as_array().expect("samples");
+    let ids: Vec<u64> = samples.iter().map(|s| s["id"].as_u64().expect("a number")).collect();
+    let means = ball(COUNT).means;
+    assert!(!ids.is_empty() && ids.iter().all(|&id| means[id as usize][2] >= 0.0), "{ids:?}");
 }
 
 /// A tiny scene far from the origin looks like any other. The page gives its box in the coordinates of the file.
 #[test]
 fn viewer_cuts_distant_scenes_in_their_own_coordinates() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = folder.path().join("ball.ply");
+    let place = Place::empty();
     let frame = WorldFrame { origin: DVec3::new(500_000.0, 4_600_000.0, 100.0), unit: 0.01 };
     let options = WriteOptions { frame, ..WriteOptions::default() };
-    splats::write(&path, &ball(COUNT), &options).expect("a PLY");
-    let server = Server::view(&path, &[]);
+    splats::write(place.at("ball.ply"), &ball(COUNT), &options).expect("a PLY");
+    let server = Server::view(&place.at("ball.ply"), &[]);
     let mut page = server.page();
     assert_eq!(page.greeting["frame"], json!({ "origin": frame.origin.to_array(), "unit": 0.01 }));
     let cut = json!({ "min_density": 0.5, "low": [-0.25, null, null], "high": [null, 0.5, null] });
     let shown = page.look(&camera(0.3), &json!({ "quality": 0, "cut": cut }));
     assert!(shown.rgb().iter().any(|value| *value > 99));
-    let options = shown.header["convert"].as_str().expect("options").to_owned();
+    let options = shown.header["convert"].as_str().expect("options");
     assert!(options.contains("--crop-box=499999.9975,-inf,-inf,inf,4600000.005,inf"), "{options}");
-    let converted = folder.path().join("cut.ply");
-    let words = ["convert", text(&path), text(&converted)].into_iter().chain(options.split_whitespace());
-    succeed(&words.collect::<Vec<_>>());
+    place.run(format!("convert @ball.ply @cut.ply {options}")).ok();
     let address = shown.header["export"].as_str().expect("an address");
-    let (_, _, body) = server.get(&format!("/count?{address}"), &[]);
-    let counts: Value = serde_json::from_slice(&body).expect("JSON");
-    assert_eq!(counts["kept"], read(&converted).len());
+    let counts = json_body(&server, &format!("/count?{address}"));
+    assert_eq!(counts["kept"], place.gaussians("cut.ply").len());
 }
 
-/// Each page has its own cut.
 #[test]
 fn viewer_pages_cut_for_themselves() {
-    let folder = tempdir().expect("a temporary folder");
-    let server = Server::view(&write_ball(folder.path(), 300), &[]);
+    let (_place, server) = view_ball(300, &[]);
     let (mut one, mut other) = (server.page(), server.page());
     let camera = camera(0.0);
     let whole = one.look(&camera, &json!({ "quality": 0 })).rgb();
@@ -152,12 +118,8 @@ fn viewer_pages_cut_for_themselves() {
 
 #[test]
 fn viewer_exports_of_a_training_are_what_it_saves() {
-    let folder = tempdir().expect("a temporary folder");
-    let (data, model) = (folder.path().join("data"), folder.path().join("model"));
-    write_dataset(&data);
-    let train =
-        ["train", "-s", text(&data), "-m", text(&model), "--quiet", "--iterations", "1000000", "--view=0"];
-    let server = Server::start(&train);
+    let training = Training::endless();
+    let server = &training.server;
     let mut page = server.page();
     assert!(page.greeting["open"].is_null());
     page.act("pause");
@@ -166,25 +128,17 @@ fn viewer_exports_of_a_training_are_what_it_saves() {
     page.wait_for("note");
     let (code, head, body) = server.get("/export/now.ply", &[]);
     assert_eq!(code, 200, "{head}");
-    let saved = model.join(format!("point_cloud/iteration_{at}/point_cloud.ply"));
-    assert!(body == std::fs::read(saved).expect("a PLY"));
+    assert!(body == training.place.ply("model", at as u32));
     // No scene can be opened in a training.
-    assert_eq!(
-        server.post("/upload/ball.ply", &[("Content-Type", "application/octet-stream")], b"ply").0,
-        403
-    );
-    assert_eq!(server.post("/open", &[("Content-Type", "application/json")], b"{\"path\": \".\"}").0, 403);
-    #[cfg(unix)]
-    server.end();
+    assert_eq!(server.post("/upload/ball.ply", &[opening::BINARY], b"ply").0, 403);
+    assert_eq!(server.post("/open", &[opening::JSON], b"{\"path\": \".\"}").0, 403);
 }
 
 #[test]
 fn viewer_exports_what_it_understands_to_who_may_have_it() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = write_ball(folder.path(), 100);
-    let server = Server::view(&path, &["--token", "sesame"]);
-    page_of(&server);
-    let get = |path: &str, headers: &[(&str, &str)]| server.get(path, headers).0;
+    let (_place, server) = view_ball(100, &["--token", "sesame"]);
+    // Opened once the scene is loaded.
+    server.page_with("?token=sesame").expect("let in");
     for (path, code) in [
         ("/export/a.ply", 401),
         ("/export/a.ply?token=wrong", 401),
@@ -202,14 +156,14 @@ fn viewer_exports_what_it_understands_to_who_may_have_it() {
         ("/count?token=sesame&min_opacity=0.2", 200),
         ("/count?token=sesame&min_opacity=2", 400),
     ] {
-        assert_eq!(get(path, &[]), code, "{path}");
+        assert_eq!(server.get(path, &[]).0, code, "{path}");
     }
     for foreign in [
         ("Origin", "http://elsewhere.example"),
         ("Sec-Fetch-Site", "cross-site"),
         ("Sec-Fetch-Site", "same-site"),
     ] {
-        assert_eq!(get("/export/a.ply?token=sesame", &[foreign]), 403, "{foreign:?}");
+        assert_eq!(server.get("/export/a.ply?token=sesame", &[foreign]).0, 403, "{foreign:?}");
     }
     // Clients that ask for files and do not read them cause a bounded number of files.
     let asked = |_| {
@@ -225,9 +179,4 @@ fn viewer_exports_what_it_understands_to_who_may_have_it() {
         String::from_utf8_lossy(&start[9..]).into_owned()
     });
     assert!(codes.all(|code| ["200", "503"].contains(&code.as_str())));
-}
-
-/// Opens a page with the token, once the scene is loaded.
-fn page_of(server: &Server) -> Page {
-    server.page_with("?token=sesame").expect("let in")
 }

@@ -2,7 +2,6 @@
 
 use super::training::Training;
 use super::*;
-use crate::cli::succeed;
 use crate::program::cinema::{Cinema, film, pixels};
 
 #[test]
@@ -31,8 +30,8 @@ fn viewer_makes_films() {
     assert!(files["mp4"].is_string() != files["note"].is_string(), "{files}");
     // `render` accepts the path and makes the same frames.
     let cameras = cinema.films().join(files["path"].as_str().expect("a path"));
-    let (scene, again) = (cinema.folder.path().join("ball.ply"), cinema.folder.path().join("again"));
-    succeed(&["render", text(&scene), "--path", text(&cameras), "-o", text(&again)]);
+    let [scene, again] = ["ball.ply", "again"].map(|name| cinema.folder.path().join(name));
+    crate::cli::succeed(&["render", text(&scene), "--path", text(&cameras), "-o", text(&again)]);
     let film = Path::new(files["frames"].as_str().expect("a folder"));
     for index in 0..6 {
         // The cameras were written as text, so rounding may differ.
@@ -82,7 +81,7 @@ fn viewer_films_take_turns_and_can_be_called_off() {
 /// Training does not wait for a film, but the program does at its end.
 #[test]
 fn viewer_films_of_a_training_are_made_to_their_end() {
-    let mut training = Training::start(&["150", "--view=0", "--view-share", "0.05"], "viewer at ");
+    let mut training = Training::start("150 --view=0 --view-share 0.05", "viewer at ");
     let mut page = training.server.page();
     page.send(&film(150, [32, 24]));
     let files = page.hears("files");
@@ -90,6 +89,6 @@ fn viewer_films_of_a_training_are_made_to_their_end() {
     assert_eq!(std::fs::read_dir(frames).expect("frames").count(), 150);
     let (code, stderr) = training.server.wait();
     assert_eq!(code, Some(0), "{stderr}");
-    let gif = training.model().join("films").join(files["gif"].as_str().expect("a GIF"));
-    assert!(gif.is_file(), "{}", gif.display());
+    let gif = files["gif"].as_str().expect("a GIF");
+    assert!(training.place.at("model/films").join(gif).is_file(), "{gif}");
 }

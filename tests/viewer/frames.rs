@@ -1,52 +1,37 @@
-//! Frames and picks.
+//! Frames and picks, and views with the exposure of their photo and the effects of its lens.
 
+use super::training::Training;
 use super::*;
-use crate::cli::succeed;
-use crate::common::engine::renderer;
-use ashsplat::scene::{Intrinsics, WorldFrame};
-use ashsplat::{RenderSettings, Shape};
-use ashsplat_files::Photo;
-use glam::Vec3;
-use tempfile::tempdir;
-
-/// Picture that the library renders.
-fn expected(count: usize, camera: &Camera, settings: &RenderSettings) -> Vec<u8> {
-    let mut renderer = renderer();
-    renderer.upload(&ball(count)).expect("uploaded");
-    let frame = renderer.render(camera, settings).expect("a frame");
-    Photo::from_f32(frame.width, frame.height, &frame.color).expect("a picture").rgb
-}
+use ashsplat::Shape;
+use ashsplat::scene::Intrinsics;
 
 #[test]
 fn viewer_shows_what_the_library_renders() {
-    let folder = tempdir().expect("a temporary folder");
-    let server = Server::view(&write_ball(folder.path(), 800), &[]);
+    let (_place, server) = view_ball(800, &[]);
     let mut page = server.page();
     assert_eq!(page.greeting["sh_degree"], 1);
     let camera = camera(0.3);
     let plain = RenderSettings::default();
     let shown = page.look(&camera, &json!({ "quality": 0 }));
     assert_eq!(shown.header["format"], "image/png");
-    assert!(shown.rgb() == expected(800, &camera, &plain));
+    assert!(shown.rgb() == rendered(&ball(800), &camera, &plain));
     let changed = json!({ "quality": 0, "background": [0.5, 0.25, 1.0], "sh_degree": 0, "scale": 0.5 });
     let settings =
         RenderSettings { background: [0.5, 0.25, 1.0], sh_degree: Some(0), scale_modifier: 0.5, ..plain };
-    assert!(page.look(&camera, &changed).rgb() == expected(800, &camera, &settings));
+    assert!(page.look(&camera, &changed).rgb() == rendered(&ball(800), &camera, &settings));
     let centres = RenderSettings { shape: Shape::Point, ..plain };
     let shown = page.look(&camera, &json!({ "quality": 0, "mode": "centres" }));
-    assert!(shown.rgb() == expected(800, &camera, &centres));
+    assert!(shown.rgb() == rendered(&ball(800), &camera, &centres));
     let jpeg = page.look(&camera, &json!({ "quality": 95 }));
     assert_eq!(jpeg.header["format"], "image/jpeg");
-    let (close, exact) = (jpeg.rgb(), expected(800, &camera, &plain));
-    let error: f64 = close.iter().zip(&exact).map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
-    assert!(error / (exact.len() as f64) < 3.0, "{error}");
+    let error = mean_difference(&jpeg.rgb(), &rendered(&ball(800), &camera, &plain));
+    assert!(error < 3.0, "{error}");
 }
 
 /// A picture of one very long line does not change later pictures of usual sizes.
 #[test]
 fn viewer_is_none_the_worse_for_odd_sizes() {
-    let folder = tempdir().expect("a temporary folder");
-    let server = Server::view(&write_ball(folder.path(), 300), &[]);
+    let (_place, server) = view_ball(300, &[]);
     let mut page = server.page();
     let of_size = |width, height| {
         let lens = Intrinsics::from_fov_x(0.9, width, height);
@@ -56,22 +41,20 @@ fn viewer_is_none_the_worse_for_odd_sizes() {
         let camera = of_size(width, height);
         let shown = page.look(&camera, &json!({ "quality": 0 }));
         assert_eq!((&shown.header["width"], &shown.header["height"]), (&json!(width), &json!(height)));
-        assert!(shown.rgb() == expected(300, &camera, &RenderSettings::default()), "{width}x{height}");
+        assert!(shown.rgb() == rendered(&ball(300), &camera, &RenderSettings::default()), "{width}x{height}");
     }
 }
 
 #[test]
 fn viewer_has_modes_with_legends() {
-    let folder = tempdir().expect("a temporary folder");
-    let server = Server::view(&write_ball(folder.path(), 800), &["--validation"]);
+    let (_place, server) = view_ball(800, &["--validation"]);
     let mut page = server.page();
     let camera = camera(0.0);
     let mut seen = Vec::new();
     for mode in ["splats", "centres", "ellipsoids", "depth", "tiles"] {
         let shown = page.look(&camera, &json!({ "quality": 0, "mode": mode }));
-        let legend = shown.header["legend"]
-            .as_array()
-            .map(|values| values.iter().map(|value| value.as_f64().expect("a number")).collect::<Vec<_>>());
+        let legend: Option<Vec<f64>> =
+            serde_json::from_value(shown.header["legend"].clone()).expect("numbers, or null");
         match mode {
             "depth" => assert!(legend.is_some_and(|l| l[0] > 2.0 && l[0] < l[1] && l[1] < 7.0)),
             "tiles" => {
@@ -84,17 +67,12 @@ fn viewer_has_modes_with_legends() {
         assert!(seen.iter().all(|other| *other != rgb), "{mode} looks like another");
         seen.push(rgb);
     }
-    #[cfg(unix)]
-    {
-        let (code, stderr) = server.end();
-        assert_eq!((code, stderr.as_str()), (Some(0), ""));
-    }
+    assert_eq!(server.end(), (Some(0), String::new()));
 }
 
 #[test]
 fn viewer_sends_the_newest_view_only() {
-    let folder = tempdir().expect("a temporary folder");
-    let server = Server::view(&write_ball(folder.path(), 300), &[]);
+    let (_place, server) = view_ball(300, &[]);
     let (mut slow, mut quick) = (server.page(), server.page());
     for seq in 1..=30 {
         slow.send(&view(seq, &camera(seq as f32 * 0.01), &json!({})));
@@ -115,18 +93,14 @@ fn viewer_sends_the_newest_view_only() {
 
 #[test]
 fn viewer_picks_what_inspect_lists() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = write_ball(folder.path(), 800);
-    let server = Server::view(&path, &[]);
+    let (place, server) = view_ball(800, &[]);
     let mut page = server.page();
     let camera = camera(0.0);
     page.send(&json!({ "type": "pick", "id": 5, "camera": message(&camera), "pixel": [48, 32] }));
     let picked = page.wait_for("picked");
-    let cameras = folder.path().join("cameras.json");
-    ashsplat_files::cameras_json::write(&cameras, [("one", &camera)], &WorldFrame::default())
+    cameras_json::write(place.at("cameras.json"), [("one", &camera)], &WorldFrame::default())
         .expect("written");
-    let said = succeed(&["inspect", text(&path), "--path", text(&cameras), "--pixel", "48,32", "--json"]);
-    let inspected: Value = serde_json::from_str(&said).expect("JSON");
+    let inspected = place.json_of("inspect @ball.ply --path @cameras.json --pixel 48,32 --json");
     assert_eq!((&picked["id"], &picked["pixel"]), (&json!(5), &json!([48, 32])));
     let ids = |of: &Value| -> Vec<Value> {
         of["samples"].as_array().expect("samples").iter().map(|sample| sample["id"].clone()).collect()
@@ -142,8 +116,7 @@ fn viewer_picks_what_inspect_lists() {
 
 #[test]
 fn viewer_complains_of_nonsense_and_goes_on() {
-    let folder = tempdir().expect("a temporary folder");
-    let server = Server::view(&write_ball(folder.path(), 100), &[]);
+    let (_place, server) = view_ball(100, &[]);
     let mut page = server.page();
     let mut bad = message(&camera(0.0));
     bad["width"] = json!(60_000);
@@ -166,4 +139,68 @@ fn viewer_complains_of_nonsense_and_goes_on() {
         assert!(problem.contains(word), "{message}: {problem}");
     }
     assert!(!page.look(&camera(0.0), &json!({})).picture.is_empty());
+}
+
+/// The view of a scene's camera, with or without its photo's exposure and lens.
+fn shown(page: &mut Page, place: usize, as_photo: Option<usize>) -> Vec<u8> {
+    let camera = page.greeting["cameras"][place]["camera"].clone();
+    let look = json!({ "quality": 0 });
+    page.send(&json!({ "type": "view", "seq": 1, "camera": camera, "look": look, "as_photo": as_photo }));
+    let shown = page.frame().rgb();
+    page.send(&json!({ "type": "ack" }));
+    shown
+}
+
+fn place_of(page: &Page, name: &str) -> usize {
+    let cameras = page.greeting["cameras"].as_array().expect("cameras");
+    cameras.iter().position(|camera| camera["name"] == name).expect("the photo")
+}
+
+#[test]
+fn viewer_shows_views_as_they_were_photographed() {
+    let place = Place::new();
+    let light = "--exposure --exposure-lr-init=0.1 --lens-effects --lens-lr=0.05 --sh-degree=0";
+    place.run(format!("train -s @data -m @model --eval --quiet --iterations=40 {light}")).ok();
+    let server = Server::view(&place.at("model"), &[]);
+    let mut page = server.page();
+    // The held-out photo was taken with the same lens.
+    let all = page.greeting["cameras"].as_array().expect("cameras").clone();
+    assert!(all.iter().all(|camera| camera["lit"] == true), "{all:?}");
+    let photo = place_of(&page, "03.png");
+    let (plain, lit) = (shown(&mut page, photo, None), shown(&mut page, photo, Some(photo)));
+    assert!(mean_difference(&plain, &lit) > 2.0, "{}", mean_difference(&plain, &lit));
+    // Equal to the picture of `render`.
+    place.run("render @model -o @out --quiet --exposure-of 03.png --lens-of 03.png").ok();
+    let cameras = cameras_json::read(place.at("model/cameras.json"), &WorldFrame::default());
+    let cameras = cameras.expect("cameras");
+    let index = cameras.iter().position(|camera| camera.name == "03.png").expect("the photo");
+    let rendered = place.picture(format!("out/{index:05}.png")).into_raw();
+    let off = mean_difference(&rendered, &lit);
+    assert!(off < 0.2 && mean_difference(&rendered, &plain) > 2.0, "{off}");
+    // An unknown photo is refused, and the page continues.
+    let camera = message(&camera(0.0));
+    page.send(&json!({ "type": "view", "seq": 2, "camera": camera, "as_photo": all.len() }));
+    let problem = page.wait_for_problem();
+    assert!(problem.contains("photo") && problem.contains("the scene has 9"), "{problem}");
+    assert!(shown(&mut page, photo, None) == plain);
+}
+
+/// During training, exposures are those learned so far. Trainings that learn none show none.
+#[test]
+fn viewer_of_a_training_shows_its_exposures() {
+    for learns in [true, false] {
+        let more = if learns { "--exposure --exposure-lr-init=0.1" } else { "" };
+        let training = Training::start(&format!("1000000 --view=0 {more}"), "viewer at ");
+        let mut page = training.server.page();
+        let held_out = place_of(&page, "01.png");
+        let photo = place_of(&page, "03.png");
+        assert_eq!(page.greeting["cameras"][photo]["lit"], learns);
+        assert_eq!(page.greeting["cameras"][held_out]["lit"], false);
+        page.pass(29);
+        page.act("pause");
+        page.rest();
+        let (plain, lit) = (shown(&mut page, photo, None), shown(&mut page, photo, Some(photo)));
+        assert_eq!(plain != lit, learns);
+        assert!(shown(&mut page, held_out, Some(held_out)) == shown(&mut page, held_out, None));
+    }
 }

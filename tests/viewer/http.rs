@@ -1,11 +1,21 @@
 //! The page, tokens, ports and photos.
 
 use super::*;
-use crate::cli::{assert_refused, finish, program, refuse, write_dataset};
+use crate::cli::finish;
 use std::net::TcpListener;
-use tempfile::tempdir;
 use tungstenite::HandshakeError;
 use tungstenite::client::IntoClientRequest;
+
+/// Status of a WebSocket's handshake from this origin.
+fn handshake(server: &Server, origin: &str) -> u16 {
+    let mut request = format!("ws://{}/socket", server.host).into_client_request().expect("a request");
+    request.headers_mut().insert("Origin", origin.parse().expect("a header"));
+    match tungstenite::client(request, server.connect()) {
+        Ok((_, answer)) => answer.status().as_u16(),
+        Err(HandshakeError::Failure(tungstenite::Error::Http(answer))) => answer.status().as_u16(),
+        Err(error) => panic!("{origin}: {error}"),
+    }
+}
 
 #[test]
 fn viewer_without_a_scene_says_what_to_do() {
@@ -26,32 +36,14 @@ fn viewer_without_a_scene_says_what_to_do() {
     assert!(problem.contains("scene"), "{problem}");
 }
 
-impl Page {
-    /// Waits for the next error message.
-    pub fn wait_for_problem(&mut self) -> String {
-        loop {
-            if let Message::Text(text) = self.socket.read().expect("a message") {
-                let message: Value = serde_json::from_str(text.as_str()).expect("JSON");
-                if message["type"] == "problem" {
-                    return message["message"].as_str().expect("words").to_owned();
-                }
-            }
-        }
-    }
-}
-
 #[test]
 fn viewer_lets_in_who_knows_the_token() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = write_ball(folder.path(), 50);
-    refuse(&["view", text(&path), "--host", "0.0.0.0", "--port", "0"], &["--host", "0.0.0.0", "--token"]);
-    refuse(&["view", text(&path), "--host", "0.0.0.0", "--port", "0", "--token", ""], &["--token"]);
+    let (place, server) = view_ball(50, &["--host", "0.0.0.0", "--token", "sesame"]);
+    let others = "view @ball.ply --host 0.0.0.0 --port 0";
+    place.run(others).refused(&["--host", "0.0.0.0", "--token"]);
+    finish(place.command(others).args(["--token", ""])).refused(&["--token"]);
     // A bad output folder is refused before the page is served.
-    refuse(
-        &["view", text(&path), "--port", "0", "-o", text(&path.join("below"))],
-        &["ball.ply", "no folder"],
-    );
-    let server = Server::view(&path, &["--host", "0.0.0.0", "--token", "sesame"]);
+    place.run("view @ball.ply --port 0 -o @ball.ply/below").refused(&["ball.ply", "no folder"]);
     let said = &server.said[0];
     assert!(
         said.contains("localhost:") && said.contains("/?token=WORD") && !said.contains("0.0.0.0"),
@@ -77,7 +69,7 @@ fn viewer_lets_in_who_knows_the_token() {
     assert_eq!(server.get("/main.js", &[("Cookie", &format!("other=1; {own}"))]).0, 200);
     assert_eq!(server.get("/main.js", &[("Cookie", &cookie(&server, "wrong"))]).0, 401);
     // Browsers send the cookies of all ports of a host: another viewer's token must not replace this one's.
-    let another = Server::view(&path, &["--token", "open"]);
+    let another = Server::view(&place.at("ball.ply"), &["--token", "open"]);
     let both = format!("{own}; {}", cookie(&another, "open"));
     for server in [&server, &another] {
         assert_eq!(server.get("/main.js", &[("Cookie", &both)]).0, 200);
@@ -89,20 +81,11 @@ fn viewer_lets_in_who_knows_the_token() {
 
 #[test]
 fn viewer_refuses_foreign_pages() {
-    let folder = tempdir().expect("a temporary folder");
-    let server = Server::view(&write_ball(folder.path(), 50), &[]);
+    let (_place, server) = view_ball(50, &[]);
     assert_eq!(server.get("/", &[("Host", "rebound.example:80")]).0, 403);
     // Requests of a foreign page are refused, whatever they ask for: photos cost memory, and need no script.
-    for path in [
-        "/",
-        "/main.js",
-        "/photo/0",
-        "/thumbnail/0",
-        "/film/film_001.gif",
-        "/count",
-        "/export/scene.ply",
-        "/nothing",
-    ] {
+    let paths = "/ /main.js /photo/0 /thumbnail/0 /film/film_001.gif /count /export/scene.ply /nothing";
+    for path in paths.split(' ') {
         for foreign in [
             ("Sec-Fetch-Site", "cross-site"),
             ("Sec-Fetch-Site", "same-site"),
@@ -118,54 +101,33 @@ fn viewer_refuses_foreign_pages() {
     let link =
         [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "navigate"), ("Sec-Fetch-Dest", "document")];
     assert_eq!((server.get("/", &link).0, server.get("/photo/0", &link).0), (200, 403));
-    // The same handshake, with different origins.
     let own = format!("http://{}", server.host);
     for (origin, expected) in [("http://elsewhere.example", 403), ("null", 403), (&own, 101)] {
-        let mut request = format!("ws://{}/socket", server.host).into_client_request().expect("a request");
-        request.headers_mut().insert("Origin", origin.parse().expect("a header"));
-        let status = match tungstenite::client(request, server.connect()) {
-            Ok((_, answer)) => answer.status(),
-            Err(HandshakeError::Failure(tungstenite::Error::Http(answer))) => answer.status(),
-            Err(error) => panic!("{origin}: {error}"),
-        };
-        assert_eq!(status.as_u16(), expected, "{origin}");
+        assert_eq!(handshake(&server, origin), expected, "{origin}");
     }
 }
 
 /// A proxy at viewer.example sends its upstream name in the header Host, as nginx does by default.
-#[cfg(unix)]
 #[test]
 fn viewer_behind_a_proxy_says_what_to_do_and_can_be_told() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = write_ball(folder.path(), 50);
-    let open = |server: &Server, origin: &str| {
-        let mut request = format!("ws://{}/socket", server.host).into_client_request().expect("a request");
-        request.headers_mut().insert("Origin", origin.parse().expect("a header"));
-        match tungstenite::client(request, server.connect()) {
-            Ok((_, answer)) => answer.status().as_u16(),
-            Err(HandshakeError::Failure(tungstenite::Error::Http(answer))) => answer.status().as_u16(),
-            Err(error) => panic!("{origin}: {error}"),
-        }
-    };
+    let (place, server) = view_ball(50, &[]);
     let (shown, evil) = ("https://viewer.example", "https://evil.example");
-    let server = Server::view(&path, &[]);
-    assert_eq!(open(&server, shown), 403);
+    assert_eq!(handshake(&server, shown), 403);
     // A page cannot see the reason; it sends another request.
-    let asked = |server: &Server, headers: &[(&str, &str)]| {
+    for (headers, expected, word) in [
+        (&[("Origin", shown)][..], 403, "--allow-origin"),
+        (&[("Host", "viewer.example")], 403, "--allow-origin"),
+        (&[], 426, "Upgrade"),
+    ] {
         let (code, _, body) = server.post("/socket", headers, &[]);
-        (code, String::from_utf8(body).expect("text"))
-    };
-    let (code, words) = asked(&server, &[("Origin", shown)]);
-    assert!(code == 403 && words.contains("--allow-origin"), "{code} {words}");
-    let (code, words) = asked(&server, &[("Host", "viewer.example")]);
-    assert!(code == 403 && words.contains("--allow-origin"), "{code} {words}");
-    let (code, words) = asked(&server, &[]);
-    assert!(code == 426 && words.contains("Upgrade"), "{code} {words}");
+        let said = String::from_utf8(body).expect("text");
+        assert!(code == expected && said.contains(word), "{headers:?}: {code} {said}");
+    }
     let (_, told) = server.end();
     assert_eq!(told.matches("--allow-origin").count(), 1, "{told}");
     assert!(told.contains(shown), "{told}");
-    let server = Server::view(&path, &["--allow-origin", "https://Viewer.example:443/"]);
-    assert_eq!([open(&server, shown), open(&server, evil)], [101, 403]);
+    let server = Server::view(&place.at("ball.ply"), &["--allow-origin", "https://Viewer.example:443/"]);
+    assert_eq!([shown, evil].map(|origin| handshake(&server, origin)), [101, 403]);
     for (headers, expected) in [
         (&[("Host", "viewer.example"), ("Origin", shown)][..], 200),
         (&[("Host", "viewer.example")], 200),
@@ -174,77 +136,73 @@ fn viewer_behind_a_proxy_says_what_to_do_and_can_be_told() {
     ] {
         assert_eq!(server.get("/", headers).0, expected, "{headers:?}");
     }
-    refuse(&["view", text(&path), "--allow-origin", "viewer.example"], &["--allow-origin", "https://HOST"]);
+    let run = place.run("view @ball.ply --allow-origin viewer.example");
+    run.refused(&["--allow-origin", "https://HOST"]);
     // Others can reach the viewer, so they may not name paths.
-    let server = Server::start_in(folder.path(), &[], &["view", "--port", "0", "--allow-origin", shown]);
+    let server = Server::start_in(&place.at(""), &[], &["view", "--port", "0", "--allow-origin", shown]);
     assert!(server.page().greeting["open"]["folder"].is_null());
 }
 
-/// `--up` sets the up direction of the page.
 #[test]
 fn viewer_is_told_what_is_up() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = write_ball(folder.path(), 50);
-    let page = Server::view(&path, &["--up", "0,0,2"]).page();
+    let (place, server) = view_ball(50, &["--up", "0,0,2"]);
+    let page = server.page();
     assert_eq!(page.greeting["up"], json!([0.0, 0.0, 1.0]));
     let rows = &page.greeting["start"]["rotation"];
     // The camera's second row points down in the picture.
     assert!(rows[1][2].as_f64().expect("a number") < -0.9, "{rows}");
-    refuse(&["view", text(&path), "--up", "0,0,0", "--port", "0"], &["--up", "not all 0"]);
+    place.run("view @ball.ply --up 0,0,0 --port 0").refused(&["--up", "not all 0"]);
 }
 
 #[test]
 fn viewer_names_a_busy_port() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = write_ball(folder.path(), 50);
+    let place = Place::new();
+    write_ball(&place.at(""), 50);
     let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = taken.local_addr().expect("its address").port().to_string();
-    refuse(&["view", text(&path), "--port", &port], &[&port, "in use", "--port"]);
-    let data = folder.path().join("data");
-    write_dataset(&data);
-    let model = folder.path().join("model");
-    let train = ["train", "-s", text(&data), "-m", text(&model), "--iterations", "5", "--quiet"];
-    refuse(&[&train[..], &[&format!("--view={port}")]].concat(), &[&port, "in use", "--view=PORT"]);
-    // Nothing was written before.
-    assert!(!model.exists());
-    refuse(&[&train[..], &["--port", &port]].concat(), &["--ip"]);
-    refuse(&[&train[..], &["--ip", "127.0.0.1", "--port", &port]].concat(), &[&port, "in use"]);
+    let train = "train -s @data -m @model --iterations 5 --quiet";
+    for (line, words) in [
+        (format!("view @ball.ply --port {port}"), &[&port, "in use", "--port"][..]),
+        (format!("{train} --view={port}"), &[&port, "in use", "--view=PORT"]),
+        (format!("{train} --port {port}"), &["--ip"]),
+        (format!("{train} --ip 127.0.0.1 --port {port}"), &[&port, "in use"]),
+    ] {
+        place.run(line).refused(words);
+        assert!(!place.has("model"));
+    }
 }
 
 /// The file is checked before the page's address is printed.
 #[test]
 fn viewer_of_a_missing_file_says_only_so() {
-    let run = finish(program().args(["view", "nosuch.ply", "--port", "0"]));
-    assert_refused(&run, &["nosuch.ply", "No such file"]);
+    let run = Place::empty().run("view nosuch.ply --port 0").refused(&["nosuch.ply", "No such file"]);
     assert_eq!(run.stdout, "");
 }
 
 #[test]
 fn viewer_shows_a_data_set_and_its_photos() {
-    let folder = tempdir().expect("a temporary folder");
-    let data = folder.path().join("data");
-    write_dataset(&data);
-    let server = Server::view(&data, &[]);
+    let place = Place::new();
+    let view = || Server::view(&place.at("data"), &[]);
+    let server = view();
     let page = server.page();
     assert_eq!((&page.greeting["gaussians"], &page.greeting["empty"]), (&json!(400), &json!(false)));
     let cameras = page.greeting["cameras"].as_array().expect("cameras");
     assert_eq!((cameras.len(), cameras[1]["name"].as_str()), (9, Some("02.png")));
     // Browsers cache photos: another run at the same port must use other addresses.
     let run = page.greeting["run"].as_str().expect("a word");
-    assert_ne!(Server::view(&data, &[]).page().greeting["run"].as_str(), Some(run));
+    assert_ne!(view().page().greeting["run"].as_str(), Some(run));
     let script = String::from_utf8(server.get("/photos.js", &[]).2).expect("text");
     assert!(script.contains("?run=${this.run}&page=${this.page}"));
     assert_eq!(server.get(&format!("/thumbnail/0?run={run}"), &[]).0, 200);
     let (code, head, body) = server.get("/photo/1", &[]);
     assert!(code == 200 && head.contains("image/jpeg"), "{head}");
     let shown = image::load_from_memory(&body).expect("a JPEG").to_rgb8();
-    let stored = image::open(data.join("images/02.png")).expect("a PNG").to_rgb8();
-    let differences = shown.iter().zip(stored.iter()).map(|(a, b)| f64::from(a.abs_diff(*b)));
-    assert!(shown.dimensions() == (48, 32) && differences.sum::<f64>() / f64::from(48 * 32 * 3) < 4.0);
+    let stored = place.picture("data/images/02.png");
+    assert!(shown.dimensions() == (48, 32) && mean_difference(&shown, &stored) < 4.0);
     assert_eq!(server.get("/thumbnail/8", &[]).0, 200);
     assert_eq!(server.get("/photo/9", &[]).0, 404);
     // A missing photo gives an error, and the server continues.
-    std::fs::remove_file(data.join("images/03.png")).expect("removed");
+    place.remove("data/images/03.png");
     let (code, _, body) = server.get("/photo/2", &[]);
     assert!(code == 422 && String::from_utf8_lossy(&body).contains("03.png"), "{code}");
     assert_eq!(server.get("/photo/1", &[]).0, 200);
@@ -253,32 +211,28 @@ fn viewer_shows_a_data_set_and_its_photos() {
 /// Smaller copies of the photos, as in the reference's data sets.
 #[test]
 fn viewer_takes_photos_from_the_folder_that_it_is_told() {
-    let folder = tempdir().expect("a temporary folder");
-    let data = folder.path().join("data");
-    write_dataset(&data);
-    let photos =
-        || std::fs::read_dir(data.join("images")).expect("a folder").map(|entry| entry.expect("a photo"));
-    let scaled = |side: u32, entry: std::fs::DirEntry, to: &Path| {
-        let photo = image::open(entry.path()).expect("a PNG").to_rgb8();
-        let [width, height] = [photo.width() / side, photo.height() / side];
-        let small = image::imageops::thumbnail(&photo, width, height);
-        std::fs::create_dir_all(to).expect("a folder");
-        small.save(to.join(entry.file_name())).expect("written");
-    };
-    photos().for_each(|entry| scaled(2, entry, &data.join("images_2")));
-    let size = |server: &Server| {
-        let (code, _, body) = server.get("/photo/1", &[]);
+    let place = Place::new();
+    place.create_folder("data/images_2");
+    for name in place.files("data/images") {
+        let photo = place.picture(Path::new("data/images").join(&name));
+        let small = image::imageops::thumbnail(&photo, photo.width() / 2, photo.height() / 2);
+        small.save(place.at("data/images_2").join(name)).expect("written");
+    }
+    let size = |path: &str, options: &str| {
+        let options = place.words(options);
+        let options: Vec<&str> = options.iter().map(String::as_str).collect();
+        let (code, _, body) = Server::view(&place.at(path), &options).get("/photo/1", &[]);
         assert_eq!(code, 200);
         image::load_from_memory(&body).expect("a JPEG").to_rgb8().dimensions()
     };
-    assert_eq!(size(&Server::view(&data, &[])), (48, 32));
-    for option in [["--images", "images_2"], ["-i", "images_2"]] {
-        assert_eq!(size(&Server::view(&data, &option)), (24, 16));
+    assert_eq!(size("data", ""), (48, 32));
+    for option in ["--images images_2", "-i images_2"] {
+        assert_eq!(size("data", option), (24, 16));
     }
     // The option also applies to a scene's data set, and is never ignored silently.
-    let scene = write_ball(folder.path(), 20);
-    assert_eq!(size(&Server::view(&scene, &["-s", text(&data), "-i", "images_2"])), (24, 16));
+    write_ball(&place.at(""), 20);
+    assert_eq!(size("ball.ply", "-s @data -i images_2"), (24, 16));
     // The page is served first, so the viewer needs a free port.
-    refuse(&["view", text(&data), "--port", "0", "--images", "images_9"], &["images_9"]);
-    refuse(&["view", text(&scene), "--port", "0", "--images", "images_2"], &["data set", "-s DATASET"]);
+    place.run("view @data --port 0 --images images_9").refused(&["images_9"]);
+    place.run("view @ball.ply --port 0 --images images_2").refused(&["data set", "-s DATASET"]);
 }

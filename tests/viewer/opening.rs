@@ -1,65 +1,58 @@
 //! Scenes that pages upload or name.
 
 use super::*;
-use crate::cli::write_dataset;
-use std::path::PathBuf;
-use tempfile::{TempDir, tempdir};
 
-const BINARY: (&str, &str) = ("Content-Type", "application/octet-stream");
-const JSON: (&str, &str) = ("Content-Type", "application/json");
+pub const BINARY: (&str, &str) = ("Content-Type", "application/octet-stream");
+pub const JSON: (&str, &str) = ("Content-Type", "application/json");
 
-/// A viewer that was started without a scene, in its own folder.
+/// A viewer that was started without a scene, in the folder `started`.
 struct Empty {
-    folder: TempDir,
+    place: Place,
     server: Server,
 }
 
 impl Empty {
     fn start(more: &[&str]) -> Empty {
-        let folder = tempdir().expect("a temporary folder");
-        let started = folder.path().join("started");
-        std::fs::create_dir(&started).expect("created");
-        let room = folder.path().join("room");
-        std::fs::create_dir(&room).expect("created");
+        let place = Place::empty();
+        place.create_folder("started");
+        place.create_folder("room");
         let command = [&["view", "--port", "0", "-o", "films"], more].concat();
-        let server = Server::start_in(&started, &[("TMPDIR", text(&room))], &command);
-        Empty { folder, server }
-    }
-
-    fn started(&self) -> PathBuf {
-        self.folder.path().join("started")
+        let room = place.at("room");
+        let server = Server::start_in(&place.at("started"), &[("TMPDIR", text(&room))], &command);
+        Empty { place, server }
     }
 
     /// Number of files in the temporary folder.
     fn left(&self) -> usize {
-        std::fs::read_dir(self.folder.path().join("room")).expect("a folder").count()
+        std::fs::read_dir(self.place.at("room")).expect("a folder").count()
+    }
+
+    fn post(&self, path: &str, headers: &[(&str, &str)], bytes: &[u8]) -> (u16, String) {
+        let (code, _, body) = self.server.post(path, headers, bytes);
+        (code, String::from_utf8_lossy(&body).into_owned())
     }
 
     fn open(&self, path: &str) -> (u16, String) {
-        let (code, _, body) =
-            self.server.post("/open", &[JSON], json!({ "path": path }).to_string().as_bytes());
-        (code, String::from_utf8_lossy(&body).into_owned())
+        self.post("/open", &[JSON], json!({ "path": path }).to_string().as_bytes())
     }
 }
 
 fn bytes_of(count: usize, ending: &str) -> Vec<u8> {
-    let folder = tempdir().expect("a temporary folder");
-    let path = folder.path().join(format!("ball{ending}"));
-    splats::write(&path, &ball(count), &WriteOptions::default()).expect("written");
-    std::fs::read(path).expect("a file")
+    let place = Place::empty();
+    let name = format!("ball{ending}");
+    splats::write(place.at(&name), &ball(count), &WriteOptions::default()).expect("written");
+    place.read(name)
 }
 
 impl Page {
     /// Waits for the next scene or error.
     fn opened(&mut self) -> Result<Value, String> {
         loop {
-            if let Message::Text(text) = self.socket.read().expect("a message") {
-                let message: Value = serde_json::from_str(text.as_str()).expect("JSON");
-                match (message["type"].as_str(), message["failed"].as_str()) {
-                    (Some("scene"), _) => return Ok(message),
-                    (Some("loading"), Some(failed)) => return Err(failed.to_owned()),
-                    _ => {}
-                }
+            let Heard::Message(message) = self.hear() else { continue };
+            match (message["type"].as_str(), message["failed"].as_str()) {
+                (Some("scene"), _) => return Ok(message),
+                (Some("loading"), Some(failed)) => return Err(failed.to_owned()),
+                _ => {}
             }
         }
     }
@@ -108,24 +101,20 @@ fn viewer_shows_files_that_are_dropped() {
 #[test]
 fn viewer_bounds_what_is_sent() {
     let empty = Empty::start(&["--max-host-memory", "64K"]);
-    let post = |name: &str, headers: &[(&str, &str)], bytes: &[u8]| {
-        let (code, _, body) = empty.server.post(name, headers, bytes);
-        (code, String::from_utf8_lossy(&body).into_owned())
-    };
     let ball = bytes_of(100, ".ply");
-    let (code, text) = post("/upload/ball.ply", &[BINARY, ("Content-Length", "65537")], &[]);
+    let (code, text) = empty.post("/upload/ball.ply", &[BINARY, ("Content-Length", "65537")], &[]);
     assert!(code == 413 && text.contains("--max-host-memory"), "{text}");
     // The answer arrives although the server does not read the whole file.
-    assert_eq!(post("/upload/ball.ply", &[BINARY], &vec![0; 4 << 20]).0, 413);
-    assert_eq!(post("/upload/ball.ply", &[("Content-Type", "text/plain")], &ball).0, 415);
-    assert_eq!(post("/upload/ball.ply", &[], &ball).0, 415);
+    assert_eq!(empty.post("/upload/ball.ply", &[BINARY], &vec![0; 4 << 20]).0, 413);
+    assert_eq!(empty.post("/upload/ball.ply", &[("Content-Type", "text/plain")], &ball).0, 415);
+    assert_eq!(empty.post("/upload/ball.ply", &[], &ball).0, 415);
     for name in ["ball.gltf", "data.zip", "ball", "..%2fball.exe"] {
-        assert_eq!(post(&format!("/upload/{name}"), &[BINARY], &ball).0, 415, "{name}");
+        assert_eq!(empty.post(&format!("/upload/{name}"), &[BINARY], &ball).0, 415, "{name}");
     }
     let chunked = [BINARY, ("Transfer-Encoding", "chunked")];
-    assert_eq!(post("/upload/ball.ply", &chunked, b"0\r\n\r\n").0, 411);
-    assert_eq!(post("/open", &[JSON], b"no JSON").0, 400);
-    assert_eq!(post("/open", &[JSON], &[b' '; 70_000]).0, 400);
+    assert_eq!(empty.post("/upload/ball.ply", &chunked, b"0\r\n\r\n").0, 411);
+    assert_eq!(empty.post("/open", &[JSON], b"no JSON").0, 400);
+    assert_eq!(empty.post("/open", &[JSON], &[b' '; 70_000]).0, 400);
     assert_eq!(empty.server.get("/upload/ball.ply", &[]).0, 405);
     // One upload at a time: a second one is refused until the first has ended.
     let mut slow = empty.server.connect();
@@ -135,11 +124,7 @@ fn viewer_bounds_what_is_sent() {
     );
     slow.write_all(head.as_bytes()).expect("sent");
     let until = |wanted: u16| {
-        let start = Instant::now();
-        while post("/upload/ball.ply", &[BINARY], &ball).0 != wanted {
-            assert!(start.elapsed() < PATIENCE, "never {wanted}");
-            std::thread::sleep(Duration::from_millis(20));
-        }
+        wait_until("another answer", || empty.post("/upload/ball.ply", &[BINARY], &ball).0 == wanted);
     };
     // The first attempts may arrive before the slow upload has begun.
     until(503);
@@ -152,19 +137,19 @@ fn viewer_bounds_what_is_sent() {
     // The file fits into memory, the scene does not.
     let packed = bytes_of(900, ".spz");
     assert!(packed.len() < 65_536);
-    assert_eq!(post("/upload/large.spz", &[BINARY], &packed).0, 202);
+    assert_eq!(empty.post("/upload/large.spz", &[BINARY], &packed).0, 202);
     assert!(page.opened().expect_err("too large").contains("--max-host-memory"));
 }
 
 #[test]
 fn viewer_opens_paths_of_its_folder_only() {
     let empty = Empty::start(&[]);
-    let (outer, started) = (empty.folder.path(), empty.started());
-    std::fs::write(outer.join("secret.ply"), bytes_of(10, ".ply")).expect("written");
-    std::fs::create_dir(started.join("below")).expect("created");
+    let place = &empty.place;
+    let (outer, started) = (place.at(""), place.at("started"));
+    place.write("secret.ply", bytes_of(10, ".ply"));
+    place.create_folder("started/below");
     write_ball(&started.join("below"), 40);
     write_dataset(&started.join("data"));
-    #[cfg(unix)]
     std::os::unix::fs::symlink(outer.join("secret.ply"), started.join("link.ply")).expect("a link");
     let mut page = empty.server.page();
     for path in ["../secret.ply", text(&outer.join("secret.ply")), "link.ply", "/etc/passwd", "nothing.ply"] {
@@ -180,13 +165,10 @@ fn viewer_opens_paths_of_its_folder_only() {
     assert_eq!((&scene["gaussians"], scene["cameras"].as_array().map(Vec::len)), (&json!(400), Some(9)));
     assert_eq!(empty.server.get("/photo/0", &[]).0, 200);
     // A model may name its data set, but only inside the start folder.
-    let model = started.join("model/point_cloud/iteration_7");
-    std::fs::create_dir_all(&model).expect("created");
-    std::fs::write(model.join("point_cloud.ply"), bytes_of(30, ".ply")).expect("written");
+    place.write(point_cloud("started/model", 7), bytes_of(30, ".ply"));
     write_dataset(&outer.join("data"));
     let (inside, outside) = (started.join("data"), outer.join("data"));
     let (own, foreign) = (inside.join("images"), outside.join("images"));
-    #[cfg(unix)]
     std::os::unix::fs::symlink(&foreign, inside.join("linked")).expect("a link");
     for (source, images, photos) in [
         (&inside, "images", true),
@@ -199,7 +181,7 @@ fn viewer_opens_paths_of_its_folder_only() {
     ] {
         let arguments =
             format!("Namespace(sh_degree=1, source_path='{}', images='{images}')", source.display());
-        std::fs::write(started.join("model/cfg_args"), arguments).expect("written");
+        place.write("started/model/cfg_args", arguments);
         assert_eq!(empty.open("model").0, 202);
         let scene = page.opened().expect("a scene");
         let found = (&scene["gaussians"], &scene["has_photos"]);
@@ -224,25 +206,25 @@ fn viewer_lets_nobody_open_who_may_not() {
             assert_eq!(empty.server.post(path, &[kind, foreign], body).0, 403, "{path} {foreign:?}");
         }
         // A browser first asks whether a foreign page may.
-        let (code, head) = empty.server.ask("OPTIONS", path, &[("Origin", "http://elsewhere.example")]);
+        let origin = [("Origin", "http://elsewhere.example")];
+        let (code, head, _) = empty.server.request("OPTIONS", path, &origin, &[]);
         assert!(code == 403 && !head.to_lowercase().contains("access-control"), "{head}");
     }
     // With a token and reachable by others: uploads are accepted with the token, paths are not.
     let mut far = Empty::start(&["--host", "0.0.0.0", "--token", "sesame"]);
     far.server.host = far.server.host.replace("0.0.0.0", "127.0.0.1");
-    write_ball(&far.started(), 20);
+    write_ball(&far.place.at("started"), 20);
     for (path, kind, body) in requests {
         assert_eq!(far.server.post(path, &[kind], body).0, 401, "{path}");
     }
     let mut page = far.server.page_with("?token=sesame").expect("let in");
     assert!(page.greeting["open"]["folder"].is_null());
-    let (code, _, said) = far.server.post("/open?token=sesame", &[JSON], b"{\"path\": \"ball.ply\"}");
-    assert!(code == 404 && String::from_utf8_lossy(&said).contains("opens no paths"));
+    let (code, said) = far.post("/open?token=sesame", &[JSON], b"{\"path\": \"ball.ply\"}");
+    assert!(code == 404 && said.contains("opens no paths"), "{said}");
     assert_eq!(far.server.post("/upload/a.ply?token=sesame", &[BINARY], &ball).0, 202);
     assert_eq!(page.opened().expect("a scene")["gaussians"], 10);
     // A viewer that was started with a scene accepts no other.
-    let folder = tempdir().expect("a temporary folder");
-    let server = Server::view(&write_ball(folder.path(), 30), &[]);
+    let (_place, server) = view_ball(30, &[]);
     assert!(server.page().greeting["open"].is_null());
     for (path, kind, body) in requests {
         let (code, _, said) = server.post(path, &[kind], body);
@@ -253,10 +235,9 @@ fn viewer_lets_nobody_open_who_may_not() {
 /// The page is served before the scene is read. An error in the scene ends the program with a message.
 #[test]
 fn viewer_ends_with_what_is_wrong_with_its_scene() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = folder.path().join("bad.ply");
-    std::fs::write(&path, "ply\nformat ascii 1.0\nend_header\n").expect("written");
-    let mut server = Server::start(&["view", text(&path), "--port", "0"]);
-    let (code, stderr) = server.wait();
+    let place = Place::empty();
+    place.write("bad.ply", "ply\nformat ascii 1.0\nend_header\n");
+    let path = place.at("bad.ply");
+    let (code, stderr) = Server::start(&["view", text(&path), "--port", "0"]).wait();
     assert!(code == Some(2) && stderr.starts_with("error: ") && stderr.contains("bad.ply"), "{stderr}");
 }

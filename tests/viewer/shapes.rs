@@ -1,7 +1,7 @@
 //! Other shapes for Gaussians: scale modifier, ellipsoids, points.
 
 use crate::common::engine::renderer;
-use ashsplat::forward::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX};
+use ashsplat::frame::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX};
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, sh};
 use ashsplat::{Frame, RenderSettings, Shape};
 use glam::{Mat3, Vec3};

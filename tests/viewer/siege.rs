@@ -2,19 +2,17 @@
 
 use super::training::Training;
 use super::*;
-use ashsplat_files::{Photo, PhotoFileFormat};
+use ashsplat_files::PhotoFileFormat;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use tempfile::tempdir;
 
 fn silent(server: &Server, count: usize) -> Vec<TcpStream> {
     (0..count).filter_map(|_| TcpStream::connect(server.host.as_str()).ok()).collect()
 }
 
 /// Silent connections, many more than the program's limit of descriptors.
-#[cfg(unix)]
 #[test]
 fn viewer_leaves_descriptors_to_a_training() {
-    let training = Training::start_within(150, &["1000000", "--view=0"]);
+    let training = Training::start_within(150);
     let mut page = training.server.page();
     let _silent = silent(&training.server, 600);
     page.act("pause");
@@ -26,42 +24,24 @@ fn viewer_leaves_descriptors_to_a_training() {
     assert_eq!(training.server.get("/main.js", &[]).0, 200);
     let mut other = training.server.page();
     assert_eq!(other.status(0)["iteration"].as_u64(), Some(at));
-    let model = training.model();
-    let (code, stderr) = training.server.end();
+    let Training { place, server } = training;
+    let (code, stderr) = server.end();
     assert!(code == Some(130) && !stderr.contains("Too many open files"), "{code:?} {stderr}");
-    assert!(model.join(format!("chkpnt{at}.safetensors")).is_file());
-}
-
-/// A data set of large photos.
-fn write_large(folder: &Path, count: usize, size: u32) {
-    let images = folder.join("images");
-    std::fs::create_dir_all(&images).expect("created");
-    let rgb = vec![99; (3 * size * size) as usize];
-    let first = images.join("00.png");
-    Photo { width: size, height: size, rgb }.write_png(&first).expect("a PNG");
-    let frame = |index: usize| {
-        let name = format!("images/{index:02}.png");
-        if index > 0 {
-            std::fs::hard_link(&first, folder.join(&name)).expect("a link");
-        }
-        let matrix = [[1.0, 0.0, 0.0, 0.1 * index as f64], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0]];
-        let rows = [matrix.as_slice(), &[[0.0, 0.0, 0.0, 1.0]]].concat();
-        json!({ "file_path": name, "transform_matrix": rows })
-    };
-    let frames: Vec<Value> = (0..count).map(frame).collect();
-    let focal = f64::from(size);
-    let lens = json!({
-        "w": size, "h": size, "fl_x": focal, "fl_y": focal, "cx": focal / 2.0, "cy": focal / 2.0, "frames": frames,
-    });
-    std::fs::write(folder.join("transforms.json"), lens.to_string()).expect("written");
+    assert!(place.has(format!("model/chkpnt{at}.safetensors")));
 }
 
 #[cfg(target_os = "linux")]
 #[test]
 fn viewer_decodes_few_photos_at_once() {
-    let folder = tempdir().expect("a temporary folder");
-    write_large(folder.path(), 20, 4000);
-    let server = Server::view(folder.path(), &[]);
+    let (place, side) = (Place::empty(), 4000);
+    let names: Vec<String> = (0..20).map(|index| format!("{index:02}.png")).collect();
+    let rgb = vec![99; (3 * side * side) as usize];
+    Photo { width: side, height: side, rgb }.write_png(place.at(&names[0])).expect("a PNG");
+    for name in &names[1..] {
+        std::fs::hard_link(place.at(&names[0]), place.at(name)).expect("a link");
+    }
+    place.write("transforms.json", crate::cli::transforms(&names, side));
+    let server = Server::view(&place.at(""), &[]);
     let (before, shown) = (server.peak_memory(), AtomicU32::new(0));
     std::thread::scope(|scope| {
         for index in 0..40 {
@@ -85,7 +65,8 @@ fn flood(page: &mut Page, over: &AtomicBool, message: &str) {
     page.socket.get_ref().set_write_timeout(Some(Duration::from_millis(50))).expect("a timeout");
     let mut sent = true;
     while !over.load(Ordering::Relaxed) {
-        let result = if sent { page.socket.send(Message::text(message)) } else { page.socket.flush() };
+        let result =
+            if sent { page.socket.send(tungstenite::Message::text(message)) } else { page.socket.flush() };
         sent = result.is_ok();
         match result {
             Err(tungstenite::Error::Io(e)) if e.kind() == std::io::ErrorKind::WouldBlock => {}
@@ -98,8 +79,7 @@ fn flood(page: &mut Page, over: &AtomicBool, message: &str) {
 #[cfg(target_os = "linux")]
 #[test]
 fn viewer_pages_that_flood_starve_none() {
-    let folder = tempdir().expect("a temporary folder");
-    let server = Server::view(&super::write_ball(folder.path(), 200), &[]);
+    let (_place, server) = view_ball(200, &[]);
     let mut page = server.page();
     page.look(&camera(0.0), &json!({}));
     let (before, over) = (server.peak_memory(), AtomicBool::new(false));
@@ -125,11 +105,9 @@ fn viewer_pages_that_flood_starve_none() {
     });
 }
 
-/// A client that sends without pause still gets answers.
 #[test]
 fn viewer_answers_while_messages_come() {
-    let folder = tempdir().expect("a temporary folder");
-    let server = Server::view(&super::write_ball(folder.path(), 50), &[]);
+    let (_place, server) = view_ball(50, &[]);
     let page = server.page();
     let stream = page.socket.get_ref().try_clone().expect("a stream");
     let role = tungstenite::protocol::Role::Client;

@@ -1,39 +1,39 @@
 //! Viewers of a running training.
 
 use super::*;
-use crate::cli::write_dataset;
-use std::path::PathBuf;
-use tempfile::{TempDir, tempdir};
+use std::process::Command;
 
 /// A training, usually without an end of its own.
 pub struct Training {
-    pub folder: TempDir,
+    pub place: Place,
     pub server: Server,
 }
 
 impl Training {
-    pub fn start(more: &[&str], last: &str) -> Training {
-        let folder = tempdir().expect("a temporary folder");
-        let (data, model) = (folder.path().join("data"), folder.path().join("model"));
-        write_dataset(&data);
-        let train = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--quiet", "--iterations"];
-        let server = Server::start_until(&[&train[..], more].concat(), last);
-        Training { folder, server }
+    /// Starts it with a page, and without an end.
+    pub fn endless() -> Training {
+        Training::start("1000000 --view=0", "viewer at ")
     }
 
-    /// Starts it with few descriptors.
-    #[cfg(unix)]
-    pub fn start_within(descriptors: u32, more: &[&str]) -> Training {
-        let folder = tempdir().expect("a temporary folder");
-        let (data, model) = (folder.path().join("data"), folder.path().join("model"));
-        write_dataset(&data);
-        let train = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--quiet", "--iterations"];
-        let server = Server::start_within(descriptors, &[&train[..], more].concat(), "viewer at ");
-        Training { folder, server }
+    /// `more`: the number of iterations and other arguments. Waits for a line that begins with `last`.
+    pub fn start(more: &str, last: &str) -> Training {
+        Training::run(Command::new(env!("CARGO_BIN_EXE_ashsplat")), more, last)
     }
 
-    pub fn model(&self) -> PathBuf {
-        self.folder.path().join("model")
+    /// Same as [`Training::endless`], but with few descriptors.
+    pub fn start_within(descriptors: u32) -> Training {
+        let mut command = Command::new("sh");
+        command.args(["-c", &format!("ulimit -n {descriptors}; exec \"$0\" \"$@\"")]);
+        command.arg(env!("CARGO_BIN_EXE_ashsplat"));
+        Training::run(command, "1000000 --view=0", "viewer at ")
+    }
+
+    fn run(command: Command, more: &str, last: &str) -> Training {
+        let place = Place::new();
+        let words = place.words(format!("train -s @data -m @model --eval --quiet --iterations {more}"));
+        let words: Vec<&str> = words.iter().map(String::as_str).collect();
+        let server = Server::run(command, &words, last);
+        Training { place, server }
     }
 }
 
@@ -49,20 +49,17 @@ impl Page {
 
     /// Waits for an iteration while training is stepped.
     pub fn reach(&mut self, iteration: u64) {
-        let start = Instant::now();
-        while self.status(0)["iteration"].as_u64() != Some(iteration) {
-            assert!(start.elapsed() < PATIENCE, "iteration {iteration} does not come");
-            std::thread::sleep(Duration::from_millis(20));
-        }
+        wait_until("the iteration does not come", || self.status(0)["iteration"] == iteration);
+    }
+
+    /// Waits for any later iteration.
+    pub fn pass(&mut self, iteration: u64) {
+        wait_until("it does not go on", || self.status(0)["iteration"].as_u64() > Some(iteration));
     }
 
     /// Waits until training is paused, after the first iteration at the earliest. Returns the iteration.
     pub fn rest(&mut self) -> u64 {
-        let start = Instant::now();
-        while self.status(0)["paused"] != true {
-            assert!(start.elapsed() < PATIENCE, "it does not pause");
-            std::thread::sleep(Duration::from_millis(20));
-        }
+        wait_until("it does not pause", || self.status(0)["paused"] == true);
         self.same()
     }
 
@@ -81,7 +78,7 @@ impl Page {
 
 #[test]
 fn viewer_of_a_training_shows_and_steers_it() {
-    let mut training = Training::start(&["1000000", "--view=0"], "viewer at ");
+    let mut training = Training::endless();
     let mut page = training.server.page();
     assert_eq!(page.greeting["training"], 1_000_000);
     assert_eq!(page.greeting["cameras"].as_array().map(Vec::len), Some(9));
@@ -110,32 +107,23 @@ fn viewer_of_a_training_shows_and_steers_it() {
     page.send(&pick);
     assert!(page.wait_for("picked")["samples"].is_array());
     page.act("save");
-    let ply = training.model().join(format!("point_cloud/iteration_{}/point_cloud.ply", at + 1));
-    let start = Instant::now();
-    while !ply.is_file() {
-        assert!(start.elapsed() < PATIENCE, "{}", ply.display());
-        std::thread::sleep(Duration::from_millis(50));
-    }
+    let ply = training.place.at(point_cloud("model", at as u32 + 1));
+    wait_until("nothing is saved", || ply.is_file());
     assert_eq!(page.rest(), at + 1, "a save leaves it waiting");
     page.act("resume");
-    let start = Instant::now();
-    while page.status(0)["iteration"].as_u64() <= Some(at + 1) {
-        assert!(start.elapsed() < PATIENCE);
-    }
+    page.pass(at + 1);
     page.act("stop");
     let (code, stderr) = training.server.wait();
     assert_eq!(code, Some(130), "{stderr}");
-    let model = training.model();
-    let last = std::fs::read_to_string(model.join("last_iteration")).expect("a note");
-    assert!(model.join(format!("chkpnt{}.safetensors", last.trim())).is_file());
+    let last = training.place.read_text("model/last_iteration");
+    assert!(training.place.has(format!("model/chkpnt{}.safetensors", last.trim())));
 }
 
-/// A viewer does not change the bits of a training.
 #[test]
 fn viewer_does_not_change_a_training() {
     let cloud = |watched: bool| {
-        let more = ["200", "--densify_from_iter", "5", "--densification_interval", "10", "--view=0"];
-        let mut training = Training::start(&more, "viewer at ");
+        let more = "200 --densify_from_iter 5 --densification_interval 10 --view=0";
+        let mut training = Training::start(more, "viewer at ");
         let mut page = watched.then(|| training.server.page());
         if let Some(page) = &mut page {
             let mut request = view(1, &camera(0.0), &json!({ "mode": "tiles" }));
@@ -145,25 +133,23 @@ fn viewer_does_not_change_a_training() {
         }
         let (code, stderr) = training.server.wait();
         assert_eq!(code, Some(0), "{stderr}");
-        std::fs::read(training.model().join("point_cloud/iteration_200/point_cloud.ply")).expect("a PLY")
+        training.place.ply("model", 200)
     };
     assert!(cloud(true) == cloud(false), "looking on has changed the training");
 }
 
-/// If a save fails, the page gets an error and training continues.
 #[test]
 fn viewer_survives_a_save_that_fails() {
-    let mut training = Training::start(&["1000000", "--view=0"], "viewer at ");
+    let mut training = Training::endless();
     let mut page = training.server.page();
     // A file blocks the folder of point clouds.
-    let place = training.model().join("point_cloud");
-    std::fs::write(&place, "in the way").expect("written");
+    training.place.write("model/point_cloud", "in the way");
     page.act("pause");
     let at = page.rest();
     page.act("save");
-    let problem = page.wait_for("problem")["message"].to_string();
+    let problem = page.wait_for_problem();
     assert!(problem.contains("point_cloud"), "{problem}");
-    std::fs::remove_file(&place).expect("removed");
+    training.place.remove("model/point_cloud");
     page.act("step");
     page.reach(at + 1);
     page.act("stop");

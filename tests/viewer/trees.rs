@@ -1,28 +1,23 @@
 //! Trees of tiles on the page.
 
 use super::*;
-use crate::cli::{refuse, succeed};
-use crate::common::engine::renderer;
-use ashsplat::scene::WorldFrame;
-use ashsplat::{Gaussians, RenderSettings};
-use ashsplat_files::splats::ReadOptions;
+use ashsplat_files::Progress;
 use ashsplat_files::tiles::{self, Demand, TileOptions, Tree};
-use ashsplat_files::{Photo, Progress, cameras_json};
 use std::collections::BTreeSet;
-use tempfile::tempdir;
 
 const COUNT: usize = 900;
 
-fn written(folder: &Path) -> (std::path::PathBuf, Tree) {
-    let tree = folder.join("tree");
+/// A tree of the ball as `tree`.
+fn with_tree() -> (Place, Tree) {
+    let place = Place::empty();
+    let tree = place.at("tree");
     let options = TileOptions { most: 60, packed: false };
     // The error's value does not matter, as long as coarser tiles have larger ones.
     let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
-    let scene = write_ball(folder, COUNT);
+    let scene = write_ball(&place.at(""), COUNT);
     tiles::write(&scene, &tree, &options, &ReadOptions::default(), &mut measure, &Progress::NONE)
         .expect("tiles");
-    let opened = Tree::open(&tree).expect("a tree");
-    (tree, opened)
+    (place, Tree::open(&tree).expect("a tree"))
 }
 
 /// Requests frames until no tile is missing. Returns the first and the last frame, and the messages.
@@ -31,17 +26,9 @@ fn settled(page: &mut Page, camera: &Camera, look: &Value) -> (Shown, Shown, BTr
     while start.elapsed() < PATIENCE {
         page.send(&view(1, camera, look));
         let shown = loop {
-            match page.socket.read().expect("a message") {
-                Message::Binary(bytes) => {
-                    let length = u32::from_le_bytes(bytes[..4].try_into().expect("4 bytes")) as usize;
-                    let header = serde_json::from_slice(&bytes[4..4 + length]).expect("a header");
-                    break Shown { header, picture: bytes[4 + length..].to_vec() };
-                }
-                Message::Text(text) => {
-                    let message: Value = serde_json::from_str(text.as_str()).expect("JSON");
-                    said.extend(message["message"].as_str().map(str::to_owned));
-                }
-                _ => {}
+            match page.hear() {
+                Heard::Frame(shown) => break shown,
+                Heard::Message(message) => said.extend(message["message"].as_str().map(str::to_owned)),
             }
         };
         page.send(&json!({ "type": "ack" }));
@@ -58,20 +45,17 @@ fn settled(page: &mut Page, camera: &Camera, look: &Value) -> (Shown, Shown, BTr
 /// A page's first frame shows the coarsest tile. Its last equals the picture of `render --budget`, to the bit.
 #[test]
 fn viewer_streams_a_tree_until_it_is_what_render_draws() {
-    let folder = tempdir().expect("a temporary folder");
-    let (path, tree) = written(folder.path());
-    let server = Server::view(&path.join("tileset.json"), &["--budget", "50%"]);
+    let (place, tree) = with_tree();
+    let server = Server::view(&place.at("tree/tileset.json"), &["--budget", "50%"]);
     let mut page = server.page();
     assert_eq!(page.greeting["gaussians"], COUNT);
     assert_eq!(page.greeting["tree"], json!({ "budget": COUNT / 2, "least": tree.tiles()[0].gaussians }));
-    let cameras: Vec<Camera> = [0.3, 1.9].map(camera).to_vec();
-    let named = folder.path().join("cameras.json");
-    cameras_json::write(&named, ["a", "b"].into_iter().zip(&cameras), &WorldFrame::default())
-        .expect("written");
+    let cameras = [0.3, 1.9].map(camera);
+    let named = ["a", "b"].into_iter().zip(&cameras);
+    cameras_json::write(place.at("cameras.json"), named, &WorldFrame::default()).expect("written");
     for (budget, look) in [("50%", json!({ "quality": 0 })), ("250", json!({ "quality": 0, "budget": 250 }))]
     {
-        let out = folder.path().join(format!("out{}", budget.trim_end_matches('%')));
-        succeed(&["render", text(&path), "--budget", budget, "--path", text(&named), "-o", text(&out)]);
+        place.run(format!("render @tree --budget {budget} --path @cameras.json -o @out")).ok();
         for (index, camera) in cameras.iter().enumerate() {
             let (first, last, said) = settled(&mut page, camera, &look);
             let tree = &last.header["tree"];
@@ -82,10 +66,7 @@ fn viewer_streams_a_tree_until_it_is_what_render_draws() {
                 assert!(tree["drawn"].as_u64() > Some(3), "{}", last.header);
                 assert!(first.rgb() != last.rgb());
             }
-            let files = std::fs::read_dir(&out).expect("pictures").map(|e| e.expect("an entry").path());
-            let mut files: Vec<_> = files.collect();
-            files.sort();
-            let expected = image::open(&files[index]).expect("a picture").to_rgb8().into_raw();
+            let expected = place.picture(format!("out/{index:05}.png")).into_raw();
             assert!(last.rgb() == expected, "{budget}, camera {index}: {}", last.header);
             assert!(said.is_empty(), "{said:?}");
         }
@@ -97,15 +78,13 @@ fn viewer_streams_a_tree_until_it_is_what_render_draws() {
     // A part of a tree cannot be saved as a scene.
     assert_eq!(server.get("/export/tree.ply", &[]).0, 422);
     assert!(page.greeting["convert"].is_null());
-    #[cfg(unix)]
     assert_eq!(server.end(), (Some(0), String::new()));
 }
 
 /// Each missing or damaged tile is named once on the page and on the terminal; coarser ones replace it.
 #[test]
 fn viewer_names_tiles_that_cannot_be_read() {
-    let folder = tempdir().expect("a temporary folder");
-    let (path, tree) = written(folder.path());
+    let (place, tree) = with_tree();
     let camera = camera(0.3);
     let cut = tree.cut(&camera, COUNT);
     let lost = [cut[1], *cut.last().expect("tiles")];
@@ -113,7 +92,7 @@ fn viewer_names_tiles_that_cannot_be_read() {
     std::fs::remove_file(&files[0]).expect("removed");
     let bytes = std::fs::read(&files[1]).expect("a tile");
     std::fs::write(&files[1], &bytes[..bytes.len() / 2]).expect("damaged");
-    let server = Server::view(&path, &["--budget", "100%"]);
+    let server = Server::view(&place.at("tree"), &["--budget", "100%"]);
     let mut page = server.page();
     let (_, shown, said) = settled(&mut page, &camera, &json!({ "quality": 0 }));
     let drawn = tree.cut_among(&Demand::of(&camera, COUNT), |tile| !lost.contains(&tile));
@@ -122,54 +101,42 @@ fn viewer_names_tiles_that_cannot_be_read() {
     for tile in drawn {
         expected.append(&tree.read(tile, &ReadOptions::default()).expect("a tile").gaussians);
     }
-    let mut renderer = renderer();
-    renderer.upload(&expected).expect("uploaded");
-    let frame = renderer.render(&camera, &RenderSettings::default()).expect("a frame");
-    let expected = Photo::from_f32(frame.width, frame.height, &frame.color).expect("a picture").rgb;
+    let expected = rendered(&expected, &camera, &RenderSettings::default());
     assert!(shown.rgb() == expected, "{}", shown.header);
     let names = files.each_ref().map(|file| file.file_name().and_then(|name| name.to_str()).expect("UTF-8"));
     let problem = shown.header["tree"]["problem"].as_str().expect("a problem");
     assert!(names.iter().any(|name| problem.contains(name)), "{problem}");
-    #[cfg(unix)]
     let (code, stderr) = server.end();
-    #[cfg(unix)]
     assert_eq!(code, Some(0), "{stderr}");
     for name in names {
         let of = |lines: &mut dyn Iterator<Item = &str>| lines.filter(|line| line.contains(name)).count();
         assert_eq!(of(&mut said.iter().map(String::as_str)), 1, "{said:?}");
-        #[cfg(unix)]
         assert_eq!(of(&mut stderr.lines()), 1, "{stderr}");
     }
 }
 
 #[test]
 fn viewer_refuses_what_is_no_tree() {
-    let folder = tempdir().expect("a temporary folder");
-    let scene = write_ball(folder.path(), 50);
-    refuse(&["view", text(&scene), "--budget", "10", "--port", "0"], &["--budget", "folders of tiles"]);
+    let place = Place::empty();
+    write_ball(&place.at(""), 50);
+    place.run("view @ball.ply --budget 10 --port 0").refused(&["--budget", "folders of tiles"]);
 }
 
 /// If tiles leave no memory for a picture, some are dropped, and a message says so once.
 #[test]
 fn viewer_draws_fewer_tiles_where_a_picture_finds_no_memory() {
-    let folder = tempdir().expect("a temporary folder");
-    let (path, _) = written(folder.path());
+    let (place, _) = with_tree();
     // Enough for all tiles, but not for a picture of them, which needs 1 MiB in all.
-    let server = Server::view(&path, &["--budget", "100%", "--max-memory", "750K"]);
+    let server = Server::view(&place.at("tree"), &["--budget", "100%", "--max-memory", "750K"]);
     let mut page = server.page();
     for turn in [0.3, 1.9, 0.3] {
         let (_, shown, said) = settled(&mut page, &camera(turn), &json!({ "quality": 0 }));
         let tree = &shown.header["tree"];
         let (drawn, budget) = (tree["drawn"].as_u64(), tree["budget"].as_u64());
         assert!(drawn > Some(1) && budget < Some(COUNT as u64), "{tree}");
-        assert!(
-            said.iter().all(|problem| problem.contains("no memory for 900 Gaussians, at most 450")),
-            "{said:?}"
-        );
+        let words = "no memory for 900 Gaussians, at most 450";
+        assert!(said.iter().all(|problem| problem.contains(words)), "{said:?}");
     }
-    #[cfg(unix)]
-    {
-        let (code, stderr) = server.end();
-        assert_eq!((code, stderr.matches("no memory").count()), (Some(0), 1), "{stderr}");
-    }
+    let (code, stderr) = server.end();
+    assert_eq!((code, stderr.matches("no memory").count()), (Some(0), 1), "{stderr}");
 }

@@ -1,27 +1,27 @@
 //! The parts of the window that need no display, with their own tests: the program has them only with its feature
 //! `window`. The window's keys must have the page's names and meanings, or a reason for the difference.
 
-#[path = "../../tools/ashsplat/view/window/present/choice.rs"]
+#[path = "../../tools/view/window/present/choice.rs"]
 mod choice;
-#[path = "../../tools/ashsplat/view/window/comparison.rs"]
+#[path = "../../tools/view/window/comparison.rs"]
 mod comparison;
-#[path = "../../tools/ashsplat/view/window/controls.rs"]
+#[path = "../../tools/view/window/controls.rs"]
 mod controls;
-#[path = "../../tools/ashsplat/view/window/keys.rs"]
+#[path = "../../tools/view/window/keys.rs"]
 mod keys;
-#[path = "../../tools/ashsplat/view/window/navigation.rs"]
+#[path = "../../tools/view/window/navigation.rs"]
 mod navigation;
-#[path = "../../tools/ashsplat/view/window/pace.rs"]
+#[path = "../../tools/view/window/pace.rs"]
 mod pace;
-#[path = "../../tools/ashsplat/view/window/text.rs"]
+#[path = "../../tools/view/window/text.rs"]
 mod text;
-#[path = "../../tools/ashsplat/view/window/words.rs"]
+#[path = "../../tools/view/window/words.rs"]
 mod words;
 
 use keys::{Action, HELP, KEYS, ONLY_PAGE};
 
 fn page(file: &str) -> String {
-    let path = crate::common::root().join("tools/ashsplat/view/web").join(file);
+    let path = crate::common::root().join("tools/view/web").join(file);
     std::fs::read_to_string(path).expect("a file of the page")
 }
 
@@ -52,17 +52,17 @@ fn window_has_the_keys_of_the_page() {
     let (controls, main) = (page("controls.js"), page("main.js"));
     let action = |code: &str| KEYS.iter().find(|(name, _)| *name == code).map(|(_, action)| *action);
     let mut known = Vec::new();
-    for (code, v) in entries(&controls, "FLY_KEYS") {
-        assert_eq!(action(code), Some(Action::Fly([v[0], v[1], v[2]])), "{code}");
-        known.push(code.to_owned());
-    }
-    for (code, v) in entries(&controls, "TURN_KEYS") {
-        assert_eq!(action(code), Some(Action::Turn([v[0], v[1]])), "{code}");
-        known.push(code.to_owned());
-    }
-    for (code, v) in entries(&controls, "ZOOM_KEYS") {
-        assert_eq!(action(code), Some(Action::Zoom(v[0])), "{code}");
-        known.push(code.to_owned());
+    type Expected = fn(&[f64]) -> Action;
+    let kinds: [(&str, Expected); 3] = [
+        ("FLY_KEYS", |v| Action::Fly([v[0], v[1], v[2]])),
+        ("TURN_KEYS", |v| Action::Turn([v[0], v[1]])),
+        ("ZOOM_KEYS", |v| Action::Zoom(v[0])),
+    ];
+    for (constant, expected) in kinds {
+        for (code, numbers) in entries(&controls, constant) {
+            assert_eq!(action(code), Some(expected(&numbers)), "{code}");
+            known.push(code.to_owned());
+        }
     }
     assert_eq!(known.len(), 14, "{known:?}");
     let handler = between(&main, "function key(code, event) {", "\n}");

@@ -11,31 +11,23 @@ use proptest::prelude::*;
 
 #[test]
 fn requests_are_packed_in_order_without_overlap() {
-    let packing = pack(&[100, 0, 256, 5], 4096).expect("fits");
-    assert_eq!(packing.places, [(0, 0), (0, 256), (0, 512), (0, 768)]);
-    assert_eq!(packing.blocks, [784]);
-}
-
-/// Staggered, so that large buffers of any size do not start in the same cache sets.
-#[test]
-fn large_buffers_are_staggered() {
     const LARGE: u64 = 1 << 20;
-    let packing = pack(&[LARGE, LARGE, LARGE + 256, LARGE / 2, LARGE / 2, 16], u64::MAX).expect("fits");
-    let begins: Vec<u64> = packing.places.iter().map(|&(_, begin)| begin).collect();
-    let third = 2 * (LARGE + 8448);
-    let fourth = third + LARGE + 8448;
-    assert_eq!(begins, [0, LARGE + 8448, third, fourth, fourth + LARGE / 2, fourth + LARGE]);
-    assert_eq!(packing.blocks, [fourth + LARGE + 16]);
-    // If the stagger does not fit, another block.
-    assert_eq!(pack(&[LARGE, 16], LARGE + 8000).expect("fits").places, [(0, 0), (1, 0)]);
-}
-
-#[test]
-fn a_full_block_is_followed_by_another() {
-    let packing = pack(&[600, 300, 200, 1000], 1000).expect("fits");
-    assert_eq!(packing.places, [(0, 0), (1, 0), (1, 512), (2, 0)]);
-    assert_eq!(packing.blocks, [600, 712, 1000]);
-    assert!(pack(&[], 1000).expect("fits").blocks.is_empty());
+    // Staggered, so that large buffers of any size do not start in the same cache sets.
+    const STAGGERED: u64 = LARGE + 8448;
+    let (third, fourth) = (2 * STAGGERED, 3 * STAGGERED);
+    let large = [LARGE, LARGE, LARGE + 256, LARGE / 2, LARGE / 2, 16];
+    let staggered = [0, STAGGERED, third, fourth, fourth + LARGE / 2, fourth + LARGE];
+    let in_one = staggered.map(|begin| (0, begin));
+    for (what, sizes, most, places, blocks) in [
+        ("small", &[100, 0, 256, 5][..], 4096, &[(0, 0), (0, 256), (0, 512), (0, 768)][..], &[784][..]),
+        ("large", &large, u64::MAX, &in_one, &[fourth + LARGE + 16]),
+        ("no room for the stagger", &[LARGE, 16], LARGE + 8000, &[(0, 0), (1, 0)], &[LARGE, 16]),
+        ("full blocks", &[600, 300, 200, 1000], 1000, &[(0, 0), (1, 0), (1, 512), (2, 0)], &[600, 712, 1000]),
+        ("nothing", &[], 1000, &[], &[]),
+    ] {
+        let packing = pack(sizes, most).expect("fits");
+        assert_eq!((&packing.places[..], &packing.blocks[..]), (places, blocks), "{what}");
+    }
     assert_eq!(pack(&[1000, 1001], 1000), Err(1));
 }
 
@@ -169,12 +161,17 @@ fn transfers_give_back_what_they_got() {
     }
 }
 
+/// A device whose memory the host does not see.
+fn staged() -> Context {
+    let options = ContextOptions { force_staging: true, ..common::options() };
+    Context::new(&options).expect("a context")
+}
+
 /// Also if uploads have a separate queue.
 #[test]
 fn uploads_run_after_what_was_submitted() {
     const BYTES: usize = 300_004;
-    let options = ContextOptions { force_staging: true, ..common::options() };
-    let context = Context::new(&options).expect("a context");
+    let context = staged();
     let requests = [("source", BYTES as u64), ("target", BYTES as u64)];
     let buffers = context.allocate("transfers", &requests, MemoryKind::Device).expect("memory");
     let (earlier, later) = (vec![1; BYTES], vec![2; BYTES]);
@@ -194,8 +191,7 @@ fn uploads_run_after_what_was_submitted() {
 /// or when another allocation needs it.
 #[test]
 fn staging_is_a_ring_that_is_kept_and_given_back() {
-    let options = ContextOptions { force_staging: true, ..common::options() };
-    let context = Context::new(&options).expect("a context");
+    let context = staged();
     let staging =
         || context.memory().iter().find(|arena| arena.name == "staging").map_or(0, |arena| arena.bytes);
     let sizes = [70_000, 300_004, 65_541, 9 << 20, 100_000, 33 << 20, 70_000];
@@ -229,47 +225,6 @@ fn staging_is_a_ring_that_is_kept_and_given_back() {
     assert!(staging() > 0 && staging() <= 1 << 20, "{}", staging());
     assert!(context.download(&buffers[3]).expect("download")[..9 << 20] == pattern(9 << 20));
     common::assert_silent(&context);
-}
-
-/// Benefit of a ring: uploads the photographs of a data set with separate memory and a wait for each 16 MiB, and
-/// through the ring. Prints seconds; run it alone.
-#[test]
-#[ignore = "a measurement, which proves nothing"]
-fn staging_by_a_ring_is_measured() {
-    let options = ContextOptions { force_staging: true, validation: false, ..common::options() };
-    let context = Context::new(&options).expect("a context");
-    for bytes in [130_000, 518_400, 8 << 20, 40 << 20] {
-        let content = pattern(bytes);
-        let requests = vec![("photo", bytes as u64); (100_000_000 / bytes).max(2)];
-        let buffers = context.allocate("photos", &requests, MemoryKind::Device).expect("memory");
-        let alone = || {
-            for buffer in &buffers {
-                let chunk = bytes.min(16 << 20);
-                let request = [("staging", chunk as u64)];
-                let staging = context.allocate("alone", &request, MemoryKind::HostVisible).expect("memory");
-                for (number, part) in content.chunks(chunk).enumerate() {
-                    staging[0].write(0, part).expect("written");
-                    let (from, to) = (staging[0].range(0, part.len() as u64), (number * chunk) as u64);
-                    let copied = context.run("upload", |recorder| {
-                        recorder.copy(&from, &buffer.range(to, part.len() as u64));
-                        Ok(())
-                    });
-                    copied.expect("copied");
-                }
-            }
-        };
-        let ring = || buffers.iter().for_each(|buffer| context.upload(buffer, &content).expect("upload"));
-        let seconds = |work: &dyn Fn()| {
-            let begin = std::time::Instant::now();
-            work();
-            begin.elapsed().as_secs_f64()
-        };
-        let mut best = [f64::INFINITY; 2];
-        for _ in 0..7 {
-            best = [best[0].min(seconds(&alone)), best[1].min(seconds(&ring))];
-        }
-        eprintln!("{} of {bytes} bytes: {:.4} s alone, {:.4} s by the ring", buffers.len(), best[0], best[1]);
-    }
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The opt-in profile: its records, and that it is off by default.
 
 use crate::common::gpu::Gpu;
-use ashsplat::scan::{Scan, ScanBuffers, Workgroups};
+use ashsplat::passes::scan::{Scan, ScanBuffers, Workgroups};
 use ashsplat::vk::{Access, Context, ContextOptions, Submission};
 
 const COUNT: u32 = 5000;

@@ -1,8 +1,9 @@
 //! Recording, submission, hazards in recordings, timestamps.
 
+use super::{allocate, assert_hazard_is_reported, run, words};
 use crate::common;
 use ashsplat::kernels::scan::scan_reduce;
-use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, LimitsOverride, MemoryKind};
+use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, LimitsOverride, MemoryKind, Recorder};
 
 /// Sums of blocks of a sequence on the device.
 struct BlockSums {
@@ -22,11 +23,9 @@ impl BlockSums {
         let values: Vec<u32> = (0..count as u32).map(|i| i % 97).collect();
         let expected: Vec<u32> = values.chunks(block).map(|c| c.iter().sum()).collect();
         let workgroups = expected.len() as u64;
-        let bytes = 4 * workgroups;
         let requests =
-            [("counts", 4), ("values", 4 * count as u64), ("block_sums", bytes), ("arguments", 12)];
-        let buffers = context.allocate("block sums", &requests, MemoryKind::Device).expect("memory");
-        let [counts, step_values, block_sums, arguments] = <[Buffer; 4]>::try_from(buffers).expect("four");
+            [("counts", 4), ("values", 4 * count as u64), ("block_sums", 4 * workgroups), ("arguments", 12)];
+        let [counts, step_values, block_sums, arguments] = allocate(context, requests);
         context.upload(&counts, bytemuck::bytes_of(&(count as u32))).expect("upload");
         context.upload(&step_values, bytemuck::cast_slice(&values)).expect("upload");
         let kernel = Kernel::new(context, &spec).expect("a kernel");
@@ -37,9 +36,19 @@ impl BlockSums {
         scan_reduce::Bind { counts: &self.counts, values: &self.values, block_sums: &self.block_sums }
     }
 
+    /// Dispatches the kernel.
+    fn record(&self, r: &mut Recorder) {
+        r.dispatch(&self.kernel, &self.bind(), &PUSH, self.workgroups);
+    }
+
+    /// Computes the sums and checks them.
+    fn run(&self, context: &Context) {
+        run(context, |r| self.record(r));
+        self.check(context);
+    }
+
     fn check(&self, context: &Context) {
-        let bytes = context.download(&self.block_sums.range(0, 4 * self.workgroups)).expect("download");
-        assert_eq!(bytemuck::pod_collect_to_vec::<u8, u32>(&bytes), self.expected);
+        assert_eq!(words(context, &self.block_sums), self.expected);
     }
 }
 
@@ -49,13 +58,7 @@ const PUSH: scan_reduce::Push = scan_reduce::Push { count_index: 0 };
 fn a_dispatch_computes() {
     let context = common::context();
     let sums = BlockSums::new(context, 10_000);
-    context
-        .run("sums", |r| {
-            r.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups);
-            Ok(())
-        })
-        .expect("a run");
-    sums.check(context);
+    sums.run(context);
     common::assert_silent(context);
 }
 
@@ -66,12 +69,7 @@ fn more_workgroups_than_an_axis_holds_are_all_run() {
     let context = context.expect("a context");
     let sums = BlockSums::new(&context, 8_500);
     assert!(sums.workgroups > 5);
-    let report = context.run("sums", |r| {
-        r.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups);
-        Ok(())
-    });
-    report.expect("a run");
-    sums.check(&context);
+    sums.run(&context);
     common::assert_silent(&context);
 }
 
@@ -80,14 +78,12 @@ fn an_indirect_dispatch_takes_its_grid_from_a_buffer() {
     let context = common::context();
     let sums = BlockSums::new(context, 5_000);
     let grid = [sums.workgroups as u32, 1, 1];
-    let report = context.run("sums", |r| {
+    run(context, |r| {
         r.update(&sums.arguments, bytemuck::cast_slice(&grid));
         r.fill(&sums.block_sums, 0);
         r.barrier();
         r.dispatch_indirect(&sums.kernel, &sums.bind(), &PUSH, &sums.arguments);
-        Ok(())
     });
-    report.expect("a run");
     sums.check(context);
     common::assert_silent(context);
 }
@@ -96,37 +92,29 @@ fn an_indirect_dispatch_takes_its_grid_from_a_buffer() {
 fn no_workgroups_are_no_dispatch() {
     let context = common::context();
     let sums = BlockSums::new(context, 2_000);
-    let report = context.run("nothing", |r| {
+    run(context, |r| {
         r.fill(&sums.block_sums, 5);
         r.barrier();
         r.dispatch(&sums.kernel, &sums.bind(), &PUSH, 0);
-        Ok(())
     });
-    report.expect("a run");
-    let bytes = context.download(&sums.block_sums).expect("download");
-    assert!(bytemuck::pod_collect_to_vec::<u8, u32>(&bytes).iter().all(|&v| v == 5));
+    assert!(words(context, &sums.block_sums).iter().all(|&word| word == 5));
 }
 
 #[test]
 fn fill_copy_and_update_touch_their_range_only() {
     let context = common::context();
-    let buffers = context.allocate("words", &[("a", 64), ("b", 64)], MemoryKind::Device).expect("memory");
-    let (a, b) = (&buffers[0], &buffers[1]);
-    let report = context.run("transfers", |r| {
-        r.fill(a, 1);
-        r.fill(b, 2);
+    let [a, b] = allocate(context, [("a", 64), ("b", 64)]);
+    run(context, |r| {
+        r.fill(&a, 1);
+        r.fill(&b, 2);
         r.barrier();
         r.fill(&a.range(8, 8), 3);
         r.update(&a.range(32, 32), bytemuck::cast_slice(&[4u32, 5]));
         r.barrier();
         r.copy(&a.range(4, 32), &b.range(16, 40));
-        Ok(())
     });
-    report.expect("a run");
-    let words =
-        |buffer| -> Vec<u32> { bytemuck::pod_collect_to_vec(&context.download(buffer).expect("download")) };
-    assert_eq!(words(a), [1, 1, 3, 3, 1, 1, 1, 1, 4, 5, 1, 1, 1, 1, 1, 1]);
-    assert_eq!(words(b), [2, 2, 2, 2, 1, 3, 3, 1, 1, 1, 1, 4, 2, 2, 2, 2]);
+    assert_eq!(words(context, &a), [1, 1, 3, 3, 1, 1, 1, 1, 4, 5, 1, 1, 1, 1, 1, 1]);
+    assert_eq!(words(context, &b), [2, 2, 2, 2, 1, 3, 3, 1, 1, 1, 1, 4, 2, 2, 2, 2]);
     common::assert_silent(context);
 }
 
@@ -138,15 +126,14 @@ fn fill_copy_and_update_touch_their_range_only() {
 fn a_missing_barrier_panics_with_both_ends() {
     let context = common::context();
     let sums = BlockSums::new(context, 2_000);
-    let _ = context.run("missing", |r| {
+    run(context, |r| {
         r.fill(&sums.block_sums, 0);
-        r.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups);
-        Ok(())
+        sums.record(r);
     });
 }
 
 /// Records four commands and three barriers, each of them needed.
-fn record(recorder: &mut ashsplat::vk::Recorder, sums: &BlockSums) {
+fn record(recorder: &mut Recorder, sums: &BlockSums) {
     recorder.update(&sums.arguments, bytemuck::cast_slice(&[sums.workgroups as u32, 1, 1]));
     recorder.barrier();
     recorder.dispatch_indirect(&sums.kernel, &sums.bind(), &PUSH, &sums.arguments);
@@ -176,30 +163,20 @@ fn each_omitted_barrier_is_found_without_submitting() {
 
 #[test]
 fn the_validation_layer_sees_an_omitted_barrier_too() {
-    if !common::options().validation {
-        eprintln!("SKIPPED: no validation layer");
-        return;
-    }
-    let context =
-        Context::new(&ContextOptions { hazard_check: false, ..common::options() }).expect("a context");
-    let buffers = context.allocate("words", &[("a", 64), ("b", 64)], MemoryKind::Device).expect("memory");
-    let copy = |omit: bool| {
-        let report = context.run("copy", |r| {
-            if omit {
-                r.omit_barrier(0);
-            }
-            r.fill(&buffers[0], 1);
+    assert_hazard_is_reported(|context| {
+        let [a, b] = allocate(context, [("a", 64), ("b", 64)]);
+        let copy = |r: &mut Recorder| {
+            r.fill(&a, 1);
             r.barrier();
-            r.copy(&buffers[0], &buffers[1]);
-            Ok(())
+            r.copy(&a, &b);
+        };
+        run(context, copy);
+        common::assert_silent(context);
+        run(context, |r| {
+            r.omit_barrier(0);
+            copy(r);
         });
-        report.expect("a run");
-    };
-    copy(false);
-    common::assert_silent(&context);
-    copy(true);
-    let messages = context.validation_messages();
-    assert!(messages.iter().any(|m| m.contains("SYNC-HAZARD")), "{messages:?}");
+    });
 }
 
 #[test]
@@ -209,7 +186,7 @@ fn what_a_submission_uses_may_be_dropped_and_is_not_accessible_before_it_is_done
     let host = context.allocate("result", &[("sums", 4 * sums.workgroups)], MemoryKind::HostVisible);
     let host = host.expect("memory").swap_remove(0);
     let mut recorder = context.begin("kept").expect("a recorder");
-    recorder.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups);
+    sums.record(&mut recorder);
     recorder.barrier();
     recorder.copy(&sums.block_sums.range(0, 4 * sums.workgroups), &host);
     let pending = context.submit(recorder).expect("a submission");
@@ -226,17 +203,17 @@ fn what_a_submission_uses_may_be_dropped_and_is_not_accessible_before_it_is_done
 #[test]
 fn submissions_follow_each_other_without_waiting() {
     let context = common::context();
-    let buffers = context.allocate("chain", &[("a", 4096), ("b", 4096)], MemoryKind::Device).expect("memory");
+    let [a, b] = allocate(context, [("a", 4096), ("b", 4096)]);
     let mut pending = Vec::new();
     for step in 0..20 {
         let mut recorder = context.begin("chain").expect("a recorder");
-        recorder.copy(&buffers[0], &buffers[1]);
+        recorder.copy(&a, &b);
         recorder.barrier();
-        recorder.fill(&buffers[0], step);
+        recorder.fill(&a, step);
         pending.push(context.submit(recorder).expect("a submission"));
     }
     drop(pending);
-    assert!(context.download(&buffers[1]).expect("download").chunks(4).all(|w| w == [18, 0, 0, 0]));
+    assert!(words(context, &b).iter().all(|&word| word == 18));
     common::assert_silent(context);
 }
 
@@ -247,14 +224,7 @@ fn a_context_serves_several_threads() {
         for _ in 0..4 {
             scope.spawn(|| {
                 let sums = BlockSums::new(context, 20_000);
-                for _ in 0..5 {
-                    let report = context.run("thread", |r| {
-                        r.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups);
-                        Ok(())
-                    });
-                    report.expect("a run");
-                    sums.check(context);
-                }
+                (0..5).for_each(|_| sums.run(context));
             });
         }
     });
@@ -266,15 +236,13 @@ fn scopes_are_timed_and_nested() {
     for timestamps in [true, false] {
         let context = Context::new(&ContextOptions { timestamps, ..common::options() }).expect("a context");
         let sums = BlockSums::new(&context, 50_000);
-        let report = context.run("whole", |r| {
+        let report = run(&context, |r| {
             r.scope("outer", |r| {
-                r.scope("inner", |r| r.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups));
+                r.scope("inner", |r| sums.record(r));
                 r.barrier();
                 r.scope("clear", |r| r.fill(&sums.block_sums, 0));
             });
-            Ok(())
         });
-        let report = report.expect("a run");
         if !timestamps || context.limits().timestamp_period_ns == 0.0 {
             assert!(report.scopes.is_empty());
             continue;
@@ -290,11 +258,7 @@ fn scopes_are_timed_and_nested() {
 #[test]
 fn more_scopes_than_timestamps_are_fine() {
     let context = common::context();
-    let report = context.run("many", |r| {
-        (0..300).for_each(|i| r.scope(&format!("scope {i}"), |_| ()));
-        Ok(())
-    });
-    let report = report.expect("a run");
+    let report = run(context, |r| (0..300).for_each(|i| r.scope(&format!("scope {i}"), |_| ())));
     assert!(report.scopes.len() < 300);
     common::assert_silent(context);
 }
@@ -302,7 +266,7 @@ fn more_scopes_than_timestamps_are_fine() {
 #[test]
 fn an_error_while_recording_submits_nothing() {
     let context = common::context();
-    let buffer = context.allocate("words", &[("a", 16)], MemoryKind::Device).expect("memory").swap_remove(0);
+    let [buffer] = allocate(context, [("a", 16)]);
     context.upload(&buffer, &[1; 16]).expect("upload");
     let result = context.run("fails", |r| {
         r.fill(&buffer, 0);
@@ -321,22 +285,17 @@ fn counts_beyond_a_buffer_touch_nothing_else() {
     // The largest grid here, where each invocation writes a float, exceeds the allocation by far.
     let spec = Spec { workgroup_size: 64.min(context.limits().max_workgroup_invocations), rounds: 1 };
     let kernel = Kernel::<Interface>::new(context, &spec).expect("a kernel");
-    let request = [("before", 4096), ("results", 64), ("after", 4096)];
-    let buffers = context.allocate("beside", &request, MemoryKind::Device).expect("memory");
-    for neighbour in [&buffers[0], &buffers[2]] {
+    let [before, results, after] = allocate(context, [("before", 4096), ("results", 64), ("after", 4096)]);
+    for neighbour in [&before, &after] {
         context.upload(neighbour, &[0xA5; 4096]).expect("upload");
     }
-    context.upload(&buffers[1], &[0; 64]).expect("upload");
-    let run = context.run("beyond", |r| {
-        let push = Push { count: u32::MAX, factor: 1.0, term: 1.0 };
-        r.dispatch(&kernel, &Bind { results: &buffers[1] }, &push, 1 << 16);
-        Ok(())
-    });
-    run.expect("a run");
-    for neighbour in [&buffers[0], &buffers[2]] {
+    context.upload(&results, &[0; 64]).expect("upload");
+    let push = Push { count: u32::MAX, factor: 1.0, term: 1.0 };
+    run(context, |r| r.dispatch(&kernel, &Bind { results: &results }, &push, 1 << 16));
+    for neighbour in [&before, &after] {
         assert_eq!(context.download(neighbour).expect("download"), [0xA5; 4096], "{}", neighbour.name());
     }
-    let results: Vec<f32> = bytemuck::pod_collect_to_vec(&context.download(&buffers[1]).expect("download"));
+    let results = words(context, &results).into_iter().map(f32::from_bits).collect::<Vec<f32>>();
     assert!(results.iter().all(|&sum| sum > 0.0), "{results:?}");
     common::assert_silent(context);
 }

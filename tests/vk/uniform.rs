@@ -1,16 +1,15 @@
 //! Uniform blocks: their layout on both sides, their buffers, and the barrier after their writes.
 
+use super::{allocate, assert_hazard_is_reported, run};
 use crate::common;
+use ashsplat::frame::CAMERA_BLOCK_BYTES;
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::forward::cull;
-use ashsplat::plan::CAMERA_BLOCK_BYTES;
-use ashsplat::vk::{
-    Access, BindingKind, Buffer, Context, ContextOptions, Kernel, KernelInterface, MemoryKind, Recorder,
-};
+use ashsplat::vk::{Access, BindingKind, Buffer, Context, ContextOptions, Kernel, KernelInterface, Recorder};
 
 /// Objects to cull zero Gaussians.
 struct Culling {
-    buffers: Vec<Buffer>,
+    buffers: [Buffer; 4],
     kernel: Kernel<cull::Interface>,
 }
 
@@ -19,14 +18,14 @@ impl Culling {
         let requests =
             [("parameters", 4096), ("flags", 256), ("counts", 256), ("blocks", 2 * CAMERA_BLOCK_BYTES)];
         Self {
-            buffers: context.allocate("culling", &requests, MemoryKind::Device).expect("memory"),
+            buffers: allocate(context, requests),
             kernel: Kernel::new(context, &cull::Spec::for_device(context.limits())).expect("a kernel"),
         }
     }
 
     /// Writes a block and culls with it.
     fn record(&self, r: &mut Recorder, camera_block: &Buffer) {
-        let [parameters, visible_flags, block_counts, blocks] = &self.buffers[..] else { unreachable!() };
+        let [parameters, visible_flags, block_counts, blocks] = &self.buffers;
         r.update(blocks, &vec![0; blocks.bytes() as usize]);
         r.barrier();
         let bind = cull::Bind { parameters, visible_flags, block_counts, cut_outs: parameters, camera_block };
@@ -56,11 +55,9 @@ fn uniform_blocks_are_bound_with_and_without_push_descriptors() {
         let options = ContextOptions { push_descriptors, ..common::options() };
         let context = Context::new(&options).expect("a context");
         let culling = Culling::new(&context);
-        let run = context.run("cull", |r| {
+        run(&context, |r| {
             culling.record(r, &culling.blocks().range(CAMERA_BLOCK_BYTES, CAMERA_BLOCK_BYTES));
-            Ok(())
         });
-        run.expect("a run");
         common::assert_silent(&context);
     }
 }
@@ -79,39 +76,33 @@ fn uniform_blocks_are_read_behind_a_barrier() {
 
 #[test]
 fn uniform_blocks_behind_no_barrier_are_seen_by_the_validation_layer() {
-    if !common::options().validation {
-        eprintln!("SKIPPED: no validation layer");
-        return;
-    }
-    let context =
-        Context::new(&ContextOptions { hazard_check: false, ..common::options() }).expect("a context");
-    let culling = Culling::new(&context);
-    let run = context.run("cull", |r| {
-        r.omit_barrier(0);
-        culling.record(r, culling.blocks());
-        Ok(())
+    assert_hazard_is_reported(|context| {
+        let culling = Culling::new(context);
+        run(context, |r| {
+            r.omit_barrier(0);
+            culling.record(r, culling.blocks());
+        });
     });
-    run.expect("a run");
-    let messages = context.validation_messages();
-    assert!(messages.iter().any(|m| m.contains("SYNC-HAZARD")), "{messages:?}");
+}
+
+/// Culls with a part of the buffer's first block.
+fn cull_with(range: fn(u64) -> (u64, u64)) {
+    let context = common::context();
+    let culling = Culling::new(context);
+    let mut recorder = context.begin("never submitted").expect("a recorder");
+    let (offset, bytes) = range(context.limits().uniform_alignment);
+    culling.record(&mut recorder, &culling.blocks().range(offset, bytes));
 }
 
 #[test]
 #[should_panic(expected = "'blocks' bound as 'camera_block' has 64 bytes, the limits are")]
 fn uniform_blocks_larger_than_their_buffer_are_refused() {
-    let context = common::context();
-    let culling = Culling::new(context);
-    let mut recorder = context.begin("never submitted").expect("a recorder");
-    culling.record(&mut recorder, &culling.blocks().range(0, 64));
+    cull_with(|_| (0, 64));
 }
 
+/// No device allows an alignment of less than 4.
 #[test]
 #[should_panic(expected = "'blocks' bound as 'camera_block' begins at")]
 fn uniform_blocks_at_a_misaligned_offset_are_refused() {
-    let context = common::context();
-    let culling = Culling::new(context);
-    let mut recorder = context.begin("never submitted").expect("a recorder");
-    // No device allows less than 4.
-    let alignment = context.limits().uniform_alignment;
-    culling.record(&mut recorder, &culling.blocks().range(alignment / 2, CAMERA_BLOCK_BYTES));
+    cull_with(|alignment| (alignment / 2, CAMERA_BLOCK_BYTES));
 }

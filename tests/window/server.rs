@@ -1,9 +1,10 @@
 //! An X server without a screen, and simulated input.
 
 use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use ashsplat_files::Photo;
 use x11rb::connection::Connection;
 use x11rb::protocol::xproto::{
     AtomEnum, ClientMessageEvent, ConfigureWindowAux, ConnectionExt as _, EventMask, ImageFormat, InputFocus,
@@ -12,13 +13,15 @@ use x11rb::protocol::xproto::{
 use x11rb::protocol::xtest::ConnectionExt as _;
 use x11rb::rust_connection::RustConnection;
 
+use crate::running::Running;
+
 /// Timeout of every wait.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 pub const PAUSE: Duration = Duration::from_millis(50);
 
 /// A running Xvfb. The drop ends it.
 pub struct Server {
-    child: Child,
+    _child: Running,
     /// Value for DISPLAY.
     pub display: String,
 }
@@ -26,16 +29,12 @@ pub struct Server {
 impl Server {
     /// Starts on the first free display.
     pub fn start() -> Server {
-        // Any display; Xvfb prints its number.
-        let mut child = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-screen", "0", "1400x900x24", "-nolisten", "tcp", "-noreset"])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("Xvfb");
+        let mut xvfb = Command::new("Xvfb");
+        xvfb.args(["-displayfd", "1", "-screen", "0", "1400x900x24", "-nolisten", "tcp", "-noreset"]);
+        let mut child = Running::start(xvfb.stdout(Stdio::piped()).stderr(Stdio::null()));
         let mut line = String::new();
         BufReader::new(child.stdout.take().expect("its stdout")).read_line(&mut line).expect("a line");
-        Server { child, display: format!(":{}", line.trim()) }
+        Server { _child: child, display: format!(":{}", line.trim()) }
     }
 
     pub fn connect(&self) -> Desk {
@@ -43,20 +42,6 @@ impl Server {
         let root = connection.setup().roots[screen].root;
         Desk { connection, root }
     }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        self.child.kill().ok();
-        self.child.wait().ok();
-    }
-}
-
-/// A picture, RGB.
-pub struct Screenshot {
-    pub width: u32,
-    pub height: u32,
-    pub rgb: Vec<u8>,
 }
 
 /// Simulated input at the server.
@@ -151,13 +136,13 @@ impl Desk {
     }
 
     /// Screenshot of a window.
-    pub fn screenshot(&self, window: Window) -> Screenshot {
+    pub fn screenshot(&self, window: Window) -> Photo {
         let place = self.connection.get_geometry(window).expect("sent").reply().expect("a window");
         let (width, height) = (place.width, place.height);
         let image = self.connection.get_image(ImageFormat::Z_PIXMAP, window, 0, 0, width, height, !0);
         let image = image.expect("sent").reply().expect("an image");
         // Blue, green, red, unused.
         let rgb = image.data.chunks_exact(4).flat_map(|bgrx| [bgrx[2], bgrx[1], bgrx[0]]).collect();
-        Screenshot { width: width.into(), height: height.into(), rgb }
+        Photo { width: width.into(), height: height.into(), rgb }
     }
 }

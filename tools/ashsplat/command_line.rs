@@ -1,11 +1,11 @@
 //! Defines and parses the command line.
 
-use crate::{
-    bench, block_status, convert, demo, devices, eval, exchange, info, inspect, merge, output, partition,
-    poses, profile, render, tiles, train, view,
-};
+use crate::{convert, demo, devices, eval, info, inspect, poses, render, train};
 use ashsplat::Result;
 use ashsplat_files::HostMemory;
+use ashsplat_program::output;
+#[cfg(feature = "scale")]
+use ashsplat_scale::{block_status, exchange, merge, partition, tiles};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
@@ -32,7 +32,8 @@ pub enum Command {
     /// Render a trained scene: a data set's views, an orbit or a camera path
     Render(render::Arguments),
     /// Look at a scene, a model or a data set in a browser
-    View(view::Arguments),
+    #[cfg(feature = "view")]
+    View(ashsplat_view::Arguments),
     /// PSNR and SSIM of a trained scene on a data set
     Eval(eval::Arguments),
     /// What is in a file of Gaussians, a model folder or a data set, and whether it can be used
@@ -40,14 +41,19 @@ pub enum Command {
     /// Convert Gaussians between PLY, compressed PLY, .splat, SPZ and glTF; crop, move, thin out
     Convert(convert::Arguments),
     /// Divide a scene into blocks that are trained one by one, on any machines
+    #[cfg(feature = "scale")]
     Partition(Box<partition::Arguments>),
     /// How far the training of each block is
+    #[cfg(feature = "scale")]
     Blocks(block_status::Arguments),
     /// Between two rounds of training in blocks: give each what its neighbours have trained
+    #[cfg(feature = "scale")]
     Exchange(exchange::Arguments),
     /// Merge trained blocks into one scene
+    #[cfg(feature = "scale")]
     Merge(merge::Arguments),
     /// Write a scene as a tree of tiles for viewers that stream: 3D Tiles
+    #[cfg(feature = "scale")]
     Tiles(tiles::Arguments),
     /// The Gaussians blended at one pixel, front to back
     Inspect(inspect::Arguments),
@@ -56,9 +62,11 @@ pub enum Command {
     /// Make a small data set, train on it and show the result
     Demo(demo::Arguments),
     /// Time of every kernel: scan, sort, render, train-step; comparisons, scaling
-    Bench(Box<bench::Arguments>),
+    #[cfg(feature = "bench")]
+    Bench(Box<ashsplat_bench::Arguments>),
     /// One frame or training step, kernel by kernel: page, trace, other constants, edited shaders
-    Profile(Box<profile::Arguments>),
+    #[cfg(feature = "bench")]
+    Profile(Box<ashsplat_bench::profile::Arguments>),
 }
 
 /// Parses the command line. The error is the exit code of a run that is already over: `--help`, or a mistake, which has
@@ -201,6 +209,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg(feature = "bench")]
     fn options_name_their_commands() {
         assert_eq!(owners("--windows"), ["bench train", "bench all"]);
         assert_eq!(owners("--windows=3"), owners("--windows"));

@@ -1,12 +1,12 @@
 //! `ashsplat convert`.
 
-use crate::args::HostArguments;
-use crate::model::Model;
-use crate::progress::thousands;
-use crate::render::parse_numbers;
 use ashsplat::scene::{Cut, Similarity};
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::{self, ConvertOptions, Format, Header, Input, Target};
+use ashsplat_program::args::HostArguments;
+use ashsplat_program::look::parse_target;
+use ashsplat_program::model::Model;
+use ashsplat_program::progress::thousands;
 use clap::{ArgMatches, Args, FromArgMatches};
 use glam::{DQuat, DVec3, EulerRot};
 use std::path::PathBuf;
@@ -164,6 +164,12 @@ fn similarity(steps: &[Step]) -> Result<Similarity, String> {
     })
 }
 
+/// Parses `N` comma-separated numbers.
+fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
+    numbers.ok()?.try_into().ok()
+}
+
 fn parse_box(text: &str) -> Result<[DVec3; 2], String> {
     let corners = parse_numbers(text).filter(|numbers: &[f64; 6]| !numbers.iter().any(|v| v.is_nan()));
     let [a, b, c, x, y, z] = corners.ok_or("expected six numbers with commas between them")?;
@@ -173,19 +179,6 @@ fn parse_box(text: &str) -> Result<[DVec3; 2], String> {
 fn parse_point(text: &str) -> Result<DVec3, String> {
     let point = parse_numbers(text).map(DVec3::from_array).filter(|point| point.is_finite());
     point.ok_or_else(|| "expected three numbers with commas between them".into())
-}
-
-pub fn parse_target(text: &str) -> Result<Target, String> {
-    let problem = || "expected a number above 0, or 0 to 100 with %".to_owned();
-    match text.strip_suffix('%') {
-        Some(percent) => match percent.trim().parse::<f64>() {
-            Ok(percent) if (0.0..=100.0).contains(&percent) && percent > 0.0 => {
-                Ok(Target::Share(percent / 100.0))
-            }
-            _ => Err(problem()),
-        },
-        None => text.parse().ok().filter(|&count| count > 0).map(Target::Count).ok_or_else(problem),
-    }
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {

@@ -3,13 +3,14 @@
 mod dataset;
 mod sheet;
 
-use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING};
-use crate::config::{DataSettings, Settings};
-use crate::model::point_cloud_path;
 use crate::train::{Run, say_what_next};
-use crate::{output, render, session};
-use ashsplat::trainer::TrainSettings;
+use ashsplat::train::TrainSettings;
 use ashsplat::{Error, Result};
+use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING};
+use ashsplat_program::config::{DataSettings, Settings};
+use ashsplat_program::look::settings_of;
+use ashsplat_program::model::point_cloud_path;
+use ashsplat_program::{output, session};
 use clap::Args;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -121,19 +122,19 @@ fn settings(dataset: &Path, model: &Path, iterations: u32, seed: u32) -> Setting
 
 /// Writes the contact sheet and the metrics.
 fn finish(run: &mut Run, folder: &Path, iterations: u32) -> Result<()> {
-    let settings = render::settings_of(run.settings());
+    let settings = settings_of(&run.settings);
     let Some(evaluation) = run.evaluations.last().map(|tested| &tested.evaluation) else { return Ok(()) };
     let metrics = json!({
         "iterations": iterations,
-        "gaussians": run.gaussians(),
+        "gaussians": run.gaussians,
         "psnr": evaluation.psnr(),
         "ssim": evaluation.ssim(),
         "views": evaluation.views.iter().map(|v| json!({"name": v.name, "psnr": v.psnr, "ssim": v.ssim})).collect::<Vec<_>>(),
     });
     let quality: Vec<(f64, f64)> = evaluation.views.iter().map(|v| (v.psnr, v.ssim)).collect();
     let mut rows = Vec::with_capacity(quality.len());
-    for (view, (psnr, ssim)) in run.test_views().to_vec().into_iter().zip(quality) {
-        let frame = run.trainer().render(&view.camera, &settings)?;
+    for (view, (psnr, ssim)) in run.views.test.clone().into_iter().zip(quality) {
+        let frame = run.trainer.render(&view.camera, &settings)?;
         rows.push(sheet::Row { render: output::to_photo(&frame)?, photo: view.photo.photo()?, psnr, ssim });
     }
     output::write_png(&folder.join("contact_sheet.png"), &sheet::contact_sheet(&rows))?;

@@ -1,32 +1,25 @@
-//! `ashsplat eval`, and the measurement of held-out views that training and the demo share.
+//! `ashsplat eval`.
 
-mod perceptual;
-mod protocol;
-mod table;
-
-pub use perceptual::{Perceptual, check_sizes, read_weights};
-pub use protocol::Protocol;
-
-use crate::args::DeviceArguments;
-use crate::config::{CAMERAS_FILE, DataSettings};
-use crate::light::Lights;
-use crate::model::Model;
-use crate::progress::counting;
-use crate::{output, render, session};
-use ashsplat::lpips::Network;
-use ashsplat::{Alignment, Camera, Error, Frame, RenderSettings, Renderer, Result, TrainSettings};
-use ashsplat_files::cameras_json::{self, NamedCamera};
+use ashsplat::{Camera, Error, RenderSettings, Renderer, Result};
+use ashsplat_files::cameras_json;
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
-use ashsplat_files::metrics;
-use ashsplat_files::regular_file;
-use ashsplat_files::{Gallery, Photo, View};
+use ashsplat_files::{Gallery, View};
+use ashsplat_program::args::DeviceArguments;
+use ashsplat_program::config::{CAMERAS_FILE, DataSettings};
+use ashsplat_program::eval::{
+    Evaluation, More, Perceptual, Protocol, SceneSize, ViewResult, alignment_of, at_its_place, by_name,
+    check_sizes, evaluate, read_weights, write_results,
+};
+use ashsplat_program::light::Lights;
+use ashsplat_program::look::{LookArguments, NOTHING_SHOWN};
+use ashsplat_program::model::Model;
+use ashsplat_program::progress::{counting, thousands};
+use ashsplat_program::session;
 use clap::Args;
 use serde_json::{Map, Value, json};
-use std::borrow::Borrow;
 use std::cell::RefCell;
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::path::PathBuf;
 
 /// PSNR and SSIM of a trained scene on a data set, LPIPS where weights are given; its Gaussians, its bytes and the time of a
 /// frame. What masks hide does not count.
@@ -57,7 +50,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     lpips_weights: Vec<PathBuf>,
     #[command(flatten)]
-    look: render::LookArguments,
+    look: LookArguments,
     #[command(flatten)]
     device: DeviceArguments,
     /// Print the table as JSON
@@ -70,250 +63,6 @@ pub struct Arguments {
 
 /// PSNR of unrelated pictures, about, dB.
 const UNLIKE_DB: f64 = 10.0;
-
-/// File of the means over the held-out views, by iteration.
-pub const RESULTS_FILE: &str = "results.json";
-/// File of each view's results, by iteration.
-pub const PER_VIEW_FILE: &str = "per_view.json";
-
-/// Quality of one view.
-#[derive(Clone, Default)]
-pub struct ViewResult {
-    pub name: String,
-    pub psnr: f64,
-    pub ssim: f64,
-    /// One for each of [`Evaluation::measures`].
-    pub lpips: Vec<f64>,
-    /// Time of a frame, if requested: device time if there are timestamps, else wall-clock time of the call.
-    pub frame_ms: Option<f64>,
-}
-
-/// Size of a scene.
-#[derive(Clone, Copy)]
-pub struct SceneSize {
-    pub gaussians: u64,
-    /// Size of its file.
-    pub bytes: Option<u64>,
-}
-
-/// Quality of all views of a test.
-#[derive(Clone, Default)]
-pub struct Evaluation {
-    pub views: Vec<ViewResult>,
-    /// Names of the LPIPS that were measured.
-    pub measures: Vec<&'static str>,
-    pub scene: Option<SceneSize>,
-    /// The same views with cameras aligned to the scene, if training optimised the poses.
-    pub aligned: Option<Box<Evaluation>>,
-}
-
-/// Further measurements of views besides PSNR and SSIM.
-#[derive(Default)]
-pub struct More<'a> {
-    /// Saves the pictures.
-    pub pictures: Option<&'a mut Pictures>,
-    /// Measures LPIPS.
-    pub lpips: Option<&'a mut Perceptual>,
-    /// Draws each frame a second time and measures its time.
-    pub frame_times: bool,
-}
-
-impl Evaluation {
-    /// Mean over the views, dB; NaN if none was measured.
-    pub fn psnr(&self) -> f64 {
-        self.mean(|view| view.psnr)
-    }
-
-    /// Mean over the views; NaN if none was measured.
-    pub fn ssim(&self) -> f64 {
-        self.mean(|view| view.ssim)
-    }
-
-    /// Name and mean over the views of each measured LPIPS.
-    pub fn lpips(&self) -> impl Iterator<Item = (&'static str, f64)> {
-        self.measures.iter().enumerate().map(|(index, name)| (*name, self.mean(|view| view.lpips[index])))
-    }
-
-    /// Median frame time over the views, milliseconds, if it was measured.
-    pub fn frame_ms(&self) -> Option<f64> {
-        let mut times: Vec<f64> = self.views.iter().filter_map(|view| view.frame_ms).collect();
-        times.sort_by(f64::total_cmp);
-        let middle = times.len() / 2;
-        let upper = times.get(middle)?;
-        Some(if times.len().is_multiple_of(2) { (times[middle - 1] + upper) / 2.0 } else { *upper })
-    }
-
-    fn mean(&self, value: impl Fn(&ViewResult) -> f64) -> f64 {
-        self.views.iter().map(value).sum::<f64>() / self.views.len() as f64
-    }
-
-    /// The means, for a message.
-    pub fn describe(&self) -> String {
-        if self.views.is_empty() {
-            return "PSNR and SSIM not measured".into();
-        }
-        let lpips: String = self.lpips().map(|(name, value)| format!(", {name} {value:.4}")).collect();
-        let aligned = self.aligned.as_ref().filter(|aligned| !aligned.views.is_empty());
-        let aligned = aligned.map(|aligned| format!(" (cameras aligned: {})", aligned.describe()));
-        format!("PSNR {:.2} dB, SSIM {:.4}{lpips}{}", self.psnr(), self.ssim(), aligned.unwrap_or_default())
-    }
-
-    /// The reference's entry in results.json, with additional values. Its LPIPS is that of VGG16, unscaled.
-    pub fn summary(&self) -> Value {
-        let mut summary = Map::new();
-        summary.insert("SSIM".into(), json!(self.ssim()));
-        summary.insert("PSNR".into(), json!(self.psnr()));
-        if let Some(aligned) = &self.aligned {
-            summary.insert("SSIM_aligned".into(), json!(aligned.ssim()));
-            summary.insert("PSNR_aligned".into(), json!(aligned.psnr()));
-        }
-        for (name, value) in self.lpips() {
-            if name == Network::Vgg16.measure() {
-                summary.insert("LPIPS".into(), json!(value));
-            }
-            summary.insert(name.into(), json!(value));
-        }
-        if let Some(scene) = self.scene {
-            summary.insert("gaussians".into(), json!(scene.gaussians));
-            scene.bytes.map(|bytes| summary.insert("scene_bytes".into(), json!(bytes)));
-        }
-        self.frame_ms().map(|time| summary.insert("frame_ms".into(), json!(time)));
-        Value::Object(summary)
-    }
-
-    /// The reference's entry in per_view.json, whose views are named after their saved renders.
-    pub fn per_view(&self) -> Value {
-        let by_view = |value: &dyn Fn(&ViewResult) -> f64| -> Value {
-            let named = |(index, view): (usize, &ViewResult)| (format!("{index:05}.png"), json!(value(view)));
-            Value::Object(self.views.iter().enumerate().map(named).collect())
-        };
-        let mut all = Map::new();
-        all.insert("SSIM".into(), by_view(&|view| view.ssim));
-        all.insert("PSNR".into(), by_view(&|view| view.psnr));
-        for (index, name) in self.measures.iter().enumerate() {
-            all.insert((*name).into(), by_view(&|view| view.lpips[index]));
-        }
-        if let Some(aligned) = &self.aligned
-            && let Value::Object(of_aligned) = aligned.per_view()
-        {
-            all.extend(of_aligned.into_iter().map(|(name, values)| (format!("{name}_aligned"), values)));
-        }
-        Value::Object(all)
-    }
-}
-
-/// Saves the pictures of a test as `renders/00000.png` and `gt/00000.png`. A picture that cannot be written ends the
-/// saving, not the test.
-pub struct Pictures {
-    folder: PathBuf,
-    saved: Result<()>,
-}
-
-impl Pictures {
-    pub fn new(folder: PathBuf) -> Pictures {
-        Pictures { folder, saved: Ok(()) }
-    }
-
-    fn save(&mut self, kind: &str, index: usize, picture: &Photo) {
-        if self.saved.is_ok() {
-            let path = output::numbered(&self.folder.join(kind), index, "png");
-            self.saved = output::write_png(&path, picture);
-        }
-    }
-
-    /// The first error of saving, if any.
-    pub fn saved(self) -> Result<()> {
-        self.saved
-    }
-}
-
-/// Renders and measures the views, and saves them if requested. One view is in memory at a time.
-pub fn evaluate<V: Borrow<View>>(
-    views: impl Iterator<Item = Result<V>>,
-    protocol: &Protocol,
-    More { mut pictures, mut lpips, frame_times }: More,
-    mut draw: impl FnMut(&Camera) -> Result<Frame>,
-) -> Result<Evaluation> {
-    let mut results = Vec::new();
-    for view in views {
-        let view = view?;
-        let view: &View = view.borrow();
-        if is_hidden(view)? {
-            tell!("warning: {}: its mask hides all of it: not measured", view.name);
-            continue;
-        }
-        let index = results.len();
-        let (measured, frame) = protocol.prepared(view, draw(&view.camera)?)?;
-        let mut result = measure(&measured, &frame)?;
-        if let Some(lpips) = &mut lpips {
-            result.lpips = lpips.measure(&measured, &frame)?;
-        }
-        if frame_times {
-            result.frame_ms = Some(frame_ms(|| draw(&view.camera))?);
-        }
-        results.push(result);
-        let view = measured;
-        if let Some(pictures) = &mut pictures {
-            pictures.save("renders", index, &output::to_photo(&frame)?);
-            let photo = view.photo.photo()?;
-            pictures.save("gt", index, &photo);
-        }
-    }
-    let measures = lpips.map_or_else(Vec::new, |lpips| lpips.names());
-    Ok(Evaluation { views: results, measures, scene: None, aligned: None })
-}
-
-/// Time of a warm frame, milliseconds.
-fn frame_ms(draw: impl FnOnce() -> Result<Frame>) -> Result<f64> {
-    let start = Instant::now();
-    let frame = draw()?;
-    let wall = start.elapsed().as_secs_f64() * 1e3;
-    let stages = frame.stats.scopes.iter().filter(|scope| scope.depth == 0);
-    let device = stages.map(|scope| scope.nanoseconds).sum::<f64>() * 1e-6;
-    Ok(if device > 0.0 { device } else { wall })
-}
-
-/// True if a view's mask hides all of it.
-pub fn is_hidden(view: &View) -> Result<bool> {
-    Ok(view.photo.mask()?.is_some_and(|mask| mask.iter().all(|&counts| counts == 0)))
-}
-
-/// PSNR of a frame, clamped to [0, 1], against the visible pixels of the view's photo, dB.
-pub fn psnr(view: &View, frame: &Frame) -> Result<f64> {
-    let photo = view.photo.photo()?.to_f32();
-    match view.photo.mask()? {
-        None => metrics::psnr(&frame.color, &photo),
-        Some(mask) => metrics::masked_psnr(&frame.color, &photo, &mask),
-    }
-}
-
-/// Same as [`psnr`], and SSIM.
-fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
-    let photo = view.photo.photo()?.to_f32();
-    let ssim = match view.photo.mask()? {
-        None => metrics::ssim(&frame.color, &photo, frame.width)?,
-        Some(mask) => metrics::masked_ssim(&frame.color, &photo, &mask, frame.width)?,
-    };
-    let name = view.name.clone();
-    Ok(ViewResult { name, psnr: psnr(view, frame)?, ssim, lpips: Vec::new(), frame_ms: None })
-}
-
-/// Adds an iteration's results to a model folder's results.json and per_view.json. Other iterations' results stay.
-pub fn write_results(folder: &Path, iteration: u32, evaluation: &Evaluation) -> Result<()> {
-    let key = format!("ours_{iteration}");
-    for (file, entry) in [(RESULTS_FILE, evaluation.summary()), (PER_VIEW_FILE, evaluation.per_view())] {
-        let path = folder.join(file);
-        let mut results = match regular_file::read_json(&path) {
-            Ok(text) => serde_json::from_slice::<Map<String, Value>>(&text)
-                .map_err(|e| Error::input(&path, e.to_string(), "remove the file and run again"))?,
-            Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => Map::new(),
-            Err(error) => return Err(error),
-        };
-        results.insert(key.clone(), entry);
-        output::write_json(&path, &results)?;
-    }
-    Ok(())
-}
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
@@ -363,7 +112,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Ok(frame)
     })?;
     if !shows_any && !evaluation.views.is_empty() {
-        tell!("warning: {}", render::NOTHING_SHOWN);
+        tell!("warning: {}", NOTHING_SHOWN);
     } else if evaluation.psnr() < UNLIKE_DB {
         tell!(
             "warning: the pictures have hardly anything in common with the photos: is the scene in the coordinates of this data set?"
@@ -392,7 +141,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if let (Some((folder, iteration)), false) = (&model.folder, arguments.all) {
         write_results(folder, *iteration, &evaluation)?;
     }
-    table::print(arguments.json, &evaluation, context.device_name());
+    print(arguments.json, &evaluation, context.device_name());
     arguments.device.report_validation(&context);
     Ok(())
 }
@@ -410,28 +159,6 @@ fn protocol(model: &Model, gallery: &Gallery) -> Result<Protocol> {
     Ok(Protocol { lights: Lights::read(folder)?, halves: held_out.collect() })
 }
 
-/// Settings for aligning cameras to a scene: training's loss.
-pub fn alignment_of(settings: &TrainSettings) -> Alignment {
-    Alignment { lambda_dssim: settings.lambda_dssim as f32, ..Alignment::default() }
-}
-
-/// Cameras by the names of their photos.
-pub fn by_name(cameras: Vec<NamedCamera>) -> HashMap<String, Camera> {
-    cameras.into_iter().map(|NamedCamera { name, camera }| (name, camera)).collect()
-}
-
-/// A view at its camera's pose in `cameras`, if it has one.
-pub fn at_its_place(view: View, cameras: &HashMap<String, Camera>) -> View {
-    match cameras.get(&view.name) {
-        None => view,
-        Some(at) => {
-            let (camera_from_world, translation) = (at.camera_from_world, at.translation);
-            let camera = Camera { camera_from_world, translation, ..view.camera };
-            View { camera, ..view }
-        }
-    }
-}
-
 /// Indices of the measured views.
 fn chosen_views(gallery: &Gallery, all: bool, data: &DataSettings) -> Result<Vec<usize>> {
     let held_out = gallery.held_out();
@@ -442,4 +169,64 @@ fn chosen_views(gallery: &Gallery, all: bool, data: &DataSettings) -> Result<Vec
         return Err(Error::input(&data.source_path, problem, "measure on all views with --all"));
     }
     Ok(chosen)
+}
+
+/// Prints an evaluation as a table or as JSON.
+fn print(json: bool, evaluation: &Evaluation, device: &str) {
+    let scene = evaluation.scene;
+    if json {
+        let value = json!({
+            "gaussians": scene.map(|scene| scene.gaussians),
+            "scene_bytes": scene.and_then(|scene| scene.bytes),
+            "device": device,
+            "mean": evaluation.summary(),
+            "aligned_views": evaluation.aligned.as_ref().map(|aligned| {
+                aligned.views.iter().map(|view| json_of(view, &aligned.measures)).collect::<Vec<_>>()
+            }),
+            "views": evaluation.views.iter().map(|view| json_of(view, &evaluation.measures)).collect::<Vec<_>>(),
+        });
+        say!("{value:#}");
+        return;
+    }
+    let columns = |values: &mut dyn Iterator<Item = (&str, String)>| -> String {
+        values.map(|(name, value)| format!(" {value:>0$}", name.len().max(8))).collect()
+    };
+    let heads = columns(&mut evaluation.measures.iter().map(|name| (*name, (*name).to_owned())));
+    say!("{:<28} {:>8} {:>8}{heads}", "view", "PSNR", "SSIM");
+    for view in &evaluation.views {
+        let named = evaluation.measures.iter().zip(&view.lpips);
+        let lpips = columns(&mut named.map(|(name, value)| (*name, format!("{value:.4}"))));
+        say!("{:<28} {:>8.3} {:>8.4}{lpips}", view.name, view.psnr, view.ssim);
+    }
+    if evaluation.views.is_empty() {
+        say!("no view was measured");
+        return;
+    }
+    let mean = format!("mean of {}", evaluation.views.len());
+    let lpips = columns(&mut evaluation.lpips().map(|(name, value)| (name, format!("{value:.4}"))));
+    say!("{mean:<28} {:>8.3} {:>8.4}{lpips}", evaluation.psnr(), evaluation.ssim());
+    if let Some(aligned) = &evaluation.aligned {
+        say!("{:<28} {:>8.3} {:>8.4}", "  with cameras aligned", aligned.psnr(), aligned.ssim());
+    }
+    if let Some(SceneSize { gaussians, bytes }) = scene {
+        let file = bytes.map_or_else(String::new, |bytes| format!(", {:.2} MB", bytes as f64 * 1e-6));
+        let time = evaluation.frame_ms().unwrap_or(f64::NAN);
+        say!("{} Gaussians{file}, {time:.2} ms per frame on {device}", thousands(gaussians));
+    }
+    if evaluation.measures.is_empty() {
+        say!("LPIPS is not measured: it needs the weights of a network (--lpips-weights FILE)");
+    }
+}
+
+fn json_of(view: &ViewResult, measures: &[&str]) -> Value {
+    let mut value = Map::new();
+    value.insert("name".into(), json!(view.name));
+    value.insert("PSNR".into(), json!(view.psnr));
+    value.insert("SSIM".into(), json!(view.ssim));
+    measures
+        .iter()
+        .zip(&view.lpips)
+        .for_each(|(name, lpips)| drop(value.insert((*name).into(), json!(lpips))));
+    view.frame_ms.map(|time| value.insert("frame_ms".into(), json!(time)));
+    Value::Object(value)
 }

@@ -1,13 +1,13 @@
 //! `ashsplat info`.
 
-use crate::args::HostArguments;
-use crate::config::DataSettings;
-use crate::model::Model;
-use crate::progress::thousands;
-use crate::{model, session};
 use ashsplat::scene::{Bounds, Gaussians, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_files::{Dataset, DatasetReport, quoted, splats};
+use ashsplat_program::args::HostArguments;
+use ashsplat_program::config::DataSettings;
+use ashsplat_program::model::Model;
+use ashsplat_program::progress::thousands;
+use ashsplat_program::{model, session};
 use clap::Args;
 use glam::DVec3;
 use serde_json::{Value, json};

@@ -1,13 +1,13 @@
 //! `ashsplat inspect`.
 
-use crate::args::DeviceArguments;
-use crate::config::CAMERAS_FILE;
-use crate::model::Model;
-use crate::render::LookArguments;
-use crate::session;
 use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use ashsplat::{Error, PixelReport, Renderer, Result, Sample};
 use ashsplat_files::cameras_json;
+use ashsplat_program::args::DeviceArguments;
+use ashsplat_program::config::CAMERAS_FILE;
+use ashsplat_program::look::LookArguments;
+use ashsplat_program::model::Model;
+use ashsplat_program::session;
 use clap::Args;
 use glam::{DVec3, Mat3};
 use serde_json::json;

@@ -3,60 +3,27 @@
 //! Every failure is one line `error: …` on stderr and exit code 2. An interrupted training saves and exits with 130. A
 //! benchmark comparison exits with 1 if --fail-above finds something worse.
 
-/// Prints a line on stdout. Unlike `println!`, a failure does not panic: a training must continue. A full disk is
-/// reported at the end, a closed pipe never.
-macro_rules! say {
-    ($($text:tt)*) => { $crate::output::say(format_args!($($text)*)) };
-}
+#[macro_use]
+extern crate ashsplat_program;
 
-/// Prints a line on stderr.
-macro_rules! tell {
-    ($($text:tt)*) => { $crate::output::tell(format_args!($($text)*)) };
-}
-
-mod args;
-mod axis;
-mod bench;
-mod block_status;
-mod blocks;
-mod child;
 mod command_line;
-mod config;
 mod convert;
-mod cpu_time;
 mod demo;
 mod devices;
 mod eval;
-mod exchange;
-mod film_file;
-mod guarded;
-mod html;
 mod info;
 mod inspect;
-mod light;
-mod lock;
-mod measure;
-mod merge;
-mod model;
-mod output;
-mod partition;
-mod pipeline_cache;
 mod poses;
-mod profile;
-mod progress;
 mod render;
-mod session;
-mod tiles;
 mod train;
-mod view;
 
 use ashsplat::{Error, Result};
+use ashsplat_program::output;
+use ashsplat_program::session::INTERRUPTED;
 use std::process::ExitCode;
 
 /// Exit code of every failure.
 const FAILURE: u8 = 2;
-/// Exit code after Ctrl-C, as shells report a process ended by SIGINT.
-const INTERRUPTED: u8 = 130;
 
 fn main() -> ExitCode {
     survive_file_limits();
@@ -96,17 +63,25 @@ fn run(command: command_line::Command) -> Result<ExitCode> {
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
-        Command::Partition(arguments) => partition::run(&arguments),
-        Command::Blocks(arguments) => block_status::run(&arguments),
-        Command::Exchange(arguments) => exchange::run(&arguments),
-        Command::Merge(arguments) => merge::run(&arguments),
-        Command::Tiles(arguments) => tiles::run(&arguments),
+        #[cfg(feature = "scale")]
+        Command::Partition(arguments) => ashsplat_scale::partition::run(&arguments),
+        #[cfg(feature = "scale")]
+        Command::Blocks(arguments) => ashsplat_scale::block_status::run(&arguments),
+        #[cfg(feature = "scale")]
+        Command::Exchange(arguments) => ashsplat_scale::exchange::run(&arguments),
+        #[cfg(feature = "scale")]
+        Command::Merge(arguments) => ashsplat_scale::merge::run(&arguments),
+        #[cfg(feature = "scale")]
+        Command::Tiles(arguments) => ashsplat_scale::tiles::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
-        Command::Bench(arguments) => return bench::run(&arguments),
-        Command::View(arguments) => view::run(&arguments),
-        Command::Profile(arguments) => profile::run(&arguments),
+        #[cfg(feature = "bench")]
+        Command::Bench(arguments) => return ashsplat_bench::run(&arguments),
+        #[cfg(feature = "view")]
+        Command::View(arguments) => ashsplat_view::run(&arguments),
+        #[cfg(feature = "bench")]
+        Command::Profile(arguments) => ashsplat_bench::profile::run(&arguments),
     };
     done.map(|()| ExitCode::SUCCESS)
 }

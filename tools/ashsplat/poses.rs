@@ -7,12 +7,12 @@ mod source;
 mod video;
 mod work;
 
-use crate::args::HostArguments;
-use crate::progress::{clock, counting_in, thousands};
-use crate::session;
 use ashsplat::{Error, Result};
 use ashsplat_files::images::photo_size;
 use ashsplat_files::{Photo, PhotoFileFormat, quoted};
+use ashsplat_program::args::HostArguments;
+use ashsplat_program::progress::{clock, counting_in, thousands};
+use ashsplat_program::session;
 use cameras::{Cameras, Found};
 use clap::Args;
 use colmap::{Colmap, Matcher};
@@ -399,7 +399,7 @@ impl Arguments {
         say!("points          {}", thousands(found.points as u64));
         say!("data set        {}", dataset.display());
         say!("time            {}", time(seconds));
-        let model = crate::model::usual_folder(dataset);
+        let model = ashsplat_program::model::usual_folder(dataset);
         let (dataset, model) = (quoted(&dataset.to_string_lossy()), quoted(&model));
         say!("check it        ashsplat info {dataset}");
         say!("train           ashsplat train -s {dataset} -m {model} --eval");

@@ -1,30 +1,27 @@
 //! `ashsplat render`, and the options that choose how pictures are drawn.
 
-use crate::args::{DeviceArguments, HostArguments};
-use crate::config::Settings;
-use crate::convert::parse_target;
-use crate::film_file::{self, Container, Frames};
-use crate::light::Light;
-use crate::model::{Model, folder_of_tiles};
-use crate::output::{self, Depth};
-use crate::progress::counting;
-use crate::tiles::Drawn;
 use ashsplat::scene::LensEffects;
-use ashsplat::{Error, Extent, Frame, RenderSettings, Renderer, Result};
+use ashsplat::{Error, Frame, Renderer, Result};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::lens_json::{LENS_FILE, LensFile};
-use ashsplat_files::splats::{self, Target};
-use ashsplat_files::tiles::{TILESET_FILE, Tree};
+use ashsplat_files::splats::Target;
+use ashsplat_files::tiles::Tree;
+use ashsplat_program::args::DeviceArguments;
+use ashsplat_program::film_file::{self, Container, Frames};
+use ashsplat_program::light::Light;
+use ashsplat_program::look::{
+    Drawn, LookArguments, NOTHING_SHOWN, gaussians_of, parse_target, told, tree_of,
+};
+use ashsplat_program::model::{Model, folder_of_tiles};
+use ashsplat_program::output::{self, Depth};
+use ashsplat_program::progress::counting;
 use clap::{Args, ValueEnum};
-use glam::Vec3;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-pub mod views;
-
-pub use views::orbit_around;
+mod views;
 
 /// Render a trained scene: by default the views of its training, else a data set's, an orbit or a camera path; as pictures
 /// or as a film.
@@ -98,125 +95,8 @@ enum Format {
     Both,
 }
 
-/// How a scene is drawn.
-#[derive(Args)]
-pub struct LookArguments {
-    /// Drop the Gaussians whose parameters are not finite, instead of refusing it
-    #[arg(long)]
-    pub drop_invalid: bool,
-    /// Background colour, 0 to 1 [default: as in training, else black]
-    #[arg(long, value_name = "R,G,B", allow_hyphen_values = true, value_parser = parse_color)]
-    background: Option<Vec3>,
-    /// SH degree to draw [default: all that the file has]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=3))]
-    sh_degree: Option<u32>,
-    /// Where a Gaussian ends: at alpha 1/255, or at the reference renderer's tile square
-    #[arg(long, value_enum, default_value = "exact")]
-    extent: ExtentName,
-    /// Compensate the opacity for the screen-space dilation (Mip-Splatting) [default: as in training, or as the file says]
-    #[arg(long)]
-    antialiasing: bool,
-    /// Low-pass filter: variance added on the screen, square pixels [default: as in training, or as the file says, else 0.3]
-    #[arg(long, value_name = "PX2")]
-    kernel_size: Option<f32>,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum ExtentName {
-    Exact,
-    Reference,
-}
-
-impl LookArguments {
-    /// Reads the Gaussians in their drawing frame; reports dropped ones and oddities on stderr.
-    pub fn load(&self, path: &Path, host: &HostArguments) -> Result<splats::Scene> {
-        let scene = splats::read(path, &host.reading(self.drop_invalid))?;
-        Ok(told(path, scene.in_world_frame()))
-    }
-
-    /// The settings of the training, overridden by the file, overridden by the arguments.
-    pub fn settings(&self, trained: &Settings, header: &splats::Header) -> Result<RenderSettings> {
-        let mut settings = look_of(trained, header);
-        if let Some(background) = self.background {
-            settings.background = background.to_array();
-        }
-        settings.sh_degree = self.sh_degree;
-        settings.antialias |= self.antialiasing;
-        if let Some(kernel_size) = self.kernel_size {
-            if !(kernel_size > 0.0 && kernel_size <= MOST_KERNEL_SIZE) {
-                let problem = format!(
-                    "{kernel_size} is not a positive number up to {MOST_KERNEL_SIZE}: the reference has 0.3, Mip-Splatting 0.1"
-                );
-                return Err(Error::argument("--kernel-size", problem));
-            }
-            settings.dilation_px2 = kernel_size;
-        }
-        settings.extent = match self.extent {
-            ExtentName::Exact => Extent::Exact,
-            ExtentName::Reference => Extent::Reference,
-        };
-        Ok(settings)
-    }
-}
-
-/// Largest accepted `--kernel-size`, square pixels.
-const MOST_KERNEL_SIZE: f32 = 1e4;
-/// Reports what was dropped from a scene or is odd about it, and returns the scene.
-fn told(path: &Path, scene: splats::Scene) -> splats::Scene {
-    if scene.dropped > 0 {
-        tell!("{}: dropped {} Gaussians that are not finite", path.display(), scene.dropped);
-    }
-    for warning in &scene.warnings {
-        tell!("{}: {warning}", path.display());
-    }
-    scene
-}
-
 /// Default frame rate of a film.
 const FILM_RATE: u32 = 30;
-
-/// The settings with which training drew the scene.
-pub fn settings_of(trained: &Settings) -> RenderSettings {
-    // Reading a scene has already applied its 3D filter.
-    RenderSettings { filter_3d: false, ..trained.train.render_settings() }
-}
-
-/// Parses `N` comma-separated numbers.
-pub fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
-    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
-    numbers.ok()?.try_into().ok()
-}
-
-/// The settings with which training drew the scene, by its settings and its file.
-pub fn look_of(trained: &Settings, header: &splats::Header) -> RenderSettings {
-    let look = settings_of(trained);
-    let dilation_px2 = header.kernel_size.unwrap_or(look.dilation_px2);
-    RenderSettings { antialias: look.antialias || header.antialiased, dilation_px2, ..look }
-}
-
-/// Parses three comma-separated numbers.
-pub fn parse_vector(text: &str) -> Result<Vec3, String> {
-    let numbers: Result<Vec<f32>, _> = text.split(',').map(|part| part.trim().parse()).collect();
-    match numbers.ok().and_then(|n| <[f32; 3]>::try_from(n).ok()) {
-        Some(vector) if vector.iter().all(|v| v.is_finite()) => Ok(Vec3::from_array(vector)),
-        _ => Err("expected three numbers with commas between them".into()),
-    }
-}
-
-/// Parses a direction in the world: any three numbers that are not all 0.
-pub fn parse_direction(text: &str) -> Result<Vec3, String> {
-    match parse_vector(text)?.as_dvec3().try_normalize() {
-        Some(direction) => Ok(direction.as_vec3()),
-        None => Err("expected a direction: three numbers that are not all 0".into()),
-    }
-}
-
-/// Parses a colour with channels from 0 to 1.
-fn parse_color(text: &str) -> Result<Vec3, String> {
-    let color = parse_vector(text)?;
-    let sound = color.min_element() >= 0.0 && color.max_element() <= 1.0;
-    if sound { Ok(color) } else { Err("expected three numbers from 0 to 1".into()) }
-}
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
@@ -354,33 +234,12 @@ fn lenses_by_photo(file: &Path) -> Result<BTreeMap<String, LensEffects>> {
     Ok(lenses.photos.keys().filter_map(|name| Some((name.clone(), lenses.of(name)?))).collect())
 }
 
-/// The warning if no camera sees the scene.
-pub const NOTHING_SHOWN: &str =
-    "no picture shows a Gaussian: do scene and cameras have the same coordinates?";
-
 fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> String {
     let stats = &frame.stats;
     format!(
         "{index:05} {name} {}x{}: {milliseconds:.1} ms, {} of {} Gaussians visible, {} instances, longest tile {}",
         frame.width, frame.height, stats.visible, stats.gaussians, stats.instances, stats.longest_tile
     )
-}
-
-/// The tree of tiles of a folder in its drawing frame, if there is one. A budget requires it.
-pub fn tree_of(folder: &Path, has_budget: bool) -> Result<Option<Tree>> {
-    if folder.join(TILESET_FILE).is_file() {
-        return Tree::open(folder).map(|tree| Some(tree.in_world_frame()));
-    }
-    let problem = "is for folders of tiles, as `ashsplat tiles` writes them";
-    if has_budget { Err(Error::argument("--budget", problem)) } else { Ok(None) }
-}
-
-/// Number of Gaussians of a budget.
-pub fn gaussians_of(budget: Target, tree: &Tree) -> usize {
-    match budget {
-        Target::Count(count) => usize::try_from(count).unwrap_or(usize::MAX),
-        Target::Share(share) => (share * tree.gaussians() as f64).round() as usize,
-    }
 }
 
 /// The file to read first: the scene, or the coarsest tile of a tree.

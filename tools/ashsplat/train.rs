@@ -4,8 +4,11 @@ mod accounting;
 mod allowance;
 mod checkpoints;
 mod folder;
+#[cfg(feature = "view")]
 mod live;
-mod log;
+#[cfg(not(feature = "view"))]
+#[path = "train/no_viewers.rs"]
+mod live;
 mod origin;
 mod outside;
 mod poses;
@@ -19,36 +22,31 @@ mod tests;
 mod tracking;
 mod verify;
 
-use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING, bytes};
-use crate::blocks::job::Job;
-use crate::blocks::result;
-use crate::blocks::rounds::Stage;
-use crate::config::{Overrides, Settings};
-use crate::lock::FolderLock;
-use crate::measure::{Cost, Stopwatch};
-use crate::progress::TrainProgress;
-use crate::session;
 use accounting::Effect;
-use ashsplat::plan::to_u32;
-use ashsplat::scene::{Camera, WorldFrame};
-use ashsplat::trainer::{StepReport, Trainer};
+use ashsplat::frame::to_u32;
+use ashsplat::train::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
-use ashsplat_files::{Dataset, View};
+use ashsplat_files::Dataset;
+use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING, bytes};
+use ashsplat_program::blocks::job::Job;
+use ashsplat_program::blocks::result;
+use ashsplat_program::blocks::rounds::Stage;
+use ashsplat_program::config::{Facts, Given, Overrides, Settings};
+use ashsplat_program::lock::FolderLock;
+use ashsplat_program::measure::{Cost, Stopwatch};
+use ashsplat_program::progress::TrainProgress;
+use ashsplat_program::session;
+use ashsplat_program::train_log::{LOG_FILE, TrainLog};
 use checkpoints::StartFrom;
-pub use checkpoints::path as checkpoint_path;
 use clap::{Args, value_parser};
-pub use folder::trainer;
 use glam::DVec3;
 use live::{Live, LiveArguments};
-pub use log::Rows;
-use log::TrainLog;
 use origin::{First, Origin};
 use prepared::{Prepared, Views, check_fits, photo_memory};
 pub use report::say_what_next;
 use report::{KernelTimes, say_complete};
 use saving::Unsaved;
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use testing::{FinalLpips, Tested};
@@ -105,10 +103,10 @@ pub struct Arguments {
 
 /// Number of iterations after which the cost is noted, for comparison with other trainers.
 const FIRST_ITERATIONS: u32 = 100;
-pub const LOG_FILE: &str = "train_log.csv";
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let settings = Settings::resolve(arguments.config.as_deref(), &arguments.overrides)?;
+    let given = Given::read(arguments.config.as_deref(), &arguments.overrides)?;
+    let settings = given.settle(&Facts::default())?;
     for (path, name) in
         [(&settings.data.source_path, "-s/--source-path"), (&settings.data.model_path, "-m/--model-path")]
     {
@@ -147,7 +145,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if writes && job.is_none() && origin.is_complete(&settings) {
         return say_complete(&settings);
     }
-    let settings = origin.settle(settings);
     let mut options = session::options(&settings.data, settings.train.white_background, host)?;
     // Depth maps are used for training only.
     options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());
@@ -157,10 +154,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let mut gallery = session::open(&settings.data, &options, &stop)?;
     origin.express_in(gallery.frame());
-    let given = (arguments.config.as_deref(), &arguments.overrides);
-    let (settings, few_photos) = settings.settle(&mut gallery, given, origin.checkpoint())?;
-    origin.refuse_unused(&settings, given)?;
-    let settings = origin.settle(settings);
+    let (settings, few_photos) = given.settle_for(&mut gallery, origin.checkpoint(), origin.sh_degree())?;
+    // A continued training keeps its settings, used or not.
+    if origin.start().is_none() {
+        given.refuse_unused(&settings)?;
+    }
     origin.warn_if_out_of_view(&settings, &gallery)?;
     let used = outside::look(
         &context,
@@ -214,7 +212,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     say!("written to {}", folder.display());
     run.say_origin();
     if !interrupted && !arguments.quiet && stage.is_none_or(|stage| stage.is_last()) {
-        say_what_next(&folder, run.held_out);
+        say_what_next(&folder, run.views.held_out);
     }
     arguments.device.report_validation(&context);
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }
@@ -222,19 +220,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// A training run: the trainer and its files.
 pub struct Run {
-    settings: Settings,
-    trainer: Trainer,
-    /// Names of the training views, in the trainer's order.
-    trained: Vec<String>,
-    test: Vec<View>,
-    /// Original cameras of all views, held-out ones first.
-    cameras: Vec<(String, Camera)>,
-    /// The frame of cameras and Gaussians.
-    frame: WorldFrame,
-    /// Camera ids by photo name.
-    takers: BTreeMap<String, u32>,
-    /// True if `test` was held out, false for a sample of the training views.
-    held_out: bool,
+    pub settings: Settings,
+    pub trainer: Trainer,
+    pub views: Views,
     progress: TrainProgress,
     log: TrainLog,
     first: Option<Cost>,
@@ -246,7 +234,8 @@ pub struct Run {
     /// Number of evaluations in the results files.
     results: usize,
     lpips: FinalLpips,
-    gaussians: u32,
+    /// Number of Gaussians after the last iteration.
+    pub gaussians: u32,
     non_finite: u64,
     effect: Effect,
     /// True once the user was warned that memory is exhausted.
@@ -316,10 +305,10 @@ impl Run {
         settings: Settings,
         trainer: Trainer,
         (log, lock): (TrainLog, FolderLock),
-        Views { trained, test, cameras, frame, takers, held_out }: Views,
+        views: Views,
         quiet: bool,
     ) -> Run {
-        let tracking = Tracking::new(&test, &settings.train, tracking::SHARE);
+        let tracking = Tracking::new(&views.test, &settings.train, tracking::SHARE);
         let until = settings.train.iterations;
         Run {
             progress: TrainProgress::new(trainer.iteration(), &settings.train, quiet),
@@ -327,13 +316,8 @@ impl Run {
             log,
             settings,
             trainer,
-            trained,
             tracking,
-            test,
-            cameras,
-            frame,
-            takers,
-            held_out,
+            views,
             first: None,
             total: None,
             evaluations: Vec::new(),
@@ -429,27 +413,9 @@ impl Run {
 
     /// Reports the origin of the scene file's positions, if it is not the data set's own.
     fn say_origin(&self) {
-        let DVec3 { x, y, z } = self.frame.origin;
-        if self.frame.origin != DVec3::ZERO {
+        let DVec3 { x, y, z } = self.views.frame.origin;
+        if self.views.frame.origin != DVec3::ZERO {
             say!("the scene's origin is {x} {y} {z}: positions in point_cloud.ply are relative to it");
         }
-    }
-
-    pub fn trainer(&mut self) -> &mut Trainer {
-        &mut self.trainer
-    }
-
-    /// Settings of the run.
-    pub fn settings(&self) -> &Settings {
-        &self.settings
-    }
-
-    /// Number of Gaussians after the last iteration.
-    pub fn gaussians(&self) -> u32 {
-        self.gaussians
-    }
-
-    pub fn test_views(&self) -> &[View] {
-        &self.test
     }
 }

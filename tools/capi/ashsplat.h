@@ -42,7 +42,7 @@ typedef enum AshsplatStatus {
   AshsplatStatus_Timeout = 9,
 } AshsplatStatus;
 
-// What the splats are composited over.
+// The background that the splats are composited over.
 typedef enum AshsplatBackground {
   // A background colour; the result is opaque.
   AshsplatBackground_Color = 0,
@@ -52,7 +52,7 @@ typedef enum AshsplatBackground {
   AshsplatBackground_Image = 2,
 } AshsplatBackground;
 
-// What the colours are that are written into a target.
+// Meaning of the colours that are written into a target.
 typedef enum AshsplatColorEncoding {
   // The values that the splats were trained in: those of photographs, display-encoded by the curve of sRGB.
   AshsplatColorEncoding_AsTrained = 0,
@@ -69,7 +69,7 @@ typedef enum AshsplatExtent {
   AshsplatExtent_Reference = 1,
 } AshsplatExtent;
 
-// What an image is in a frame: one value for each field of AshsplatRecordedFrame. Each has formats of its own; others are refused.
+// Role of an image in a frame: one value for each field of AshsplatRecordedFrame. Each has formats of its own; others are refused.
 typedef enum AshsplatImageUse {
   // Colours are written into it. R8G8B8A8 or B8G8R8A8, UNORM or SRGB; A2B10G10R10_UNORM_PACK32, B10G11R11_UFLOAT_PACK32,
   // R16G16B16A16_SFLOAT or R32G32B32A32_SFLOAT.
@@ -79,7 +79,7 @@ typedef enum AshsplatImageUse {
   AshsplatImageUse_Occluder = 1,
   // The expected depth is written into it. R32_SFLOAT.
   AshsplatImageUse_Depth = 2,
-  // What is seen at each pixel is written into it. R32G32B32A32_UINT.
+  // The Gaussian seen at each pixel is written into it. R32G32B32A32_UINT.
   AshsplatImageUse_Pick = 3,
   // The motion of each pixel is written into it. R16G16_SFLOAT.
   AshsplatImageUse_Motion = 4,
@@ -186,9 +186,9 @@ typedef struct AshsplatRenderSettings {
   uint32_t shape;
   // Highest evaluated SH degree: 3 for all stored degrees.
   uint32_t sh_degree;
-  // Whether opacities are compensated for the low-pass filter.
+  // True if opacities are compensated for the low-pass filter.
   bool antialias;
-  // Whether the sum of weights / z is rendered as well: ashsplat_slot_inverse_depth.
+  // True if the sum of weights / z is rendered as well: ashsplat_slot_inverse_depth.
   bool inverse_depth;
   // Factor of all scales: 1 for the scene as it is.
   float scale_modifier;
@@ -202,7 +202,7 @@ typedef struct AshsplatRenderSettings {
   uint32_t filter_3d;
 } AshsplatRenderSettings;
 
-// Where gradients go: arrays of the host's with an element for each of the scene's, in the shapes of AshsplatGaussians. NULL: that
+// Destinations of gradients: arrays of the host's with an element for each of the scene's, in the shapes of AshsplatGaussians. NULL: that
 // one is not wanted.
 typedef struct AshsplatGradients {
   // Set by ASHSPLAT_INIT.
@@ -237,9 +237,9 @@ typedef struct AshsplatAlignment {
   double lambda_dssim;
 } AshsplatAlignment;
 
-// What is to be allocated, for a buffer.
+// A request for a buffer's memory.
 typedef struct AshsplatMemoryRequest {
-  // What it is for, for debugging; valid during the call.
+  // The buffer's name, for debugging; valid during the call.
   const char *name;
   // Bytes.
   uint64_t bytes;
@@ -247,7 +247,7 @@ typedef struct AshsplatMemoryRequest {
   uint64_t alignment;
   // Bit i: memory type i is allowed.
   uint32_t memory_types;
-  // Whether it must be mapped; otherwise it should be device-local.
+  // True if it must be mapped; otherwise it should be device-local.
   bool host_visible;
 } AshsplatMemoryRequest;
 
@@ -304,7 +304,7 @@ typedef struct AshsplatForeignDevice {
   const char *const *extensions;
   // How many.
   uint32_t extension_count;
-  // Whether VK_EXT_debug_utils was enabled.
+  // True if VK_EXT_debug_utils was enabled.
   bool debug_utils;
   // The allocator of the buffers' memory, or NULL for the device itself. The struct is copied; its
   // pointees are not.
@@ -362,22 +362,22 @@ typedef struct AshsplatDepthMapping {
   float offset;
   // See above.
   float clear_value;
-  // Whether z itself is linear in d: of an orthographic projection.
+  // True if z itself is linear in d: of an orthographic projection.
   bool linear;
 } AshsplatDepthMapping;
 
-// A volume that keeps or removes the Gaussians whose means lie inside. Of several, a Gaussian is drawn that lies in at least
-// one of those that keep, if there are any, and in none of those that remove.
+// A volume that keeps or removes the Gaussians whose means lie inside. A Gaussian is drawn if it lies in some volume that keeps
+// (when there are any) and in none that removes.
 typedef struct AshsplatCutOut {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // Whether what lies inside is removed, instead of kept.
+  // True if what lies inside is removed, instead of kept.
   bool removes;
   // An AshsplatVolume.
   uint32_t volume;
   // Half of the size along each of its axes, positive; of a half-space the normal, out of it, of any length but 0.
   float size[3];
-  // Of a half-space: the plane is normal x = offset. It lies at offset / |normal| along the normal: a distance in units of
+  // A half-space's plane is normal x = offset. It lies at offset / |normal| along the normal: a distance in units of
   // the volume if the normal has length 1.
   float offset;
   // From its axes to the scene's own, before the scene's pose: a rotation, row by row.
@@ -402,7 +402,7 @@ typedef struct AshsplatHostBuffer {
 typedef struct AshsplatSceneSettings {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // Whether it is drawn. A scene that is not takes no Gaussians of the reservation and no time on the device. It counts
+  // True if it is drawn. A scene that is not takes no Gaussians of the reservation and no time on the device. It counts
   // among its scenes, and the others keep their places.
   bool visible;
   // Factors of red, green and blue, 0 to 1000 each, of the colours as trained. The product is at most 65504.
@@ -480,11 +480,11 @@ typedef struct AshsplatHostImage {
 typedef struct AshsplatTarget {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // What the splats are composited over: an AshsplatBackground.
+  // The background: an AshsplatBackground.
   uint32_t behind;
   // Its colour, for AshsplatBackground_Color: display-encoded, as trained.
   float background[3];
-  // What the target's colours are: an AshsplatColorEncoding.
+  // Meaning of the target's colours: an AshsplatColorEncoding.
   uint32_t encoding;
   // Factor of linear light, finite and positive, for AshsplatColorEncoding_LinearSrgb: 1 by default.
   float exposure;
@@ -570,7 +570,7 @@ typedef struct AshsplatMotionTarget {
   float min_weight;
   // The motion of empty pixels, pixels.
   float empty[2];
-  // Whether empty pixels keep what is in the image, in place of `empty`.
+  // True if empty pixels keep what is in the image, in place of `empty`.
   bool keeps_empty;
   // The camera of the frame before, of the same width and height. The motion counts from its own principal point to that of
   // the frame's camera. Poses before are in AshsplatPlaced.
@@ -630,7 +630,7 @@ typedef struct AshsplatRelease {
   struct AshsplatImageState motion;
 } AshsplatRelease;
 
-// What is allocated in advance for recording.
+// Resources that are allocated in advance for recording.
 typedef struct AshsplatReservation {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
@@ -656,27 +656,27 @@ typedef struct AshsplatReservation {
   uint32_t blend_passes;
   // Cut-outs of all scenes of a frame together.
   uint32_t cut_outs;
-  // Whether frames will render the sum of weights / z.
+  // True if frames will render the sum of weights / z.
   bool inverse_depth;
-  // Whether frames will read a host's depth image.
+  // True if frames will read a host's depth image.
   bool occlusion;
-  // Whether frames will render expected depth.
+  // True if frames will render expected depth.
   bool expected_depth;
-  // Whether all frames go into images (AshsplatRecordedFrame.target). Slots then have no pixels of their own.
+  // True if all frames go into images (AshsplatRecordedFrame.target). Slots then have no pixels of their own.
   bool images_only;
   // Queues that frames are submitted to. What lives only while a frame is computed exists once for each
   // queue: slots share it whose slot % queues is the same. Their frames go to one queue, in
   // any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
   uint32_t queues;
-  // Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
+  // True if scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
   bool tint;
-  // Whether scenes of frames will have a selection.
+  // True if scenes of frames will have a selection.
   bool selection;
-  // Whether frames will have orthographic cameras, beside pinholes; also those of the frame before, for motion.
+  // True if frames will have orthographic cameras, beside pinholes; also those of the frame before, for motion.
   bool orthographic;
-  // Whether frames will have what is picked at each pixel: 8 bytes of memory per pixel.
+  // True if frames will have what is picked at each pixel: 8 bytes of memory per pixel.
   bool pick;
-  // Whether frames will have motion: 8 bytes of memory per pixel and 8 per Gaussian.
+  // True if frames will have motion: 8 bytes of memory per pixel and 8 per Gaussian.
   bool motion;
   // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
   uint64_t staging_bytes;
@@ -712,9 +712,9 @@ typedef struct AshsplatScenePlan {
 typedef struct AshsplatSlotReport {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // Whether the frame has finished. The other fields are valid only then.
+  // True if the frame has finished. The other fields are valid only then.
   bool finished;
-  // Whether more instances (`instances_needed` for `instance_capacity`) or passes (`blend_passes_needed` for `blend_passes`) are
+  // True if more instances (`instances_needed` for `instance_capacity`) or passes (`blend_passes_needed` for `blend_passes`) are
   // needed than there were. The picture then lacks the Gaussians farthest away, or all of them if `instances_needed` is
   // `UINT32_MAX`. ashsplat_reservation_grown makes room, but for the last case.
   bool overflow;
@@ -770,9 +770,9 @@ typedef struct AshsplatTrainView {
 typedef struct AshsplatStep {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // Whether the step has finished. The other fields are valid only then.
+  // True if the step has finished. The other fields are valid only then.
   bool finished;
-  // Whether it changed nothing, because a capacity was too small. ashsplat_trainer_maintain grows it. Then
+  // True if it changed nothing, because a capacity was too small. ashsplat_trainer_maintain grows it. Then
   // the iteration is recorded again.
   bool overflow;
   // Its iteration, from 1.
@@ -794,18 +794,18 @@ typedef struct AshsplatStep {
 typedef struct AshsplatMaintenance {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // Whether Gaussians were added and removed.
+  // True if Gaussians were added and removed.
   bool densified;
-  // Whether opacities were reset.
+  // True if opacities were reset.
   bool opacities_reset;
-  // Whether the capacity has grown.
+  // True if the capacity has grown.
   bool grown;
   // The iteration that was skipped, because its frame exceeds the largest possible capacity; 0 for none.
   // The next step is the iteration after it.
   uint32_t skipped;
 } AshsplatMaintenance;
 
-// What the description of a tree says of a tile.
+// A tree's description of a tile.
 typedef struct AshsplatTile {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
@@ -820,7 +820,7 @@ typedef struct AshsplatTile {
   float max[3];
 } AshsplatTile;
 
-// For what tiles are chosen.
+// Views and budget that tiles are chosen for.
 typedef struct AshsplatDemand {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
@@ -830,8 +830,8 @@ typedef struct AshsplatDemand {
   const struct AshsplatCamera *cameras;
   // Gaussians of all tiles that are drawn, at most.
   uint64_t budget;
-  // What lies beyond a picture by less than so many of its widths and heights is drawn too, so that a camera that turns finds it
-  // there. It is refined after what lies in the picture. 0 draws the pictures alone.
+  // Gaussians beyond a picture by less than so many of its widths and heights are drawn too, so that a camera that turns finds them
+  // there. They are refined after those in the picture. 0 draws the pictures alone.
   double border;
 } AshsplatDemand;
 
@@ -873,7 +873,7 @@ enum AshsplatStatus ashsplat_scene_load(const struct AshsplatContext *context,
                                         const char *path,
                                         struct AshsplatScene **scene);
 
-// What the file of a scene says. `antialiased`: whether it was trained with antialiasing, and is to be rendered with it
+// Notes of a scene's file. `antialiased`: whether it was trained with antialiasing, and is to be rendered with it
 // (AshsplatRenderSettings.antialias). `warnings`: one line each, an empty text without; it lives as long as the scene. Either pointer
 // may be NULL.
 //
@@ -1108,7 +1108,7 @@ enum AshsplatStatus ashsplat_record(struct AshsplatRenderer *renderer,
 // views: only the first one's `from` counts. The updates are those of the first frame. Otherwise as ashsplat_record for each.
 //
 // # Safety
-// As ashsplat_record, for each; `frames` has `frame_count` elements, `releases` as many for a write, or is NULL.
+// Same as for ashsplat_record, for each; `frames` has `frame_count` elements, `releases` as many for a write, or is NULL.
 enum AshsplatStatus ashsplat_record_views(struct AshsplatRenderer *renderer,
                                           void *commands,
                                           uint32_t slot,
@@ -1163,7 +1163,7 @@ enum AshsplatStatus ashsplat_lpips_new(const struct AshsplatContext *context,
 // `lpips` is NULL or of this library and not used afterwards.
 void ashsplat_lpips_free(struct AshsplatLpips *lpips);
 
-// What ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of values from 0 to
+// Name of what ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of values from 0 to
 // 1, as the reference implementation. The name lives as long as `lpips`.
 //
 // # Safety
@@ -1266,7 +1266,7 @@ uint64_t ashsplat_update_bytes(uint32_t gaussians, uint32_t sh_degree);
 enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
                                      const struct AshsplatReservation *wanted);
 
-// As ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
+// Same as ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
 // recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay. What is wanted
 // replaces what was reserved: less than before gives memory back.
 //
@@ -1292,7 +1292,7 @@ enum AshsplatStatus ashsplat_reservation_bytes(const struct AshsplatRenderer *re
                                                const struct AshsplatReservation *wanted,
                                                uint64_t *bytes);
 
-// As ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's. Beside
+// Same as ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's. Beside
 // it there are, for each slot, 36 bytes for each view that the host can read, and `staging_bytes`.
 //
 // # Safety
@@ -1331,14 +1331,14 @@ enum AshsplatStatus ashsplat_slot_pixels(struct AshsplatRenderer *renderer,
 // each pixel, row by row.
 //
 // # Safety
-// As ashsplat_slot_pixels.
+// Same as for ashsplat_slot_pixels.
 enum AshsplatStatus ashsplat_slot_inverse_depth(struct AshsplatRenderer *renderer,
                                                 uint32_t slot,
                                                 uint64_t *buffer,
                                                 uint64_t *offset);
 
-// Whether the last frame of a slot has finished. Commands that the host has recorded after it may still run.
-// Never waits.
+// Says whether the last frame of a slot has finished. Commands that the host has recorded after it may
+// still run. Never waits.
 //
 // # Safety
 // `renderer` is alive, `finished` valid for a write.
@@ -1419,12 +1419,12 @@ enum AshsplatStatus ashsplat_trainer_new(const struct AshsplatContext *context,
                                          const char *settings_json,
                                          struct AshsplatTrainer **trainer);
 
-// As ashsplat_trainer_new, with Gaussians made of points: `positions` has three floats of each, world units, `colors` red, green and
+// Same as ashsplat_trainer_new, with Gaussians made of points: `positions` has three floats of each, world units, `colors` red, green and
 // blue, a byte each. Their scales follow from the distances of the nearest neighbours, as in the reference implementation; the
 // settings initial_opacity and initial_scale change them.
 //
 // # Safety
-// As ashsplat_trainer_new; `positions` and `colors` have three elements for each of `point_count` points.
+// Same as for ashsplat_trainer_new; `positions` and `colors` have three elements for each of `point_count` points.
 enum AshsplatStatus ashsplat_trainer_new_from_points(const struct AshsplatContext *context,
                                                      const struct AshsplatTrainView *views,
                                                      uint32_t view_count,
@@ -1439,7 +1439,7 @@ enum AshsplatStatus ashsplat_trainer_new_from_points(const struct AshsplatContex
 // other arguments are those of the training that wrote it, except for the number of iterations. `trainer` is NULL after an error.
 //
 // # Safety
-// As ashsplat_trainer_new; `path` is a C string.
+// Same as for ashsplat_trainer_new; `path` is a C string.
 enum AshsplatStatus ashsplat_trainer_resume(const struct AshsplatContext *context,
                                             const struct AshsplatTrainView *views,
                                             uint32_t view_count,
@@ -1506,7 +1506,7 @@ enum AshsplatStatus ashsplat_trainer_outcome(struct AshsplatTrainer *trainer,
                                              uint32_t slot,
                                              struct AshsplatStep *step);
 
-// Whether ashsplat_trainer_maintain must be called before another step can be recorded. Never waits.
+// Says whether ashsplat_trainer_maintain must be called before another step can be recorded. Never waits.
 //
 // # Safety
 // `trainer` is alive, `is_due` valid for a write.
@@ -1549,7 +1549,7 @@ void ashsplat_tree_free(struct AshsplatTree *tree);
 // `tree` is alive, `tiles` is valid for a write.
 enum AshsplatStatus ashsplat_tree_size(const struct AshsplatTree *tree, uint32_t *tiles);
 
-// What the description says of a tile.
+// Writes the description of a tile.
 //
 // # Safety
 // `tree` is alive, `told` begins with its size.
@@ -1577,7 +1577,7 @@ enum AshsplatStatus ashsplat_tree_wanted(const struct AshsplatTree *tree,
 // pictures or not there. `tiles` has room for as many numbers as the tree has tiles.
 //
 // # Safety
-// As ashsplat_tree_wanted.
+// Same as for ashsplat_tree_wanted.
 enum AshsplatStatus ashsplat_tree_cut(const struct AshsplatTree *tree,
                                       const struct AshsplatDemand *demand,
                                       const bool *there,
@@ -1599,7 +1599,7 @@ enum AshsplatStatus ashsplat_tree_read(const struct AshsplatTree *tree,
 enum AshsplatStatus ashsplat_tile_gaussians(const struct AshsplatTileGaussians *of,
                                             struct AshsplatGaussians *gaussians);
 
-// What the file of a tile says, as ashsplat_scene_told; all tiles of a tree say the same of antialiasing. `warnings` lives as long as `of`
+// Notes of a tile's file, as ashsplat_scene_told; all tiles of a tree say the same of antialiasing. `warnings` lives as long as `of`
 // does. Either pointer may be NULL.
 //
 // # Safety

@@ -1,14 +1,10 @@
 //! A renderer's other operations on a scene, in C: gradients, alignment of cameras to photographs, the 3D filter.
 
-use super::structs::{check_room, named, read, read_all, read_if, write};
-use super::trainers::{photo, slice_if};
-use super::{
-    AshsplatCamera, AshsplatRenderSettings, AshsplatRenderer, AshsplatScene, AshsplatStatus, borrowed,
-    borrowed_mut, check_pointer, fill, frame, guarded, slice,
-};
-use ashsplat::{Alignment, Error, Gradients, Result};
+use super::training::photo;
+use super::*;
+use ashsplat::{Alignment, Gradients};
 
-/// Where gradients go: arrays of the host's with an element for each of the scene's, in the shapes of AshsplatGaussians. NULL: that
+/// Destinations of gradients: arrays of the host's with an element for each of the scene's, in the shapes of AshsplatGaussians. NULL: that
 /// one is not wanted.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
@@ -67,8 +63,7 @@ pub unsafe extern "C" fn ashsplat_gradients(
     inverse_depth_gradient: *const f32,
     gradients: *const AshsplatGradients,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
         let to = read(gradients, "gradients")?;
         let (camera, settings) = frame(camera, settings, background)?;
@@ -124,8 +119,7 @@ pub unsafe extern "C" fn ashsplat_align(
     alignment: *const AshsplatAlignment,
     aligned: *mut AshsplatCamera,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
         let (camera, settings) = frame(camera, settings, background)?;
         let alignment = read_if(alignment, "alignment")?.unwrap_or_default();
@@ -158,13 +152,12 @@ pub unsafe extern "C" fn ashsplat_compute_filters(
     cameras: *const AshsplatCamera,
     count: u32,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
-        let cameras = read_all(cameras, count, "cameras")?;
+        let cameras = read_all(cameras, count, "cameras")?.collect::<Result<Vec<_>>>()?;
         let known = |(index, camera): (usize, &AshsplatCamera)| {
             let name = format!("cameras[{index}]");
-            let camera = camera.known_as(&name)?;
+            let camera = camera.known(&name)?;
             if camera.is_orthographic() {
                 let problem = "is orthographic: the 3D filter follows from pinholes";
                 return Err(Error::argument(format!("{name}.projection"), problem));
@@ -187,8 +180,7 @@ pub unsafe extern "C" fn ashsplat_filters(
     scene: *const AshsplatScene,
     sizes: *mut f32,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
         check_pointer(sizes, "sizes")?;
         fill(sizes, &renderer.0.with_scene(&scene.scene, |renderer| renderer.filters())?);

@@ -1,33 +1,28 @@
 //! A host's device, images and command buffers in C.
 
-use super::allocator::Adapter;
-use super::queue_lock::Lock;
-use super::structs::{check_room, check_room_of_all, read, read_if, write};
-use super::{
-    AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatForeignDevice, AshsplatForeignImage,
-    AshsplatHostImage, AshsplatRecordedFrame, AshsplatRelease, AshsplatRenderer, AshsplatStatus, borrowed,
-    borrowed_mut, give, guarded, recorded_frames, settings, slice, take,
-};
-use ashsplat::ash::{self, vk, vk::Handle};
+use super::*;
+use ashsplat::ash::{self, vk, vk::Handle, vk::TaggedStructure};
 use ashsplat::scene::{ClipY, HostView};
 use ashsplat::vk::{
-    Context, ContextOptions, Features, ForeignDevice, ForeignImage, HostAllocator, Image, ImageUse, QueueLock,
+    Features, ForeignDevice, ForeignImage, HostAllocator, HostMemory, Image, ImageUse, MemoryKind,
+    MemoryRequest, QueueLock,
 };
-use ashsplat::{Error, HostImage, Result};
 use glam::Mat4;
-use std::ffi::{CStr, c_char, c_void};
+use std::ffi::{CStr, c_void};
+use std::ptr::NonNull;
 use std::sync::Arc;
 
+type Features12<'a> = vk::PhysicalDeviceVulkan12Features<'a>;
+type Features13<'a> = vk::PhysicalDeviceVulkan13Features<'a>;
+
 /// A view of a host's image.
-pub struct AshsplatImage(Image);
+pub struct AshsplatImage(pub(super) Image);
 
 /// The features and extensions that a host has to enable, as readable text.
 #[unsafe(no_mangle)]
 pub extern "C" fn ashsplat_requirements() -> *const c_char {
-    static TEXT: std::sync::OnceLock<std::ffi::CString> = std::sync::OnceLock::new();
-    let text =
-        TEXT.get_or_init(|| std::ffi::CString::new(Context::requirements().to_string()).unwrap_or_default());
-    text.as_ptr()
+    static TEXT: std::sync::OnceLock<CString> = std::sync::OnceLock::new();
+    TEXT.get_or_init(|| c_text(&Context::requirements().to_string())).as_ptr()
 }
 
 /// Turns on the required features in the structs with which a host will create its device, and does not
@@ -41,12 +36,11 @@ pub unsafe extern "C" fn ashsplat_merge_features(
     vulkan12: *mut c_void,
     vulkan13: *mut c_void,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        let v12: &mut vk::PhysicalDeviceVulkan12Features<'_> = borrowed_mut(vulkan12.cast(), "vulkan12")?;
-        let v13: &mut vk::PhysicalDeviceVulkan13Features<'_> = borrowed_mut(vulkan13.cast(), "vulkan13")?;
-        check_type(v12.s_type, vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, "vulkan12")?;
-        check_type(v13.s_type, vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_3_FEATURES, "vulkan13")?;
+    guarded!({
+        let v12: &mut Features12<'_> = borrowed_mut(vulkan12.cast(), "vulkan12")?;
+        let v13: &mut Features13<'_> = borrowed_mut(vulkan13.cast(), "vulkan13")?;
+        check_type(v12.s_type, Features12::STRUCTURE_TYPE, "vulkan12")?;
+        check_type(v13.s_type, Features13::STRUCTURE_TYPE, "vulkan13")?;
         Context::requirements().features.merge_into(v12, v13);
         Ok(())
     })
@@ -71,15 +65,10 @@ pub unsafe extern "C" fn ashsplat_context_from_foreign(
     host: *const AshsplatForeignDevice,
     context: *mut *mut AshsplatContext,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let host = read(host, "host")?;
         give(context, "context", || from_host(&host).map(AshsplatContext))
     })
-}
-
-fn null_name(place: usize) -> Error {
-    Error::argument(format!("extensions[{place}]"), "the pointer is null")
 }
 
 /// Checks the type of a Vulkan struct.
@@ -91,45 +80,36 @@ fn check_type(found: vk::StructureType, wanted: vk::StructureType, field: &str) 
 /// # Safety
 /// Same as for [`ashsplat_context_from_foreign`].
 unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
-    let null = |what: &str| Error::argument(what, "the handle is null");
     let handle = |pointer: *mut c_void| pointer as u64;
-    if host.get_instance_proc_addr.is_null() {
-        return Err(null("get_instance_proc_addr"));
-    }
-    let (instance, device) =
-        (vk::Instance::from_raw(handle(host.instance)), vk::Device::from_raw(handle(host.device)));
-    if instance == vk::Instance::null() {
-        return Err(null("instance"));
-    }
-    if device == vk::Device::null() {
-        return Err(null("device"));
+    let required = [
+        (host.get_instance_proc_addr, "get_instance_proc_addr"),
+        (host.instance.cast_const(), "instance"),
+        (host.device.cast_const(), "device"),
+    ];
+    if let Some((_, name)) = required.into_iter().find(|(pointer, _)| pointer.is_null()) {
+        return Err(Error::argument(name, "the handle is null"));
     }
     // SAFETY: the function and both handles are the host's, as promised; the structs are of their types.
     unsafe {
         let load: vk::PFN_vkGetInstanceProcAddr = std::mem::transmute(host.get_instance_proc_addr);
         let entry = ash::StaticFn { get_instance_proc_addr: load };
-        let instance = ash::Instance::load(&entry, instance);
-        let device = ash::Device::load(instance.fp_v1_0(), device);
-        let v12: &vk::PhysicalDeviceVulkan12Features<'_> =
-            borrowed(host.vulkan12_features.cast(), "vulkan12_features")?;
-        let v13: &vk::PhysicalDeviceVulkan13Features<'_> =
-            borrowed(host.vulkan13_features.cast(), "vulkan13_features")?;
-        check_type(v12.s_type, vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, "vulkan12_features")?;
-        check_type(v13.s_type, vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_3_FEATURES, "vulkan13_features")?;
-        let features = Features::of(v12, v13);
+        let instance = ash::Instance::load(&entry, vk::Instance::from_raw(handle(host.instance)));
+        let device = ash::Device::load(instance.fp_v1_0(), vk::Device::from_raw(handle(host.device)));
+        let v12: &Features12<'_> = borrowed(host.vulkan12_features.cast(), "vulkan12_features")?;
+        let v13: &Features13<'_> = borrowed(host.vulkan13_features.cast(), "vulkan13_features")?;
+        check_type(v12.s_type, Features12::STRUCTURE_TYPE, "vulkan12_features")?;
+        check_type(v13.s_type, Features13::STRUCTURE_TYPE, "vulkan13_features")?;
         let features = Features {
             shader_maximal_reconvergence: host.shader_maximal_reconvergence != 0,
             shader_subgroup_uniform_control_flow: host.shader_subgroup_uniform_control_flow != 0,
-            ..features
+            ..Features::of(v12, v13)
         };
         let names = slice(host.extensions, host.extension_count as usize, "extensions")?;
         if let Some(place) = names.iter().position(|name| name.is_null()) {
-            return Err(null_name(place));
+            return Err(Error::argument(format!("extensions[{place}]"), "the pointer is null"));
         }
         let extensions: Vec<&CStr> = names.iter().map(|&name| CStr::from_ptr(name)).collect();
-        let allocator = read_if(host.allocator, "allocator")?;
-        let allocator = allocator.map(|allocator| Adapter::new(&allocator)).transpose()?;
-        let allocator = allocator.map(|adapter| Arc::new(adapter) as Arc<dyn HostAllocator>);
+        let allocator = read_if(host.allocator, "allocator")?.map(|it| Adapter::of(&it)).transpose()?;
         let foreign = ForeignDevice {
             instance: &instance,
             physical_device: vk::PhysicalDevice::from_raw(handle(host.physical_device)),
@@ -140,7 +120,7 @@ unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
             features,
             extensions: &extensions,
             debug_utils: host.debug_utils,
-            allocator,
+            allocator: allocator.map(|adapter| Arc::new(adapter) as Arc<dyn HostAllocator>),
             pipeline_cache: vk::PipelineCache::from_raw(host.pipeline_cache),
         };
         Context::from_foreign(&foreign, &ContextOptions::default())
@@ -160,10 +140,9 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
     purpose: u32,
     image: *mut *mut AshsplatImage,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (context, host) = (borrowed(context, "context")?, read(host, "host")?);
-        let purpose = settings::one_of("purpose", purpose, &IMAGE_USES)?;
+        let (purpose, name) = one_of("purpose", purpose, &IMAGE_USES)?;
         let foreign = ForeignImage {
             image: vk::Image::from_raw(host.image),
             format: vk::Format::from_raw(host.format),
@@ -174,25 +153,18 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
             flags: vk::ImageCreateFlags::from_raw(host.flags),
             samples: vk::SampleCountFlags::from_raw(host.samples),
         };
-        let name = image_name(purpose);
         give(image, "image", || Image::adopt(&context.0, name, &foreign, purpose).map(AshsplatImage))
     })
 }
 
-/// Purposes in the order of their numbers in C.
-const IMAGE_USES: [ImageUse; 5] =
-    [ImageUse::Target, ImageUse::Occluder, ImageUse::Depth, ImageUse::Pick, ImageUse::Motion];
-
-/// Name of an image in messages and debuggers: the frame's field that it is for.
-fn image_name(purpose: ImageUse) -> &'static str {
-    match purpose {
-        ImageUse::Target => "target",
-        ImageUse::Occluder => "occluder",
-        ImageUse::Depth => "depth",
-        ImageUse::Pick => "pick",
-        ImageUse::Motion => "motion",
-    }
-}
+/// Purposes in the order of their numbers in C. In messages and debuggers, an image is called after the frame's field.
+const IMAGE_USES: [(ImageUse, &str); 5] = [
+    (ImageUse::Target, "target"),
+    (ImageUse::Occluder, "occluder"),
+    (ImageUse::Depth, "depth"),
+    (ImageUse::Pick, "pick"),
+    (ImageUse::Motion, "motion"),
+];
 
 /// Says that queues of another family own the image between recordings. A recording acquires it from them and releases it to them; the
 /// host records the other halves in a queue of that family, ordered by semaphores in all stages. Before the recording: a barrier from the
@@ -209,13 +181,10 @@ pub unsafe extern "C" fn ashsplat_image_of_family(
     queue_family: u32,
     layout: *mut i32,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let image = borrowed_mut(image, "image")?;
         image.0 = image.0.clone().of_family(queue_family)?;
-        if let Some(to) = layout.as_mut() {
-            *to = image.0.layout().as_raw();
-        }
+        put_if(layout, image.0.layout().as_raw());
         Ok(())
     })
 }
@@ -249,8 +218,7 @@ pub unsafe extern "C" fn ashsplat_camera_from_matrices(
     camera: *mut AshsplatCamera,
     mapping: *mut AshsplatDepthMapping,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let host = HostView {
             view_from_world: Mat4::from_cols_slice(slice(view_from_world, 16, "view_from_world")?),
             clip_from_view: Mat4::from_cols_slice(slice(clip_from_view, 16, "clip_from_view")?),
@@ -265,9 +233,7 @@ pub unsafe extern "C" fn ashsplat_camera_from_matrices(
             other => other,
         })?;
         write(camera, "camera", found.into())?;
-        if let Some(mapping) = mapping.as_mut() {
-            *mapping = depth.into();
-        }
+        put_if(mapping, depth.into());
         Ok(())
     })
 }
@@ -296,11 +262,10 @@ pub unsafe extern "C" fn ashsplat_record(
     frame: *const AshsplatRecordedFrame,
     release: *mut AshsplatRelease,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (renderer, f) = (borrowed_mut(renderer, "renderer")?, read(frame, "frame")?);
         check_room(release, "release")?;
-        recorded_frames::record(renderer, (commands, slot), (&raw const f, 1), release)
+        frames::record(renderer, (commands, slot), (&raw const f, 1), release)
     })
 }
 
@@ -310,7 +275,7 @@ pub unsafe extern "C" fn ashsplat_record(
 /// views: only the first one's `from` counts. The updates are those of the first frame. Otherwise as ashsplat_record for each.
 ///
 /// # Safety
-/// As ashsplat_record, for each; `frames` has `frame_count` elements, `releases` as many for a write, or is NULL.
+/// Same as for ashsplat_record, for each; `frames` has `frame_count` elements, `releases` as many for a write, or is NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_record_views(
     renderer: *mut AshsplatRenderer,
@@ -320,22 +285,11 @@ pub unsafe extern "C" fn ashsplat_record_views(
     frame_count: u32,
     releases: *mut AshsplatRelease,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let renderer = borrowed_mut(renderer, "renderer")?;
         check_room_of_all(releases, frame_count, "releases")?;
-        recorded_frames::record(renderer, (commands, slot), (frames, frame_count), releases)
+        frames::record(renderer, (commands, slot), (frames, frame_count), releases)
     })
-}
-
-/// Converts a host's image.
-///
-/// # Safety
-/// Its view is null or alive.
-pub(super) unsafe fn used<'a>(host: &AshsplatHostImage, what: &str) -> Result<HostImage<'a>> {
-    // SAFETY: as promised.
-    let image = unsafe { borrowed(host.image, what)? };
-    Ok(HostImage { image: &image.0, from: host.from.into(), offset: host.offset })
 }
 
 /// The device of a context, for a host that lets this library open one: each pointer may be NULL.
@@ -350,18 +304,164 @@ pub unsafe extern "C" fn ashsplat_context_handles(
     device: *mut *mut c_void,
     queue_family: *mut u32,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (i, p, d, family) = borrowed(context, "context")?.0.handles();
         let raw = [i.handle().as_raw(), p.as_raw(), d.handle().as_raw()];
         for (to, handle) in [instance, physical_device, device].into_iter().zip(raw) {
-            if let Some(to) = to.as_mut() {
-                *to = handle as *mut c_void;
-            }
+            put_if(to, handle as *mut c_void);
         }
-        if let Some(to) = queue_family.as_mut() {
-            *to = family;
-        }
+        put_if(queue_family, family);
         Ok(())
     })
+}
+
+/// A request for a buffer's memory.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatMemoryRequest {
+    /// The buffer's name, for debugging; valid during the call.
+    pub name: *const c_char,
+    /// Bytes.
+    pub bytes: u64,
+    /// The piece begins at a multiple of this in its memory.
+    pub alignment: u64,
+    /// Bit i: memory type i is allowed.
+    pub memory_types: u32,
+    /// True if it must be mapped; otherwise it should be device-local.
+    pub host_visible: bool,
+}
+
+/// A piece of device memory.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatMemory {
+    /// VkDeviceMemory.
+    pub memory: u64,
+    /// Byte offset of the piece in the memory object.
+    pub offset: u64,
+    /// Host address of the piece if it is mapped, otherwise NULL.
+    pub mapped: *mut c_void,
+    /// An identifier for the allocator's own use.
+    pub id: u64,
+}
+
+/// A host's allocator, which provides the memory of all buffers. Functions that allocate or free call it,
+/// also from other threads. Recording never allocates. But it frees memory that only the slot's last frame still
+/// used, unless ashsplat_slot_release has done so.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatAllocator {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// Handed to both functions.
+    pub user: *mut c_void,
+    /// Allocates a piece; false when it cannot. Mapped memory has to be host-coherent.
+    pub allocate: Option<
+        unsafe extern "C" fn(
+            user: *mut c_void,
+            request: *const AshsplatMemoryRequest,
+            memory: *mut AshsplatMemory,
+        ) -> bool,
+    >,
+    /// Frees a piece that is not in use any more.
+    pub free: Option<unsafe extern "C" fn(user: *mut c_void, memory: AshsplatMemory)>,
+}
+
+/// A host's allocator as the engine uses it.
+struct Adapter {
+    user: *mut c_void,
+    allocate: unsafe extern "C" fn(*mut c_void, *const AshsplatMemoryRequest, *mut AshsplatMemory) -> bool,
+    free: unsafe extern "C" fn(*mut c_void, AshsplatMemory),
+}
+
+// SAFETY: the allocator's owner promises that it may be called from any thread.
+unsafe impl Send for Adapter {}
+// SAFETY: as above.
+unsafe impl Sync for Adapter {}
+
+impl Adapter {
+    /// # Safety
+    /// The functions keep the contract of [`HostAllocator`] and of their own documentation, from any thread, as long as
+    /// the adapter lives.
+    unsafe fn of(allocator: &AshsplatAllocator) -> Result<Self> {
+        let (Some(allocate), Some(free)) = (allocator.allocate, allocator.free) else {
+            return Err(Error::argument("allocator", "a function is null"));
+        };
+        Ok(Self { user: allocator.user, allocate, free })
+    }
+}
+
+// SAFETY: promised by the adapter's creator.
+unsafe impl HostAllocator for Adapter {
+    fn allocate(&self, request: &MemoryRequest<'_>) -> Result<HostMemory, String> {
+        let name = CString::new(request.name).unwrap_or_default();
+        let needs = request.requirements;
+        let request = AshsplatMemoryRequest {
+            name: name.as_ptr(),
+            bytes: needs.size,
+            alignment: needs.alignment,
+            memory_types: needs.memory_type_bits,
+            host_visible: request.kind == MemoryKind::HostVisible,
+        };
+        let mut piece = AshsplatMemory { memory: 0, offset: 0, mapped: std::ptr::null_mut(), id: 0 };
+        // SAFETY: the host's function with valid arguments; both pointers live through the call.
+        let done = unsafe { (self.allocate)(self.user, &request, &mut piece) };
+        if !done || piece.memory == 0 {
+            return Err(format!("it has no {} bytes", needs.size));
+        }
+        Ok(HostMemory {
+            memory: vk::DeviceMemory::from_raw(piece.memory),
+            offset: piece.offset,
+            mapped: NonNull::new(piece.mapped.cast()),
+            id: piece.id,
+        })
+    }
+
+    fn free(&self, memory: HostMemory) {
+        let piece = AshsplatMemory {
+            memory: memory.memory.as_raw(),
+            offset: memory.offset,
+            mapped: memory.mapped.map_or(std::ptr::null_mut(), |address| address.as_ptr().cast()),
+            id: memory.id,
+        };
+        // SAFETY: a piece of this allocator that is no longer used.
+        unsafe { (self.free)(self.user, piece) }
+    }
+}
+
+/// A host's lock for its queue.
+struct Lock {
+    user: *mut c_void,
+    lock: unsafe extern "C" fn(user: *mut c_void),
+    unlock: unsafe extern "C" fn(user: *mut c_void),
+}
+
+// SAFETY: the host promises that its functions may be called from any thread.
+unsafe impl Send for Lock {}
+// SAFETY: as above.
+unsafe impl Sync for Lock {}
+
+impl Lock {
+    /// The host's lock, if it has one.
+    fn of(host: &AshsplatForeignDevice) -> Result<Option<Self>> {
+        match (host.lock_queue, host.unlock_queue) {
+            (Some(lock), Some(unlock)) => Ok(Some(Self { user: host.queue_user, lock, unlock })),
+            (None, None) => Ok(None),
+            (Some(_), None) => Err(Error::argument("unlock_queue", "is NULL, and lock_queue is not")),
+            (None, Some(_)) => Err(Error::argument("lock_queue", "is NULL, and unlock_queue is not")),
+        }
+    }
+}
+
+// SAFETY: the host promises exclusive use of the queue between the two calls.
+unsafe impl QueueLock for Lock {
+    fn lock(&self) {
+        // SAFETY: as promised.
+        unsafe { (self.lock)(self.user) }
+    }
+
+    fn unlock(&self) {
+        // SAFETY: as promised.
+        unsafe { (self.unlock)(self.user) }
+    }
 }

@@ -1,14 +1,18 @@
-//! A frame to record, its outputs, and its report.
+//! A frame to record, its outputs, its recording, and its report.
 
-use super::settings::one_of;
-use super::{
-    AshsplatCamera, AshsplatDepthMapping, AshsplatHostImage, AshsplatImageState, AshsplatPlaced,
-    AshsplatUpdate,
-};
+use super::scenes::{Pointees, copied, pointees, settings_of, updates};
+use super::*;
+use crate::kept::{List, collected};
+use ashsplat::ash::{vk, vk::Handle};
+use ashsplat::scene::{Camera, Pose};
 use ashsplat::vk::ImageState;
-use ashsplat::{Background, ColorEncoding, Release, Result, SlotReport};
+use ashsplat::{
+    Background, ColorEncoding, DepthTarget, HostImage, MotionTarget, Occluder, PickTarget, Placed,
+    RecordedFrame, Release, SlotReport, Target, Update,
+};
+use std::ffi::c_void;
 
-/// What the splats are composited over.
+/// The background that the splats are composited over.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatBackground {
@@ -20,7 +24,7 @@ pub enum AshsplatBackground {
     Image = 2,
 }
 
-/// What the colours are that are written into a target.
+/// Meaning of the colours that are written into a target.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatColorEncoding {
@@ -37,11 +41,11 @@ pub enum AshsplatColorEncoding {
 pub struct AshsplatTarget {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
-    /// What the splats are composited over: an AshsplatBackground.
+    /// The background: an AshsplatBackground.
     pub behind: u32,
     /// Its colour, for AshsplatBackground_Color: display-encoded, as trained.
     pub background: [f32; 3],
-    /// What the target's colours are: an AshsplatColorEncoding.
+    /// Meaning of the target's colours: an AshsplatColorEncoding.
     pub encoding: u32,
     /// Factor of linear light, finite and positive, for AshsplatColorEncoding_LinearSrgb: 1 by default.
     pub exposure: f32,
@@ -75,6 +79,63 @@ pub struct AshsplatDepthTarget {
     pub to: AshsplatHostImage,
 }
 
+/// A pose in the world: x_world = scale rotation x_object + translation.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatPose {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// A rotation, row by row.
+    pub world_from_object: [f32; 9],
+    /// World units.
+    pub translation: [f32; 3],
+    /// World units per unit of the scene, the same in all directions: 1 for no scaling.
+    pub scale: f32,
+}
+
+impl AshsplatPose {
+    fn pose(&self) -> Pose {
+        pose_of(&self.world_from_object, self.translation, self.scale)
+    }
+}
+
+/// An image of what is picked at each pixel: the Gaussian with the largest blending weight alpha T, the nearest of equal ones.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct AshsplatPickTarget {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// A storage image of format R32G32B32A32_UINT. A texel is the index of the Gaussian in its scene, the index of the scene in
+    /// AshsplatRecordedFrame.scenes, the bits of the float of its depth z (world units), and the bits of the float of its weight.
+    /// Where nothing is blended, the first two are UINT32_MAX, the others 0. Its image is never NULL: AshsplatRecordedFrame.pick
+    /// is NULL in a frame without picks.
+    pub to: AshsplatHostImage,
+}
+
+/// An image of motion: for each pixel the mean motion on the screen of what is blended there, from the frame before to this one,
+/// weighted as in blending. A Gaussian moves as its mean does, at most by the picture's width and height. It counts with a motion of
+/// 0 where its earlier place is unknown: where its mean did not lie in front of the earlier camera (z above 0.2), or lay too far
+/// away for a float. How updates move Gaussians is not known.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct AshsplatMotionTarget {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// A pixel is empty if the splats' weights sum to less.
+    pub min_weight: f32,
+    /// The motion of empty pixels, pixels.
+    pub empty: [f32; 2],
+    /// True if empty pixels keep what is in the image, in place of `empty`.
+    pub keeps_empty: bool,
+    /// The camera of the frame before, of the same width and height. The motion counts from its own principal point to that of
+    /// the frame's camera. Poses before are in AshsplatPlaced.
+    pub previous_camera: *const AshsplatCamera,
+    /// A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatForeignImage.flags): the place now less the place
+    /// before, in pixels, x right, y down. What is at pixel p now was at p - motion. Its image is never NULL:
+    /// AshsplatRecordedFrame.motion is NULL in a frame without motion.
+    pub to: AshsplatHostImage,
+}
+
 /// A frame to record.
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -90,7 +151,7 @@ pub struct AshsplatRecordedFrame {
     /// The camera; its width and height are the frame's.
     pub camera: *const AshsplatCamera,
     /// How to render, or NULL for the defaults.
-    pub settings: *const super::AshsplatRenderSettings,
+    pub settings: *const AshsplatRenderSettings,
     /// The image that is written, or NULL: then the slot's own buffer, ashsplat_slot_pixels.
     pub target: *const AshsplatTarget,
     /// The host's depth image, which hides splats that are farther away, or NULL.
@@ -100,19 +161,9 @@ pub struct AshsplatRecordedFrame {
     /// Parameter updates before the frame.
     pub updates: *const AshsplatUpdate,
     /// The image that what is picked is written to, or NULL: nothing is noted then.
-    pub pick: *const super::AshsplatPickTarget,
+    pub pick: *const AshsplatPickTarget,
     /// The image that motion is written to, or NULL: then none is computed.
-    pub motion: *const super::AshsplatMotionTarget,
-}
-
-/// Converts an AshsplatBackground's number.
-pub(super) fn behind(number: u32, background: [f32; 3]) -> Result<Background> {
-    one_of("target.behind", number, &[Background::Color(background), Background::Nothing, Background::Image])
-}
-
-/// Converts an AshsplatColorEncoding's number.
-pub(super) fn encoding(number: u32, exposure: f32) -> Result<ColorEncoding> {
-    one_of("target.encoding", number, &[ColorEncoding::AsTrained, ColorEncoding::LinearSrgb { exposure }])
+    pub motion: *const AshsplatMotionTarget,
 }
 
 /// The state after a recording. The next user of its results waits for these stages and accesses, and finds
@@ -160,9 +211,9 @@ impl From<&Release> for AshsplatRelease {
 pub struct AshsplatSlotReport {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
-    /// Whether the frame has finished. The other fields are valid only then.
+    /// True if the frame has finished. The other fields are valid only then.
     pub finished: bool,
-    /// Whether more instances (`instances_needed` for `instance_capacity`) or passes (`blend_passes_needed` for `blend_passes`) are
+    /// True if more instances (`instances_needed` for `instance_capacity`) or passes (`blend_passes_needed` for `blend_passes`) are
     /// needed than there were. The picture then lacks the Gaussians farthest away, or all of them if `instances_needed` is
     /// `UINT32_MAX`. ashsplat_reservation_grown makes room, but for the last case.
     pub overflow: bool,
@@ -203,21 +254,168 @@ impl From<&AshsplatSlotReport> for SlotReport {
 
 impl From<SlotReport> for AshsplatSlotReport {
     fn from(r: SlotReport) -> Self {
-        Self {
+        same_fields!(r => Self {
+            overflow, gaussians, visible, instances_needed, instance_capacity, longest_tile, blend_passes_needed, sorts,
+            batched_scenes, blend_passes, entries_per_pass,
+        } with {
             finished: true,
-            overflow: r.overflow,
-            gaussians: r.gaussians,
-            visible: r.visible,
-            instances_needed: r.instances_needed,
-            instance_capacity: r.instance_capacity,
-            longest_tile: r.longest_tile,
-            blend_passes_needed: r.blend_passes_needed,
             nanoseconds: r.scopes.iter().filter(|s| s.depth == 0).map(|s| s.nanoseconds).sum(),
-            sorts: r.sorts,
-            batched_scenes: r.batched_scenes,
-            blend_passes: r.blend_passes,
-            entries_per_pass: r.entries_per_pass,
             ..Self::default()
+        })
+    }
+}
+
+/// A frame with copies of everything that it points to.
+struct Copied<'a> {
+    frame: &'a AshsplatRecordedFrame,
+    placed: List<'a, AshsplatPlaced>,
+    pointees: List<'a, Pointees<'a>>,
+    updates: List<'a, scenes::Copied<'a>>,
+    camera: Camera,
+    settings: RenderSettings,
+    /// Motion target, and the previous frame's camera.
+    motion: Option<(AshsplatMotionTarget, Camera)>,
+}
+
+impl<'a> Copied<'a> {
+    /// # Safety
+    /// The frame is valid with all that it points to.
+    unsafe fn of(
+        frame: &'a AshsplatRecordedFrame,
+        context: &Context,
+        (scratch, kept): (&'a Scratch, &'a Kept),
+    ) -> Result<Self> {
+        // SAFETY: as promised.
+        unsafe {
+            let placed = collected(read_all(frame.scenes, frame.scene_count, "scenes")?, scratch)?;
+            let pointees = pointees(&placed, context, (scratch, kept))?;
+            let given = collected(read_all(frame.updates, frame.update_count, "updates")?, scratch)?;
+            let settings = read_if(frame.settings, "settings")?;
+            let updates = copied(&given, (scratch, kept))?;
+            let camera = read(frame.camera, "camera")?.known("camera")?;
+            let settings = settings.map_or(Ok(RenderSettings::default()), |settings| settings.checked())?;
+            let motion = match read_if(frame.motion, "motion")? {
+                None => None,
+                Some(motion) => {
+                    let name = "motion.previous_camera";
+                    Some((motion, read(motion.previous_camera, name)?.known(name)?))
+                }
+            };
+            Ok(Self { frame, placed, pointees, updates, camera, settings, motion })
         }
+    }
+
+    /// Converts the placed scenes. The promise is that of [`Copied::of`].
+    unsafe fn scenes<'b>(&'b self, scratch: &'b Scratch) -> Result<List<'b, Placed<'b>>> {
+        let mut scenes = List::with_capacity_in(self.placed.len(), scratch);
+        for (place, (placed, own)) in self.placed.iter().zip(&self.pointees).enumerate() {
+            // SAFETY: as promised.
+            unsafe {
+                let in_scene = |error| within(format_args!("scenes[{place}]"))(error);
+                let scene = &borrowed(placed.scene, "scene").map_err(in_scene)?.scene;
+                let previous_pose = read_if(placed.previous_pose, "previous_pose").map_err(in_scene)?;
+                scenes.push(Placed {
+                    settings: settings_of(own),
+                    previous_pose: previous_pose.as_ref().map(AshsplatPose::pose),
+                    ..Placed::at(scene, placed.pose())
+                });
+            }
+        }
+        Ok(scenes)
+    }
+
+    /// Converts the frame. The promise is that of [`Copied::of`].
+    unsafe fn recorded<'b>(
+        &'b self,
+        scenes: &'b [Placed<'b>],
+        updates: &'b [Update<'b>],
+    ) -> Result<RecordedFrame<'b>> {
+        let f = self.frame;
+        let mut recorded =
+            RecordedFrame { updates, ..RecordedFrame::new(scenes, &self.camera, &self.settings) };
+        // SAFETY: as promised.
+        unsafe {
+            if let Some(AshsplatTarget { to, behind, background, encoding, exposure, .. }) =
+                read_if(f.target, "target")?
+            {
+                let to = used(&to, "target.to.image")?;
+                let all = [Background::Color(background), Background::Nothing, Background::Image];
+                let behind = one_of("target.behind", behind, &all)?;
+                let all = [ColorEncoding::AsTrained, ColorEncoding::LinearSrgb { exposure }];
+                let encoding = one_of("target.encoding", encoding, &all)?;
+                recorded.target = Target::Image { to, behind, encoding };
+            }
+            if let Some(AshsplatOccluder { depth, mapping, .. }) = read_if(f.occluder, "occluder")? {
+                let depth = used(&depth, "occluder.depth.image")?;
+                recorded.occluder = Some(Occluder { depth, mapping: mapping.into() });
+            }
+            if let Some(AshsplatDepthTarget { to, min_weight, empty, .. }) = read_if(f.depth, "depth")? {
+                recorded.depth = Some(DepthTarget { to: used(&to, "depth.to.image")?, min_weight, empty });
+            }
+            if let Some(AshsplatPickTarget { to, .. }) = read_if(f.pick, "pick")? {
+                recorded.pick = Some(PickTarget { to: used(&to, "pick.to.image")? });
+            }
+            if let Some((AshsplatMotionTarget { to, min_weight, empty, keeps_empty, .. }, previous_camera)) =
+                &self.motion
+            {
+                let (to, empty) = (used(to, "motion.to.image")?, (!keeps_empty).then_some(*empty));
+                recorded.motion = Some(MotionTarget { to, previous_camera, min_weight: *min_weight, empty });
+            }
+        }
+        Ok(recorded)
+    }
+}
+
+/// Converts a host's image.
+///
+/// # Safety
+/// Its view is null or alive.
+unsafe fn used<'a>(host: &AshsplatHostImage, what: &str) -> Result<HostImage<'a>> {
+    // SAFETY: as promised.
+    let image = unsafe { borrowed(host.image, what)? };
+    Ok(HostImage { image: &image.0, from: host.from.into(), offset: host.offset })
+}
+
+/// Records frames as the views of one recording. Writes the final states of their images to `releases`: NULL, or room for all.
+/// Allocates nothing on the heap once the renderer has recorded such frames, with these masks and updates no larger.
+///
+/// # Safety
+/// Same as for ashsplat_record, for each frame.
+pub(super) unsafe fn record(
+    AshsplatRenderer(renderer, scratch, kept): &mut AshsplatRenderer,
+    (commands, slot): (*mut c_void, u32),
+    (frames, count): (*const AshsplatRecordedFrame, u32),
+    releases: *mut AshsplatRelease,
+) -> Result<()> {
+    scratch.reset();
+    kept.begin();
+    let (scratch, kept) = (&*scratch, &*kept);
+    let of_view = |index: usize| {
+        move |error: Error| if count == 1 { error } else { within(format_args!("frames[{index}]"))(error) }
+    };
+    // SAFETY: as promised.
+    unsafe {
+        let frames = collected(read_all(frames, count, "frames")?, scratch)?;
+        let context = renderer.context();
+        let copy = |(index, frame)| Copied::of(frame, context, (scratch, kept)).map_err(of_view(index));
+        let copied = collected(frames.iter().enumerate().map(copy), scratch)?;
+        let scenes = copied.iter().enumerate();
+        let scenes = scenes.map(|(index, own)| own.scenes(scratch).map_err(of_view(index)));
+        let scenes = collected(scenes, scratch)?;
+        let copies = kept.copies();
+        let updates = copied.iter().map(|own| updates(&own.updates, &copies, scratch));
+        let updates = List::from_iter_in(updates, scratch);
+        let mut views = List::with_capacity_in(frames.len(), scratch);
+        for (index, own) in copied.iter().enumerate() {
+            // Views with the same list share it here: the engine recognizes it by its address.
+            let list = |f: &AshsplatRecordedFrame| (f.scenes, f.scene_count);
+            let first = frames.iter().position(|frame| list(frame) == list(own.frame)).unwrap_or(index);
+            views.push(own.recorded(&scenes[first], &updates[index]).map_err(of_view(index))?);
+        }
+        let commands = context.adopt_commands(vk::CommandBuffer::from_raw(commands as u64))?;
+        let mut left = List::from_iter_in(views.iter().map(|_| Release::default()), scratch);
+        renderer.record_views(commands, slot, &views, &mut left).map_err(names::frame_in_c)?;
+        let left = List::from_iter_in(left.iter().map(AshsplatRelease::from), scratch);
+        write_if(releases, "releases", &left)
     }
 }

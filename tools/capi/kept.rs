@@ -1,13 +1,30 @@
-//! Objects that a renderer keeps between recordings, so that recording allocates nothing on the heap.
+//! Memory that a renderer keeps between recordings, so that recording allocates nothing on the heap.
 
 use super::AshsplatHostBuffer;
 use ashsplat::Result;
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::Gaussians;
 use ashsplat::vk::{Buffer, Context};
-use std::cell::{Cell, RefCell};
+use std::cell::{Cell, Ref, RefCell};
 use std::collections::HashMap;
-use std::ops::{Deref, DerefMut};
+
+/// Arena for the lists of a recording. Another recording of the same size allocates nothing on the heap.
+pub(super) type Scratch = bumpalo::Bump;
+
+/// A list in the arena.
+pub(super) type List<'b, T> = bumpalo::collections::Vec<'b, T>;
+
+/// Collects an iterator's values, up to its first error.
+pub(super) fn collected<T>(
+    values: impl Iterator<Item = Result<T>>,
+    scratch: &Scratch,
+) -> Result<List<'_, T>> {
+    let mut all = List::with_capacity_in(values.size_hint().0, scratch);
+    for value in values {
+        all.push(value?);
+    }
+    Ok(all)
+}
 
 /// Objects unused for this many recordings are freed. Slots take turns, perhaps with their own masks and updates.
 const IDLE_RECORDINGS: u64 = 64;
@@ -37,8 +54,8 @@ impl Kept {
         }
     }
 
-    /// Arrays for the copy of the recording's next update. Dropping the copy returns their memory.
-    pub fn gaussians(&self) -> Copy<'_> {
+    /// Copies Gaussians into the arrays for the recording's next update. Returns their place among the copies.
+    pub fn copy(&self, copy: impl FnOnce(&mut Gaussians) -> Result<()>) -> Result<usize> {
         let place = self.updates.replace(self.updates.get() + 1);
         let mut copies = self.copies.borrow_mut();
         if copies.len() <= place {
@@ -46,7 +63,12 @@ impl Kept {
         }
         let (own, last_used) = &mut copies[place];
         *last_used = self.recordings.get();
-        Copy { own: std::mem::take(own), place, of: &self.copies }
+        copy(own).map(|()| place)
+    }
+
+    /// Copied Gaussians of all updates.
+    pub fn copies(&self) -> Ref<'_, Vec<(Gaussians, u64)>> {
+        self.copies.borrow()
     }
 
     /// Returns an adopted mask; adopts it on first use.
@@ -65,32 +87,5 @@ impl Kept {
         let adopted = unsafe { Buffer::adopt(context, "selection", raw, host.offset, host.bytes) }?;
         masks.insert(host, (adopted.clone(), now));
         Ok(adopted)
-    }
-}
-
-/// A copy of an update's Gaussians.
-pub(super) struct Copy<'a> {
-    own: Gaussians,
-    place: usize,
-    of: &'a RefCell<Vec<(Gaussians, u64)>>,
-}
-
-impl Deref for Copy<'_> {
-    type Target = Gaussians;
-
-    fn deref(&self) -> &Gaussians {
-        &self.own
-    }
-}
-
-impl DerefMut for Copy<'_> {
-    fn deref_mut(&mut self) -> &mut Gaussians {
-        &mut self.own
-    }
-}
-
-impl Drop for Copy<'_> {
-    fn drop(&mut self) {
-        self.of.borrow_mut()[self.place].0 = std::mem::take(&mut self.own);
     }
 }

@@ -1,11 +1,7 @@
 //! Kernels that are built ahead, in C.
 
-use super::structs::read;
-use super::{
-    AshsplatContext, AshsplatReservation, AshsplatStatus, borrowed, borrowed_mut, give, guarded, take,
-};
+use super::*;
 use ashsplat::vk::KernelJob;
-use ashsplat::{Error, Renderer};
 
 /// The kernels of a reservation, to be built on threads of the host's choice.
 pub struct AshsplatKernels(Vec<KernelJob>);
@@ -22,8 +18,7 @@ pub unsafe extern "C" fn ashsplat_kernels_new(
     kernels: *mut *mut AshsplatKernels,
     count: *mut u32,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (context, wanted) = (borrowed(context, "context")?, read(wanted, "wanted")?);
         let count = borrowed_mut(count, "count")?;
         give(kernels, "kernels", || {
@@ -43,8 +38,7 @@ pub unsafe extern "C" fn ashsplat_kernels_build(
     kernels: *const AshsplatKernels,
     index: u32,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let jobs = &borrowed(kernels, "kernels")?.0;
         let job = jobs.get(index as usize);
         let missing = || Error::argument("index", format!("{index}, there are {} kernels", jobs.len()));

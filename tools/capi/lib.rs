@@ -4,8 +4,6 @@
 //! [`ashsplat_last_error`] has the message; no panic crosses the boundary. Vulkan's handles have the same types as in C on
 //! 64-bit machines: dispatchable ones are pointers, the others 64-bit numbers.
 
-mod allocator;
-mod auxiliary;
 mod derivatives;
 mod foreign;
 mod frames;
@@ -14,43 +12,29 @@ mod kernels;
 mod measures;
 mod names;
 mod pointers;
-mod queue_lock;
-mod recorded_frames;
-mod scene_settings;
 mod scenes;
-mod scratch;
-mod settings;
 mod slots;
 mod structs;
-mod trained;
-mod trainers;
 mod training;
 mod trees;
 mod types;
 
-pub use allocator::{AshsplatAllocator, AshsplatMemory, AshsplatMemoryRequest};
-pub use auxiliary::*;
 pub use derivatives::*;
 pub use foreign::*;
 pub use frames::*;
 pub use kernels::*;
 pub use measures::*;
 pub use names::CALLS;
-pub use scene_settings::*;
 pub use scenes::*;
-pub use settings::*;
 pub use slots::*;
 pub use structs::{Defaults, STRUCTS};
-pub use trained::*;
-pub use trainers::*;
 pub use training::*;
 pub use trees::*;
 pub use types::*;
 
-use self::kept::Kept;
-use self::pointers::{borrowed, borrowed_mut, check_pointer, fill, give, rgb_floats, slice, take, text};
-use self::scratch::Scratch;
-use self::structs::{read, read_if, write};
+use self::kept::{Kept, Scratch};
+use self::pointers::*;
+use self::structs::*;
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{DeviceScene, Error, RenderSettings, Renderer, Result};
 use ashsplat_files::{Photo, PhotoFileFormat, splats};
@@ -81,12 +65,10 @@ impl Told {
         let kernel =
             |size: f32| format!("it was trained with the kernel size {size}: AshsplatRenderSettings has it");
         let [x, y, z] = file.frame.origin.to_array();
-        let is_distant = [x, y, z] != [0.0; 3];
-        let origin = is_distant.then(|| format!("positions are relative to {x},{y},{z}"));
+        let origin = ([x, y, z] != [0.0; 3]).then(|| format!("positions are relative to {x},{y},{z}"));
         let warnings: Vec<String> =
             file.warnings.iter().cloned().chain(file.header.kernel_size.map(kernel)).chain(origin).collect();
-        let warnings = CString::new(warnings.join("\n").replace('\0', " ")).unwrap_or_default();
-        Told { antialiased: file.header.antialiased, warnings }
+        Told { antialiased: file.header.antialiased, warnings: c_text(&warnings.join("\n")) }
     }
 
     /// # Safety
@@ -94,12 +76,8 @@ impl Told {
     unsafe fn tell(&self, antialiased: *mut bool, warnings: *mut *const c_char) {
         // SAFETY: as promised.
         unsafe {
-            if !antialiased.is_null() {
-                antialiased.write(self.antialiased);
-            }
-            if !warnings.is_null() {
-                warnings.write(self.warnings.as_ptr());
-            }
+            put_if(antialiased, self.antialiased);
+            put_if(warnings, self.warnings.as_ptr());
         }
     }
 }
@@ -119,8 +97,17 @@ thread_local! {
     static LAST_LOSS: RefCell<CString> = RefCell::default();
 }
 
+/// Runs the body of an exported function and stores its error. The body is unsafe code.
+macro_rules! guarded {
+    ($body:block) => {
+        // SAFETY: the function's `# Safety` says what the host promises.
+        $crate::guard(|| unsafe { $body })
+    };
+}
+pub(crate) use guarded;
+
 /// Runs a function and stores its error.
-fn guarded(f: impl FnOnce() -> Result<()>) -> AshsplatStatus {
+fn guard(f: impl FnOnce() -> Result<()>) -> AshsplatStatus {
     let (status, message) = match catch_unwind(AssertUnwindSafe(f)) {
         Ok(Ok(())) => return AshsplatStatus::Ok,
         Ok(Err(error)) => (status_of(&error), names::said_in_c(error)),
@@ -130,9 +117,13 @@ fn guarded(f: impl FnOnce() -> Result<()>) -> AshsplatStatus {
             (AshsplatStatus::Internal, format!("internal error: {}", text.unwrap_or_default()))
         }
     };
-    let message = CString::new(message.replace('\0', " ")).unwrap_or_default();
-    LAST_ERROR.with(|last| *last.borrow_mut() = message);
+    LAST_ERROR.set(c_text(&message));
     status
+}
+
+/// A text that C can read, where a zero ends it.
+fn c_text(text: &str) -> CString {
+    CString::new(text.replace('\0', " ")).unwrap_or_default()
 }
 
 fn status_of(error: &Error) -> AshsplatStatus {
@@ -182,8 +173,7 @@ pub unsafe extern "C" fn ashsplat_context_new(
     device: *const c_char,
     context: *mut *mut AshsplatContext,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         give(context, "context", || {
             let device = if device.is_null() { None } else { Some(text(device, "device")?.to_owned()) };
             // Frames of this context can be recorded even on a processor.
@@ -215,8 +205,7 @@ pub unsafe extern "C" fn ashsplat_scene_load(
     path: *const c_char,
     scene: *mut *mut AshsplatScene,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (context, path) = (borrowed(context, "context")?, text(path, "path")?);
         give(scene, "scene", || {
             let file = splats::read(path, &splats::ReadOptions::default())?;
@@ -226,7 +215,7 @@ pub unsafe extern "C" fn ashsplat_scene_load(
     })
 }
 
-/// What the file of a scene says. `antialiased`: whether it was trained with antialiasing, and is to be rendered with it
+/// Notes of a scene's file. `antialiased`: whether it was trained with antialiasing, and is to be rendered with it
 /// (AshsplatRenderSettings.antialias). `warnings`: one line each, an empty text without; it lives as long as the scene. Either pointer
 /// may be NULL.
 ///
@@ -238,8 +227,7 @@ pub unsafe extern "C" fn ashsplat_scene_told(
     antialiased: *mut bool,
     warnings: *mut *const c_char,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         borrowed(scene, "scene")?.told.tell(antialiased, warnings);
         Ok(())
     })
@@ -255,15 +243,10 @@ pub unsafe extern "C" fn ashsplat_scene_size(
     gaussians: *mut u32,
     sh_degree: *mut u32,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        let scene = borrowed(scene, "scene")?;
-        if let Some(gaussians) = gaussians.as_mut() {
-            *gaussians = scene.scene.count();
-        }
-        if let Some(sh_degree) = sh_degree.as_mut() {
-            *sh_degree = scene.scene.plan().sh_degree;
-        }
+    guarded!({
+        let scene = &borrowed(scene, "scene")?.scene;
+        put_if(gaussians, scene.count());
+        put_if(sh_degree, scene.plan().sh_degree);
         Ok(())
     })
 }
@@ -287,8 +270,7 @@ pub unsafe extern "C" fn ashsplat_renderer_new(
     context: *const AshsplatContext,
     renderer: *mut *mut AshsplatRenderer,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let context = borrowed(context, "context")?;
         give(renderer, "renderer", || {
             Renderer::new(&context.0)
@@ -322,8 +304,7 @@ pub unsafe extern "C" fn ashsplat_camera_look_at(
     height: u32,
     camera: *mut AshsplatCamera,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let vector = |v, what| Ok::<_, Error>(glam::Vec3::from_slice(slice(v, 3, what)?));
         let (eye, target, up) = (vector(eye, "eye")?, vector(target, "target")?, vector(up, "up")?);
         if !(fov_x > 0.0 && fov_x < std::f32::consts::PI) {
@@ -352,8 +333,7 @@ unsafe fn frame(
 ) -> Result<(ashsplat::Camera, RenderSettings)> {
     // SAFETY: as promised.
     unsafe {
-        let camera = read(camera, "camera")?.known()?;
-        camera.check()?;
+        let camera = read(camera, "camera")?.checked("camera")?;
         let settings = read_if(settings, "settings")?.map(|settings| settings.checked()).transpose()?;
         let mut settings: RenderSettings = settings.unwrap_or_default();
         settings.background.copy_from_slice(slice(background, 3, "background")?);
@@ -376,8 +356,7 @@ pub unsafe extern "C" fn ashsplat_render(
     background: *const f32,
     rgb: *mut f32,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
         let (camera, settings) = frame(camera, settings, background)?;
         check_pointer(rgb, "rgb")?;
@@ -394,8 +373,7 @@ pub unsafe extern "C" fn ashsplat_render(
 /// `renderer` is alive.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_shrink(renderer: *mut AshsplatRenderer) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         borrowed_mut(renderer, "renderer")?.0.shrink();
         Ok(())
     })
@@ -412,8 +390,7 @@ pub unsafe extern "C" fn ashsplat_write_png(
     height: u32,
     rgb: *const f32,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let floats = slice(rgb, rgb_floats(width, height)?, "rgb")?;
         let (pixels, _) = floats.as_chunks::<3>();
         Photo::from_f32(width, height, pixels)?.write_png(text(path, "path")?)

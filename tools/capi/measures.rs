@@ -1,11 +1,8 @@
 //! Distance of two pictures, in C: LPIPS.
 
-use super::{
-    AshsplatContext, AshsplatStatus, borrowed, borrowed_mut, give, guarded, rgb_floats, slice, take, text,
-};
-use ashsplat::lpips::{Lpips, Weights};
+use super::*;
+use ashsplat::passes::lpips::{Lpips, Weights};
 use ashsplat_files::{HostMemory, WeightsFile};
-use std::ffi::{CString, c_char};
 
 /// A network of LPIPS with its weights on a device.
 pub struct AshsplatLpips(Lpips, CString);
@@ -21,8 +18,7 @@ pub unsafe extern "C" fn ashsplat_lpips_new(
     weights: *const c_char,
     lpips: *mut *mut AshsplatLpips,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (context, path) = (borrowed(context, "context")?, text(weights, "weights")?);
         give(lpips, "lpips", || {
             let weights = Weights::read(path, &HostMemory::default())?;
@@ -42,7 +38,7 @@ pub unsafe extern "C" fn ashsplat_lpips_free(lpips: *mut AshsplatLpips) {
     unsafe { take(lpips) }
 }
 
-/// What ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of values from 0 to
+/// Name of what ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of values from 0 to
 /// 1, as the reference implementation. The name lives as long as `lpips`.
 ///
 /// # Safety
@@ -52,11 +48,7 @@ pub unsafe extern "C" fn ashsplat_lpips_name(
     lpips: *const AshsplatLpips,
     name: *mut *const c_char,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        *borrowed_mut(name, "name")? = borrowed(lpips, "lpips")?.1.as_ptr();
-        Ok(())
-    })
+    guarded!({ put(name, "name", borrowed(lpips, "lpips")?.1.as_ptr()) })
 }
 
 /// LPIPS of two pictures of one size, from red, green and blue of each pixel between 0 and 1, row by row: 0 for equal ones. Values
@@ -73,8 +65,7 @@ pub unsafe extern "C" fn ashsplat_lpips_distance(
     height: u32,
     distance: *mut f64,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (lpips, floats) = (borrowed_mut(lpips, "lpips")?, rgb_floats(width, height)?);
         let pictures = [slice(a, floats, "a")?.as_chunks().0, slice(b, floats, "b")?.as_chunks().0];
         let distance = borrowed_mut(distance, "distance")?;

@@ -25,6 +25,15 @@ const ARGUMENTS: [(&str, &str); 6] = [
     ("picture for LPIPS", "width, height"),
 ];
 
+/// Fields with other names in C.
+const FIELDS: [(&str, &str); 5] = [
+    ("target.encoding.exposure", "target.exposure"),
+    ("target.behind", "target.background"),
+    (".selection.mask (buffer 'selection')", ".selection"),
+    (".selection.color", ".selection_color"),
+    (".selection.share", ".selection_share"),
+];
+
 /// Rewrites a message with C names.
 pub(super) fn said_in_c(error: Error) -> String {
     let error = match error {
@@ -41,4 +50,36 @@ pub(super) fn said_in_c(error: Error) -> String {
     // A field of a reservation.
     let said = error.to_string().replace("Reservation::", "AshsplatReservation.");
     CALLS.iter().fold(said, |said, (rust, c)| said.replace(rust, c))
+}
+
+/// Rewrites an error of a frame with the parameters' names in C. Most fields have the same name in both languages. In C a pose
+/// is no single field, and a selection has several.
+pub(super) fn frame_in_c(error: Error) -> Error {
+    let named = |what: &str| {
+        let what = match what.strip_prefix("views") {
+            Some(rest) if rest.is_empty() || rest.starts_with('[') => format!("frames{rest}"),
+            _ => what.to_owned(),
+        };
+        let what = what.strip_suffix(".pose").map(str::to_owned).unwrap_or(what);
+        FIELDS.iter().fold(what, |what, (rust, c)| what.replace(rust, c))
+    };
+    match error {
+        Error::Argument { what, problem } => {
+            let what = match what.strip_suffix(".volume") {
+                Some(cut_out) if problem.starts_with("an offset") => format!("{cut_out}.offset"),
+                Some(cut_out) if problem.starts_with("a ") => format!("{cut_out}.size"),
+                _ => what,
+            };
+            // The problem may name other views.
+            let problem = problem.replace("views[", "frames[");
+            let problem = ["adopted for ", ", not for "]
+                .into_iter()
+                .fold(problem, |said, words| said.replace(words, &format!("{words}AshsplatImageUse_")));
+            Error::argument(named(&what), problem)
+        }
+        Error::TooLarge { what, needed, unit, limit, limit_name } => {
+            Error::TooLarge { what: named(&what), needed, unit, limit, limit_name }
+        }
+        other => other,
+    }
 }

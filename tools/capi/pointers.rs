@@ -4,13 +4,17 @@ use ashsplat::{Error, Result};
 use std::ffi::{CStr, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+fn null(what: &str) -> Error {
+    Error::argument(what, "the pointer is null")
+}
+
 /// The object behind a pointer.
 ///
 /// # Safety
 /// The pointer is null or valid for the call.
 pub(super) unsafe fn borrowed<'a, T>(pointer: *const T, what: &str) -> Result<&'a T> {
     // SAFETY: as promised.
-    unsafe { pointer.as_ref() }.ok_or_else(|| Error::argument(what, "the pointer is null"))
+    unsafe { pointer.as_ref() }.ok_or_else(|| null(what))
 }
 
 /// The object behind a pointer, to change it.
@@ -19,7 +23,7 @@ pub(super) unsafe fn borrowed<'a, T>(pointer: *const T, what: &str) -> Result<&'
 /// The pointer is null or valid for the call, and the object has no other user meanwhile.
 pub(super) unsafe fn borrowed_mut<'a, T>(pointer: *mut T, what: &str) -> Result<&'a mut T> {
     // SAFETY: as promised.
-    unsafe { pointer.as_mut() }.ok_or_else(|| Error::argument(what, "the pointer is null"))
+    unsafe { pointer.as_mut() }.ok_or_else(|| null(what))
 }
 
 /// The objects behind a pointer and a count.
@@ -29,10 +33,16 @@ pub(super) unsafe fn borrowed_mut<'a, T>(pointer: *mut T, what: &str) -> Result<
 pub(super) unsafe fn slice<'a, T>(pointer: *const T, count: usize, what: &str) -> Result<&'a [T]> {
     match (pointer.is_null(), count) {
         (_, 0) => Ok(&[]),
-        (true, _) => Err(Error::argument(what, "the pointer is null")),
+        (true, _) => Err(null(what)),
         // SAFETY: as promised.
         (false, _) => Ok(unsafe { std::slice::from_raw_parts(pointer, count) }),
     }
+}
+
+/// Same as [`slice`], with the same promise, but the pointer may be null.
+pub(super) unsafe fn slice_if<'a, T>(pointer: *const T, count: usize, what: &str) -> Result<Option<&'a [T]>> {
+    // SAFETY: as promised.
+    if pointer.is_null() { Ok(None) } else { unsafe { slice(pointer, count, what) }.map(Some) }
 }
 
 /// Number of floats in an RGB picture.
@@ -43,8 +53,29 @@ pub(super) fn rgb_floats(width: u32, height: u32) -> Result<usize> {
 }
 
 /// Refuses a null pointer for results, before the work.
-pub(super) fn check_pointer<T>(pointer: *mut T, what: &str) -> Result<()> {
-    if pointer.is_null() { Err(Error::argument(what, "the pointer is null")) } else { Ok(()) }
+pub(super) fn check_pointer<T>(pointer: *const T, what: &str) -> Result<()> {
+    if pointer.is_null() { Err(null(what)) } else { Ok(()) }
+}
+
+/// Writes an answer.
+///
+/// # Safety
+/// `to` is null or valid for a write.
+pub(super) unsafe fn put<T>(to: *mut T, what: &str, answer: T) -> Result<()> {
+    // SAFETY: as promised.
+    *unsafe { borrowed_mut(to, what)? } = answer;
+    Ok(())
+}
+
+/// Writes an answer, unless the host does not ask for it.
+///
+/// # Safety
+/// `to` is null or valid for a write.
+pub(super) unsafe fn put_if<T>(to: *mut T, answer: T) {
+    // SAFETY: as promised.
+    if let Some(to) = unsafe { to.as_mut() } {
+        *to = answer;
+    }
 }
 
 /// Writes numbers into a host's array.
@@ -61,9 +92,7 @@ pub(super) unsafe fn fill(to: *mut f32, from: &[f32]) {
 /// # Safety
 /// The pointer is null or a C string.
 pub(super) unsafe fn text<'a>(pointer: *const c_char, what: &str) -> Result<&'a str> {
-    if pointer.is_null() {
-        return Err(Error::argument(what, "the pointer is null"));
-    }
+    check_pointer(pointer, what)?;
     // SAFETY: as promised.
     let text = unsafe { CStr::from_ptr(pointer) };
     text.to_str().map_err(|_| Error::argument(what, "is not UTF-8"))

@@ -1,16 +1,180 @@
-//! Scenes that a host makes, changes and owns, in C.
+//! Scenes that a host makes, changes and owns, and how a frame draws each, in C.
 
-use super::kept::{self, Kept};
-use super::scratch::{List, Scratch, collected};
-use super::structs::{named, read, read_all, within, write};
-use super::{
-    AshsplatContext, AshsplatGaussians, AshsplatHostBuffer, AshsplatScene, AshsplatScenePlan, AshsplatStatus,
-    AshsplatUpdate, borrowed, borrowed_mut, give, guarded, slice,
-};
+use super::*;
+use crate::kept::{List, collected};
 use ashsplat::ash::{vk, vk::Handle};
-use ashsplat::scene::Gaussians;
+use ashsplat::scene::{CutOut, Gaussians, Inside, MAX_CUT_OUTS, Volume};
 use ashsplat::vk::Buffer;
-use ashsplat::{DeviceScene, Error, Reservation, Result, Update};
+use ashsplat::{Reservation, SceneSettings, Selection, Update};
+use glam::Vec3;
+
+/// The shape of a volume.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatVolume {
+    /// A box around the origin of its own axes.
+    Box = 0,
+    /// An ellipsoid around the origin.
+    Ellipsoid = 1,
+    /// The points x with normal x <= offset.
+    HalfSpace = 2,
+}
+
+/// A volume that keeps or removes the Gaussians whose means lie inside. A Gaussian is drawn if it lies in some volume that keeps
+/// (when there are any) and in none that removes.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatCutOut {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// True if what lies inside is removed, instead of kept.
+    pub removes: bool,
+    /// An AshsplatVolume.
+    pub volume: u32,
+    /// Half of the size along each of its axes, positive; of a half-space the normal, out of it, of any length but 0.
+    pub size: [f32; 3],
+    /// A half-space's plane is normal x = offset. It lies at offset / |normal| along the normal: a distance in units of
+    /// the volume if the normal has length 1.
+    pub offset: f32,
+    /// From its axes to the scene's own, before the scene's pose: a rotation, row by row.
+    pub scene_from_volume: [f32; 9],
+    /// Its origin, units of the scene.
+    pub translation: [f32; 3],
+    /// Units of the scene per unit of the volume: 1 for no scaling.
+    pub scale: f32,
+}
+
+/// How one scene of a frame is drawn; by default as it is.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatSceneSettings {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// True if it is drawn. A scene that is not takes no Gaussians of the reservation and no time on the device. It counts
+    /// among its scenes, and the others keep their places.
+    pub visible: bool,
+    /// Factors of red, green and blue, 0 to 1000 each, of the colours as trained. The product is at most 65504.
+    pub tint: [f32; 3],
+    /// Factor of the opacities, 0 to 1; 0 is as not visible.
+    pub opacity: f32,
+    /// Highest evaluated SH degree: 3 for all stored degrees.
+    pub sh_degree: u32,
+    /// How many cut-outs, at most 16.
+    pub cut_out_count: u32,
+    /// Volumes that keep or remove Gaussians.
+    pub cut_outs: *const AshsplatCutOut,
+    /// A bit per Gaussian of the scene, set where it has another colour: bit i % 32 of the word i / 32. A buffer with the usages
+    /// STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, of whole words for all Gaussians; or NULL. It is destroyed after
+    /// ashsplat_slot_release of every slot that was recorded with it.
+    pub selection: *const AshsplatHostBuffer,
+    /// The other colour, as trained, 0 to 65504 each.
+    pub selection_color: [f32; 3],
+    /// Its share in the drawn colour, 0 to 1.
+    pub selection_share: f32,
+}
+
+/// A scene's settings and the converted objects that they point to.
+pub(super) struct Pointees<'b> {
+    settings: Option<AshsplatSceneSettings>,
+    cut_outs: List<'b, CutOut>,
+    mask: Option<Buffer>,
+}
+
+impl AshsplatCutOut {
+    fn checked(&self, name: impl std::fmt::Display) -> Result<CutOut> {
+        let size = Vec3::from(self.size);
+        let volumes = [
+            Volume::Box { half_size: size },
+            Volume::Ellipsoid { radii: size },
+            Volume::HalfSpace { normal: size, offset: self.offset },
+        ];
+        let pose = pose_of(&self.scene_from_volume, self.translation, self.scale);
+        let inside = if self.removes { Inside::Removed } else { Inside::Kept };
+        Ok(CutOut { volume: one_of(format_args!("{name}.volume"), self.volume, &volumes)?, pose, inside })
+    }
+}
+
+/// Converts the objects that each scene's settings point to.
+///
+/// # Safety
+/// The settings are NULL or valid with all that they point to; masks meet the requirements of [`Buffer::adopt`].
+pub(super) unsafe fn pointees<'b>(
+    placed: &[AshsplatPlaced],
+    context: &Context,
+    (scratch, kept): (&'b Scratch, &Kept),
+) -> Result<List<'b, Pointees<'b>>> {
+    let of = |(place, placed): (usize, &AshsplatPlaced)| {
+        // SAFETY: as promised.
+        let settings = unsafe { read_if(placed.settings, "settings") };
+        let Some(settings) = settings.map_err(within(format_args!("scenes[{place}]")))? else {
+            return Ok(Pointees { settings: None, cut_outs: List::new_in(scratch), mask: None });
+        };
+        let field = || format!("scenes[{place}].settings.cut_outs");
+        let count = settings.cut_out_count as usize;
+        // Checked before that many are read.
+        if count > MAX_CUT_OUTS {
+            return Err(Error::argument(field(), format!("{count} of them, there may be {MAX_CUT_OUTS}")));
+        }
+        // SAFETY: as promised.
+        let own = unsafe { read_all(settings.cut_outs, settings.cut_out_count, "cut_outs") };
+        let own = own.and_then(|all| collected(all, scratch));
+        let own = own.map_err(within(format_args!("scenes[{place}].settings")))?;
+        let checked = |(index, cut_out): (usize, &AshsplatCutOut)| {
+            cut_out.checked(format_args!("scenes[{place}].settings.cut_outs[{index}]"))
+        };
+        let cut_outs = collected(own.iter().enumerate().map(checked), scratch)?;
+        // SAFETY: as promised.
+        let mask = unsafe { settings.selection.as_ref() }.map(|mask| {
+            // SAFETY: as promised.
+            let mask = unsafe { kept.mask(context, *mask) };
+            mask.map_err(named(format_args!("scenes[{place}].settings.selection")))
+        });
+        Ok(Pointees { settings: Some(settings), cut_outs, mask: mask.transpose()? })
+    };
+    collected(placed.iter().enumerate().map(of), scratch)
+}
+
+/// Converts a scene's settings.
+pub(super) fn settings_of<'a>(own: &'a Pointees<'_>) -> SceneSettings<'a> {
+    own.settings.as_ref().map_or_else(SceneSettings::default, |settings| SceneSettings {
+        visible: settings.visible,
+        tint: settings.tint,
+        opacity: settings.opacity,
+        sh_degree: Some(settings.sh_degree),
+        cut_outs: &own.cut_outs,
+        selection: own.mask.as_ref().map(|mask| {
+            let (color, share) = (settings.selection_color, settings.selection_share);
+            Selection { mask, color, share }
+        }),
+    })
+}
+
+/// A cut-out whose pose is one in the world, for a scene that is placed there: `placed` needs no scene.
+///
+/// # Safety
+/// `cut_out` and `placed` are alive, `in_scene` is valid for a write; it may be `cut_out`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_cut_out_in_scene(
+    cut_out: *const AshsplatCutOut,
+    placed: *const AshsplatPlaced,
+    in_scene: *mut AshsplatCutOut,
+) -> AshsplatStatus {
+    guarded!({
+        let (own, scene) = (read(cut_out, "cut_out")?, read(placed, "placed")?.pose());
+        let in_world = own.checked("cut_out")?;
+        in_world.pose.check().map_err(within("cut_out"))?;
+        scene.check().map_err(within("placed"))?;
+        let CutOut { pose, .. } = in_world.in_scene(&scene);
+        pose.check().map_err(within("in_scene"))?;
+        let moved = AshsplatCutOut {
+            scene_from_volume: pose.world_from_object.transpose().to_cols_array(),
+            translation: pose.translation.to_array(),
+            scale: pose.scale,
+            ..own
+        };
+        write(in_scene, "in_scene", moved)
+    })
+}
 
 /// Converts a host's Gaussians.
 ///
@@ -22,10 +186,7 @@ pub(super) unsafe fn gaussians(host: &AshsplatGaussians) -> Result<Gaussians> {
     unsafe { copy_into(&mut own, host) }.map(|()| own)
 }
 
-/// Copies a host's Gaussians over `own`, in its memory.
-///
-/// # Safety
-/// Same as for [`gaussians`].
+/// Copies a host's Gaussians over `own`, in its memory. The promise is that of [`gaussians`].
 unsafe fn copy_into(own: &mut Gaussians, host: &AshsplatGaussians) -> Result<()> {
     if host.sh_degree > 3 {
         return Err(Error::argument("sh_degree", format!("{} is above 3", host.sh_degree)));
@@ -35,22 +196,22 @@ unsafe fn copy_into(own: &mut Gaussians, host: &AshsplatGaussians) -> Result<()>
     // SAFETY: as promised.
     unsafe {
         let floats = |pointer, per_gaussian: usize, what| slice(pointer, per_gaussian * count, what);
-        own.means.clear();
-        own.means.extend_from_slice(floats(host.means, 3, "means")?.as_chunks().0);
-        own.quats.clear();
-        own.quats.extend_from_slice(floats(host.quats, 4, "quats")?.as_chunks().0);
-        own.log_scales.clear();
-        own.log_scales.extend_from_slice(floats(host.log_scales, 3, "log_scales")?.as_chunks().0);
-        own.opacity_logits.clear();
-        own.opacity_logits.extend_from_slice(floats(host.opacity_logits, 1, "opacity_logits")?);
-        own.sh.clear();
-        own.sh.extend_from_slice(floats(host.sh, 3 * coefficients, "sh")?.as_chunks().0);
+        replace(&mut own.means, floats(host.means, 3, "means")?.as_chunks().0);
+        replace(&mut own.quats, floats(host.quats, 4, "quats")?.as_chunks().0);
+        replace(&mut own.log_scales, floats(host.log_scales, 3, "log_scales")?.as_chunks().0);
+        replace(&mut own.opacity_logits, floats(host.opacity_logits, 1, "opacity_logits")?);
+        replace(&mut own.sh, floats(host.sh, 3 * coefficients, "sh")?.as_chunks().0);
     }
     Ok(())
 }
 
-/// An update: its scene, first Gaussian, and copied Gaussians.
-pub(super) type Copied<'a> = (&'a DeviceScene, u32, kept::Copy<'a>);
+fn replace<T: Clone>(own: &mut Vec<T>, values: &[T]) {
+    own.clear();
+    own.extend_from_slice(values);
+}
+
+/// An update: its scene, first Gaussian, and the place of its Gaussians among [`Kept::copies`].
+pub(super) type Copied<'a> = (&'a DeviceScene, u32, usize);
 
 /// Copies a frame's updates.
 ///
@@ -58,15 +219,15 @@ pub(super) type Copied<'a> = (&'a DeviceScene, u32, kept::Copy<'a>);
 /// Same as for [`gaussians`], for each update; the scenes are alive.
 pub(super) unsafe fn copied<'a>(
     updates: &[AshsplatUpdate],
-    (scratch, kept): (&'a Scratch, &'a Kept),
+    (scratch, kept): (&'a Scratch, &Kept),
 ) -> Result<List<'a, Copied<'a>>> {
     let copy = |(place, u): (usize, &AshsplatUpdate)| {
         // SAFETY: as promised.
         let copied = unsafe {
             borrowed(u.scene, "scene").and_then(|scene| {
-                let mut own = kept.gaussians();
-                copy_into(&mut own, &read(u.gaussians, "gaussians")?).map_err(within("gaussians"))?;
-                Ok((&scene.scene, u.first, own))
+                let host = read(u.gaussians, "gaussians")?;
+                let copy = kept.copy(|own| copy_into(own, &host)).map_err(within("gaussians"))?;
+                Ok((&scene.scene, u.first, copy))
             })
         };
         copied.map_err(within(format_args!("updates[{place}]")))
@@ -75,9 +236,13 @@ pub(super) unsafe fn copied<'a>(
 }
 
 /// Converts copied updates.
-pub(super) fn updates<'a>(copied: &'a [Copied<'a>], scratch: &'a Scratch) -> List<'a, Update<'a>> {
-    let updates = copied.iter().map(|(scene, first, own)| Update { scene, first: *first, gaussians: own });
-    List::from_iter_in(updates, scratch)
+pub(super) fn updates<'a>(
+    copied: &[Copied<'a>],
+    copies: &'a [(Gaussians, u64)],
+    scratch: &'a Scratch,
+) -> List<'a, Update<'a>> {
+    let update = |&(scene, first, copy): &Copied<'a>| Update { scene, first, gaussians: &copies[copy].0 };
+    List::from_iter_in(copied.iter().map(update), scratch)
 }
 
 /// Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and
@@ -93,8 +258,7 @@ pub unsafe extern "C" fn ashsplat_scene_new(
     capacity: u32,
     scene: *mut *mut AshsplatScene,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (context, host) = (borrowed(context, "context")?, read(gaussians, "gaussians")?);
         give(scene, "scene", || {
             let made = match host.count {
@@ -120,15 +284,15 @@ pub unsafe extern "C" fn ashsplat_scenes_new(
     count: u32,
     scenes: *mut *mut AshsplatScene,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         if count > 0 && scenes.is_null() {
             return Err(Error::argument("scenes", "the pointer is null"));
         }
         for place in 0..count as usize {
             scenes.add(place).write(std::ptr::null_mut());
         }
-        let (context, hosts) = (borrowed(context, "context")?, read_all(gaussians, count, "gaussians")?);
+        let context = borrowed(context, "context")?;
+        let hosts = read_all(gaussians, count, "gaussians")?.collect::<Result<Vec<_>>>()?;
         let copy = |(place, host): (usize, &AshsplatGaussians)| {
             self::gaussians(host).map_err(within(format_args!("gaussians[{place}]")))
         };
@@ -152,8 +316,7 @@ pub unsafe extern "C" fn ashsplat_scene_in_context(
     context: *const AshsplatContext,
     shared: *mut *mut AshsplatScene,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (scene, context) = (borrowed(scene, "scene")?, borrowed(context, "context")?);
         give(shared, "shared", || scene.scene.in_context(&context.0).map(AshsplatScene::of))
     })
@@ -170,16 +333,12 @@ pub unsafe extern "C" fn ashsplat_scene_plan(
     sh_degree: u32,
     plan: *mut AshsplatScenePlan,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let made = DeviceScene::plan_for(&borrowed(context, "context")?.0, capacity, sh_degree)?;
-        let told = AshsplatScenePlan {
-            chunks: made.chunks,
-            planes: made.planes,
-            chunk_gaussians: made.chunk_gaussians,
+        let told = same_fields!(made => AshsplatScenePlan { chunks, planes, chunk_gaussians } with {
             chunk_bytes: made.chunk_bytes(),
             ..AshsplatScenePlan::default()
-        };
+        });
         write(plan, "plan", told)
     })
 }
@@ -203,8 +362,7 @@ pub unsafe extern "C" fn ashsplat_scene_from_buffers(
     buffer_count: u32,
     scene: *mut *mut AshsplatScene,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let context = &borrowed(context, "context")?.0;
         let buffers = slice(buffers, buffer_count as usize, "buffers")?;
         give(scene, "scene", || {
@@ -226,8 +384,7 @@ pub unsafe extern "C" fn ashsplat_scene_from_buffers(
 /// `scene` is alive.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_scene_set_count(scene: *mut AshsplatScene, count: u32) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe { borrowed_mut(scene, "scene")?.scene.set_count(count) })
+    guarded!({ borrowed_mut(scene, "scene")?.scene.set_count(count) })
 }
 
 /// Staging bytes of an update of `gaussians` Gaussians of a scene of this degree, for AshsplatReservation.

@@ -1,38 +1,21 @@
 //! Frames in flight, in C.
 
-use super::structs::{read, write};
-use super::{
-    AshsplatHostBuffer, AshsplatRenderer, AshsplatReservation, AshsplatSlotReport, AshsplatStatus, borrowed,
-    borrowed_mut, guarded,
-};
+use super::*;
+use ashsplat::Reservation;
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::vk::Buffer;
-use ashsplat::{Reservation, Result};
 
 impl From<&AshsplatReservation> for Reservation {
     fn from(w: &AshsplatReservation) -> Self {
-        Self {
-            slots: w.slots,
-            queues: w.queues,
-            scenes: w.scenes,
-            instances: w.instances,
-            blend_passes: w.blend_passes,
-            inverse_depth: w.inverse_depth,
-            occlusion: w.occlusion,
-            expected_depth: w.expected_depth,
-            images_only: w.images_only,
-            tint: w.tint,
-            cut_outs: w.cut_outs,
-            selection: w.selection,
-            pick: w.pick,
-            motion: w.motion,
-            orthographic: w.orthographic,
-            staging_bytes: w.staging_bytes,
+        same_fields!(w => Self {
+            slots, queues, scenes, instances, blend_passes, inverse_depth, occlusion, expected_depth, images_only, tint,
+            cut_outs, selection, pick, motion, orthographic, staging_bytes,
+        } with {
             views: w.views.max(1),
             shared_sort: w.shared_sort != 0,
             filter_3d: w.filter_3d != 0,
             ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
-        }
+        })
     }
 }
 
@@ -46,14 +29,13 @@ pub unsafe extern "C" fn ashsplat_reserve(
     renderer: *mut AshsplatRenderer,
     wanted: *const AshsplatReservation,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (renderer, wanted) = (borrowed_mut(renderer, "renderer")?, read(wanted, "wanted")?);
         renderer.0.reserve(&(&wanted).into())
     })
 }
 
-/// As ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
+/// Same as ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
 /// recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay. What is wanted
 /// replaces what was reserved: less than before gives memory back.
 ///
@@ -64,8 +46,7 @@ pub unsafe extern "C" fn ashsplat_grow(
     renderer: *mut AshsplatRenderer,
     wanted: *const AshsplatReservation,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (renderer, wanted) = (borrowed_mut(renderer, "renderer")?, read(wanted, "wanted")?);
         renderer.0.grow(&(&wanted).into())
     })
@@ -82,8 +63,7 @@ pub unsafe extern "C" fn ashsplat_reservation_grown(
     report: *const AshsplatSlotReport,
     grown: *mut AshsplatReservation,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (reservation, report) = (read(reservation, "reservation")?, read(report, "report")?);
         let Reservation { instances, blend_passes, .. } =
             Reservation::from(&reservation).grown(&(&report).into());
@@ -101,15 +81,13 @@ pub unsafe extern "C" fn ashsplat_reservation_bytes(
     wanted: *const AshsplatReservation,
     bytes: *mut u64,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (renderer, wanted) = (borrowed(renderer, "renderer")?, read(wanted, "wanted")?);
-        *borrowed_mut(bytes, "bytes")? = renderer.0.reservation_bytes(&(&wanted).into())?;
-        Ok(())
+        put(bytes, "bytes", renderer.0.reservation_bytes(&(&wanted).into())?)
     })
 }
 
-/// As ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's. Beside
+/// Same as ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's. Beside
 /// it there are, for each slot, 36 bytes for each view that the host can read, and `staging_bytes`.
 ///
 /// # Safety
@@ -123,8 +101,7 @@ pub unsafe extern "C" fn ashsplat_reserve_in(
     block: *const AshsplatHostBuffer,
     grow: bool,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let renderer = &mut borrowed_mut(renderer, "renderer")?.0;
         let (wanted, block) = ((&read(wanted, "wanted")?).into(), borrowed(block, "block")?);
         let raw = vk::Buffer::from_raw(block.buffer);
@@ -144,8 +121,7 @@ pub unsafe extern "C" fn ashsplat_slot_report(
     slot: u32,
     report: *mut AshsplatSlotReport,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let made = borrowed_mut(renderer, "renderer")?.0.slot_report(slot)?;
         write(report, "report", made.map(AshsplatSlotReport::from).unwrap_or_default())
     })
@@ -167,18 +143,14 @@ pub unsafe extern "C" fn ashsplat_slot_pixels(
     buffer: *mut u64,
     offset: *mut u64,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        let pixels = borrowed_mut(renderer, "renderer")?.0.slot_pixels(slot)?;
-        tell(&pixels, buffer, offset)
-    })
+    guarded!({ tell(&borrowed_mut(renderer, "renderer")?.0.slot_pixels(slot)?, buffer, offset) })
 }
 
 /// The VkBuffer with the sum of weights / z (AshsplatRenderSettings), and the byte offset in it: a float for
 /// each pixel, row by row.
 ///
 /// # Safety
-/// As ashsplat_slot_pixels.
+/// Same as for ashsplat_slot_pixels.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_slot_inverse_depth(
     renderer: *mut AshsplatRenderer,
@@ -186,11 +158,7 @@ pub unsafe extern "C" fn ashsplat_slot_inverse_depth(
     buffer: *mut u64,
     offset: *mut u64,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        let sums = borrowed_mut(renderer, "renderer")?.0.slot_inverse_depth(slot)?;
-        tell(&sums, buffer, offset)
-    })
+    guarded!({ tell(&borrowed_mut(renderer, "renderer")?.0.slot_inverse_depth(slot)?, buffer, offset) })
 }
 
 /// # Safety
@@ -199,14 +167,13 @@ unsafe fn tell(found: &Buffer, buffer: *mut u64, offset: *mut u64) -> Result<()>
     let (raw, bytes) = found.handle();
     // SAFETY: as promised.
     unsafe {
-        *borrowed_mut(buffer, "buffer")? = raw.as_raw();
-        *borrowed_mut(offset, "offset")? = bytes;
+        put(buffer, "buffer", raw.as_raw())?;
+        put(offset, "offset", bytes)
     }
-    Ok(())
 }
 
-/// Whether the last frame of a slot has finished. Commands that the host has recorded after it may still run.
-/// Never waits.
+/// Says whether the last frame of a slot has finished. Commands that the host has recorded after it may
+/// still run. Never waits.
 ///
 /// # Safety
 /// `renderer` is alive, `finished` valid for a write.
@@ -216,11 +183,7 @@ pub unsafe extern "C" fn ashsplat_slot_finished(
     slot: u32,
     finished: *mut bool,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        *borrowed_mut(finished, "finished")? = borrowed_mut(renderer, "renderer")?.0.slot_finished(slot)?;
-        Ok(())
-    })
+    guarded!({ put(finished, "finished", borrowed_mut(renderer, "renderer")?.0.slot_finished(slot)?) })
 }
 
 /// Releases what the last frame of a slot used. Scenes and views that were freed meanwhile are destroyed now
@@ -230,8 +193,7 @@ pub unsafe extern "C" fn ashsplat_slot_finished(
 /// `renderer` is alive; the frame's command buffer has finished: its fence was waited for.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_slot_release(renderer: *mut AshsplatRenderer, slot: u32) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe { borrowed_mut(renderer, "renderer")?.0.release_slot(slot) })
+    guarded!({ borrowed_mut(renderer, "renderer")?.0.release_slot(slot) })
 }
 
 /// Forgets the last recording of a slot, whose command buffer was thrown away.
@@ -241,8 +203,7 @@ pub unsafe extern "C" fn ashsplat_slot_release(renderer: *mut AshsplatRenderer, 
 /// finished.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_slot_discard(renderer: *mut AshsplatRenderer, slot: u32) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         borrowed_mut(renderer, "renderer")?.0.slot_recording(slot)?.discard();
         Ok(())
     })

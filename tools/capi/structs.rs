@@ -6,17 +6,16 @@
 //! never part of another one. In an array, all have the size of the first. A size below the first header's means that it was
 //! not set; the error says how to set it.
 
-use super::scratch::{List, Scratch};
-use super::{
-    AshsplatAlignment, AshsplatAllocator, AshsplatCamera, AshsplatCutOut, AshsplatDemand,
-    AshsplatDepthTarget, AshsplatForeignDevice, AshsplatForeignImage, AshsplatGaussians, AshsplatGradients,
-    AshsplatMaintenance, AshsplatMotionTarget, AshsplatOccluder, AshsplatPickTarget, AshsplatPlaced,
-    AshsplatPose, AshsplatRecordedFrame, AshsplatRelease, AshsplatRenderSettings, AshsplatReservation,
-    AshsplatScenePlan, AshsplatSceneSettings, AshsplatSlotReport, AshsplatStep, AshsplatTarget, AshsplatTile,
-    AshsplatTrainView, AshsplatUpdate,
-};
-use ashsplat::{Error, Result};
+use super::*;
 use std::mem::{MaybeUninit, offset_of, size_of};
+
+/// A struct whose listed fields are those of the same names of another one.
+macro_rules! same_fields {
+    ($from:ident => $Into:ident { $($field:ident),* $(,)? } with { $($others:tt)* }) => {
+        $Into { $($field: $from.$field,)* $($others)* }
+    };
+}
+pub(super) use same_fields;
 
 /// A struct that begins with its size.
 ///
@@ -171,9 +170,7 @@ unsafe fn size_of_hosts<T: Grows>(pointer: *const T, what: &str) -> Result<usize
 /// # Safety
 /// The pointer is null or valid for as many bytes as the struct claims.
 pub(super) unsafe fn read<T: Grows>(pointer: *const T, what: &str) -> Result<T> {
-    if pointer.is_null() {
-        return Err(Error::argument(what, "the pointer is null"));
-    }
+    check_pointer(pointer, what)?;
     let (mut it, own) = (T::default(), size_of::<T>());
     // SAFETY: as promised; all bytes of the host's fields are valid values.
     unsafe {
@@ -197,70 +194,61 @@ pub(super) unsafe fn read<T: Grows>(pointer: *const T, what: &str) -> Result<T> 
     Ok(it)
 }
 
-/// Same as [`read`], but the pointer may be null.
-///
-/// # Safety
-/// Same as for [`read`].
+/// Same as [`read`], with the same promise, but the pointer may be null.
 pub(super) unsafe fn read_if<T: Grows>(pointer: *const T, what: &str) -> Result<Option<T>> {
     // SAFETY: as promised.
     if pointer.is_null() { Ok(None) } else { unsafe { read(pointer, what) }.map(Some) }
 }
 
-/// Reads a host's array, whose elements have the size of the first.
+/// Reads the elements of a host's array, which have the size of the first.
 ///
 /// # Safety
-/// The pointer is valid for `count` structs of that size, or the count is 0.
-pub(super) unsafe fn read_all<T: Grows>(pointer: *const T, count: u32, what: &str) -> Result<Vec<T>> {
-    let mut all = Vec::new();
-    // SAFETY: as promised.
-    unsafe { read_into(&mut all, Vec::reserve, (pointer, count), what) }.map(|()| all)
-}
-
-/// Same as [`read_all`], but in reused memory.
-///
-/// # Safety
-/// Same as for [`read_all`].
-pub(super) unsafe fn read_all_in<'b, T: Grows>(
-    scratch: &'b Scratch,
+/// The pointer is valid for `count` structs of that size as long as the iterator lives, or the count is 0.
+pub(super) unsafe fn read_all<T: Grows>(
     pointer: *const T,
     count: u32,
     what: &str,
-) -> Result<List<'b, T>> {
-    let mut all = List::new_in(scratch);
+) -> Result<impl Iterator<Item = Result<T>>> {
     // SAFETY: as promised.
-    unsafe { read_into(&mut all, List::reserve, (pointer, count), what) }.map(|()| all)
+    let stride = unsafe { stride_of_hosts(pointer, count, what)? };
+    Ok((0..count as usize).map(move |index| {
+        // SAFETY: as promised.
+        unsafe {
+            let at = pointer.byte_add(index * stride);
+            // A size of 0 has an error of its own.
+            if at.cast::<u32>().read_unaligned() != 0 {
+                check_stride(pointer, index, stride, what)?;
+            }
+            read(at, what).map_err(element(index))
+        }
+    }))
 }
 
+/// Returns the size that the first element of a host's array claims, or 0 if there is none.
+///
 /// # Safety
-/// Same as for [`read_all`].
-unsafe fn read_into<T: Grows, L: Extend<T>>(
-    all: &mut L,
-    reserve: impl Fn(&mut L, usize),
-    (pointer, count): (*const T, u32),
-    what: &str,
-) -> Result<()> {
+/// The pointer is null or valid for reading a number, or the count is 0.
+unsafe fn stride_of_hosts<T: Grows>(pointer: *const T, count: u32, what: &str) -> Result<usize> {
     if count == 0 {
+        return Ok(0);
+    }
+    check_pointer(pointer, what)?;
+    // SAFETY: as promised.
+    unsafe { size_of_hosts(pointer, what).map_err(element(0)) }
+}
+
+/// Checks that an element of a host's array has the size of the first one.
+///
+/// # Safety
+/// The elements up to this one are valid.
+unsafe fn check_stride<T>(pointer: *const T, index: usize, stride: usize, what: &str) -> Result<()> {
+    // SAFETY: as promised.
+    let size = unsafe { pointer.byte_add(index * stride).cast::<u32>().read_unaligned() } as usize;
+    if size == stride {
         return Ok(());
     }
-    if pointer.is_null() {
-        return Err(Error::argument(what, "the pointer is null"));
-    }
-    reserve(all, count as usize);
-    // SAFETY: as promised.
-    unsafe {
-        // Only errors need names.
-        let stride = size_of_hosts(pointer, what).map_err(element(0))?;
-        for index in 0..count as usize {
-            let at = pointer.byte_add(index * stride);
-            let size = at.cast::<u32>().read_unaligned() as usize;
-            if size != stride && size != 0 {
-                let problem = format!("struct_size is {size}, that of {what}[0] is {stride}");
-                return Err(Error::argument(format!("{what}[{index}]"), problem));
-            }
-            all.extend([read(at, what).map_err(element(index))?]);
-        }
-    }
-    Ok(())
+    let problem = format!("struct_size is {size}, that of {what}[0] is {stride}");
+    Err(Error::argument(what, problem)).map_err(element(index))
 }
 
 /// Writes a value into a host's struct, as far as its size reaches.
@@ -268,9 +256,7 @@ unsafe fn read_into<T: Grows, L: Extend<T>>(
 /// # Safety
 /// The pointer is null or valid for as many bytes as the struct claims.
 pub(super) unsafe fn write<T: Grows>(pointer: *mut T, what: &str, value: T) -> Result<()> {
-    if pointer.is_null() {
-        return Err(Error::argument(what, "the pointer is null"));
-    }
+    check_pointer(pointer, what)?;
     // SAFETY: as promised; the host's size stays.
     unsafe {
         let size = size_of_hosts(pointer, what)?.min(size_of::<T>());
@@ -280,20 +266,11 @@ pub(super) unsafe fn write<T: Grows>(pointer: *mut T, what: &str, value: T) -> R
     Ok(())
 }
 
-/// Same as [`write`], but the pointer may be null.
-///
-/// # Safety
-/// Same as for [`write`].
-pub(super) unsafe fn write_if<T: Grows>(pointer: *mut T, what: &str, value: T) -> Result<()> {
-    // SAFETY: as promised.
-    if pointer.is_null() { Ok(()) } else { unsafe { write(pointer, what, value) } }
-}
-
-/// Same as [`write`], but for an array, which may be null.
+/// Writes values into a host's array, or nothing if the pointer is null.
 ///
 /// # Safety
 /// The pointer is null or valid for `values.len()` structs of the first one's size.
-pub(super) unsafe fn write_all_if<T: Grows>(pointer: *mut T, what: &str, values: &[T]) -> Result<()> {
+pub(super) unsafe fn write_if<T: Grows>(pointer: *mut T, what: &str, values: &[T]) -> Result<()> {
     if pointer.is_null() || values.is_empty() {
         return Ok(());
     }
@@ -305,35 +282,20 @@ pub(super) unsafe fn write_all_if<T: Grows>(pointer: *mut T, what: &str, values:
     }
 }
 
-/// Checks that a struct can be written, before the work that makes its value.
-///
-/// # Safety
-/// Same as for [`write`].
+/// Checks that a struct can be written, before the work that makes its value. The promise is that of [`write`].
 pub(super) unsafe fn check_room<T: Grows>(pointer: *mut T, what: &str) -> Result<()> {
     // SAFETY: as promised.
     if pointer.is_null() { Ok(()) } else { unsafe { size_of_hosts(pointer, what) }.map(drop) }
 }
 
-/// Same as [`check_room`], but for an array.
-///
-/// # Safety
-/// Same as for [`write_all_if`].
+/// Same as [`check_room`], but for an array as in [`write_if`].
 pub(super) unsafe fn check_room_of_all<T: Grows>(pointer: *mut T, count: u32, what: &str) -> Result<()> {
-    if pointer.is_null() || count == 0 {
+    if pointer.is_null() {
         return Ok(());
     }
     // SAFETY: as promised.
     unsafe {
-        let stride = size_of_hosts(pointer, what).map_err(element(0))?;
-        (1..count as usize).try_for_each(|index| {
-            let size = pointer.byte_add(index * stride).cast::<u32>().read_unaligned() as usize;
-            match size == stride {
-                true => Ok(()),
-                false => {
-                    let problem = format!("struct_size is {size}, that of {what}[0] is {stride}");
-                    Err(Error::argument(format!("{what}[{index}]"), problem))
-                }
-            }
-        })
+        let stride = stride_of_hosts(pointer, count, what)?;
+        (1..count as usize).try_for_each(|index| check_stride(pointer, index, stride, what))
     }
 }

@@ -1,14 +1,42 @@
-//! Training in C: steps that submit and wait, and steps in a host's command buffer.
+//! Training in C: results, inputs, steps that submit and wait, and steps in a host's command buffer.
 
-use super::structs::{check_room, write, write_if};
-use super::{AshsplatRelease, AshsplatScene, AshsplatStatus, borrowed, borrowed_mut, give, guarded, take};
+use super::scenes::gaussians;
+use super::*;
 use ashsplat::ash::{vk, vk::Handle};
-use ashsplat::trainer::{Maintenance, StepOutcome, StepReservation};
-use ashsplat::{StepReport, Trainer};
+use ashsplat::passes::loss::DepthPoint;
+use ashsplat::scene::{Camera, Cut, PointCloud, StoredPhoto};
+use ashsplat::train::{Checkpoint, Maintenance, Preset, StepOutcome, StepReservation};
+use ashsplat::{StepReport, TrainSettings, TrainView, Trainer};
+use ashsplat_files::{CheckpointFile, ply};
+use serde_json::{Value, json};
 use std::ffi::c_void;
 
 /// Trains Gaussians on photographs.
-pub struct AshsplatTrainer(pub(super) Trainer);
+pub struct AshsplatTrainer(Trainer);
+
+/// A photograph to train on, and its camera.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatTrainView {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// The camera; its size is the photograph's.
+    pub camera: *const AshsplatCamera,
+    /// Red, green and blue of each pixel, a byte each, row by row.
+    pub rgb: *const u8,
+    /// A byte per pixel, row by row: those with 0 do not count. NULL: all count.
+    pub mask: *const u8,
+    /// The inverse depth that pixels should have, row by row, 1 / world units; infinite where it is not known. NULL: none.
+    pub inverse_depth: *const f32,
+    /// Sparse points that it shows, for the setting depth_points; not beside inverse_depth. Three floats each: where the photograph shows
+    /// it, pixels, x to the right and y down, the first pixel's centre at 0, 0; and 1 / z in the camera's frame, 1 / world units. May be
+    /// NULL.
+    pub depth_points: *const f32,
+    /// Their number.
+    pub depth_point_count: u32,
+    /// Which camera took it, by any number: views with the same one share lens effects.
+    pub camera_id: u32,
+}
 
 /// The report of a training step.
 #[repr(C)]
@@ -16,9 +44,9 @@ pub struct AshsplatTrainer(pub(super) Trainer);
 pub struct AshsplatStep {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
-    /// Whether the step has finished. The other fields are valid only then.
+    /// True if the step has finished. The other fields are valid only then.
     pub finished: bool,
-    /// Whether it changed nothing, because a capacity was too small. ashsplat_trainer_maintain grows it. Then
+    /// True if it changed nothing, because a capacity was too small. ashsplat_trainer_maintain grows it. Then
     /// the iteration is recorded again.
     pub overflow: bool,
     /// Its iteration, from 1.
@@ -38,17 +66,11 @@ pub struct AshsplatStep {
 
 impl From<&StepReport> for AshsplatStep {
     fn from(r: &StepReport) -> Self {
-        Self {
+        same_fields!(r => Self { iteration, loss, gaussians, visible, instances } with {
             finished: true,
-            overflow: false,
-            iteration: r.iteration,
-            loss: r.loss,
-            gaussians: r.gaussians,
-            visible: r.visible,
-            instances: r.instances,
             view: r.view as u32,
             ..Self::default()
-        }
+        })
     }
 }
 
@@ -72,11 +94,11 @@ impl From<&StepOutcome> for AshsplatStep {
 pub struct AshsplatMaintenance {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
-    /// Whether Gaussians were added and removed.
+    /// True if Gaussians were added and removed.
     pub densified: bool,
-    /// Whether opacities were reset.
+    /// True if opacities were reset.
     pub opacities_reset: bool,
-    /// Whether the capacity has grown.
+    /// True if the capacity has grown.
     pub grown: bool,
     /// The iteration that was skipped, because its frame exceeds the largest possible capacity; 0 for none.
     /// The next step is the iteration after it.
@@ -85,13 +107,325 @@ pub struct AshsplatMaintenance {
 
 impl From<Maintenance> for AshsplatMaintenance {
     fn from(m: Maintenance) -> Self {
-        Self {
+        same_fields!(m => Self { opacities_reset, grown } with {
             densified: m.densified.is_some(),
-            opacities_reset: m.opacities_reset,
-            grown: m.grown,
             skipped: m.skipped.unwrap_or(0),
             ..Self::default()
+        })
+    }
+}
+
+/// Reads the Gaussians back and writes them, in the format that the name's ending says: PLY in the reference implementation's layout,
+/// .compressed.ply, .splat, SPZ, or GLB. The sizes of the 3D filter are in PLY only; in other formats they are a part of scales and
+/// opacities. ashsplat_last_loss says what the format does not hold. Submits and waits.
+///
+/// # Safety
+/// `trainer` is alive, `path` is a C string.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_save(
+    trainer: *const AshsplatTrainer,
+    path: *const c_char,
+) -> AshsplatStatus {
+    guarded!({
+        let (trainer, path) = (&borrowed(trainer, "trainer")?.0, text(path, "path")?);
+        let options = splats::WriteOptions::marking(&trainer.settings().render_settings());
+        let filters = trainer.filters()?;
+        let losses = match splats::Format::of_extension(path)? {
+            splats::Format::Ply if !filters.is_empty() => {
+                ply::write_filtered(path, &trainer.gaussians()?, &filters, &options)?;
+                Vec::new()
+            }
+            format => {
+                let gaussians = trainer.baked_gaussians()?;
+                let all = (&Cut::default(), gaussians.sh_degree);
+                splats::write(path, &gaussians, &options)?;
+                splats::cut_losses(format, &gaussians, all, &options)?
+            }
+        };
+        LAST_LOSS.set(c_text(&losses.join("\n")));
+        Ok(())
+    })
+}
+
+/// Writes all that ashsplat_trainer_resume needs. Submits and waits.
+///
+/// # Safety
+/// `trainer` is alive, `path` is a C string.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_checkpoint(
+    trainer: *const AshsplatTrainer,
+    path: *const c_char,
+) -> AshsplatStatus {
+    guarded!({
+        let (trainer, path) = (&borrowed(trainer, "trainer")?.0, text(path, "path")?);
+        trainer.checkpoint()?.write(path)
+    })
+}
+
+/// The cameras of the views in their order, as the setting pose_opt has moved them. `cameras` has room for `count`, which must be the
+/// number of views. Submits and waits.
+///
+/// # Safety
+/// `trainer` is alive, `cameras` is valid for `count` structs that ASHSPLAT_INIT has begun.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_cameras(
+    trainer: *const AshsplatTrainer,
+    cameras: *mut AshsplatCamera,
+    count: u32,
+) -> AshsplatStatus {
+    guarded!({
+        let all = borrowed(trainer, "trainer")?.0.cameras()?;
+        check_count(count, all.len())?;
+        check_pointer(cameras, "cameras")?;
+        check_room_of_all(cameras, count, "cameras")?;
+        let all: Vec<AshsplatCamera> = all.into_iter().map(Into::into).collect();
+        write_if(cameras, "cameras", &all)
+    })
+}
+
+/// The exposures of the views in their order, with the setting exposure: three rows E of four floats each. A photograph's colour is
+/// out_c = sum over k of in_k E[k][c] + E[c][3] of the rendered one. `exposures` has room for 12 `count` floats; `count` must be the number of views. Submits and
+/// waits.
+///
+/// # Safety
+/// `trainer` is alive, `exposures` is valid for 12 `count` floats.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_exposures(
+    trainer: *const AshsplatTrainer,
+    exposures: *mut f32,
+    count: u32,
+) -> AshsplatStatus {
+    guarded!({
+        let all = borrowed(trainer, "trainer")?.0.exposures()?.into_iter().map(|exposure| exposure.rows);
+        give_rows(all, (exposures, count), ["exposures", "exposure"])
+    })
+}
+
+/// The lens effects of the views in their order, with the setting lens_effects: for red, green and blue a_1, a_2, a_3 of the vignetting
+/// 1 + a_1 r^2 + a_2 r^4 + a_3 r^6 and the logarithm of the response's exponent. `effects` has room for 12 `count` floats; `count` must be
+/// the number of views. Submits and waits.
+///
+/// # Safety
+/// `trainer` is alive, `effects` is valid for 12 `count` floats.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_lens_effects(
+    trainer: *const AshsplatTrainer,
+    effects: *mut f32,
+    count: u32,
+) -> AshsplatStatus {
+    guarded!({
+        let all = borrowed(trainer, "trainer")?.0.lens_effects()?.into_iter().map(|effects| effects.rows);
+        give_rows(all, (effects, count), ["effects", "lens_effects"])
+    })
+}
+
+fn check_count(count: u32, views: usize) -> Result<()> {
+    match count as usize == views {
+        true => Ok(()),
+        false => Err(Error::argument("count", format!("is {count}, there are {views} views"))),
+    }
+}
+
+/// # Safety
+/// The pointer is null or valid for `count` rows.
+unsafe fn give_rows(
+    rows: impl Iterator<Item = [[f32; 4]; 3]>,
+    (to, count): (*mut f32, u32),
+    [name, setting]: [&str; 2],
+) -> Result<()> {
+    let rows: Vec<_> = rows.collect();
+    if rows.is_empty() {
+        return Err(Error::argument(setting, "is not set: nothing of it is learned"));
+    }
+    check_count(count, rows.len())?;
+    check_pointer(to, name)?;
+    // SAFETY: as promised.
+    unsafe { fill(to, rows.as_flattened().as_flattened()) };
+    Ok(())
+}
+
+/// Uploads photographs and initial Gaussians, which are taken as they are: the settings initial_opacity and initial_scale are for
+/// ashsplat_trainer_new_from_points. The context needs a queue. `scene_extent` is 1.1 times the largest distance of a camera to their
+/// mean, or 0 to have it computed. `settings_json`: an object with the names of the reference implementation's settings,
+/// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"` or `"quality"`, and `"few_photos": true`, whose settings the others
+/// change. Missing settings have the defaults of the preset or of the strategy, and NULL keeps all defaults.
+///
+/// # Safety
+/// `context` is alive, `views` has `view_count` elements with arrays as the cameras say, `initial` is valid
+/// with arrays as long as it says, `settings_json` is NULL or a C string, `trainer` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_new(
+    context: *const AshsplatContext,
+    views: *const AshsplatTrainView,
+    view_count: u32,
+    initial: *const AshsplatGaussians,
+    scene_extent: f32,
+    settings_json: *const c_char,
+    trainer: *mut *mut AshsplatTrainer,
+) -> AshsplatStatus {
+    guarded!({
+        let (context, initial) = (borrowed(context, "context")?, read(initial, "initial")?);
+        let shared = (views, view_count, scene_extent, settings_json);
+        give_trainer(trainer, shared, |views, settings, extent| {
+            Trainer::new(&context.0, views, &gaussians(&initial)?, extent, settings)
+        })
+    })
+}
+
+/// Same as ashsplat_trainer_new, with Gaussians made of points: `positions` has three floats of each, world units, `colors` red, green and
+/// blue, a byte each. Their scales follow from the distances of the nearest neighbours, as in the reference implementation; the
+/// settings initial_opacity and initial_scale change them.
+///
+/// # Safety
+/// Same as for ashsplat_trainer_new; `positions` and `colors` have three elements for each of `point_count` points.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_new_from_points(
+    context: *const AshsplatContext,
+    views: *const AshsplatTrainView,
+    view_count: u32,
+    positions: *const f32,
+    colors: *const u8,
+    point_count: u32,
+    scene_extent: f32,
+    settings_json: *const c_char,
+    trainer: *mut *mut AshsplatTrainer,
+) -> AshsplatStatus {
+    guarded!({
+        let (context, floats) = (borrowed(context, "context")?, 3 * point_count as usize);
+        let positions = slice(positions, floats, "positions")?.as_chunks().0.to_vec();
+        let colors = slice(colors, floats, "colors")?.as_chunks().0.to_vec();
+        let shared = (views, view_count, scene_extent, settings_json);
+        give_trainer(trainer, shared, |views, settings, extent| {
+            let points = PointCloud { positions, colors };
+            let mut initial = ashsplat_files::initial_gaussians(&points, settings.sh_degree)?;
+            settings.initialize(&mut initial);
+            Trainer::new(&context.0, views, &initial, extent, settings)
+        })
+    })
+}
+
+/// Goes on from a file of ashsplat_trainer_checkpoint or of the program, to the same bits as a training that was never stopped. The
+/// other arguments are those of the training that wrote it, except for the number of iterations. `trainer` is NULL after an error.
+///
+/// # Safety
+/// Same as for ashsplat_trainer_new; `path` is a C string.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_resume(
+    context: *const AshsplatContext,
+    views: *const AshsplatTrainView,
+    view_count: u32,
+    path: *const c_char,
+    scene_extent: f32,
+    settings_json: *const c_char,
+    trainer: *mut *mut AshsplatTrainer,
+) -> AshsplatStatus {
+    guarded!({
+        let (context, path) = (borrowed(context, "context")?, text(path, "path")?);
+        let shared = (views, view_count, scene_extent, settings_json);
+        give_trainer(trainer, shared, |views, settings, extent| {
+            Trainer::resume(&context.0, views, extent, settings, &Checkpoint::read(path)?)
+        })
+    })
+}
+
+/// Makes a trainer from the arguments that all ways share. The promise is that of ashsplat_trainer_new.
+unsafe fn give_trainer(
+    trainer: *mut *mut AshsplatTrainer,
+    (views, count, extent, settings_json): (*const AshsplatTrainView, u32, f32, *const c_char),
+    make: impl FnOnce(Vec<TrainView>, TrainSettings, f32) -> Result<Trainer>,
+) -> Result<()> {
+    let made = || {
+        // SAFETY: as promised.
+        let views = unsafe { read_all(views, count, "views")? }.collect::<Result<Vec<_>>>()?;
+        let known = |(place, view): (usize, &AshsplatTrainView)| {
+            // SAFETY: as promised.
+            unsafe { train_view(view) }.map_err(within(format_args!("views[{place}]")))
+        };
+        let views = views.iter().enumerate().map(known).collect::<Result<Vec<_>>>()?;
+        let extent = match extent {
+            0.0 => ashsplat::scene::scene_extent(views.iter().map(|view| view.camera.position())),
+            extent => extent,
+        };
+        let settings = match settings_json.is_null() {
+            true => TrainSettings::default(),
+            // SAFETY: as promised.
+            false => settings_of(unsafe { text(settings_json, "settings_json")? }, extent)?,
+        };
+        make(views, settings, extent).map(AshsplatTrainer)
+    };
+    // SAFETY: as promised.
+    unsafe { give(trainer, "trainer", made) }
+}
+
+fn settings_of(json: &str, extent: f32) -> Result<TrainSettings> {
+    let refused = |problem: String| Error::argument("settings_json", problem);
+    let problem = |error: serde_json::Error| refused(error.to_string());
+    let given: Value = serde_json::from_str(json).map_err(problem)?;
+    let Value::Object(mut given) = given else { return Err(refused("is no object".into())) };
+    let preset = match given.remove("preset") {
+        None => None,
+        Some(Value::String(name)) => match name.as_str() {
+            "fast" => Some(Preset::Fast),
+            "default" => Some(Preset::Default),
+            "quality" => Some(Preset::Quality),
+            other => return Err(refused(format!("preset: '{other}' is none of fast, default, quality"))),
+        },
+        Some(other) => return Err(refused(format!("preset: {other} is no text"))),
+    };
+    let few = match given.remove("few_photos") {
+        None => false,
+        Some(Value::Bool(few)) => few,
+        Some(other) => return Err(refused(format!("few_photos: {other} is neither true nor false"))),
+    };
+    // Missing values get the defaults of the preset, or of the strategy.
+    let strategy =
+        serde_json::from_value::<TrainSettings>(Value::Object(given.clone())).map_err(problem)?.strategy;
+    let usual = match (preset, few) {
+        (Some(preset), _) if given.contains_key("strategy") => {
+            return Err(refused(format!("preset: {preset:?} has a strategy; leave one of both out")));
         }
+        (Some(preset), false) => TrainSettings::of_preset(preset),
+        (Some(preset), true) => TrainSettings::of_preset_for_few_photos(preset, extent),
+        (None, true) => TrainSettings::of_few_photos(strategy, extent),
+        (None, false) => TrainSettings::of_strategy(strategy),
+    };
+    let mut all = json!(usual);
+    if let Value::Object(all) = &mut all {
+        all.extend(given);
+    }
+    serde_json::from_value(all).map_err(problem)
+}
+
+/// # Safety
+/// The arrays have as many elements as the camera and the count require.
+unsafe fn train_view(view: &AshsplatTrainView) -> Result<TrainView> {
+    // SAFETY: as promised.
+    let camera = unsafe { read(view.camera, "camera")? }.checked("camera")?;
+    let pixels = camera.width as usize * camera.height as usize;
+    // SAFETY: as promised.
+    unsafe {
+        let photo = photo(&camera, view.rgb, view.mask)?;
+        let points = slice_if(view.depth_points, 3 * view.depth_point_count as usize, "depth_points")?;
+        let known = |&[x, y, inverse_z]: &[f32; 3]| DepthPoint { position_px: [x, y], inverse_z };
+        Ok(TrainView::new(camera, photo)
+            .taken_by(view.camera_id)
+            .with_inverse_depth(slice_if(view.inverse_depth, pixels, "inverse_depth")?.map(Into::into))
+            .with_depth_points(points.map(|points| points.as_chunks().0.iter().map(known).collect())))
+    }
+}
+
+/// Copies a photograph of a camera's size, and its mask if there is one.
+///
+/// # Safety
+/// The pointers are null or valid for the camera's pixels.
+pub(super) unsafe fn photo(camera: &Camera, rgb: *const u8, mask: *const u8) -> Result<StoredPhoto> {
+    let (width, height) = (camera.width, camera.height);
+    let pixels = width as usize * height as usize;
+    // SAFETY: as promised.
+    unsafe {
+        let rgb = slice(rgb, 3 * pixels, "rgb")?.to_vec();
+        let mask = slice_if(mask, pixels, "mask")?.map(<[u8]>::to_vec);
+        Ok(StoredPhoto::new(Photo { width, height, rgb }, mask))
     }
 }
 
@@ -114,11 +448,10 @@ pub unsafe extern "C" fn ashsplat_trainer_step(
     trainer: *mut AshsplatTrainer,
     step: *mut AshsplatStep,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         check_room(step, "step")?;
         let report = borrowed_mut(trainer, "trainer")?.0.step()?;
-        write_if(step, "step", (&report).into())
+        write_if(step, "step", &[(&report).into()])
     })
 }
 
@@ -136,8 +469,7 @@ pub unsafe extern "C" fn ashsplat_trainer_reserve(
     instances: u32,
     visible: u32,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let wanted = StepReservation { slots, instances, visible };
         borrowed_mut(trainer, "trainer")?.0.reserve_steps(&wanted)
     })
@@ -163,13 +495,12 @@ pub unsafe extern "C" fn ashsplat_trainer_record(
     slot: u32,
     release: *mut AshsplatRelease,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let trainer = &mut borrowed_mut(trainer, "trainer")?.0;
         let commands = trainer.context().adopt_commands(vk::CommandBuffer::from_raw(commands as u64))?;
         check_room(release, "release")?;
         let step = trainer.record_step(commands, slot)?;
-        write_if(release, "release", (&step.release).into())
+        write_if(release, "release", &[(&step.release).into()])
     })
 }
 
@@ -183,8 +514,7 @@ pub unsafe extern "C" fn ashsplat_trainer_discard(
     trainer: *mut AshsplatTrainer,
     slot: u32,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         borrowed_mut(trainer, "trainer")?.0.step_recording(slot)?.discard();
         Ok(())
     })
@@ -201,14 +531,13 @@ pub unsafe extern "C" fn ashsplat_trainer_outcome(
     slot: u32,
     step: *mut AshsplatStep,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let outcome = borrowed_mut(trainer, "trainer")?.0.step_outcome(slot)?;
         write(step, "step", outcome.as_ref().map(AshsplatStep::from).unwrap_or_default())
     })
 }
 
-/// Whether ashsplat_trainer_maintain must be called before another step can be recorded. Never waits.
+/// Says whether ashsplat_trainer_maintain must be called before another step can be recorded. Never waits.
 ///
 /// # Safety
 /// `trainer` is alive, `is_due` valid for a write.
@@ -217,11 +546,7 @@ pub unsafe extern "C" fn ashsplat_trainer_maintenance_is_due(
     trainer: *mut AshsplatTrainer,
     is_due: *mut bool,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        *borrowed_mut(is_due, "is_due")? = borrowed_mut(trainer, "trainer")?.0.maintenance_is_due()?;
-        Ok(())
-    })
+    guarded!({ put(is_due, "is_due", borrowed_mut(trainer, "trainer")?.0.maintenance_is_due()?) })
 }
 
 /// Does what recorded steps cannot: densifies and resets opacities if that is due, and grows the capacity
@@ -236,11 +561,10 @@ pub unsafe extern "C" fn ashsplat_trainer_maintain(
     trainer: *mut AshsplatTrainer,
     done: *mut AshsplatMaintenance,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         check_room(done, "done")?;
         let maintenance = borrowed_mut(trainer, "trainer")?.0.maintain()?;
-        write_if(done, "done", maintenance.into())
+        write_if(done, "done", &[maintenance.into()])
     })
 }
 
@@ -255,8 +579,7 @@ pub unsafe extern "C" fn ashsplat_trainer_scene(
     trainer: *const AshsplatTrainer,
     scene: *mut *mut AshsplatScene,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let trainer = borrowed(trainer, "trainer")?;
         give(scene, "scene", || Ok(AshsplatScene::of(trainer.0.scene())))
     })

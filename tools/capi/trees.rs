@@ -1,15 +1,8 @@
 //! Trees of tiles that a host streams, in C: wanted tiles, drawn tiles, a file's contents.
 
-use super::structs::{named, read, read_all, write};
-use super::{
-    AshsplatCamera, AshsplatGaussians, AshsplatStatus, Told, borrowed, borrowed_mut, check_pointer, give,
-    guarded, slice, take, text,
-};
+use super::*;
 use ashsplat::scene::{Camera, Gaussians};
-use ashsplat::{Error, Result};
-use ashsplat_files::splats::ReadOptions;
 use ashsplat_files::tiles::{Demand, Tree};
-use std::ffi::c_char;
 
 /// A tree of tiles in a folder, as `ashsplat tiles` writes it. It does not change: all threads may use it at once.
 pub struct AshsplatTree(Tree);
@@ -17,7 +10,7 @@ pub struct AshsplatTree(Tree);
 /// The Gaussians of a tile, in the host's memory.
 pub struct AshsplatTileGaussians(Gaussians, Told);
 
-/// What the description of a tree says of a tile.
+/// A tree's description of a tile.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatTile {
@@ -34,7 +27,7 @@ pub struct AshsplatTile {
     pub max: [f32; 3],
 }
 
-/// For what tiles are chosen.
+/// Views and budget that tiles are chosen for.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatDemand {
@@ -46,8 +39,8 @@ pub struct AshsplatDemand {
     pub cameras: *const AshsplatCamera,
     /// Gaussians of all tiles that are drawn, at most.
     pub budget: u64,
-    /// What lies beyond a picture by less than so many of its widths and heights is drawn too, so that a camera that turns finds it
-    /// there. It is refined after what lies in the picture. 0 draws the pictures alone.
+    /// Gaussians beyond a picture by less than so many of its widths and heights are drawn too, so that a camera that turns finds them
+    /// there. They are refined after those in the picture. 0 draws the pictures alone.
     pub border: f64,
 }
 
@@ -60,8 +53,7 @@ pub unsafe extern "C" fn ashsplat_tree_open(
     folder: *const c_char,
     tree: *mut *mut AshsplatTree,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let folder = text(folder, "folder")?;
         give(tree, "tree", || Tree::open(folder).map(AshsplatTree))
     })
@@ -83,14 +75,10 @@ pub unsafe extern "C" fn ashsplat_tree_free(tree: *mut AshsplatTree) {
 /// `tree` is alive, `tiles` is valid for a write.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_tree_size(tree: *const AshsplatTree, tiles: *mut u32) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        *borrowed_mut(tiles, "tiles")? = borrowed(tree, "tree")?.0.tiles().len() as u32;
-        Ok(())
-    })
+    guarded!({ put(tiles, "tiles", borrowed(tree, "tree")?.0.tiles().len() as u32) })
 }
 
-/// What the description says of a tile.
+/// Writes the description of a tile.
 ///
 /// # Safety
 /// `tree` is alive, `told` begins with its size.
@@ -100,8 +88,7 @@ pub unsafe extern "C" fn ashsplat_tree_tile(
     tile: u32,
     told: *mut AshsplatTile,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let tiles = borrowed(tree, "tree")?.0.tiles();
         let of_none = || Error::argument("tile", format!("{tile} is none of {}", tiles.len()));
         let found = tiles.get(tile as usize).ok_or_else(of_none)?;
@@ -123,28 +110,13 @@ pub unsafe extern "C" fn ashsplat_tree_tile(
 unsafe fn cameras(demand: &AshsplatDemand) -> Result<Vec<Camera>> {
     // SAFETY: as promised.
     let all = unsafe { read_all(demand.cameras, demand.camera_count, "demand.cameras") }?;
+    let all = all.collect::<Result<Vec<_>>>()?;
     if all.is_empty() {
         return Err(Error::argument("demand.cameras", "there are none"));
     }
-    let known = |(index, camera): (usize, &AshsplatCamera)| {
-        let name = format!("demand.cameras[{index}]");
-        let camera = camera.known_as(&name)?;
-        camera.check().map(|()| camera).map_err(named(name))
-    };
+    let known =
+        |(index, camera): (usize, &AshsplatCamera)| camera.checked(&format!("demand.cameras[{index}]"));
     all.iter().enumerate().map(known).collect()
-}
-
-/// Returns whether a tile is in the array: all are, without one. Any value other than 0 is true, because hosts fill memory freely.
-///
-/// # Safety
-/// The pointer is null or valid for one value for each tile.
-unsafe fn among<'a>(tree: &Tree, there: *const bool) -> Result<impl Fn(usize) -> bool + use<'a>> {
-    let there: Option<&[u8]> = match there.is_null() {
-        true => None,
-        // SAFETY: as promised.
-        false => Some(unsafe { slice(there.cast(), tree.tiles().len(), "there") }?),
-    };
-    Ok(move |tile: usize| there.is_none_or(|there| there[tile] != 0))
 }
 
 /// Chooses tiles for a demand, and writes their indices.
@@ -156,17 +128,19 @@ unsafe fn chosen(
     (tiles, count): (*mut u32, *mut u32),
     choose: impl FnOnce(&Tree, &Demand<'_>, &dyn Fn(usize) -> bool) -> Vec<usize>,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let (tree, demand) = (&borrowed(tree, "tree")?.0, read(demand, "demand")?);
         check_pointer(tiles, "tiles")?;
         let count = borrowed_mut(count, "count")?;
         if !(demand.border.is_finite() && demand.border >= 0.0) {
             return Err(Error::argument("demand.border", format!("is {}, must be 0 or more", demand.border)));
         }
-        let (cameras, there) = (cameras(&demand)?, among(tree, there)?);
+        let cameras = cameras(&demand)?;
+        // Any value other than 0 is true, because hosts fill memory freely.
+        let there = slice_if(there.cast::<u8>(), tree.tiles().len(), "there")?;
+        let is_there = |tile: usize| there.is_none_or(|there| there[tile] != 0);
         let budget = usize::try_from(demand.budget).unwrap_or(usize::MAX);
-        let found = choose(tree, &Demand { cameras: &cameras, budget, border: demand.border }, &there);
+        let found = choose(tree, &Demand { cameras: &cameras, budget, border: demand.border }, &is_there);
         for (place, tile) in found.iter().enumerate() {
             tiles.add(place).write(*tile as u32);
         }
@@ -204,7 +178,7 @@ pub unsafe extern "C" fn ashsplat_tree_wanted(
 /// pictures or not there. `tiles` has room for as many numbers as the tree has tiles.
 ///
 /// # Safety
-/// As ashsplat_tree_wanted.
+/// Same as for ashsplat_tree_wanted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_tree_cut(
     tree: *const AshsplatTree,
@@ -228,11 +202,10 @@ pub unsafe extern "C" fn ashsplat_tree_read(
     tile: u32,
     gaussians: *mut *mut AshsplatTileGaussians,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let tree = borrowed(tree, "tree")?;
         give(gaussians, "gaussians", || {
-            let read = tree.0.read(tile as usize, &ReadOptions::default())?;
+            let read = tree.0.read(tile as usize, &splats::ReadOptions::default())?;
             let told = Told::of(&read);
             Ok(AshsplatTileGaussians(read.gaussians, told))
         })
@@ -248,8 +221,7 @@ pub unsafe extern "C" fn ashsplat_tile_gaussians(
     of: *const AshsplatTileGaussians,
     gaussians: *mut AshsplatGaussians,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         let own = &borrowed(of, "of")?.0;
         let told = AshsplatGaussians {
             count: own.len() as u32,
@@ -265,7 +237,7 @@ pub unsafe extern "C" fn ashsplat_tile_gaussians(
     })
 }
 
-/// What the file of a tile says, as ashsplat_scene_told; all tiles of a tree say the same of antialiasing. `warnings` lives as long as `of`
+/// Notes of a tile's file, as ashsplat_scene_told; all tiles of a tree say the same of antialiasing. `warnings` lives as long as `of`
 /// does. Either pointer may be NULL.
 ///
 /// # Safety
@@ -276,8 +248,7 @@ pub unsafe extern "C" fn ashsplat_tile_told(
     antialiased: *mut bool,
     warnings: *mut *const c_char,
 ) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
+    guarded!({
         borrowed(of, "of")?.1.tell(antialiased, warnings);
         Ok(())
     })

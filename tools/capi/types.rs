@@ -1,12 +1,13 @@
-//! The structs and codes of the C interface.
+//! The structs and codes of the C interface that several modules share. Enumerations arrive as numbers and are checked here,
+//! because a C program may write any number.
 
-use super::settings::one_of;
+use super::*;
 use ashsplat::ash::vk;
-use ashsplat::scene::{DepthMapping, Pose, Projection};
+use ashsplat::scene::{Camera, DepthMapping, Pose, Projection};
 use ashsplat::vk::ImageState;
-use ashsplat::{Camera, Result};
+use ashsplat::{Extent, JacobianLimit, Shape};
 use glam::{Mat3, Vec3};
-use std::ffi::{c_char, c_void};
+use std::ffi::c_void;
 
 /// The result of a call.
 #[repr(C)]
@@ -73,27 +74,32 @@ pub enum AshsplatProjection {
 
 impl From<Camera> for AshsplatCamera {
     fn from(c: Camera) -> Self {
-        let Camera { fx, fy, cx, cy, width, height, .. } = c;
-        let camera_from_world = c.camera_from_world.transpose().to_cols_array();
-        let (translation, projection) = (c.translation.to_array(), u32::from(c.is_orthographic()));
-        Self { camera_from_world, translation, fx, fy, cx, cy, width, height, projection, ..Self::default() }
+        same_fields!(c => Self { fx, fy, cx, cy, width, height } with {
+            camera_from_world: c.camera_from_world.transpose().to_cols_array(),
+            translation: c.translation.to_array(),
+            projection: u32::from(c.is_orthographic()),
+            ..Self::default()
+        })
     }
 }
 
 impl AshsplatCamera {
-    /// Converts to the engine's camera.
-    pub(super) fn known(&self) -> Result<Camera> {
-        self.known_as("camera")
+    /// Converts to the engine's camera. Errors call it by this name.
+    pub(super) fn known(&self, name: &str) -> Result<Camera> {
+        let kinds = [Projection::Perspective, Projection::Orthographic];
+        Ok(same_fields!(self => Camera { fx, fy, cx, cy, width, height } with {
+            camera_from_world: Mat3::from_cols_array(&self.camera_from_world).transpose(),
+            translation: Vec3::from(self.translation),
+            projection: one_of(format_args!("{name}.projection"), self.projection, &kinds)?,
+            part: None,
+        }))
     }
 
-    /// Same as [`Self::known`], but for a camera with another name.
-    pub(super) fn known_as(&self, name: &str) -> Result<Camera> {
-        let AshsplatCamera { fx, fy, cx, cy, width, height, .. } = *self;
-        let camera_from_world = Mat3::from_cols_array(&self.camera_from_world).transpose();
-        let translation = Vec3::from(self.translation);
-        let kinds = [Projection::Perspective, Projection::Orthographic];
-        let projection = one_of(format_args!("{name}.projection"), self.projection, &kinds)?;
-        Ok(Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, projection, part: None })
+    /// Same as [`Self::known`], but the camera is also checked.
+    pub(super) fn checked(&self, name: &str) -> Result<Camera> {
+        let camera = self.known(name)?;
+        camera.check().map_err(named(name))?;
+        Ok(camera)
     }
 }
 
@@ -108,19 +114,19 @@ pub struct AshsplatDepthMapping {
     pub offset: f32,
     /// See above.
     pub clear_value: f32,
-    /// Whether z itself is linear in d: of an orthographic projection.
+    /// True if z itself is linear in d: of an orthographic projection.
     pub linear: bool,
 }
 
 impl From<DepthMapping> for AshsplatDepthMapping {
     fn from(m: DepthMapping) -> Self {
-        Self { scale: m.scale, offset: m.offset, clear_value: m.clear_value, linear: m.linear }
+        same_fields!(m => Self { scale, offset, clear_value, linear } with {})
     }
 }
 
 impl From<AshsplatDepthMapping> for DepthMapping {
     fn from(m: AshsplatDepthMapping) -> Self {
-        Self { scale: m.scale, offset: m.offset, clear_value: m.clear_value, linear: m.linear }
+        same_fields!(m => Self { scale, offset, clear_value, linear } with {})
     }
 }
 
@@ -153,11 +159,11 @@ pub struct AshsplatForeignDevice {
     pub extensions: *const *const c_char,
     /// How many.
     pub extension_count: u32,
-    /// Whether VK_EXT_debug_utils was enabled.
+    /// True if VK_EXT_debug_utils was enabled.
     pub debug_utils: bool,
     /// The allocator of the buffers' memory, or NULL for the device itself. The struct is copied; its
     /// pointees are not.
-    pub allocator: *const super::AshsplatAllocator,
+    pub allocator: *const AshsplatAllocator,
     /// A VkPipelineCache that kernels are built with, or 0. The host keeps and destroys it.
     pub pipeline_cache: u64,
     /// Handed to both functions below.
@@ -204,7 +210,7 @@ pub struct AshsplatForeignImage {
     pub image: u64,
 }
 
-/// What an image is in a frame: one value for each field of AshsplatRecordedFrame. Each has formats of its own; others are refused.
+/// Role of an image in a frame: one value for each field of AshsplatRecordedFrame. Each has formats of its own; others are refused.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatImageUse {
@@ -216,7 +222,7 @@ pub enum AshsplatImageUse {
     Occluder = 1,
     /// The expected depth is written into it. R32_SFLOAT.
     Depth = 2,
-    /// What is seen at each pixel is written into it. R32G32B32A32_UINT.
+    /// The Gaussian seen at each pixel is written into it. R32G32B32A32_UINT.
     Pick = 3,
     /// The motion of each pixel is written into it. R16G16_SFLOAT.
     Motion = 4,
@@ -239,14 +245,14 @@ pub struct AshsplatImageState {
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatHostImage {
     /// The image. NULL is an error: for a frame without it, the pointer to the struct that has this image is NULL.
-    pub image: *const super::AshsplatImage,
+    pub image: *const AshsplatImage,
     /// The host's use of it before the frame.
     pub from: AshsplatImageState,
     /// Texel of the image that belongs to the frame's pixel (0, 0).
     pub offset: [u32; 2],
 }
 
-/// What is allocated in advance for recording.
+/// Resources that are allocated in advance for recording.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatReservation {
@@ -274,27 +280,27 @@ pub struct AshsplatReservation {
     pub blend_passes: u32,
     /// Cut-outs of all scenes of a frame together.
     pub cut_outs: u32,
-    /// Whether frames will render the sum of weights / z.
+    /// True if frames will render the sum of weights / z.
     pub inverse_depth: bool,
-    /// Whether frames will read a host's depth image.
+    /// True if frames will read a host's depth image.
     pub occlusion: bool,
-    /// Whether frames will render expected depth.
+    /// True if frames will render expected depth.
     pub expected_depth: bool,
-    /// Whether all frames go into images (AshsplatRecordedFrame.target). Slots then have no pixels of their own.
+    /// True if all frames go into images (AshsplatRecordedFrame.target). Slots then have no pixels of their own.
     pub images_only: bool,
     /// Queues that frames are submitted to. What lives only while a frame is computed exists once for each
     /// queue: slots share it whose slot % queues is the same. Their frames go to one queue, in
     /// any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
     pub queues: u32,
-    /// Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
+    /// True if scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
     pub tint: bool,
-    /// Whether scenes of frames will have a selection.
+    /// True if scenes of frames will have a selection.
     pub selection: bool,
-    /// Whether frames will have orthographic cameras, beside pinholes; also those of the frame before, for motion.
+    /// True if frames will have orthographic cameras, beside pinholes; also those of the frame before, for motion.
     pub orthographic: bool,
-    /// Whether frames will have what is picked at each pixel: 8 bytes of memory per pixel.
+    /// True if frames will have what is picked at each pixel: 8 bytes of memory per pixel.
     pub pick: bool,
-    /// Whether frames will have motion: 8 bytes of memory per pixel and 8 per Gaussian.
+    /// True if frames will have motion: 8 bytes of memory per pixel and 8 per Gaussian.
     pub motion: bool,
     /// Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
     pub staging_bytes: u64,
@@ -370,7 +376,7 @@ pub struct AshsplatUpdate {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
     /// The scene.
-    pub scene: *const super::AshsplatScene,
+    pub scene: *const AshsplatScene,
     /// Index of the first replaced Gaussian.
     pub first: u32,
     /// The new Gaussians. SH above the scene's degree is dropped, missing SH is zero. They have no 3D filter until
@@ -385,7 +391,7 @@ pub struct AshsplatPlaced {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
     /// The scene.
-    pub scene: *const super::AshsplatScene,
+    pub scene: *const AshsplatScene,
     /// A rotation, row by row.
     pub world_from_object: [f32; 9],
     /// World units.
@@ -393,17 +399,25 @@ pub struct AshsplatPlaced {
     /// World units per unit of the scene, the same in all directions: 1 for no scaling.
     pub scale: f32,
     /// How it is drawn, or NULL: as it is.
-    pub settings: *const super::AshsplatSceneSettings,
+    pub settings: *const AshsplatSceneSettings,
     /// Its pose in the frame before, for AshsplatRecordedFrame.motion. NULL: the same as now, for scenes that stand still and
     /// for those that were not there.
-    pub previous_pose: *const super::AshsplatPose,
+    pub previous_pose: *const AshsplatPose,
 }
 
 impl AshsplatPlaced {
     /// Pose of the scene.
     pub fn pose(&self) -> Pose {
-        let Self { world_from_object, translation, scale, .. } = *self;
-        super::AshsplatPose { world_from_object, translation, scale, ..Default::default() }.pose()
+        pose_of(&self.world_from_object, self.translation, self.scale)
+    }
+}
+
+/// Converts a pose with a rotation row by row.
+pub(super) fn pose_of(rows: &[f32; 9], translation: [f32; 3], scale: f32) -> Pose {
+    Pose {
+        world_from_object: Mat3::from_cols_array(rows).transpose(),
+        translation: Vec3::from(translation),
+        scale,
     }
 }
 
@@ -420,5 +434,108 @@ impl From<AshsplatImageState> for ImageState {
             stages: vk::PipelineStageFlags2::from_raw(s.stages),
             accesses: vk::AccessFlags2::from_raw(s.accesses),
         }
+    }
+}
+
+/// At which pixels a Gaussian counts.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatExtent {
+    /// Wherever its alpha is at least 1/255.
+    Exact = 0,
+    /// In the tiles of the reference implementation's square of three standard deviations.
+    Reference = 1,
+}
+
+/// Directions within which the projection is linearised at the Gaussian itself. Outside, it is linearised at
+/// the limit.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatJacobianLimit {
+    /// The picture's edges and 0.3 tan(fov/2) beyond.
+    Edge = 0,
+    /// 1.3 tan(fov/2) on either side of the optical axis, as the reference implementation does.
+    Symmetric = 1,
+}
+
+/// How each Gaussian is drawn.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatShape {
+    /// The Gaussian itself.
+    Gaussian = 0,
+    /// An opaque ellipsoid of two standard deviations.
+    Ellipsoid = 1,
+    /// An opaque dot.
+    Point = 2,
+}
+
+/// How a frame is rendered; by default as scenes are trained and shown.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatRenderSettings {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// An AshsplatExtent.
+    pub extent: u32,
+    /// An AshsplatJacobianLimit.
+    pub jacobian_limit: u32,
+    /// An AshsplatShape.
+    pub shape: u32,
+    /// Highest evaluated SH degree: 3 for all stored degrees.
+    pub sh_degree: u32,
+    /// True if opacities are compensated for the low-pass filter.
+    pub antialias: bool,
+    /// True if the sum of weights / z is rendered as well: ashsplat_slot_inverse_depth.
+    pub inverse_depth: bool,
+    /// Factor of all scales: 1 for the scene as it is.
+    pub scale_modifier: f32,
+    /// The low-pass filter: variance that the projection adds along both axes, square pixels. 0 is as 0.3, the reference's;
+    /// Mip-Splatting has 0.1.
+    pub kernel_size: f32,
+    /// Not 0: gradients take the compensation of `antialias` as a constant.
+    pub antialias_detached: u32,
+    /// Not 0: Gaussians are drawn with Mip-Splatting's 3D filter, whose sizes ashsplat_compute_filters gives them. Frames of such
+    /// settings are reserved: AshsplatReservation.filter_3d.
+    pub filter_3d: u32,
+}
+
+/// Returns the value of an enumeration's number.
+pub(super) fn one_of<T: Copy>(what: impl std::fmt::Display, number: u32, values: &[T]) -> Result<T> {
+    let found = values.get(number as usize).copied();
+    found.ok_or_else(|| {
+        Error::argument(what.to_string(), format!("{number}, there are 0 to {}", values.len() - 1))
+    })
+}
+
+impl AshsplatRenderSettings {
+    /// Converts to the engine's settings, with a black background.
+    pub(super) fn checked(&self) -> Result<RenderSettings> {
+        let standard = RenderSettings::default();
+        let dilation_px2 = match self.kernel_size {
+            0.0 => standard.dilation_px2,
+            own if own.is_finite() && own > 0.0 => own,
+            other => {
+                let problem = format!("is {other}, must be finite and positive, or 0 for the default");
+                return Err(Error::argument("settings.kernel_size", problem));
+            }
+        };
+        Ok(RenderSettings {
+            extent: one_of("settings.extent", self.extent, &[Extent::Exact, Extent::Reference])?,
+            jacobian_limit: one_of(
+                "settings.jacobian_limit",
+                self.jacobian_limit,
+                &[JacobianLimit::Edge, JacobianLimit::Symmetric],
+            )?,
+            shape: one_of("settings.shape", self.shape, &[Shape::Gaussian, Shape::Ellipsoid, Shape::Point])?,
+            sh_degree: Some(self.sh_degree),
+            scale_modifier: self.scale_modifier,
+            antialias: self.antialias,
+            inverse_depth: self.inverse_depth,
+            dilation_px2,
+            antialias_detached: self.antialias_detached != 0,
+            filter_3d: self.filter_3d != 0,
+            ..standard
+        })
     }
 }

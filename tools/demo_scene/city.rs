@@ -4,9 +4,9 @@
 //! sizes, colours and textures; about every seventh lot has trees instead. The cameras fly over it in a grid and look
 //! obliquely, so each photograph shows a few lots and none shows all of them. A larger city has as many photographs per lot.
 
-use crate::scene::{Object, Scene, Shape, Texture, glossy, lattice_noise, matt};
+use crate::scene::{Object, Scene, Shape, Texture, lattice_noise};
 use ashsplat::scene::{Camera, Intrinsics};
-use glam::{Mat3, Vec3, vec3};
+use glam::{Vec3, vec3};
 
 /// Lots along a side of the default city.
 const LOTS: u32 = 8;
@@ -44,12 +44,11 @@ pub fn scene(city: City) -> Scene {
         joint: vec3(0.55, 0.54, 0.50),
         size: LOT,
     };
-    let mut objects =
-        vec![Object { shape: Shape::Terrace { radius: TERRACE * lots as f32 }, material: matt(ground) }];
+    let mut objects = vec![Object::matt(Shape::Terrace { radius: TERRACE * lots as f32 }, ground)];
     for (i, j) in (0..lots).flat_map(|i| (0..lots).map(move |j| (i, j))) {
         objects.extend(lot(i, j, lots));
     }
-    Scene { objects, to_sun: vec3(0.45, -0.5, 0.74).normalize(), sun: vec3(1.05, 0.98, 0.86) }
+    Scene::in_sunlight(objects)
 }
 
 /// Objects on a lot.
@@ -62,7 +61,7 @@ fn lot(i: i32, j: i32, lots: i32) -> Vec<Object> {
     }
     let color = |what: i32| vec3(random(what), random(what + 1), random(what + 2)) * 0.6 + 0.1;
     let half = vec3(0.32 + 0.22 * random(1), 0.32 + 0.22 * random(2), 0.2 + 0.5 * random(3));
-    let local_from_world = Mat3::from_rotation_z(0.5 * random(4) - 0.25);
+    let angle = 0.5 * random(4) - 0.25;
     let walls = match (3.0 * random(5)) as u32 {
         0 => Texture::Checker { colors: [color(10), color(13)], size: 0.12 + 0.12 * random(6) },
         1 => Texture::Stripes {
@@ -76,11 +75,8 @@ fn lot(i: i32, j: i32, lots: i32) -> Vec<Object> {
     let flat = half * vec3(0.7, 0.7, 0.0) + vec3(0.0, 0.0, 0.05 + 0.1 * random(7));
     let above = |z: f32| center + z * Vec3::Z;
     vec![
-        Object { shape: Shape::Box { center: above(half.z), half, local_from_world }, material: matt(walls) },
-        Object {
-            shape: Shape::Box { center: above(2.0 * half.z + flat.z), half: flat, local_from_world },
-            material: glossy(roof, 0.2, 0.0),
-        },
+        Object::matt(Shape::turned_box(above(half.z), half, angle), walls),
+        Object::glossy(Shape::turned_box(above(2.0 * half.z + flat.z), flat, angle), roof, 0.2, 0.0),
     ]
 }
 
@@ -93,8 +89,8 @@ fn trees(center: Vec3, random: &impl Fn(i32) -> f32) -> Vec<Object> {
         let leaves = Texture::Noise { colors: [vec3(0.05, 0.24, 0.06), vec3(0.35, 0.52, 0.12)], size: 0.12 };
         let top = foot + height * Vec3::Z;
         [
-            Object { shape: Shape::Capsule { start: foot, end: top, radius: 0.04 }, material: matt(bark) },
-            Object { shape: Shape::Sphere { center: top, radius }, material: matt(leaves) },
+            Object::matt(Shape::Capsule { start: foot, end: top, radius: 0.04 }, bark),
+            Object::matt(Shape::Sphere { center: top, radius }, leaves),
         ]
     };
     (0..3).flat_map(tree).collect()

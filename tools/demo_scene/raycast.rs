@@ -1,6 +1,6 @@
 //! A small ray-caster: analytic intersections (sphere tracing for the torus), one jittered sun, Phong highlights.
 
-use crate::scene::{Object, SKY_RADIUS, Scene, Shape};
+use crate::scene::{Object, SHININESS, SKY_RADIUS, Scene, Shape};
 use ashsplat::scene::{Camera, srgb_from_linear};
 use ashsplat_files::Photo;
 use glam::{Mat3, Vec3, vec3};
@@ -102,11 +102,8 @@ fn sun_sample(sample: u32, x: u32, y: u32) -> u32 {
 
 /// Light that arrives at a pixel, linear: the mean of a grid of rays.
 pub fn pixel_light(scene: &Scene, camera: &Camera, x: u32, y: u32) -> Vec3 {
-    let mut sum = Vec3::ZERO;
-    for (sample, ray) in rays(camera, x, y) {
-        sum += light(scene, &ray, sun_sample(sample, x, y));
-    }
-    sum / (GRID * GRID) as f32
+    let lights = rays(camera, x, y).map(|(sample, ray)| light(scene, &ray, sun_sample(sample, x, y)));
+    lights.sum::<Vec3>() / (GRID * GRID) as f32
 }
 
 /// Linear light to an 8-bit sRGB triple.
@@ -126,8 +123,8 @@ pub fn first_hit<'a>(scene: &'a Scene, ray: &Ray) -> Option<Hit<'a>> {
 fn light(scene: &Scene, ray: &Ray, sun_sample: u32) -> Vec3 {
     let Some(hit) = first_hit(scene, ray) else { return scene.sky(ray.direction) };
     let point = ray.at(hit.distance);
-    let material = &hit.object.material;
-    let color = material.texture.color(local_position(&hit.object.shape, point));
+    let Object { shape, texture, gloss, mirror } = hit.object;
+    let color = texture.color(local_position(shape, point));
     let to_sun = sun_point(scene.to_sun, sun_sample);
     let shadow_ray = Ray { origin: point + hit.normal * SKIN, direction: to_sun };
     let facing = hit.normal.dot(to_sun).max(0.0);
@@ -135,9 +132,9 @@ fn light(scene: &Scene, ray: &Ray, sun_sample: u32) -> Vec3 {
     // The sky as a hemisphere: bluish from above, the terrace's reflected light from below.
     let ambient = vec3(0.25, 0.24, 0.22).lerp(vec3(0.40, 0.46, 0.55), 0.5 + 0.5 * hit.normal.z);
     let mirrored = ray.direction - 2.0 * ray.direction.dot(hit.normal) * hit.normal;
-    let highlight = material.gloss * mirrored.dot(to_sun).max(0.0).powf(material.shininess);
+    let highlight = gloss * mirrored.dot(to_sun).max(0.0).powf(SHININESS);
     let diffuse = color * (ambient + sun * facing);
-    diffuse * (1.0 - material.mirror) + scene.sky(mirrored) * material.mirror + sun * highlight
+    diffuse * (1.0 - mirror) + scene.sky(mirrored) * *mirror + sun * highlight
 }
 
 /// A direction to one of 9 points spread evenly over the sun's disc (a golden-angle spiral).

@@ -37,21 +37,34 @@ pub(crate) enum Texture {
     Tiles { colors: [Vec3; 2], joint: Vec3, size: f32 },
 }
 
-/// Appearance of a surface.
-pub(crate) struct Material {
+/// A shape and the appearance of its surface.
+pub(crate) struct Object {
+    pub(crate) shape: Shape,
     pub(crate) texture: Texture,
     /// Strength of the Phong highlight.
     pub(crate) gloss: f32,
-    /// Exponent of the Phong highlight.
-    pub(crate) shininess: f32,
     /// Share of mirrored sky.
     pub(crate) mirror: f32,
 }
 
-/// A shape and its material.
-pub(crate) struct Object {
-    pub(crate) shape: Shape,
-    pub(crate) material: Material,
+/// Exponent of the Phong highlight: a broad one, which harmonics of degree 3 follow in part, so that a wrong gradient shows.
+pub(crate) const SHININESS: f32 = 14.0;
+
+impl Object {
+    pub(crate) fn matt(shape: Shape, texture: Texture) -> Object {
+        Object::glossy(shape, texture, 0.0, 0.0)
+    }
+
+    pub(crate) fn glossy(shape: Shape, texture: Texture, gloss: f32, mirror: f32) -> Object {
+        Object { shape, texture, gloss, mirror }
+    }
+}
+
+impl Shape {
+    /// A box that is turned around the vertical axis.
+    pub(crate) fn turned_box(center: Vec3, half: Vec3, angle: f32) -> Shape {
+        Shape::Box { center, half, local_from_world: Mat3::from_rotation_z(angle) }
+    }
 }
 
 /// The objects that rays can meet, and the sun.
@@ -72,6 +85,10 @@ impl Scene {
         let mut objects = vec![terrace()];
         objects.extend(centre_pieces());
         objects.extend(small_pieces());
+        Scene::in_sunlight(objects)
+    }
+
+    pub(crate) fn in_sunlight(objects: Vec<Object>) -> Scene {
         Scene { objects, to_sun: vec3(0.45, -0.5, 0.74).normalize(), sun: vec3(1.05, 0.98, 0.86) }
     }
 
@@ -97,7 +114,7 @@ fn terrace() -> Object {
         joint: vec3(0.17, 0.16, 0.14),
         size: 0.75,
     };
-    Object { shape: Shape::Terrace { radius: 5.0 }, material: matt(stone) }
+    Object::matt(Shape::Terrace { radius: 5.0 }, stone)
 }
 
 fn centre_pieces() -> Vec<Object> {
@@ -109,36 +126,20 @@ fn centre_pieces() -> Vec<Object> {
     let checker = Texture::Checker { colors: [vec3(0.05, 0.20, 0.35), vec3(0.75, 0.75, 0.70)], size: 0.22 };
     let wood = Texture::Noise { colors: [vec3(0.30, 0.14, 0.05), vec3(0.62, 0.38, 0.16)], size: 0.16 };
     let gold = Texture::Noise { colors: [vec3(0.72, 0.48, 0.10), vec3(0.50, 0.30, 0.06)], size: 0.30 };
+    let ball = Shape::Sphere { center: vec3(0.0, 0.0, 0.62), radius: 0.62 };
+    let ring = Shape::Torus {
+        center: vec3(-0.75, -1.0, 0.52),
+        local_from_world: Mat3::from_rotation_x(1.25) * Mat3::from_rotation_z(-0.6),
+        major: 0.42,
+        minor: 0.11,
+    };
+    let cube = Shape::turned_box(vec3(1.25, 0.35, 0.42), Vec3::splat(0.42), -0.5);
+    let beam = Shape::turned_box(vec3(-1.15, 0.85, 0.30), vec3(0.65, 0.28, 0.30), 0.6);
     vec![
-        Object {
-            shape: Shape::Sphere { center: vec3(0.0, 0.0, 0.62), radius: 0.62 },
-            material: glossy(stripes, 0.55, 0.12),
-        },
-        Object {
-            shape: Shape::Box {
-                center: vec3(1.25, 0.35, 0.42),
-                half: vec3(0.42, 0.42, 0.42),
-                local_from_world: Mat3::from_rotation_z(-0.5),
-            },
-            material: matt(checker),
-        },
-        Object {
-            shape: Shape::Box {
-                center: vec3(-1.15, 0.85, 0.30),
-                half: vec3(0.65, 0.28, 0.30),
-                local_from_world: Mat3::from_rotation_z(0.6),
-            },
-            material: glossy(wood, 0.25, 0.0),
-        },
-        Object {
-            shape: Shape::Torus {
-                center: vec3(-0.75, -1.0, 0.52),
-                local_from_world: Mat3::from_rotation_x(1.25) * Mat3::from_rotation_z(-0.6),
-                major: 0.42,
-                minor: 0.11,
-            },
-            material: glossy(gold, 0.7, 0.08),
-        },
+        Object::glossy(ball, stripes, 0.55, 0.12),
+        Object::matt(cube, checker),
+        Object::glossy(beam, wood, 0.25, 0.0),
+        Object::glossy(ring, gold, 0.7, 0.08),
     ]
 }
 
@@ -155,40 +156,16 @@ fn small_pieces() -> Vec<Object> {
         direction: vec3(1.0, 0.3, 0.0).normalize(),
     };
     let blue = Texture::Noise { colors: [vec3(0.04, 0.08, 0.40), vec3(0.20, 0.45, 0.70)], size: 0.25 };
+    let dots = Texture::Checker { colors: [vec3(0.8, 0.75, 0.1), vec3(0.35, 0.05, 0.25)], size: 0.14 };
+    let capsule = |start, end, radius| Shape::Capsule { start, end, radius };
+    let sphere = |center, radius| Shape::Sphere { center, radius };
     vec![
-        Object {
-            shape: Shape::Capsule { start: vec3(0.7, -1.2, 0.3), end: vec3(0.7, -1.2, 0.85), radius: 0.28 },
-            material: glossy(green, 0.3, 0.0),
-        },
-        Object {
-            shape: Shape::Capsule { start: vec3(0.35, 1.45, 0.0), end: vec3(0.35, 1.45, 1.5), radius: 0.06 },
-            material: matt(rod),
-        },
-        Object {
-            shape: Shape::Capsule { start: vec3(-0.6, 1.55, 1.35), end: vec3(1.3, 1.4, 1.5), radius: 0.07 },
-            material: glossy(beam, 0.3, 0.0),
-        },
-        Object {
-            shape: Shape::Sphere { center: vec3(-1.75, -0.35, 0.26), radius: 0.26 },
-            material: glossy(blue, 0.8, 0.15),
-        },
-        Object {
-            shape: Shape::Sphere { center: vec3(1.75, -0.75, 0.2), radius: 0.2 },
-            material: matt(Texture::Checker {
-                colors: [vec3(0.8, 0.75, 0.1), vec3(0.35, 0.05, 0.25)],
-                size: 0.14,
-            }),
-        },
+        Object::glossy(capsule(vec3(0.7, -1.2, 0.3), vec3(0.7, -1.2, 0.85), 0.28), green, 0.3, 0.0),
+        Object::matt(capsule(vec3(0.35, 1.45, 0.0), vec3(0.35, 1.45, 1.5), 0.06), rod),
+        Object::glossy(capsule(vec3(-0.6, 1.55, 1.35), vec3(1.3, 1.4, 1.5), 0.07), beam, 0.3, 0.0),
+        Object::glossy(sphere(vec3(-1.75, -0.35, 0.26), 0.26), blue, 0.8, 0.15),
+        Object::matt(sphere(vec3(1.75, -0.75, 0.2), 0.2), dots),
     ]
-}
-
-pub(crate) fn matt(texture: Texture) -> Material {
-    Material { texture, gloss: 0.0, shininess: 1.0, mirror: 0.0 }
-}
-
-pub(crate) fn glossy(texture: Texture, gloss: f32, mirror: f32) -> Material {
-    // A broad highlight, which harmonics of degree 3 follow in part: a wrong gradient shows.
-    Material { texture, gloss, shininess: 14.0, mirror }
 }
 
 impl Texture {

@@ -1,11 +1,11 @@
 //! The part that a host engine writes to draw splats. The steps are numbered as in the guide's chapter `embedding`.
 
 use super::allocator::Adapter;
-use super::cube::{COLOR_WRITTEN, Cube, CubePass, DEPTH_WRITTEN, SAMPLED, UNUSED};
 use super::host::{Host, HostOptions, InFlight, Result};
 use super::memory::{HostBuffer, HostTexture, Use};
-use super::splat_depth::{self, SplatDepth};
-use super::tonemap::Tonemap;
+use super::passes::{
+    COLOR_WRITTEN, Cube, CubePass, DEPTH_WRITTEN, EMPTY, SAMPLED, SplatDepth, Tonemap, UNUSED,
+};
 use ashsplat::ash::vk;
 use ashsplat::glam::camera::rh::{proj::vulkan, view::look_at_mat4};
 use ashsplat::glam::{Mat3, Mat4, Vec3};
@@ -82,31 +82,26 @@ struct Guest {
     expected: Image,
     ring: DeviceScene,
     ball: DeviceScene,
-    _context: Context,
     allocator: Arc<Adapter>,
 }
 
 impl Engine {
     fn new(host: &Host) -> Result<Self> {
-        let color_usage = vk::ImageUsageFlags::COLOR_ATTACHMENT
-            | vk::ImageUsageFlags::SAMPLED
-            // The guest writes the image.
-            | vk::ImageUsageFlags::STORAGE;
-        // The guest reads the depth.
-        let depth_usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | vk::ImageUsageFlags::SAMPLED;
-        let color = HostTexture::new(host, vk::Format::R16G16B16A16_SFLOAT, color_usage, SIZE)?;
-        let depth = HostTexture::new(host, vk::Format::D32_SFLOAT, depth_usage, SIZE)?;
-        let display_usage = vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC;
-        let display = HostTexture::new(host, vk::Format::R8G8B8A8_SRGB, display_usage, SIZE)?;
-        let expected_usage = vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::SAMPLED;
-        let expected = HostTexture::new(host, vk::Format::R32_SFLOAT, expected_usage, SIZE)?;
+        type Usage = vk::ImageUsageFlags;
+        let image = |format, usage| HostTexture::new(host, format, usage, SIZE);
+        // The guest writes into colour and expected depth (STORAGE), and reads the depth (SAMPLED).
+        let color_usage = Usage::COLOR_ATTACHMENT | Usage::SAMPLED | Usage::STORAGE;
+        let color = image(vk::Format::R16G16B16A16_SFLOAT, color_usage)?;
+        let depth = image(vk::Format::D32_SFLOAT, Usage::DEPTH_STENCIL_ATTACHMENT | Usage::SAMPLED)?;
+        let expected = image(vk::Format::R32_SFLOAT, Usage::STORAGE | Usage::SAMPLED)?;
+        let display = image(vk::Format::R8G8B8A8_SRGB, Usage::COLOR_ATTACHMENT | Usage::TRANSFER_SRC)?;
         let frame = |_| Ok((InFlight::new(host)?, HostBuffer::new(host, PIXEL_BYTES)?));
-        let frames: Result<Vec<_>> = (0..FRAMES_IN_FLIGHT).map(frame).collect();
+        let frames = (0..FRAMES_IN_FLIGHT).map(frame).collect::<Result<_>>()?;
         let cube = Cube::new(host, color.format, depth.format)?;
         let tonemap = Tonemap::new(host, &color, display.format)?;
         let splat_depth = SplatDepth::new(host, &expected, depth.format)?;
-        let (guest, last) = (Guest::new(host, [&color, &depth, &expected])?, [UNUSED; 3]);
-        let frames = frames?;
+        let guest = Guest::new(host, [&color, &depth, &expected])?;
+        let last = [UNUSED; 3];
         Ok(Self { frames, cube, splat_depth, tonemap, guest, color, depth, expected, display, last })
     }
 
@@ -133,15 +128,14 @@ impl Engine {
             },
         );
         let (release, mapping) = self.guest.record(commands, slot as u32, picture, &view)?;
-        // 7. The release says what to wait for, and the images' layouts. Here it serves the last pass, and the next frame's
-        // first one, which may write the depth only after the guest has read it.
-        let [color, depth, expected] =
-            [release.color, release.occluder, release.depth].map(|state| state.map(uses));
-        let (color, depth) = (color.ok_or("the frame has a target")?, depth.ok_or("the frame has a depth")?);
+        // 7. The release says what to wait for, and the images' layouts. Two passes wait here: the last one of this frame,
+        // and the first one of the next, which overwrites the depth that the guest reads.
+        let color = release.color.map(uses).ok_or("the frame has a target")?;
+        let depth = release.occluder.map(uses).ok_or("the frame has a depth")?;
+        let expected = release.depth.map(uses).ok_or("the frame has an expected depth")?;
         // From here on, splats hide what is drawn too.
         let images = [&self.expected, &self.depth];
-        let uses = [expected.ok_or("the frame has an expected depth")?, depth];
-        let [_, depth] = self.splat_depth.record(host, commands, images, uses, &mapping);
+        let [_, depth] = self.splat_depth.record(host, commands, images, [expected, depth], &mapping);
         let images = [&self.color, &self.display];
         let [color, display] = self.tonemap.record(host, commands, images, [color, self.last[2]]);
         let display = self.display.record_read(host, commands, display, pixels);
@@ -152,14 +146,14 @@ impl Engine {
     /// Draws all pictures in turn. Returns a report line for each.
     fn pictures(&mut self, host: &Host, folder: &Path) -> Result<Vec<String>> {
         let mut report = Vec::new();
-        for (number, picture) in PICTURES.iter().enumerate() {
-            if number >= self.frames.len() {
-                report.push(self.finish(host, number - self.frames.len(), folder)?);
+        let in_flight = self.frames.len();
+        for number in 0..PICTURES.len() + in_flight {
+            if number >= in_flight {
+                report.push(self.finish(host, number - in_flight, folder)?);
             }
-            self.draw(host, number, picture)?;
-        }
-        for number in PICTURES.len() - self.frames.len()..PICTURES.len() {
-            report.push(self.finish(host, number, folder)?);
+            if let Some(picture) = PICTURES.get(number) {
+                self.draw(host, number, picture)?;
+            }
         }
         report.push(format!("{} pieces of memory of the host's allocator", self.guest.allocator.pieces()));
         Ok(report)
@@ -175,11 +169,8 @@ impl Engine {
         }
         cube.destroy(host);
         splat_depth.destroy(host);
-        expected.destroy(host);
         tonemap.destroy(host);
-        display.destroy(host);
-        color.destroy(host);
-        depth.destroy(host);
+        [color, depth, expected, display].into_iter().for_each(|image| image.destroy(host));
     }
 
     /// Waits for a frame and writes its picture. Returns its report line.
@@ -215,14 +206,13 @@ impl Guest {
         // 3. Scenes, and views of the host's images.
         let ring = DeviceScene::upload(&context, &ring(), 0)?;
         let ball = DeviceScene::upload(&context, &ball(), 0)?;
-        // SAFETY: the images are the host's, were created as described, and outlive the guest.
-        let (color, depth, expected) = unsafe {
-            (
-                Image::adopt(&context, "picture", &color.foreign(), ImageUse::Target)?,
-                Image::adopt(&context, "picture's depth", &depth.foreign(), ImageUse::Occluder)?,
-                Image::adopt(&context, "expected depth", &expected.foreign(), ImageUse::Depth)?,
-            )
+        let adopt = |name, image: &HostTexture, purpose| {
+            // SAFETY: the images are the host's, were created as described, and outlive the guest.
+            unsafe { Image::adopt(&context, name, &image.foreign(), purpose) }
         };
+        let color = adopt("picture", color, ImageUse::Target)?;
+        let depth = adopt("picture's depth", depth, ImageUse::Occluder)?;
+        let expected = adopt("expected depth", expected, ImageUse::Depth)?;
         // 4. Everything that frames will need is built and allocated here.
         let mut renderer = Renderer::new(&context)?;
         renderer.reserve(&Reservation {
@@ -233,7 +223,7 @@ impl Guest {
             images_only: true,
             ..Reservation::new(ring.count() + ball.count(), 1, SIZE[0], SIZE[1])
         })?;
-        Ok(Self { renderer, color, depth, expected, ring, ball, _context: context, allocator })
+        Ok(Self { renderer, color, depth, expected, ring, ball, allocator })
     }
 
     fn record(
@@ -247,10 +237,9 @@ impl Guest {
         let (camera, mapping) = view.camera()?;
         // SAFETY: recording state, outside of the pass; submitted once, and waited for before the slot is used again.
         let commands = unsafe { self.renderer.context().adopt_commands(commands)? };
-        let ring = Placed::from(&self.ring);
         let turned = Mat3::from_rotation_z(picture.angle);
         let pose = Pose { world_from_object: turned, translation: Vec3::new(0.75, 0.55, 0.75), scale: 1.0 };
-        let scenes = [ring, Placed::at(&self.ball, pose)];
+        let scenes = [Placed::from(&self.ring), Placed::at(&self.ball, pose)];
         let scenes = if picture.second { &scenes[..] } else { &scenes[..1] };
         let settings = RenderSettings::default();
         // 6. The frame, composed over the host's picture, hidden where the host's depth is nearer.
@@ -259,7 +248,7 @@ impl Guest {
         let occluder = Some(Occluder { depth: used(&self.depth, DEPTH_WRITTEN), mapping });
         // The previous frame's depth pass has read it.
         let to = used(&self.expected, (UNUSED.0, SAMPLED.1, SAMPLED.2));
-        let depth = Some(DepthTarget { to, min_weight: 0.5, empty: splat_depth::EMPTY });
+        let depth = Some(DepthTarget { to, min_weight: 0.5, empty: EMPTY });
         let frame =
             RecordedFrame { target, occluder, depth, ..RecordedFrame::new(scenes, &camera, &settings) };
         Ok((self.renderer.record(commands, slot, &frame)?, mapping))

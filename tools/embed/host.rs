@@ -1,11 +1,11 @@
 //! The host's Vulkan: an engine's own instance, device, images and frames in flight, in raw `ash`. Only two functions here know
 //! ashsplat: [`Host::new`] enables what it requires, and [`Host::foreign`] hands the device over.
 
+use super::messages::Messages;
 use ashsplat::ash::{self, vk};
 use ashsplat::vk::{Context, Features, ForeignDevice};
 use std::error::Error;
-use std::ffi::{CStr, c_void};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::ffi::CStr;
 
 pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -21,8 +21,7 @@ pub struct Host {
     pub async_queue: Option<AsyncQueue>,
     pub features: Features,
     pub extensions: Vec<&'static CStr>,
-    debug: Option<(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
-    messages: Arc<Mutex<Vec<String>>>,
+    messages: Option<Messages>,
     // Unloads the library when dropped: keep it last.
     _entry: ash::Entry,
 }
@@ -68,20 +67,21 @@ impl Host {
         // SAFETY: every create info lives through its call; handles come from the calls before.
         unsafe {
             let entry = ash::Entry::load()?;
-            let messages = Arc::<Mutex<Vec<String>>>::default();
             let instance = create_instance(&entry, options.validation)?;
-            let debug = match options.validation {
-                true => Some(messenger(&entry, &instance, &messages)?),
-                false => None,
+            let messages = options.validation.then(|| Messages::new(&entry, &instance)).transpose()?;
+            // The first device that is not a processor, else the first.
+            let is_cpu = |device: &vk::PhysicalDevice| {
+                instance.get_physical_device_properties(*device).device_type == vk::PhysicalDeviceType::CPU
             };
-            let physical = choose(&instance)?;
+            let devices = instance.enumerate_physical_devices()?;
+            let physical = devices.into_iter().min_by_key(is_cpu).ok_or("no Vulkan device")?;
             let families = instance.get_physical_device_queue_family_properties(physical);
-            let wanted = vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE;
-            let family = families.iter().position(|f| f.queue_flags.contains(wanted));
+            let both = vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE;
+            let family = families.iter().position(|f| f.queue_flags.contains(both));
             let queue_family = family.ok_or("no queue for graphics and compute")? as u32;
-            let apart = |f: &vk::QueueFamilyProperties| f.queue_flags & wanted == vk::QueueFlags::COMPUTE;
+            let apart = families.iter().position(|f| f.queue_flags & both == vk::QueueFlags::COMPUTE);
             let async_family = match options.async_compute {
-                true => Some(families.iter().position(apart).ok_or("no queue for compute alone")? as u32),
+                true => Some(apart.ok_or("no queue for compute alone")? as u32),
                 false => None,
             };
 
@@ -97,24 +97,23 @@ impl Host {
             }
             let present = instance.enumerate_device_extension_properties(physical)?;
             let has = |name: &CStr| present.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
+            let mut known = vk::PhysicalDeviceVulkan12Features::default();
+            let mut all = vk::PhysicalDeviceFeatures2::default().push_next(&mut known);
+            instance.get_physical_device_features2(physical, &mut all);
             // A device with the extension has its feature. The newer one, which an older validation layer does not know, is left out.
-            features.shader_subgroup_uniform_control_flow =
-                options.subgroup_features && has(ash::khr::shader_subgroup_uniform_control_flow::NAME);
+            let control_flow_extension = ash::khr::shader_subgroup_uniform_control_flow::NAME;
+            let control_flow = options.subgroup_features && has(control_flow_extension);
+            features.shader_subgroup_uniform_control_flow = control_flow;
             features.subgroup_broadcast_dynamic_id =
-                options.subgroup_features && broadcasts(&instance, physical);
+                options.subgroup_features && known.subgroup_broadcast_dynamic_id != 0;
             features.merge_into(&mut v12, &mut v13);
-            let mut control_flow = vk::PhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR::default()
-                .shader_subgroup_uniform_control_flow(features.shader_subgroup_uniform_control_flow);
             let mut extensions = requirements.extensions.clone();
-            let optional = requirements.optional_extensions.iter().map(|e| e.name);
-            let wanted = |name: &&CStr| match *name == ash::khr::push_descriptor::NAME {
-                true => options.push_descriptors && has(name),
-                false => {
-                    *name == ash::khr::shader_subgroup_uniform_control_flow::NAME
-                        && features.shader_subgroup_uniform_control_flow
-                }
-            };
-            extensions.extend(optional.filter(wanted));
+            if options.push_descriptors && has(ash::khr::push_descriptor::NAME) {
+                extensions.push(ash::khr::push_descriptor::NAME);
+            }
+            if control_flow {
+                extensions.push(control_flow_extension);
+            }
 
             let names: Vec<_> = extensions.iter().map(|name| name.as_ptr()).collect();
             let priorities = [1.0];
@@ -122,15 +121,17 @@ impl Host {
                 vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&priorities)
             };
             let queues: Vec<_> = std::iter::once(queue_family).chain(async_family).map(queue_of).collect();
-            let info = vk::DeviceCreateInfo::default()
+            let mut info = vk::DeviceCreateInfo::default()
                 .queue_create_infos(&queues)
                 .enabled_extension_names(&names)
                 .push_next(&mut v12)
                 .push_next(&mut v13);
-            let info = match features.shader_subgroup_uniform_control_flow {
-                true => info.push_next(&mut control_flow),
-                false => info,
-            };
+            let mut control_flow_feature =
+                vk::PhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR::default()
+                    .shader_subgroup_uniform_control_flow(true);
+            if control_flow {
+                info = info.push_next(&mut control_flow_feature);
+            }
             let device = instance.create_device(physical, &info, None)?;
             let queue = device.get_device_queue(queue_family, 0);
             let new_pool = |family: u32| {
@@ -140,13 +141,11 @@ impl Host {
                 device.create_command_pool(&info, None)
             };
             let pool = new_pool(queue_family)?;
-            let async_queue = match async_family {
-                Some(family) => {
-                    let queue = device.get_device_queue(family, 0);
-                    Some(AsyncQueue { family, queue, pool: new_pool(family)? })
-                }
-                None => None,
+            let async_queue = |family| {
+                let queue = device.get_device_queue(family, 0);
+                Ok::<_, vk::Result>(AsyncQueue { family, queue, pool: new_pool(family)? })
             };
+            let async_queue = async_family.map(async_queue).transpose()?;
             let _entry = entry;
             Ok(Self {
                 instance,
@@ -158,7 +157,6 @@ impl Host {
                 async_queue,
                 features,
                 extensions,
-                debug,
                 messages,
                 _entry,
             })
@@ -175,7 +173,7 @@ impl Host {
             queue: Some(self.queue),
             features: self.features,
             extensions: &self.extensions,
-            debug_utils: self.debug.is_some(),
+            debug_utils: self.messages.is_some(),
             queue_lock: None,
             allocator: None,
             pipeline_cache: vk::PipelineCache::null(),
@@ -232,12 +230,10 @@ impl Host {
                 self.device.destroy_command_pool(pool, None);
             }
             self.device.destroy_device(None);
-            if let Some((loader, messenger)) = &self.debug {
-                loader.destroy_debug_utils_messenger(*messenger, None);
-            }
+            let messages = self.messages.map(Messages::finish);
             self.instance.destroy_instance(None);
+            messages.unwrap_or_default()
         }
-        self.messages.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
@@ -261,53 +257,6 @@ unsafe fn create_instance(entry: &ash::Entry, validation: bool) -> Result<ash::I
     }
     // SAFETY: all pointers live through the call.
     Ok(unsafe { entry.create_instance(&info, None)? })
-}
-
-type Messenger = (ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT);
-
-unsafe fn messenger(
-    entry: &ash::Entry,
-    instance: &ash::Instance,
-    messages: &Arc<Mutex<Vec<String>>>,
-) -> Result<Messenger> {
-    let loader = ash::ext::debug_utils::Instance::new(entry, instance);
-    type Severity = vk::DebugUtilsMessageSeverityFlagsEXT;
-    let info = vk::DebugUtilsMessengerCreateInfoEXT::default()
-        .message_severity(Severity::WARNING | Severity::ERROR)
-        .message_type(vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION)
-        .pfn_user_callback(Some(collect))
-        .user_data(Arc::as_ptr(messages).cast_mut().cast());
-    // SAFETY: `messages` lives as long as the host.
-    let messenger = unsafe { loader.create_debug_utils_messenger(&info, None)? };
-    Ok((loader, messenger))
-}
-
-unsafe extern "system" fn collect(
-    _: vk::DebugUtilsMessageSeverityFlagsEXT,
-    _: vk::DebugUtilsMessageTypeFlagsEXT,
-    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
-    user: *mut c_void,
-) -> vk::Bool32 {
-    // SAFETY: the contract of the callback; `user` is what `messenger` gave.
-    unsafe {
-        if let (Some(data), Some(messages)) = (data.as_ref(), user.cast::<Mutex<Vec<String>>>().as_ref()) {
-            let text = CStr::from_ptr(data.p_message).to_string_lossy().into_owned();
-            messages.lock().unwrap_or_else(PoisonError::into_inner).push(text);
-        }
-    }
-    vk::FALSE
-}
-
-/// The first device that is not a processor, else the first.
-unsafe fn choose(instance: &ash::Instance) -> Result<vk::PhysicalDevice> {
-    // SAFETY: plain queries.
-    unsafe {
-        let all = instance.enumerate_physical_devices()?;
-        let is_gpu = |device: &&vk::PhysicalDevice| {
-            instance.get_physical_device_properties(**device).device_type != vk::PhysicalDeviceType::CPU
-        };
-        all.iter().find(is_gpu).or(all.first()).copied().ok_or_else(|| "no Vulkan device".into())
-    }
 }
 
 /// A command buffer and the fence of its submission.
@@ -364,20 +313,4 @@ impl InFlight {
             host.device.free_command_buffers(host.pool, &[self.commands]);
         }
     }
-}
-
-pub fn words(bytes: &[u8]) -> Vec<u32> {
-    bytes.chunks_exact(4).map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect()
-}
-
-/// True if the device broadcasts from lanes known only at run time.
-///
-/// # Safety
-/// The physical device is of the instance.
-unsafe fn broadcasts(instance: &ash::Instance, physical: vk::PhysicalDevice) -> bool {
-    let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
-    let mut all = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12);
-    // SAFETY: as promised; the struct is chained once.
-    unsafe { instance.get_physical_device_features2(physical, &mut all) };
-    v12.subgroup_broadcast_dynamic_id != 0
 }

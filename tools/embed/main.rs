@@ -6,13 +6,11 @@
 //! light, with a tone curve at the end, as engines do.
 
 mod allocator;
-mod cube;
 mod guest;
 mod host;
 mod memory;
-mod pass;
-mod splat_depth;
-mod tonemap;
+mod messages;
+mod passes;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -42,12 +42,6 @@ impl HostTexture {
             let needs = host.device.get_image_memory_requirements(image);
             let memory = host.allocate(needs, vk::MemoryPropertyFlags::empty())?;
             host.device.bind_image_memory(image, memory, 0)?;
-            let range = vk::ImageSubresourceRange {
-                aspect_mask: aspect,
-                level_count: 1,
-                layer_count: 1,
-                ..Default::default()
-            };
             // The host's own view: such a format need not support storage.
             let seen = if flags.is_empty() { usage } else { usage & !STORAGE };
             let mut seen = vk::ImageViewUsageCreateInfo::default().usage(seen);
@@ -55,7 +49,7 @@ impl HostTexture {
                 .image(image)
                 .view_type(vk::ImageViewType::TYPE_2D)
                 .format(format)
-                .subresource_range(range)
+                .subresource_range(whole(aspect))
                 .push_next(&mut seen);
             let view = host.device.create_image_view(&info, None)?;
             Ok(Self { image, view, format, flags, usage, size, aspect, memory })
@@ -79,12 +73,7 @@ impl HostTexture {
             .old_layout(from.0)
             .new_layout(to.0)
             .image(self.image)
-            .subresource_range(vk::ImageSubresourceRange {
-                aspect_mask: self.aspect,
-                level_count: 1,
-                layer_count: 1,
-                ..Default::default()
-            })];
+            .subresource_range(whole(self.aspect))];
         let dependency = vk::DependencyInfo::default().image_memory_barriers(&barriers);
         // SAFETY: recording state.
         unsafe { host.device.cmd_pipeline_barrier2(commands, &dependency) }
@@ -95,11 +84,8 @@ impl HostTexture {
         let layers =
             vk::ImageSubresourceLayers { aspect_mask: self.aspect, layer_count: 1, ..Default::default() };
         let [width, height] = self.size;
-        vk::BufferImageCopy::default().image_subresource(layers).image_extent(vk::Extent3D {
-            width,
-            height,
-            depth: 1,
-        })
+        let image_extent = vk::Extent3D { width, height, depth: 1 };
+        vk::BufferImageCopy { image_subresource: layers, image_extent, ..Default::default() }
     }
 
     /// Records a copy into a buffer of the image's size, and makes it visible to the host. Returns the image's new use.
@@ -126,6 +112,11 @@ impl HostTexture {
             host.device.free_memory(self.memory, None);
         }
     }
+}
+
+/// All of an image with one level and one layer.
+fn whole(aspect_mask: vk::ImageAspectFlags) -> vk::ImageSubresourceRange {
+    vk::ImageSubresourceRange { aspect_mask, level_count: 1, layer_count: 1, ..Default::default() }
 }
 
 /// Layout, stages and accesses of an image at some point.
@@ -167,22 +158,22 @@ impl HostBuffer {
     }
 
     pub fn write(&self, host: &Host, bytes: &[u8]) -> Result<()> {
-        // SAFETY: the memory is host-visible, large enough for the bytes, and not in use.
-        unsafe {
-            let at = host.device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty())?;
-            std::ptr::copy_nonoverlapping(bytes.as_ptr(), at.cast(), bytes.len());
-            host.device.unmap_memory(self.memory);
-        }
-        Ok(())
+        // SAFETY: the memory is large enough for the bytes, and not in use.
+        self.mapped(host, |at| unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), at, bytes.len()) })
     }
 
     pub fn read(&self, host: &Host, bytes: usize) -> Result<Vec<u8>> {
         // SAFETY: as above.
+        self.mapped(host, |at| unsafe { std::slice::from_raw_parts(at, bytes).to_vec() })
+    }
+
+    fn mapped<T>(&self, host: &Host, access: impl FnOnce(*mut u8) -> T) -> Result<T> {
+        // SAFETY: the memory is host-visible, and mapped only here.
         unsafe {
             let at = host.device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty())?;
-            let read = std::slice::from_raw_parts(at.cast::<u8>(), bytes).to_vec();
+            let result = access(at.cast());
             host.device.unmap_memory(self.memory);
-            Ok(read)
+            Ok(result)
         }
     }
 

@@ -1,5 +1,6 @@
 //! Properties that the layer reports in the driver's place.
 
+use super::loader::{in_chain, slice};
 use super::state::{InstanceState, heap_usage};
 use ash::vk;
 use std::ffi::{CStr, c_char};
@@ -13,7 +14,7 @@ const HIDDEN: [&CStr; 5] = [
     c"VK_KHR_map_memory2",
 ];
 
-pub(crate) unsafe extern "system" fn properties(
+pub unsafe extern "system" fn properties(
     physical: vk::PhysicalDevice,
     properties: *mut vk::PhysicalDeviceProperties,
 ) {
@@ -25,22 +26,7 @@ pub(crate) unsafe extern "system" fn properties(
     }
 }
 
-/// Returns the struct of a kind in a chain that a call has written.
-unsafe fn in_chain<'a, T>(chain: *mut std::ffi::c_void, kind: vk::StructureType) -> Option<&'a mut T> {
-    let mut next = chain.cast::<vk::BaseOutStructure<'_>>();
-    // SAFETY: every struct of a chain begins with these two fields, and its kind says its type.
-    unsafe {
-        while let Some(found) = next.as_mut() {
-            if found.s_type == kind {
-                return next.cast::<T>().as_mut();
-            }
-            next = found.p_next.cast();
-        }
-    }
-    None
-}
-
-pub(crate) unsafe extern "system" fn properties2(
+pub unsafe extern "system" fn properties2(
     physical: vk::PhysicalDevice,
     properties: *mut vk::PhysicalDeviceProperties2<'_>,
 ) {
@@ -50,10 +36,8 @@ pub(crate) unsafe extern "system" fn properties2(
         (state.v11.get_physical_device_properties2)(physical, properties);
         state.machine.describe(&mut (*properties).properties);
         if state.machine.small {
-            let kind = vk::StructureType::PHYSICAL_DEVICE_PUSH_DESCRIPTOR_PROPERTIES_KHR;
-            let push: Option<&mut vk::PhysicalDevicePushDescriptorPropertiesKHR<'_>> =
-                in_chain((*properties).p_next, kind);
-            if let Some(push) = push {
+            let push = in_chain::<vk::PhysicalDevicePushDescriptorPropertiesKHR<'_>>((*properties).p_next);
+            if let Some(push) = push.as_mut() {
                 push.max_push_descriptors = push.max_push_descriptors.min(32);
             }
         }
@@ -61,7 +45,7 @@ pub(crate) unsafe extern "system" fn properties2(
 }
 
 /// Bytes of the machine's heaps, at most the driver's.
-pub(crate) fn heap_sizes(state: &InstanceState, physical: vk::PhysicalDevice) -> Vec<u64> {
+pub fn heap_sizes(state: &InstanceState, physical: vk::PhysicalDevice) -> Vec<u64> {
     let mut real = vk::PhysicalDeviceMemoryProperties::default();
     // SAFETY: a plain query.
     unsafe { (state.functions.get_physical_device_memory_properties)(physical, &raw mut real) };
@@ -88,7 +72,7 @@ fn write_memory(
     }
 }
 
-pub(crate) unsafe extern "system" fn memory(
+pub unsafe extern "system" fn memory(
     physical: vk::PhysicalDevice,
     memory: *mut vk::PhysicalDeviceMemoryProperties,
 ) {
@@ -96,7 +80,7 @@ pub(crate) unsafe extern "system" fn memory(
     write_memory(&InstanceState::of(physical), physical, unsafe { &mut *memory });
 }
 
-pub(crate) unsafe extern "system" fn memory2(
+pub unsafe extern "system" fn memory2(
     physical: vk::PhysicalDevice,
     memory: *mut vk::PhysicalDeviceMemoryProperties2<'_>,
 ) {
@@ -106,10 +90,8 @@ pub(crate) unsafe extern "system" fn memory2(
         (state.v11.get_physical_device_memory_properties2)(physical, memory);
         let properties = &mut (*memory).memory_properties;
         write_memory(&state, physical, properties);
-        let kind = vk::StructureType::PHYSICAL_DEVICE_MEMORY_BUDGET_PROPERTIES_EXT;
-        let budget: Option<&mut vk::PhysicalDeviceMemoryBudgetPropertiesEXT<'_>> =
-            in_chain((*memory).p_next, kind);
-        let Some(budget) = budget else { return };
+        let budget = in_chain::<vk::PhysicalDeviceMemoryBudgetPropertiesEXT<'_>>((*memory).p_next);
+        let Some(budget) = budget.as_mut() else { return };
         for (heap, described) in properties.memory_heaps_as_slice().iter().enumerate() {
             // A desktop leaves about this much.
             budget.heap_budget[heap] = described.size / 16 * 15;
@@ -134,45 +116,52 @@ fn described(state: &InstanceState, physical: vk::PhysicalDevice) -> Vec<vk::Que
     state.machine.families.iter().map(family).collect()
 }
 
-pub(crate) unsafe extern "system" fn families(
+/// Answers an enumeration: the number of elements without an array, otherwise as many elements as the array holds.
+///
+/// # Safety
+/// `count` is the caller's counter, `array` null or an array of that many elements; `write` writes one.
+unsafe fn enumerate<T, E: Copy>(
+    all: &[E],
+    count: *mut u32,
+    array: *mut T,
+    write: impl Fn(*mut T, E),
+) -> vk::Result {
+    // SAFETY: as promised.
+    unsafe {
+        if array.is_null() {
+            *count = all.len() as u32;
+            return vk::Result::SUCCESS;
+        }
+        let written = (*count as usize).min(all.len());
+        all[..written].iter().enumerate().for_each(|(index, &element)| write(array.add(index), element));
+        *count = written as u32;
+        if written < all.len() { vk::Result::INCOMPLETE } else { vk::Result::SUCCESS }
+    }
+}
+
+pub unsafe extern "system" fn families(
     physical: vk::PhysicalDevice,
     count: *mut u32,
     families: *mut vk::QueueFamilyProperties,
 ) {
     let described = described(&InstanceState::of(physical), physical);
-    // SAFETY: the caller's counter, and its array of that many elements if there is one.
-    unsafe {
-        if families.is_null() {
-            *count = described.len() as u32;
-            return;
-        }
-        *count = (*count).min(described.len() as u32);
-        for (index, family) in described.into_iter().take(*count as usize).enumerate() {
-            *families.add(index) = family;
-        }
-    }
+    // SAFETY: the caller's counter and array.
+    let _ = unsafe { enumerate(&described, count, families, |to, family| *to = family) };
 }
 
-pub(crate) unsafe extern "system" fn families2(
+pub unsafe extern "system" fn families2(
     physical: vk::PhysicalDevice,
     count: *mut u32,
     families: *mut vk::QueueFamilyProperties2<'_>,
 ) {
     let described = described(&InstanceState::of(physical), physical);
     // SAFETY: as above. Chained structs stay unchanged.
-    unsafe {
-        if families.is_null() {
-            *count = described.len() as u32;
-            return;
-        }
-        *count = (*count).min(described.len() as u32);
-        for (index, family) in described.into_iter().take(*count as usize).enumerate() {
-            (*families.add(index)).queue_family_properties = family;
-        }
-    }
+    let _ = unsafe {
+        enumerate(&described, count, families, |to, family| (*to).queue_family_properties = family)
+    };
 }
 
-pub(crate) unsafe extern "system" fn surface_support(
+pub unsafe extern "system" fn surface_support(
     physical: vk::PhysicalDevice,
     family: u32,
     surface: vk::SurfaceKHR,
@@ -210,7 +199,7 @@ fn has(extensions: &[vk::ExtensionProperties], name: &CStr) -> bool {
 }
 
 /// Adds the memory budget, which the layer answers itself, and hides extensions that it does not know.
-pub(crate) unsafe extern "system" fn extensions(
+pub unsafe extern "system" fn extensions(
     physical: vk::PhysicalDevice,
     layer: *const c_char,
     count: *mut u32,
@@ -224,7 +213,7 @@ pub(crate) unsafe extern "system" fn extensions(
         };
     }
     let mut all = of_driver(&state, physical);
-    all.retain(|extension| !HIDDEN.iter().any(|hidden| extension.extension_name_as_c_str() == Ok(hidden)));
+    all.retain(|extension| !extension.extension_name_as_c_str().is_ok_and(|name| HIDDEN.contains(&name)));
     let budget = ash::ext::memory_budget::NAME;
     if !has(&all, budget) {
         let mut added = vk::ExtensionProperties { spec_version: 1, ..Default::default() };
@@ -233,38 +222,23 @@ pub(crate) unsafe extern "system" fn extensions(
         }
         all.push(added);
     }
-    // SAFETY: the caller's counter, and its array of that many elements if there is one.
-    unsafe {
-        if extensions.is_null() {
-            *count = all.len() as u32;
-            return vk::Result::SUCCESS;
-        }
-        let room = (*count as usize).min(all.len());
-        std::ptr::copy_nonoverlapping(all.as_ptr(), extensions, room);
-        *count = room as u32;
-        if room < all.len() { vk::Result::INCOMPLETE } else { vk::Result::SUCCESS }
-    }
+    // SAFETY: the caller's counter and array.
+    unsafe { enumerate(&all, count, extensions, |to, extension| *to = extension) }
 }
 
 /// Extensions that a program enables, without those that the layer adds.
 ///
 /// # Safety
 /// `info` is a valid description of a device.
-pub(crate) unsafe fn driver_extensions(
+pub unsafe fn driver_extensions(
     state: &InstanceState,
     physical: vk::PhysicalDevice,
     info: &vk::DeviceCreateInfo<'_>,
 ) -> Vec<*const c_char> {
     let present = of_driver(state, physical);
-    if info.enabled_extension_count == 0 {
-        return Vec::new();
-    }
     // SAFETY: as promised: an array of C strings of this length.
     unsafe {
-        let names = std::slice::from_raw_parts(
-            info.pp_enabled_extension_names,
-            info.enabled_extension_count as usize,
-        );
+        let names = slice(info.pp_enabled_extension_names, info.enabled_extension_count);
         let budget = ash::ext::memory_budget::NAME;
         let kept = |name: &&*const c_char| CStr::from_ptr(**name) != budget || has(&present, budget);
         names.iter().filter(kept).copied().collect()

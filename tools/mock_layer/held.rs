@@ -8,14 +8,14 @@ use ash::vk;
 use std::collections::HashMap;
 
 /// A semaphore and its value; 0 for binary ones.
-pub(crate) type Point = (vk::Semaphore, u64);
+pub type Point = (vk::Semaphore, u64);
 
 /// Family and index of one of the machine's queues.
-pub(crate) type Place = (u32, u32);
+pub type Place = (u32, u32);
 
 /// Object that the host waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Want {
+pub enum Want {
     /// The submission with this fence.
     Fence(vk::Fence),
     /// The first submission that signals at least this value.
@@ -27,7 +27,7 @@ pub(crate) enum Want {
 }
 
 #[derive(Debug, Default)]
-pub(crate) struct Held {
+pub struct Held {
     pub place: Place,
     /// True if it starts only when needed.
     pub late: bool,
@@ -39,19 +39,15 @@ pub(crate) struct Held {
 
 /// Submissions that have not started, in order of submission, and the state of semaphores.
 #[derive(Default)]
-pub(crate) struct Order {
+pub struct Order {
     pub held: Vec<Held>,
     /// Timeline semaphores with the largest value that started submissions signal.
-    timelines: HashMap<vk::Semaphore, u64>,
+    pub timelines: HashMap<vk::Semaphore, u64>,
     /// Current waits of the host, one for each waiting thread.
     pub wants: Vec<Want>,
 }
 
 impl Order {
-    pub fn add_timeline(&mut self, semaphore: vk::Semaphore, value: u64) {
-        self.timelines.insert(semaphore, value);
-    }
-
     /// Records a signal by the host.
     pub fn signalled(&mut self, (semaphore, value): Point) {
         if let Some(known) = self.timelines.get_mut(&semaphore) {
@@ -62,10 +58,6 @@ impl Order {
     /// Returns a timeline semaphore's value; none for a binary one.
     pub fn reached(&self, semaphore: vk::Semaphore) -> Option<u64> {
         self.timelines.get(&semaphore).copied()
-    }
-
-    pub fn forget(&mut self, semaphore: vk::Semaphore) {
-        self.timelines.remove(&semaphore);
     }
 
     /// Takes out the next submission that may and should start.
@@ -160,9 +152,7 @@ mod tests {
     /// Semaphores 7 and 8 are timelines, 9 is binary.
     fn order(late: Place) -> (Order, impl Fn(&mut Order, Held) -> Vec<u64>) {
         let mut order = Order::default();
-        for semaphore in [7, 8] {
-            order.add_timeline(vk::Semaphore::from_raw(semaphore), 0);
-        }
+        order.timelines.extend([7, 8].map(|semaphore| (vk::Semaphore::from_raw(semaphore), 0)));
         (order, move |order, mut held| {
             held.late = held.place == late;
             order.held.push(held);

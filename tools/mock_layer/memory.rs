@@ -1,6 +1,7 @@
 //! Memory: the machine's types over the driver's first, limited heaps, mappings of host-visible memory, garbage in new memory.
 
 use super::families;
+use super::loader::Callbacks;
 use super::state::{DeviceState, InstanceState};
 use ash::vk::{self, Handle};
 use std::collections::HashMap;
@@ -14,7 +15,7 @@ const FILLED: u64 = 256 << 20;
 
 /// The allocations of a device: type, heap and bytes of each.
 #[derive(Default)]
-pub(crate) struct Memory(HashMap<u64, (u32, u32, u64)>);
+pub struct Memory(HashMap<u64, (u32, u32, u64)>);
 
 impl Memory {
     pub fn used(&self, heap: u32) -> u64 {
@@ -22,10 +23,10 @@ impl Memory {
     }
 }
 
-pub(crate) unsafe extern "system" fn allocate(
+pub unsafe extern "system" fn allocate(
     device: vk::Device,
     info: *const vk::MemoryAllocateInfo<'_>,
-    callbacks: *const vk::AllocationCallbacks<'_>,
+    callbacks: Callbacks<'_>,
     memory: *mut vk::DeviceMemory,
 ) -> vk::Result {
     let state = DeviceState::of(device);
@@ -64,18 +65,14 @@ fn fill(state: &DeviceState, memory: vk::DeviceMemory, bytes: u64) {
     }
 }
 
-pub(crate) unsafe extern "system" fn free(
-    device: vk::Device,
-    memory: vk::DeviceMemory,
-    callbacks: *const vk::AllocationCallbacks<'_>,
-) {
+pub unsafe extern "system" fn free(device: vk::Device, memory: vk::DeviceMemory, callbacks: Callbacks<'_>) {
     let state = DeviceState::of(device);
     state.memory().0.remove(&memory.as_raw());
     // SAFETY: the caller's arguments.
     unsafe { (state.v10.free_memory)(device, memory, callbacks) }
 }
 
-pub(crate) unsafe extern "system" fn map(
+pub unsafe extern "system" fn map(
     device: vk::Device,
     memory: vk::DeviceMemory,
     offset: u64,
@@ -99,65 +96,39 @@ fn allow(state: &DeviceState, requirements: &mut vk::MemoryRequirements) {
     requirements.memory_type_bits = (requirements.memory_type_bits & 1) * state.machine.type_bits();
 }
 
-pub(crate) unsafe extern "system" fn of_buffer(
-    device: vk::Device,
-    buffer: vk::Buffer,
-    requirements: *mut vk::MemoryRequirements,
-) {
-    let state = DeviceState::of(device);
-    // SAFETY: the caller's arguments; the struct is written by the call.
-    unsafe {
-        (state.v10.get_buffer_memory_requirements)(device, buffer, requirements);
-        allow(&state, &mut *requirements);
-    }
+/// Defines queries of memory requirements. A row has the function's name, what the caller asks about, what it gets, the driver's
+/// function, and the requirements' place in what that writes.
+macro_rules! requirements {
+    ($($name:ident($asked:ty) -> $written:ty, $version:ident.$next:ident, $($place:ident)?;)*) => {$(
+        pub unsafe extern "system" fn $name(device: vk::Device, asked: $asked, written: *mut $written) {
+            let state = DeviceState::of(device);
+            // SAFETY: the caller's arguments; the struct is written by the call.
+            unsafe {
+                (state.$version.$next)(device, asked, written);
+                allow(&state, &mut (*written)$(.$place)?);
+            }
+        }
+    )*};
 }
 
-pub(crate) unsafe extern "system" fn of_image(
-    device: vk::Device,
-    image: vk::Image,
-    requirements: *mut vk::MemoryRequirements,
-) {
-    let state = DeviceState::of(device);
-    // SAFETY: as above.
-    unsafe {
-        (state.v10.get_image_memory_requirements)(device, image, requirements);
-        allow(&state, &mut *requirements);
-    }
+requirements! {
+    of_buffer(vk::Buffer) -> vk::MemoryRequirements,
+        v10.get_buffer_memory_requirements,;
+    of_image(vk::Image) -> vk::MemoryRequirements,
+        v10.get_image_memory_requirements,;
+    of_buffer2(*const vk::BufferMemoryRequirementsInfo2<'_>) -> vk::MemoryRequirements2<'_>,
+        v11.get_buffer_memory_requirements2, memory_requirements;
+    of_image2(*const vk::ImageMemoryRequirementsInfo2<'_>) -> vk::MemoryRequirements2<'_>,
+        v11.get_image_memory_requirements2, memory_requirements;
 }
 
-pub(crate) unsafe extern "system" fn of_buffer2(
-    device: vk::Device,
-    info: *const vk::BufferMemoryRequirementsInfo2<'_>,
-    requirements: *mut vk::MemoryRequirements2<'_>,
-) {
-    let state = DeviceState::of(device);
-    // SAFETY: as above.
-    unsafe {
-        (state.v11.get_buffer_memory_requirements2)(device, info, requirements);
-        allow(&state, &mut (*requirements).memory_requirements);
-    }
-}
-
-pub(crate) unsafe extern "system" fn of_image2(
-    device: vk::Device,
-    info: *const vk::ImageMemoryRequirementsInfo2<'_>,
-    requirements: *mut vk::MemoryRequirements2<'_>,
-) {
-    let state = DeviceState::of(device);
-    // SAFETY: as above.
-    unsafe {
-        (state.v11.get_image_memory_requirements2)(device, info, requirements);
-        allow(&state, &mut (*requirements).memory_requirements);
-    }
-}
-
-pub(crate) unsafe extern "system" fn of_new_buffer(
+pub unsafe extern "system" fn of_new_buffer(
     device: vk::Device,
     info: *const vk::DeviceBufferMemoryRequirements<'_>,
     requirements: *mut vk::MemoryRequirements2<'_>,
 ) {
     let state = DeviceState::of(device);
-    // SAFETY: as above; the changed description outlives the call.
+    // SAFETY: the caller's arguments; the changed description outlives the call.
     unsafe {
         let mut own = *info;
         let create = own.p_create_info.as_ref().map(|create| families::exclusive_buffer(create));
@@ -167,7 +138,7 @@ pub(crate) unsafe extern "system" fn of_new_buffer(
     }
 }
 
-pub(crate) unsafe extern "system" fn of_new_image(
+pub unsafe extern "system" fn of_new_image(
     device: vk::Device,
     info: *const vk::DeviceImageMemoryRequirements<'_>,
     requirements: *mut vk::MemoryRequirements2<'_>,

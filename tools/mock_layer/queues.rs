@@ -1,9 +1,10 @@
-//! Queues: the machine's queues over the driver's only one.
+//! Queues and semaphores: the machine's queues over the driver's only one, and the host's waits for them.
 //!
 //! Some queues' submissions are held back until needed ([`super::held`]). This reveals missing semaphores, and memory that the
 //! host accesses too early, although the driver's queue runs everything in order.
 
 use super::held::{Held, Order, Place, Want};
+use super::loader::{Callbacks, in_chain, slice};
 use super::state::DeviceState;
 use ash::vk::{self, Handle};
 use std::collections::HashMap;
@@ -17,7 +18,7 @@ struct Queue {
 }
 
 /// The driver's queue, the machine's queues, and their held submissions.
-pub(crate) struct Submissions {
+pub struct Submissions {
     queue: vk::Queue,
     /// Boxes keep the addresses stable.
     queues: HashMap<Place, Box<Queue>>,
@@ -113,7 +114,7 @@ fn place_of(queue: vk::Queue) -> Place {
     unsafe { (*(queue.as_raw() as usize as *const Queue)).place }
 }
 
-pub(crate) unsafe extern "system" fn get(device: vk::Device, family: u32, index: u32, queue: *mut vk::Queue) {
+pub unsafe extern "system" fn get(device: vk::Device, family: u32, index: u32, queue: *mut vk::Queue) {
     let state = DeviceState::of(device);
     let mut submissions = state.submissions();
     // SAFETY: a device begins with the loader's table, which its queues share.
@@ -124,7 +125,7 @@ pub(crate) unsafe extern "system" fn get(device: vk::Device, family: u32, index:
     unsafe { *queue = vk::Queue::from_raw((&raw mut **found) as usize as u64) }
 }
 
-pub(crate) unsafe extern "system" fn get2(
+pub unsafe extern "system" fn get2(
     device: vk::Device,
     info: *const vk::DeviceQueueInfo2<'_>,
     queue: *mut vk::Queue,
@@ -135,37 +136,30 @@ pub(crate) unsafe extern "system" fn get2(
 
 /// Converts a submission of the older call. Its chain may hold values of timeline semaphores.
 unsafe fn older(info: &vk::SubmitInfo<'_>) -> Held {
-    // SAFETY: the caller's arrays have these lengths; every struct of a chain begins with its kind and the next pointer.
+    // SAFETY: the caller's arrays have these lengths.
     unsafe {
-        let mut chain = info.p_next.cast::<vk::BaseInStructure<'_>>();
         let (mut wait_values, mut signal_values): (&[u64], &[u64]) = (&[], &[]);
-        while let Some(of) = chain.as_ref() {
-            if of.s_type == vk::StructureType::TIMELINE_SEMAPHORE_SUBMIT_INFO {
-                let values = &*chain.cast::<vk::TimelineSemaphoreSubmitInfo<'_>>();
-                wait_values = list(values.p_wait_semaphore_values, values.wait_semaphore_value_count);
-                signal_values = list(values.p_signal_semaphore_values, values.signal_semaphore_value_count);
-            }
-            chain = of.p_next;
+        if let Some(values) = in_chain::<vk::TimelineSemaphoreSubmitInfo<'_>>(info.p_next).as_ref() {
+            wait_values = slice(values.p_wait_semaphore_values, values.wait_semaphore_value_count);
+            signal_values = slice(values.p_signal_semaphore_values, values.signal_semaphore_value_count);
         }
-        let stages = list(info.p_wait_dst_stage_mask, info.wait_semaphore_count);
+        let stages = slice(info.p_wait_dst_stage_mask, info.wait_semaphore_count);
+        // The older stages are the lower bits of the newer ones.
+        let stage = |at: usize| vk::PipelineStageFlags2::from_raw(stages[at].as_raw().into());
         let semaphore = |values: &[u64], at: usize, semaphore: vk::Semaphore, stage| {
             vk::SemaphoreSubmitInfo::default()
                 .semaphore(semaphore)
                 .value(values.get(at).copied().unwrap_or_default())
                 .stage_mask(stage)
         };
-        let waits = list(info.p_wait_semaphores, info.wait_semaphore_count).iter().enumerate();
-        let signals = list(info.p_signal_semaphores, info.signal_semaphore_count).iter().enumerate();
+        let buffer = |&of: &_| vk::CommandBufferSubmitInfo::default().command_buffer(of);
+        let waits = slice(info.p_wait_semaphores, info.wait_semaphore_count).iter().enumerate();
+        let commands = slice(info.p_command_buffers, info.command_buffer_count).iter();
+        let signals = slice(info.p_signal_semaphores, info.signal_semaphore_count).iter().enumerate();
         let all = vk::PipelineStageFlags2::ALL_COMMANDS;
-        // The older stages are the lower bits of the newer ones.
-        let stage = |at: usize| vk::PipelineStageFlags2::from_raw(stages[at].as_raw().into());
-        let commands = list(info.p_command_buffers, info.command_buffer_count);
         Held {
             waits: waits.map(|(at, &of)| semaphore(wait_values, at, of, stage(at))).collect(),
-            commands: commands
-                .iter()
-                .map(|&of| vk::CommandBufferSubmitInfo::default().command_buffer(of))
-                .collect(),
+            commands: commands.map(buffer).collect(),
             signals: signals.map(|(at, &of)| semaphore(signal_values, at, of, all)).collect(),
             ..Held::default()
         }
@@ -185,9 +179,9 @@ unsafe fn newer(info: &vk::SubmitInfo2<'_>) -> Held {
     };
     // SAFETY: the caller's arrays have these lengths.
     unsafe {
-        let waits = list(info.p_wait_semaphore_infos, info.wait_semaphore_info_count);
-        let commands = list(info.p_command_buffer_infos, info.command_buffer_info_count);
-        let signals = list(info.p_signal_semaphore_infos, info.signal_semaphore_info_count);
+        let waits = slice(info.p_wait_semaphore_infos, info.wait_semaphore_info_count);
+        let commands = slice(info.p_command_buffer_infos, info.command_buffer_info_count);
+        let signals = slice(info.p_signal_semaphore_infos, info.signal_semaphore_info_count);
         Held {
             waits: waits.iter().map(semaphore).collect(),
             commands: commands.iter().map(buffer).collect(),
@@ -195,11 +189,6 @@ unsafe fn newer(info: &vk::SubmitInfo2<'_>) -> Held {
             ..Held::default()
         }
     }
-}
-
-pub(crate) unsafe fn list<'a, T>(pointer: *const T, count: u32) -> &'a [T] {
-    // SAFETY: the caller's array has `count` elements; if there are none, the pointer may be null.
-    if count == 0 { &[] } else { unsafe { std::slice::from_raw_parts(pointer, count as usize) } }
 }
 
 /// Adds the submissions of one call; the fence belongs to the last.
@@ -216,65 +205,59 @@ fn take(queue: vk::Queue, mut all: Vec<Held>, fence: vk::Fence) -> vk::Result {
     submissions.go_on(&state)
 }
 
-pub(crate) unsafe extern "system" fn submit(
+pub unsafe extern "system" fn submit(
     queue: vk::Queue,
     count: u32,
     submits: *const vk::SubmitInfo<'_>,
     fence: vk::Fence,
 ) -> vk::Result {
     // SAFETY: the caller's arguments.
-    let all = unsafe { list(submits, count).iter().map(|info| older(info)).collect() };
+    let all = unsafe { slice(submits, count).iter().map(|info| older(info)).collect() };
     take(queue, all, fence)
 }
 
-pub(crate) unsafe extern "system" fn submit2(
+pub unsafe extern "system" fn submit2(
     queue: vk::Queue,
     count: u32,
     submits: *const vk::SubmitInfo2<'_>,
     fence: vk::Fence,
 ) -> vk::Result {
     // SAFETY: the caller's arguments.
-    let all = unsafe { list(submits, count).iter().map(|info| newer(info)).collect() };
+    let all = unsafe { slice(submits, count).iter().map(|info| newer(info)).collect() };
     take(queue, all, fence)
 }
 
-pub(crate) unsafe extern "system" fn wait_idle(queue: vk::Queue) -> vk::Result {
+pub unsafe extern "system" fn wait_idle(queue: vk::Queue) -> vk::Result {
     let state = DeviceState::of(queue);
     let mut submissions = state.submissions();
-    let result = submissions.finish(&state, Some(place_of(queue)));
-    if result != vk::Result::SUCCESS {
-        return result;
+    match submissions.finish(&state, Some(place_of(queue))) {
+        // SAFETY: the lock gives the driver's queue to this thread.
+        vk::Result::SUCCESS => unsafe { (state.v10.queue_wait_idle)(submissions.queue) },
+        failure => failure,
     }
-    // SAFETY: the lock gives the driver's queue to this thread.
-    unsafe { (state.v10.queue_wait_idle)(submissions.queue) }
 }
 
-pub(crate) unsafe extern "system" fn device_wait_idle(device: vk::Device) -> vk::Result {
+pub unsafe extern "system" fn device_wait_idle(device: vk::Device) -> vk::Result {
     let state = DeviceState::of(device);
     let mut submissions = state.submissions();
-    let result = submissions.finish(&state, None);
-    if result != vk::Result::SUCCESS {
-        return result;
+    match submissions.finish(&state, None) {
+        // SAFETY: as above: the driver's one queue serves all.
+        vk::Result::SUCCESS => unsafe { (state.v10.device_wait_idle)(device) },
+        failure => failure,
     }
-    // SAFETY: as above: the driver's one queue serves all.
-    unsafe { (state.v10.device_wait_idle)(device) }
 }
 
-pub(crate) unsafe extern "system" fn present(
-    queue: vk::Queue,
-    info: *const vk::PresentInfoKHR<'_>,
-) -> vk::Result {
+pub unsafe extern "system" fn present(queue: vk::Queue, info: *const vk::PresentInfoKHR<'_>) -> vk::Result {
     let state = DeviceState::of(queue);
     let mut submissions = state.submissions();
-    let result = submissions.go_on_for(&state, Want::All);
-    if result != vk::Result::SUCCESS {
-        return result;
+    match submissions.go_on_for(&state, Want::All) {
+        // SAFETY: as above.
+        vk::Result::SUCCESS => unsafe { (state.swapchain.queue_present_khr)(submissions.queue, info) },
+        failure => failure,
     }
-    // SAFETY: as above.
-    unsafe { (state.swapchain.queue_present_khr)(submissions.queue, info) }
 }
 
-pub(crate) unsafe extern "system" fn wait_for_fences(
+pub unsafe extern "system" fn wait_for_fences(
     device: vk::Device,
     count: u32,
     fences: *const vk::Fence,
@@ -283,19 +266,19 @@ pub(crate) unsafe extern "system" fn wait_for_fences(
 ) -> vk::Result {
     let state = DeviceState::of(device);
     // SAFETY: the caller's arguments.
-    let wants: Vec<_> = unsafe { list(fences, count).iter().map(|&fence| Want::Fence(fence)).collect() };
+    let wants: Vec<_> = unsafe { slice(fences, count).iter().map(|&fence| Want::Fence(fence)).collect() };
     // SAFETY: as above.
     state.wait(&wants, || unsafe { (state.v10.wait_for_fences)(device, count, fences, all, timeout) })
 }
 
-pub(crate) unsafe extern "system" fn fence_status(device: vk::Device, fence: vk::Fence) -> vk::Result {
+pub unsafe extern "system" fn fence_status(device: vk::Device, fence: vk::Fence) -> vk::Result {
     let state = DeviceState::of(device);
     state.ask(Want::Fence(fence));
     // SAFETY: as above.
     unsafe { (state.v10.get_fence_status)(device, fence) }
 }
 
-pub(crate) unsafe extern "system" fn event_status(device: vk::Device, event: vk::Event) -> vk::Result {
+pub unsafe extern "system" fn event_status(device: vk::Device, event: vk::Event) -> vk::Result {
     let state = DeviceState::of(device);
     // The layer does not know which submission sets the event.
     state.ask(Want::All);
@@ -303,32 +286,102 @@ pub(crate) unsafe extern "system" fn event_status(device: vk::Device, event: vk:
     unsafe { (state.v10.get_event_status)(device, event) }
 }
 
-pub(crate) unsafe extern "system" fn begin_label(queue: vk::Queue, label: *const vk::DebugUtilsLabelEXT<'_>) {
-    let state = DeviceState::of(queue);
-    let submissions = state.submissions();
-    // SAFETY: as above.
-    unsafe { (state.debug.queue_begin_debug_utils_label_ext)(submissions.queue, label) }
+pub unsafe extern "system" fn create_semaphore(
+    device: vk::Device,
+    info: *const vk::SemaphoreCreateInfo<'_>,
+    callbacks: Callbacks<'_>,
+    semaphore: *mut vk::Semaphore,
+) -> vk::Result {
+    let state = DeviceState::of(device);
+    // SAFETY: the caller's arguments.
+    unsafe {
+        let result = (state.v10.create_semaphore)(device, info, callbacks, semaphore);
+        if let Some(kind) = in_chain::<vk::SemaphoreTypeCreateInfo<'_>>((*info).p_next).as_ref()
+            && result == vk::Result::SUCCESS
+            && kind.semaphore_type == vk::SemaphoreType::TIMELINE
+        {
+            state.submissions().order.timelines.insert(*semaphore, kind.initial_value);
+        }
+        result
+    }
 }
 
-pub(crate) unsafe extern "system" fn insert_label(
-    queue: vk::Queue,
-    label: *const vk::DebugUtilsLabelEXT<'_>,
+pub unsafe extern "system" fn destroy_semaphore(
+    device: vk::Device,
+    semaphore: vk::Semaphore,
+    callbacks: Callbacks<'_>,
 ) {
-    let state = DeviceState::of(queue);
-    let submissions = state.submissions();
-    // SAFETY: as above.
-    unsafe { (state.debug.queue_insert_debug_utils_label_ext)(submissions.queue, label) }
+    let state = DeviceState::of(device);
+    state.submissions().order.timelines.remove(&semaphore);
+    // SAFETY: the caller's arguments.
+    unsafe { (state.v10.destroy_semaphore)(device, semaphore, callbacks) }
 }
 
-pub(crate) unsafe extern "system" fn end_label(queue: vk::Queue) {
-    let state = DeviceState::of(queue);
-    let submissions = state.submissions();
+pub unsafe extern "system" fn signal_semaphore(
+    device: vk::Device,
+    info: *const vk::SemaphoreSignalInfo<'_>,
+) -> vk::Result {
+    let state = DeviceState::of(device);
+    // SAFETY: the caller's arguments.
+    let (result, point) =
+        unsafe { ((state.v12.signal_semaphore)(device, info), ((*info).semaphore, (*info).value)) };
+    if result != vk::Result::SUCCESS {
+        return result;
+    }
+    let mut submissions = state.submissions();
+    submissions.order.signalled(point);
+    submissions.go_on(&state)
+}
+
+pub unsafe extern "system" fn wait_semaphores(
+    device: vk::Device,
+    info: *const vk::SemaphoreWaitInfo<'_>,
+    timeout: u64,
+) -> vk::Result {
+    let state = DeviceState::of(device);
+    // SAFETY: the caller's arguments.
+    let wants: Vec<_> = unsafe {
+        let semaphores = slice((*info).p_semaphores, (*info).semaphore_count).iter();
+        let values = slice((*info).p_values, (*info).semaphore_count).iter();
+        semaphores.zip(values).map(|(&semaphore, &value)| Want::Point((semaphore, value))).collect()
+    };
     // SAFETY: as above.
-    unsafe { (state.debug.queue_end_debug_utils_label_ext)(submissions.queue) }
+    state.wait(&wants, || unsafe { (state.v12.wait_semaphores)(device, info, timeout) })
+}
+
+pub unsafe extern "system" fn semaphore_value(
+    device: vk::Device,
+    semaphore: vk::Semaphore,
+    value: *mut u64,
+) -> vk::Result {
+    let state = DeviceState::of(device);
+    let reached = state.submissions().order.reached(semaphore);
+    // Each query starts what the next value needs, so that a polling host makes progress.
+    state.ask(Want::Point((semaphore, reached.unwrap_or_default() + 1)));
+    // SAFETY: as above.
+    unsafe { (state.v12.get_semaphore_counter_value)(device, semaphore, value) }
+}
+
+pub unsafe extern "system" fn begin_label(queue: vk::Queue, label: *const vk::DebugUtilsLabelEXT<'_>) {
+    let state = DeviceState::of(queue);
+    // SAFETY: the caller's arguments; the lock gives the driver's queue to this thread.
+    unsafe { (state.debug.queue_begin_debug_utils_label_ext)(state.submissions().queue, label) }
+}
+
+pub unsafe extern "system" fn insert_label(queue: vk::Queue, label: *const vk::DebugUtilsLabelEXT<'_>) {
+    let state = DeviceState::of(queue);
+    // SAFETY: as above.
+    unsafe { (state.debug.queue_insert_debug_utils_label_ext)(state.submissions().queue, label) }
+}
+
+pub unsafe extern "system" fn end_label(queue: vk::Queue) {
+    let state = DeviceState::of(queue);
+    // SAFETY: as above.
+    unsafe { (state.debug.queue_end_debug_utils_label_ext)(state.submissions().queue) }
 }
 
 /// Drops names of the machine's queues: the driver has only one.
-pub(crate) unsafe extern "system" fn name_object(
+pub unsafe extern "system" fn name_object(
     device: vk::Device,
     info: *const vk::DebugUtilsObjectNameInfoEXT<'_>,
 ) -> vk::Result {

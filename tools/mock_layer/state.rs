@@ -5,39 +5,41 @@ use super::machine::Machine;
 use super::memory::Memory;
 use super::queues::Submissions;
 use ash::vk::{self, Handle};
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::ffi::c_void;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 
-/// Keyed by the loader's table, with which all dispatchable objects of an instance or a device begin.
-type Table<T> = RwLock<Option<HashMap<usize, Arc<T>>>>;
+/// States keyed by the loader's table, with which all dispatchable objects of an instance or a device begin.
+struct Table<T>(RwLock<BTreeMap<usize, Arc<T>>>);
 
-static INSTANCES: Table<InstanceState> = RwLock::new(None);
-static DEVICES: Table<DeviceState> = RwLock::new(None);
+static INSTANCES: Table<InstanceState> = Table(RwLock::new(BTreeMap::new()));
+static DEVICES: Table<DeviceState> = Table(RwLock::new(BTreeMap::new()));
 
 fn key<H: Handle>(handle: H) -> usize {
     // SAFETY: a dispatchable handle is the address of an object that begins with the loader's table.
     unsafe { *(handle.as_raw() as usize as *const usize) }
 }
 
-fn add<T>(table: &Table<T>, key: usize, state: T) {
-    let mut table = table.write().unwrap_or_else(PoisonError::into_inner);
-    table.get_or_insert_default().insert(key, Arc::new(state));
-}
+impl<T> Table<T> {
+    fn add(&self, handle: impl Handle, state: T) {
+        let mut states = self.0.write().unwrap_or_else(PoisonError::into_inner);
+        states.insert(key(handle), Arc::new(state));
+    }
 
-fn remove<T>(table: &Table<T>, key: usize) -> Option<Arc<T>> {
-    table.write().unwrap_or_else(PoisonError::into_inner).as_mut()?.remove(&key)
-}
+    fn remove(&self, handle: impl Handle) -> Option<Arc<T>> {
+        self.0.write().unwrap_or_else(PoisonError::into_inner).remove(&key(handle))
+    }
 
-fn find<T>(table: &Table<T>, key: usize) -> Arc<T> {
-    let table = table.read().unwrap_or_else(PoisonError::into_inner);
-    let found = table.as_ref().and_then(|table| table.get(&key));
-    let Some(found) = found else { panic!("an object that was not made through this layer") };
-    found.clone()
+    fn find(&self, handle: impl Handle) -> Arc<T> {
+        let states = self.0.read().unwrap_or_else(PoisonError::into_inner);
+        let found = states.get(&key(handle));
+        let Some(found) = found else { panic!("an object that was not made through this layer") };
+        found.clone()
+    }
 }
 
 /// An instance with the next layer's functions.
-pub(crate) struct InstanceState {
+pub struct InstanceState {
     pub instance: vk::Instance,
     pub machine: &'static Machine,
     pub next: vk::PFN_vkGetInstanceProcAddr,
@@ -58,16 +60,16 @@ impl InstanceState {
             v11: ash::InstanceFnV1_1::load(load),
             surface: ash::khr::surface::InstanceFn::load(load),
         };
-        add(&INSTANCES, key(instance), state);
+        INSTANCES.add(instance, state);
     }
 
     /// State of an instance or a physical device.
     pub fn of<H: Handle>(handle: H) -> Arc<Self> {
-        find(&INSTANCES, key(handle))
+        INSTANCES.find(handle)
     }
 
     pub fn remove(instance: vk::Instance) -> Option<Arc<Self>> {
-        remove(&INSTANCES, key(instance))
+        INSTANCES.remove(instance)
     }
 }
 
@@ -76,7 +78,7 @@ fn pointer(function: vk::PFN_vkVoidFunction) -> *const c_void {
 }
 
 /// A device with the next layer's functions.
-pub(crate) struct DeviceState {
+pub struct DeviceState {
     pub device: vk::Device,
     pub physical: vk::PhysicalDevice,
     pub machine: &'static Machine,
@@ -125,16 +127,16 @@ impl DeviceState {
             memory: Mutex::default(),
             submissions: Mutex::new(Submissions::new(queue)),
         };
-        add(&DEVICES, key(device), state);
+        DEVICES.add(device, state);
     }
 
     /// State of a device, a command buffer or a queue.
     pub fn of<H: Handle>(handle: H) -> Arc<Self> {
-        find(&DEVICES, key(handle))
+        DEVICES.find(handle)
     }
 
     pub fn remove(device: vk::Device) -> Option<Arc<Self>> {
-        remove(&DEVICES, key(device))
+        DEVICES.remove(device)
     }
 
     pub fn submissions(&self) -> MutexGuard<'_, Submissions> {
@@ -147,8 +149,8 @@ impl DeviceState {
 }
 
 /// Bytes in use in a heap, over all devices of a physical device.
-pub(crate) fn heap_usage(physical: vk::PhysicalDevice, heap: u32) -> u64 {
-    let table = DEVICES.read().unwrap_or_else(PoisonError::into_inner);
-    let devices = table.iter().flat_map(HashMap::values).filter(|device| device.physical == physical);
+pub fn heap_usage(physical: vk::PhysicalDevice, heap: u32) -> u64 {
+    let devices = DEVICES.0.read().unwrap_or_else(PoisonError::into_inner);
+    let devices = devices.values().filter(|device| device.physical == physical);
     devices.map(|device| device.memory().used(heap)).sum()
 }

@@ -1,10 +1,11 @@
 //! With `ASHSPLAT_TRACE=FILE`, writes the commands of every command buffer as text, without handles and addresses. Two versions
 //! of the program record the same commands if these texts agree. `tools/proof` compares them.
 
-use super::families::slice;
+use super::loader::{Callbacks, slice};
 use super::state::DeviceState;
 use ash::vk::{self, Handle};
 use std::collections::HashMap;
+use std::ffi::c_void;
 use std::fmt::{Debug, Write as _};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io::Write as _;
@@ -41,7 +42,7 @@ fn hashed(value: impl Hash) -> u64 {
 }
 
 /// Adds a line to the text of a command buffer.
-pub(crate) fn command(commands: vk::CommandBuffer, name: &str, what: impl Debug) {
+pub fn command(commands: vk::CommandBuffer, name: &str, what: impl Debug) {
     if file().is_some() {
         let mut trace = trace();
         let text = trace.recordings.entry(commands.as_raw()).or_default();
@@ -50,33 +51,31 @@ pub(crate) fn command(commands: vk::CommandBuffer, name: &str, what: impl Debug)
 }
 
 /// Writes a barrier's masks and layouts, but not its ranges, which differ between runs.
-pub(crate) fn barrier(commands: vk::CommandBuffer, info: &vk::DependencyInfo<'_>) {
+pub fn barrier(commands: vk::CommandBuffer, info: &vk::DependencyInfo<'_>) {
     // SAFETY: the caller's arrays.
-    let (memory, buffers, images) = unsafe {
-        (
-            slice(info.p_memory_barriers, info.memory_barrier_count),
-            slice(info.p_buffer_memory_barriers, info.buffer_memory_barrier_count),
-            slice(info.p_image_memory_barriers, info.image_memory_barrier_count),
-        )
-    };
-    for b in memory {
-        let masks = (b.src_stage_mask, b.src_access_mask, b.dst_stage_mask, b.dst_access_mask);
-        command(commands, "barrier", masks);
-    }
-    for b in buffers {
-        let masks = (b.src_stage_mask, b.src_access_mask, b.dst_stage_mask, b.dst_access_mask, b.size);
-        command(commands, "buffer barrier", masks);
-    }
-    for b in images {
-        let masks = (b.src_stage_mask, b.src_access_mask, b.dst_stage_mask, b.dst_access_mask);
-        command(commands, "image barrier", (masks, b.old_layout, b.new_layout));
+    unsafe {
+        for b in slice(info.p_memory_barriers, info.memory_barrier_count) {
+            command(
+                commands,
+                "barrier",
+                (b.src_stage_mask, b.src_access_mask, b.dst_stage_mask, b.dst_access_mask),
+            );
+        }
+        for b in slice(info.p_buffer_memory_barriers, info.buffer_memory_barrier_count) {
+            let masks = (b.src_stage_mask, b.src_access_mask, b.dst_stage_mask, b.dst_access_mask, b.size);
+            command(commands, "buffer barrier", masks);
+        }
+        for b in slice(info.p_image_memory_barriers, info.image_memory_barrier_count) {
+            let masks = (b.src_stage_mask, b.src_access_mask, b.dst_stage_mask, b.dst_access_mask);
+            command(commands, "image barrier", (masks, b.old_layout, b.new_layout));
+        }
     }
 }
 
-pub(crate) unsafe extern "system" fn create_shader_module(
+pub unsafe extern "system" fn create_shader_module(
     device: vk::Device,
     info: *const vk::ShaderModuleCreateInfo<'_>,
-    callbacks: *const vk::AllocationCallbacks<'_>,
+    callbacks: Callbacks<'_>,
     module: *mut vk::ShaderModule,
 ) -> vk::Result {
     // SAFETY: the caller's arguments; the module is written by the call.
@@ -90,12 +89,12 @@ pub(crate) unsafe extern "system" fn create_shader_module(
     }
 }
 
-pub(crate) unsafe extern "system" fn create_compute_pipelines(
+pub unsafe extern "system" fn create_compute_pipelines(
     device: vk::Device,
     cache: vk::PipelineCache,
     count: u32,
     infos: *const vk::ComputePipelineCreateInfo<'_>,
-    callbacks: *const vk::AllocationCallbacks<'_>,
+    callbacks: Callbacks<'_>,
     pipelines: *mut vk::Pipeline,
 ) -> vk::Result {
     let next = DeviceState::of(device).v10.create_compute_pipelines;
@@ -103,25 +102,25 @@ pub(crate) unsafe extern "system" fn create_compute_pipelines(
     unsafe {
         let result = next(device, cache, count, infos, callbacks, pipelines);
         if file().is_some() {
-            for index in 0..count as usize {
-                let stage = &(*infos.add(index)).stage;
+            let made = slice(pipelines, count);
+            for (info, pipeline) in slice(infos, count).iter().zip(made) {
+                let stage = &info.stage;
                 let constants = stage.p_specialization_info.as_ref().map(|info| {
                     let entries = slice(info.p_map_entries, info.map_entry_count);
                     let entries: Vec<_> = entries.iter().map(|e| (e.constant_id, e.offset, e.size)).collect();
-                    let data = std::slice::from_raw_parts(info.p_data.cast::<u8>(), info.data_size);
-                    (entries, data.to_vec())
+                    (entries, bytes(info.p_data, info.data_size as u64).to_vec())
                 });
                 let mut trace = trace();
                 let module = trace.modules.get(&stage.module.as_raw()).copied();
                 let hash = hashed((module, constants, stage.flags.as_raw()));
-                trace.pipelines.insert((*pipelines.add(index)).as_raw(), hash);
+                trace.pipelines.insert(pipeline.as_raw(), hash);
             }
         }
         result
     }
 }
 
-pub(crate) unsafe extern "system" fn begin(
+pub unsafe extern "system" fn begin(
     commands: vk::CommandBuffer,
     info: *const vk::CommandBufferBeginInfo<'_>,
 ) -> vk::Result {
@@ -130,7 +129,7 @@ pub(crate) unsafe extern "system" fn begin(
     unsafe { (DeviceState::of(commands).v10.begin_command_buffer)(commands, info) }
 }
 
-pub(crate) unsafe extern "system" fn end(commands: vk::CommandBuffer) -> vk::Result {
+pub unsafe extern "system" fn end(commands: vk::CommandBuffer) -> vk::Result {
     if let Some(file) = file() {
         let text = trace().recordings.remove(&commands.as_raw()).unwrap_or_default();
         let mut file = file.lock().unwrap_or_else(PoisonError::into_inner);
@@ -140,88 +139,42 @@ pub(crate) unsafe extern "system" fn end(commands: vk::CommandBuffer) -> vk::Res
     unsafe { (DeviceState::of(commands).v10.end_command_buffer)(commands) }
 }
 
-pub(crate) unsafe extern "system" fn bind_pipeline(
-    commands: vk::CommandBuffer,
-    point: vk::PipelineBindPoint,
-    pipeline: vk::Pipeline,
-) {
-    if file().is_some() {
-        let hash = trace().pipelines.get(&pipeline.as_raw()).copied();
-        command(commands, "pipeline", hash);
-    }
-    // SAFETY: the caller's arguments.
-    unsafe { (DeviceState::of(commands).v10.cmd_bind_pipeline)(commands, point, pipeline) }
+fn hash_of(pipeline: vk::Pipeline) -> Option<u64> {
+    trace().pipelines.get(&pipeline.as_raw()).copied()
 }
 
-pub(crate) unsafe extern "system" fn push_constants(
-    commands: vk::CommandBuffer,
-    layout: vk::PipelineLayout,
-    stages: vk::ShaderStageFlags,
-    offset: u32,
-    size: u32,
-    values: *const std::ffi::c_void,
-) {
-    // SAFETY: the caller's arguments.
-    unsafe {
-        let bytes = std::slice::from_raw_parts(values.cast::<u8>(), size as usize);
-        command(commands, "push", (offset, bytes));
-        (DeviceState::of(commands).v10.cmd_push_constants)(commands, layout, stages, offset, size, values);
-    }
+unsafe fn bytes<'a>(data: *const c_void, size: impl Into<u64>) -> &'a [u8] {
+    // SAFETY: the caller's array has this size.
+    unsafe { std::slice::from_raw_parts(data.cast(), size.into() as usize) }
 }
 
-pub(crate) unsafe extern "system" fn dispatch(commands: vk::CommandBuffer, x: u32, y: u32, z: u32) {
-    command(commands, "dispatch", (x, y, z));
-    // SAFETY: the caller's arguments.
-    unsafe { (DeviceState::of(commands).v10.cmd_dispatch)(commands, x, y, z) }
+/// Defines functions that write a command as text and pass it on. A row has the function's name and its arguments after the command
+/// buffer, the driver's function, the text's name, and what is written of the arguments.
+macro_rules! traced {
+    ($($name:ident($($argument:ident: $kind:ty),*), $next:ident, $text:literal, $written:expr;)*) => {$(
+        pub unsafe extern "system" fn $name(commands: vk::CommandBuffer, $($argument: $kind),*) {
+            // SAFETY: the caller's arguments.
+            unsafe {
+                command(commands, $text, $written);
+                (DeviceState::of(commands).v10.$next)(commands, $($argument),*)
+            }
+        }
+    )*};
 }
 
-pub(crate) unsafe extern "system" fn dispatch_indirect(
-    commands: vk::CommandBuffer,
-    buffer: vk::Buffer,
-    offset: vk::DeviceSize,
-) {
-    command(commands, "dispatch", "indirect");
-    // SAFETY: the caller's arguments.
-    unsafe { (DeviceState::of(commands).v10.cmd_dispatch_indirect)(commands, buffer, offset) }
-}
-
-pub(crate) unsafe extern "system" fn copy_buffer(
-    commands: vk::CommandBuffer,
-    from: vk::Buffer,
-    to: vk::Buffer,
-    count: u32,
-    regions: *const vk::BufferCopy,
-) {
-    // SAFETY: the caller's arguments.
-    unsafe {
-        let sizes: Vec<_> = slice(regions, count).iter().map(|region| region.size).collect();
-        command(commands, "copy", sizes);
-        (DeviceState::of(commands).v10.cmd_copy_buffer)(commands, from, to, count, regions);
-    }
-}
-
-pub(crate) unsafe extern "system" fn fill_buffer(
-    commands: vk::CommandBuffer,
-    buffer: vk::Buffer,
-    offset: vk::DeviceSize,
-    size: vk::DeviceSize,
-    value: u32,
-) {
-    command(commands, "fill", (size, value));
-    // SAFETY: the caller's arguments.
-    unsafe { (DeviceState::of(commands).v10.cmd_fill_buffer)(commands, buffer, offset, size, value) }
-}
-
-pub(crate) unsafe extern "system" fn update_buffer(
-    commands: vk::CommandBuffer,
-    buffer: vk::Buffer,
-    offset: vk::DeviceSize,
-    size: vk::DeviceSize,
-    data: *const std::ffi::c_void,
-) {
-    // SAFETY: the caller's arguments.
-    unsafe {
-        command(commands, "update", hashed(std::slice::from_raw_parts(data.cast::<u8>(), size as usize)));
-        (DeviceState::of(commands).v10.cmd_update_buffer)(commands, buffer, offset, size, data);
-    }
+traced! {
+    bind_pipeline(point: vk::PipelineBindPoint, pipeline: vk::Pipeline),
+        cmd_bind_pipeline, "pipeline", hash_of(pipeline);
+    push_constants(layout: vk::PipelineLayout, stages: vk::ShaderStageFlags, offset: u32, size: u32, values: *const c_void),
+        cmd_push_constants, "push", (offset, bytes(values, size));
+    dispatch(x: u32, y: u32, z: u32),
+        cmd_dispatch, "dispatch", (x, y, z);
+    dispatch_indirect(buffer: vk::Buffer, offset: u64),
+        cmd_dispatch_indirect, "dispatch", "indirect";
+    copy_buffer(from: vk::Buffer, to: vk::Buffer, count: u32, regions: *const vk::BufferCopy),
+        cmd_copy_buffer, "copy", slice(regions, count).iter().map(|region| region.size).collect::<Vec<_>>();
+    fill_buffer(buffer: vk::Buffer, offset: u64, size: u64, value: u32),
+        cmd_fill_buffer, "fill", (size, value);
+    update_buffer(buffer: vk::Buffer, offset: u64, size: u64, data: *const c_void),
+        cmd_update_buffer, "update", hashed(bytes(data, size));
 }

@@ -2,11 +2,10 @@
 
 mod bombs;
 mod connections;
-mod disk;
 mod floods;
 mod kills;
-mod limits;
 mod photos;
+mod resources;
 
 use crate::siege::{Outcome, Result, Siege};
 
@@ -35,10 +34,10 @@ pub const ATTACKS: [Attack; 23] = [
     Attack { name: "a GLB of 60 MiB from a page", run: bombs::upload },
     Attack { name: "pipes and devices for files", run: bombs::no_files },
     Attack { name: "photos, PLY and SPZ that claim to be huge", run: bombs::claims },
-    Attack { name: "a full disk, freed later", run: disk::full },
-    Attack { name: "files of limited size", run: limits::file_size },
-    Attack { name: "40 descriptors", run: limits::descriptors },
-    Attack { name: "a scene larger than the address space", run: limits::memory },
+    Attack { name: "a full disk, freed later", run: resources::full },
+    Attack { name: "files of limited size", run: resources::file_size },
+    Attack { name: "40 descriptors", run: resources::descriptors },
+    Attack { name: "a scene larger than the address space", run: resources::memory },
     Attack { name: "killed while it saves", run: kills::killed },
     Attack { name: "interrupted and resumed", run: kills::interrupted },
 ];

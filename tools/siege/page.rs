@@ -177,18 +177,3 @@ pub fn frame(text: &str) -> Vec<u8> {
     frame.extend(text.as_bytes());
     frame
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn messages_are_as_the_protocol_has_them() {
-        for length in [0, 125, 126, 300] {
-            let text = "m".repeat(length);
-            let bytes = std::io::Cursor::new(frame(&text));
-            let mut socket = WebSocket::from_raw_socket(bytes, tungstenite::protocol::Role::Server, None);
-            assert_eq!(socket.read().expect("a message"), Message::text(text));
-        }
-    }
-}

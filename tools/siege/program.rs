@@ -1,10 +1,10 @@
 //! The attacked program as a child: limited, watched, and always ended.
 
-use crate::siege::{Peak, Result, ensure};
+use crate::siege::{Peak, Result, Siege, ensure};
 use rustix::process::{Pid, Signal, kill_process};
 use std::fmt::Write;
 use std::io::{BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::JoinHandle;
@@ -30,9 +30,8 @@ pub struct Limits {
 /// True if small disks can be mounted, which takes a mount namespace.
 pub fn can_mount() -> bool {
     let mut command = unshare();
-    let ended =
-        command.args(["sh", "-c", "mount -t tmpfs -o size=1m siege /mnt"]).stderr(Stdio::null()).status();
-    ended.is_ok_and(|status| status.success())
+    command.args(["sh", "-c", "mount -t tmpfs -o size=1m siege /mnt"]).stderr(Stdio::null());
+    command.status().is_ok_and(|status| status.success())
 }
 
 fn unshare() -> Command {
@@ -81,7 +80,12 @@ pub struct Program {
 }
 
 impl Program {
-    pub fn start(program: &Path, limits: &Limits, peak: &Peak, arguments: &[&str]) -> Result<Program> {
+    /// Starts the attacked program without limits.
+    pub fn start(siege: &Siege, arguments: &[&str]) -> Result<Program> {
+        Program::limited(siege, &Limits::default(), arguments)
+    }
+
+    pub fn limited(siege: &Siege, limits: &Limits, arguments: &[&str]) -> Result<Program> {
         let mut script = String::new();
         let mut command = match &limits.disk {
             None => Command::new("sh"),
@@ -99,10 +103,10 @@ impl Program {
                 write!(script, "ulimit -{letter} {most} && ")?;
             }
         }
-        command.args(["-c", &format!("{script}exec \"$0\" \"$@\"")]).arg(program).args(arguments);
+        command.args(["-c", &format!("{script}exec \"$0\" \"$@\"")]).arg(&siege.program).args(arguments);
         command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");
         let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
-        watch(child.id(), peak.clone());
+        watch(child.id(), siege.peak.clone());
         let (sender, said) = channel();
         let stdout = child.stdout.take().ok_or("no stdout")?;
         std::thread::spawn(move || {
@@ -140,6 +144,12 @@ impl Program {
         }
     }
 
+    /// Waits until it serves a page; returns host and port.
+    pub fn host(&mut self) -> Result<String> {
+        let address = self.wait_for("viewer at http://")?;
+        Ok(address.split('/').next().unwrap_or_default().to_owned())
+    }
+
     /// Waits for its end. If it takes longer, kills it and returns an error.
     pub fn end(&mut self, longest: Duration) -> Result<Ending> {
         let start = Instant::now();
@@ -175,10 +185,7 @@ impl Program {
 
     /// Sends SIGINT, as Ctrl-C does.
     pub fn interrupt(&self) {
-        let id = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);
-        if let Some(id) = id {
-            kill_process(id, Signal::INT).ok();
-        }
+        kill_process(Pid::from_child(&self.child), Signal::INT).ok();
     }
 
     /// Its peak memory so far, MiB.

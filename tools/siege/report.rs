@@ -49,20 +49,12 @@ pub fn run() -> ExitCode {
             true => (attack.run)(&siege),
             false => Err("there was no time left for it".into()),
         };
-        let (said, verdict) = match outcome {
-            Ok(Outcome::Withstood(said)) => {
-                passed += 1;
-                (said, "passed")
-            }
-            Ok(Outcome::Skipped(reason)) => {
-                skipped += 1;
-                (reason, "skipped")
-            }
-            Err(error) => {
-                failed += 1;
-                (error.to_string(), "**FAILED**")
-            }
+        let (said, verdict, count) = match outcome {
+            Ok(Outcome::Withstood(said)) => (said, "passed", &mut passed),
+            Ok(Outcome::Skipped(reason)) => (reason, "skipped", &mut skipped),
+            Err(error) => (error.to_string(), "**FAILED**", &mut failed),
         };
+        *count += 1;
         let said = said.replace('|', "/").split_whitespace().collect::<Vec<_>>().join(" ");
         let (name, peak, seconds) = (attack.name, siege.peak.mib(), begun.elapsed().as_secs_f64());
         println!("| {name} | {said} | {peak} MiB | {seconds:.1} s | {verdict} |");

@@ -1,5 +1,6 @@
 //! Shared by all attacks: the program, a temporary folder, and the peak memory.
 
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -57,7 +58,10 @@ pub struct Siege {
 
 impl Siege {
     pub fn new(program: PathBuf, short: bool) -> Result<Siege> {
-        raise_own_descriptors();
+        // The attacker's connections need more descriptors than the usual 1024. If the limit cannot be raised, the attacks open as
+        // many as they can.
+        let limit = getrlimit(Resource::Nofile);
+        setrlimit(Resource::Nofile, Rlimit { current: limit.maximum, ..limit }).ok();
         let folder = tempfile::Builder::new().prefix("siege").tempdir()?;
         Ok(Siege { program, short, peak: Peak::default(), folder })
     }
@@ -81,15 +85,6 @@ impl Siege {
     pub fn choose<T>(&self, short: T, long: T) -> T {
         if self.short { short } else { long }
     }
-}
-
-/// Raises the limit of descriptors: the attacker's connections need more than the usual 1024.
-fn raise_own_descriptors() {
-    use rustix::process::{Resource, getrlimit, setrlimit};
-    let mut limit = getrlimit(Resource::Nofile);
-    limit.current = limit.maximum;
-    // If it cannot be raised, the attacks open as many as they can.
-    setrlimit(Resource::Nofile, limit).ok();
 }
 
 /// A path as a command's argument.

@@ -39,6 +39,13 @@ pub struct Training {
     pub model: PathBuf,
 }
 
+/// Port to attack.
+#[derive(Clone, Copy)]
+pub enum Door {
+    Page,
+    NetworkViewer,
+}
+
 /// Arguments of a training into a folder.
 pub fn arguments<'a>(data: &'a str, model: &'a str, more: &[&'a str]) -> Vec<&'a str> {
     [&["train", "-s", data, "-m", model], &SCHEDULE[..], &[CHECKPOINTS[3]], more].concat()
@@ -59,8 +66,7 @@ pub fn undisturbed(siege: &Siege) -> Result<Vec<u8>> {
     if !result_of(&model).exists() {
         let data = data_of(siege)?;
         let arguments = arguments(text(&data)?, text(&model)?, &[]);
-        let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, &arguments)?;
-        let ending = program.end(2 * LONGEST)?;
+        let ending = Program::start(siege, &arguments)?.end(2 * LONGEST)?;
         ensure!(ending.code == Some(0), "training fails without an attack: {ending}");
     }
     Ok(std::fs::read(result_of(&model))?)
@@ -78,10 +84,20 @@ impl Training {
         undisturbed(siege)?;
         let (data, model) = (data_of(siege)?, siege.new_folder("attacked")?);
         let arguments = arguments(text(&data)?, text(&model)?, &[&["--view=0"], more].concat());
-        let mut program = Program::start(&siege.program, limits, &siege.peak, &arguments)?;
-        let address = program.wait_for("viewer at http://")?;
-        let host = address.split('/').next().unwrap_or_default().to_owned();
+        let mut program = Program::limited(siege, limits, &arguments)?;
+        let host = program.host()?;
         Ok(Training { program, host, model })
+    }
+
+    /// Starts a training that also serves SIBR's network viewer; returns the address of the given door, too.
+    pub fn with_door(siege: &Siege, limits: &Limits, door: Door) -> Result<(Training, String)> {
+        let mut training = Training::start(siege, limits, &["--ip", "127.0.0.1", "--port", "0"])?;
+        let network_viewer = training.program.wait_for("network viewer at ")?;
+        let address = match door {
+            Door::Page => training.host.clone(),
+            Door::NetworkViewer => network_viewer,
+        };
+        Ok((training, address))
     }
 
     /// Replaces a page's error by its cause: the training may have ended.
@@ -101,19 +117,20 @@ impl Training {
 
     /// Waits for the end, which must be the same as without an attack.
     pub fn check_end(&mut self, siege: &Siege) -> Result<()> {
+        self.end()?;
+        check_result(siege, &self.model, &CHECKPOINTS)
+    }
+
+    /// Waits for the end without an error; returns the program's stderr.
+    pub fn end(&mut self) -> Result<String> {
         let ending = self.program.end(LONGEST)?;
         ensure!(ending.code == Some(0), "training ended with {ending}");
-        check_result(siege, &self.model)
+        Ok(ending.errors)
     }
 }
 
-/// Checks that all files are there, with the same bits as without an attack.
-pub fn check_result(siege: &Siege, model: &Path) -> Result<()> {
-    check_with(siege, model, &CHECKPOINTS)
-}
-
-/// Same as [`check_result`], but for these checkpoints.
-pub fn check_with(siege: &Siege, model: &Path, checkpoints: &[&str]) -> Result<()> {
+/// Checks that the final scene and these checkpoints are there, the scene with the same bits as without an attack.
+pub fn check_result(siege: &Siege, model: &Path, checkpoints: &[&str]) -> Result<()> {
     let result = std::fs::read(result_of(model)).map_err(|error| format!("the last scene: {error}"))?;
     ensure!(result == undisturbed(siege)?, "the last scene has other bits than without the attack");
     for iteration in checkpoints {

@@ -4,9 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::model::Model;
 use super::{binary, text};
-use crate::names::{has_photos, has_video_ending, quoted};
+use crate::names::{has_video_ending, holds_photos, quoted};
 use crate::transforms;
 use ashsplat::{Error, Result};
 
@@ -21,6 +20,13 @@ pub struct ModelFolder {
     pub warning: Option<String>,
 }
 
+impl ModelFolder {
+    /// Path of the file for "cameras", "images" or "points3D".
+    pub(super) fn file(&self, part: &str) -> PathBuf {
+        self.folder.join(format!("{part}.{}", if self.text { "txt" } else { "bin" }))
+    }
+}
+
 /// Folder within a data set's in which `ashsplat poses` works until its cameras are found.
 pub const UNFINISHED_POSES: &str = "poses.unfinished";
 /// Log in a data set's folder: the COLMAP commands of `ashsplat poses`, and their output.
@@ -30,10 +36,6 @@ const PARTS: [&str; 3] = ["cameras", "images", "points3D"];
 
 /// Finds the model of a data set: `sparse/N`, `sparse`, or the folder itself. Among several `sparse/N`, the one with
 /// the most registered images wins, then with the most points, then with the lowest name.
-///
-/// # Errors
-/// [`Error::Input`] when there is none, or the model lacks its cameras or images; [`Error::Io`] when the folder
-/// cannot be read.
 pub fn find(dataset: impl AsRef<Path>) -> Result<ModelFolder> {
     let dataset = dataset.as_ref();
     match fs::metadata(dataset) {
@@ -72,6 +74,11 @@ pub fn exists(dataset: impl AsRef<Path>) -> bool {
     below.iter().chain([&sparse, &dataset.to_owned()]).any(|folder| has_model(folder))
 }
 
+/// True if a folder has a model or the cameras of a transforms.json.
+pub(crate) fn is_data_set(folder: &Path) -> bool {
+    exists(folder) || transforms::find(folder).is_some()
+}
+
 /// Largest age difference between two forms of a model that one program wrote.
 const CONVERSION: Duration = Duration::from_secs(5);
 
@@ -90,10 +97,8 @@ const FOREIGN_CAMERAS: [(&str, &str); 7] = [
 fn no_model(dataset: &Path) -> Error {
     let problem = "has no COLMAP model (sparse/0/cameras.bin or .txt) and no transforms.json";
     let place = dataset.display();
-    let is_data_set = |path: &PathBuf| exists(path) || transforms::find(path).is_some();
-    let below: Vec<PathBuf> =
-        subfolders(dataset).unwrap_or_default().into_iter().filter(is_data_set).collect();
-    let photo_folders = [dataset.join("images"), dataset.join("input"), dataset.to_owned()];
+    let mut below = subfolders(dataset).unwrap_or_default();
+    below.retain(|folder| is_data_set(folder));
     let files: Vec<String> =
         transforms::files_with_poses(dataset).iter().map(|file| file.display().to_string()).collect();
     let remedy = if !files.is_empty() {
@@ -115,7 +120,7 @@ fn no_model(dataset: &Path) -> Error {
         format!(
             "{file} has the cameras of {program}, which is not read: export them for COLMAP, or as transforms.json"
         )
-    } else if photo_folders.iter().any(|folder| has_photos(folder)) {
+    } else if holds_photos(dataset) {
         format!("photos alone are not enough: {} finds their cameras", poses(dataset))
     } else {
         "give the folder that contains sparse/0 and images, as COLMAP or its image_undistorter leave it"
@@ -156,14 +161,9 @@ fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {
 }
 
 fn largest(candidates: &[PathBuf]) -> Result<ModelFolder> {
-    let mut best: Option<((u64, u64), &PathBuf)> = None;
-    for folder in candidates {
-        let size = claimed_size(folder);
-        if best.is_none_or(|(largest, _)| size > largest) {
-            best = Some((size, folder));
-        }
-    }
-    let Some(((images, _), folder)) = best else {
+    // Of equal ones, the first.
+    let sizes = candidates.iter().rev().map(|folder| (claimed_size(folder), folder));
+    let Some(((images, _), folder)) = sizes.max_by_key(|(size, _)| *size) else {
         return Err(Error::argument("candidates", "there are none"));
     };
     let warning =
@@ -175,7 +175,7 @@ fn largest(candidates: &[PathBuf]) -> Result<ModelFolder> {
 fn claimed_size(folder: &Path) -> (u64, u64) {
     match describe(folder.to_owned(), None) {
         Ok(found) if found.text => (
-            text::count_images(&found.folder.join("images.txt")),
+            text::images(&found.folder.join("images.txt")).map_or(0, |images| images.len() as u64),
             text::count_rows(&found.folder.join("points3D.txt")),
         ),
         Ok(found) => [PARTS[1], PARTS[2]]
@@ -205,14 +205,4 @@ fn subfolders(folder: &Path) -> Result<Vec<PathBuf>> {
         (name.parse().unwrap_or(u64::MAX), name)
     });
     Ok(found)
-}
-
-impl Model {
-    /// Finds and reads the model of a data set.
-    ///
-    /// # Errors
-    /// Same as [`find`] and [`Model::read`].
-    pub fn of_dataset(dataset: impl AsRef<Path>) -> Result<Self> {
-        Self::read(&find(dataset)?)
-    }
 }

@@ -1,14 +1,15 @@
-//! A sparse model in memory, and the cameras that can be trained on.
+//! A sparse model in memory, the cameras that can be trained on, and the points that photos show.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-use glam::dvec2;
+use glam::{DMat3, DVec2, DVec3, dvec2};
 
-use super::find::ModelFolder;
-use super::types::{ColmapCamera, ColmapImage};
+use super::find::{self, ModelFolder};
+use super::records::{ColmapCamera, ColmapImage, Observed};
 use super::{binary, text};
+use crate::depth_fit::DepthPoint;
 use crate::ply;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::scene::lens::{Distortion, Lens};
@@ -31,41 +32,30 @@ pub struct Model {
 }
 
 impl Model {
+    /// Finds and reads the model of a data set.
+    pub fn of_dataset(dataset: impl AsRef<Path>) -> Result<Self> {
+        Self::read(&find::find(dataset)?)
+    }
+
     /// Reads a model. Any camera model is read; [`Model::camera_of`] checks whether it can be used.
     ///
     /// A missing list of points gives no points and a warning. Points at NaN are dropped with a warning.
-    ///
-    /// # Errors
-    /// [`Error::Io`] when a file cannot be read, [`Error::Input`] when one is empty, damaged or cut short, or
-    /// names a camera model that COLMAP does not have, or an id or name appears twice.
     pub fn read(source: &ModelFolder) -> Result<Self> {
-        let ending = if source.text { "txt" } else { "bin" };
-        let file = |part: &str| source.folder.join(format!("{part}.{ending}"));
-        let (cameras, images) = if source.text {
-            (text::cameras(&file("cameras"))?, text::images(&file("images"))?)
-        } else {
-            (binary::cameras(&file("cameras"))?, binary::images(&file("images"))?)
+        let [cameras, images] = ["cameras", "images"].map(|part| source.file(part));
+        let (all_cameras, all_images) = match source.text {
+            true => (text::cameras(&cameras)?, text::images(&images)?),
+            false => (binary::cameras(&cameras)?, binary::images(&images)?),
         };
-        check_unique(&file("images"), &images)?;
+        check_unique(&images, &all_images)?;
         let mut warnings: Vec<String> = source.warning.iter().cloned().collect();
         let points = points(source, &mut warnings)?;
-        Ok(Self {
-            source: source.clone(),
-            cameras: by_id(&file("cameras"), cameras)?,
-            images,
-            points,
-            warnings,
-        })
+        let cameras = by_id(&cameras, all_cameras)?;
+        Ok(Self { source: source.clone(), cameras, images: all_images, points, warnings })
     }
 
     /// Path of the model's file for "cameras", "images" or "points3D".
     pub fn file(&self, part: &str) -> PathBuf {
-        self.source.folder.join(format!("{part}.{}", if self.source.text { "txt" } else { "bin" }))
-    }
-
-    /// Path of the points' file, if there is one.
-    pub(super) fn points_file(&self) -> Option<PathBuf> {
-        points_file(&self.source)
+        self.source.file(part)
     }
 
     /// Camera and pose of an image at the photo's size, without lens distortion, in the file's coordinates.
@@ -76,28 +66,21 @@ impl Model {
     pub fn camera_of(&self, image: &ColmapImage) -> Result<Camera> {
         let file = self.file("images");
         let Some(camera) = self.cameras.get(&image.camera_id) else {
-            let problem = format!("image {} ({}) has camera {}", image.id, image.name, image.camera_id);
-            return Err(Error::input(
-                file,
-                format!("{problem}, which cameras does not list"),
-                "copy the whole model",
-            ));
+            let ColmapImage { id, name, camera_id, .. } = image;
+            let problem = format!("image {id} ({name}) has camera {camera_id}, which cameras does not list");
+            return Err(Error::input(file, problem, "copy the whole model"));
         };
         let intrinsics = self.lens(camera)?.intrinsics();
         let length = image.quat.iter().map(|q| q * q).sum::<f64>().sqrt();
         let finite = length.is_finite() && image.translation.iter().all(|t| t.is_finite());
         let result = Camera::from_colmap(image.quat, image.translation, intrinsics);
-        if !finite || length == 0.0 || result.problem().is_some() {
-            let what = if length == 0.0 { "is a zero quaternion" } else { "is not finite" };
-            let problem = format!("image {} ({}): its pose {what}", image.id, image.name);
-            return Err(Error::input(
-                file,
-                problem,
-                "run COLMAP's mapper again, or remove the image from the model",
-            ));
-        }
-        if let Some(what) = result.absurdity() {
-            let problem = format!("image {} ({}): {what}", image.id, image.name);
+        let problem = match result.problem() {
+            _ if length == 0.0 => Some("its pose is a zero quaternion".into()),
+            None if finite => result.absurdity(),
+            _ => Some("its pose is not finite".into()),
+        };
+        if let Some(problem) = problem {
+            let problem = format!("image {} ({}): {problem}", image.id, image.name);
             let remedy = "run COLMAP's mapper again, or remove the image from the model";
             return Err(Error::input(file, problem, remedy));
         }
@@ -105,19 +88,12 @@ impl Model {
     }
 
     /// A camera and its lens at the size of its photos.
-    ///
-    /// # Errors
-    /// Same as [`Model::camera_of`], except for images and poses.
     pub fn lens(&self, camera: &ColmapCamera) -> Result<Lens> {
         let file = self.file("cameras");
         let place = format!("camera {} ({})", camera.id, camera.model.name());
         let Some(([fx, fy, cx, cy], distortion)) = optics(camera) else {
-            let problem = format!("{place} has a lens that is not modelled");
-            return Err(Error::input(
-                file,
-                problem,
-                format!("run: {}", undistort_command(&self.source.folder)),
-            ));
+            let remedy = format!("run: {}", undistort_command(&self.source.folder));
+            return Err(Error::input(file, format!("{place} has a lens that is not modelled"), remedy));
         };
         let side = |pixels: u64| u32::try_from(pixels).ok().filter(|s| (1..=MAX_IMAGE_SIDE).contains(s));
         let (Some(width), Some(height)) = (side(camera.width), side(camera.height)) else {
@@ -126,18 +102,13 @@ impl Model {
         };
         let lens = Lens { focal_px: dvec2(fx, fy), center_px: dvec2(cx, cy), width, height, distortion };
         let upright = Camera::with_pose(glam::Mat3::IDENTITY, glam::Vec3::ZERO, lens.intrinsics());
-        if !camera.parameters.iter().all(|p| p.is_finite()) {
-            return Err(Error::input(
-                &file,
-                format!("{place}: a parameter is not finite"),
-                "run COLMAP again",
-            ));
-        }
-        if let Some(problem) = upright.problem() {
-            return Err(Error::input(&file, format!("{place}: {problem}"), "run COLMAP again"));
-        }
-        if let Some(problem) = lens.intrinsics().absurdity() {
-            return Err(Error::input(&file, format!("{place}: {problem}"), "run COLMAP again"));
+        let is_finite = camera.parameters.iter().all(|p| p.is_finite());
+        let problem = match upright.problem() {
+            _ if !is_finite => Some("a parameter is not finite".into()),
+            problem => problem.or_else(|| lens.intrinsics().absurdity()),
+        };
+        if let Some(problem) = problem {
+            return Err(Error::input(file, format!("{place}: {problem}"), "run COLMAP again"));
         }
         Ok(lens)
     }
@@ -226,11 +197,8 @@ fn by_id(file: &Path, cameras: Vec<ColmapCamera>) -> Result<BTreeMap<u32, Colmap
     for camera in cameras {
         let id = camera.id;
         if by_id.insert(id, camera).is_some() {
-            return Err(Error::input(
-                file,
-                format!("camera id {id} appears twice"),
-                "export the model again",
-            ));
+            let problem = format!("camera id {id} appears twice");
+            return Err(Error::input(file, problem, "export the model again"));
         }
     }
     Ok(by_id)
@@ -248,4 +216,94 @@ fn check_unique(file: &Path, images: &[ColmapImage]) -> Result<()> {
         return Err(Error::input(file, format!("{what} appears twice"), remedy));
     }
     Ok(())
+}
+
+/// Positions of points by id, the file's coordinates.
+type Positions = HashMap<u64, [f64; 3]>;
+
+fn read(model: &Model) -> Result<(Vec<Observed>, Positions)> {
+    let (images, points) = (model.file("images"), points_file(&model.source));
+    let observed =
+        if model.source.text { text::observations(&images)? } else { binary::observations(&images)? };
+    let positions = match &points {
+        None => HashMap::new(),
+        Some(file) if file.extension().is_some_and(|ending| ending == "txt") => text::positions(file)?,
+        // Points of a PLY have no ids.
+        Some(file) if file.extension().is_some_and(|ending| ending == "ply") => HashMap::new(),
+        Some(file) => binary::positions(file)?,
+    };
+    Ok((observed, positions))
+}
+
+/// The points that each image of a model shows, by image id.
+pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
+    let (observed, positions) = read(model)?;
+    let pose = |image: &ColmapImage| (image.id, (image.rotation(), DVec3::from_array(image.translation)));
+    let poses: HashMap<u32, (DMat3, DVec3)> = model.images.iter().map(pose).collect();
+    let of_image = |(id, places): Observed| {
+        let pose = poses.get(&id);
+        let point = |(position_px, point): ([f64; 2], Option<u64>)| {
+            let (rotation, translation) = pose?;
+            let position = DVec3::from_array(*positions.get(&point?)?);
+            let z = (*rotation * position + *translation).z;
+            Some(DepthPoint { position_px, inverse_z: 1.0 / z }).filter(|point| point.inverse_z.is_finite())
+        };
+        (id, places.into_iter().filter_map(point).collect())
+    };
+    Ok(observed.into_iter().map(of_image).collect())
+}
+
+/// Positions of the points that each image of a model shows, by image id, in the file's coordinates. Each point appears
+/// once, in the order of point ids.
+pub fn tracks(model: &Model) -> Result<HashMap<u32, Vec<[f64; 3]>>> {
+    let (observed, positions) = read(model)?;
+    let of_image = |(id, places): Observed| {
+        let mut points: Vec<u64> = places.into_iter().filter_map(|(_, point)| point).collect();
+        points.sort_unstable();
+        points.dedup();
+        (id, points.iter().filter_map(|point| positions.get(point).copied()).collect())
+    };
+    Ok(observed.into_iter().map(of_image).collect())
+}
+
+/// A warning if points do not lie where the photos show them, because poses, points or cameras were changed separately.
+pub(crate) fn contradiction(model: &Model) -> Option<String> {
+    /// Larger models are skipped: reading their observations would take too long.
+    const MOST_BYTES: u64 = 32 << 20;
+    const SAMPLE: usize = 1000;
+    const LEAST: usize = 100;
+    /// Share of the photo's larger side. The projection ignores distortion, whose median effect is smaller.
+    const FAR: f64 = 0.05;
+    let bytes = |file: PathBuf| std::fs::metadata(file).map_or(u64::MAX, |file| file.len());
+    if bytes(model.file("images")).saturating_add(bytes(points_file(&model.source)?)) > MOST_BYTES {
+        return None;
+    }
+    let (observed, positions) = read(model).ok()?;
+    let images: HashMap<u32, &ColmapImage> = model.images.iter().map(|image| (image.id, image)).collect();
+    let all: Vec<_> = observed
+        .into_iter()
+        .flat_map(|(id, places)| places.into_iter().filter_map(move |(at, point)| Some((id, at, point?))))
+        .collect();
+    let error = |&(id, at, point): &(u32, [f64; 2], u64)| -> Option<f64> {
+        let image = images.get(&id)?;
+        let lens = model.lens(model.cameras.get(&image.camera_id)?).ok()?;
+        let is_plane = !matches!(lens.distortion, Distortion::Fisheye { .. });
+        let position = DVec3::from_array(*positions.get(&point)?);
+        let p = image.rotation() * position + DVec3::from_array(image.translation);
+        let there = lens.focal_px * (p.truncate() / p.z) + lens.center_px;
+        let side = f64::from(lens.width.max(lens.height));
+        is_plane.then(|| if p.z > 0.0 { there.distance(DVec2::from_array(at)) / side } else { f64::INFINITY })
+    };
+    let mut errors: Vec<f64> =
+        all.iter().step_by(all.len().div_ceil(SAMPLE).max(1)).filter_map(error).collect();
+    errors.sort_unstable_by(f64::total_cmp);
+    let median = *errors.get(errors.len() / 2).filter(|_| errors.len() >= LEAST)?;
+    (median > FAR).then(|| {
+        format!(
+            "{}: its points do not lie where its photos show them (in the median {:.0} % of a photo's side away): poses and points do \
+             not belong together",
+            model.source.folder.display(),
+            (100.0 * median).min(999.0)
+        )
+    })
 }

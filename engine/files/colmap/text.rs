@@ -8,8 +8,9 @@ use std::str::FromStr;
 
 use glam::DVec3;
 
-use super::types::{CameraModel, ColmapCamera, ColmapImage, Observed};
-use crate::{cost, host_memory, regular_file, text};
+use super::records::{CameraModel, ColmapCamera, ColmapImage, Observed};
+use crate::regular_file::{self, OnFile};
+use crate::{cost, host_memory, text};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
@@ -63,14 +64,13 @@ fn each_image(
     Ok(())
 }
 
-/// Reads the observations of each image.
 pub(super) fn observations(path: &Path) -> Result<Vec<Observed>> {
     let mut images: Vec<Observed> = Vec::new();
     each_image(path, |image, mut words| {
         images.extend(image.map(|image| (image.id, Vec::new())));
         let Some((_, places)) = images.last_mut() else { return Ok(()) };
         while !words.rest.is_empty() {
-            let at = [words.number("position")?, words.number("position")?];
+            let at = words.numbers("position")?;
             // COLMAP writes -1 for an observation without a point.
             let point: i64 = words.number("point id")?;
             places.push((at, u64::try_from(point).ok()));
@@ -80,18 +80,12 @@ pub(super) fn observations(path: &Path) -> Result<Vec<Observed>> {
     Ok(images)
 }
 
-/// Reads the points' positions by id.
 pub(super) fn positions(path: &Path) -> Result<HashMap<u64, [f64; 3]>> {
     let mut file = TextFile::open(path)?;
     let mut positions = HashMap::new();
     while file.next_row()? {
         let mut words = file.words();
-        let id = words.number("point id")?;
-        let mut position = [0.0; 3];
-        for p in &mut position {
-            *p = words.number("position")?;
-        }
-        positions.insert(id, position);
+        positions.insert(words.number("point id")?, words.numbers("position")?);
     }
     Ok(positions)
 }
@@ -102,16 +96,8 @@ pub(super) fn points(path: &Path) -> Result<SourcePoints> {
     while file.next_row()? {
         let mut words = file.words();
         let _id: u64 = words.number("point id")?;
-        let mut position = [0.0; 3];
-        for p in &mut position {
-            *p = words.number("position")?;
-        }
-        let mut color = [0; 3];
-        for c in &mut color {
-            *c = words.number("colour")?;
-        }
-        points.positions.push(DVec3::from_array(position));
-        points.colors.push(color);
+        points.positions.push(DVec3::from_array(words.numbers("position")?));
+        points.colors.push(words.numbers("colour")?);
     }
     Ok(points)
 }
@@ -126,12 +112,6 @@ pub(super) fn count_rows(path: &Path) -> u64 {
     rows
 }
 
-/// Number of registered images; 0 when the file cannot be read.
-pub(super) fn count_images(path: &Path) -> u64 {
-    images(path).map_or(0, |images| images.len() as u64)
-}
-
-/// A text file, line by line.
 struct TextFile<'a> {
     path: &'a Path,
     reader: BufReader<Take<File>>,
@@ -145,10 +125,10 @@ impl<'a> TextFile<'a> {
         // Long lines hold observations and tracks, which are not kept.
         host_memory::check_free(path, bytes.saturating_mul(2))?;
         let mut this = Self { path, reader: BufReader::new(file.take(bytes)), text: String::new(), line: 0 };
-        let start = this.reader.fill_buf().map_err(|source| Error::io(path, "read", source))?;
+        let start = this.reader.fill_buf().reading(path)?;
         let one_line = start.contains(&b'\r') && !start.contains(&b'\n');
         let unusual = one_line.then_some(("ends its lines with CR alone", "save it with LF or CR LF"));
-        match crate::sniff::recognise(&start[..start.len().min(512)]).or(unusual) {
+        match regular_file::recognise(&start[..start.len().min(512)]).or(unusual) {
             Some((problem, remedy)) => Err(Error::input(path, problem, remedy)),
             None => Ok(this),
         }
@@ -160,7 +140,7 @@ impl<'a> TextFile<'a> {
         let mut bytes = std::mem::take(&mut self.text).into_bytes();
         bytes.clear();
         let read = self.reader.read_until(b'\n', &mut bytes);
-        let read = read.map_err(|source| Error::io(self.path, "read", source))?;
+        let read = read.reading(self.path)?;
         self.line += 1;
         self.text = text::decoded(bytes);
         if self.line == 1 && self.text.starts_with(text::MARK) {
@@ -194,11 +174,8 @@ struct Words<'a> {
 
 impl<'a> Words<'a> {
     fn error(&self, problem: &str) -> Error {
-        Error::input(
-            self.path,
-            format!("line {}: {problem}", self.line),
-            "correct the line, or export the model again",
-        )
+        let problem = format!("line {}: {problem}", self.line);
+        Error::input(self.path, problem, "correct the line, or export the model again")
     }
 
     fn word(&mut self, what: &str) -> Result<&'a str> {
@@ -219,6 +196,14 @@ impl<'a> Words<'a> {
         })
     }
 
+    fn numbers<T: FromStr + Copy + Default, const N: usize>(&mut self, what: &str) -> Result<[T; N]> {
+        let mut numbers = [T::default(); N];
+        for number in &mut numbers {
+            *number = self.number(what)?;
+        }
+        Ok(numbers)
+    }
+
     /// True for a line of observations: x, y and the id of a point, any number of times.
     fn are_observations(mut self) -> bool {
         while !self.rest.is_empty() {
@@ -232,25 +217,14 @@ impl<'a> Words<'a> {
 
     fn image(&mut self) -> Result<ColmapImage> {
         let id = self.number("image id")?;
-        let mut quat = [0.0; 4];
-        for q in &mut quat {
-            *q = self.number("quaternion")?;
-        }
-        let mut translation = [0.0; 3];
-        for t in &mut translation {
-            *t = self.number("translation")?;
-        }
+        let (quat, translation) = (self.numbers("quaternion")?, self.numbers("translation")?);
         let camera_id = self.number("camera id")?;
-        let name = self.rest("image name")?.to_owned();
-        Ok(ColmapImage { id, camera_id, name, quat, translation })
-    }
-
-    /// Everything up to the end of the line, with spaces.
-    fn rest(&mut self, what: &str) -> Result<&'a str> {
         if self.rest.is_empty() {
-            return Err(self.error(&format!("the {what} is missing")));
+            return Err(self.error("the image name is missing"));
         }
-        Ok(std::mem::take(&mut self.rest))
+        // The name may have spaces.
+        let name = std::mem::take(&mut self.rest).to_owned();
+        Ok(ColmapImage { id, camera_id, name, quat, translation })
     }
 
     fn end(&self) -> Result<()> {

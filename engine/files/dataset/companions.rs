@@ -3,11 +3,10 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use super::DatasetOptions;
 use super::depths::map_of;
-use super::mask::{folders_of_masks, mask_of, unused_folders};
+use super::options::DatasetOptions;
 use super::plan::Plan;
-use crate::names::{Finder, is_companion, pictures_below};
+use crate::names::{Finder, entries, is_companion, pictures_below};
 use ashsplat::Error;
 
 impl Plan {
@@ -39,10 +38,8 @@ impl Plan {
             names.push(name);
         }
         if let Some(first) = twice.first() {
-            let (list, count) = (list.display(), twice.len());
-            self.warnings.push(format!(
-                "{list}: {count} photos have more than one pose, {first} for example: all are used"
-            ));
+            let count = twice.len();
+            self.warn(format!("{count} photos have more than one pose, {first} for example: all are used"));
         }
         let found = self.views.iter_mut().filter(|view| view.is_ok()).zip(&names);
         for (view, name) in found {
@@ -63,9 +60,9 @@ impl Plan {
         for folder in unused_folders(dataset, &folders, !masks.is_empty()) {
             let pictures = pictures_below(&folder).len();
             if pictures > 0 && !used.iter().any(|file| file.starts_with(&folder)) {
+                let folder = folder.display();
                 self.warnings.push(format!(
-                    "{}: its {pictures} pictures are not used; masks that are to count lie in masks/, white where pixels count",
-                    folder.display()
+                    "{folder}: its {pictures} pictures are not used; masks that are to count lie in masks/, white where pixels count"
                 ));
             }
         }
@@ -79,11 +76,8 @@ impl Plan {
         let masks: Vec<&Path> =
             self.views.iter().flatten().filter_map(|view| view.mask_path.as_deref()).collect();
         if let Some(folder) = masks.first().and_then(|mask| mask.parent()) {
-            self.notes.push(format!(
-                "{} of {all} photos have a mask, the first in {}",
-                masks.len(),
-                folder.display()
-            ));
+            let (count, folder) = (masks.len(), folder.display());
+            self.notes.push(format!("{count} of {all} photos have a mask, the first in {folder}"));
         }
         let names_mask = |path: &Path| path.to_string_lossy().to_lowercase().contains("mask");
         let mut unused: Vec<PathBuf> =
@@ -99,33 +93,10 @@ impl Plan {
         }
         unused.retain(|mask| !used.contains(mask.as_path()));
         if let Some(first) = unused.iter().min() {
+            let (count, first) = (unused.len(), first.display());
             self.warnings.push(format!(
-                "masks that belong to no photo with a camera are not used ({}, {} for example); that of a.jpg is called a.png, \
-                 a.jpg.png, a_mask.png or mask_a.png",
-                unused.len(),
-                first.display()
-            ));
-        }
-    }
-
-    /// Names point files that are not read, if the data set has no other points.
-    pub(super) fn tell_of_points(&mut self, dataset: &Path) {
-        const ENDINGS: [&str; 8] = ["las", "laz", "e57", "pts", "ptx", "xyz", "pcd", "ply"];
-        // Beside a transforms.json, any PLY is used or named already.
-        let endings = if self.source == self.list { &ENDINGS[..7] } else { &ENDINGS[..] };
-        let is_points = |path: &PathBuf| {
-            path.extension().is_some_and(|own| endings.iter().any(|ending| own.eq_ignore_ascii_case(ending)))
-        };
-        let entries = std::fs::read_dir(dataset).into_iter().flatten().flatten().map(|entry| entry.path());
-        if let Some(file) = entries.filter(is_points).min() {
-            let target = match self.source == self.list {
-                true => dataset.join("points3d.ply"),
-                false => self.source.join("points3D.ply"),
-            };
-            self.warnings.push(format!(
-                "{}: its points are not used; save them in the cameras' coordinates as {} (CloudCompare and PDAL write PLY)",
-                file.display(),
-                target.display()
+                "masks that belong to no photo with a camera are not used ({count}, {first} for example); that of a.jpg is called a.png, \
+                 a.jpg.png, a_mask.png or mask_a.png"
             ));
         }
     }
@@ -133,22 +104,14 @@ impl Plan {
     /// Notes depth maps that are present but unused: only `-d` uses them.
     fn tell_of_depths(&mut self, dataset: &Path, names: &[PathBuf], finder: &mut Finder) {
         if self.named_depth_maps > 0 {
+            let (list, count) = (self.list.display(), self.named_depth_maps);
             self.notes.push(format!(
-                "{}: the depth maps of its {} depth_file_path are not used: -d reads inverse depths, 65536 / depth in 16 bits, which is \
-                 65536000 / value for maps in mm where the unit is 1 m",
-                self.list.display(),
-                self.named_depth_maps
+                "{list}: the depth maps of its {count} depth_file_path are not used: -d reads inverse depths, 65536 / depth in 16 bits, \
+                 which is 65536000 / value for maps in mm where the unit is 1 m"
             ));
             return;
         }
-        let entries = std::fs::read_dir(dataset).into_iter().flatten().flatten();
-        let named = |name: &str| name.to_lowercase().contains("depth");
-        let mut folders: Vec<PathBuf> = entries
-            .filter(|entry| named(&entry.file_name().to_string_lossy()) && entry.path().is_dir())
-            .map(|entry| entry.path())
-            .collect();
-        folders.sort_unstable();
-        for folder in folders {
+        for folder in folders_in(dataset, |name| name.contains("depth")) {
             let has_map = |name: &&PathBuf| map_of(&folder, &name.to_string_lossy(), finder).is_some();
             let (maps, all) = (names.iter().filter(has_map).count(), names.len());
             let (place, name) = (folder.display(), folder.file_name().unwrap_or_default().to_string_lossy());
@@ -158,4 +121,92 @@ impl Plan {
             });
         }
     }
+}
+
+const FOLDERS: [&str; 7] =
+    ["masks", "mask", "segmentation", "segmentations", "segmentation_masks", "image_masks", "images_masks"];
+
+/// The folders of a data set that hold masks. The one of the photos' folder comes first: `masks_4` with `images_4`.
+fn folders_of_masks(dataset: &Path, images: &str, finder: &mut Finder) -> Vec<PathBuf> {
+    let ending = ending_of(images);
+    let beside_photos = dataset.join(images).parent().map_or(dataset.to_owned(), Path::to_owned);
+    let mut folders = Vec::new();
+    for ending in [ending, ""] {
+        for place in [&*beside_photos, dataset] {
+            folders
+                .extend(FOLDERS.iter().filter_map(|name| finder.folder(place, &format!("{name}{ending}"))));
+        }
+    }
+    let mut known = HashSet::new();
+    folders.retain(|folder| known.insert(folder.clone()));
+    folders
+}
+
+/// Unused folders with names like masks, such as `sky_masks`, which other programs combine with other masks. Masks of other
+/// sizes, such as `masks_2`, are among them unless there are masks in use.
+fn unused_folders(dataset: &Path, used: &[PathBuf], has_masks: bool) -> Vec<PathBuf> {
+    let is_known = |name: &str| {
+        let stem = name.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('_');
+        FOLDERS.contains(&stem)
+    };
+    let is_other =
+        |name: &str| name.contains("mask") && !(has_masks && is_known(name)) && !name.starts_with('.');
+    let mut folders = folders_in(dataset, is_other);
+    folders.retain(|folder| !used.contains(folder));
+    folders
+}
+
+/// Folders in a folder, by their names in lower case, sorted.
+fn folders_in(folder: &Path, fits: impl Fn(&str) -> bool) -> Vec<PathBuf> {
+    let named = entries(folder).filter(|entry| fits(&entry.file_name().to_string_lossy().to_lowercase()));
+    let mut folders: Vec<PathBuf> = named.map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
+    folders.sort_unstable();
+    folders
+}
+
+/// Finds the mask of a photo, whose path below the photos' folder is `name`. It lies beside the photo, or in a folder
+/// of masks below the same subfolders or fewer.
+fn mask_of(folders: &[PathBuf], name: &Path, photo: &Path, finder: &mut Finder) -> Option<PathBuf> {
+    let whole = name.file_name()?.to_str()?;
+    let stem = name.file_stem()?.to_str()?;
+    // The name that COLMAP uses, then those of Metashape, 3DGRUT and RealityCapture.
+    let [own, plain] = [format!("{whole}.png"), format!("{stem}.png")];
+    let marked = [
+        format!("{stem}_mask.png"),
+        format!("{whole}_mask.png"),
+        format!("mask_{stem}.png"),
+        format!("{stem}.mask.png"),
+        format!("{whole}.mask.png"),
+        format!("{stem}-mask.png"),
+    ];
+    let in_folder = || [&own, &plain].into_iter().chain(&marked);
+    let parts: Vec<_> = name.parent().unwrap_or(Path::new("")).iter().collect();
+    for folder in folders {
+        for skipped in 0..=parts.len() {
+            let place = parts[skipped..].iter().collect::<PathBuf>();
+            for name in in_folder() {
+                let found = finder.photo(folder, place.join(name).to_str()?);
+                if found.is_some() {
+                    return found;
+                }
+            }
+        }
+    }
+    let beside = photo.parent()?;
+    let inner: Vec<PathBuf> = FOLDERS[..2].iter().filter_map(|name| finder.folder(beside, name)).collect();
+    let found = inner.iter().find_map(|folder| in_folder().find_map(|name| finder.photo(folder, name)));
+    found.or_else(|| [&own].into_iter().chain(&marked).find_map(|name| finder.photo(beside, name)))
+}
+
+/// The mask that a `transforms.json` names, or its counterpart in the folder that matches the photos' folder.
+pub(super) fn mask_in_folder(dataset: &Path, images: &str, named: &Path) -> PathBuf {
+    let rest = named.strip_prefix(dataset.join("masks")).ok();
+    let folder = dataset.join(format!("masks{}", ending_of(images)));
+    let beside = rest.map(|rest| folder.join(rest)).filter(|path| path.is_file());
+    beside.unwrap_or_else(|| named.to_owned())
+}
+
+/// `_4` for `images_4`.
+fn ending_of(images: &str) -> &str {
+    images.trim_end_matches('/').strip_prefix("images").unwrap_or_default()
 }

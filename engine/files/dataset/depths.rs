@@ -6,10 +6,11 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::options::DatasetOptions;
+use super::part::cut;
 use super::planned_view::PlannedView;
-use super::used_part::cut;
-use super::{DatasetOptions, View};
-use crate::colmap::{self, Model};
+use super::view::View;
+use crate::colmap::{self, ColmapImage, Model};
 use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
 use crate::images::{DepthMap, header};
 use crate::names::{Finder, plain, stays_inside};
@@ -25,30 +26,21 @@ pub(super) struct PlannedMap {
     fit: DepthFit,
 }
 
-/// Finds the maps of the views, in their order. Held-out views that are not trained on get none, and neither do views
-/// whose map cannot be fitted.
-///
-/// # Errors
-/// [`Error::Input`] naming the folder, the map or the parameters that are missing.
+/// Finds the maps of the views, in their order; none for views that are not trained on or whose map cannot be fitted.
 pub(super) fn plan(
     dataset: &Path,
     (views, held_out, frame): (&[PlannedView], &[bool], &WorldFrame),
     options: &DatasetOptions,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Option<PlannedMap>>> {
-    let Some(folder) = &options.depths else { return Ok(vec![None; views.len()]) };
-    let is_trained = |held_out: &bool| options.train_test_exp || !*held_out;
-    let trained: Vec<&PlannedView> = views
-        .iter()
-        .zip(held_out)
-        .filter(|(_, held_out)| is_trained(held_out))
-        .map(|(view, _)| view)
-        .collect();
-    let mut maps = of_trained(dataset, folder, (&trained, frame.unit, options), warnings)?.into_iter();
-    Ok(held_out
-        .iter()
-        .map(|held_out| is_trained(held_out).then(|| maps.next()).flatten().flatten())
-        .collect())
+    let mut all = vec![None; views.len()];
+    let Some(folder) = &options.depths else { return Ok(all) };
+    let is_trained = |index: &usize| options.train_test_exp || !held_out[*index];
+    let trained: Vec<usize> = (0..views.len()).filter(is_trained).collect();
+    let of_trained_views: Vec<&PlannedView> = trained.iter().map(|&index| &views[index]).collect();
+    let maps = of_trained(dataset, folder, (&of_trained_views, frame.unit, options), warnings)?;
+    trained.into_iter().zip(maps).for_each(|(index, map)| all[index] = map);
+    Ok(all)
 }
 
 /// Finds the maps of training views, in their order. `unit` is the frame's unit in source units.
@@ -73,11 +65,10 @@ fn of_trained(
         let problem = format!("{other} and {} would both have the depth map {}", view.name, path.display());
         return Err(Error::input(folder, problem, "give each a map whose path ends as its name does"));
     }
-    let planned = |path: PathBuf, fit| Some(PlannedMap { path, fit });
     if transforms::find(dataset).is_some() && !colmap::exists(dataset) {
         // The maps of a transforms.json hold inverse depths.
         let fit = DepthFit { scale: unit, offset: 0.0 };
-        return Ok(paths.into_iter().map(|path| planned(path, fit)).collect());
+        return Ok(paths.into_iter().map(|path| Some(PlannedMap { path, fit })).collect());
     }
     let model = Model::of_dataset(dataset)?;
     let file = model.source.folder.join(DEPTH_PARAMS_FILE);
@@ -88,36 +79,28 @@ fn of_trained(
             let fits = fitted(&model, (views, unit), &paths, options)?;
             let falling = fits.iter().filter(|(_, falls)| *falls).count();
             if 2 * falling > fits.len() {
+                let (folder, all) = (folder.display(), fits.len());
                 warnings.push(format!(
-                    "{}: {falling} of {} depth maps fall where the sparse points come nearer: -d reads inverse depths, and these look \
-                     like depths",
-                    folder.display(),
-                    fits.len()
+                    "{folder}: {falling} of {all} depth maps fall where the sparse points come nearer: -d reads inverse depths, and these \
+                     look like depths"
                 ));
             }
             fits.into_iter().map(|(fit, _)| fit).collect()
         }
     };
     let median = DepthFit::median_scale(&fits);
-    let maps = paths.into_iter().zip(fits).map(|(path, fit)| {
-        let fit = Some(fit).filter(|fit| fit.is_reliable(median))?;
-        planned(path, fit)
-    });
-    let maps: Vec<_> = maps.collect();
+    let reliable =
+        |(path, fit): (PathBuf, DepthFit)| fit.is_reliable(median).then_some(PlannedMap { path, fit });
+    let maps: Vec<_> = paths.into_iter().zip(fits).map(reliable).collect();
     let left_out = maps.iter().filter(|map| map.is_none()).count();
     if left_out == maps.len() && left_out > 0 {
-        return Err(match is_given {
-            true => Error::input(
-                file,
-                "has no scale above 0 for any photo",
-                "correct it, or remove it: then all are fitted",
-            ),
-            false => {
-                let problem =
-                    "none of the depth maps could be scaled: their photos show too few of the sparse points";
-                Error::input(folder, problem, format!("write {}, or train without -d", file.display()))
-            }
-        });
+        if is_given {
+            let remedy = "correct it, or remove it: then all are fitted";
+            return Err(Error::input(file, "has no scale above 0 for any photo", remedy));
+        }
+        let problem =
+            "none of the depth maps could be scaled: their photos show too few of the sparse points";
+        return Err(Error::input(folder, problem, format!("write {}, or train without -d", file.display())));
     }
     if left_out > 0 {
         let first = views.iter().zip(&maps).find(|(_, map)| map.is_none()).map_or("", |(view, _)| &view.name);
@@ -125,10 +108,9 @@ fn of_trained(
             true => format!("in {} their scale is not above 0, or far from the others'", file.display()),
             false => "their scale is far from the others', or too few sparse points tell it".into(),
         };
+        let (folder, all) = (folder.display(), maps.len());
         warnings.push(format!(
-            "{}: {left_out} of {} depth maps are left out, the first of photo {first}: {why}",
-            folder.display(),
-            maps.len()
+            "{folder}: {left_out} of {all} depth maps are left out, the first of photo {first}: {why}"
         ));
     }
     Ok(maps)
@@ -176,19 +158,15 @@ fn given(file: &Path, views: &[&PlannedView], unit: f64) -> Result<Vec<DepthFit>
     let all: BTreeMap<String, DepthFit> = DepthFit::read_all(file)?;
     let of = |view: &&PlannedView| {
         let fit = all.get(&stem(&view.name));
-        fit.map(|fit| DepthFit { scale: unit * fit.scale, offset: unit * fit.offset }).ok_or_else(|| {
-            let problem = format!("has no scale and offset for photo {}", view.name);
-            Error::input(
-                file,
-                problem,
-                "add them, or remove the file: then all are fitted to the sparse points",
-            )
+        let fit = fit.map(|fit| DepthFit { scale: unit * fit.scale, offset: unit * fit.offset });
+        fit.ok_or_else(|| {
+            let remedy = "add them, or remove the file: then all are fitted to the sparse points";
+            Error::input(file, format!("has no scale and offset for photo {}", view.name), remedy)
         })
     };
     views.iter().map(of).collect()
 }
 
-/// Fits all maps to the sparse points of their photos.
 fn fitted(
     model: &Model,
     (views, unit): (&[&PlannedView], f64),
@@ -197,14 +175,11 @@ fn fitted(
 ) -> Result<Vec<(DepthFit, bool)>> {
     let mut observed = colmap::observations(model)?;
     observed.values_mut().flatten().for_each(|point| point.inverse_z *= unit);
-    let sizes: HashMap<u32, (u32, u32)> = model
-        .images
-        .iter()
-        .filter_map(|image| {
-            let camera = model.cameras.get(&image.camera_id)?;
-            Some((image.id, (u32::try_from(camera.width).ok()?, u32::try_from(camera.height).ok()?)))
-        })
-        .collect();
+    let size = |image: &ColmapImage| {
+        let camera = model.cameras.get(&image.camera_id)?;
+        Some((image.id, (u32::try_from(camera.width).ok()?, u32::try_from(camera.height).ok()?)))
+    };
+    let sizes: HashMap<u32, (u32, u32)> = model.images.iter().filter_map(size).collect();
     let fit = |(view, path): (&&PlannedView, &PathBuf)| {
         let id = view.image_id;
         let (Some(points), Some(size)) = (observed.get(&id), sizes.get(&id)) else {

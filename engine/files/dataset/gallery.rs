@@ -3,18 +3,25 @@
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::{DVec3, Vec3};
 
 use super::depths::{self, PlannedMap};
 use super::mask::Mask;
+use super::options::DatasetOptions;
+use super::part::UsedPart;
 use super::plan::Plan;
 use super::planned_view::PlannedView;
-use super::tracks::Track;
-use super::used_part::UsedPart;
-use super::{Dataset, DatasetOptions, Unpacked, View, beyond_memory};
+use super::read;
+use super::unpacked::Unpacked;
+use super::view::View;
 use crate::cameras_json::NamedCamera;
+use crate::colmap::{self, Model};
 use crate::progress::Progress;
+use ashsplat::passes::loss::DepthPoint;
 use ashsplat::scene::{Camera, PointCloud, WorldFrame, scene_extent};
-use ashsplat::trainer::PhotoSize;
+use ashsplat::train::PhotoSize;
 use ashsplat::{Error, Result};
 
 /// The views of a data set. Their photos are read on request.
@@ -38,13 +45,10 @@ pub struct Gallery {
 
 impl Gallery {
     /// Opens a data set. A ZIP stays unpacked as long as this value lives. The photos are not decoded.
-    ///
-    /// # Errors
-    /// Same as [`Dataset::load`], except for the photos' contents and the split.
     pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         let unpacked = Unpacked::open(path.as_ref(), progress)?;
-        let plan = Plan::of(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
-        let held_out: Vec<bool> = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
+        let plan = read::plan(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
+        let held_out = plan.held_out(options);
         plan.check_views().map_err(|error| unpacked.name(error))?;
         let Plan { views, frame, points, source, list, warnings, notes, .. } = plan;
         let views: Vec<PlannedView> =
@@ -72,18 +76,7 @@ impl Gallery {
         })
     }
 
-    /// Reads all photos: the whole data set, in parallel.
-    ///
-    /// # Errors
-    /// Same as [`Dataset::load`].
-    pub fn load(&self, progress: Progress<'_>) -> Result<Dataset> {
-        Dataset::of(self, progress).map_err(|error| self.unpacked.name(error))
-    }
-
     /// Removes all views except those with these names. The choice of held-out views stays as it was.
-    ///
-    /// # Errors
-    /// [`Error::Input`] for a name that no view has.
     pub fn keep(&mut self, names: &BTreeSet<String>) -> Result<()> {
         let known: BTreeSet<&str> = self.views.iter().map(|view| view.name.as_str()).collect();
         if let Some(missing) = names.iter().find(|name| !known.contains(name.as_str())) {
@@ -103,11 +96,7 @@ impl Gallery {
         Ok(())
     }
 
-    /// Hides further pixels of a view: those where `counts`, a coarse picture of this width and height
-    /// over the whole view, is false.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a view that does not exist, and a picture of another size.
+    /// Hides further pixels of a view, where `counts` is false: a coarse picture of this size over the whole view.
     pub fn hide(&mut self, index: usize, (width, height): (u32, u32), counts: &[bool]) -> Result<()> {
         let mask = Mask::coarse(width, height, counts)?;
         self.planned(index)?.coarse_mask = Some(mask);
@@ -118,9 +107,6 @@ impl Gallery {
     /// of this width and height, the border that their gradients depend on, and the rest of whole 16-pixel tiles.
     /// Camera, masks, inverse-depth maps and points are cut to it
     /// ([`Camera::part()`](ashsplat::scene::Camera::part())).
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a view that does not exist, and for columns or rows outside the coarse picture.
     pub fn use_part(
         &mut self,
         index: usize,
@@ -146,24 +132,21 @@ impl Gallery {
     }
 
     /// Cameras of the used parts of the photos, at the sizes that the photos will have when they are read.
-    ///
-    /// # Errors
-    /// See [`Camera::part()`](ashsplat::scene::Camera::part()).
     pub fn used_cameras(&self) -> Result<Vec<Camera>> {
         let used =
             |view: &PlannedView| view.used_camera(&self.options).map_err(|error| self.unpacked.name(error));
         self.views.iter().map(used).collect()
     }
 
-    /// True if a view is trained on, as a whole or as a half.
-    pub(super) fn is_trained(&self, held_out: bool) -> bool {
-        !held_out || self.options.train_test_exp
+    /// Indices of the views that are trained on, as a whole or as a half.
+    fn trained(&self) -> impl Iterator<Item = usize> {
+        (0..self.views.len()).filter(|&index| !self.held_out[index] || self.options.train_test_exp)
     }
 
     fn planned(&mut self, index: usize) -> Result<&mut PlannedView> {
         let count = self.views.len();
-        let missing = || Error::argument("view", format!("is {index}, there are {count}"));
-        self.views.get_mut(index).ok_or_else(missing)
+        let problem = || format!("is {index}, there are {count}");
+        self.views.get_mut(index).ok_or_else(|| Error::argument("view", problem()))
     }
 
     /// The cameras by name, at the photos' own sizes.
@@ -178,44 +161,39 @@ impl Gallery {
         self.views.iter().map(named).collect()
     }
 
-    /// The training photos with the sizes that they will have when they are read. Masks and transparency are not known
-    /// before that.
+    /// The training photos with the sizes that they will have. Masks and transparency are known once they are read.
     pub fn train_photos(&self) -> Vec<PhotoSize> {
-        let all = self.views.iter().zip(&self.held_out).zip(&self.maps).enumerate();
-        let train = all.filter(|(_, ((_, held_out), _))| self.is_trained(**held_out));
-        let size =
-            |(index, ((view, held_out), map)): (usize, ((&PlannedView, &bool), &Option<PlannedMap>))| {
-                let (width, height) = view.size(&self.options);
-                PhotoSize {
-                    name: view.name.clone(),
-                    width,
-                    height,
-                    masked: *held_out || view.coarse_mask.is_some(),
-                    inverse_depth: map.is_some(),
-                    depth_points: self.track_length(index),
-                }
-            };
-        train.map(size).collect()
+        let size = |index: usize| {
+            let view = &self.views[index];
+            let (width, height) = view.size(&self.options);
+            let track = self.tracks.get(index).and_then(Option::as_ref);
+            PhotoSize {
+                name: view.name.clone(),
+                width,
+                height,
+                masked: self.held_out[index] || view.coarse_mask.is_some(),
+                inverse_depth: self.maps[index].is_some(),
+                depth_points: track.map_or(0, |track| u32::try_from(track.len()).unwrap_or(u32::MAX)),
+            }
+        };
+        self.trained().map(size).collect()
     }
 
     /// 1.1 × the largest distance of a training camera to their mean, world units; 0 if all are at one place.
     pub fn scene_extent(&self) -> f32 {
-        let all = self.views.iter().zip(&self.held_out);
-        let train = all.filter(|(_, held_out)| self.is_trained(**held_out));
-        scene_extent(train.map(|(view, _)| view.camera().position()))
+        scene_extent(self.trained().map(|index| self.views[index].camera().position()))
     }
 
     /// The photos' memory budget, if they exceed it and will be kept in a file.
     pub fn file_memory(&self) -> Option<u64> {
-        beyond_memory(self.texel_bytes(), &self.options).map(|memory| memory.bytes)
+        self.options.beyond_memory(self.texel_bytes()).map(|memory| memory.bytes)
     }
 
     /// Estimated bytes of the kept inverse-depth maps.
     pub(super) fn map_bytes(&self) -> u64 {
         // A map's float per pixel takes as much as a texel.
-        let all = self.views.iter().zip(&self.held_out).zip(&self.maps);
-        let kept = all.filter(|((_, held_out), map)| map.is_some() && self.is_trained(**held_out));
-        kept.map(|((view, _), _)| view.texel_bytes(&self.options)).sum()
+        let kept = self.trained().filter(|&index| self.maps[index].is_some());
+        kept.map(|index| self.views[index].texel_bytes(&self.options)).sum()
     }
 
     /// Estimated bytes of all kept photos.
@@ -257,11 +235,54 @@ impl Gallery {
     }
 
     /// Reads a photo, undistorted and scaled as the options say; `None` for an index out of range.
-    ///
-    /// # Errors
-    /// Same as [`super::Dataset::load`].
     pub fn view(&self, index: usize) -> Option<Result<View>> {
         let view = self.views.get(index)?;
         Some(view.load(&self.options).map_err(|error| self.unpacked.name(error)))
     }
+}
+
+/// Positions of points, world.
+pub(super) type Track = Arc<[Vec3]>;
+
+impl Gallery {
+    /// Reads the points that each photo shows, for [`View::depth_points`] of the training views. Returns their number
+    /// over all views: 0 for `transforms.json` and for models without observations. A point's position alone does not
+    /// tell if a photo shows it, because other surfaces may hide it.
+    pub fn read_tracks(&mut self) -> Result<usize> {
+        let folder = self.unpacked.folder();
+        if !colmap::exists(folder) || self.source.extension().is_some_and(|ending| ending == "json") {
+            return Ok(0);
+        }
+        let read = || colmap::tracks(&Model::of_dataset(folder)?);
+        let mut shown = read().map_err(|error| self.unpacked.name(error))?;
+        let mut tracks = vec![None; self.views.len()];
+        for index in self.trained() {
+            let points = shown.remove(&self.views[index].image_id).filter(|points| !points.is_empty());
+            let world = |point| self.frame.world(DVec3::from_array(point));
+            tracks[index] = points.map(|points| points.into_iter().map(world).collect::<Track>());
+        }
+        self.tracks = tracks;
+        Ok(self.tracks.iter().flatten().map(|track| track.len()).sum())
+    }
+}
+
+/// The points of a track inside a view's picture, except those under its mask.
+pub(super) fn depth_points(view: &View, track: &[Vec3]) -> Result<Arc<[DepthPoint]>> {
+    let mask = view.photo.mask()?;
+    let (width, height) = (view.photo.width, view.photo.height);
+    // Points lie at least half a pixel within the edges, so that their depth can be interpolated.
+    let last = [width, height].map(|side| side as f32 - 1.0);
+    let point = |&position: &Vec3| {
+        let (x, y, z) = view.camera.project(position);
+        let position_px = [x - 0.5, y - 0.5];
+        let inside = (0..2).all(|axis| position_px[axis] >= 0.0 && position_px[axis] <= last[axis]);
+        let inverse_z = 1.0 / z;
+        if !(inside && inverse_z > 0.0 && inverse_z.is_finite()) {
+            return None;
+        }
+        let [column, row] = position_px.map(|p| p.round() as usize);
+        let counts = mask.as_ref().is_none_or(|mask| mask[row * width as usize + column] != 0);
+        counts.then_some(DepthPoint { position_px, inverse_z })
+    };
+    Ok(track.iter().filter_map(point).collect())
 }

@@ -7,11 +7,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::photo_use::{self, PhotoUse};
+use super::notes::{self, may_lack_points, random_points_instead};
+use super::options::DatasetOptions;
 use super::plan::{Plan, check_split};
-use super::planned_view::PlannedView;
+use super::planned_view::{PhotoUse, PlannedView};
+use super::read;
 use super::unpacked::Unpacked;
-use super::{DatasetOptions, may_lack_points, random_points_instead};
 use crate::progress::Progress;
 use crate::{colmap, cost};
 use ashsplat::scene::{Bounds, WorldFrame, scene_extent};
@@ -74,7 +75,7 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
         }
     };
     let named = |e: Error| unpacked.name(e).to_string();
-    let mut plan = match Plan::of(unpacked.folder(), options) {
+    let mut plan = match read::plan(unpacked.folder(), options) {
         Ok(plan) => plan,
         Err(e) => {
             report.model = colmap::find(unpacked.folder()).ok().map(|found| unpacked.named(&found.folder));
@@ -86,7 +87,7 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
     report.model = Some(unpacked.named(&plan.source));
     let lines = report.warnings.iter_mut().chain(&mut report.notes);
     lines.for_each(|line| *line = unpacked.name_in(line));
-    let held_out: Vec<bool> = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
+    let held_out = plan.held_out(options);
     let split = plan.check_views().and_then(|()| check_split(&plan.list, &held_out));
     let mut views = Vec::new();
     for (view, held_out) in std::mem::take(&mut plan.views).into_iter().zip(held_out) {
@@ -151,7 +152,7 @@ impl DatasetReport {
             progress.check()?;
             let result = view.read_photo(options);
             progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, views.len());
-            result.map(|photo| PhotoUse::of(&photo))
+            result.map(|photo| photo.photo_use)
         };
         let results: Vec<_> = views.par_iter().map(check).collect();
         self.sound_photos = results.iter().filter(|result| result.is_ok()).count();
@@ -162,7 +163,7 @@ impl DatasetReport {
                 Err(e) => self.problem(named(e)),
             }
         }
-        let (notes, warnings) = photo_use::lines(uses.into_iter());
+        let (notes, warnings) = notes::of_pixels(uses.into_iter());
         self.notes.extend(notes);
         self.warnings.extend(warnings);
     }
@@ -192,15 +193,8 @@ impl fmt::Display for DatasetReport {
             let WorldFrame { origin, unit } = self.frame;
             writeln!(f, "frame     origin {} {} {}, unit {unit}", origin.x, origin.y, origin.z)?;
         }
-        for note in &self.notes {
-            writeln!(f, "note      {note}")?;
-        }
-        for warning in &self.warnings {
-            writeln!(f, "warning   {warning}")?;
-        }
-        for problem in &self.problems {
-            writeln!(f, "problem   {problem}")?;
-        }
-        Ok(())
+        let kinds = [("note   ", &self.notes), ("warning", &self.warnings), ("problem", &self.problems)];
+        let mut lines = kinds.iter().flat_map(|(kind, lines)| lines.iter().map(move |line| (kind, line)));
+        lines.try_for_each(|(kind, line)| writeln!(f, "{kind}   {line}"))
     }
 }

@@ -1,11 +1,10 @@
-//! Masks: which pixels of a photo count.
+//! The mask of a photo.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::used_part::cut;
+use super::part::cut;
 use crate::host_memory::HostMemory;
 use crate::images::{Decoded, Photo, Request, header, read_as, undistort};
-use crate::names::Finder;
 use ashsplat::scene::camera::Intrinsics;
 use ashsplat::scene::lens::Lens;
 use ashsplat::{Error, Result};
@@ -22,15 +21,11 @@ pub(super) struct Mask {
 const COUNTS: u8 = 128;
 
 impl Mask {
-    /// The alpha channel of a photo of this size.
     pub(super) fn of_alpha(width: u32, height: u32, values: Vec<u8>) -> Self {
         Self { width, height, values }
     }
 
     /// A mask of any size, to be stretched to its photo: see [`Mask::stretched_to`].
-    ///
-    /// # Errors
-    /// [`Error::Argument`] when there is not one value per pixel.
     pub(super) fn coarse(width: u32, height: u32, counts: &[bool]) -> Result<Self> {
         if counts.is_empty() || counts.len() as u64 != u64::from(width) * u64::from(height) {
             let problem = format!("has {} values for {width}x{height} pixels", counts.len());
@@ -51,9 +46,8 @@ impl Mask {
         Self { width, height, values }
     }
 
-    /// Reads the mask of a photo of this size, and returns true with it if it is a cut-out: a picture with transparent
-    /// surroundings, as background removers write it. Its alpha channel is the mask then. A mask of a larger version of the photo
-    /// is scaled down.
+    /// Reads the mask of a photo of this size; one of a larger version is scaled down. Returns true with it if it is a
+    /// cut-out: a picture with transparent surroundings, whose alpha channel is the mask.
     pub(super) fn read(
         path: &Path,
         turned: bool,
@@ -126,7 +120,6 @@ impl Mask {
         Self { width, height, values }
     }
 
-    /// A part of the mask.
     pub(super) fn cut(&self, corner: [u32; 2], size: [u32; 2]) -> Self {
         let values = cut(&self.values, (self.width, 1), corner, size);
         Self { width: size[0], height: size[1], values }
@@ -138,12 +131,10 @@ impl Mask {
         self.hides().then(|| self.values.iter().map(value_of).collect())
     }
 
-    /// True if no pixel counts.
     pub(super) fn hides_all(&self) -> bool {
         self.values.iter().all(|&value| value < COUNTS)
     }
 
-    /// True if some pixels do not count.
     pub(super) fn hides(&self) -> bool {
         self.values.iter().any(|&value| value < COUNTS)
     }
@@ -162,7 +153,6 @@ fn is_cut_out(photo: &Photo, alpha: &[u8]) -> bool {
     count < alpha.len() && 10 * between > count
 }
 
-/// A grey picture of these values.
 pub(super) fn grey((width, height): (u32, u32), values: &[u8]) -> Photo {
     Photo { width, height, rgb: values.iter().flat_map(|&value| [value; 3]).collect() }
 }
@@ -172,8 +162,7 @@ pub(super) fn is_scaled(one: (u32, u32), other: (u32, u32)) -> bool {
     is_enlarged(one, other) || is_enlarged(other, one)
 }
 
-/// True if a picture has the size of another one, or of a larger version whose sides were rounded when it was
-/// scaled down.
+/// True if a picture has the size of another one, or of a larger version that was scaled down to rounded sides.
 fn is_enlarged(size: (u32, u32), of: (u32, u32)) -> bool {
     let [a, b] = [(size.0, of.0), (size.1, of.1)].map(|(larger, side)| {
         let [larger, side] = [larger, side].map(f64::from);
@@ -181,97 +170,4 @@ fn is_enlarged(size: (u32, u32), of: (u32, u32)) -> bool {
         (larger / (side + 1.0), if side > 1.0 { larger / (side - 1.0) } else { f64::INFINITY })
     });
     size == of || (size.0 >= of.0 && size.1 >= of.1 && a.0 < b.1 && b.0 < a.1)
-}
-
-/// Names of folders with masks.
-const FOLDERS: [&str; 7] =
-    ["masks", "mask", "segmentation", "segmentations", "segmentation_masks", "image_masks", "images_masks"];
-
-/// The folders of a data set that hold masks. The one of the photos' folder comes first: `masks_4` with `images_4`.
-pub(super) fn folders_of_masks(dataset: &Path, images: &str, finder: &mut Finder) -> Vec<PathBuf> {
-    let ending = images.trim_end_matches('/').strip_prefix("images").unwrap_or_default();
-    let beside_photos = dataset.join(images).parent().map_or(dataset.to_owned(), Path::to_owned);
-    let mut folders = Vec::new();
-    for ending in [ending, ""] {
-        for place in [&*beside_photos, dataset] {
-            let found = FOLDERS.iter().filter_map(|name| finder.folder(place, &format!("{name}{ending}")));
-            folders.extend(found.collect::<Vec<_>>());
-        }
-    }
-    let mut known = std::collections::HashSet::new();
-    folders.retain(|folder| known.insert(folder.clone()));
-    folders
-}
-
-/// Unused folders with names like masks, such as `sky_masks`, which other programs combine with other masks. Masks of other
-/// sizes, such as `masks_2`, are among them unless there are masks in use.
-pub(super) fn unused_folders(dataset: &Path, used: &[PathBuf], has_masks: bool) -> Vec<PathBuf> {
-    let is_known = |name: &str| {
-        let stem = name.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('_');
-        FOLDERS.contains(&stem)
-    };
-    let entries = std::fs::read_dir(dataset).into_iter().flatten().flatten();
-    let mut folders: Vec<PathBuf> = entries
-        .filter(|entry| {
-            let name = entry.file_name().to_string_lossy().to_lowercase();
-            let is_other = name.contains("mask") && !used.contains(&entry.path());
-            is_other && !(has_masks && is_known(&name)) && !name.starts_with('.') && entry.path().is_dir()
-        })
-        .map(|entry| entry.path())
-        .collect();
-    folders.sort_unstable();
-    folders
-}
-
-/// Finds the mask of a photo, whose path below the photos' folder is `name`. It lies beside the photo, or in a folder
-/// of masks below the same subfolders or fewer.
-pub(super) fn mask_of(
-    folders: &[PathBuf],
-    name: &Path,
-    photo: &Path,
-    finder: &mut Finder,
-) -> Option<PathBuf> {
-    let whole = name.file_name()?.to_str()?;
-    let stem = name.file_stem()?.to_str()?;
-    // The name that COLMAP uses, then those of Metashape, 3DGRUT and RealityCapture.
-    let [own, plain] = [format!("{whole}.png"), format!("{stem}.png")];
-    let marked = [
-        format!("{stem}_mask.png"),
-        format!("{whole}_mask.png"),
-        format!("mask_{stem}.png"),
-        format!("{stem}.mask.png"),
-        format!("{whole}.mask.png"),
-        format!("{stem}-mask.png"),
-    ];
-    let in_folder = || [&own, &plain].into_iter().chain(&marked);
-    for folder in folders {
-        let below = name.parent().unwrap_or(Path::new(""));
-        let parts: Vec<_> = below.iter().collect();
-        for skipped in 0..=parts.len() {
-            let place = parts[skipped..].iter().collect::<PathBuf>();
-            for name in in_folder() {
-                let found = finder.photo(folder, place.join(name).to_str()?);
-                if found.is_some() {
-                    return found;
-                }
-            }
-        }
-    }
-    let beside = photo.parent()?;
-    let inner: Vec<PathBuf> = FOLDERS[..2].iter().filter_map(|name| finder.folder(beside, name)).collect();
-    let found = inner.iter().find_map(|folder| in_folder().find_map(|name| finder.photo(folder, name)));
-    found.or_else(|| [&own].into_iter().chain(&marked).find_map(|name| finder.photo(beside, name)))
-}
-
-/// The mask that a `transforms.json` names, or its counterpart in the folder that matches the photos' folder.
-pub(super) fn mask_in_folder(dataset: &Path, images: &str, named: &Path) -> PathBuf {
-    let rest = named.strip_prefix(dataset.join("masks")).ok();
-    let beside = rest.map(|rest| dataset.join(beside(images)).join(rest)).filter(|path| path.is_file());
-    beside.unwrap_or_else(|| named.to_owned())
-}
-
-/// `masks_4` for `images_4`.
-fn beside(images: &str) -> String {
-    let ending = images.trim_end_matches('/').strip_prefix("images").unwrap_or_default();
-    format!("masks{ending}")
 }

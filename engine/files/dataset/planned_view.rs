@@ -5,14 +5,17 @@ use std::path::PathBuf;
 use glam::{DMat3, DVec3};
 
 use super::mask::{Mask, grey};
-use super::used_part::{UsedPart, cut_photo};
-use super::{DatasetOptions, View};
+use super::options::DatasetOptions;
+use super::part::{UsedPart, cut_photo};
+use super::view::View;
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, read_as, undistort};
 use ashsplat::Result;
 use ashsplat::scene::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PicturePart, WorldFrame};
 
-/// A view whose photo is not loaded yet.
+/// True if a photo is rotated by its metadata, and its size after that, if it can be read.
+pub(super) type FileSize = (bool, Option<(u32, u32)>);
+
 pub(crate) struct PlannedView {
     pub(crate) name: String,
     pub(super) image_id: u32,
@@ -42,22 +45,25 @@ pub(crate) struct PlannedView {
     pub(super) held_out: bool,
 }
 
-/// A view's decoded files.
-pub(super) struct ReadPhoto {
-    /// The photo, undistorted and scaled.
-    pub(super) photo: Photo,
-    /// Its opacity, in grey, with [`DatasetOptions::keep_opacity`].
-    opacity: Option<Photo>,
-    /// Its mask at the file's size.
-    pub(super) mask: Option<Mask>,
+/// Findings in the pixels of a photo.
+pub(super) struct PhotoUse {
+    pub(super) is_hidden: bool,
     /// See [`Mask::read`].
     pub(super) mask_is_cut_out: bool,
     /// True if its alpha channel has transparent pixels.
     pub(super) is_transparent: bool,
     /// See [`Decoded::gamma`].
     pub(super) gamma: Option<f32>,
-    /// Its camera at the file's size.
-    camera: Camera,
+}
+
+pub(super) struct ReadPhoto {
+    /// The photo, undistorted and scaled.
+    photo: Photo,
+    /// Its opacity, in grey, with [`DatasetOptions::keep_opacity`].
+    opacity: Option<Photo>,
+    /// Its mask at the file's size.
+    mask: Option<Mask>,
+    pub(super) photo_use: PhotoUse,
 }
 
 impl PlannedView {
@@ -65,7 +71,7 @@ impl PlannedView {
     pub(super) fn of(
         (lens, pinhole): (Lens, Intrinsics),
         photo_path: PathBuf,
-        (turned, file_size): (bool, Option<(u32, u32)>),
+        (turned, file_size): FileSize,
     ) -> Self {
         Self {
             name: String::new(),
@@ -96,12 +102,6 @@ impl PlannedView {
     pub(super) fn camera_in(&self, frame: &WorldFrame) -> Camera {
         let translation = frame.translation(self.camera_from_source, self.translation);
         Camera::with_pose(self.camera_from_source.as_mat3(), translation, self.pinhole)
-    }
-
-    /// The view's camera with other intrinsics.
-    fn posed(&self, intrinsics: Intrinsics) -> Camera {
-        let Camera { camera_from_world, translation, .. } = self.camera();
-        Camera::with_pose(camera_from_world, translation, intrinsics)
     }
 
     /// The camera's centre, source coordinates.
@@ -159,8 +159,9 @@ impl PlannedView {
         }
         let opacity = opacity.map(|opacity| opacity.scaled_to(scaled.0, scaled.1)).transpose()?;
         drop(lease);
-        let camera = self.posed(pinhole);
-        Ok(ReadPhoto { photo, opacity, mask, mask_is_cut_out, is_transparent, gamma, camera })
+        let is_hidden = mask.as_ref().is_some_and(Mask::hides_all);
+        let photo_use = PhotoUse { is_hidden, mask_is_cut_out, is_transparent, gamma };
+        Ok(ReadPhoto { photo, opacity, mask, photo_use })
     }
 
     /// Size at which the photo or its part will be used.
@@ -201,12 +202,12 @@ impl PlannedView {
     }
 
     pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
-        self.view_of(self.read_photo(options)?)
+        Ok(self.view_of(self.read_photo(options)?)?.0)
     }
 
-    /// Makes the view of a read photo.
-    pub(super) fn view_of(&self, read: ReadPhoto) -> Result<View> {
-        let ReadPhoto { mut photo, mut opacity, mask, camera: original_camera, .. } = read;
+    pub(super) fn view_of(&self, read: ReadPhoto) -> Result<(View, PhotoUse)> {
+        let ReadPhoto { mut photo, mut opacity, mask, photo_use } = read;
+        let original_camera = self.camera();
         let (width, height) = (photo.width, photo.height);
         let coarse = self.coarse_mask.as_ref().map(|mask| mask.stretched_to(width, height));
         let mut mask = Mask::of_both(mask.map(|mask| mask.scaled_to(width, height)), coarse);
@@ -225,7 +226,7 @@ impl PlannedView {
                 StoredPhoto::with_opacity(photo, &opacity, mask)
             }
         };
-        Ok(View {
+        let view = View {
             name: self.name.clone(),
             image_id: self.image_id,
             camera_id: self.camera_id,
@@ -234,6 +235,7 @@ impl PlannedView {
             photo,
             inverse_depth: None,
             depth_points: None,
-        })
+        };
+        Ok((view, photo_use))
     }
 }

@@ -6,14 +6,15 @@ use std::path::{Component, Path, PathBuf};
 
 use zip::result::ZipError;
 
-use crate::names::{MAX_DEPTH, MAX_PATH_BYTES, ending, has_photos};
+use crate::colmap::is_data_set;
+use crate::cost;
+use crate::names::{MAX_DEPTH, MAX_PATH_BYTES, ending, entries, holds_photos};
 use crate::progress::Progress;
-use crate::{colmap, cost, regular_file, transforms};
+use crate::regular_file::{self, OnFile};
 use ashsplat::{Error, Result};
 
 /// Largest credible ratio of an archive's unpacked size to its own.
 const MAX_RATIO: u64 = 1032;
-
 /// Bytes that are unpacked between two checks of `progress`.
 const PIECE_BYTES: usize = 1 << 20;
 
@@ -29,8 +30,7 @@ impl Unpacked {
         if !path.is_file() || !starts_like_zip(path) {
             return Ok(Self { folder: path.to_owned(), archive: None });
         }
-        let target =
-            tempfile::tempdir().map_err(|source| Error::io(std::env::temp_dir(), "create", source))?;
+        let target = tempfile::tempdir().on(std::env::temp_dir(), "create")?;
         extract(path, target.path(), progress)?;
         let folder = data_folder(path, target.path())?;
         Ok(Self { folder, archive: Some((path.to_owned(), target)) })
@@ -114,18 +114,18 @@ fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
         }
         let place = target.join(inside);
         if entry.is_dir() || name.ends_with('\\') {
-            fs::create_dir_all(&place).map_err(|e| Error::io(&place, "create", e))?;
+            fs::create_dir_all(&place).on(&place, "create")?;
             continue;
         }
         if !entry.is_file() {
             return Err(refused(format!("{name:?} is a link")));
         }
         if let Some(parent) = place.parent() {
-            fs::create_dir_all(parent).map_err(|e| Error::io(parent, "create", e))?;
+            fs::create_dir_all(parent).on(parent, "create")?;
         }
         // A full disk is not the archive's fault.
-        let full = |e| Error::io(target, "unpack the ZIP (TMPDIR names another folder for it)", e);
-        let mut output = File::create(&place).map_err(full)?;
+        const UNPACK: &str = "unpack the ZIP (TMPDIR names another folder for it)";
+        let mut output = File::create(&place).on(target, UNPACK)?;
         loop {
             progress.check()?;
             let read = entry.read(&mut piece).map_err(|e| refused(format!("{name:?}: {e}")))?;
@@ -136,7 +136,7 @@ fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
             if left == 0 {
                 return Err(refused("unpacks to far more than photos can".into()));
             }
-            output.write_all(&piece[..read]).map_err(full)?;
+            output.write_all(&piece[..read]).on(target, UNPACK)?;
         }
     }
     Ok(())
@@ -159,14 +159,12 @@ fn is_clutter(path: &Path) -> bool {
         .any(|part| part == "__MACOSX" || part == ".DS_Store" || part.starts_with("._"))
 }
 
-/// Finds the data set's folder: archives often nest it in a single folder, or put other folders
-/// beside it.
+/// Finds the data set's folder: archives often nest it in a single folder, or put other folders beside it.
 fn data_folder(archive: &Path, unpacked: &Path) -> Result<PathBuf> {
-    let is_data_set = |folder: &PathBuf| colmap::exists(folder) || transforms::find(folder).is_some();
     let mut folder = unpacked.to_owned();
     while !is_data_set(&folder) {
-        let entries = fs::read_dir(&folder).into_iter().flatten().filter_map(|e| Some(e.ok()?.path()));
-        let folders: Vec<PathBuf> = entries.filter(|path| path.is_dir()).collect();
+        let paths = entries(&folder).map(|entry| entry.path());
+        let folders: Vec<PathBuf> = paths.filter(|path| path.is_dir()).collect();
         let mut data: Vec<&PathBuf> = folders.iter().filter(|folder| is_data_set(folder)).collect();
         data.sort();
         match (data.as_slice(), folders.as_slice()) {
@@ -177,15 +175,14 @@ fn data_folder(archive: &Path, unpacked: &Path) -> Result<PathBuf> {
                 return Err(Error::input(archive, problem, "unpack it and give one of them"));
             }
             ([only], _) => folder = (*only).clone(),
-            // Photos and models without cameras are not searched.
+            // `sparse` and `images` alone are no data sets.
             ([], [only]) if !["sparse", "images"].iter().any(|name| only.ends_with(name)) => {
                 folder.clone_from(only);
             }
             _ => break,
         }
     }
-    let photos = [folder.join("images"), folder.join("input"), folder.clone()];
-    if !is_data_set(&folder) && photos.iter().any(|folder| has_photos(folder)) {
+    if !is_data_set(&folder) && holds_photos(&folder) {
         let remedy = "unpack it; `ashsplat poses FOLDER` finds the cameras of a folder of photos";
         return Err(Error::input(archive, "holds photos without cameras", remedy));
     }

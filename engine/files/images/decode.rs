@@ -1,22 +1,31 @@
 //! Decoding JPEG and PNG files that may be damaged or lie about their size.
 
-use std::io::{Cursor, Read, Seek};
+use std::fs::File;
+use std::io::{BufReader, Cursor, Read, Seek};
+use std::ops::Range;
 use std::path::Path;
 
 use image::metadata::Orientation;
-use image::{ColorType, DynamicImage, GrayImage, ImageDecoder, ImageFormat, ImageReader, Limits, RgbImage};
+use image::{
+    ColorType, DynamicImage, GrayImage, ImageBuffer, ImageDecoder, ImageFormat, ImageReader, Limits, Luma,
+    LumaA, Pixel, Rgb, RgbImage, Rgba,
+};
+use zune_core::bytestream::ZCursor;
+use zune_core::colorspace::ColorSpace;
+use zune_core::options::DecoderOptions;
+use zune_jpeg::JpegDecoder;
 
+use super::Photo;
 use super::scale::RowScaler;
-use super::{Photo, jpeg, png_rows};
+use crate::cost;
 use crate::host_memory::{self, HostMemory, Lease};
-use crate::{regular_file, sniff};
+use crate::regular_file::{self, OnFile};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
-/// Deflate's largest compression ratio. A PNG with less data per decoded byte is cut short or has a wrong size in
-/// its header.
+/// Deflate's largest compression ratio. A PNG with less data is cut short or has a wrong size in its header.
 const MAX_DEFLATE_RATIO: u64 = 1032;
-
+pub(super) const UNREAD_KIND: &str = "its colours are of a kind that is not read";
 /// Bytes that usually hold everything before the pixels, including a preview in the metadata.
 const HEADER_BYTES: u64 = 256 << 10;
 
@@ -31,13 +40,14 @@ pub(crate) struct Header {
 
 impl Header {
     /// Header of a picture that is not rotated.
-    pub(super) fn upright(stored: (u32, u32)) -> Self {
+    fn upright(stored: (u32, u32)) -> Self {
         Self { stored, orientation: Orientation::NoTransforms }
     }
 
-    fn of(path: &Path, bytes: &[u8]) -> Result<Self> {
-        let (mut decoder, stored) = decoder(path, bytes)?;
-        Ok(Self { stored, orientation: orientation(&mut decoder) })
+    /// Not rotated if the metadata cannot be read.
+    fn of(decoder: &mut impl ImageDecoder) -> Self {
+        let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        Self { stored: decoder.dimensions(), orientation }
     }
 
     /// True if the displayed picture differs from the stored one.
@@ -62,27 +72,19 @@ impl Header {
 pub(crate) fn header(path: &Path) -> Result<Header> {
     let mut start = Vec::new();
     let (file, _) = regular_file::open(path)?;
-    file.take(HEADER_BYTES).read_to_end(&mut start).map_err(|source| Error::io(path, "read", source))?;
-    match Header::of(path, &start) {
-        Err(_) if start.len() as u64 == HEADER_BYTES => Header::of(path, &regular_file::read(path, 1)?),
+    file.take(HEADER_BYTES).read_to_end(&mut start).reading(path)?;
+    let of = |bytes: &[u8]| Ok(Header::of(&mut decoder(path, bytes)?));
+    match of(&start) {
+        Err(_) if start.len() as u64 == HEADER_BYTES => of(&regular_file::read(path, 1)?),
         result => result,
     }
 }
 
 /// Width and height of a JPEG or PNG from its header, as stored, pixels.
-///
-/// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a picture.
 pub fn photo_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
     Ok(header(path.as_ref())?.stored)
 }
 
-/// Returns [`Orientation::NoTransforms`] if the metadata cannot be read.
-fn orientation(decoder: &mut impl ImageDecoder) -> Orientation {
-    decoder.orientation().unwrap_or(Orientation::NoTransforms)
-}
-
-/// How a picture is to be read.
 #[derive(Clone, Copy)]
 pub(crate) struct Request<'a> {
     /// Colour (r, g, b in [0, 1]) where the picture is transparent.
@@ -110,7 +112,6 @@ impl<'a> Request<'a> {
     }
 }
 
-/// A decoded picture.
 pub(crate) struct Decoded {
     /// The picture, scaled.
     pub(crate) photo: Photo,
@@ -123,7 +124,7 @@ pub(crate) struct Decoded {
 }
 
 /// Blends a picture over the background and scales it, row by row.
-pub(super) struct Rows {
+struct Rows {
     background: [f32; 3],
     width: u32,
     /// Width and height of the result.
@@ -135,7 +136,7 @@ pub(super) struct Rows {
 
 impl Rows {
     /// Bytes needed for a picture of this size.
-    pub(super) fn bytes(request: &Request<'_>, size: (u32, u32), has_alpha: bool) -> u64 {
+    fn bytes(request: &Request<'_>, size: (u32, u32), has_alpha: bool) -> u64 {
         let pixels = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
         let alpha = if has_alpha { pixels(size) } else { 0 };
         alpha
@@ -145,8 +146,7 @@ impl Rows {
             }
     }
 
-    /// Reserves memory for the result.
-    pub(super) fn new(path: &Path, request: &Request<'_>, size: (u32, u32), has_alpha: bool) -> Result<Self> {
+    fn new(path: &Path, request: &Request<'_>, size: (u32, u32), has_alpha: bool) -> Result<Self> {
         let reserved = |each: u64, (width, height): (u32, u32)| {
             host_memory::reserved(path, each * u64::from(width) * u64::from(height))
         };
@@ -160,8 +160,7 @@ impl Rows {
         Ok(Self { background: request.background, width: size.0, to, scaler, rgb, alpha })
     }
 
-    /// Adds the next rows.
-    pub(super) fn push(&mut self, rows: DynamicImage) {
+    fn push(&mut self, rows: DynamicImage) {
         let (rgb, alpha) = composite(rows, self.background);
         match &mut self.scaler {
             Some(scaler) => rgb.chunks_exact(3 * self.width as usize).for_each(|row| scaler.push(row)),
@@ -172,44 +171,42 @@ impl Rows {
         }
     }
 
-    /// Returns the picture and its alpha channel after the last row.
-    pub(super) fn finish(self) -> (Photo, Option<Vec<u8>>) {
+    fn finish(self, gamma: Option<f32>, lease: Lease) -> Decoded {
+        let (width, height) = self.to;
         let rgb = self.scaler.map_or(self.rgb, RowScaler::finish);
-        (Photo { width: self.to.0, height: self.to.1, rgb }, self.alpha)
+        Decoded { photo: Photo { width, height, rgb }, alpha: self.alpha, gamma, lease }
     }
 }
 
-/// Reads a picture as `request` says. PNGs are decoded by rows unless they are interlaced; JPEGs as a whole, since no
-/// decoder gives their rows.
-pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
-    let io = |source| Error::io(path, "read", source);
+/// Reads a picture as `request` says: by rows where a decoder gives them, which is for PNGs that are not interlaced.
+pub(crate) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     let (mut file, file_bytes) = regular_file::open(path)?;
     let mut start = Vec::new();
-    file.by_ref().take(8).read_to_end(&mut start).map_err(io)?;
+    file.by_ref().take(8).read_to_end(&mut start).reading(path)?;
     let mut gamma = None;
     if is_png(&start) {
-        file.rewind().map_err(io)?;
-        gamma = png_rows::checked_gamma(path, &file, request.memory)?;
+        file.rewind().reading(path)?;
+        gamma = checked_gamma(path, &file, request.memory)?;
     }
     if is_png(&start) && !(request.turned && header(path)?.has_orientation()) {
-        file.rewind().map_err(io)?;
-        if let Some(decoded) = png_rows::read(path, file, (gamma, request))? {
+        file.rewind().reading(path)?;
+        if let Some(decoded) = read_png_rows(path, file, (gamma, request))? {
             return Ok(decoded);
         }
     }
     let (bytes, _) = regular_file::read_within(path, 1, request.memory)?;
-    let (mut decoder, stored) = decoder(path, &bytes)?;
-    let header = Header { stored, orientation: orientation(&mut decoder) };
+    let mut decoder = decoder(path, &bytes)?;
+    let header = Header::of(&mut decoder);
     let size = header.size(request.turned);
     check_size(path, request, &header)?;
-    let (width, height) = stored;
+    let (width, height) = header.stored;
     let damaged = |e: &dyn std::fmt::Display| damaged(path, e);
     let (pixels, decoded) = (u64::from(width) * u64::from(height), decoder.total_bytes());
     let color = decoder.color_type();
     let png = is_png(&bytes);
-    let outline = if png { jpeg::Outline::default() } else { jpeg::Outline::of(&bytes) };
+    let outline = if png { JpegOutline::default() } else { JpegOutline::of(&bytes) };
     if png && cannot_hold(file_bytes, decoded) || !png && !outline.can_hold_its_size() {
-        return Err(damaged(&claims(stored, file_bytes)));
+        return Err(damaged(&claims(header.stored, file_bytes)));
     }
     if !png && !outline.complete {
         return Err(damaged(&"the data end before the picture does"));
@@ -225,11 +222,7 @@ pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     let result = request.scaled_of(size).map_or(0, |_| Rows::bytes(request, size, color.has_alpha()));
     let own = 2 * file_bytes + decoded + coefficients + converted.max(turned_copy) + result;
     let lease = request.memory.take(path, own.saturating_add(request.besides))?;
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_IMAGE_SIDE);
-    limits.max_image_height = Some(MAX_IMAGE_SIDE);
-    limits.max_alloc = Some(request.memory.limit());
-    decoder.set_limits(limits).map_err(|e| damaged(&e))?;
+    decoder.set_limits(limits(request.memory)).map_err(|e| damaged(&e))?;
     let mut image = if png {
         DynamicImage::from_decoder(decoder).map_err(|e| damaged(&e))?
     } else {
@@ -237,12 +230,12 @@ pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
         let grey = color == ColorType::L8;
         let mut data = host_memory::reserved(path, decoded)?;
         data.resize(decoded as usize, 0);
-        jpeg::decode(&bytes, &outline, grey, &mut data).map_err(|e| damaged(&e))?;
+        decode_jpeg(&bytes, &outline, grey, &mut data).map_err(|e| damaged(&e))?;
         let image = match grey {
             true => GrayImage::from_raw(width, height, data).map(DynamicImage::from),
             false => RgbImage::from_raw(width, height, data).map(DynamicImage::from),
         };
-        image.ok_or_else(|| damaged(&"its colours are of a kind that is not read"))?
+        image.ok_or_else(|| damaged(&UNREAD_KIND))?
     };
     drop(bytes);
     if request.turned {
@@ -254,12 +247,19 @@ pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     }
     let mut rows = Rows::new(path, request, size, color.has_alpha())?;
     rows.push(image);
-    let (photo, alpha) = rows.finish();
-    Ok(Decoded { photo, alpha, gamma, lease })
+    Ok(rows.finish(gamma, lease))
+}
+
+pub(super) fn limits(memory: &HostMemory) -> Limits {
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_IMAGE_SIDE);
+    limits.max_image_height = Some(MAX_IMAGE_SIDE);
+    limits.max_alloc = Some(memory.limit());
+    limits
 }
 
 /// Refuses a picture that has another size than requested.
-pub(super) fn check_size(path: &Path, request: &Request<'_>, header: &Header) -> Result<()> {
+fn check_size(path: &Path, request: &Request<'_>, header: &Header) -> Result<()> {
     let (width, height) = header.size(request.turned);
     let Some((w, h)) = request.size.filter(|&size| size != (width, height)) else { return Ok(()) };
     let how =
@@ -283,20 +283,14 @@ pub(super) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
     Error::input(path, format!("cannot be decoded: {problem}"), "copy or export the picture again")
 }
 
-/// Chooses a decoder by the content, not by the file's name. Returns it with the picture's size.
-pub(super) fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<(impl ImageDecoder + 'a, (u32, u32))> {
-    let mut reader = ImageReader::new(Cursor::new(bytes));
-    let format =
-        image::guess_format(bytes).ok().filter(|f| matches!(f, ImageFormat::Png | ImageFormat::Jpeg));
-    let Some(format) = format else {
-        let (problem, remedy) = sniff::recognise(bytes.get(..512).unwrap_or(bytes))
-            .unwrap_or(("is not a JPEG or PNG", "convert it"));
+/// Chooses a decoder by the content, not by the file's name.
+pub(super) fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<impl ImageDecoder + 'a> {
+    let Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) = image::guess_format(bytes) else {
+        let known = regular_file::recognise(bytes.get(..512).unwrap_or(bytes));
+        let (problem, remedy) = known.unwrap_or(("is not a JPEG or PNG", "convert it"));
         return Err(Error::input(path, problem, remedy));
     };
-    reader.set_format(format);
-    let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
-    let size = decoder.dimensions();
-    Ok((decoder, size))
+    ImageReader::with_format(Cursor::new(bytes), format).into_decoder().map_err(|e| damaged(path, &e))
 }
 
 fn is_png(bytes: &[u8]) -> bool {
@@ -319,4 +313,210 @@ fn composite(image: DynamicImage, background: [f32; 3]) -> (Vec<u8>, Option<Vec<
         }
     }
     (rgb, Some(alphas))
+}
+
+/// Bytes of the file that are read at a time.
+const BUFFER_BYTES: usize = 64 << 10;
+/// Bytes that the decoder needs beside its rows, for reading ahead and unpacking.
+const DECODER_BYTES: u64 = 1 << 20;
+/// Rows that the decoder holds.
+const DECODER_ROWS: u64 = 8;
+
+/// The gamma exponent of a PNG, if it names one and is not marked as sRGB. Refuses a palette that is cut within an
+/// entry or has too many entries: the decoder does not check it.
+fn checked_gamma(path: &Path, file: &File, memory: &HostMemory) -> Result<Option<f32>> {
+    let reader = png_reader(file, memory).read_info().map_err(|e| damaged(path, &e))?;
+    let bytes = reader.info().palette.as_ref().map_or(0, |palette| palette.len());
+    if !bytes.is_multiple_of(3) || bytes > 3 * 256 {
+        let problem = format!("its palette has {bytes} bytes; up to 256 entries of 3 are possible");
+        return Err(damaged(path, &problem));
+    }
+    let gamma = reader.info().gama_chunk.filter(|_| reader.info().srgb.is_none());
+    Ok(gamma.map(png::ScaledFloat::into_value).filter(|gamma| *gamma > 0.0))
+}
+
+fn png_reader<R: Read + Seek>(file: R, memory: &HostMemory) -> png::Decoder<BufReader<cost::Counted<R>>> {
+    let limits = png::Limits { bytes: usize::try_from(memory.limit()).unwrap_or(usize::MAX) };
+    let reader = BufReader::with_capacity(BUFFER_BYTES, cost::Counted(file));
+    let mut decoder = png::Decoder::new_with_limits(reader, limits);
+    // Keeps the depth, so that 16 bits are rounded here, not cut.
+    decoder.set_transformations(png::Transformations::EXPAND);
+    // Unused chunks, which could unpack to a lot before their memory is counted.
+    decoder.set_ignore_iccp_chunk(true);
+    decoder.set_ignore_text_chunk(true);
+    decoder
+}
+
+/// Reads a picture as `request` says. `None` for an interlaced one.
+fn read_png_rows(
+    path: &Path,
+    file: File,
+    (gamma, request): (Option<f32>, &Request<'_>),
+) -> Result<Option<Decoded>> {
+    let damaged = |e: &dyn std::fmt::Display| damaged(path, e);
+    let file_bytes = file.metadata().reading(path)?.len();
+    let mut reader = png_reader(file, request.memory).read_info().map_err(|e| damaged(&e))?;
+    let size = reader.info().size();
+    if reader.info().interlaced {
+        return Ok(None);
+    }
+    check_size(path, request, &Header::upright(size))?;
+    if size.0.max(size.1) > MAX_IMAGE_SIDE {
+        return Err(damaged(&format!("{}x{} pixels; {MAX_IMAGE_SIDE} a side are possible", size.0, size.1)));
+    }
+    let decoded = reader.output_buffer_size().filter(|&decoded| !cannot_hold(file_bytes, decoded as u64));
+    let Some(row_bytes) = decoded.and_then(|_| reader.output_line_size(size.0)) else {
+        return Err(damaged(&claims(size, file_bytes)));
+    };
+    let (color, depth) = reader.output_color_type();
+    let has_alpha = matches!(color, png::ColorType::GrayscaleAlpha | png::ColorType::Rgba);
+    let own = Rows::bytes(request, size, has_alpha) + DECODER_BYTES + DECODER_ROWS * row_bytes as u64;
+    let lease = request.memory.take(path, own.saturating_add(request.besides))?;
+    let mut rows = Rows::new(path, request, size, has_alpha)?;
+    while let Some(row) = reader.next_row().map_err(|e| damaged(&e))? {
+        cost::steps(row.data().len());
+        let row = as_image(row.data(), color, depth, size.0);
+        rows.push(row.ok_or_else(|| damaged(&UNREAD_KIND))?);
+    }
+    Ok(Some(rows.finish(gamma, lease)))
+}
+
+fn as_image(row: &[u8], color: png::ColorType, depth: png::BitDepth, width: u32) -> Option<DynamicImage> {
+    use png::{BitDepth, ColorType};
+    fn bytes<P: Pixel<Subpixel = u8>>(row: &[u8], width: u32) -> Option<ImageBuffer<P, Vec<u8>>> {
+        ImageBuffer::from_raw(width, 1, Vec::from(row))
+    }
+    fn words<P: Pixel<Subpixel = u16>>(row: &[u8], width: u32) -> Option<ImageBuffer<P, Vec<u16>>> {
+        let words = row.as_chunks::<2>().0.iter().map(|&word| u16::from_be_bytes(word));
+        ImageBuffer::from_raw(width, 1, words.collect())
+    }
+    match (color, depth) {
+        (ColorType::Grayscale, BitDepth::Eight) => bytes::<Luma<u8>>(row, width).map(Into::into),
+        (ColorType::GrayscaleAlpha, BitDepth::Eight) => bytes::<LumaA<u8>>(row, width).map(Into::into),
+        (ColorType::Rgb, BitDepth::Eight) => bytes::<Rgb<u8>>(row, width).map(Into::into),
+        (ColorType::Rgba, BitDepth::Eight) => bytes::<Rgba<u8>>(row, width).map(Into::into),
+        (ColorType::Grayscale, BitDepth::Sixteen) => words::<Luma<u16>>(row, width).map(Into::into),
+        (ColorType::GrayscaleAlpha, BitDepth::Sixteen) => words::<LumaA<u16>>(row, width).map(Into::into),
+        (ColorType::Rgb, BitDepth::Sixteen) => words::<Rgb<u16>>(row, width).map(Into::into),
+        (ColorType::Rgba, BitDepth::Sixteen) => words::<Rgba<u16>>(row, width).map(Into::into),
+        _ => None,
+    }
+}
+
+/// Entropy-coded bytes of ones, appended to the data. No code consists of ones only, so a decoder that needs a code
+/// here reports an error. Without these bytes, it would take all missing data as zeros. In whole data, the decoder may
+/// read ahead to these bits but never uses them.
+const NO_CODE: [u8; 16] = [0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0];
+
+/// Structure of a JPEG by its markers.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct JpegOutline {
+    /// True if it reaches its end-of-image marker. Decoders fill a truncated JPEG with grey.
+    complete: bool,
+    /// True if it is stored in passes. A decoder then holds all its coefficients.
+    progressive: bool,
+    /// Least number of blocks of 64 values for the size that it claims.
+    blocks: u64,
+    /// Bytes of entropy-coded data.
+    coded_bytes: u64,
+    /// Number of scans of entropy-coded data.
+    scans: u32,
+    /// Byte ranges of its parts, between the first and the last marker. Some cameras write other bytes between them.
+    parts: Vec<Range<usize>>,
+}
+
+impl JpegOutline {
+    fn of(bytes: &[u8]) -> Self {
+        const START_OF_SCAN: u8 = 0xda;
+        const END_OF_IMAGE: u8 = 0xd9;
+        let mut outline = Self::default();
+        let mut at = 2;
+        while let Some(&[first, marker]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
+            cost::step();
+            match marker {
+                // Only before the data: inside them, a marker may be damage.
+                _ if first != 0xff && outline.scans == 0 => at += 1,
+                _ if first != 0xff => break,
+                END_OF_IMAGE => return Self { complete: true, ..outline },
+                // Fill bytes, and markers without a length.
+                0xff => at += 1,
+                0x00 if outline.scans > 0 => break,
+                0x00 | 0x01 | 0xd0..=0xd8 => at += 2,
+                _ => {
+                    let begin = at;
+                    let Some(&length) = bytes.get(at + 2..).and_then(|rest| rest.first_chunk()) else {
+                        break;
+                    };
+                    let start = at + 4;
+                    at += 2 + usize::from(u16::from_be_bytes(length)).max(2);
+                    match marker {
+                        // A frame, not one of the tables with numbers in this range.
+                        0xc0..=0xcf if ![0xc4, 0xc8, 0xcc].contains(&marker) => {
+                            outline.progressive = marker == 0xc2;
+                            outline.blocks = blocks(bytes.get(start..at).unwrap_or_default());
+                        }
+                        START_OF_SCAN => {
+                            let end = end_of_scan(bytes, at);
+                            outline.coded_bytes += (end - at.min(end)) as u64;
+                            outline.scans += 1;
+                            at = end;
+                        }
+                        _ => {}
+                    }
+                    outline.parts.push(begin..at.min(bytes.len()));
+                }
+            }
+        }
+        outline
+    }
+
+    /// True if the data can hold the blocks: each takes a bit at least.
+    fn can_hold_its_size(&self) -> bool {
+        self.blocks / 8 <= self.coded_bytes
+    }
+}
+
+/// Number of blocks of all components of a frame, except blocks that the picture covers only in part.
+fn blocks(frame: &[u8]) -> u64 {
+    let Some((&[_, h1, h0, w1, w0, _], components)) = frame.split_first_chunk() else { return 0 };
+    let [width, height] = [[w1, w0], [h1, h0]].map(|side| u64::from(u16::from_be_bytes(side)));
+    let factors = components.as_chunks::<3>().0.iter().map(|c| [u64::from(c[1] >> 4), u64::from(c[1] & 15)]);
+    let (most, sum) = factors.fold(([1, 1], 0), |([x, y], sum), [h, v]| ([x.max(h), y.max(v)], sum + h * v));
+    width / (8 * most[0]) * (height / (8 * most[1])) * sum
+}
+
+/// End of the entropy-coded data from `at`: the next marker that is neither stuffing nor a restart.
+fn end_of_scan(bytes: &[u8], mut at: usize) -> usize {
+    while let Some(&[first, second]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
+        cost::step();
+        if first == 0xff && !matches!(second, 0x00 | 0xd0..=0xd7 | 0xff) {
+            return at;
+        }
+        at += 1;
+    }
+    bytes.len()
+}
+
+/// The file without bytes between its parts and after its end, and with [`NO_CODE`] at the end of its data.
+fn sealed(bytes: &[u8], outline: &JpegOutline) -> Vec<u8> {
+    let mut sealed = Vec::with_capacity(bytes.len() + NO_CODE.len() + 4);
+    sealed.extend([0xff, 0xd8]);
+    outline.parts.iter().for_each(|part| sealed.extend_from_slice(&bytes[part.clone()]));
+    // The decoder needs a marker directly after the first of several passes.
+    if !outline.progressive || outline.scans > 1 {
+        sealed.extend(NO_CODE);
+    }
+    sealed.extend([0xff, 0xd9]);
+    sealed
+}
+
+/// Decodes a JPEG, grey or r, g, b, into `pixels`. Missing and invalid data are errors; the decoder's default is grey.
+fn decode_jpeg(bytes: &[u8], outline: &JpegOutline, grey: bool, pixels: &mut [u8]) -> Result<(), String> {
+    let options = DecoderOptions::default()
+        .set_strict_mode(true)
+        .set_max_width(MAX_IMAGE_SIDE as usize)
+        .set_max_height(MAX_IMAGE_SIDE as usize)
+        .jpeg_set_out_colorspace(if grey { ColorSpace::Luma } else { ColorSpace::RGB });
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(sealed(bytes, outline)), options);
+    decoder.decode_into(pixels).map_err(|e| e.to_string())
 }

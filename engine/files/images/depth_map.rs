@@ -1,14 +1,12 @@
-//! Inverse-depth maps: PNGs with 16 bits per channel, as monocular depth networks' tools write them for the reference
-//! implementation.
+//! Inverse-depth maps: PNGs with 16 bits per channel, as the reference implementation takes them from depth networks.
 
 use std::path::Path;
 
-use image::{ColorType, DynamicImage, ImageDecoder, Limits};
+use image::{ColorType, DynamicImage, ImageDecoder};
 
-use super::decode::{cannot_hold, claims, damaged, decoder};
+use super::decode::{UNREAD_KIND, cannot_hold, claims, damaged, decoder, limits};
 use crate::host_memory::HostMemory;
 use crate::{cost, regular_file};
-use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
 /// Number of steps of a 16-bit map from 0 to 1.
@@ -27,15 +25,11 @@ pub struct DepthMap {
 
 impl DepthMap {
     /// Reads the first channel of a 16-bit PNG: its value / 65536.
-    ///
-    /// # Errors
-    /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a picture,
-    /// [`Error::TooLarge`] when it does not fit into the memory.
     pub fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self> {
         let path = path.as_ref();
         let bytes = regular_file::read(path, 1)?;
-        let (mut decoder, (width, height)) = decoder(path, &bytes)?;
-        let color = decoder.color_type();
+        let mut decoder = decoder(path, &bytes)?;
+        let ((width, height), color) = (decoder.dimensions(), decoder.color_type());
         if !matches!(color, ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16) {
             let problem = "has 8 bits per channel, too few for depths";
             return Err(Error::input(path, problem, "write the inverse depth as a 16-bit PNG"));
@@ -46,11 +40,7 @@ impl DepthMap {
         }
         let _lease =
             memory.take(path, bytes.len() as u64 + 2 * decoded + 4 * u64::from(width) * u64::from(height))?;
-        let mut limits = Limits::default();
-        limits.max_image_width = Some(MAX_IMAGE_SIDE);
-        limits.max_image_height = Some(MAX_IMAGE_SIDE);
-        limits.max_alloc = Some(memory.limit());
-        decoder.set_limits(limits).map_err(|e| damaged(path, &e))?;
+        decoder.set_limits(limits(memory)).map_err(|e| damaged(path, &e))?;
         cost::steps(bytes.len());
         let channels = usize::from(color.channel_count());
         let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
@@ -59,15 +49,14 @@ impl DepthMap {
             DynamicImage::ImageLumaA16(image) => image.into_raw(),
             DynamicImage::ImageRgb16(image) => image.into_raw(),
             DynamicImage::ImageRgba16(image) => image.into_raw(),
-            _ => return Err(damaged(path, &"its colours are of a kind that is not read")),
+            _ => return Err(damaged(path, &UNREAD_KIND)),
         };
         cost::steps(all.len());
         let values = all.chunks_exact(channels).map(|pixel| f32::from(pixel[0]) / STEPS).collect();
         Ok(Self { width, height, values })
     }
 
-    /// The value at a place by linear interpolation. Pixel centres are at whole numbers; the border value extends
-    /// outside.
+    /// The value at a place by linear interpolation. Pixel centres are at whole numbers; the border extends outside.
     pub fn sample(&self, x: f64, y: f64) -> f64 {
         let between = |place: f64, size: u32| {
             let place = place.clamp(0.0, f64::from(size - 1));

@@ -7,18 +7,20 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use crate::splats::{FARTHEST, Outline, is_kernel_size};
-use crate::{cost, sniff};
+use crate::cost;
+use crate::regular_file::{self, OnFile};
+use crate::splats::{self, FARTHEST, Format, Outline, is_kernel_size};
 use ashsplat::{Error, Result};
 
 /// Limits above any valid header, which bound the parser's memory.
 const MAX_LINE_BYTES: u64 = 64 * 1024;
-const MAX_LINES: usize = 20_000;
+const MAX_LINES: u64 = 20_000;
 
 /// How the values after the header are stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Encoding {
     /// Decimal text, one row per line.
+    #[default]
     Ascii,
     /// Binary, least significant byte first.
     BinaryLittleEndian,
@@ -26,7 +28,6 @@ pub enum Encoding {
     BinaryBigEndian,
 }
 
-/// The type of one value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Scalar {
     I8,
@@ -99,13 +100,12 @@ impl Element {
     }
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Header {
     pub(crate) encoding: Encoding,
     pub(crate) elements: Vec<Element>,
     /// Length of the header, bytes.
     pub(crate) bytes: u64,
-    /// Number of lines of the header.
     pub(crate) lines: u64,
     pub(crate) marks: Marks,
     /// Origin of the positions, source coordinates.
@@ -116,10 +116,23 @@ pub(crate) struct Header {
     pub(crate) padding: Vec<(u64, u64)>,
 }
 
+impl Header {
+    /// The properties of a file of Gaussians that the comments give.
+    pub(super) fn of_gaussians(&self, format: Format, count: u64, sh_degree: u32) -> splats::Header {
+        splats::Header {
+            antialiased: self.marks.mode == RenderMode::Mip,
+            kernel_size: self.marks.kernel_size,
+            is_2dgs: self.marks.mode == RenderMode::Disks,
+            origin: self.origin,
+            unit: self.unit,
+            ..splats::Header::new(format, count, sh_degree)
+        }
+    }
+}
+
 /// Comment keyword for chunk-filling rows in compressed PLY of this crate.
 pub(crate) const PADDING: &str = "padding";
 const MAX_PADDING: usize = 16;
-
 /// Keyword of the comment with the origin of the positions, `comment origin X Y Z`.
 pub(crate) const ORIGIN: &str = "origin";
 /// Keyword of the comment with the world unit of the training, `comment unit U`.
@@ -163,24 +176,13 @@ impl Marks {
             ["antialiased" | "mip", value @ ("0" | "1" | "false" | "true")] => {
                 self.mode = is_mip(matches!(value, "1" | "true"));
             }
-            ["kernel_size", size] => {
-                self.kernel_size = size.parse().ok().filter(is_kernel_size);
-            }
+            ["kernel_size", size] => self.kernel_size = size.parse().ok().filter(is_kernel_size),
             ["vertical", "axis", axis] => {
-                self.up = [("x", "1,0,0"), ("y", "0,1,0"), ("z", "0,0,1")]
-                    .into_iter()
-                    .find_map(|(name, up)| (name == axis).then_some(up));
+                let axes = [("x", "1,0,0"), ("y", "0,1,0"), ("z", "0,0,1")];
+                self.up = axes.into_iter().find_map(|(name, up)| (name == axis).then_some(up));
             }
             _ => {}
         }
-    }
-
-    pub(crate) fn antialiased(&self) -> bool {
-        self.mode == RenderMode::Mip
-    }
-
-    pub(crate) fn is_2dgs(&self) -> bool {
-        self.mode == RenderMode::Disks
     }
 
     /// Warning for the user, if any.
@@ -214,28 +216,16 @@ pub(crate) const FILTER: &str = "filter_3D";
 /// Reads the header. The reader is then at the first byte of the data.
 pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
     check_magic(reader, path)?;
-    let mut parser = Parser {
-        path,
-        encoding: None,
-        elements: Vec::new(),
-        bytes: 0,
-        lines: 0,
-        text: Vec::new(),
-        marks: Marks::default(),
-        origin: DVec3::ZERO,
-        unit: None,
-        padding: Vec::new(),
-        element_names: HashSet::new(),
-        property_names: HashSet::new(),
-    };
+    let header = Header::default();
+    let (element_names, property_names) = (HashSet::new(), HashSet::new());
+    let mut parser = Parser { path, encoding: None, header, element_names, property_names };
     while !parser.line(reader)? {}
     let encoding = parser.encoding.ok_or_else(|| parser.error("the header has no format line"))?;
-    let Parser { elements, bytes, marks, origin, unit, padding, .. } = parser;
-    Ok(Header { encoding, elements, bytes, lines: parser.lines as u64, marks, origin, unit, padding })
+    Ok(Header { encoding, ..parser.header })
 }
 
 fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
-    let start = reader.fill_buf().map_err(|source| Error::io(path, "read", source))?;
+    let start = reader.fill_buf().reading(path)?;
     let start = &start[..start.len().min(512)];
     if start.starts_with(b"ply\n") || start.starts_with(b"ply\r") || start == b"ply" {
         return Ok(());
@@ -244,7 +234,7 @@ fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
         let remedy = "save it in UTF-8 without that mark; a binary PLY that an editor saved is lost: take the original";
         return Err(Error::input(path, "begins with a byte-order mark, as text editors write it", remedy));
     }
-    let (problem, remedy) = sniff::recognise(start)
+    let (problem, remedy) = regular_file::recognise(start)
         .unwrap_or(("is not a PLY file (its first line is not `ply`)", "give the path of a PLY file"));
     Err(Error::input(path, problem, remedy))
 }
@@ -252,14 +242,7 @@ fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
 struct Parser<'a> {
     path: &'a Path,
     encoding: Option<Encoding>,
-    elements: Vec<Element>,
-    bytes: u64,
-    lines: usize,
-    text: Vec<u8>,
-    marks: Marks,
-    origin: DVec3,
-    unit: Option<f64>,
-    padding: Vec<(u64, u64)>,
+    header: Header,
     /// Names of the elements, and of the last element's properties.
     element_names: HashSet<String>,
     property_names: HashSet<String>,
@@ -267,42 +250,38 @@ struct Parser<'a> {
 
 impl Parser<'_> {
     fn error(&self, problem: impl Display) -> Error {
-        let problem = format!("header line {}: {problem}", self.lines.max(1));
+        let problem = format!("header line {}: {problem}", self.header.lines.max(1));
         Error::input(self.path, problem, "the file is damaged or not a PLY: write or download it again")
     }
 
     /// Reads one line; true at `end_header`.
     fn line(&mut self, reader: &mut impl BufRead) -> Result<bool> {
-        self.text.clear();
-        let read = Read::take(&mut *reader, MAX_LINE_BYTES).read_until(b'\n', &mut self.text);
-        let read = read.map_err(|source| Error::io(self.path, "read", source))?;
-        self.bytes += read as u64;
-        self.lines += 1;
-        if self.text.pop_if(|last| *last == b'\n').is_none() {
+        let mut text = Vec::new();
+        let read =
+            Read::take(&mut *reader, MAX_LINE_BYTES).read_until(b'\n', &mut text).reading(self.path)?;
+        self.header.bytes += read as u64;
+        self.header.lines += 1;
+        if text.pop_if(|last| *last == b'\n').is_none() {
             return Err(match read as u64 {
                 MAX_LINE_BYTES => self.error("is longer than 64 KiB"),
                 _ => self.error("the file ends inside the header (no end_header)"),
             });
         }
-        self.text.pop_if(|last| *last == b'\r');
-        if self.lines > MAX_LINES {
+        text.pop_if(|last| *last == b'\r');
+        if self.header.lines > MAX_LINES {
             return Err(self.error("the header does not end (no end_header)"));
         }
-        let text = std::mem::take(&mut self.text);
-        let Ok(text) = std::str::from_utf8(&text) else {
+        match std::str::from_utf8(&text) {
+            Ok(text) => self.words(&text.split_ascii_whitespace().collect::<Vec<_>>()),
             // Only comments may have any encoding.
-            return if is_comment(&text) {
-                Ok(false)
-            } else {
-                Err(self.error("is not text (no end_header)"))
-            };
-        };
-        self.words(&text.split_ascii_whitespace().collect::<Vec<_>>())
+            Err(_) if text.starts_with(b"comment") || text.starts_with(b"obj_info") => Ok(false),
+            Err(_) => Err(self.error("is not text (no end_header)")),
+        }
     }
 
     fn words(&mut self, words: &[&str]) -> Result<bool> {
         match *words {
-            ["ply"] if self.lines == 1 => {}
+            ["ply"] if self.header.lines == 1 => {}
             ["format", name, _version] => self.format(name)?,
             ["element", name, count] => self.element(name, count)?,
             ["property", kind, name] => self.property(Kind::Scalar(self.scalar(kind)?), name)?,
@@ -315,16 +294,17 @@ impl Parser<'_> {
                 let numbers = [x, y, z].map(|number| number.parse().unwrap_or(f64::NAN));
                 // A comment of another program may begin with the same word.
                 if numbers.iter().all(|number| number.abs() <= FARTHEST) {
-                    self.origin = DVec3::from_array(numbers);
+                    self.header.origin = DVec3::from_array(numbers);
                 }
             }
             ["comment", UNIT, unit] => {
-                self.unit = unit.parse().ok().filter(|unit| (FARTHEST.recip()..=FARTHEST).contains(unit));
+                self.header.unit =
+                    unit.parse().ok().filter(|unit| (FARTHEST.recip()..=FARTHEST).contains(unit));
             }
-            ["comment", PADDING, first, count] if self.padding.len() < MAX_PADDING => {
-                self.padding.extend(first.parse().ok().zip(count.parse().ok()));
+            ["comment", PADDING, first, count] if self.header.padding.len() < MAX_PADDING => {
+                self.header.padding.extend(first.parse().ok().zip(count.parse().ok()));
             }
-            ["comment", ref words @ ..] => self.marks.comment(&words.join(" ")),
+            ["comment", ref words @ ..] => self.header.marks.comment(&words.join(" ")),
             ["obj_info", ..] | [] => {}
             ["element", name] => return Err(self.error(format!("element {name} has no count"))),
             [word, ..] => return Err(self.error(format!("'{}' is not understood", shortened(word)))),
@@ -351,7 +331,7 @@ impl Parser<'_> {
         let count = count
             .parse()
             .map_err(|_| self.error(format!("'{}' is not a number of {name} elements", shortened(count))))?;
-        self.elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
+        self.header.elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
         Ok(())
     }
 
@@ -363,7 +343,7 @@ impl Parser<'_> {
         });
         let name = own.unwrap_or(name);
         let new = self.property_names.insert(name.to_owned());
-        match self.elements.last_mut() {
+        match self.header.elements.last_mut() {
             None => Err(self.error(format!("property {name} stands before any element"))),
             Some(element) if !new => {
                 let problem = format!("property {name} appears twice in element {}", element.name);
@@ -380,10 +360,6 @@ impl Parser<'_> {
         Scalar::from_name(name)
             .ok_or_else(|| self.error(format!("unknown property type '{}'", shortened(name))))
     }
-}
-
-fn is_comment(line: &[u8]) -> bool {
-    line.starts_with(b"comment") || line.starts_with(b"obj_info")
 }
 
 /// The beginning of a word, shortened for a message.

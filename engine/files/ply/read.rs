@@ -3,15 +3,16 @@
 use std::collections::HashSet;
 use std::path::Path;
 
+use glam::DVec3;
+
 use super::header::{DISKS, Element, FILTER, Kind, Property, RenderMode, Scalar};
 use super::rows::PlyFile;
-use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Sink, Source};
+use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Scene, Sink, Source};
 use crate::{cameras_json, host_memory};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
 use ashsplat::scene::{Gaussians, SourcePoints, WorldFrame, filtered, median_ball};
 use ashsplat::{Error, Result};
-use glam::DVec3;
 
 /// Options for reading Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,19 +44,14 @@ pub struct PlyScene {
 /// SH coefficient exceeds 1e32.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is not a PLY file with Gaussians, is
-/// cut short or damaged, or has unusable parameters and [`PlyOptions::drop_invalid`] is not set.
+/// [`Error::Input`] for unusable parameters too, without [`PlyOptions::drop_invalid`].
 pub fn read(path: impl AsRef<Path>, options: &PlyOptions) -> Result<PlyScene> {
     let path = path.as_ref();
     let source = Box::new(GaussianRows::open(path)?);
     let options = ReadOptions { drop_invalid: options.drop_invalid, ..ReadOptions::default() };
     let scene = Reader::new(path, source, &options).collect()?;
-    Ok(PlyScene {
-        gaussians: scene.gaussians,
-        frame: scene.frame,
-        dropped: scene.dropped,
-        warning: scene.warnings.into_iter().next(),
-    })
+    let Scene { gaussians, frame, dropped, warnings, .. } = scene;
+    Ok(PlyScene { gaussians, frame, dropped, warning: warnings.into_iter().next() })
 }
 
 /// Number of vertices in a PLY's header.
@@ -69,7 +65,6 @@ pub(crate) fn is_compressed(path: &Path) -> Result<bool> {
     Ok(file.header.elements.iter().any(|e| e.name == "vertex" && e.has("packed_position")))
 }
 
-/// The Gaussians of a plain PLY.
 pub(crate) struct GaussianRows<'a> {
     file: PlyFile<'a>,
     element: Element,
@@ -98,39 +93,36 @@ impl<'a> GaussianRows<'a> {
                  --kernel-size 0.1`"
             ));
         }
-        warnings.extend(
-            marks.up.map(|up| {
-                format!("names its vertical axis: `--up {up}` makes orbits and the page follow it")
-            }),
-        );
+        let named_axis =
+            |up| format!("names its vertical axis: `--up {up}` makes orbits and the page follow it");
+        warnings.extend(marks.up.map(named_axis));
         if let Some([red, green, blue]) = layout.rgb {
-            layout.white = Some(white(path, &element, [red, green, blue])?);
-            warnings.push(format!(
-                "has no f_dc: its {red} {green} {blue} (0 to {}) are used as colours",
-                layout.white.unwrap_or_default()
-            ));
+            let white = white(path, &element, [red, green, blue])?;
+            layout.white = Some(white);
+            warnings
+                .push(format!("has no f_dc: its {red} {green} {blue} (0 to {white}) are used as colours"));
         }
         warnings.extend(unused_properties(&element, &layout));
         warnings.extend(raw_values_doubtful(path, layout.rgb.is_none() && !layout.is_flat));
+        let count = element.count;
         warnings.extend(file.bytes_behind(&element).map(|bytes| {
             format!(
-                "{bytes} bytes behind the {} Gaussians of its header are not read: are two files joined?",
-                element.count
+                "{bytes} bytes behind the {count} Gaussians of its header are not read: are two files joined?"
             )
         }));
         let is_double =
             |p: &Property| ["x", "y", "z"].contains(&p.name.as_str()) && p.kind == Kind::Scalar(Scalar::F64);
         let double_positions = element.properties.iter().any(is_double);
-        let shift = if double_positions { origin_of_first(path)? } else { DVec3::ZERO };
+        let shift = match double_positions {
+            true => WorldFrame::around(&first_positions(path)?).origin,
+            false => DVec3::ZERO,
+        };
         let header = Header {
-            antialiased: marks.antialiased(),
-            kernel_size: marks.kernel_size,
-            is_2dgs: marks.is_2dgs() || layout.is_flat,
+            is_2dgs: marks.mode == RenderMode::Disks || layout.is_flat,
             origin: file.header.origin + shift,
-            unit: file.header.unit,
             double_positions,
             warnings,
-            ..Header::new(Format::Ply, element.count, layout.sh_degree)
+            ..file.header.of_gaussians(Format::Ply, element.count, layout.sh_degree)
         };
         Ok(Self { file, element, layout, shift, header })
     }
@@ -229,11 +221,8 @@ pub(super) fn restore_frame(
         let saved = file.ancestors().nth(2).filter(|saved| saved.ends_with("point_cloud"))?;
         Some(saved.parent()?.join("cameras.json"))
     };
-    let Some((cameras, frame)) =
-        model().and_then(|file| Some((file.clone(), cameras_json::frame_of(&file)?)))
-    else {
-        return Ok(None);
-    };
+    let found = model().and_then(|file| Some((cameras_json::frame_of(&file)?, file)));
+    let Some((frame, cameras)) = found else { return Ok(None) };
     let DVec3 { x, y, z } = frame.origin;
     let is_relative = median_ball(&positions()?)
         .is_some_and(|(center, _)| center.length() <= center.distance(frame.origin));
@@ -248,11 +237,6 @@ pub(super) fn restore_frame(
     }
     let line = || format!("names no {}: {} has it", used.join(" and "), cameras.display());
     Ok((!used.is_empty()).then(line))
-}
-
-/// An origin for a file with positions in double precision, from its first rows.
-fn origin_of_first(path: &Path) -> Result<DVec3> {
-    Ok(WorldFrame::around(&first_positions(path)?).origin)
 }
 
 impl Source for GaussianRows<'_> {
@@ -285,11 +269,7 @@ const COLORS: [[&str; 3]; 4] = [
 
 /// Reads coloured points: x y z and a colour, by name; white if there are no colours. Colours are 0 to 255; floats of
 /// at most 1 are shares of 255, 16-bit values above 255 shares of 65,535. Gaussians get the colours of their constant
-/// SH coefficients.
-///
-/// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not a PLY file with points, is cut short or
-/// damaged, or has points, but none with a finite position. Points at other positions are dropped.
+/// SH coefficients. Points at positions that are not finite are dropped.
 pub fn read_points(path: impl AsRef<Path>) -> Result<SourcePoints> {
     read_points_of(path.as_ref(), &mut Vec::new())
 }
@@ -343,10 +323,9 @@ pub(crate) fn read_points_of(path: &Path, warnings: &mut Vec<String>) -> Result<
         return Err(Error::input(path, problem, "export it again"));
     }
     if dropped > 0 {
+        let (path, all) = (path.display(), element.count);
         warnings.push(format!(
-            "{}: {dropped} of {} points have a position that is not finite, and are left out",
-            path.display(),
-            element.count
+            "{path}: {dropped} of {all} points have a position that is not finite, and are left out"
         ));
     }
     Ok(points)
@@ -483,9 +462,6 @@ fn missing_properties(path: &Path, element: &Element, has_rgb: bool) -> Error {
         return Error::input(path, problem, "give a point_cloud.ply that training wrote");
     }
     let (noun, verb) = if missing.len() == 1 { ("property", "is") } else { ("properties", "are") };
-    Error::input(
-        path,
-        format!("{noun} {} of element vertex {verb} missing", missing.join(", ")),
-        "is it a file of Gaussians?",
-    )
+    let problem = format!("{noun} {} of element vertex {verb} missing", missing.join(", "));
+    Error::input(path, problem, "is it a file of Gaussians?")
 }

@@ -5,7 +5,8 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use super::header::{self, Element, Encoding, Header, Kind, Scalar, shortened};
-use crate::{cost, regular_file, text};
+use crate::regular_file::{self, OnFile};
+use crate::{cost, text};
 use ashsplat::{Error, Result};
 
 const BUFFER_BYTES: usize = 1 << 20;
@@ -23,7 +24,6 @@ pub(crate) struct PlyFile<'a> {
     next_element: usize,
 }
 
-/// A requested property.
 #[derive(Clone, Copy)]
 struct Column {
     /// Byte offset in a binary row.
@@ -73,8 +73,7 @@ impl<'a> PlyFile<'a> {
         let needed = match (self.header.encoding, element.row_bytes()) {
             // An ASCII value takes a digit and a separator, which the last value may lack.
             (Encoding::Ascii, _) => {
-                let row = 2 * element.properties.len() as u128;
-                (u128::from(element.count) * row).saturating_sub(1)
+                (u128::from(element.count) * 2 * element.properties.len() as u128).saturating_sub(1)
             }
             (_, Some(row)) => u128::from(element.count) * u128::from(row),
             // Each list takes at least its count.
@@ -84,15 +83,15 @@ impl<'a> PlyFile<'a> {
             return Ok(());
         }
         let Element { count, name, .. } = element;
-        let at_least = if self.header.encoding == Encoding::Ascii { "at least " } else { "" };
-        Err(self.error(format!(
-            "{count} {name} elements need {at_least}{needed} bytes, {} are left after the header",
-            self.remaining
-        )))
+        let (at_least, left) =
+            (if self.header.encoding == Encoding::Ascii { "at least " } else { "" }, self.remaining);
+        let problem = format!(
+            "{count} {name} elements need {at_least}{needed} bytes, {left} are left after the header"
+        );
+        Err(self.error(problem))
     }
 
-    /// Calls `row` with the values of the named properties for each row of `element`, in the order of `names`;
-    /// stops at the first error.
+    /// Calls `row` with the named properties of each row of `element`, in the order of `names`, up to the first error.
     ///
     /// A property that the element lacks is an error. The caller checks before where it can give a better error.
     pub(crate) fn for_each_row(
@@ -124,14 +123,10 @@ impl<'a> PlyFile<'a> {
 
     /// Refuses lists: rows of differing length are skipped, never read.
     pub(crate) fn check_no_list(&self, element: &Element) -> Result<()> {
-        match element.properties.iter().find(|p| matches!(p.kind, Kind::List { .. })) {
-            None => Ok(()),
-            Some(list) => {
-                let problem =
-                    format!("property {} of element {} is a list", shortened(&list.name), element.name);
-                Err(Error::input(self.path, problem, "write the file without it"))
-            }
-        }
+        let list = element.properties.iter().find(|p| matches!(p.kind, Kind::List { .. }));
+        let Some(list) = list else { return Ok(()) };
+        let problem = format!("property {} of element {} is a list", shortened(&list.name), element.name);
+        Err(Error::input(self.path, problem, "write the file without it"))
     }
 
     fn column(&self, element: &Element, name: &str) -> Result<Column> {
@@ -162,7 +157,7 @@ impl<'a> PlyFile<'a> {
         while index < element.count {
             let rows = rows_at_once.min(element.count - index);
             let bytes = &mut buffer[..rows as usize * row_bytes];
-            self.reader.read_exact(bytes).map_err(|source| Error::io(self.path, "read", source))?;
+            self.reader.read_exact(bytes).reading(self.path)?;
             self.remaining = self.remaining.saturating_sub(bytes.len() as u64);
             for bytes in bytes.chunks_exact(row_bytes) {
                 cost::step();
@@ -217,7 +212,7 @@ impl<'a> PlyFile<'a> {
             cost::step();
             text.clear();
             let read = self.reader.read_until(b'\n', text);
-            let read = read.map_err(|source| Error::io(self.path, "read", source))?;
+            let read = read.reading(self.path)?;
             self.remaining = self.remaining.saturating_sub(read as u64);
             self.line += 1;
             if read == 0 {
@@ -255,13 +250,12 @@ impl<'a> PlyFile<'a> {
                     let mut bytes = [0; 8];
                     let bytes = &mut bytes[..count.bytes()];
                     self.require(element, bytes.len() as u64)?;
-                    self.reader.read_exact(bytes).map_err(|source| Error::io(self.path, "read", source))?;
+                    self.reader.read_exact(bytes).reading(self.path)?;
                     self.remaining -= bytes.len() as u64;
                     let length = decode(bytes, count, encoding);
                     if !(length >= 0.0 && length.fract() == 0.0) {
-                        return Err(
-                            self.error(format!("a list in element {} has length {length}", element.name))
-                        );
+                        let problem = format!("a list in element {} has length {length}", element.name);
+                        return Err(self.error(problem));
                     }
                     self.skip(element, (length as u64).saturating_mul(item.bytes() as u64))?;
                 }
@@ -270,36 +264,26 @@ impl<'a> PlyFile<'a> {
         Ok(())
     }
 
-    fn require(&self, element: &Element, bytes: u64) -> Result<()> {
-        if bytes > self.remaining {
-            return Err(self.error(format!("the data end inside element {}", element.name)));
-        }
-        Ok(())
+    fn require(&self, Element { name, .. }: &Element, bytes: u64) -> Result<()> {
+        let problem = || self.error(format!("the data end inside element {name}"));
+        if bytes > self.remaining { Err(problem()) } else { Ok(()) }
     }
 
     fn skip(&mut self, element: &Element, bytes: u64) -> Result<()> {
         self.require(element, bytes)?;
         let offset = i64::try_from(bytes).map_err(|_| self.error("the data are longer than any file"))?;
-        self.reader.seek_relative(offset).map_err(|source| Error::io(self.path, "read", source))?;
+        self.reader.seek_relative(offset).reading(self.path)?;
         self.remaining -= bytes;
         Ok(())
     }
 }
 
 /// Decodes the number at the start of `bytes`.
-fn decode(bytes: &[u8], scalar: Scalar, encoding: Encoding) -> f64 {
-    match encoding {
-        Encoding::BinaryBigEndian => decode_with(bytes, scalar, true),
-        _ => decode_with(bytes, scalar, false),
-    }
-}
-
-#[inline]
-fn decode_with(bytes: &[u8], scalar: Scalar, big_endian: bool) -> f64 {
-    fn take<const N: usize>(bytes: &[u8], big_endian: bool) -> [u8; N] {
+pub(crate) fn decode(bytes: &[u8], scalar: Scalar, encoding: Encoding) -> f64 {
+    fn take<const N: usize>(bytes: &[u8], encoding: Encoding) -> [u8; N] {
         let mut array = [0; N];
         array.copy_from_slice(&bytes[..N]);
-        if big_endian {
+        if encoding == Encoding::BinaryBigEndian {
             array.reverse();
         }
         array
@@ -307,11 +291,11 @@ fn decode_with(bytes: &[u8], scalar: Scalar, big_endian: bool) -> f64 {
     match scalar {
         Scalar::I8 => f64::from(bytes[0] as i8),
         Scalar::U8 => f64::from(bytes[0]),
-        Scalar::I16 => f64::from(i16::from_le_bytes(take(bytes, big_endian))),
-        Scalar::U16 => f64::from(u16::from_le_bytes(take(bytes, big_endian))),
-        Scalar::I32 => f64::from(i32::from_le_bytes(take(bytes, big_endian))),
-        Scalar::U32 => f64::from(u32::from_le_bytes(take(bytes, big_endian))),
-        Scalar::F32 => f64::from(f32::from_le_bytes(take(bytes, big_endian))),
-        Scalar::F64 => f64::from_le_bytes(take(bytes, big_endian)),
+        Scalar::I16 => f64::from(i16::from_le_bytes(take(bytes, encoding))),
+        Scalar::U16 => f64::from(u16::from_le_bytes(take(bytes, encoding))),
+        Scalar::I32 => f64::from(i32::from_le_bytes(take(bytes, encoding))),
+        Scalar::U32 => f64::from(u32::from_le_bytes(take(bytes, encoding))),
+        Scalar::F32 => f64::from(f32::from_le_bytes(take(bytes, encoding))),
+        Scalar::F64 => f64::from_le_bytes(take(bytes, encoding)),
     }
 }

@@ -3,31 +3,27 @@
 use std::io::{self, Write};
 use std::path::Path;
 
+use glam::DVec3;
+
 use super::header::{FILTER, Marks, ORIGIN, UNIT};
 use crate::atomic;
+use crate::regular_file::OnFile;
 use crate::splats::{Outline, Produce, WriteOptions, in_blocks};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Gaussians, PointCloud, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
-use glam::DVec3;
 
 /// Writes Gaussians in the layout of the reference implementation, at their SH degree.
 ///
 /// Values are stored unchanged, so that reading gives the same bits.
-///
-/// # Errors
-/// [`ashsplat::Error::Argument`] when the vectors do not fit together, [`ashsplat::Error::Io`] naming the file when it
-/// cannot be written; no partial file is left.
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
     gaussians.check_shapes()?;
     let outline = Outline::of(gaussians, &WriteOptions::default());
     write_blocks(path.as_ref(), &outline, &mut |sink| in_blocks(gaussians, sink))
 }
 
-/// Writes Gaussians block by block.
 pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let names = property_names(outline.sh_degree);
-    let io = |source| Error::io(path, "write", source);
     let is_double = |name: &str| outline.double_positions && ["x", "y", "z"].contains(&name);
     // Positions in double precision need no origin.
     let doubles = outline.double_positions.then_some(outline.frame.origin);
@@ -36,21 +32,18 @@ pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce
     atomic::write_seekable(path, |mut writer| {
         let scalars =
             names.iter().map(|name| (if is_double(name) { "double" } else { "float" }, name.as_str()));
-        write_header(&mut writer, &Outline { frame, ..*outline }, scalars).map_err(io)?;
+        write_header(&mut writer, &Outline { frame, ..*outline }, scalars).writing(path)?;
         let mut rows = Vec::new();
         produce(&mut |block| {
             rows.clear();
             (0..block.len()).for_each(|index| gaussian_row(&block, index, doubles, &mut rows));
-            writer.write_all(&rows).map_err(io)
+            writer.write_all(&rows).writing(path)
         })
     })
 }
 
 /// Writes Gaussians with the sizes of Mip-Splatting's 3D filter as the property `filter_3D`, as Mip-Splatting does.
 /// Reading makes the filter a part of scales and opacities.
-///
-/// # Errors
-/// Same as [`write()`]; [`ashsplat::Error::Argument`] for another number of sizes.
 pub fn write_filtered(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
@@ -67,10 +60,9 @@ pub fn write_filtered(
     let frame = &options.frame;
     let to_source = Similarity { scale: frame.unit, ..Default::default() };
     let path = path.as_ref();
-    let io = |source| Error::io(path, "write", source);
     atomic::write_seekable(path, |mut writer| {
         let floats = names.iter().map(|name| ("float", name.as_str()));
-        write_header(&mut writer, &Outline::of(gaussians, options), floats).map_err(io)?;
+        write_header(&mut writer, &Outline::of(gaussians, options), floats).writing(path)?;
         let (mut rows, mut sizes) = (Vec::new(), filters.iter());
         in_blocks(gaussians, &mut |mut block| {
             block.transform(&to_source);
@@ -79,7 +71,7 @@ pub fn write_filtered(
                 gaussian_row(&block, index, None, &mut rows);
                 rows.extend_from_slice(&((f64::from(*size) * frame.unit) as f32).to_le_bytes());
             }
-            writer.write_all(&rows).map_err(io)
+            writer.write_all(&rows).writing(path)
         })
     })
 }
@@ -87,9 +79,6 @@ pub fn write_filtered(
 /// Writes coloured points like the reference implementation's `input.ply`: `x y z nx ny nz` (float, normals 0) `red
 /// green blue` (uchar). The points are in the world coordinates of `frame`; the file has source units from the frame's
 /// origin, which its header names.
-///
-/// # Errors
-/// [`ashsplat::Error::Io`] naming the file when it cannot be written; no partial file is left.
 pub fn write_points(path: impl AsRef<Path>, points: &PointCloud, frame: &WorldFrame) -> Result<()> {
     let floats = ["x", "y", "z", "nx", "ny", "nz"].map(|name| ("float", name));
     let bytes = ["red", "green", "blue"].map(|name| ("uchar", name));

@@ -1,17 +1,19 @@
-//! Converts files of Gaussians to another format, block by block.
+//! Converts files of Gaussians to another format, joins whole files and merges parts, block by block.
 
 use std::path::Path;
 
-use super::{Format, Header, Outline, ReadOptions, Sink, open, row_bytes, write_readable};
+use glam::{DVec3, Vec3};
+
+use super::{
+    Format, Header, Outline, ReadOptions, Reader, Sink, WriteOptions, open, row_bytes, write_readable,
+};
 use crate::decimate::{self, decimate};
 use crate::host_memory;
 use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
-use glam::{DVec3, Vec3};
 
 /// Share of the median Gaussian's size beyond which single-precision steps are too coarse for absolute positions.
 const COARSE: f64 = 0.01;
-
 /// Number of Gaussians that suffices to choose an origin.
 const ORIGIN_SAMPLE: u64 = 1 << 16;
 
@@ -72,10 +74,6 @@ pub struct Converted {
 /// Reads a file of Gaussians, changes them, and writes them in another format.
 ///
 /// The input is read twice if the output's header needs the number and box of the Gaussians.
-///
-/// # Errors
-/// Same as [`super::read`] and [`super::write`]; [`ashsplat::Error::Input`] for a change that makes parameters
-/// unreadable.
 pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<Converted> {
     join(&[Input { path: input, similarity: Similarity::default() }], output, options)
 }
@@ -83,13 +81,9 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
 /// Same as [`convert`], but joins several files in order. The highest SH degree is kept.
 ///
 /// # Errors
-/// Same as [`convert`]; [`Error::Input`] for inputs of which only some were trained with antialiasing, or with
-/// different kernel sizes; [`Error::Argument`] without inputs.
+/// [`Error::Input`] for inputs of which only some were trained with antialiasing, or with different kernel sizes.
 pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Result<Converted> {
-    let format = match options.format {
-        Some(format) => format,
-        None => Format::of_extension(output)?,
-    };
+    let format = Format::chosen(options.format, output)?;
     options.cut.check()?;
     let headers = inputs.iter().map(|input| Ok(open(input.path, &options.read)?.header().clone()));
     let headers = headers.collect::<Result<Vec<Header>>>()?;
@@ -99,8 +93,8 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     for (input, header) in inputs.iter().zip(&headers) {
         let [own, there] = [header, first].map(Header::marks_in_words);
         if own != there {
-            let problem =
-                format!("was trained {own}, {} {there}: one file cannot say both", all.path.display());
+            let all = all.path.display();
+            let problem = format!("was trained {own}, {all} {there}: one file cannot say both");
             return Err(Error::input(input.path, problem, "join scenes that were trained alike"));
         }
     }
@@ -124,26 +118,23 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
         let needed = count.saturating_mul(2 * row_bytes(sh_degree) + decimate::BYTES);
         host_memory::check(all.path, needed, options.read.max_host_memory)?;
     }
-    let changes: Vec<(&Path, Cut, Move)> = inputs
-        .iter()
-        .zip(&headers)
-        .map(|(input, header)| {
-            let similarity = match input.similarity == Similarity::default() {
-                true => options.similarity,
-                false => options.similarity.after(&input.similarity),
-            };
-            (input.path, options.cut_of(header), Move { from: header.origin, similarity })
-        })
-        .collect();
+    let change = |(input, header): (&Input<'_>, &Header)| {
+        let similarity = match input.similarity == Similarity::default() {
+            true => options.similarity,
+            false => options.similarity.after(&input.similarity),
+        };
+        (options.cut_of(header), Move { from: header.origin, similarity })
+    };
+    let changes: Vec<(Cut, Move)> = inputs.iter().zip(&headers).map(change).collect();
     let read = |to: DVec3, sink: &mut Sink<'_>, told: &mut dyn FnMut(usize, String)| {
-        for (index, (path, cut, moved)) in changes.iter().enumerate() {
-            let mut reader = open(path, &options.read)?;
+        for (index, (cut, moved)) in changes.iter().enumerate() {
+            let mut reader = open(inputs[index].path, &options.read)?;
             reader.blocks(&mut |block| sink(changed(block, sh_degree, cut, &moved.to(to))))?;
             reader.warnings.drain(..).for_each(|warning| told(index, warning));
         }
         Ok(())
     };
-    let moved = &changes[0].2;
+    let moved = &changes[0].1;
     // A PLY without a similarity keeps its origin.
     let stays = inputs.len() == 1 && format == Format::Ply && moved.similarity == Similarity::default();
     let mut to = if first.origin == DVec3::ZERO { DVec3::ZERO } else { moved.similarity.apply(first.origin) };
@@ -181,7 +172,7 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     if count == 0 {
         warnings.push("no Gaussians are left".into());
     }
-    let unit = |index: usize| Some(headers[index].unit? * changes[index].2.similarity.scale);
+    let unit = |index: usize| Some(headers[index].unit? * changes[index].1.similarity.scale);
     let unit = unit(0).filter(|own| (1..inputs.len()).all(|index| unit(index) == Some(*own)));
     let frame = WorldFrame { origin: to, unit: unit.unwrap_or(1.0) };
     let double_positions = headers.iter().any(|header| header.double_positions) && format == Format::Ply;
@@ -245,8 +236,7 @@ impl OriginSample {
         self.sizes.extend(block.log_scales.iter().step_by(step).map(largest));
     }
 
-    /// The scene's origin, for positions that are relative to `from`. It is zero if single precision resolves
-    /// absolute positions well.
+    /// The scene's origin, for positions relative to `from`; zero if single precision resolves absolute ones well.
     pub(crate) fn origin(mut self, from: DVec3) -> DVec3 {
         let points: Vec<DVec3> = self.means.iter().map(|mean| from + mean.as_dvec3()).collect();
         let middle = self.sizes.len() / 2;
@@ -273,10 +263,113 @@ pub(super) fn changed(mut block: Gaussians, sh_degree: u32, cut: &Cut, similarit
     block
 }
 
-/// The box around two boxes.
 pub(super) fn around(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
     match (a, b) {
         (Some(a), Some(b)) => Some(Bounds { min: a.min.min(b.min), max: a.max.max(b.max) }),
         (one, other) => one.or(other),
     }
+}
+
+/// A file, and a box that selects its Gaussians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Part<'a> {
+    /// A file of any format.
+    pub path: &'a Path,
+    /// Box that the means must lie in, source units, relative to the first part's origin: see [`Bounds::contains`].
+    pub within: Bounds,
+}
+
+/// Result of a merge.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Merged {
+    /// The output's format.
+    pub format: Format,
+    /// Number of Gaussians from each part, in order.
+    pub written: Vec<u64>,
+    /// SH degree written.
+    pub sh_degree: u32,
+    /// Losses and oddities.
+    pub warnings: Vec<String>,
+}
+
+/// Writes the Gaussians inside the parts' boxes into one file, part by part, in order. Each file is read twice, block
+/// by block, so memory does not grow with the files, except for compressed PLY, which is sorted in memory. The parts,
+/// not `options`, decide if the output is marked as trained with antialiasing.
+///
+/// # Errors
+/// [`Error::Input`] for a part whose SH degree or antialiasing differs from the first part's.
+pub fn merge(
+    parts: &[Part<'_>],
+    output: &Path,
+    read: &ReadOptions,
+    options: &WriteOptions,
+) -> Result<Merged> {
+    let format = Format::chosen(options.format, output)?;
+    let first = parts.first().ok_or_else(|| Error::argument("parts", "there are none to merge"))?;
+    let of_first = open(first.path, read)?.header().clone();
+    let sh_degree = of_first.sh_degree.min(format.max_sh_degree());
+    let Header { antialiased, kernel_size, is_2dgs, .. } = of_first;
+    let mut warnings = format.losses(of_first.sh_degree, (antialiased, kernel_size, is_2dgs));
+    let (mut written, mut bounds) = (Vec::new(), None);
+    for part in parts {
+        let mut reader = open(part.path, read)?;
+        let header = reader.header();
+        let (own, there) = (described(header), described(&of_first));
+        if own != there {
+            let problem = format!("has {own}, {} has {there}", first.path.display());
+            return Err(Error::input(part.path, problem, "train all parts with the same settings"));
+        }
+        warnings.extend(header.warnings.iter().cloned());
+        let mut count = 0;
+        let shift = shift(header, &of_first);
+        inside(&mut reader, (shift, part.within), &mut |block| {
+            count += block.len() as u64;
+            bounds = around(bounds, block.bounds());
+            Ok(())
+        })?;
+        written.push(count);
+        let own = reader.warnings.drain(..);
+        warnings.extend(own.map(|warning| format!("{}: {warning}", part.path.display())));
+    }
+    let count = written.iter().sum();
+    let frame = WorldFrame { origin: of_first.origin, unit: of_first.unit.unwrap_or(1.0) };
+    let double_positions = of_first.double_positions && format == Format::Ply;
+    let outline =
+        Outline { count, sh_degree, antialiased, kernel_size, is_2dgs, bounds, frame, double_positions };
+    warnings.extend(format.origin_note(output, &outline));
+    let loss = write_readable(output, (format, options.spz_version), &outline, &mut |sink| {
+        for part in parts {
+            let mut reader = open(part.path, read)?;
+            let shift = shift(reader.header(), &of_first);
+            inside(&mut reader, (shift, part.within), &mut |block| {
+                sink(if sh_degree == block.sh_degree { block } else { block.with_sh_degree(sh_degree) })
+            })?;
+        }
+        Ok(())
+    })?;
+    warnings.extend(loss);
+    Ok(Merged { format, written, sh_degree, warnings })
+}
+
+/// The properties that all parts must share, in words.
+fn described(header: &Header) -> String {
+    format!("SH degree {}, {}", header.sh_degree, header.marks_in_words())
+}
+
+/// Makes a part's positions relative to the first one's origin.
+fn shift(part: &Header, first: &Header) -> Similarity {
+    Similarity { translation: part.origin - first.origin, ..Default::default() }
+}
+
+/// Passes the Gaussians in a box to the sink, after a shift.
+fn inside(
+    reader: &mut Reader<'_>,
+    (shift, within): (Similarity, Bounds),
+    sink: &mut Sink<'_>,
+) -> Result<u64> {
+    reader.blocks(&mut |mut block| {
+        block.transform(&shift);
+        block.retain(|all, index| within.contains(Vec3::from_array(all.means[index])));
+        sink(block)
+    })
 }

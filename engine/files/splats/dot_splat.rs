@@ -7,18 +7,18 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use super::{BLOCK, Format, Header, Outline, Produce, Sink, Source, origin_file};
-use crate::{atomic, cost, regular_file};
+use super::format::read_origin;
+use super::{BLOCK, Format, Header, Outline, Produce, Sink, Source, spz};
+use crate::regular_file::{self, OnFile, u32_at};
+use crate::{atomic, cost};
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
 use ashsplat::{Error, Result};
 
 const ROW: usize = 32;
-
 /// Least distance of a stored opacity from 0 and 1, whose logits are infinite.
 const OPACITY_MARGIN: f64 = 1e-6;
 
-/// An open `.splat`.
 pub(super) struct DotSplat {
     path: PathBuf,
     file: File,
@@ -36,7 +36,7 @@ impl DotSplat {
             let problem = format!("has {rest} bytes after {count} Gaussians of {ROW} bytes");
             return Err(Error::input(path, problem, "it is cut short or no .splat: download it again"));
         }
-        let origin = origin_file::read(path)?;
+        let origin = read_origin(path)?;
         let header = Header { origin, ..Header::new(Format::Splat, bytes / ROW as u64, 0) };
         Ok(Self { path: path.to_owned(), file, header })
     }
@@ -54,7 +54,7 @@ impl Source for DotSplat {
         while left > 0 {
             let rows = BLOCK.min(left);
             let bytes = &mut bytes[..rows * ROW];
-            reader.read_exact(bytes).map_err(|source| Error::io(&self.path, "read", source))?;
+            reader.read_exact(bytes).reading(&self.path)?;
             let mut block = Gaussians::with_capacity(0, rows);
             bytes.as_chunks::<ROW>().0.iter().for_each(|row| unpack(row, &mut block));
             sink(block)?;
@@ -66,7 +66,7 @@ impl Source for DotSplat {
 
 fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
     cost::step();
-    let float = |at: usize| f32::from_le_bytes([row[at], row[at + 1], row[at + 2], row[at + 3]]);
+    let float = |at: usize| f32::from_bits(u32_at(row, at));
     block.means.push([float(0), float(4), float(8)]);
     // The logarithm of a negative size is NaN, which is unusable.
     block.log_scales.push([float(12), float(16), float(20)].map(f32::ln));
@@ -78,14 +78,13 @@ fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
     block.quats.push(if length > 0.0 { quat.map(|q| q / length) } else { quat });
 }
 
-/// Writes Gaussians block by block.
 pub(super) fn write(path: &Path, _outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     atomic::write_seekable(path, |writer| {
         let mut rows = Vec::new();
         produce(&mut |block| {
             rows.clear();
             (0..block.len()).for_each(|index| pack(&block, index, &mut rows));
-            writer.write_all(&rows).map_err(|source| Error::io(path, "write", source))
+            writer.write_all(&rows).writing(path)
         })
     })
 }
@@ -98,8 +97,5 @@ fn pack(block: &Gaussians, index: usize, rows: &mut Vec<u8>) {
     }
     rows.extend(block.sh_of(index)[0].map(|dc| byte(255.0 * sh_dc_to_rgb(dc))));
     rows.push(byte(255.0 * block.opacity(index)));
-    let quat = block.quats[index];
-    let length = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
-    let quat = if length > 0.0 { quat.map(|q| q / length) } else { [1.0, 0.0, 0.0, 0.0] };
-    rows.extend(quat.map(|q| byte(q * 128.0 + 128.0)));
+    rows.extend(spz::unit(block.quats[index]).map(|q| byte(q * 128.0 + 128.0)));
 }

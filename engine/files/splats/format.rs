@@ -1,10 +1,18 @@
-//! File formats of Gaussians.
+//! File formats of Gaussians: names, detection, the origin beside files without a field for it, and unread formats.
 
-use std::path::Path;
+use std::fs;
+use std::io::{ErrorKind, Read};
+use std::path::{Path, PathBuf};
 
-use super::{Outline, origin_file};
-use ashsplat::{Error, Result};
+use flate2::read::GzDecoder;
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use super::Outline;
+use crate::names::{has_photo_ending, quoted};
+use crate::regular_file::{self, OnFile};
+use crate::{atomic, ply};
+use ashsplat::{Error, Result};
 
 /// Bound of log-scales in both directions, as in the format's first writer.
 pub(crate) const MAX_COMPRESSED_LOG_SCALE: f32 = 20.0;
@@ -66,20 +74,25 @@ impl Format {
             Self::Ply if outline.double_positions => return None,
             Self::Glb | Self::Gltf => return None,
             Self::Ply | Self::CompressedPly => "a comment in its header".to_owned(),
-            Self::Splat | Self::Spz => origin_file::path_of(path).display().to_string(),
+            Self::Splat | Self::Spz => origin_path(path).display().to_string(),
         };
         Some(format!("positions are relative to {x},{y},{z}, which {place} names"))
     }
 
     /// The extension of a file's name, with the dot.
     pub fn extension(self) -> &'static str {
+        self.words().0
+    }
+
+    /// The extension, and the name in messages.
+    fn words(self) -> (&'static str, &'static str) {
         match self {
-            Self::Ply => ".ply",
-            Self::CompressedPly => ".compressed.ply",
-            Self::Splat => ".splat",
-            Self::Spz => ".spz",
-            Self::Glb => ".glb",
-            Self::Gltf => ".gltf",
+            Self::Ply => (".ply", "PLY"),
+            Self::CompressedPly => (".compressed.ply", "compressed PLY"),
+            Self::Splat => (".splat", ".splat"),
+            Self::Spz => (".spz", "SPZ"),
+            Self::Glb => (".glb", "GLB"),
+            Self::Gltf => (".gltf", "glTF"),
         }
     }
 
@@ -94,9 +107,6 @@ impl Format {
     }
 
     /// The format by a file's name.
-    ///
-    /// # Errors
-    /// [`Error::Input`] for an unknown extension.
     pub fn of_extension(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         Self::by_name(path).ok_or_else(|| {
@@ -105,7 +115,12 @@ impl Format {
         })
     }
 
-    pub(super) fn by_name(path: &Path) -> Option<Self> {
+    /// The requested format, or that of a file's name.
+    pub(super) fn chosen(requested: Option<Self>, path: &Path) -> Result<Self> {
+        requested.map_or_else(|| Self::of_extension(path), Ok)
+    }
+
+    fn by_name(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
         // The longest of several matching extensions counts.
         Self::ALL.into_iter().filter(|f| name.ends_with(f.extension())).max_by_key(|f| f.extension().len())
@@ -114,13 +129,221 @@ impl Format {
 
 impl std::fmt::Display for Format {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Ply => "PLY",
-            Self::CompressedPly => "compressed PLY",
-            Self::Splat => ".splat",
-            Self::Spz => "SPZ",
-            Self::Glb => "GLB",
-            Self::Gltf => "glTF",
+        f.write_str(self.words().1)
+    }
+}
+
+impl Format {
+    /// The format of a file by its first bytes, or by its name if they are ambiguous.
+    pub fn of_file(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let start = first_bytes(path)?;
+        if let Some(error) = foreign(path) {
+            return Err(error);
+        }
+        let by_name = Self::by_name(path);
+        let by_content = match start.as_slice() {
+            [b'p', b'l', b'y', b'\n' | b'\r', ..] => {
+                Some(if ply::is_compressed(path)? { Self::CompressedPly } else { Self::Ply })
+            }
+            [b'N', b'G', b'S', b'P', ..] => Some(Self::Spz),
+            [b'g', b'l', b'T', b'F', ..] => Some(Self::Glb),
+            [0x1f, 0x8b, ..] if by_name.is_none() => Some(Self::Spz),
+            _ => None,
+        };
+        by_content.or(by_name).ok_or_else(|| {
+            let known = format!("known are {}", Self::ALL.map(Self::extension).join(" "));
+            let unknown = ("is no file of Gaussians that is known", &*known);
+            let (problem, remedy) = regular_file::recognise(&start).unwrap_or(unknown);
+            Error::input(path, problem, remedy)
         })
     }
+}
+
+/// Farthest origin, source units: the square of a coordinate must not overflow in single precision.
+pub(crate) const FARTHEST: f64 = 1e18;
+/// Largest such file, bytes.
+const MOST_BYTES: u64 = 4096;
+
+#[derive(Serialize, Deserialize)]
+struct OriginJson {
+    origin: [f64; 3],
+}
+
+/// Path of the file with the origin.
+fn origin_path(path: &Path) -> PathBuf {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(".origin.json");
+    path.with_file_name(name)
+}
+
+/// Reads the origin of a file's positions; zero without such a file.
+pub(super) fn read_origin(path: &Path) -> Result<DVec3> {
+    let path = origin_path(path);
+    if !path.is_file() {
+        return Ok(DVec3::ZERO);
+    }
+    let text = regular_file::read_at_most(&path, MOST_BYTES)?.unwrap_or_default();
+    let json = serde_json::from_slice::<OriginJson>(&text).map_err(|e| e.to_string());
+    let origin = json.and_then(|json| match DVec3::from_array(json.origin) {
+        origin if origin.abs().max_element() <= FARTHEST => Ok(origin),
+        _ => Err(format!("it may be up to {FARTHEST:e}")),
+    });
+    origin.map_err(|problem| {
+        let remedy = "expected {\"origin\": [x, y, z]}; remove the file if positions are absolute";
+        Error::input(&path, format!("is no origin: {problem}"), remedy)
+    })
+}
+
+/// Writes the origin of a newly written file. A zero origin removes an earlier origin file.
+pub(super) fn write_origin(path: &Path, origin: DVec3) -> Result<()> {
+    let beside = origin_path(path);
+    if origin == DVec3::ZERO {
+        return match fs::remove_file(&beside) {
+            Err(e) if e.kind() != ErrorKind::NotFound => Err(Error::io(&beside, "remove", e)),
+            _ => Ok(()),
+        };
+    }
+    let json = OriginJson { origin: origin.to_array() };
+    let written = atomic::write(&beside, |writer| Ok(serde_json::to_writer(writer, &json)?));
+    // Positions without their origin would be silently wrong, so the scene is removed too.
+    written.inspect_err(|_| drop(fs::remove_file(path)))
+}
+
+/// Number of bytes of a JSON file that are searched.
+const SEARCHED_BYTES: u64 = 64 * 1024;
+
+/// Compression formats of single files: first bytes, name, and the command that unpacks to the standard output.
+const PACKERS: [(&[u8], &str, &str); 5] = [
+    (b"\x1f\x8b", "gzip", "gzip -dc"),
+    (b"\x28\xb5\x2f\xfd", "zstd", "zstd -dc"),
+    (b"BZh", "bzip2", "bzip2 -dc"),
+    (b"\xfd7zXZ\0", "xz", "xz -dc"),
+    (b"\x04\x22\x4d\x18", "lz4", "lz4 -dc"),
+];
+
+/// Archive formats other than ZIP: offset, first bytes, name and command.
+const ARCHIVERS: [(usize, &[u8], &str, &str); 3] = [
+    (0, b"7z\xbc\xaf\x27\x1c", "a 7z archive", "7z x"),
+    (0, b"Rar!\x1a\x07", "a RAR archive", "unrar x"),
+    (257, b"ustar", "a tar archive", "tar -xf"),
+];
+
+/// Extensions of scenes that other programs can convert.
+const CONVERTED: [(&str, &str, &str); 6] = [
+    ("sog", "is a SOG", "splat-transform"),
+    ("ksplat", "is a .ksplat of GaussianSplats3D", "splat-transform"),
+    ("lcc", "is an LCC scene of XGRIDS", "splat-transform --select-lod 0"),
+    ("lcc2", "is an LCC scene of XGRIDS", "splat-transform --select-lod 0"),
+    ("spx", "is an SPX scene", "gsbox spx2ply"),
+    ("sogst", "is an animated SOG", ""),
+];
+
+/// First bytes of a file.
+fn first_bytes(path: &Path) -> Result<Vec<u8>> {
+    let (file, _) = regular_file::open(path)?;
+    let mut start = Vec::new();
+    file.take(512).read_to_end(&mut start).reading(path)?;
+    Ok(start)
+}
+
+/// The error for a file or folder with a scene in an unread format; `None` for anything else.
+pub fn foreign(path: &Path) -> Option<Error> {
+    if path.is_dir() {
+        return ["meta.json", "lod-meta.json"].iter().find_map(|name| json(&path.join(name)));
+    }
+    let start = first_bytes(path).ok()?;
+    if start.starts_with(b"PK\x03\x04") {
+        return zip(path);
+    }
+    if start.starts_with(b"spx") && start.get(3).is_some_and(|version| *version < 32) {
+        return converted(path, "spx");
+    }
+    let by_name = Format::by_name(path);
+    if let Some((_, name, command)) = PACKERS.iter().find(|(magic, ..)| start.starts_with(magic)) {
+        let mut inside = [0; 4];
+        // SPZ is gzip itself.
+        let is_spz = GzDecoder::new(&*start).read_exact(&mut inside).is_err() || inside == *b"NGSP";
+        if *name == "gzip" && (is_spz || by_name == Some(Format::Spz)) {
+            return None;
+        }
+        let stem = path.file_stem().map(Path::new).filter(|_| by_name.is_none());
+        let out = stem.map_or(path.with_file_name("unpacked.ply"), |stem| path.with_file_name(stem));
+        let remedy = format!("unpack it: `{command} {} > {}`", shell(path), shell(&out));
+        return Some(Error::input(path, format!("is packed with {name}"), remedy));
+    }
+    let is = |(at, magic): (usize, &[u8])| start.get(at..).is_some_and(|start| start.starts_with(magic));
+    if let Some((.., what, command)) = ARCHIVERS.iter().find(|(at, magic, ..)| is((*at, magic))) {
+        let remedy = format!("unpack it: `{command} {}`", shell(path));
+        return Some(Error::input(path, format!("is {what}"), remedy));
+    }
+    match by_name {
+        Some(_) => None,
+        None if start.trim_ascii_start().starts_with(b"{") => json(path).or_else(|| by_ending(path)),
+        None => by_ending(path),
+    }
+}
+
+fn by_ending(path: &Path) -> Option<Error> {
+    converted(path, &path.extension()?.to_str()?.to_ascii_lowercase())
+}
+
+/// The error for a scene with this extension.
+fn converted(path: &Path, ending: &str) -> Option<Error> {
+    let (_, problem, command) = CONVERTED.iter().find(|(known, ..)| *known == ending)?;
+    let (input, out) = (shell(path), shell(&path.with_extension("ply")));
+    let remedy = match *command {
+        "" => "export one moment of it as a PLY".to_owned(),
+        "gsbox spx2ply" => format!("make a PLY of it: `{command} -i {input} -o {out}`"),
+        command => format!("make a PLY of it: `{command} {input} {out}`"),
+    };
+    Some(Error::input(path, format!("{problem}, which is not read"), remedy))
+}
+
+/// The error for the JSON of a SOG without its ZIP.
+fn json(path: &Path) -> Option<Error> {
+    let mut text = Vec::new();
+    regular_file::open(path).ok()?.0.take(SEARCHED_BYTES).read_to_end(&mut text).ok()?;
+    let text = String::from_utf8_lossy(&text);
+    let out = path.with_file_name("scene.ply");
+    let is_streamed = path.file_name().is_some_and(|name| name == "lod-meta.json");
+    let (what, level) = match is_streamed {
+        true => ("a streamed SOG", "--select-lod 0 "),
+        false => ("a SOG without its ZIP", ""),
+    };
+    let has = |word: &str| text.contains(word);
+    let is_sog = is_streamed && has("\"lodLevels\"") || has("\"means\"") && has(".webp\"");
+    is_sog.then(|| {
+        let remedy = format!("make a PLY of it: `splat-transform {level}{} {}`", shell(path), shell(&out));
+        Error::input(path, format!("is {what}, which is not read"), remedy)
+    })
+}
+
+/// The error for a ZIP that does not hold a data set.
+fn zip(path: &Path) -> Option<Error> {
+    let archive = zip::ZipArchive::new(std::io::BufReader::new(regular_file::open(path).ok()?.0)).ok()?;
+    let names: Vec<String> = archive.file_names().flatten().map(|name| name.into_owned()).collect();
+    let with = |endings: &[&str]| {
+        let fits = |name: &&String| endings.iter().any(|ending| name.to_ascii_lowercase().ends_with(ending));
+        names.iter().find(fits)
+    };
+    if by_ending(path).is_some() || with(&["means_l.webp"]).is_some() {
+        return by_ending(path).or_else(|| converted(path, "sog"));
+    }
+    let export = "export a PLY with the program that wrote it";
+    if with(&["data.pkl"]).is_some() {
+        return Some(Error::input(path, "is a checkpoint of PyTorch", export));
+    }
+    if with(&[".usda", ".usdc", ".usd"]).is_some() {
+        return Some(Error::input(path, "is a USDZ, which is not read", export));
+    }
+    let is_data_set = with(&["transforms.json", "cameras.bin", "cameras.txt"]).is_some()
+        || names.iter().any(|name| has_photo_ending(Path::new(name)));
+    let scene = with(&[".ply", ".splat", ".spz", ".glb", ".ksplat", ".sog"]).filter(|_| !is_data_set)?;
+    let remedy = format!("unpack it: `unzip {} {}`, and give that file", shell(path), quoted(scene));
+    Some(Error::input(path, format!("is a ZIP with a scene, {scene}"), remedy))
+}
+
+fn shell(path: &Path) -> String {
+    quoted(&path.to_string_lossy())
 }

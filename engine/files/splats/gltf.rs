@@ -1,40 +1,32 @@
 //! Reads glTF and GLB with `KHR_gaussian_splatting` (ratified form: linear scales, quaternions x, y, z, w).
 //!
-//! glTF's y points up, and its z towards the viewer of a scene's front: x and y are opposite to those of this
-//! crate's frame.
+//! glTF's y points up, and its z towards the viewer of a scene's front: x and y are opposite to this crate's.
 
-mod accessor;
 mod document;
-mod packed;
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use accessor::{Accessor, Buffers};
-use document::Document;
-use packed::PackedRows;
+use glam::DVec3;
 
+use super::spz::Spz;
 use super::{BLOCK, Format, Header, ReadOptions, Sink, Source, is_kernel_size};
 use crate::cost;
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::{Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
-use glam::DVec3;
+use document::{Accessor, Buffer, Buffers, Compression, Document, Mesh, Primitive, SplatsExtension};
 
 /// Axes of glTF that are opposite to those of this crate's frame.
 pub(super) const MIRRORED: [bool; 3] = [true, true, false];
-
 pub(crate) const EXTENSION: &str = "KHR_gaussian_splatting";
-
 /// The extension that packs its attributes as an SPZ.
 pub(crate) const PACKED_EXTENSION: &str = "KHR_gaussian_splatting_compression_spz_2";
-
 /// Least distance of a stored opacity from 0 and 1, whose logits are infinite.
 const OPACITY_MARGIN: f64 = 3e-8;
-
 /// Largest rounding error of an opacity beyond 0 and 1.
 const OPACITY_SLACK: f32 = 1e-3;
-
 /// Largest number of placed primitives.
 const MOST_PARTS: usize = 1 << 16;
 /// Number of Gaussians that may be placed any number of times, however few the file has.
@@ -42,7 +34,6 @@ const FREE_GAUSSIANS: u64 = 1 << 20;
 /// Largest number of uses of each byte of the file, if there are more Gaussians than these.
 const MOST_USES: u64 = 16;
 
-/// An open glTF.
 pub(super) struct Gltf {
     buffers: Buffers,
     parts: Vec<Part>,
@@ -50,22 +41,27 @@ pub(super) struct Gltf {
     path: PathBuf,
 }
 
-/// A primitive at a node.
+/// A primitive of Gaussians at a node.
 struct Part {
     placement: Similarity,
+    count: u64,
     sh_degree: u32,
+    /// Number of bytes in the file.
+    bytes: u64,
     rows: Rows,
 }
 
-/// Storage of a part's Gaussians.
 enum Rows {
     Plain(PlainRows),
-    Packed(PackedRows),
+    /// An SPZ. `has_own_axes` tells SPZ's axes from glTF's (see [`super::gltf_write::write_packed`]).
+    Packed {
+        spz: Spz,
+        has_own_axes: bool,
+    },
 }
 
 /// Gaussians in accessors.
 struct PlainRows {
-    count: usize,
     position: Accessor,
     rotation: Accessor,
     scale: Accessor,
@@ -77,25 +73,25 @@ impl Gltf {
     pub(super) fn open(path: &Path, format: Format, options: &ReadOptions) -> Result<Self> {
         let (document, buffers) = Document::open(path, format, options.max_host_memory)?;
         let mut header = Header::new(format, 0, 0);
+        let shown = path.display();
         for name in document.unread_extensions() {
-            header.warnings.push(format!("{}: requires {name}, which is not read", path.display()));
+            header.warnings.push(format!("{shown}: requires {name}, which is not read"));
         }
         let mut parts = Vec::new();
-        let (held, mut used) = (buffers.bytes(), 0_u64);
+        let (held, mut used, mut others) = (buffers.bytes(), 0_u64, 0);
         let mut uses: BTreeMap<(usize, usize), u64> = BTreeMap::new();
-        let splats: Vec<Vec<Splats<'_>>> = document.meshes.iter().map(Splats::of).collect();
-        let mut others = 0;
+        // Many nodes may share a mesh, which may have many other primitives.
+        let splats: Vec<Vec<_>> = document.meshes.iter().map(splats_of).collect();
         for (mesh_index, placement) in document.placed_meshes(path)? {
             let Some(mesh) = splats.get(mesh_index) else {
                 let problem = format!("a node has mesh {mesh_index}, there are {}", document.meshes.len());
                 return Err(damaged(path, problem));
             };
             others += document.meshes[mesh_index].primitives.len() - mesh.len();
-            for &Splats { index, primitive, extension } in mesh {
+            for &(index, primitive, extension) in mesh {
                 cost::step();
-                let place = format!("mesh {mesh_index}, primitive {index}");
-                let mut warn =
-                    |what: String| header.warnings.push(format!("{}: {place}: {what}", path.display()));
+                let place = &format!("mesh {mesh_index}, primitive {index}");
+                let mut warn = |what: String| header.warnings.push(format!("{shown}: {place}: {what}"));
                 match extension.color_space.as_deref() {
                     None | Some("srgb_rec709_display") => {}
                     Some("lin_rec709_display") => {
@@ -109,37 +105,25 @@ impl Gltf {
                 header.antialiased |= extension.extras.antialiased;
                 let kernel_size = extension.extras.kernel_size.map(|size| size as f32);
                 header.kernel_size = kernel_size.filter(is_kernel_size).or(header.kernel_size);
-                let packed = PackedRows::of(path, &place, (&document, &buffers), (primitive, extension))?;
-                let rows = if let Some(packed) = packed {
+                let (document, buffers) = (&document, &buffers);
+                let attributes = Attributes { path, place, document, buffers, primitive, extension };
+                let part = attributes.part(placement)?;
+                if let Rows::Packed { spz, .. } = &part.rows {
                     *uses.entry((mesh_index, index)).or_insert(0) += 1;
-                    header.warnings.extend(packed.spz.header().warnings.iter().cloned());
-                    header.antialiased |= packed.spz.header().antialiased;
-                    Rows::Packed(packed)
-                } else {
-                    Rows::Plain(
-                        Attributes {
-                            path,
-                            place: &place,
-                            document: &document,
-                            buffers: &buffers,
-                            primitive,
-                            extension,
-                        }
-                        .rows()?,
-                    )
-                };
-                used = used.saturating_add(rows.bytes());
-                header.count = header.count.saturating_add(rows.count());
-                parts.push(Part { placement, sh_degree: rows.sh_degree(), rows });
+                    header.warnings.extend(spz.header().warnings.iter().cloned());
+                    header.antialiased |= spz.header().antialiased;
+                }
+                used = used.saturating_add(part.bytes);
+                header.count = header.count.saturating_add(part.count);
+                parts.push(part);
                 // A few bytes could claim any number of Gaussians, placed at many nodes. Packed ones are unpacked for
                 // each node.
                 let copies = header.count > FREE_GAUSSIANS && used / MOST_USES > held
                     || uses.get(&(mesh_index, index)).is_some_and(|&uses| uses > MOST_USES);
                 if copies || parts.len() > MOST_PARTS {
+                    let (count, places) = (header.count, parts.len());
                     let problem = format!(
-                        "places the same Gaussians again and again: {} or more at {} places from {held} bytes",
-                        header.count,
-                        parts.len()
+                        "places the same Gaussians again and again: {count} or more at {places} places from {held} bytes"
                     );
                     let remedy =
                         format!("place each at most {MOST_USES} times, at {MOST_PARTS} places in all");
@@ -152,8 +136,7 @@ impl Gltf {
             return Err(Error::input(path, problem, "is it a mesh?"));
         }
         if others > 0 {
-            let path = path.display();
-            header.warnings.push(format!("{path}: {others} primitives that are no Gaussians are not used"));
+            header.warnings.push(format!("{shown}: {others} primitives that are no Gaussians are not used"));
         }
         header.sh_degree = parts.iter().map(|part| part.sh_degree).max().unwrap_or(0);
         let mut gltf = Self { buffers, parts, header, path: path.to_owned() };
@@ -187,52 +170,76 @@ fn damaged(path: &Path, problem: impl Into<String>) -> Error {
     Error::input(path, problem, "the file is damaged or cut short: write or download it again")
 }
 
-/// A primitive of Gaussians and its index in its mesh. Many nodes may share a mesh, which may have many other
-/// primitives.
-struct Splats<'a> {
-    index: usize,
-    primitive: &'a document::Primitive,
-    extension: &'a document::SplatsExtension,
+/// The primitives of Gaussians in a mesh, with their indices.
+fn splats_of(mesh: &Mesh) -> Vec<(usize, &Primitive, &SplatsExtension)> {
+    let own = |(index, primitive)| {
+        cost::step();
+        let primitive: &Primitive = primitive;
+        Some((index, primitive, primitive.extensions.splats.as_deref()?))
+    };
+    mesh.primitives.iter().enumerate().filter_map(own).collect()
 }
 
-impl<'a> Splats<'a> {
-    fn of(mesh: &'a document::Mesh) -> Vec<Self> {
-        let own = |(index, primitive): (usize, &'a document::Primitive)| {
-            cost::step();
-            Some(Self { index, primitive, extension: primitive.extensions.splats.as_deref()? })
-        };
-        mesh.primitives.iter().enumerate().filter_map(own).collect()
-    }
-}
-
-/// The attributes of one primitive.
 struct Attributes<'a> {
     path: &'a Path,
     place: &'a str,
     document: &'a Document,
     buffers: &'a Buffers,
-    primitive: &'a document::Primitive,
-    extension: &'a document::SplatsExtension,
+    primitive: &'a Primitive,
+    extension: &'a SplatsExtension,
 }
 
 impl Attributes<'_> {
-    fn rows(&self) -> Result<PlainRows> {
-        let position = self.required("POSITION", 3)?;
+    fn part(&self, placement: Similarity) -> Result<Part> {
+        if let Some(packed) = self.extension.extensions.get(PACKED_EXTENSION) {
+            let (spz, bytes) = self.packed(packed)?;
+            let has_own_axes = self.extension.kernel.is_some();
+            let spz = if has_own_axes { spz } else { spz.without_axes() };
+            let &Header { count, sh_degree, .. } = spz.header();
+            return Ok(Part { placement, count, sh_degree, bytes, rows: Rows::Packed { spz, has_own_axes } });
+        }
         let own = |name: &str| format!("{EXTENSION}:{name}");
         let rows = PlainRows {
-            count: position.count(),
+            position: self.required("POSITION", 3)?,
             rotation: self.required(&own("ROTATION"), 4)?,
             scale: self.required(&own("SCALE"), 3)?,
             opacity: self.required(&own("OPACITY"), 1)?,
             sh: self.sh(&own)?,
-            position,
         };
-        let others = [&rows.rotation, &rows.scale, &rows.opacity].into_iter().chain(&rows.sh);
-        if let Some(odd) = others.map(Accessor::count).find(|&count| count != rows.count) {
-            let problem = format!("{}: {} positions, but {odd} of another attribute", self.place, rows.count);
+        let all = || [&rows.position, &rows.rotation, &rows.scale, &rows.opacity].into_iter().chain(&rows.sh);
+        let count = rows.position.count;
+        if let Some(odd) = all().map(|accessor| accessor.count).find(|&other| other != count) {
+            let problem = format!("{}: {count} positions, but {odd} of another attribute", self.place);
             return Err(damaged(self.path, problem));
         }
-        Ok(rows)
+        let bytes = all().map(Accessor::bytes).sum();
+        let (count, sh_degree) = (count as u64, rows.sh_degree());
+        Ok(Part { placement, count, sh_degree, bytes, rows: Rows::Plain(rows) })
+    }
+
+    /// The SPZ of a packed primitive, and its number of bytes.
+    fn packed(&self, packed: &Compression) -> Result<(Spz, u64)> {
+        let Self { path, place, document, .. } = *self;
+        let wrong = |problem: &str| damaged(path, format!("{place}: {PACKED_EXTENSION}: {problem}"));
+        let view = packed.buffer_view.and_then(|index| document.buffer_views.get(index));
+        let view = view.ok_or_else(|| wrong("its buffer view is missing"))?;
+        let buffer = self.buffers.0.get(view.buffer).ok_or_else(|| wrong("its buffer is missing"))?;
+        if view.byte_offset.checked_add(view.byte_length).is_none_or(|end| end > buffer.bytes()) {
+            return Err(wrong("its buffer view ends behind its buffer"));
+        }
+        let Buffer::File { path: file, offset, .. } = buffer else {
+            let problem = format!("{place}: an SPZ inside the JSON is not read");
+            return Err(Error::input(path, problem, "write it as .glb, or with a .bin"));
+        };
+        let spz = Spz::inside(file, offset + view.byte_offset, view.byte_length)?;
+        let found = spz.header().count;
+        let positions = self.primitive.attributes.get("POSITION").and_then(|&at| document.accessors.get(at));
+        match positions.map_or(found, |accessor| accessor.count) {
+            expected if expected != found => {
+                Err(wrong(&format!("{found} Gaussians, where {expected} are due")))
+            }
+            _ => Ok((spz, view.byte_length)),
+        }
     }
 
     fn sh(&self, own: &dyn Fn(&str) -> String) -> Result<Vec<Accessor>> {
@@ -287,47 +294,20 @@ impl Source for Gltf {
             };
             match &mut part.rows {
                 Rows::Plain(rows) => {
-                    for start in (0..rows.count).step_by(BLOCK) {
-                        let end = (start + BLOCK).min(rows.count);
-                        placed(rows.read(&self.path, buffers, start..end)?)?;
+                    let count = rows.position.count;
+                    for start in (0..count).step_by(BLOCK) {
+                        placed(rows.read(&self.path, buffers, start..(start + BLOCK).min(count))?)?;
                     }
                 }
-                Rows::Packed(rows) => {
-                    let turned = rows.has_own_axes;
-                    rows.spz.blocks(&mut |mut block| {
-                        if turned {
-                            block.mirror(MIRRORED);
-                        }
-                        placed(block)
-                    })?;
-                }
+                Rows::Packed { spz, has_own_axes } => spz.blocks(&mut |mut block| {
+                    if *has_own_axes {
+                        block.mirror(MIRRORED);
+                    }
+                    placed(block)
+                })?,
             }
         }
         Ok(())
-    }
-}
-
-impl Rows {
-    fn count(&self) -> u64 {
-        match self {
-            Self::Plain(rows) => rows.count as u64,
-            Self::Packed(rows) => rows.spz.header().count,
-        }
-    }
-
-    fn sh_degree(&self) -> u32 {
-        match self {
-            Self::Plain(rows) => rows.sh_degree(),
-            Self::Packed(rows) => rows.spz.header().sh_degree,
-        }
-    }
-
-    /// Number of bytes in the file.
-    fn bytes(&self) -> u64 {
-        match self {
-            Self::Plain(rows) => rows.bytes(),
-            Self::Packed(rows) => rows.bytes,
-        }
     }
 }
 
@@ -336,34 +316,17 @@ impl PlainRows {
         (0..=MAX_SH_DEGREE).find(|&degree| sh_coefficients(degree) == self.sh.len()).unwrap_or(0)
     }
 
-    /// Number of bytes of all accessors.
-    fn bytes(&self) -> u64 {
-        let all = [&self.position, &self.rotation, &self.scale, &self.opacity].into_iter().chain(&self.sh);
-        all.map(Accessor::bytes).sum()
-    }
-
-    fn read(&self, path: &Path, buffers: &mut Buffers, rows: std::ops::Range<usize>) -> Result<Gaussians> {
-        let coefficients = self.sh.len();
-        let mut block = Gaussians::with_capacity(self.sh_degree(), rows.len());
-        let [mean, rotation, scale, opacity] = [&self.position, &self.rotation, &self.scale, &self.opacity];
-        block.means = triples(&mean.read(buffers, rows.clone())?);
-        block.quats = rotation
-            .read(buffers, rows.clone())?
-            .as_chunks::<4>()
-            .0
-            .iter()
-            .map(|&[x, y, z, w]| [w, x, y, z])
-            .collect();
-        let sizes = scale.read(buffers, rows.clone())?;
+    fn read(&self, path: &Path, buffers: &mut Buffers, rows: Range<usize>) -> Result<Gaussians> {
+        let mut values = |accessor: &Accessor| accessor.read(buffers, rows.clone());
+        let means = triples(&values(&self.position)?);
+        let quats = values(&self.rotation)?;
+        let quats = quats.as_chunks::<4>().0.iter().map(|&[x, y, z, w]| [w, x, y, z]).collect();
+        let sizes = values(&self.scale)?;
         if sizes.iter().any(|&size| size < 0.0) {
-            let problem = format!("{EXTENSION}:SCALE has values below 0");
-            return Err(Error::input(
-                path,
-                problem,
-                "write sizes, not their logarithms, as the extension says",
-            ));
+            let remedy = "write sizes, not their logarithms, as the extension says";
+            return Err(Error::input(path, format!("{EXTENSION}:SCALE has values below 0"), remedy));
         }
-        block.log_scales = triples(&sizes).into_iter().map(|s| s.map(f32::ln)).collect();
+        let log_scales = triples(&sizes).into_iter().map(|s| s.map(f32::ln)).collect();
         let logit = |opacity: f32| {
             if !(-OPACITY_SLACK..=1.0 + OPACITY_SLACK).contains(&opacity) {
                 return f32::NAN;
@@ -371,18 +334,19 @@ impl PlainRows {
             let opacity = f64::from(opacity).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
             (opacity / (1.0 - opacity)).ln() as f32
         };
-        block.opacity_logits = opacity.read(buffers, rows.clone())?.into_iter().map(logit).collect();
-        if block.opacity_logits.iter().any(|logit| logit.is_nan()) {
-            let problem = format!("{EXTENSION}:OPACITY has values outside of 0 to 1");
+        let opacity_logits: Vec<f32> = values(&self.opacity)?.into_iter().map(logit).collect();
+        if opacity_logits.iter().any(|logit| logit.is_nan()) {
             let remedy = "write opacities, not their logits, as the extension says";
+            let problem = format!("{EXTENSION}:OPACITY has values outside of 0 to 1");
             return Err(Error::input(path, problem, remedy));
         }
-        block.sh = vec![[0.0; 3]; rows.len() * coefficients];
+        let coefficients = self.sh.len();
+        let mut sh = vec![[0.0; 3]; rows.len() * coefficients];
         for (k, accessor) in self.sh.iter().enumerate() {
-            let values = triples(&accessor.read(buffers, rows.clone())?);
-            block.sh[k..].iter_mut().step_by(coefficients).zip(values).for_each(|(to, from)| *to = from);
+            let of_k = triples(&values(accessor)?);
+            sh[k..].iter_mut().step_by(coefficients).zip(of_k).for_each(|(to, from)| *to = from);
         }
-        Ok(block)
+        Ok(Gaussians { sh_degree: self.sh_degree(), means, quats, log_scales, opacity_logits, sh })
     }
 }
 

@@ -1,23 +1,23 @@
 //! Writes glTF and GLB with `KHR_gaussian_splatting`: one primitive, one buffer view for each attribute.
 
 use std::fs;
-use std::io::SeekFrom;
+use std::io::{self, SeekFrom};
 use std::path::{Path, PathBuf};
 
+use glam::{BVec3, DVec3};
 use serde_json::{Value, json};
 
-use super::gltf::{EXTENSION, MIRRORED, mirrored};
-use super::{Format, Outline, Produce};
+use super::gltf::{EXTENSION, MIRRORED, PACKED_EXTENSION, mirrored};
+use super::{Format, Outline, Produce, spz};
 use crate::atomic::{self, Output};
-use crate::regular_file;
+use crate::regular_file::{self, OnFile};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::sh::sh_dc_to_rgb;
 use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::{Error, Result};
-use glam::DVec3;
 
-pub(super) const FLOAT: u32 = 5126;
-pub(super) const UNSIGNED_BYTE: u32 = 5121;
+const FLOAT: u32 = 5126;
+const UNSIGNED_BYTE: u32 = 5121;
 const ARRAY_BUFFER: u32 = 34_962;
 
 /// Appends the bytes of one Gaussian's attribute.
@@ -44,8 +44,7 @@ impl Plane {
     }
 }
 
-/// Writes Gaussians block by block, each attribute at its place. A `.gltf` gets a new `.bin` first; an earlier `.bin`
-/// is removed last.
+/// Writes Gaussians block by block, each attribute at its place. A `.gltf` gets a new `.bin`; then the old one goes.
 pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let bounds = bounds_of(path, outline)?;
     let planes = planes(outline.sh_degree);
@@ -66,7 +65,7 @@ pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mu
     document["buffers"] = json!([{ "byteLength": binary_bytes }]);
     let head = glb_head(&document, binary_bytes)?;
     atomic::write_seekable(path, |writer| {
-        writer.write_all(&head).map_err(|source| Error::io(path, "write", source))?;
+        writer.write_all(&head).writing(path)?;
         write_planes(path, writer, head.len() as u64, outline, &planes, produce)
     })
 }
@@ -96,13 +95,13 @@ fn named_binary(path: &Path) -> Option<PathBuf> {
 }
 
 /// The box around the means, which an accessor needs.
-pub(super) fn bounds_of(path: &Path, outline: &Outline) -> Result<Bounds> {
+fn bounds_of(path: &Path, outline: &Outline) -> Result<Bounds> {
     let problem = "glTF cannot hold a scene without Gaussians";
     outline.bounds.ok_or_else(|| Error::input(path, problem, "choose another format"))
 }
 
 /// Beginning of a GLB, before `binary_bytes` of binary data.
-pub(super) fn glb_head(document: &Value, binary_bytes: u64) -> Result<Vec<u8>> {
+fn glb_head(document: &Value, binary_bytes: u64) -> Result<Vec<u8>> {
     let mut json = document.to_string().into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');
     let total = 12 + 8 + json.len() as u64 + 8 + binary_bytes;
@@ -143,7 +142,7 @@ fn write_planes(
             (0..block.len()).for_each(|index| (plane.put)(&block, index, &mut bytes));
             let place = SeekFrom::Start(plane_start + done * plane.row_bytes());
             let written = writer.seek(place).and_then(|_| writer.write_all(&bytes));
-            written.map_err(|source| Error::io(path, "write", source))?;
+            written.writing(path)?;
             plane_start += outline.count * plane.row_bytes();
         }
         done += block.len() as u64;
@@ -163,9 +162,8 @@ fn planes(sh_degree: u32) -> Vec<Plane> {
         // Fallback for programs that show only points.
         Plane { name: "COLOR_0".into(), components: 4, component_type: UNSIGNED_BYTE, put: Box::new(color) },
         Plane::floats(&own("ROTATION"), |all, index| {
-            let [w, x, y, z] = all.quats[index];
-            let length = (w * w + x * x + y * y + z * z).sqrt();
-            if length > 0.0 { [x, y, z, w].map(|v| v / length) } else { [0.0, 0.0, 0.0, 1.0] }
+            let [w, x, y, z] = spz::unit(all.quats[index]);
+            [x, y, z, w]
         }),
         Plane::floats(&own("SCALE"), |all, index| all.log_scales[index].map(f32::exp)),
         Plane::floats(&own("OPACITY"), |all, index| [all.opacity(index)]),
@@ -203,33 +201,20 @@ fn document(outline: &Outline, bounds: Bounds, planes: &[Plane]) -> Value {
         accessors.push(accessor);
         attributes.insert(plane.name.clone(), json!(index));
     }
-    let mut extension = json!({
+    let extension = json!({
         "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "sortingMethod": "cameraDistance", "projection": "perspective",
     });
-    mark(&mut extension, outline);
-    json!({
-        "asset": { "version": "2.0", "generator": concat!("ashsplat ", env!("CARGO_PKG_VERSION")) },
-        "extensionsUsed": [EXTENSION],
-        "scene": 0,
-        "scenes": [{ "nodes": [0] }],
-        "nodes": [node(outline)],
-        "bufferViews": views,
-        "accessors": accessors,
-        "meshes": [{ "primitives": [{ "mode": 0, "attributes": attributes, "extensions": { EXTENSION: extension } }] }],
-    })
+    scene(outline, &[EXTENSION], (json!(views), json!(accessors)), (json!(attributes), extension))
 }
 
-/// The node of the Gaussians, at their origin.
-pub(super) fn node(outline: &Outline) -> Value {
-    let origin = mirrored(outline.frame.origin);
-    match outline.frame.origin == DVec3::ZERO {
-        true => json!({ "mesh": 0 }),
-        false => json!({ "mesh": 0, "translation": origin.to_array() }),
-    }
-}
-
-/// Adds the marks that the extension has no fields for.
-pub(super) fn mark(extension: &mut Value, outline: &Outline) {
+/// The document of one primitive at the Gaussians' origin, without its buffers.
+fn scene(
+    outline: &Outline,
+    extensions: &[&str],
+    (views, accessors): (Value, Value),
+    (attributes, mut extension): (Value, Value),
+) -> Value {
+    // The extension has no fields for these marks.
     if outline.antialiased {
         extension["extras"]["antialiased"] = json!(true);
     }
@@ -237,18 +222,27 @@ pub(super) fn mark(extension: &mut Value, outline: &Outline) {
         // The shortest decimal number with the same f32.
         extension["extras"]["kernel_size"] = json!(size.to_string().parse::<f64>().ok());
     }
+    let mut node = json!({ "mesh": 0 });
+    if outline.frame.origin != DVec3::ZERO {
+        node["translation"] = json!(mirrored(outline.frame.origin).to_array());
+    }
+    json!({
+        "asset": { "version": "2.0", "generator": concat!("ashsplat ", env!("CARGO_PKG_VERSION")) },
+        "extensionsUsed": extensions,
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [node],
+        "bufferViews": views,
+        "accessors": accessors,
+        "meshes": [{ "primitives": [{ "mode": 0, "attributes": attributes, "extensions": { EXTENSION: extension } }] }],
+    })
 }
 
 /// The smallest and the largest corner in glTF's axes. On a mirrored axis they swap.
-pub(super) fn mirrored_corners(bounds: Bounds) -> [[f64; 3]; 2] {
-    let corners = [bounds.min, bounds.max].map(|corner| corner.to_array().map(f64::from));
-    [0, 1].map(|which| {
-        std::array::from_fn(
-            |axis| {
-                if MIRRORED[axis] { -corners[1 - which][axis] } else { corners[which][axis] }
-            },
-        )
-    })
+fn mirrored_corners(bounds: Bounds) -> [[f64; 3]; 2] {
+    let [a, b] = [bounds.min, bounds.max].map(|corner| mirrored(corner.as_dvec3()));
+    let swaps = BVec3::from(MIRRORED);
+    [DVec3::select(swaps, b, a), DVec3::select(swaps, a, b)].map(|corner| corner.to_array())
 }
 
 /// A file's name as a relative URI reference.
@@ -257,4 +251,45 @@ fn escaped(name: &str) -> String {
     name.bytes()
         .map(|byte| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") })
         .collect()
+}
+
+/// Writes a GLB whose attributes are an SPZ of version 2: `KHR_gaussian_splatting_compression_spz_2`, a draft. Writes
+/// Gaussians block by block; temporary files hold them until they are packed.
+///
+/// The draft and its readers differ. The draft requires SPZ's own axes (right, up, back), which a loader rotates.
+/// CesiumJS (1.145) and the tiles of Cesium ion have glTF's axes instead, and name neither kernel nor colour space.
+/// This function writes what CesiumJS reads. The reader reads both: a primitive that names its kernel follows the draft.
+pub(super) fn write_packed(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+    let bounds = bounds_of(path, outline)?;
+    let mut packed = spz::old(path, MIRRORED, outline, produce)?;
+    let bytes = packed.metadata().writing(path)?.len();
+    // The accessors describe the unpacked attributes and have no bytes of their own.
+    let [min, max] = mirrored_corners(bounds);
+    let floats = |kind: &str| json!({ "componentType": FLOAT, "type": kind, "count": outline.count });
+    let mut accessors = vec![
+        json!({ "componentType": FLOAT, "type": "VEC3", "count": outline.count, "min": min, "max": max }),
+        json!({ "componentType": UNSIGNED_BYTE, "normalized": true, "type": "VEC4", "count": outline.count }),
+        floats("VEC4"),
+        floats("VEC3"),
+    ];
+    let own = |name: &str| format!("{EXTENSION}:{name}");
+    let mut attributes = json!({ "POSITION": 0, "COLOR_0": 1, own("ROTATION"): 2, own("SCALE"): 3 });
+    let coefficients = (1..=outline.sh_degree).flat_map(|degree| (0..=2 * degree).map(move |k| (degree, k)));
+    for (degree, k) in coefficients {
+        attributes[own(&format!("SH_DEGREE_{degree}_COEF_{k}"))] = json!(accessors.len());
+        accessors.push(floats("VEC3"));
+    }
+    let padded = bytes.next_multiple_of(4);
+    let views = json!([{ "buffer": 0, "byteLength": bytes }]);
+    let extension = json!({ "extensions": { PACKED_EXTENSION: { "bufferView": 0 } } });
+    let extensions = [EXTENSION, PACKED_EXTENSION];
+    let mut document = scene(outline, &extensions, (views, json!(accessors)), (attributes, extension));
+    document["extensionsRequired"] = json!(extensions);
+    document["buffers"] = json!([{ "byteLength": padded }]);
+    let head = glb_head(&document, padded)?;
+    atomic::write(path, |writer| {
+        writer.write_all(&head)?;
+        io::copy(&mut packed, writer)?;
+        writer.write_all(&[0; 3][..(padded - bytes) as usize])
+    })
 }

@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use super::doubtful::Doubtful;
+use glam::{DVec3, Vec3};
+
 use super::format::Format;
-use super::validation::Unusable;
+use super::validation::{Doubtful, Unusable};
 use crate::host_memory;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Bounds, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, RenderSettings, Result};
-use glam::{DVec3, Vec3};
 
 /// Largest number of Gaussians in a block.
 pub(crate) const BLOCK: usize = 16_384;
@@ -26,8 +26,7 @@ pub struct Header {
     pub count: u64,
     /// Degree of the spherical harmonics, 0 to 3.
     pub sh_degree: u32,
-    /// True if the Gaussians were trained with antialiasing (Mip-Splatting's opacity compensation) and need
-    /// it.
+    /// True if the Gaussians were trained with antialiasing (Mip-Splatting's opacity compensation) and need it.
     pub antialiased: bool,
     /// Variance that training added on the screen, square pixels; `None` if the file does not say.
     pub kernel_size: Option<f32>,
@@ -163,8 +162,7 @@ pub(crate) struct Outline {
     pub(crate) is_2dgs: bool,
     /// Box around the means; `None` without Gaussians.
     pub(crate) bounds: Option<Bounds>,
-    /// Origin of the means, source coordinates, and the unit of the training that the file names. The Gaussians are in
-    /// source units.
+    /// Origin of the means, source coordinates, and the training's unit; the Gaussians themselves are in source units.
     pub(crate) frame: WorldFrame,
     /// True if positions are written in double precision, if the format can. They are absolute then.
     pub(crate) double_positions: bool,
@@ -225,11 +223,6 @@ pub(crate) trait Source {
     /// Passes all Gaussians to the sink, usable or not. Called once.
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()>;
 
-    /// Bytes that the source holds in memory.
-    fn held_bytes(&self) -> u64 {
-        0
-    }
-
     /// Name of one Gaussian in messages about the file.
     fn row_name(&self) -> &'static str {
         "Gaussian"
@@ -263,34 +256,28 @@ impl<'a> Reader<'a> {
             unusable.look_through(&mut block);
             doubtful.look_through(&mut block);
             // If the file is refused, Gaussians after the first unusable one are only counted.
-            if unusable.count() == 0 || drop_invalid { sink(block) } else { Ok(()) }
+            if unusable.count == 0 || drop_invalid { sink(block) } else { Ok(()) }
         })?;
         let problem = unusable.describe(count, row_name);
-        let remedy = match drop_invalid {
-            true if unusable.count() == count => "none is left without them: write the file again",
-            true => {
-                self.warnings = problem.into_iter().chain(doubtful.lines()).collect();
-                return Ok(unusable.count());
-            }
-            false => "--drop-invalid leaves them out",
-        };
-        match problem {
-            Some(problem) => Err(Error::input(&self.path, problem, remedy)),
-            None => {
-                self.warnings = doubtful.lines();
-                Ok(0)
-            }
+        if let Some(problem) = &problem
+            && (!drop_invalid || unusable.count == count)
+        {
+            let remedy = match drop_invalid {
+                true => "none is left without them: write the file again",
+                false => "--drop-invalid leaves them out",
+            };
+            return Err(Error::input(&self.path, problem, remedy));
         }
+        self.warnings = problem.into_iter().chain(doubtful.lines()).collect();
+        Ok(unusable.count)
     }
 
-    /// Reads all Gaussians of the file.
     pub(crate) fn collect(mut self) -> Result<Scene> {
         let header = self.header().clone();
         // The header's count has been checked against the file's size. But rows take more memory than packed ones, and
         // glTF may repeat Gaussians a limited number of times.
         let capacity = usize::try_from(header.count).unwrap_or(0);
         let needed = header.count.saturating_mul(row_bytes(header.sh_degree));
-        let needed = needed.saturating_add(self.source.held_bytes());
         host_memory::check(&self.path, needed, self.options.max_host_memory)?;
         let mut gaussians = Gaussians::with_capacity(header.sh_degree, capacity);
         let dropped = self.blocks(&mut |block| {

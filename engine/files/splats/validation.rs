@@ -1,18 +1,21 @@
-//! Finds Gaussians with unusable parameters.
+//! Finds Gaussians with unusable or implausible parameters, and those that a format with packed attributes changes.
 
 use std::path::Path;
 
-use super::FARTHEST;
-use ashsplat::scene::Gaussians;
-use ashsplat::{Error, Result};
 use glam::DVec3;
+
+use super::spz::{MAX_FRACTIONAL_BITS, farthest, fractional_bits};
+use super::{FARTHEST, Format, MAX_COMPRESSED_LOG_SCALE, Outline};
+use crate::ply;
+use ashsplat::kernels::constants::QUAT_NORM_MIN;
+use ashsplat::scene::Gaussians;
+use ashsplat::scene::sh::rgb_to_sh_dc;
+use ashsplat::{Error, Result};
 
 /// Largest usable coordinate of positions and quaternions: the square of a larger one overflows.
 const MAX_COORDINATE: f32 = 1e18;
-
 /// Largest usable SH coefficient: with it, no sum over terms, splats or their derivatives overflows.
 const MAX_SH: f32 = 1e32;
-
 /// Largest usable log-scale: the exponential of a larger one overflows.
 const MAX_LOG_SCALE: f32 = 88.0;
 
@@ -20,19 +23,14 @@ const MAX_LOG_SCALE: f32 = 88.0;
 #[derive(Default)]
 pub(super) struct Unusable {
     seen: u64,
-    count: u64,
+    /// Number of unusable Gaussians so far.
+    pub(super) count: u64,
     /// Row, parameter and value of the first one.
     first: Option<(u64, String, f32)>,
 }
 
 impl Unusable {
-    /// Number of unusable Gaussians so far.
-    pub(super) fn count(&self) -> u64 {
-        self.count
-    }
-
-    /// Removes the unusable Gaussians from the next block. A size of 0 (log-scale -∞) becomes the smallest normal
-    /// number.
+    /// Removes the unusable Gaussians of the next block. A size of 0 (log-scale -∞) becomes the smallest normal number.
     pub(super) fn look_through(&mut self, block: &mut Gaussians) {
         let rows = block.len();
         for log_scale in block.log_scales.as_flattened_mut() {
@@ -44,7 +42,7 @@ impl Unusable {
             for index in 0..rows {
                 if let Some((name, value)) = parameter(block, index) {
                     self.count += 1;
-                    self.first.get_or_insert_with(|| (self.seen + index as u64, name(), value));
+                    self.first.get_or_insert_with(|| (self.seen + index as u64, shown(name), value));
                 }
             }
             block.retain(|all, index| parameter(all, index).is_none());
@@ -69,9 +67,8 @@ pub(super) fn check_readable(path: &Path, block: &Gaussians) -> Result<()> {
     match (0..block.len()).find_map(|index| parameter(block, index)) {
         None => Ok(()),
         Some((name, value)) => {
-            let kind = if value.is_finite() { "too large" } else { "not finite" };
-            let problem =
-                format!("is not written: a Gaussian would have {} = {value}, which is {kind}", name());
+            let (name, kind) = (shown(name), if value.is_finite() { "too large" } else { "not finite" });
+            let problem = format!("is not written: a Gaussian would have {name} = {value}, which is {kind}");
             Err(Error::input(path, problem, "scale, move or merge less"))
         }
     }
@@ -88,32 +85,205 @@ pub(super) fn check_origin(path: &Path, origin: DVec3) -> Result<()> {
     Err(Error::input(path, problem, "scale or move less"))
 }
 
-/// The first unusable parameter of a Gaussian: its name in a PLY, and its value.
-fn parameter(block: &Gaussians, index: usize) -> Option<(Box<dyn Fn() -> String>, f32)> {
-    type Name = Box<dyn Fn() -> String>;
-    let bad_coordinate = |v: f32| !v.is_finite() || v.abs() > MAX_COORDINATE;
-    let bad_scale = |v: f32| !v.is_finite() || v > MAX_LOG_SCALE;
-    let bad_sh = |v: f32| !v.is_finite() || v.abs() > MAX_SH;
-    let find = |values: &[f32], bad: &dyn Fn(f32) -> bool, prefix: &'static str| {
-        let at = values.iter().position(|&v| bad(v))?;
-        Some((Box::new(move || format!("{prefix}{at}")) as Name, values[at]))
+/// The first unusable parameter of a Gaussian: its name in a PLY, with a number if it is one of several, and its value.
+fn parameter(block: &Gaussians, index: usize) -> Option<(Name, f32)> {
+    let bad_coordinate = |v: &f32| !v.is_finite() || v.abs() > MAX_COORDINATE;
+    let bad_scale = |v: &f32| !v.is_finite() || *v > MAX_LOG_SCALE;
+    let bad_sh = |v: &f32| !v.is_finite() || v.abs() > MAX_SH;
+    let find = |values: &[f32], bad: &dyn Fn(&f32) -> bool, prefix: &'static str| {
+        let at = values.iter().position(bad)?;
+        Some(((prefix, Some(at)), values[at]))
     };
     let mean = &block.means[index];
-    if let Some(axis) = mean.iter().position(|&v| bad_coordinate(v)) {
-        return Some((Box::new(move || ["x", "y", "z"][axis].to_owned()), mean[axis]));
+    if let Some(axis) = mean.iter().position(bad_coordinate) {
+        return Some(((["x", "y", "z"][axis], None), mean[axis]));
     }
     let opacity = block.opacity_logits[index];
     if opacity.is_nan() {
-        return Some((Box::new(|| "opacity".to_owned()), opacity));
+        return Some((("opacity", None), opacity));
     }
+    let (dc, rest) = block.sh_of(index).split_at(1);
     find(&block.log_scales[index], &bad_scale, "scale_")
         .or_else(|| find(&block.quats[index], &bad_coordinate, "rot_"))
-        .or_else(|| find(&block.sh_of(index)[0], &bad_sh, "f_dc_"))
+        .or_else(|| find(dc.as_flattened(), &bad_sh, "f_dc_"))
         .or_else(|| {
-            let rest = &block.sh_of(index)[1..];
-            let (k, channel) =
-                rest.iter().enumerate().find_map(|(k, sh)| Some((k, sh.iter().position(|&v| bad_sh(v))?)))?;
-            let (place, value) = (channel * rest.len() + k, rest[k][channel]);
-            Some((Box::new(move || format!("f_rest_{place}")) as Name, value))
+            let at = rest.as_flattened().iter().position(bad_sh)?;
+            // PLY has the coefficients of red, then green, then blue.
+            let place = at % 3 * rest.len() + at / 3;
+            Some((("f_rest_", Some(place)), rest.as_flattened()[at]))
         })
+}
+
+type Name = (&'static str, Option<usize>);
+
+fn shown((prefix, number): Name) -> String {
+    number.map_or(prefix.into(), |number| format!("{prefix}{number}"))
+}
+
+/// Share of a typical Gaussian's size at which steps of positions are coarse: pictures lose about 6 dB.
+pub(super) const COARSE: f64 = 0.2;
+
+/// Number of Gaussians with implausible values in a file.
+#[derive(Default)]
+pub(super) struct Doubtful {
+    count: u64,
+    without_rotation: u64,
+    coarse: u64,
+    /// Logarithmic sums over the Gaussians with coarse positions.
+    log_steps: f64,
+    log_sizes: f64,
+}
+
+impl Doubtful {
+    /// Counts the next block's implausible values. A quaternion of zeros becomes the identity, which can be rotated.
+    pub(super) fn look_through(&mut self, block: &mut Gaussians) {
+        for quat in &mut block.quats {
+            if quat.iter().map(|q| q * q).sum::<f32>().sqrt() <= QUAT_NORM_MIN {
+                *quat = [1.0, 0.0, 0.0, 0.0];
+                self.without_rotation += 1;
+            }
+        }
+        for (mean, [x, y, z]) in block.means.iter().zip(&block.log_scales) {
+            let farthest = mean.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
+            // The next lower power of two has the same steps.
+            let power = f32::from_bits(farthest.to_bits() & f32::INFINITY.to_bits());
+            let step = f64::from(power) * f64::from(f32::EPSILON);
+            let log_size = x.max(*y).max(*z);
+            // A size of 0 cannot be compared with.
+            if log_size > f32::MIN_POSITIVE.ln() && step > COARSE * f64::from(log_size).exp() {
+                self.coarse += 1;
+                self.log_steps += step.ln();
+                self.log_sizes += f64::from(log_size);
+            }
+        }
+        self.count += block.len() as u64;
+    }
+
+    /// One warning per kind.
+    pub(super) fn lines(&self) -> Vec<String> {
+        let (count, mut lines) = (self.count, Vec::new());
+        if self.without_rotation > 0 {
+            let some = self.without_rotation;
+            lines.push(format!(
+                "{some} of {count} Gaussians have a quaternion of zeros and are used without rotation"
+            ));
+        }
+        if 2 * self.coarse > count {
+            let [step, size] =
+                [self.log_steps, self.log_sizes].map(|sum| short((sum / self.coarse as f64).exp()));
+            lines.push(format!(
+                "positions are rounded to steps of about {step} (a typical size is {size}), because the scene lies far from its origin: \
+                 export doubles, or move it there before it is saved"
+            ));
+        }
+        lines
+    }
+}
+
+/// A positive number with two significant digits, or with all digits before the decimal point.
+pub(super) fn short(value: f64) -> String {
+    let digits = (1.0 - value.log10().floor()).clamp(0.0, 40.0) as usize;
+    format!("{value:.digits$}")
+}
+
+/// Logarithm of the ratio at which a Gaussian's longest axis hides that its thinnest one is cut.
+const THIN: f32 = 3.0;
+/// Share of the Gaussians with cut colours or SH coefficients in ordinary scenes.
+const USUALLY_CUT: f64 = 0.02;
+
+/// Statistics of a scene's Gaussians against the limits of a format.
+#[derive(Default)]
+pub(super) struct PackingLoss {
+    /// Smallest and largest log-scale.
+    log_scales: [f32; 2],
+    /// Smallest and largest coefficient of a base colour.
+    dc: [f32; 2],
+    /// Largest higher SH coefficient.
+    max_sh: f32,
+    count: u64,
+    /// Sum of each Gaussian's largest log-scale.
+    log_sizes: f64,
+    cut_scales: u64,
+    cut_colors: u64,
+    cut_sh: u64,
+    /// Means and base colours, by which compressed PLY forms its chunks.
+    chunked: Option<Gaussians>,
+}
+
+impl PackingLoss {
+    /// Returns `None` for formats that hold all values in single precision.
+    pub(super) fn of(format: Format, spz_version: Option<u32>) -> Option<Self> {
+        let any = [f32::NEG_INFINITY, f32::INFINITY];
+        let (log_scales, dc, max_sh) = match (format, spz_version) {
+            (Format::Spz, _) | (Format::Glb, Some(_)) => ([-10.0, 5.9375], [-0.5 / 0.15, 0.5 / 0.15], 1.0),
+            (Format::CompressedPly, _) => ([-MAX_COMPRESSED_LOG_SCALE, MAX_COMPRESSED_LOG_SCALE], any, 4.0),
+            // Without view dependence, colours below 0 are drawn as 0.
+            (Format::Splat, _) => (any, [f32::NEG_INFINITY, rgb_to_sh_dc(1.0)], f32::INFINITY),
+            _ => return None,
+        };
+        let chunked = (format == Format::CompressedPly).then(Gaussians::default);
+        Some(Self { log_scales, dc, max_sh, chunked, ..Self::default() })
+    }
+
+    pub(super) fn add(&mut self, block: &Gaussians) {
+        let [least, most] = self.log_scales;
+        for (index, [x, y, z]) in block.log_scales.iter().enumerate() {
+            let (smallest, largest) = (x.min(*y).min(*z), x.max(*y).max(*z));
+            self.log_sizes += f64::from(largest.max(-100.0));
+            let is_cut = largest > most || (smallest < least && largest < least + THIN);
+            self.cut_scales += u64::from(is_cut);
+            let (dc, higher) = block.sh_of(index).split_at(1);
+            let [least, most] = self.dc;
+            self.cut_colors += u64::from(dc[0].iter().any(|dc| !(least..=most).contains(dc)));
+            self.cut_sh += u64::from(higher.as_flattened().iter().any(|sh| sh.abs() > self.max_sh));
+        }
+        if let Some(chunked) = &mut self.chunked {
+            chunked.means.extend_from_slice(&block.means);
+            chunked.sh.extend((0..block.len()).map(|index| block.sh_of(index)[0]));
+        }
+        self.count += block.len() as u64;
+    }
+
+    /// A warning, if the loss is visible.
+    pub(super) fn line(&self, format: Format, outline: &Outline) -> Option<String> {
+        let mut losses = Vec::new();
+        let step = fractional_bits(outline).map_or(0.0, |bits| (-f64::from(bits)).exp2());
+        let finest = (-f64::from(MAX_FRACTIONAL_BITS)).exp2();
+        let typical = (self.log_sizes / self.count.max(1) as f64).exp();
+        let mut coarse = |step: f64, reason: &str| {
+            if step > COARSE * typical {
+                let [step, size] = [step, typical].map(short);
+                let line =
+                    format!("positions are rounded to steps of {step} (a typical size is {size}), {reason}");
+                losses.push(line);
+            }
+        };
+        if matches!(format, Format::Spz | Format::Glb) {
+            let farthest = short(farthest(outline).into());
+            let crop = format!("because one lies at {farthest}: crop the scene for finer steps");
+            let finest_of_spz = "the finest that SPZ has: scale the scene up";
+            coarse(step, if step == finest { finest_of_spz } else { &crop });
+        }
+        let step = self.chunked.as_ref().map_or(0.0, ply::typical_step);
+        coarse(step, "because 256 Gaussians share a box and lie far apart");
+        let count = self.count;
+        if self.cut_scales > 0 {
+            let [least, most] = self.log_scales.map(|scale| short(f64::from(scale).exp()));
+            let cut = self.cut_scales;
+            losses.push(format!(
+                "sizes of {cut} of {count} Gaussians are beyond {least} to {most} and are cut"
+            ));
+        }
+        if self.cut_colors as f64 > USUALLY_CUT * count as f64 {
+            losses.push(format!("colours of {} of {count} Gaussians are cut", self.cut_colors));
+        }
+        if self.cut_sh as f64 > USUALLY_CUT * count as f64 {
+            let (cut, most) = (self.cut_sh, self.max_sh);
+            losses.push(format!(
+                "SH coefficients above degree 0 of {cut} of {count} Gaussians are beyond -{most} to {most} and are cut"
+            ));
+        }
+        let losses = Some(losses.join("; ")).filter(|losses| !losses.is_empty())?;
+        Some(format!("{format} does not hold the scene exactly: {losses}"))
+    }
 }

@@ -1,12 +1,13 @@
 //! Selects the tiles for a camera within a budget of Gaussians, in trees that [`super::write`] has written.
 
+use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap};
 use std::path::{Path, PathBuf};
 
-use glam::{DMat4, DVec3, Vec3, vec3};
+use glam::{DMat4, DVec3, vec3};
 use serde::Deserialize;
 
-use super::document::{turned, turned_origin};
+use super::turned;
 use crate::regular_file;
 use crate::splats::{self, FARTHEST, ReadOptions, Scene};
 use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection, Similarity, WorldFrame};
@@ -14,6 +15,7 @@ use ashsplat::{Error, Result};
 
 /// Margin of a tile's box in a picture, pixels: the low-pass filter widens Gaussians.
 const MARGIN: f64 = 2.0;
+const WRITE_AGAIN: &str = "write the tree again with `ashsplat tiles`";
 
 /// Name of the description in the folder.
 pub const TILESET_FILE: &str = "tileset.json";
@@ -80,10 +82,6 @@ struct ExtrasJson {
 
 impl Tree {
     /// Reads the description of a tree, but no tile.
-    ///
-    /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] for a description that [`super::write`] has not written, for files outside of
-    /// the folder, and for invalid numbers.
     pub fn open(folder: impl AsRef<Path>) -> Result<Tree> {
         let folder = folder.as_ref();
         let path = folder.join(TILESET_FILE);
@@ -109,7 +107,7 @@ impl Tree {
             }
             if !names.insert(json.content.uri.clone()) {
                 let problem = format!("names {} twice", json.content.uri);
-                return Err(Error::input(&path, problem, "write the tree again with `ashsplat tiles`"));
+                return Err(Error::input(&path, problem, WRITE_AGAIN));
             }
             open.extend(json.children.into_iter().rev().map(|child| (Some(index), child)));
         }
@@ -185,7 +183,7 @@ impl Tree {
         let (mut drawn, mut used) = (Vec::new(), self.tiles[0].gaussians);
         let mut visited = vec![0];
         let mut open = BinaryHeap::from([self.candidate(demand, 0)]);
-        while let Some(Candidate { index, .. }) = open.pop() {
+        while let Some((.., Reverse(index))) = open.pop() {
             let tile = &self.tiles[index];
             let finer: Vec<usize> = tile.children.iter().copied().filter(near).collect();
             let more = finer.iter().map(|&child| self.tiles[child].gaussians).sum::<usize>();
@@ -209,9 +207,6 @@ impl Tree {
     }
 
     /// Reads a tile.
-    ///
-    /// # Errors
-    /// Same as [`splats::read`]; [`Error::Input`] for a file with another number of Gaussians.
     pub fn read(&self, tile: usize, options: &ReadOptions) -> Result<Scene> {
         let (Some(path), Some(tile)) = (self.path(tile), self.tiles.get(tile)) else {
             return Err(Error::argument("tile", format!("{tile} is none of {}", self.tiles.len())));
@@ -220,7 +215,7 @@ impl Tree {
         let found = scene.header.count;
         if found != tile.gaussians as u64 {
             let problem = format!("has {found} Gaussians, {TILESET_FILE} says {}", tile.gaussians);
-            return Err(Error::input(path, problem, "write the tree again with `ashsplat tiles`"));
+            return Err(Error::input(path, problem, WRITE_AGAIN));
         }
         let from = WorldFrame { origin: self.file_origin + scene.frame.origin, ..scene.frame };
         scene.gaussians.transform(&Similarity::between(&from, &self.frame));
@@ -228,19 +223,17 @@ impl Tree {
         Ok(scene)
     }
 
-    /// Urgency of a tile's refinement.
-    fn candidate(&self, demand: &Demand<'_>, index: usize) -> Candidate {
+    /// Urgency of a tile's refinement: tiles in a picture come first, then larger errors, then smaller indices. Errors are
+    /// not negative, so their bits have their order.
+    fn candidate(&self, demand: &Demand<'_>, index: usize) -> (bool, u64, Reverse<usize>) {
         let bounds = self.tiles[index].bounds;
         let seen = |camera: &&Camera| demand.border == 0.0 || sees(camera, bounds, 0.0);
         let largest = |cameras: &mut dyn Iterator<Item = &Camera>| {
-            cameras.map(|camera| self.pixels(camera, index)).max_by(f64::total_cmp)
+            cameras.map(|camera| self.pixels(camera, index).to_bits()).max()
         };
-        match largest(&mut demand.cameras.iter().filter(seen)) {
-            Some(pixels) => Candidate { seen: true, pixels, index },
-            None => {
-                Candidate { seen: false, pixels: largest(&mut demand.cameras.iter()).unwrap_or(0.0), index }
-            }
-        }
+        let in_picture = largest(&mut demand.cameras.iter().filter(seen));
+        let pixels = in_picture.or_else(|| largest(&mut demand.cameras.iter())).unwrap_or(0);
+        (in_picture.is_some(), pixels, Reverse(index))
     }
 
     /// Error of a tile in pixels, at its nearest point.
@@ -274,34 +267,6 @@ impl<'a> Demand<'a> {
     }
 }
 
-/// A tile to refine. Tiles in a picture come first, then larger errors, then smaller indices.
-struct Candidate {
-    seen: bool,
-    pixels: f64,
-    index: usize,
-}
-
-impl Ord for Candidate {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        let pixels = self.pixels.total_cmp(&other.pixels);
-        self.seen.cmp(&other.seen).then(pixels).then(other.index.cmp(&self.index))
-    }
-}
-
-impl PartialOrd for Candidate {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Candidate {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for Candidate {}
-
 /// True if part of a box may lie in a picture or in its border, in picture sizes. Never false if it does.
 fn sees(camera: &Camera, bounds: Bounds, border: f64) -> bool {
     let corners = (0..8).map(|corner: u32| {
@@ -333,22 +298,16 @@ fn sees(camera: &Camera, bounds: Bounds, border: f64) -> bool {
 fn moved(path: &Path, transform: Option<[f64; 16]>) -> Result<DVec3> {
     let Some(columns) = transform else { return Ok(DVec3::ZERO) };
     let matrix = DMat4::from_cols_array(&columns);
-    let origin = turned_origin(matrix.w_axis.truncate());
+    let origin = turned(matrix.w_axis.truncate());
     if matrix == DMat4::from_translation(matrix.w_axis.truncate()) && origin.abs().max_element() <= FARTHEST {
         return Ok(origin);
     }
     let problem = "the root's transform does more than move the tiles, which is not read";
-    Err(Error::input(path, problem, "write the tree again with `ashsplat tiles`"))
+    Err(Error::input(path, problem, WRITE_AGAIN))
 }
 
 fn checked(path: &Path, json: &TileJson) -> Result<Tile> {
-    let wrong = |problem: String| {
-        Error::input(
-            path,
-            format!("{}: {problem}", json.content.uri),
-            "write the tree again with `ashsplat tiles`",
-        )
-    };
+    let wrong = |problem: String| Error::input(path, format!("{}: {problem}", json.content.uri), WRITE_AGAIN);
     let name = &json.content.uri;
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
     if name.is_empty() || name.starts_with('.') || !name.bytes().all(plain) {
@@ -365,11 +324,10 @@ fn checked(path: &Path, json: &TileJson) -> Result<Tile> {
         return Err(wrong("its box is turned, which is not read".into()));
     }
     let (centre, half) = (DVec3::new(x, y, z), DVec3::new(half_x, half_y, half_z));
-    let [low, high] = [centre - half, centre + half].map(DVec3::as_vec3);
-    if !(low.is_finite() && high.is_finite() && half.min_element() >= 0.0) {
+    let [a, b] = [centre - half, centre + half].map(|corner| turned(corner).as_vec3());
+    if !(a.is_finite() && b.is_finite() && half.min_element() >= 0.0) {
         return Err(wrong("the box is not finite".into()));
     }
-    let [a, b]: [Vec3; 2] = [low, high].map(turned);
     let bounds = Bounds { min: a.min(b), max: a.max(b) };
     let gaussians = json.extras.gaussians as usize;
     Ok(Tile { name: name.clone(), bounds, error: json.geometric_error, gaussians, children: Vec::new() })

@@ -1,14 +1,13 @@
-//! One frame of a `transforms.json`.
+//! The frames of a `transforms.json`, and which of them are held out.
 
 use std::cell::RefCell;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3, dvec2};
 use serde_json::Value;
 
-use super::split::{Part, Split};
-use super::{below, json};
+use super::{below, each_frame};
 use crate::names::{Finder, MAX_PATH_BYTES, ending, has_photo_ending, plain, stays_inside};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::scene::lens::{Distortion, Lens};
@@ -16,7 +15,6 @@ use ashsplat::{Error, Result};
 
 /// Largest relative deviation of a pose's `R Rᵀ` from a multiple of the identity.
 const ROTATION_TOLERANCE: f64 = 1e-3;
-
 /// Largest difference from 1 of a scale that is taken as 1.
 const SCALE_ROUNDING: f64 = 1e-12;
 
@@ -48,7 +46,6 @@ pub struct Optics {
     focal: [Option<Focal>; 2],
     /// Principal point, pixels; the image's centre by default.
     center: [Option<f64>; 2],
-    /// The lens.
     distortion: Distortion,
 }
 
@@ -109,12 +106,10 @@ pub(super) fn read_all(
         return Err(Error::input(path, "has no list `frames`", "is it a transforms.json?"));
     };
     if list.is_empty() {
-        return Err(Error::input(
-            path,
-            "the list `frames` is empty",
-            "the cameras were not found: compute them again",
-        ));
+        let remedy = "the cameras were not found: compute them again";
+        return Err(Error::input(path, "the list `frames` is empty", remedy));
     }
+    let shown = path.display();
     let finder = RefCell::new(Finder::default());
     let split = Split::of(path, document)?;
     let mut warnings = Vec::new();
@@ -126,7 +121,7 @@ pub(super) fn read_all(
         unused_keys.insert("test_frames".to_owned());
     }
     let (mut times, mut contradiction) = (f64::INFINITY..f64::NEG_INFINITY, None);
-    json::each_frame(path, text, &mut |value| {
+    each_frame(path, text, &mut |value| {
         let reader = Reader { path, index: count, frame: &value, document, finder: &finder };
         count += 1;
         let (mut frame, led_out) = reader.read()?;
@@ -148,10 +143,10 @@ pub(super) fn read_all(
                 ["p1", "p2"].into_iter().zip(p).filter(|(_, p)| *p != 0.0).map(|(key, _)| key.into()),
             );
         }
-        match split.part_of(value["file_path"].as_str().unwrap_or_default(), &frame.name) {
-            Part::None => unused += 1,
-            part => {
-                frame.test = part == Part::HeldOut;
+        match split.is_held_out(value["file_path"].as_str().unwrap_or_default(), &frame.name) {
+            None => unused += 1,
+            Some(held_out) => {
+                frame.test = held_out;
                 frames.push(frame);
             }
         }
@@ -160,40 +155,31 @@ pub(super) fn read_all(
     split.check(path)?;
     if elsewhere > 0 {
         warnings.push(format!(
-            "{}: {elsewhere} of {} paths lead out of its folder: the photos in it whose paths end as theirs are taken",
-            path.display(),
-            count
+            "{shown}: {elsewhere} of {count} paths lead out of its folder: the photos in it whose paths end as theirs are taken"
         ));
     }
     if !lens_keys.is_empty() {
+        let verb = if lens_keys.len() == 1 { "is" } else { "are" };
+        let keys = Vec::from_iter(lens_keys).join(", ");
         warnings.push(format!(
-            "{}: {} of the lens not used, and the photos are taken as if it were 0: undistort them first if they show it",
-            path.display(),
-            match Vec::from_iter(lens_keys).as_slice() {
-                [key] => format!("{key} is"),
-                keys => format!("{} are", keys.join(", ")),
-            }
+            "{shown}: {keys} {verb} of the lens not used, and the photos are taken as if it were 0: undistort them first if they show it"
         ));
     }
     warnings.extend(contradiction);
     if !unused_keys.is_empty() {
         let keys = Vec::from_iter(unused_keys).join(", ");
-        warnings.push(format!("{}: {keys}: such keys are not used", path.display()));
+        warnings.push(format!("{shown}: {keys}: such keys are not used"));
     }
     if times.start < times.end {
+        let (start, end) = (times.start, times.end);
         warnings.push(format!(
-            "{}: its frames are of times from {} to {}: the scene is taken as one that does not move",
-            path.display(),
-            times.start,
-            times.end
+            "{shown}: its frames are of times from {start} to {end}: the scene is taken as one that does not move"
         ));
     }
     if unused > 0 {
+        let lists = split.used_lists();
         warnings.push(format!(
-            "{}: {unused} of {} frames are in none of the lists {} and are not used",
-            path.display(),
-            count,
-            split.used_lists()
+            "{shown}: {unused} of {count} frames are in none of the lists {lists} and are not used"
         ));
     }
     Ok((warnings, depth_maps))
@@ -202,25 +188,9 @@ pub(super) fn read_all(
 /// Adds unsupported lens keys that have an effect in other programs.
 fn unused_lens_keys(holder: &Value, keys: &mut BTreeSet<String>) {
     /// Skew and affinity of Metashape, further coefficients of OpenCV, and keys of nerfstudio and instant-ngp.
-    const KEYS: [&str; 17] = [
-        "b1",
-        "b2",
-        "k5",
-        "k6",
-        "p3",
-        "p4",
-        "s1",
-        "s2",
-        "s3",
-        "s4",
-        "skew",
-        "sk_x",
-        "sk_y",
-        "distortion",
-        DISTORTION_PARAMS,
-        "fisheye_crop_radius",
-        "rolling_shutter",
-    ];
+    const SHORT_KEYS: [&str; 13] =
+        ["b1", "b2", "k5", "k6", "p3", "p4", "s1", "s2", "s3", "s4", "skew", "sk_x", "sk_y"];
+    const KEYS: [&str; 4] = ["distortion", DISTORTION_PARAMS, "fisheye_crop_radius", "rolling_shutter"];
     fn is_set(value: &Value) -> bool {
         match value {
             Value::Number(number) => number.as_f64() != Some(0.0),
@@ -231,18 +201,16 @@ fn unused_lens_keys(holder: &Value, keys: &mut BTreeSet<String>) {
     }
     let is_used = |key: &str, value: &Value| key == DISTORTION_PARAMS && numbers_of(value).is_some();
     let all = holder.as_object().into_iter().flatten();
-    let unused = all.filter(|(key, value)| {
-        (KEYS.contains(&key.as_str()) || key.starts_with("ftheta_")) && is_set(value) && !is_used(key, value)
-    });
+    let has_effect =
+        |key: &str| SHORT_KEYS.contains(&key) || KEYS.contains(&key) || key.starts_with("ftheta_");
+    let unused = all.filter(|(key, value)| has_effect(key) && is_set(value) && !is_used(key, value));
     keys.extend(unused.map(|(key, _)| key.clone()));
 }
 
 /// Keys of the path of a frame's mask; the first is nerfstudio's.
 const MASK_KEYS: [&str; 3] = ["mask_path", "mask_file_path", "mask_filename"];
-
 /// Keys of the path of a frame's depth map, of nerfstudio and instant-ngp.
 const DEPTH_KEYS: [&str; 2] = ["depth_file_path", "depth_path"];
-
 /// nerfstudio's list of k1, k2, k3, k4, p1 and p2, which takes precedence over single keys.
 const DISTORTION_PARAMS: &str = "distortion_params";
 
@@ -261,11 +229,8 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     fn error(&self, problem: impl std::fmt::Display) -> Error {
-        Error::input(
-            self.path,
-            format!("frame {}: {problem}", self.index),
-            "correct the file or compute it again",
-        )
+        let problem = format!("frame {}: {problem}", self.index);
+        Error::input(self.path, problem, "correct the file or compute it again")
     }
 
     /// Reads the frame. The flag is true if its path led out of the folder.
@@ -275,21 +240,7 @@ impl Reader<'_> {
         };
         let (name, photo_path, led_out) = self.photo(file_path)?;
         let mask = MASK_KEYS.iter().find_map(|&key| Some((key, self.frame[key].as_str()?)));
-        let mask_path = match mask {
-            Some((key, name)) => {
-                self.check_length(key, name)?;
-                let mut finder = self.finder.borrow_mut();
-                let inside = below(name);
-                let found = inside.as_deref().and_then(|name| finder.file(self.folder(), name));
-                let found = found.or_else(|| finder.file_by_end(self.folder(), &plain(name)));
-                Some(match (found, inside) {
-                    (Some(found), _) => found,
-                    (None, Some(name)) => self.folder().join(name),
-                    (None, None) => return Err(self.leaves(name)),
-                })
-            }
-            None => None,
-        };
+        let mask_path = mask.map(|(key, name)| self.mask(key, name)).transpose()?;
         let (camera_from_source, translation) = self.pose()?;
         let optics = self.optics()?;
         let frame =
@@ -297,17 +248,25 @@ impl Reader<'_> {
         Ok((frame, led_out))
     }
 
+    fn mask(&self, key: &str, name: &str) -> Result<PathBuf> {
+        self.check_length(key, name)?;
+        let mut finder = self.finder.borrow_mut();
+        let inside = below(name);
+        let found = inside.as_deref().and_then(|name| finder.file(self.folder(), name));
+        let found = found.or_else(|| finder.file_by_end(self.folder(), &plain(name)));
+        found.or_else(|| Some(self.folder().join(inside?))).ok_or_else(|| self.leaves(name))
+    }
+
     fn folder(&self) -> &Path {
         self.path.parent().unwrap_or(Path::new(""))
     }
 
     fn check_length(&self, key: &str, name: &str) -> Result<()> {
-        match name.len() > MAX_PATH_BYTES {
-            true => {
-                Err(self
-                    .error(format!("{key} is a path of {} bytes; {MAX_PATH_BYTES} are possible", name.len())))
+        match name.len() {
+            0..=MAX_PATH_BYTES => Ok(()),
+            bytes => {
+                Err(self.error(format!("{key} is a path of {bytes} bytes; {MAX_PATH_BYTES} are possible")))
             }
-            false => Ok(()),
         }
     }
 
@@ -316,8 +275,7 @@ impl Reader<'_> {
         self.error(format!("the path {name:?} leads out of the folder, and nothing in it has that name"))
     }
 
-    /// The photo's name and path, and true if the name led out of the folder. A missing file without an
-    /// extension is assumed to be a PNG.
+    /// The photo's name and path, and true if the name led out of the folder. Without an extension, it is a PNG's.
     fn photo(&self, named: &str) -> Result<(String, PathBuf, bool)> {
         self.check_length("file_path", named)?;
         let mut finder = self.finder.borrow_mut();
@@ -381,18 +339,12 @@ impl Reader<'_> {
 
     /// Reads a number of the frame, or else of the file. Other types are errors.
     fn number(&self, key: &str) -> Result<Option<f64>> {
-        for (holder, value) in [("", &self.frame[key]), ("the file's ", &self.document[key])] {
-            match value {
-                Value::Null => {}
-                value => {
-                    let number = value.as_f64().filter(|v| v.is_finite());
-                    return number
-                        .map(Some)
-                        .ok_or_else(|| self.error(format!("{holder}{key} is not a number")));
-                }
-            }
-        }
-        Ok(None)
+        let holders = [("", &self.frame[key]), ("the file's ", &self.document[key])];
+        let Some((holder, value)) = holders.into_iter().find(|(_, value)| !value.is_null()) else {
+            return Ok(None);
+        };
+        let number = value.as_f64().filter(|v| v.is_finite());
+        number.map(Some).ok_or_else(|| self.error(format!("{holder}{key} is not a number")))
     }
 
     fn optics(&self) -> Result<Optics> {
@@ -402,9 +354,8 @@ impl Reader<'_> {
                 let sides = 1.0..=f64::from(MAX_IMAGE_SIDE);
                 *side = if sides.contains(&pixels) { pixels as u32 } else { 0 };
                 if *side == 0 {
-                    return Err(
-                        self.error(format!("{key} is {pixels}; 1 to {MAX_IMAGE_SIDE} pixels are possible"))
-                    );
+                    let problem = format!("{key} is {pixels}; 1 to {MAX_IMAGE_SIDE} pixels are possible");
+                    return Err(self.error(problem));
                 }
             }
         }
@@ -417,7 +368,7 @@ impl Reader<'_> {
         Ok(Optics { size, focal, center, distortion: self.distortion()? })
     }
 
-    /// A warning if a focal length and an angle on the same level contradict each other.
+    /// A warning if a focal length and an angle contradict each other, both of the frame or both of the document.
     fn contradiction(&self, size: Option<[u32; 2]>) -> Option<String> {
         /// Ratio from which the difference is visible.
         const SHOWS: f64 = 1.02;
@@ -437,12 +388,10 @@ impl Reader<'_> {
     }
 
     fn focal(&self, pixels: &str, angle: &str) -> Result<Option<Focal>> {
-        if let Some(focal) = self.number(pixels)? {
-            return if focal > 0.0 {
-                Ok(Some(Focal::Pixels(focal)))
-            } else {
-                Err(self.error(format!("{pixels} is {focal}, which is not positive")))
-            };
+        match self.number(pixels)? {
+            Some(focal) if focal > 0.0 => return Ok(Some(Focal::Pixels(focal))),
+            Some(focal) => return Err(self.error(format!("{pixels} is {focal}, which is not positive"))),
+            None => {}
         }
         match self.number(angle)? {
             Some(value) if value > 0.0 && value < std::f64::consts::PI => Ok(Some(Focal::Angle(value))),
@@ -473,14 +422,14 @@ impl Reader<'_> {
         let fisheye = self.frame["is_fisheye"] == true || self.document["is_fisheye"] == true;
         match model {
             Some("OPENCV_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE") => Ok(Distortion::Fisheye { k }),
-            Some("PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE") | None
-                if k == [0.0; 4] && p == [0.0; 2] && !fisheye =>
-            {
-                Ok(Distortion::None)
-            }
-            Some("PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE" | "OPENCV" | "RADIAL" | "SIMPLE_RADIAL")
+            Some("OPENCV" | "RADIAL" | "SIMPLE_RADIAL" | "PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE")
             | None => {
-                Ok(if fisheye { Distortion::Fisheye { k } } else { Distortion::Brown { k, d: [0.0; 3], p } })
+                let may_be_plain = !matches!(model, Some("OPENCV" | "RADIAL" | "SIMPLE_RADIAL"));
+                Ok(match fisheye {
+                    true => Distortion::Fisheye { k },
+                    false if may_be_plain && k == [0.0; 4] && p == [0.0; 2] => Distortion::None,
+                    false => Distortion::Brown { k, d: [0.0; 3], p },
+                })
             }
             Some("EQUIRECTANGULAR") => {
                 let remedy = "cut them into views of pinhole cameras (`ns-process-data images --camera-type equirectangular` does)";
@@ -488,5 +437,69 @@ impl Reader<'_> {
             }
             Some(other) => Err(self.error(format!("camera_model {other:?} is not known"))),
         }
+    }
+}
+
+/// Keys of the name lists. The first held-out list that exists is used; they come last.
+const LISTS: [&str; 3] = ["train_filenames", "test_filenames", "val_filenames"];
+
+/// The names of each list, with true for each name that a frame has. `None` if the list is missing or empty.
+struct Split {
+    lists: [Option<RefCell<HashMap<String, bool>>>; 3],
+}
+
+impl Split {
+    fn of(path: &Path, document: &Value) -> Result<Self> {
+        let mut lists = [const { None }; 3];
+        for (list, key) in lists.iter_mut().zip(LISTS) {
+            let names: Option<Vec<&str>> = match &document[key] {
+                Value::Null => Some(Vec::new()),
+                Value::Array(names) => names.iter().map(Value::as_str).collect(),
+                _ => None,
+            };
+            let wrong = || Error::input(path, format!("{key} is not a list of names"), "correct the file");
+            let names = names.ok_or_else(wrong)?;
+            *list = (!names.is_empty())
+                .then(|| RefCell::new(names.into_iter().map(|name| (plain(name), false)).collect()));
+        }
+        Ok(Self { lists })
+    }
+
+    /// True if the frame with this path or name is held out; `None` if it is not used. Without a training list, frames in no list are training frames.
+    fn is_held_out(&self, path: &str, name: &str) -> Option<bool> {
+        let path = plain(path);
+        let lists = |at: usize| {
+            let Some(list) = &self.lists[at] else { return false };
+            [path.as_str(), name]
+                .into_iter()
+                .any(|key| list.borrow_mut().get_mut(key).map(|met| *met = true).is_some())
+        };
+        let [train, test, val] = [0, 1, 2].map(lists);
+        match if self.lists[1].is_some() { test } else { val } {
+            true => Some(true),
+            false if train || self.lists[0].is_none() && !val => Some(false),
+            false => None,
+        }
+    }
+
+    /// Refuses a list with a name that no frame has.
+    fn check(&self, path: &Path) -> Result<()> {
+        for (list, key) in self.lists.iter().zip(LISTS) {
+            let unknown = list.iter().flat_map(|list| {
+                let missed = |(name, met): (&String, &bool)| (!met).then(|| name.clone());
+                list.borrow().iter().filter_map(missed).collect::<Vec<_>>()
+            });
+            if let Some(name) = unknown.min() {
+                let problem = format!("{key} names {name:?}, which no frame has as its file_path");
+                return Err(Error::input(path, problem, "correct the list or add the frame"));
+            }
+        }
+        Ok(())
+    }
+
+    fn used_lists(&self) -> String {
+        let held_out = if self.lists[1].is_some() { 1 } else { 2 };
+        let used = [0, held_out].into_iter().filter(|&at| self.lists[at].is_some());
+        used.map(|at| LISTS[at]).collect::<Vec<_>>().join(" and ")
     }
 }

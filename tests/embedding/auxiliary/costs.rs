@@ -1,10 +1,8 @@
 //! Costs of picks and motion.
 
 use super::truth::{Screens, both, shifted};
-use crate::cost::{in_turn, median, ratio, record_cost};
-use crate::host::{Host, HostOptions};
-use crate::stage::{camera, cloud, with_host};
-use ashsplat::{DeviceScene, PickTarget, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
+use crate::cost::{print_stages, record_cost};
+use crate::stage::*;
 use std::time::Instant;
 
 /// Prints the median milliseconds of the stages and of the frame, with and without both, measured in turn.
@@ -13,7 +11,7 @@ use std::time::Instant;
 fn costs() {
     with_host(&HostOptions::default(), |host| {
         let context = crate::cost::shipped(host, true);
-        let scene = DeviceScene::upload(&context, &cloud(200_000, 1), 0).expect("a scene");
+        let scene = uploaded(&context, &cloud(200_000, 1));
         let mut renderer = Renderer::new(&context).expect("kernels");
         let wanted = Reservation::new(200_000, 1, 640, 480);
         let bytes = |wanted: &Reservation| renderer.reservation_bytes(wanted).expect("bytes") as f64;
@@ -21,11 +19,11 @@ fn costs() {
         println!("{mib:.1} MiB more than {:.1}", bytes(&wanted) / 1024.0 / 1024.0);
         renderer.reserve(&both(wanted)).expect("memory");
         let screens = Screens::new(host, &context, [640, 480]);
-        let (view, settings) = (camera(0.7, 640, 480), RenderSettings::default());
+        let view = camera(0.7, 640, 480);
         let before = shifted(&view, [0.01, 0.0, 0.0]);
         let placed = [Placed::from(&scene)];
-        let plain = RecordedFrame::new(&placed, &view, &settings);
-        let pick = Some(PickTarget { to: screens.to(0) });
+        let plain = frame_of(&placed, &view);
+        let pick = Some(screens.pick());
         let motion = Some(screens.motion(&before));
         let cases = [
             ("neither", plain),
@@ -33,16 +31,7 @@ fn costs() {
             ("motion", RecordedFrame { motion, ..plain }),
             ("both", RecordedFrame { pick, motion, ..plain }),
         ];
-        let frames = cases.map(|(_, frame)| frame);
-        let times = in_turn(host, &mut renderer, &frames, ["project", "blend", "compose", ""], 15);
-        println!("frame with | project, ms | blend, ms | compose, ms | frame, ms | ratio of pairs");
-        for ((name, _), own) in cases.iter().zip(&times) {
-            let ratio = ratio(&own[3], &times[0][3]);
-            let [project, blend, compose, all] = [0, 1, 2, 3].map(|stage| median(own[stage].iter().copied()));
-            println!("{name} | {project:.2} | {blend:.1} | {compose:.2} | {all:.1} | {ratio:.3}");
-        }
-        drop(renderer);
-        screens.destroy();
+        print_stages(host, &mut renderer, &cases, &["project", "blend", "compose"], 15);
     });
 }
 
@@ -76,8 +65,7 @@ fn pipelines() {
             let wanted = Reservation { pick, motion, occlusion, ..Reservation::new(1000, 3, 64, 48) };
             let jobs = Renderer::kernel_jobs(&context, &wanted).expect("a list").len();
             let start = Instant::now();
-            let mut renderer = Renderer::new(&context).expect("kernels");
-            renderer.reserve(&wanted).expect("memory");
+            let renderer = reserved(&context, &wanted);
             let ms = start.elapsed().as_secs_f64() * 1e3;
             println!("{name}, occlusion {occlusion} | {jobs} | {ms:.0}");
             drop((renderer, context));

@@ -1,30 +1,17 @@
 //! Images for picks and motion, and the host's own arithmetic for them.
 
-use crate::host::Host;
-use crate::memory::{HostBuffer, HostTexture};
 use crate::scenes::appended;
-use crate::stage::{own_device, rendered};
-use ashsplat::ash::vk;
+use crate::stage::*;
+use ashsplat::TileLists;
 use ashsplat::kernels::constants::{ALPHA_MAX, ALPHA_MIN, NOT_PICKED, TRANSMITTANCE_MIN};
-use ashsplat::scene::{Camera, Gaussians, Pose};
-use ashsplat::vk::{Context, Image, ImageState, ImageUse};
-use ashsplat::{
-    HostImage, MotionTarget, PickTarget, RecordedFrame, RenderSettings, Renderer, Reservation, TileLists,
-};
-use glam::{DMat3, DVec3, Mat3, Vec3};
+use glam::{DMat3, DVec3};
 
 pub const SIZE: [u32; 2] = [96, 70];
-pub const WRITTEN: ImageState = ImageState {
-    layout: vk::ImageLayout::GENERAL,
-    stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
-    accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
-};
 
 /// A host's images for picks and motion.
 pub struct Screens<'a> {
     host: &'a Host,
-    pub textures: [HostTexture; 2],
-    pub views: [Image; 2],
+    pub pictures: [Picture<'a>; 2],
 }
 
 /// Outputs of a frame.
@@ -37,58 +24,37 @@ pub struct Shot {
 
 impl<'a> Screens<'a> {
     pub fn new(host: &'a Host, context: &Context, size: [u32; 2]) -> Self {
-        let usage = vk::ImageUsageFlags::STORAGE
-            | vk::ImageUsageFlags::TRANSFER_SRC
-            | vk::ImageUsageFlags::TRANSFER_DST;
-        let textures = [vk::Format::R32G32B32A32_UINT, vk::Format::R16G16_SFLOAT]
-            .map(|format| HostTexture::new(host, format, usage, size).expect("an image"));
-        // SAFETY: the descriptions match the images, which outlive the views.
-        let view = |t: &HostTexture, purpose| unsafe {
-            Image::adopt(context, "beside", &t.foreign(), purpose).expect("adopted")
-        };
-        let views = [view(&textures[0], ImageUse::Pick), view(&textures[1], ImageUse::Motion)];
-        Self { host, textures, views }
+        let new = |purpose, format| Picture::new(host, context, ("beside", purpose), format, size);
+        let picks = new(ImageUse::Pick, vk::Format::R32G32B32A32_UINT);
+        Self { host, pictures: [picks, new(ImageUse::Motion, vk::Format::R16G16_SFLOAT)] }
     }
 
     pub fn to(&self, which: usize) -> HostImage<'_> {
-        HostImage { image: &self.views[which], from: ImageState::UNDEFINED, offset: [0; 2] }
+        self.pictures[which].unused()
+    }
+
+    pub fn pick(&self) -> PickTarget<'_> {
+        PickTarget { to: self.to(0) }
     }
 
     /// Renders a frame with picks and motion.
     pub fn shot(&self, renderer: &mut Renderer, frame: &RecordedFrame<'_>, previous: &Camera) -> Shot {
-        let (pick, motion) = (PickTarget { to: self.to(0) }, self.motion(previous));
-        let frame = RecordedFrame { pick: Some(pick), motion: Some(motion), ..*frame };
+        let frame = RecordedFrame { pick: Some(self.pick()), motion: Some(self.motion(previous)), ..*frame };
         let pixels = rendered(self.host, renderer, &frame);
-        Shot { pixels, picks: self.read(0), motions: self.motions() }
+        Shot { pixels, picks: self.picks(), motions: self.motions() }
     }
 
     pub fn motion<'b>(&'b self, previous_camera: &'b Camera) -> MotionTarget<'b> {
         MotionTarget { to: self.to(1), previous_camera, min_weight: 0.0, empty: Some([0.0; 2]) }
     }
 
+    pub fn picks(&self) -> Vec<[u32; 4]> {
+        self.pictures[0].texture.read(WRITTEN)
+    }
+
     pub fn motions(&self) -> Vec<[f32; 2]> {
-        let halves: Vec<[u16; 2]> = self.read(1);
+        let halves: Vec<[u16; 2]> = self.pictures[1].texture.read(WRITTEN);
         halves.into_iter().map(|texel| texel.map(of_half)).collect()
-    }
-
-    pub fn read<T: bytemuck::Pod>(&self, which: usize) -> Vec<T> {
-        let (host, texture) = (self.host, &self.textures[which]);
-        let bytes = size_of::<T>() * texture.size[0] as usize * texture.size[1] as usize;
-        let staging = HostBuffer::new(host, bytes as u64).expect("memory");
-        let from = (WRITTEN.layout, WRITTEN.stages, WRITTEN.accesses);
-        let copied = host.run(|commands| {
-            texture.record_read(host, commands, from, &staging);
-            Ok(())
-        });
-        copied.expect("copied");
-        let read = staging.read(host, bytes).expect("bytes");
-        staging.destroy(host);
-        bytemuck::pod_collect_to_vec(&read)
-    }
-
-    pub fn destroy(self) {
-        drop(self.views);
-        self.textures.into_iter().for_each(|texture| texture.destroy(self.host));
     }
 }
 
@@ -109,7 +75,7 @@ pub fn both(wanted: Reservation) -> Reservation {
 
 /// Round Gaussians without view-dependent colour, so that a pose is easy to apply.
 pub fn round(count: usize, seed: u32) -> Gaussians {
-    let mut round = crate::stage::cloud(count, seed).with_sh_degree(0);
+    let mut round = cloud(count, seed).with_sh_degree(0);
     for i in 0..count {
         round.quats[i] = [1.0, 0.0, 0.0, 0.0];
         round.log_scales[i] = [round.log_scales[i][0]; 3];

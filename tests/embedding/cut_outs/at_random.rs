@@ -1,21 +1,13 @@
 //! Random features in frame after frame: scene settings, outputs, picks and motion.
 
 use super::{filtered, pose, removing, volumes};
-use crate::auxiliary::flight::{Beside, Flight};
-use crate::auxiliary::outputs::{Outputs, Seen, Wanted};
+use crate::auxiliary::flight::{Beside, Flight, Outputs, Seen, Wanted};
 use crate::auxiliary::truth::shifted;
-use crate::host::{Host, InFlight};
-use crate::memory::HostBuffer;
 use crate::scene_settings::{SIZE, Stage, placed};
-use crate::stage::{adopt, cloud, copy_pixels, options, with_host};
+use crate::stage::*;
+use crate::updates::replace;
 use ashsplat::kernels::constants::NOT_PICKED;
-use ashsplat::scene::{CutOut, DepthMapping, Gaussians, Pose, Projection};
-use ashsplat::vk::{Context, MemoryKind};
-use ashsplat::{
-    Background, Camera, ColorEncoding, DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer,
-    Reservation, SceneSettings, Selection, Update,
-};
-use glam::Vec3;
+use ashsplat::scene::Projection;
 
 /// Numbers of scenes that are drawn alone, and of small ones in one buffer, which are batched.
 const LARGE: usize = 3;
@@ -98,9 +90,8 @@ struct Shown {
 
 /// A command buffer, and the outputs of its frame.
 struct Shot<'a> {
-    host: &'a Host,
-    in_flight: InFlight,
-    staging: HostBuffer,
+    in_flight: Commands<'a>,
+    staging: Staging<'a>,
     flight: Flight<'a>,
     outputs: Outputs<'a>,
     slot: u32,
@@ -108,61 +99,33 @@ struct Shot<'a> {
 
 type Awaited = (Shown, Wanted, [bool; 2]);
 
-const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
-
 impl<'a> Shot<'a> {
     fn new(host: &'a Host, context: &Context, slot: u32) -> Self {
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        let staging = HostBuffer::new(host, 16 * PIXELS as u64).expect("memory");
+        let in_flight = Commands::new(host);
+        let staging = Staging::new(host, 16 * u64::from(SIZE[0] * SIZE[1]));
         let flight = Flight::new(host, context, SIZE);
-        Self { host, in_flight, staging, flight, outputs: Outputs::new(host, context, SIZE, HIDES.0), slot }
+        Self { in_flight, staging, flight, outputs: Outputs::new(host, context, SIZE, HIDES.0), slot }
     }
 
     fn record(&mut self, renderer: &mut Renderer, frame: RecordedFrame<'_>, wants: &Wants<'_>) {
-        let Self { host, in_flight, flight, outputs, slot, .. } = self;
-        in_flight.begin(host).expect("recording");
+        let Self { in_flight, flight, outputs, slot, .. } = self;
+        let commands = in_flight.begun(renderer.context());
         outputs.record_clear(in_flight, &wants.outputs);
         let drawn = outputs.with(frame, &wants.outputs);
         let drawn = flight.with(drawn, wants.before, wants.beside);
-        let commands = adopt(renderer.context(), in_flight);
         let release = renderer.record(commands, *slot, &drawn).expect("a recording");
         flight.record_read(in_flight, wants.beside);
         outputs.record_read(in_flight, &wants.outputs, &release);
         if wants.outputs.target.is_none() {
-            copy_pixels(host, renderer, *slot, in_flight, &self.staging, PIXELS);
+            copy_pixels(renderer, *slot, in_flight, &self.staging);
         }
     }
 
-    fn submit(&self) {
-        self.in_flight.submit(self.host).expect("a submission");
-    }
-
     fn finish(&self, outputs: &Wanted, beside: [bool; 2]) -> Shown {
-        self.in_flight.wait(self.host).expect("done");
-        let bytes = match outputs.target {
-            None => self.staging.read(self.host, 16 * PIXELS).expect("bytes"),
-            Some(_) => Vec::new(),
-        };
-        let pixels = bytemuck::pod_collect_to_vec(&bytes);
+        self.in_flight.wait();
+        let pixels = if outputs.target.is_none() { self.staging.read() } else { Vec::new() };
         Shown { pixels, outputs: self.outputs.read(outputs), beside: self.flight.read(beside) }
     }
-
-    fn destroy(self) {
-        self.flight.destroy();
-        self.outputs.destroy();
-        self.in_flight.destroy(self.host);
-        self.staging.destroy(self.host);
-    }
-}
-
-/// Replaces some of a scene's Gaussians.
-fn replace(part: &mut Gaussians, first: usize, new: &Gaussians) {
-    let end = first + new.len();
-    part.means[first..end].copy_from_slice(&new.means);
-    part.quats[first..end].copy_from_slice(&new.quats);
-    part.log_scales[first..end].copy_from_slice(&new.log_scales);
-    part.opacity_logits[first..end].copy_from_slice(&new.opacity_logits);
-    part.sh[4 * first..4 * end].copy_from_slice(&new.sh);
 }
 
 /// Index in the scene of each remaining Gaussian.
@@ -236,8 +199,8 @@ fn render_settings(random: &mut Random, kinds: Kinds) -> RenderSettings {
     }
 }
 
-/// Frames have the bits of scenes that the host has filtered, each in its own buffer. Two slots share their memory
-/// in turn: the second is submitted while the first is in flight.
+/// A frame with cut-outs is bit-identical to one of scenes that the host has filtered. Two slots with the same memory
+/// alternate: the second is submitted while the first is in flight.
 fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     assert!(frames.is_multiple_of(2));
     let mut parts = vec![cloud(200, 1), cloud(150, 2), cloud(120, 3)];
@@ -253,9 +216,8 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     let mut shots = [0, 1].map(|slot| Shot::new(host, &context, slot));
     let mut apart = Shot::new(host, &context, 0);
     // Selects all remaining Gaussians.
-    let bits = context.allocate("selection", &[("mask", 28)], MemoryKind::Device).expect("memory");
-    context.upload(&bits[0], &[0xFF; 28]).expect("uploaded");
-    let selection = Selection { mask: &bits[0], color: [1.0, 0.5, 0.0], share: 0.5 };
+    let bits = mask_of(&context, &[0xFF; 28]);
+    let selection = Selection { mask: &bits, color: [1.0, 0.5, 0.0], share: 0.5 };
     let mut random = Random(1);
     // Expected outputs of a slot's frame.
     let mut awaited = [const { None::<Awaited> }; 2];
@@ -266,7 +228,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
         assert!(shown.pixels == expected.pixels, "frame {frame}");
         assert!(shown.outputs == expected.outputs, "images of frame {frame}");
         assert!(shown.beside == expected.beside, "beside frame {frame}");
-        let report = renderer.slot_report(shot.slot).expect("a report").expect("finished");
+        let report = report_of(renderer, shot.slot);
         assert!(!report.overflow, "frame {frame}: {report:?}");
         batched += report.batched_scenes;
     };
@@ -295,12 +257,12 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
         let earlier: Vec<Pose> =
             parts.iter().map(|_| pose(0.01 * random.below(9) as f32, Vec3::ZERO, 1.0)).collect();
         let left: Vec<_> = parts.iter().zip(&sets).map(|(part, set)| filtered(part, set)).collect();
-        let upload = |part: &Gaussians| DeviceScene::upload(&context, part, 0).expect("a scene");
+        let upload = |part: &Gaussians| uploaded(&context, part);
         plain.scenes = left.iter().map(upload).collect();
         let without: Vec<_> = settings.iter().map(|own| SceneSettings { cut_outs: &[], ..*own }).collect();
         let of_left = come_from(placed(&plain.scenes, &[], &without), &earlier);
         apart.record(&mut plain.renderer, RecordedFrame::new(&of_left, &camera, &own), &wants);
-        apart.submit();
+        apart.in_flight.submit();
         let mut expected = apart.finish(&wants.outputs, wants.beside);
         let places: Vec<_> = parts.iter().zip(&left).map(|(part, left)| places(part, left)).collect();
         for [gaussian, scene, ..] in expected.beside.0.iter_mut().filter(|pick| pick[1] != NOT_PICKED) {
@@ -316,7 +278,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
         shots[slot].record(&mut stage.renderer, drawn, &wants);
         awaited[slot] = Some((expected, wants.outputs, wants.beside));
         if slot == 1 {
-            shots.iter().for_each(Shot::submit);
+            shots.iter().for_each(|shot| shot.in_flight.submit());
         }
     }
     for slot in 0..2 {
@@ -324,7 +286,6 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     }
     assert!(batched > frames, "{batched} scenes in batches");
     drop((stage, plain));
-    shots.into_iter().chain([apart]).for_each(Shot::destroy);
 }
 
 /// Gives scenes their previous poses.

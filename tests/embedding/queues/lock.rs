@@ -1,25 +1,23 @@
-//! A host's lock around a queue that its other threads submit to.
+//! A host's lock around a queue: other threads submit to it, and a wait fails.
 
 use super::SIZE;
-use crate::host::Host;
-use crate::stage::{camera, cloud, device_with, options, owned, rendered, with_host};
-use ashsplat::ash::{self, vk};
-use ashsplat::vk::{Context, ContextOptions, ForeignDevice, QueueLock};
-use ashsplat::{Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
-use std::ffi::{CStr, c_void};
+use crate::stage::*;
+use ashsplat::vk::QueueLock;
+use std::mem::transmute;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
+use std::time::{Duration, Instant};
 
 /// A host's lock: a flag that a thread holds.
 #[derive(Default)]
-struct Gate {
+struct Lock {
     held: Mutex<bool>,
     free: Condvar,
     taken: AtomicU32,
 }
 
 // SAFETY: the threads of the test use the queue between both calls alone.
-unsafe impl QueueLock for Gate {
+unsafe impl QueueLock for Lock {
     fn lock(&self) {
         let mut held = self.held.lock().expect("no panic while held");
         while *held {
@@ -51,22 +49,9 @@ unsafe extern "system" fn submit(
     SUBMITTED[usize::from(IN_USE.load(Ordering::SeqCst))].fetch_add(1, Ordering::SeqCst);
     // SAFETY: the address is that of the device's function.
     unsafe {
-        let real: vk::PFN_vkQueueSubmit2 = std::mem::transmute(SUBMIT.load(Ordering::SeqCst));
+        let real: vk::PFN_vkQueueSubmit2 = transmute(SUBMIT.load(Ordering::SeqCst));
         real(queue, count, submits, fence)
     }
-}
-
-/// The host's device with wrapped submissions.
-fn watched(host: &Host) -> ash::Device {
-    let replace = |name: &CStr, address: *const c_void| {
-        if name != c"vkQueueSubmit2" {
-            return address;
-        }
-        SUBMIT.store(address as usize, Ordering::SeqCst);
-        submit as *const c_void
-    };
-    // SAFETY: every address is null, the device's own function, or a wrapper of its type.
-    unsafe { device_with(host, replace) }
 }
 
 /// Ends the host's thread even if the test fails.
@@ -82,29 +67,29 @@ impl Drop for Stop<'_> {
 #[test]
 fn a_hosts_lock_is_taken_around_submissions() {
     with_host(&options(), |host| {
-        let gate = Arc::new(Gate::default());
-        let device = watched(host);
+        let gate = Arc::new(Lock::default());
+        // SAFETY: the wrapper is of its function's type.
+        let device =
+            unsafe { device_wrapping(host, &[(c"vkQueueSubmit2", &SUBMIT, submit as *const c_void)]) };
         let foreign = ForeignDevice { device: &device, queue_lock: Some(gate.clone()), ..host.foreign() };
-        // SAFETY: as in `guest`; the host's thread below takes the lock.
-        let context =
-            unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context");
-        let (gaussians, settings) = (cloud(100, 3), RenderSettings::default());
+        let context = guest_of(&foreign, &ContextOptions::default());
+        let gaussians = cloud(100, 3);
         let view = camera(0.3, SIZE[0], SIZE[1]);
         let mut renderer = Renderer::new(&context).expect("kernels");
         renderer.upload(&gaussians).expect("a scene");
         renderer.reserve(&Reservation::new(100, 1, SIZE[0], SIZE[1])).expect("memory");
         let scene = renderer.scene().expect("uploaded");
-        renderer.render(&view, &settings).expect("a frame");
+        renderer.render(&view, &SETTINGS).expect("a frame");
         let of_frame = gate.taken.load(Ordering::SeqCst);
-        renderer.render(&view, &settings).expect("a frame");
+        renderer.render(&view, &SETTINGS).expect("a frame");
         let of_frame = gate.taken.load(Ordering::SeqCst) - of_frame;
         assert!(of_frame >= 1, "the lock is taken");
         // Recording takes no lock.
         let placed = [Placed::from(&scene)];
         let before = gate.taken.load(Ordering::SeqCst);
-        rendered(host, &mut renderer, &RecordedFrame::new(&placed, &view, &settings));
+        rendered(host, &mut renderer, &frame_of(&placed, &view));
         assert_eq!(gate.taken.load(Ordering::SeqCst), before);
-        let expected = owned(&gaussians, &view, &settings);
+        let expected = owned(&gaussians, &view, &SETTINGS);
         let (stop, hosts) = (AtomicBool::new(false), AtomicU32::new(0));
         std::thread::scope(|scope| {
             scope.spawn(|| {
@@ -120,7 +105,7 @@ fn a_hosts_lock_is_taken_around_submissions() {
             });
             let _stop = Stop(&stop);
             for _ in 0..3 {
-                let frame = renderer.render(&view, &settings).expect("a frame");
+                let frame = renderer.render(&view, &SETTINGS).expect("a frame");
                 assert!(frame.color == expected.color);
             }
         });
@@ -128,5 +113,91 @@ fn a_hosts_lock_is_taken_around_submissions() {
         assert_eq!(taken, 3 * of_frame);
         let [outside, within] = SUBMITTED.each_ref().map(|count| count.load(Ordering::SeqCst));
         assert!(outside == 0 && within >= 3, "{outside} submissions without the lock, {within} within");
+    });
+}
+
+/// A host's lock that threads spin for.
+struct Spin;
+
+static HELD: AtomicBool = AtomicBool::new(false);
+
+// SAFETY: one thread at a time has set the flag.
+unsafe impl QueueLock for Spin {
+    fn lock(&self) {
+        while HELD.swap(true, Ordering::SeqCst) {
+            std::thread::yield_now();
+        }
+    }
+
+    fn unlock(&self) {
+        assert!(HELD.swap(false, Ordering::SeqCst), "not held");
+    }
+}
+
+/// The device's vkWaitForFences, the number of its next calls that fail, and the device's vkQueueWaitIdle.
+static WAIT: AtomicUsize = AtomicUsize::new(0);
+static FAILING: AtomicU32 = AtomicU32::new(0);
+static IDLE: AtomicUsize = AtomicUsize::new(0);
+/// Calls of vkQueueWaitIdle without the lock, and with it.
+static IDLES: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
+
+unsafe extern "system" fn wait(
+    device: vk::Device,
+    count: u32,
+    fences: *const vk::Fence,
+    all: vk::Bool32,
+    nanoseconds: u64,
+) -> vk::Result {
+    let fewer = |failing: u32| failing.checked_sub(1);
+    if FAILING.fetch_update(Ordering::SeqCst, Ordering::SeqCst, fewer).is_ok() {
+        return vk::Result::ERROR_OUT_OF_HOST_MEMORY;
+    }
+    // SAFETY: the address is that of the device's function.
+    unsafe {
+        let real: vk::PFN_vkWaitForFences = transmute(WAIT.load(Ordering::SeqCst));
+        real(device, count, fences, all, nanoseconds)
+    }
+}
+
+unsafe extern "system" fn idle(queue: vk::Queue) -> vk::Result {
+    IDLES[usize::from(HELD.load(Ordering::SeqCst))].fetch_add(1, Ordering::SeqCst);
+    // SAFETY: the address is that of the device's function.
+    unsafe {
+        let real: vk::PFN_vkQueueWaitIdle = transmute(IDLE.load(Ordering::SeqCst));
+        real(queue)
+    }
+}
+
+/// A thread of the guest waits for the queue instead of the fence, and holds the lock meanwhile.
+#[test]
+fn a_wait_that_fails_is_made_up_for_within_a_hosts_lock() {
+    with_host(&options(), |host| {
+        let functions: [Wrapped<'_>; 2] = [
+            (c"vkWaitForFences", &WAIT, wait as *const c_void),
+            (c"vkQueueWaitIdle", &IDLE, idle as *const c_void),
+        ];
+        // SAFETY: the wrappers are of their functions' types.
+        let device = unsafe { device_wrapping(host, &functions) };
+        let foreign = ForeignDevice { device: &device, queue_lock: Some(Arc::new(Spin)), ..host.foreign() };
+        let context = guest_of(&foreign, &ContextOptions::default());
+        let gaussians = cloud(100, 3);
+        let view = camera(0.3, SIZE[0], SIZE[1]);
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.upload(&gaussians).expect("a scene");
+        let idles = || IDLES.each_ref().map(|count| count.load(Ordering::SeqCst));
+        assert_eq!(idles(), [0, 0], "a wait that succeeds is enough");
+        // The first wait, and the one that would make sure that nothing runs.
+        FAILING.store(2, Ordering::SeqCst);
+        let error = renderer.render(&view, &SETTINGS).map(drop).expect_err("the wait failed").to_string();
+        assert!(error.contains("vkWaitForFences") && error.contains("OUT_OF_HOST_MEMORY"), "{error}");
+        // Nobody else submits, so that thread holds the flag.
+        let start = Instant::now();
+        while idles() == [0, 0] || HELD.load(Ordering::SeqCst) {
+            assert!(start.elapsed() < Duration::from_secs(60), "{:?}", idles());
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert_eq!((FAILING.load(Ordering::SeqCst), idles()), (0, [0, 1]));
+        let frame = renderer.render(&view, &SETTINGS).expect("a frame");
+        assert!(frame.color == owned(&gaussians, &view, &SETTINGS).color);
     });
 }

@@ -1,12 +1,7 @@
 //! The subgroup features that a host has enabled reach the driver's compiler.
 
 use super::{Callbacks, Device, create_module, instrumented};
-use crate::host::HostOptions;
-use crate::stage::{options, with_host};
-use ashsplat::ash::vk;
-use ashsplat::vk::{Context, ContextOptions, ForeignDevice};
-use ashsplat::{Renderer, Reservation};
-use std::ffi::c_void;
+use crate::stage::*;
 use std::sync::Mutex;
 
 /// Shader modules that the driver received.

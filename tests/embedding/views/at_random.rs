@@ -1,20 +1,11 @@
 //! Random views, scenes and settings in frame after frame: one recording equals each view alone.
 
-use super::{BLACK, SIZE, hard_cloud, into, render_views};
+use super::{BLACK, SIZE, hard_cloud};
 use crate::array_image::ArrayImage;
-use crate::auxiliary::flight::Flight;
-use crate::auxiliary::outputs::{Outputs, Wanted};
+use crate::auxiliary::flight::{Flight, Outputs, Wanted};
 use crate::auxiliary::truth::shifted;
 use crate::cut_outs::{HIDES, Kinds, Random, mapping, parallel};
-use crate::host::Host;
-use crate::stage::{camera, cloud, guest, options, with_host};
-use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
-use ashsplat::vk::{Context, Image, MemoryKind};
-use ashsplat::{
-    Camera, DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings,
-    Selection,
-};
-use glam::{Mat3, Vec3};
+use crate::stage::*;
 use std::ops::Range;
 
 /// Largest number of views of a recording.
@@ -35,19 +26,17 @@ struct View<'a> {
 
 /// The images of each view, twice: for views together, and for each alone.
 struct Screens<'a> {
-    array: ArrayImage,
-    layers: Vec<Image>,
+    array: ArrayImage<'a>,
     flights: Vec<Flight<'a>>,
     outputs: Vec<Outputs<'a>>,
 }
 
 impl<'a> Screens<'a> {
     fn new(host: &'a Host, context: &Context) -> Self {
-        let array = ArrayImage::new(host, SIZE, 2 * MOST);
-        let layers = (0..2 * MOST).map(|layer| array.adopt(context, layer)).collect();
+        let array = ArrayImage::new(host, context, SIZE, 2 * MOST);
         let flights = (0..2 * MOST).map(|_| Flight::new(host, context, SIZE)).collect();
         let outputs = (0..2 * MOST).map(|_| Outputs::new(host, context, SIZE, HIDES.0)).collect();
-        Self { array, layers, flights, outputs }
+        Self { array, flights, outputs }
     }
 
     /// Renders some views in one recording, into the images from `bank` on.
@@ -59,7 +48,7 @@ impl<'a> Screens<'a> {
     ) {
         let frame = |number: usize| {
             let (view, place) = (&views[number], bank + number);
-            let target = into(&self.layers[place], BLACK, [0; 2]);
+            let target = into(&self.array.layers[place], BLACK, [0; 2]);
             let frame =
                 RecordedFrame { target, ..RecordedFrame::new(view.scenes, view.camera, view.settings) };
             let frame = self.outputs[place].with(frame, &view.outputs);
@@ -89,13 +78,6 @@ impl<'a> Screens<'a> {
             cropped(&depths),
         ]
     }
-
-    fn destroy(self, host: &Host) {
-        drop(self.layers);
-        self.array.destroy(host);
-        self.flights.into_iter().for_each(Flight::destroy);
-        self.outputs.into_iter().for_each(Outputs::destroy);
-    }
 }
 
 /// Cameras side by side can share a sort if they draw the same list. Small scenes of one buffer are batched, a large
@@ -104,10 +86,9 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     let context = guest(host);
     let small: Vec<Gaussians> = (0..SMALL).map(|seed| cloud(12, 20 + seed)).collect();
     let mut scenes = DeviceScene::upload_all(&context, &small.iter().collect::<Vec<_>>()).expect("scenes");
-    scenes.push(DeviceScene::upload(&context, &hard_cloud(), 0).expect("a scene"));
+    scenes.push(uploaded(&context, &hard_cloud()));
     let mut screens = Screens::new(host, &context);
     let [mut together, mut alone] = [true, false].map(|shared_sort| {
-        let mut renderer = Renderer::new(&context).expect("kernels");
         let wanted = Reservation {
             views: if shared_sort { MOST } else { 1 },
             shared_sort,
@@ -116,17 +97,15 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
             cut_outs: if kinds.surfaces { SMALL + 1 } else { 0 },
             ..kinds.of(Reservation::new(SMALL * 256 + 900, 1, SIZE[0], SIZE[1]))
         };
-        renderer.reserve(&wanted).expect("memory");
-        renderer
+        reserved(&context, &wanted)
     });
     let half = [CutOut {
         volume: Volume::Box { half_size: Vec3::new(0.4, 2.0, 2.0) },
         pose: Pose::IDENTITY,
         inside: Inside::Removed,
     }];
-    let mask = context.allocate("selection", &[("mask", 128)], MemoryKind::Device).expect("memory");
-    context.upload(&mask[0], &[0x5A; 128]).expect("uploaded");
-    let selection = Selection { mask: &mask[0], color: [1.0, 0.5, 0.0], share: 0.5 };
+    let mask = mask_of(&context, &[0x5A; 128]);
+    let selection = Selection { mask: &mask, color: [1.0, 0.5, 0.0], share: 0.5 };
     let mut random = Random(7);
     let mut below = |most: u32| random.below(most);
     let (mut sorts, mut batched, mut differing) = ([0; MOST as usize + 1], 0, 0);
@@ -197,7 +176,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
         for group in of_together {
             screens.render(host, &mut together, (&views, group, 0));
         }
-        let report = together.slot_report(0).expect("a report").expect("finished");
+        let report = report_of(&mut together, 0);
         assert!(!report.overflow && report.sorts as usize <= first, "frame {frame}: {report:?}");
         sorts[first - report.sorts as usize] += 1;
         batched += report.batched_scenes;
@@ -206,7 +185,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
         for view in 0..views.len() {
             screens.render(host, &mut alone, (&views, view..view + 1, MOST as usize));
         }
-        let texels = screens.array.read(host);
+        let texels = screens.array.read();
         for (number, view) in views.iter().enumerate() {
             let [shown, expected] =
                 [0, MOST as usize].map(|bank| screens.shown(&texels, view, bank + number));
@@ -216,7 +195,6 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     assert!(sorts[0] > 0 && sorts[1] > 0 && batched > frames, "{sorts:?} sorts spared, {batched} in batches");
     assert!(differing > 0 || !kinds.tools, "no two views of one sort had motion in one of them");
     drop((together, alone));
-    screens.destroy(host);
 }
 
 #[test]

@@ -1,13 +1,8 @@
 //! Numbers of commands and objects that views need, counted in the device's table.
 
-use super::{BLACK, SIZE, into};
+use super::{BLACK, SIZE, record_groups};
 use crate::array_image::ArrayImage;
-use crate::host::{Host, HostOptions, InFlight};
-use crate::stage::{adopt, camera, cloud, device_with, with_host};
-use ashsplat::ash::{self, vk};
-use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image};
-use ashsplat::{DeviceScene, Placed, RecordedFrame, Release, RenderSettings, Renderer, Reservation};
-use std::ffi::{CStr, c_void};
+use crate::stage::*;
 use std::mem::transmute;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
@@ -47,15 +42,13 @@ macro_rules! counted {
     };
 }
 
-type Commands = vk::CommandBuffer;
-
 counted! {
-    "vkCmdDispatch" dispatch(c: Commands, x: u32, y: u32, z: u32);
-    "vkCmdDispatchIndirect" dispatch_indirect(c: Commands, b: u64, o: u64);
-    "vkCmdPipelineBarrier2" barrier(c: Commands, d: *const c_void);
-    "vkCmdFillBuffer" fill(c: Commands, b: u64, o: u64, s: u64, v: u32);
-    "vkCmdUpdateBuffer" update(c: Commands, b: u64, o: u64, s: u64, d: *const c_void);
-    "vkCmdCopyBuffer" copy(c: Commands, f: u64, t: u64, n: u32, r: *const c_void);
+    "vkCmdDispatch" dispatch(c: vk::CommandBuffer, x: u32, y: u32, z: u32);
+    "vkCmdDispatchIndirect" dispatch_indirect(c: vk::CommandBuffer, b: u64, o: u64);
+    "vkCmdPipelineBarrier2" barrier(c: vk::CommandBuffer, d: *const c_void);
+    "vkCmdFillBuffer" fill(c: vk::CommandBuffer, b: u64, o: u64, s: u64, v: u32);
+    "vkCmdUpdateBuffer" update(c: vk::CommandBuffer, b: u64, o: u64, s: u64, d: *const c_void);
+    "vkCmdCopyBuffer" copy(c: vk::CommandBuffer, f: u64, t: u64, n: u32, r: *const c_void);
 }
 
 /// The device's vkCreateDescriptorPool, and the number of its calls.
@@ -90,18 +83,12 @@ fn counting(host: &Host) -> ash::Device {
 
 /// Numbers of dispatches, barriers and other commands of groups of views, each group in one recording.
 fn counts(host: &Host, renderer: &mut Renderer, groups: &[&[RecordedFrame<'_>]]) -> [u32; 3] {
-    let in_flight = InFlight::new(host).expect("a command buffer");
-    in_flight.begin(host).expect("recording");
+    let in_flight = Commands::new(host);
+    in_flight.begin();
     taken();
-    for (slot, group) in (0..).zip(groups) {
-        let mut releases = [Release::default(); 2];
-        let commands = adopt(renderer.context(), &in_flight);
-        renderer.record_views(commands, slot, group, &mut releases[..group.len()]).expect("a recording");
-    }
+    record_groups(&in_flight, renderer, groups);
     let [direct, indirect, barriers, fills, updates, copies] = taken();
-    in_flight.submit(host).expect("a submission");
-    in_flight.wait(host).expect("done");
-    in_flight.destroy(host);
+    in_flight.finish();
     [direct + indirect, barriers, fills + updates + copies]
 }
 
@@ -112,26 +99,20 @@ fn views_of_one_recording_have_fewer_commands() {
         let device = counting(host);
         let options = ContextOptions { timestamps: false, hazard_check: false, ..ContextOptions::default() };
         let foreign = ForeignDevice { device: &device, ..host.foreign() };
-        // SAFETY: as in `guest`.
-        let context = unsafe { Context::from_foreign(&foreign, &options) }.expect("a context");
-        let scene = DeviceScene::upload(&context, &cloud(300, 1), 0).expect("a scene");
-        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
+        let context = guest_of(&foreign, &options);
+        let scene = uploaded(&context, &cloud(300, 1));
+        let placed = [Placed::from(&scene)];
         let left = camera(0.3, SIZE[0], SIZE[1]);
         let cameras = [left, left.moved_aside([0.3, 0.0])];
-        let array = ArrayImage::new(host, SIZE, 2);
-        let layers: [Image; 2] = [0, 1].map(|layer| array.adopt(&context, layer));
-        let views = [0, 1].map(|view| RecordedFrame {
-            target: into(&layers[view], BLACK, [0; 2]),
-            ..RecordedFrame::new(&placed, &cameras[view], &settings)
-        });
+        let array = ArrayImage::new(host, &context, SIZE, 2);
+        let views = array.frames(&placed, &cameras);
         let wanted = Reservation {
             slots: 2,
             views: 2,
             images_only: true,
             ..Reservation::new(300, 1, SIZE[0], SIZE[1])
         };
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.reserve(&wanted).expect("memory");
+        let mut renderer = reserved(&context, &wanted);
         let two = counts(host, &mut renderer, &[&views[..1], &views[1..]]);
         let one = counts(host, &mut renderer, &[&views]);
         renderer.reserve(&Reservation { shared_sort: true, ..wanted }).expect("memory");
@@ -139,8 +120,6 @@ fn views_of_one_recording_have_fewer_commands() {
         println!("dispatches, barriers, others: two recordings {two:?}, one {one:?}, one sort {shared:?}");
         assert!(one[0] == two[0] && one[1] < two[1], "{one:?}, {two:?}");
         assert!(shared[0] < one[0] && shared[1] < one[1], "{shared:?}, {one:?}");
-        drop((renderer, layers));
-        array.destroy(host);
     });
 }
 
@@ -154,13 +133,12 @@ fn many_views_make_no_descriptor_pool() {
         // SAFETY: as in `guest`.
         let context = unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) };
         let context = context.expect("a context");
-        let scene = DeviceScene::upload(&context, &cloud(10, 1), 0).expect("a scene");
-        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
-        let (eye, array) = (camera(0.3, SIZE[0], SIZE[1]), ArrayImage::new(host, SIZE, 1));
-        let image = array.adopt(&context, 0);
+        let scene = uploaded(&context, &cloud(10, 1));
+        let placed = [Placed::from(&scene)];
+        let (eye, array) = (camera(0.3, SIZE[0], SIZE[1]), ArrayImage::new(host, &context, SIZE, 1));
         let views = [(); VIEWS].map(|()| RecordedFrame {
-            target: into(&image, BLACK, [0; 2]),
-            ..RecordedFrame::new(&placed, &eye, &settings)
+            target: into(&array.layers[0], BLACK, [0; 2]),
+            ..frame_of(&placed, &eye)
         });
         let mut renderer = Renderer::new(&context).expect("kernels");
         let wanted = Reservation {
@@ -172,15 +150,10 @@ fn many_views_make_no_descriptor_pool() {
         renderer.reserve(&wanted).expect("memory");
         let reserved = POOLS.load(Ordering::Relaxed);
         assert!(reserved > before);
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        in_flight.begin(host).expect("recording");
-        let commands = adopt(&context, &in_flight);
+        let in_flight = Commands::new(host);
+        let commands = in_flight.begun(&context);
         renderer.record_views(commands, 0, &views, &mut [Release::default(); VIEWS]).expect("a recording");
         assert_eq!(POOLS.load(Ordering::Relaxed), reserved, "pools are made while recording");
-        in_flight.submit(host).expect("a submission");
-        in_flight.wait(host).expect("done");
-        in_flight.destroy(host);
-        drop((renderer, image));
-        array.destroy(host);
+        in_flight.finish();
     });
 }

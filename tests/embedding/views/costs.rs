@@ -1,11 +1,9 @@
 //! Costs of two eyes in two recordings, in one, and with one sort.
 
-use super::{BLACK, into};
+use super::record_groups;
 use crate::array_image::ArrayImage;
 use crate::cost::shipped;
-use crate::host::{Host, HostOptions, InFlight};
-use crate::stage::{adopt, camera, cloud, with_host};
-use ashsplat::{DeviceScene, Placed, RecordedFrame, Release, RenderSettings, Renderer, Reservation};
+use crate::stage::*;
 use std::time::Instant;
 
 const CASES: [&str; 3] = ["two recordings", "one", "one, shared sort"];
@@ -20,21 +18,16 @@ fn cpu_ms() -> f64 {
 }
 
 /// Measures groups of views, each group in one recording.
-fn shot(host: &Host, in_flight: &InFlight, renderer: &mut Renderer, groups: &[&[RecordedFrame]]) -> [f64; 7] {
+fn shot(in_flight: &Commands<'_>, renderer: &mut Renderer, groups: &[&[RecordedFrame]]) -> [f64; 7] {
     let cpu = cpu_ms();
-    in_flight.begin(host).expect("recording");
+    in_flight.begin();
     let recording = Instant::now();
-    for (slot, group) in (0..).zip(groups) {
-        let mut releases = [Release::default(); 2];
-        let commands = adopt(renderer.context(), in_flight);
-        renderer.record_views(commands, slot, group, &mut releases[..group.len()]).expect("a recording");
-    }
+    record_groups(in_flight, renderer, groups);
     let recorded = recording.elapsed().as_secs_f64() * 1e6;
-    in_flight.submit(host).expect("a submission");
-    in_flight.wait(host).expect("done");
+    in_flight.finish();
     let mut scopes = Vec::new();
     for slot in 0..groups.len() as u32 {
-        scopes.extend(renderer.slot_report(slot).expect("a report").expect("finished").scopes);
+        scopes.extend(report_of(renderer, slot).scopes);
     }
     let sum = |name: &str| -> f64 {
         let own = scopes.iter().filter(|scope| scope.depth == 0 && (name.is_empty() || scope.name == name));
@@ -51,16 +44,12 @@ fn costs() {
     const SIZE: [u32; 2] = [640, 480];
     with_host(&HostOptions::default(), |host| {
         let context = shipped(host, true);
-        let scene = DeviceScene::upload(&context, &cloud(GAUSSIANS, 1), 0).expect("a scene");
-        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
+        let scene = uploaded(&context, &cloud(GAUSSIANS, 1));
+        let placed = [Placed::from(&scene)];
         let left = camera(0.7, SIZE[0], SIZE[1]);
         let cameras = [left, left.moved_aside([0.064, 0.0])];
-        let array = ArrayImage::new(host, SIZE, 2);
-        let layers = [0, 1].map(|layer| array.adopt(&context, layer));
-        let views = [0, 1].map(|view| RecordedFrame {
-            target: into(&layers[view], BLACK, [0; 2]),
-            ..RecordedFrame::new(&placed, &cameras[view], &settings)
-        });
+        let array = ArrayImage::new(host, &context, SIZE, 2);
+        let views = array.frames(&placed, &cameras);
         let wanted = Reservation::new(GAUSSIANS as u32, 1, SIZE[0], SIZE[1]);
         let wanted = Reservation { slots: 2, views: 2, images_only: true, ..wanted };
         let mut renderers = [false, true].map(|shared_sort| {
@@ -71,14 +60,14 @@ fn costs() {
             renderer.reserve(&reserved).expect("memory");
             renderer
         });
-        let in_flight = InFlight::new(host).expect("a command buffer");
+        let in_flight = Commands::new(host);
         let mut shots = [const { Vec::new() }; CASES.len()];
         for round in 0..32 {
             for (case, shots) in shots.iter_mut().enumerate() {
                 let renderer = &mut renderers[usize::from(case == 2)];
                 let (alone, both) = ([&views[..1], &views[1..]], [&views[..]]);
                 let groups = if case == 0 { &alone[..] } else { &both[..] };
-                let figures = shot(host, &in_flight, renderer, groups);
+                let figures = shot(&in_flight, renderer, groups);
                 if round > 1 {
                     shots.push(figures);
                 }
@@ -99,8 +88,5 @@ fn costs() {
             }
             println!();
         }
-        in_flight.destroy(host);
-        drop((renderers, layers));
-        array.destroy(host);
     });
 }

@@ -78,7 +78,6 @@ impl Filling {
         self.exactly(length)
     }
 
-    /// Returns `length` bytes.
     pub fn exactly(self, length: usize) -> Vec<u8> {
         let mut state = u32::from(self.seed);
         let mut next = || {
@@ -120,4 +119,23 @@ fn leaves(value: &mut Value) -> Vec<&mut Value> {
         Value::Null | Value::Bool(_) => Vec::new(),
         leaf => vec![leaf],
     }
+}
+
+/// A file of tensors with a changed header, whose length may be false. It may be cut.
+pub fn safetensors(
+    (mut header, changes): (Value, &[Change]),
+    tensors: &[u8],
+    (length, cut, patches): (Number, Option<u16>, &[Patch]),
+) -> Vec<u8> {
+    spoil(&mut header, changes);
+    let mut header = header.to_string().into_bytes();
+    header.resize(header.len().next_multiple_of(8), b' ');
+    let mut file = length.of(header.len() as u64).to_le_bytes().to_vec();
+    file.extend(header);
+    file.extend(tensors);
+    if let Some(cut) = cut {
+        file.truncate(file.len() - usize::from(cut) % file.len());
+    }
+    patch(&mut file, patches);
+    file
 }

@@ -1,16 +1,17 @@
 //! Writes inputs as files for the fuzzed readers, and limits their memory.
 
+mod checkpoint;
 pub mod hostile;
 
-use ashsplat::scene::{Gaussians, PointCloud, WorldFrame};
-use ashsplat::trainer::checkpoint::{Checkpoint, Room};
-use ashsplat::trainer::settings::TrainSettings;
+use ashsplat::scene::{Gaussians, PointCloud};
 use ashsplat_files::HostMemory;
+use ashsplat_files::splats::{self, ReadOptions};
 use cap::Cap;
 use std::alloc::System;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 pub use ashsplat::Error;
+pub use checkpoint::checkpoint;
 
 #[global_allocator]
 static MEMORY: Cap<System> = Cap::new(System, usize::MAX);
@@ -37,6 +38,19 @@ pub fn in_one_line<T>(result: Result<T, Error>) -> Option<T> {
     result.map_err(|error| assert!(!error.to_string().contains('\n'), "{error}")).ok()
 }
 
+/// Writes bytes into a file, and reads it as Gaussians, with and without unusable ones.
+pub fn check_gaussians(path: &Path, bytes: &[u8]) {
+    std::fs::write(path, bytes).expect("written");
+    within(bytes.len(), |bound| {
+        for drop_invalid in [false, true] {
+            let options = ReadOptions { drop_invalid, max_host_memory: Some(bound) };
+            if let Some(scene) = in_one_line(splats::read(path, &options)) {
+                scene.gaussians.check_shapes().expect("shapes that fit together");
+            }
+        }
+    });
+}
+
 /// A folder for this process' files, in memory if possible.
 pub fn folder(name: &str) -> PathBuf {
     let memory = PathBuf::from("/dev/shm");
@@ -57,46 +71,4 @@ pub fn gaussians(count: usize, sh_degree: u32) -> Gaussians {
     let positions: Vec<[f32; 3]> = (0..count).map(|k| [k as f32, (k % 7) as f32, (k % 3) as f32]).collect();
     let points = PointCloud { colors: vec![[1, 2, 3]; count], positions };
     ashsplat_files::initial_gaussians(&points, sh_degree).expect("Gaussians")
-}
-
-/// A valid checkpoint of some Gaussians.
-pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
-    let count = gaussians.len();
-    let ones = Gaussians {
-        sh_degree: gaussians.sh_degree,
-        means: vec![[1.0; 3]; count],
-        quats: vec![[1.0; 4]; count],
-        log_scales: vec![[1.0; 3]; count],
-        opacity_logits: vec![1.0; count],
-        sh: vec![[1.0; 3]; gaussians.sh.len()],
-    };
-    Checkpoint {
-        version: "0.1.0".into(),
-        device: "a device".into(),
-        driver: "a driver".into(),
-        kernels: "gpu, subgroups of 32".into(),
-        settings: TrainSettings { sh_degree, ..TrainSettings::default() },
-        views: 3,
-        views_fingerprint: 7,
-        scene_extent: 2.0,
-        frame: WorldFrame::default(),
-        iteration: 5,
-        optimizer_steps: 5,
-        opacity_steps: 5,
-        due: Default::default(),
-        filters: Vec::new(),
-        strategy: Default::default(),
-        first_moments: gaussians.clone(),
-        second_moments: ones,
-        statistics: vec![[0.0; 2]; gaussians.len()],
-        gaussians,
-        gradient_sums: None,
-        means: None,
-        exposures: Default::default(),
-        lenses: Default::default(),
-        poses: None,
-        block: None,
-        skipped: 1,
-        room: Room::default(),
-    }
 }

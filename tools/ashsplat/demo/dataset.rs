@@ -1,8 +1,6 @@
 //! The demo's data set: photographs from two circles, with a sparse, noisy point cloud, as a COLMAP folder or in the
 //! layout of the NeRF paper's synthetic scenes.
 
-use crate::output;
-use crate::progress::counting;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_demo_scene::Scene;
@@ -10,6 +8,8 @@ use ashsplat_demo_scene::city::{self, City};
 use ashsplat_demo_scene::raycast::{self, Ray};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::{Photo, ply};
+use ashsplat_program::output;
+use ashsplat_program::progress::counting;
 use clap::Args;
 use glam::{DMat3, DQuat, DVec3, Vec3, vec3};
 use image::RgbaImage;

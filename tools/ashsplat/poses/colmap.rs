@@ -1,7 +1,7 @@
 //! Runs COLMAP: finds its version, builds its commands, reads its progress.
 
-use crate::child::{self, Ended};
 use ashsplat::{Error, Result};
+use ashsplat_program::child::{self, Ended};
 use std::ffi::{OsStr, OsString};
 use std::fs::File;
 use std::io::Write;

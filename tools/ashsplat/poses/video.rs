@@ -1,9 +1,9 @@
 //! Extracts frames of a video by ffmpeg: the sharpest frame of each of equal intervals.
 
 use super::sharpness::sharpness;
-use crate::child::{INSTALL_FFMPEG, Running, not_started};
 use ashsplat::{Error, Result};
 use ashsplat_files::{Photo, atomic};
+use ashsplat_program::child::{INSTALL_FFMPEG, Running, not_started};
 use image::codecs::jpeg::JpegEncoder;
 use std::ffi::{OsStr, OsString};
 use std::io::{BufReader, ErrorKind, Read, Seek};

@@ -1,11 +1,11 @@
 //! The unfinished work of `poses`: a folder within the data set's folder, with which a second run continues.
 
-use crate::lock::{FolderLock, Work as Locked};
-use crate::output;
 use ashsplat::{Error, Result};
 use ashsplat_files::colmap::UNFINISHED_POSES as FOLDER;
 use ashsplat_files::regular_file;
 use ashsplat_files::{atomic, colmap};
+use ashsplat_program::lock::{FolderLock, Work as Locked};
+use ashsplat_program::output;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,15 +1,14 @@
 //! Chooses the views that `ashsplat render` renders.
 
-use super::parse_direction;
-use crate::config::CAMERAS_FILE;
-use crate::film_file::Container;
-use crate::model::{Model, POINT_CLOUDS};
-use crate::session;
-use ashsplat::kernels::constants::NEAR_PLANE;
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, Motion, Orbit, WorldFrame, tour};
+use ashsplat::scene::{Camera, Intrinsics, Motion, Orbit, WorldFrame, tour};
 use ashsplat::{Error, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::splats::Scene;
+use ashsplat_program::config::CAMERAS_FILE;
+use ashsplat_program::film_file::Container;
+use ashsplat_program::look::{orbit_around, parse_direction};
+use ashsplat_program::model::{Model, POINT_CLOUDS};
+use ashsplat_program::session;
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 use std::cmp::Ordering;
@@ -276,27 +275,6 @@ fn named(cameras: Vec<Camera>, word: &str) -> Result<Vec<NamedCamera>> {
         Ok(NamedCamera { name: format!("{word}_{index:03}"), camera })
     };
     cameras.into_iter().enumerate().map(named).collect()
-}
-
-/// Share of the middle part's diagonal that an orbit shows; corners may be cut.
-const ORBIT_SHARE: f32 = 0.75;
-/// Reach of a Gaussian beyond its mean for an orbit, standard deviations.
-const ORBIT_REACH: f32 = 2.0;
-
-/// A circle around the middle nine tenths of the Gaussians, wide enough to see nearly all of them and not so near that
-/// any are culled.
-pub fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Intrinsics) -> Orbit {
-    let statistics = gaussians.statistics();
-    let bounds = statistics.central_bounds;
-    let center = bounds.map_or(Vec3::ZERO, |b| b.center());
-    let median_scale = statistics.scale_percentiles.map_or(0.0, |percentiles| percentiles[3]);
-    let half_diagonal = bounds.map_or(1.0, |b| 0.5 * b.size().length()) + ORBIT_REACH * median_scale;
-    let ball = half_diagonal.max(1e-3) * ORBIT_SHARE;
-    let narrow = intrinsics.width.min(intrinsics.height) as f32;
-    // Sine of half the narrower field of view, at which the ball just fits.
-    let sine = (0.5 * narrow / intrinsics.fx).atan().sin();
-    let radius = (ball / sine).max(NEAR_PLANE + ball);
-    Orbit { center, up, radius, elevation: 20f32.to_radians(), count, intrinsics }
 }
 
 /// Widest default field of view of an orbit, degrees.

@@ -1,9 +1,9 @@
 //! Checks, counts and reports each iteration.
 
 use super::Run;
-use crate::progress::{State, thousands};
-use ashsplat::trainer::StepReport;
+use ashsplat::train::StepReport;
 use ashsplat::{Error, Result};
+use ashsplat_program::progress::{State, thousands};
 use std::collections::BTreeMap;
 
 /// Iterations after which a training without effect is noticed.
@@ -90,7 +90,7 @@ impl Run {
             }
             self.skipped += 1;
         }
-        let (views, iterations) = (self.trained.len() as u32, self.until - self.started);
+        let (views, iterations) = (self.views.trained.len() as u32, self.until - self.started);
         if let Some(warning) = self.effect.after(report, views, iterations) {
             self.progress.warn(&warning);
         }

@@ -1,14 +1,15 @@
 //! Checkpoints of a run: their paths, the newest one, and the one to continue from.
 
 use super::Run;
-use crate::args::{self, DeviceArguments, HostArguments};
-use crate::config::SETTINGS_FILE;
-use crate::output;
-use ashsplat::trainer::strategy::Actions;
-use ashsplat::trainer::{Checkpoint, TrainParts, TrainSettings, TrainView, Trainer};
+use ashsplat::train::strategy::Actions;
+use ashsplat::train::{Checkpoint, TrainParts, TrainSettings, TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::{CheckpointFile, quoted};
+use ashsplat_program::args::{DeviceArguments, HostArguments};
+use ashsplat_program::config::SETTINGS_FILE;
+use ashsplat_program::model::{CHECKPOINT_EXTENSION, checkpoint_path};
+use ashsplat_program::{args, output};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -19,7 +20,6 @@ const LATEST: &str = "latest";
 const LAST_FILE: &str = "last_checkpoint";
 /// File with the iterations of passing checkpoints, which are removed when a newer one is written.
 const PASSING_FILE: &str = "passing_checkpoints";
-const EXTENSION: &str = "safetensors";
 
 /// Checkpoint that a training continues from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -103,7 +103,7 @@ impl Start {
             );
         }
         let said = |bytes: Option<u64>| bytes.map_or("none".into(), args::size);
-        let (there, here) = (self.checkpoint.room.max_memory, context.max_memory());
+        let (there, here) = (self.checkpoint.capacities.max_memory, context.max_memory());
         if there != here {
             tell!(
                 "warning: {}: was made with --max-memory {}, here it is {}; densification may stop elsewhere, and the \
@@ -123,8 +123,14 @@ impl Start {
         (settings, scene_extent): (&TrainSettings, f32),
         parts: TrainParts,
     ) -> Result<Trainer> {
-        let given = (settings.clone(), scene_extent);
-        let trainer = Trainer::resume_with_parts(context, views, given, parts, &self.checkpoint);
+        let trainer = Trainer::resume_with_parts(
+            context,
+            views,
+            scene_extent,
+            settings.clone(),
+            parts,
+            &self.checkpoint,
+        );
         trainer.map_err(|error| match error {
             Error::Argument { problem, .. } => {
                 Error::input(&self.path, problem, "or start anew without --start-checkpoint")
@@ -132,11 +138,6 @@ impl Start {
             other => other,
         })
     }
-}
-
-/// `chkpntN.safetensors` of a model folder, named after the reference's chkpntN.pth.
-pub fn path(folder: &Path, iteration: u32) -> PathBuf {
-    folder.join(format!("chkpnt{iteration}.{EXTENSION}"))
 }
 
 /// Same as [`write`], and removes the passing checkpoints. The new one is passing too, unless it `stays`.
@@ -148,7 +149,7 @@ fn write_passing(folder: &Path, checkpoint: &Checkpoint, stays: bool) -> Result<
     note_passing(folder, before.iter().copied().chain(own))?;
     let path = write(folder, checkpoint)?;
     for n in before {
-        std::fs::remove_file(self::path(folder, n)).ok();
+        std::fs::remove_file(checkpoint_path(folder, n)).ok();
     }
     note_passing(folder, own)?;
     Ok(path)
@@ -166,7 +167,7 @@ fn note_passing(folder: &Path, iterations: impl IntoIterator<Item = u32>) -> Res
 
 /// Writes a checkpoint, and notes that it is the newest.
 pub fn write(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf> {
-    let path = path(folder, checkpoint.iteration);
+    let path = checkpoint_path(folder, checkpoint.iteration);
     checkpoint.write(&path)?;
     output::write_text(&folder.join(LAST_FILE), &format!("{}\n", checkpoint.iteration))?;
     Ok(path)
@@ -230,7 +231,7 @@ impl Run {
     }
 
     fn write_that(&mut self, checkpoint: Checkpoint) -> Result<()> {
-        let checkpoint = &Checkpoint { frame: self.frame, ..checkpoint };
+        let checkpoint = &Checkpoint { frame: self.views.frame, ..checkpoint };
         self.log.flush();
         let data = &self.settings.data;
         let (folder, iteration) = (&data.model_path, checkpoint.iteration);
@@ -292,18 +293,19 @@ fn iteration_of(name: &str) -> Option<u32> {
 }
 
 fn number_of(name: &str, kind: &str) -> Option<u32> {
-    name.strip_prefix(kind)?.strip_suffix(EXTENSION)?.strip_suffix('.')?.parse().ok()
+    name.strip_prefix(kind)?.strip_suffix(CHECKPOINT_EXTENSION)?.strip_suffix('.')?.parse().ok()
 }
 
 /// The noted checkpoint, if it exists; else the one with the highest iteration.
 fn newest(folder: &Path) -> Option<PathBuf> {
     let note = output::read_note(&folder.join(LAST_FILE));
-    let noted = note.and_then(|text| text.trim().parse().ok()).map(|iteration| path(folder, iteration));
+    let noted =
+        note.and_then(|text| text.trim().parse().ok()).map(|iteration| checkpoint_path(folder, iteration));
     if let Some(noted) = noted.filter(|path| path.is_file()) {
         return Some(noted);
     }
     let highest = names(folder).iter().filter_map(|name| iteration_of(name.to_str()?)).max();
-    highest.map(|iteration| path(folder, iteration))
+    highest.map(|iteration| checkpoint_path(folder, iteration))
 }
 
 /// The iteration of the newest checkpoint.
@@ -338,23 +340,23 @@ mod tests {
         assert!(newest(folder).is_none());
         // An earlier training's checkpoints are not used, but the error names them.
         std::fs::create_dir(folder.join("earlier_1")).expect("a folder");
-        std::fs::write(path(&folder.join("earlier_1"), 7), "").expect("written");
+        std::fs::write(checkpoint_path(&folder.join("earlier_1"), 7), "").expect("written");
         assert!(newest(folder).is_none() && no_checkpoint(folder).to_string().contains("earlier_1"));
         for iteration in [7, 20, 100] {
-            std::fs::write(path(folder, iteration), "").expect("written");
+            std::fs::write(checkpoint_path(folder, iteration), "").expect("written");
         }
-        assert_eq!(newest(folder), Some(path(folder, 100)));
+        assert_eq!(newest(folder), Some(checkpoint_path(folder, 100)));
         std::fs::write(folder.join(LAST_FILE), "20\n").expect("written");
-        assert_eq!(newest(folder), Some(path(folder, 20)));
-        std::fs::remove_file(path(folder, 20)).expect("removed");
-        assert_eq!(newest(folder), Some(path(folder, 100)));
+        assert_eq!(newest(folder), Some(checkpoint_path(folder, 20)));
+        std::fs::remove_file(checkpoint_path(folder, 20)).expect("removed");
+        assert_eq!(newest(folder), Some(checkpoint_path(folder, 100)));
         std::fs::remove_file(folder.join(LAST_FILE)).expect("removed");
         #[cfg(unix)]
         {
             // A pipe without a writer is not waited for.
             let mode = nix::sys::stat::Mode::S_IRWXU;
             nix::unistd::mkfifo(&folder.join(LAST_FILE), mode).expect("a pipe");
-            assert_eq!(newest(folder), Some(path(folder, 100)));
+            assert_eq!(newest(folder), Some(checkpoint_path(folder, 100)));
         }
     }
 }

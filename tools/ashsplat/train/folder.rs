@@ -1,18 +1,19 @@
 //! Prepares the model folder before the first iteration.
 
+use super::checkpoints;
 use super::poses::POSES_FILE;
 use super::report::REPORT_FILE;
-use super::{LOG_FILE, checkpoints};
-use crate::blocks::result::RESULT_FILE;
-use crate::blocks::rounds::ROUND_FILE;
-use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
-use crate::lock::{self, FolderLock, Work};
-use crate::{eval, model, output};
 use ashsplat::scene::{Camera, PointCloud, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_files::exposure_json::EXPOSURE_FILE;
 use ashsplat_files::lens_json::LENS_FILE;
 use ashsplat_files::{atomic, cameras_json, ply};
+use ashsplat_program::blocks::result::RESULT_FILE;
+use ashsplat_program::blocks::rounds::ROUND_FILE;
+use ashsplat_program::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
+use ashsplat_program::lock::{FolderLock, TRAINING};
+use ashsplat_program::train_log::LOG_FILE;
+use ashsplat_program::{eval, model, output};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
@@ -20,7 +21,6 @@ const RENDERS: &str = "test";
 /// Films from the viewer.
 const FILMS: &str = "films";
 const INPUT_FILE: &str = "input.ply";
-const TRAINING: Work = Work { file: ".training.lock", what: "training", option: "-m" };
 
 /// Locks an existing model folder before its checkpoints are looked up: another training would still write them. With
 /// `wait`, that one may end first, and the folder need not exist yet.
@@ -33,11 +33,6 @@ pub fn hold(folder: &Path, wait: bool, stop: &AtomicBool) -> Result<Option<Folde
         false if !folder.is_dir() => Ok(None),
         false => FolderLock::take(folder, &TRAINING).map(Some),
     }
-}
-
-/// The process that trains in a folder, in words.
-pub fn trainer(folder: &Path) -> Option<String> {
-    lock::holder(folder, &TRAINING)
 }
 
 /// Creates and locks the model folder if that is still to be done, and writes everything known before training. A run

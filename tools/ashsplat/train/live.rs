@@ -1,28 +1,27 @@
 //! `train --view` and `--ip`: viewers of a running training, and their share of its time.
 
 mod curves;
-mod doors;
 #[cfg(test)]
 mod tests;
 
 use super::Run;
 use super::allowance::Allowance;
-use crate::guarded::guarded;
-use crate::measure::Stopwatch;
-use crate::view::hub::Hub;
-use crate::view::protocol::{ToPage, TrainAction};
-use crate::view::server::{self, Server, Site};
-use crate::view::sibr::{self, Wishes};
-use crate::view::studio::{self, Studio};
-use crate::view::{self, PhotoLights, Photos, Subject};
-use ashsplat::trainer::{StepReport, Trainer};
+use ashsplat::train::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
+use ashsplat_program::measure::Stopwatch;
+use ashsplat_program::session::guarded;
+use ashsplat_view::hub::Hub;
+use ashsplat_view::protocol::{ToPage, TrainAction};
+use ashsplat_view::server::{ServeArguments, Server, Site};
+use ashsplat_view::sibr::Wishes;
+use ashsplat_view::studio::Studio;
+use ashsplat_view::{PhotoLights, Photos, Subject, announce, server, sibr, studio};
 use clap::Args;
 use curves::Curves;
-use doors::Doors;
 use serde_json::json;
+use std::net::{IpAddr, TcpListener};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -68,6 +67,44 @@ impl LiveArguments {
     pub fn wants_photos(&self) -> bool {
         self.view.is_some()
     }
+
+    /// Opens the requested ports, if any.
+    pub fn open(&self) -> Result<Option<Doors>> {
+        if self.view.is_none() && self.ip.is_none() {
+            return Ok(None);
+        }
+        let page = self.view.map(|port| {
+            let (host, token) = (self.view_host.clone(), self.view_token.clone());
+            let allow_origin = self.view_allow_origin.clone();
+            let serve = ServeArguments { host, port, token, allow_origin, of_training: true };
+            Ok((server::open(&serve)?, serve))
+        });
+        let network_viewer = self.network_viewer_address().map(|address| sibr::open(address, self.port));
+        let (page, network_viewer) = (page.transpose()?, network_viewer.transpose()?);
+        Ok(Some(Doors { page, network_viewer, share: self.view_share }))
+    }
+
+    /// Scripts for the reference pass `--ip 0.0.0.0`, which alone admits no other machine.
+    fn network_viewer_address(&self) -> Option<&str> {
+        let ip = self.ip.as_deref()?;
+        if let Some(host) = &self.host {
+            return Some(host);
+        }
+        if ip == "localhost" || ip.parse().is_ok_and(|address: IpAddr| address.is_loopback()) {
+            return Some(ip);
+        }
+        tell!("note: the network viewer listens at {OWN}: --host {ip} lets others in, without a password");
+        Some(OWN)
+    }
+}
+
+/// Open ports that are not served yet; early connections wait. They are opened before anything is loaded, so that a port
+/// in use is an error at once.
+pub struct Doors {
+    page: Option<(TcpListener, ServeArguments)>,
+    network_viewer: Option<TcpListener>,
+    /// See [`LiveArguments`].
+    share: f64,
 }
 
 /// Properties of a training that are known before it begins.
@@ -79,6 +116,8 @@ struct About<'a> {
     source: &'a Path,
 }
 
+/// The loopback address.
+const OWN: &str = "127.0.0.1";
 /// Least time between two new pictures for pages that follow the training.
 const RENEWAL: Duration = Duration::from_millis(500);
 /// Time between two checks of a paused training.
@@ -126,7 +165,7 @@ impl Live {
             let site = Site::new(hub.clone(), films, serve.clone());
             site.show_photos(subject.photos);
             let started = server::start(listener, site)?;
-            view::announce(started.address, &serve);
+            announce(started.address, &serve);
             server = Some(started);
         }
         let mut wishes = None;
@@ -274,9 +313,9 @@ impl Run {
             up: None,
             name: data.model_path.display().to_string(),
             gaussians: self.trainer.gaussians()?,
-            frame: self.frame,
+            frame: self.views.frame,
             base: self.trainer.render_settings(),
-            lights: PhotoLights::in_training(&cameras, &self.trained, &self.takers, learns),
+            lights: PhotoLights::in_training(&cameras, &self.views.trained, &self.views.takers, learns),
             cameras,
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: Some("in training".into()),

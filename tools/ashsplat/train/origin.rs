@@ -2,16 +2,16 @@
 
 use super::checkpoints::{Start, StartFrom};
 use super::prepared::Data;
-use crate::args::HostArguments;
-use crate::config::{Overrides, Settings};
-use crate::model;
-use crate::progress::thousands;
 use ashsplat::scene::{Gaussians, PointCloud, WorldFrame};
-use ashsplat::trainer::{Checkpoint, SceneBlock, TrainParts, TrainSettings, Trainer};
+use ashsplat::train::{Checkpoint, SceneBlock, TrainParts, TrainSettings, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
-use ashsplat_files::splats::{self, Scene};
-use ashsplat_files::{Dataset, Gallery};
+use ashsplat_files::splats::Scene;
+use ashsplat_files::{Dataset, Gallery, splats};
+use ashsplat_program::args::HostArguments;
+use ashsplat_program::config::Settings;
+use ashsplat_program::model;
+use ashsplat_program::progress::thousands;
 use glam::Vec3;
 use std::path::Path;
 
@@ -148,11 +148,6 @@ impl Origin {
         self.start().map(Start::checkpoint)
     }
 
-    /// Refuses settings without effect. A continued training keeps its settings, used or not.
-    pub fn refuse_unused(&self, settings: &Settings, given: (Option<&Path>, &Overrides)) -> Result<()> {
-        if self.start.is_some() { Ok(()) } else { settings.refuse_unused(given) }
-    }
-
     /// Number of trained Gaussians and of those around them, as far as it is known before photos are read. It counts
     /// `points`, or their substitute if there are none.
     pub fn counts(
@@ -191,16 +186,12 @@ impl Origin {
         at_end && model::point_cloud_path(folder, last).is_file()
     }
 
-    /// The settings of a training with this start: the SH degree of a scene is used from its beginning.
-    pub fn settle(&self, settings: Settings) -> Settings {
-        let degree = match (self.checkpoint(), self.scene()) {
-            (Some(checkpoint), _) => checkpoint.settings.sh_degree_start,
-            (None, Some(scene)) => scene.sh_degree,
-            (None, None) => 0,
-        };
-        let train = settings.train;
-        let sh_degree_start = train.sh_degree_start.max(degree).min(train.sh_degree);
-        Settings { train: TrainSettings { sh_degree_start, ..train }, ..settings }
+    /// SH degree of the start, which is used from the beginning.
+    pub fn sh_degree(&self) -> u32 {
+        match self.checkpoint() {
+            Some(checkpoint) => checkpoint.settings.sh_degree_start,
+            None => self.scene().map_or(0, |scene| scene.sh_degree),
+        }
     }
 
     /// Makes the first Gaussians.

@@ -3,15 +3,15 @@
 //!
 //! Only that part of a photo is used. Without the block's surroundings, pixels that show them do not count.
 
-use crate::blocks::job::Job;
-use crate::blocks::parts::{Part, Shown};
-use crate::blocks::places::small;
-use crate::config::Settings;
-use crate::progress::counting;
-use crate::session;
 use ashsplat::vk::Context;
 use ashsplat::{Error, Gaussians, RenderSettings, Renderer, Result};
 use ashsplat_files::Gallery;
+use ashsplat_program::blocks::job::Job;
+use ashsplat_program::blocks::parts::small;
+use ashsplat_program::blocks::parts::{Part, Shown};
+use ashsplat_program::config::Settings;
+use ashsplat_program::progress::counting;
+use ashsplat_program::session;
 use std::collections::BTreeSet;
 use std::sync::atomic::AtomicBool;
 

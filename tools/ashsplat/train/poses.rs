@@ -1,11 +1,11 @@
 //! Optimised poses of training views: their files and a summary.
 
 use super::Run;
-use crate::config::CAMERAS_FILE;
-use crate::{eval, output};
 use ashsplat::Result;
 use ashsplat::scene::{Camera, Twist};
 use ashsplat_files::cameras_json::{self, NamedCamera};
+use ashsplat_program::config::CAMERAS_FILE;
+use ashsplat_program::{eval, output};
 use serde_json::{Map, json};
 use std::collections::HashMap;
 
@@ -71,7 +71,8 @@ impl Run {
     fn cameras_now(&self) -> Result<Vec<NamedCamera>> {
         let moved = self.trainer.cameras()?;
         // With --train-test-exp, held-out views are also trained on, so only names identify the views.
-        let moved: HashMap<&str, &Camera> = self.trained.iter().map(String::as_str).zip(&moved).collect();
+        let moved: HashMap<&str, &Camera> =
+            self.views.trained.iter().map(String::as_str).zip(&moved).collect();
         let now = |(name, camera): &(String, Camera)| {
             let mut camera = *camera;
             if let Some(at) = moved.get(name.as_str()) {
@@ -80,7 +81,7 @@ impl Run {
             }
             NamedCamera { name: name.clone(), camera }
         };
-        Ok(self.cameras.iter().map(now).collect())
+        Ok(self.views.cameras.iter().map(now).collect())
     }
 
     /// Writes the cameras after an iteration, if poses are optimised.
@@ -95,19 +96,19 @@ impl Run {
         cameras_json::write(
             folder.join(CAMERAS_FILE),
             cameras.iter().map(|named| (named.name.as_str(), &named.camera)),
-            &self.frame,
+            &self.views.frame,
         )?;
-        let poses: Map<_, _> = (self.trained.iter().zip(&changes))
+        let poses: Map<_, _> = (self.views.trained.iter().zip(&changes))
             .map(|(name, change)| {
                 let Twist { nu, omega } = *change;
-                (name.clone(), json!(Twist { nu: self.frame.unit * nu, omega }.to_array()))
+                (name.clone(), json!(Twist { nu: self.views.frame.unit * nu, omega }.to_array()))
             })
             .collect();
         let summary = json!({
             "iteration": iteration,
             "about": "exp(xi^) T: xi = (nu, omega) in the camera's frame (x right, y down, z forward), the data \
                       set's units and radians; T to the camera as given",
-            "scene_extent": (self.frame.unit * f64::from(self.trainer.scene_extent())) as f32,
+            "scene_extent": (self.views.frame.unit * f64::from(self.trainer.scene_extent())) as f32,
             "degrees": { "mean": degrees[0], "largest": degrees[1] },
             "share_of_extent": { "mean": shares[0], "largest": shares[1] },
             "xi": poses,
@@ -118,15 +119,15 @@ impl Run {
     /// Moves test views that are trained on to the current poses of their cameras: those that replace held-out ones,
     /// and held-out ones whose halves are trained on.
     pub(super) fn follow_cameras(&mut self) -> Result<()> {
-        let trained_on = !self.held_out || self.settings.data.train_test_exp;
+        let trained_on = !self.views.held_out || self.settings.data.train_test_exp;
         if !(self.settings.train.pose_opt && trained_on) {
             return Ok(());
         }
         let cameras = eval::by_name(self.cameras_now()?);
-        for view in &mut self.test {
+        for view in &mut self.views.test {
             *view = eval::at_its_place(view.clone(), &cameras);
         }
-        self.tracking.follow(&self.test);
+        self.tracking.follow(&self.views.test);
         Ok(())
     }
 }

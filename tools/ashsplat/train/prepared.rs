@@ -1,14 +1,14 @@
 //! Prepares a data set for a run.
 
 use super::origin::Origin;
-use crate::config::Settings;
 use ashsplat::Result;
-use ashsplat::plan::to_u32;
+use ashsplat::frame::to_u32;
 use ashsplat::scene::{Camera, WorldFrame};
-use ashsplat::trainer::{Forecast, TrainView};
+use ashsplat::train::{Forecast, TrainView};
 use ashsplat::vk::Context;
 use ashsplat_files::images::existing_folder;
 use ashsplat_files::{Dataset, Gallery, PhotoMemory, View};
+use ashsplat_program::config::Settings;
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 
@@ -90,7 +90,7 @@ pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, ori
         photo_memory: gallery.file_memory(),
         gaussians: to_u32(gaussians as u64)?,
         frozen: to_u32(frozen as u64)?,
-        room: origin.checkpoint().map(|checkpoint| &checkpoint.room),
+        capacities: origin.checkpoint().map(|checkpoint| &checkpoint.capacities),
     }
     .check(context)
 }

@@ -5,17 +5,17 @@ mod kernels;
 mod lights;
 mod views;
 
-use super::log::Rows;
-use super::{LOG_FILE, Run};
-use crate::child;
-use crate::config::Settings;
-use crate::eval::{self, Evaluation, More};
-use crate::html::{self, escape, section};
-use crate::output;
-use crate::progress::thousands;
+use super::Run;
 use ashsplat::Result;
 use ashsplat::scene::{Gaussians, WorldFrame};
 use ashsplat_files::{View, quoted};
+use ashsplat_program::child;
+use ashsplat_program::config::Settings;
+use ashsplat_program::eval::{self, Evaluation, More};
+use ashsplat_program::html::{self, escape, section};
+use ashsplat_program::output;
+use ashsplat_program::progress::thousands;
+use ashsplat_program::train_log::{LOG_FILE, Rows};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -103,11 +103,11 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
     let iteration = run.trainer.iteration();
     let tested = run.evaluations.last().filter(|tested| tested.iteration == iteration);
     let (chosen, evaluation) = match tested {
-        Some(tested) => (run.test.clone(), tested.evaluation.clone()),
+        Some(tested) => (run.views.test.clone(), tested.evaluation.clone()),
         // After an interruption, the user does not want to wait for all views.
         None => measure_some(run)?,
     };
-    let kind = if run.held_out { "held-out" } else { "training" };
+    let kind = if run.views.held_out { "held-out" } else { "training" };
     let gaussians = run.trainer.gaussians()?;
     let mut out = head(run, interrupted);
     out.push_str(&cards(run, rows, &evaluation, gaussians.len())?);
@@ -133,7 +133,7 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
     };
     let _ = writeln!(out, "<p class=\"note\">{note}</p>");
     lights::sections(&mut out, &run.lights()?);
-    histograms(&mut out, &gaussians, &run.frame);
+    histograms(&mut out, &gaussians, &run.views.frame);
     section(&mut out, "Kernels", &run.kernels.note());
     out.push_str(&run.kernels.table());
     memory(&mut out, run);
@@ -145,7 +145,8 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
 
 /// Measures a few of the views, evenly spread.
 fn measure_some(run: &mut Run) -> Result<(Vec<View>, Evaluation)> {
-    let views: Vec<View> = views::spread(&run.test.iter().collect::<Vec<_>>()).into_iter().cloned().collect();
+    let views: Vec<View> =
+        views::spread(&run.views.test.iter().collect::<Vec<_>>()).into_iter().cloned().collect();
     let settings = run.trainer.render_settings();
     let protocol = run.protocol()?;
     let evaluation = eval::evaluate(views.iter().map(Ok), &protocol, More::default(), |camera| {
@@ -183,7 +184,7 @@ fn head(run: &Run, interrupted: bool) -> String {
 }
 
 fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> Result<String> {
-    let kind = if run.held_out { "held out" } else { "on training views" };
+    let kind = if run.views.held_out { "held out" } else { "on training views" };
     let seconds = rows.milliseconds.iter().sum::<f64>() * 1e-3;
     let speed = rows.milliseconds.len() as f64 / seconds.max(1e-9);
     let peak = rows.peak_bytes.iter().copied().fold(0.0, f64::max) / 1_048_576.0;

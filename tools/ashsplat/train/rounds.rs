@@ -2,11 +2,11 @@
 
 use super::Run;
 use super::checkpoints::{StartFrom, newest_iteration};
-use crate::blocks::job::Job;
-use crate::blocks::result;
-use crate::blocks::rounds::{Stage, note};
-use crate::config::Settings;
 use ashsplat::{Error, Result};
+use ashsplat_program::blocks::job::Job;
+use ashsplat_program::blocks::result;
+use ashsplat_program::blocks::rounds::{Stage, note};
+use ashsplat_program::config::Settings;
 use std::path::Path;
 
 /// The start of a round: after an exchange, the exchanged checkpoint until a newer one exists.

@@ -2,14 +2,14 @@
 //! worth more than one file.
 
 use super::Run;
-use crate::light::Lights;
-use crate::measure::Stopwatch;
-use crate::{model, output};
 use ashsplat::scene::LensEffects;
 use ashsplat::{Error, Result};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::lens_json::{LENS_FILE, LensFile};
 use ashsplat_files::{ply, splats};
+use ashsplat_program::light::Lights;
+use ashsplat_program::measure::Stopwatch;
+use ashsplat_program::{model, output};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
@@ -54,6 +54,7 @@ impl Unsaved {
         }
     }
 
+    #[cfg(feature = "view")]
     /// Notes that the scene a page requested could not be saved.
     pub fn wants_scene(&mut self) {
         self.scene = Some(Instant::now() + AGAIN);
@@ -132,11 +133,11 @@ impl Run {
 
     /// The learned exposures and lens effects. Held-out photographs have their cameras' lens effects too.
     pub(super) fn lights(&self) -> Result<Lights> {
-        let exposures = self.trained.iter().cloned().zip(self.trainer.exposures()?).collect();
-        let of_views = self.trained.iter().zip(self.trainer.lens_effects()?);
+        let exposures = self.views.trained.iter().cloned().zip(self.trainer.exposures()?).collect();
+        let of_views = self.views.trained.iter().zip(self.trainer.lens_effects()?);
         let cameras: BTreeMap<u32, LensEffects> =
-            of_views.filter_map(|(name, effects)| Some((*self.takers.get(name)?, effects))).collect();
-        let known = self.takers.iter().filter(|(_, camera)| cameras.contains_key(camera));
+            of_views.filter_map(|(name, effects)| Some((*self.views.takers.get(name)?, effects))).collect();
+        let known = self.views.takers.iter().filter(|(_, camera)| cameras.contains_key(camera));
         let photos = known.map(|(name, camera)| (name.clone(), *camera)).collect();
         Ok(Lights { exposures, lenses: LensFile { cameras, photos } })
     }
@@ -147,7 +148,7 @@ impl Run {
         let path = model::point_cloud_path(folder, iteration);
         let gaussians = self.trainer.gaussians()?;
         let marks = splats::WriteOptions::marking(&self.settings.train.render_settings());
-        let options = splats::WriteOptions { frame: self.frame, ..marks };
+        let options = splats::WriteOptions { frame: self.views.frame, ..marks };
         let filters = self.trainer.filters()?;
         output::in_folder(&path, |path| match filters.is_empty() {
             true => splats::write(path, &gaussians, &options).map(drop),

@@ -3,15 +3,16 @@
 use super::Run;
 use super::prepared::stand_ins;
 use super::saving::attempt;
-use crate::args::HostArguments;
-use crate::config::Settings;
-use crate::eval::{self, Evaluation, More, Perceptual, Pictures, Protocol, SceneSize};
-use crate::model::point_cloud_path;
-use crate::progress::thousands;
-use ashsplat::lpips::Weights;
+use ashsplat::passes::lpips::Weights;
 use ashsplat::scene::Camera;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Gallery, quoted};
+use ashsplat_program::args::HostArguments;
+use ashsplat_program::config::Settings;
+use ashsplat_program::eval;
+use ashsplat_program::eval::{Evaluation, More, Perceptual, Pictures, Protocol, SceneSize};
+use ashsplat_program::model::point_cloud_path;
+use ashsplat_program::progress::thousands;
 use std::path::PathBuf;
 
 /// Result of the test after an iteration.
@@ -73,8 +74,8 @@ impl Run {
     /// The protocol of the test views: training views have their exposures, and all have their lens effects. Of views
     /// whose left half is trained on, the right half counts.
     pub(super) fn protocol(&self) -> Result<Protocol> {
-        let halves = self.settings.data.train_test_exp && self.held_out;
-        let names = self.test.iter().filter(|_| halves).map(|view| view.name.clone());
+        let halves = self.settings.data.train_test_exp && self.views.held_out;
+        let names = self.views.test.iter().filter(|_| halves).map(|view| view.name.clone());
         Ok(Protocol { lights: self.lights()?, halves: names.collect() })
     }
 
@@ -108,7 +109,7 @@ impl Run {
         lpips: Option<&mut Perceptual>,
     ) -> Result<(Evaluation, Result<()>)> {
         let folder = self.settings.data.model_path.join("test").join(format!("ours_{iteration}"));
-        let mut pictures = self.held_out.then(|| Pictures::new(folder));
+        let mut pictures = self.views.held_out.then(|| Pictures::new(folder));
         let settings = self.trainer.render_settings();
         self.follow_cameras()?;
         let protocol = self.protocol()?;
@@ -119,13 +120,13 @@ impl Run {
             frame_times: iteration == self.settings.train.iterations,
         };
         let draw = |camera: &Camera| trainer.render(camera, &settings);
-        let mut evaluation = eval::evaluate(self.test.iter().map(Ok), &protocol, more, draw)?;
+        let mut evaluation = eval::evaluate(self.views.test.iter().map(Ok), &protocol, more, draw)?;
         let file = std::fs::metadata(point_cloud_path(&self.settings.data.model_path, iteration)).ok();
         let bytes = file.filter(|_| self.saved == Some(iteration)).map(|file| file.len());
         evaluation.scene = Some(SceneSize { gaussians: u64::from(self.gaussians), bytes });
-        if self.settings.train.pose_opt && self.held_out {
+        if self.settings.train.pose_opt && self.views.held_out {
             let alignment = eval::alignment_of(&self.settings.train);
-            let mut aligned = self.test.clone();
+            let mut aligned = self.views.test.clone();
             for view in &mut aligned {
                 view.camera = trainer.align(&view.camera, &view.photo, &settings, &alignment)?;
             }
@@ -138,7 +139,7 @@ impl Run {
 
     /// Writes the results that are not in the files yet.
     fn write_results(&mut self) -> Result<()> {
-        if self.held_out {
+        if self.views.held_out {
             for tested in &self.evaluations[self.results..] {
                 eval::write_results(&self.settings.data.model_path, tested.iteration, &tested.evaluation)?;
                 self.results += 1;
@@ -149,7 +150,7 @@ impl Run {
 
     pub(super) fn describe(&self, tested: &Tested) -> String {
         let Tested { iteration, gaussians, evaluation } = tested;
-        let kind = if self.held_out { "held-out" } else { "training" };
+        let kind = if self.views.held_out { "held-out" } else { "training" };
         format!(
             "iteration {iteration}: {} on {} {kind} views, {} Gaussians",
             evaluation.describe(),

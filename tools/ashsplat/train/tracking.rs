@@ -3,11 +3,12 @@
 
 use super::Run;
 use super::allowance::Allowance;
-use crate::eval::{self, Evaluation, Protocol};
-use crate::measure::Stopwatch;
-use ashsplat::trainer::{StepReport, Trainer};
+use ashsplat::train::{StepReport, Trainer};
 use ashsplat::{RenderSettings, Result, TrainSettings};
 use ashsplat_files::View;
+use ashsplat_program::eval;
+use ashsplat_program::eval::{Evaluation, Protocol};
+use ashsplat_program::measure::Stopwatch;
 use std::time::{Duration, Instant};
 
 /// Default share of training's time.
@@ -142,7 +143,7 @@ fn mean(values: &[f64]) -> Option<f64> {
 impl Run {
     /// Changes the share of training's time from [`SHARE`].
     pub(super) fn track_within(&mut self, share: f64) {
-        self.tracking = Tracking::new(&self.test, &self.settings.train, share);
+        self.tracking = Tracking::new(&self.views.test, &self.settings.train, share);
     }
 
     /// The tracked PSNR, if it is measured after this iteration, dB. Training views are measured only for viewers. If a
@@ -153,7 +154,7 @@ impl Run {
         let tested = self.evaluations.last().filter(|tested| tested.iteration == iteration);
         let psnr = match tested {
             Some(tested) => self.tracking.among(&tested.evaluation),
-            None if due && (self.held_out || self.is_looked_at()) => {
+            None if due && (self.views.held_out || self.is_looked_at()) => {
                 watch.paused(|| self.measure_now(iteration))
             }
             None => None,

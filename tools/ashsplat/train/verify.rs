@@ -3,11 +3,11 @@
 use super::checkpoints::Start;
 use super::origin::{First, Origin};
 use super::prepared::Prepared;
-use crate::config::Settings;
-use ashsplat::trainer::verify::{Verdict, verify_determinism};
+use ashsplat::train::verify::{Verdict, verify_determinism};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::Dataset;
+use ashsplat_program::config::Settings;
 
 /// Trains some iterations twice, from a checkpoint if there is one, without writing anything. Returns an error if the
 /// two differ.

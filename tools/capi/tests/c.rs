@@ -13,6 +13,7 @@ use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, La
 use glam::{DQuat, DVec3, Mat3, Vec3};
 use hosts::{MESSAGES, argument, compile, folder, host_in_c, host_said, host_with, library, run};
 use std::path::{Path, PathBuf};
+use tempfile::TempDir;
 
 /// Generates `ashsplat.h` from the sources and compares it. ASHSPLAT_BLESS writes it.
 #[test]
@@ -42,18 +43,9 @@ fn the_header_is_what_the_sources_say() {
         enumeration: EnumConfig { prefix_with_name: true, ..EnumConfig::default() },
         // They are passed as numbers, so no function has them in its signature.
         export: ExportConfig {
-            include: [
-                "Background",
-                "ColorEncoding",
-                "Extent",
-                "ImageUse",
-                "JacobianLimit",
-                "Projection",
-                "Shape",
-                "Volume",
-            ]
-            .map(|e| format!("Ashsplat{e}"))
-            .to_vec(),
+            include: ["Background", "ColorEncoding", "Extent", "ImageUse", "JacobianLimit", "Projection", "Shape", "Volume"]
+                .map(|e| format!("Ashsplat{e}"))
+                .to_vec(),
             ..ExportConfig::default()
         },
         ..Config::default()
@@ -107,6 +99,48 @@ fn initialisers() -> String {
     text
 }
 
+/// A folder with a scene of 500 Gaussians.
+fn scene_file() -> (TempDir, PathBuf) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("scene.ply");
+    ply::write(&scene, &cloud()).expect("a PLY");
+    (folder, scene)
+}
+
+fn read_ply(path: &Path) -> Gaussians {
+    ply::read(path, &ply::PlyOptions::default()).expect("a scene").gaussians
+}
+
+fn renderer_of(gaussians: &Gaussians) -> Renderer {
+    let context = Context::new(&ContextOptions::default()).expect("a device");
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    renderer.upload(gaussians).expect("uploaded");
+    renderer
+}
+
+/// The camera of the programs in C.
+fn camera(width: u32, height: u32) -> Camera {
+    let intrinsics = Intrinsics::from_fov_x(0.7, width, height);
+    Camera::look_at(Vec3::new(0.0, -1.0, -4.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics)
+}
+
+fn picture_of(path: &Path, size: (u32, u32)) -> image::RgbImage {
+    let picture = image::open(path).expect("a picture").into_rgb8();
+    assert_eq!(picture.dimensions(), size);
+    picture
+}
+
+/// Largest difference of a pixel's bytes from a colour.
+fn difference(pixel: &image::Rgb<u8>, color: &[f32; 3]) -> f32 {
+    let off = |(byte, value): (&u8, &f32)| (f32::from(*byte) - 255.0 * value.clamp(0.0, 1.0)).abs();
+    pixel.0.iter().zip(color).map(off).fold(0.0, f32::max)
+}
+
+fn floats_of(path: &Path) -> Vec<f32> {
+    let bytes = std::fs::read(path).expect("floats");
+    bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+}
+
 fn cloud() -> Gaussians {
     let mut cloud = Gaussians { sh_degree: 1, ..Gaussians::default() };
     for i in 0..500u32 {
@@ -122,18 +156,10 @@ fn cloud() -> Gaussians {
 
 #[test]
 fn a_c_program_renders_what_rust_renders() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let (scene, picture) = (folder.path().join("scene.ply"), folder.path().join("picture.png"));
-    ply::write(&scene, &cloud()).expect("a PLY");
-    let context = Context::new(&ContextOptions::default()).expect("a device");
-    let mut renderer = Renderer::new(&context).expect("kernels");
-    renderer
-        .upload(&ply::read(&scene, &ply::PlyOptions::default()).expect("a scene").gaussians)
-        .expect("uploaded");
-    let intrinsics = Intrinsics::from_fov_x(0.7, 320, 240);
-    let camera = Camera::look_at(Vec3::new(0.0, -1.0, -4.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
+    let (folder, scene) = scene_file();
+    let picture = folder.path().join("picture.png");
     let settings = RenderSettings { background: [0.1, 0.2, 0.3], ..RenderSettings::default() };
-    let expected = renderer.render(&camera, &settings).expect("a frame");
+    let expected = renderer_of(&read_ply(&scene)).render(&camera(320, 240), &settings).expect("a frame");
 
     let system = ["-lpthread", "-ldl", "-lm", "-lgcc_s"].map(String::from);
     let links =
@@ -144,12 +170,8 @@ fn a_c_program_renders_what_rust_renders() {
         let output = run(&program, &[&scene, &picture]);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         assert!(String::from_utf8_lossy(&output.stdout).contains("500 Gaussians of degree 1"));
-        let png = image::open(&picture).expect("a picture").into_rgb8();
-        assert_eq!(png.dimensions(), (320, 240));
-        for (pixel, color) in png.pixels().zip(&expected.color) {
-            for (byte, value) in pixel.0.iter().zip(color) {
-                assert!((f32::from(*byte) - 255.0 * value.clamp(0.0, 1.0)).abs() <= 0.51, "{byte} {value}");
-            }
+        for (pixel, color) in picture_of(&picture, (320, 240)).pixels().zip(&expected.color) {
+            assert!(difference(pixel, color) <= 0.51, "{pixel:?} {color:?}");
         }
         std::fs::remove_file(&picture).expect("removed");
 
@@ -163,10 +185,8 @@ fn a_c_program_renders_what_rust_renders() {
 
 #[test]
 fn a_host_in_c_records_into_its_own_command_buffer() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let scene = folder.path().join("scene.ply");
-    ply::write(&scene, &cloud()).expect("a PLY");
-    let said = host_in_c("record", &[&scene]);
+    let (_folder, scene) = scene_file();
+    let said = host_in_c("record", "plain", &[&scene]);
     let visible: u32 = said.split(' ').next().and_then(|n| n.parse().ok()).expect("a number");
     assert!(visible > 100 && said.contains("of 500 Gaussians visible, scale 10.0, offset 0.0"), "{said}");
 }
@@ -174,9 +194,7 @@ fn a_host_in_c_records_into_its_own_command_buffer() {
 /// Compiles the guide's guest from the guide's text.
 #[test]
 fn the_guides_guest_in_c_draws() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let scene = folder.path().join("scene.ply");
-    ply::write(&scene, &cloud()).expect("a PLY");
+    let (_folder, scene) = scene_file();
     let guide = include_str!("../../../engine/guide/embedding.md");
     let (_, guest) = guide.split_once("```c\n/* guest.c").expect("the guest in the guide");
     let (guest, _) = guest.split_once("```").expect("its end");
@@ -192,14 +210,13 @@ fn the_guides_guest_in_c_draws() {
 /// Reads, chooses and draws the same of a tree as Rust.
 #[test]
 fn a_host_in_c_streams_tiles() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let (scene, tiles) = (folder.path().join("scene.ply"), folder.path().join("tiles"));
-    ply::write(&scene, &cloud()).expect("a PLY");
+    let (folder, scene) = scene_file();
+    let tiles = folder.path().join("tiles");
     let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
     let options = TileOptions { most: 20, packed: false };
     tiles::write(&scene, &tiles, &options, &ReadOptions::default(), &mut measure, &Progress::NONE)
         .expect("tiles");
-    let said = host_in_c("tiles", &[&tiles]);
+    let said = host_in_c("scenes", "tiles", &[&tiles]);
     let numbers: Vec<usize> = said.split_whitespace().filter_map(|word| word.parse().ok()).collect();
     let (&[frames, visible, instances], told) = numbers.split_first_chunk().expect("three numbers");
     let told = told.as_chunks::<2>().0;
@@ -222,20 +239,15 @@ fn a_host_in_c_streams_tiles() {
         assert_eq!(print, expected as usize, "the numbers of tile {tile}");
         all.append(&own);
     }
-    let context = Context::new(&ContextOptions::default()).expect("a device");
-    let mut renderer = Renderer::new(&context).expect("kernels");
-    renderer.upload(&all).expect("uploaded");
-    let stats = renderer.render(&camera, &RenderSettings::default()).expect("a frame").stats;
+    let stats = renderer_of(&all).render(&camera, &RenderSettings::default()).expect("a frame").stats;
     assert_eq!((visible, instances), (stats.visible as usize, stats.instances as usize));
     assert!(visible > 50, "{said}");
 }
 
 #[test]
 fn a_host_in_c_records_two_eyes_at_once() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let scene = folder.path().join("scene.ply");
-    ply::write(&scene, &cloud()).expect("a PLY");
-    let said = host_in_c("views", &[&scene]);
+    let (_folder, scene) = scene_file();
+    let said = host_in_c("record", "views", &[&scene]);
     let numbers: Vec<u32> = said.split(' ').filter_map(|word| word.parse().ok()).collect();
     let &[visible, lit, differ, locks] = &numbers[..] else { panic!("{said}") };
     assert!(visible > 100 && lit > 500 && differ > 500 && locks > 0, "{said}");
@@ -292,38 +304,27 @@ fn expected_of_scenes(mut file: Gaussians) -> (Frame, Camera) {
     all.retain(|all, i| all.means[i][2] + 4.0 < 4.2);
     let intrinsics = Intrinsics { fx: 160.0, fy: 160.0, cx: 80.0, cy: 60.0, width: 160, height: 120 };
     let camera = Camera::with_pose(Mat3::IDENTITY, Vec3::new(0.0, 0.0, 4.0), intrinsics);
-    let context = Context::new(&ContextOptions::default()).expect("a device");
-    let mut renderer = Renderer::new(&context).expect("kernels");
-    renderer.upload(&all).expect("uploaded");
     let settings = RenderSettings { background: [0.1, 0.2, 0.3], ..RenderSettings::default() };
-    (renderer.render(&camera, &settings).expect("a frame"), camera)
+    (renderer_of(&all).render(&camera, &settings).expect("a frame"), camera)
 }
 
 #[test]
 fn a_host_in_c_has_scenes_of_its_own() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let [scene, picture, depth] =
-        ["scene.ply", "picture.png", "depth.bin"].map(|name| folder.path().join(name));
-    ply::write(&scene, &cloud()).expect("a PLY");
-    let said = host_in_c("scenes", &[&scene, &picture, &depth]);
+    let (folder, scene) = scene_file();
+    let [picture, depth] = ["picture.png", "depth.bin"].map(|name| folder.path().join(name));
+    let said = host_in_c("scenes", "own", &[&scene, &picture, &depth]);
     assert!(said.contains("of 1096 Gaussians visible"), "{said}");
     if let Some(kept) = std::env::var_os("ASHSPLAT_KEEP") {
         std::fs::copy(&picture, Path::new(&kept).join("c_scenes.png")).expect("copied");
     }
-    let read = ply::read(&scene, &ply::PlyOptions::default()).expect("a scene").gaussians;
-    let (expected, camera) = expected_of_scenes(read);
-    let png = image::open(&picture).expect("a picture").into_rgb8();
-    assert_eq!(png.dimensions(), (camera.width, camera.height));
-    let far = |(pixel, color): &(&image::Rgb<u8>, &[f32; 3])| {
-        pixel.0.iter().zip(*color).any(|(b, v)| (f32::from(*b) - 255.0 * v.clamp(0.0, 1.0)).abs() > 1.0)
-    };
-    let different = png.pixels().zip(&expected.color).filter(far).count();
+    let (expected, camera) = expected_of_scenes(read_ply(&scene));
+    let picture = picture_of(&picture, (camera.width, camera.height));
+    let pixels = picture.pixels().zip(&expected.color);
+    let different = pixels.filter(|(pixel, color)| difference(pixel, color) > 1.0).count();
     assert!(different < 20, "{different} of {} pixels differ", expected.color.len());
     // Something is hidden, but not everything, and everything drawn is in front of the wall.
-    let bytes = std::fs::read(&depth).expect("depths");
-    let depths = bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
     let (mut seen, mut empty) = (0, 0);
-    for (z, transmittance) in depths.zip(&expected.transmittance) {
+    for (z, transmittance) in floats_of(&depth).into_iter().zip(&expected.transmittance) {
         let clearly = (transmittance - 0.5).abs() > 0.01;
         assert!(
             !clearly || (z == -1.0) == (*transmittance > 0.5),
@@ -339,22 +340,10 @@ fn a_host_in_c_has_scenes_of_its_own() {
 /// A host's own allocator, settings, a part of a picture, the sum of weights / z, discarded recordings.
 #[test]
 fn a_host_in_c_has_all_there_is() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let [scene, picture, sums] =
-        ["scene.ply", "picture.png", "sums.bin"].map(|name| folder.path().join(name));
-    ply::write(&scene, &cloud()).expect("a PLY");
-    let said = host_in_c("guest", &[&scene, &picture, &sums]);
+    let (folder, scene) = scene_file();
+    let [picture, sums] = ["picture.png", "sums.bin"].map(|name| folder.path().join(name));
+    let said = host_in_c("record", "memory", &[&scene, &picture, &sums]);
     assert!(said.contains("of 500 Gaussians visible"), "{said}");
-    let context = Context::new(&ContextOptions::default()).expect("a device");
-    let mut renderer = Renderer::new(&context).expect("kernels");
-    let read = ply::read(&scene, &ply::PlyOptions::default()).expect("a scene");
-    renderer.upload(&read.gaussians).expect("uploaded");
-    let camera = Camera::look_at(
-        Vec3::new(0.0, -1.0, -4.0),
-        Vec3::ZERO,
-        Vec3::NEG_Y,
-        Intrinsics::from_fov_x(0.7, 96, 64),
-    );
     let settings = RenderSettings {
         scale_modifier: 0.5,
         sh_degree: Some(0),
@@ -363,30 +352,20 @@ fn a_host_in_c_has_all_there_is() {
         background: [0.0, 0.5, 0.0],
         ..RenderSettings::default()
     };
-    let expected = renderer.render(&camera, &settings).expect("a frame");
-    let bytes = std::fs::read(&sums).expect("sums");
-    let sums: Vec<f32> =
-        bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
-    assert_eq!(Some(sums), expected.inverse_depth);
-    let png = image::open(&picture).expect("a picture").into_rgb8();
-    assert_eq!(png.dimensions(), (128, 80));
-    for (x, y, pixel) in png.enumerate_pixels() {
+    let expected = renderer_of(&read_ply(&scene)).render(&camera(96, 64), &settings).expect("a frame");
+    assert_eq!(Some(floats_of(&sums)), expected.inverse_depth);
+    for (x, y, pixel) in picture_of(&picture, (128, 80)).enumerate_pixels() {
         let inside = (20..116).contains(&x) && (8..72).contains(&y);
         let color = if inside { expected.color[((y - 8) * 96 + x - 20) as usize] } else { [0.0; 3] };
-        for (byte, value) in pixel.0.iter().zip(color) {
-            let far = (f32::from(*byte) - 255.0 * value.clamp(0.0, 1.0)).abs();
-            assert!(far <= 0.51, "({x}, {y}): {byte}, {value}");
-        }
+        assert!(difference(pixel, &color) <= 0.51, "({x}, {y}): {pixel:?}, {color:?}");
     }
 }
 
 /// Structs smaller and larger than today's.
 #[test]
 fn a_host_in_c_may_have_another_header() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let scene = folder.path().join("scene.ply");
-    ply::write(&scene, &cloud()).expect("a PLY");
-    let said = host_in_c("structs", &[&scene]);
+    let (_folder, scene) = scene_file();
+    let said = host_in_c("record", "structs", &[&scene]);
     assert!(said.contains("of 1500 Gaussians visible"), "{said}");
 }
 
@@ -398,16 +377,13 @@ fn a_c_program_loads_every_format() {
     for path in &paths {
         splats::write(path, &cloud(), &WriteOptions::default()).expect("written");
     }
-    let said = host_in_c("formats", &paths.each_ref().map(PathBuf::as_path));
-    let context = Context::new(&ContextOptions::default()).expect("a device");
-    let mut renderer = Renderer::new(&context).expect("kernels");
-    let intrinsics = Intrinsics::from_fov_x(0.7, 64, 48);
-    let camera = Camera::look_at(Vec3::new(0.0, -1.0, -4.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
+    let said = host_in_c("scenes", "formats", &paths.each_ref().map(PathBuf::as_path));
+    let mut renderer = renderer_of(&cloud());
     assert_eq!(said.lines().count(), Format::ALL.len());
     for (path, line) in paths.iter().zip(said.lines()) {
         let read = splats::read(path, &ReadOptions::default()).expect("a scene").gaussians;
         renderer.upload(&read).expect("uploaded");
-        let frame = renderer.render(&camera, &RenderSettings::default()).expect("a frame");
+        let frame = renderer.render(&camera(64, 48), &RenderSettings::default()).expect("a frame");
         let expected: f64 = frame.color.as_flattened().iter().map(|x| f64::from(*x)).sum();
         let said: Vec<f64> = line.split(' ').map(|number| number.parse().expect("a number")).collect();
         assert_eq!(said[..2], [500.0, f64::from(read.sh_degree)], "{}", path.display());
@@ -423,9 +399,9 @@ fn a_c_program_loads_every_format() {
 fn a_host_in_c_trains() {
     let folder = tempfile::tempdir().expect("a folder");
     let result = folder.path().join("result.ply");
-    let said = host_in_c("train", &[&result]);
+    let said = host_in_c("train", "steps", &[&result]);
     assert!(said.contains("30 iterations"), "{said}");
-    let trained = ply::read(&result, &ply::PlyOptions::default()).expect("a scene").gaussians;
+    let trained = read_ply(&result);
     assert!(trained.len() > 10 && said.contains(&format!("{} Gaussians", trained.len())), "{said}");
     // The file contains the 3D filter's part, and says so.
     let filtered = std::fs::read(folder.path().join("result.ply.filtered.ply")).expect("a PLY");

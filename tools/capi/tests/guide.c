@@ -8,13 +8,13 @@
 
 enum { WIDTH = 160, HEIGHT = 120, SLOTS = 2 };
 
-typedef struct { HostTexture color, depth; } Images;
+typedef struct { HostTexture *color, *depth; } Images;
 
 /* A frame in flight. */
 typedef struct {
     void *commands;
     uint64_t fence;
-    HostBuffer pixels;
+    HostBuffer *pixels;
     uint32_t size;
 } Flight;
 
@@ -26,15 +26,10 @@ typedef struct {
 } Engine;
 
 static Images make_images(Host *host, uint32_t width, uint32_t height) {
-    Images images;
-    images.color = host_texture(host, FORMAT_RGBA16F, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_TO | USAGE_IMAGE_COPY_FROM, width, height);
-    images.depth = host_texture(host, FORMAT_D32, USAGE_IMAGE_DEPTH | USAGE_IMAGE_SAMPLED | USAGE_IMAGE_COPY_TO, width, height);
+    uint32_t drawn = USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_TO | USAGE_IMAGE_COPY_FROM;
+    uint32_t read = USAGE_IMAGE_DEPTH | USAGE_IMAGE_SAMPLED | USAGE_IMAGE_COPY_TO;
+    Images images = {host_texture(host, FORMAT_RGBA16F, drawn, width, height), host_texture(host, FORMAT_D32, read, width, height)};
     return images;
-}
-
-static void free_images(Host *host, Images *images) {
-    host_free_texture(host, &images->color);
-    host_free_texture(host, &images->depth);
 }
 
 static void open_flights(Engine *engine) {
@@ -48,15 +43,8 @@ static void open_flights(Engine *engine) {
     }
 }
 
-static void close_flights(Engine *engine) {
-    for (Flight *flight = engine->flights; flight < engine->flights + SLOTS; ++flight) {
-        engine->host.DestroyFence(engine->host.handles.device, flight->fence, NULL);
-        host_free_buffer(&engine->host, &flight->pixels);
-    }
-}
-
 /* A frame of the engine: an empty room, a wall at this reversed depth, and the guest. Submitted, and not waited for. */
-static void draw(Engine *engine, uint32_t slot, Images *images, float wall) {
+static void draw(Engine *engine, uint32_t slot, const Images *images, float wall) {
     const float view[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, -4, 1};
     const float projection[16] = {2, 0, 0, 0, 0, -2.6667f, 0, 0, 0, 0, 0, -1, 0, 0, 0.1f, 0};
     const float black[4] = {0, 0, 0, 1};
@@ -70,15 +58,15 @@ static void draw(Engine *engine, uint32_t slot, Images *images, float wall) {
     Flight *flight = &engine->flights[slot];
     host->commands = flight->commands;
     void *commands = host_begin(host);
-    host_transition(host, &images->color, ASPECT_COLOR, LAYOUT_UNDEFINED, LAYOUT_COPY_TO, ACCESS_TRANSFER_WRITE);
-    host_transition(host, &images->depth, ASPECT_DEPTH, LAYOUT_UNDEFINED, LAYOUT_COPY_TO, ACCESS_TRANSFER_WRITE);
-    host->CmdClearColorImage(commands, images->color.raw, LAYOUT_COPY_TO, black, 1, &whole[0]);
-    host->CmdClearDepthStencilImage(commands, images->depth.raw, LAYOUT_COPY_TO, &cleared, 1, &whole[1]);
+    host_transition(host, images->color, ASPECT_COLOR, LAYOUT_UNDEFINED, LAYOUT_COPY_TO, ACCESS_TRANSFER_WRITE);
+    host_transition(host, images->depth, ASPECT_DEPTH, LAYOUT_UNDEFINED, LAYOUT_COPY_TO, ACCESS_TRANSFER_WRITE);
+    host->CmdClearColorImage(commands, images->color->raw, LAYOUT_COPY_TO, black, 1, &whole[0]);
+    host->CmdClearDepthStencilImage(commands, images->depth->raw, LAYOUT_COPY_TO, &cleared, 1, &whole[1]);
     AshsplatRelease left;
     check(guest_record(&engine->guest, commands, slot, view, projection, drawn, &left), "recording");
     EXPECT(left.stages != 0 && left.color.layout != LAYOUT_UNDEFINED && left.occluder.layout != LAYOUT_UNDEFINED);
-    flight->size = images->color.description.width * images->color.description.height;
-    host_read(host, &images->color, left.color.layout, &flight->pixels);
+    flight->size = images->color->description.width * images->color->description.height;
+    host_read(host, images->color, left.color.layout, flight->pixels);
     require(host->EndCommandBuffer(commands), "vkEndCommandBuffer");
     SubmitInfo submit_info = {4, NULL, 0, NULL, NULL, 1, &flight->commands, 0, NULL};
     require(host->QueueSubmit(host->handles.queue, 1, &submit_info, flight->fence), "vkQueueSubmit");
@@ -90,7 +78,7 @@ static AshsplatSlotReport finish(Engine *engine, uint32_t slot, uint32_t *lit) {
     void *device = engine->host.handles.device;
     require(engine->host.WaitForFences(device, 1, &flight->fence, 1, UINT64_MAX), "vkWaitForFences");
     require(engine->host.ResetFences(device, 1, &flight->fence), "vkResetFences");
-    const uint16_t *halves = flight->pixels.mapped;
+    const uint16_t *halves = flight->pixels->mapped;
     *lit = 0;
     for (uint32_t i = 0; i < flight->size; ++i) {
         *lit += halves[4 * i] != 0 || halves[4 * i + 1] != 0 || halves[4 * i + 2] != 0;
@@ -111,12 +99,12 @@ int main(int count, char **arguments) {
     open_flights(&engine);
     check(guest_open(guest, &host->handles, arguments[1], SLOTS), "being a guest");
     Images small = make_images(host, WIDTH / 2, HEIGHT / 2), large = make_images(host, WIDTH, HEIGHT);
-    AshsplatForeignImage unfit = large.color.description;
+    AshsplatForeignImage unfit = large.color->description;
     unfit.format = FORMAT_D32;
     guest->reserved.instances = 4;
     /* A size that failed first changes nothing. */
-    EXPECT(guest_resize(guest, &unfit, &large.depth.description) != AshsplatStatus_Ok && guest->color == NULL);
-    check(guest_resize(guest, &small.color.description, &small.depth.description), "the first images");
+    EXPECT(guest_resize(guest, &unfit, &large.depth->description) != AshsplatStatus_Ok && guest->color == NULL);
+    check(guest_resize(guest, &small.color->description, &small.depth->description), "the first images");
     uint32_t lit = 0, few = 0;
     draw(&engine, 0, &small, 0);
     draw(&engine, 1, &small, 0);
@@ -124,13 +112,14 @@ int main(int count, char **arguments) {
     EXPECT(finish(&engine, 0, &few).overflow);
     draw(&engine, 0, &small, 0);
     /* So are windows resized, and resizes refused. */
-    EXPECT(guest_resize(guest, &unfit, &large.depth.description) != AshsplatStatus_Ok);
-    check(guest_resize(guest, &large.color.description, &large.depth.description), "the window grows");
+    EXPECT(guest_resize(guest, &unfit, &large.depth->description) != AshsplatStatus_Ok);
+    check(guest_resize(guest, &large.color->description, &large.depth->description), "the window grows");
     EXPECT(finish(&engine, 1, &few).overflow);
     draw(&engine, 1, &large, 0);
     AshsplatSlotReport all = finish(&engine, 0, &lit);
     EXPECT(!all.overflow && all.visible == all.gaussians && lit > few);
-    free_images(host, &small);
+    host_free_texture(host, small.color);
+    host_free_texture(host, small.depth);
     draw(&engine, 0, &large, 0);
     while (finish(&engine, 1, &lit).overflow) {
         draw(&engine, 1, &large, 0);
@@ -142,8 +131,9 @@ int main(int count, char **arguments) {
     EXPECT(!finish(&engine, 0, &lit).overflow && lit == 0);
     printf("%u of %u Gaussians visible\n", all.visible, all.gaussians);
     guest_close(guest);
-    free_images(host, &large);
-    close_flights(&engine);
+    for (int slot = 0; slot < SLOTS; ++slot) {
+        host->DestroyFence(host->handles.device, engine.flights[slot].fence, NULL);
+    }
     host_close(host);
     return 0;
 }

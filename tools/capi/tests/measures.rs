@@ -1,7 +1,7 @@
 //! Gradients, the 3D filter, alignment and LPIPS in C have the same bits as in Rust.
 
 use crate::hosts::host_in_c;
-use ashsplat::lpips::{Lpips, Network, Weights};
+use ashsplat::passes::lpips::{Lpips, Network, Weights};
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Photo};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Alignment, RenderSettings, Renderer};
@@ -37,15 +37,16 @@ fn cloud() -> Gaussians {
 /// AlexNet with random weights, small enough that values stay near 1.
 fn weights() -> Weights {
     let network = Network::AlexNet;
-    let convolution = |(seed, layer): (usize, &ashsplat::lpips::Layer)| {
+    let convolution = |(seed, layer): (usize, &ashsplat::passes::lpips::Layer)| {
         let inputs = layer.inputs * layer.size * layer.size;
         let scale = (6.0 / inputs as f32).sqrt();
         let count = (layer.outputs * inputs) as usize;
         let own = numbers(seed as u32 + 10).take(count).map(|x| x * scale).collect();
         (own, numbers(seed as u32 + 30).take(layer.outputs as usize).map(|x| 0.1 * x).collect())
     };
-    let head =
-        |layer: &ashsplat::lpips::Layer| numbers(50).take(layer.outputs as usize).map(f32::abs).collect();
+    let head = |layer: &ashsplat::passes::lpips::Layer| {
+        numbers(50).take(layer.outputs as usize).map(f32::abs).collect()
+    };
     Weights {
         network,
         convolutions: network.convolutions().enumerate().map(convolution).collect(),
@@ -90,7 +91,7 @@ fn a_host_in_c_has_gradients_and_measures() {
         ["scene.ply", "alex.safetensors", "results.bin"].map(|name| folder.path().join(name));
     ply::write(&scene, &cloud()).expect("a PLY");
     write(&network, &weights());
-    let said = host_in_c("measures", &[&scene, &network, &results]);
+    let said = host_in_c("train", "measures", &[&scene, &network, &results]);
     assert!(said.contains("lpips_alex 0."), "{said}");
     let mut results = Results(std::fs::read(&results).expect("results").into_iter());
 

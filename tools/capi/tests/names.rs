@@ -21,7 +21,7 @@ fn fields<'a>(
 
 #[test]
 fn a_reservations_fields_have_their_names_in_c() {
-    let rust = include_str!("../../../engine/renderer/slots.rs");
+    let rust = include_str!("../../../engine/render/slots.rs");
     let rust = fields(rust, ["pub struct Reservation {", "\n}"], |line| {
         Some(line.strip_prefix("pub ")?.split_once(':')?.0)
     });
@@ -61,7 +61,7 @@ fn calls(line: &str) -> impl Iterator<Item = String> {
 fn advised_calls_have_names_in_c() {
     let engine = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../engine");
     let mut found = 0;
-    for path in ["renderer", "trainer", "vk"].into_iter().flat_map(|folder| sources(&engine.join(folder))) {
+    for path in ["render", "train", "vk"].into_iter().flat_map(|folder| sources(&engine.join(folder))) {
         let text = std::fs::read_to_string(&path).expect("a source");
         let code = text.split("#[cfg(test)]").next().unwrap_or_default();
         let lines =

@@ -1,12 +1,7 @@
-/* Several scenes in one frame of a host in C: scenes SCENE.ply PICTURE.png DEPTH.bin
- *
- * The scene of the file stands there twice, once scaled; a third is the host's own buffers, written here; the first half
- * of the first is replaced by what an update says. All of it is hidden behind a wall in the host's depth image at z = 4.2.
- */
+/* Scenes of a host: its files, arrays and buffers, and trees of tiles: scenes TRIAL FILE... */
 #include "host.h"
 
-enum { WIDTH = 160, HEIGHT = 120, OWN = 64 };
-static const float NEAR = 0.1f, WALL = 4.2f;
+enum { OWN = 64 };
 
 /* Gaussians in a grid, by arrays: red above, blue below. */
 static float means[OWN][3], quats[OWN][4], log_scales[OWN][3], opacity_logits[OWN], sh[OWN][3];
@@ -33,8 +28,8 @@ static AshsplatGaussians grid(float z) {
 }
 
 /* The same, as a scene in the host's own buffers expects it. */
-static void fill_planes(float *floats, const AshsplatScenePlan *plan, uint32_t count) {
-    for (uint32_t i = 0; i < count; ++i) {
+static void fill_planes(float *floats, const AshsplatScenePlan *plan) {
+    for (uint32_t i = 0; i < OWN; ++i) {
         float planes[4][4] = {{means[i][0], means[i][1], means[i][2], opacity_logits[i]},
                               {quats[i][0], quats[i][1], quats[i][2], quats[i][3]},
                               {log_scales[i][0], log_scales[i][1], log_scales[i][2], 0},
@@ -67,15 +62,14 @@ static void draw_together(Host *host, AshsplatContext *context) {
     }
     all[5].sh = NULL;
     scenes[2] = (AshsplatScene *)context;
-    EXPECT(ashsplat_scenes_new(context, all, TOGETHER, scenes) == AshsplatStatus_Argument && scenes[2] == NULL);
-    EXPECT(strstr(ashsplat_last_error(), "gaussians[5].sh: the pointer is null") != NULL);
-    EXPECT(ashsplat_scenes_new(context, all, TOGETHER, NULL) == AshsplatStatus_Argument);
+    REFUSED(ashsplat_scenes_new(context, all, TOGETHER, scenes), "gaussians[5].sh: the pointer is null");
+    EXPECT(scenes[2] == NULL);
+    REFUSED(ashsplat_scenes_new(context, all, TOGETHER, NULL), "");
     all[5] = all[4];
     check(ashsplat_scenes_new(context, all, TOGETHER, scenes), "uploading scenes together");
     EXPECT(scenes[TOGETHER - 1] != NULL && scenes[TOGETHER] == NULL);
     for (int i = 0; i < TOGETHER; ++i) {
-        placed[i] = ASHSPLAT_INIT(AshsplatPlaced);
-        placed[i].scene = scenes[i];
+        placed[i] = place(scenes[i]);
         placed[i].translation[0] = 0.1f * (float)i;
     }
     AshsplatRenderer *renderer = NULL;
@@ -84,18 +78,15 @@ static void draw_together(Host *host, AshsplatContext *context) {
     wanted.scenes = TOGETHER;
     /* A scene begins at a block of culling. */
     wanted.gaussians = TOGETHER * 256;
-    wanted.width = WIDTH;
-    wanted.height = HEIGHT;
+    wanted.width = 160;
+    wanted.height = 120;
     check(ashsplat_reserve(renderer, &wanted), "reserving");
-    AshsplatCamera camera = ASHSPLAT_INIT(AshsplatCamera);
-    const float eye[3] = {0, 0, -4}, middle[3] = {0, 0, 0}, up[3] = {0, -1, 0};
-    check(ashsplat_camera_look_at(eye, middle, up, 0.8f, WIDTH, HEIGHT, &camera), "a camera");
+    AshsplatCamera camera = look_at(0, 0, -4, ORIGIN, 0.8f, 160, 120);
     AshsplatRecordedFrame frame = ASHSPLAT_INIT(AshsplatRecordedFrame);
     frame.camera = &camera;
     frame.scenes = placed;
     frame.scene_count = TOGETHER;
-    void *commands = host_begin(host);
-    check(ashsplat_record(renderer, commands, 0, &frame, NULL), "recording scenes together");
+    check(ashsplat_record(renderer, host_begin(host), 0, &frame, NULL), "recording scenes together");
     host_submit_and_wait(host);
     AshsplatSlotReport report = ASHSPLAT_INIT(AshsplatSlotReport);
     check(ashsplat_slot_report(renderer, 0, &report), "asking for its report");
@@ -107,94 +98,116 @@ static void draw_together(Host *host, AshsplatContext *context) {
     }
 }
 
-int main(int count, char **arguments) {
-    EXPECT(count == 4);
-    static Host host;
-    host_open(&host);
-    AshsplatContext *context = NULL;
-    check(ashsplat_context_from_foreign(&host.handles, &context), "being a guest");
-    AshsplatScene *file = NULL, *own = NULL, *made = NULL, *none = NULL;
-    check(ashsplat_scene_load(context, arguments[1], &file), "loading the scene");
-    uint32_t gaussians = 0, sh_degree = 0;
-    check(ashsplat_scene_size(file, &gaussians, &sh_degree), "asking for the scene's size");
-
-    /* A scene in the host's own buffer. */
+/* A scene in the host's own buffer. */
+static AshsplatScene *scene_of_buffer(Host *host, const AshsplatContext *context) {
+    AshsplatScene *own = NULL, *none = NULL;
     AshsplatScenePlan plan = ASHSPLAT_INIT(AshsplatScenePlan);
     check(ashsplat_scene_plan(context, OWN, 0, &plan), "planning");
     EXPECT(plan.chunks == 1 && plan.planes == 4 && plan.chunk_gaussians >= OWN);
     EXPECT(plan.chunk_bytes == 64u * plan.chunk_gaussians);
-    HostBuffer planes = host_buffer(&host, plan.chunk_bytes, USAGE_BUFFER_COPIES | USAGE_BUFFER_STORAGE);
+    HostBuffer *planes = host_buffer(host, plan.chunk_bytes, USAGE_BUFFER_COPIES | USAGE_BUFFER_STORAGE);
     grid(0.15f);
-    fill_planes(planes.mapped, &plan, OWN);
-    AshsplatHostBuffer chunk = {planes.raw, 0, plan.chunk_bytes};
-    AshsplatHostBuffer bad = {0, 0, plan.chunk_bytes}, small = {planes.raw, 0, 256};
-    EXPECT(ashsplat_scene_from_buffers(context, OWN, 0, OWN, &bad, 1, &none) == AshsplatStatus_Argument && none == NULL);
-    EXPECT(ashsplat_scene_from_buffers(context, OWN, 0, OWN, &small, 1, &none) == AshsplatStatus_Argument);
-    EXPECT(ashsplat_scene_from_buffers(context, OWN, 0, OWN + 1, &chunk, 1, &none) == AshsplatStatus_Argument);
+    fill_planes(planes->mapped, &plan);
+    AshsplatHostBuffer chunk = {planes->raw, 0, plan.chunk_bytes};
+    AshsplatHostBuffer bad = {0, 0, plan.chunk_bytes}, small = {planes->raw, 0, 256};
+    REFUSED(ashsplat_scene_from_buffers(context, OWN, 0, OWN, &bad, 1, &none), "");
+    REFUSED(ashsplat_scene_from_buffers(context, OWN, 0, OWN, &small, 1, &none), "");
+    REFUSED(ashsplat_scene_from_buffers(context, OWN, 0, OWN + 1, &chunk, 1, &none), "");
+    EXPECT(none == NULL);
     check(ashsplat_scene_from_buffers(context, OWN, 0, OWN, &chunk, 1, &own), "adopting the buffer");
+    return own;
+}
 
-    /* A scene of the host's arrays; its count changes later. */
+/* A scene of the host's arrays, whose count changes later. */
+static AshsplatScene *scene_of_arrays(const AshsplatContext *context) {
+    AshsplatScene *made = NULL, *none = NULL;
     AshsplatGaussians arrays = grid(-0.9f);
     check(ashsplat_scene_new(context, &arrays, 100, &made), "uploading arrays");
-    EXPECT(ashsplat_scene_set_count(made, 101) == AshsplatStatus_Argument);
+    REFUSED(ashsplat_scene_set_count(made, 101), "");
     check(ashsplat_scene_set_count(made, OWN / 2), "fewer Gaussians");
-    arrays.sh_degree = 4;
-    EXPECT(ashsplat_scene_new(context, &arrays, 0, &none) == AshsplatStatus_Argument && none == NULL);
-    arrays.sh_degree = 0;
+    REFUSED_WITH(arrays.sh_degree, 4, ashsplat_scene_new(context, &arrays, 0, &none), "");
     arrays.sh = NULL;
-    EXPECT(ashsplat_scene_new(context, &arrays, 0, &none) == AshsplatStatus_Argument && none == NULL);
+    REFUSED(ashsplat_scene_new(context, &arrays, 0, &none), "");
+    EXPECT(none == NULL);
+    return made;
+}
 
-    HostTexture color = host_texture(&host, FORMAT_RGBA8, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM, WIDTH, HEIGHT);
-    HostTexture depth =
-        host_texture(&host, FORMAT_D32, USAGE_IMAGE_DEPTH | USAGE_IMAGE_SAMPLED | USAGE_IMAGE_COPY_TO, WIDTH, HEIGHT);
-    HostTexture expected = host_texture(&host, FORMAT_R32F, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM, WIDTH, HEIGHT);
-    HostBuffer pixels = host_buffer(&host, 4 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
-    HostBuffer depths = host_buffer(&host, 4 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
-    /* What lies beside the picture: who is seen, and how it moves. */
-    HostTexture who = host_texture(&host, FORMAT_RGBA32UI, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM, WIDTH, HEIGHT);
-    HostTexture speed = host_texture(&host, FORMAT_RG16F, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM, WIDTH, HEIGHT);
-    HostBuffer picks = host_buffer(&host, 16 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
-    HostBuffer motions = host_buffer(&host, 4 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
-    AshsplatImage *picked = NULL, *moved = NULL;
-    check(ashsplat_image_adopt(context, &who.description, AshsplatImageUse_Pick, &picked), "adopting the picks");
-    check(ashsplat_image_adopt(context, &speed.description, AshsplatImageUse_Motion, &moved), "adopting the motion");
-    AshsplatImage *target = NULL, *walls = NULL, *distances = NULL, *wrong = NULL;
-    EXPECT(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Occluder, &wrong) == AshsplatStatus_Argument && wrong == NULL);
-    EXPECT(ashsplat_image_adopt(context, &color.description, 5, &wrong) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "purpose: 5, there are 0 to 4") != NULL);
-    /* Depth of several samples is resolved first. */
-    AshsplatForeignImage multisampled = depth.description;
+/* Images in another role, of another number or with several samples are refused. */
+static void refused_images(const AshsplatContext *context, const HostTexture *color, const HostTexture *depth) {
+    AshsplatImage *wrong = NULL;
+    REFUSED(ashsplat_image_adopt(context, &color->description, AshsplatImageUse_Occluder, &wrong), "");
+    REFUSED(ashsplat_image_adopt(context, &color->description, 5, &wrong), "purpose: 5, there are 0 to 4");
+    AshsplatForeignImage multisampled = depth->description;
     multisampled.samples = 4;
-    EXPECT(ashsplat_image_adopt(context, &multisampled, AshsplatImageUse_Occluder, &wrong) == AshsplatStatus_Argument);
-    EXPECT(wrong == NULL && strstr(ashsplat_last_error(), "'occluder': it has 4 samples per pixel") != NULL);
-    check(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Target, &target), "adopting the target");
-    check(ashsplat_image_adopt(context, &depth.description, AshsplatImageUse_Occluder, &walls), "adopting the depth");
-    check(ashsplat_image_adopt(context, &expected.description, AshsplatImageUse_Depth, &distances), "adopting the expected depth");
+    REFUSED(ashsplat_image_adopt(context, &multisampled, AshsplatImageUse_Occluder, &wrong),
+            "'occluder': it has 4 samples per pixel");
+    EXPECT(wrong == NULL);
+}
 
-    AshsplatRenderer *renderer = NULL;
-    check(ashsplat_renderer_new(context, &renderer), "building the renderer");
-    AshsplatReservation wanted = ASHSPLAT_INIT(AshsplatReservation);
-    wanted.scenes = 5;
-    wanted.tint = true;
-    wanted.cut_outs = 1;
-    wanted.selection = true;
-    wanted.gaussians = 2 * gaussians + 2 * OWN;
-    wanted.sh_degree = sh_degree;
-    wanted.width = WIDTH;
-    wanted.height = HEIGHT;
-    wanted.occlusion = true;
-    wanted.expected_depth = true;
-    wanted.pick = true;
-    wanted.motion = true;
-    wanted.staging_bytes = ashsplat_update_bytes(OWN, sh_degree);
-    check(ashsplat_reserve(renderer, &wanted), "reserving");
+/* A cut-out of the world goes into a scene that is placed there. */
+static void cut_out_in_scene(AshsplatCutOut *half, const AshsplatPlaced *placed) {
+    check(ashsplat_cut_out_in_scene(half, placed, half), "bringing a cut-out into a scene");
+    EXPECT(half->scale == 2 && half->translation[0] < -0.599f && half->translation[0] > -0.601f && half->removes);
+    AshsplatCutOut sheared = *half, unchanged = *half;
+    sheared.scene_from_volume[0] = 2;
+    REFUSED(ashsplat_cut_out_in_scene(&sheared, placed, &unchanged), "cut_out.pose: is not a rotation");
+    AshsplatPlaced nowhere = *placed;
+    nowhere.scale = 0;
+    REFUSED(ashsplat_cut_out_in_scene(half, &nowhere, &unchanged), "placed.pose: a scale of 0");
+    EXPECT(memcmp(&unchanged, half, sizeof unchanged) == 0);
+}
 
-    void *commands = host_begin(&host);
+/* Several scenes in one frame: own SCENE.ply PICTURE.png DEPTH.bin
+ *
+ * The scene of the file stands there twice, once scaled; a third is the host's own buffers, written here; the first half
+ * of the first is replaced by what an update says. All of it is hidden behind a wall in the host's depth image at z = 4.2.
+ */
+static void own(char **arguments) {
+    enum { WIDTH = 160, HEIGHT = 120, PIXELS = WIDTH * HEIGHT, USAGE = USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM };
+    const float near = 0.1f, wall_z = 4.2f;
+    static Stage stage;
+    stage_open(&stage, arguments[0], WIDTH, HEIGHT);
+    Host *host = &stage.host;
+    AshsplatContext *context = stage.context;
+    AshsplatScene *file = stage.scene, *adopted = scene_of_buffer(host, context), *made = scene_of_arrays(context);
+    uint32_t gaussians = stage.wanted.gaussians;
+
+    HostTexture *color = host_texture(host, FORMAT_RGBA8, USAGE, WIDTH, HEIGHT);
+    HostTexture *depth =
+        host_texture(host, FORMAT_D32, USAGE_IMAGE_DEPTH | USAGE_IMAGE_SAMPLED | USAGE_IMAGE_COPY_TO, WIDTH, HEIGHT);
+    HostTexture *expected = host_texture(host, FORMAT_R32F, USAGE, WIDTH, HEIGHT);
+    HostTexture *who = host_texture(host, FORMAT_RGBA32UI, USAGE, WIDTH, HEIGHT);
+    HostTexture *speed = host_texture(host, FORMAT_RG16F, USAGE, WIDTH, HEIGHT);
+    HostBuffer *pixels = host_buffer(host, 4 * PIXELS, USAGE_BUFFER_COPIES);
+    HostBuffer *depths = host_buffer(host, 4 * PIXELS, USAGE_BUFFER_COPIES);
+    HostBuffer *picks = host_buffer(host, 16 * PIXELS, USAGE_BUFFER_COPIES);
+    HostBuffer *motions = host_buffer(host, 4 * PIXELS, USAGE_BUFFER_COPIES);
+    refused_images(context, color, depth);
+    AshsplatImage *target = stage_image(&stage, color, AshsplatImageUse_Target);
+    AshsplatImage *walls = stage_image(&stage, depth, AshsplatImageUse_Occluder);
+    AshsplatImage *distances = stage_image(&stage, expected, AshsplatImageUse_Depth);
+    AshsplatImage *picked = stage_image(&stage, who, AshsplatImageUse_Pick);
+    AshsplatImage *moved = stage_image(&stage, speed, AshsplatImageUse_Motion);
+
+    AshsplatReservation *wanted = &stage.wanted;
+    wanted->scenes = 5;
+    wanted->tint = true;
+    wanted->cut_outs = 1;
+    wanted->selection = true;
+    wanted->gaussians = 2 * gaussians + 2 * OWN;
+    wanted->occlusion = true;
+    wanted->expected_depth = true;
+    wanted->pick = true;
+    wanted->motion = true;
+    wanted->staging_bytes = ashsplat_update_bytes(OWN, wanted->sh_degree);
+    stage_reserve(&stage);
+
+    void *commands = host_begin(host);
     /* The wall: reversed depth without a far plane, near / z. */
-    ClearDepth wall = {NEAR / WALL, 0};
+    ClearDepth wall = {near / wall_z, 0};
     Range whole = {ASPECT_DEPTH, 0, 1, 0, 1};
-    host_transition(&host, &depth, ASPECT_DEPTH, LAYOUT_UNDEFINED, LAYOUT_COPY_TO, ACCESS_TRANSFER_WRITE);
-    host.CmdClearDepthStencilImage(commands, depth.raw, LAYOUT_COPY_TO, &wall, 1, &whole);
+    host_transition(host, depth, ASPECT_DEPTH, LAYOUT_UNDEFINED, LAYOUT_COPY_TO, ACCESS_TRANSFER_WRITE);
+    host->CmdClearDepthStencilImage(commands, depth->raw, LAYOUT_COPY_TO, &wall, 1, &whole);
 
     AshsplatSceneSettings hidden = ASHSPLAT_INIT(AshsplatSceneSettings), tinted, cut;
     EXPECT(hidden.visible && hidden.tint[2] == 1 && hidden.opacity == 1 && hidden.sh_degree == 3);
@@ -211,20 +224,15 @@ int main(int count, char **arguments) {
     cut.cut_outs = &half;
     cut.cut_out_count = 1;
     /* The first half of what is left of the grid. */
-    HostBuffer bits = host_buffer(&host, 4, USAGE_BUFFER_COPIES | USAGE_BUFFER_STORAGE);
+    HostBuffer *bits = host_buffer(host, 4, USAGE_BUFFER_COPIES | USAGE_BUFFER_STORAGE);
     const uint32_t selected = 0xffff;
-    memcpy(bits.mapped, &selected, sizeof selected);
-    AshsplatHostBuffer mask = {bits.raw, 0, 4};
+    memcpy(bits->mapped, &selected, sizeof selected);
+    AshsplatHostBuffer mask = {bits->raw, 0, 4};
     cut.selection = &mask;
     cut.selection_color[0] = 0;
     cut.selection_color[2] = 0.25f;
     cut.selection_share = 0.75f;
-    AshsplatPlaced placed[5];
-    const AshsplatScene *scenes[5] = {file, file, own, made, file};
-    for (int i = 0; i < 5; ++i) {
-        placed[i] = ASHSPLAT_INIT(AshsplatPlaced);
-        placed[i].scene = scenes[i];
-    }
+    AshsplatPlaced placed[5] = {place(file), place(file), place(adopted), place(made), place(file)};
     const float quarter[9] = {0, -1, 0, 1, 0, 0, 0, 0, 1}, aside[3] = {-0.8f, 0.4f, -0.5f};
     memcpy(placed[1].world_from_object, quarter, sizeof quarter);
     memcpy(placed[1].translation, aside, sizeof aside);
@@ -241,166 +249,95 @@ int main(int count, char **arguments) {
     placed[3].previous_pose = &lower;
     const float rise = 160 * 0.5f / 3.55f;
     placed[4].settings = &hidden;
-    check(ashsplat_cut_out_in_scene(&half, &placed[3], &half), "bringing a cut-out into a scene");
-    EXPECT(half.scale == 2 && half.translation[0] < -0.599f && half.translation[0] > -0.601f && half.removes);
-    AshsplatCutOut sheared = half, unchanged = half;
-    sheared.scene_from_volume[0] = 2;
-    EXPECT(ashsplat_cut_out_in_scene(&sheared, &placed[3], &unchanged) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "cut_out.pose: is not a rotation") != NULL);
-    AshsplatPlaced nowhere = placed[3];
-    nowhere.scale = 0;
-    EXPECT(ashsplat_cut_out_in_scene(&half, &nowhere, &unchanged) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "placed.pose: a scale of 0") != NULL);
-    EXPECT(memcmp(&unchanged, &half, sizeof half) == 0);
-    arrays = grid(-0.4f);
+    cut_out_in_scene(&half, &placed[3]);
+
+    AshsplatGaussians arrays = grid(-0.4f);
     AshsplatUpdate update = ASHSPLAT_INIT(AshsplatUpdate);
     update.scene = file;
     update.first = 10;
     update.gaussians = &arrays;
-    AshsplatCamera camera = ASHSPLAT_INIT(AshsplatCamera);
-    AshsplatRecordedFrame frame = ASHSPLAT_INIT(AshsplatRecordedFrame);
-    frame.camera = &camera;
     AshsplatTarget to = ASHSPLAT_INIT(AshsplatTarget);
-    AshsplatOccluder occluder = ASHSPLAT_INIT(AshsplatOccluder);
-    AshsplatDepthTarget z = ASHSPLAT_INIT(AshsplatDepthTarget);
-    frame.scenes = placed;
-    frame.scene_count = 5;
-    const float view[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 4, 1};
-    const float projection[16] = {2, 0, 0, 0, 0, 2.6666667f, 0, 0, 0, 0, 0, 1, 0, 0, NEAR, 0};
-    check(ashsplat_camera_from_matrices(view, projection, false, WIDTH, HEIGHT, &camera, &occluder.mapping),
-          "understanding the matrices");
-    AshsplatImageState fresh = {LAYOUT_UNDEFINED, 0, 0}, cleared = {LAYOUT_COPY_TO, STAGE_TRANSFER, ACCESS_TRANSFER_WRITE};
-    frame.target = &to;
-    to.to.image = target;
-    to.to.from = fresh;
     to.behind = AshsplatBackground_Color;
-    to.background[0] = 0.1f;
-    to.background[1] = 0.2f;
-    to.background[2] = 0.3f;
-    frame.occluder = &occluder;
+    const float background[3] = {0.1f, 0.2f, 0.3f};
+    memcpy(to.background, background, sizeof background);
+    AshsplatOccluder occluder = ASHSPLAT_INIT(AshsplatOccluder);
+    const float view[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 4, 1};
+    const float projection[16] = {2, 0, 0, 0, 0, 2.6666667f, 0, 0, 0, 0, 0, 1, 0, 0, near, 0};
+    check(ashsplat_camera_from_matrices(view, projection, false, WIDTH, HEIGHT, &stage.camera, &occluder.mapping),
+          "understanding the matrices");
+    AshsplatImageState cleared = {LAYOUT_COPY_TO, STAGE_TRANSFER, ACCESS_TRANSFER_WRITE};
     occluder.depth.image = walls;
     occluder.depth.from = cleared;
-    frame.depth = &z;
+    AshsplatDepthTarget z = ASHSPLAT_INIT(AshsplatDepthTarget);
     z.to.image = distances;
-    z.to.from = fresh;
     z.min_weight = 0.5f;
     z.empty = -1;
     AshsplatPickTarget pick = ASHSPLAT_INIT(AshsplatPickTarget);
-    pick.to.image = picked;
-    pick.to.from = fresh;
-    frame.pick = &pick;
     /* The middle of the picture was three pixels further to the left, and lay as high: everything goes to the right. */
-    AshsplatCamera before = camera;
+    AshsplatCamera before = stage.camera;
     before.cx -= 3;
     AshsplatMotionTarget motion = ASHSPLAT_INIT(AshsplatMotionTarget);
-    motion.to.image = moved;
-    motion.to.from = fresh;
-    motion.previous_camera = &before;
     motion.min_weight = 0.5f;
     motion.empty[1] = -1;
-    frame.motion = &motion;
-    frame.updates = &update;
-    frame.update_count = 1;
-    update.first = gaussians;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    update.first = 10;
-    to.to.image = distances;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    AshsplatRecordedFrame *frame = &stage.frame;
+    frame->scenes = placed;
+    frame->scene_count = 5;
+    frame->target = &to;
+    frame->occluder = &occluder;
+    frame->depth = &z;
+    frame->pick = &pick;
+    frame->motion = &motion;
+    frame->updates = &update;
+    frame->update_count = 1;
+
     to.to.image = target;
-    camera.fx = -1;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    camera.fx = 160;
-    half.volume = 3;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.cut_outs[0].volume: 3, there are 0 to 2") != NULL);
-    half.volume = AshsplatVolume_HalfSpace;
-    half.size[0] = 0;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.cut_outs[0].size: a normal") != NULL);
-    half.size[0] = -1;
-    cut.cut_outs = NULL;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.cut_outs: the pointer is null") != NULL);
+    pick.to.image = picked;
+    motion.to.image = moved;
+    motion.previous_camera = &before;
+    REFUSED_WITH(update.first, gaussians, stage_record(&stage), "");
+    REFUSED_WITH(to.to.image, distances, stage_record(&stage), "");
+    REFUSED_WITH(stage.camera.fx, -1, stage_record(&stage), "");
+    REFUSED_WITH(half.volume, 3, stage_record(&stage), "scenes[3].settings.cut_outs[0].volume: 3, there are 0 to 2");
+    REFUSED_WITH(half.size[0], 0, stage_record(&stage), "scenes[3].settings.cut_outs[0].size: a normal");
+    REFUSED_WITH(cut.cut_outs, NULL, stage_record(&stage), "scenes[3].settings.cut_outs: the pointer is null");
     /* Nothing is read of too many. */
     cut.cut_outs = (const AshsplatCutOut *)sizeof(AshsplatCutOut);
-    cut.cut_out_count = UINT32_MAX;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.cut_outs: 4294967295 of them, there may be 16") != NULL);
-    cut.cut_out_count = 1;
+    REFUSED_WITH(cut.cut_out_count, UINT32_MAX, stage_record(&stage), "scenes[3].settings.cut_outs: 4294967295 of them, there may be 16");
     cut.cut_outs = &half;
-    mask.buffer = 0;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.selection: the handle is null") != NULL);
-    mask.buffer = bits.raw;
-    cut.selection_share = -1;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.selection_share: -1") != NULL);
-    cut.selection_share = 0.75f;
-    tinted.opacity = 1.5f;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "scenes[2].settings.opacity: 1.5") != NULL);
-    tinted.opacity = 0.75f;
-    pick.to.image = NULL;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "pick.to.image: the pointer is null") != NULL);
-    pick.to.image = moved;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "pick (image 'motion'): it was adopted for AshsplatImageUse_Motion, not for AshsplatImageUse_Pick") != NULL);
-    pick.to.image = picked;
-    motion.to.image = NULL;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "motion.to.image: the pointer is null") != NULL);
-    motion.to.image = moved;
-    motion.previous_camera = NULL;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "motion.previous_camera: the pointer is null") != NULL);
-    motion.previous_camera = &before;
-    before.projection = 2;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "motion.previous_camera.projection: 2, there are 0 to 1") != NULL);
-    before.projection = AshsplatProjection_Perspective;
-    before.width = 1;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "motion.previous_camera: is of 1 x 120") != NULL);
-    before.width = WIDTH;
-    lower.scale = 0;
-    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "scenes[3].previous_pose: a scale of 0") != NULL);
-    lower.scale = 0.5f;
-    AshsplatRelease release = ASHSPLAT_INIT(AshsplatRelease);
-    check(ashsplat_record(renderer, commands, 0, &frame, &release), "recording");
-    host_read(&host, &color, release.color.layout, &pixels);
-    host_read(&host, &expected, release.depth.layout, &depths);
-    host_read(&host, &who, release.pick.layout, &picks);
-    host_read(&host, &speed, release.motion.layout, &motions);
-    host_submit_and_wait(&host);
-    AshsplatSlotReport report = ASHSPLAT_INIT(AshsplatSlotReport);
-    check(ashsplat_slot_report(renderer, 0, &report), "asking for the report");
-    EXPECT(report.finished && !report.overflow && report.gaussians == 2 * gaussians + OWN + OWN / 2);
+    REFUSED_WITH(mask.buffer, 0, stage_record(&stage), "scenes[3].settings.selection: the handle is null");
+    REFUSED_WITH(cut.selection_share, -1, stage_record(&stage), "scenes[3].settings.selection_share: -1");
+    REFUSED_WITH(tinted.opacity, 1.5f, stage_record(&stage), "scenes[2].settings.opacity: 1.5");
+    REFUSED_WITH(pick.to.image, NULL, stage_record(&stage), "pick.to.image: the pointer is null");
+    REFUSED_WITH(pick.to.image, moved, stage_record(&stage),
+                 "pick (image 'motion'): it was adopted for AshsplatImageUse_Motion, not for AshsplatImageUse_Pick");
+    REFUSED_WITH(motion.to.image, NULL, stage_record(&stage), "motion.to.image: the pointer is null");
+    REFUSED_WITH(motion.previous_camera, NULL, stage_record(&stage), "motion.previous_camera: the pointer is null");
+    REFUSED_WITH(before.projection, 2, stage_record(&stage), "motion.previous_camera.projection: 2, there are 0 to 1");
+    REFUSED_WITH(before.width, 1, stage_record(&stage), "motion.previous_camera: is of 1 x 120");
+    REFUSED_WITH(lower.scale, 0, stage_record(&stage), "scenes[3].previous_pose: a scale of 0");
+    check(stage_record(&stage), "recording");
+    host_read(host, color, stage.release.color.layout, pixels);
+    host_read(host, expected, stage.release.depth.layout, depths);
+    host_read(host, who, stage.release.pick.layout, picks);
+    host_read(host, speed, stage.release.motion.layout, motions);
+    stage_finish(&stage);
+    EXPECT(!stage.report.overflow && stage.report.gaussians == 2 * gaussians + OWN + OWN / 2);
 
-    static float rgb[3 * WIDTH * HEIGHT];
-    const uint8_t *bytes = pixels.mapped;
-    for (int i = 0; i < WIDTH * HEIGHT; ++i) {
-        for (int channel = 0; channel < 3; ++channel) {
-            rgb[3 * i + channel] = (float)bytes[4 * i + channel] / 255.0f;
-        }
-    }
-    check(ashsplat_write_png(arguments[2], WIDTH, HEIGHT, rgb), "writing the picture");
-    FILE *out = fopen(arguments[3], "wb");
-    EXPECT(out != NULL && fwrite(depths.mapped, 4, WIDTH * HEIGHT, out) == WIDTH * HEIGHT && fclose(out) == 0);
-    const uint32_t counts[5] = {gaussians, gaussians, OWN, OWN / 2, 0}, (*pixel)[4] = picks.mapped;
-    const uint16_t(*half_floats)[2] = motions.mapped;
-    const float *distance = depths.mapped;
+    write_picture(arguments[1], WIDTH, HEIGHT, pixels->mapped);
+    write_file(arguments[2], depths->mapped, 4 * PIXELS);
+    const uint32_t counts[5] = {gaussians, gaussians, OWN, OWN / 2, 0}, (*pixel)[4] = picks->mapped;
+    const uint16_t(*half_floats)[2] = motions->mapped;
+    const float *distance = depths->mapped;
     int somebody = 0, rising = 0;
-    for (int i = 0; i < WIDTH * HEIGHT; ++i) {
-        float z, weight;
-        memcpy(&z, &pixel[i][2], sizeof z);
+    for (int i = 0; i < PIXELS; ++i) {
+        float pick_z, weight;
+        memcpy(&pick_z, &pixel[i][2], sizeof pick_z);
         memcpy(&weight, &pixel[i][3], sizeof weight);
         if (pixel[i][1] == UINT32_MAX) {
-            EXPECT(pixel[i][0] == UINT32_MAX && z == 0 && weight == 0 && distance[i] == -1);
+            EXPECT(pixel[i][0] == UINT32_MAX && pick_z == 0 && weight == 0 && distance[i] == -1);
         } else {
             EXPECT(pixel[i][1] < 5 && pixel[i][0] < counts[pixel[i][1]]);
-            EXPECT(z > 2 && z < WALL && weight > 0 && weight <= 1);
+            EXPECT(pick_z > 2 && pick_z < wall_z && weight > 0 && weight <= 1);
             ++somebody;
         }
         /* (0, -1) where less than half of the pixel is covered. */
@@ -419,32 +356,209 @@ int main(int count, char **arguments) {
             EXPECT(share < 1 - weight + 0.01f);
         }
     }
-    EXPECT(rising > 100);
-    EXPECT(somebody > WIDTH * HEIGHT / 10);
-    printf("%u of %u Gaussians visible\n", report.visible, report.gaussians);
-    draw_together(&host, context);
-
-    ashsplat_renderer_free(renderer);
-    ashsplat_image_free(target);
-    ashsplat_image_free(walls);
-    ashsplat_image_free(distances);
-    ashsplat_image_free(picked);
-    ashsplat_image_free(moved);
-    ashsplat_scene_free(file);
-    ashsplat_scene_free(own);
+    EXPECT(rising > 100 && somebody > PIXELS / 10);
+    printf("%u of %u Gaussians visible\n", stage.report.visible, stage.report.gaussians);
+    draw_together(host, context);
+    ashsplat_scene_free(adopted);
     ashsplat_scene_free(made);
-    host_free_texture(&host, &color);
-    host_free_texture(&host, &depth);
-    host_free_texture(&host, &expected);
-    host_free_texture(&host, &who);
-    host_free_texture(&host, &speed);
-    host_free_buffer(&host, &planes);
-    host_free_buffer(&host, &bits);
-    host_free_buffer(&host, &pixels);
-    host_free_buffer(&host, &depths);
-    host_free_buffer(&host, &picks);
-    host_free_buffer(&host, &motions);
+    stage_close(&stage);
+}
+
+enum { TILES = 256, BUDGET = 200 };
+
+/* FNV-1a of a tile's numbers. */
+static uint32_t print_of(uint32_t print, const float *numbers, uint32_t count) {
+    const unsigned char *bytes = (const unsigned char *)numbers;
+    for (uint32_t i = 0; i < 4 * count; ++i) {
+        print = (print ^ bytes[i]) * 16777619u;
+    }
+    return print;
+}
+
+static void refused_demands(const AshsplatTree *tree, const AshsplatDemand *good, uint32_t tile_count) {
+    uint32_t chosen[TILES], chosen_count = 77;
+    AshsplatTree *none = (AshsplatTree *)1;
+    EXPECT(ashsplat_tree_open("/no/such/folder", &none) == AshsplatStatus_File && none == NULL && said("tileset.json"));
+    REFUSED(ashsplat_tree_open(NULL, &none), "folder: the pointer is null");
+    AshsplatTile told = ASHSPLAT_INIT(AshsplatTile);
+    REFUSED(ashsplat_tree_tile(tree, tile_count, &told), "tile: ");
+    REFUSED(ashsplat_tree_tile(tree, 0, NULL), "told: the pointer is null");
+    AshsplatTileGaussians *nothing = (AshsplatTileGaussians *)1;
+    REFUSED(ashsplat_tree_read(tree, tile_count, &nothing), "tile: ");
+    EXPECT(nothing == NULL);
+    AshsplatDemand bad = *good;
+    bad.camera_count = 0;
+    REFUSED(ashsplat_tree_wanted(tree, &bad, NULL, chosen, &chosen_count), "demand.cameras: there are none");
+    EXPECT(chosen_count == 77);
+    bad = *good;
+    bad.border = -1;
+    REFUSED(ashsplat_tree_cut(tree, &bad, NULL, chosen, &chosen_count), "demand.border");
+    AshsplatCamera camera = *good->cameras;
+    camera.fx = 0;
+    bad = *good;
+    bad.cameras = &camera;
+    REFUSED(ashsplat_tree_cut(tree, &bad, NULL, chosen, &chosen_count), "demand.cameras[0]: focal length");
+    REFUSED(ashsplat_tree_cut(tree, NULL, NULL, chosen, &chosen_count), "demand: the pointer is null");
+    REFUSED(ashsplat_tree_cut(tree, good, NULL, NULL, &chosen_count), "tiles: the pointer is null");
+    ashsplat_tree_free(NULL);
+    ashsplat_tile_gaussians_free(NULL);
+}
+
+/* A tree of tiles in a host's frames: tiles FOLDER
+ *
+ * Each tile that is wanted is read and written to a scene by a frame's update, one per frame; what is there is drawn. Prints the
+ * tiles of the last frame, and how many Gaussians and instances it had.
+ */
+static void tiles(char **arguments) {
+    enum { WIDTH = 110, HEIGHT = 70 };
+    static AshsplatScene *scenes[TILES];
+    static bool there[TILES];
+    static Host host;
+    host_open(&host);
+    AshsplatContext *context = NULL;
+    AshsplatTree *tree = NULL;
+    AshsplatRenderer *renderer = NULL;
+    check(ashsplat_context_from_foreign(&host.handles, &context), "being a guest");
+    check(ashsplat_tree_open(arguments[0], &tree), "opening the tree");
+    uint32_t tile_count = 0, most = 0, degree = 0;
+    check(ashsplat_tree_size(tree, &tile_count), "asking for its size");
+    EXPECT(tile_count > 20 && tile_count <= TILES);
+    AshsplatTile root = ASHSPLAT_INIT(AshsplatTile);
+    for (uint32_t tile = tile_count; tile-- > 0;) {
+        check(ashsplat_tree_tile(tree, tile, &root), "asking for a tile");
+        most = root.gaussians > most ? root.gaussians : most;
+        EXPECT(root.gaussians > 0 && root.min[0] < root.max[0]);
+    }
+    EXPECT(root.error > 0);
+
+    const float at[3] = {0, 0, -1};
+    AshsplatCamera camera = look_at(0, 0, 0.2f, at, 1.2f, WIDTH, HEIGHT);
+    AshsplatDemand demand = ASHSPLAT_INIT(AshsplatDemand);
+    demand.cameras = &camera;
+    demand.camera_count = 1;
+    demand.budget = BUDGET;
+    refused_demands(tree, &demand, tile_count);
+
+    check(ashsplat_renderer_new(context, &renderer), "building the renderer");
+    AshsplatReservation wanted = ASHSPLAT_INIT(AshsplatReservation);
+    AshsplatSlotReport report = ASHSPLAT_INIT(AshsplatSlotReport);
+    uint32_t drawn[TILES], drawn_count = 0, frames = 0, prints[TILES] = {0};
+    for (bool all_there = false; !all_there; ++frames) {
+        uint32_t chosen[TILES], chosen_count = 0, next = TILES;
+        check(ashsplat_tree_wanted(tree, &demand, NULL, chosen, &chosen_count), "asking what is wanted");
+        EXPECT(chosen_count > 0 && chosen[0] == 0);
+        for (uint32_t i = 0; i < chosen_count && next == TILES; ++i) {
+            next = there[chosen[i]] ? TILES : chosen[i];
+        }
+        all_there = next == TILES;
+        AshsplatTileGaussians *read = NULL;
+        AshsplatGaussians gaussians = ASHSPLAT_INIT(AshsplatGaussians);
+        AshsplatUpdate update = ASHSPLAT_INIT(AshsplatUpdate);
+        if (!all_there) {
+            check(ashsplat_tree_read(tree, next, &read), "reading a tile");
+            check(ashsplat_tile_gaussians(read, &gaussians), "its arrays");
+            if (frames == 0) {
+                degree = wanted.sh_degree = gaussians.sh_degree;
+                wanted.gaussians = tile_count * most;
+                wanted.scenes = tile_count;
+                wanted.width = WIDTH;
+                wanted.height = HEIGHT;
+                wanted.staging_bytes = ashsplat_update_bytes(most, degree);
+                check(ashsplat_reserve(renderer, &wanted), "reserving");
+            }
+            AshsplatGaussians empty = ASHSPLAT_INIT(AshsplatGaussians);
+            empty.sh_degree = degree;
+            check(ashsplat_scene_new(context, &empty, most, &scenes[next]), "an empty scene");
+            check(ashsplat_scene_set_count(scenes[next], gaussians.count), "its number");
+            update.scene = scenes[next];
+            update.gaussians = &gaussians;
+            there[next] = true;
+            uint32_t n = gaussians.count, terms = 3 * (degree + 1) * (degree + 1), print = 2166136261u;
+            print = print_of(print_of(print, gaussians.means, 3 * n), gaussians.quats, 4 * n);
+            print = print_of(print_of(print, gaussians.log_scales, 3 * n), gaussians.opacity_logits, n);
+            prints[next] = print_of(print, gaussians.sh, terms * n);
+            bool antialiased = true;
+            const char *warnings = NULL;
+            check(ashsplat_tile_told(read, &antialiased, &warnings), "what its file says");
+            EXPECT(!antialiased && warnings != NULL && warnings[0] == 0);
+            check(ashsplat_tile_told(read, NULL, NULL), "nothing of it");
+        }
+        check(ashsplat_tree_cut(tree, &demand, there, drawn, &drawn_count), "asking what is drawn");
+        EXPECT(drawn_count > 0);
+        AshsplatPlaced placed[TILES];
+        for (uint32_t i = 0; i < drawn_count; ++i) {
+            placed[i] = place(scenes[drawn[i]]);
+        }
+        AshsplatRecordedFrame frame = ASHSPLAT_INIT(AshsplatRecordedFrame);
+        frame.camera = &camera;
+        frame.scenes = placed;
+        frame.scene_count = drawn_count;
+        frame.updates = all_there ? NULL : &update;
+        frame.update_count = all_there ? 0 : 1;
+        check(ashsplat_record(renderer, host_begin(&host), 0, &frame, NULL), "recording");
+        /* The recording has a copy. */
+        ashsplat_tile_gaussians_free(read);
+        host_submit_and_wait(&host);
+        check(ashsplat_slot_report(renderer, 0, &report), "asking for the report");
+        EXPECT(report.finished && !report.overflow);
+    }
+    /* Any number but 0 says that a tile is there. */
+    unsigned char all[TILES];
+    uint32_t again[TILES], again_count = 0;
+    memset(all, 0xff, sizeof all);
+    check(ashsplat_tree_cut(tree, &demand, (const bool *)all, again, &again_count), "asking with all there");
+    EXPECT(again_count == drawn_count && memcmp(again, drawn, 4 * drawn_count) == 0);
+    /* Without the tiles below it, a tile is drawn itself; nothing is wanted below one that cannot be there. */
+    bool only_root[TILES] = {true};
+    uint32_t coarse[TILES], coarse_count = 0;
+    check(ashsplat_tree_cut(tree, &demand, only_root, coarse, &coarse_count), "asking with the coarsest alone");
+    EXPECT(coarse_count == 1 && coarse[0] == 0);
+    check(ashsplat_tree_wanted(tree, &demand, only_root, coarse, &coarse_count), "asking what is possible");
+    EXPECT(coarse_count == 1);
+
+    printf("%u frames %u %u", frames, report.visible, report.instances_needed);
+    for (uint32_t i = 0; i < drawn_count; ++i) {
+        printf(" %u %u", drawn[i], prints[drawn[i]]);
+    }
+    printf("\n");
+    ashsplat_renderer_free(renderer);
+    for (uint32_t tile = 0; tile < tile_count; ++tile) {
+        ashsplat_scene_free(scenes[tile]);
+    }
+    ashsplat_tree_free(tree);
     ashsplat_context_free(context);
     host_close(&host);
-    return 0;
+}
+
+/* Prints the number of Gaussians, the degree and the sum of a picture of each file: formats FILE... */
+static void formats(char **arguments) {
+    enum { WIDTH = 64, HEIGHT = 48, FLOATS = 3 * WIDTH * HEIGHT };
+    AshsplatContext *context = NULL;
+    AshsplatRenderer *renderer = NULL;
+    check(ashsplat_context_new(NULL, &context), "opening a device");
+    check(ashsplat_renderer_new(context, &renderer), "building the renderer");
+    AshsplatCamera camera = look_at(0, -1, -4, ORIGIN, 0.7f, WIDTH, HEIGHT);
+    static float rgb[FLOATS];
+    for (; *arguments != NULL; ++arguments) {
+        AshsplatScene *scene = NULL;
+        uint32_t gaussians = 0, sh_degree = 0;
+        check(ashsplat_scene_load(context, *arguments, &scene), "loading a scene");
+        check(ashsplat_scene_size(scene, &gaussians, &sh_degree), "asking for its size");
+        check(ashsplat_render(renderer, scene, &camera, NULL, ORIGIN, rgb), "rendering");
+        double sum = 0;
+        for (int k = 0; k < FLOATS; ++k) {
+            sum += (double)rgb[k];
+        }
+        printf("%u %u %.9g\n", gaussians, sh_degree, sum);
+        ashsplat_scene_free(scene);
+    }
+    ashsplat_renderer_free(renderer);
+    ashsplat_context_free(context);
+}
+
+int main(int count, char **arguments) {
+    TRIAL(own)
+    TRIAL(tiles)
+    TRIAL(formats)
+    return 1;
 }

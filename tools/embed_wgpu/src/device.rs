@@ -1,6 +1,7 @@
 //! A wgpu device on which ashsplat can be a guest: the host's part of step 1 in the guide's chapter `embedding`.
 
 use crate::Result;
+use crate::messages::Messages;
 use ashsplat::ash::vk::{self, TaggedStructure};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice};
 use std::ffi::CStr;
@@ -79,6 +80,19 @@ pub fn instance(validation: bool) -> Result<wgpu::Instance> {
     unsafe {
         let instance = wgpu::hal::vulkan::Instance::init_with_callback(&descriptor, Some(extend))?;
         Ok(wgpu::Instance::from_hal::<Vulkan>(instance))
+    }
+}
+
+/// A messenger beside wgpu's own, which writes to the log.
+///
+/// # Safety
+/// The instance has VK_EXT_debug_utils and lives until [`Messages::finish`].
+pub unsafe fn messages(instance: &wgpu::Instance) -> Result<Messages> {
+    // SAFETY: the handles are not destroyed; the caller keeps the rest.
+    unsafe {
+        let instance = instance.as_hal::<Vulkan>().ok_or("not a Vulkan instance")?;
+        let shared = instance.shared_instance();
+        Ok(Messages::new(shared.entry(), shared.raw_instance())?)
     }
 }
 

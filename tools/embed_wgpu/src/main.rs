@@ -8,6 +8,7 @@
 
 mod device;
 mod guest;
+#[path = "../../embed/messages.rs"]
 mod messages;
 mod passes;
 
@@ -73,7 +74,7 @@ fn run(arguments: &Arguments) -> Result<()> {
     let validation = ashsplat::vk::validation_available();
     let instance = device::instance(validation)?;
     // SAFETY: with validation the extension is present; finished below, before the instance is dropped.
-    let messages = validation.then(|| unsafe { Messages::new(&instance) }).transpose()?;
+    let messages = validation.then(|| unsafe { device::messages(&instance) }).transpose()?;
     let rgb = draw(&instance, &gaussians, validation);
     let said = messages.map(Messages::finish);
     let rgb = rgb?;

@@ -10,33 +10,30 @@ const WORDS: u64 = 64;
 const OLD: u32 = 0xFFFF_FFFF;
 const NEW: u32 = 0x0BAD_CAFE;
 
+const SEEN: vk::MemoryPropertyFlags = vk::MemoryPropertyFlags::from_raw(
+    vk::MemoryPropertyFlags::HOST_VISIBLE.as_raw() | vk::MemoryPropertyFlags::HOST_COHERENT.as_raw(),
+);
+
 const MAIN: usize = 0;
 const COPIES: usize = 1;
 
 #[test]
-fn the_layer_claims_a_card_and_holds_copies_back() {
-    run("transfer-queue");
-}
-
-#[test]
-fn the_layer_holds_the_main_queue_back() {
-    run("transfer-queue-main-late");
-}
-
-fn run(machine: &str) {
+fn the_layer_claims_a_card_and_holds_copies_or_the_main_queue_back() {
     let executable = std::env::current_exe().expect("a path");
-    let output = Command::new(&executable)
-        .args(["in_a_child", "--include-ignored", "--nocapture"])
-        .stdin(Stdio::null())
-        .env("LD_LIBRARY_PATH", executable.parent().expect("deps"))
-        .env("VK_ADD_LAYER_PATH", Path::new(env!("CARGO_MANIFEST_DIR")))
-        .env("VK_INSTANCE_LAYERS", "VK_LAYER_ASHSPLAT_mock")
-        .env(ashsplat_mock_layer::VARIABLE, machine)
-        .output()
-        .expect("the test binary runs");
-    let text = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
-    assert!(text.contains("1 passed"), "{text}");
+    for machine in ["transfer-queue", "transfer-queue-main-late"] {
+        let output = Command::new(&executable)
+            .args(["in_a_child", "--include-ignored", "--nocapture"])
+            .stdin(Stdio::null())
+            .env("LD_LIBRARY_PATH", executable.parent().expect("deps"))
+            .env("VK_ADD_LAYER_PATH", Path::new(env!("CARGO_MANIFEST_DIR")))
+            .env("VK_INSTANCE_LAYERS", "VK_LAYER_ASHSPLAT_mock")
+            .env(ashsplat_mock_layer::VARIABLE, machine)
+            .output()
+            .expect("the test binary runs");
+        let text = String::from_utf8_lossy(&output.stdout);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && text.contains("1 passed"), "{machine}: {text}{errors}");
+    }
 }
 
 /// A timeline semaphore with a value.
@@ -53,23 +50,37 @@ impl Gpu {
     /// A buffer in memory with these flags; host-visible only if they say so.
     fn buffer(&self, flags: vk::MemoryPropertyFlags) -> (vk::Buffer, vk::DeviceMemory) {
         let seen = vk::MemoryPropertyFlags::HOST_VISIBLE;
-        let index =
-            self.memory.memory_types_as_slice().iter().position(|of| {
-                of.property_flags.contains(flags) && (of.property_flags & seen) == (flags & seen)
-            });
+        let fits = |of: &vk::MemoryType| {
+            of.property_flags.contains(flags) && (of.property_flags & seen) == (flags & seen)
+        };
+        let index = self.memory.memory_types_as_slice().iter().position(fits).expect("a type") as u32;
         let usage = vk::BufferUsageFlags::TRANSFER_SRC | vk::BufferUsageFlags::TRANSFER_DST;
         let info = vk::BufferCreateInfo::default().size(WORDS * 4).usage(usage);
         // SAFETY: valid descriptions; the buffer is bound once.
         unsafe {
             let buffer = self.device.create_buffer(&info, None).expect("a buffer");
             let needs = self.device.get_buffer_memory_requirements(buffer);
-            let index = index.expect("a type") as u32;
             assert!(needs.memory_type_bits & (1 << index) != 0);
             let info = vk::MemoryAllocateInfo::default().allocation_size(needs.size).memory_type_index(index);
             let memory = self.device.allocate_memory(&info, None).expect("memory");
             self.device.bind_buffer_memory(buffer, memory, 0).expect("bound");
             (buffer, memory)
         }
+    }
+
+    unsafe fn map(&self, memory: vk::DeviceMemory) -> ash::prelude::VkResult<*mut u32> {
+        let flags = vk::MemoryMapFlags::empty();
+        // SAFETY: memory of this device, as the caller promises.
+        let address = unsafe { self.device.map_memory(memory, 0, vk::WHOLE_SIZE, flags) };
+        address.map(|address| address.cast())
+    }
+
+    /// A command buffer for one of the queues that fills a buffer.
+    fn fill(&self, queue: usize, buffer: vk::Buffer) -> vk::CommandBuffer {
+        // SAFETY: recording state, a buffer of this size.
+        self.record(queue, |commands| unsafe {
+            self.device.cmd_fill_buffer(commands, buffer, 0, WORDS * 4, NEW);
+        })
     }
 
     /// Records commands for one of the queues.
@@ -95,13 +106,12 @@ impl Gpu {
                 .value(value)
                 .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
         };
-        let (waits, signals): (Vec<_>, Vec<_>) =
-            (wait.map(info).into_iter().collect(), signal.map(info).into_iter().collect());
+        let (wait, signal) = (wait.map(info), signal.map(info));
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
         let submit = vk::SubmitInfo2::default()
             .command_buffer_infos(&buffers)
-            .wait_semaphore_infos(&waits)
-            .signal_semaphore_infos(&signals);
+            .wait_semaphore_infos(wait.as_slice())
+            .signal_semaphore_infos(signal.as_slice());
         // SAFETY: recorded for a queue of this family; nothing else uses the queue.
         unsafe { self.device.queue_submit2(self.queues[queue], &[submit], vk::Fence::null()) }
             .expect("submitted");
@@ -110,17 +120,12 @@ impl Gpu {
     /// One queue reads a buffer that the other fills; returns the word read. `point` orders them; the signal may come first or last.
     fn fill_and_read(&self, writer: usize, signal_first: bool, point: Option<Point>) -> u32 {
         let local = vk::MemoryPropertyFlags::DEVICE_LOCAL;
-        let seen = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
-        let ((filled, hidden), (read, memory)) = (self.buffer(local), self.buffer(seen));
+        let ((filled, hidden), (read, memory)) = (self.buffer(local), self.buffer(SEEN));
         // SAFETY: memory that the host cannot see: the layer refuses, and nothing is mapped.
-        let mapped =
-            unsafe { self.device.map_memory(hidden, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };
+        let mapped = unsafe { self.map(hidden) };
         assert_eq!(mapped.err(), Some(vk::Result::ERROR_MEMORY_MAP_FAILED));
+        let fill = self.fill(writer, filled);
         // SAFETY: recording state, buffers of this size.
-        let fill = self.record(writer, |commands| unsafe {
-            self.device.cmd_fill_buffer(commands, filled, 0, WORDS * 4, NEW);
-        });
-        // SAFETY: as above.
         let copy = self.record(1 - writer, |commands| unsafe {
             let region = vk::BufferCopy::default().size(WORDS * 4);
             self.device.cmd_copy_buffer(commands, filled, read, &[region]);
@@ -133,9 +138,7 @@ impl Gpu {
         // SAFETY: the device is idle; host-visible memory of this size, mapped once.
         unsafe {
             self.device.device_wait_idle().expect("idle");
-            let flags = vk::MemoryMapFlags::empty();
-            let address = self.device.map_memory(memory, 0, vk::WHOLE_SIZE, flags).expect("mapped");
-            let words = std::slice::from_raw_parts(address.cast::<u32>(), WORDS as usize);
+            let words = std::slice::from_raw_parts(self.map(memory).expect("mapped"), WORDS as usize);
             let first = words[0];
             assert!(words.iter().all(|&word| word == first), "{words:?}");
             for (buffer, memory) in [(filled, hidden), (read, memory)] {
@@ -160,23 +163,17 @@ impl Gpu {
 
     /// Words that the host sees of a fill: after waiting for the other queue only, and for the fill itself.
     fn wait_for_either(&self, late: usize, [own, other]: [vk::Semaphore; 2]) -> [u32; 2] {
-        let seen = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
-        let (filled, memory) = self.buffer(seen);
-        // SAFETY: recording state, a buffer of this size.
-        let fill = self.record(late, |commands| unsafe {
-            self.device.cmd_fill_buffer(commands, filled, 0, WORDS * 4, NEW);
-        });
-        self.submit(late, fill, [None, Some((own, 1))]);
+        let (filled, memory) = self.buffer(SEEN);
+        self.submit(late, self.fill(late, filled), [None, Some((own, 1))]);
         self.submit(1 - late, self.record(1 - late, |_| ()), [None, Some((other, 1))]);
         // SAFETY: as above, and the words are read while nothing runs that writes them.
         unsafe {
-            let flags = vk::MemoryMapFlags::empty();
-            let address = self.device.map_memory(memory, 0, vk::WHOLE_SIZE, flags).expect("mapped");
+            let address = self.map(memory).expect("mapped");
             let words = [other, own].map(|semaphore| {
                 let (semaphores, values) = ([semaphore], [1]);
                 let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
                 self.device.wait_semaphores(&info, u64::MAX).expect("signalled");
-                address.cast::<u32>().read_volatile()
+                address.read_volatile()
             });
             self.device.device_wait_idle().expect("idle");
             self.device.destroy_buffer(filled, None);

@@ -57,5 +57,7 @@ fn for_playcanvas(camera: &Camera) -> serde_json::Value {
         "eye": camera.position().to_array(),
         "quat": Quat::from_mat3(&world_from_camera).to_array(),
         "reference_dilation": true,
+        "still_frames": 2,
+        "timed_frames": RUNS,
     })
 }

@@ -1,7 +1,8 @@
 //! wgpu_sort 0.1.0 beside ashsplat's sort: pairs of a u32 key and a u32 value.
 
-use crate::measure::{self, Result, Run};
-use ashsplat::sort::{RadixSort, SortBuffers, Values};
+use crate::measure;
+use crate::measure::{Result, Run};
+use ashsplat::passes::sort::{RadixSort, SortBuffers, Values};
 use ashsplat::vk::{Buffer, Context, ContextOptions, MemoryKind};
 use std::num::NonZeroU32;
 use wgpu_0_19 as wgpu;
@@ -113,7 +114,7 @@ impl Ours {
             histogram: &b[5],
             digit_totals: &b[6],
         };
-        let elements = ashsplat::scan::Workgroups::Elements((*pairs).into());
+        let elements = ashsplat::passes::scan::Workgroups::Elements((*pairs).into());
         measure::time(|| {
             context.run("sort", |r| {
                 sort.record(r, &buffers, Values::Given, u32::BITS, elements);

@@ -2,7 +2,7 @@
 
 use crate::data;
 use crate::page::{self, Page};
-use crate::program::{Limits, Program};
+use crate::program::Program;
 use crate::siege::{Outcome, Result, Siege, ensure, text};
 use serde_json::{Value, json};
 use std::io::Write;
@@ -18,15 +18,9 @@ fn deep_name() -> String {
     "a/".repeat(100_000) + "x.png"
 }
 
-/// A command that must refuse.
-fn refuse(siege: &Siege, arguments: &[&str]) -> Result<()> {
-    refusal(siege, arguments).map(drop)
-}
-
 /// Runs a command that must refuse, and returns its message.
-fn refusal(siege: &Siege, arguments: &[&str]) -> Result<String> {
-    let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, arguments)?;
-    let ending = program.end(LONGEST)?;
+fn refuse(siege: &Siege, arguments: &[&str]) -> Result<String> {
+    let ending = Program::start(siege, arguments)?.end(LONGEST)?;
     ending.check_refused().map(|()| ending.errors)
 }
 
@@ -35,12 +29,13 @@ fn refuse_to_train(siege: &Siege, data: &Path) -> Result<Outcome> {
     let model = siege.place("refused");
     refuse(siege, &["train", "-s", text(data)?, "-m", text(&model)?, "--iterations", "1", "--quiet"])?;
     ensure!(!model.exists(), "the model folder was made all the same");
-    within_memory(siege, "refused in one line")
+    within(siege, MOST_MEMORY, "refused in one line")
 }
 
-fn within_memory(siege: &Siege, said: &str) -> Result<Outcome> {
+/// The result of an attack that took less than `most` MiB.
+fn within(siege: &Siege, most: u64, said: &str) -> Result<Outcome> {
     let peak = siege.peak.mib();
-    ensure!(peak < MOST_MEMORY, "takes {peak} MiB");
+    ensure!(peak < most, "takes {peak} MiB");
     Ok(Outcome::Withstood(said.into()))
 }
 
@@ -93,7 +88,7 @@ pub fn wide_json(siege: &Siege) -> Result<Outcome> {
         std::fs::write(&path, text_of)?;
         refuse(siege, &[command, text(&path)?])?;
     }
-    within_memory(siege, "each refused in one line")
+    within(siege, MOST_MEMORY, "each refused in one line")
 }
 
 /// JSON files of 64 MiB beyond `--max-host-memory`.
@@ -124,12 +119,10 @@ pub fn bounded_json(siege: &Siege) -> Result<Outcome> {
         &["render", text(&ply)?, "--path", text(&cameras)?, "-o", text(&model)?],
     ];
     for command in commands {
-        let said = refusal(siege, &[command, &["--max-host-memory", "16M"]].concat())?;
+        let said = refuse(siege, &[command, &["--max-host-memory", "16M"]].concat())?;
         ensure!(said.contains("more than 16777216 (--max-host-memory)"), "{command:?}: {said}");
     }
-    let peak = siege.peak.mib();
-    ensure!(peak < MOST, "takes {peak} MiB");
-    Ok(Outcome::Withstood("each refused by the option's name".into()))
+    within(siege, MOST, "each refused by the option's name")
 }
 
 /// A page sends a GLB whose JSON takes far more memory than its file.
@@ -147,12 +140,11 @@ pub fn upload(siege: &Siege) -> Result<Outcome> {
     drop((list, json));
     let bound = format!("{BOUND}M");
     let arguments = ["view", "--port", "0", "--max-host-memory", &bound];
-    let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, &arguments)?;
-    let said = program.wait_for("viewer at http://")?;
-    let host = said.split('/').next().unwrap_or_default();
-    let mut page = Page::open(host)?;
+    let mut program = Program::start(siege, &arguments)?;
+    let host = program.host()?;
+    let mut page = Page::open(&host)?;
     let before = program.memory();
-    page::post(host, "/upload/wide.glb", &glb, LONGEST)?;
+    page::post(&host, "/upload/wide.glb", &glb, LONGEST)?;
     let loading = page.until_message("loading", |message| message["failed"].is_string())?;
     let failed = loading["failed"].as_str().unwrap_or_default();
     ensure!(failed.contains("--max-host-memory"), "{failed}");
@@ -183,8 +175,7 @@ pub fn damaged_blocks(siege: &Siege) -> Result<Outcome> {
     let path = siege.new_folder("damaged")?.join("blocks.json");
     let read = |json: &str| {
         std::fs::write(&path, json)?;
-        let arguments = ["blocks", text(&path)?];
-        Program::start(&siege.program, &Limits::default(), &siege.peak, &arguments)?.end(LONGEST)
+        Program::start(siege, &["blocks", text(&path)?])?.end(LONGEST)
     };
     let ending = read(&sound.to_string())?;
     ensure!(ending.code == Some(0), "the sound one is refused: {ending}");
@@ -212,7 +203,7 @@ pub fn damaged_blocks(siege: &Siege) -> Result<Outcome> {
             refused += 1;
         }
     }
-    within_memory(siege, &format!("{refused} refused in one line, {taken} read"))
+    within(siege, MOST_MEMORY, &format!("{refused} refused in one line, {taken} read"))
 }
 
 /// A pipe without a writer and an endless device instead of files.
@@ -229,7 +220,7 @@ pub fn no_files(siege: &Siege) -> Result<Outcome> {
             refuse(siege, &["train", "-s", text(&folder)?, "-m", text(&model)?, option, file])?;
         }
     }
-    within_memory(siege, "each refused in one line")
+    within(siege, MOST_MEMORY, "each refused in one line")
 }
 
 pub fn claims(siege: &Siege) -> Result<Outcome> {
@@ -253,5 +244,5 @@ pub fn claims(siege: &Siege) -> Result<Outcome> {
     }
     packed.finish()?;
     refuse(siege, &["info", text(&spz)?])?;
-    within_memory(siege, "each refused in one line")
+    within(siege, MOST_MEMORY, "each refused in one line")
 }

@@ -3,16 +3,10 @@
 use crate::page::{self, Page};
 use crate::program::Limits;
 use crate::siege::{Outcome, Result, Siege, ensure};
-use crate::training::Training;
+use crate::training::{Door, Training};
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-
-/// Port to attack.
-enum Door {
-    Page,
-    NetworkViewer,
-}
 
 pub fn silent(siege: &Siege) -> Result<Outcome> {
     besiege(siege, Door::Page, b"", b"")
@@ -33,20 +27,15 @@ pub fn network_viewer(siege: &Siege) -> Result<Outcome> {
 fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<Outcome> {
     let (descriptors, count) = siege.choose((150, 300), (1024, 1060));
     let limits = Limits { descriptors: Some(descriptors), ..Limits::default() };
-    let mut training = Training::start(siege, &limits, &["--ip", "127.0.0.1", "--port", "0"])?;
-    let network_viewer = training.program.wait_for("network viewer at ")?;
+    let (mut training, host) = Training::with_door(siege, &limits, door)?;
     let mut page = training.held()?;
-    let host = match door {
-        Door::Page => &training.host,
-        Door::NetworkViewer => &network_viewer,
-    };
     let (mut connections, mut missing) = (Vec::new(), 0);
     for _ in 0..count {
         // Once connections are not accepted any more, further ones change nothing.
         if missing > 10 {
             break;
         }
-        let Ok(mut stream) = page::reach(host, Duration::from_millis(300)) else {
+        let Ok(mut stream) = page::reach(&host, Duration::from_millis(300)) else {
             missing += 1;
             continue;
         };

@@ -3,7 +3,7 @@
 use crate::page::{self, PATIENCE, Page};
 use crate::program::Limits;
 use crate::siege::{Outcome, Result, Siege, ensure};
-use crate::training::Training;
+use crate::training::{Door, Training};
 use serde_json::json;
 use std::io::{ErrorKind, Write};
 use std::net::TcpStream;
@@ -38,30 +38,15 @@ fn flood(mut stream: &TcpStream, message: &[u8], over: &AtomicBool, sent: &Atomi
 }
 
 pub fn pages(siege: &Siege) -> Result<Outcome> {
-    let kinds = [
+    let messages = [
         json!({ "type": "nonsense" }),
         json!({ "type": "status", "since": 0 }),
         json!({ "type": "ack" }),
         page::view(),
         json!({ "type": "train", "action": "pause" }),
     ];
-    let kinds: Vec<Vec<u8>> = kinds.iter().map(|kind| page::frame(&kind.to_string())).collect();
-    besiege(siege, |training, over, sent| {
-        std::thread::scope(|scope| {
-            for message in &kinds {
-                let host = &training.host;
-                scope.spawn(move || {
-                    while !over.load(Ordering::Relaxed) {
-                        let Ok(stream) = Page::open(host).and_then(|page| page.stream()) else {
-                            std::thread::sleep(Duration::from_millis(50));
-                            continue;
-                        };
-                        flood(&stream, message, over, sent);
-                    }
-                });
-            }
-        });
-    })
+    let messages = messages.map(|message| page::frame(&message.to_string()));
+    besiege(siege, Door::Page, &messages, |host| Page::open(host)?.stream())
 }
 
 pub fn network_viewer(siege: &Siege) -> Result<Outcome> {
@@ -73,46 +58,35 @@ pub fn network_viewer(siege: &Siege) -> Result<Outcome> {
     })
     .to_string();
     let message = [&(ask.len() as u32).to_le_bytes()[..], ask.as_bytes()].concat();
-    besiege(siege, |training, over, sent| {
-        std::thread::scope(|scope| {
-            for _ in 0..8 {
-                let (host, message) = (&training.network_viewer, &message);
-                scope.spawn(move || {
-                    while !over.load(Ordering::Relaxed) {
-                        if let Ok(stream) = page::connect(host, PATIENCE) {
-                            flood(&stream, message, over, sent);
-                        }
-                        std::thread::sleep(Duration::from_millis(10));
-                    }
-                });
-            }
-        });
-    })
+    besiege(siege, Door::NetworkViewer, &vec![message; 8], |host| page::connect(host, PATIENCE))
 }
 
-/// An attack: its target, its stop signal, and its count of sent bytes.
-type Flood<'a> = &'a (dyn Fn(&Besieged, &AtomicBool, &AtomicU64) + Sync);
-
-/// Addresses of a training.
-struct Besieged {
-    host: String,
-    network_viewer: String,
-}
-
-/// During the attack, another page gets its pictures; then training runs to its end.
-fn besiege(siege: &Siege, attack: impl Fn(&Besieged, &AtomicBool, &AtomicU64) + Sync) -> Result<Outcome> {
-    let attack: Flood = &attack;
+/// Clients flood a training, each with one of the messages. Meanwhile, another page gets its pictures; then training runs to its
+/// end. `open` connects a client.
+fn besiege(
+    siege: &Siege,
+    door: Door,
+    messages: &[Vec<u8>],
+    open: fn(&str) -> Result<TcpStream>,
+) -> Result<Outcome> {
     let seconds = Duration::from_secs(siege.choose(2, 30));
-    let mut training = Training::start(siege, &Limits::default(), &["--ip", "127.0.0.1", "--port", "0"])?;
-    let network_viewer = training.program.wait_for("network viewer at ")?;
-    let besieged = Besieged { host: training.host.clone(), network_viewer };
+    let (mut training, host) = Training::with_door(siege, &Limits::default(), door)?;
     let mut page = training.held()?;
     page.look()?;
     let before = training.program.memory();
     let (over, sent) = (AtomicBool::new(false), AtomicU64::new(0));
     let looked = std::thread::scope(|scope| {
-        let (over, sent, besieged) = (&over, &sent, &besieged);
-        scope.spawn(move || attack(besieged, over, sent));
+        for message in messages {
+            let (host, over, sent) = (&host, &over, &sent);
+            scope.spawn(move || {
+                while !over.load(Ordering::Relaxed) {
+                    if let Ok(stream) = open(host) {
+                        flood(&stream, message, over, sent);
+                    }
+                    std::thread::sleep(Duration::from_millis(10));
+                }
+            });
+        }
         let looked = look_on(&mut page, seconds);
         // Training must finish during the attack. Flooding pages may pause it again, so resume is sent repeatedly.
         let ended = training.explain(looked).and_then(|looked| {

@@ -1,7 +1,7 @@
 //! Trainings that are killed or interrupted, and resumed.
 
 use crate::page::Page;
-use crate::program::{Limits, Program};
+use crate::program::Program;
 use crate::siege::{Outcome, Result, Siege, ensure, text};
 use crate::training::{self, LONGEST};
 use std::path::Path;
@@ -47,10 +47,10 @@ fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
         }
         let goes_on = model.join("last_checkpoint").exists();
         let arguments = if goes_on { &go_on } else { &begin };
-        let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, arguments)?;
-        let address = program.wait_for("viewer at http://")?;
+        let mut program = Program::start(siege, arguments)?;
+        let host = program.host()?;
         let start = Instant::now();
-        let page = Page::open(address.split('/').next().unwrap_or_default());
+        let page = Page::open(&host);
         if let Some(whole) = whole.filter(|_| !enough) {
             std::thread::sleep(Duration::mul_f64(whole, (GOLDEN * f64::from(moment)) % 1.0));
             if kills {
@@ -87,7 +87,7 @@ fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
 
 /// The result has the same bits as without an attack, and no half-written file remains.
 fn check(siege: &Siege, model: &Path) -> Result<()> {
-    training::check_result(siege, model)?;
+    training::check_result(siege, model, &training::CHECKPOINTS)?;
     let mut folders = vec![model.to_owned()];
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(folder)? {

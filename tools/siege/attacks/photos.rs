@@ -2,10 +2,8 @@
 
 use crate::data;
 use crate::page::{self, PATIENCE};
-use crate::program::{Limits, Program};
+use crate::program::Program;
 use crate::siege::{Outcome, Result, Siege, ensure, text};
-use std::path::PathBuf;
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 /// Number of simultaneous requests.
@@ -28,22 +26,14 @@ fn size(siege: &Siege) -> u32 {
     siege.choose(2500, 5000)
 }
 
-/// The data set of large photos.
-pub fn data_of(siege: &Siege) -> Result<PathBuf> {
-    let folder = siege.place("large");
-    if !folder.exists() {
-        data::write_large(&folder, REQUESTS, size(siege))?;
-    }
-    Ok(folder)
-}
-
 impl Gallery {
     fn open(siege: &Siege) -> Result<Gallery> {
-        let folder = data_of(siege)?;
-        let arguments = ["view", text(&folder)?, "--port", "0"];
-        let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, &arguments)?;
-        let address = program.wait_for("viewer at http://")?;
-        let host = address.split('/').next().unwrap_or_default().to_owned();
+        let folder = siege.place("large");
+        if !folder.exists() {
+            data::write_large(&folder, REQUESTS, size(siege))?;
+        }
+        let mut program = Program::start(siege, &["view", text(&folder)?, "--port", "0"])?;
+        let host = program.host()?;
         // The page is served before the photos are.
         drop(page::Page::open(&host)?);
         let before = program.memory();
@@ -51,36 +41,30 @@ impl Gallery {
     }
 
     /// Requests all photos at the same time. Returns the number of answers with each of two codes.
-    fn ask_for_all(&self, headers: &str, codes: [u16; 2]) -> Result<[u32; 2]> {
-        let answers = [const { AtomicU32::new(0) }; 2];
-        let others = AtomicU32::new(0);
-        let longest = std::thread::scope(|scope| {
-            for index in 0..REQUESTS {
-                let (host, answers, others) = (&self.host, &answers, &others);
-                scope.spawn(move || {
-                    let answer = page::get(host, &format!("/photo/{index}"), headers, 6 * PATIENCE);
-                    let code = answer.map(|(code, _)| code).ok();
-                    match codes.iter().position(|known| Some(*known) == code) {
-                        Some(place) => answers[place].fetch_add(1, Ordering::Relaxed),
-                        None => others.fetch_add(1, Ordering::Relaxed),
-                    };
-                });
-            }
+    fn ask_for_all(&self, headers: &str, codes: [u16; 2]) -> Result<[usize; 2]> {
+        let host = &self.host;
+        let ask = |index: u32| -> Option<u16> {
+            let answer = page::get(host, &format!("/photo/{index}"), headers, 6 * PATIENCE);
+            answer.ok().map(|(code, _)| code)
+        };
+        let (answers, longest) = std::thread::scope(|scope| {
+            let asked: Vec<_> = (0..REQUESTS).map(|index| scope.spawn(move || ask(index))).collect();
             // Another page's requests meanwhile.
             let mut longest = Duration::ZERO;
             for _ in 0..5 {
                 let start = Instant::now();
-                let (code, _) = page::get(&self.host, "/main.js", "", PATIENCE)?;
+                let (code, _) = page::get(host, "/main.js", "", PATIENCE)?;
                 ensure!(code == 200, "another page is answered with {code}");
                 longest = longest.max(start.elapsed());
                 std::thread::sleep(Duration::from_millis(100));
             }
-            Ok::<_, Box<dyn std::error::Error + Send + Sync>>(longest)
+            let answers: Vec<_> = asked.into_iter().map(|thread| thread.join().ok().flatten()).collect();
+            Result::Ok((answers, longest))
         })?;
         ensure!(longest < PATIENCE, "another page waited for {longest:?}");
-        let others = others.into_inner();
+        let others = answers.iter().filter(|answer| answer.is_none_or(|code| !codes.contains(&code))).count();
         ensure!(others == 0, "{others} of {REQUESTS} requests have neither of the answers {codes:?}");
-        Ok(answers.map(AtomicU32::into_inner))
+        Ok(codes.map(|code| answers.iter().filter(|answer| **answer == Some(code)).count()))
     }
 
     /// Checks the additional memory, and that a photo is still served.

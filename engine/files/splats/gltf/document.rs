@@ -1,8 +1,9 @@
-//! Reads the JSON of a glTF, and finds its buffers.
+//! Reads the JSON of a glTF, and finds its buffers and the numbers in them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek, SeekFrom};
+use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
 
 use base64::Engine;
@@ -11,15 +12,15 @@ use glam::{DMat4, DQuat, DVec3};
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer};
 
-use super::accessor::{Buffer, Buffers};
 use super::{Format, damaged};
-use crate::{cost, host_memory, regular_file};
+use crate::ply::{Encoding, Scalar, decode};
+use crate::regular_file::{self, OnFile, u32_at};
+use crate::{cost, host_memory};
 use ashsplat::scene::Similarity;
 use ashsplat::{Error, Result};
 
 /// Largest relative deviation of a node's axes from orthogonal and equal length.
 const SHAPE_TOLERANCE: f64 = 1e-4;
-
 const GLB_JSON: u32 = 0x4e4f_534a;
 const GLB_BINARY: u32 = 0x004e_4942;
 
@@ -148,14 +149,13 @@ struct SceneJson {
 
 impl Document {
     pub(super) fn open(path: &Path, format: Format, limit: Option<u64>) -> Result<(Self, Buffers)> {
-        let io = |source| Error::io(path, "read", source);
         let (mut file, bytes) = regular_file::open(path)?;
         let (json, binary) = if format == Format::Glb {
             glb_chunks(path, &mut file, bytes, limit)?
         } else {
             host_memory::check(path, bytes, limit)?;
             let mut json = host_memory::reserved(path, bytes)?;
-            file.by_ref().take(bytes).read_to_end(&mut json).map_err(io)?;
+            file.by_ref().take(bytes).read_to_end(&mut json).reading(path)?;
             (json, None)
         };
         regular_file::check_json(path, &json, limit)?;
@@ -233,16 +233,12 @@ impl Document {
 impl Node {
     /// The node's transform; `None` if it is not a similarity.
     fn placement(&self) -> Option<Similarity> {
-        let matrix = match &self.matrix {
-            Some(columns) => DMat4::from_cols_array(columns),
-            None => DMat4::from_scale_rotation_translation(
-                self.scale.as_deref().map_or(DVec3::ONE, |&scale| DVec3::from_array(scale)),
-                self.rotation
-                    .as_deref()
-                    .map_or(DQuat::IDENTITY, |&[x, y, z, w]| DQuat::from_xyzw(x, y, z, w).normalize()),
-                self.translation.as_deref().map_or(DVec3::ZERO, |&place| DVec3::from_array(place)),
-            ),
-        };
+        let scale = self.scale.as_deref().map_or(DVec3::ONE, |&scale| scale.into());
+        let rotation = self.rotation.as_deref().map(|&xyzw| DQuat::from_array(xyzw).normalize());
+        let place = self.translation.as_deref().map_or(DVec3::ZERO, |&place| place.into());
+        let parts =
+            || DMat4::from_scale_rotation_translation(scale, rotation.unwrap_or(DQuat::IDENTITY), place);
+        let matrix = self.matrix.as_deref().map_or_else(parts, DMat4::from_cols_array);
         if matrix == DMat4::IDENTITY {
             return Some(Similarity::default());
         }
@@ -263,16 +259,13 @@ impl Node {
 /// The JSON of a GLB, and the offset and length of its binary chunk.
 type Chunks = (Vec<u8>, Option<(u64, u64)>);
 
-/// Finds the chunks of a GLB.
 fn glb_chunks(path: &Path, file: &mut File, bytes: u64, limit: Option<u64>) -> Result<Chunks> {
-    let io = |source| Error::io(path, "read", source);
     let mut head = [0; 20];
     if bytes < head.len() as u64 {
         return Err(damaged(path, format!("ends after {bytes} bytes, inside its header")));
     }
-    file.read_exact(&mut head).map_err(io)?;
-    let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
-    let [_, version, length, json_bytes, json_kind] = [0, 4, 8, 12, 16].map(word);
+    file.read_exact(&mut head).reading(path)?;
+    let [version, length, json_bytes, json_kind] = [4, 8, 12, 16].map(|at| u32_at(&head, at));
     if &head[..4] != b"glTF" || version != 2 {
         return Err(damaged(path, "is no binary glTF of version 2"));
     }
@@ -284,19 +277,16 @@ fn glb_chunks(path: &Path, file: &mut File, bytes: u64, limit: Option<u64>) -> R
     }
     host_memory::check(path, json_bytes.into(), limit)?;
     let mut json = vec![0; json_bytes as usize];
-    file.read_exact(&mut json).map_err(io)?;
+    file.read_exact(&mut json).reading(path)?;
     let at = 20 + u64::from(json_bytes);
     let mut chunk = [0; 8];
     if at + 8 > bytes || file.read_exact(&mut chunk).is_err() {
         return Ok((json, None));
     }
-    let [length, kind] =
-        [0, 4].map(|at| u32::from_le_bytes([chunk[at], chunk[at + 1], chunk[at + 2], chunk[at + 3]]));
+    let [length, kind] = [0, 4].map(|at| u32_at(&chunk, at));
     if kind == GLB_BINARY && at + 8 + u64::from(length) > bytes {
-        return Err(damaged(
-            path,
-            format!("the binary chunk should have {length} bytes, {} are left", bytes - at - 8),
-        ));
+        let left = bytes - at - 8;
+        return Err(damaged(path, format!("the binary chunk should have {length} bytes, {left} are left")));
     }
     Ok((json, (kind == GLB_BINARY).then_some((at + 8, u64::from(length)))))
 }
@@ -309,16 +299,12 @@ fn open_uri(path: &Path, index: usize, uri: &str) -> Result<Buffer> {
     let name = unescaped(uri);
     let inside = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
     if uri.contains("://") || name.contains(['\\', '\0']) || !Path::new(&name).components().all(inside) {
-        let remedy = "buffers must be files beside or below it";
-        return Err(Error::input(
-            path,
-            format!("buffer {index}: {uri:?} leads out of the file's folder"),
-            remedy,
-        ));
+        let problem = format!("buffer {index}: {uri:?} leads out of the file's folder");
+        return Err(Error::input(path, problem, "buffers must be files beside or below it"));
     }
-    let file_path: PathBuf = path.with_file_name(name);
-    let (file, bytes) = regular_file::open(&file_path)?;
-    Ok(Buffer::File { path: file_path.clone(), file, offset: 0, bytes })
+    let path = path.with_file_name(name);
+    let (file, bytes) = regular_file::open(&path)?;
+    Ok(Buffer::File { path, file, offset: 0, bytes })
 }
 
 /// Replaces `%20` and other escapes by their characters.
@@ -339,4 +325,153 @@ fn unescaped(uri: &str) -> String {
         }
     }
     String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// Largest stride in glTF, bytes.
+const MAX_STRIDE: u64 = 252;
+
+pub(super) struct Buffers(pub(super) Vec<Buffer>);
+
+impl Buffers {
+    /// Total bytes of the buffers; a file that several buffers name counts once.
+    pub(super) fn bytes(&self) -> u64 {
+        let mut files = BTreeSet::new();
+        let counts = |buffer: &&Buffer| match buffer {
+            Buffer::File { path, .. } => files.insert(path.clone()),
+            Buffer::Memory(_) => true,
+        };
+        self.0.iter().filter(counts).map(Buffer::bytes).sum()
+    }
+}
+
+pub(super) enum Buffer {
+    File { path: PathBuf, file: File, offset: u64, bytes: u64 },
+    Memory(Vec<u8>),
+}
+
+impl Buffer {
+    pub(super) fn bytes(&self) -> u64 {
+        match self {
+            Self::File { bytes, .. } => *bytes,
+            Self::Memory(data) => data.len() as u64,
+        }
+    }
+
+    /// Reads bytes. The caller has checked the range against [`Buffer::bytes`].
+    fn read(&mut self, at: u64, data: &mut [u8]) -> Result<()> {
+        match self {
+            Self::File { path, file, offset, .. } => {
+                file.seek(SeekFrom::Start(*offset + at)).and_then(|_| file.read_exact(data)).reading(path)
+            }
+            Self::Memory(all) => {
+                data.copy_from_slice(&all[at as usize..at as usize + data.len()]);
+                Ok(())
+            }
+        }
+    }
+}
+
+/// Rows of numbers, checked to lie within their buffer.
+pub(super) struct Accessor {
+    buffer: usize,
+    offset: u64,
+    stride: u64,
+    pub(super) count: usize,
+    components: usize,
+    component: Scalar,
+    normalized: bool,
+}
+
+impl Accessor {
+    /// The accessor with this index. The error text says what is wrong with it.
+    pub(super) fn new(
+        document: &Document,
+        buffers: &Buffers,
+        index: usize,
+        components: usize,
+    ) -> Result<Self, String> {
+        let accessor = document.accessors.get(index).ok_or_else(|| format!("accessor {index} is missing"))?;
+        let component = match accessor.component_type {
+            5120 => Scalar::I8,
+            5121 => Scalar::U8,
+            5122 => Scalar::I16,
+            5123 => Scalar::U16,
+            5126 => Scalar::F32,
+            other => return Err(format!("accessor {index} has component type {other}")),
+        };
+        let kind = ["SCALAR", "VEC2", "VEC3", "VEC4"][components - 1];
+        if accessor.kind != kind {
+            return Err(format!("accessor {index} is {}, not {kind}", accessor.kind));
+        }
+        let Some(view_index) = accessor.buffer_view.filter(|_| accessor.sparse.is_none()) else {
+            return Err(format!("accessor {index} is sparse, which is not read"));
+        };
+        let view = document.buffer_views.get(view_index);
+        let view = view.ok_or_else(|| format!("buffer view {view_index} is missing"))?;
+        if let Some(extension) = view.extensions.keys().next() {
+            return Err(format!("its buffer view is compressed ({extension}), which is not read"));
+        }
+        let buffer = buffers.0.get(view.buffer);
+        let buffer = buffer.ok_or_else(|| format!("buffer {} is missing", view.buffer))?;
+        let row = (components * component.bytes()) as u64;
+        let stride = view.byte_stride.unwrap_or(row);
+        // With rows far apart, many primitives could read the whole file for little data.
+        if stride > MAX_STRIDE {
+            return Err(format!("its buffer view has a stride of {stride} bytes; {MAX_STRIDE} are possible"));
+        }
+        let needed = match accessor.count {
+            0 => Some(accessor.byte_offset),
+            count => (count - 1)
+                .checked_mul(stride)
+                .and_then(|b| b.checked_add(row)?.checked_add(accessor.byte_offset)),
+        };
+        if stride < row || needed.is_none_or(|needed| needed > view.byte_length) {
+            let (count, length) = (accessor.count, view.byte_length);
+            return Err(format!("{count} rows of {row} bytes do not fit its buffer view of {length} bytes"));
+        }
+        if view.byte_offset.checked_add(view.byte_length).is_none_or(|end| end > buffer.bytes()) {
+            return Err(format!("its buffer view ends behind its buffer of {} bytes", buffer.bytes()));
+        }
+        Ok(Self {
+            buffer: view.buffer,
+            offset: view.byte_offset + accessor.byte_offset,
+            stride,
+            count: accessor.count as usize,
+            components,
+            component,
+            normalized: accessor.normalized,
+        })
+    }
+
+    pub(super) fn bytes(&self) -> u64 {
+        self.count as u64 * (self.components * self.component.bytes()) as u64
+    }
+
+    pub(super) fn read(&self, buffers: &mut Buffers, rows: Range<usize>) -> Result<Vec<f32>> {
+        let mut values = Vec::with_capacity(rows.len() * self.components);
+        if rows.is_empty() {
+            return Ok(values);
+        }
+        let size = self.component.bytes();
+        let bytes = (rows.len() as u64 - 1) * self.stride + (self.components * size) as u64;
+        let mut data = vec![0; bytes as usize];
+        buffers.0[self.buffer].read(self.offset + rows.start as u64 * self.stride, &mut data)?;
+        for row in data.chunks(self.stride as usize) {
+            cost::step();
+            values.extend(row.chunks_exact(size).take(self.components).map(|bytes| self.decode(bytes)));
+        }
+        Ok(values)
+    }
+
+    fn decode(&self, bytes: &[u8]) -> f32 {
+        let value = decode(bytes, self.component, Encoding::BinaryLittleEndian) as f32;
+        let largest = match self.component {
+            Scalar::I8 => 127.0,
+            Scalar::U8 => 255.0,
+            Scalar::I16 => 32_767.0,
+            Scalar::U16 => 65_535.0,
+            _ => return value,
+        };
+        if self.normalized { (value / largest).max(-1.0) } else { value }
+    }
 }

@@ -1,7 +1,7 @@
 //! The curves of a training, in bounded memory.
 
-use crate::progress::RunningMean;
-use ashsplat::trainer::StepReport;
+use ashsplat::train::StepReport;
+use ashsplat_program::progress::RunningMean;
 use serde_json::{Value, json};
 use std::time::Instant;
 

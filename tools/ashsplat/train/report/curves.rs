@@ -1,8 +1,8 @@
 //! The log of a run as curves.
 
-use super::super::log::Rows;
-use crate::axis::Axis;
-use crate::html::escape;
+use ashsplat_program::axis::Axis;
+use ashsplat_program::html::escape;
+use ashsplat_program::train_log::Rows;
 use std::fmt::Write;
 
 const WIDTH: f64 = 560.0;
@@ -190,7 +190,7 @@ fn grid(out: &mut String, x_axis: &Axis, y_axis: &Axis, (x, y): (Place, Place)) 
 /// A number with thousands separators, or with `digits` digits.
 fn number(value: f64, digits: usize) -> String {
     if digits == 0 {
-        crate::progress::thousands(value.round().max(0.0) as u64)
+        ashsplat_program::progress::thousands(value.round().max(0.0) as u64)
     } else {
         format!("{value:.digits$}")
     }

@@ -1,9 +1,8 @@
 //! Times of all kernels in a few iterations.
 
-use crate::bench::schema::Spread;
-use crate::html::escape;
-use crate::profile::page::shown;
 use ashsplat::vk::{Context, Profile};
+use ashsplat_program::html::{escape, shown};
+use ashsplat_program::measure::median;
 use std::fmt::Write;
 
 /// Interval of the iterations that are timed command by command.
@@ -94,7 +93,7 @@ impl KernelTimes {
         let mut rows: Vec<(&Kernel, f64)> = self
             .kernels
             .iter()
-            .filter_map(|kernel| Some((kernel, Spread::of(kernel.microseconds.clone())?.median)))
+            .filter_map(|kernel| Some((kernel, median(kernel.microseconds.clone())?)))
             .collect();
         if rows.is_empty() {
             return String::new();

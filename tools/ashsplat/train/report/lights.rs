@@ -1,8 +1,8 @@
 //! Learned exposures and lens effects of the photographs.
 
-use crate::html::{escape, section};
-use crate::light::Lights;
 use ashsplat::scene::{Exposure, LensEffects};
+use ashsplat_program::html::{escape, section};
+use ashsplat_program::light::Lights;
 use std::fmt::Write;
 
 /// A grey that no usual gain saturates.

@@ -1,11 +1,11 @@
 //! Views beside their photos, with their quality.
 
-use crate::eval::{Evaluation, ViewResult};
-use crate::html::{self, escape, heat};
-use crate::output;
 use crate::train::tracking;
 use ashsplat::{Frame, Result};
 use ashsplat_files::{Photo, PhotoFileFormat, View};
+use ashsplat_program::eval::{Evaluation, ViewResult};
+use ashsplat_program::html::{self, escape, heat};
+use ashsplat_program::output;
 use std::fmt::Write;
 
 /// Largest number of views on the contact sheet.

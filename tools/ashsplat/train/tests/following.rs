@@ -1,8 +1,8 @@
 //! The views whose PSNR is tracked.
 
 use super::*;
-use crate::eval::ViewResult;
 use ashsplat::TrainSettings;
+use ashsplat_program::eval::ViewResult;
 
 fn views(count: u32) -> Vec<View> {
     let view = dataset(1.0).train.remove(0);
@@ -94,16 +94,16 @@ fn a_view_that_cannot_be_measured_is_told() {
     let mut watch = Stopwatch::start();
     let report = run.trainer.step().expect("a step");
     assert_eq!(run.track(&report, &mut watch), None, "nobody looks on");
-    run.held_out = true;
+    run.views.held_out = true;
     let psnr = run.track(&report, &mut watch).expect("measured");
     assert!(psnr.is_finite());
     // A photo of another size cannot be compared.
     let other = Photo { width: 8, height: 8, rgb: vec![9; 3 * 8 * 8] };
-    let unlike = View { photo: other.into(), ..run.test[0].clone() };
-    run.test = vec![unlike];
+    let unlike = View { photo: other.into(), ..run.views.test[0].clone() };
+    run.views.test = vec![unlike];
     run.track_within(0.9);
     assert_eq!(run.track(&step(2, 10.0), &mut watch), None);
-    run.test = dataset(1.0).train;
+    run.views.test = dataset(1.0).train;
     assert_eq!(run.track(&step(3, 1e9), &mut watch), None, "it was told once, and is not tried again");
     run.trainer.step().expect("training goes on");
 }

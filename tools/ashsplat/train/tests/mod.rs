@@ -3,13 +3,13 @@
 mod following;
 
 use super::*;
-use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
-use crate::{eval, model};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
-use ashsplat::trainer::{Actions, Checkpoint};
+use ashsplat::train::{Actions, Checkpoint};
 use ashsplat::vk::{ContextOptions, Fault, Faults};
-use ashsplat_files::CheckpointFile;
-use ashsplat_files::Photo;
+use ashsplat_files::{CheckpointFile, Photo, View};
+use ashsplat_program::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
+use ashsplat_program::train_log::Rows;
+use ashsplat_program::{eval, model};
 use glam::Vec3;
 
 pub(super) fn dataset(scene_extent: f32) -> Dataset {
@@ -83,7 +83,7 @@ fn a_failed_iteration_saves_only_what_is_known_and_seen() {
         }
         run.rescue();
         let scene = model::point_cloud_path(folder.path(), 2).is_file();
-        let checkpoint = Checkpoint::read(checkpoints::path(folder.path(), 2));
+        let checkpoint = Checkpoint::read(model::checkpoint_path(folder.path(), 2));
         match (fault, checkpoint) {
             (Fault::WaitMemory, Err(_)) => {
                 assert!(!scene, "the state is unknown");
@@ -123,8 +123,8 @@ fn a_lost_device_leaves_the_older_checkpoint() {
     let advice = run.older_checkpoint().expect("there is one");
     assert!(advice.contains("from iteration 1, ashsplat train --config "), "{advice}");
     assert!(advice.contains("--start-checkpoint latest"), "{advice}");
-    Checkpoint::read(checkpoints::path(folder.path(), 1)).expect("as it was");
-    assert!(!checkpoints::path(folder.path(), 2).exists());
+    Checkpoint::read(model::checkpoint_path(folder.path(), 1)).expect("as it was");
+    assert!(!model::checkpoint_path(folder.path(), 2).exists());
     assert!(!model::point_cloud_path(folder.path(), 2).exists());
 }
 
@@ -144,7 +144,7 @@ fn iterations_that_are_left_out_are_counted() {
     }
     assert_eq!(run.skipped, 2);
     run.log.finish().expect("written");
-    let rows = log::Rows::read(&folder.path().join(LOG_FILE)).expect("the log");
+    let rows = Rows::read(&folder.path().join(LOG_FILE)).expect("the log");
     assert_eq!(rows.loss[0], 0.5);
     assert!(rows.loss.len() == 3 && rows.loss[1..].iter().all(|loss| loss.is_nan()), "{:?}", rows.loss);
 }

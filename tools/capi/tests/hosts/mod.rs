@@ -38,12 +38,12 @@ pub fn run(program: &Path, arguments: &[&Path]) -> Output {
     Command::new(program).args(arguments).output().expect("a program")
 }
 
-/// Compiles and runs a host in C on the scene of these tests. Returns its output.
-pub fn host_in_c(name: &str, arguments: &[&Path]) -> String {
-    host_with(name, "", arguments)
+/// Compiles a program in C and runs one of its trials. Returns its output, which must be free of validation messages.
+pub fn host_in_c(name: &str, trial: &str, arguments: &[&Path]) -> String {
+    host_with(name, "", &[&[Path::new(trial)][..], arguments].concat())
 }
 
-/// Same as [`host_in_c`], but the program includes `included.c` with this text, and runs under validation if the layer is installed.
+/// Compiles and runs a program in C that includes `included.c` with this text, under validation if the layer is installed.
 pub fn host_said(name: &str, included: &str, arguments: &[&Path]) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join(name);
@@ -51,19 +51,15 @@ pub fn host_said(name: &str, included: &str, arguments: &[&Path]) -> String {
     let link = [argument(&library(".so")), "-ldl".into(), "-I".into(), argument(folder.path())];
     compile(&self::folder().join(format!("tests/{name}.c")), &program, &link);
     let mut command = Command::new(&program);
-    validated(&mut command);
-    let output = command.args(arguments).output().expect("a program");
-    let (said, failed) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    assert!(output.status.success(), "{:?}: {said}{failed}", output.status);
-    said.into_owned()
-}
-
-/// Turns on validation and synchronisation validation. The layer prints messages into the program's output.
-fn validated(command: &mut Command) {
+    // The layer prints messages into the program's output.
     command
         .env("VK_INSTANCE_LAYERS", "VK_LAYER_KHRONOS_validation")
         .env("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT")
         .env("VK_VALIDATION_VALIDATE_SYNC", "1");
+    let output = command.args(arguments).output().expect("a program");
+    let (said, failed) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{:?}: {said}{failed}", output.status);
+    said.into_owned()
 }
 
 /// The validation layer's names of its messages.

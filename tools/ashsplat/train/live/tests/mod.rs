@@ -1,11 +1,11 @@
 //! A viewer's failure does not end the training.
 
 use super::*;
-use crate::config::Settings;
 use crate::train::tests::dataset;
-use crate::view::protocol::{CameraMessage, Look, ViewRequest};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::vk::{ContextOptions, Fault, Faults};
+use ashsplat_program::config::Settings;
+use ashsplat_view::protocol::{CameraMessage, Look, ViewRequest};
 use glam::Vec3;
 use std::net::TcpStream;
 use tungstenite::{Message, WebSocket};

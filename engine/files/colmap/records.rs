@@ -1,0 +1,145 @@
+//! The records of a sparse model: cameras, registered images and their observations.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DQuat};
+
+use crate::names::{MAX_PATH_BYTES, ending, plain, stays_inside};
+use ashsplat::scene::Camera;
+use ashsplat::{Error, Result};
+
+/// COLMAP's camera models by number: name and number of parameters.
+const MODELS: [(&str, usize); 16] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+];
+
+/// One of COLMAP's camera models.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CameraModel(usize);
+
+impl CameraModel {
+    /// Parameters f, cx, cy.
+    pub const SIMPLE_PINHOLE: Self = Self(0);
+    /// Parameters fx, fy, cx, cy.
+    pub const PINHOLE: Self = Self(1);
+
+    /// Model with COLMAP's number.
+    pub fn from_number(number: i64) -> Option<Self> {
+        usize::try_from(number).ok().filter(|&n| n < MODELS.len()).map(Self)
+    }
+
+    /// Model with COLMAP's name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        MODELS.iter().position(|(model, _)| *model == name).map(Self)
+    }
+
+    /// COLMAP's name.
+    pub fn name(self) -> &'static str {
+        MODELS[self.0].0
+    }
+
+    /// COLMAP's number.
+    pub fn number(self) -> i32 {
+        self.0 as i32
+    }
+
+    /// Number of its parameters.
+    pub fn parameters(self) -> usize {
+        MODELS[self.0].1
+    }
+}
+
+/// A camera without pose, as in the model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ColmapCamera {
+    /// COLMAP's id; ids may have gaps.
+    pub id: u32,
+    /// The camera model.
+    pub model: CameraModel,
+    /// Width of its images, pixels.
+    pub width: u64,
+    /// Height of its images, pixels.
+    pub height: u64,
+    /// Focal lengths, principal point, distortion, in the model's order.
+    pub parameters: Vec<f64>,
+}
+
+impl ColmapCamera {
+    /// The PINHOLE camera with the intrinsics of `camera`.
+    pub fn pinhole(id: u32, camera: &Camera) -> Self {
+        Self {
+            id,
+            model: CameraModel::PINHOLE,
+            width: camera.width.into(),
+            height: camera.height.into(),
+            parameters: [camera.fx, camera.fy, camera.cx, camera.cy].map(f64::from).to_vec(),
+        }
+    }
+}
+
+/// A registered image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ColmapImage {
+    /// COLMAP's id; ids may have gaps and are in no order.
+    pub id: u32,
+    /// Id of its camera.
+    pub camera_id: u32,
+    /// Path below the images folder.
+    pub name: String,
+    /// Rotation from world to camera as quaternion (w, x, y, z), not necessarily of unit length.
+    pub quat: [f64; 4],
+    /// Translation from the file's coordinates to the camera.
+    pub translation: [f64; 3],
+}
+
+impl ColmapImage {
+    /// The registered image with the pose of `camera`.
+    pub fn posed(id: u32, camera_id: u32, name: impl Into<String>, camera: &Camera) -> Self {
+        let quat = DQuat::from_mat3(&camera.camera_from_world.as_dmat3()).normalize();
+        let translation = camera.translation.as_dvec3().to_array();
+        Self { id, camera_id, name: name.into(), quat: [quat.w, quat.x, quat.y, quat.z], translation }
+    }
+
+    /// Rotation from the file's coordinates to the camera's axes.
+    pub fn rotation(&self) -> DMat3 {
+        let [w, x, y, z] = self.quat;
+        DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
+    }
+
+    /// The photo's path below the images folder.
+    ///
+    /// # Errors
+    /// [`Error::Input`] naming `model_file` when the name is absolute or leads out of the folder, or is longer than
+    /// paths can be.
+    pub fn photo_path(&self, images_folder: &Path, model_file: &Path) -> Result<PathBuf> {
+        if self.name.len() > MAX_PATH_BYTES {
+            let problem = format!("image {}: the name has {} bytes", self.id, self.name.len());
+            return Err(Error::input(model_file, problem, format!("{MAX_PATH_BYTES} are possible")));
+        }
+        let name = plain(&self.name);
+        if stays_inside(&name) {
+            return Ok(images_folder.join(name));
+        }
+        let (id, name) = (self.id, ending(&self.name));
+        let problem = format!("image {id}: the name {name:?} leads out of the images folder");
+        Err(Error::input(model_file, problem, "names must be paths below the images folder"))
+    }
+}
+
+/// An image's id, and its observations: the place in the photo, and the id of the point there if there is one.
+pub(super) type Observed = (u32, Vec<([f64; 2], Option<u64>)>);

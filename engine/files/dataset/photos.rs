@@ -1,0 +1,167 @@
+//! Finds the photos of a data set, and which of them are rotated or scaled.
+
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::mask::is_scaled;
+use super::planned_view::{FileSize, PlannedView};
+use crate::images::{Header, PhotoOrientation, header};
+use crate::names::{has_photos, photos_below, photos_beside};
+use crate::{colmap, regular_file};
+use ashsplat::scene::Intrinsics;
+use ashsplat::scene::lens::Lens;
+use ashsplat::{Error, Result};
+
+/// The named folder, or the data set itself if it has no `images` and photos lie beside the model.
+pub(super) fn find_folder(dataset: &Path, images: &str) -> Result<PathBuf> {
+    let folder = dataset.join(images);
+    if folder.is_dir() {
+        return Ok(folder);
+    }
+    if images == "images" && has_photos(dataset) {
+        return Ok(dataset.to_owned());
+    }
+    let usual = ["input", "images_2", "images_4", "images_8", "image", "photos", "frames", "rgb"];
+    let remedy = match usual.iter().find(|name| has_photos(&dataset.join(name))) {
+        Some(name) => format!("those in the folder {name} are used with --images {name}"),
+        None => "put the photos there, or name their folder with --images".into(),
+    };
+    Err(Error::input(folder, "there is no folder with photos", remedy))
+}
+
+/// All photos of the folder, in the model or not. The data set's own folder may hold other pictures, such as masks:
+/// there, only the folders with photos of the model (`names`) are searched.
+pub(super) fn in_folder<'n>(
+    dataset: &Path,
+    folder: &Path,
+    names: impl Iterator<Item = &'n str>,
+) -> Vec<PathBuf> {
+    match (dataset.canonicalize(), folder.canonicalize()) {
+        (Ok(dataset), Ok(same)) if dataset == same => photos_beside(folder, names),
+        _ => photos_below(folder),
+    }
+}
+
+/// Advice on how to find cameras for the other photos of a data set.
+pub(super) fn advice_for_more(dataset: &Path) -> &'static str {
+    match regular_file::read(dataset.join(colmap::POSES_LOG), 2) {
+        Ok(log) if String::from_utf8_lossy(&log).contains(" exhaustive_matcher ") => {
+            "all were compared with each other: photos that overlap more may register them"
+        }
+        Ok(_) => {
+            "photos that overlap more, or `ashsplat poses --matcher exhaustive` into another folder, may register them"
+        }
+        Err(_) => "photos that overlap more, or `colmap exhaustive_matcher`, may register them",
+    }
+}
+
+/// Scales the cameras of views to their photos. Photos of other proportions, or of another size than other photos of
+/// the same camera, become errors. Returns a warning, unless the photos' folder is named after the ratio (`divisor`).
+pub(super) fn fit_lenses(views: &mut [Result<PlannedView>], list: &Path, divisor: u32) -> Option<String> {
+    let key = |view: &PlannedView| format!("{} {:?}", view.camera_id, view.lens);
+    let own_size = |view: &PlannedView| (view.lens.width, view.lens.height);
+    let unscaled = views.iter().flatten().filter(|view| view.file_size == Some(own_size(view)));
+    let unscaled: HashSet<String> = unscaled.map(key).collect();
+    let mut known: HashMap<String, (Lens, Intrinsics)> = HashMap::new();
+    let (mut first, mut count, mut as_named) = (None, 0, divisor > 1);
+    for result in views {
+        let Ok(view) = result else { continue };
+        let own = own_size(view);
+        let Some((width, height)) = view.file_size.filter(|&size| size != own) else { continue };
+        let rounded = width.abs_diff(own.0) <= 1 && height.abs_diff(own.1) <= 1;
+        if !is_scaled((width, height), own) || unscaled.contains(&key(view)) && !rounded {
+            *result = Err(of_another_size(view, (width, height)));
+            continue;
+        }
+        first.get_or_insert(((width, height), own));
+        count += 1;
+        let divided = |side: u32, own: u32| side == own / divisor || side == own.div_ceil(divisor);
+        as_named &= divided(width, own.0) && divided(height, own.1);
+        let lens = view.lens.scaled_to(width, height);
+        // A lens that can be undistorted at one size can be at another.
+        let fitted = || (lens, lens.inscribed_pinhole().unwrap_or(lens.intrinsics()));
+        (view.lens, view.pinhole) = *known.entry(format!("{lens:?}")).or_insert_with(fitted);
+    }
+    let ((w, h), (width, height)) = first.filter(|_| !as_named)?;
+    let list = list.display();
+    Some(format!(
+        "{list}: {count} photos are not of their camera's size, {w}x{h} and {width}x{height} for example: the cameras are scaled \
+         to them"
+    ))
+}
+
+fn of_another_size(view: &PlannedView, (width, height): (u32, u32)) -> Error {
+    let (w, h) = (view.lens.width, view.lens.height);
+    let how = if view.turned { " when turned as its metadata say" } else { "" };
+    let problem = format!("is {width}x{height} pixels{how}, its camera {w}x{h}");
+    let remedy = if is_scaled((width, height), (w, h)) {
+        "scale all photos of this camera, or none"
+    } else if is_scaled((height, width), (w, h)) {
+        "turn it on its side, as it was when the cameras were computed"
+    } else {
+        "use the pictures that the cameras were computed from, or whole ones scaled"
+    };
+    Error::input(&view.photo_path, problem, remedy)
+}
+
+/// The decision for all photos of a data set.
+pub(super) struct Turned {
+    pub(super) photos: Vec<FileSize>,
+    /// Number of photos that are used as stored although their metadata ask for a rotation: no size decides it.
+    pub(super) untold: usize,
+}
+
+/// Width and height of a camera, or values in proportion to them.
+pub(super) type Sides = [f64; 2];
+
+impl Turned {
+    /// Takes photos (if they exist) and the sides of their cameras (if they are known).
+    pub(super) fn of(photos: &[(Option<&Path>, Option<Sides>)], choice: PhotoOrientation) -> Self {
+        // A photo that cannot be read is reported when it is loaded.
+        let header_of = |&(path, _): &(Option<&Path>, _)| header(path?).ok();
+        let headers: Vec<Option<Header>> = photos.par_iter().map(header_of).collect();
+        // For a photo whose metadata ask for a rotation: what its size tells, if anything.
+        let told = |index: usize| -> Option<Option<bool>> {
+            let header = headers[index].filter(Header::has_orientation)?;
+            Some(photos[index].1.and_then(|sides| told_by(header, sides)))
+        };
+        let all = || (0..photos.len()).filter_map(told);
+        let [stored, turned] = [false, true].map(|turned| all().any(|told| told == Some(turned)));
+        let decides = stored != turned || choice != PhotoOrientation::Auto;
+        let untold = if decides { 0 } else { all().filter(Option::is_none).count() };
+        let is_turned = |index: usize| match choice {
+            PhotoOrientation::Stored => false,
+            PhotoOrientation::Upright => told(index).is_some(),
+            PhotoOrientation::Auto => told(index).is_some_and(|told| told.unwrap_or(turned && !stored)),
+        };
+        let photo = |(index, header): (usize, &Option<Header>)| {
+            let turned = is_turned(index);
+            (turned, header.map(|header| header.size(turned)))
+        };
+        Self { photos: headers.iter().enumerate().map(photo).collect(), untold }
+    }
+
+    /// A warning if no size decides the rotation.
+    pub(super) fn warning(&self, list: &Path) -> Option<String> {
+        let list = list.display();
+        let photos = match self.untold {
+            0 => return None,
+            1 => "1 photo is".to_owned(),
+            untold => format!("{untold} photos are"),
+        };
+        Some(format!(
+            "{list}: {photos} to be turned by their metadata (Exif), and no size of a camera tells whether that was done \
+             before the cameras were computed: taken as stored, as COLMAP, nerfstudio and instant-ngp take them; \
+             --orientation upright turns them"
+        ))
+    }
+}
+
+/// True if a camera has the size of the rotated photo; `None` if its sides fit both.
+fn told_by(header: Header, [width, height]: Sides) -> Option<bool> {
+    let (stored_width, stored_height) = header.size(false);
+    let tells = header.lies_on_its_side() && stored_width != stored_height && width != height;
+    tells.then_some((width > height) != (stored_width > stored_height))
+}

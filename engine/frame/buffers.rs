@@ -1,0 +1,404 @@
+//! Buffers of a frame: their contents, their bytes, and which are reused for other contents within a frame.
+
+use super::{FrameCapacity, GaussianRange, LaunchSizes, PictureCapacity, blocks, tile_bits, tile_grid};
+use crate::error::{Error, Result};
+use crate::kernels::blocks::CameraBlock;
+use crate::kernels::constants::{
+    ARGUMENTS_COUNT, CAMERA_BLOCK_MEMBERS, CAMERA_BLOCK_WORDS, GRADIENT_PLANES, SPLAT_PLANES, STATE_WORDS,
+};
+use crate::scene::Camera;
+use crate::vk::{Buffer, Limits, PLACEMENT_ALIGNMENT, pack};
+
+/// Bytes from one scene's camera block to the next. It leaves space for more members, meets the required offset alignment
+/// of uniform blocks, and is far below their size limit. It is no larger because a frame of thousands of scenes writes as
+/// many blocks.
+pub const CAMERA_BLOCK_BYTES: u64 = CAMERA_BLOCK_WORDS as u64 * 4;
+const _: () = assert!(
+    size_of::<CameraBlock>() == CAMERA_BLOCK_MEMBERS as usize * 4
+        && CAMERA_BLOCK_MEMBERS < CAMERA_BLOCK_WORDS
+        && CAMERA_BLOCK_BYTES.is_multiple_of(PLACEMENT_ALIGNMENT)
+);
+
+macro_rules! frame_requests {
+    ($($(#[$doc:meta])* $vis:vis $name:ident: $bytes:expr;)*) => {
+        /// Buffers of a frame. A buffer with one content is a field. A buffer that is reused within the frame has a method
+        /// for each content, which says when it is valid.
+        #[derive(Clone)]
+        pub struct FrameBuffers { $($(#[$doc])* $vis $name: Buffer,)* }
+
+        /// Returns names and bytes of [`FrameBuffers`], in order.
+        pub fn frame_requests(capacity: &FrameCapacity, block: &LaunchSizes) -> Vec<(&'static str, u64)> {
+            let sizes = FrameSizes::new(capacity, block);
+            vec![$((stringify!($name), { let f: fn(&FrameSizes) -> u64 = $bytes; f(&sizes) }),)*]
+        }
+
+        impl FrameBuffers {
+            /// Assigns the buffers that were allocated for [`frame_requests`], in the same order.
+            pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
+                let mut buffers = buffers.into_iter();
+                let mut next = || match buffers.next() {
+                    Some(buffer) => buffer,
+                    None => unreachable!("one buffer per request"),
+                };
+                Self { $($name: next(),)* }
+            }
+        }
+    };
+}
+
+struct FrameSizes {
+    scenes: u64,
+    gaussians: u64,
+    visible: u64,
+    gaussian_blocks: u64,
+    scan_blocks: u64,
+    instances: u64,
+    histogram: u64,
+    digits: u64,
+    tiles: u64,
+    /// Distance, in vec4, between the attributes of successive visible Gaussians.
+    splat_stride: u64,
+    /// 1 if each attribute has a buffer of its own, otherwise 0.
+    apart: u64,
+    /// Capacity in instances of the buffers of the backward pass; 0 without it.
+    backward_instances: u64,
+    /// Capacity in instances of the absolute gradients; 0 without them.
+    absolute_instances: u64,
+    pixels: u64,
+    /// Values of one plane in strips; 0 without strips.
+    strips: u64,
+    /// 1 with backward, 0 without.
+    backward: u64,
+    /// 1 if very long tiles need several backward passes.
+    passes: u64,
+}
+
+impl FrameSizes {
+    fn new(capacity: &FrameCapacity, block: &LaunchSizes) -> Self {
+        let gaussians = u64::from(capacity.gaussians);
+        let visible = u64::from(capacity.visible);
+        let instances = u64::from(capacity.instances);
+        let PictureCapacity { pixels, tiles, strip_values, .. } = capacity.pictures;
+        let backward = u64::from(capacity.backward);
+        let tile_bits = tile_bits(tiles.min(u32::MAX.into()) as u32);
+        let depth_sort = block.sort_histogram_words(visible, u32::BITS);
+        // A smaller image may use longer digits in fewer passes.
+        let tile_sort = (1..=tile_bits).map(|bits| block.sort_histogram_words(instances, bits)).max();
+        let record = 16 * u64::from(SPLAT_PLANES);
+        let together = visible * record <= block.max_binding_bytes;
+        Self {
+            scenes: capacity.scenes.into(),
+            gaussians,
+            visible,
+            gaussian_blocks: blocks(gaussians, block.elementwise_workgroup.into()),
+            scan_blocks: blocks(visible, block.scan.into()),
+            instances,
+            histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)),
+            digits: 1 << block.sort_digit_bits(),
+            tiles,
+            splat_stride: if together { SPLAT_PLANES.into() } else { 1 },
+            apart: u64::from(!together),
+            backward_instances: backward * instances,
+            absolute_instances: backward * u64::from(capacity.absolute) * instances,
+            pixels,
+            strips: backward * u64::from(block.strips) * strip_values,
+            backward,
+            passes: backward * u64::from(capacity.blend_passes > 1),
+        }
+    }
+}
+
+frame_requests! {
+    /// Words named STATE_* in constants.glsl.
+    pub state: |_| u64::from(STATE_WORDS) * 4;
+    /// Indirect arguments, named ARGUMENTS_*.
+    pub arguments: |_| u64::from(ARGUMENTS_COUNT) * 16;
+    /// Per scene: its camera and draw settings, see camera_block.glsl.
+    pub camera_blocks: |s| s.scenes * CAMERA_BLOCK_BYTES;
+    /// Per range of parameters: indirect arguments, and its range of visible Gaussians. There are fewer ranges than culling
+    /// blocks.
+    pub visible_ranges: |s| s.gaussian_blocks.max(1) * 32;
+    /// Per Gaussian: 1 if visible.
+    pub visible_flags: |s| s.gaussians * 4;
+    /// [`Self::visible_counts`], then [`Self::visible_offsets`].
+    visible_blocks: |s| s.gaussian_blocks * 4;
+    /// Per visible Gaussian: index of the Gaussian.
+    pub visible_list: |s| s.visible * 4;
+    /// Per Gaussian: its index among the visible Gaussians.
+    pub visible_index: |s| s.gaussians * 4;
+    /// Per visible Gaussian: mean and half extents, px. Or records of all four attributes, see [`FrameBuffers::splats`].
+    splats: |s| s.visible * 16 * s.splat_stride;
+    /// Per visible Gaussian: conic and opacity.
+    conic_opacity: |s| s.apart * s.visible * 16;
+    /// Per visible Gaussian: colour and 1/z.
+    color_inverse_depth: |s| s.apart * s.visible * 16;
+    /// Per visible Gaussian: shape of its rows of tiles, number of tiles (tile_span.glsl).
+    footprints: |s| s.apart * s.visible * 16;
+    /// [`Self::tile_lists`], then [`Self::pose_sums`].
+    tile_lists: |s| (s.visible * 8).max(s.backward * s.gaussians.div_ceil(4) * POSE_SUM_BYTES);
+    /// [`Self::depth_keys`], [`Self::depth_sort_keys`], then [`Self::list_heads`].
+    depth_keys_a: |s| s.visible * 4;
+    /// [`Self::depth_sort_keys`], then [`Self::list_rows`].
+    depth_keys_b: |s| s.visible * 4;
+    /// [`Self::depth_sort_values`], then [`Self::depth_order`].
+    order_a: |s| s.visible * 4;
+    /// [`Self::depth_sort_values`].
+    order_b: |s| s.visible * 4;
+    /// Per rank: number of tiles touched.
+    pub tiles_touched: |s| s.visible * 4;
+    /// Per rank: first instance.
+    pub instance_offsets: |s| s.visible * 4;
+    /// Sums and offsets of the scan's blocks.
+    pub scan_blocks: |s| s.scan_blocks * 4;
+    /// Sorting scratch: counts per digit and block, and per digit and run.
+    pub histogram: |s| s.histogram * 4;
+    /// Sorting scratch: keys per digit.
+    pub digit_totals: |s| s.digits * 4;
+    /// [`Self::instance_tiles`], [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
+    tiles_a: |s| s.instances * 4;
+    /// [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
+    tiles_b: |s| s.instances * 4;
+    /// Without backward, first [`Self::instance_visible`]. Then [`Self::tile_sort_values`], then perhaps
+    /// [`Self::sorted_instances`].
+    sorted_a: |s| s.instances * 4;
+    /// [`Self::tile_sort_values`], then perhaps [`Self::sorted_instances`].
+    sorted_b: |s| s.instances * 4;
+    /// [`Self::instance_visible`] with backward.
+    instance_visible: |s| s.backward_instances * 4;
+    /// [`Self::sorted_visible`] with backward, gathered by the kernel that finds the ranges.
+    pub gathered_visible: |s| s.backward_instances * 4;
+    /// Per visible Gaussian: its first instance.
+    pub first_instances: |s| s.backward * s.visible * 4;
+    /// Per tile: begin and end in the sorted instances.
+    pub tile_ranges: |s| s.tiles * 8;
+    /// Per pixel: premultiplied colour without background, transmittance. With backward in strips it is written only
+    /// between passes, and with the inverse depth.
+    pub accumulated: |s| s.pixels * 16;
+    /// The composited picture as three planes in strips, if the backward pass reads strips.
+    pub composited: |s| 3 * s.strips * 4;
+    /// Per pixel: sum of weights / z.
+    pub inverse_depth: |s| s.pixels * 4;
+    /// Per pixel: 1 + list index of the last blended entry of its tile.
+    pub last_entries: |s| s.pixels * 4;
+    /// Gradient of the loss. Per pixel: dL/d(r, g, b, inverse depth); with strips, three planes of dL/d(r, g,
+    /// b).
+    pub image_gradient: |s| if s.strips > 0 { 3 * s.strips * 4 } else { s.backward * s.pixels * 16 };
+    /// Per pixel: state between passes of the backward blending.
+    pub backward_state: |s| s.passes * s.pixels * 8;
+    /// Per instance before the tile sort: moments 1, dx, dy, dx dx.
+    pub instance_gradients_a: |s| s.backward_instances * 16;
+    /// Per instance before the tile sort: moments dx dy, dy dy; d red, d green.
+    pub instance_gradients_b: |s| s.backward_instances * 16;
+    /// Per instance before the tile sort: d blue, d inverse depth.
+    pub instance_gradients_c: |s| s.backward_instances * 8;
+    /// [`Self::absolute_gradients`].
+    instance_gradients_d: |s| s.absolute_instances * 8;
+    /// Per visible Gaussian: planes named GRADIENT_*.
+    pub gradients: |s| s.backward * s.visible * 16 * u64::from(GRADIENT_PLANES);
+}
+
+/// Returns the buffers that were allocated for `N` requests.
+pub(crate) fn array_of<const N: usize>(buffers: Vec<Buffer>) -> [Buffer; N] {
+    match buffers.try_into() {
+        Ok(buffers) => buffers,
+        Err(_) => panic!("one buffer per request"),
+    }
+}
+
+/// Bytes of the sums of a subgroup ([`FrameBuffers::pose_sums`]): two vec3. Subgroups have four lanes or more.
+pub(crate) const POSE_SUM_BYTES: u64 = 24;
+
+/// Returns the bytes of all buffers of a frame, including the padding between them.
+pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {
+    packed_bytes(&frame_requests(capacity, block))
+}
+
+/// Returns the bytes of requests in one block, including the padding between them.
+pub(crate) fn packed_bytes(requests: &[(&'static str, u64)]) -> u64 {
+    let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
+    pack(&sizes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum())
+}
+
+/// Bindings of the attributes of the visible Gaussians: see splat_record.glsl.
+#[derive(Clone, Copy)]
+pub struct Splats<'a> {
+    /// Mean and half extents, px.
+    pub mean2d_extent: &'a Buffer,
+    /// Conic and opacity.
+    pub conic_opacity: &'a Buffer,
+    /// Colour and 1/z.
+    pub color_inverse_depth: &'a Buffer,
+    /// Shape of the rows of tiles, number of tiles.
+    pub footprints: &'a Buffer,
+    /// Distance, in vec4, between successive visible Gaussians. If it is [`SPLAT_PLANES`], all four are the same buffer.
+    pub stride: u32,
+}
+
+macro_rules! contents {
+    ($($(#[$doc:meta])* $content:ident: $buffer:ident;)*) => {
+        impl FrameBuffers {
+            $($(#[$doc])* pub fn $content(&self) -> &Buffer { &self.$buffer })*
+        }
+    };
+}
+
+contents! {
+    /// Per culling block: number of visible Gaussians. Valid from culling to the scan of these numbers.
+    visible_counts: visible_blocks;
+    /// Per culling block: index of its first visible Gaussian. Valid from the scan on.
+    visible_offsets: visible_blocks;
+    /// Per visible Gaussian: bits of its depth. Valid from projection to the depth sort.
+    depth_keys: depth_keys_a;
+    /// Per depth rank: the visible Gaussian. Valid from the depth sort on, which has an even number of passes.
+    depth_order: order_a;
+    /// Per visible Gaussian: the list of its tiles if they are few, otherwise their number (tile_list.glsl). Valid from
+    /// projection to duplication.
+    tile_lists: tile_lists;
+    /// Per subgroup of visible Gaussians, indexed as subgroups of all Gaussians: sums of dL/dν and dL/dω of the camera's
+    /// pose, two vec3. Valid from the backward projection on, if it writes them.
+    pose_sums: tile_lists;
+    /// Per depth rank: first word of the Gaussian's list of tiles. Valid from counting to duplication; the sorted depths
+    /// are not needed then.
+    list_heads: depth_keys_a;
+    /// Per depth rank: second word of the list. Valid as long as [`Self::list_heads`].
+    list_rows: depth_keys_b;
+    /// Per instance: its tile. Valid from duplication to the tile sort.
+    instance_tiles: tiles_a;
+}
+
+impl FrameBuffers {
+    /// Camera block of a scene, by its place in the frame.
+    pub(crate) fn camera_block(&self, scene: usize) -> Buffer {
+        self.camera_blocks.range(scene as u64 * CAMERA_BLOCK_BYTES, CAMERA_BLOCK_BYTES)
+    }
+
+    /// Indirect arguments at this index (ARGUMENTS_*).
+    pub(crate) fn arguments_at(&self, index: u32) -> Buffer {
+        self.arguments.range(u64::from(index) * 16, 12)
+    }
+
+    /// Indirect arguments of a dispatch over the visible Gaussians of one parameter range. Their index in `visible_ranges` is
+    /// that of the range's first culling block.
+    pub(crate) fn range_arguments(&self, sizes: &LaunchSizes, range: GaussianRange) -> Buffer {
+        self.visible_ranges.range(32 * u64::from(range.first / sizes.elementwise_workgroup), 12)
+    }
+
+    /// Keys of the depth sort, alternately read and written. Valid until its end.
+    pub fn depth_sort_keys(&self) -> [&Buffer; 2] {
+        [&self.depth_keys_a, &self.depth_keys_b]
+    }
+
+    /// Values of the depth sort, alternately read and written. Valid until its end.
+    pub fn depth_sort_values(&self) -> [&Buffer; 2] {
+        [&self.order_a, &self.order_b]
+    }
+
+    /// Per instance before the tile sort: the visible Gaussian. Valid from duplication on with backward; otherwise until
+    /// the tile sort, which reorders it.
+    pub fn instance_visible(&self, backward: bool) -> &Buffer {
+        if backward { &self.instance_visible } else { &self.sorted_a }
+    }
+
+    /// Keys of the tile sort, alternately read and written. Valid until its end.
+    pub fn tile_sort_keys(&self) -> [&Buffer; 2] {
+        [&self.tiles_a, &self.tiles_b]
+    }
+
+    /// Values of the tile sort, alternately read and written. Valid until its end.
+    pub fn tile_sort_values(&self) -> [&Buffer; 2] {
+        [&self.sorted_a, &self.sorted_b]
+    }
+
+    /// Per sorted instance: its tile. Valid from the tile sort on.
+    pub fn sorted_tiles(&self, block: &LaunchSizes, camera: &Camera) -> &Buffer {
+        self.tile_sort_keys()[sorted_side(block, camera)]
+    }
+
+    /// Per sorted instance: its index before the tile sort; without backward, the visible Gaussian. Valid from the tile
+    /// sort on.
+    pub fn sorted_instances(&self, block: &LaunchSizes, camera: &Camera) -> &Buffer {
+        self.tile_sort_values()[sorted_side(block, camera)]
+    }
+
+    /// Per sorted instance: the visible Gaussian. Valid from the ranges on; without backward, from the tile sort on.
+    pub fn sorted_visible(&self, block: &LaunchSizes, backward: bool, camera: &Camera) -> &Buffer {
+        if backward { &self.gathered_visible } else { self.sorted_instances(block, camera) }
+    }
+
+    /// The blended picture that the loss and the backward pass read: [`Self::composited`] with strips,
+    /// otherwise [`Self::accumulated`].
+    pub fn rendered(&self, block: &LaunchSizes) -> &Buffer {
+        if block.strips { &self.composited } else { &self.accumulated }
+    }
+
+    /// Per instance before the tile sort: absolute gradients of the 2D mean. Unless `absolute`, another buffer, which is
+    /// bound but neither read nor written.
+    pub fn absolute_gradients(&self, absolute: bool) -> &Buffer {
+        if absolute { &self.instance_gradients_d } else { &self.instance_gradients_c }
+    }
+
+    /// The attributes of the visible Gaussians.
+    pub fn splats(&self) -> Splats<'_> {
+        let records = &self.splats;
+        if records.bytes() > self.conic_opacity.bytes() {
+            return Splats {
+                mean2d_extent: records,
+                conic_opacity: records,
+                color_inverse_depth: records,
+                footprints: records,
+                stride: SPLAT_PLANES,
+            };
+        }
+        Splats {
+            mean2d_extent: records,
+            conic_opacity: &self.conic_opacity,
+            color_inverse_depth: &self.color_inverse_depth,
+            footprints: &self.footprints,
+            stride: 1,
+        }
+    }
+}
+
+/// Checks that every dispatch of a frame of this capacity fits a grid of workgroups. Vulkan does not check
+/// indirect dispatches.
+///
+/// # Errors
+/// [`Error::TooLarge`] with the number of workgroups.
+pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSizes) -> Result<()> {
+    let smallest = block.smallest();
+    let PictureCapacity { pixels, tiles, side_tiles, .. } = capacity.pictures;
+    let axis = u64::from(limits.max_workgroups_per_axis);
+    let elements = u64::from(capacity.gaussians.max(capacity.instances));
+    let checks = [
+        (blocks(elements, smallest.into()), axis * axis),
+        (tiles, axis * axis),
+        // The loss has one workgroup per tile.
+        (u64::from(side_tiles.max(3)) * u64::from(capacity.backward), axis),
+    ];
+    match checks.iter().find(|(needed, limit)| needed > limit) {
+        None => Ok(()),
+        Some(&(needed, limit)) => Err(Error::TooLarge {
+            what: format!(
+                "a frame of {pixels} pixels, {} Gaussians and {} instances",
+                capacity.gaussians, capacity.instances
+            ),
+            needed,
+            unit: "workgroups",
+            limit,
+            limit_name: "maxComputeWorkGroupCount",
+        }),
+    }
+}
+
+/// True if a device's limits allow the buffers and grids of a frame, regardless of memory.
+pub fn frame_fits_device(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSizes) -> bool {
+    let most = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
+    check_grids(limits, capacity, block).is_ok()
+        && frame_requests(capacity, block).iter().all(|(_, bytes)| *bytes <= most)
+}
+
+/// Index of the tile sort's buffer that holds its result, for an image of this size.
+pub(crate) fn sorted_side(block: &LaunchSizes, camera: &Camera) -> usize {
+    let (columns, rows) = tile_grid(camera.width, camera.height);
+    (block.sort_passes(tile_bits(columns * rows)) % 2) as usize
+}

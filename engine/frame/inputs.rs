@@ -1,0 +1,409 @@
+//! Inputs of a frame: scenes with their transforms, a camera, settings.
+
+use super::{
+    BlendVariant, CAMERA_BLOCK_BYTES, FrameBuffers, FrameCapacity, GaussianRange, RenderSettings, ScenePlan,
+    SceneSettings,
+};
+use crate::kernels::constants::NO_BATCH;
+use crate::scene::{Camera, Pose};
+use crate::vk::{Buffer, Context, Recorder};
+
+/// Parameters of a scene on the device: planes split into chunks.
+#[derive(Clone)]
+pub struct SceneBuffers {
+    /// One buffer per chunk of Gaussians.
+    pub chunks: Vec<Buffer>,
+    /// Layout of the planes.
+    pub plan: ScenePlan,
+    /// Number of Gaussians.
+    pub count: u32,
+}
+
+impl SceneBuffers {
+    /// Returns the SH degree to evaluate: the settings' degree, at most the stored one.
+    #[inline]
+    pub fn active_degree(&self, settings: &RenderSettings) -> u32 {
+        settings.sh_degree.unwrap_or(self.plan.sh_degree).min(self.plan.sh_degree)
+    }
+
+    /// Records a dispatch for each chunk of parameters, with barriers between them: they write common buffers.
+    pub(crate) fn record_chunks(
+        &self,
+        r: &mut Recorder,
+        mut record: impl FnMut(&mut Recorder, GaussianRange, &Buffer),
+    ) {
+        for range in self.plan.ranges(self.count) {
+            if range.chunk > 0 {
+                r.barrier();
+            }
+            record(r, range, &self.chunks[range.chunk]);
+        }
+    }
+}
+
+/// One frame to record.
+#[derive(Clone, Copy)]
+pub struct FrameInputs<'a> {
+    /// The scenes, one behind the other in the frame's index space; at least one. A backward pass differentiates the first.
+    pub scenes: &'a [PlacedScene<'a>],
+    /// The frame's buffers.
+    pub frame: &'a FrameBuffers,
+    /// Capacity of the frame's buffers.
+    pub capacity: &'a FrameCapacity,
+    /// The camera in the axes of the first scene.
+    pub camera: &'a Camera,
+    /// Where the camera of the first scene is, if the device knows better than `camera` ([`POSE_BYTES`](super::POSE_BYTES)): the
+    /// rows of the rotation from world to camera, then the translation, with the scale 1.
+    pub pose: Option<&'a Buffer>,
+    /// Render settings of the frame.
+    pub settings: &'a RenderSettings,
+    /// Per pixel of the image: 1/z of the opaque surface that hides splats, 0 for none.
+    pub depth_limits: Option<&'a Buffer>,
+    /// Buffer for the cut-outs of all scenes, 64 bytes each; may be `None` if there are none.
+    pub cut_outs: Option<&'a Buffer>,
+    /// Renders the sum of weights * z instead of weights / z.
+    pub linear_depth: bool,
+    /// A backward pass follows: store the picture in its layout, see [`FrameBuffers::rendered`]. No scene has a tint, an opacity
+    /// or a selection then.
+    pub backward: bool,
+    /// True to keep the previous frame's STATE_OVERFLOW, because all frames after an overflow are invalid too.
+    pub keeps_overflow: bool,
+    /// Further outputs besides the picture; none with `backward`.
+    pub auxiliary: Auxiliary<'a>,
+    /// Which of some views with one order it is ([`Forward::record_first`](crate::render::Forward::record_first)); `None` alone.
+    pub view: Option<u32>,
+}
+
+impl<'a> FrameInputs<'a> {
+    /// A frame of these scenes, without backward and without further inputs or outputs.
+    pub(crate) fn new(
+        scenes: &'a [PlacedScene<'a>],
+        frame: &'a FrameBuffers,
+        capacity: &'a FrameCapacity,
+        settings: &'a RenderSettings,
+    ) -> Self {
+        Self {
+            scenes,
+            frame,
+            capacity,
+            camera: &scenes[0].camera,
+            pose: None,
+            settings,
+            depth_limits: None,
+            cut_outs: None,
+            linear_depth: false,
+            backward: false,
+            keeps_overflow: false,
+            auxiliary: Auxiliary::default(),
+            view: None,
+        }
+    }
+
+    /// Returns the variant of blending for the frame.
+    pub fn blend_variant(&self) -> BlendVariant {
+        BlendVariant {
+            linear_depth: self.linear_depth,
+            depth_limit: self.depth_limits.is_some(),
+            pick: self.auxiliary.picks.is_some(),
+            motion: self.auxiliary.motion.is_some(),
+            shared_order: self.view.is_some(),
+            ..BlendVariant::of(self.settings, self.backward).of_camera(self.camera)
+        }
+    }
+
+    /// The parameters of the first scene, which a backward pass differentiates.
+    pub fn scene(&self) -> &'a SceneBuffers {
+        self.scenes[0].scene
+    }
+
+    /// The evaluated SH degree of the first scene.
+    pub fn sh_degree(&self) -> u32 {
+        self.scenes[0].sh_degree
+    }
+
+    /// # Panics
+    /// If a backward pass would have wrong gradients.
+    pub(crate) fn assert_differentiable(&self) {
+        if !self.backward {
+            return;
+        }
+        let colored = |own: &SceneSettings| own.is_tinted() || own.mask().is_some();
+        let Auxiliary { picks, motion } = self.auxiliary;
+        let obstacles = [
+            (
+                self.scenes.iter().any(|placed| colored(placed.settings)),
+                "a frame with a tint, an opacity or a selection",
+            ),
+            (picks.is_some() || motion.is_some(), "a frame with picks or motion"),
+            (self.camera.is_orthographic(), "an orthographic camera's frame"),
+        ];
+        for (found, obstacle) in obstacles {
+            assert!(!found, "no backward pass can follow {obstacle}");
+        }
+    }
+
+    /// The place of the camera block of its first scene. Views with one order have their blocks behind each other.
+    pub(super) fn first_block(&self) -> usize {
+        self.view.unwrap_or(0) as usize * self.scenes.len()
+    }
+
+    /// Camera blocks of all scenes of the frame.
+    pub(crate) fn camera_blocks(&self) -> Buffer {
+        let first = self.first_block() as u64 * CAMERA_BLOCK_BYTES;
+        self.frame.camera_blocks.range(first, self.scenes.len() as u64 * CAMERA_BLOCK_BYTES)
+    }
+
+    /// The first scenes of batches, with their places.
+    pub(crate) fn batches(&self) -> impl Iterator<Item = (u32, &'a PlacedScene<'a>)> + use<'a> {
+        let scenes = self.scenes;
+        let at = move |place: u32| Some((place, scenes.get(place as usize)?));
+        std::iter::successors(at(scenes[0].batch.frame.head), move |(_, placed)| at(placed.batch.next))
+    }
+
+    /// Dispatches over the parameters of scenes outside batches: chunk by chunk, scene by scene.
+    pub(crate) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
+        let (first_block, end, scenes) = (self.first_block(), self.index_count(), self.scenes);
+        // If batches draw everything, recording need not scan thousands of scenes.
+        let count = if scenes[0].batch.frame.all { 1 } else { scenes.len() };
+        let alone = scenes[..count].iter().enumerate().filter(|(_, placed)| placed.batch.first == NO_BATCH);
+        alone.flat_map(move |(place, placed)| {
+            let next = scenes.get(place + 1).map_or(end, |next| next.first);
+            let now = SceneView { camera: placed.camera, scale: placed.scale };
+            let previous = placed.previous.map_or(now, |previous| previous.view());
+            placed.scene.plan.ranges(placed.drawn()).map(move |range| {
+                let first = placed.first + range.first;
+                let is_last = range.first + range.count == placed.drawn();
+                Part {
+                    scene: placed.scene,
+                    block: first_block + place,
+                    sh_degree: placed.sh_degree,
+                    settings: placed.settings,
+                    first_cut_out: placed.first_cut_out,
+                    first_of_scene: range.first,
+                    range: GaussianRange { first, ..range },
+                    flags: if is_last { next - first } else { range.count },
+                    previous,
+                }
+            })
+        })
+    }
+
+    /// Number of indices of all scenes together, including the gaps between them.
+    pub(crate) fn index_count(&self) -> u32 {
+        self.scenes.last().map_or(0, |last| last.first + last.drawn())
+    }
+}
+
+/// The batch of a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Batch {
+    /// Place of the batch's first scene in the frame; [`NO_BATCH`] for a scene outside batches.
+    pub first: u32,
+    /// Number of scenes in the batch. Only set for its first scene.
+    pub(super) scenes: u32,
+    /// One past the batch's last Gaussian in the frame. Only set for its first scene.
+    pub(super) end: u32,
+    /// Place of the first scene of the frame's next batch; [`NO_BATCH`] for none. Only set for the batch's first scene.
+    pub(super) next: u32,
+    pub(super) parameters: Parameters,
+    /// Batches of the frame. Only set for the frame's first scene.
+    pub(super) frame: FrameBatches,
+}
+
+/// Batches of a frame, so that recording need not scan all scenes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct FrameBatches {
+    /// Place of the first scene of the first batch; [`NO_BATCH`] for none.
+    pub(super) head: u32,
+    /// True if the batches draw everything.
+    pub(super) all: bool,
+}
+
+/// Location of a scene's parameters. A frame of thousands of scenes need not fetch each scene's list of buffers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Parameters {
+    /// VkBuffer of the parameters; 0 if there are several, or if kernels cannot bind it as a whole.
+    pub(super) memory: u64,
+    /// First vec4 of the parameters in that buffer.
+    pub(super) begin: u32,
+    /// True if the buffer has no space for other scenes of this size.
+    pub(super) alone: bool,
+}
+
+impl Parameters {
+    pub fn new(context: &Context, scene: &SceneBuffers) -> Self {
+        match &scene.chunks[..] {
+            [own] if own.whole_is_bindable(context.limits()) => Self {
+                memory: own.memory_id(),
+                begin: (own.handle().1 / 16) as u32,
+                alone: own.fills_its_memory(),
+            },
+            _ => Self { memory: 0, begin: 0, alone: true },
+        }
+    }
+}
+
+impl Batch {
+    /// A scene outside batches.
+    pub const ALONE: Self = {
+        let parameters = Parameters { memory: 0, begin: 0, alone: true };
+        let frame = FrameBatches { head: NO_BATCH, all: false };
+        Self { first: NO_BATCH, scenes: 0, end: 0, next: NO_BATCH, parameters, frame }
+    };
+
+    /// A scene that may join a batch.
+    pub(crate) fn none_yet(parameters: Parameters) -> Self {
+        Self { parameters, ..Self::ALONE }
+    }
+}
+
+/// A scene of a frame. It is small, because a frame may have thousands: what it refers to is read where it is needed.
+#[derive(Clone, Copy)]
+pub struct PlacedScene<'a> {
+    /// Parameters of the scene.
+    pub scene: &'a SceneBuffers,
+    /// Camera of the frame in the scene's own axes and origin, in world units.
+    pub camera: Camera,
+    /// World units per unit of the scene.
+    pub scale: f32,
+    /// Evaluated SH degree.
+    pub sh_degree: u32,
+    /// Settings of the scene; its SH degree is in `sh_degree`.
+    pub settings: &'a SceneSettings<'a>,
+    /// Index of the scene's first Gaussian in the frame. It follows the previous scene, at a multiple of
+    /// [`LaunchSizes::elementwise_workgroup`](crate::frame::LaunchSizes::elementwise_workgroup), so that a culling block belongs
+    /// to one scene.
+    pub first: u32,
+    /// Index of the scene's first cut-out in the frame.
+    pub first_cut_out: u32,
+    /// View of the scene in the previous frame, for its motion; the current view if `None`.
+    pub previous: Option<PreviousView<'a>>,
+    /// Batch that the scene's dispatches draw.
+    pub batch: Batch,
+}
+
+impl<'a> PlacedScene<'a> {
+    /// The first scene of a frame, in the camera's axes, as it is.
+    pub fn alone(scene: &'a SceneBuffers, camera: &Camera, sh_degree: u32) -> Self {
+        Self {
+            scene,
+            camera: *camera,
+            scale: 1.0,
+            sh_degree,
+            settings: &SceneSettings::USUAL,
+            first: 0,
+            first_cut_out: 0,
+            previous: None,
+            batch: Batch::ALONE,
+        }
+    }
+
+    /// Number of Gaussians that take part in the frame.
+    #[inline]
+    pub fn drawn(&self) -> u32 {
+        if self.settings.draws() { self.scene.count } else { 0 }
+    }
+
+    /// First culling block of the batch and one past its last, of `block` Gaussians each. Only for the batch's first scene.
+    pub(crate) fn batch_blocks(&self, block: u32) -> [u32; 2] {
+        [self.first / block, self.batch.end.div_ceil(block)]
+    }
+}
+
+/// Inputs of one dispatch over a scene's parameters.
+#[derive(Clone, Copy)]
+pub(crate) struct Part<'a> {
+    pub scene: &'a SceneBuffers,
+    /// Index of the scene's camera block.
+    pub block: usize,
+    pub sh_degree: u32,
+    pub settings: &'a SceneSettings<'a>,
+    /// Index of the scene's first cut-out in the frame.
+    pub first_cut_out: u32,
+    /// First Gaussian of the range in its scene.
+    pub first_of_scene: u32,
+    /// Range of Gaussians in the frame, counted over all scenes.
+    pub range: GaussianRange,
+    /// Number of the frame's indices for the range, including the gap before the next scene.
+    pub flags: u32,
+    /// View of the scene in the previous frame.
+    pub previous: SceneView,
+}
+
+// Further outputs of blending on request: the Gaussian of the largest weight, and the mean motion.
+
+/// Further outputs of a frame besides the picture. By default there are none, and the kernels are those of a plain frame.
+#[derive(Clone, Copy, Default)]
+pub struct Auxiliary<'a> {
+    /// Gaussian of the largest weight per pixel.
+    pub picks: Option<PickBuffers<'a>>,
+    /// Mean motion per pixel.
+    pub motion: Option<MotionBuffers<'a>>,
+}
+
+/// Buffers of picking.
+#[derive(Clone, Copy)]
+pub struct PickBuffers<'a> {
+    /// Per pixel: 1 + index of the Gaussian in its tile's list, 0 for none; bits of its weight. 8 bytes.
+    pub picks: &'a Buffer,
+    /// Per scene: index of its first Gaussian in the frame, 4 bytes.
+    pub scene_firsts: &'a Buffer,
+}
+
+/// Buffers of motion.
+#[derive(Clone, Copy)]
+pub struct MotionBuffers<'a> {
+    /// Per visible Gaussian: motion on the screen, px, 8 bytes.
+    pub motions: &'a Buffer,
+    /// Per pixel: sum of weights * motions, px, 8 bytes.
+    pub sums: &'a Buffer,
+}
+
+/// View of a scene in its own axes.
+#[derive(Clone, Copy, Debug)]
+pub struct SceneView {
+    /// Camera in the scene's own axes and origin, in world units.
+    pub camera: Camera,
+    /// World units per unit of the scene.
+    pub scale: f32,
+}
+
+/// View of a scene in the previous frame.
+#[derive(Clone, Copy, Debug)]
+pub struct PreviousView<'a> {
+    /// Camera of the previous frame.
+    pub camera: &'a Camera,
+    /// Pose of the scene in the previous frame.
+    pub pose: &'a Pose,
+}
+
+impl PreviousView<'_> {
+    fn view(&self) -> SceneView {
+        SceneView { camera: self.pose.camera_in_object(self.camera), scale: self.pose.scale }
+    }
+}
+
+/// Number of indices that one command writes. They are gathered on the stack: 4 KiB.
+const FIRSTS_AT_ONCE: usize = 1024;
+
+/// Records the indices of the scenes' first Gaussians, by which picks find the scene. The caller places a barrier after it.
+///
+/// # Panics
+/// If the buffer is too small.
+pub(crate) fn record_scene_firsts(r: &mut Recorder, inputs: &FrameInputs) {
+    let Some(PickBuffers { scene_firsts, .. }) = inputs.auxiliary.picks else { return };
+    let (mut placed, mut first, mut words) = (inputs.scenes.iter(), 0, [0u32; FIRSTS_AT_ONCE]);
+    loop {
+        let mut count = 0;
+        for (word, placed) in words.iter_mut().zip(&mut placed) {
+            *word = placed.first;
+            count += 1;
+        }
+        if count == 0 {
+            return;
+        }
+        let bytes = bytemuck::cast_slice(&words[..count]);
+        r.update(&scene_firsts.range(first, bytes.len() as u64), bytes);
+        first += bytes.len() as u64;
+    }
+}

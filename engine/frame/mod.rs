@@ -1,0 +1,40 @@
+//! What every pass of a frame shares: its buffers and their sizes, its scenes, the camera block, the settings, the device's
+//! tuning.
+
+mod batches;
+mod buffers;
+mod camera_block;
+mod inputs;
+mod launch_sizes;
+mod plan;
+pub mod planes;
+mod settings;
+mod strips;
+pub mod subgroups;
+pub mod tuning;
+
+pub(crate) use batches::{LEAST_SCENES, form_batches};
+pub use buffers::{
+    CAMERA_BLOCK_BYTES, FrameBuffers, Splats, check_grids, frame_bytes, frame_fits_device, frame_requests,
+};
+pub(crate) use buffers::{POSE_SUM_BYTES, array_of, packed_bytes, sorted_side};
+pub(crate) use camera_block::{CUT_OUT_BYTES, record_blocks, record_cut_outs};
+pub use camera_block::{POSE_BYTES, pose_of};
+pub use inputs::{
+    Auxiliary, Batch, FrameInputs, MotionBuffers, PickBuffers, PlacedScene, PreviousView, SceneBuffers,
+    SceneView,
+};
+pub(crate) use inputs::{Parameters, Part, record_scene_firsts};
+pub use launch_sizes::{BlendShape, LaunchSizes, blocks, region_height};
+pub(crate) use plan::plane_group;
+pub use plan::{
+    FrameCapacity, GaussianRange, LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, ScenePlan, first_frozen,
+    gaussians_with, initial_instances, initial_visible, max_trained_among, max_trained_gaussians,
+    max_trained_instances, parameter_planes, tile_bits, tile_grid, to_u32,
+};
+pub use settings::{
+    BlendVariant, Blending, Dropout, ELLIPSOID_SIGMAS, Extent, JacobianLimit, MAX_TINT, POINT_RADIUS_PX,
+    RenderSettings, SceneSettings, Selection, Shape,
+};
+pub use strips::{STRIP_ROWS, Strips};
+pub use tuning::SortMethod;

@@ -1,0 +1,308 @@
+//! Sizes, capacities and block counts of a frame, as pure arithmetic on the device's limits.
+//!
+//! A buffer has one element per Gaussian, per visible Gaussian, per instance (one (tile, Gaussian) pair), per tile or per
+//! pixel. Only the device knows the numbers of visible Gaussians and instances of a frame, so the sizes here are
+//! capacities.
+
+use super::launch_sizes::blocks;
+use super::tuning::ELEMENTWISE_WORKGROUP;
+use super::{LaunchSizes, Strips};
+use crate::error::{Error, Result};
+use crate::kernels::constants::{
+    GRADIENT_PLANES, PLANE_ROW, PLANE_SH, SH_PLANES_0, SH_PLANES_1, SH_PLANES_2, SH_PLANES_3, TILE_SIZE,
+};
+use crate::scene::Camera;
+use crate::vk::Limits;
+use std::ops::Range;
+
+/// Number of parameter planes of a Gaussian with SH up to `sh_degree`: three of geometry, the rest SH.
+pub const fn parameter_planes(sh_degree: u32) -> u32 {
+    PLANE_SH
+        + match sh_degree {
+            0 => SH_PLANES_0,
+            1 => SH_PLANES_1,
+            2 => SH_PLANES_2,
+            _ => SH_PLANES_3,
+        }
+}
+
+/// Returns the planes stored together with `plane`: the geometry, or one SH degree.
+pub(crate) fn plane_group(plane: u32) -> Range<u32> {
+    const ENDS: [u32; 5] = [
+        PLANE_SH,
+        PLANE_SH + SH_PLANES_0,
+        PLANE_SH + SH_PLANES_1,
+        PLANE_SH + SH_PLANES_2,
+        PLANE_SH + SH_PLANES_3,
+    ];
+    match ENDS.iter().position(|&end| plane < end) {
+        Some(0) => 0..PLANE_SH,
+        Some(group) => ENDS[group - 1]..ENDS[group],
+        None => unreachable!("no Gaussian has a plane {plane}"),
+    }
+}
+
+/// Range of Gaussians whose parameter planes are in one buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GaussianRange {
+    /// Index of the buffer.
+    pub chunk: usize,
+    /// Index of the range's first Gaussian in the scene.
+    pub first: u32,
+    /// Number of Gaussians in the range.
+    pub count: u32,
+}
+
+/// Split of the parameters of up to `capacity` Gaussians into buffers that fit a binding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ScenePlan {
+    /// Capacity in Gaussians.
+    pub capacity: u32,
+    /// Stored SH degree.
+    pub sh_degree: u32,
+    /// vec4 planes per Gaussian.
+    pub planes: u32,
+    /// Gaussians per chunk. A multiple of every block size.
+    pub chunk_gaussians: u32,
+    /// Number of chunks.
+    pub chunks: u32,
+}
+
+impl ScenePlan {
+    /// Plans for `capacity` Gaussians with SH up to `sh_degree`.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] when the count exceeds 30-bit indices.
+    pub fn new(limits: &Limits, capacity: u32, sh_degree: u32) -> Result<Self> {
+        const MAX_GAUSSIANS: u32 = 1 << 30;
+        if capacity > MAX_GAUSSIANS {
+            return Err(Error::TooLarge {
+                what: "the scene".into(),
+                needed: capacity.into(),
+                unit: "Gaussians",
+                limit: MAX_GAUSSIANS.into(),
+                limit_name: "30-bit indices",
+            });
+        }
+        let planes = parameter_planes(sh_degree);
+        let align = u64::from(ELEMENTWISE_WORKGROUP);
+        let bytes_per_gaussian = u64::from(planes) * 16;
+        let largest =
+            limits.max_storage_buffer_range.min(limits.max_allocation_bytes) / bytes_per_gaussian / align;
+        let wanted = blocks(u64::from(capacity).max(1), align);
+        let chunk_gaussians = wanted.min(largest.max(1)) * align;
+        let chunks = to_u32(blocks(u64::from(capacity).max(1), chunk_gaussians))?;
+        Ok(Self { capacity, sh_degree, planes, chunk_gaussians: to_u32(chunk_gaussians)?, chunks })
+    }
+
+    /// Bytes of one chunk.
+    pub fn chunk_bytes(&self) -> u64 {
+        u64::from(self.chunk_gaussians) * u64::from(self.planes) * 16
+    }
+
+    /// Returns the index, in vec4, of plane `plane` of Gaussian `index` in a chunk. The groups of planes are 0 to 2
+    /// (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (one SH degree each). A group is contiguous for all Gaussians, in rows
+    /// of eight Gaussians. Planes `first` to `end - 1` begin at `first * chunk_gaussians + (index / 8 * (end - first) +
+    /// plane - first) * 8 + index % 8`.
+    ///
+    /// # Panics
+    /// If `plane` is not below `planes`, or `index`, which counts from the chunk's first Gaussian, is not
+    /// below `chunk_gaussians`.
+    pub fn place(&self, plane: u32, index: usize) -> usize {
+        assert!(plane < self.planes && index < self.chunk_gaussians as usize, "{plane}, {index}: {self:?}");
+        let (row, Range { start, end }) = (PLANE_ROW as usize, plane_group(plane));
+        let (first, planes) = (start as usize, (end - start) as usize);
+        first * self.chunk_gaussians as usize
+            + (index / row * planes + plane as usize - first) * row
+            + index % row
+    }
+
+    /// Returns the chunks that `count` Gaussians occupy.
+    pub fn ranges(&self, count: u32) -> impl Iterator<Item = GaussianRange> + use<> {
+        let own = self.chunk_gaussians;
+        (0..count.div_ceil(own)).map(move |chunk| GaussianRange {
+            chunk: chunk as usize,
+            first: chunk * own,
+            count: (count - chunk * own).min(own),
+        })
+    }
+}
+
+/// Capacities of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameCapacity {
+    /// Gaussians.
+    pub gaussians: u32,
+    /// Visible Gaussians. A frame with more overflows and is run again.
+    pub visible: u32,
+    /// (tile, Gaussian) instances.
+    pub instances: u32,
+    /// Scenes, each with a camera block. Views that share one depth order count the scenes of all views.
+    pub scenes: u32,
+    /// Pictures.
+    pub pictures: PictureCapacity,
+    /// Passes of blending. Each handles [`LaunchSizes::entries_per_pass`] entries of a tile.
+    pub blend_passes: u32,
+    /// True if the frame has the buffers of the backward pass.
+    pub backward: bool,
+    /// True if these include the absolute gradients of the 2D means.
+    pub absolute: bool,
+}
+
+/// Returns the size of an image in tiles: (columns, rows).
+pub const fn tile_grid(width: u32, height: u32) -> (u32, u32) {
+    (width.div_ceil(TILE_SIZE), height.div_ceil(TILE_SIZE))
+}
+
+/// Bits of a tile index, at least one.
+pub const fn tile_bits(tiles: u32) -> u32 {
+    if tiles <= 2 { 1 } else { 32 - (tiles - 1).leading_zeros() }
+}
+
+/// Bytes per element of the widest buffer per instance.
+const INSTANCE_BYTES: u64 = 16;
+
+/// First estimate of the visible Gaussians of a frame; a frame with more overflows and is run again. A camera sees only
+/// part of a large scene, and most of a frame's memory is per visible Gaussian.
+pub fn initial_visible(gaussians: u32) -> u32 {
+    gaussians.min(LEAST_VISIBLE.max(gaussians / 4))
+}
+
+/// Lower bound of the estimate, unless the scene has fewer Gaussians.
+pub const LEAST_VISIBLE: u32 = 1 << 12;
+
+/// First estimate of the instances of a frame with `visible` visible Gaussians, bounded by a binding and a grid. A frame
+/// with more overflows and is run again.
+pub fn initial_instances(limits: &Limits, visible: u32, pictures: &PictureCapacity) -> u32 {
+    let guess = u64::from(visible) * 6 + pictures.tiles * 16;
+    guess.max(LEAST_INSTANCES.into()).min(max_trained_instances(limits).into()) as u32
+}
+
+/// Lower bound of the estimate of a frame's instances.
+pub const LEAST_INSTANCES: u32 = 1 << 12;
+
+/// Returns the most instances of a training step's frame, as the limits of a binding and a grid allow.
+pub fn max_trained_instances(limits: &Limits) -> u32 {
+    let axis = u64::from(limits.max_workgroups_per_axis);
+    let bytes = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
+    let most = (bytes / INSTANCE_BYTES).min(axis * axis * u64::from(LaunchSizes::new(limits).smallest()));
+    most.clamp(1, u32::MAX.into()) as u32
+}
+
+/// Returns the most Gaussians that can be trained on a device: their gradients are in one buffer.
+pub fn max_trained_gaussians(limits: &Limits) -> u32 {
+    let bytes = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
+    (bytes / (16 * u64::from(GRADIENT_PLANES))).min(u32::MAX.into()) as u32
+}
+
+/// Index of the first frozen neighbour of a scene with `count` Gaussians, in a frame of both. It begins a culling block,
+/// because a culling block belongs to one scene.
+pub const fn first_frozen(count: u32) -> u32 {
+    count.next_multiple_of(ELEMENTWISE_WORKGROUP)
+}
+
+/// Number of Gaussians in a frame of a scene with this capacity and `frozen` neighbours.
+pub const fn gaussians_with(capacity: u32, frozen: u32) -> u32 {
+    match frozen {
+        0 => capacity,
+        _ => first_frozen(capacity).saturating_add(frozen),
+    }
+}
+
+/// Returns the most Gaussians that can be trained on a device beside `frozen` neighbours.
+pub fn max_trained_among(limits: &Limits, frozen: u32) -> u32 {
+    match (max_trained_gaussians(limits), frozen) {
+        (most, 0) => most,
+        (most, _) => most.saturating_sub(frozen) / ELEMENTWISE_WORKGROUP * ELEMENTWISE_WORKGROUP,
+    }
+}
+
+/// Converts `n` to u32.
+///
+/// # Errors
+/// [`Error::TooLarge`] when it does not fit.
+pub fn to_u32(n: u64) -> Result<u32> {
+    u32::try_from(n).map_err(|_| Error::TooLarge {
+        what: "a count".into(),
+        needed: n,
+        unit: "elements",
+        limit: u32::MAX.into(),
+        limit_name: "32-bit counts",
+    })
+}
+
+/// Sizes of the pictures that a frame's buffers hold. Each field is the largest over the pictures, so that no memory is
+/// planned for a picture that is both wide and high.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PictureCapacity {
+    /// Pixels.
+    pub pixels: u64,
+    /// Tiles.
+    pub tiles: u64,
+    /// Values per plane in [`Strips`], for any picture with the same grid of tiles. Only frames with backward use them.
+    pub strip_values: u64,
+    /// Tiles along the longer side. Only the loss of backward frames has a grid of workgroups with these sides.
+    pub side_tiles: u32,
+}
+
+impl PictureCapacity {
+    /// Capacity for no picture.
+    pub const NONE: Self = Self { pixels: 0, tiles: 0, strip_values: 0, side_tiles: 0 };
+
+    /// Returns the capacity for pictures of one size, px.
+    pub fn of(width: u32, height: u32) -> Self {
+        let (columns, rows) = tile_grid(width, height);
+        let strips =
+            Strips { width: columns.saturating_mul(TILE_SIZE), height: rows.saturating_mul(TILE_SIZE) };
+        Self {
+            pixels: u64::from(width) * u64::from(height),
+            tiles: u64::from(columns) * u64::from(rows),
+            strip_values: strips.values(),
+            side_tiles: columns.max(rows),
+        }
+    }
+
+    /// Returns the capacity for the picture of each camera.
+    pub fn of_cameras<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> Self {
+        cameras.into_iter().map(|camera| Self::of(camera.width, camera.height)).fold(Self::NONE, Self::and)
+    }
+
+    /// Same capacity, without the sizes that only frames with backward need.
+    #[must_use]
+    pub fn without_backward(self) -> Self {
+        Self { strip_values: 0, side_tiles: 0, ..self }
+    }
+
+    /// Returns the capacity for the pictures of both.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        Self {
+            pixels: self.pixels.max(other.pixels),
+            tiles: self.tiles.max(other.tiles),
+            strip_values: self.strip_values.max(other.strip_values),
+            side_tiles: self.side_tiles.max(other.side_tiles),
+        }
+    }
+
+    /// True if the pictures of `other` fit.
+    pub fn holds(&self, other: &Self) -> bool {
+        self.and(*other) == *self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wide_and_high_pictures_need_the_larger_of_both() {
+        let (wide, high) = (PictureCapacity::of(6000, 600), PictureCapacity::of(600, 6000));
+        let both = wide.and(high);
+        assert_eq!((both.pixels, both.tiles, both.side_tiles), (3_600_000, 375 * 38, 375));
+        assert_eq!(both.strip_values, wide.strip_values.max(high.strip_values));
+        assert!(both.holds(&wide) && both.holds(&high) && !wide.holds(&PictureCapacity::of(601, 6000)));
+        // Fewer pixels may need more tiles.
+        let line = PictureCapacity::of(65_535, 1);
+        assert!(line.pixels < wide.pixels && !wide.and(high).holds(&line) && line.tiles == 4096);
+    }
+}

@@ -1,0 +1,170 @@
+//! Gaussians in the device's layout, vec4 planes split into chunks, and conversions to and from it.
+
+use crate::error::{Error, Result};
+use crate::frame::{GaussianRange, SceneBuffers, ScenePlan, to_u32};
+use crate::kernels::constants as c;
+use crate::scene::Gaussians;
+use crate::scene::gaussians::sh_coefficients;
+use crate::vk::{Buffer, Context, MemoryKind};
+
+/// Requests for the buffers of a plan's planes, one per chunk.
+pub(crate) fn requests(plan: &ScenePlan) -> Vec<(&'static str, u64)> {
+    vec![("planes", plan.chunk_bytes()); plan.chunks as usize]
+}
+
+/// An arena and its memory kind; device memory by default.
+pub struct Place<'a> {
+    arena: &'a str,
+    kind: MemoryKind,
+}
+
+impl<'a> From<&'a str> for Place<'a> {
+    fn from(arena: &'a str) -> Self {
+        Self { arena, kind: MemoryKind::Device }
+    }
+}
+
+impl<'a> From<(&'a str, MemoryKind)> for Place<'a> {
+    fn from((arena, kind): (&'a str, MemoryKind)) -> Self {
+        Self { arena, kind }
+    }
+}
+
+/// Allocates planes for a plan, one buffer per chunk.
+pub fn allocate<'a>(context: &Context, place: impl Into<Place<'a>>, plan: &ScenePlan) -> Result<Vec<Buffer>> {
+    let Place { arena, kind } = place.into();
+    context.allocate(arena, &requests(plan), kind)
+}
+
+/// Uploads Gaussians into newly allocated planes with the given `capacity`, stored with SH up to `sh_degree`
+/// (missing coefficients are zero).
+///
+/// # Errors
+/// [`TooLarge`](crate::Error::TooLarge) or an allocation's failure; [`Argument`](crate::Error::Argument) when
+/// the Gaussians' vectors differ in length.
+pub fn upload<'a>(
+    context: &Context,
+    place: impl Into<Place<'a>>,
+    gaussians: &Gaussians,
+    capacity: u32,
+    sh_degree: u32,
+) -> Result<SceneBuffers> {
+    gaussians.check_shapes()?;
+    let count = to_u32(gaussians.len() as u64)?;
+    let plan = ScenePlan::new(context.limits(), capacity.max(count), sh_degree)?;
+    let scene = SceneBuffers { chunks: allocate(context, place, &plan)?, plan, count };
+    fill(context, &scene, gaussians)?;
+    Ok(scene)
+}
+
+/// Uploads Gaussians, or other data of the same shape, into the planes of a scene of the same count.
+///
+/// # Errors
+/// [`Argument`](crate::Error::Argument) when their number or their vectors' lengths differ; when the device
+/// is lost.
+pub fn fill(context: &Context, scene: &SceneBuffers, gaussians: &Gaussians) -> Result<()> {
+    gaussians.check_shapes()?;
+    if gaussians.len() != scene.count as usize {
+        let problem = format!("{} do not fill a scene of {}", gaussians.len(), scene.count);
+        return Err(Error::argument("Gaussians", problem));
+    }
+    let mut words = Vec::new();
+    for range in scene.plan.ranges(scene.count) {
+        let (first, end) = (range.first as usize, (range.first + range.count) as usize);
+        pack_into(&mut words, gaussians, first..end, &scene.plan, 0);
+        context.upload(&scene.chunks[range.chunk], bytemuck::cast_slice(&words))?;
+    }
+    Ok(())
+}
+
+/// Downloads the Gaussians of a scene.
+pub fn download(context: &Context, scene: &SceneBuffers) -> Result<Gaussians> {
+    let k = sh_coefficients(scene.plan.sh_degree);
+    let n = scene.count as usize;
+    let mut out = Gaussians { sh_degree: scene.plan.sh_degree, ..Gaussians::default() };
+    out.means.reserve_exact(n);
+    out.quats.reserve_exact(n);
+    out.log_scales.reserve_exact(n);
+    out.opacity_logits.reserve_exact(n);
+    out.sh.reserve_exact(n * k);
+    for range in scene.plan.ranges(scene.count) {
+        let bytes = context.download(&scene.chunks[range.chunk])?;
+        let words: &[[f32; 4]] = &bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes);
+        unpack(words, range.count as usize, &scene.plan, &mut out);
+    }
+    Ok(out)
+}
+
+/// Downloads the sizes of the 3D filter: see [`Filter3d`](crate::passes::filter_3d::Filter3d).
+pub fn download_filters(context: &Context, scene: &SceneBuffers) -> Result<Vec<f32>> {
+    let mut values = Vec::with_capacity(scene.count as usize);
+    for range in scene.plan.ranges(scene.count) {
+        let bytes = context.download(&geometry_of(scene, &range))?;
+        let words: &[[f32; 4]] = &bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes);
+        let size = |i: usize| words[scene.plan.place(c::PLANE_LOG_SCALE, i)][3];
+        values.extend((0..range.count as usize).map(size));
+    }
+    Ok(values)
+}
+
+/// Uploads the sizes of the 3D filter, one per Gaussian.
+pub fn upload_filters(context: &Context, scene: &SceneBuffers, filters: &[f32]) -> Result<()> {
+    for range in scene.plan.ranges(scene.count) {
+        let geometry = geometry_of(scene, &range);
+        let mut words: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&context.download(&geometry)?);
+        for (i, size) in filters[range.first as usize..][..range.count as usize].iter().enumerate() {
+            words[scene.plan.place(c::PLANE_LOG_SCALE, i)][3] = *size;
+        }
+        context.upload(&geometry, bytemuck::cast_slice(&words))?;
+    }
+    Ok(())
+}
+
+/// Geometry planes of a range's Gaussians. They come first in a chunk, row by row.
+fn geometry_of(scene: &SceneBuffers, range: &GaussianRange) -> Buffer {
+    let rows = u64::from(range.count.div_ceil(c::PLANE_ROW));
+    scene.chunks[range.chunk].range(0, rows * u64::from(c::PLANE_ROW) * u64::from(c::PLANE_SH) * 16)
+}
+
+/// Packs the Gaussians of `range` into a chunk, from index `begin` on. All others of the chunk become zero.
+pub(crate) fn pack_into(
+    planes: &mut Vec<[f32; 4]>,
+    g: &Gaussians,
+    range: std::ops::Range<usize>,
+    plan: &ScenePlan,
+    begin: usize,
+) {
+    planes.clear();
+    planes.resize(plan.chunk_gaussians as usize * plan.planes as usize, [0.0; 4]);
+    let stored = sh_coefficients(plan.sh_degree);
+    for (i, source) in (begin..).zip(range) {
+        let mut put = |plane: u32, values| planes[plan.place(plane, i)] = values;
+        let [x, y, z] = g.means[source];
+        put(c::PLANE_MEAN_OPACITY, [x, y, z, g.opacity_logits[source]]);
+        put(c::PLANE_QUAT, g.quats[source]);
+        let [x, y, z] = g.log_scales[source];
+        put(c::PLANE_LOG_SCALE, [x, y, z, 0.0]);
+        let sh = &g.sh_of(source);
+        let floats = sh[..stored.min(sh.len())].as_flattened();
+        for (plane, floats) in (c::PLANE_SH..).zip(floats.chunks(4)) {
+            let mut values = [0.0; 4];
+            values[..floats.len()].copy_from_slice(floats);
+            put(plane, values);
+        }
+    }
+}
+
+fn unpack(planes: &[[f32; 4]], count: usize, plan: &ScenePlan, out: &mut Gaussians) {
+    let at = |p: u32, i: usize| planes[plan.place(p, i)];
+    let k = sh_coefficients(plan.sh_degree);
+    for i in 0..count {
+        let [x, y, z, opacity] = at(c::PLANE_MEAN_OPACITY, i);
+        out.means.push([x, y, z]);
+        out.opacity_logits.push(opacity);
+        out.quats.push(at(c::PLANE_QUAT, i));
+        let [x, y, z, _] = at(c::PLANE_LOG_SCALE, i);
+        out.log_scales.push([x, y, z]);
+        let float = |f: usize| at(c::PLANE_SH + f as u32 / 4, i)[f % 4];
+        out.sh.extend((0..k).map(|j| [float(3 * j), float(3 * j + 1), float(3 * j + 2)]));
+    }
+}

@@ -1,0 +1,350 @@
+//! Adam over all parameters in one pass, and the mean of parameters over several steps.
+
+use crate::error::Result;
+use crate::frame::{FrameInputs, LaunchSizes, SceneBuffers, plane_group};
+use crate::kernels::constants::PLANE_ROW;
+use crate::kernels::optimizer::{adam, add_gradients, average};
+use crate::vk::{Buffer, Context, Kernel, KernelSet, Recorder};
+
+/// Adam's constants in the reference: β₁, β₂, ε.
+pub const BETA_1: f64 = 0.9;
+/// See [`BETA_1`].
+pub const BETA_2: f64 = 0.999;
+/// See [`BETA_1`].
+pub const EPSILON: f64 = 1e-15;
+
+/// Learning rates of one step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rates {
+    /// Means, world units.
+    pub mean: f64,
+    /// Opacity logits.
+    pub opacity: f64,
+    /// Quaternions.
+    pub quat: f64,
+    /// Log-scales.
+    pub log_scale: f64,
+    /// SH coefficient 0.
+    pub sh_dc: f64,
+    /// SH coefficients from 1 on.
+    pub sh_rest: f64,
+}
+
+/// One step of the optimiser.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// Learning rates.
+    pub rates: Rates,
+    /// Number of steps including this one, counted from 1; 0 turns off the bias correction (sparse Adam).
+    pub count: u64,
+    /// Same as `count`, but for the opacity, whose step is skipped at an opacity reset.
+    pub opacity_count: u64,
+}
+
+/// A view's place among the views of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ViewSum {
+    /// True for the first view since the last step: it overwrites the sums.
+    pub starts: bool,
+    /// True if a step follows; otherwise the gradient is only added to the sums.
+    pub makes_step: bool,
+}
+
+impl ViewSum {
+    /// A step of one view.
+    pub const ALONE: Self = Self { starts: true, makes_step: true };
+}
+
+/// First and second moments, laid out like the scene's planes.
+#[derive(Clone)]
+pub struct Moments {
+    /// First moments, one buffer per chunk.
+    pub first: Vec<Buffer>,
+    /// Second moments, one buffer per chunk.
+    pub second: Vec<Buffer>,
+}
+
+/// Kernels of the optimiser.
+pub struct Optimizer {
+    context: Context,
+    sizes: LaunchSizes,
+    sparse: bool,
+    parameter_gradients: bool,
+    moved_cameras: bool,
+    /// True if steps from sums of several views' gradients may be recorded.
+    sums: bool,
+    adam: KernelSet<adam::Interface>,
+    add: KernelSet<add_gradients::Interface>,
+}
+
+/// A view's place in a sum of gradients.
+#[derive(Clone, Copy)]
+pub struct GradientSums<'a> {
+    /// The sums, laid out like the scene's planes, one buffer per chunk.
+    pub sums: &'a [Buffer],
+    /// True for the first view, which overwrites the sums.
+    pub starts: bool,
+}
+
+impl Optimizer {
+    /// Creates an instance without kernels. Sparse Adam does not change Gaussians out of view, and corrects no bias.
+    pub fn new(context: &Context, sparse: bool) -> Self {
+        let sizes = LaunchSizes::new(context.limits());
+        Self {
+            context: context.clone(),
+            sizes,
+            sparse,
+            parameter_gradients: false,
+            moved_cameras: false,
+            sums: false,
+            adam: KernelSet::default(),
+            add: KernelSet::default(),
+        }
+    }
+
+    /// Same as [`Optimizer::new`], but for a loss with terms that depend on the parameters directly. [`Optimizer::record`]
+    /// receives their gradient.
+    pub fn with_parameter_gradients(context: &Context, sparse: bool) -> Self {
+        Self { parameter_gradients: true, ..Self::new(context, sparse) }
+    }
+
+    /// Adds the kernels for [`Optimizer::record_add`] and [`Optimizer::record_sums`].
+    pub fn with_sums(self) -> Self {
+        Self { sums: true, ..self }
+    }
+
+    /// Supports frames whose cameras the device moves: [`FrameInputs::pose`].
+    #[must_use]
+    pub fn with_moved_cameras(self) -> Self {
+        Self { moved_cameras: true, ..self }
+    }
+
+    /// Builds the variant for an SH degree if it is missing.
+    pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
+        self.adam.prepare(&self.context, self.adam_spec(sh_degree, false))?;
+        if self.sums {
+            self.add.prepare(&self.context, self.add_spec(sh_degree))?;
+            self.adam.prepare(&self.context, self.adam_spec(sh_degree, true))?;
+        }
+        Ok(())
+    }
+
+    fn adam_spec(&self, sh_degree: u32, sums: bool) -> adam::Spec {
+        let Self { sparse, parameter_gradients, moved_cameras: moved_camera, .. } = *self;
+        let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
+        adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, moved_camera, sh_loops }
+    }
+
+    fn add_spec(&self, sh_degree: u32) -> add_gradients::Spec {
+        let adam::Spec { workgroup_size, parameter_gradients, moved_camera, sh_loops, .. } =
+            self.adam_spec(sh_degree, true);
+        add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients, moved_camera, sh_loops }
+    }
+
+    /// Records the addition of `frame.gradients`, and of `parameter_gradients` as in [`Optimizer::record`], to the sums. The
+    /// caller places barriers before and after.
+    pub fn record_add(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        parameter_gradients: &[Buffer],
+        to: GradientSums,
+    ) {
+        let Some(kernel) = self.add.get(r, &self.add_spec(inputs.sh_degree())) else { return };
+        let (f, plan) = (inputs.frame, &inputs.scene().plan);
+        r.scope("add gradients", |r| {
+            inputs.scene().record_chunks(r, |r, range, parameters| {
+                let bind = add_gradients::Bind {
+                    sums: &to.sums[range.chunk],
+                    parameters,
+                    visible_index: &f.visible_index,
+                    gradients: &f.gradients,
+                    state: &f.state,
+                    old_sums: &to.sums[range.chunk],
+                    parameter_gradients: match self.parameter_gradients {
+                        true => &parameter_gradients[range.chunk],
+                        false => &f.gradients,
+                    },
+                    camera_block: &f.camera_block(0),
+                };
+                let push = add_gradients::Push {
+                    camera_position: inputs.camera.position().to_array(),
+                    first: range.first,
+                    count: range.count,
+                    chunk_gaussians: plan.chunk_gaussians,
+                    gradient_stride: inputs.capacity.visible,
+                    planes: plan.planes,
+                    starts: to.starts.into(),
+                };
+                r.dispatch(kernel, &bind, &push, self.sizes.groups(range.count));
+            });
+        });
+    }
+
+    /// Records one step from sums of several views' gradients, including this frame's. The caller places barriers before and
+    /// after.
+    pub fn record_sums(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        moments: &Moments,
+        sums: &[Buffer],
+        step: &Step,
+    ) {
+        self.record_adam(r, self.adam_spec(inputs.sh_degree(), true), inputs, moments, Some(sums), step);
+    }
+
+    /// Records one step from `frame.gradients`, and from `parameter_gradients`
+    /// ([`TermInputs`](crate::passes::loss::TermInputs)) with [`Optimizer::with_parameter_gradients`]. The caller
+    /// places barriers before and after.
+    pub fn record(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        moments: &Moments,
+        parameter_gradients: &[Buffer],
+        step: &Step,
+    ) {
+        let direct = self.parameter_gradients.then_some(parameter_gradients);
+        self.record_adam(r, self.adam_spec(inputs.sh_degree(), false), inputs, moments, direct, step);
+    }
+
+    /// `direct`: gradients in the layout of the scene's planes, if the kernel reads any.
+    fn record_adam(
+        &self,
+        r: &mut Recorder,
+        spec: adam::Spec,
+        inputs: &FrameInputs,
+        moments: &Moments,
+        direct: Option<&[Buffer]>,
+        step: &Step,
+    ) {
+        let Some(kernel) = self.adam.get(r, &spec) else { return };
+        let f = inputs.frame;
+        r.scope("adam", |r| {
+            inputs.scene().record_chunks(r, |r, range, parameters| {
+                let (moments_1, moments_2) = (&moments.first[range.chunk], &moments.second[range.chunk]);
+                let bind = adam::Bind {
+                    parameters,
+                    moments_1,
+                    moments_2,
+                    visible_index: &f.visible_index,
+                    gradients: &f.gradients,
+                    state: &f.state,
+                    old_parameters: parameters,
+                    old_moments_1: moments_1,
+                    old_moments_2: moments_2,
+                    // Without such terms the kernel does not read this binding.
+                    parameter_gradients: direct.map_or(&f.gradients, |gradients| &gradients[range.chunk]),
+                    camera_block: &f.camera_block(0),
+                };
+                let push = push(inputs, step, range.first, range.count);
+                r.dispatch(kernel, &bind, &push, self.sizes.groups(range.count));
+            });
+        });
+    }
+}
+
+fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push {
+    let correction = |beta: f64, steps: u64| match steps {
+        0 => 1.0,
+        steps => 1.0 - beta.powf(steps as f64),
+    };
+    let bias_1 = correction(BETA_1, step.count);
+    let bias_1_opacity = correction(BETA_1, step.opacity_count);
+    let rates = &step.rates;
+    adam::Push {
+        camera_position: inputs.camera.position().to_array(),
+        first,
+        count,
+        chunk_gaussians: inputs.scene().plan.chunk_gaussians,
+        gradient_stride: inputs.capacity.visible,
+        beta_1: BETA_1 as f32,
+        beta_2: BETA_2 as f32,
+        one_minus_beta_1: (1.0 - BETA_1) as f32,
+        one_minus_beta_2: (1.0 - BETA_2) as f32,
+        epsilon: EPSILON as f32,
+        rate_mean: (rates.mean / bias_1) as f32,
+        rate_opacity: (rates.opacity / bias_1_opacity) as f32,
+        rate_quat: (rates.quat / bias_1) as f32,
+        rate_log_scale: (rates.log_scale / bias_1) as f32,
+        rate_sh_dc: (rates.sh_dc / bias_1) as f32,
+        rate_sh_rest: (rates.sh_rest / bias_1) as f32,
+        inverse_bias_2: correction(BETA_2, step.count).sqrt().recip() as f32,
+        inverse_bias_2_opacity: correction(BETA_2, step.opacity_count).sqrt().recip() as f32,
+    }
+}
+
+/// Bytes of a vec4.
+const TEXEL_BYTES: u64 = 16;
+
+/// Work on the means of parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeanStep {
+    /// Adds the parameters to the means; the number of steps includes this one. Step 1 starts the means.
+    Adds(u32),
+    /// Replaces the parameters by the means.
+    Ends,
+}
+
+/// Kernel of the averaging.
+pub struct Averaging {
+    sizes: LaunchSizes,
+    kernel: Kernel<average::Interface>,
+}
+
+impl Averaging {
+    /// Builds the kernel.
+    pub fn new(context: &Context) -> Result<Self> {
+        let sizes = LaunchSizes::new(context.limits());
+        let spec = average::Spec { workgroup_size: sizes.elementwise_workgroup };
+        Ok(Self { kernel: Kernel::new(context, &spec)?, sizes })
+    }
+
+    /// Records the step for a scene's parameters. `means` have the same layout, one buffer per chunk. If `state` has an
+    /// overflow, nothing changes. The caller places barriers before and after.
+    pub fn record_scene(
+        &self,
+        r: &mut Recorder,
+        scene: &SceneBuffers,
+        (means, state): (&[Buffer], &Buffer),
+        step: MeanStep,
+    ) {
+        r.scope("average", |r| {
+            for range in scene.plan.ranges(scene.count) {
+                let rows = range.count.div_ceil(PLANE_ROW) * PLANE_ROW;
+                let mut plane = 0;
+                while plane < scene.plan.planes {
+                    let group = plane_group(plane);
+                    plane = group.end;
+                    let first = u64::from(group.start) * u64::from(scene.plan.chunk_gaussians);
+                    let bytes = u64::from(group.end - group.start) * u64::from(rows) * TEXEL_BYTES;
+                    let part = |chunks: &[Buffer]| chunks[range.chunk].range(first * TEXEL_BYTES, bytes);
+                    self.dispatch(r, [&part(&scene.chunks), &part(means), state], step);
+                }
+            }
+        });
+    }
+
+    /// Same as [`Averaging::record_scene`], but for whole buffers of vec4.
+    pub fn record(&self, r: &mut Recorder, [values, means, state]: [&Buffer; 3], step: MeanStep) {
+        r.scope("average", |r| self.dispatch(r, [values, means, state], step));
+    }
+
+    fn dispatch(&self, r: &mut Recorder, [values, means, state]: [&Buffer; 3], step: MeanStep) {
+        let push = average::Push {
+            count: (values.bytes() / TEXEL_BYTES) as u32,
+            weight: match step {
+                MeanStep::Adds(steps) => 1.0 / steps as f32,
+                MeanStep::Ends => 0.0,
+            },
+            ends: (step == MeanStep::Ends).into(),
+        };
+        r.dispatch(
+            &self.kernel,
+            &average::Bind { values, means, state },
+            &push,
+            self.sizes.groups(push.count),
+        );
+    }
+}

@@ -1,0 +1,404 @@
+//! The backward pass: from dL/dpixel to dL/d(every parameter), exact and in one fixed order of summation.
+//!
+//! There are no atomics. Each (tile, Gaussian) instance has its own storage at its index before the tile
+//! sort, and the instances of one Gaussian are contiguous there. The tile's workgroup writes the instance's
+//! sums, and project_backward adds a Gaussian's instances in order. The same inputs on the same device give
+//! the same bits.
+
+use crate::error::Result;
+use crate::frame::{BlendShape, FrameInputs, LaunchSizes, POSE_SUM_BYTES, RenderSettings};
+use crate::kernels::backward::{
+    blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
+};
+use crate::kernels::constants::DILATION_PX2;
+use crate::passes::blend::record_passes;
+use crate::vk::{Buffer, Context, KernelSet, Recorder};
+
+/// A Gaussian with more tiles has its instances added up by a whole subgroup.
+const LANE_INSTANCES: u32 = 64;
+
+/// Parts of a frame's backward pass besides the gradients of the colours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BackwardVariant {
+    /// Gradients of the inverse depth.
+    pub inverse_depth: bool,
+    /// Same as [`BlendVariant::steep`](crate::frame::BlendVariant::steep).
+    pub steep: bool,
+    /// Gaussians have a 3D filter.
+    pub filter_3d: bool,
+    /// The low-pass filter differs from the reference's.
+    pub own_dilation: bool,
+    /// Same as [`BlendVariant::dropout`](crate::frame::BlendVariant::dropout).
+    pub dropout: bool,
+    /// Same as [`BlendVariant::z_record`](crate::frame::BlendVariant::z_record).
+    pub z_record: bool,
+}
+
+impl BackwardVariant {
+    /// Returns the variant of a frame with these settings.
+    pub fn of(settings: &RenderSettings) -> Self {
+        Self {
+            inverse_depth: settings.inverse_depth,
+            steep: settings.is_steep(),
+            filter_3d: settings.filter_3d,
+            own_dilation: settings.dilation_px2 != DILATION_PX2,
+            dropout: settings.dropout.is_some(),
+            z_record: settings.has_z_record(),
+        }
+    }
+}
+
+/// The kernels of the backward pass.
+pub struct Backward {
+    context: Context,
+    sizes: LaunchSizes,
+    /// One subgroup per region of a tile.
+    blend_regions: KernelSet<blend_backward::Interface>,
+    /// One subgroup per tile.
+    blend_tiles: KernelSet<blend_backward_subgroup_per_tile::Interface>,
+    project: KernelSet<project_backward::Interface>,
+    expand: KernelSet<expand_gradients::Interface>,
+}
+
+/// Sums of the backward blending per (tile, Gaussian) instance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sums {
+    /// Sums for the gradients of all parameters.
+    Gradients,
+    /// The same, and the absolute gradients of the 2D mean.
+    Absolute,
+    /// Only the Gaussian's weights.
+    Weights,
+}
+
+impl Sums {
+    fn of(statistics: &Statistics) -> Self {
+        if statistics.absolute.is_some() { Self::Absolute } else { Self::Gradients }
+    }
+}
+
+/// Densification statistics per Gaussian: sum of NDC gradient norms, number of views.
+#[derive(Clone, Copy)]
+pub struct Statistics<'a> {
+    /// vec2 per Gaussian.
+    pub buffer: &'a Buffer,
+    /// True if the pass updates it.
+    pub accumulate: bool,
+    /// f32 per Gaussian: the sum of the norms of (W/2 Σ|g_x|, H/2 Σ|g_y|), with g = dL/d(2D mean in pixels) of
+    /// each pixel alone (AbsGS, Ye et al. 2024). Needs [`Backward::prepare_absolute`] and a frame with
+    /// [`FrameCapacity::absolute`](crate::frame::FrameCapacity::absolute); is updated with `buffer`.
+    pub absolute: Option<&'a Buffer>,
+}
+
+/// Buffers and push constants of the backward blending, which both kernels share (blend_gradient.glsl).
+macro_rules! blend_backward_arguments {
+    ($kernel:ident, $backward:expr, $inputs:expr, $gradient:expr, $pass:expr) => {{
+        let (sizes, f) = (&$backward.sizes, $inputs.frame);
+        let splats = f.splats();
+        let bind = $kernel::Bind {
+            tile_ranges: &f.tile_ranges,
+            sorted_visible: f.sorted_visible(sizes, $inputs.capacity.backward, $inputs.camera),
+            sorted_instances: f.sorted_instances(sizes, $inputs.camera),
+            mean2d_extent: splats.mean2d_extent,
+            conic_opacity: splats.conic_opacity,
+            color_inverse_depth: splats.color_inverse_depth,
+            rendered: f.rendered(sizes),
+            inverse_depth: &f.inverse_depth,
+            last_entries: &f.last_entries,
+            image_gradient: $gradient,
+            backward_state: &f.backward_state,
+            instance_gradients_a: &f.instance_gradients_a,
+            instance_gradients_b: &f.instance_gradients_b,
+            instance_gradients_c: &f.instance_gradients_c,
+            instance_gradients_d: f.absolute_gradients($inputs.capacity.absolute),
+            state: &f.state,
+        };
+        let push = $kernel::Push {
+            image_width: $pass.image_width,
+            image_height: $pass.image_height,
+            tiles_per_row: $pass.tiles_per_row,
+            tile_count: $pass.tile_count,
+            first_entry: $pass.first_entry,
+            max_entries: $pass.max_entries,
+            first_instance: $pass.first_instance,
+            max_instances: $pass.max_instances,
+            tile_row_interleave: $pass.tile_row_interleave,
+            background: $inputs.settings.background,
+            splat_stride: $pass.splat_stride,
+        };
+        (bind, push)
+    }};
+}
+
+impl Backward {
+    /// Creates an instance without kernels; [`Backward::prepare`] builds them.
+    pub fn new(context: &Context) -> Self {
+        Self {
+            context: context.clone(),
+            sizes: LaunchSizes::new(context.limits()),
+            blend_regions: KernelSet::default(),
+            blend_tiles: KernelSet::default(),
+            project: KernelSet::default(),
+            expand: KernelSet::default(),
+        }
+    }
+
+    /// Builds the missing kernels for an SH degree and a variant.
+    pub fn prepare(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
+        self.prepare_sums(sh_degree, variant, Sums::Gradients, false)
+    }
+
+    /// Same as [`Backward::prepare`], for [`Statistics::absolute`].
+    pub fn prepare_absolute(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
+        self.prepare_sums(sh_degree, variant, Sums::Absolute, false)
+    }
+
+    /// Builds the kernel of [`Backward::record_weights`] for a variant, if it is missing.
+    pub fn prepare_weights(&mut self, variant: BackwardVariant) -> Result<()> {
+        self.prepare_blend(Sums::Weights, variant)
+    }
+
+    fn prepare_blend(&mut self, sums: Sums, variant: BackwardVariant) -> Result<()> {
+        match self.sizes.blend_backward_subgroup_per_tile {
+            true => self.blend_tiles.prepare(&self.context, self.blend_tiles_spec(sums, variant)),
+            false => self.blend_regions.prepare(&self.context, self.blend_regions_spec(sums, variant)),
+        }
+    }
+
+    fn blend_regions_spec(&self, sums: Sums, variant: BackwardVariant) -> blend_backward::Spec {
+        let BlendShape { lanes: subgroup_size, region_height, tile } = self.sizes.blend_backward;
+        blend_backward::Spec {
+            workgroup_size: tile,
+            subgroup_size,
+            inverse_depth: variant.inverse_depth,
+            incremental_exp: self.sizes.incremental_exp && !variant.steep,
+            count_hits: false,
+            strips: self.sizes.strips,
+            absolute: sums == Sums::Absolute,
+            weights: sums == Sums::Weights,
+            region_height,
+            broadcast: self.context.limits().broadcasts,
+        }
+    }
+
+    fn blend_tiles_spec(
+        &self,
+        sums: Sums,
+        variant: BackwardVariant,
+    ) -> blend_backward_subgroup_per_tile::Spec {
+        let subgroup_size = self.sizes.blend_backward.lanes;
+        blend_backward_subgroup_per_tile::Spec {
+            workgroup_size: subgroup_size,
+            subgroup_size,
+            inverse_depth: variant.inverse_depth,
+            incremental_exp: self.sizes.incremental_exp && !variant.steep,
+            count_hits: false,
+            strips: self.sizes.strips,
+            absolute: sums == Sums::Absolute,
+            weights: sums == Sums::Weights,
+        }
+    }
+
+    /// Same as [`Backward::prepare`], but for [`Backward::record_with_pose`], without or with [`Statistics::absolute`].
+    pub fn prepare_with_pose(
+        &mut self,
+        sh_degree: u32,
+        variant: BackwardVariant,
+        absolute: bool,
+    ) -> Result<()> {
+        let sums = if absolute { Sums::Absolute } else { Sums::Gradients };
+        self.prepare_sums(sh_degree, variant, sums, true)
+    }
+
+    fn prepare_sums(
+        &mut self,
+        sh_degree: u32,
+        variant: BackwardVariant,
+        sums: Sums,
+        pose: bool,
+    ) -> Result<()> {
+        self.prepare_blend(sums, variant)?;
+        let spec = self.project_spec(sh_degree, variant, sums == Sums::Absolute, pose);
+        self.project.prepare(&self.context, spec)
+    }
+
+    fn project_spec(
+        &self,
+        sh_degree: u32,
+        variant: BackwardVariant,
+        absolute: bool,
+        pose_gradient: bool,
+    ) -> project_backward::Spec {
+        let BackwardVariant { filter_3d, own_dilation, dropout, z_record, .. } = variant;
+        project_backward::Spec {
+            // The indirect dispatch over the visible Gaussians counts blocks of the elementwise workgroup's size.
+            workgroup_size: self.sizes.elementwise_workgroup,
+            subgroup_size: self.context.limits().heavy_subgroup_size,
+            sh_degree,
+            lane_instances: LANE_INSTANCES,
+            filter_3d,
+            own_dilation,
+            dropout,
+            z_record,
+            absolute,
+            pose_gradient,
+            sh_loops: self.sizes.sh_loops,
+        }
+    }
+
+    /// Builds the kernel of [`Backward::record_expand_gradients`].
+    pub fn prepare_expand(&mut self, sh_degree: u32) -> Result<()> {
+        self.expand.prepare(&self.context, self.expand_spec(sh_degree))
+    }
+
+    fn expand_spec(&self, sh_degree: u32) -> expand_gradients::Spec {
+        let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
+        expand_gradients::Spec { workgroup_size, sh_degree, sh_loops }
+    }
+
+    /// Records the backward pass of the frame in the same buffers, from `image_gradient` to `frame.gradients`. The caller
+    /// places a barrier before; it ends without one.
+    ///
+    /// `image_gradient` has the device's native layout: per pixel dL/d(r, g, b, inverse depth), row by row. Devices that use
+    /// [`Strips`] have three planes, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth).
+    /// [`PixelBorder::record_gradient`](crate::passes::pixels::PixelBorder::record_gradient) converts it from rows, which are the same
+    /// on all devices. Without inverse depth, the caller may pass `frame.image_gradient`.
+    ///
+    /// [`Strips`]: crate::frame::Strips
+    pub fn record(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        image_gradient: &Buffer,
+        statistics: Statistics,
+    ) {
+        self.record_all(r, inputs, image_gradient, statistics, false);
+    }
+
+    /// Same as [`Backward::record`], but also writes the sums from which [`PoseGradient`](crate::passes::poses::PoseGradient) computes
+    /// the gradient of the camera's pose. The scene must have the scale 1.
+    pub fn record_with_pose(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        image_gradient: &Buffer,
+        statistics: Statistics,
+    ) {
+        // Subgroups without a visible Gaussian write no sum.
+        let sums = inputs.scene().count.div_ceil(self.context.limits().heavy_subgroup_size);
+        r.fill(&inputs.frame.pose_sums().range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
+        self.record_all(r, inputs, image_gradient, statistics, true);
+    }
+
+    fn record_all(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        image_gradient: &Buffer,
+        statistics: Statistics,
+        pose: bool,
+    ) {
+        r.scope("blend backward", |r| {
+            self.record_blend(r, inputs, image_gradient, Sums::of(&statistics));
+        });
+        r.barrier();
+        r.scope("project backward", |r| self.record_project(r, inputs, statistics, pose));
+    }
+
+    /// Records the weights of the Gaussians in the frame of the same buffers. A weight is the sum over the tile's pixels of e α
+    /// T, with `image_gradient` = (e, …) per pixel in the native layout. It becomes the first word of each entry of
+    /// `frame.instance_gradients_c`, per instance before the tile sort. The frame must be without inverse depth. The caller
+    /// places a barrier before; it ends without one.
+    pub fn record_weights(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
+        r.scope("blend weights", |r| self.record_blend(r, inputs, image_gradient, Sums::Weights));
+    }
+
+    fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer, sums: Sums) {
+        let variant = BackwardVariant::of(inputs.settings);
+        macro_rules! passes {
+            ($kernels:ident, $spec:expr, $kernel:ident) => {{
+                let Some(kernel) = self.$kernels.get(r, $spec) else { return };
+                record_passes(r, inputs, &self.sizes, |r, pass, tiles| {
+                    let (bind, push) = blend_backward_arguments!($kernel, self, inputs, image_gradient, pass);
+                    r.dispatch(kernel, &bind, &push, tiles);
+                });
+            }};
+        }
+        match self.sizes.blend_backward_subgroup_per_tile {
+            true => {
+                let spec = self.blend_tiles_spec(sums, variant);
+                passes!(blend_tiles, &spec, blend_backward_subgroup_per_tile);
+            }
+            false => passes!(blend_regions, &self.blend_regions_spec(sums, variant), blend_backward),
+        }
+    }
+
+    fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics, pose: bool) {
+        let f = inputs.frame;
+        let (variant, scene) = (BackwardVariant::of(inputs.settings), inputs.scene());
+        let spec = self.project_spec(inputs.sh_degree(), variant, statistics.absolute.is_some(), pose);
+        let Some(kernel) = self.project.get(r, &spec) else { return };
+        scene.record_chunks(r, |r, range, parameters| {
+            let push = project_backward::Push {
+                first: range.first,
+                chunk_gaussians: scene.plan.chunk_gaussians,
+                antialias: inputs.settings.antialias_bits(),
+                splat_stride: f.splats().stride,
+                gradient_stride: inputs.capacity.visible,
+                accumulate: statistics.accumulate.into(),
+            };
+            let bind = project_backward::Bind {
+                parameters,
+                state: &f.state,
+                visible_ranges: &f.visible_ranges,
+                visible_list: &f.visible_list,
+                footprints: f.splats().footprints,
+                first_instances: &f.first_instances,
+                conic_opacity: f.splats().conic_opacity,
+                instance_gradients_a: &f.instance_gradients_a,
+                instance_gradients_b: &f.instance_gradients_b,
+                instance_gradients_c: &f.instance_gradients_c,
+                instance_gradients_d: f.absolute_gradients(inputs.capacity.absolute),
+                gradients: &f.gradients,
+                statistics: statistics.buffer,
+                // Without the absolute statistic the kernel does not write this binding.
+                absolute_statistics: statistics.absolute.unwrap_or(statistics.buffer),
+                // Without a gradient of the pose the kernel does not write this binding.
+                pose_sums: f.pose_sums(),
+                camera_block: &f.camera_block(0),
+            };
+            r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, range));
+        });
+    }
+
+    /// Records the conversion of `frame.gradients` to gradients of all parameters of all Gaussians, in the layout of the
+    /// scene's planes, and of the 2D means in pixels. The caller places barriers before and after.
+    pub fn record_expand_gradients(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        parameter_gradients: &[Buffer],
+        mean2d_gradients: &Buffer,
+    ) {
+        let (f, scene) = (inputs.frame, inputs.scene());
+        let Some(kernel) = self.expand.get(r, &self.expand_spec(inputs.sh_degree())) else { return };
+        scene.record_chunks(r, |r, range, parameters| {
+            let bind = expand_gradients::Bind {
+                parameters,
+                visible_index: &f.visible_index,
+                gradients: &f.gradients,
+                parameter_gradients: &parameter_gradients[range.chunk],
+                mean2d_gradients,
+            };
+            let push = expand_gradients::Push {
+                camera_position: inputs.camera.position().to_array(),
+                first: range.first,
+                count: range.count,
+                gradient_stride: inputs.capacity.visible,
+                chunk_gaussians: scene.plan.chunk_gaussians,
+                planes: scene.plan.planes,
+            };
+            r.dispatch(kernel, &bind, &push, self.sizes.groups(range.count));
+        });
+    }
+}

@@ -1,0 +1,284 @@
+//! Composites a frame into a host's picture: the host's depth image limits the blending, and the kernels write the blended
+//! pixels into the host's images.
+
+use crate::error::{Error, Result};
+use crate::frame::{FrameBuffers, LaunchSizes, MotionBuffers, PickBuffers, tile_grid};
+use crate::kernels::compose::{
+    compose_bgra8, compose_r11g11b10f, compose_rgb10a2, compose_rgba8, compose_rgba16f, compose_rgba32f,
+    depth_limit, expected_depth, mean_motion, picks,
+};
+use crate::kernels::constants as c;
+use crate::scene::{Camera, ColorEncoding, DepthMapping};
+use crate::vk as device;
+use crate::vk::{Buffer, Context, Image, ImageUse, Kernel, KernelSet, Recorder};
+use ash::vk;
+
+/// Background behind the splats.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Background {
+    /// This colour; the result is opaque. The colour is display-encoded, as trained, even if the picture is then decoded to
+    /// linear light.
+    Color([f32; 3]),
+    /// None: premultiplied colour with alpha 1 - T, for a host that composites it. In linear light it is (1 - T) f(C / (1 - T))
+    /// with the sRGB curve f: the colour that covers the pixel is decoded, and premultiplied again.
+    Nothing,
+    /// Content of the image: out = C + T image, and the same for alpha. In linear light the content is linear, and C is the
+    /// colour of [`Background::Nothing`].
+    Image,
+}
+
+/// A part of an image, with the frame's size.
+#[derive(Clone, Copy, Debug)]
+pub struct Region<'a> {
+    /// The image.
+    pub image: &'a Image,
+    /// Texel of the image that receives the frame's pixel (0, 0).
+    pub offset: [u32; 2],
+}
+
+/// Kernels between a frame and a host's images.
+pub struct Compose {
+    workgroup: u32,
+    rgba8: ByEncoding<compose_rgba8::Interface>,
+    bgra8: ByEncoding<compose_bgra8::Interface>,
+    rgb10a2: ByEncoding<compose_rgb10a2::Interface>,
+    r11g11b10f: ByEncoding<compose_r11g11b10f::Interface>,
+    rgba16f: ByEncoding<compose_rgba16f::Interface>,
+    rgba32f: ByEncoding<compose_rgba32f::Interface>,
+    /// For perspective and for orthographic projections.
+    depth_limits: [Kernel<depth_limit::Interface>; 2],
+    expected_depth: Kernel<expected_depth::Interface>,
+    /// Built on request.
+    picks: KernelSet<picks::Interface>,
+    /// Built on request.
+    mean_motion: KernelSet<mean_motion::Interface>,
+}
+
+/// One kernel for each of `COMPOSE_AS_TRAINED`, `COMPOSE_LINEAR` and, if the format can be display-encoded,
+/// `COMPOSE_LINEAR_IN_SRGB`.
+type ByEncoding<I> = Vec<Kernel<I>>;
+
+/// True if the texels of a format are display-encoded and a host reads them decoded.
+fn is_srgb(format: vk::Format) -> bool {
+    matches!(format, vk::Format::R8G8B8A8_SRGB | vk::Format::B8G8R8A8_SRGB)
+}
+
+/// Returns the encoding constant of a kernel for a format, and the factor of the light.
+fn encoding_word(encoding: ColorEncoding, format: vk::Format) -> (u32, f32) {
+    match encoding {
+        ColorEncoding::AsTrained => (c::COMPOSE_AS_TRAINED, 1.0),
+        ColorEncoding::LinearSrgb { exposure } if is_srgb(format) => (c::COMPOSE_LINEAR_IN_SRGB, exposure),
+        ColorEncoding::LinearSrgb { exposure } => (c::COMPOSE_LINEAR, exposure),
+    }
+}
+
+impl Compose {
+    /// Formats of colour images.
+    pub const COLOR_FORMATS: [vk::Format; 8] = device::COLOR_FORMATS;
+    /// Formats of a host's depth image, each read as one float.
+    pub const HOST_DEPTH_FORMATS: [vk::Format; 9] = device::HOST_DEPTH_FORMATS;
+    /// Format of an image of expected depth.
+    pub const DEPTH_FORMAT: vk::Format = device::DEPTH_FORMAT;
+    /// Format of an image of picks: Gaussian, scene, bits of the depth, bits of the weight.
+    pub const PICK_FORMAT: vk::Format = device::PICK_FORMAT;
+    /// Format of an image of motion, px.
+    pub const MOTION_FORMAT: vk::Format = device::MOTION_FORMAT;
+
+    /// Builds the kernels.
+    pub fn new(context: &Context) -> Result<Self> {
+        let workgroup_size = context.limits().workgroup_size(256);
+        macro_rules! by_encoding {
+            ($interface:ident, $last:expr) => {
+                (c::COMPOSE_AS_TRAINED..=$last)
+                    .map(|encoding| Kernel::new(context, &$interface::Spec { workgroup_size, encoding }))
+                    .collect::<Result<_>>()?
+            };
+        }
+        let limits = |linear| Kernel::new(context, &depth_limit::Spec { workgroup_size, linear });
+        Ok(Self {
+            workgroup: workgroup_size,
+            rgba8: by_encoding!(compose_rgba8, c::COMPOSE_LINEAR_IN_SRGB),
+            bgra8: by_encoding!(compose_bgra8, c::COMPOSE_LINEAR_IN_SRGB),
+            rgb10a2: by_encoding!(compose_rgb10a2, c::COMPOSE_LINEAR),
+            r11g11b10f: by_encoding!(compose_r11g11b10f, c::COMPOSE_LINEAR),
+            rgba16f: by_encoding!(compose_rgba16f, c::COMPOSE_LINEAR),
+            rgba32f: by_encoding!(compose_rgba32f, c::COMPOSE_LINEAR),
+            depth_limits: [limits(false)?, limits(true)?],
+            expected_depth: Kernel::new(context, &expected_depth::Spec { workgroup_size })?,
+            picks: KernelSet::default(),
+            mean_motion: KernelSet::default(),
+        })
+    }
+
+    /// Checks that a frame can be written over this background into a [target](crate::vk::ImageUse::Target) with this encoding.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for an image with another purpose, numbers that are not finite, an exposure that is not positive, or
+    /// premultiplied colours in a format without alpha.
+    pub fn check_frame(image: &Image, behind: Background, encoding: ColorEncoding) -> Result<()> {
+        image.check_purpose(ImageUse::Target)?;
+        encoding.check().map_err(|error| error.within("encoding"))?;
+        match behind {
+            Background::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {
+                Err(Error::argument("behind", format!("{color:?} is not finite")))
+            }
+            Background::Nothing if image.format() == vk::Format::B10G11R11_UFLOAT_PACK32 => {
+                let problem = format!("format {:?} has no alpha for premultiplied colours", image.format());
+                Err(Error::argument(format!("image '{}'", image.name()), problem))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn workgroups(&self, [width, height]: [u32; 2]) -> u64 {
+        (u64::from(width) * u64::from(height)).div_ceil(self.workgroup.into())
+    }
+
+    /// Records the colours of a frame into an image. [`Compose::check_frame`] must accept it with this background and encoding,
+    /// and it must be ready for kernels.
+    pub fn record_color(
+        &self,
+        r: &mut Recorder,
+        accumulated: &Buffer,
+        size: [u32; 2],
+        region: Region<'_>,
+        (behind, encoding): (Background, ColorEncoding),
+    ) {
+        let (mode, background) = match behind {
+            Background::Color(color) => (c::COMPOSE_BACKGROUND, color),
+            Background::Nothing => (c::COMPOSE_PREMULTIPLIED, [0.0; 3]),
+            Background::Image => (c::COMPOSE_OVER, [0.0; 3]),
+        };
+        let ([image_width, image_height], [offset_x, offset_y]) = (size, region.offset);
+        let (word, exposure) = encoding_word(encoding, region.image.format());
+        macro_rules! compose {
+            ($interface:ident, $kernels:ident) => {{
+                let bind = $interface::Bind { accumulated, target: region.image };
+                let push = $interface::Push {
+                    image_width,
+                    image_height,
+                    offset_x,
+                    offset_y,
+                    mode,
+                    background,
+                    exposure,
+                };
+                r.dispatch(&self.$kernels[word as usize], &bind, &push, self.workgroups(size));
+            }};
+        }
+        match region.image.format() {
+            vk::Format::B8G8R8A8_UNORM | vk::Format::B8G8R8A8_SRGB => compose!(compose_bgra8, bgra8),
+            vk::Format::A2B10G10R10_UNORM_PACK32 => compose!(compose_rgb10a2, rgb10a2),
+            vk::Format::B10G11R11_UFLOAT_PACK32 => compose!(compose_r11g11b10f, r11g11b10f),
+            vk::Format::R16G16B16A16_SFLOAT => compose!(compose_rgba16f, rgba16f),
+            vk::Format::R32G32B32A32_SFLOAT => compose!(compose_rgba32f, rgba32f),
+            _ => compose!(compose_rgba8, rgba8),
+        }
+    }
+
+    /// Records the depth limit of each pixel from a host's depth image that is ready for kernels: 1/z, or 0 without a surface.
+    pub fn record_depth_limits(
+        &self,
+        r: &mut Recorder,
+        region: Region<'_>,
+        mapping: DepthMapping,
+        size: [u32; 2],
+        depth_limits: &Buffer,
+    ) {
+        let ([image_width, image_height], [offset_x, offset_y]) = (size, region.offset);
+        let DepthMapping { scale, offset, clear_value, linear } = mapping;
+        let bind = depth_limit::Bind { depth_limits, depth: region.image };
+        let push =
+            depth_limit::Push { image_width, image_height, offset_x, offset_y, scale, offset, clear_value };
+        r.dispatch(&self.depth_limits[usize::from(linear)], &bind, &push, self.workgroups(size));
+    }
+
+    /// Records the expected depth sum(w z) / sum(w) of a frame that was blended with `linear_depth`, into an r32f image that is
+    /// ready for kernels. Pixels with a sum of weights below `min_weight` receive `empty`.
+    pub fn record_expected_depth(
+        &self,
+        r: &mut Recorder,
+        [accumulated, depth_sums]: [&Buffer; 2],
+        size: [u32; 2],
+        region: Region<'_>,
+        [min_weight, empty]: [f32; 2],
+    ) {
+        let ([image_width, image_height], [offset_x, offset_y]) = (size, region.offset);
+        let bind = expected_depth::Bind { accumulated, depth_sums, target: region.image };
+        let push = expected_depth::Push { image_width, image_height, offset_x, offset_y, min_weight, empty };
+        r.dispatch(&self.expected_depth, &bind, &push, self.workgroups(size));
+    }
+
+    /// Builds the missing kernels of picking and of motion, if wanted.
+    pub fn prepare(&mut self, context: &Context, [pick, motion]: [bool; 2]) -> Result<()> {
+        let workgroup_size = self.workgroup;
+        if pick {
+            self.picks.prepare(context, picks::Spec { workgroup_size })?;
+        }
+        if motion {
+            self.mean_motion.prepare(context, mean_motion::Spec { workgroup_size })?;
+        }
+        Ok(())
+    }
+
+    /// Records the picks of a frame without backward that was blended with picks, into an image of [`Compose::PICK_FORMAT`]
+    /// that is ready for kernels. Each has the Gaussian, its scene, and the bits of its depth and of its weight.
+    pub fn record_picks(
+        &self,
+        r: &mut Recorder,
+        (frame, sizes, own): (&FrameBuffers, &LaunchSizes, PickBuffers<'_>),
+        (camera, scenes): (&Camera, u32),
+        region: Region<'_>,
+    ) {
+        let spec = picks::Spec { workgroup_size: self.workgroup };
+        let Some(kernel) = self.picks.get(r, &spec) else { return };
+        let splats = frame.splats();
+        let [offset_x, offset_y] = region.offset;
+        let bind = picks::Bind {
+            picks: own.picks,
+            tile_ranges: &frame.tile_ranges,
+            sorted_visible: frame.sorted_visible(sizes, false, camera),
+            visible_list: &frame.visible_list,
+            color_inverse_depth: splats.color_inverse_depth,
+            scene_firsts: own.scene_firsts,
+            target: region.image,
+        };
+        let push = picks::Push {
+            image_width: camera.width,
+            image_height: camera.height,
+            offset_x,
+            offset_y,
+            tiles_per_row: tile_grid(camera.width, camera.height).0,
+            splat_stride: splats.stride,
+            scenes,
+        };
+        r.dispatch(kernel, &bind, &push, self.workgroups([camera.width, camera.height]));
+    }
+
+    /// Records the mean motion sum(w m) / sum(w), px, of a frame that was blended with motion, into an image of
+    /// [`Compose::MOTION_FORMAT`] that is ready for kernels. Pixels with a sum of weights below `min_weight` receive `empty`,
+    /// or stay without it.
+    pub fn record_motion(
+        &self,
+        r: &mut Recorder,
+        (accumulated, own): (&Buffer, MotionBuffers<'_>),
+        size: [u32; 2],
+        region: Region<'_>,
+        (min_weight, empty): (f32, Option<[f32; 2]>),
+    ) {
+        let spec = mean_motion::Spec { workgroup_size: self.workgroup };
+        let Some(kernel) = self.mean_motion.get(r, &spec) else { return };
+        let ([image_width, image_height], [offset_x, offset_y]) = (size, region.offset);
+        let bind = mean_motion::Bind { accumulated, motion_sums: own.sums, target: region.image };
+        let push = mean_motion::Push {
+            image_width,
+            image_height,
+            offset_x,
+            offset_y,
+            min_weight,
+            empty: empty.unwrap_or_default(),
+            keeps: empty.is_none().into(),
+        };
+        r.dispatch(kernel, &bind, &push, self.workgroups(size));
+    }
+}

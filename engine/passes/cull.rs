@@ -1,0 +1,207 @@
+//! Culling: flags the visible Gaussians of all scenes and compacts them, in their order.
+
+use super::arguments::{Counted, IndirectArguments};
+use super::scan::Scan;
+use crate::error::Result;
+use crate::frame::{BlendVariant, FrameInputs, GaussianRange, LaunchSizes, PlacedScene, blocks};
+use crate::kernels::constants as c;
+use crate::kernels::forward::{compact, cull, cull_scenes, write_visible_ranges};
+use crate::vk::{Context, Kernel, KernelSet, Recorder};
+
+/// Kernels of culling.
+pub(crate) struct Cull {
+    sizes: LaunchSizes,
+    subgroup_size: u32,
+    max_workgroups_per_axis: u32,
+    scene: KernelSet<cull::Interface>,
+    batch: KernelSet<cull_scenes::Interface>,
+    compact: Kernel<compact::Interface>,
+    write_visible_ranges: Kernel<write_visible_ranges::Interface>,
+}
+
+impl Cull {
+    pub fn new(context: &Context) -> Result<Self> {
+        let limits = context.limits();
+        let sizes = LaunchSizes::new(limits);
+        let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, limits.subgroup_size);
+        // Compaction blocks are the culling blocks.
+        let compact = compact::Spec { workgroup_size, subgroup_size, block: workgroup_size };
+        Ok(Self {
+            sizes,
+            subgroup_size,
+            max_workgroups_per_axis: limits.max_workgroups_per_axis,
+            scene: KernelSet::default(),
+            batch: KernelSet::default(),
+            compact: Kernel::new(context, &compact)?,
+            write_visible_ranges: Kernel::new(context, &write_visible_ranges::Spec { workgroup_size })?,
+        })
+    }
+
+    /// Builds the missing kernels of a variant; `batches`: also that of batches.
+    pub fn prepare(&mut self, context: &Context, variant: BlendVariant, batches: bool) -> Result<()> {
+        self.scene.prepare(context, self.spec(variant))?;
+        if batches {
+            self.batch.prepare(context, self.batch_spec(variant))?;
+        }
+        Ok(())
+    }
+
+    pub fn is_prepared(&self, variant: BlendVariant) -> bool {
+        self.scene.contains(&self.spec(variant))
+    }
+
+    fn spec(&self, variant: BlendVariant) -> cull::Spec {
+        let BlendVariant { filter_3d, dropout, tinted, cut_outs, projection, shared_order: adds, .. } =
+            variant;
+        let (workgroup_size, subgroup_size) = (self.sizes.elementwise_workgroup, self.subgroup_size);
+        cull::Spec {
+            workgroup_size,
+            subgroup_size,
+            filter_3d,
+            dropout,
+            tinted,
+            cut_outs,
+            projection: projection.word(),
+            adds,
+        }
+    }
+
+    fn batch_spec(&self, variant: BlendVariant) -> cull_scenes::Spec {
+        let BlendVariant { filter_3d, tinted, cut_outs, projection, shared_order: adds, .. } = variant;
+        let (workgroup_size, subgroup_size) = (self.sizes.elementwise_workgroup, self.subgroup_size);
+        cull_scenes::Spec {
+            workgroup_size,
+            subgroup_size,
+            filter_3d,
+            tinted,
+            cut_outs,
+            projection: projection.word(),
+            adds,
+        }
+    }
+
+    /// Records the flags of a view's visible Gaussians. With a shared order, each view after the first adds its visible
+    /// Gaussians to those of earlier views.
+    pub fn record_flags(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        let [extent, antialias] = inputs.settings.modes();
+        let of_frame = BlendVariant { shared_order: inputs.view > Some(0), ..inputs.blend_variant() };
+        for (place, first) in inputs.batches() {
+            r.barrier();
+            self.record_batch_flags(r, inputs, place, first, of_frame.of_scene(first.settings));
+        }
+        for part in inputs.parts() {
+            let variant = of_frame.of_scene(part.settings);
+            let Some(kernel) = self.scene.get(r, &self.spec(variant)) else { return };
+            let GaussianRange { chunk, first, count } = part.range;
+            let push = cull::Push {
+                first,
+                count,
+                chunk_gaussians: part.scene.plan.chunk_gaussians,
+                extent,
+                antialias,
+                first_cut_out: part.first_cut_out,
+                cut_out_count: part.settings.cut_out_count(),
+                flag_count: part.flags,
+            };
+            let bind = cull::Bind {
+                parameters: &part.scene.chunks[chunk],
+                visible_flags: &f.visible_flags,
+                block_counts: f.visible_counts(),
+                // Without cut-outs the kernel does not read this binding. With cut-outs, `record` has checked the buffer.
+                cut_outs: inputs.cut_outs.unwrap_or(&part.scene.chunks[chunk]),
+                camera_block: &f.camera_block(part.block),
+            };
+            r.barrier();
+            r.dispatch(kernel, &bind, &push, self.sizes.groups(part.flags));
+        }
+        r.barrier();
+    }
+
+    /// Records the flags of the batch whose first scene is at `place`.
+    fn record_batch_flags(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        place: u32,
+        first: &PlacedScene<'_>,
+        variant: BlendVariant,
+    ) {
+        let Some(kernel) = self.batch.get(r, &self.batch_spec(variant)) else { return };
+        let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
+        let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
+        let parameters = first.scene.chunks[0].whole();
+        let push = cull_scenes::Push {
+            first_block,
+            end_block,
+            scenes: inputs.scenes.len() as u32,
+            batch: place,
+            index_count: inputs.index_count(),
+            extent,
+            antialias,
+        };
+        let bind = cull_scenes::Bind {
+            parameters: &parameters,
+            visible_flags: &f.visible_flags,
+            block_counts: f.visible_counts(),
+            // Same as for a single scene.
+            cut_outs: inputs.cut_outs.unwrap_or(&parameters),
+            scene_blocks: &inputs.camera_blocks(),
+        };
+        r.dispatch(kernel, &bind, &push, (end_block - first_block).into());
+    }
+
+    /// Records the compaction of the visible Gaussians, which keep their order.
+    pub fn record_compaction(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        scan: &Scan,
+        arguments: &IndirectArguments,
+    ) {
+        let f = inputs.frame;
+        let (count, block) = (inputs.index_count(), self.sizes.elementwise_workgroup);
+        let culled_blocks = count.div_ceil(block);
+        // The scan turns the counts into offsets, in place.
+        scan.record_block_sums(r, f.visible_counts(), (0, culled_blocks), &f.state, c::STATE_VISIBLE_NEEDED);
+        r.barrier();
+        r.dispatch(
+            &self.compact,
+            &compact::Bind {
+                visible_flags: &f.visible_flags,
+                block_offsets: f.visible_offsets(),
+                visible_list: &f.visible_list,
+                visible_index: &f.visible_index,
+            },
+            &compact::Push { count, capacity: inputs.capacity.visible },
+            // One block per subgroup.
+            blocks(culled_blocks.into(), (block / self.subgroup_size).into()),
+        );
+        let counted = Counted {
+            count: c::STATE_VISIBLE_NEEDED,
+            capacity: inputs.capacity.visible,
+            first_argument: c::ARGUMENTS_VISIBLE,
+            third_block: self.sizes.scan,
+        };
+        arguments.record(r, f, counted);
+        r.barrier();
+        let scenes = inputs.scenes.len() as u32;
+        r.dispatch(
+            &self.write_visible_ranges,
+            &write_visible_ranges::Bind {
+                state: &f.state,
+                block_offsets: f.visible_offsets(),
+                visible_ranges: &f.visible_ranges,
+                scene_blocks: &inputs.camera_blocks(),
+            },
+            &write_visible_ranges::Push {
+                scenes,
+                blocks: culled_blocks,
+                block_elementwise: block,
+                max_workgroups_per_axis: self.max_workgroups_per_axis,
+            },
+            blocks(scenes.into(), block.into()),
+        );
+        r.barrier();
+    }
+}

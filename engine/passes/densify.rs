@@ -1,0 +1,472 @@
+//! Adaptive density control, entirely on the device: classify, prefix sum, scatter sources, gather; and the opacity reset.
+//!
+//! The new set has the reference's order: first the Gaussians that stay, then the clones, then the first and the second halves
+//! of split Gaussians. Training then sorts it along a space-filling curve ([`Densify::record_order`]). Random numbers are keyed
+//! by (seed, iteration, Gaussian, half), so the result does not depend on scheduling.
+
+use crate::error::Result;
+use crate::frame::{LaunchSizes, SceneBuffers, array_of};
+use crate::kernels::constants::{CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED, ZORDER_BITS};
+use crate::kernels::densify::{classify, gather, mask_outside, reset_opacity, scatter_sources, zorder};
+use crate::passes::adam::Moments;
+use crate::passes::scan::{Scan, Workgroups};
+use crate::passes::sort::{RadixSort, SortBuffers, Values};
+use crate::scene::{Bounds, Cut, CutLimits};
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+use glam::Vec3;
+pub use importance::{EdgePhoto, Importance, ImportanceBuffers};
+pub use relocation::{Draw, DrawBuffers, Relocation};
+pub use selection::{Candidates, Chances, Selection, SelectionBuffers, SelectionDraw};
+
+mod importance;
+mod relocation;
+mod selection;
+
+/// Largest opacity after the reset.
+pub const RESET_OPACITY: f64 = 0.01;
+
+/// Forms of the densification kernels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DensifyForm {
+    /// True if Gaussians are split along their longest axis (long_axis.glsl).
+    pub long_axis: bool,
+    /// Criterion that selects Gaussians to clone or split.
+    pub criterion: Criterion,
+}
+
+/// Criterion of densification.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Criterion {
+    /// Mean norm of the gradient.
+    #[default]
+    Gradient,
+    /// Mean norm of absolute gradients: one f32 per Gaussian, their sum over the views of the statistics.
+    Absolute,
+    /// A selection: one u32 per Gaussian, nonzero for a split. No Gaussian is cloned.
+    Selected,
+}
+
+/// Thresholds of a densification.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DensifySettings {
+    /// Mean norm of the 2D mean's gradient, NDC, from which a Gaussian is cloned or split.
+    pub gradient_threshold: f32,
+    /// Largest scale of a cloned Gaussian; larger ones are split. World units.
+    pub clone_scale: f32,
+    /// Opacity below which a Gaussian is removed.
+    pub min_opacity: f32,
+    /// Scale above which a Gaussian is removed, world units; 0 for no limit.
+    pub max_scale: f32,
+}
+
+/// Scratch of a densification.
+#[derive(Clone)]
+pub struct DensifyBuffers {
+    /// Per Gaussian: decision bits.
+    pub decisions: Buffer,
+    /// Per block of Gaussians, three counts, then offsets.
+    pub blocks: Buffer,
+    /// Number of Gaussians that stay, are cloned, are split; number of sorted rows.
+    pub totals: Buffer,
+    /// Per row of the new set: its source.
+    pub sources: Buffer,
+}
+
+impl DensifyBuffers {
+    /// Index in `totals` of the number of sorted rows.
+    const ROWS: u64 = 3;
+
+    /// Names and bytes, in the order of the fields, for up to `gaussians` before and `rows` after.
+    pub fn requests(sizes: &LaunchSizes, gaussians: u32, rows: u32) -> [(&'static str, u64); 4] {
+        [
+            ("decisions", u64::from(gaussians) * 4),
+            ("densify_blocks", sizes.groups(gaussians) * 12),
+            ("densify_totals", 16),
+            ("sources", u64::from(rows) * 4),
+        ]
+    }
+
+    /// Assigns the buffers that were allocated for [`DensifyBuffers::requests`].
+    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
+        let [decisions, blocks, totals, sources] = array_of(buffers);
+        Self { decisions, blocks, totals, sources }
+    }
+}
+
+/// Standard normal numbers from the caller, for comparisons with other implementations.
+#[derive(Clone, Copy)]
+pub struct ExplicitNoise<'a> {
+    /// vec3 at `half * stride + Gaussian`.
+    pub buffer: &'a Buffer,
+    /// Number of Gaussians.
+    pub stride: u32,
+}
+
+/// Key of the random numbers of a densification.
+#[derive(Clone, Copy)]
+pub struct RandomKey<'a> {
+    /// Seed of the run.
+    pub seed: u32,
+    /// Iteration of the densification.
+    pub iteration: u32,
+    /// Numbers that replace the generator's.
+    pub explicit: Option<ExplicitNoise<'a>>,
+}
+
+/// Rows to copy from one set of planes to another.
+#[derive(Clone, Copy)]
+pub struct Gather<'a> {
+    /// Old planes and their layout.
+    pub from: &'a SceneBuffers,
+    /// New planes and their layout; `count` rows are written.
+    pub to: &'a SceneBuffers,
+    /// Source of each row.
+    pub sources: &'a Buffer,
+}
+
+/// Inputs of [`Densify::record_classify_by`].
+#[derive(Clone, Copy)]
+pub struct ClassifyInputs<'a> {
+    /// vec2 per Gaussian: sum of gradient norms, number of views.
+    pub statistics: &'a Buffer,
+    /// Values for the form's [`Criterion`]; None for [`Criterion::Gradient`].
+    pub criteria: Option<&'a Buffer>,
+}
+
+/// The kernels of densification.
+pub struct Densify {
+    form: DensifyForm,
+    sizes: LaunchSizes,
+    scan: Scan,
+    classify: Kernel<classify::Interface>,
+    scatter_sources: Kernel<scatter_sources::Interface>,
+    gather_parameters: Kernel<gather::Interface>,
+    gather_explicit: Kernel<gather::Interface>,
+    gather_moments: Kernel<gather::Interface>,
+    reset: Kernel<reset_opacity::Interface>,
+    zorder: Kernel<zorder::Interface>,
+    sort: RadixSort,
+}
+
+impl Densify {
+    /// Builds the kernels of the reference's form.
+    pub fn new(context: &Context) -> Result<Self> {
+        Self::with_form(context, DensifyForm::default())
+    }
+
+    /// Builds the kernels of a form.
+    pub fn with_form(context: &Context, form: DensifyForm) -> Result<Self> {
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
+        let long_axis = form.long_axis;
+        let gather = gather::Spec { workgroup_size, moments: false, explicit_noise: false, long_axis };
+        let criterion = match form.criterion {
+            Criterion::Gradient => CRITERION_GRADIENT,
+            Criterion::Absolute => CRITERION_ABSOLUTE,
+            Criterion::Selected => CRITERION_SELECTED,
+        };
+        let classify = classify::Spec { workgroup_size, subgroup_size, long_axis, criterion };
+        Ok(Self {
+            form,
+            sizes,
+            scan: Scan::new(context)?,
+            classify: Kernel::new(context, &classify)?,
+            scatter_sources: Kernel::new(context, &scatter_sources::Spec { workgroup_size, subgroup_size })?,
+            gather_parameters: Kernel::new(context, &gather)?,
+            gather_explicit: Kernel::new(context, &gather::Spec { explicit_noise: true, ..gather })?,
+            gather_moments: Kernel::new(context, &gather::Spec { moments: true, ..gather })?,
+            reset: Kernel::new(context, &reset_opacity::Spec { workgroup_size })?,
+            zorder: Kernel::new(context, &zorder::Spec { workgroup_size })?,
+            sort: RadixSort::new(context)?,
+        })
+    }
+
+    /// Records the classification by the mean gradient norm: the decisions, and in `buffers.totals` the numbers of Gaussians
+    /// that stay, are cloned and are split.
+    pub fn record_classify(
+        &self,
+        r: &mut Recorder,
+        scene: &SceneBuffers,
+        statistics: &Buffer,
+        buffers: &DensifyBuffers,
+        settings: &DensifySettings,
+    ) {
+        let inputs = ClassifyInputs { statistics, criteria: None };
+        self.record_classify_by(r, scene, inputs, buffers, settings);
+    }
+
+    /// Same as [`Densify::record_classify`], but by the form's [`Criterion`].
+    ///
+    /// # Panics
+    /// If the values for the form's criterion are missing.
+    pub fn record_classify_by(
+        &self,
+        r: &mut Recorder,
+        scene: &SceneBuffers,
+        inputs: ClassifyInputs,
+        buffers: &DensifyBuffers,
+        settings: &DensifySettings,
+    ) {
+        let needs_criteria = self.form.criterion != Criterion::Gradient;
+        assert_eq!(inputs.criteria.is_some(), needs_criteria, "the values of {:?}", self.form.criterion);
+        let ClassifyInputs { statistics, criteria } = inputs;
+        let all_blocks = scene.count.div_ceil(self.sizes.elementwise_workgroup);
+        r.scope("classify", |r| {
+            scene.record_chunks(r, |r, range, parameters| {
+                let bind = classify::Bind {
+                    parameters,
+                    statistics,
+                    decisions: &buffers.decisions,
+                    block_counts: &buffers.blocks,
+                    criteria: criteria.unwrap_or(statistics),
+                };
+                let push = classify::Push {
+                    first: range.first,
+                    count: range.count,
+                    blocks: all_blocks,
+                    gradient_threshold: settings.gradient_threshold,
+                    clone_scale: settings.clone_scale,
+                    min_opacity: settings.min_opacity,
+                    max_scale: settings.max_scale,
+                };
+                r.dispatch(&self.classify, &bind, &push, self.sizes.groups(range.count));
+            });
+            // Three rows of one buffer. Each row is one dispatch, because their offsets may break the device's alignment.
+            for decision in 0..3 {
+                r.barrier();
+                let row = (decision * all_blocks, all_blocks);
+                self.scan.record_block_sums(r, &buffers.blocks, row, &buffers.totals, decision);
+            }
+        });
+    }
+
+    /// Records the source of each row of the new set, at most `rows` rows.
+    pub fn record_scatter_sources(&self, r: &mut Recorder, count: u32, rows: u32, buffers: &DensifyBuffers) {
+        let all_blocks = count.div_ceil(self.sizes.elementwise_workgroup);
+        r.dispatch(
+            &self.scatter_sources,
+            &scatter_sources::Bind {
+                decisions: &buffers.decisions,
+                block_offsets: &buffers.blocks,
+                totals: &buffers.totals,
+                sources: &buffers.sources,
+            },
+            &scatter_sources::Push { count, blocks: all_blocks, capacity: rows },
+            all_blocks.into(),
+        );
+    }
+
+    /// Records the copy of the parameters, with random means of split Gaussians.
+    pub fn record_gather_parameters(&self, r: &mut Recorder, rows: &Gather, key: &RandomKey) {
+        let kernel = if key.explicit.is_some() { &self.gather_explicit } else { &self.gather_parameters };
+        self.record_gather(r, kernel, rows, key);
+    }
+
+    /// Records the copy of the moments, which are zero for new Gaussians.
+    pub fn record_gather_moments(&self, r: &mut Recorder, rows: &Gather) {
+        let key = RandomKey { seed: 0, iteration: 0, explicit: None };
+        self.record_gather(r, &self.gather_moments, rows, &key);
+    }
+
+    fn record_gather(
+        &self,
+        r: &mut Recorder,
+        kernel: &Kernel<gather::Interface>,
+        rows: &Gather,
+        key: &RandomKey,
+    ) {
+        let Gather { from, to, sources } = *rows;
+        for target in to.plan.ranges(to.count) {
+            for source in from.plan.ranges(from.count) {
+                if source.chunk > 0 {
+                    r.barrier();
+                }
+                let bind = gather::Bind {
+                    sources,
+                    from: &from.chunks[source.chunk],
+                    to: &to.chunks[target.chunk],
+                    noise: key.explicit.map_or(sources, |noise| noise.buffer),
+                };
+                let push = gather::Push {
+                    from_first: source.first,
+                    from_count: source.count,
+                    from_chunk_gaussians: from.plan.chunk_gaussians,
+                    to_first: target.first,
+                    to_count: target.count,
+                    to_chunk_gaussians: to.plan.chunk_gaussians,
+                    planes: from.plan.planes,
+                    noise_stride: key.explicit.map_or(0, |noise| noise.stride),
+                    seed: key.seed,
+                    iteration: key.iteration,
+                };
+                r.dispatch(kernel, &bind, &push, self.sizes.groups(target.count));
+            }
+        }
+    }
+
+    /// Records the opacity reset to [`RESET_OPACITY`].
+    pub fn record_reset(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments) {
+        self.record_reset_to(r, scene, moments, RESET_OPACITY);
+    }
+
+    /// Records an opacity reset: opacities above `most` become `most`, between 0 and 1.
+    pub fn record_reset_to(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments, most: f64) {
+        let max_logit = (most / (1.0 - most)).ln() as f32;
+        r.scope("reset opacity", |r| {
+            for range in scene.plan.ranges(scene.count) {
+                let bind = reset_opacity::Bind {
+                    parameters: &scene.chunks[range.chunk],
+                    moments_1: &moments.first[range.chunk],
+                    moments_2: &moments.second[range.chunk],
+                };
+                let push = reset_opacity::Push { count: range.count, max_opacity: most as f32, max_logit };
+                r.dispatch(&self.reset, &bind, &push, self.sizes.groups(range.count));
+            }
+        });
+    }
+}
+
+/// Frame of the curve: see zorder.comp.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Curve {
+    /// Mean position of the cameras, world.
+    pub center: Vec3,
+    /// Extent of the scene, world units; positive.
+    pub extent: f32,
+}
+
+/// Scratch of the sort along a curve.
+#[derive(Clone)]
+pub struct OrderBuffers {
+    /// Position of each row on the curve; sorting scratch.
+    pub keys: [Buffer; 2],
+    /// Like [`DensifyBuffers::sources`].
+    pub sources: Buffer,
+    /// Sorting scratch: counts per digit and block, and per digit and run.
+    pub histogram: Buffer,
+    /// Sorting scratch: keys per digit.
+    pub digit_totals: Buffer,
+}
+
+impl OrderBuffers {
+    /// Names and bytes, in the order of the fields, for `rows` rows.
+    pub fn requests(sizes: &LaunchSizes, rows: u32) -> [(&'static str, u64); 5] {
+        let words = u64::from(rows) * 4;
+        [
+            ("zorder_keys_a", words),
+            ("zorder_keys_b", words),
+            ("ordered_sources", words),
+            ("zorder_histogram", sizes.sort_histogram_words(rows.into(), ZORDER_BITS) * 4),
+            ("zorder_digit_totals", (1 << sizes.sort_digit_bits()) * 4),
+        ]
+    }
+
+    /// Assigns the buffers that were allocated for [`OrderBuffers::requests`].
+    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
+        let [a, b, sources, histogram, digit_totals] = array_of(buffers);
+        Self { keys: [a, b], sources, histogram, digit_totals }
+    }
+}
+
+impl Densify {
+    /// Records the sort of `rows` sources of [`Densify::record_scatter_sources`] and returns the buffer with the result. A
+    /// barrier must precede it; it ends with one. Rows in the same cell of the curve keep their order.
+    pub fn record_order<'a>(
+        &self,
+        r: &mut Recorder,
+        set: (&SceneBuffers, u32),
+        buffers: &'a DensifyBuffers,
+        order: &'a OrderBuffers,
+        curve: &Curve,
+    ) -> &'a Buffer {
+        self.record_order_of(r, set, (&buffers.sources, &buffers.totals), order, curve)
+    }
+
+    /// Same as [`Densify::record_order`], but for sources that others have written. The fourth word of `totals` is scratch.
+    pub fn record_order_of<'a>(
+        &self,
+        r: &mut Recorder,
+        (scene, rows): (&SceneBuffers, u32),
+        (unordered, totals): (&'a Buffer, &Buffer),
+        order: &'a OrderBuffers,
+        curve: &Curve,
+    ) -> &'a Buffer {
+        let sources = [unordered, &order.sources];
+        r.scope("order", |r| {
+            r.fill(&totals.range(DensifyBuffers::ROWS * 4, 4), rows);
+            scene.record_chunks(r, |r, range, parameters| {
+                let bind = zorder::Bind { sources: sources[0], parameters, keys: &order.keys[0] };
+                let push = zorder::Push {
+                    first: range.first,
+                    count: range.count,
+                    rows,
+                    center: curve.center.to_array(),
+                    extent: curve.extent,
+                };
+                r.dispatch(&self.zorder, &bind, &push, self.sizes.groups(rows));
+            });
+            r.barrier();
+            let pairs = SortBuffers {
+                counts: totals,
+                count_index: DensifyBuffers::ROWS as u32,
+                keys: [&order.keys[0], &order.keys[1]],
+                values: sources,
+                histogram: &order.histogram,
+                digit_totals: &order.digit_totals,
+            };
+            let elements = Workgroups::Elements(rows.into());
+            let end = self.sort.record(r, &pairs, Values::Given, ZORDER_BITS, elements);
+            r.barrier();
+            sources[end]
+        })
+    }
+}
+
+/// Kernel that masks statistics outside a box.
+pub struct MaskOutside {
+    sizes: LaunchSizes,
+    mask: Kernel<mask_outside::Interface>,
+    core: CutLimits,
+    absolute: bool,
+}
+
+impl MaskOutside {
+    /// Builds the kernel for a box, whose sides may be infinite; `absolute`: it masks both statistics.
+    pub fn new(context: &Context, core: Bounds, absolute: bool) -> Result<Self> {
+        let sizes = LaunchSizes::new(context.limits());
+        let mask = mask_outside::Spec { workgroup_size: sizes.elementwise_workgroup, absolute };
+        let core = Cut { bounds: Some(core), ..Cut::default() }.limits();
+        Ok(Self { mask: Kernel::new(context, &mask)?, sizes, core, absolute })
+    }
+
+    /// Records the mask, which sets the sums of Gaussians with means outside the box below every threshold. The sums lie in
+    /// `statistics` (vec2 per Gaussian: sum of norms, number of views) and in `absolute` (f32 per Gaussian). Ends without a
+    /// barrier.
+    ///
+    /// # Panics
+    /// If the absolute statistic is missing although the kernel was built for it.
+    pub fn record(
+        &self,
+        r: &mut Recorder,
+        scene: &SceneBuffers,
+        statistics: &Buffer,
+        absolute: Option<&Buffer>,
+    ) {
+        assert_eq!(absolute.is_some(), self.absolute, "the statistics that it was built for");
+        scene.record_chunks(r, |r, range, parameters| {
+            let bind = mask_outside::Bind {
+                parameters,
+                statistics,
+                // Without the absolute statistic the kernel does not write this binding.
+                absolute_statistics: absolute.unwrap_or(statistics),
+            };
+            let push = mask_outside::Push {
+                first: range.first,
+                count: range.count,
+                core_low: self.core.low.to_array(),
+                core_high: self.core.high.to_array(),
+            };
+            r.dispatch(&self.mask, &bind, &push, self.sizes.groups(range.count));
+        });
+    }
+}

@@ -1,0 +1,202 @@
+//! Relocation and growth of 3DGS-MCMC (Kheradmand et al. 2024, section 4): Gaussians are drawn in proportion to their opacity,
+//! and each shares its place with its copies.
+
+use crate::error::Result;
+use crate::frame::{LaunchSizes, SceneBuffers, array_of};
+use crate::kernels::constants::RELOCATION_LEAST_OPACITY;
+use crate::kernels::densify::{draw_sources, draw_weights, relocate};
+use crate::kernels::optimizer::add_noise;
+use crate::passes::adam::Moments;
+use crate::passes::scan::{Scan, ScanBuffers, Workgroups};
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// Largest weight of a Gaussian: the last integer up to which f32 counts in steps of one.
+const MOST_WEIGHT: u32 = 1 << 24;
+
+/// Scratch of a draw.
+#[derive(Clone)]
+pub struct DrawBuffers {
+    /// Weight of each Gaussian.
+    pub weights: Buffer,
+    /// Sum of the weights before each Gaussian.
+    pub prefix: Buffer,
+    /// Number of draws of each Gaussian.
+    pub draws: Buffer,
+    /// Number of Gaussians, sum of the weights, number of sorted rows.
+    pub totals: Buffer,
+    /// Scratch of the prefix sum.
+    pub block_sums: Buffer,
+    /// Source of each row of the new set.
+    pub sources: Buffer,
+}
+
+impl DrawBuffers {
+    const COUNT: u32 = 0;
+    const TOTAL: u32 = 1;
+
+    /// Assigns the buffers that were allocated for [`Relocation::requests`].
+    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
+        let [weights, prefix, draws, totals, block_sums, sources] = array_of(buffers);
+        Self { weights, prefix, draws, totals, block_sums, sources }
+    }
+}
+
+/// A draw of the sources of a new set.
+#[derive(Clone, Copy)]
+pub struct Draw<'a> {
+    /// Number of rows of the new set, at least that of the old one.
+    pub rows: u32,
+    /// True if Gaussians with an opacity of at most 0.005 are replaced.
+    pub replaces_dead: bool,
+    /// Seed of the run.
+    pub seed: u32,
+    /// Iteration of the draw.
+    pub iteration: u32,
+    /// Uniform numbers in [0, 1) per row that replace the generator's, for comparisons with other implementations.
+    pub explicit: Option<&'a Buffer>,
+}
+
+/// Kernels of relocation and noise.
+pub struct Relocation {
+    sizes: LaunchSizes,
+    scan: Scan,
+    weights: Kernel<draw_weights::Interface>,
+    draw: Kernel<draw_sources::Interface>,
+    draw_explicit: Kernel<draw_sources::Interface>,
+    relocate: Kernel<relocate::Interface>,
+    noise: Kernel<add_noise::Interface>,
+    noise_explicit: Kernel<add_noise::Interface>,
+}
+
+impl Relocation {
+    /// Builds the kernels.
+    pub fn new(context: &Context) -> Result<Self> {
+        let sizes = LaunchSizes::new(context.limits());
+        let workgroup_size = sizes.elementwise_workgroup;
+        let draw = draw_sources::Spec { workgroup_size, explicit_uniforms: false };
+        let noise = add_noise::Spec { workgroup_size, explicit_noise: false };
+        Ok(Self {
+            sizes,
+            scan: Scan::new(context)?,
+            weights: Kernel::new(context, &draw_weights::Spec { workgroup_size })?,
+            draw: Kernel::new(context, &draw)?,
+            draw_explicit: Kernel::new(context, &draw_sources::Spec { explicit_uniforms: true, ..draw })?,
+            relocate: Kernel::new(context, &relocate::Spec { workgroup_size })?,
+            noise: Kernel::new(context, &noise)?,
+            noise_explicit: Kernel::new(context, &add_noise::Spec { explicit_noise: true, ..noise })?,
+        })
+    }
+
+    /// Names and bytes of the fields of [`DrawBuffers`], for up to `gaussians` before and `rows` after.
+    pub fn requests(&self, gaussians: u32, rows: u32) -> [(&'static str, u64); 6] {
+        let words = u64::from(gaussians) * 4;
+        [
+            ("draw_weights", words),
+            ("draw_prefix", words),
+            ("draws", words),
+            ("draw_totals", 16),
+            ("draw_block_sums", self.scan.block_words(gaussians.into()) * 4),
+            ("sources", u64::from(rows) * 4),
+        ]
+    }
+
+    /// Records a draw into `buffers.sources` and `buffers.draws`. Ends with a barrier.
+    pub fn record_draw(&self, r: &mut Recorder, scene: &SceneBuffers, draw: &Draw, buffers: &DrawBuffers) {
+        let count = scene.count;
+        r.scope("draw", |r| {
+            r.fill(&buffers.totals, count);
+            scene.record_chunks(r, |r, range, parameters| {
+                let bind =
+                    draw_weights::Bind { parameters, weights: &buffers.weights, draws: &buffers.draws };
+                let push = draw_weights::Push {
+                    first: range.first,
+                    count: range.count,
+                    unit: (u32::MAX / count.max(1)).min(MOST_WEIGHT) as f32,
+                    least_opacity: if draw.replaces_dead { RELOCATION_LEAST_OPACITY } else { -1.0 },
+                };
+                r.dispatch(&self.weights, &bind, &push, self.sizes.groups(range.count));
+            });
+            r.barrier();
+            let scan = ScanBuffers {
+                counts: &buffers.totals,
+                count_index: DrawBuffers::COUNT,
+                total_index: DrawBuffers::TOTAL,
+                values: &buffers.weights,
+                prefix: &buffers.prefix,
+                block_sums: &buffers.block_sums,
+            };
+            self.scan.record(r, &scan, Workgroups::Elements(count.into()));
+            r.barrier();
+            let kernel = if draw.explicit.is_some() { &self.draw_explicit } else { &self.draw };
+            let bind = draw_sources::Bind {
+                weights: &buffers.weights,
+                prefix: &buffers.prefix,
+                totals: &buffers.totals,
+                uniforms: draw.explicit.unwrap_or(&buffers.weights),
+                sources: &buffers.sources,
+                draws: &buffers.draws,
+            };
+            let push = draw_sources::Push {
+                count,
+                rows: draw.rows,
+                seed: draw.seed,
+                iteration: draw.iteration,
+                stream: if draw.replaces_dead { 2 } else { 3 },
+            };
+            r.dispatch(kernel, &bind, &push, self.sizes.groups(draw.rows));
+            r.barrier();
+        });
+    }
+
+    /// Records the new opacities and scales of the drawn Gaussians and their copies in the new set, and clears
+    /// their moments. A barrier must precede it.
+    pub fn record_relocate(
+        &self,
+        r: &mut Recorder,
+        (scene, moments): (&SceneBuffers, &Moments),
+        sources: &Buffer,
+        draws: &Buffer,
+    ) {
+        r.scope("relocate", |r| {
+            for range in scene.plan.ranges(scene.count) {
+                let bind = relocate::Bind {
+                    sources,
+                    draws,
+                    parameters: &scene.chunks[range.chunk],
+                    moments_1: &moments.first[range.chunk],
+                    moments_2: &moments.second[range.chunk],
+                };
+                let push = relocate::Push {
+                    first: range.first,
+                    count: range.count,
+                    chunk_gaussians: scene.plan.chunk_gaussians,
+                    planes: scene.plan.planes,
+                };
+                r.dispatch(&self.relocate, &bind, &push, self.sizes.groups(range.count));
+            }
+        });
+    }
+
+    /// Records the noise of an iteration, on a scene with the state of its frame. `rate`: learning rate of the means (world
+    /// units) times that of the noise; `explicit`: standard normal numbers that replace the generator's.
+    pub fn record_noise(
+        &self,
+        r: &mut Recorder,
+        (scene, state): (&SceneBuffers, &Buffer),
+        (seed, iteration, rate): (u32, u32, f32),
+        explicit: Option<&Buffer>,
+    ) {
+        let kernel = if explicit.is_some() { &self.noise_explicit } else { &self.noise };
+        r.scope("noise", |r| {
+            for range in scene.plan.ranges(scene.count) {
+                let bind = add_noise::Bind {
+                    parameters: &scene.chunks[range.chunk],
+                    state,
+                    noise: explicit.unwrap_or(state),
+                };
+                let push = add_noise::Push { first: range.first, count: range.count, seed, iteration, rate };
+                r.dispatch(kernel, &bind, &push, self.sizes.groups(range.count));
+            }
+        });
+    }
+}

@@ -1,0 +1,207 @@
+//! Draws Gaussians without replacement, in proportion to their chances (Efraimidis and Spirakis 2006): each gets a random key,
+//! and the first of the sorted keys are drawn. Random numbers are keyed by (seed, iteration, Gaussian), so the result does not
+//! depend on scheduling.
+
+use crate::error::Result;
+use crate::frame::{LaunchSizes, SceneBuffers, array_of};
+use crate::kernels::constants as c;
+use crate::kernels::densify::{draw_keys, mark_drawn, opacity_keys};
+use crate::passes::scan::Workgroups;
+use crate::passes::sort::{RadixSort, SortBuffers, Values};
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// Gaussians that may be drawn: those that any view showed, with a mean statistic of at least `threshold`.
+#[derive(Clone, Copy)]
+pub struct Candidates<'a> {
+    /// vec2 per Gaussian: sum of the signed norms, number of views.
+    pub statistics: &'a Buffer,
+    /// f32 per Gaussian: sum of the absolute norms, which replaces the signed ones.
+    pub absolute: Option<&'a Buffer>,
+    /// Minimum mean over the views.
+    pub threshold: f32,
+}
+
+/// Weights of the draw. A Gaussian without a positive weight is never drawn.
+#[derive(Clone, Copy)]
+pub enum Chances<'a> {
+    /// The given weights, f32 per Gaussian.
+    Importance(&'a Buffer),
+    /// The mean statistic of [`Candidates`].
+    Statistic,
+    /// The same weight for all candidates.
+    Equal,
+}
+
+/// Parameters of a draw.
+#[derive(Clone, Copy)]
+pub struct SelectionDraw<'a> {
+    /// Number of Gaussians.
+    pub count: u32,
+    /// Number of Gaussians to draw; all candidates if there are fewer.
+    pub wanted: u32,
+    /// Gaussians that may be drawn.
+    pub candidates: Candidates<'a>,
+    /// Weights of the draw.
+    pub chances: Chances<'a>,
+    /// Seed of the run.
+    pub seed: u32,
+    /// Iteration of the draw.
+    pub iteration: u32,
+    /// Uniform numbers within (0, 1) per Gaussian that replace the generator's, for comparisons with other implementations.
+    pub explicit: Option<&'a Buffer>,
+}
+
+/// Scratch and result of a draw.
+#[derive(Clone)]
+pub struct SelectionBuffers {
+    /// Per Gaussian: 1 if it was drawn, otherwise 0.
+    pub selected: Buffer,
+    /// Numbers of Gaussians, of candidates with a positive chance, and of drawn Gaussians: TOTAL_* of the constants.
+    pub totals: Buffer,
+    /// Sorting scratch: keys.
+    pub keys: [Buffer; 2],
+    /// Sorting scratch: Gaussians.
+    pub gaussians: [Buffer; 2],
+    /// Sorting scratch: counts per digit and block, and per digit and run.
+    pub histogram: Buffer,
+    /// Sorting scratch: keys per digit.
+    pub digit_totals: Buffer,
+}
+
+impl SelectionBuffers {
+    /// Assigns the buffers that were allocated for [`Selection::requests`].
+    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
+        let [selected, totals, keys_a, keys_b, a, b, histogram, digit_totals] = array_of(buffers);
+        Self { selected, totals, keys: [keys_a, keys_b], gaussians: [a, b], histogram, digit_totals }
+    }
+
+    /// Returns one of the totals. Each can be filled in the same step as another.
+    fn total(&self, word: u32) -> Buffer {
+        self.totals.range(u64::from(word) * 4, 4)
+    }
+
+    /// Returns the keys and their Gaussians for the sort.
+    fn pairs(&self) -> SortBuffers<'_> {
+        SortBuffers {
+            counts: &self.totals,
+            count_index: c::TOTAL_GAUSSIANS,
+            keys: [&self.keys[0], &self.keys[1]],
+            values: [&self.gaussians[0], &self.gaussians[1]],
+            histogram: &self.histogram,
+            digit_totals: &self.digit_totals,
+        }
+    }
+}
+
+/// Kernels of draws and of sorted opacities.
+pub struct Selection {
+    sizes: LaunchSizes,
+    sort: RadixSort,
+    opacity_keys: Kernel<opacity_keys::Interface>,
+    /// For the signed and for the absolute statistic; each from the generator and from explicit numbers.
+    keys: [[Kernel<draw_keys::Interface>; 2]; 2],
+    mark: Kernel<mark_drawn::Interface>,
+}
+
+impl Selection {
+    /// Builds the kernels.
+    pub fn new(context: &Context) -> Result<Self> {
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
+        let keys = |absolute, explicit_uniforms| {
+            let spec = draw_keys::Spec { workgroup_size, subgroup_size, absolute, explicit_uniforms };
+            Kernel::new(context, &spec)
+        };
+        Ok(Self {
+            sort: RadixSort::new(context)?,
+            keys: [[keys(false, false)?, keys(false, true)?], [keys(true, false)?, keys(true, true)?]],
+            mark: Kernel::new(context, &mark_drawn::Spec { workgroup_size })?,
+            opacity_keys: Kernel::new(context, &opacity_keys::Spec { workgroup_size })?,
+            sizes,
+        })
+    }
+
+    /// Names and bytes of the buffers of [`SelectionBuffers::from_allocated`], for this number of Gaussians.
+    pub fn requests(&self, gaussians: u32) -> Vec<(&'static str, u64)> {
+        let words = u64::from(gaussians) * 4;
+        vec![
+            ("selected", words),
+            ("selection_totals", 16),
+            ("selection_keys_a", words),
+            ("selection_keys_b", words),
+            ("selection_gaussians_a", words),
+            ("selection_gaussians_b", words),
+            ("selection_histogram", self.sort.histogram_words(gaussians.into(), u32::BITS) * 4),
+            ("selection_digit_totals", self.sort.digit_total_words() * 4),
+        ]
+    }
+
+    /// Records a draw: the `wanted` largest ln(u) / chance. A barrier must precede it; it ends with one.
+    pub fn record(&self, r: &mut Recorder, draw: &SelectionDraw, buffers: &SelectionBuffers) {
+        let SelectionDraw { count, candidates, chances, .. } = *draw;
+        let groups = self.sizes.groups(count);
+        r.scope("select", |r| {
+            r.fill(&buffers.total(c::TOTAL_GAUSSIANS), count);
+            r.fill(&buffers.totals.range(u64::from(c::TOTAL_CANDIDATES) * 4, 3 * 4), 0);
+            r.barrier();
+            let (chances, importance) = match chances {
+                Chances::Importance(importance) => (c::CHANCE_IMPORTANCE, importance),
+                Chances::Statistic => (c::CHANCE_STATISTIC, candidates.statistics),
+                Chances::Equal => (c::CHANCE_EQUAL, candidates.statistics),
+            };
+            let of_statistic = &self.keys[usize::from(candidates.absolute.is_some())];
+            let kernel = &of_statistic[usize::from(draw.explicit.is_some())];
+            let bind = draw_keys::Bind {
+                statistics: candidates.statistics,
+                absolute_statistics: candidates.absolute.unwrap_or(candidates.statistics),
+                importance,
+                uniforms: draw.explicit.unwrap_or(candidates.statistics),
+                keys: &buffers.keys[0],
+                selected: &buffers.selected,
+                totals: &buffers.totals,
+            };
+            let push = draw_keys::Push {
+                count,
+                threshold: candidates.threshold,
+                chances,
+                seed: draw.seed,
+                iteration: draw.iteration,
+            };
+            r.dispatch(kernel, &bind, &push, groups);
+            r.barrier();
+            let elements = Workgroups::Elements(count.into());
+            let end = self.sort.record(r, &buffers.pairs(), Values::Positions, u32::BITS, elements);
+            r.barrier();
+            let bind = mark_drawn::Bind {
+                sorted: &buffers.gaussians[end],
+                totals: &buffers.totals,
+                selected: &buffers.selected,
+            };
+            r.dispatch(&self.mark, &bind, &mark_drawn::Push { count, wanted: draw.wanted }, groups);
+            r.barrier();
+        });
+    }
+
+    /// Records a sort of all opacities, for pruning the faintest share of a set. A barrier must precede it; it ends with one. Returns the buffer with the result: f32
+    /// per Gaussian, the faintest first.
+    pub fn record_opacities<'a>(
+        &self,
+        r: &mut Recorder,
+        scene: &SceneBuffers,
+        buffers: &'a SelectionBuffers,
+    ) -> &'a Buffer {
+        r.scope("order opacities", |r| {
+            r.fill(&buffers.total(c::TOTAL_GAUSSIANS), scene.count);
+            scene.record_chunks(r, |r, range, parameters| {
+                let bind = opacity_keys::Bind { parameters, keys: &buffers.keys[0] };
+                let push = opacity_keys::Push { first: range.first, count: range.count };
+                r.dispatch(&self.opacity_keys, &bind, &push, self.sizes.groups(range.count));
+            });
+            r.barrier();
+            let elements = Workgroups::Elements(scene.count.into());
+            let end = self.sort.record(r, &buffers.pairs(), Values::Positions, u32::BITS, elements);
+            r.barrier();
+            &buffers.keys[end]
+        })
+    }
+}

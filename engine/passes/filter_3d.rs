@@ -1,0 +1,132 @@
+//! Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1): convolves each Gaussian with a filter as large as the finest detail
+//! that the nearest camera resolves.
+//!
+//! The device stores a size as the fourth component of a Gaussian's log-scales; 0 is none. Culling, projection and the backward
+//! pass read it if [`RenderSettings::filter_3d`](crate::RenderSettings::filter_3d) is set.
+
+use crate::error::{Error, Result};
+use crate::frame::{LaunchSizes, POSE_BYTES, SceneBuffers, array_of, pose_of, to_u32};
+use crate::kernels::constants::STATE_WORDS;
+use crate::kernels::forward::{filter_sizes, nearest_depths};
+use crate::scene::Camera;
+use crate::vk::{Buffer, Context, Kernel, MemoryKind, Recorder};
+
+/// Margin outside the picture in which a mean still counts as visible, as a share of the picture's size (compute_3D_filter).
+const MARGIN: f64 = 0.15;
+/// Variance of the filter, in squares of a pixel's size at the nearest depth.
+const VARIANCE_PX2: f64 = 0.2;
+
+/// Kernels of the filter, with the cameras.
+pub struct Filter3d {
+    sizes: LaunchSizes,
+    nearest: Kernel<nearest_depths::Interface>,
+    store: Kernel<filter_sizes::Interface>,
+    poses: Buffer,
+    bounds: Buffer,
+    farthest: Buffer,
+    count: u32,
+    size_per_depth: f32,
+}
+
+impl Filter3d {
+    /// Names and bytes of the buffers for a number of cameras.
+    pub fn requests(cameras: usize) -> [(&'static str, u64); 3] {
+        let cameras = cameras as u64;
+        [("filter_poses", cameras * POSE_BYTES), ("filter_bounds", cameras * 16), ("farthest", 4)]
+    }
+
+    /// Builds the kernels and uploads the training cameras.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] without cameras, and for an orthographic one; memory or device failures.
+    pub fn new(context: &Context, cameras: &[Camera]) -> Result<Self> {
+        let longest = cameras.iter().map(|camera| camera.fx).fold(0.0, f32::max);
+        if longest <= 0.0 {
+            return Err(Error::argument("cameras", "there are none, and the 3D filter follows from them"));
+        }
+        cameras
+            .iter()
+            .try_for_each(|camera| camera.check_perspective("the 3D filter follows from pinholes"))?;
+        let requests = Self::requests(cameras.len());
+        let buffers = context.allocate("filter", &requests, MemoryKind::Device)?;
+        let [poses, bounds, farthest] = array_of(buffers);
+        let places: Vec<[f32; 12]> = cameras.iter().map(pose_of).collect();
+        context.upload(&poses, bytemuck::cast_slice(&places))?;
+        let slopes: Vec<[f32; 4]> = cameras.iter().map(bounds_of).collect();
+        context.upload(&bounds, bytemuck::cast_slice(&slopes))?;
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
+        Ok(Self {
+            nearest: Kernel::new(context, &nearest_depths::Spec { workgroup_size, subgroup_size })?,
+            store: Kernel::new(context, &filter_sizes::Spec { workgroup_size })?,
+            sizes,
+            poses,
+            bounds,
+            farthest,
+            count: to_u32(cameras.len() as u64)?,
+            size_per_depth: (VARIANCE_PX2.sqrt() / f64::from(longest)) as f32,
+        })
+    }
+
+    /// Uses cameras that the device has: [`POSE_BYTES`] per camera, in the layout of
+    /// [`FrameInputs::pose`](crate::frame::FrameInputs::pose).
+    #[must_use]
+    pub fn with_poses(self, poses: Buffer) -> Self {
+        Self { poses, ..self }
+    }
+
+    /// Records the computation of all sizes of a scene. The caller places barriers before and after. If `state[STATE_OVERFLOW]`
+    /// is set, nothing changes.
+    pub fn record(&self, r: &mut Recorder, scene: &SceneBuffers, state: &Buffer) {
+        r.scope("3D filter", |r| {
+            r.fill(&self.farthest, 0);
+            for range in scene.plan.ranges(scene.count) {
+                r.barrier();
+                let bind = nearest_depths::Bind {
+                    parameters: &scene.chunks[range.chunk],
+                    bounds: &self.bounds,
+                    state,
+                    farthest: &self.farthest,
+                    poses: &self.poses,
+                };
+                let push = nearest_depths::Push { count: range.count, cameras_count: self.count };
+                r.dispatch(&self.nearest, &bind, &push, self.sizes.groups(range.count));
+            }
+            r.barrier();
+            for range in scene.plan.ranges(scene.count) {
+                let bind = filter_sizes::Bind {
+                    parameters: &scene.chunks[range.chunk],
+                    state,
+                    farthest: &self.farthest,
+                };
+                let push = filter_sizes::Push { count: range.count, size_per_depth: self.size_per_depth };
+                r.dispatch(&self.store, &bind, &push, self.sizes.groups(range.count));
+            }
+        });
+    }
+
+    /// Computes all sizes of a scene immediately.
+    pub fn run(&self, context: &Context, scene: &SceneBuffers) -> Result<()> {
+        let request = [("state", u64::from(STATE_WORDS) * 4)];
+        let state = context.allocate("filter", &request, MemoryKind::Device)?.remove(0);
+        let ran = context.run("3D filter", |r| {
+            r.fill(&state, 0);
+            r.barrier();
+            self.record(r, scene, &state);
+            Ok(())
+        });
+        ran.map(drop)
+    }
+}
+
+/// Limits of x/z and y/z between which a mean counts as visible.
+fn bounds_of(camera: &Camera) -> [f32; 4] {
+    let bounds = |focal: f32, center: f32, size: u32| {
+        let (focal, center, size) = (f64::from(focal), f64::from(center), f64::from(size));
+        [-MARGIN, 1.0 + MARGIN].map(|share| ((share * size - center) / focal) as f32)
+    };
+    let camera = camera.whole();
+    let [left, right] = bounds(camera.fx, camera.cx, camera.width);
+    let [top, bottom] = bounds(camera.fy, camera.cy, camera.height);
+    [left, right, top, bottom]
+}

@@ -1,0 +1,165 @@
+//! Instances, one per (tile, visible Gaussian) pair: the order by depth, their number, creation, sort by tile, and each tile's
+//! range.
+//!
+//! The visible Gaussians are sorted by depth before they are duplicated to instances. Only the instances' tile bits then remain
+//! to be sorted, stably, and the order is that of the paper's 64-bit (tile | depth) key.
+
+use super::arguments::{Counted, IndirectArguments};
+use super::scan::{Scan, ScanBuffers, Workgroups};
+use super::sort::{RadixSort, SortBuffers, Values};
+use crate::error::Result;
+use crate::frame::{FrameBuffers, FrameInputs, LaunchSizes, sorted_side, tile_bits, tile_grid};
+use crate::kernels::constants as c;
+use crate::kernels::forward::{count, duplicate_with_tiles, ranges};
+use crate::vk::{Context, Kernel, Recorder};
+
+/// Kernels of instances.
+pub(crate) struct Instances {
+    sizes: LaunchSizes,
+    sort: RadixSort,
+    count: Kernel<count::Interface>,
+    /// For frames without and with backward.
+    duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
+    ranges: [Kernel<ranges::Interface>; 2],
+}
+
+impl Instances {
+    pub fn new(context: &Context) -> Result<Self> {
+        let limits = context.limits();
+        let sizes = LaunchSizes::new(limits);
+        let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, limits.subgroup_size);
+        let duplicate = |for_backward| {
+            let items = sizes.duplicate_items;
+            let spec = duplicate_with_tiles::Spec { workgroup_size, subgroup_size, items, for_backward };
+            Kernel::new(context, &spec)
+        };
+        let ranges = |for_backward| Kernel::new(context, &ranges::Spec { workgroup_size, for_backward });
+        let count =
+            count::Spec { workgroup_size: sizes.scan_workgroup, subgroup_size, items: sizes.scan_items };
+        Ok(Self {
+            sizes,
+            sort: RadixSort::new(context)?,
+            count: Kernel::new(context, &count)?,
+            duplicate: [duplicate(false)?, duplicate(true)?],
+            ranges: [ranges(false)?, ranges(true)?],
+        })
+    }
+
+    /// Records the sort of the visible Gaussians from near to far. Equal depths keep the order of the Gaussians.
+    pub fn record_depth_sort(&self, r: &mut Recorder, f: &FrameBuffers) {
+        let buffers = SortBuffers {
+            counts: &f.state,
+            count_index: c::STATE_VISIBLE,
+            keys: f.depth_sort_keys(),
+            values: f.depth_sort_values(),
+            histogram: &f.histogram,
+            digit_totals: &f.digit_totals,
+        };
+        let at = f.arguments_at(c::ARGUMENTS_VISIBLE_SORT);
+        self.sort.record(r, &buffers, Values::Positions, u32::BITS, Workgroups::Indirect(&at));
+        r.barrier();
+    }
+
+    /// Records the tile counts of the visible Gaussians in depth order, their prefix sums, and the number of instances. The
+    /// ordered lists (`list_heads`, `list_rows`) overwrite the sorted depths, which are no longer needed.
+    pub fn record_count(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        scan: &Scan,
+        arguments: &IndirectArguments,
+    ) {
+        let f = inputs.frame;
+        let bind = count::Bind {
+            state: &f.state,
+            order: f.depth_order(),
+            tile_lists: f.tile_lists(),
+            tiles_touched: &f.tiles_touched,
+            list_heads: f.list_heads(),
+            list_rows: f.list_rows(),
+            block_sums: &f.scan_blocks,
+        };
+        let at = f.arguments_at(c::ARGUMENTS_VISIBLE_SCAN);
+        r.dispatch_indirect(&self.count, &bind, &count::Push {}, &at);
+        r.barrier();
+        let buffers = ScanBuffers {
+            counts: &f.state,
+            count_index: c::STATE_VISIBLE,
+            total_index: c::STATE_INSTANCES_NEEDED,
+            values: &f.tiles_touched,
+            prefix: &f.instance_offsets,
+            block_sums: &f.scan_blocks,
+        };
+        scan.record_from_block_sums(r, &buffers, Workgroups::Indirect(&at));
+        r.barrier();
+        let counted = Counted {
+            count: c::STATE_INSTANCES_NEEDED,
+            capacity: inputs.capacity.instances,
+            first_argument: c::ARGUMENTS_INSTANCES,
+            third_block: self.sizes.elementwise_workgroup * self.sizes.duplicate_items,
+        };
+        arguments.record(r, f, counted);
+        r.barrier();
+    }
+
+    /// Records duplicate_with_tiles: one (tile, Gaussian) instance per touched tile.
+    pub fn record_duplicate(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        let (for_backward, splats) = (inputs.capacity.backward, f.splats());
+        let bind = duplicate_with_tiles::Bind {
+            state: &f.state,
+            order: f.depth_order(),
+            instance_offsets: &f.instance_offsets,
+            mean2d_extent: splats.mean2d_extent,
+            footprints: splats.footprints,
+            list_heads: f.list_heads(),
+            list_rows: f.list_rows(),
+            instance_tiles: f.instance_tiles(),
+            instance_visible: f.instance_visible(for_backward),
+            first_instances: &f.first_instances,
+        };
+        let (tiles_per_row, tile_rows) = tile_grid(inputs.camera.width, inputs.camera.height);
+        let (extent, splat_stride) = (inputs.settings.extent_word(), splats.stride);
+        let push = duplicate_with_tiles::Push { extent, tiles_per_row, tile_rows, splat_stride };
+        let at = f.arguments_at(c::ARGUMENTS_INSTANCES_EXPAND);
+        r.dispatch_indirect(&self.duplicate[usize::from(for_backward)], &bind, &push, &at);
+        r.barrier();
+    }
+
+    /// Records the sort of the instances by tile. It is stable, so each tile keeps the depth order. The values are the instance
+    /// indices before the tile sort, or without backward the visible Gaussians.
+    pub fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
+        let buffers = SortBuffers {
+            counts: &f.state,
+            count_index: c::STATE_INSTANCES,
+            keys: f.tile_sort_keys(),
+            values: f.tile_sort_values(),
+            histogram: &f.histogram,
+            digit_totals: &f.digit_totals,
+        };
+        let at = f.arguments_at(c::ARGUMENTS_INSTANCES_SORT);
+        let bits = tile_bits(columns * rows);
+        let values = if inputs.capacity.backward { Values::Positions } else { Values::Given };
+        let side = self.sort.record(r, &buffers, values, bits, Workgroups::Indirect(&at));
+        assert_eq!(side, sorted_side(&self.sizes, inputs.camera), "FrameBuffers::sorted_tiles is elsewhere");
+        r.barrier();
+    }
+
+    /// Records the begin and end of each tile's instances.
+    pub fn record_ranges(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        let bind = ranges::Bind {
+            state: &f.state,
+            sorted_tiles: f.sorted_tiles(&self.sizes, inputs.camera),
+            sorted_instances: f.sorted_instances(&self.sizes, inputs.camera),
+            instance_visible: f.instance_visible(inputs.capacity.backward),
+            tile_ranges: &f.tile_ranges,
+            sorted_visible: &f.gathered_visible,
+        };
+        let kernel = &self.ranges[usize::from(inputs.capacity.backward)];
+        r.dispatch_indirect(kernel, &bind, &ranges::Push {}, &f.arguments_at(c::ARGUMENTS_INSTANCES));
+        r.barrier();
+    }
+}

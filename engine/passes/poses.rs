@@ -1,0 +1,197 @@
+//! Poses of cameras: their gradient, and Adam over the poses of all images.
+//!
+//! The pose of an image is `T(ξ) = exp(ξ^) T₀` from world to camera, with six parameters ξ = (ν, ω). ν is a displacement in
+//! world units and ω a turn in radians, both in the camera's frame ([`Twist`](crate::scene::Twist)). Frames read the cameras
+//! from device memory ([`FrameInputs::pose`]), so recorded steps move them without the host.
+//!
+//! Steps turn a camera about a point in front of it, at the mean depth of the visible Gaussians, not about its centre. Both
+//! span the same poses. But about the centre, a turn and a displacement move the picture nearly alike, and Adam, which scales
+//! each parameter separately, cannot tell them apart. Park et al. 2023 ("CamP") precondition cameras for this reason.
+
+pub use crate::frame::pose_of;
+
+use crate::error::Result;
+use crate::frame::{FrameInputs, LaunchSizes, POSE_BYTES, array_of};
+use crate::kernels::poses::{pose_gradient, pose_step};
+use crate::passes::adam::{BETA_1, BETA_2, ViewSum};
+use crate::scene::Camera;
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// ε of Adam over poses, as in PyTorch.
+pub const EPSILON: f64 = 1e-8;
+/// Weight decay of Adam over poses, added to the gradient (gsplat, `simple_trainer.py`).
+pub const WEIGHT_DECAY: f64 = 1e-6;
+/// Bytes of a pose's parameters ξ: six f32.
+pub const PARAMETER_BYTES: u64 = 24;
+/// Bytes of the gradient that [`PoseGradient::record`] writes.
+pub const GRADIENT_BYTES: u64 = 48;
+
+/// Kernel of the gradient with respect to a pose.
+pub struct PoseGradient {
+    kernel: Kernel<pose_gradient::Interface>,
+    /// Number of Gaussians per sum, which a subgroup of `project_backward` adds up.
+    sum_gaussians: u32,
+}
+
+impl PoseGradient {
+    /// Builds the kernel.
+    pub fn new(context: &Context) -> Result<Self> {
+        let subgroup_size = context.limits().subgroup_size;
+        let workgroup_size = LaunchSizes::new(context.limits()).elementwise_workgroup;
+        let kernel = Kernel::new(context, &pose_gradient::Spec { workgroup_size, subgroup_size })?;
+        Ok(Self { kernel, sum_gaussians: context.limits().heavy_subgroup_size })
+    }
+
+    /// Records the gradient after [`Backward::record_with_pose`](crate::passes::backward::Backward::record_with_pose). `parameters` has
+    /// ξ of all images, and `image` is the index of the frame's. `gradient` ([`GRADIENT_BYTES`]) receives g = dL/dδ of `exp(δ^)
+    /// T` at δ = 0, then dL/dξ, each as (ν, ω). The caller places barriers before and after.
+    pub fn record(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        (parameters, image): (&Buffer, u32),
+        gradient: &Buffer,
+    ) {
+        let bind = pose_gradient::Bind {
+            pose_sums: inputs.frame.pose_sums(),
+            pose_parameters: parameters,
+            pose_gradient: gradient,
+        };
+        let sums = inputs.scene().count.div_ceil(self.sum_gaussians);
+        r.dispatch(&self.kernel, &bind, &pose_gradient::Push { sums, image }, 1);
+    }
+}
+
+/// A step of the optimiser of poses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseStep {
+    /// Learning rate in radians. For displacements it is multiplied by the depth about which the image turns (1 if it has
+    /// none).
+    pub rate: f64,
+    /// Number of steps including this one, counted from 1.
+    pub count: u64,
+    /// Place of the view among those whose gradients add up.
+    pub sum: ViewSum,
+}
+
+/// Poses of all images on the device.
+#[derive(Clone)]
+pub struct PoseBuffers {
+    /// Number of images.
+    pub images: u32,
+    /// ξ per image: two vec3, ν and ω.
+    pub parameters: Buffer,
+    /// Four vec3 per image: Adam's first moment of ν and ω, then the second.
+    pub moments: Buffer,
+    /// Four vec3 per image: rows of the rotation of T₀, then its translation.
+    pub starts: Buffer,
+    /// Depth of the point about which each image turns in steps, world units; 0 for the camera's centre.
+    pub depths: Buffer,
+    /// Four vec3 per image: rows of the rotation of T(ξ), then its translation, for [`FrameInputs::pose`].
+    pub cameras: Buffer,
+    /// Gradient of a pose: see [`PoseGradient::record`].
+    pub gradient: Buffer,
+    /// Two vec3 per image: sums of gradients since the last step. Only steps of several views use them.
+    pub sums: Buffer,
+}
+
+impl PoseBuffers {
+    /// Names and bytes of the buffers.
+    pub fn requests(images: u32) -> [(&'static str, u64); 7] {
+        let images = u64::from(images);
+        [
+            ("pose_parameters", images * PARAMETER_BYTES),
+            ("pose_moments", images * 2 * PARAMETER_BYTES),
+            ("pose_starts", images * POSE_BYTES),
+            ("pose_depths", images * 4),
+            ("pose_cameras", images * POSE_BYTES),
+            ("pose_gradient", GRADIENT_BYTES),
+            ("pose_view_sums", images * PARAMETER_BYTES),
+        ]
+    }
+
+    /// Assigns the buffers that were allocated for [`PoseBuffers::requests`], in the same order.
+    pub fn from_allocated(images: u32, buffers: Vec<Buffer>) -> Self {
+        let [parameters, moments, starts, depths, cameras, gradient, sums] = array_of(buffers);
+        Self { images, parameters, moments, starts, depths, cameras, gradient, sums }
+    }
+}
+
+/// Moves `camera` to a pose: the inverse of [`pose_of`].
+pub fn camera_at(camera: &Camera, pose: &[f32; 12]) -> Camera {
+    let [a, b, c, d, e, f, g, h, i, x, y, z] = *pose;
+    let rotation = glam::Mat3::from_cols_array(&[a, b, c, d, e, f, g, h, i]).transpose();
+    Camera { camera_from_world: rotation, translation: glam::Vec3::new(x, y, z), ..*camera }
+}
+
+/// Kernel of Adam over poses.
+pub struct PoseOptimizer {
+    kernel: Kernel<pose_step::Interface>,
+    workgroup: u32,
+}
+
+impl PoseOptimizer {
+    /// Builds the kernel; `sums`: steps may follow several views ([`ViewSum`]).
+    pub fn new(context: &Context, sums: bool) -> Result<Self> {
+        let workgroup = LaunchSizes::new(context.limits()).elementwise_workgroup;
+        let kernel = Kernel::new(context, &pose_step::Spec { workgroup_size: workgroup, sums })?;
+        Ok(Self { kernel, workgroup })
+    }
+
+    /// Records a step with the gradient of the given image, and computes the cameras of all images. All poses are one tensor,
+    /// so those of other images decay and move as well. If no step follows the view, its gradient is added to the sums. Without
+    /// `step` only the cameras are computed. If `state` ([`FrameBuffers::state`](crate::frame::FrameBuffers)) has an overflow,
+    /// nothing changes. The caller places barriers before and after.
+    pub fn record(
+        &self,
+        r: &mut Recorder,
+        buffers: &PoseBuffers,
+        state: &Buffer,
+        step: Option<(PoseStep, u32)>,
+    ) {
+        let none = PoseStep { rate: 0.0, count: 1, sum: ViewSum::ALONE };
+        let (PoseStep { rate, count, sum }, seen) = step.unwrap_or((none, 0));
+        let push = pose_step::Push {
+            images: buffers.images,
+            seen,
+            makes_step: (step.is_some() && sum.makes_step).into(),
+            adds: (!sum.makes_step).into(),
+            starts: sum.starts.into(),
+            beta_1: BETA_1 as f32,
+            beta_2: BETA_2 as f32,
+            one_minus_beta_1: (1.0 - BETA_1) as f32,
+            one_minus_beta_2: (1.0 - BETA_2) as f32,
+            epsilon: EPSILON as f32,
+            rate: (rate / (1.0 - BETA_1.powf(count as f64))) as f32,
+            inverse_bias_2: (1.0 - BETA_2.powf(count as f64)).sqrt().recip() as f32,
+            weight_decay: WEIGHT_DECAY as f32,
+        };
+        let bind = pose_step::Bind {
+            pose_gradient: &buffers.gradient,
+            pose_starts: &buffers.starts,
+            pose_parameters: &buffers.parameters,
+            pose_moments: &buffers.moments,
+            pose_cameras: &buffers.cameras,
+            state,
+            pose_view_sums: &buffers.sums,
+            pose_depths: &buffers.depths,
+        };
+        r.dispatch(&self.kernel, &bind, &push, buffers.images.div_ceil(self.workgroup).into());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Intrinsics;
+    use glam::Vec3;
+
+    #[test]
+    fn poses_keep_cameras() {
+        let intrinsics = Intrinsics { cx: 3.5, ..Intrinsics::from_fov_x(0.7, 20, 10) };
+        let camera = Camera::look_at(Vec3::new(1.0, 2.0, -3.0), Vec3::ZERO, Vec3::Y, intrinsics);
+        assert_eq!(camera_at(&camera, &pose_of(&camera)), camera);
+        let [x, y, z, ..] = pose_of(&camera);
+        assert_eq!(Vec3::new(x, y, z), camera.camera_from_world.row(0));
+    }
+}

@@ -1,0 +1,217 @@
+//! Projection: screen-space attributes of the visible Gaussians (EWA splatting), and their motion if a host wants it.
+
+use crate::error::Result;
+use crate::frame::{BlendVariant, FrameInputs, LaunchSizes, MotionBuffers, Part, PlacedScene, SceneView};
+use crate::kernels::forward::{project, project_scenes, screen_motion};
+use crate::scene::Projection;
+use crate::vk::{Context, KernelSet, Recorder};
+
+/// Kernels of projection.
+pub(crate) struct Project {
+    sizes: LaunchSizes,
+    scene: KernelSet<project::Interface>,
+    batch: KernelSet<project_scenes::Interface>,
+    motion: KernelSet<screen_motion::Interface>,
+}
+
+impl Project {
+    pub fn new(context: &Context) -> Self {
+        Self {
+            sizes: LaunchSizes::new(context.limits()),
+            scene: KernelSet::default(),
+            batch: KernelSet::default(),
+            motion: KernelSet::default(),
+        }
+    }
+
+    /// Builds the missing kernels of a variant; `batches`: also that of batches.
+    pub fn prepare(
+        &mut self,
+        context: &Context,
+        sh_degree: u32,
+        variant: BlendVariant,
+        batches: bool,
+    ) -> Result<()> {
+        self.scene.prepare(context, self.spec(sh_degree, variant))?;
+        if batches {
+            self.batch.prepare(context, self.batch_spec(sh_degree, variant))?;
+        }
+        motion_projections(variant)
+            .iter()
+            .try_for_each(|projections| self.motion.prepare(context, self.motion_spec(*projections)))
+    }
+
+    pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
+        self.scene.contains(&self.spec(sh_degree, variant))
+            && motion_projections(variant).iter().all(|own| self.motion.contains(&self.motion_spec(*own)))
+    }
+
+    fn spec(&self, sh_degree: u32, variant: BlendVariant) -> project::Spec {
+        let BlendVariant {
+            filter_3d, dropout, tinted, selection, z_record, projection, shared_order, ..
+        } = variant;
+        project::Spec {
+            workgroup_size: self.sizes.elementwise_workgroup,
+            sh_degree,
+            filter_3d,
+            dropout,
+            tinted,
+            selection,
+            z_record,
+            projection: projection.word(),
+            sh_loops: self.sizes.sh_loops,
+            may_be_unseen: shared_order,
+        }
+    }
+
+    fn batch_spec(&self, sh_degree: u32, variant: BlendVariant) -> project_scenes::Spec {
+        let BlendVariant { filter_3d, tinted, projection, shared_order, .. } = variant;
+        project_scenes::Spec {
+            workgroup_size: self.sizes.elementwise_workgroup,
+            sh_degree,
+            filter_3d,
+            tinted,
+            projection: projection.word(),
+            sh_loops: self.sizes.sh_loops,
+            may_be_unseen: shared_order,
+        }
+    }
+
+    fn motion_spec(&self, [now, previous]: [Projection; 2]) -> screen_motion::Spec {
+        screen_motion::Spec {
+            workgroup_size: self.sizes.elementwise_workgroup,
+            projection: now.word(),
+            previous_projection: previous.word(),
+        }
+    }
+
+    /// Records the projection of all visible Gaussians.
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        let (splats, [extent, antialias]) = (f.splats(), inputs.settings.modes());
+        let mut is_first = true;
+        for (place, first) in inputs.batches() {
+            if !std::mem::take(&mut is_first) {
+                r.barrier();
+            }
+            self.record_batch(r, inputs, place, first, inputs.blend_variant().of_scene(first.settings));
+        }
+        for part in inputs.parts() {
+            let variant = inputs.blend_variant().of_scene(part.settings);
+            let Some(kernel) = self.scene.get(r, &self.spec(part.sh_degree, variant)) else { return };
+            let range = part.range;
+            let push = project::Push {
+                first: range.first,
+                chunk_gaussians: part.scene.plan.chunk_gaussians,
+                extent,
+                antialias,
+                splat_stride: splats.stride,
+                first_of_scene: part.first_of_scene,
+            };
+            let bind = project::Bind {
+                parameters: &part.scene.chunks[range.chunk],
+                visible_ranges: &f.visible_ranges,
+                visible_list: &f.visible_list,
+                mean2d_extent: splats.mean2d_extent,
+                conic_opacity: splats.conic_opacity,
+                color_inverse_depth: splats.color_inverse_depth,
+                depth_keys: f.depth_keys(),
+                footprints: splats.footprints,
+                tile_lists: f.tile_lists(),
+                // Without a selection the kernel does not read this binding.
+                selection: part.settings.mask().unwrap_or(&f.visible_list),
+                camera_block: &f.camera_block(part.block),
+            };
+            if !std::mem::take(&mut is_first) {
+                r.barrier();
+            }
+            r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, range));
+            self.record_splat_motions(r, inputs, &part);
+        }
+        r.barrier();
+    }
+
+    /// Records the projection of the batch whose first scene is at `place`.
+    fn record_batch(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        place: u32,
+        first: &PlacedScene<'_>,
+        variant: BlendVariant,
+    ) {
+        let Some(kernel) = self.batch.get(r, &self.batch_spec(first.sh_degree, variant)) else { return };
+        let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
+        let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
+        let splats = f.splats();
+        let push = project_scenes::Push {
+            first_block,
+            end_block,
+            scenes: inputs.scenes.len() as u32,
+            batch: place,
+            blocks: inputs.index_count().div_ceil(self.sizes.elementwise_workgroup),
+            extent,
+            antialias,
+            splat_stride: splats.stride,
+        };
+        let bind = project_scenes::Bind {
+            parameters: &first.scene.chunks[0].whole(),
+            block_offsets: f.visible_offsets(),
+            visible_list: &f.visible_list,
+            mean2d_extent: splats.mean2d_extent,
+            conic_opacity: splats.conic_opacity,
+            color_inverse_depth: splats.color_inverse_depth,
+            depth_keys: f.depth_keys(),
+            footprints: splats.footprints,
+            tile_lists: f.tile_lists(),
+            state: &f.state,
+            scene_blocks: &inputs.camera_blocks(),
+        };
+        r.dispatch(kernel, &bind, &push, (end_block - first_block).into());
+    }
+
+    /// Records the motions of a part's visible Gaussians if the frame requests them. The projection neither reads nor writes
+    /// these outputs, so no barrier is necessary between them.
+    fn record_splat_motions(&self, r: &mut Recorder, inputs: &FrameInputs, part: &Part) {
+        let Some(MotionBuffers { motions, .. }) = inputs.auxiliary.motion else { return };
+        let (f, SceneView { camera, scale }) = (inputs.frame, part.previous);
+        let spec = self.motion_spec([inputs.camera.projection, camera.projection]);
+        let Some(kernel) = self.motion.get(r, &spec) else { return };
+        let rows = camera.camera_from_world.transpose() * scale;
+        let push = screen_motion::Push {
+            first: part.range.first,
+            previous_row_x: rows.x_axis.to_array(),
+            previous_row_y: rows.y_axis.to_array(),
+            previous_row_z: rows.z_axis.to_array(),
+            previous_translation: camera.translation.to_array(),
+            previous_focal_px: [camera.fx, camera.fy],
+            // Same offset as in the camera block.
+            previous_center_px: [camera.cx - 0.5, camera.cy - 0.5],
+        };
+        let bind = screen_motion::Bind {
+            parameters: &part.scene.chunks[part.range.chunk],
+            visible_ranges: &f.visible_ranges,
+            visible_list: &f.visible_list,
+            motions,
+            camera_block: &f.camera_block(part.block),
+        };
+        r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, part.range));
+    }
+}
+
+/// Current and previous projections for which frames of a variant may need a kernel of motion. A reservation without other
+/// projections has pinholes alone.
+fn motion_projections(variant: BlendVariant) -> &'static [[Projection; 2]] {
+    const PINHOLES: [[Projection; 2]; 1] = [[Projection::Perspective; 2]];
+    const ALL: [[Projection; 2]; 4] = [
+        [Projection::Perspective, Projection::Perspective],
+        [Projection::Orthographic, Projection::Perspective],
+        [Projection::Perspective, Projection::Orthographic],
+        [Projection::Orthographic, Projection::Orthographic],
+    ];
+    match (variant.motion, variant.projection) {
+        (false, _) => &[],
+        (true, Projection::Perspective) => &PINHOLES,
+        (true, Projection::Orthographic) => &ALL,
+    }
+}

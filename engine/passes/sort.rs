@@ -1,0 +1,263 @@
+//! Stable radix sort of (u32 key, u32 value) pairs on the device, usable by itself.
+//!
+//! Least significant digit first, three dispatches per digit: a histogram per block, the scan of each digit's row, a stable
+//! scatter. Reduce-then-scan assumes no forward progress between workgroups, and any subgroup size from 4 to 128 works. Only
+//! the given number of key bits is sorted. Counting and scattering have two forms, see [`SortMethod`]. If
+//! [`LaunchSizes::sorts_in_single_subgroup`] is true, a single subgroup sorts the pairs in one dispatch.
+
+use crate::error::Result;
+use crate::frame::{LaunchSizes, SortMethod, blocks};
+use crate::kernels::sort::{
+    sort_downsweep, sort_downsweep_serial, sort_single_subgroup, sort_spine, sort_upsweep,
+    sort_upsweep_serial,
+};
+use crate::passes::scan::Workgroups;
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// Kernels of a sort.
+pub struct RadixSort {
+    sizes: LaunchSizes,
+    kernels: Kernels,
+    scan: Kernel<sort_spine::Interface>,
+    /// Sort in a single subgroup: with given values, and with the keys' indices as values.
+    alone: Option<[Kernel<sort_single_subgroup::Interface>; 2]>,
+    /// Number of digits per workgroup of the histogram's scan.
+    rows: u32,
+}
+
+/// Kernels that count, and that scatter with given values and with the keys' indices.
+enum Kernels {
+    Matching {
+        count: Kernel<sort_upsweep::Interface>,
+        scatter: [Kernel<sort_downsweep::Interface>; 2],
+    },
+    Serial {
+        count: Kernel<sort_upsweep_serial::Interface>,
+        scatter: [Kernel<sort_downsweep_serial::Interface>; 2],
+    },
+}
+
+/// Buffers of a sort. Keys start in `keys[0]`; the number of passes ([`RadixSort::passes`]) determines where they end.
+#[derive(Clone, Copy)]
+pub struct SortBuffers<'a> {
+    /// The number of pairs is `counts[count_index]`.
+    pub counts: &'a Buffer,
+    /// Index of the number of pairs in `counts`.
+    pub count_index: u32,
+    /// Keys, u32: two buffers between which the passes alternate.
+    pub keys: [&'a Buffer; 2],
+    /// Values, u32: two buffers between which the passes alternate.
+    pub values: [&'a Buffer; 2],
+    /// Scratch: [`RadixSort::histogram_words`] words.
+    pub histogram: &'a Buffer,
+    /// Scratch: [`RadixSort::digit_total_words`] words.
+    pub digit_totals: &'a Buffer,
+}
+
+impl SortBuffers<'_> {
+    /// Capacity in pairs.
+    fn capacity(&self) -> u64 {
+        self.keys[0].bytes() / 4
+    }
+}
+
+/// Source of the values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Values {
+    /// Reads them from `values[0]`.
+    Given,
+    /// Uses the keys' indices 0, 1, 2, …; `values[0]` need not be written.
+    Positions,
+}
+
+impl RadixSort {
+    /// Builds the kernels of the method for the device.
+    pub fn new(context: &Context) -> Result<Self> {
+        Self::with_sizes(context, LaunchSizes::new(context.limits()))
+    }
+
+    /// Builds the kernels for the sizes of [`LaunchSizes::with_sort_method`].
+    pub fn with_sizes(context: &Context, sizes: LaunchSizes) -> Result<Self> {
+        let subgroup_size = context.limits().subgroup_size;
+        let whole_rows = sizes.sort_method == SortMethod::Matching;
+        let workgroup_size = sizes.elementwise_workgroup;
+        let scan = sort_spine::Spec { workgroup_size, subgroup_size, whole_rows };
+        let alone = |identity_values| {
+            let spec =
+                sort_single_subgroup::Spec { workgroup_size: subgroup_size, subgroup_size, identity_values };
+            Kernel::new(context, &spec)
+        };
+        Ok(Self {
+            kernels: Kernels::new(context, &sizes)?,
+            scan: Kernel::new(context, &scan)?,
+            alone: if sizes.sort_single_subgroup { Some([alone(false)?, alone(true)?]) } else { None },
+            rows: if whole_rows { 1 } else { sizes.elementwise_workgroup / subgroup_size },
+            sizes,
+        })
+    }
+
+    /// Number of scratch words for buffers of `n` pairs with keys below 2^`key_bits`.
+    pub fn histogram_words(&self, n: u64, key_bits: u32) -> u64 {
+        self.sizes.sort_histogram_words(n, key_bits)
+    }
+
+    /// Number of scratch words for any number of pairs.
+    pub fn digit_total_words(&self) -> u64 {
+        1 << self.sizes.sort_digit_bits()
+    }
+
+    /// Number of pairs in a block.
+    pub fn block(&self) -> u32 {
+        self.sizes.sort
+    }
+
+    fn blocks(&self, n: u64) -> u64 {
+        blocks(n, self.sizes.sort.into())
+    }
+
+    /// Number of passes for keys below 2^`key_bits`. The result lies in buffers `passes % 2`.
+    pub fn passes(&self, key_bits: u32) -> u32 {
+        self.sizes.sort_passes(key_bits)
+    }
+
+    /// Records the sort of keys below 2^`key_bits`. Returns the index of the buffers with the result. The caller places a
+    /// barrier before and after.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        buffers: &SortBuffers,
+        values: Values,
+        key_bits: u32,
+        workgroups: Workgroups,
+    ) -> usize {
+        let passes = self.passes(key_bits);
+        let digit_bits = key_bits.div_ceil(passes);
+        let alone =
+            self.alone.as_ref().filter(|_| self.sizes.sorts_in_single_subgroup(buffers.capacity(), key_bits));
+        if let Some(alone) = alone {
+            let kernel = &alone[usize::from(values == Values::Positions)];
+            let bytes = u64::from(self.sizes.sort_workgroup) * self.sizes.sort_digits(key_bits) * 4;
+            let bind = sort_single_subgroup::Bind {
+                counts: buffers.counts,
+                keys_a: buffers.keys[0],
+                values_a: buffers.values[0],
+                keys_b: buffers.keys[1],
+                values_b: buffers.values[1],
+                run_counts: &buffers.histogram.range(0, bytes),
+            };
+            let push = sort_single_subgroup::Push { count_index: buffers.count_index, digit_bits, passes };
+            recorder.dispatch(kernel, &bind, &push, 1);
+            return (passes % 2) as usize;
+        }
+        for pass in 0..passes {
+            if pass > 0 {
+                recorder.barrier();
+            }
+            let shift = pass * digit_bits;
+            let digit = Digit {
+                shift,
+                bits: digit_bits.min(key_bits - shift),
+                from: (pass % 2) as usize,
+                identity: pass == 0 && values == Values::Positions,
+            };
+            self.record_pass(recorder, buffers, digit, workgroups);
+        }
+        (passes % 2) as usize
+    }
+
+    fn record_pass(&self, recorder: &mut Recorder, b: &SortBuffers, digit: Digit, workgroups: Workgroups) {
+        let Digit { shift, bits, from, identity } = digit;
+        let (counts, count_index, block) = (b.counts, b.count_index, self.sizes.sort);
+        let (keys, values, to) = (b.keys[from], b.values[from], 1 - from);
+        // The blocks' histograms come first, then those of their runs.
+        let blocks = self.blocks(b.capacity()).max(1);
+        let of_blocks = (blocks << bits) * 4;
+        let of_runs = blocks * u64::from(self.sizes.sort_workgroup) * (1 << bits).max(4) * 4;
+        match &self.kernels {
+            Kernels::Matching { count, scatter } => {
+                let bind = sort_upsweep::Bind { counts, keys, histogram: b.histogram };
+                let push = sort_upsweep::Push { count_index, shift, bits };
+                workgroups.dispatch(recorder, count, &bind, &push, block);
+                self.record_scan(recorder, b, b.histogram, bits);
+                let bind = sort_downsweep::Bind {
+                    counts,
+                    keys,
+                    values,
+                    histogram: b.histogram,
+                    digit_totals: b.digit_totals,
+                    sorted_keys: b.keys[to],
+                    sorted_values: b.values[to],
+                };
+                let push = sort_downsweep::Push { count_index, shift, bits };
+                workgroups.dispatch(recorder, &scatter[usize::from(identity)], &bind, &push, block);
+            }
+            Kernels::Serial { count, scatter } => {
+                let histogram = &b.histogram.range(0, of_blocks);
+                let run_counts = &b.histogram.range(LaunchSizes::sort_runs_offset(of_blocks), of_runs);
+                let bind = sort_upsweep_serial::Bind { counts, keys, histogram, run_counts };
+                let push = sort_upsweep_serial::Push { count_index, shift, bits };
+                workgroups.dispatch(recorder, count, &bind, &push, block);
+                self.record_scan(recorder, b, histogram, bits);
+                let bind = sort_downsweep_serial::Bind {
+                    counts,
+                    keys,
+                    values,
+                    histogram,
+                    digit_totals: b.digit_totals,
+                    run_counts,
+                    sorted_keys: b.keys[to],
+                    sorted_values: b.values[to],
+                };
+                let push = sort_downsweep_serial::Push { count_index, shift, bits };
+                workgroups.dispatch(recorder, &scatter[usize::from(identity)], &bind, &push, block);
+            }
+        }
+    }
+
+    /// Records the scan of each digit's row, between two barriers.
+    fn record_scan(&self, recorder: &mut Recorder, b: &SortBuffers, histogram: &Buffer, bits: u32) {
+        let (digits, block_size) = (1 << bits, self.sizes.sort);
+        let bind = sort_spine::Bind { counts: b.counts, histogram, digit_totals: b.digit_totals };
+        let push = sort_spine::Push { count_index: b.count_index, block_size, digits };
+        recorder.barrier();
+        recorder.dispatch(&self.scan, &bind, &push, blocks(digits.into(), self.rows.into()));
+        recorder.barrier();
+    }
+}
+
+impl Kernels {
+    fn new(context: &Context, sizes: &LaunchSizes) -> Result<Self> {
+        let (workgroup_size, items) = (sizes.sort_workgroup, sizes.sort_items);
+        let subgroup_size = context.limits().subgroup_size;
+        match sizes.sort_method {
+            SortMethod::Matching => {
+                let scatter = |identity_values| {
+                    let spec = sort_downsweep::Spec { workgroup_size, subgroup_size, items, identity_values };
+                    Kernel::new(context, &spec)
+                };
+                let count = sort_upsweep::Spec { workgroup_size, items };
+                let (count, scatter) = (Kernel::new(context, &count)?, [scatter(false)?, scatter(true)?]);
+                Ok(Self::Matching { count, scatter })
+            }
+            SortMethod::Serial => {
+                let scatter = |identity_values| {
+                    let spec =
+                        sort_downsweep_serial::Spec { workgroup_size, subgroup_size, items, identity_values };
+                    Kernel::new(context, &spec)
+                };
+                let count = sort_upsweep_serial::Spec { workgroup_size, subgroup_size, items };
+                let (count, scatter) = (Kernel::new(context, &count)?, [scatter(false)?, scatter(true)?]);
+                Ok(Self::Serial { count, scatter })
+            }
+        }
+    }
+}
+
+/// One pass of the sort.
+#[derive(Clone, Copy)]
+struct Digit {
+    shift: u32,
+    bits: u32,
+    from: usize,
+    identity: bool,
+}

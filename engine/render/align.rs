@@ -1,0 +1,244 @@
+//! Moves a camera until the picture of a fixed scene agrees with a photograph.
+
+use super::runner::{Failed, FrameRunner, Request};
+use crate::error::{Error, Result};
+use crate::frame::{LaunchSizes, RenderSettings, SceneBuffers};
+use crate::passes::adam::{BETA_1, BETA_2};
+use crate::passes::backward::{Backward, BackwardVariant, Statistics};
+use crate::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes, photo_on_device};
+use crate::passes::poses::{EPSILON, GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
+use crate::scene::{Camera, StoredPhoto, Twist};
+use crate::vk::{Context, MemoryKind};
+use glam::DVec3;
+
+/// Settings of a camera alignment: photometric optimisation of its pose with the scene fixed. BARF (Lin et al. 2021,
+/// section 4.2) and later methods without poses do the same with held-out views.
+///
+/// Adam (ε 1e-8, no weight decay) optimises the six parameters of a [`Twist`], from 0, with the training loss. The pivot of
+/// its rotations is the picture's centre at the mean depth of the visible scene. Rotations about the camera's centre look
+/// nearly like displacements, so Adam would need many more steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alignment {
+    /// Number of steps; each takes about as long as an iteration of training.
+    pub steps: u32,
+    /// Initial learning rate: of rotations in radians, of displacements times the mean depth. It falls log-linearly to a
+    /// hundredth at the last step.
+    pub lr: f64,
+    /// Weight of 1 - SSIM in the loss; L1 has the rest.
+    pub lambda_dssim: f32,
+}
+
+impl Default for Alignment {
+    /// 100 steps, which correct about 2.5 degrees.
+    fn default() -> Self {
+        Self { steps: 100, lr: 2e-3, lambda_dssim: 0.2 }
+    }
+}
+
+impl Alignment {
+    fn check(&self) -> Result<()> {
+        if self.lr.is_finite() && self.lr >= 0.0 && (0.0..=1.0).contains(&self.lambda_dssim) {
+            return Ok(());
+        }
+        Err(Error::argument("alignment", "its rate must be finite and not negative, lambda_dssim 0 to 1"))
+    }
+
+    /// Takes one step of Adam; `gradient` is about the camera's centre.
+    fn step(&self, adam: &mut Adam, gradient: Twist) {
+        adam.steps += 1;
+        let progress = f64::from(adam.steps) / f64::from(self.steps.max(1));
+        let decay = 0.01_f64.powf(progress);
+        let pivot = DVec3::new(0.0, 0.0, adam.depth);
+        let about_pivot = Twist { omega: gradient.omega - pivot.cross(gradient.nu), ..gradient };
+        let gradient = adam.moved.gradient_of(about_pivot);
+        let correct = |beta: f64| 1.0 - beta.powi(adam.steps as i32);
+        let update = |m: &mut DVec3, v: &mut DVec3, g: DVec3, rate: f64| {
+            *m = BETA_1 * *m + (1.0 - BETA_1) * g;
+            *v = BETA_2 * *v + (1.0 - BETA_2) * g * g;
+            let corrected = *v / correct(BETA_2);
+            let root = DVec3::new(corrected.x.sqrt(), corrected.y.sqrt(), corrected.z.sqrt());
+            rate * decay * (*m / correct(BETA_1)) / (root + EPSILON)
+        };
+        let Adam { moved, first, second, depth, .. } = adam;
+        moved.nu -= update(&mut first.nu, &mut second.nu, gradient.nu, self.lr * *depth);
+        moved.omega -= update(&mut first.omega, &mut second.omega, gradient.omega, self.lr);
+    }
+}
+
+/// State of an alignment.
+struct Adam {
+    /// Motion about the pivot.
+    moved: Twist,
+    first: Twist,
+    second: Twist,
+    steps: u32,
+    /// Depth of the pivot, world units.
+    depth: f64,
+}
+
+impl Adam {
+    fn new(depth: f64) -> Self {
+        let zero = Twist::default();
+        Self { moved: zero, first: zero, second: zero, steps: 0, depth }
+    }
+
+    fn applied_to(&self, camera: &Camera) -> Camera {
+        let pivot = DVec3::new(0.0, 0.0, self.depth);
+        let about = |by: DVec3, camera: &Camera| Twist { nu: by, omega: DVec3::ZERO }.applied_to(camera);
+        match self.moved == Twist::default() {
+            true => *camera,
+            false => about(pivot, &self.moved.applied_to(&about(-pivot, camera))),
+        }
+    }
+}
+
+/// Kernels of an alignment.
+pub(crate) struct Aligner {
+    context: Context,
+    sizes: LaunchSizes,
+    backward: Backward,
+    gradient: PoseGradient,
+    /// For photographs without a mask, and with one.
+    losses: [Option<Loss>; 2],
+}
+
+/// Inputs of an alignment.
+#[derive(Clone, Copy)]
+pub(crate) struct AlignRequest<'a> {
+    pub scene: &'a SceneBuffers,
+    pub camera: &'a Camera,
+    pub photo: &'a StoredPhoto,
+    pub settings: &'a RenderSettings,
+    pub alignment: &'a Alignment,
+}
+
+impl Aligner {
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self {
+            sizes: LaunchSizes::new(context.limits()),
+            backward: Backward::new(context),
+            gradient: PoseGradient::new(context)?,
+            losses: [None, None],
+            context: context.clone(),
+        })
+    }
+
+    /// Returns the camera after all steps. Ignores a step whose gradient is not finite.
+    pub fn align(&mut self, runner: &mut FrameRunner, request: &AlignRequest) -> Result<Camera> {
+        let AlignRequest { scene, camera, photo, settings, alignment } = *request;
+        check(request)?;
+        let sh_degree = scene.active_degree(settings);
+        let settings = &RenderSettings { inverse_depth: false, ..*settings };
+        self.backward.prepare_with_pose(sh_degree, BackwardVariant::of(settings), false)?;
+        let masked = photo.is_masked();
+        let format = if masked { PhotoFormat::MaskedRgba8 } else { PhotoFormat::Rgba8 };
+        let loss = match &mut self.losses[usize::from(masked)] {
+            Some(loss) => loss,
+            none => none.insert(Loss::new(&self.context, format)?),
+        };
+        let (width, height) = (camera.width, camera.height);
+        let windowing = Windowing::for_device(self.context.limits());
+        let mut requests = vec![
+            ("photo", photo_bytes(windowing, width, height, masked)),
+            ("losses", 16),
+            ("statistics", u64::from(scene.count.max(1)) * 8),
+            ("pose_parameters", PARAMETER_BYTES),
+            ("pose_gradient", GRADIENT_BYTES),
+        ];
+        requests.extend(loss.scratch_requests([(width, height)]));
+        let buffers = self.context.allocate("alignment", &requests, MemoryKind::Device)?;
+        let [target, losses, statistics, parameters, gradient, scratch @ ..] = &buffers[..] else {
+            unreachable!("one buffer per request")
+        };
+        let texels = photo_on_device(windowing, width, height, masked, photo.texels()?);
+        self.context.upload(target, &texels)?;
+        let mut adam = Adam::new(mean_depth(runner, request)?);
+        let mut moved = *camera;
+        for _ in 0..alignment.steps {
+            let request = Request { scene, camera: &moved, pose: None, settings, sh_degree, backward: true };
+            let ran = runner.run(&request, |r, inputs| {
+                let loss_inputs = LossInputs {
+                    rendered: inputs.frame.rendered(&self.sizes),
+                    photo: target,
+                    scratch,
+                    losses,
+                    row: 0,
+                    image_gradient: &inputs.frame.image_gradient,
+                    width,
+                    height,
+                    background: settings.background,
+                    lambda_dssim: alignment.lambda_dssim,
+                    weight: 1.0,
+                };
+                r.barrier();
+                r.fill(parameters, 0);
+                loss.record(r, &loss_inputs);
+                r.barrier();
+                let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
+                self.backward.record_with_pose(r, inputs, &inputs.frame.image_gradient, statistics);
+                r.barrier();
+                self.gradient.record(r, inputs, (parameters, 0), gradient);
+                Ok(())
+            });
+            ran.map_err(Failed::error)?;
+            let bytes = self.context.download(&gradient.range(0, GRADIENT_BYTES / 2))?;
+            let g: [f32; 6] = bytemuck::pod_read_unaligned(&bytes);
+            if g.iter().all(|x| x.is_finite()) {
+                alignment.step(&mut adam, Twist::from_array(g.map(f64::from)));
+                moved = adam.applied_to(camera);
+            }
+        }
+        Ok(moved)
+    }
+}
+
+/// Returns the harmonic mean of the visible scene's depth, world units; 1 if nothing is visible.
+fn mean_depth(runner: &mut FrameRunner, request: &AlignRequest) -> Result<f64> {
+    let settings = RenderSettings { inverse_depth: true, ..*request.settings };
+    let frame = runner.render(request.scene, request.camera, &settings)?;
+    let weight: f64 = frame.transmittance.iter().map(|&t| 1.0 - f64::from(t)).sum();
+    let inverse: f64 = frame.inverse_depth.iter().flatten().map(|&x| f64::from(x)).sum();
+    let depth = weight / inverse;
+    Ok(if depth.is_finite() && depth > 0.0 { depth } else { 1.0 })
+}
+
+fn check(request: &AlignRequest) -> Result<()> {
+    let AlignRequest { camera, photo, settings, alignment, .. } = *request;
+    alignment.check()?;
+    if (photo.width, photo.height) != (camera.width, camera.height) {
+        let problem = format!(
+            "has {}x{} pixels, its camera {}x{}; they must agree",
+            photo.width, photo.height, camera.width, camera.height
+        );
+        return Err(Error::argument("photo", problem));
+    }
+    photo.check().map_err(|problem| Error::argument("photo", problem))?;
+    if !settings.is_faithful() {
+        let problem = "cameras are aligned to the Gaussians as they are: no other shape, no scale modifier";
+        return Err(Error::argument("settings", problem));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Adam finds the minimum of a quadratic function, within the reach of the rates.
+    #[test]
+    fn adam_finds_a_minimum() {
+        let alignment = Alignment { steps: 300, ..Alignment::default() };
+        let wanted = Twist { nu: DVec3::new(0.02, -0.01, 0.03), omega: DVec3::new(0.01, 0.015, -0.005) };
+        let mut adam = Adam::new(3.0);
+        for _ in 0..300 {
+            let (nu, omega) = (adam.moved.nu - wanted.nu, adam.moved.omega - wanted.omega);
+            // Converts it to the camera's centre.
+            let omega = omega + DVec3::new(0.0, 0.0, 3.0).cross(nu);
+            alignment.step(&mut adam, Twist { nu, omega });
+        }
+        let far = (adam.moved.nu - wanted.nu).length() + (adam.moved.omega - wanted.omega).length();
+        assert!(far < 2e-3, "{far}");
+        let refused = Alignment { lr: f64::NAN, ..alignment }.check().expect_err("refused");
+        assert!(refused.to_string().starts_with("alignment: "), "{refused}");
+    }
+}

@@ -1,0 +1,375 @@
+//! Checks of a frame before it is recorded: all errors are reported before the first command.
+
+use super::device_scene::ELSEWHERE;
+use super::recorded_frame::{
+    HostImage, MotionTarget, PickTarget, Placed, Placing, RecordedFrame, Target, Update,
+};
+use super::renderer::Renderer;
+use super::reservation::{RESERVATION, Reservation, field_name};
+use crate::error::{Error, Result};
+use crate::frame::{BlendVariant, FrameCapacity, PictureCapacity, PlacedScene, RenderSettings};
+use crate::kernels::constants as c;
+use crate::passes::compose::{Background, Compose};
+use crate::scene::{Camera, DepthMapping, Projection};
+use crate::vk::{Buffer, Context, ImageUse};
+use ash::vk;
+
+/// Number of scenes that are checked and then placed together, so that they stay in the processor's first cache.
+const SCENES_AT_ONCE: usize = 32;
+
+/// Names the frame in messages about all of its scenes.
+const THE_FRAME: &str = "scenes: the frame";
+
+impl Renderer {
+    /// Checks a frame before anything is recorded, adds its scenes to `all`, and returns how many Gaussians they draw.
+    /// `earlier`: earlier views of the recording.
+    pub(super) fn check_frame<'a>(
+        &self,
+        frame: &RecordedFrame<'a>,
+        earlier: &[RecordedFrame<'_>],
+        reserved: &Reservation,
+        all: &mut Vec<PlacedScene<'a>>,
+    ) -> Result<u64> {
+        frame.camera.check()?;
+        // The target has its own background, so the settings' one is not checked.
+        let settings = RenderSettings { background: [0.0; 3], ..*frame.settings };
+        settings.check().map_err(|error| error.within("settings"))?;
+        let context = &self.context;
+        if frame.scenes.is_empty() {
+            return Err(Error::argument("scenes", "there are none"));
+        }
+        if frame.scenes.len() > reserved.scenes as usize {
+            let problem =
+                format!("{} of them, Reservation::scenes is {}", frame.scenes.len(), reserved.scenes);
+            return Err(Error::argument("scenes", problem));
+        }
+        let variant = BlendVariant {
+            inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
+            linear_depth: frame.depth.is_some(),
+            depth_limit: frame.occluder.is_some(),
+            pick: frame.pick.is_some(),
+            motion: frame.motion.is_some(),
+            ..BlendVariant::of(frame.settings, false).of_camera(frame.camera)
+        };
+        // One pass over the scenes, because there may be thousands. Most have the same kind as the previous one.
+        let (mut gaussians, mut known, mut are_prepared) = (0, None, true);
+        let mut placing = Placing::new(frame, self.runner.forward.sizes.elementwise_workgroup);
+        for (number, scenes) in frame.scenes.chunks(SCENES_AT_ONCE).enumerate() {
+            for (index, placed) in (number * SCENES_AT_ONCE..).zip(scenes) {
+                let degree = placed.active_degree(frame.settings);
+                check_scene(index, placed, degree, context, reserved)?;
+                if placed.settings.draws() {
+                    gaussians += u64::from(placed.scene.count());
+                    let kind = (degree, placed.settings.kinds());
+                    are_prepared &= known.replace(kind) == Some(kind)
+                        || self.runner.forward.is_prepared(degree, variant.of_scene(&placed.settings));
+                }
+            }
+            all.extend(scenes.iter().map(|scene| placing.place(scene)));
+        }
+        self.check_images(frame, earlier)?;
+        if placing.cut_outs > reserved.cut_outs {
+            let (what, unit, limit_name) = (THE_FRAME.into(), "cut-outs", "Reservation::cut_outs");
+            let (needed, limit) = (placing.cut_outs.into(), reserved.cut_outs.into());
+            return Err(Error::TooLarge { what, needed, unit, limit, limit_name });
+        }
+        let previous = frame.motion.map(|motion| motion.previous_camera.projection);
+        let other = previous.filter(|projection| *projection != Projection::Perspective);
+        let needed = BlendVariant { projection: other.unwrap_or(variant.projection), ..variant };
+        if let Some(fields) = reserved.lacks(needed) {
+            return Err(Error::argument(fields, "not reserved, and the frame needs it"));
+        }
+        let (dropout, z_record) = (frame.settings.dropout.is_some(), frame.settings.has_z_record());
+        if dropout || z_record {
+            let field = if dropout { "settings.dropout" } else { "settings.linear_depth" };
+            return Err(Error::argument(field, "is of training, no recorded frame has it"));
+        }
+        if !are_prepared {
+            let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";
+            return Err(Error::argument("kind of frame", problem));
+        }
+        check_updates(frame.updates, context, reserved)?;
+        Ok(gaussians)
+    }
+
+    fn check_images(&self, frame: &RecordedFrame<'_>, earlier: &[RecordedFrame<'_>]) -> Result<()> {
+        let is_new = |host: &HostImage<'_>| !earlier.iter().any(|view| view.uses(host.image));
+        let context = &self.context;
+        let size = [frame.camera.width, frame.camera.height];
+        let check = |field: &str, host: &HostImage<'_>, purpose: ImageUse| {
+            let bad = |problem: &str| Err(Error::argument(field_of(field, host), problem.to_owned()));
+            let [[x, y], [width, height]] = [host.offset, host.image.size()];
+            if !host.image.belongs_to(context) {
+                return bad("it belongs to another context");
+            }
+            in_field(field, host.image.check_purpose(purpose))?;
+            if x.saturating_add(size[0]) > width || y.saturating_add(size[1]) > height {
+                let [w, h] = size;
+                return bad(&format!("{w} x {h} pixels at ({x}, {y}) exceed its {width} x {height}"));
+            }
+            Ok(())
+        };
+        if let Target::Image { to, behind, encoding } = &frame.target {
+            check("target", to, ImageUse::Target)?;
+            in_field("target", Compose::check_frame(to.image, *behind, *encoding))?;
+            if *behind == Background::Image && is_new(to) {
+                check_is_defined("target", to)?;
+            }
+        }
+        if let Some(depth) = &frame.depth {
+            check("depth", &depth.to, ImageUse::Depth)?;
+            check_is_finite("depth.min_weight", depth.min_weight)?;
+        }
+        if let Some(PickTarget { to }) = &frame.pick {
+            check("pick", to, ImageUse::Pick)?;
+        }
+        if let Some(motion) = &frame.motion {
+            check("motion", &motion.to, ImageUse::Motion)?;
+            check_motion(motion, size, is_new(&motion.to))?;
+        }
+        if let Some(occluder) = &frame.occluder {
+            check("occluder", &occluder.depth, ImageUse::Occluder)?;
+            if is_new(&occluder.depth) {
+                check_is_defined("occluder", &occluder.depth)?;
+            }
+            let DepthMapping { scale, offset, clear_value, .. } = occluder.mapping;
+            if !(scale.is_finite() && offset.is_finite() && clear_value.is_finite()) {
+                return Err(Error::argument("occluder.mapping", "holds numbers that are not finite"));
+            }
+            if scale == 0.0 {
+                let problem = "has a scale of 0: all depths would be one; HostView::camera gives the mapping of a projection";
+                return Err(Error::argument("occluder.mapping", problem));
+            }
+            // The colour target cannot be either image: its format differs from both.
+            if let Some(depth) = &frame.depth
+                && depth.to.image.is_same_as(occluder.depth.image)
+            {
+                let field = field_of("depth", &depth.to);
+                return Err(Error::argument(field, "is also the depth that hides splats"));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check_is_finite(field: &str, number: f32) -> Result<()> {
+    match number.is_finite() {
+        true => Ok(()),
+        false => Err(Error::argument(field, format!("{number} is not finite"))),
+    }
+}
+
+/// Names a field of a frame and its image.
+fn field_of(field: &str, host: &HostImage<'_>) -> String {
+    format!("{field} (image '{}')", host.image.name())
+}
+
+/// Prefixes an error with the field, whether it names the image or another field.
+fn in_field(field: &str, checked: Result<()>) -> Result<()> {
+    checked.map_err(|error| match error {
+        Error::Argument { what, problem } if what.starts_with("image '") => {
+            Error::Argument { what: format!("{field} ({what})"), problem }
+        }
+        other => other.within(field),
+    })
+}
+
+/// Checks motion into an image that is valid otherwise, for a frame of this size.
+fn check_motion(motion: &MotionTarget<'_>, size: [u32; 2], is_new: bool) -> Result<()> {
+    let camera = motion.previous_camera;
+    camera.check().map_err(|error| error.of("motion.previous_camera"))?;
+    if [camera.width, camera.height] != size {
+        let ([w, h], Camera { width, height, .. }) = (size, camera);
+        let problem = format!("is of {width} x {height} pixels, the frame of {w} x {h}");
+        return Err(Error::argument("motion.previous_camera", problem));
+    }
+    check_is_finite("motion.min_weight", motion.min_weight)?;
+    match motion.empty {
+        Some(empty) if !empty.iter().all(|x| x.abs() <= c::MOTION_MAX) => {
+            let problem = format!("{empty:?}, each may be -{0} to {0}", c::MOTION_MAX);
+            Err(Error::argument("motion.empty", problem))
+        }
+        None if is_new => check_is_defined("motion", &motion.to),
+        _ => Ok(()),
+    }
+}
+
+/// Returns an error if the frame needs the image's contents but the layout UNDEFINED discards them.
+fn check_is_defined(field: &str, host: &HostImage<'_>) -> Result<()> {
+    if host.from.layout != vk::ImageLayout::UNDEFINED {
+        return Ok(());
+    }
+    let problem = "the frame needs its contents, and from the layout UNDEFINED they are lost";
+    Err(Error::argument(field_of(field, host), problem))
+}
+
+/// Checks a scene of a frame that evaluates it with this SH degree.
+#[inline]
+fn check_scene(
+    index: usize,
+    placed: &Placed<'_>,
+    degree: u32,
+    context: &Context,
+    reserved: &Reservation,
+) -> Result<()> {
+    if !placed.scene.belongs_to(context) {
+        return Err(Error::argument(format!("scenes[{index}].scene"), ELSEWHERE));
+    }
+    placed.pose.check().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
+    if let Some(pose) = &placed.previous_pose {
+        pose.check().map_err(|error| error.of(format!("scenes[{index}].previous_pose")))?;
+    }
+    let named = |error: Error| error.within(format_args!("scenes[{index}].settings"));
+    placed.settings.check().map_err(named)?;
+    if let Some(mask) = placed.settings.mask() {
+        check_mask(mask, placed.scene.count(), context).map_err(named)?;
+    }
+    if placed.settings.draws() && degree > reserved.sh_degree {
+        let problem = format!("is {}, and scenes[{index}] is drawn with degree {degree}", reserved.sh_degree);
+        return Err(Error::argument(field_name("sh_degree"), problem));
+    }
+    reserved.check_scene(index, &placed.settings)
+}
+
+/// Checks that a mask has a bit for each of the scene's Gaussians.
+fn check_mask(mask: &Buffer, gaussians: u32, context: &Context) -> Result<()> {
+    let bad = |problem| Err(Error::argument(format!("selection.mask (buffer '{}')", mask.name()), problem));
+    if !mask.belongs_to(context) {
+        return bad("it belongs to another context".to_owned());
+    }
+    let bytes = 4 * u64::from(gaussians.div_ceil(32));
+    match mask.bytes() < bytes {
+        true => bad(format!("has {} bytes, {gaussians} Gaussians take {bytes}", mask.bytes())),
+        false => Ok(()),
+    }
+}
+
+fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservation) -> Result<()> {
+    let mut bytes = 0;
+    for (index, update) in updates.iter().enumerate() {
+        let plan = update.scene.plan();
+        let shapes = update.gaussians.check_shapes();
+        shapes.map_err(|error| error.within(format_args!("updates[{index}].gaussians")))?;
+        if !update.scene.belongs_to(context) {
+            return Err(Error::argument(format!("updates[{index}].scene"), ELSEWHERE));
+        }
+        let count = update.gaussians.len() as u64;
+        if u64::from(update.first) + count > u64::from(plan.capacity) {
+            let problem =
+                format!("{count} Gaussians at {} exceed the scene's {}", update.first, plan.capacity);
+            return Err(Error::argument(format!("updates[{index}].first"), problem));
+        }
+        bytes += count * u64::from(plan.planes) * 16;
+    }
+    if bytes > reserved.staging_bytes {
+        let (what, unit, limit_name) = ("updates: the frame".into(), "bytes", "Reservation::staging_bytes");
+        let limit = reserved.staging_bytes;
+        return Err(Error::TooLarge { what, needed: bytes, unit, limit, limit_name });
+    }
+    Ok(())
+}
+
+/// Checks that the capacity suffices for a frame and its placed scenes.
+pub(super) fn check_capacity(
+    frame: &RecordedFrame<'_>,
+    placed: &[PlacedScene<'_>],
+    capacity: &FrameCapacity,
+    reserved: &Reservation,
+) -> Result<()> {
+    let (needed, pictures) = (PictureCapacity::of_cameras([frame.camera]), capacity.pictures);
+    let bounds = [("pixels", needed.pixels, pictures.pixels), ("tiles", needed.tiles, pictures.tiles)];
+    for (unit, needed, limit) in bounds {
+        if needed > limit {
+            let (Camera { width: w, height: h, .. }, Reservation { width, height, .. }) =
+                (frame.camera, reserved);
+            let what = format!("camera: a picture of {w} x {h}, where {width} x {height} are reserved,");
+            let limit_name = "Reservation::width, height";
+            return Err(Error::TooLarge { what, needed, unit, limit, limit_name });
+        }
+    }
+    // If the last scene ends within the reserved Gaussians, the gaps between scenes fit too.
+    let end = placed.last().map_or(0, |last| u64::from(last.first) + u64::from(last.drawn()));
+    if end > u64::from(capacity.gaussians) {
+        let needed = frame.scenes.iter().map(|s| u64::from(s.drawn())).sum();
+        let (what, unit, limit_name) = (THE_FRAME.into(), "Gaussians", "Reservation::gaussians");
+        return Err(Error::TooLarge { what, needed, unit, limit: reserved.gaussians.into(), limit_name });
+    }
+    Ok(())
+}
+
+/// Checks views against each other, before each is checked alone.
+pub(super) fn check_views(
+    views: &[RecordedFrame<'_>],
+    releases: usize,
+    reserved: &Reservation,
+) -> Result<()> {
+    if views.is_empty() {
+        return Err(Error::argument("views", "there are none"));
+    }
+    if views.len() > reserved.views as usize {
+        let problem = format!("{} of them, Reservation::views is {}", views.len(), reserved.views);
+        return Err(Error::argument("views", problem));
+    }
+    if releases != views.len() {
+        let problem = format!("room for {releases}, there are {} views", views.len());
+        return Err(Error::argument("releases", problem));
+    }
+    (0..views.len()).try_for_each(|index| {
+        let checked = check_beside(views, index, reserved);
+        checked.map_err(|error| in_view(error, index, views))
+    })
+}
+
+/// Checks the view at `index` against the earlier ones.
+fn check_beside(views: &[RecordedFrame<'_>], index: usize, reserved: &Reservation) -> Result<()> {
+    let (frame, earlier) = (&views[index], &views[..index]);
+    if matches!(frame.target, Target::Slot) {
+        if reserved.images_only {
+            let problem = "is reserved, and the frame has no image as its target";
+            return Err(Error::argument(field_name("images_only"), problem));
+        }
+        if views.len() > 1 {
+            let problem = "is the slot's own buffer, which holds one view: give an image";
+            return Err(Error::argument("target", problem));
+        }
+    }
+    if !earlier.is_empty() && !frame.updates.is_empty() {
+        return Err(Error::argument("updates", "belong into views[0]: all views see them"));
+    }
+    for (field, host) in frame.images().into_iter().filter_map(|(field, host)| Some((field, host?))) {
+        let others = earlier.iter().enumerate().flat_map(|(view, frame)| {
+            frame.images().into_iter().filter_map(move |(field, host)| Some((view, field, host?)))
+        });
+        for (view, other, theirs) in others.filter(|(.., theirs)| theirs.image.is_same_as(host.image)) {
+            let differs = if theirs.image.purpose() != host.image.purpose() {
+                "one samples it and the other writes it"
+            } else if theirs.image.other_family() != host.image.other_family() {
+                "they say that other queue families own it"
+            } else {
+                continue;
+            };
+            let problem = format!("is also views[{view}].{other}: {differs}");
+            return Err(Error::argument(field_of(field, host), problem));
+        }
+    }
+    Ok(())
+}
+
+/// Names the view of an error, if there are several views.
+pub(super) fn in_view(error: Error, index: usize, views: &[RecordedFrame<'_>]) -> Error {
+    if views.len() == 1 {
+        return error;
+    }
+    let view = format!("views[{index}]");
+    match error {
+        // The field belongs to the reservation; the frame and its scenes belong to the view.
+        Error::Argument { what, problem } if what.starts_with(RESERVATION) => {
+            let problem = problem.replace("the frame", &view).replace("scenes[", &format!("{view}.scenes["));
+            Error::argument(what, problem)
+        }
+        Error::TooLarge { what, needed, unit, limit, limit_name } => {
+            Error::TooLarge { what: format!("{view}.{what}"), needed, unit, limit, limit_name }
+        }
+        other => other.within(&view),
+    }
+}

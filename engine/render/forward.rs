@@ -1,0 +1,167 @@
+//! The forward pass as a list of passes: cull → project → depth sort → count → duplicate → tile sort → ranges → blend.
+//!
+//! It follows the paper's pipeline, with two differences that change the cost but not the picture. First, the visible Gaussians
+//! are sorted by depth before they are duplicated to (tile, Gaussian) instances. Second, a Gaussian touches a tile only if the
+//! ellipse where alpha reaches 1/255 meets it.
+//!
+//! Several views may share the first passes. The kernels compute z of a Gaussian by the same arithmetic on the same numbers. So
+//! cameras whose rows of z are equal to the bit, like those of a pair of eyes, give it the same depth. Focal lengths, sizes and
+//! the other axes may differ. Gaussians that at least one view shows are compacted and sorted once. Each view then finds its own
+//! Gaussians in that order, by depth, then by index: a Gaussian that only another view shows gets no tiles, so the order of the
+//! rest is that of a separate sort.
+
+use crate::error::Result;
+use crate::frame::{
+    BlendVariant, Blending, FrameInputs, LaunchSizes, record_blocks, record_cut_outs, record_scene_firsts,
+};
+use crate::kernels::constants as c;
+use crate::passes::arguments::IndirectArguments;
+use crate::passes::blend::Blend;
+use crate::passes::cull::Cull;
+use crate::passes::instances::Instances;
+use crate::passes::project::Project;
+use crate::passes::scan::Scan;
+use crate::vk::{Context, Recorder};
+
+/// The passes of a frame.
+pub struct Forward {
+    context: Context,
+    pub(crate) sizes: LaunchSizes,
+    scan: Scan,
+    arguments: IndirectArguments,
+    cull: Cull,
+    project: Project,
+    instances: Instances,
+    blend: Blend,
+}
+
+impl Forward {
+    /// Builds the kernels that every frame needs.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self {
+            context: context.clone(),
+            sizes: LaunchSizes::new(context.limits()),
+            scan: Scan::new(context)?,
+            arguments: IndirectArguments::new(context)?,
+            cull: Cull::new(context)?,
+            project: Project::new(context),
+            instances: Instances::new(context)?,
+            blend: Blend::new(context.limits()),
+        })
+    }
+
+    /// Builds the missing kernels for an SH degree, with or without inverse depth.
+    pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
+        self.prepare_variant(sh_degree, BlendVariant { inverse_depth, ..BlendVariant::default() })
+    }
+
+    /// Builds the missing kernels for an SH degree and a variant.
+    pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
+        self.prepare_scenes(sh_degree, variant, false)?;
+        self.prepare_blend(variant)
+    }
+
+    /// Builds the missing kernels of blending for a variant.
+    pub(crate) fn prepare_blend(&mut self, variant: BlendVariant) -> Result<()> {
+        self.blend.prepare(&self.context, &self.sizes, variant)
+    }
+
+    /// Builds the missing kernels of culling and projection for an SH degree and a variant. `batches`: also those of
+    /// batches, if a batch may have the variant.
+    pub(crate) fn prepare_scenes(
+        &mut self,
+        sh_degree: u32,
+        variant: BlendVariant,
+        batches: bool,
+    ) -> Result<()> {
+        let batches = batches && variant.may_be_batched();
+        self.cull.prepare(&self.context, variant, batches)?;
+        self.project.prepare(&self.context, sh_degree, variant, batches)
+    }
+
+    /// True if all kernels for an SH degree and a variant are built.
+    pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
+        self.project.is_prepared(sh_degree, variant)
+            && self.cull.is_prepared(variant)
+            && self.blend.is_prepared(&self.sizes, variant)
+    }
+
+    /// Sets the form of blending. Returns true if it has changed. Call it before [`Forward::prepare`].
+    pub fn set_blending(&mut self, blending: Blending) -> bool {
+        std::mem::replace(&mut self.blend.blending, blending) != blending
+    }
+
+    /// The form of blending.
+    pub fn blending(&self) -> Blending {
+        self.blend.blending
+    }
+
+    /// Records a frame. [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
+    ///
+    /// # Panics
+    /// If these variants are missing, if the buffer of cut-outs is too small, and for a tint, an opacity or a selection before
+    /// a backward pass.
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        self.record_first(r, 1, |_| *inputs);
+    }
+
+    /// Records the first of `views` views with one order, and the camera blocks and the culling of all. The views show the same scenes in the same poses and settings, and their
+    /// cameras give each Gaussian the same depth to the bit. `view` returns each view by its index, with [`FrameInputs::view`].
+    /// [`Forward::record_next`] records the others. Ends without a barrier.
+    ///
+    /// # Panics
+    /// Same as [`Forward::record`], and if the buffer of camera blocks is too small for all views.
+    pub fn record_first<'a>(&self, r: &mut Recorder, views: u32, view: impl Fn(u32) -> FrameInputs<'a>) {
+        let inputs = &view(0);
+        inputs.assert_differentiable();
+        let f = inputs.frame;
+        r.scope("clear", |r| {
+            (0..views).for_each(|number| record_blocks(r, &view(number)));
+            record_cut_outs(r, inputs);
+            record_scene_firsts(r, inputs);
+            let overflow = 4 * u64::from(c::STATE_OVERFLOW);
+            match inputs.keeps_overflow {
+                false => r.fill(&f.state, 0),
+                true => {
+                    r.fill(&f.state.range(0, overflow), 0);
+                    r.fill(&f.state.range(overflow + 4, f.state.bytes() - overflow - 4), 0);
+                }
+            }
+            r.fill(&f.tile_ranges, 0);
+        });
+        r.scope("cull", |r| {
+            (0..views).for_each(|number| self.cull.record_flags(r, &view(number)));
+            self.cull.record_compaction(r, inputs, &self.scan, &self.arguments);
+        });
+        r.scope("project", |r| self.project.record(r, inputs));
+        r.scope("depth sort", |r| self.instances.record_depth_sort(r, f));
+        self.record_picture(r, inputs);
+    }
+
+    /// Records a further view with the order of the first, in the same buffers, after a barrier. Ends without a barrier.
+    ///
+    /// # Panics
+    /// Same as [`Forward::record`].
+    pub fn record_next(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        r.scope("clear", |r| {
+            record_scene_firsts(r, inputs);
+            // Clears all counts but those of the visible Gaussians.
+            let counts = 4 * u64::from(c::STATE_INSTANCES_NEEDED);
+            r.fill(&f.state.range(counts, f.state.bytes() - counts), 0);
+            r.fill(&f.tile_ranges, 0);
+            r.barrier();
+        });
+        r.scope("project", |r| self.project.record(r, inputs));
+        self.record_picture(r, inputs);
+    }
+
+    /// Records the passes from the order to the pixels.
+    fn record_picture(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        r.scope("count", |r| self.instances.record_count(r, inputs, &self.scan, &self.arguments));
+        r.scope("duplicate", |r| self.instances.record_duplicate(r, inputs));
+        r.scope("tile sort", |r| self.instances.record_tile_sort(r, inputs));
+        r.scope("ranges", |r| self.instances.record_ranges(r, inputs));
+        r.scope("blend", |r| self.blend.record(r, inputs, &self.sizes));
+    }
+}

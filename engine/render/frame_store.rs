@@ -1,0 +1,349 @@
+//! Buffers of a frame, and their growth.
+
+use super::frame::BlendSamples;
+use crate::error::{Error, Result};
+use crate::frame::{
+    FrameBuffers, FrameCapacity, LEAST_INSTANCES, LEAST_VISIBLE, LaunchSizes, PictureCapacity, check_grids,
+    frame_bytes, frame_requests, initial_instances, initial_visible,
+};
+use crate::kernels::constants as c;
+use crate::scene::Camera;
+use crate::vk::{Buffer, Context, MemoryKind, Recorder};
+
+/// Buffers of a frame, which grow on demand. Allocations fail when the memory or a limit of the device does not suffice,
+/// before any work; the next frame then allocates the previous capacity.
+pub struct FrameStore {
+    context: Context,
+    sizes: LaunchSizes,
+    readback: Buffer,
+    /// Pictures for which every later allocation is large enough.
+    expected: PictureCapacity,
+    /// True if frames with backward include absolute gradients.
+    absolute: bool,
+    /// Capacity that the last frame requested. Earlier frames may have needed more.
+    asked: FrameCapacity,
+    capacity: FrameCapacity,
+    frame: Option<FrameBuffers>,
+}
+
+/// Counts that a frame reports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct State {
+    /// Visible Gaussians that the frame stores.
+    pub visible: u32,
+    /// Visible Gaussians that the frame needs. More than its capacity if it overflowed.
+    pub visible_needed: u32,
+    /// Instances that the frame needs. More than its capacity if it overflowed. If visible Gaussians overflowed, counts
+    /// only the instances of the stored ones.
+    pub instances: u32,
+    /// Entries of the longest tile.
+    pub longest_tile: u32,
+    /// Gaussians whose gradient was not finite.
+    pub non_finite: u32,
+    /// True if a capacity was too small, which makes the frame invalid.
+    pub overflow: bool,
+    /// Samples of the blending kernels, if counted.
+    pub samples: BlendSamples,
+}
+
+impl State {
+    /// Returns the instances of all visible Gaussians. An estimate if visible Gaussians overflowed.
+    pub fn all_instances(&self) -> u32 {
+        let all = u64::from(self.instances) * u64::from(self.visible_needed.max(self.visible))
+            / u64::from(self.visible.max(1));
+        all.max(self.instances.into()).min(u32::MAX.into()) as u32
+    }
+
+    /// Decodes the device's words.
+    pub fn of(bytes: &[u8; c::STATE_WORDS as usize * 4]) -> Self {
+        let words: Vec<u32> = bytemuck::pod_collect_to_vec(bytes);
+        let word = |index: u32| words[index as usize];
+        Self {
+            visible: word(c::STATE_VISIBLE),
+            visible_needed: word(c::STATE_VISIBLE_NEEDED),
+            instances: word(c::STATE_INSTANCES_NEEDED),
+            longest_tile: word(c::STATE_LONGEST_TILE),
+            non_finite: word(c::STATE_NON_FINITE),
+            overflow: word(c::STATE_OVERFLOW) != 0,
+            samples: BlendSamples {
+                forward: u64::from(word(c::STATE_BLEND_HITS)) * 32,
+                backward: u64::from(word(c::STATE_BLEND_BACKWARD_HITS)) * 32,
+            },
+        }
+    }
+}
+
+/// Capacity before the first frame.
+const NOTHING: FrameCapacity = FrameCapacity {
+    gaussians: 0,
+    visible: 0,
+    instances: 0,
+    scenes: 1,
+    pictures: PictureCapacity::NONE,
+    blend_passes: 1,
+    backward: false,
+    absolute: false,
+};
+
+impl FrameStore {
+    /// Buffer through which the counts are read back.
+    pub const READBACK: [(&str, u64); 1] = [("state_readback", c::STATE_WORDS as u64 * 4)];
+
+    /// Creates a store that has only the readback buffer.
+    pub fn new(context: &Context) -> Result<Self> {
+        let readback = context.allocate("readback", &Self::READBACK, MemoryKind::HostVisible)?.remove(0);
+        Ok(Self {
+            context: context.clone(),
+            sizes: LaunchSizes::new(context.limits()),
+            readback,
+            expected: PictureCapacity::NONE,
+            absolute: false,
+            asked: NOTHING,
+            capacity: NOTHING,
+            frame: None,
+        })
+    }
+
+    /// Makes later allocations large enough for these pictures, before their frames come.
+    pub fn expect_pictures(&mut self, pictures: PictureCapacity) {
+        self.expected = pictures;
+    }
+
+    /// Makes later frames with backward include absolute gradients.
+    pub fn expect_absolute(&mut self) {
+        self.absolute = true;
+    }
+
+    /// Returns buffers for these numbers of Gaussians and scenes, and a camera. Reallocates them if the current ones are
+    /// too small. If they then do not fit beside the needs of earlier frames, drops those needs. The first buffers have
+    /// estimated numbers of visible Gaussians and instances, or a part of them if memory is short.
+    pub fn ensure(
+        &mut self,
+        gaussians: u32,
+        scenes: u32,
+        camera: &Camera,
+        backward: bool,
+    ) -> Result<(FrameBuffers, FrameCapacity)> {
+        let old = self.capacity;
+        let own = PictureCapacity::of_cameras([camera]);
+        let wanted = own.and(self.expected);
+        let pictures = if backward { wanted } else { wanted.without_backward() };
+        let visible = initial_visible(gaussians);
+        let instances = initial_instances(self.context.limits(), visible, &pictures);
+        let absolute = backward && self.absolute;
+        self.asked =
+            FrameCapacity { gaussians, visible, scenes, instances, pictures, backward, absolute, ..NOTHING };
+        let needed = FrameCapacity {
+            gaussians: gaussians.max(old.gaussians),
+            scenes: scenes.max(old.scenes),
+            pictures: pictures.and(old.pictures),
+            backward: backward || old.backward,
+            absolute: absolute || old.absolute,
+            ..old
+        };
+        if let Some(frame) = self.frame.as_ref().filter(|_| needed == old) {
+            return Ok((frame.clone(), old));
+        }
+        let mut capacity = FrameCapacity {
+            visible: if old.visible > 0 { old.visible.min(needed.gaussians) } else { visible },
+            instances: if old.instances > 0 { old.instances } else { instances },
+            ..needed
+        };
+        let (mut estimated, mut is_minimal) = (old.instances == 0, capacity == self.asked);
+        loop {
+            match self.allocate(capacity) {
+                Ok(frame) => return Ok((frame, self.capacity)),
+                Err(error) if is_memory(&error) && !is_minimal => {
+                    (capacity, estimated, is_minimal) = (self.asked, true, true);
+                }
+                // The estimate may be what does not fit, and the frame may need less. If it needs more, it overflows.
+                Err(error) if is_memory(&error) && estimated && can_be_less(&capacity) => {
+                    capacity.visible = (capacity.visible / 4).max(capacity.visible.min(LEAST_VISIBLE));
+                    capacity.instances = (capacity.instances / 4).max(LEAST_INSTANCES);
+                }
+                Err(error) => return Err(name_image(error, camera, wanted == own)),
+            }
+        }
+    }
+
+    /// Returns the capacities of the frame's buffers.
+    pub fn capacity(&self) -> FrameCapacity {
+        self.capacity
+    }
+
+    fn allocate(&mut self, capacity: FrameCapacity) -> Result<FrameBuffers> {
+        check_grids(self.context.limits(), &capacity, &self.sizes)?;
+        // The old buffers are freed first: both sets at once might not fit.
+        self.frame = None;
+        let requests = frame_requests(&capacity, &self.sizes);
+        let buffers = self.context.allocate("frame", &requests, MemoryKind::Device)?;
+        let frame = FrameBuffers::from_allocated(buffers);
+        if capacity.backward {
+            // The fourth component of each pixel is never written and must be 0.
+            self.context.run("clear gradient", |r| {
+                r.fill(&frame.image_gradient, 0);
+                Ok(())
+            })?;
+        }
+        self.capacity = capacity;
+        self.frame = Some(frame.clone());
+        Ok(frame)
+    }
+
+    /// Grows the capacity for more Gaussians, ahead of the frames that will need it.
+    pub fn make_room(&mut self, gaussians: u32) -> Result<()> {
+        if self.frame.is_none() || gaussians <= self.capacity.gaussians {
+            return Ok(());
+        }
+        self.allocate(FrameCapacity { gaussians, ..self.capacity }).map(drop)
+    }
+
+    /// Allocates the capacity of an earlier run.
+    pub fn restore(&mut self, capacity: FrameCapacity) -> Result<()> {
+        self.asked = capacity;
+        self.allocate(capacity).map(drop)
+    }
+
+    /// Allocates the expected capacity. If the memory or the device's limits do not suffice, the next frame allocates only
+    /// what it needs.
+    pub fn restore_if_room(&mut self, capacity: FrameCapacity) -> Result<()> {
+        match self.restore(capacity) {
+            Err(error) if is_memory(&error) => {
+                self.forget();
+                Ok(())
+            }
+            restored => restored,
+        }
+    }
+
+    /// Frees the buffers. The next frame allocates the same capacity again.
+    pub fn release(&mut self) {
+        self.frame = None;
+    }
+
+    /// Frees the buffers and resets the capacity. The next frame allocates only what it needs.
+    pub fn forget(&mut self) {
+        self.frame = None;
+        self.capacity = NOTHING;
+    }
+
+    /// Bytes of the frame's buffers with the current capacity.
+    pub fn bytes(&self) -> u64 {
+        self.frame.as_ref().map_or(0, |_| frame_bytes(&self.capacity, &self.sizes))
+    }
+
+    /// Sets the capacity in instances, and forces a new allocation at the next frame.
+    pub fn set_instances(&mut self, instances: u32) {
+        self.capacity.instances = instances.max(1);
+        self.frame = None;
+    }
+
+    /// Raises the capacity to at least these numbers of visible Gaussians and of instances.
+    pub fn set_at_least(&mut self, visible: u32, instances: u32) {
+        let least = FrameCapacity {
+            visible: visible.max(self.capacity.visible),
+            instances: instances.max(self.capacity.instances),
+            ..self.capacity
+        };
+        if least != self.capacity {
+            self.capacity = least;
+            self.frame = None;
+        }
+    }
+
+    /// Returns the buffers of the last frame.
+    pub fn current(&self) -> Result<&FrameBuffers> {
+        self.frame.as_ref().ok_or_else(|| Error::argument("frame", "none was rendered yet"))
+    }
+
+    /// Records the copy of the frame's counts to host-readable memory.
+    pub fn record_readback(&self, r: &mut Recorder, frame: &FrameBuffers) {
+        r.barrier();
+        r.copy(&frame.state, &self.readback);
+    }
+
+    /// Returns the counts, after the frame has finished.
+    pub fn state(&self) -> Result<State> {
+        let mut bytes = [0u8; c::STATE_WORDS as usize * 4];
+        self.readback.read(0, &mut bytes)?;
+        Ok(State::of(&bytes))
+    }
+
+    /// Grows the capacity if the frame overflowed. Returns true if the frame has to be run again.
+    pub fn grow(&mut self, state: &State) -> Result<bool> {
+        let mut capacity = self.capacity;
+        // With a reserve, because later frames will need other numbers.
+        if state.visible_needed > capacity.visible {
+            let reserve = state.visible_needed.saturating_add(state.visible_needed / 4);
+            capacity.visible = reserve.min(capacity.gaussians).max(state.visible_needed);
+        }
+        if state.instances > capacity.instances {
+            capacity.instances = state.instances.saturating_add(state.instances / 2);
+        }
+        let passes = state.longest_tile.div_ceil(self.sizes.entries_per_pass).max(1);
+        capacity.blend_passes = capacity.blend_passes.max(passes);
+        if capacity == self.capacity {
+            return Ok(false);
+        }
+        // Needs of this frame alone, without those of earlier ones.
+        let own = FrameCapacity {
+            visible: state.visible_needed.max(1),
+            instances: state.instances.max(1),
+            blend_passes: passes,
+            ..self.asked
+        };
+        let Err(error) = self.allocate(capacity) else { return Ok(true) };
+        let more_visible = state.visible_needed > self.capacity.visible;
+        let more_instances = state.instances > self.capacity.instances;
+        // Retry without the reserves, which may be what did not fit.
+        if more_visible {
+            capacity.visible = state.visible_needed;
+        }
+        if more_instances {
+            capacity.instances = state.instances;
+        }
+        let smaller =
+            [(more_visible || more_instances).then_some(capacity), (own != capacity).then_some(own)];
+        let mut result = Err(error);
+        for capacity in smaller.into_iter().flatten() {
+            if result.is_err() {
+                result = self.allocate(capacity);
+            }
+        }
+        let instances = format!("{} (tile, Gaussian) instances (a smaller image has fewer)", state.instances);
+        let visible = format!("a frame of {} visible Gaussians", state.visible_needed);
+        let named = match (more_visible, more_instances) {
+            (true, true) => Some(format!("{visible} and more than {instances}")),
+            (true, false) => Some(visible),
+            (false, true) => Some(format!("a frame of {instances}")),
+            (false, false) => None,
+        };
+        result.map(|_| true).map_err(|error| named.into_iter().fold(error, name))
+    }
+}
+
+/// True if an estimate exceeds the smallest capacity.
+fn can_be_less(estimate: &FrameCapacity) -> bool {
+    estimate.instances > LEAST_INSTANCES || estimate.visible > LEAST_VISIBLE
+}
+
+/// True if an allocation failed for lack of memory.
+fn is_memory(error: &Error) -> bool {
+    matches!(error, Error::TooLarge { .. } | Error::Vulkan { call: "vkAllocateMemory", .. })
+}
+
+/// Adds the image's size to an error. `alone`: the buffers are for this image only, not for expected larger ones.
+fn name_image(error: Error, camera: &Camera, alone: bool) -> Error {
+    let others = if alone { "" } else { ", and those larger ones that will follow" };
+    name(error, format!("an image of {}x{} pixels{others}", camera.width, camera.height))
+}
+
+/// Names the cause of an error before the buffer that did not fit.
+fn name(error: Error, frame: String) -> Error {
+    match error {
+        Error::TooLarge { what, needed, unit, limit, limit_name } => {
+            Error::TooLarge { what: format!("{frame}: {what}"), needed, unit, limit, limit_name }
+        }
+        other => other,
+    }
+}

@@ -1,0 +1,155 @@
+//! Differentiable rendering: the gradient of any function of the image with respect to all parameters.
+
+use super::renderer::{Renderer, check_one, no_scene};
+use super::runner::{Failed, Request};
+use crate::error::{Error, Result};
+use crate::frame::{RenderSettings, SceneBuffers, planes};
+use crate::passes::backward::{BackwardVariant, Statistics};
+use crate::passes::pixels::PixelBorder;
+use crate::passes::poses::{GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
+use crate::scene::{Camera, Gaussians};
+use crate::vk::MemoryKind;
+
+/// Gradients of a scalar with respect to a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gradients {
+    /// With respect to the raw parameters, in their shapes.
+    pub parameters: Gaussians,
+    /// With respect to the 2D means, pixels; 0 for Gaussians that are not visible.
+    pub mean2d_px: Vec<[f32; 2]>,
+    /// With respect to the camera's pose: dL/dδ at δ = 0 of the pose `exp(δ^) T`, T from world to camera. δ = (ν, ω) is in
+    /// the camera's frame (x right, y down, z forward). ν are three displacements in world units, ω three rotations in
+    /// radians about the camera's centre. See [`Twist`](crate::scene::Twist). Only from [`Renderer::gradients_with_pose`].
+    pub pose: Option<[f32; 6]>,
+}
+
+impl Renderer {
+    /// Renders the scene and returns the gradient of `sum(image * image_gradient)` (plus `sum(inverse_depth *
+    /// inverse_depth_gradient)`). With `image_gradient` = dL/dimage this is the gradient of L. It is the exact derivative
+    /// of the forward pass (paper, appendix A).
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when a gradient does not have one entry per pixel, for an inverse-depth gradient without
+    /// `settings.inverse_depth`, or for an orthographic camera. Also for settings that are not
+    /// [faithful](RenderSettings::is_faithful), and errors of [`Renderer::render`].
+    pub fn gradients(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        image_gradient: &[[f32; 3]],
+        inverse_depth_gradient: Option<&[f32]>,
+    ) -> Result<Gradients> {
+        self.differentiate(camera, settings, image_gradient, inverse_depth_gradient, false)
+    }
+
+    /// Same as [`Renderer::gradients`], but also returns the gradient with respect to the camera's pose
+    /// ([`Gradients::pose`]). It sums over all visible Gaussians how their means, covariances and view directions change
+    /// with the pose. The order of the sum is fixed, so its bits are always the same.
+    ///
+    /// # Errors
+    /// Same as [`Renderer::gradients`].
+    pub fn gradients_with_pose(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        image_gradient: &[[f32; 3]],
+        inverse_depth_gradient: Option<&[f32]>,
+    ) -> Result<Gradients> {
+        self.differentiate(camera, settings, image_gradient, inverse_depth_gradient, true)
+    }
+
+    fn differentiate(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        image_gradient: &[[f32; 3]],
+        inverse_depth_gradient: Option<&[f32]>,
+        with_pose: bool,
+    ) -> Result<Gradients> {
+        let pixels = camera.width as usize * camera.height as usize;
+        if image_gradient.len() != pixels || inverse_depth_gradient.is_some_and(|g| g.len() != pixels) {
+            let problem = format!("needs one entry for each of {}x{} pixels", camera.width, camera.height);
+            return Err(Error::argument("image gradient", problem));
+        }
+        if inverse_depth_gradient.is_some() && !settings.inverse_depth {
+            return Err(Error::argument("inverse-depth gradient", "needs settings.inverse_depth"));
+        }
+        if !settings.is_faithful() {
+            let problem =
+                "gradients are those of the Gaussians as they are: no other shape, no scale modifier";
+            return Err(Error::argument("settings", problem));
+        }
+        check_one(&self.runner, "gradients are")?;
+        let scene = self.scene.clone().ok_or_else(no_scene)?;
+        let sh_degree = scene.active_degree(settings);
+        let variant = BackwardVariant::of(settings);
+        let pose_gradient = match with_pose {
+            true => {
+                self.backward.prepare_with_pose(sh_degree, variant, false)?;
+                Some(PoseGradient::new(&self.context)?)
+            }
+            false => {
+                self.backward.prepare(sh_degree, variant)?;
+                None
+            }
+        };
+        self.backward.prepare_expand(sh_degree)?;
+        let border = match &mut self.border {
+            Some(border) => border,
+            none => none.insert(PixelBorder::new(&self.context)?),
+        };
+        let count = u64::from(scene.count);
+        let planes = planes::allocate(&self.context, "gradients", &scene.plan)?;
+        let target = (0..pixels).map(|i| {
+            let [r, g, b] = image_gradient[i];
+            [r, g, b, inverse_depth_gradient.map_or(0.0, |d| d[i])]
+        });
+        let target: Vec<[f32; 4]> = target.collect();
+        let target: &[u8] = bytemuck::cast_slice(&target);
+        let native_bytes = PixelBorder::gradient_bytes(camera.width, camera.height);
+        let mut requests = vec![
+            ("mean2d_gradients", count * 8),
+            ("statistics", count * 8),
+            ("target_rows", target.len() as u64),
+            ("target", native_bytes),
+        ];
+        if with_pose {
+            requests.extend([("pose_parameters", PARAMETER_BYTES), ("pose_gradient", GRADIENT_BYTES)]);
+        }
+        let extra = self.context.allocate("gradients", &requests, MemoryKind::Device)?;
+        let [mean2d, statistics, target_rows, native, pose @ ..] = &extra[..] else {
+            unreachable!("one buffer per request")
+        };
+        self.context.upload(target_rows, target)?;
+        let request = Request { scene: &scene, camera, pose: None, settings, sh_degree, backward: true };
+        let backward = &self.backward;
+        let ran = self.runner.run(&request, |r, inputs| {
+            r.barrier();
+            border.record_gradient(r, inputs, target_rows, native, false);
+            r.barrier();
+            let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
+            match &pose_gradient {
+                None => backward.record(r, inputs, native, statistics),
+                Some(gradient) => {
+                    r.fill(&pose[0], 0);
+                    backward.record_with_pose(r, inputs, native, statistics);
+                    r.barrier();
+                    gradient.record(r, inputs, (&pose[0], 0), &pose[1]);
+                }
+            }
+            r.barrier();
+            backward.record_expand_gradients(r, inputs, &planes, mean2d);
+            Ok(())
+        });
+        ran.map_err(Failed::error)?;
+        let parameters = planes::download(&self.context, &SceneBuffers { chunks: planes, ..scene })?;
+        let bytes = self.context.download(mean2d)?;
+        let mut mean2d_px: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(&bytes);
+        mean2d_px.truncate(parameters.len());
+        let pose = pose.get(1).map(|gradient| -> Result<[f32; 6]> {
+            let bytes = self.context.download(&gradient.range(0, GRADIENT_BYTES / 2))?;
+            Ok(bytemuck::pod_read_unaligned(&bytes))
+        });
+        Ok(Gradients { parameters, mean2d_px, pose: pose.transpose()? })
+    }
+}

@@ -1,0 +1,290 @@
+//! Reads back what a frame blends: at a pixel, and per tile.
+
+use super::frame::Frame;
+use super::renderer::{Renderer, no_scene};
+use super::runner::FrameRunner;
+use crate::error::{Error, Result};
+use crate::frame::{RenderSettings, SceneBuffers, first_frozen, tile_grid};
+use crate::kernels::constants as c;
+use crate::kernels::constants::TILE_SIZE;
+use crate::scene::Camera;
+use crate::vk::Buffer;
+
+/// One Gaussian blended at a pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Index in the scene. Indices of several scenes continue from one to the next.
+    pub gaussian: u32,
+    /// Depth (z in the camera's frame), world units.
+    pub depth: f32,
+    /// Alpha at the pixel.
+    pub alpha: f32,
+    /// Transmittance before it.
+    pub transmittance_before: f32,
+    /// Blending weight: alpha times the transmittance before it.
+    pub weight: f32,
+    /// Transmittance after it.
+    pub transmittance_after: f32,
+    /// Its colour towards the camera.
+    pub color: [f32; 3],
+}
+
+/// The Gaussians blended at a pixel, front to back, and their sum.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PixelReport {
+    /// Blended Gaussians, front to back.
+    pub samples: Vec<Sample>,
+    /// Colour of the pixel on the background.
+    pub color: [f32; 3],
+    /// Transmittance after the last Gaussian.
+    pub transmittance: f32,
+}
+
+impl Renderer {
+    /// Renders a frame and lists what is blended at one pixel (column, row). Reads the tile's sorted list and the projected
+    /// attributes back from the frame. The host blends the pixel from them again; its result equals the device's up to
+    /// rounding.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when the pixel is outside the image; errors of [`Renderer::render`].
+    pub fn inspect(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        pixel: [u32; 2],
+    ) -> Result<PixelReport> {
+        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
+        self.runner.inspect(scene, camera, settings, pixel)
+    }
+}
+
+impl FrameRunner {
+    /// See [`Renderer::inspect`].
+    pub(crate) fn inspect(
+        &mut self,
+        scene: &SceneBuffers,
+        camera: &Camera,
+        settings: &RenderSettings,
+        pixel: [u32; 2],
+    ) -> Result<PixelReport> {
+        let [x, y] = pixel;
+        if x >= camera.width || y >= camera.height {
+            let problem = format!("({x}, {y}) lies outside the image of {}x{}", camera.width, camera.height);
+            return Err(Error::argument("pixel", problem));
+        }
+        let visible = self.render(scene, camera, settings)?.stats.visible;
+        let (columns, _) = tile_grid(camera.width, camera.height);
+        let tile = u64::from(y / TILE_SIZE * columns + x / TILE_SIZE);
+        let range: Vec<u32> = self.read(&self.store.current()?.tile_ranges, tile * 8, 8)?;
+        let entries = self.entries(camera, range[0], range[1])?;
+        let gaussians = self.gaussians(scene, visible)?;
+        let [means, conics, shades] = self.attributes(visible)?;
+        let mut report = PixelReport { transmittance: 1.0, ..PixelReport::default() };
+        for entry in entries {
+            let at = entry as usize;
+            let (mean, conic, shade) = (means[at], conics[at], shades[at]);
+            let (dx, dy) = (mean[0] - x as f32, mean[1] - y as f32);
+            let power = -0.5 * (conic[0] * dx * dx + conic[2] * dy * dy) - conic[1] * dx * dy;
+            let alpha = (conic[3] * power.exp()).min(c::ALPHA_MAX);
+            if power > 0.0 || alpha < c::ALPHA_MIN {
+                continue;
+            }
+            let before = report.transmittance;
+            let after = before * (1.0 - alpha);
+            if after < c::TRANSMITTANCE_MIN {
+                break;
+            }
+            let color = [shade[0], shade[1], shade[2]];
+            let weight = alpha * before;
+            for (sum, channel) in report.color.iter_mut().zip(color) {
+                *sum += weight * channel;
+            }
+            report.transmittance = after;
+            report.samples.push(Sample {
+                gaussian: gaussians[at],
+                depth: shade[3].recip(),
+                alpha,
+                transmittance_before: before,
+                weight,
+                transmittance_after: after,
+                color,
+            });
+        }
+        for (sum, background) in report.color.iter_mut().zip(settings.background) {
+            *sum += report.transmittance * background;
+        }
+        Ok(report)
+    }
+
+    /// Returns the visible Gaussians from `begin` to `end` in the sorted list of the last frame's instances.
+    fn entries(&self, camera: &Camera, begin: u32, end: u32) -> Result<Vec<u32>> {
+        let backward = self.store.capacity().backward;
+        let sorted = self.store.current()?.sorted_visible(&self.forward.sizes, backward, camera);
+        self.read(sorted, u64::from(begin) * 4, u64::from(end - begin) * 4)
+    }
+
+    /// Returns the index in its scene of each visible Gaussian of the last frame, without the gaps between scenes.
+    fn gaussians(&self, scene: &SceneBuffers, visible: u32) -> Result<Vec<u32>> {
+        let of_frame: Vec<u32> = self.read(&self.store.current()?.visible_list, 0, u64::from(visible) * 4)?;
+        Ok(of_frame.into_iter().map(|gaussian| self.without_gaps(scene, gaussian)).collect())
+    }
+
+    /// Converts a frame's Gaussian index to an index without the gaps between scenes.
+    fn without_gaps(&self, scene: &SceneBuffers, gaussian: u32) -> u32 {
+        let (mut first, mut end, mut before) = (0, scene.count, 0);
+        for next in &self.frozen {
+            if gaussian < end {
+                break;
+            }
+            before += end - first;
+            first = first_frozen(end);
+            end = first + next.count;
+        }
+        before + gaussian - first
+    }
+
+    /// Returns per visible Gaussian of the last frame: mean and extent, conic and opacity, colour and 1/z.
+    fn attributes(&self, visible: u32) -> Result<[Vec<[f32; 4]>; 3]> {
+        let splats = self.store.current()?.splats();
+        let stride = splats.stride as usize;
+        let read = |buffer, plane: u32| -> Result<Vec<[f32; 4]>> {
+            let plane = if stride == 1 { 0 } else { plane as usize };
+            let all: Vec<[f32; 4]> = self.read(buffer, 0, u64::from(visible) * stride as u64 * 16)?;
+            Ok(all.into_iter().skip(plane).step_by(stride).collect())
+        };
+        Ok([
+            read(splats.mean2d_extent, c::SPLAT_MEAN2D_EXTENT)?,
+            read(splats.conic_opacity, c::SPLAT_CONIC_OPACITY)?,
+            read(splats.color_inverse_depth, c::SPLAT_COLOR_INVERSE_DEPTH)?,
+        ])
+    }
+
+    /// Downloads a part of a buffer.
+    pub(super) fn read<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, bytes: u64) -> Result<Vec<T>> {
+        if bytes == 0 {
+            return Ok(Vec::new());
+        }
+        Ok(bytemuck::pod_collect_to_vec(&self.context.download(&buffer.range(offset, bytes))?))
+    }
+}
+
+/// A visible Gaussian, as projected for blending.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ProjectedSplat {
+    /// Index in the scene. Indices of several scenes continue from one to the next.
+    pub gaussian: u32,
+    /// 2D mean, pixels.
+    pub mean2d_px: [f32; 2],
+    /// (A, B, C) of exp(−(A dx² + C dy²) / 2 − B dx dy), 1/px².
+    pub conic: [f32; 3],
+    /// Opacity.
+    pub opacity: f32,
+    /// Depth (z in the camera's frame), world units.
+    pub depth: f32,
+}
+
+/// Lists of Gaussians per tile of a frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TileLists {
+    /// Tiles per row.
+    pub tiles_per_row: u32,
+    /// Begin and end in `entries` of each tile, row by row.
+    pub ranges: Vec<[u32; 2]>,
+    /// Indices into `splats`, tile by tile, each front to back.
+    pub entries: Vec<u32>,
+    /// Visible Gaussians in the scene's order.
+    pub splats: Vec<ProjectedSplat>,
+}
+
+impl Renderer {
+    /// Renders a frame and reads back what each tile blends, for studies of a frame's work and its kernels' memory
+    /// accesses. Takes about 40 bytes of host memory per visible Gaussian and 4 per instance.
+    ///
+    /// # Errors
+    /// Same as [`Renderer::render`].
+    pub fn tile_lists(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<TileLists> {
+        let (runner, scene) = (&mut self.runner, self.scene.as_ref().ok_or_else(no_scene)?);
+        let stats = runner.render(scene, camera, settings)?.stats;
+        let (tiles_per_row, rows) = tile_grid(camera.width, camera.height);
+        let tiles = u64::from(tiles_per_row * rows);
+        let [means, conics, shades] = runner.attributes(stats.visible)?;
+        let gaussians = runner.gaussians(scene, stats.visible)?;
+        let splats = (gaussians.into_iter().zip(means).zip(conics).zip(shades)).map(
+            |(((gaussian, [x, y, ..]), [a, b, c, opacity]), [.., inverse_depth])| ProjectedSplat {
+                gaussian,
+                mean2d_px: [x, y],
+                conic: [a, b, c],
+                opacity,
+                depth: inverse_depth.recip(),
+            },
+        );
+        Ok(TileLists {
+            tiles_per_row,
+            ranges: runner.read(&runner.store.current()?.tile_ranges, 0, tiles * 8)?,
+            entries: runner.entries(camera, 0, stats.instances)?,
+            splats: splats.collect(),
+        })
+    }
+}
+
+/// Work of each tile of a frame, row-major.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TileReport {
+    /// Tiles per row.
+    pub columns: u32,
+    /// Rows of tiles.
+    pub rows: u32,
+    /// (tile, Gaussian) instances of each tile.
+    pub entries: Vec<u32>,
+    /// Per tile: the last list entry that any of its pixels blended.
+    pub blended: Vec<u32>,
+}
+
+impl Renderer {
+    /// Renders a frame and reads back the number of Gaussians in its tiles.
+    ///
+    /// # Errors
+    /// Same as [`Renderer::render`].
+    pub fn tiles(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<TileReport> {
+        Ok(self.render_with_tiles(camera, settings)?.1)
+    }
+
+    /// Same as [`Renderer::render`] and [`Renderer::tiles`], for the same frame.
+    ///
+    /// # Errors
+    /// Same as [`Renderer::render`].
+    pub fn render_with_tiles(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(Frame, TileReport)> {
+        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
+        self.runner.render_with_tiles(scene, camera, settings)
+    }
+}
+
+impl FrameRunner {
+    /// Renders a frame and reads back the report of its tiles.
+    pub(crate) fn render_with_tiles(
+        &mut self,
+        scene: &SceneBuffers,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(Frame, TileReport)> {
+        let picture = self.render(scene, camera, settings)?;
+        let frame = self.store.current()?;
+        let (columns, rows) = tile_grid(camera.width, camera.height);
+        let tiles = u64::from(columns) * u64::from(rows);
+        let pixels = u64::from(camera.width) * u64::from(camera.height);
+        let ranges: Vec<[u32; 2]> = self.read(&frame.tile_ranges, 0, tiles * 8)?;
+        let last: Vec<u32> = self.read(&frame.last_entries, 0, pixels * 4)?;
+        let mut blended = vec![0; tiles as usize];
+        for (pixel, &entry) in last.iter().enumerate() {
+            let (x, y) = (pixel as u32 % camera.width, pixel as u32 / camera.width);
+            let tile = &mut blended[(y / TILE_SIZE * columns + x / TILE_SIZE) as usize];
+            *tile = entry.max(*tile);
+        }
+        let entries = ranges.iter().map(|[begin, end]| end - begin).collect();
+        Ok((picture, TileReport { columns, rows, entries, blended }))
+    }
+}

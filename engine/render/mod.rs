@@ -1,0 +1,34 @@
+//! Rendering. [`Renderer::render`] records a frame, submits it, waits and reads it back. [`Renderer::record`] only records
+//! into a host's command buffer.
+
+mod align;
+mod check;
+mod device_scene;
+mod forward;
+mod frame;
+mod frame_store;
+mod gradients;
+mod inspect;
+mod record;
+mod recorded_frame;
+mod renderer;
+mod reservation;
+mod reserve;
+mod runner;
+mod slots;
+
+pub use align::Alignment;
+pub(crate) use align::{AlignRequest, Aligner};
+pub use device_scene::DeviceScene;
+pub use forward::Forward;
+pub use frame::{BlendSamples, Frame, FrameStats};
+pub(crate) use frame_store::{FrameStore, State};
+pub use gradients::Gradients;
+pub use inspect::{PixelReport, ProjectedSplat, Sample, TileLists, TileReport};
+pub use recorded_frame::{
+    DepthTarget, HostImage, MotionTarget, Occluder, PickTarget, Placed, RecordedFrame, Release, Target,
+    Update,
+};
+pub use renderer::Renderer;
+pub use reservation::{Reservation, SlotReport};
+pub(crate) use runner::{Failed, FrameRun, FrameRunner, Request};

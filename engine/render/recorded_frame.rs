@@ -1,0 +1,446 @@
+//! What a host gives for a recording, and what it gets back.
+
+use super::device_scene::DeviceScene;
+use crate::error::Result;
+use crate::frame::{
+    Batch, PlacedScene, PreviousView, RenderSettings, ScenePlan, SceneSettings, plane_group, planes,
+};
+use crate::kernels::constants::PLANE_ROW;
+use crate::passes::compose::{Background, Region};
+use crate::scene::{Camera, ColorEncoding, DepthMapping, Gaussians, Pose};
+use crate::vk::{Buffer, Image, ImageState, Recorder};
+use ash::vk;
+use std::ops::Range;
+
+/// A scene with its pose and draw settings.
+#[derive(Clone, Copy)]
+pub struct Placed<'a> {
+    /// The scene.
+    pub scene: &'a DeviceScene,
+    /// Pose in the world.
+    pub pose: Pose,
+    /// Draw settings.
+    pub settings: SceneSettings<'a>,
+    /// Pose in the previous frame, for [`RecordedFrame::motion`]. `None`: same as now, for scenes that do not move or are
+    /// new.
+    pub previous_pose: Option<Pose>,
+}
+
+impl<'a> Placed<'a> {
+    /// Places a scene with default settings.
+    pub fn at(scene: &'a DeviceScene, pose: Pose) -> Self {
+        Self { scene, pose, settings: SceneSettings::default(), previous_pose: None }
+    }
+
+    /// Returns the evaluated SH degree: the stored one, up to the frame's and the scene's own limits.
+    #[inline]
+    pub(super) fn active_degree(&self, frame: &RenderSettings) -> u32 {
+        let stored = self.scene.buffers.active_degree(frame);
+        self.settings.sh_degree.map_or(stored, |degree| degree.min(stored))
+    }
+
+    /// Returns the number of Gaussians that take part in the frame.
+    #[inline]
+    pub(super) fn drawn(&self) -> u32 {
+        if self.settings.draws() { self.scene.count() } else { 0 }
+    }
+}
+
+impl<'a> From<&'a DeviceScene> for Placed<'a> {
+    fn from(scene: &'a DeviceScene) -> Self {
+        Self::at(scene, Pose::IDENTITY)
+    }
+}
+
+/// A host's image, its previous use by the host, and the rectangle of it that receives the frame.
+#[derive(Clone, Copy)]
+pub struct HostImage<'a> {
+    /// The image.
+    pub image: &'a Image,
+    /// The host's use of it before the frame. The recording waits for that use and changes the layout from its layout. From
+    /// [`ImageState::UNDEFINED`] the image's contents are discarded.
+    pub from: ImageState,
+    /// Texel of the image that receives the frame's pixel (0, 0).
+    pub offset: [u32; 2],
+}
+
+/// Target of the colours.
+#[derive(Clone, Copy)]
+pub enum Target<'a> {
+    /// The slot's own buffer, [`Renderer::slot_pixels`](super::Renderer::slot_pixels), unless the reservation has
+    /// [`images_only`](super::Reservation::images_only). Per pixel, row by row: premultiplied r, g, b, display-encoded as
+    /// trained, and the transmittance, each an f32.
+    /// The host may use it after the recording, behind a barrier from [`Release::stages`] and [`Release::accesses`], until
+    /// the slot is recorded again. The next recording waits for compute and transfer commands that read the buffer. A host
+    /// that reads it in other stages, in a later command buffer than the frame's, must wait for those stages first.
+    Slot,
+    /// A storage image of a format of [`Compose::COLOR_FORMATS`](crate::passes::compose::Compose::COLOR_FORMATS).
+    Image {
+        /// The image.
+        to: HostImage<'a>,
+        /// Background behind the splats.
+        behind: Background,
+        /// Encoding of the image's colours: see the [guide](crate::guide::colour).
+        encoding: ColorEncoding,
+    },
+}
+
+/// A host's depth image. It hides splats that are farther away.
+#[derive(Clone, Copy)]
+pub struct Occluder<'a> {
+    /// The depth image, for sampling.
+    pub depth: HostImage<'a>,
+    /// How to read it: [`crate::scene::HostView::camera`].
+    pub mapping: DepthMapping,
+}
+
+/// Target image of expected depth: sum(w z) / sum(w), world units.
+#[derive(Clone, Copy)]
+pub struct DepthTarget<'a> {
+    /// A storage image of format r32f.
+    pub to: HostImage<'a>,
+    /// Pixels with a smaller sum of weights are empty.
+    pub min_weight: f32,
+    /// Depth of empty pixels.
+    pub empty: f32,
+}
+
+/// Target image of the pick at each pixel: the Gaussian with the largest blending weight alpha T; of equal ones, the
+/// nearest.
+#[derive(Clone, Copy)]
+pub struct PickTarget<'a> {
+    /// A storage image of format [`Compose::PICK_FORMAT`](crate::passes::compose::Compose::PICK_FORMAT), rgba32ui. A texel holds:
+    /// - the index of the Gaussian in its scene;
+    /// - the index of the scene in [`RecordedFrame::scenes`];
+    /// - the f32 bits of the Gaussian's depth z in the camera's frame, world units;
+    /// - the f32 bits of its weight.
+    ///
+    /// Where nothing is blended, the first two are [`NOT_PICKED`](crate::kernels::constants::NOT_PICKED), the others 0.
+    pub to: HostImage<'a>,
+}
+
+/// Target image of motion: per pixel, the mean screen motion of the blended Gaussians since the previous frame, weighted as
+/// in blending. A Gaussian moves like its mean, at most by the picture's width and height. Its motion counts as 0 if its
+/// mean was not in front of the previous camera (z above 0.2), or too far away for an f32. Motion caused by [`Update`]s is
+/// not included.
+#[derive(Clone, Copy)]
+pub struct MotionTarget<'a> {
+    /// A storage image of format [`Compose::MOTION_FORMAT`](crate::passes::compose::Compose::MOTION_FORMAT), rg16f: the current
+    /// position minus the previous one, in pixels, x right, y down. The content of pixel p was at p - motion.
+    pub to: HostImage<'a>,
+    /// Camera of the previous frame, of the same width and height; the frame's own camera if there is no previous frame.
+    /// The motion counts from its principal point to that of the frame's camera. For motion without jitter, give it the
+    /// `cx` and `cy` of the frame's camera. [`Placed::previous_pose`] holds previous poses.
+    pub previous_camera: &'a Camera,
+    /// Pixels with a smaller sum of weights are empty.
+    pub min_weight: f32,
+    /// Motion of empty pixels, px; `None`: they keep the image's contents.
+    pub empty: Option<[f32; 2]>,
+}
+
+/// A frame to record.
+#[derive(Clone, Copy)]
+pub struct RecordedFrame<'a> {
+    /// At least one scene. Gaussians of all scenes are sorted together.
+    pub scenes: &'a [Placed<'a>],
+    /// Camera; its width and height are the frame's.
+    pub camera: &'a Camera,
+    /// Render settings. Their background is ignored: the target has its own.
+    pub settings: &'a RenderSettings,
+    /// Target of the colours.
+    pub target: Target<'a>,
+    /// Depth image that hides splats.
+    pub occluder: Option<Occluder<'a>>,
+    /// Target of the expected depth.
+    pub depth: Option<DepthTarget<'a>>,
+    /// Parameter updates, applied before the frame.
+    pub updates: &'a [Update<'a>],
+    /// Target of the picks.
+    pub pick: Option<PickTarget<'a>>,
+    /// Target of the motion.
+    pub motion: Option<MotionTarget<'a>>,
+}
+
+impl<'a> RecordedFrame<'a> {
+    /// Creates a frame of scenes that renders into the slot's own buffer.
+    pub fn new(scenes: &'a [Placed<'a>], camera: &'a Camera, settings: &'a RenderSettings) -> Self {
+        Self {
+            scenes,
+            camera,
+            settings,
+            target: Target::Slot,
+            occluder: None,
+            depth: None,
+            updates: &[],
+            pick: None,
+            motion: None,
+        }
+    }
+}
+
+/// State after a recording. The next user of its results waits for these stages and accesses, and finds the images in these
+/// layouts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Release {
+    /// Stages that write results, including those in the slot's own buffers.
+    pub stages: vk::PipelineStageFlags2,
+    /// Accesses of these writes.
+    pub accesses: vk::AccessFlags2,
+    /// Last use of the target image.
+    pub color: Option<ImageState>,
+    /// Last use of the host's depth image.
+    pub occluder: Option<ImageState>,
+    /// Last use of the image of expected depth.
+    pub depth: Option<ImageState>,
+    /// Last use of the pick image.
+    pub pick: Option<ImageState>,
+    /// Last use of the motion image.
+    pub motion: Option<ImageState>,
+}
+
+/// Places scenes one after the other in the frame's index space.
+pub(super) struct Placing<'a, 'b> {
+    frame: &'b RecordedFrame<'a>,
+    /// Every scene begins at a multiple of it.
+    alignment: u32,
+    /// Begin of the next scene.
+    first: u32,
+    /// Number of cut-outs so far.
+    pub cut_outs: u32,
+}
+
+impl<'a, 'b> Placing<'a, 'b> {
+    pub fn new(frame: &'b RecordedFrame<'a>, alignment: u32) -> Self {
+        Self { frame, alignment, first: 0, cut_outs: 0 }
+    }
+
+    /// Places the next scene.
+    #[inline]
+    pub fn place(&mut self, placed: &'a Placed<'a>) -> PlacedScene<'a> {
+        let (frame, first, first_cut_out) = (self.frame, self.first, self.cut_outs);
+        self.first = next_begin(first, placed.drawn(), self.alignment);
+        self.cut_outs += placed.settings.cut_out_count();
+        PlacedScene {
+            scene: &placed.scene.buffers,
+            camera: placed.pose.camera_in_object(frame.camera),
+            scale: placed.pose.scale,
+            sh_degree: placed.active_degree(frame.settings),
+            settings: &placed.settings,
+            first,
+            first_cut_out,
+            previous: frame.motion.map(|motion| {
+                let pose = placed.previous_pose.as_ref().unwrap_or(&placed.pose);
+                PreviousView { camera: motion.previous_camera, pose }
+            }),
+            batch: Batch::none_yet(placed.scene.parameters),
+        }
+    }
+}
+
+/// Returns the begin of the scene after one with this first Gaussian and number of Gaussians. `u32::MAX` for a begin beyond
+/// all indices, which exceeds any capacity; the capacity is checked later.
+#[inline]
+fn next_begin(first: u32, drawn: u32, alignment: u32) -> u32 {
+    first.saturating_add(drawn).checked_next_multiple_of(alignment).unwrap_or(u32::MAX)
+}
+
+impl<'a> HostImage<'a> {
+    pub(super) fn region(&self) -> Region<'a> {
+        Region { image: self.image, offset: self.offset }
+    }
+}
+
+impl<'a> RecordedFrame<'a> {
+    /// Returns the host's images that the frame uses, by field.
+    pub(super) fn images(&self) -> [(&'static str, Option<&HostImage<'a>>); 5] {
+        let target = match &self.target {
+            Target::Image { to, .. } => Some(to),
+            Target::Slot => None,
+        };
+        [
+            ("target", target),
+            ("occluder", self.occluder.as_ref().map(|occluder| &occluder.depth)),
+            ("depth", self.depth.as_ref().map(|depth| &depth.to)),
+            ("pick", self.pick.as_ref().map(|pick| &pick.to)),
+            ("motion", self.motion.as_ref().map(|motion| &motion.to)),
+        ]
+    }
+
+    /// True if the frame uses this image.
+    pub(super) fn uses(&self, image: &Image) -> bool {
+        self.images().iter().any(|(_, host)| host.is_some_and(|host| host.image.is_same_as(image)))
+    }
+}
+
+impl Release {
+    /// Returns the last uses of [`RecordedFrame::images`].
+    pub(super) fn uses(&self) -> [Option<ImageState>; 5] {
+        [self.color, self.occluder, self.depth, self.pick, self.motion]
+    }
+
+    pub(super) fn uses_mut(&mut self) -> [&mut Option<ImageState>; 5] {
+        [&mut self.color, &mut self.occluder, &mut self.depth, &mut self.pick, &mut self.motion]
+    }
+}
+
+// New parameters for scenes, copied before a recorded frame.
+
+/// New parameters for some Gaussians of a scene, copied before the frame is rendered.
+#[derive(Clone, Copy)]
+pub struct Update<'a> {
+    /// The scene.
+    pub scene: &'a DeviceScene,
+    /// Index of the first replaced Gaussian.
+    pub first: u32,
+    /// The new Gaussians. SH above the scene's degree is dropped, missing SH is zero.
+    pub gaussians: &'a Gaussians,
+}
+
+impl Update<'_> {
+    /// True if both replace some of the same Gaussians. Clones of a scene share its buffers.
+    fn overlaps(&self, other: &Self) -> bool {
+        let range = |u: &Self| (u64::from(u.first), u64::from(u.first) + u.gaussians.len() as u64);
+        let ((first, end), (other_first, other_end)) = (range(self), range(other));
+        first < other_end && other_first < end && {
+            let (own, theirs) = (&self.scene.buffers.chunks, &other.scene.buffers.chunks);
+            own.iter().any(|chunk| theirs.iter().any(|their| their.handle() == chunk.handle()))
+        }
+    }
+}
+
+/// Copies of a frame's updates. The next frame reuses its memory.
+#[derive(Default)]
+pub(super) struct Staged {
+    words: Vec<[f32; 4]>,
+    copies: Vec<StagedCopy>,
+}
+
+/// A copy from staging memory to a scene.
+struct StagedCopy {
+    /// True if it needs a barrier: an update since the last barrier writes some of the same Gaussians.
+    behind_barrier: bool,
+    from: Buffer,
+    to: Buffer,
+}
+
+impl Staged {
+    /// Writes new parameters into the slot's staging memory, which must not be in use, and lists the copies from it.
+    pub(super) fn stage(&mut self, staging: Option<&Buffer>, updates: &[Update<'_>]) -> Result<()> {
+        self.copies.clear();
+        let Some(staging) = staging else { return Ok(()) };
+        let (mut offset, mut since_barrier) = (0, 0);
+        for (number, update) in updates.iter().enumerate() {
+            let mut behind_barrier =
+                updates[since_barrier..number].iter().any(|earlier| earlier.overlaps(update));
+            if behind_barrier {
+                since_barrier = number;
+            }
+            let (buffers, copies) = (&update.scene.buffers, &mut self.copies);
+            each_piece(update, &buffers.plan, &mut self.words, |chunk, at, words| {
+                let bytes = words.len() as u64 * 16;
+                staging.write(offset, bytemuck::cast_slice(words))?;
+                let (from, to) = (staging.range(offset, bytes), buffers.chunks[chunk].range(at, bytes));
+                copies.push(StagedCopy { behind_barrier, from, to });
+                behind_barrier = false;
+                offset += bytes;
+                Ok(())
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Records the copies, and drops the buffers.
+    pub(super) fn record(&mut self, r: &mut Recorder) {
+        if self.copies.is_empty() {
+            return;
+        }
+        r.scope("scene updates", |r| {
+            for StagedCopy { behind_barrier, from, to } in self.copies.drain(..) {
+                if behind_barrier {
+                    r.barrier();
+                }
+                r.copy(&from, &to);
+            }
+            r.barrier();
+        });
+    }
+}
+
+/// Splits an update into pieces that are contiguous on the device: chunk, bytes from its start, vec4s.
+fn each_piece(
+    update: &Update<'_>,
+    plan: &ScenePlan,
+    words: &mut Vec<[f32; 4]>,
+    mut piece: impl FnMut(usize, u64, &[[f32; 4]]) -> Result<()>,
+) -> Result<()> {
+    let (first, end) = (update.first, update.first + update.gaussians.len() as u32);
+    for range in plan.ranges(end) {
+        let (begin, stop) = (first.max(range.first), range.first + range.count);
+        if begin >= stop {
+            continue;
+        }
+        let of_update = (begin - first) as usize..(stop - first) as usize;
+        // Packs them as a chunk of only the touched rows.
+        let of_chunk = begin - range.first..stop - range.first;
+        let rows = of_chunk.start / PLANE_ROW..of_chunk.end.div_ceil(PLANE_ROW);
+        let packed = ScenePlan { chunk_gaussians: rows.len() as u32 * PLANE_ROW, ..*plan };
+        let at = (of_chunk.start % PLANE_ROW) as usize;
+        planes::pack_into(words, update.gaussians, of_update, &packed, at);
+        each_run(plan, &packed, rows, of_chunk, |at, run| piece(range.chunk, 16 * at as u64, &words[run]))?;
+    }
+    Ok(())
+}
+
+/// Calls `run` for contiguous parts of some Gaussians' planes: index in their chunk, and range in a chunk of only their rows.
+fn each_run(
+    plan: &ScenePlan,
+    packed: &ScenePlan,
+    rows: Range<u32>,
+    gaussians: Range<u32>,
+    mut run: impl FnMut(usize, Range<usize>) -> Result<()>,
+) -> Result<()> {
+    let mut last: Option<(usize, Range<usize>)> = None;
+    let groups = std::iter::successors(Some(plane_group(0)), |group| {
+        (group.end < plan.planes).then(|| plane_group(group.end))
+    });
+    for (planes, row) in groups.flat_map(|planes| rows.clone().map(move |row| (planes.clone(), row))) {
+        let from = gaussians.start.max(row * PLANE_ROW);
+        let count = (gaussians.end.min((row + 1) * PLANE_ROW) - from) as usize;
+        for plane in planes {
+            let at = plan.place(plane, from as usize);
+            let own = packed.place(plane, (from - rows.start * PLANE_ROW) as usize);
+            match &mut last {
+                Some((begun, run)) if *begun + run.len() == at && run.end == own => run.end += count,
+                _ => {
+                    if let Some((begun, whole)) = last.replace((at, own..own + count)) {
+                        run(begun, whole)?;
+                    }
+                }
+            }
+        }
+    }
+    last.map_or(Ok(()), |(begun, whole)| run(begun, whole))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::next_begin;
+
+    #[test]
+    fn places_beyond_all_indices_do_not_begin_anew() {
+        let cases = [
+            (0, 0, 0),
+            (0, 5, 256),
+            (256, 256, 512),
+            (u32::MAX - 300, 5, u32::MAX - 255),
+            (u32::MAX - 10, 5, u32::MAX),
+            (1 << 31, 1 << 31, u32::MAX),
+            (u32::MAX, 0, u32::MAX),
+            (u32::MAX, 7, u32::MAX),
+        ];
+        for (first, drawn, next) in cases {
+            assert_eq!(next_begin(first, drawn, 256), next, "{drawn} Gaussians from {first} on");
+        }
+    }
+}

@@ -1,0 +1,407 @@
+//! Frames in flight. Their memory is planned and allocated in advance.
+
+use super::frame_store::State;
+use super::reservation::{Reservation, SlotReport, field_name};
+use crate::error::{Error, Result};
+use crate::frame::{
+    Auxiliary, CUT_OUT_BYTES, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, MotionBuffers,
+    PickBuffers, PictureCapacity, PlacedScene, RenderSettings, frame_requests, packed_bytes,
+};
+use crate::kernels::constants as c;
+use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, PLACEMENT_ALIGNMENT, RecordSlot, Recorder};
+
+/// Bytes of a view's counts.
+const STATE_BYTES: u64 = c::STATE_WORDS as u64 * 4;
+
+/// One frame in flight.
+pub(super) struct Slot {
+    pub record: RecordSlot,
+    pub memory: SlotMemory,
+    /// Memory reserved since the last recording.
+    next: Option<SlotMemory>,
+    readback: Buffer,
+    /// Views of the last recording.
+    views: u32,
+    /// Report of the last recording, without what only the device knows.
+    pub recorded: SlotReport,
+    /// Whole report of the last recording, once it has been requested.
+    report: Option<SlotReport>,
+}
+
+/// All frames in flight.
+#[derive(Default)]
+pub(super) struct Slots {
+    pub reserved: Option<Reservation>,
+    pub slots: Vec<Slot>,
+}
+
+impl Slots {
+    /// Returns an error while a frame is in flight.
+    pub fn check_free(&self) -> Result<()> {
+        for slot in &self.slots {
+            if !slot.record.finished()? {
+                return Err(Error::argument("frame slots", "one is still in flight: wait for it first"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Allocates a reservation, which replaces the current one. No frame may be in flight.
+    pub fn reserve(&mut self, plan: &Plan<'_>) -> Result<()> {
+        // The old memory is freed first: both at once might not fit.
+        self.slots.clear();
+        self.reserved = None;
+        for memory in plan.allocate()? {
+            self.slots.push(Slot::new(plan, memory)?);
+        }
+        self.reserved = Some(*plan.wanted);
+        Ok(())
+    }
+
+    /// Returns an error for a reservation to which the current one cannot grow.
+    pub fn check_growth(&self, wanted: &Reservation) -> Result<()> {
+        let Some(reserved) = self.reserved else {
+            let problem = "none are reserved that could grow: call Renderer::reserve";
+            return Err(Error::argument("slots", problem));
+        };
+        let kept = [("slots", wanted.slots, reserved.slots), ("views", wanted.views, reserved.views)];
+        match kept.into_iter().find(|(_, wanted, reserved)| wanted != reserved) {
+            Some((field, wanted, reserved)) => {
+                let problem =
+                    format!("{field} is {wanted}, {reserved} are reserved: growth keeps their number");
+                Err(Error::argument("reservation", problem))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Allocates another reservation with as many slots. Each slot switches to it with its next recording.
+    pub fn grow(&mut self, plan: &Plan<'_>) -> Result<()> {
+        let memory = plan.allocate()?;
+        for slot in &mut self.slots {
+            slot.record.reserve(plan.dispatches)?;
+        }
+        for (slot, memory) in self.slots.iter_mut().zip(memory) {
+            slot.next = Some(memory);
+        }
+        self.reserved = Some(*plan.wanted);
+        Ok(())
+    }
+
+    /// Returns the slot with an index.
+    pub fn get(&mut self, index: u32) -> Result<&mut Slot> {
+        let count = self.slots.len();
+        self.slots.get_mut(index as usize).ok_or_else(|| {
+            Error::argument("slot", format!("{index}: {count} are reserved; call Renderer::reserve"))
+        })
+    }
+}
+
+impl Slot {
+    fn new(plan: &Plan<'_>, memory: SlotMemory) -> Result<Self> {
+        let request = [("state_readback", u64::from(plan.wanted.views) * STATE_BYTES)];
+        let mut host = plan.context.allocate("frame slot host", &request, MemoryKind::HostVisible)?;
+        let record = RecordSlot::new(plan.context, plan.dispatches)?;
+        let recorded = memory.report(0);
+        Ok(Self { record, memory, next: None, readback: host.remove(0), views: 0, recorded, report: None })
+    }
+
+    /// Returns the memory of the next recording.
+    pub fn upcoming(&self) -> &SlotMemory {
+        self.next.as_ref().unwrap_or(&self.memory)
+    }
+
+    /// Switches to the memory reserved since the last recording, whose command buffer has finished.
+    pub fn take_over(&mut self) {
+        if let Some(next) = self.next.take() {
+            self.memory = next;
+        }
+    }
+
+    /// Begins a recording of `views` views with up to `gaussians` Gaussians.
+    pub fn begin(&mut self, commands: ForeignCommands, gaussians: u32, views: u32) -> Result<Recorder> {
+        let recorder = self.record.begin(commands, "ashsplat")?;
+        (self.views, self.recorded, self.report) = (views, self.memory.report(gaussians), None);
+        Ok(recorder)
+    }
+
+    /// Ends the recording.
+    pub fn end(&mut self, recorder: Recorder) -> Result<()> {
+        self.record.end(recorder)
+    }
+
+    /// Returns the report of the last recording. None while it is in flight, or without a recording.
+    pub fn report(&mut self, sizes: &LaunchSizes) -> Result<Option<SlotReport>> {
+        if !self.record.is_recorded() || !self.record.finished()? {
+            return Ok(None);
+        }
+        if self.report.is_some() || !self.record.has_times()? {
+            return Ok(self.report.clone());
+        }
+        self.report = Some(SlotReport { scopes: self.record.times()?, ..self.counts(sizes, self.views)? });
+        Ok(self.report.clone())
+    }
+
+    /// Records the copy of a view's counts to host-readable memory.
+    pub fn record_counts(&self, recorder: &mut Recorder, view: u32) {
+        let to = self.readback.range(u64::from(view) * STATE_BYTES, STATE_BYTES);
+        recorder.copy(&self.memory.frame.state, &to);
+    }
+
+    /// Returns the counts of `views` finished views, the largest of each count.
+    pub fn counts(&self, sizes: &LaunchSizes, views: u32) -> Result<SlotReport> {
+        let mut report = SlotReport { entries_per_pass: sizes.entries_per_pass, ..self.recorded.clone() };
+        for view in 0..views {
+            let mut bytes = [0u8; STATE_BYTES as usize];
+            self.readback.read(u64::from(view) * STATE_BYTES, &mut bytes)?;
+            let view = State::of(&bytes);
+            report.visible = report.visible.max(view.visible);
+            report.instances_needed = report.instances_needed.max(view.instances);
+            report.longest_tile = report.longest_tile.max(view.longest_tile);
+            report.overflow |= view.overflow;
+        }
+        report.blend_passes_needed = report.longest_tile.div_ceil(sizes.entries_per_pass).max(1);
+        Ok(report)
+    }
+}
+
+// Device memory of frames in flight.
+//
+// A frame begins with a barrier after all earlier commands of its queue. So scratch memory, used only within a frame,
+// exists once for each queue, in any order of recording and submission. Memory used before or after the frame exists once
+// for each slot: pixels that the host reads, staging memory that it writes, the counts.
+
+type Requests = Vec<(&'static str, u64)>;
+
+/// Memory with which the frames of a slot are recorded.
+#[derive(Clone)]
+pub(super) struct SlotMemory {
+    pub frame: FrameBuffers,
+    pub capacity: FrameCapacity,
+    /// 1/z per pixel.
+    pub depth_limits: Option<Buffer>,
+    pub cut_outs: Option<Buffer>,
+    /// Per pixel, and per scene: see [`PickBuffers`].
+    picks: Option<[Buffer; 2]>,
+    /// Per visible Gaussian, and per pixel: see [`MotionBuffers`].
+    motion: Option<[Buffer; 2]>,
+    pub staging: Option<Buffer>,
+    /// True if the pixels of a frame stay until the slot is recorded again.
+    pub keeps_pixels: bool,
+    /// True if the inverse or expected depth stays too.
+    pub keeps_depth: bool,
+}
+
+impl SlotMemory {
+    /// Returns the buffers of picks and of motion, if the frame writes them.
+    pub fn auxiliary(&self, pick: bool, motion: bool) -> Auxiliary<'_> {
+        let picks = self.picks.as_ref().filter(|_| pick);
+        let motion = self.motion.as_ref().filter(|_| motion);
+        Auxiliary {
+            picks: picks.map(|[picks, scene_firsts]| PickBuffers { picks, scene_firsts }),
+            motion: motion.map(|[motions, sums]| MotionBuffers { motions, sums }),
+        }
+    }
+
+    /// Returns the inputs of a frame of some scenes in these buffers, without occluder and depth.
+    pub fn inputs<'a>(
+        &'a self,
+        scenes: &'a [PlacedScene<'a>],
+        settings: &'a RenderSettings,
+    ) -> FrameInputs<'a> {
+        let inputs = FrameInputs::new(scenes, &self.frame, &self.capacity, settings);
+        FrameInputs { cut_outs: self.cut_outs.as_ref(), ..inputs }
+    }
+
+    /// Returns what the host knows about a recording with these buffers.
+    fn report(&self, gaussians: u32) -> SlotReport {
+        let FrameCapacity { instances: instance_capacity, blend_passes, .. } = self.capacity;
+        SlotReport { gaussians, instance_capacity, blend_passes, ..SlotReport::default() }
+    }
+}
+
+/// Requests of a reservation, in a host's block if there is one.
+pub(super) struct Plan<'a> {
+    pub context: &'a Context,
+    pub wanted: &'a Reservation,
+    block: Option<&'a Buffer>,
+    /// Most dispatches of a recording.
+    pub dispatches: usize,
+    capacity: FrameCapacity,
+    /// Once for each queue: the frame's requests, then optional ones.
+    scratch: Requests,
+    /// Number of the frame's requests.
+    frame_requests: usize,
+    /// For each slot but the first of its queue, whose pixels stay in the queue's scratch.
+    pixels: Requests,
+}
+
+impl<'a> Plan<'a> {
+    /// Returns the errors of [`Plan::allocate`] in advance, except a lack of memory.
+    pub fn new(
+        context: &'a Context,
+        sizes: &LaunchSizes,
+        wanted: &'a Reservation,
+        block: Option<&'a Buffer>,
+    ) -> Result<Self> {
+        wanted.check()?;
+        let capacity = wanted.capacity(context, sizes)?;
+        let count = capacity.pictures.pixels;
+        let mut pixels = Vec::new();
+        if !wanted.images_only {
+            pixels.push(("accumulated", count * 16));
+            pixels.extend(wanted.keeps_depth().then_some(("inverse_depth", count * 4)));
+        }
+        let plan = Self {
+            context,
+            wanted,
+            block,
+            dispatches: wanted.dispatches(context, &capacity)?,
+            capacity,
+            scratch: scratch_requests(wanted, &capacity, sizes),
+            frame_requests: frame_requests(&capacity, sizes).len(),
+            pixels,
+        };
+        plan.check_bindings(sizes)?;
+        block.map_or(Ok(()), |block| check_block(context, block, plan.block_bytes()))?;
+        Ok(plan)
+    }
+
+    /// Refuses a buffer that kernels cannot bind, and names the field that makes it too large. Runs before any memory is
+    /// freed.
+    fn check_bindings(&self, sizes: &LaunchSizes) -> Result<()> {
+        let Self { wanted, capacity, .. } = self;
+        let limit = self.context.limits().max_storage_buffer_range;
+        let too_large = |what: String, needed| {
+            let (unit, limit_name) = ("bytes", "maxStorageBufferRange");
+            Err(Error::TooLarge { what, needed, unit, limit, limit_name })
+        };
+        if wanted.staging_bytes > limit {
+            return too_large(field_name("staging_bytes"), wanted.staging_bytes);
+        }
+        let Some(place) = self.scratch.iter().position(|(_, bytes)| *bytes > limit) else { return Ok(()) };
+        let (name, needed) = self.scratch[place];
+        if name == "cut_outs" {
+            return too_large(field_name("cut_outs"), needed);
+        }
+        // Names the field that would shrink the buffer most at its smallest value.
+        let pictures = PictureCapacity::of(1, 1).without_backward();
+        let without = [
+            ("width, height", FrameCapacity { pictures, ..*capacity }),
+            ("instances", FrameCapacity { instances: 1, ..*capacity }),
+            ("gaussians", FrameCapacity { gaussians: 1, visible: 1, ..*capacity }),
+            ("scenes, views", FrameCapacity { scenes: 1, ..*capacity }),
+        ];
+        let bytes = |(_, less): &(_, FrameCapacity)| scratch_requests(wanted, less, sizes)[place].1;
+        let field = without.iter().min_by_key(|less| bytes(less)).map_or("gaussians", |(field, _)| field);
+        too_large(format!("{}: buffer '{name}'", field_name(field)), needed)
+    }
+
+    /// Returns the groups to allocate, in order.
+    fn groups(&self) -> impl Iterator<Item = &Requests> {
+        let wanted = self.wanted;
+        let queues = wanted.queues.min(wanted.slots);
+        let own = if self.pixels.is_empty() { 0 } else { wanted.slots - queues };
+        let scratch = std::iter::repeat_n(&self.scratch, queues as usize);
+        scratch.chain(std::iter::repeat_n(&self.pixels, own as usize))
+    }
+
+    /// Returns the bytes of a block for all groups.
+    pub fn block_bytes(&self) -> u64 {
+        self.groups().map(group_bytes).fold(0, u64::saturating_add)
+    }
+
+    /// Allocates the memory of all slots.
+    pub fn allocate(&self) -> Result<Vec<SlotMemory>> {
+        let Self { context, wanted, block, .. } = *self;
+        let mut at = 0;
+        let mut groups = Vec::new();
+        for requests in self.groups() {
+            groups.push(match block {
+                None => context.allocate("frame slot", requests, MemoryKind::Device)?.into_iter(),
+                Some(block) => {
+                    let bytes = group_bytes(requests);
+                    let group = block.range(at, bytes).split(requests);
+                    at += bytes;
+                    group.into_iter()
+                }
+            });
+        }
+        let mut groups = groups.into_iter();
+        let queues = wanted.queues.min(wanted.slots) as usize;
+        let mut memory: Vec<SlotMemory> = Vec::new();
+        for slot in 0..wanted.slots as usize {
+            let mut own = if slot < queues {
+                self.scratch_of(groups.next().unwrap_or_default())
+            } else {
+                let mut own = memory[slot % queues].clone();
+                if !self.pixels.is_empty() {
+                    let mut pixels = groups.next().unwrap_or_default();
+                    own.frame.accumulated = pixels.next().unwrap_or(own.frame.accumulated);
+                    own.frame.inverse_depth = pixels.next().unwrap_or(own.frame.inverse_depth);
+                }
+                own
+            };
+            if wanted.staging_bytes > 0 {
+                let request = [("scene_updates", wanted.staging_bytes)];
+                own.staging = context.allocate("frame slot host", &request, MemoryKind::HostVisible)?.pop();
+            }
+            memory.push(own);
+        }
+        Ok(memory)
+    }
+
+    /// Assigns the buffers of [`Plan::scratch`].
+    fn scratch_of(&self, mut buffers: std::vec::IntoIter<Buffer>) -> SlotMemory {
+        let wanted = self.wanted;
+        let frame = FrameBuffers::from_allocated(buffers.by_ref().take(self.frame_requests).collect());
+        let mut next = |reserved: bool| reserved.then(|| buffers.next()).flatten();
+        SlotMemory {
+            frame,
+            capacity: self.capacity,
+            depth_limits: next(wanted.occlusion),
+            cut_outs: next(wanted.cut_outs > 0),
+            picks: next(wanted.pick).zip(next(wanted.pick)).map(<[_; 2]>::from),
+            motion: next(wanted.motion).zip(next(wanted.motion)).map(<[_; 2]>::from),
+            staging: None,
+            keeps_pixels: !wanted.images_only,
+            keeps_depth: wanted.keeps_depth(),
+        }
+    }
+}
+
+/// Returns the scratch requests of a frame of this capacity; those of [`frame_requests`] come first.
+fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &LaunchSizes) -> Requests {
+    let pixels = capacity.pictures.pixels;
+    let mut scratch = frame_requests(capacity, sizes);
+    scratch.extend(wanted.occlusion.then_some(("depth_limits", pixels * 4)));
+    scratch.extend((wanted.cut_outs > 0).then_some(("cut_outs", u64::from(wanted.cut_outs) * CUT_OUT_BYTES)));
+    if wanted.pick {
+        scratch.extend([("picks", pixels * 8), ("scene_firsts", u64::from(capacity.scenes) * 4)]);
+    }
+    if wanted.motion {
+        scratch.extend([("motions", u64::from(capacity.visible) * 8), ("motion_sums", pixels * 8)]);
+    }
+    scratch
+}
+
+/// Returns the bytes of a group in one block.
+fn group_bytes(requests: &Requests) -> u64 {
+    packed_bytes(requests).checked_next_multiple_of(PLACEMENT_ALIGNMENT).unwrap_or(u64::MAX)
+}
+
+fn check_block(context: &Context, block: &Buffer, needed: u64) -> Result<()> {
+    let what = || format!("block '{}' for frame slots", block.name());
+    if !block.belongs_to(context) {
+        return Err(Error::argument(what(), "it belongs to another context"));
+    }
+    if !block.handle().1.is_multiple_of(PLACEMENT_ALIGNMENT) {
+        let problem = format!("begins at byte {}, no multiple of {PLACEMENT_ALIGNMENT}", block.handle().1);
+        return Err(Error::argument(what(), problem));
+    }
+    if block.bytes() < needed {
+        let (limit, limit_name) = (block.bytes(), "its size");
+        return Err(Error::TooLarge { what: what(), needed, unit: "bytes", limit, limit_name });
+    }
+    Ok(())
+}

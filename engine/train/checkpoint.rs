@@ -1,0 +1,588 @@
+//! The complete state of a training run between two steps, and its exchange between neighbouring blocks.
+//!
+//! The crate `ashsplat-files` reads and writes it as a file: parameters, Adam's moments and the statistics of
+//! densification as named tensors, the rest as metadata. A resumed run ends with the same bits as an uninterrupted run: random
+//! numbers are keyed by seed and iteration, so no generator has state.
+
+use super::block::{BlockState, SceneBlock};
+use super::settings::TrainSettings;
+use super::work::Actions;
+use crate::error::{Error, Result};
+use crate::scene::camera::MAX_IMAGE_SIDE;
+use crate::scene::gaussians::sh_coefficients;
+use crate::scene::{Fingerprint, Gaussians, WorldFrame};
+
+/// Upper limit of [`Capacities::blend_passes`].
+const MOST_BLEND_PASSES: u32 = 1 << 16;
+
+/// The state of a training run after an iteration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Checkpoint {
+    /// Version of ashsplat that made it.
+    pub version: String,
+    /// Device that made it. On another device the bits differ.
+    pub device: String,
+    /// The device's driver and its version. With another driver the bits may differ.
+    pub driver: String,
+    /// Forms of the kernels ([`Limits::kernel_forms`](crate::vk::Limits::kernel_forms)); empty in older checkpoints. With other
+    /// forms the bits may differ.
+    pub kernels: String,
+    /// The run's settings.
+    pub settings: TrainSettings,
+    /// Number of views.
+    pub views: u64,
+    /// Hash of the views (cameras and photographs, in their order).
+    pub views_fingerprint: u64,
+    /// The scene's extent, world units.
+    pub scene_extent: f32,
+    /// Origin and unit of all lengths. The caller that writes the checkpoint sets it.
+    pub frame: WorldFrame,
+    /// Iterations done.
+    pub iteration: u32,
+    /// Number of optimiser steps so far.
+    pub optimizer_steps: u64,
+    /// Number of optimiser steps of the opacities so far.
+    pub opacity_steps: u64,
+    /// Work of the strategy before the next step.
+    pub due: Actions,
+    /// The parameters.
+    pub gaussians: Gaussians,
+    /// Adam's first moments, shaped like the parameters.
+    pub first_moments: Gaussians,
+    /// Adam's second moments, shaped like the parameters.
+    pub second_moments: Gaussians,
+    /// Per Gaussian: sum of the norms of the 2D mean's gradient (NDC), number of views.
+    pub statistics: Vec<[f32; 2]>,
+    /// Sizes of the 3D filter, world units, one per Gaussian; empty without [`TrainSettings::filter_3d`].
+    pub filters: Vec<f32>,
+    /// Further state of the strategy.
+    pub strategy: StrategyState,
+    /// Sums of the gradients since the last step.
+    pub gradient_sums: Option<GradientSums>,
+    /// Means of the parameters over the last steps ([`TrainSettings::average_last`]).
+    pub means: Option<MeanState>,
+    /// Exposures of the views' photographs, if they are learned.
+    pub exposures: ExposureState,
+    /// Lens effects ([`LensEffects`](crate::scene::LensEffects)) in the order of the camera ids, if they are learned.
+    pub lenses: ExposureState,
+    /// Poses of the views, if they are optimised.
+    pub poses: Option<PoseState>,
+    /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
+    pub skipped: u32,
+    /// The trained block; None for a whole scene. The checkpoint does not hold the frozen Gaussians.
+    pub block: Option<BlockState>,
+    /// Allocated capacities.
+    pub capacities: Capacities,
+}
+
+/// Exposures of photographs ([`Exposure`](crate::scene::Exposure)) in the views' order, or effects of lenses. Empty if they are
+/// not learned.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ExposureState {
+    /// The matrices.
+    pub values: Vec<[[f32; 4]; 3]>,
+    /// Adam's first moments.
+    pub first_moments: Vec<[[f32; 4]; 3]>,
+    /// Adam's second moments.
+    pub second_moments: Vec<[[f32; 4]; 3]>,
+}
+
+/// The strategy's state and the names of the run's parts: see [`Strategy`](super::Strategy).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StrategyState {
+    /// Name of the strategy; empty in older checkpoints.
+    pub name: String,
+    /// Names of the loss terms; empty in older checkpoints.
+    pub terms: Vec<String>,
+    /// Statistics of the strategy.
+    pub statistics: Vec<StrategyStatistic>,
+    /// Names and values of the strategy's state on the host.
+    pub values: Vec<(String, String)>,
+}
+
+/// Sums of the gradients of several views, for a later step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GradientSums {
+    /// Number of views in the sums.
+    pub views: u32,
+    /// The sums, shaped like the parameters.
+    pub sums: Gaussians,
+    /// Sums for exposures and lenses.
+    pub light: LightSums,
+    /// Sums for the poses, if they are optimised. Older checkpoints lack them and lose these views' contributions.
+    pub poses: Vec<[f32; 6]>,
+}
+
+/// Sums of gradients over several views, or means of values. Empty if nothing is learned, and in older checkpoints.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LightSums {
+    /// One per photograph.
+    pub exposures: Vec<[[f32; 4]; 3]>,
+    /// One per lens.
+    pub lenses: Vec<[[f32; 4]; 3]>,
+}
+
+/// Means of the parameters over several steps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeanState {
+    /// Number of steps in the means.
+    pub steps: u32,
+    /// The means, shaped like the parameters.
+    pub gaussians: Gaussians,
+    /// Means for exposures and lenses.
+    pub light: LightSums,
+}
+
+/// A statistic of a strategy.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StrategyStatistic {
+    /// Name of the statistic.
+    pub name: String,
+    /// Values per Gaussian.
+    pub floats: u32,
+    /// The values, Gaussian by Gaussian.
+    pub values: Vec<f32>,
+}
+
+/// Optimised poses, one row per view: see [`Twist`](crate::scene::Twist).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PoseState {
+    /// Movement of each camera: ξ = (ν, ω), world units and radians.
+    pub parameters: Vec<[f32; 6]>,
+    /// Adam's first moments.
+    pub first_moments: Vec<[f32; 6]>,
+    /// Adam's second moments.
+    pub second_moments: Vec<[f32; 6]>,
+    /// Depth of the point about which each camera turns in steps, world units; 0 for its centre. Older checkpoints have none,
+    /// and their cameras turn about their centres.
+    pub depths: Vec<f32>,
+}
+
+/// A tensor of a checkpoint.
+#[derive(Clone, Debug)]
+pub struct Tensor<'a> {
+    /// Name in the file.
+    pub name: String,
+    /// Shape, outermost dimension first.
+    pub shape: Vec<usize>,
+    /// Values: f32 in the host's byte order.
+    pub bytes: &'a [u8],
+}
+
+impl<'a> Tensor<'a> {
+    fn new<T: bytemuck::NoUninit>(
+        name: impl Into<String>,
+        shape: impl Into<Vec<usize>>,
+        values: &'a [T],
+    ) -> Self {
+        Self { name: name.into(), shape: shape.into(), bytes: bytemuck::cast_slice(values) }
+    }
+
+    /// None without matrices.
+    fn of_matrices(prefix: &str, own: &str, rows: &'a [[[f32; 4]; 3]]) -> Option<Self> {
+        (!rows.is_empty()).then(|| Self::new(format!("{prefix}{own}"), [rows.len(), 3, 4], rows))
+    }
+}
+
+impl ExposureState {
+    /// Values, first moments, second moments.
+    fn sets(&self) -> [&Vec<[[f32; 4]; 3]>; 3] {
+        [&self.values, &self.first_moments, &self.second_moments]
+    }
+}
+
+impl PoseState {
+    /// Parameters, first moments, second moments.
+    fn sets(&self) -> [&Vec<[f32; 6]>; 3] {
+        [&self.parameters, &self.first_moments, &self.second_moments]
+    }
+}
+
+/// Allocated capacities of a run. With a memory limit, they decide whether a densification fits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Capacities {
+    /// Capacity of the parameter planes in Gaussians.
+    pub gaussians: u32,
+    /// Capacity of a frame in Gaussians.
+    pub frame_gaussians: u32,
+    /// Capacity of a frame in visible Gaussians. Older files have none: then all were visible.
+    pub frame_visible: u32,
+    /// Capacity of a frame in (tile, Gaussian) instances.
+    pub frame_instances: u32,
+    /// Largest width of the views, pixels; 0 without a frame. Older versions sized frames by this times [`Capacities::frame_height`].
+    /// Now only the 0 counts: a frame has capacity for each view's own size.
+    pub frame_width: u32,
+    /// Largest height of the views, pixels; 0 without a frame.
+    pub frame_height: u32,
+    /// Number of blending passes.
+    pub blend_passes: u32,
+    /// 1 if a frame has the buffers of the backward pass, else 0.
+    pub backward: u32,
+    /// Peak number of visible Gaussians in a frame, scaled like [`Capacities::most_instances`]; 0 in older files.
+    pub most_visible: u32,
+    /// Peak number of instances in a frame. Each densification keeps the number per Gaussian, less a twentieth.
+    pub most_instances: u32,
+    /// [`crate::vk::ContextOptions::max_memory`], bytes.
+    pub max_memory: Option<u64>,
+}
+
+/// Properties that a checkpoint must match to be resumed.
+pub(super) struct Wanted<'a> {
+    pub settings: &'a TrainSettings,
+    pub views: u64,
+    pub views_fingerprint: u64,
+    pub scene_extent: f32,
+    pub block: Option<BlockState>,
+}
+
+impl Checkpoint {
+    /// Reasons why a run that is resumed here may end with other bits than an uninterrupted run, one sentence each. The
+    /// version, device, driver or forms of the kernels ([`Limits::kernel_forms`](crate::vk::Limits::kernel_forms)) can differ.
+    pub fn differences(&self, device: &str, driver: &str, kernels: &str) -> Vec<String> {
+        // Older checkpoints do not name their kernels.
+        let own = if self.kernels.is_empty() { kernels } else { &self.kernels };
+        let pairs = [
+            ("ashsplat", self.version.as_str(), env!("CARGO_PKG_VERSION")),
+            ("device", &self.device, device),
+            ("driver", &self.driver, driver),
+            ("kernels of", own, kernels),
+        ];
+        let differing = pairs.iter().filter(|(_, there, here)| there != here);
+        let say = |(what, there, here): &(&str, &str, &str)| {
+            format!("was made with {what} '{there}', here it is '{here}'")
+        };
+        differing.map(say).collect()
+    }
+
+    /// Names, shapes and values of the tensors, in the file's order.
+    pub fn tensors(&self) -> Vec<Tensor<'_>> {
+        let mut tensors = Vec::new();
+        let sets = [&self.gaussians, &self.first_moments, &self.second_moments];
+        let sums = self.gradient_sums.iter().map(|sums| (Self::GRADIENT_SUMS, &sums.sums));
+        let means = self.means.iter().map(|means| (Self::MEANS, &means.gaussians));
+        for (prefix, set) in Self::SETS.into_iter().zip(sets).chain(sums).chain(means) {
+            let (n, k) = (set.len(), sh_coefficients(set.sh_degree));
+            let named = |name| format!("{prefix}{name}");
+            tensors.push(Tensor::new(named("means"), [n, 3], &set.means));
+            tensors.push(Tensor::new(named("quats"), [n, 4], &set.quats));
+            tensors.push(Tensor::new(named("log_scales"), [n, 3], &set.log_scales));
+            tensors.push(Tensor::new(named("opacity_logits"), [n], &set.opacity_logits));
+            tensors.push(Tensor::new(named("sh"), [n, k, 3], &set.sh));
+        }
+        tensors.push(Tensor::new("statistics", [self.statistics.len(), 2], &self.statistics));
+        if !self.filters.is_empty() {
+            tensors.push(Tensor::new(Self::FILTERS, [self.filters.len()], &self.filters));
+        }
+        for StrategyStatistic { name, floats, values } in &self.strategy.statistics {
+            let shape = [values.len() / (*floats).max(1) as usize, *floats as usize];
+            tensors.push(Tensor::new(format!("{}{name}", Self::STRATEGY), shape, values));
+        }
+        for (state, own) in [(&self.exposures, Self::EXPOSURES), (&self.lenses, Self::LENSES)] {
+            let sets = Self::SETS.into_iter().zip(state.sets());
+            tensors.extend(sets.filter_map(|(prefix, rows)| Tensor::of_matrices(prefix, own, rows)));
+        }
+        if let Some(poses) = &self.poses {
+            let rows = Self::POSES.into_iter().zip(poses.sets());
+            tensors.extend(rows.map(|(name, rows)| Tensor::new(name, [rows.len(), 6], rows)));
+            if !poses.depths.is_empty() {
+                tensors.push(Tensor::new(Self::POSE_DEPTHS, [poses.depths.len()], &poses.depths));
+            }
+        }
+        let sums = self.gradient_sums.iter().map(|sums| (Self::GRADIENT_SUMS, &sums.light, &sums.poses[..]));
+        let means = self.means.iter().map(|means| (Self::MEANS, &means.light, &[][..]));
+        for (prefix, LightSums { exposures, lenses }, poses) in sums.chain(means) {
+            tensors.extend(Tensor::of_matrices(prefix, Self::EXPOSURES, exposures));
+            tensors.extend(Tensor::of_matrices(prefix, Self::LENSES, lenses));
+            if !poses.is_empty() {
+                tensors.push(Tensor::new(format!("{prefix}{}", Self::POSES[0]), [poses.len(), 6], poses));
+            }
+        }
+        tensors
+    }
+
+    /// Prefixes of the tensor names: parameters, first moments, second moments.
+    pub const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
+
+    /// Name of the tensor of filter sizes, as in Mip-Splatting's PLY.
+    pub const FILTERS: &str = "filter_3D";
+
+    /// Prefix of the tensor names of [`Checkpoint::gradient_sums`].
+    pub const GRADIENT_SUMS: &str = "gradient_sum.";
+
+    /// Prefix of the tensor names of [`Checkpoint::means`].
+    pub const MEANS: &str = "mean.";
+
+    /// Name of the exposures' tensor. Their moments add the prefixes.
+    pub const EXPOSURES: &str = "exposures";
+
+    /// Name of the lenses' tensor. Their moments add the prefixes.
+    pub const LENSES: &str = "lenses";
+
+    /// Names of the pose tensors: parameters, first moments, second moments. Only runs that optimise poses have them.
+    pub const POSES: [&str; 3] = ["pose", "first_moment.pose", "second_moment.pose"];
+
+    /// Name of the tensor of [`PoseState::depths`].
+    pub const POSE_DEPTHS: &str = "pose_depth";
+
+    /// Prefix of the strategy's statistics, and of its values in the metadata.
+    pub const STRATEGY: &str = "strategy.";
+
+    /// Hash of all tensors. Equal hashes mean states that are equal to the bit.
+    pub fn fingerprint(&self) -> u64 {
+        let mut fingerprint = Fingerprint::new();
+        self.tensors().iter().for_each(|tensor| fingerprint.add(tensor.bytes));
+        fingerprint.finish()
+    }
+
+    /// Checks that all sets have the same number of Gaussians and the settings' SH degree, and that each number is possible in
+    /// a training.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] naming the set or the number.
+    pub fn check(&self) -> Result<()> {
+        self.check_shapes()?;
+        self.settings.check()?;
+        let extent = self.scene_extent;
+        if !(extent.is_finite() && extent > 0.0) {
+            return Err(Error::argument("scene_extent", format!("is {extent}, must be positive")));
+        }
+        let WorldFrame { origin, unit } = self.frame;
+        if !(origin.is_finite() && unit.is_finite() && unit > 0.0) {
+            return Err(Error::argument("frame", format!("has the origin {origin} and the unit {unit}")));
+        }
+        let (capacities, iteration) = (&self.capacities, u64::from(self.iteration));
+        let gaussians = self.gaussians.len() as u64;
+        let (least_frame, most_passes) = match capacities.frame_width {
+            0 => (0, 1),
+            _ => (gaussians, capacities.frame_instances.clamp(1, MOST_BLEND_PASSES)),
+        };
+        let summed = self.gradient_sums.as_ref().map_or(0, |sums| sums.views);
+        let averaged = self.means.as_ref().map_or(0, |means| means.steps);
+        let ranges = [
+            ("views", self.views, 1, u32::MAX.into()),
+            ("iteration", iteration, 0, u64::from(u32::MAX) - 1),
+            ("optimizer_steps", self.optimizer_steps, 0, iteration),
+            ("opacity_steps", self.opacity_steps, 0, self.optimizer_steps),
+            ("gradient_sum_views", summed.into(), 0, iteration),
+            ("mean_steps", averaged.into(), 0, iteration),
+            ("left_out", self.skipped.into(), 0, iteration),
+            ("room_gaussians", capacities.gaussians.into(), 0, 1 << 30),
+            ("room_frame_gaussians", capacities.frame_gaussians.into(), least_frame, u32::MAX.into()),
+            ("room_frame_width", capacities.frame_width.into(), 0, MAX_IMAGE_SIDE.into()),
+            ("room_frame_height", capacities.frame_height.into(), 0, MAX_IMAGE_SIDE.into()),
+            ("room_blend_passes", capacities.blend_passes.into(), 0, most_passes.into()),
+            ("room_backward", capacities.backward.into(), 0, 1),
+        ];
+        if let Some((name, value, least, most)) =
+            ranges.into_iter().find(|(_, value, least, most)| !(least..=most).contains(&value))
+        {
+            return Err(Error::argument(name, format!("is {value}, not {least} to {most}")));
+        }
+        self.check_values()
+    }
+
+    /// Statistics and gradient sums are unchecked, because values there that are not finite change no parameter.
+    fn check_values(&self) -> Result<()> {
+        let free = ["statistics", Self::STRATEGY, Self::GRADIENT_SUMS];
+        for Tensor { name, bytes, .. } in self.tensors() {
+            if free.iter().any(|prefix| name.starts_with(prefix)) {
+                continue;
+            }
+            let least = if name.starts_with(Self::SETS[2]) { 0.0 } else { f32::NEG_INFINITY };
+            let values: &[f32] = bytemuck::cast_slice(bytes);
+            if let Some(at) = values.iter().position(|&value| value.is_nan() || value < least) {
+                return Err(Error::argument(
+                    name,
+                    format!("value {at} is {}, which no training has", values[at]),
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_shapes(&self) -> Result<()> {
+        self.gaussians.check_shapes()?;
+        let sums = self.gradient_sums.iter().map(|sums| ("gradient sums", &sums.sums));
+        let moments = [("moments", &self.first_moments), ("moments", &self.second_moments)];
+        let means = self.means.iter().map(|means| ("means", &means.gaussians));
+        for (name, set) in moments.into_iter().chain(sums).chain(means) {
+            set.check_shapes()?;
+            if (set.len(), set.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
+                return Err(Error::argument(name, "are of another number or degree than the Gaussians"));
+            }
+        }
+        let gaussians = self.gaussians.len();
+        let rows = |statistic: &StrategyStatistic| {
+            statistic.floats > 0 && statistic.values.len() == gaussians * statistic.floats as usize
+        };
+        let filters = if self.settings.filter_3d { gaussians } else { 0 };
+        let exposures = if self.settings.exposure { self.views } else { 0 };
+        let lenses = self.lenses.sets().map(|set| set.len() as u64);
+        let most = if self.settings.lens_effects { self.views } else { 0 };
+        let lenses_fit = lenses == [lenses[0]; 3] && lenses[0] <= most && (most == 0 || lenses[0] > 0);
+        let none_or = |count: usize, all: u64| count == 0 || count as u64 == all;
+        let sums_fit = |sums: &LightSums, poses: usize| {
+            none_or(sums.exposures.len(), self.views)
+                && none_or(sums.lenses.len(), lenses[0])
+                && none_or(poses, self.views)
+        };
+        let sums = self.gradient_sums.as_ref();
+        let means = self.means.as_ref();
+        let poses_fit = |poses: &PoseState| {
+            poses.sets().iter().all(|rows| rows.len() as u64 == self.views)
+                && none_or(poses.depths.len(), self.views)
+        };
+        let of_gaussians = "of another number than the Gaussians";
+        let of_views = "are of another number than the views";
+        let checks: [(bool, &str, String); 8] = [
+            (
+                self.statistics.len() == gaussians && self.strategy.statistics.iter().all(rows),
+                "statistics",
+                format!("are {of_gaussians}"),
+            ),
+            (self.filters.len() == filters, Self::FILTERS, format!("is {of_gaussians}")),
+            (
+                self.exposures.sets().iter().all(|set| set.len() as u64 == exposures),
+                "exposures",
+                format!("are not those of {exposures} photographs"),
+            ),
+            (lenses_fit, "lenses", format!("are not those of {most} photographs")),
+            (
+                sums.is_none_or(|sums| sums_fit(&sums.light, sums.poses.len())),
+                "gradient sums",
+                of_views.into(),
+            ),
+            (means.is_none_or(|means| sums_fit(&means.light, 0)), "means", of_views.into()),
+            (self.poses.as_ref().is_none_or(poses_fit), "poses", of_views.into()),
+            (
+                self.gaussians.sh_degree == self.settings.sh_degree,
+                "sh_degree",
+                "of the Gaussians and of the settings differ".into(),
+            ),
+        ];
+        match checks.into_iter().find(|(fits, ..)| !fits) {
+            Some((_, name, problem)) => Err(Error::argument(name, problem)),
+            None => Ok(()),
+        }
+    }
+
+    /// Checks that a run with these settings and views could have made the checkpoint.
+    pub(super) fn check_fits(&self, wanted: &Wanted) -> Result<()> {
+        let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
+        // The block comes first: photographs depend on the block, and settings on the photographs.
+        if let Some(difference) = BlockState::difference(self.block.as_ref(), wanted.block.as_ref()) {
+            return refuse(difference);
+        }
+        if self.views != wanted.views {
+            return refuse(format!("was made with {} training views, here are {}", self.views, wanted.views));
+        }
+        let mut settings = TrainSettings { iterations: wanted.settings.iterations, ..self.settings.clone() };
+        if !settings.exposure {
+            // Unused without `exposure`. Ignored, because later presets set them.
+            settings.exposure_lr_init = wanted.settings.exposure_lr_init;
+            settings.exposure_lr_final = wanted.settings.exposure_lr_final;
+            settings.exposure_reg = wanted.settings.exposure_reg;
+            settings.exposure_shared = wanted.settings.exposure_shared;
+            settings.exposure_sparsity = wanted.settings.exposure_sparsity;
+        }
+        wanted.settings.excuse_sh_degrees(&mut settings, &self.settings, self.iteration);
+        if let Some(difference) = difference(&settings, wanted.settings) {
+            return refuse(format!("was made with other settings: {difference}; give what they were"));
+        }
+        if self.iteration > wanted.settings.iterations {
+            return refuse(format!(
+                "is of iteration {} already, the training ends at {}; raise iterations to go on",
+                self.iteration, wanted.settings.iterations
+            ));
+        }
+        if self.views_fingerprint != wanted.views_fingerprint {
+            return refuse(
+                "was made with other photographs or cameras (of another data set, resolution, background, split, or parts of \
+                 photographs)"
+                    .into(),
+            );
+        }
+        if self.scene_extent.to_bits() != wanted.scene_extent.to_bits() {
+            return refuse(format!(
+                "was made with a scene extent of {}, here it is {}",
+                self.scene_extent, wanted.scene_extent
+            ));
+        }
+        Ok(())
+    }
+
+    /// Keeps only these Gaussians, in this order, with their moments and statistics. The state of views and of the run stays.
+    pub fn keep(&mut self, rows: &[usize]) {
+        let sums = self.gradient_sums.iter_mut().map(|sums| &mut sums.sums);
+        let sets = [&mut self.gaussians, &mut self.first_moments, &mut self.second_moments];
+        sets.into_iter().chain(sums).for_each(|set| *set = set.select(rows));
+        // Averaging starts again.
+        self.means = None;
+        self.statistics = rows.iter().map(|&row| self.statistics[row]).collect();
+        // Empty without the 3D filter.
+        self.filters = rows.iter().filter_map(|&row| self.filters.get(row).copied()).collect();
+        for StrategyStatistic { floats, values, .. } in &mut self.strategy.statistics {
+            let floats = *floats as usize;
+            *values = rows.iter().flat_map(|row| &values[row * floats..][..floats]).copied().collect();
+        }
+    }
+
+    /// Appends the Gaussians of another run with the same settings. The other run's state of views is dropped.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if settings differ, naming them, or if the gradient sums of the two cover different numbers of
+    /// views.
+    pub fn append(&mut self, other: &Self) -> Result<()> {
+        let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
+        if let Some(difference) = self.difference_of_settings(&other.settings) {
+            return refuse(format!("was made with other settings: {difference}"));
+        }
+        let names = |of: &Self| -> Vec<(String, u32)> {
+            of.strategy.statistics.iter().map(|own| (own.name.clone(), own.floats)).collect()
+        };
+        if self.strategy.name != other.strategy.name || names(self) != names(other) {
+            return refuse("was made with another strategy".into());
+        }
+        let summed = |of: &Self| of.gradient_sums.as_ref().map_or(0, |sums| sums.views);
+        if summed(self) != summed(other) {
+            return refuse(format!("has gradients of {} views, not of {}", summed(other), summed(self)));
+        }
+        self.means = None;
+        self.gaussians.append(&other.gaussians);
+        self.first_moments.append(&other.first_moments);
+        self.second_moments.append(&other.second_moments);
+        self.statistics.extend_from_slice(&other.statistics);
+        self.filters.extend_from_slice(&other.filters);
+        for (own, others) in self.strategy.statistics.iter_mut().zip(&other.strategy.statistics) {
+            own.values.extend_from_slice(&others.values);
+        }
+        if let (Some(own), Some(others)) = (&mut self.gradient_sums, &other.gradient_sums) {
+            own.sums.append(&others.sums);
+        }
+        Ok(())
+    }
+
+    /// Settings in which another run differs, except the number of iterations; None if none differ.
+    pub fn difference_of_settings(&self, others: &TrainSettings) -> Option<String> {
+        let there = TrainSettings { iterations: self.settings.iterations, ..others.clone() };
+        difference(&there, &self.settings)
+    }
+
+    /// Continues training in this block, with new frozen neighbours. The allocated capacities are reset to those of a start;
+    /// only the expected counts of a frame stay.
+    pub fn settle_in(&mut self, block: &SceneBlock) {
+        self.block = block.state();
+        let Capacities { frame_visible, most_visible, most_instances, max_memory, .. } = self.capacities;
+        self.capacities =
+            Capacities { frame_visible, most_visible, most_instances, max_memory, ..Capacities::default() };
+    }
+}
+
+/// Settings that differ, each as "name was there, is here"; None if all are equal.
+fn difference(there: &TrainSettings, here: &TrainSettings) -> Option<String> {
+    let (there, here) = (there.values(), here.values());
+    let differing = there.iter().zip(&here).filter(|(there, here)| there != here);
+    let said: Vec<String> =
+        differing.map(|((name, there), (_, here))| format!("{name} was {there}, is {here}")).collect();
+    (!said.is_empty()).then(|| said.join("; "))
+}

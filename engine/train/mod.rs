@@ -1,0 +1,39 @@
+//! Training: from photographs and a sparse point cloud to Gaussians.
+//!
+//! One step is one submission: forward, loss, backward, Adam. A host may record it into its own command
+//! buffer instead. A densification or an opacity reset runs at the start of the next step, so that the scene between steps is
+//! what the reference would save. A step whose frame overflowed its buffers changes nothing and is repeated with a larger
+//! capacity.
+
+mod appearance;
+mod block;
+pub mod checkpoint;
+mod memory;
+mod parts;
+mod photos;
+mod population;
+mod poses;
+mod record;
+mod resume;
+mod schedule;
+pub mod settings;
+mod step;
+mod strategies;
+pub mod strategy;
+mod terms;
+mod trainer;
+pub mod verify;
+mod work;
+
+pub use block::{BlockState, SceneBlock, Surroundings};
+pub use checkpoint::{Capacities, Checkpoint, ExposureState, LightSums, MeanState, PoseState};
+pub use parts::{Forecast, TrainParts};
+pub use photos::{PhotoSize, TrainView};
+pub use population::{Growth, Population};
+pub use record::{RecordedStep, StepReservation};
+pub use settings::{ImportanceType, OptimizerType, Preset, SplitType, StrategyType, TrainSettings};
+pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, QuantilePlace, Reference};
+pub use strategy::Strategy;
+pub use terms::*;
+pub use trainer::Trainer;
+pub use work::{Actions, Densified, Maintenance, StepOutcome, StepReport};

@@ -1,0 +1,226 @@
+//! Replaceable parts of training, the kernels built from them, and whether a training with them fits the device and the memory.
+
+use super::block::SceneBlock;
+use super::checkpoint::Capacities;
+use super::memory::{RowMemory, StartMemory};
+use super::photos::{self, PhotoBytes, PhotoSize};
+use super::settings::TrainSettings;
+use super::step::StepRecorder;
+use super::strategy::Strategy;
+use super::terms::{self, InverseDepth, SparseDepth};
+use super::{poses, strategies};
+use crate::error::{Error, Result};
+use crate::passes::filter_3d::Filter3d;
+use crate::passes::loss::{LossTerm, Photometric};
+use crate::vk::Context;
+
+/// Replaceable parts of training. The photometric term of the loss always comes first.
+pub struct TrainParts {
+    /// Density control.
+    pub strategy: Box<dyn Strategy>,
+    /// Loss terms besides the photometric one and the strategy's own.
+    pub terms: Vec<Box<dyn LossTerm>>,
+    /// Block that the initial Gaussians form; None if they are the whole scene.
+    pub block: Option<SceneBlock>,
+}
+
+impl TrainParts {
+    /// Returns the parts that the settings select.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Self> {
+        let terms = terms::of_settings(context, settings)?;
+        Ok(Self { strategy: strategies::of_settings(context, settings)?, terms, block: None })
+    }
+}
+
+/// Properties of a training that are known before its photographs are read.
+#[derive(Clone, Copy, Debug)]
+pub struct Forecast<'a> {
+    /// Settings of the training.
+    pub settings: &'a TrainSettings,
+    /// The photographs to train on.
+    pub photos: &'a [PhotoSize],
+    /// Memory bound of the photographs in bytes, if they will be in a file
+    /// ([`PhotoFile::memory_bytes`](crate::scene::PhotoFile::memory_bytes)).
+    pub photo_memory: Option<u64>,
+    /// Initial number of trained Gaussians; the checkpoint's when resuming.
+    pub gaussians: u32,
+    /// Number of frozen Gaussians: [`SceneBlock::frozen`](super::SceneBlock::frozen).
+    pub frozen: u32,
+    /// Capacities of the checkpoint.
+    pub capacities: Option<&'a Capacities>,
+}
+
+impl Forecast<'_> {
+    /// Refuses a training that [`Trainer::new`](super::Trainer::new) or [`Trainer::resume`](super::Trainer::resume) would
+    /// refuse because of memory or a device limit.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`](crate::Error::TooLarge) with the photograph and the needed bytes;
+    /// [`Error::Vulkan`](crate::Error::Vulkan) from the device.
+    pub fn check(&self, context: &Context) -> Result<()> {
+        self.settings.check()?;
+        if self.photos.is_empty() {
+            return Ok(());
+        }
+        let parts = TrainParts::of_settings(context, self.settings)?;
+        parts.strategy.check(self.settings, self.gaussians)?;
+        // The border of a block without frozen Gaussians is unknown here. The trainer checks it.
+        check_block_settings(self.settings, &*parts.strategy, false, self.frozen > 0)?;
+        // The extent only scales a weight.
+        let parts = BuiltParts::new(context, self.settings, 1.0, parts, self.photos)?;
+        self.capacity(context, &parts).map(drop)
+    }
+
+    /// Initial capacity in Gaussians, and true if it is the checkpoint's because all of its capacities fit.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`](crate::Error::TooLarge), before anything is allocated.
+    pub(super) fn capacity(&self, context: &Context, parts: &BuiltParts) -> Result<(u32, bool)> {
+        let Self { settings, photos, photo_memory, .. } = *self;
+        let photo_bytes = photos::device_bytes(context, photos, photo_memory);
+        let (photo_bytes, refused) = match photo_bytes {
+            Ok(bytes) => (bytes, None),
+            Err(Error::TooLarge { needed, .. }) => {
+                (PhotoBytes::reading_ahead(context, photos, needed, photo_memory), photo_bytes.err())
+            }
+            Err(error) => return Err(error),
+        };
+        let memory = StartMemory {
+            photos,
+            photo_bytes,
+            rows: &parts.rows,
+            loss: &|sizes| {
+                let mut requests = parts.recorder.device_requests(sizes);
+                if settings.filter_3d {
+                    requests.extend(Filter3d::requests(sizes.len()));
+                }
+                requests
+            },
+            losses: parts.recorder.readback_request(),
+            poses: poses::requests(settings, photos.len()),
+            count: self.gaussians,
+            frozen: self.frozen,
+            sh_degree: settings.sh_degree,
+        };
+        memory.check_photos(context)?;
+        if let Some(error) = refused {
+            // If the whole training does not fit, that error matters more than the photographs'.
+            memory.initial_capacity(context)?;
+            return Err(error);
+        }
+        match self.capacities.filter(|earlier| memory.holds(context, earlier)) {
+            Some(earlier) => Ok((earlier.gaussians, true)),
+            None => Ok((memory.initial_capacity(context)?, false)),
+        }
+    }
+}
+
+/// Kernels of a run, and its memory per Gaussian.
+pub(super) struct BuiltParts {
+    pub strategy: Box<dyn Strategy>,
+    pub recorder: StepRecorder,
+    pub rows: RowMemory,
+}
+
+impl BuiltParts {
+    pub fn new(
+        context: &Context,
+        settings: &TrainSettings,
+        scene_extent: f32,
+        parts: TrainParts,
+        photos: &[PhotoSize],
+    ) -> Result<Self> {
+        let TrainParts { mut strategy, terms, block: _ } = parts;
+        let sums = strategy.records().sums;
+        check_averaging(settings, sums)?;
+        let any_masked = photos.iter().any(|photo| photo.masked);
+        let mut all: Vec<Box<dyn LossTerm>> =
+            vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
+        if photos.iter().any(|photo| photo.inverse_depth) {
+            all.push(Box::new(InverseDepth::new(context, settings)?));
+        }
+        if settings.depth_points > 0.0 {
+            let most = photos.iter().map(|photo| photo.depth_points).max().unwrap_or(0);
+            if most == 0 {
+                let problem =
+                    "needs sparse points that the views are known to show, and there are none: leave it at 0";
+                return Err(Error::argument("depth_points", problem));
+            }
+            all.push(Box::new(SparseDepth::new(context, settings, scene_extent, most)?));
+        }
+        all.extend(terms);
+        all.extend(strategy.loss_terms(context, settings)?);
+        check_depths(settings, &all)?;
+        let parameter_gradients = StepRecorder::targets_of(&all).parameters;
+        let rows = RowMemory::new(strategy.statistics(), parameter_gradients, context.planes_memory());
+        let recorder = StepRecorder::new(context, all, settings, sums, rows.absolute())?;
+        Ok(Self { strategy, recorder, rows })
+    }
+}
+
+/// Refuses averaging together with steps of several views, because the means share the buffers of the gradient sums.
+fn check_averaging(settings: &TrainSettings, sums: bool) -> Result<()> {
+    if settings.average_last > 0.0 && sums {
+        let problem = format!(
+            "is {} (presets and few photos set it), which needs a step after each view; give 0, or multi_step = false",
+            settings.average_last
+        );
+        return Err(Error::argument("average_last", problem));
+    }
+    Ok(())
+}
+
+/// Refuses terms that need different kinds of depth in a frame, and a warm-up with depth terms, because their depths belong to
+/// the photographs' full-size pixels.
+fn check_depths(settings: &TrainSettings, terms: &[Box<dyn LossTerm>]) -> Result<()> {
+    let depths = terms.iter().filter(|term| term.targets().inverse_depth);
+    let names: Vec<&str> = depths.map(|term| term.name()).collect();
+    if names.len() > 1 && terms.iter().any(|term| term.targets().linear_depth) {
+        let problem = format!(
+            "does not go together with other depths ({}): take the sparse points or the maps (-d)",
+            names.join(", ")
+        );
+        return Err(Error::argument("depth_points", problem));
+    }
+    match names.first() {
+        Some(name) => settings.refuse_warm_up_with(&format!("depths ({name})")),
+        None => Ok(()),
+    }
+}
+
+/// Refuses settings and strategies that exclude blocks.
+pub(super) fn check_block(
+    settings: &TrainSettings,
+    strategy: &dyn Strategy,
+    block: &SceneBlock,
+) -> Result<()> {
+    SceneBlock::check_box(block.core, 0.0)?;
+    block.frozen.check_shapes()?;
+    // Cameras that move may begin to see dropped Gaussians.
+    let frozen = block.surroundings().count > 0;
+    check_block_settings(settings, strategy, !SceneBlock::is_everything(block.core), frozen)
+}
+
+/// Same as [`check_block`]. `bordered`: density control has a border; `frozen`: there are frozen Gaussians.
+fn check_block_settings(
+    settings: &TrainSettings,
+    strategy: &dyn Strategy,
+    bordered: bool,
+    frozen: bool,
+) -> Result<()> {
+    if (bordered || frozen) && !strategy.grows_by_statistics() {
+        let problem = format!(
+            "the strategy '{}' adds Gaussians anywhere; take one that goes by gradients, or fixed",
+            strategy.name()
+        );
+        return Err(Error::argument("block", problem));
+    }
+    if frozen && settings.pose_opt {
+        let problem = "does not go together with a block of a scene: optimise the poses with the whole of it";
+        return Err(Error::argument("pose_opt", problem));
+    }
+    Ok(())
+}

@@ -1,0 +1,345 @@
+//! The set of Gaussians between two steps, for a strategy to read and change.
+
+use super::memory::{Model, PeakCounts, RowGrowth, RowMemory, grown_capacity};
+use super::photos::Photos;
+use super::poses::Poses;
+use super::schedule::TrainingRun;
+use super::settings::TrainSettings;
+use crate::error::{Error, Result};
+use crate::frame::{FrameCapacity, PictureCapacity, RenderSettings, SceneBuffers, ScenePlan, planes};
+use crate::passes::adam::Moments;
+use crate::passes::densify::{Curve, Densify, EdgePhoto, Gather, Importance, ImportanceBuffers, RandomKey};
+use crate::render::{Failed, FrameRunner, FrameStore, Request};
+use crate::scene::Camera;
+use crate::scene::camera::middle;
+use crate::vk::{Buffer, Context, MemoryKind, Recorder};
+
+/// The Gaussians with their moments and statistics, between two steps.
+pub struct Population<'a> {
+    pub(super) context: &'a Context,
+    pub(super) run: &'a TrainingRun,
+    pub(super) rows: &'a RowMemory,
+    pub(super) runner: &'a mut FrameRunner,
+    pub(super) pictures: &'a mut FrameStore,
+    pub(super) model: &'a mut Model,
+    pub(super) photos: &'a Photos,
+    /// None unless poses are optimised.
+    pub(super) poses: Option<&'a Poses>,
+    pub(super) peak: &'a mut PeakCounts,
+    pub(super) iteration: u32,
+    /// See [`super::schedule::Progress::summed`].
+    pub(super) summed: &'a mut u32,
+}
+
+/// New planes for a set that exceeds its capacity; nothing for a set that fits.
+pub struct Growth(Option<Model>);
+
+impl Population<'_> {
+    /// Context of the device.
+    pub fn context(&self) -> &Context {
+        self.context
+    }
+
+    /// The run's settings.
+    pub fn settings(&self) -> &TrainSettings {
+        &self.run.settings
+    }
+
+    /// Extent of the scene, world units.
+    pub fn scene_extent(&self) -> f32 {
+        self.run.scene_extent
+    }
+
+    /// Training cameras as given, without optimised poses.
+    pub fn cameras(&self) -> &[Camera] {
+        &self.run.cameras
+    }
+
+    /// Last iteration, counted from 1.
+    pub fn iteration(&self) -> u32 {
+        self.iteration
+    }
+
+    /// Number of Gaussians.
+    pub fn count(&self) -> u32 {
+        self.model.scene.count
+    }
+
+    /// Parameters of the Gaussians.
+    pub fn scene(&self) -> &SceneBuffers {
+        &self.model.scene
+    }
+
+    /// Adam's moments of the parameters.
+    pub fn moments(&self) -> &Moments {
+        &self.model.moments
+    }
+
+    /// Statistics per Gaussian: see [`super::strategy::StepInputs::statistics`].
+    pub fn statistics(&self) -> &[Buffer] {
+        &self.model.statistics
+    }
+
+    /// Frees the buffers of pictures drawn between steps.
+    pub fn release_pictures(&mut self) {
+        self.pictures.release();
+    }
+
+    /// Mean importance of each Gaussian over training views (indices of [`Population::cameras`]): its blending weights at
+    /// edges, f32 per Gaussian from 0 to 1. The views are drawn one after the other. None if memory is short. In a view whose
+    /// frame does not fit the memory, all have importance 0.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] without views, or for an index that does not exist; when a photograph cannot be read or the device
+    /// is lost.
+    pub fn importance(&mut self, kernels: &Importance, views: &[usize]) -> Result<Option<Buffer>> {
+        let (context, count) = (self.context, self.count());
+        let views_exist = !views.is_empty() && views.iter().all(|&view| view < self.run.cameras.len());
+        if !views_exist {
+            let problem = format!("{views:?} are not some of the {} there are", self.run.cameras.len());
+            return Err(Error::argument("views", problem));
+        }
+        let each = self.run.cameras.iter().map(|camera| u64::from(camera.width) * u64::from(camera.height));
+        let requests = ImportanceBuffers::requests(count, each.max().unwrap_or(0));
+        let own = [("importance", u64::from(count) * 4)];
+        let place = [("photo", self.photos.place_bytes())];
+        let allocate = |requests: &[_]| or_none(context.allocate("importance", requests, MemoryKind::Device));
+        let (Some(own), Some(place), Some(buffers)) =
+            (allocate(&own)?, allocate(&place)?, allocate(&requests)?)
+        else {
+            return Ok(None);
+        };
+        let (importance, place) = (&own[0], &place[0]);
+        let buffers = ImportanceBuffers::from_allocated(buffers);
+        context.run("clear importance", |r| {
+            r.fill(importance, 0);
+            Ok(())
+        })?;
+        // The weights do not depend on colours.
+        let settings = RenderSettings { inverse_depth: false, ..self.run.settings.render_settings() };
+        let share = 1.0 / views.len() as f32;
+        for &view in views {
+            let camera = &self.run.cameras[view];
+            let texels = &self.photos.between_steps(context, view, place)?;
+            let photo = EdgePhoto {
+                texels,
+                size: (camera.width, camera.height),
+                masked: self.photos.is_masked(view),
+                cut_sides: camera.cut_sides(),
+            };
+            let request = Request {
+                scene: &self.model.scene,
+                camera,
+                pose: self.poses.map(|poses| poses.camera(view)),
+                settings: &settings,
+                sh_degree: 0,
+                backward: true,
+            };
+            let ran = self.runner.run(&request, |r, inputs| {
+                let gradient = &inputs.frame.image_gradient;
+                r.barrier();
+                kernels.record_edges(r, &photo, &buffers, gradient);
+                r.barrier();
+                kernels.record_view(r, inputs, gradient, &buffers, (importance, share));
+                Ok(())
+            });
+            or_none(ran.map_err(Failed::error))?;
+        }
+        Ok(Some(importance.clone()))
+    }
+
+    /// Space-filling curve of the storage order.
+    pub fn curve(&self) -> Curve {
+        let middle = middle(self.run.cameras.iter().map(Camera::position)).unwrap_or_default();
+        Curve { center: middle.as_vec3(), extent: self.run.scene_extent }
+    }
+
+    /// Maximum number of Gaussians for which frames stay within the limits of device and memory.
+    pub fn most_rows(&self) -> u32 {
+        self.row_growth().most_rows_by_frames(self.count(), *self.peak)
+    }
+
+    /// Allocates planes and a frame for `rows` rows, if they exceed the capacity. Tries a reserve of half, then no reserve,
+    /// then the largest capacity that fits, if that is at least a sixteenth larger than the present one. The growth may fall
+    /// short of `rows`: see [`Population::capacity_with`].
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn make_room(&mut self, rows: u32) -> Result<Growth> {
+        let old = self.model.scene.plan.capacity;
+        if rows <= old {
+            return Ok(Growth(None));
+        }
+        let most = self.row_growth().most_with_room(rows)?;
+        let worth_it = old + old / 16;
+        let reserved = grown_capacity(self.context, rows, self.runner.frozen_capacity());
+        for capacity in [reserved, rows, most] {
+            if capacity <= worth_it && capacity < rows {
+                continue;
+            }
+            if let Some(fresh) = or_none(self.allocate_fresh(capacity))? {
+                return Ok(Growth(Some(fresh)));
+            }
+        }
+        Ok(Growth(None))
+    }
+
+    /// Capacity in Gaussians after a growth.
+    pub fn capacity_with(&self, growth: &Growth) -> u32 {
+        growth.0.as_ref().unwrap_or(self.model).scene.plan.capacity
+    }
+
+    /// Replaces the set by `rows` rows in one submission: either all of it executes or the old set stays. `record_sources`
+    /// records and returns the source of each row. That is a Gaussian, with the row's kind in the bits from `KIND_SHIFT` on:
+    /// kept, clone, first or second half of a split. It ends with a barrier. Statistics are cleared after it. Kept Gaussians
+    /// keep their moments; those of new ones are zero.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for more rows than the capacity; when the device is lost.
+    pub fn rebuild<'b>(
+        &mut self,
+        rows: u32,
+        growth: Growth,
+        kernels: &Densify,
+        key: &RandomKey,
+        record_sources: impl FnOnce(&mut Recorder, &SceneBuffers) -> &'b Buffer,
+    ) -> Result<()> {
+        self.rebuild_and(rows, growth, kernels, key, record_sources, |_, _, _| {})
+    }
+
+    /// Same as [`Population::rebuild`], but `record_changes` also records changes to the new set, from the set and the sources
+    /// of its rows, in the same submission. A barrier precedes it.
+    ///
+    /// # Errors
+    /// Same as [`Population::rebuild`].
+    pub fn rebuild_and<'b>(
+        &mut self,
+        rows: u32,
+        growth: Growth,
+        kernels: &Densify,
+        key: &RandomKey,
+        record_sources: impl FnOnce(&mut Recorder, &SceneBuffers) -> &'b Buffer,
+        record_changes: impl FnOnce(&mut Recorder, (&SceneBuffers, &Moments), &Buffer),
+    ) -> Result<()> {
+        let capacity = self.capacity_with(&growth);
+        if rows > capacity {
+            let problem = format!("are {rows}, the capacity is {capacity}");
+            return Err(Error::argument("rows", problem));
+        }
+        let (old, before) = (&*self.model, self.count());
+        // Without growth the four sets of planes rotate: each is gathered into the set that the previous gather freed.
+        let mut new = growth.0.unwrap_or_else(|| Model {
+            scene: old.with_planes(&old.spare),
+            moments: Moments { first: old.scene.chunks.clone(), second: old.moments.first.clone() },
+            spare: old.moments.second.clone(),
+            statistics: old.statistics.clone(),
+            parameter_gradients: old.parameter_gradients.clone(),
+        });
+        new.scene.count = rows;
+        self.context.run("densify: gather", |r| {
+            let sources = record_sources(r, &old.scene);
+            new.statistics.iter().for_each(|statistic| r.fill(statistic, 0));
+            kernels.record_gather_parameters(r, &Gather { from: &old.scene, to: &new.scene, sources }, key);
+            for (from, to) in
+                [(&old.moments.first, &new.moments.first), (&old.moments.second, &new.moments.second)]
+            {
+                r.barrier();
+                let (from, to) = (old.with_planes(from), new.with_planes(to));
+                kernels.record_gather_moments(r, &Gather { from: &from, to: &to, sources });
+            }
+            r.barrier();
+            record_changes(r, (&new.scene, &new.moments), sources);
+            Ok(())
+        })?;
+        *self.model = new;
+        // The gradient sums are void: their planes are no longer the spare set, and their rows are in the old order.
+        *self.summed = 0;
+        let of_frame = |rows: u32| rows.saturating_add(self.runner.frozen_capacity());
+        *self.peak = self.peak.remembered(of_frame(before), of_frame(rows));
+        Ok(())
+    }
+
+    /// Keeps these Gaussians, in this order, each once, and removes all others.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for an index that does not exist or comes twice, and for an empty list; when memory is short or the
+    /// device is lost.
+    pub fn keep(&mut self, kept: &[u32], kernels: &Densify) -> Result<()> {
+        let count = self.count();
+        if kept.is_empty() || kept.len() > count as usize {
+            let problem = format!("are {}, must be 1 to {count}", kept.len());
+            return Err(Error::argument("Gaussians to keep", problem));
+        }
+        let mut seen = vec![false; count as usize];
+        for &index in kept {
+            match seen.get_mut(index as usize) {
+                None => {
+                    let problem = format!("have {index}, there are {count}");
+                    return Err(Error::argument("Gaussians to keep", problem));
+                }
+                Some(true) => {
+                    return Err(Error::argument("Gaussians to keep", format!("have {index} twice")));
+                }
+                Some(seen) => *seen = true,
+            }
+        }
+        let requests = [("sources", kept.len() as u64 * 4)];
+        let buffers = self.context.allocate("densify", &requests, MemoryKind::Device)?;
+        self.context.upload(&buffers[0], bytemuck::cast_slice(kept))?;
+        let key = self.random_key();
+        self.rebuild(kept.len() as u32, Growth(None), kernels, &key, |r, _| {
+            r.barrier();
+            &buffers[0]
+        })
+    }
+
+    /// Key of the random numbers after an iteration.
+    pub(super) fn random_key(&self) -> RandomKey<'static> {
+        RandomKey { seed: self.run.settings.seed, iteration: self.iteration, explicit: None }
+    }
+
+    /// Memory for the work between two steps. None if memory is short.
+    pub(super) fn allocate(&self, requests: &[(&'static str, u64)]) -> Result<Option<Vec<Buffer>>> {
+        or_none(self.context.allocate("densify", requests, MemoryKind::Device))
+    }
+
+    fn row_growth(&self) -> RowGrowth<'_> {
+        let frame = self.runner.store.capacity();
+        // Covers all views, also those not used yet.
+        let pictures = PictureCapacity::of_cameras(&self.run.cameras);
+        RowGrowth {
+            context: self.context,
+            rows: self.rows,
+            plan: &self.model.scene.plan,
+            frame: FrameCapacity { pictures: frame.pictures.and(pictures), ..frame },
+            frame_bytes: self.runner.store.bytes(),
+            frozen: self.runner.frozen_capacity(),
+        }
+    }
+
+    /// Allocates planes for parameters, both moments and the spare set with the given capacity, their statistics, and a frame.
+    /// An error if they do not fit the memory: the old planes then still exist, but the next step allocates the old frame
+    /// again.
+    fn allocate_fresh(&mut self, capacity: u32) -> Result<Model> {
+        let plan = ScenePlan::new(self.context.limits(), capacity, self.model.scene.plan.sh_degree)?;
+        if !self.row_growth().has_room(&plan) {
+            return Err(Error::argument("densification", "the memory does not suffice"));
+        }
+        let chunks = planes::allocate(self.context, ("scene", self.rows.planes), &plan)?;
+        let fresh = Model::allocate(self.context, SceneBuffers { chunks, plan, count: 0 }, self.rows)?;
+        self.runner.store.make_room(self.runner.gaussians_with(capacity))?;
+        Ok(fresh)
+    }
+}
+
+/// Returns None if memory is short, and an error if the state of the device is unknown.
+fn or_none<T>(result: Result<T>) -> Result<Option<T>> {
+    match result {
+        Ok(done) => Ok(Some(done)),
+        Err(error @ (Error::DeviceLost { .. } | Error::Timeout { .. })) => Err(error),
+        Err(Error::Vulkan { call: call @ "vkWaitForFences", result, remedy }) => {
+            Err(Error::Vulkan { call, result, remedy })
+        }
+        Err(_) => Ok(None),
+    }
+}

@@ -1,0 +1,238 @@
+//! Conversion of a trainer to a [`Checkpoint`], and back.
+
+use super::block::SceneBlock;
+use super::checkpoint::{Capacities, Checkpoint, GradientSums, StrategyState, StrategyStatistic, Wanted};
+use super::parts::TrainParts;
+use super::photos::{TrainView, fingerprint_of};
+use super::schedule::Progress;
+use super::settings::TrainSettings;
+use super::strategies;
+use super::trainer::Trainer;
+use super::work::{Actions, Statistic};
+use crate::error::{Error, Result};
+use crate::frame::{PictureCapacity, planes};
+use crate::scene::{Camera, WorldFrame};
+use crate::vk::{Buffer, Context};
+
+impl Trainer {
+    /// Downloads the state that [`Trainer::resume`] needs.
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] while recorded steps are in flight, and after a step with an unknown
+    /// outcome; when the device is lost.
+    pub fn checkpoint(&self) -> Result<Checkpoint> {
+        if let Some(rescued) = &self.state.rescued {
+            return Ok((**rescued).clone());
+        }
+        self.check_readable()?;
+        let (model, progress) = (&self.state.model, &self.state.progress);
+        let planes_of = |chunks: &[Buffer]| planes::download(&self.context, &model.with_planes(chunks));
+        let count = u64::from(model.scene.count);
+        let download = |(statistic, buffer): (&Statistic, &Buffer)| -> Result<StrategyStatistic> {
+            let (name, floats) = (statistic.name.to_owned(), statistic.floats);
+            let bytes = match count {
+                0 => Vec::new(),
+                _ => self.context.download(&buffer.range(0, count * u64::from(floats) * 4))?,
+            };
+            Ok(StrategyStatistic { name, floats, values: bytemuck::pod_collect_to_vec(&bytes) })
+        };
+        let statistics = self.rows.statistics.iter().zip(&model.statistics).map(download);
+        let mut statistics = statistics.collect::<Result<Vec<_>>>()?;
+        let gradient = statistics.remove(0).values;
+        let [exposures, lenses] = self.appearance_states()?;
+        Ok(Checkpoint {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            device: self.context.device_name().to_owned(),
+            driver: self.context.description().driver.clone(),
+            kernels: self.context.limits().kernel_forms(),
+            settings: self.run.settings.clone(),
+            views: self.run.cameras.len() as u64,
+            views_fingerprint: self.run.views_fingerprint,
+            scene_extent: self.run.scene_extent,
+            frame: WorldFrame::default(),
+            iteration: progress.iteration,
+            optimizer_steps: progress.steps,
+            opacity_steps: progress.opacity_steps,
+            due: progress.due,
+            gaussians: self.gaussians()?,
+            first_moments: planes_of(&model.moments.first)?,
+            second_moments: planes_of(&model.moments.second)?,
+            statistics: bytemuck::cast_slice(&gradient).to_vec(),
+            filters: self.filters()?,
+            strategy: StrategyState {
+                name: self.strategy.name().to_owned(),
+                terms: self.recorder.terms().map(str::to_owned).collect(),
+                statistics,
+                values: self.strategy.state(),
+            },
+            gradient_sums: match progress.summed {
+                0 => None,
+                views => Some(GradientSums {
+                    views,
+                    sums: planes_of(&model.spare)?,
+                    light: self.losses.appearance.sums(&self.context, self.run.lens_count())?,
+                    poses: match &self.poses {
+                        Some(poses) => poses.sums(&self.context)?,
+                        None => Vec::new(),
+                    },
+                }),
+            },
+            means: self.mean_state()?,
+            exposures,
+            lenses,
+            poses: self.poses.as_ref().map(|poses| poses.state(&self.context)).transpose()?,
+            skipped: self.state.skipped,
+            block: self.block.as_ref().map(|block| block.state),
+            capacities: self.capacities(),
+        })
+    }
+
+    /// Creates a trainer that continues from a checkpoint as if it had never stopped. It needs the same views in the same
+    /// order, and the same settings. Only the number of iterations may differ, if it is not reached yet. With another version,
+    /// device or driver the bits differ: see [`Checkpoint::differences`].
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] naming what differs; same as [`Trainer::new`].
+    pub fn resume(
+        context: &Context,
+        views: Vec<TrainView>,
+        scene_extent: f32,
+        settings: TrainSettings,
+        from: &Checkpoint,
+    ) -> Result<Self> {
+        settings.check()?;
+        let parts = TrainParts::of_settings(context, &settings)?;
+        Self::resume_with_parts(context, views, scene_extent, settings, parts, from)
+    }
+
+    /// Same as [`Trainer::resume`], for a run of [`Trainer::with_parts`].
+    ///
+    /// # Errors
+    /// Same as [`Trainer::resume`].
+    pub fn resume_with_parts(
+        context: &Context,
+        views: Vec<TrainView>,
+        scene_extent: f32,
+        settings: TrainSettings,
+        mut parts: TrainParts,
+        from: &Checkpoint,
+    ) -> Result<Self> {
+        from.check()?;
+        from.check_fits(&Wanted {
+            settings: &settings,
+            views: views.len() as u64,
+            views_fingerprint: fingerprint_of(&views, settings.lens_effects),
+            scene_extent,
+            block: parts.block.as_ref().and_then(SceneBlock::state),
+        })?;
+        let (there, here) = (strategies::present_name(&from.strategy.name), parts.strategy.name());
+        if !there.is_empty() && there != here {
+            let problem = format!("was made with the strategy '{there}', here it is '{here}'");
+            return Err(Error::argument("checkpoint", problem));
+        }
+        parts.strategy.restore(&from.strategy.values)?;
+        let sh_degree_start = settings.sh_degree_start_after(&from.settings, from.iteration);
+        let settings = TrainSettings { sh_degree_start, ..settings };
+        let earlier = Some(&from.capacities);
+        let mut trainer =
+            Trainer::build(context, views, &from.gaussians, scene_extent, settings, parts, earlier)?;
+        let here: Vec<&str> = trainer.recorder.terms().collect();
+        if !from.strategy.terms.is_empty() && from.strategy.terms != here {
+            let problem = format!(
+                "was made with the terms {:?} of the loss, here they are {here:?}",
+                from.strategy.terms
+            );
+            return Err(Error::argument("checkpoint", problem));
+        }
+        trainer.check_statistics(from)?;
+        trainer.restore_rows(from)?;
+        let means = from.means.as_ref().map(|means| &means.light);
+        let sums = from.gradient_sums.as_ref().map(|sums| &sums.light).or(means).cloned().unwrap_or_default();
+        trainer.losses.appearance.restore(context, [&from.exposures, &from.lenses], &sums)?;
+        if let Some(poses) = &trainer.poses {
+            let lacks = || Error::argument("checkpoint", "lacks the poses of its views");
+            poses.restore(context, from.poses.as_ref().ok_or_else(lacks)?)?;
+            let sums = from.gradient_sums.as_ref().map_or(&[][..], |sums| &sums.poses);
+            if !sums.is_empty() {
+                poses.restore_sums(context, sums)?;
+            }
+        }
+        // The shorter run omitted a reset that this run makes.
+        let recovery = from.settings.reset_recovery();
+        let made_up = (from.iteration.saturating_sub(recovery) + 1..=from.iteration).any(|iteration| {
+            let here = trainer.actions_at(iteration).contains(Actions::RESET_OPACITY);
+            here && from.settings.left_out_reset_at(iteration)
+        });
+        let state = &mut trainer.state;
+        state.progress = Progress {
+            iteration: from.iteration,
+            steps: from.optimizer_steps,
+            opacity_steps: from.opacity_steps,
+            summed: from.gradient_sums.as_ref().map_or(0, |sums| sums.views),
+            averaged: from.means.as_ref().map_or(0, |means| means.steps),
+            due: from.due.and(Actions::RESET_OPACITY.when(made_up)),
+        };
+        state.peak = from.capacities.peak();
+        state.skipped = from.skipped;
+        if from.iteration > 0 && from.iteration == from.settings.iterations {
+            trainer.finish_last_iteration()?;
+        }
+        Ok(trainer)
+    }
+
+    fn check_statistics(&self, from: &Checkpoint) -> Result<()> {
+        let names = |all: &mut dyn Iterator<Item = (&str, u32)>| -> Vec<String> {
+            all.map(|(name, floats)| format!("{name}[{floats}]")).collect()
+        };
+        let own = &from.strategy.statistics;
+        let there = names(&mut own.iter().map(|statistic| (statistic.name.as_str(), statistic.floats)));
+        let rows = &self.rows.statistics;
+        let here = names(&mut rows[1..].iter().map(|statistic| (statistic.name, statistic.floats)));
+        if there == here {
+            return Ok(());
+        }
+        let problem = format!("has the strategy's statistics {there:?}, this one has {here:?}");
+        Err(Error::argument("checkpoint", problem))
+    }
+
+    /// Uploads the state of each Gaussian besides its parameters.
+    pub(super) fn restore_rows(&self, from: &Checkpoint) -> Result<()> {
+        let (context, model) = (&self.context, &self.state.model);
+        context.upload(&model.statistics[0], bytemuck::cast_slice(&from.statistics))?;
+        for (statistic, buffer) in from.strategy.statistics.iter().zip(&model.statistics[1..]) {
+            context.upload(buffer, bytemuck::cast_slice(&statistic.values))?;
+        }
+        if self.filter.is_some() {
+            planes::upload_filters(context, &model.scene, &from.filters)?;
+        }
+        let moments =
+            [(&model.moments.first, &from.first_moments), (&model.moments.second, &from.second_moments)];
+        let sums = from.gradient_sums.iter().map(|sums| (&model.spare, &sums.sums));
+        let means = from.means.iter().map(|means| (&model.spare, &means.gaussians));
+        for (chunks, values) in moments.into_iter().chain(sums).chain(means) {
+            planes::fill(context, &model.with_planes(chunks), values)?;
+        }
+        Ok(())
+    }
+
+    fn capacities(&self) -> Capacities {
+        let frame = self.runner.store.capacity();
+        let largest = |side: fn(&Camera) -> u32| match frame.pictures {
+            PictureCapacity::NONE => 0,
+            _ => self.run.cameras.iter().map(side).max().unwrap_or(0),
+        };
+        Capacities {
+            gaussians: self.state.model.scene.plan.capacity,
+            frame_gaussians: frame.gaussians,
+            frame_visible: frame.visible,
+            frame_instances: frame.instances,
+            frame_width: largest(|camera| camera.width),
+            frame_height: largest(|camera| camera.height),
+            blend_passes: frame.blend_passes,
+            backward: frame.backward.into(),
+            most_visible: self.state.peak.visible,
+            most_instances: self.state.peak.instances,
+            max_memory: self.context.max_memory(),
+        }
+    }
+}

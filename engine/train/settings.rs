@@ -1,0 +1,643 @@
+//! Settings of a training run, with the names of the reference implementation's command line.
+//!
+//! Each setting is declared once, in [`TrainSettings`]: its type, default, bounds and description. The command
+//! line, the TOML file, the checkpoint and the C API follow from the declaration, through
+//! [`TrainSettings::OPTIONS`] or serde.
+
+use crate::error::{Error, Result};
+use crate::scene::Gaussians;
+use crate::scene::gaussians::MAX_SH_DEGREE;
+
+/// Optimiser of the parameters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum OptimizerType {
+    /// Adam on every Gaussian in every iteration (the reference's `default`).
+    #[default]
+    Default,
+    /// Adam only on the Gaussians that are visible in the iteration's view, without bias correction (`sparse_adam`).
+    SparseAdam,
+}
+
+/// Strategy of density control. A host can supply its own: [`super::TrainParts`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum StrategyType {
+    /// The reference implementation's: clone, split, prune, opacity reset. Settings files may also use `default`, its name in
+    /// earlier versions.
+    #[default]
+    #[cfg_attr(feature = "serde", serde(alias = "default"))]
+    Reference,
+    /// No density control: the initial Gaussians are optimised, and their number stays.
+    Fixed,
+    /// 3DGS-MCMC's: relocation, growth to `cap_max`, noise. [`TrainSettings::of_strategy`](super::TrainSettings::of_strategy)
+    /// has its values.
+    Mcmc,
+    /// Budgeted growth after Improved-GS: splits the Gaussians that matter most for the photographs' edges along their long
+    /// axis, up to a number that grows to `cap_max`. [`TrainSettings::of_strategy`](super::TrainSettings::of_strategy) has its
+    /// values.
+    Budget,
+}
+
+/// Method of splitting a Gaussian.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "kebab-case"))]
+pub enum SplitType {
+    /// Two means drawn from the Gaussian, scales divided by 1.6 (the reference's).
+    #[default]
+    Sample,
+    /// Two means on the longest axis, at ± 1.35 of its scale (Improved-GS).
+    LongAxis,
+}
+
+/// Weight of a candidate's chance to be split, in the strategy `budget`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum ImportanceType {
+    /// Blending weights at the photographs' edges, over several views (Improved-GS).
+    #[default]
+    Edges,
+    /// The statistic that selected the candidates.
+    Statistic,
+    /// Equal weights.
+    None,
+}
+
+/// Goal of a training: [`TrainSettings::of_preset`](super::TrainSettings::of_preset). Without a preset the reference's values
+/// apply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum Preset {
+    /// Short time: fewer Gaussians, small pictures first.
+    Fast,
+    /// Good quality, with fewer Gaussians than the reference and in about its time.
+    Default,
+    /// Best quality, regardless of time.
+    Quality,
+}
+
+/// Bounds of an option's value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Bounds {
+    /// Any value of the type.
+    None,
+    /// A whole number of at least this.
+    AtLeast(u32),
+    /// A whole number of at most this.
+    AtMost(u32),
+    /// A number above 0, up to a million.
+    Positive,
+    /// A number from 0 to a million.
+    NotNegative,
+    /// A number from 0 to 1.
+    Share,
+}
+
+/// Type of an option.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OptionKind {
+    /// A whole number, 0 or more.
+    Integer,
+    /// A number.
+    Number,
+    /// True or false.
+    Switch,
+    /// One of these names.
+    Choice(&'static [&'static str]),
+}
+
+/// Value of an option.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum OptionValue {
+    /// Value of an [`OptionKind::Integer`].
+    Integer(u32),
+    /// Value of an [`OptionKind::Number`].
+    Number(f64),
+    /// Value of an [`OptionKind::Switch`].
+    Switch(bool),
+    /// Value of an [`OptionKind::Choice`].
+    Choice(&'static str),
+}
+
+impl std::fmt::Display for OptionValue {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Integer(value) => write!(f, "{value}"),
+            Self::Number(value) => write!(f, "{value}"),
+            Self::Switch(value) => write!(f, "{value}"),
+            Self::Choice(value) => write!(f, "{value}"),
+        }
+    }
+}
+
+/// Declaration of an option of training.
+#[derive(Clone, Copy, Debug)]
+pub struct TrainOption {
+    /// Name of the option and of its field.
+    pub name: &'static str,
+    /// Lines of the description.
+    pub about: &'static [&'static str],
+    /// Type of the value.
+    pub kind: OptionKind,
+    /// Bounds of the value.
+    pub bounds: Bounds,
+    /// Returns the value in the given settings.
+    pub value: fn(&TrainSettings) -> OptionValue,
+}
+
+impl TrainOption {
+    /// Checks the value in the given settings.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] with the name, the value and the allowed range.
+    pub fn check(&self, settings: &TrainSettings) -> Result<()> {
+        /// Upper limit of all numbers; larger ones are mistakes.
+        const LARGEST: f64 = 1e6;
+        let value = (self.value)(settings);
+        let (fits, wanted) = match (self.bounds, value) {
+            (Bounds::AtLeast(low), OptionValue::Integer(x)) => (x >= low, format!("at least {low}")),
+            (Bounds::AtMost(high), OptionValue::Integer(x)) => (x <= high, format!("0 to {high}")),
+            (Bounds::Positive, OptionValue::Number(x)) => {
+                ((f64::MIN_POSITIVE..=LARGEST).contains(&x), format!("above 0, at most {LARGEST}"))
+            }
+            (Bounds::NotNegative, OptionValue::Number(x)) => {
+                ((0.0..=LARGEST).contains(&x), format!("0 to {LARGEST}"))
+            }
+            (Bounds::Share, OptionValue::Number(x)) => ((0.0..=1.0).contains(&x), "between 0 and 1".into()),
+            (Bounds::None, _) => (true, String::new()),
+            // The declared bounds do not match the type.
+            _ => (false, "of the type of its bounds".into()),
+        };
+        match fits {
+            true => Ok(()),
+            false => Err(Error::argument(self.name, format!("is {value}, must be {wanted}"))),
+        }
+    }
+
+    /// Returns the default value.
+    pub fn default_value(&self) -> OptionValue {
+        (self.value)(&TrainSettings::default())
+    }
+}
+
+/// A type that an option can have.
+pub(super) trait IsOption: Copy {
+    const KIND: OptionKind;
+    fn value(self) -> OptionValue;
+}
+
+impl IsOption for u32 {
+    const KIND: OptionKind = OptionKind::Integer;
+    fn value(self) -> OptionValue {
+        OptionValue::Integer(self)
+    }
+}
+
+impl IsOption for f64 {
+    const KIND: OptionKind = OptionKind::Number;
+    fn value(self) -> OptionValue {
+        OptionValue::Number(self)
+    }
+}
+
+impl IsOption for bool {
+    const KIND: OptionKind = OptionKind::Switch;
+    fn value(self) -> OptionValue {
+        OptionValue::Switch(self)
+    }
+}
+
+/// Declares the names of an enumeration's values, in the order of the values.
+macro_rules! choice {
+    ($kind:ty, $($name:literal = $value:path),*) => {
+        impl IsOption for $kind {
+            const KIND: OptionKind = OptionKind::Choice(&[$($name),*]);
+            fn value(self) -> OptionValue {
+                OptionValue::Choice(match self { $($value => $name),* })
+            }
+        }
+    };
+}
+
+choice!(OptimizerType, "default" = OptimizerType::Default, "sparse_adam" = OptimizerType::SparseAdam);
+choice!(
+    StrategyType,
+    "reference" = StrategyType::Reference,
+    "fixed" = StrategyType::Fixed,
+    "mcmc" = StrategyType::Mcmc,
+    "budget" = StrategyType::Budget
+);
+choice!(SplitType, "sample" = SplitType::Sample, "long-axis" = SplitType::LongAxis);
+choice!(
+    ImportanceType,
+    "edges" = ImportanceType::Edges,
+    "statistic" = ImportanceType::Statistic,
+    "none" = ImportanceType::None
+);
+
+/// Declares the settings: a struct with documented fields, and a table of their types, defaults, bounds and descriptions.
+macro_rules! options {
+    ($(#[$about:meta])* pub struct $name:ident {
+        $($(#[doc = $doc:literal])+ $field:ident: $kind:ty = $default:expr, $bounds:expr;)*
+    }) => {
+        $(#[$about])*
+        #[derive(Clone, Debug, PartialEq)]
+        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default, deny_unknown_fields))]
+        pub struct $name { $($(#[doc = $doc])+ pub $field: $kind,)* }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $($field: $default,)* }
+            }
+        }
+
+        impl $name {
+            /// All settings in the order of declaration.
+            pub const OPTIONS: &[$crate::train::settings::TrainOption] = &[$(
+                $crate::train::settings::TrainOption {
+                    name: stringify!($field),
+                    about: &[$($doc),+],
+                    kind: <$kind as $crate::train::settings::IsOption>::KIND,
+                    bounds: $bounds,
+                    value: |settings| $crate::train::settings::IsOption::value(settings.$field),
+                },
+            )*];
+
+            /// Names and values of all settings, in the order of declaration.
+            pub fn values(&self) -> Vec<(&'static str, OptionValue)> {
+                Self::OPTIONS.iter().map(|option| (option.name, (option.value)(self))).collect()
+            }
+        }
+    };
+}
+
+options! {
+    /// All settings of a training run. They are the arguments of the reference implementation (gaussian-splatting,
+    /// `arguments/__init__.py`) with its names and defaults, and three values that it hard-codes. Settings of later work have
+    /// the names in their papers' code.
+    ///
+    /// Iterations are counted from 1. With the feature `serde` the settings can be read from and written to
+    /// any of its formats. Missing fields take their defaults, unknown ones are refused.
+    pub struct TrainSettings {
+        /// Number of iterations, one view each
+        iterations: u32 = 30_000, Bounds::AtLeast(1);
+        /// Highest degree of the spherical harmonics, 0 to 3
+        sh_degree: u32 = 3, Bounds::AtMost(MAX_SH_DEGREE);
+        /// Iterations after which the SH degree in use rises by one; scale_sh_degree multiplies them
+        sh_degree_interval: u32 = 1000, Bounds::AtLeast(1);
+        /// SH degree in use at the start (of a scene that training begins with: its own)
+        sh_degree_start: u32 = 0, Bounds::AtMost(MAX_SH_DEGREE);
+        /// Learning rate of the means at the start, times the scene's extent
+        position_lr_init: f64 = 1.6e-4, Bounds::Positive;
+        /// Learning rate of the means at the end, times the scene's extent
+        position_lr_final: f64 = 1.6e-6, Bounds::Positive;
+        /// Without effect, as in the reference, whose delay lasts 0 steps
+        position_lr_delay_mult: f64 = 0.01, Bounds::NotNegative;
+        /// Iteration at which position_lr_final is reached
+        position_lr_max_steps: u32 = 30_000, Bounds::AtLeast(1);
+        /// Learning rate of the SH coefficients of degree 0; the others take a twentieth of it
+        feature_lr: f64 = 2.5e-3, Bounds::NotNegative;
+        /// Learning rate of the opacity logits (mcmc: 0.05)
+        opacity_lr: f64 = 0.025, Bounds::NotNegative;
+        /// Learning rate of the log-scales
+        scaling_lr: f64 = 5e-3, Bounds::NotNegative;
+        /// Learning rate of the quaternions
+        rotation_lr: f64 = 1e-3, Bounds::NotNegative;
+        /// Larger than this share of the scene's extent: split, else cloned
+        percent_dense: f64 = 0.01, Bounds::NotNegative;
+        /// Weight of 1 - SSIM in the loss; the L1 term takes the rest
+        lambda_dssim: f64 = 0.2, Bounds::Share;
+        /// Weight of the mean opacity in the loss (mcmc: 0.01)
+        opacity_reg: f64 = 0.0, Bounds::NotNegative;
+        /// Weight of the mean scale in the loss (mcmc: 0.01)
+        scale_reg: f64 = 0.0, Bounds::NotNegative;
+        /// Density control: the reference's, none, 3DGS-MCMC's, or budgeted growth; the last two set other defaults
+        strategy: StrategyType = StrategyType::Reference, Bounds::None;
+        /// Most Gaussians that the strategies mcmc and budget grow to; budget with 0: cap_ratio times those of the start, times the
+        /// cube root of iterations / 30000, rounded down (budget: 0)
+        cap_max: u32 = 1_000_000, Bounds::None;
+        /// Most Gaussians of the strategy budget without cap_max, for each of the start
+        cap_ratio: f64 = 10.0, Bounds::Positive;
+        /// Rate of mcmc's noise on the means, times their learning rate
+        noise_lr: f64 = 5e5, Bounds::NotNegative;
+        /// Opacity of the first Gaussians (mcmc: 0.5)
+        initial_opacity: f64 = INITIAL_OPACITY, Bounds::Share;
+        /// Scale of the first Gaussians, times the distance of their neighbours (mcmc: 0.1)
+        initial_scale: f64 = 1.0, Bounds::Positive;
+        /// Iterations between densifications
+        densification_interval: u32 = 100, Bounds::AtLeast(1);
+        /// Iterations between opacity resets; none in the last 1000 of a run, from which it would not recover
+        opacity_reset_interval: u32 = 3000, Bounds::AtLeast(1);
+        /// Count what concerns the whole run in shares of 30,000 iterations: position_lr_max_steps, densify_from_iter,
+        /// densify_until_iter, the groups of multi_step and late prunings are multiplied by iterations / 30000 (budget: true)
+        scale_schedule: bool = false, Bounds::None;
+        /// Larger learning rates in runs of fewer than 30,000 iterations: position_lr_init times 30000 / iterations, at most
+        /// 10; those of scales, opacities and colours times its root, at most 2 (budget: true)
+        scale_rates: bool = false, Bounds::None;
+        /// Raise the SH degree in use at the same shares of the run: sh_degree_interval is multiplied by iterations / 30000, and is
+        /// at least 1 (budget: true, but not with few photos)
+        scale_sh_degree: bool = false, Bounds::None;
+        /// Densification starts after this iteration
+        densify_from_iter: u32 = 500, Bounds::None;
+        /// Densification, and the collection of its statistics, end before this iteration (mcmc: 25000)
+        densify_until_iter: u32 = 15_000, Bounds::None;
+        /// Mean norm of the 2D mean's gradient (NDC) from which a Gaussian is densified
+        densify_grad_threshold: f64 = 2e-4, Bounds::NotNegative;
+        /// That norm of sums of absolute values over pixels, so that opposite gradients do not cancel (AbsGS; budget: true)
+        absgrad: bool = false, Bounds::None;
+        /// Split a Gaussian into two drawn from it, or along its longest axis (budget: long-axis)
+        split: SplitType = SplitType::Sample, Bounds::None;
+        /// What the chance to be split follows with strategy budget: edges of the photographs, the gradient's statistic, nothing
+        importance: ImportanceType = ImportanceType::Edges, Bounds::None;
+        /// Grow to cap_max along a square root, not at once (budget: true)
+        growth_curve: bool = false, Bounds::None;
+        /// Prune what does not recover from opacity resets, which are milder (budget: true)
+        recovery: bool = false, Bounds::None;
+        /// Add up the gradients of several views before a step in the last third of the run (budget: true, presets: false)
+        multi_step: bool = false, Bounds::None;
+        /// Share of the run, at its end, over whose steps parameters are averaged; the mean takes their place in the last iteration
+        /// (Polyak and Juditsky; stochastic weight averaging). Not together with multi_step (presets: 0.05)
+        average_last: f64 = 0.0, Bounds::Share;
+        /// Learn the exposure of each photo: a 3x4 matrix that changes the rendered colours before they are compared
+        exposure: bool = false, Bounds::None;
+        /// Learning rate of the exposures at the start (presets: 0.02)
+        exposure_lr_init: f64 = 0.01, Bounds::Positive;
+        /// Learning rate of the exposures at the end (presets: 0.0005)
+        exposure_lr_final: f64 = 0.001, Bounds::Positive;
+        /// Iterations over which the exposures' learning rate rises from exposure_lr_delay_mult of it to all of it
+        exposure_lr_delay_steps: u32 = 0, Bounds::None;
+        /// Share of the exposures' learning rate at the start of that rise
+        exposure_lr_delay_mult: f64 = 0.0, Bounds::Share;
+        /// Weight of the squares of what exposures have besides a gain per channel, mixtures of channels and offsets, in the loss
+        /// (presets: 0.1)
+        exposure_reg: f64 = 0.0, Bounds::NotNegative;
+        /// Scale steps of exposures by the gradients of all photos together, so that those that fit move little (presets: true)
+        exposure_shared: bool = false, Bounds::None;
+        /// How far each step brings an exposure closer to none, as a share of its learning rate; nothing for one that is farther than 0.05
+        /// away. Photos without a clear change keep none: the minimax concave penalty, Zhang 2010 (presets: 0.05)
+        exposure_sparsity: f64 = 0.0, Bounds::NotNegative;
+        /// Learn vignetting and response of each camera, which change the rendered colours before they are compared
+        lens_effects: bool = false, Bounds::None;
+        /// Learning rate of the lens effects at the start; a tenth of it at the end
+        lens_lr: f64 = 5e-3, Bounds::Positive;
+        /// Weight of the squared lens effects in the loss, which pulls them to none
+        lens_reg: f64 = 1e-3, Bounds::NotNegative;
+        /// Weight of the depths of the photos' sparse points in the loss at the start, times the scene's extent; a hundredth of it at the
+        /// end (gsplat: 0.01 throughout)
+        depth_points: f64 = 0.0, Bounds::NotNegative;
+        /// Weight of the inverse-depth maps in the loss at the start, for views that have one
+        depth_l1_weight_init: f64 = 1.0, Bounds::Positive;
+        /// Weight of the inverse-depth maps in the loss at the end
+        depth_l1_weight_final: f64 = 0.01, Bounds::Positive;
+        /// Gaussians of a smaller opacity are pruned at a densification
+        min_opacity: f64 = 0.005, Bounds::Share;
+        /// With strategy budget, Gaussians of a smaller opacity are pruned up to seven times between 8000 and 21000 of 30000
+        /// iterations as well, but not within 300 after the start or an opacity reset; 0 for none (presets: 0.1)
+        late_min_opacity: f64 = 0.0, Bounds::Share;
+        /// White background instead of black
+        white_background: bool = false, Bounds::None;
+        /// A new random background colour in every iteration, behind the scene and behind transparent photos, so that no Gaussian
+        /// paints the background
+        random_background: bool = false, Bounds::None;
+        /// Compensate the opacity for the screen-space dilation (Mip-Splatting's 2D filter)
+        antialiasing: bool = false, Bounds::None;
+        /// Take that compensation as a constant in gradients
+        antialiasing_detached: bool = false, Bounds::None;
+        /// Low-pass filter of the projection: variance that it adds, square pixels (Mip-Splatting: 0.1)
+        kernel_size: f64 = 0.3, Bounds::Positive;
+        /// Widen Gaussians to what the nearest camera resolves (Mip-Splatting's 3D filter)
+        filter_3d: bool = false, Bounds::None;
+        /// Begin with small pictures up to this iteration, or up to half of the run if that is earlier: first a quarter of the photos'
+        /// width and height, then half of them. It is not scaled. No side gets fewer than 64 pixels (paper, section 7.1: 500)
+        warm_up: u32 = 0, Bounds::None;
+        /// Share of the Gaussians that the last step leaves out at random; it rises from 0 at the start (DropGaussian: 0.2)
+        dropout: f64 = 0.0, Bounds::Share;
+        /// Optimise the poses of the training views with the scene; held-out ones are aligned to it before they are measured
+        pose_opt: bool = false, Bounds::None;
+        /// Learning rate of the poses at the start: of turns, radians; of displacements, times the mean depth of the Gaussians that the
+        /// camera sees at the start. A hundredth of it at the end
+        pose_lr: f64 = 1e-5, Bounds::NotNegative;
+        /// Adam on all Gaussians, or on those seen only
+        optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;
+        /// Seed of everything random: order of the views, split positions, random backgrounds
+        seed: u32 = 0, Bounds::None;
+    }
+}
+
+/// Initial opacity of the Gaussians in the reference.
+const INITIAL_OPACITY: f64 = 0.1;
+/// Share of a run over which presets average parameters.
+const AVERAGED_SHARE: f64 = 0.05;
+/// End of the reference's densification, with few photographs.
+const FEW_PHOTOS_UNTIL: u32 = 1500;
+/// Share of Gaussians that the last step omits, with few photographs.
+const FEW_PHOTOS_DROPOUT: f64 = 0.2;
+/// Share of the run over which parameters are averaged, with few photographs. They need a longer mean than many.
+const FEW_PHOTOS_AVERAGED: f64 = 0.25;
+/// Weight of the mean opacity in the loss, with few photographs.
+const FEW_PHOTOS_OPACITY_REG: f64 = 0.01;
+/// Weight of the mean scale over extent in the loss, with few photographs.
+const FEW_PHOTOS_SCALE_REG: f64 = 0.045;
+/// Maximum share of omitted Gaussians.
+const MOST_DROPOUT: f64 = 0.9;
+
+/// A weight divided by the scene's extent, rounded to three digits to be easily typed; 0 if the extent is not usable.
+fn per_extent(weight: f64, scene_extent: f32) -> f64 {
+    let weight = weight / f64::from(scene_extent);
+    let usable = scene_extent > 0.0 && weight.is_finite();
+    if usable { format!("{weight:.2e}").parse().unwrap_or(weight) } else { 0.0 }
+}
+
+impl TrainSettings {
+    /// Returns the defaults of a strategy. 3DGS-MCMC differs in rates, initial values, regularisers and the end of
+    /// densification (its README and `train.py`). Budgeted growth differs in the means' rates and the threshold (Improved-GS,
+    /// `arguments/__init__.py`). It enables all its parts and scales its schedule.
+    pub fn of_strategy(strategy: StrategyType) -> Self {
+        let usual = Self { strategy, ..Self::default() };
+        match strategy {
+            StrategyType::Reference | StrategyType::Fixed => usual,
+            StrategyType::Budget => Self {
+                position_lr_init: 4e-5,
+                position_lr_final: 2e-6,
+                densify_grad_threshold: 3e-4,
+                cap_max: 0,
+                scale_schedule: true,
+                scale_rates: true,
+                scale_sh_degree: true,
+                absgrad: true,
+                split: SplitType::LongAxis,
+                growth_curve: true,
+                recovery: true,
+                multi_step: true,
+                ..usual
+            },
+            StrategyType::Mcmc => Self {
+                opacity_lr: 0.05,
+                opacity_reg: 0.01,
+                scale_reg: 0.01,
+                densify_until_iter: 25_000,
+                initial_opacity: 0.5,
+                initial_scale: 0.1,
+                ..usual
+            },
+        }
+    }
+
+    /// Returns the defaults of a preset, by measurement (tools/strategies.md). All use the strategy budget and prune faint
+    /// Gaussians late. They average parameters over the last steps of one view each, which allows larger rates of scales, and
+    /// of means at the end. Presets differ in the number of Gaussians and in the warm-up. [`exposure`](Self::exposure) is
+    /// nearly a gain per channel.
+    pub fn of_preset(preset: Preset) -> Self {
+        let usual = Self {
+            late_min_opacity: 0.1,
+            multi_step: false,
+            average_last: AVERAGED_SHARE,
+            position_lr_final: 4e-6,
+            scaling_lr: 7.5e-3,
+            exposure_lr_init: 0.02,
+            exposure_lr_final: 5e-4,
+            exposure_reg: 0.1,
+            exposure_shared: true,
+            exposure_sparsity: 0.05,
+            ..Self::of_strategy(StrategyType::Budget)
+        };
+        match preset {
+            Preset::Fast => Self { cap_ratio: 8.0, warm_up: 500, ..usual },
+            Preset::Default => usual,
+            Preset::Quality => Self { cap_ratio: 20.0, ..usual },
+        }
+    }
+
+    /// Number of photographs below which `ashsplat train` uses [`TrainSettings::of_few_photos`].
+    pub const FEW_PHOTOS: usize = 24;
+
+    /// Returns a strategy's defaults for few photographs, by measurement (tools/strategies.md). Budget has fewer Gaussians and
+    /// random dropout (DropGaussian), so that no photograph is fitted by Gaussians that no other shows. The weight on opacities
+    /// clears haze that no photograph disproves. The weight on scales keeps Gaussians from outgrowing the scene. It is relative
+    /// to the scene's extent (world units), so that other units train alike, and 0 if the extent is 0. The mean of the last
+    /// quarter of the steps is stable where single steps are not. The reference's growth and its opacity resets end early. The
+    /// other strategies keep their defaults.
+    pub fn of_few_photos(strategy: StrategyType, scene_extent: f32) -> Self {
+        let usual = Self::of_strategy(strategy);
+        match strategy {
+            StrategyType::Reference => Self { densify_until_iter: FEW_PHOTOS_UNTIL, ..usual },
+            StrategyType::Budget => Self {
+                cap_ratio: 8.0,
+                late_min_opacity: 0.1,
+                dropout: FEW_PHOTOS_DROPOUT,
+                scale_sh_degree: false,
+                multi_step: false,
+                average_last: FEW_PHOTOS_AVERAGED,
+                opacity_reg: FEW_PHOTOS_OPACITY_REG,
+                scale_reg: per_extent(FEW_PHOTOS_SCALE_REG, scene_extent),
+                ..usual
+            },
+            StrategyType::Fixed | StrategyType::Mcmc => usual,
+        }
+    }
+
+    /// Returns a preset's settings for few photographs. The preset decides the number of Gaussians. The settings against
+    /// overfitting stay, including the long mean.
+    pub fn of_preset_for_few_photos(preset: Preset, scene_extent: f32) -> Self {
+        let preset = Self::of_preset(preset);
+        let few = Self::of_few_photos(preset.strategy, scene_extent);
+        Self {
+            dropout: few.dropout,
+            scale_sh_degree: few.scale_sh_degree,
+            opacity_reg: few.opacity_reg,
+            scale_reg: few.scale_reg,
+            multi_step: few.multi_step,
+            average_last: few.average_last,
+            scaling_lr: few.scaling_lr,
+            position_lr_final: few.position_lr_final,
+            ..preset
+        }
+    }
+
+    /// Refuses options that the strategy does not have, if they differ from their defaults.
+    pub(super) fn refuse(&self, strategy: &str, names: &[&str]) -> Result<()> {
+        let usual = Self::default();
+        for option in Self::OPTIONS.iter().filter(|option| names.contains(&option.name)) {
+            let value = (option.value)(self);
+            if value != (option.value)(&usual) {
+                let problem = format!(
+                    "is {value}, but the strategy {strategy} has no such part; leave it out, or take strategy budget"
+                );
+                return Err(Error::argument(option.name, problem));
+            }
+        }
+        Ok(())
+    }
+
+    /// Replaces the reference's initial opacity and scale by those of the settings.
+    pub fn initialize(&self, gaussians: &mut Gaussians) {
+        // The defaults keep their bits.
+        if self.initial_opacity != INITIAL_OPACITY {
+            let logit = (self.initial_opacity / (1.0 - self.initial_opacity)).ln() as f32;
+            gaussians.opacity_logits.fill(logit);
+        }
+        if self.initial_scale != 1.0 {
+            let change = self.initial_scale.ln() as f32;
+            gaussians.log_scales.iter_mut().flatten().for_each(|log_scale| *log_scale += change);
+        }
+    }
+
+    /// Refuses a warm-up together with these depths, because its photographs are smaller.
+    pub(super) fn refuse_warm_up_with(&self, depths: &str) -> Result<()> {
+        if self.warm_up == 0 {
+            return Ok(());
+        }
+        let until = self.warm_up;
+        let problem =
+            format!("is {until} (preset fast sets it), which does not go together with {depths}; give 0");
+        Err(Error::argument("warm_up", problem))
+    }
+
+    /// Checks that every value is within its bounds. The trainer calls this before any work.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] with the setting's name, its value and the allowed range.
+    pub fn check(&self) -> Result<()> {
+        Self::OPTIONS.iter().try_for_each(|option: &TrainOption| option.check(self))?;
+        if self.dropout > MOST_DROPOUT {
+            let problem = format!("is {}, must be at most {MOST_DROPOUT}", self.dropout);
+            return Err(Error::argument("dropout", problem));
+        }
+        if self.depth_points > 0.0 {
+            self.refuse_warm_up_with("depth_points")?;
+        }
+        match self.initial_opacity > 0.0 && self.initial_opacity < 1.0 {
+            true => Ok(()),
+            false => {
+                let problem =
+                    format!("is {}, must be between 0 and 1, and neither of them", self.initial_opacity);
+                Err(Error::argument("initial_opacity", problem))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn check_names_the_setting() {
+        type Spoil = fn(&mut TrainSettings);
+        let cases: [(&str, Spoil); 6] = [
+            ("iterations", |s| s.iterations = 0),
+            ("sh_degree", |s| s.sh_degree = 4),
+            ("position_lr_init", |s| s.position_lr_init = 0.0),
+            ("feature_lr", |s| s.feature_lr = f64::NAN),
+            ("lambda_dssim", |s| s.lambda_dssim = 1.5),
+            ("densification_interval", |s| s.densification_interval = 0),
+        ];
+        assert!(TrainSettings::default().check().is_ok());
+        for (name, spoil) in cases {
+            let mut settings = TrainSettings::default();
+            spoil(&mut settings);
+            let message = settings.check().expect_err(name).to_string();
+            assert!(message.starts_with(&format!("{name}: is ")), "{message}");
+        }
+    }
+}

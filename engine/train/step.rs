@@ -1,0 +1,525 @@
+//! Records an iteration: its frame, the loss terms, the backward pass, the optimiser's step, and the strategy's work.
+
+use super::appearance::{Appearance, AppearanceInputs, AppearanceMemory};
+use super::memory::Model;
+use super::photos::{DepthMaps, Photos};
+use super::poses::Poses;
+use super::schedule::{IterationPlan, Progress, TrainingRun, WARM_UP_FACTORS};
+use super::settings::{OptimizerType, TrainSettings};
+use super::strategy::{StepInputs, Strategy};
+use super::work::{StepOutcome, StepReport};
+use crate::error::Result;
+use crate::frame::{FrameInputs, LaunchSizes, RenderSettings, Strips, blocks};
+use crate::kernels::constants::STATE_WORDS;
+use crate::kernels::pixels::photo_reduced;
+use crate::passes::adam::{Averaging, GradientSums, Optimizer};
+use crate::passes::backward::{Backward, BackwardVariant, Statistics};
+use crate::passes::filter_3d::Filter3d;
+use crate::passes::loss::{LossTerm, Targets, TermInputs, Windowing, photo_bytes};
+use crate::passes::pixels::PixelBorder;
+use crate::render::{Request, State};
+use crate::scene::Camera;
+use crate::vk::{Buffer, Context, Kernel, MemoryKind, RecordSlot, Recorder};
+use std::collections::VecDeque;
+
+/// Kernels of an iteration after its frame.
+pub(super) struct StepRecorder {
+    terms: Vec<Box<dyn LossTerm>>,
+    targets: Targets,
+    /// Converts pictures to rows, for terms that read them so.
+    border: Option<PixelBorder>,
+    sizes: LaunchSizes,
+    appearance: Appearance,
+    backward: Backward,
+    /// Render settings of frames, without the depths of the loss terms.
+    drawn: RenderSettings,
+    /// Index of the absolute statistic among all statistics.
+    absolute: Option<usize>,
+    optimizer: Optimizer,
+    /// None unless parameters are averaged.
+    averaging: Option<Averaging>,
+    poses: bool,
+    preparation: Option<PhotoPreparation>,
+}
+
+/// Memory of the loss.
+pub(super) struct LossMemory {
+    /// Buffers of [`LossTerm::scratch_requests`], per term.
+    scratch: Vec<Vec<Buffer>>,
+    losses: Buffer,
+    /// Replaces the frame's, which does not hold the gradient of the inverse depth on all devices.
+    image_gradient: Option<Buffer>,
+    /// Pictures by rows, for terms that read them so.
+    rows: Option<PixelRows>,
+    /// Photograph reduced to the frame's size or over another background.
+    prepared: Option<Buffer>,
+    pub appearance: AppearanceMemory,
+    pub readback: Buffer,
+}
+
+/// Pictures of a view by rows.
+struct PixelRows {
+    picture: Buffer,
+    gradient: Buffer,
+    photo: Buffer,
+}
+
+/// Total loss and the values of each term.
+pub(super) struct LossValues {
+    /// Sum of the terms.
+    pub total: f32,
+    /// Per term: its name; its weighted value and further values.
+    pub terms: Vec<(&'static str, [f32; 4])>,
+}
+
+/// Inputs of one iteration.
+pub(super) struct StepParts<'a> {
+    pub run: &'a TrainingRun,
+    pub model: &'a Model,
+    pub photos: &'a Photos,
+    pub maps: &'a DepthMaps,
+    pub memory: &'a LossMemory,
+    pub strategy: &'a dyn Strategy,
+    /// None without a 3D filter.
+    pub filter: Option<&'a Filter3d>,
+    pub poses: Option<&'a Poses>,
+    pub plan: &'a IterationPlan,
+}
+
+impl<'a> StepParts<'a> {
+    /// Frame of the iteration.
+    pub fn frame(&self) -> Request<'a> {
+        Request {
+            scene: &self.model.scene,
+            camera: &self.plan.camera,
+            pose: self.poses.map(|poses| poses.camera(self.plan.view)),
+            settings: &self.plan.settings,
+            sh_degree: self.plan.sh_degree,
+            backward: true,
+        }
+    }
+}
+
+impl StepRecorder {
+    /// The first term writes the picture's gradient. `sums`: true if gradients of several views may be added up. `absolute`:
+    /// index of [`ABSOLUTE_STATISTIC`](super::work::ABSOLUTE_STATISTIC) among all statistics.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(
+        context: &Context,
+        terms: Vec<Box<dyn LossTerm>>,
+        settings: &TrainSettings,
+        sums: bool,
+        absolute: Option<usize>,
+    ) -> Result<Self> {
+        let targets = Self::targets_of(&terms);
+        let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
+        let optimizer = match targets.parameters {
+            true => Optimizer::with_parameter_gradients(context, sparse),
+            false => Optimizer::new(context, sparse),
+        };
+        let optimizer = if sums { optimizer.with_sums() } else { optimizer };
+        let poses = settings.pose_opt;
+        let optimizer = if poses { optimizer.with_moved_cameras() } else { optimizer };
+        let averages = settings.average_last > 0.0;
+        Ok(Self {
+            preparation: PhotoPreparation::new(context, settings)?,
+            border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
+            sizes: LaunchSizes::new(context.limits()),
+            appearance: Appearance::new(context, settings, sums)?,
+            backward: Backward::new(context),
+            drawn: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
+            absolute,
+            terms,
+            targets,
+            optimizer,
+            averaging: averages.then(|| Averaging::new(context)).transpose()?,
+            poses,
+        })
+    }
+
+    /// Gradients that the terms add to.
+    pub fn targets_of(terms: &[Box<dyn LossTerm>]) -> Targets {
+        terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()))
+    }
+
+    /// Names of the terms.
+    pub fn terms(&self) -> impl Iterator<Item = &'static str> {
+        self.terms.iter().map(|term| term.name())
+    }
+
+    /// Losses of a skipped step.
+    pub fn no_losses(&self) -> LossValues {
+        LossValues { total: f32::NAN, terms: self.terms().map(|name| (name, [f32::NAN; 4])).collect() }
+    }
+
+    /// Render settings of frames, without the random parts.
+    pub fn drawn(&self) -> RenderSettings {
+        let Targets { inverse_depth, linear_depth, .. } = self.targets;
+        RenderSettings { inverse_depth, linear_depth, ..self.drawn }
+    }
+
+    /// Builds the missing kernels of any iteration at an SH degree.
+    pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
+        self.prepare_backward(sh_degree, false)?;
+        if self.absolute.is_some() {
+            self.prepare_backward(sh_degree, true)?;
+        }
+        self.optimizer.prepare(sh_degree)
+    }
+
+    /// Builds the missing kernels of this iteration: a short or resumed run needs few of them.
+    pub fn prepare_for(&mut self, plan: &IterationPlan) -> Result<()> {
+        self.prepare_backward(plan.sh_degree, self.absolute.is_some() && plan.work.accumulates)?;
+        self.optimizer.prepare(plan.sh_degree)
+    }
+
+    fn prepare_backward(&mut self, sh_degree: u32, absolute: bool) -> Result<()> {
+        let variant = BackwardVariant::of(&self.drawn());
+        match (self.poses, absolute) {
+            (true, _) => self.backward.prepare_with_pose(sh_degree, variant, absolute),
+            (false, true) => self.backward.prepare_absolute(sh_degree, variant),
+            (false, false) => self.backward.prepare(sh_degree, variant),
+        }
+    }
+
+    /// Device buffers of the loss for views of these sizes, one per view: scratch of the terms, the losses, and the exposures.
+    pub fn device_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
+        let mut requests: Vec<_> = self.terms.iter().flat_map(|term| term.scratch_requests(sizes)).collect();
+        requests.push(("losses", self.losses_bytes()));
+        let largest =
+            |bytes: fn(u32, u32) -> u64| sizes.iter().map(|&(width, height)| bytes(width, height)).max();
+        if self.targets.inverse_depth {
+            requests.push(("image_gradient", largest(PixelBorder::gradient_bytes).unwrap_or(0)));
+        }
+        if self.targets.rows() {
+            let pixels = largest(|width, height| u64::from(width) * u64::from(height)).unwrap_or(0);
+            requests.extend([
+                ("picture_rows", 16 * pixels),
+                ("gradient_rows", 16 * pixels),
+                ("photo_rows", 4 * pixels),
+            ]);
+        }
+        requests.extend(self.preparation.iter().map(|preparation| preparation.request(sizes)));
+        requests.extend(self.appearance.requests(sizes));
+        requests
+    }
+
+    /// Host-readable copy of the losses.
+    pub fn readback_request(&self) -> (&'static str, u64) {
+        ("loss_readback", self.losses_bytes())
+    }
+
+    fn losses_bytes(&self) -> u64 {
+        16 * self.terms.len() as u64
+    }
+
+    pub fn allocate(&self, context: &Context, sizes: &[(u32, u32)]) -> Result<LossMemory> {
+        let mut device =
+            context.allocate("loss", &self.device_requests(sizes), MemoryKind::Device)?.into_iter();
+        let scratch = (self.terms.iter())
+            .map(|term| device.by_ref().take(term.scratch_requests(sizes).len()).collect())
+            .collect();
+        let host = context.allocate("readback", &[self.readback_request()], MemoryKind::HostVisible)?;
+        match (device.next(), <[Buffer; 1]>::try_from(host)) {
+            (Some(losses), Ok([readback])) => {
+                let image_gradient = self.targets.inverse_depth.then(|| device.next()).flatten();
+                let mut buffers = |count: usize| device.by_ref().take(count).collect::<Vec<_>>();
+                let rows = if self.targets.rows() { buffers(3) } else { Vec::new() };
+                let rows = <[Buffer; 3]>::try_from(rows).ok();
+                let rows = rows.map(|[picture, gradient, photo]| PixelRows { picture, gradient, photo });
+                let prepared = self.preparation.as_ref().and_then(|_| device.next());
+                let appearance = self.appearance.allocated(context, device)?;
+                Ok(LossMemory { scratch, losses, image_gradient, rows, prepared, appearance, readback })
+            }
+            _ => unreachable!("one buffer per request"),
+        }
+    }
+
+    /// Records the work after a frame. `losses` is a host-readable copy. If the frame overflowed, persistent state does not
+    /// change.
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, parts: &StepParts, losses: &Buffer) {
+        let StepParts { model, plan, .. } = *parts;
+        let gradient = parts.memory.image_gradient.as_ref().unwrap_or(&inputs.frame.image_gradient);
+        r.barrier();
+        self.record_loss(r, inputs, parts, gradient);
+        r.barrier();
+        let accumulate = plan.work.accumulates;
+        let absolute = self.absolute.filter(|_| accumulate).map(|place| &model.statistics[place]);
+        let statistics = Statistics { buffer: &model.statistics[0], accumulate, absolute };
+        let hooks = parts.strategy.records();
+        match parts.poses {
+            Some(_) => self.backward.record_with_pose(r, inputs, gradient, statistics),
+            None => self.backward.record(r, inputs, gradient, statistics),
+        }
+        let step = StepInputs {
+            frame: inputs,
+            moments: &model.moments,
+            statistics: &model.statistics,
+            iteration: plan.iteration,
+            step: &plan.step,
+            settings: &parts.run.settings,
+            scene_extent: parts.run.scene_extent,
+        };
+        if hooks.statistics {
+            r.barrier();
+            parts.strategy.record_statistics(r, &step);
+        }
+        let sums = &model.spare;
+        if plan.work.sums_gradients {
+            r.barrier();
+            let to = GradientSums { sums, starts: plan.summed == 0 };
+            self.optimizer.record_add(r, inputs, &model.parameter_gradients, to);
+        }
+        if plan.work.optimizes {
+            r.barrier();
+            match plan.work.sums_gradients {
+                true => self.optimizer.record_sums(r, inputs, &model.moments, sums, &plan.step),
+                false => {
+                    let direct = &model.parameter_gradients;
+                    self.optimizer.record(r, inputs, &model.moments, direct, &plan.step);
+                }
+            }
+            if hooks.update {
+                r.barrier();
+                parts.strategy.record_update(r, &step);
+            }
+        }
+        if plan.work.optimizes || plan.work.sums_gradients {
+            self.appearance.record_step(r, &self.appearance_inputs(inputs, parts));
+            // The frame has its own copy of its camera.
+            if let Some(poses) = parts.poses {
+                poses.record(r, inputs, plan.view, &plan.pose_step);
+            }
+        }
+        if let Some((averaging, step)) = self.averaging.as_ref().zip(plan.mean_step) {
+            let state = &inputs.frame.state;
+            r.barrier();
+            averaging.record_scene(r, inputs.scene(), (&model.spare, state), step);
+            parts.memory.appearance.record_means(r, averaging, state, step);
+        }
+        if let Some(filter) = parts.filter.filter(|_| plan.computes_filters) {
+            r.barrier();
+            filter.record(r, inputs.scene(), &inputs.frame.state);
+        }
+        r.copy(&parts.memory.losses, losses);
+    }
+
+    fn record_loss(&self, r: &mut Recorder, inputs: &FrameInputs, parts: &StepParts, gradient: &Buffer) {
+        let StepParts { model, photos, memory, plan, .. } = *parts;
+        let (photo, photo_is_masked) = (photos.of(plan.view), photos.is_masked(plan.view));
+        let prepared = self.preparation.as_ref().and_then(|preparation| preparation.record(r, parts));
+        let photo = prepared.unwrap_or(photo);
+        let rows = self.border.as_ref().zip(memory.rows.as_ref());
+        if self.targets.inverse_depth {
+            r.fill(gradient, 0);
+        }
+        model.parameter_gradients.iter().for_each(|gradients| r.fill(gradients, 0));
+        if let Some((border, rows)) = rows {
+            border.record_picture(r, inputs, &rows.picture);
+            let size = (inputs.camera.width, inputs.camera.height);
+            border.record_photo(r, size, photo_is_masked, photo, &rows.photo);
+        }
+        // The gradient of the inverse depth may be native, without rows.
+        if self.targets.inverse_depth || self.targets.parameters || rows.is_some() {
+            r.barrier();
+        }
+        let rendered = inputs.frame.rendered(&self.sizes);
+        let appearance = self.appearance_inputs(inputs, parts);
+        let as_photographed = self.appearance.record(r, &appearance);
+        for (row, (term, scratch)) in self.terms.iter().zip(&memory.scratch).enumerate() {
+            if row > 0 {
+                r.barrier();
+            }
+            let by_rows = rows.filter(|_| term.targets().rows());
+            if let Some((_, rows)) = by_rows {
+                r.fill(&rows.gradient, 0);
+                r.barrier();
+            }
+            // Only the photometric term, which comes first, compares with a photograph.
+            let picture = as_photographed.filter(|_| row == 0).unwrap_or(rendered);
+            let (picture, photo, image_gradient) = match by_rows {
+                Some((_, rows)) => (&rows.picture, &rows.photo, &rows.gradient),
+                None => (picture, photo, gradient),
+            };
+            let inputs = TermInputs {
+                frame: inputs,
+                picture,
+                photo,
+                photo_is_masked,
+                inverse_depth_map: parts.maps.of(plan.view),
+                depth_points: parts.maps.points_of(plan.view),
+                iteration: plan.iteration,
+                image_gradient,
+                parameter_gradients: &model.parameter_gradients,
+                scratch,
+                losses: &memory.losses,
+                row: row as u32,
+            };
+            term.record(r, &inputs);
+            if row == 0 {
+                self.appearance.record_backward(r, &appearance, gradient);
+            }
+            if let Some((border, rows)) = by_rows {
+                r.barrier();
+                border.record_gradient(r, inputs.frame, &rows.gradient, gradient, true);
+            }
+        }
+    }
+
+    fn appearance_inputs<'a>(
+        &self,
+        frame: &'a FrameInputs<'a>,
+        parts: &StepParts<'a>,
+    ) -> AppearanceInputs<'a> {
+        let StepParts { run, memory, plan, .. } = *parts;
+        let rendered = frame.frame.rendered(&self.sizes);
+        AppearanceInputs { frame, rendered, memory: &memory.appearance, plan, run }
+    }
+
+    /// Reads the losses of a finished step.
+    pub fn read_losses(&self, readback: &Buffer) -> Result<LossValues> {
+        let mut bytes = vec![0u8; self.losses_bytes() as usize];
+        readback.read(0, &mut bytes)?;
+        let rows: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
+        let terms: Vec<_> = self.terms().zip(rows).collect();
+        Ok(LossValues { total: terms.iter().map(|(_, row)| row[0]).sum(), terms })
+    }
+}
+
+/// Kernels that reduce photographs and compose transparent ones over random backgrounds.
+struct PhotoPreparation {
+    sizes: LaunchSizes,
+    /// True if photographs may keep their size.
+    whole: bool,
+    /// For opaque, masked and transparent photographs.
+    kernels: [Kernel<photo_reduced::Interface>; 3],
+}
+
+impl PhotoPreparation {
+    /// None unless the settings have a warm-up or random backgrounds.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    fn new(context: &Context, settings: &TrainSettings) -> Result<Option<Self>> {
+        let whole = settings.random_background;
+        if settings.warm_up == 0 && !whole {
+            return Ok(None);
+        }
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
+        let kernel = |masked, transparent| {
+            Kernel::new(context, &photo_reduced::Spec { workgroup_size, strips, masked, transparent })
+        };
+        let kernels = [kernel(false, false)?, kernel(true, false)?, kernel(true, true)?];
+        Ok(Some(Self { sizes, whole, kernels }))
+    }
+
+    /// Name and bytes of a prepared photograph, for photographs of these sizes (width, height).
+    fn request(&self, sizes: &[(u32, u32)]) -> (&'static str, u64) {
+        let windowing = if self.sizes.strips { Windowing::Sweeps } else { Windowing::Blocks };
+        let factor = if self.whole { 1 } else { WARM_UP_FACTORS[1] };
+        let bytes =
+            |&(width, height): &(u32, u32)| photo_bytes(windowing, width / factor, height / factor, true);
+        ("prepared_photo", sizes.iter().map(bytes).max().unwrap_or(0).max(4))
+    }
+
+    /// Records the photograph at the frame's size and over its background, with a barrier. None if the stored photograph
+    /// serves.
+    fn record<'a>(&self, r: &mut Recorder, parts: &StepParts<'a>) -> Option<&'a Buffer> {
+        let StepParts { run, photos, memory, plan, .. } = *parts;
+        let (camera, prepared) = (&run.cameras[plan.view], memory.prepared.as_ref()?);
+        let transparent = run.settings.random_background && photos.is_transparent(plan.view);
+        let Camera { width, height, .. } = plan.camera;
+        if width == camera.width && !transparent {
+            return None;
+        }
+        let (drawn, composed) = (plan.settings.background, run.settings.render_settings().background);
+        let change = [0, 1, 2].map(|c| drawn[c] - composed[c]);
+        let masked = photos.is_masked(plan.view);
+        let words = match self.sizes.strips {
+            true => (if masked { 4 } else { 3 }) * Strips { width, height }.values() / 4,
+            false => u64::from(width) * u64::from(height),
+        };
+        let push = photo_reduced::Push {
+            image_width: camera.width,
+            image_height: camera.height,
+            factor: camera.width / width,
+            background_change: if transparent { change } else { [0.0; 3] },
+        };
+        let form = if transparent { 2 } else { usize::from(masked) };
+        let groups = blocks(words, self.sizes.elementwise_workgroup.into());
+        let bind = photo_reduced::Bind { photo: photos.of(plan.view), reduced: prepared };
+        r.dispatch(&self.kernels[form], &bind, &push, groups);
+        r.barrier();
+        Some(prepared)
+    }
+}
+
+/// Recorded steps of a host.
+#[derive(Default)]
+pub(super) struct RecordedSteps {
+    pub slots: Vec<StepSlot>,
+    pub in_flight: VecDeque<InFlight>,
+    /// Counts of the first step that overflowed, and the maxima over all such steps. None once the capacity has grown.
+    pub overflow: Option<[State; 2]>,
+    /// True if the next recorded step may use the frame's buffers.
+    pub frame_is_ready: bool,
+}
+
+pub(super) struct StepSlot {
+    pub record: RecordSlot,
+    pub state: Buffer,
+    pub losses: Buffer,
+    pub outcome: Option<StepOutcome>,
+    /// Capacity in dispatches.
+    pub dispatches: usize,
+}
+
+pub(super) struct InFlight {
+    pub slot: usize,
+    pub plan: IterationPlan,
+    pub after: Progress,
+    pub gaussians: u32,
+}
+
+impl StepSlot {
+    pub fn new(context: &Context, dispatches: usize, losses: (&'static str, u64)) -> Result<Self> {
+        let host = [("state_readback", u64::from(STATE_WORDS) * 4), losses];
+        let host = context.allocate("step slot", &host, MemoryKind::HostVisible)?;
+        let Ok([state, losses]) = <[Buffer; 2]>::try_from(host) else {
+            unreachable!("one buffer per request")
+        };
+        Ok(Self { record: RecordSlot::new(context, dispatches)?, state, losses, outcome: None, dispatches })
+    }
+
+    pub fn state(&self) -> Result<State> {
+        let mut bytes = [0u8; STATE_WORDS as usize * 4];
+        self.state.read(0, &mut bytes)?;
+        Ok(State::of(&bytes))
+    }
+}
+
+impl StepReport {
+    /// Report of a finished step, without times.
+    pub(super) fn new(plan: &IterationPlan, gaussians: u32, losses: &LossValues, state: &State) -> Self {
+        // The photometric term comes first. Its own numbers are L1 and SSIM.
+        let [_, l1, ssim, _] = losses.terms.first().map_or([f32::NAN; 4], |(_, row)| *row);
+        Self {
+            iteration: plan.iteration,
+            loss: losses.total,
+            l1,
+            ssim,
+            terms: losses.terms.iter().map(|(name, row)| (*name, row[0])).collect(),
+            gaussians,
+            visible: state.visible_needed,
+            instances: state.all_instances(),
+            longest_tile: state.longest_tile,
+            samples: state.samples,
+            skipped_non_finite: state.non_finite,
+            view: plan.view,
+            ..Self::default()
+        }
+    }
+}

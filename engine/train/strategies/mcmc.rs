@@ -1,0 +1,128 @@
+//! Density control of 3DGS-MCMC (Kheradmand et al. 2024): transparent Gaussians move to the places of others, the set grows to
+//! a bound, and noise explores.
+
+use super::rebuild::{check_cap, order_buffers};
+use crate::error::Result;
+use crate::passes::densify::{Densify, Draw, DrawBuffers, Relocation};
+use crate::train::population::Population;
+use crate::train::settings::TrainSettings;
+use crate::train::strategy::{Hooks, NOT_IN_OTHERS, StepInputs, Strategy};
+use crate::train::work::{Actions, Changes, Densified, Work};
+use crate::vk::{Context, Recorder};
+
+/// Size of the set after a densification (3dgs-mcmc, `add_new_gs`), in percent.
+const GROWTH_PERCENT: u64 = 105;
+
+/// Relocation, growth to [`TrainSettings::cap_max`], and noise on the means. Its regularisers are
+/// [`TrainSettings::opacity_reg`] and [`TrainSettings::scale_reg`].
+pub struct Mcmc {
+    kernels: Densify,
+    relocation: Relocation,
+}
+
+impl Mcmc {
+    /// Builds the kernels.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernels: Densify::new(context)?, relocation: Relocation::new(context)? })
+    }
+}
+
+impl Strategy for Mcmc {
+    fn name(&self) -> &'static str {
+        "mcmc"
+    }
+
+    fn check(&self, settings: &TrainSettings, gaussians: u32) -> Result<()> {
+        settings.refuse(self.name(), &NOT_IN_OTHERS)?;
+        check_cap(settings.cap_max, gaussians)
+    }
+
+    fn work(&self, settings: &TrainSettings, iteration: u32) -> Work {
+        let densifies = settings.densifies_at(iteration);
+        Work {
+            accumulates: false,
+            optimizes: true,
+            sums_gradients: false,
+            optimizes_opacity: true,
+            actions: Actions::DENSIFY.when(densifies),
+        }
+    }
+
+    fn records(&self) -> Hooks {
+        Hooks { update: true, ..Hooks::default() }
+    }
+
+    fn grows_by_statistics(&self) -> bool {
+        false
+    }
+
+    fn record_update(&self, r: &mut Recorder, step: &StepInputs) {
+        let rate = (step.step.rates.mean * step.settings.noise_lr) as f32;
+        if rate > 0.0 {
+            let key = (step.settings.seed, step.iteration, rate);
+            let drawn = (step.frame.scene(), &step.frame.frame.state);
+            self.relocation.record_noise(r, drawn, key, None);
+        }
+    }
+
+    fn between_steps(&mut self, population: &mut Population, _: Actions) -> Result<Changes> {
+        population.release_pictures();
+        let before = population.count();
+        let wanted = (u64::from(before) * GROWTH_PERCENT / 100).min(population.settings().cap_max.into());
+        let wanted = (wanted as u32).max(before);
+        let rows = wanted.min(population.most_rows()).max(before);
+        let relocated = self.rebuild(population, before, true)?;
+        let grown = relocated && self.rebuild(population, rows, false)?;
+        let after = population.count();
+        let densified = Densified {
+            before,
+            kept: before,
+            cloned: after - before,
+            limited: !grown || after < wanted,
+            ..Densified::default()
+        };
+        Ok(Changes { densified: Some(densified), ..Changes::default() })
+    }
+}
+
+impl Mcmc {
+    /// Draws a new set of up to `rows` rows, at least as many as now. Growth also orders it along the curve. Returns false if
+    /// memory is short; the set then stays.
+    fn rebuild(&self, population: &mut Population, rows: u32, replaces_dead: bool) -> Result<bool> {
+        let before = population.count();
+        let Some(buffers) = population.allocate(&self.relocation.requests(before, rows))? else {
+            return Ok(false);
+        };
+        let buffers = DrawBuffers::from_allocated(buffers);
+        let order = if replaces_dead { None } else { order_buffers(population, rows)? };
+        if order.is_none() && !replaces_dead {
+            return Ok(false);
+        }
+        let growth = population.make_room(rows)?;
+        let rows = rows.min(population.capacity_with(&growth));
+        let (seed, iteration) = (population.settings().seed, population.iteration());
+        let draw = Draw { rows, replaces_dead, seed, iteration, explicit: None };
+        let (key, curve) = (population.random_key(), population.curve());
+        population.rebuild_and(
+            rows,
+            growth,
+            &self.kernels,
+            &key,
+            |r, scene| {
+                self.relocation.record_draw(r, scene, &draw, &buffers);
+                match &order {
+                    None => &buffers.sources,
+                    Some(order) => {
+                        let unordered = (&buffers.sources, &buffers.totals);
+                        self.kernels.record_order_of(r, (scene, rows), unordered, order, &curve)
+                    }
+                }
+            },
+            |r, new, sources| self.relocation.record_relocate(r, new, sources, &buffers.draws),
+        )?;
+        Ok(true)
+    }
+}

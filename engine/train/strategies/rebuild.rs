@@ -1,0 +1,121 @@
+//! Shared parts of strategies: decisions per Gaussian, memory, and the new set that follows.
+
+use crate::error::{Error, Result};
+use crate::frame::LaunchSizes;
+use crate::passes::densify::{ClassifyInputs, Densify, DensifyBuffers, DensifySettings, OrderBuffers};
+use crate::train::population::{Growth, Population};
+use crate::train::work::{Changes, Densified};
+use crate::vk::Recorder;
+
+/// A densification by decisions per Gaussian.
+pub(super) struct Decisions<'a> {
+    kernels: &'a Densify,
+    pub settings: DensifySettings,
+    buffers: DensifyBuffers,
+    order: Option<OrderBuffers>,
+}
+
+impl<'a> Decisions<'a> {
+    /// Decisions for a new set of at most `most_rows` rows. None if memory is short; the set then stays.
+    pub fn new(
+        population: &Population,
+        most_rows: u32,
+        kernels: &'a Densify,
+        settings: DensifySettings,
+    ) -> Result<Option<Self>> {
+        let sizes = LaunchSizes::new(population.context().limits());
+        let buffers =
+            population.allocate(&DensifyBuffers::requests(&sizes, population.count(), most_rows))?;
+        let buffers = buffers.map(DensifyBuffers::from_allocated);
+        Ok(buffers.map(|buffers| Self { kernels, settings, buffers, order: None }))
+    }
+
+    /// Decides what happens to each Gaussian.
+    pub fn classify(&self, population: &Population, inputs: ClassifyInputs) -> Result<Densified> {
+        let context = population.context();
+        context.run("densify: classify", |r| {
+            let scene = population.scene();
+            self.kernels.record_classify_by(r, scene, inputs, &self.buffers, &self.settings);
+            Ok(())
+        })?;
+        let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&context.download(&self.buffers.totals)?);
+        let before = population.count();
+        Ok(Densified { before, kept: totals[0], cloned: totals[1], split: totals[2], limited: false })
+    }
+
+    /// Decides which Gaussians stay, without clones and splits, by
+    /// [`Criterion::Selected`](crate::passes::densify::Criterion::Selected).
+    pub fn classify_kept(&self, population: &Population) -> Result<Densified> {
+        // The buffer is zero until sources are written, so no Gaussian is selected.
+        let none = &self.buffers.sources;
+        population.context().run("select none", |r| {
+            r.fill(none, 0);
+            Ok(())
+        })?;
+        let statistics = &population.statistics()[0];
+        self.classify(population, ClassifyInputs { statistics, criteria: Some(none) })
+    }
+
+    /// Allocates memory for a new set of up to `rows` rows, and for its order along the curve. The capacity may be less
+    /// ([`Population::capacity_with`]). None if memory for the order is short; the set then stays.
+    pub fn make_room(&mut self, population: &mut Population, rows: u32) -> Result<Option<Growth>> {
+        // The order comes before the second set of planes. There is no fallback to another order, because the bits would then
+        // depend on the free memory.
+        self.order = order_buffers(population, rows)?;
+        match self.order {
+            Some(_) => Ok(Some(population.make_room(rows)?)),
+            None => Ok(None),
+        }
+    }
+
+    /// Replaces the set by the decisions, after [`Decisions::make_room`].
+    pub fn rebuild(&self, population: &mut Population, densified: Densified, growth: Growth) -> Result<()> {
+        let Some(order) = &self.order else { unreachable!("room was made") };
+        let (rows, key, curve) = (densified.rows(), population.random_key(), population.curve());
+        population.rebuild(rows, growth, self.kernels, &key, |r, scene| {
+            self.record_sources(r, scene.count, rows);
+            self.kernels.record_order(r, (scene, rows), &self.buffers, order, &curve)
+        })
+    }
+
+    /// Removes the Gaussians that do not stay, without clones and splits. The others keep their order.
+    pub fn prune(&self, population: &mut Population, densified: Densified) -> Result<()> {
+        let rows = densified.rows();
+        let (key, growth) = (population.random_key(), population.make_room(rows)?);
+        population.rebuild(rows, growth, self.kernels, &key, |r, scene| {
+            self.record_sources(r, scene.count, rows);
+            &self.buffers.sources
+        })
+    }
+
+    /// Records the source of each row of the new set, among `count` Gaussians. Ends with a barrier.
+    fn record_sources(&self, r: &mut Recorder, count: u32, rows: u32) {
+        self.kernels.record_scatter_sources(r, count, rows, &self.buffers);
+        r.barrier();
+    }
+}
+
+/// Buffers for sorting `rows` rows along the curve. None if memory is short.
+pub(super) fn order_buffers(population: &Population, rows: u32) -> Result<Option<OrderBuffers>> {
+    let sizes = LaunchSizes::new(population.context().limits());
+    Ok(population.allocate(&OrderBuffers::requests(&sizes, rows))?.map(OrderBuffers::from_allocated))
+}
+
+/// Lowers all opacities to at most this one.
+pub(super) fn reset_opacity(population: &Population, kernels: &Densify, most: f64) -> Result<Changes> {
+    population.context().run("reset opacity", |r| {
+        kernels.record_reset_to(r, population.scene(), population.moments(), most);
+        Ok(())
+    })?;
+    Ok(Changes { opacities_reset: true, ..Changes::default() })
+}
+
+/// Refuses a cap below the number of Gaussians of the start.
+pub(super) fn check_cap(cap: u32, gaussians: u32) -> Result<()> {
+    if gaussians <= cap {
+        return Ok(());
+    }
+    let problem =
+        format!("{cap} is less than the {gaussians} Gaussians of the start; raise it, or start from fewer");
+    Err(Error::argument("cap_max", problem))
+}

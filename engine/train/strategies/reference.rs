@@ -1,0 +1,159 @@
+//! The reference's density control (Kerbl et al. 2023, section 5.2): clone and split where the gradient of the
+//! 2D mean is large, prune what is transparent or too large, reset opacities.
+
+use super::rebuild::{Decisions, reset_opacity};
+use crate::error::Result;
+use crate::passes::densify::{
+    ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings, RESET_OPACITY,
+};
+use crate::train::population::Population;
+use crate::train::settings::{SplitType, TrainSettings};
+use crate::train::strategy::{Strategy, unknown};
+use crate::train::work::{ABSOLUTE_STATISTIC, Actions, Changes, Densified, Statistic, Work};
+use crate::vk::Context;
+
+/// Scales above this share of the scene's extent are pruned after the first opacity reset (reference).
+const LARGE_SCALE_SHARE: f64 = 0.1;
+
+/// Clone, split, prune and opacity reset of the reference implementation. Two parts are replaceable. [`TrainSettings::absgrad`]
+/// densifies by the absolute statistic (like gsplat, with one threshold for clones and splits), and [`TrainSettings::split`]
+/// selects the split.
+pub struct Reference {
+    kernels: Densify,
+    absolute: bool,
+}
+
+impl Reference {
+    /// Builds the kernels with the reference's own parts.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context) -> Result<Self> {
+        Self::of_settings(context, &TrainSettings::default())
+    }
+
+    /// Builds the kernels for these settings.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Self> {
+        let absolute = settings.absgrad;
+        let form = DensifyForm {
+            long_axis: settings.split == SplitType::LongAxis,
+            criterion: if absolute { Criterion::Absolute } else { Criterion::Gradient },
+        };
+        Ok(Self { kernels: Densify::with_form(context, form)?, absolute })
+    }
+}
+
+impl Strategy for Reference {
+    fn name(&self) -> &'static str {
+        "reference"
+    }
+
+    fn check(&self, settings: &TrainSettings, _: u32) -> Result<()> {
+        settings.refuse(
+            self.name(),
+            &["cap_ratio", "importance", "growth_curve", "recovery", "multi_step", "late_min_opacity"],
+        )
+    }
+
+    fn work(&self, settings: &TrainSettings, iteration: u32) -> Work {
+        let densifies = settings.densifies_at(iteration);
+        let resets = settings.resets_opacity_at(iteration);
+        Work {
+            accumulates: settings.collects_statistics_at(iteration),
+            // In the reference, densification replaces the parameters, so that they have no gradient. A reset does the same to
+            // the opacities.
+            optimizes: !densifies,
+            sums_gradients: false,
+            optimizes_opacity: !resets,
+            actions: Actions::DENSIFY.when(densifies).and(Actions::RESET_OPACITY.when(resets)),
+        }
+    }
+
+    fn statistics(&self) -> Vec<Statistic> {
+        if self.absolute { vec![ABSOLUTE_STATISTIC] } else { Vec::new() }
+    }
+
+    fn between_steps(&mut self, population: &mut Population, action: Actions) -> Result<Changes> {
+        match action {
+            Actions::DENSIFY => {
+                Ok(Changes { densified: Some(self.densify(population)?), ..Changes::default() })
+            }
+            Actions::RESET_OPACITY => reset_opacity(population, &self.kernels, RESET_OPACITY),
+            _ => Err(unknown(self.name(), action)),
+        }
+    }
+}
+
+impl Reference {
+    /// Classifies, grows the capacity, and gathers the new set. If the capacity cannot grow enough, clones and splits only the
+    /// Gaussians with the largest gradients.
+    fn densify(&self, population: &mut Population) -> Result<Densified> {
+        let settings = settings_of(population);
+        let before = population.count();
+        population.release_pictures();
+        let unchanged = Densified { before, kept: before, limited: true, ..Densified::default() };
+        // A Gaussian stays and is cloned, or is split into two.
+        let most_rows = before.saturating_mul(2);
+        let decisions = Decisions::new(population, most_rows, &self.kernels, settings)?;
+        let Some(mut decisions) = decisions else { return Ok(unchanged) };
+        let wanted = decisions.classify(population, self.inputs(population))?;
+        let most = population.most_rows();
+        let rows = wanted.rows().min(most);
+        let Some(growth) = decisions.make_room(population, rows)? else { return Ok(unchanged) };
+        let capacity = population.capacity_with(&growth).min(most);
+        let densified = match wanted.rows() <= capacity {
+            true => wanted,
+            false => Densified { limited: true, ..self.decide_within(population, &mut decisions, capacity)? },
+        };
+        decisions.rebuild(population, densified, growth)?;
+        Ok(densified)
+    }
+
+    fn inputs<'a>(&self, population: &'a Population) -> ClassifyInputs<'a> {
+        let statistics = population.statistics();
+        ClassifyInputs { statistics: &statistics[0], criteria: self.absolute.then(|| &statistics[1]) }
+    }
+
+    /// Classifies with the lowest threshold that fits the capacity, found by bisection, so that the Gaussians with the largest
+    /// gradients are cloned or split. The capacity is at least the current number of Gaussians.
+    fn decide_within(
+        &self,
+        population: &Population,
+        decisions: &mut Decisions,
+        capacity: u32,
+    ) -> Result<Densified> {
+        const ROUNDS: u32 = 24;
+        // Non-negative floats are ordered like their bits. No Gaussian passes a threshold of infinity.
+        let least = decisions.settings.gradient_threshold.abs();
+        let (mut low, mut high) = (least.to_bits(), f32::INFINITY.to_bits());
+        let mut classify = |bits: u32| {
+            decisions.settings.gradient_threshold = f32::from_bits(bits);
+            decisions.classify(population, self.inputs(population))
+        };
+        for _ in 0..ROUNDS {
+            let middle = low + (high - low) / 2;
+            let densified = classify(middle)?;
+            let rows = densified.rows();
+            if rows <= capacity && rows >= capacity - capacity / 64 {
+                return Ok(densified);
+            }
+            if rows <= capacity { high = middle } else { low = middle }
+        }
+        classify(high)
+    }
+}
+
+fn settings_of(population: &Population) -> DensifySettings {
+    let s = population.settings();
+    let extent = f64::from(population.scene_extent());
+    let prunes_large = s.prunes_large_at(population.iteration());
+    DensifySettings {
+        gradient_threshold: s.densify_grad_threshold as f32,
+        clone_scale: (s.percent_dense * extent) as f32,
+        min_opacity: s.min_opacity as f32,
+        max_scale: if prunes_large { (LARGE_SCALE_SHARE * extent) as f32 } else { 0.0 },
+    }
+}

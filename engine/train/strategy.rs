@@ -1,0 +1,142 @@
+//! Adaptive density control as a replaceable part of training.
+//!
+//! A strategy decides what an iteration accumulates, how the set of Gaussians changes between two steps, and what it adds to
+//! the parameters and the loss. It declares its memory and its part of the checkpoint. [`Reference`](super::Reference) is the
+//! strategy of Kerbl et al. 2023.
+
+pub use super::work::{ABSOLUTE_STATISTIC, Actions, Changes, Densified, GRADIENT_STATISTIC, Statistic, Work};
+
+use super::population::Population;
+use super::settings::TrainSettings;
+use crate::error::{Error, Result};
+use crate::frame::FrameInputs;
+use crate::passes::adam::{Moments, Step};
+use crate::passes::loss::LossTerm;
+use crate::vk::{Buffer, Context, Recorder};
+
+/// Parts of a step that a strategy records.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Hooks {
+    /// True if [`Strategy::record_statistics`] is called.
+    pub statistics: bool,
+    /// True if [`Strategy::record_update`] is called, after steps of the optimiser.
+    pub update: bool,
+    /// True if [`Work::sums_gradients`] may be set. The sums need kernels, but no memory of their own.
+    pub sums: bool,
+}
+
+/// Inputs of a step for a strategy's recordings.
+#[derive(Clone, Copy)]
+pub struct StepInputs<'a> {
+    /// Frame of the step. Its gradients are `frame.frame.gradients`.
+    pub frame: &'a FrameInputs<'a>,
+    /// Adam's moments.
+    pub moments: &'a Moments,
+    /// [`GRADIENT_STATISTIC`], then those of [`Strategy::statistics`].
+    pub statistics: &'a [Buffer],
+    /// Iteration, counted from 1.
+    pub iteration: u32,
+    /// Step of the optimiser, with its learning rates.
+    pub step: &'a Step,
+    /// Settings of the run.
+    pub settings: &'a TrainSettings,
+    /// Extent of the scene, world units.
+    pub scene_extent: f32,
+}
+
+/// A strategy of density control.
+///
+/// The seed and the iteration key all random numbers, so that a resumed run has the same bits. Kernels are built when the
+/// strategy is created, or between two steps; recording neither allocates nor waits. The planes of the Gaussians may lie in
+/// other buffers, with another [`ScenePlan`](crate::frame::ScenePlan), in each step.
+pub trait Strategy: Send {
+    /// Name in messages.
+    fn name(&self) -> &'static str;
+
+    /// Checks that a training with these settings can begin with `_gaussians` Gaussians.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] with the allowed values.
+    fn check(&self, _: &TrainSettings, _gaussians: u32) -> Result<()> {
+        Ok(())
+    }
+
+    /// Work of an iteration, counted from 1. Depends only on its arguments.
+    fn work(&self, settings: &TrainSettings, iteration: u32) -> Work;
+
+    /// Returns the terms that the strategy adds to the loss. Called once.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    fn loss_terms(&mut self, _: &Context, _: &TrainSettings) -> Result<Vec<Box<dyn LossTerm>>> {
+        Ok(Vec::new())
+    }
+
+    /// Statistics of the strategy besides [`GRADIENT_STATISTIC`]. The trainer allocates their memory and keeps them in the
+    /// checkpoint. The backward pass accumulates [`ABSOLUTE_STATISTIC`] if it is among them.
+    fn statistics(&self) -> Vec<Statistic> {
+        Vec::new()
+    }
+
+    /// Recordings that the strategy uses. The trainer does not call the others.
+    fn records(&self) -> Hooks {
+        Hooks::default()
+    }
+
+    /// True if the strategy selects the Gaussians that it adds by [`GRADIENT_STATISTIC`] or [`ABSOLUTE_STATISTIC`]. In training
+    /// of a [block](super::SceneBlock) Gaussians outside the core are then below every threshold.
+    fn grows_by_statistics(&self) -> bool {
+        true
+    }
+
+    /// Records the update of the strategy's own statistics, after the backward pass. A barrier precedes it. It must change
+    /// nothing if `state[STATE_OVERFLOW]` is set.
+    fn record_statistics(&self, _: &mut Recorder, _: &StepInputs) {}
+
+    /// Records the strategy's changes of the parameters, after the optimiser's step. A barrier precedes it. It must change
+    /// nothing if `state[STATE_OVERFLOW]` is set.
+    fn record_update(&self, _: &mut Recorder, _: &StepInputs) {}
+
+    /// Does one action of an iteration's [`Work::actions`] before the next iteration, the lowest bit first.
+    ///
+    /// # Errors
+    /// When the device is lost. The population is then unchanged, or its state is unknown.
+    fn between_steps(&mut self, population: &mut Population, action: Actions) -> Result<Changes>;
+
+    /// Names and values of the state on the host that a resumed run needs.
+    fn state(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
+
+    /// Restores [`Strategy::state`].
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a state that the strategy does not know.
+    fn restore(&mut self, state: &[(String, String)]) -> Result<()> {
+        match state.first() {
+            None => Ok(()),
+            Some((name, _)) => {
+                let problem = format!("has '{name}', which the strategy '{}' does not know", self.name());
+                Err(crate::Error::argument("checkpoint", problem))
+            }
+        }
+    }
+}
+
+/// Options of densification by gradients, which other strategies refuse.
+pub(super) const NOT_IN_OTHERS: [&str; 8] = [
+    "cap_ratio",
+    "absgrad",
+    "split",
+    "importance",
+    "growth_curve",
+    "recovery",
+    "multi_step",
+    "late_min_opacity",
+];
+
+/// Error for a checkpoint with work that the strategy does not have.
+pub(super) fn unknown(strategy: &str, action: Actions) -> Error {
+    let problem = format!("has work ({:#x}) that the strategy {strategy} does not know", action.0);
+    Error::argument("checkpoint", problem)
+}

@@ -1,0 +1,49 @@
+//! Arbitrary bytes as a file of Gaussians in any format.
+#![no_main]
+
+use ashsplat_files::splats::{self, WriteOptions};
+use ashsplat_fuzz::{check_gaussians, folder, gaussians, leave_seed};
+use flate2::{Compression, write::GzEncoder};
+use libfuzzer_sys::fuzz_target;
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::LazyLock;
+
+/// The first byte of an input chooses the name. For the last one, the rest is the unpacked content of an SPZ.
+const NAMES: [&str; 7] = ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf", "packed.spz"];
+
+static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| folder("splats"));
+
+/// Writes a valid file of each format.
+fn seeds() {
+    for degree in [0, 1] {
+        for (kind, name) in NAMES.iter().enumerate().filter(|(_, name)| name.starts_with("a.")) {
+            let path = FOLDER.join(name);
+            splats::write(&path, &gaussians(2, degree), &WriteOptions::default()).expect("written");
+            let bytes = std::fs::read(&path).expect("there");
+            leave_seed(&format!("{name}{degree}"), &[&[kind as u8], &bytes[..]].concat());
+        }
+    }
+    for version in [2u32, 3] {
+        let mut unpacked = vec![NAMES.len() as u8 - 1];
+        unpacked.extend(b"NGSP");
+        unpacked.extend(version.to_le_bytes());
+        unpacked.extend(2u32.to_le_bytes());
+        unpacked.extend([0, 12, 0, 0]);
+        unpacked.extend([7; 2 * 20]);
+        leave_seed(&format!("packed{version}"), &unpacked);
+    }
+}
+
+fuzz_target!(init: seeds(), |data: &[u8]| {
+    let [kind, bytes @ ..] = data else { return };
+    let name = NAMES[usize::from(*kind) % NAMES.len()];
+    let path = FOLDER.join(name);
+    if name.starts_with("packed") {
+        let mut packed = GzEncoder::new(Vec::new(), Compression::fast());
+        packed.write_all(bytes).expect("packed");
+        check_gaussians(&path, &packed.finish().expect("packed"));
+    } else {
+        check_gaussians(&path, bytes);
+    }
+});

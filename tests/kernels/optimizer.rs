@@ -1,0 +1,506 @@
+//! The kernels of `optimizer/` against their twins: `optimizer/adam`, `optimizer/add_gradients`,
+//! `optimizer/add_noise` and `optimizer/average`.
+
+use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_OVERFLOW};
+use ashsplat::kernels::optimizer::{add_gradients, add_noise, average};
+
+use crate::common::adam::{AdamState, Rates, Step, VisibleGradient, camera_block};
+use crate::common::compare::elementwise;
+use crate::common::engine::widen;
+use crate::common::gpu::{Gpu, sizes};
+use crate::common::layout::{pack, planes, room};
+use crate::common::scenes::{Random, mixed_scene, scalars as all_scalars};
+use crate::reference::adam::{Parameter, adam, adam_sparse, add, is_skipped};
+use crate::reference::add_noise::noise;
+use crate::reference::average::mean;
+use crate::reference::gather::random_normal;
+use crate::reference::sh::sh_gradient;
+use crate::reference::types::Gaussian;
+
+const RATES: Rates =
+    Rates { mean: 1e-3, opacity: 0.025, quat: 2e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1.25e-4 };
+pub const CAMERA: [f64; 3] = [0.5, -0.25, -5.0];
+
+/// All parameters of a Gaussian that the optimiser updates, with their rates.
+fn scalars(gaussian: &Gaussian) -> Vec<(f64, f64)> {
+    let mut all: Vec<(f64, f64)> = gaussian.mean.iter().map(|&x| (x, RATES.mean)).collect();
+    all.extend(gaussian.quat.iter().map(|&x| (x, RATES.quat)));
+    all.extend(gaussian.log_scale.iter().map(|&x| (x, RATES.log_scale)));
+    all.push((gaussian.opacity_logit, RATES.opacity));
+    for (k, coefficient) in gaussian.sh.iter().enumerate() {
+        let rate = if k == 0 { RATES.sh_dc } else { RATES.sh_rest };
+        all.extend(coefficient.iter().map(|&x| (x, rate)));
+    }
+    all
+}
+
+fn direction(mean: [f64; 3]) -> [f64; 3] {
+    let towards = [0, 1, 2].map(|i| mean[i] - CAMERA[i]);
+    let distance = towards.iter().map(|x| x * x).sum::<f64>().sqrt();
+    towards.map(|x| x / distance)
+}
+
+/// Gradients in the order of [`scalars`]; SH from the viewing direction.
+fn gradient_scalars(g: &VisibleGradient, mean: [f64; 3], sh_degree: u32, stored: usize) -> Vec<f64> {
+    let own = [&g.mean[..], &g.quat, &g.log_scale, &[g.opacity_logit]].concat();
+    [own, sh_gradient(direction(mean), g.color, sh_degree, stored).concat()].concat()
+}
+
+fn twin_of(gaussian: &Gaussian) -> Vec<Parameter> {
+    scalars(gaussian).into_iter().map(|(value, _)| Parameter { value, ..Parameter::default() }).collect()
+}
+
+/// A step of the rates above; `count` is 0 for sparse steps.
+fn step(count: i32) -> Step {
+    Step { rates: RATES, count, camera_position: CAMERA }
+}
+
+fn random_gradients(random: &mut Random, count: usize) -> Vec<Option<VisibleGradient>> {
+    let mut three = |scale: f64| [0; 3].map(|_| f64::from((scale * random.signed()) as f32));
+    let gradients: Vec<VisibleGradient> = (0..count)
+        .map(|i| VisibleGradient {
+            mean: three(1e-3),
+            opacity_logit: three(1e-5)[0],
+            quat: {
+                let [a, b, c] = three(1e-6);
+                [a, b, c, a]
+            },
+            log_scale: three(if i % 7 == 0 { 0.0 } else { 1.0 }),
+            color: three(1e-2),
+        })
+        .collect();
+    gradients.into_iter().enumerate().map(|(i, g)| (i % 4 != 1).then_some(g)).collect()
+}
+
+fn check_adam(gpu: &Gpu, size: usize, [sh_degree, stored]: [u32; 2], sparse: bool) {
+    let mut random = Random::new(size as u64);
+    let coefficients = ((stored + 1) * (stored + 1)) as usize;
+    let gaussians = mixed_scene(&mut random, size, coefficients);
+    let state = AdamState::new(gpu, &gaussians, sh_degree, sparse);
+    let mut twins: Vec<Vec<Parameter>> = gaussians.iter().map(twin_of).collect();
+    for number in 1..=4 {
+        let mut gradients = random_gradients(&mut random, size);
+        if size > 12 && number == 2 {
+            // Not finite: skipped and counted.
+            let none = VisibleGradient::default();
+            gradients[4] = Some(VisibleGradient { mean: [f64::NAN, 0.0, 0.0], ..none });
+            gradients[8] = Some(VisibleGradient { quat: [0.0, 0.0, 0.0, f64::INFINITY], ..none });
+            gradients[12] = Some(VisibleGradient { color: [f64::NEG_INFINITY; 3], ..none });
+        }
+        let [seen_from, ..] = state.download();
+        let skipped = state.step(&gradients, &step(if sparse { 0 } else { number }), false);
+        let mut expected_skipped = 0;
+        for (i, twin) in twins.iter_mut().enumerate() {
+            let gradient = match (&gradients[i], sparse) {
+                (None, true) => continue,
+                (None, false) => vec![0.0; twin.len()],
+                (Some(g), _) => gradient_scalars(g, seen_from[i].mean, sh_degree, coefficients),
+            };
+            if is_skipped(&gradient) {
+                expected_skipped += 1;
+                continue;
+            }
+            let rates = scalars(&gaussians[i]).into_iter().map(|(_, rate)| rate);
+            for ((parameter, gradient), rate) in twin.iter_mut().zip(gradient).zip(rates) {
+                match sparse {
+                    true => adam_sparse(parameter, gradient, rate),
+                    false => adam(parameter, gradient, rate, number as u32),
+                }
+            }
+        }
+        assert_eq!(skipped, expected_skipped, "step {number}");
+        compare_adam(&state, &twins);
+    }
+}
+
+fn compare_adam(state: &AdamState, twins: &[Vec<Parameter>]) {
+    let [values, first, second] = state
+        .download()
+        .map(|g| g.iter().flat_map(|g| scalars(g).into_iter().map(|(x, _)| x)).collect::<Vec<f64>>());
+    let column = |of: fn(&Parameter) -> f64| twins.iter().flatten().map(of).collect::<Vec<f64>>();
+    elementwise("value", &values, &column(|p| p.value), 2e-6, 1e-6).expect("values");
+    elementwise("first moment", &first, &column(|p| p.moment1), 1e-7, 2e-6).expect("first moments");
+    elementwise("second moment", &second, &column(|p| p.moment2), 1e-12, 1e-5).expect("second moments");
+}
+
+#[test]
+fn adam_equals_its_twin() {
+    for gpu in [Gpu::new(), Gpu::without_texels()] {
+        for size in sizes(gpu.workgroup(64) as usize).into_iter().filter(|&size| size > 0) {
+            check_adam(&gpu, size, [3, 3], false);
+        }
+    }
+}
+
+#[test]
+fn adam_of_every_degree_dense_and_sparse() {
+    for gpu in [Gpu::new(), Gpu::without_texels()] {
+        for degrees in [[0, 0], [0, 3], [1, 1], [1, 3], [2, 2], [2, 3], [3, 3]] {
+            check_adam(&gpu, 100, degrees, false);
+            check_adam(&gpu, 100, degrees, true);
+        }
+    }
+}
+
+/// Asserts that two states make the same steps from the same gradients, and none after an overflow. Returns the
+/// number of Gaussians skipped.
+fn assert_same_steps(random: &mut Random, states: [&AdamState; 2], size: usize) -> u32 {
+    let mut all_skipped = 0;
+    for (count, overflow) in (1..=3).flat_map(|count| [(count, false), (count, true)]) {
+        let gradients = random_gradients(random, size);
+        let before = states[0].download();
+        let [(skipped, after), other] = states.map(|state| {
+            let skipped = state.step(&gradients, &step(count), overflow);
+            (skipped, state.download())
+        });
+        assert!(after == other.1 && skipped == other.0, "step {count}");
+        assert_eq!(after == before, overflow, "step {count}");
+        all_skipped += skipped;
+    }
+    all_skipped
+}
+
+#[test]
+fn adam_without_texels_is_the_same_to_the_bit() {
+    let gpus = [Gpu::new(), Gpu::without_texels()];
+    let mut random = Random::new(8);
+    let gaussians = mixed_scene(&mut random, 500, 16);
+    let [texels, stored] = gpus.each_ref().map(|gpu| AdamState::new(gpu, &gaussians, 3, false));
+    assert_same_steps(&mut random, [&texels, &stored], 500);
+}
+
+/// If the device has moved the camera, only the camera block's position counts.
+#[test]
+fn adam_of_a_moved_camera_is_the_same_to_the_bit() {
+    for (gpu, sparse) in [(Gpu::new(), false), (Gpu::new(), true), (Gpu::without_texels(), false)] {
+        let mut random = Random::new(9);
+        let gaussians = mixed_scene(&mut random, 200, 16);
+        let given = AdamState::new(&gpu, &gaussians, 3, sparse);
+        let moved = AdamState::new(&gpu, &gaussians, 3, sparse).with_moved_camera();
+        assert_eq!(assert_same_steps(&mut random, [&given, &moved], 200), 0);
+    }
+}
+
+/// Gradients of the parameters themselves add to those of the frame, also outside the view. Sparse steps skip
+/// Gaussians outside the view.
+#[test]
+fn adam_adds_gradients_of_the_parameters() {
+    for (gpu, sparse) in [(Gpu::new(), false), (Gpu::new(), true), (Gpu::without_texels(), false)] {
+        let mut random = Random::new(12);
+        let gaussians = mixed_scene(&mut random, 150, 16);
+        let direct: Vec<Gaussian> = mixed_scene(&mut random, 150, 16)
+            .into_iter()
+            .map(|g| Gaussian { opacity_logit: 1e-5 * g.opacity_logit, ..g })
+            .collect();
+        let state = AdamState::new(&gpu, &gaussians, 3, sparse).with_parameter_gradients(&direct);
+        let gradients = random_gradients(&mut random, 150);
+        assert_eq!(state.step(&gradients, &step(i32::from(!sparse)), false), 0);
+        let twins: Vec<Vec<Parameter>> = (gaussians.iter().zip(&gradients).zip(&direct))
+            .map(|((gaussian, gradient), direct)| {
+                let seen = gradient.unwrap_or_default();
+                let mut sum = gradient_scalars(&seen, gaussian.mean, 3, 16);
+                let own = scalars(&Gaussian { sh: vec![[0.0; 3]; 16], ..direct.clone() });
+                sum.iter_mut().zip(own).for_each(|(sum, (own, _))| *sum += own);
+                let mut twin = twin_of(gaussian);
+                for ((parameter, gradient), (_, rate)) in twin.iter_mut().zip(sum).zip(scalars(gaussian)) {
+                    match (sparse, seen.mean != [0.0; 3]) {
+                        (true, true) => adam_sparse(parameter, gradient, rate),
+                        (true, false) => {}
+                        (false, _) => adam(parameter, gradient, rate, 1),
+                    }
+                }
+                twin
+            })
+            .collect();
+        compare_adam(&state, &twins);
+    }
+}
+
+/// A Gaussian at the camera has no direction, but it is never visible and needs none.
+#[test]
+fn adam_leaves_a_gaussian_at_the_camera_finite() {
+    let gpu = Gpu::new();
+    let mut random = Random::new(4);
+    for sh_degree in 0..=3 {
+        let mut gaussians = mixed_scene(&mut random, 3, 16);
+        gaussians[1].mean = CAMERA;
+        let state = AdamState::new(&gpu, &gaussians, sh_degree, false);
+        let before = state.download();
+        let mut gradients = random_gradients(&mut random, 3);
+        gradients[1] = None;
+        assert_eq!(state.step(&gradients, &step(1), false), 0);
+        let after = state.download();
+        assert!(after.iter().zip(&before).all(|(after, before)| after[1] == before[1]), "degree {sh_degree}");
+        assert!(after[0][0] != before[0][0], "the others take their step");
+    }
+}
+
+/// Gradients of a view's visible Gaussians, as the projection's backward pass leaves them.
+pub struct GradientRows {
+    /// Visible index of each Gaussian.
+    pub visible: Vec<u32>,
+    pub rows: Vec<[f32; 4]>,
+    pub stride: usize,
+}
+
+impl GradientRows {
+    pub fn random(random: &mut Random, size: usize) -> GradientRows {
+        let mut count = 0;
+        let mut place = |is_seen: bool| {
+            count += u32::from(is_seen);
+            if is_seen { count - 1 } else { u32::MAX }
+        };
+        let visible = (0..size).map(|_| place(random.below(3) > 0)).collect();
+        let stride = count as usize + 2;
+        let rows = (0..GRADIENT_PLANES as usize * stride).map(|_| [0; 4].map(|_| random.signed() as f32));
+        GradientRows { visible, rows: rows.collect(), stride }
+    }
+
+    /// Row of a Gaussian in a plane; 0 out of view.
+    pub fn row(&self, gaussian: usize, plane: usize) -> [f32; 4] {
+        match self.visible[gaussian] {
+            u32::MAX => [0.0; 4],
+            visible => self.rows[plane * self.stride + visible as usize],
+        }
+    }
+
+    /// The gradient of a Gaussian with this mean.
+    pub fn gradient(&self, gaussian: usize, mean: [f64; 3], degree: u32, stored: usize) -> Gaussian {
+        let [[x, y, z, opacity_logit], quat, [a, b, c, _], [red, green, blue, _]] =
+            [0, 1, 2, 3].map(|plane| self.row(gaussian, plane).map(f64::from));
+        let sh = sh_gradient(direction(mean), [red, green, blue], degree, stored);
+        Gaussian { mean: [x, y, z], quat, log_scale: [a, b, c], opacity_logit, sh }
+    }
+}
+
+/// Two views with different degrees, and one that overflowed.
+fn check_add_gradients(gpu: &Gpu, size: usize, degrees: [u32; 2], stored: u32, direct: bool) {
+    let coefficients = ((stored + 1) * (stored + 1)) as usize;
+    let mut random = Random::new(size as u64 + 7 * u64::from(stored));
+    let gaussians = mixed_scene(&mut random, size, coefficients);
+    let room = room(size);
+    let words = planes(coefficients) * room;
+    let parameters = gpu.gaussians("parameters", &gaussians);
+    let sums = gpu.untouched::<[f32; 4]>("sums", words);
+    let direct_gradients = mixed_scene(&mut random, size, coefficients);
+    let mut direct_planes = pack(&direct_gradients, room);
+    direct_planes.truncate(PLANE_SH as usize * room);
+    let direct_buffer = gpu.buffer("parameter_gradients", &direct_planes);
+    let mut expected: Vec<Gaussian> = gaussians.clone();
+    let views = [(degrees[0], true, 0), (degrees[1], false, 1), (degrees[1], false, 0)];
+    for (number, (sh_degree, starts, overflow)) in views.into_iter().enumerate() {
+        let mut view = GradientRows::random(&mut random, size);
+        let mut spoilt = 0;
+        if number != 1 && size > 9 && view.visible[9] != u32::MAX {
+            view.rows[view.stride + view.visible[9] as usize][2] = f32::NAN;
+            spoilt = 1;
+        }
+        let moved_camera = number == 1 || stored == 2;
+        let spec = add_gradients::Spec {
+            workgroup_size: gpu.workgroup(64),
+            sh_degree,
+            parameter_gradients: direct,
+            moved_camera,
+            sh_loops: number == 1,
+        };
+        let gradients = gpu.buffer("gradients", &view.rows);
+        let state = gpu.frame_state(&[(STATE_OVERFLOW, overflow)]);
+        let bind = add_gradients::Bind {
+            sums: &sums,
+            parameters: &parameters,
+            visible_index: &gpu.buffer("visible_index", &view.visible),
+            gradients: &gradients,
+            state: &state,
+            old_sums: &sums,
+            parameter_gradients: if direct { &direct_buffer } else { &gradients },
+            camera_block: &gpu.buffer("camera_block", &[camera_block(CAMERA, moved_camera)]),
+        };
+        let push = add_gradients::Push {
+            camera_position: CAMERA.map(|x| if moved_camera { f32::NAN } else { x as f32 }),
+            first: 0,
+            count: size as u32,
+            chunk_gaussians: room as u32,
+            gradient_stride: view.stride as u32,
+            planes: planes(coefficients) as u32,
+            starts: starts.into(),
+        };
+        gpu.dispatch_over::<add_gradients::Interface>(&spec, &bind, &push, size);
+        let skipped = gpu.read_state(&state, STATE_NON_FINITE);
+        assert_eq!(skipped, if overflow == 1 { 0 } else { spoilt }, "view {number}");
+        if overflow == 1 {
+            continue;
+        }
+        for (i, sum) in expected.iter_mut().enumerate() {
+            let mut gradient = view.gradient(i, gaussians[i].mean, sh_degree, coefficients);
+            if direct {
+                let mut own = Gaussian { sh: vec![], ..direct_gradients[i].clone() };
+                let pairs = all_scalars(&mut gradient).into_iter().zip(all_scalars(&mut own));
+                pairs.for_each(|(x, own)| *x += *own);
+            }
+            *sum = add(sum, &gradient, starts);
+        }
+    }
+    let mut actual = gpu.read_gaussians(&sums, size, coefficients);
+    for (i, (actual, expected)) in actual.iter_mut().zip(&mut expected).enumerate() {
+        let [actual, expected] =
+            [actual, expected].map(|g| all_scalars(g).into_iter().map(|x| *x).collect::<Vec<f64>>());
+        elementwise("sum", &actual, &expected, 6e-6, 2e-6).unwrap_or_else(|e| panic!("{i} of {size}: {e}"));
+    }
+}
+
+#[test]
+fn add_gradients_equals_its_twin() {
+    for gpu in [Gpu::new(), Gpu::without_texels()] {
+        for size in sizes(gpu.workgroup(64) as usize).into_iter().filter(|&size| size > 0) {
+            check_add_gradients(&gpu, size, [2, 3], 3, size % 2 == 1);
+        }
+    }
+}
+
+#[test]
+fn add_gradients_of_every_degree() {
+    let gpu = Gpu::new();
+    for (degrees, stored) in [([0, 0], 0), ([0, 1], 1), ([1, 1], 2), ([0, 3], 3), ([3, 3], 3)] {
+        check_add_gradients(&gpu, 100, degrees, stored, false);
+    }
+}
+
+const FIRST: u32 = 9;
+const STREAM: u32 = 4;
+
+fn moved(gpu: &Gpu, gaussians: &[Gaussian], normals: Option<&[[f32; 3]]>, overflow: u32) -> Vec<Gaussian> {
+    let spec = add_noise::Spec { workgroup_size: gpu.workgroup(64), explicit_noise: normals.is_some() };
+    let count = gaussians.len();
+    let parameters = gpu.gaussians("parameters", gaussians);
+    let bind = add_noise::Bind {
+        parameters: &parameters,
+        state: &gpu.frame_state(&[(STATE_OVERFLOW, overflow)]),
+        noise: &gpu.buffer("noise", normals.unwrap_or(&[[0.0; 3]; 2])),
+    };
+    let push = add_noise::Push { first: FIRST, count: count as u32, seed: 7, iteration: 11, rate: 3.0 };
+    gpu.dispatch_over::<add_noise::Interface>(&spec, &bind, &push, count);
+    gpu.read_gaussians(&parameters, count, 4)
+}
+
+/// Opacities that let the noise through, and opacities that block it.
+fn scene(size: usize) -> Vec<Gaussian> {
+    let mut gaussians = mixed_scene(&mut Random::new(size as u64), size, 4);
+    for (i, gaussian) in gaussians.iter_mut().enumerate() {
+        gaussian.opacity_logit = [-12.0, -5.25, -4.0, -3.0, 0.0, 80.0][i % 6];
+    }
+    gaussians
+}
+
+/// `error` bounds the error of the normal numbers.
+fn compare_moved(before: &[Gaussian], after: &[Gaussian], normal: impl Fn(usize) -> [f64; 3], error: f64) {
+    for (i, (before, after)) in before.iter().zip(after).enumerate() {
+        let delta = noise(before, normal(i), 3.0);
+        let expected = [0, 1, 2].map(|axis| before.mean[axis] + delta[axis]);
+        let largest = delta.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        let bound =
+            (1e-5 + error) * largest + 1e-6 * (1.0 + before.mean.iter().map(|x| x.abs()).sum::<f64>());
+        elementwise("mean", &after.mean, &expected, bound, 1e-6).unwrap_or_else(|e| panic!("{i}: {e}"));
+        let rest = |g: &Gaussian| Gaussian { mean: [0.0; 3], ..g.clone() };
+        assert_eq!(rest(after), rest(before), "{i}");
+    }
+}
+
+#[test]
+fn add_noise_equals_its_twin() {
+    let gpu = Gpu::new();
+    for size in sizes(gpu.workgroup(64) as usize) {
+        let gaussians = scene(size);
+        let after = moved(&gpu, &gaussians, None, 0);
+        compare_moved(&gaussians, &after, |i| random_normal([7, 11, FIRST + i as u32, STREAM]), 1e-2);
+    }
+}
+
+#[test]
+fn add_noise_of_explicit_numbers() {
+    let gpu = Gpu::new();
+    let gaussians = scene(300);
+    let mut random = Random::new(3);
+    let normals: Vec<[f32; 3]> = (0..400).map(|_| [0; 3].map(|_| random.normal() as f32)).collect();
+    let after = moved(&gpu, &gaussians, Some(&normals), 0);
+    compare_moved(&gaussians, &after, |i| normals[FIRST as usize + i].map(f64::from), 0.0);
+}
+
+#[test]
+fn add_noise_leaves_overflowed_frames_alone() {
+    let gpu = Gpu::new();
+    let gaussians = scene(300);
+    assert_eq!(moved(&gpu, &gaussians, None, 1), gaussians);
+}
+
+/// Texels in front, which must stay; a multiple of the devices' alignment of bindings.
+const IN_FRONT: usize = 16;
+
+/// Returns values and means after a step; `flags` has `ends` and the frame's overflow.
+fn after(gpu: &Gpu, all: [&[[f32; 4]]; 2], weight: f32, [ends, overflow]: [u32; 2]) -> [Vec<[f32; 4]>; 2] {
+    let spec = average::Spec { workgroup_size: gpu.workgroup(64) };
+    let count = all[0].len() - IN_FRONT - 1;
+    let [values, means] = [("values", all[0]), ("means", all[1])].map(|(name, own)| gpu.buffer(name, own));
+    let [some_values, some_means] =
+        [&values, &means].map(|buffer| buffer.range(16 * IN_FRONT as u64, 16 * count as u64 + 16));
+    let bind = average::Bind {
+        values: &some_values,
+        means: &some_means,
+        state: &gpu.frame_state(&[(STATE_OVERFLOW, overflow)]),
+    };
+    gpu.dispatch_over::<average::Interface>(
+        &spec,
+        &bind,
+        &average::Push { count: count as u32, weight, ends },
+        count,
+    );
+    [values, means].map(|buffer| gpu.read(&buffer, all[0].len()))
+}
+
+/// One vec4 behind the averaged ones must stay, too.
+fn random(size: usize, seed: u64) -> Vec<[f32; 4]> {
+    let mut random = Random::new(seed);
+    (0..size + IN_FRONT + 1).map(|_| [0; 4].map(|_| 3.0 * random.signed() as f32)).collect()
+}
+
+#[test]
+fn average_equals_its_twin() {
+    let gpu = Gpu::new();
+    for size in sizes(gpu.workgroup(64) as usize) {
+        let mut means = random(size, 99);
+        // The first mean ignores previous values.
+        means[IN_FRONT..].fill([f32::NAN; 4]);
+        means[IN_FRONT + size] = [7.0; 4];
+        let mut expected: Vec<[f64; 4]> = means.iter().map(|texel| texel.map(f64::from)).collect();
+        let steps = if size > 300 { 3 } else { 40 };
+        for step in 1..=steps {
+            let values = random(size, u64::from(step));
+            let [same, new] = after(&gpu, [&values, &means], 1.0 / step as f32, [0, 0]);
+            assert_eq!(same, values);
+            means = new;
+            for (texel, value) in expected.iter_mut().zip(&values).skip(IN_FRONT).take(size) {
+                *texel = [0, 1, 2, 3].map(|i| mean(texel[i], value[i].into(), step));
+            }
+            elementwise("means", &widen(&means), expected.as_flattened(), 1e-5, 1e-5)
+                .unwrap_or_else(|e| panic!("{size}, step {step}: {e}"));
+        }
+    }
+}
+
+#[test]
+fn average_ends_in_the_place_of_the_values() {
+    let gpu = Gpu::new();
+    let (values, means) = (random(300, 1), random(300, 2));
+    let [new, same] = after(&gpu, [&values, &means], 0.0, [1, 0]);
+    assert_eq!(same, means);
+    assert_eq!((&new[..IN_FRONT], &new[IN_FRONT + 300..]), (&values[..IN_FRONT], &values[IN_FRONT + 300..]));
+    assert_eq!(new[IN_FRONT..IN_FRONT + 300], means[IN_FRONT..IN_FRONT + 300]);
+}
+
+#[test]
+fn average_leaves_overflowed_frames_alone() {
+    let gpu = Gpu::new();
+    let (values, means) = (random(300, 1), random(300, 2));
+    for ends in [0, 1] {
+        assert_eq!(after(&gpu, [&values, &means], 0.5, [ends, 1]), [values.clone(), means.clone()]);
+    }
+}

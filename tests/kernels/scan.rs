@@ -1,0 +1,161 @@
+//! The kernels of `scan/` against their twins, alone and together: `scan/scan_reduce`, `scan/scan_spine` and
+//! `scan/scan_apply`.
+
+use ashsplat::kernels::scan::{scan_apply, scan_reduce, scan_spine};
+
+use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
+use crate::common::scenes::Random;
+use crate::reference::scan as twin;
+
+/// Workgroup size and items of an invocation. A single subgroup needs no barrier.
+fn shapes(gpu: &Gpu) -> [(u32, u32); 2] {
+    [(gpu.workgroup(64), 4), (gpu.subgroup(), 12)]
+}
+
+/// Random words, the same for each count.
+pub fn random_words(count: usize) -> Vec<u32> {
+    let mut random = Random::new(count as u64);
+    (0..count).map(|_| random.bits() as u32).collect()
+}
+
+#[test]
+pub fn scan_reduce_equals_its_twin() {
+    let gpu = Gpu::new();
+    for (workgroup_size, items) in shapes(&gpu) {
+        let spec = scan_reduce::Spec { workgroup_size, subgroup_size: gpu.subgroup(), items };
+        let block = (workgroup_size * items) as usize;
+        for size in sizes(block) {
+            let values = random_words(size);
+            let blocks = size.div_ceil(block);
+            let sums = gpu.untouched::<u32>("block_sums", blocks + 2);
+            let bind = scan_reduce::Bind {
+                counts: &gpu.buffer("counts", &[7, size as u32]),
+                values: &gpu.buffer("values", &values),
+                block_sums: &sums,
+            };
+            // One workgroup more than needed: it must write nothing.
+            let push = scan_reduce::Push { count_index: 1 };
+            gpu.dispatch::<scan_reduce::Interface>(&spec, &bind, &push, blocks as u64 + 1);
+            gpu.assert_values(&sums, &twin::scan_reduce(&values, block), &format!("size {size}"));
+        }
+    }
+}
+
+#[test]
+pub fn scan_spine_equals_its_twin() {
+    let gpu = Gpu::new();
+    for items in [1, 4] {
+        let spec =
+            scan_spine::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items };
+        let block_size = 24;
+        for (size, from_totals) in
+            sizes((spec.workgroup_size * items) as usize).into_iter().flat_map(|n| [(n, 0), (n, 1)])
+        {
+            let mut random = Random::new(size as u64);
+            // With few sums the total fits into 32 bits, with many it saturates.
+            let mut sums: Vec<u32> = (0..size).map(|_| random.below(1 << 27)).collect();
+            // The last block is not full.
+            let values = if size == 0 { 0 } else { size as u32 * block_size - 5 };
+            // The sums start behind three other words.
+            let input =
+                gpu.buffer("block_sums", &[&[UNTOUCHED; 3], sums.as_slice(), &[UNTOUCHED; 2]].concat());
+            let totals = gpu.buffer("totals", &[1, 2, 3, values]);
+            let push = scan_spine::Push {
+                count: if from_totals == 1 { 3 } else { values },
+                from_totals,
+                block_size,
+                total_index: 1,
+                first_sum: 3,
+            };
+            let bind = scan_spine::Bind { block_sums: &input, totals: &totals };
+            gpu.dispatch::<scan_spine::Interface>(&spec, &bind, &push, 1);
+            let total = twin::scan_spine(&mut sums);
+            let case = format!("size {size}");
+            gpu.assert_values(&input, &[&[UNTOUCHED; 3], sums.as_slice()].concat(), &case);
+            gpu.assert_values(&totals, &[1, total, 3, values], &case);
+        }
+    }
+}
+
+/// A total that wraps around must not look like a small one, wherever the carry occurs.
+#[test]
+pub fn scan_spine_saturates_exactly_beyond_32_bits() {
+    let gpu = Gpu::new();
+    for items in [1, 4] {
+        let spec =
+            scan_spine::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items };
+        let far = (spec.workgroup_size * items) as usize + 1;
+        for (last, place) in [(0, 1), (1, 1), (2, 1), (0, far), (1, far), (2, far), (u32::MAX, far)] {
+            let mut sums = vec![0; far + 1];
+            sums[0] = u32::MAX - 1;
+            sums[place] = last;
+            let (input, totals) = (gpu.buffer("block_sums", &sums), gpu.buffer("totals", &[7_u32]));
+            let count = sums.len() as u32;
+            let push =
+                scan_spine::Push { count, from_totals: 0, block_size: 1, total_index: 0, first_sum: 0 };
+            let bind = scan_spine::Bind { block_sums: &input, totals: &totals };
+            gpu.dispatch::<scan_spine::Interface>(&spec, &bind, &push, 1);
+            let total = twin::scan_spine(&mut sums);
+            assert_eq!(total, (u32::MAX - 1).saturating_add(last));
+            assert_eq!(gpu.read::<u32>(&totals, 1), [total], "{last} at {place}");
+            assert_eq!(gpu.read::<u32>(&input, far + 1), sums, "{last} at {place}");
+        }
+    }
+}
+
+#[test]
+pub fn scan_apply_equals_its_twin() {
+    let gpu = Gpu::new();
+    for (workgroup_size, items) in shapes(&gpu) {
+        let spec = scan_apply::Spec { workgroup_size, subgroup_size: gpu.subgroup(), items };
+        let block = (workgroup_size * items) as usize;
+        for size in sizes(block) {
+            let blocks = size.div_ceil(block);
+            let mut words = random_words(size + blocks);
+            let offsets = words.split_off(size);
+            let prefix = gpu.untouched::<u32>("prefix", size + 2);
+            let bind = scan_apply::Bind {
+                counts: &gpu.buffer("counts", &[size as u32]),
+                values: &gpu.buffer("values", &words),
+                block_offsets: &gpu.buffer("block_offsets", &offsets),
+                prefix: &prefix,
+            };
+            let push = scan_apply::Push { count_index: 0 };
+            gpu.dispatch::<scan_apply::Interface>(&spec, &bind, &push, blocks as u64 + 1);
+            gpu.assert_values(&prefix, &twin::scan_apply(&words, &offsets, block), &format!("size {size}"));
+        }
+    }
+}
+
+/// The three steps with the smallest blocks, so that the workgroups exceed one axis of the grid.
+#[test]
+fn scan_of_more_than_65535_workgroups() {
+    let gpu = Gpu::new();
+    let (workgroup_size, subgroup_size) = (gpu.subgroup(), gpu.subgroup());
+    let block = workgroup_size * 4;
+    let size = 65_540 * block - 3;
+    let blocks = u64::from(size.div_ceil(block));
+    let mut random = Random::new(1);
+    let values: Vec<u32> = (0..size).map(|_| random.below(1 << 10)).collect();
+    let counts = gpu.buffer("counts", &[size]);
+    let totals = gpu.buffer("totals", &[0]);
+    let input = gpu.buffer("values", &values);
+    let sums = gpu.untouched::<u32>("sums", blocks as usize);
+    let prefix = gpu.untouched::<u32>("prefix", size as usize);
+    let spec = scan_reduce::Spec { workgroup_size, subgroup_size, items: 4 };
+    let bind = scan_reduce::Bind { counts: &counts, values: &input, block_sums: &sums };
+    let push = scan_reduce::Push { count_index: 0 };
+    gpu.dispatch::<scan_reduce::Interface>(&spec, &bind, &push, blocks);
+    let spec = scan_spine::Spec { items: 1, workgroup_size: gpu.workgroup(256), subgroup_size };
+    let bind = scan_spine::Bind { block_sums: &sums, totals: &totals };
+    let push =
+        scan_spine::Push { count: size, from_totals: 0, block_size: block, total_index: 0, first_sum: 0 };
+    gpu.dispatch::<scan_spine::Interface>(&spec, &bind, &push, 1);
+    let spec = scan_apply::Spec { workgroup_size, subgroup_size, items: 4 };
+    let bind = scan_apply::Bind { counts: &counts, values: &input, block_offsets: &sums, prefix: &prefix };
+    let push = scan_apply::Push { count_index: 0 };
+    gpu.dispatch::<scan_apply::Interface>(&spec, &bind, &push, blocks);
+    let (expected, total) = twin::exclusive_scan(&values);
+    assert!(gpu.read::<u32>(&prefix, size as usize) == expected, "the prefix sums differ");
+    assert_eq!(gpu.read::<u32>(&totals, 1), [total]);
+}

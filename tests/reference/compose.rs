@@ -1,0 +1,87 @@
+//! What hosts' images show: the twins of `compose/compose_rgba32f`, `compose/compose_rgba8` (which clamps and rounds),
+//! `compose/depth_limit`, `compose/expected_depth`, `compose/mean_motion` and `compose/picks`.
+
+/// (C, 1 - T) + T behind.
+pub fn compose(accumulated: [f32; 4], behind: [f64; 4]) -> [f64; 4] {
+    let [r, g, b, transmittance] = accumulated.map(f64::from);
+    let splats = [r, g, b, 1.0 - transmittance];
+    std::array::from_fn(|k| splats[k] + transmittance * behind[k])
+}
+
+/// Linear light of a display-encoded value (IEC 61966-2-1), oddly below 0 and by the same power above 1.
+pub fn decode(encoded: f64) -> f64 {
+    let size = encoded.abs();
+    let light = if size <= 0.04045 { size / 12.92 } else { ((size + 0.055) / 1.055).powf(2.4) };
+    light * encoded.signum()
+}
+
+/// The inverse of [`decode`].
+pub fn encode(light: f64) -> f64 {
+    let size = light.abs();
+    let encoded = if size <= 0.0031308 { 12.92 * size } else { 1.055 * size.powf(1.0 / 2.4) - 0.055 };
+    encoded * light.signum()
+}
+
+/// Output in linear light. If the background is opaque and display-encoded as the splats are, decodes the whole
+/// picture. Otherwise decodes the splats' colour and composes it over the linear background.
+pub fn compose_linear(accumulated: [f32; 4], behind: [f64; 4], opaque: bool, exposure: f64) -> [f64; 4] {
+    let [r, g, b, transmittance] = accumulated.map(f64::from);
+    let alpha = 1.0 - transmittance;
+    let covered = [r, g, b].map(|c| if alpha > 0.0 { alpha * exposure * decode(c / alpha) } else { 0.0 });
+    std::array::from_fn(|k| match (k, opaque) {
+        (3, _) => alpha + transmittance * behind[3],
+        (_, true) => exposure * decode([r, g, b][k] + transmittance * behind[k]),
+        (_, false) => covered[k] + transmittance * behind[k],
+    })
+}
+
+/// Linear light, encoded for an sRGB image, whose previous contents are decoded first.
+pub fn compose_linear_in_srgb(
+    accumulated: [f32; 4],
+    behind: [f64; 4],
+    opaque: bool,
+    exposure: f64,
+) -> [f64; 4] {
+    let [r, g, b, a] = behind;
+    let behind = if opaque { behind } else { [decode(r), decode(g), decode(b), a] };
+    let [r, g, b, a] = compose_linear(accumulated, behind, opaque, exposure);
+    [encode(r), encode(g), encode(b), a].map(|x| x.clamp(0.0, 1.0))
+}
+
+/// 1/z of a depth value. The clear value and infinity give 0, which hides nothing. With `linear` (parallel rays),
+/// depth is linear in z. A z behind the camera hides everything.
+pub fn depth_limit(depth: f32, (scale, offset): (f64, f64), linear: bool, clear_value: f32) -> f64 {
+    let value = scale * f64::from(depth) + offset;
+    match linear {
+        _ if depth == clear_value => 0.0,
+        false => value.max(0.0),
+        true if value > 0.0 => value.recip(),
+        true => f64::INFINITY,
+    }
+}
+
+/// sum(w z) / sum(w), or `empty` if the weights sum to less than `min_weight`.
+pub fn expected_depth(transmittance: f32, depth_sum: f32, min_weight: f64, empty: f64) -> f64 {
+    let weight = 1.0 - f64::from(transmittance);
+    if weight >= min_weight && weight > 0.0 { f64::from(depth_sum) / weight } else { empty }
+}
+
+/// sum(w m) / sum(w), px; None if the weights sum to less than `min_weight`.
+pub fn mean_motion(transmittance: f32, sum: [f32; 2], min_weight: f64) -> Option<[f64; 2]> {
+    let weight = 1.0 - f64::from(transmittance);
+    (weight >= min_weight && weight > 0.0)
+        .then(|| sum.map(|x| (f64::from(x) / weight).clamp(-65504.0, 65504.0)))
+}
+
+/// Scene of a frame's Gaussian and its index in the scene. `counts`: number of Gaussians of each scene in the
+/// frame's indices; 0 if the scene is not drawn.
+pub fn scene_of(gaussian: u32, counts: &[u32]) -> [u32; 2] {
+    let mut left = gaussian;
+    for (scene, &count) in counts.iter().enumerate() {
+        if left < count {
+            return [left, scene as u32];
+        }
+        left -= count;
+    }
+    panic!("no scene has Gaussian {gaussian}");
+}

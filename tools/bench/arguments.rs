@@ -1,0 +1,191 @@
+//! Arguments of the sub-commands of `bench`.
+
+use super::forms::FormArguments;
+use super::measure::Iterations;
+use super::schema::Report;
+use super::sizes::{FrameSize, parse_size};
+use super::table;
+use super::workload::{SceneArguments, SyntheticArguments};
+use ashsplat::Result;
+use ashsplat::vk::Context;
+use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_MEASUREMENTS};
+use ashsplat_program::output;
+use clap::Args;
+use std::path::{Path, PathBuf};
+
+/// Most values or pairs of a primitive.
+const MOST_ELEMENTS: i64 = 1 << 28;
+
+/// How often a workload is run.
+#[derive(Args, Clone, Copy)]
+pub struct IterationArguments {
+    /// Measured iterations of each workload
+    #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: u32,
+    /// Iterations before them that do not count
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    warmup: u32,
+}
+
+impl IterationArguments {
+    /// Times every second iteration command by command.
+    pub fn get(self) -> Iterations {
+        Iterations { measured: self.iterations, warmup: self.warmup, timed: true, reads_back: true }
+    }
+}
+
+/// Which device is measured by which clock, and what becomes of the result.
+#[derive(Args)]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_MEASUREMENTS)))]
+pub struct OutputArguments {
+    /// Write the result here (JSON)
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Write one line per kernel here (CSV)
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Time by the host's clock only, as on a device without timestamps: no time per kernel
+    #[arg(long)]
+    host_clock: bool,
+    #[command(flatten)]
+    pub device: DeviceArguments,
+    /// Print no table
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+impl OutputArguments {
+    /// Opens the device.
+    pub fn context(&self) -> Result<Context> {
+        self.device.context_with(|options| options.timestamps = !self.host_clock)
+    }
+
+    /// Refuses files that cannot be written, before anything is measured. `more`: the sub-command's further files.
+    pub fn check(&self, more: &[(&'static str, Option<&Path>)]) -> Result<()> {
+        let own = [("--json", self.json.as_deref()), ("--csv", self.csv.as_deref())];
+        output::check(&[&own, more].concat())
+    }
+
+    /// Writes the files.
+    pub fn write(&self, report: &Report) -> Result<()> {
+        if let Some(path) = &self.json {
+            output::write_json(path, report)?;
+        }
+        if let Some(path) = &self.csv {
+            output::write_text(path, &table::csv(report))?;
+        }
+        Ok(())
+    }
+}
+
+/// `scan` and `sort`.
+#[derive(Args)]
+pub struct PrimitiveArguments {
+    /// Values of the scan, pairs of the sort [default: 16777216 values, 4194304 pairs]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_ELEMENTS))]
+    pub elements: Option<u32>,
+    /// Seed of the values and keys
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    #[command(flatten)]
+    pub iterations: IterationArguments,
+    #[command(flatten)]
+    pub output: OutputArguments,
+}
+
+/// Whether frames end on the device.
+#[derive(Args, Clone, Copy)]
+pub struct ReadBackArguments {
+    /// Leave pictures on the device, as in an engine that draws into its own images. To copy a large one to the host and to compose it
+    /// there takes longer than to draw it, and a GPU slows down meanwhile
+    #[arg(long)]
+    pub no_read_back: bool,
+}
+
+impl ReadBackArguments {
+    /// Applies the choice to these iterations.
+    pub fn of(self, iterations: Iterations) -> Iterations {
+        Iterations { reads_back: !self.no_read_back, ..iterations }
+    }
+}
+
+/// `render` and `train-step`.
+#[derive(Args)]
+pub struct FrameArguments {
+    #[command(flatten)]
+    pub scene: SceneArguments,
+    #[command(flatten)]
+    pub form: FormArguments,
+    #[command(flatten)]
+    pub read_back: ReadBackArguments,
+    #[command(flatten)]
+    pub iterations: IterationArguments,
+    #[command(flatten)]
+    pub output: OutputArguments,
+}
+
+/// `blending`.
+#[derive(Args)]
+pub struct BlendingArguments {
+    #[command(flatten)]
+    pub scene: SceneArguments,
+    #[command(flatten)]
+    pub read_back: ReadBackArguments,
+    #[command(flatten)]
+    pub iterations: IterationArguments,
+    #[command(flatten)]
+    pub output: OutputArguments,
+}
+
+/// `train`. Its windows say how many iterations are measured.
+#[derive(Args)]
+pub struct TrainArguments {
+    /// The data set
+    #[arg(long, value_name = "DATASET")]
+    pub dataset: PathBuf,
+    /// Where its measurements end; each covers a hundred iterations, of which the trainer runs all before
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [100])]
+    pub windows: Vec<u32>,
+    /// SH degree that training ends with
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=3))]
+    pub sh_degree: u32,
+    /// Seed of the training
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    #[command(flatten)]
+    pub output: OutputArguments,
+}
+
+/// `all`.
+#[derive(Args)]
+pub struct AllArguments {
+    /// Pairs of the larger sort; the smaller takes a quarter, the scan four times as many values
+    #[arg(long, value_name = "N", default_value_t = 1 << 22, value_parser = clap::value_parser!(u32).range(1..=MOST_ELEMENTS))]
+    pub elements: u32,
+    #[command(flatten)]
+    pub synthetic: SyntheticArguments,
+    /// More synthetic frames: Gaussians and size of each
+    #[arg(long, value_name = "N@WxH,...", value_delimiter = ',', default_values_t = [FrameSize::LARGE])]
+    pub frames: Vec<FrameSize>,
+    /// A frame of a trained scene besides
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+    /// Its camera: entry N (from 0) of a cameras.json [default: N = 0; without it, one that sees the whole scene]
+    #[arg(long, value_name = "FILE[:N]", requires = "scene")]
+    pub camera: Option<String>,
+    /// Size of its picture [default: --width and --height, where given, else the camera's own]
+    #[arg(long, value_name = "WxH", value_parser = parse_size, requires = "scene")]
+    pub scene_size: Option<(u32, u32)>,
+    /// Training of this data set besides; given again, of another one up to the end of the first window
+    #[arg(long, value_name = "DATASET")]
+    pub dataset: Vec<PathBuf>,
+    /// Where its measurements end; each covers a hundred iterations
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [100], requires = "dataset")]
+    pub windows: Vec<u32>,
+    #[command(flatten)]
+    pub read_back: ReadBackArguments,
+    #[command(flatten)]
+    pub iterations: IterationArguments,
+    #[command(flatten)]
+    pub output: OutputArguments,
+}

@@ -1,0 +1,135 @@
+//! `--blending` and `bench blending`: the two forms of blending, one against the other.
+
+use super::schema::{KernelResult, Run, Spread};
+use super::table;
+use ashsplat::Blending;
+use clap::{Args, ValueEnum};
+
+/// A form of blending.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Form {
+    /// Subgroups that cull per region of a tile
+    Regions,
+    /// The paper's batches in shared memory
+    Shared,
+}
+
+/// Which form.
+#[derive(Args, Clone, Copy, Default)]
+pub struct FormArguments {
+    /// How tiles are blended: the same picture, at a time that depends on the device [default: what was measured to be faster on
+    /// such devices]
+    #[arg(long, value_name = "FORM", value_enum)]
+    blending: Option<Form>,
+}
+
+impl FormArguments {
+    pub fn get(self) -> Option<Blending> {
+        self.blending.map(|form| match form {
+            Form::Regions => Blending::Regions,
+            Form::Shared => Blending::SharedMemory,
+        })
+    }
+}
+
+/// A form's name in results and on the command line.
+pub fn name(blending: Blending) -> &'static str {
+    match blending {
+        Blending::Regions => "regions",
+        Blending::SharedMemory => "shared",
+    }
+}
+
+pub fn of_name(named: &str) -> Option<Blending> {
+    Blending::ALL.into_iter().find(|&form| name(form) == named)
+}
+
+/// Returns a run's forward blending kernel and its time, if it has one.
+fn kernel(run: &Run) -> Option<(&KernelResult, Spread)> {
+    let own = |k: &&KernelResult| k.kernel.starts_with("forward/blend");
+    let kernel = run.kernels.iter().find(own)?;
+    Some((kernel, kernel.time_us.filter(|time| time.min > 0.0)?))
+}
+
+/// One line for each frame blended in both forms: the time of shared memory over that of regions. The two runs of a frame are
+/// neighbours.
+pub fn ratios(runs: &[Run]) -> String {
+    let is_of = |run: &Run, form: Blending| {
+        let form_first = run.name.strip_prefix("render-").or(run.name.strip_prefix("draw-"));
+        form_first.is_some_and(|rest| rest.starts_with(name(form)))
+    };
+    let lines = runs.windows(2).filter_map(|pair| {
+        let (regions, shared) = match pair {
+            [a, b] if is_of(a, Blending::Regions) && is_of(b, Blending::SharedMemory) => (a, b),
+            [a, b] if is_of(b, Blending::Regions) && is_of(a, Blending::SharedMemory) => (b, a),
+            _ => return None,
+        };
+        if regions.workload.hash != shared.workload.hash {
+            return None;
+        }
+        let ((kernel_a, a), (kernel_b, b)) = (kernel(regions)?, kernel(shared)?);
+        let samples = kernel_a.samples.zip(kernel_b.samples).map_or_else(String::new, |(a, b)| {
+            format!(" for {:.2} times as many samples", b as f64 / a.max(1) as f64)
+        });
+        Some(format!(
+            "blending from shared memory takes {:.2} times as long as by regions ({:.2} to {:.2}){samples}: {:.3} and {:.3} ms, {}\n",
+            b.median / a.median,
+            b.min / a.p90,
+            b.p90 / a.min,
+            b.median * 1e-3,
+            a.median * 1e-3,
+            table::describe(&regions.workload)
+        ))
+    });
+    lines.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Blending, ratios};
+    use crate::schema::{KernelResult, Run, Spread, Workload};
+
+    fn run(name: &str, hash: &str, time: f64) -> Run {
+        let spread = Spread { min: time, median: time, p90: time, mean: time };
+        let kernel = KernelResult {
+            kernel: "forward/blend".into(),
+            time_us: Some(spread),
+            samples: Some(time as u64),
+            ..KernelResult::default()
+        };
+        let workload = Workload { hash: hash.into(), gaussians: Some(time as u32), ..Workload::default() };
+        Run { name: name.into(), workload, kernels: vec![kernel], ..Run::default() }
+    }
+
+    /// The same frame twice, because its size was given twice: each ratio is that of neighbouring runs.
+    #[test]
+    fn forms_are_paired_with_their_neighbours() {
+        let runs = [
+            run("render", "a", 9.0),
+            run("render-regions", "a", 10.0),
+            run("render-shared", "a", 20.0),
+            run("render-10@9x9", "a", 9.0),
+            run("render-shared-10@9x9", "a", 90.0),
+            run("render-regions-10@9x9", "a", 30.0),
+            run("render-shared'", "b", 1.0),
+            run("train-step", "a", 7.0),
+        ];
+        let text = ratios(&runs);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 2, "{text}");
+        assert!(
+            lines[0].contains("takes 2.00 times") && lines[0].contains("for 2.00 times as many"),
+            "{text}"
+        );
+        assert!(lines[1].contains("takes 3.00 times"), "{text}");
+        assert_eq!(ratios(&runs[..2]), "");
+    }
+
+    #[test]
+    fn forms_have_names_of_their_own() {
+        for form in Blending::ALL {
+            assert_eq!(super::of_name(super::name(form)), Some(form));
+        }
+        assert_eq!(super::of_name("tiles"), None);
+    }
+}

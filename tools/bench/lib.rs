@@ -1,0 +1,299 @@
+//! `ashsplat bench`: measures every kernel beside the device's own copy bandwidth, and the cost of quality.
+
+// Used by the program alone.
+#![allow(missing_docs)]
+
+#[macro_use]
+extern crate ashsplat_program;
+
+mod arguments;
+mod compare;
+mod compiled;
+mod cpu_sorts;
+mod forms;
+mod frames;
+mod machine;
+mod measure;
+mod plot;
+mod primitives;
+pub mod profile;
+mod quality;
+mod samples;
+mod scaling;
+mod schema;
+mod sizes;
+mod synthetic;
+mod table;
+mod tasks;
+mod traffic;
+mod training;
+mod transactions;
+mod workload;
+
+use arguments::{
+    AllArguments, BlendingArguments, FrameArguments, IterationArguments, OutputArguments, PrimitiveArguments,
+    TrainArguments,
+};
+use ashsplat::vk::Context;
+use ashsplat::{Error, Result};
+use clap::{Args, Subcommand};
+use measure::{Iterations, Yardsticks};
+use schema::{Report, Run, Settings};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use tasks::Task;
+use workload::SceneArguments;
+
+/// Exit code of a comparison that --fail-above fails. Other failures have another.
+const REGRESSION: u8 = 1;
+
+/// Measure: every kernel's time, workgroups and bytes, beside what this device copies per second.
+///
+/// The result file (--json) follows the schema ashsplat-bench/1, described in tools/bench.md. Bytes are those of a
+/// kernel's inputs and outputs, each element once, so that "copy" says how far a kernel is from the speed of a plain
+/// copy of them on this device.
+#[derive(Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Subcommand)]
+enum What {
+    /// The prefix sum alone
+    Scan(PrimitiveArguments),
+    /// The radix sort alone, beside the processor's
+    Sort(PrimitiveArguments),
+    /// A frame
+    Render(FrameArguments),
+    /// A frame in both forms of blending, in turn
+    Blending(BlendingArguments),
+    /// A training step
+    TrainStep(FrameArguments),
+    /// Training of a data set from its points, as `train` does it
+    Train(TrainArguments),
+    /// Everything: the primitives at two sizes, two synthetic frames, one of them in both forms of blending, a step; --scene and
+    /// --dataset besides
+    All(AllArguments),
+    /// Two result files, or two of `profile --static`, kernel by kernel; exit code 1 where --fail-above finds something worse
+    Compare(CompareArguments),
+    /// Trainings with several strategies and seeds: PSNR, SSIM, Gaussians, processor seconds and seconds along each
+    Quality(quality::Arguments),
+    /// How each stage grows with the Gaussians and the pixels
+    Scaling(scaling::Arguments),
+}
+
+/// Which files, and when their difference is a failure.
+#[derive(Args)]
+struct CompareArguments {
+    /// The result to compare with
+    a: PathBuf,
+    /// The result to judge
+    b: PathBuf,
+    /// End with exit code 1 where a kernel of B takes more than X times as long as in A, beyond the spread of both; of files of
+    /// `profile --static`: where spills, memory or estimated cycles grow to more than X times, or subgroups per SIMD fall so.
+    /// What only one of the files has is an error: a time, a kernel
+    #[arg(long, value_name = "X")]
+    fail_above: Option<f64>,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+    match &arguments.what {
+        What::Scan(a) => measure_all(&a.output, Plan::of_primitive(a), |_| Ok(tasks::of_scan(a))),
+        What::Sort(a) => measure_all(&a.output, Plan::of_primitive(a), |_| Ok(tasks::of_sort(a))),
+        What::Render(a) => {
+            measure_all(&a.output, Plan::of(a.iterations, &a.scene), |_| tasks::of_frames(a, false))
+        }
+        What::Blending(a) => {
+            measure_all(&a.output, Plan::of(a.iterations, &a.scene), |_| tasks::of_blending(a))
+        }
+        What::TrainStep(a) => {
+            measure_all(&a.output, Plan::of(a.iterations, &a.scene), |_| tasks::of_frames(a, true))
+        }
+        What::Train(a) => {
+            let plan = Plan { iterations: training::ITERATIONS, seed: a.seed };
+            let host = &a.output.device.host;
+            measure_all(&a.output, plan, |_| tasks::of_training(&a.dataset, &a.windows, a.sh_degree, host))
+        }
+        What::All(a) => {
+            let plan = Plan { iterations: a.iterations.get(), seed: a.synthetic.seed() };
+            measure_all(&a.output, plan, |context| tasks::of_all(a, context.limits().tuning.is_slow))
+        }
+        What::Compare(files) => return compare_files(files),
+        What::Quality(a) => quality::run(a),
+        What::Scaling(sweep) => scaling::run(sweep),
+    }?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Parameters shared by all workloads of a report.
+#[derive(Clone, Copy)]
+struct Plan {
+    iterations: Iterations,
+    seed: u64,
+}
+
+impl Plan {
+    fn of_primitive(arguments: &PrimitiveArguments) -> Self {
+        Self { iterations: arguments.iterations.get(), seed: arguments.seed }
+    }
+
+    fn of(iterations: IterationArguments, scene: &SceneArguments) -> Self {
+        Self { iterations: iterations.get(), seed: scene.synthetic.seed() }
+    }
+}
+
+fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
+    if let Some(limit) = files.fail_above
+        && !(limit.is_finite() && limit > 0.0)
+    {
+        return Err(Error::argument(
+            "--fail-above",
+            format!("is {limit}, must be a positive ratio, say 1.15"),
+        ));
+    }
+    if compiled::is_one(&files.a) {
+        return compare_compiled(files);
+    }
+    let (a, b) = (compare::read(&files.a)?, compare::read(&files.b)?);
+    let lines = compare::compare(&a, &b)?;
+    for (name, report) in [("A", &a), ("B", &b)] {
+        let commit = report.program.commit.as_deref().unwrap_or("commit unknown");
+        say!(
+            "{name}: {}, {}, ashsplat {} ({commit}, {})",
+            report.device.name,
+            report.device.driver,
+            report.program.version,
+            report.program.build
+        );
+    }
+    say!("{}", compare::table(&lines));
+    let unpaired = compare::unpaired(&a, &b);
+    unpaired.iter().for_each(|kernel| say!("{kernel}"));
+    let Some(limit) = files.fail_above else { return Ok(ExitCode::SUCCESS) };
+    if !unpaired.is_empty() {
+        return Err(Error::argument("times that cannot be compared", unpaired.join(", ")));
+    }
+    let slow = compare::slower(&lines, limit);
+    if slow.is_empty() {
+        return Ok(ExitCode::SUCCESS);
+    }
+    tell!("slower than {limit} times: {}", slow.join(", "));
+    Ok(ExitCode::from(REGRESSION))
+}
+
+fn compare_compiled(files: &CompareArguments) -> Result<ExitCode> {
+    let (a, b) = (compiled::read(&files.a)?, compiled::read(&files.b)?);
+    if a.device.name != b.device.name || a.device.driver != b.device.driver {
+        tell!(
+            "A is of {}, {}; B of {}, {}: compilers differ as well",
+            a.device.name,
+            a.device.driver,
+            b.device.name,
+            b.device.driver
+        );
+    }
+    let found = compiled::compare(&a, &b, &files.b, files.fail_above.unwrap_or(1.0))?;
+    found.worse.iter().chain(&found.variants).chain(&found.kernels).for_each(|line| say!("{line}"));
+    if found.worse.is_empty() {
+        let groups = match found.groups {
+            0 => String::new(),
+            groups => format!(" and {groups} kernels with other variants"),
+        };
+        say!("{} pipelines{groups}: none is worse", found.pairs);
+    }
+    let Some(limit) = files.fail_above else { return Ok(ExitCode::SUCCESS) };
+    if !found.kernels.is_empty() {
+        return Err(Error::argument("kernels that cannot be compared", found.kernels.join(", ")));
+    }
+    if found.worse.is_empty() {
+        return Ok(ExitCode::SUCCESS);
+    }
+    tell!("worse than {limit} times: {}", found.worse.join(", "));
+    Ok(ExitCode::from(REGRESSION))
+}
+
+fn measure_all(
+    output: &OutputArguments,
+    Plan { iterations, seed }: Plan,
+    tasks: impl FnOnce(&Context) -> Result<Vec<Task>>,
+) -> Result<()> {
+    output.check(&[])?;
+    // A missing device is reported before the scenes, which may have many photos, are read.
+    let context = output.context()?;
+    let tasks = tasks(&context)?;
+    let yardsticks = Yardsticks::measure(&context)?;
+    let mut runs = Vec::new();
+    let mut counter = samples::Counter::new(&output.device, seed);
+    for task in tasks {
+        let mut results = task.run(&context, seed, yardsticks.copy.as_ref())?;
+        let samples = counter.count(&task, &results)?;
+        for (run, samples) in results.iter_mut().zip(samples) {
+            samples::enter(run, samples, context.limits(), yardsticks.arithmetic.as_ref());
+        }
+        let counted = counter.transactions(&task, context.limits().tuning.backend)?;
+        results.iter_mut().for_each(|run| transactions::enter(run, &counted));
+        runs.extend(results);
+    }
+    name_apart(&mut runs);
+    let report = assemble(&context, iterations, seed, (yardsticks, runs));
+    output.write(&report)?;
+    if !output.quiet {
+        say!("{}", table::render(&report).trim_end());
+        let ratios = forms::ratios(&report.runs);
+        if !ratios.is_empty() {
+            say!("\n{}", ratios.trim_end());
+        }
+    }
+    output.device.report_validation(&context);
+    counter.report_validation();
+    Ok(())
+}
+
+/// Appends the size to the names of runs that repeat an earlier name.
+fn name_apart(runs: &mut [Run]) {
+    let mut seen: Vec<String> = Vec::new();
+    for run in runs {
+        if seen.contains(&run.name) {
+            let w = &run.workload;
+            let size = match (w.elements, w.gaussians, w.width, w.height) {
+                (Some(elements), ..) => elements.to_string(),
+                (_, Some(gaussians), Some(width), Some(height)) => format!("{gaussians}@{width}x{height}"),
+                _ => String::new(),
+            };
+            run.name = format!("{}-{size}", run.name);
+        }
+        let mut name = run.name.clone();
+        while seen.contains(&name) {
+            name.push('\'');
+        }
+        run.name.clone_from(&name);
+        seen.push(name);
+    }
+}
+
+/// Makes the report of runs measured on a context.
+fn assemble(
+    context: &Context,
+    iterations: Iterations,
+    seed: u64,
+    (yardsticks, runs): (Yardsticks, Vec<Run>),
+) -> Report {
+    Report {
+        schema: schema::SCHEMA.to_owned(),
+        program: machine::program(),
+        host: machine::host(),
+        device: machine::device(context),
+        environment: machine::environment(),
+        settings: Settings {
+            iterations: iterations.measured,
+            warmup: iterations.warmup,
+            seed,
+            clock: if context.has_timestamps() { "timestamps" } else { "host" }.to_owned(),
+        },
+        copy_bandwidth: yardsticks.copy,
+        arithmetic: yardsticks.arithmetic,
+        runs,
+    }
+}

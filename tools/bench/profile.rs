@@ -1,0 +1,281 @@
+//! `ashsplat profile`: profiles one frame or one training step.
+
+mod ab;
+mod compiled;
+mod dump;
+mod page;
+mod spec;
+mod subject;
+mod trace;
+mod watch;
+
+use crate::forms::FormArguments;
+use crate::measure::{Iterations, Yardsticks};
+use crate::schema::KernelResult;
+use crate::workload::{self, SceneArguments};
+use crate::{assemble, frames, table};
+use ashsplat::vk::{Context, SpecOverride, is_kernel_of};
+use ashsplat::{Error, Result};
+use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_MEASUREMENTS};
+use ashsplat_program::output;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+use subject::Subject;
+
+/// Options that conflict with --dump, which runs nothing.
+const NOT_WITH_DUMP: [&str; 31] = [
+    "what",
+    "is_static",
+    "json",
+    "asm",
+    "beside",
+    "html",
+    "trace",
+    "spec",
+    "ab",
+    "watch",
+    "glsl",
+    "printf",
+    "capture",
+    "frames",
+    "warmup",
+    "gaussians",
+    "sh_degree",
+    "width",
+    "height",
+    "seed",
+    "scene",
+    "camera",
+    "dataset",
+    "view",
+    "blending",
+    "device",
+    "validation",
+    "max_memory",
+    "max_host_memory",
+    "subgroup_size",
+    "backend",
+];
+
+/// Profile one frame or one training step, kernel by kernel.
+///
+/// Without further options, a table. Settings of shaders are tried with --spec and --ab; with the cargo feature
+/// hot-reload, --watch compiles edited shaders again while it runs.
+#[derive(Args)]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_MEASUREMENTS)))]
+pub struct Arguments {
+    /// What to profile [default: render; with --static both]
+    #[arg(value_enum)]
+    what: Option<What>,
+    #[command(flatten)]
+    scene: SceneArguments,
+    #[command(flatten)]
+    form: FormArguments,
+    /// Measured iterations [default: 20, with --watch 7]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    frames: Option<u32>,
+    /// Iterations before them that do not count [default: 3, with --watch 1]
+    #[arg(long, value_name = "N")]
+    warmup: Option<u32>,
+    /// Show only this kernel, "sort/sort_downsweep", or those of this folder, "sort"
+    #[arg(long, value_name = "NAME")]
+    kernel: Option<String>,
+    /// Write one self-contained page here: timeline, stages, history, memory, tiles, histograms
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    /// Write a trace here that Perfetto (ui.perfetto.dev) and chrome://tracing open
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
+    /// Another value for a specialization constant, for one kernel, a folder of kernels or all; may be repeated
+    #[arg(long, value_name = "[KERNEL.]NAME=VALUE")]
+    spec: Vec<String>,
+    /// Time two settings in turn: each a list of settings as for --spec, separated by commas; "-" is none
+    #[arg(long, num_args = 2, value_names = ["A", "B"], allow_hyphen_values = true, conflicts_with_all = ["html", "trace", "watch"])]
+    ab: Option<Vec<String>>,
+    #[command(flatten)]
+    compiled: compiled::StaticArguments,
+    /// Write the SPIR-V of each kernel (or of those of --kernel) below this folder, with counts of its instructions by class;
+    /// constants have their defaults there, for --spec's are given to the driver
+    #[arg(long, value_name = "DIR", conflicts_with_all = NOT_WITH_DUMP)]
+    dump: Option<PathBuf>,
+    /// Compile edited shaders again while running, and show what changed (feature hot-reload); Ctrl-C ends it
+    #[arg(long, conflicts_with_all = ["html", "trace", "kernel"])]
+    watch: bool,
+    /// Folder of the shaders for --watch and for kernels that differ from the program's own (feature hot-reload)
+    #[arg(long, value_name = "DIR")]
+    glsl: Option<PathBuf>,
+    /// End --watch after so many seconds
+    #[arg(long, value_name = "SECONDS", requires = "watch")]
+    watch_for: Option<f64>,
+    /// Pass on what shaders print with debugPrintfEXT (needs the Khronos validation layer)
+    #[arg(long)]
+    printf: bool,
+    /// Mark one iteration as a capture: for `renderdoccmd capture ashsplat profile --capture`
+    #[arg(long, conflicts_with_all = ["html", "trace", "watch", "ab", "dump", "frames", "kernel"])]
+    capture: bool,
+    #[command(flatten)]
+    device: DeviceArguments,
+}
+
+/// What is profiled.
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+pub enum What {
+    /// A frame
+    Render,
+    /// A training step
+    TrainStep,
+}
+
+impl What {
+    /// Name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Render => "render",
+            Self::TrainStep => "train-step",
+        }
+    }
+}
+
+impl Arguments {
+    /// Default number of measured iterations.
+    const FRAMES: u32 = 20;
+    /// Default number of iterations before them.
+    const WARMUP: u32 = 3;
+
+    fn what(&self) -> What {
+        self.what.unwrap_or(What::Render)
+    }
+
+    fn frames(&self) -> u32 {
+        self.frames.unwrap_or(Self::FRAMES)
+    }
+
+    fn warmup(&self) -> u32 {
+        self.warmup.unwrap_or(Self::WARMUP)
+    }
+
+    fn seed(&self) -> u64 {
+        self.scene.synthetic.seed()
+    }
+
+    fn overrides(&self) -> Result<Vec<SpecOverride>> {
+        spec::parse_given(&self.spec)
+    }
+}
+
+/// Opens the device with other constants, and with edited shaders if their folder is given.
+fn open(arguments: &Arguments, overrides: &[SpecOverride]) -> Result<Context> {
+    let context = arguments.device.context_with(|options| {
+        options.debug_printf = arguments.printf;
+        options.capture = arguments.capture;
+        spec::apply(options, overrides);
+    })?;
+    if let Some(glsl) = &arguments.glsl {
+        watch::take_over(&context, glsl)?;
+    }
+    Ok(context)
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let overrides = arguments.overrides()?;
+    check_kernel(arguments.kernel.as_deref())?;
+    if let Some(folder) = &arguments.dump {
+        say!("{}", dump::dump(folder, arguments.kernel.as_deref())?.trim_end());
+        return Ok(());
+    }
+    if arguments.compiled.is_static {
+        return compiled::run(arguments);
+    }
+    output::check(&[("--html", arguments.html.as_deref()), ("--trace", arguments.trace.as_deref())])?;
+    let load = || arguments.scene.load(arguments.what() == What::TrainStep, &arguments.device.host);
+    if let Some(settings) = &arguments.ab {
+        return ab::run(arguments, settings, &load()?);
+    }
+    let context = open(arguments, &overrides)?;
+    let scene = load()?;
+    if arguments.watch {
+        return watch::run(arguments, &context, &scene);
+    }
+    if arguments.capture {
+        return capture(arguments, &context, &scene);
+    }
+    let yardsticks = Yardsticks::measure(&context)?;
+    let iterations = Iterations {
+        measured: arguments.frames(),
+        warmup: arguments.warmup(),
+        timed: true,
+        reads_back: true,
+    };
+    let seed = arguments.seed();
+    let (copy, blending) = (yardsticks.copy.as_ref(), arguments.form.get());
+    let job = frames::Job { context: &context, iterations, copy, scene: &scene, blending, seed };
+    let (mut run, measured) = match arguments.what() {
+        What::Render => frames::render(&job)?,
+        What::TrainStep => frames::train_step(&job)?,
+    };
+    if let Some(path) = &arguments.trace {
+        output::write_json(path, &trace::trace(context.device_name(), &measured.iterations))?;
+    }
+    if let Some(path) = &arguments.html {
+        let page = page::page(&context, &scene, (&run, &measured), &arguments.spec)?;
+        output::write_text(path, &page)?;
+    }
+    only(arguments.kernel.as_deref(), &mut run.kernels)?;
+    if !arguments.spec.is_empty() {
+        say!("with {}", arguments.spec.join(", "));
+    }
+    let report = assemble(&context, iterations, seed, (yardsticks, vec![run]));
+    say!("{}", table::render(&report).trim_end());
+    print_messages(&context);
+    arguments.device.report_validation(&context);
+    Ok(())
+}
+
+/// Marks one iteration for RenderDoc, which without a window finds no frames to capture.
+fn capture(arguments: &Arguments, context: &Context, scene: &workload::Scene) -> Result<()> {
+    let mut subject = Subject::new(context, scene, arguments)?;
+    subject.warm_up(arguments.warmup())?;
+    subject.captured()?;
+    say!("one {} was marked as a capture", arguments.what().name());
+    print_messages(context);
+    arguments.device.report_validation(context);
+    Ok(())
+}
+
+/// Keeps the requested kernels. Refuses a kernel that did not run.
+fn only(name: Option<&str>, kernels: &mut Vec<KernelResult>) -> Result<()> {
+    let Some(name) = name else { return Ok(()) };
+    let ran: Vec<String> = kernels.iter().map(|k| k.kernel.clone()).collect();
+    kernels.retain(|k| is_kernel_of(&k.kernel, name));
+    if kernels.is_empty() {
+        let problem = format!("did not run here; these did: {}", ran.join(", "));
+        return Err(Error::argument(format!("--kernel {name}"), problem));
+    }
+    Ok(())
+}
+
+/// Refuses a kernel or folder that does not exist, and names those that do.
+fn check_kernel(name: Option<&str>) -> Result<()> {
+    let Some(name) = name else { return Ok(()) };
+    let known = spec::kernels();
+    if known.iter().any(|k| is_kernel_of(k, name)) {
+        return Ok(());
+    }
+    let problem = format!("there is no such kernel or folder; there are: {}", known.join(", "));
+    Err(Error::argument(format!("--kernel {name}"), problem))
+}
+
+/// Prints the shaders' messages; a repeated line appears once, with its count.
+fn print_messages(context: &Context) {
+    let mut counted: Vec<(String, usize)> = Vec::new();
+    for message in context.printed() {
+        match counted.iter_mut().find(|(seen, _)| *seen == message) {
+            Some((_, count)) => *count += 1,
+            None => counted.push((message, 1)),
+        }
+    }
+    for (message, count) in counted {
+        let times = if count == 1 { String::new() } else { format!("   ({count} times)") };
+        say!("printf: {message}{times}");
+    }
+}

@@ -1,0 +1,222 @@
+//! `--watch`: compiles edited shaders again and prints the changes.
+
+#[cfg(feature = "hot-reload")]
+pub use reloading::{run, take_over};
+
+#[cfg(not(feature = "hot-reload"))]
+mod missing {
+    use super::super::Arguments;
+    use crate::workload::Scene;
+    use ashsplat::vk::Context;
+    use ashsplat::{Error, Result};
+    use std::path::Path;
+
+    const PROBLEM: &str =
+        "this program was built without it: cargo run --release --features hot-reload -- profile …";
+
+    /// Refuses: this build cannot watch shaders.
+    pub fn run(_: &Arguments, _: &Context, _: &Scene) -> Result<()> {
+        Err(Error::argument("--watch", PROBLEM))
+    }
+
+    /// Refuses: this build cannot compile shaders.
+    pub fn take_over(_: &Context, _: &Path) -> Result<()> {
+        Err(Error::argument("--glsl", PROBLEM))
+    }
+}
+#[cfg(not(feature = "hot-reload"))]
+pub use missing::{run, take_over};
+
+#[cfg(feature = "hot-reload")]
+mod reloading {
+    use super::super::subject::{Subject, largest_difference, measured};
+    use super::super::{Arguments, print_messages, spec};
+    use crate::compare::{self, Line};
+    use crate::measure::Measured;
+    use crate::schema::KernelResult;
+    use crate::traffic::Traffic;
+    use crate::workload::Scene;
+    use ashsplat::kernels::reload;
+    use ashsplat::kernels::visit_all;
+    use ashsplat::vk::{Context, KernelInterface, KernelVisitor, Limits};
+    use ashsplat::{Error, Result};
+    use std::collections::HashMap;
+    use std::path::{Path, PathBuf};
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::time::{Duration, Instant, SystemTime};
+
+    /// Interval between checks of the files.
+    const INTERVAL: Duration = Duration::from_millis(100);
+    /// Number of iterations of each measurement: few, so that the answer comes at once.
+    const FRAMES: u32 = 7;
+    const WARMUP: u32 = 1;
+
+    /// Folder of the shaders that the program was built from.
+    fn own_glsl() -> PathBuf {
+        PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../glsl"))
+    }
+
+    struct Spirv<'a> {
+        limits: &'a Limits,
+        modules: HashMap<&'static str, &'static [u32]>,
+    }
+
+    impl KernelVisitor for Spirv<'_> {
+        fn visit<K: KernelInterface>(&mut self) {
+            self.modules.insert(K::NAME, K::form(self.limits).spirv);
+        }
+    }
+
+    /// Compiles the kernels of a folder and uses those that differ from the program's own.
+    pub fn take_over(context: &Context, glsl: &Path) -> Result<()> {
+        let mut own = Spirv { limits: context.limits(), modules: HashMap::new() };
+        visit_all(&mut own);
+        for kernel in spec::kernels() {
+            let spirv = reload::compile(glsl, kernel, context.limits())?;
+            if own.modules.get(kernel).is_some_and(|built| *built != spirv) {
+                tell!("{kernel}: taken from {}", glsl.display());
+                context.replace_shader(kernel, Some(spirv));
+            }
+        }
+        Ok(())
+    }
+
+    /// The files of each kernel with their modification times.
+    struct Watched {
+        glsl: PathBuf,
+        times: HashMap<PathBuf, SystemTime>,
+    }
+
+    impl Watched {
+        fn new(glsl: PathBuf) -> Self {
+            let mut watched = Self { glsl, times: HashMap::new() };
+            watched.changed();
+            watched
+        }
+
+        /// The kernels whose files have changed since the last call.
+        fn changed(&mut self) -> Vec<&'static str> {
+            let mut newer = Vec::new();
+            let mut changed = Vec::new();
+            for kernel in spec::kernels() {
+                for file in reload::files(&self.glsl, kernel) {
+                    let Ok(time) = std::fs::metadata(&file).and_then(|m| m.modified()) else { continue };
+                    if self.times.get(&file) != Some(&time) {
+                        if !changed.contains(&kernel) {
+                            changed.push(kernel);
+                        }
+                        newer.push((file, time));
+                    }
+                }
+            }
+            self.times.extend(newer);
+            changed
+        }
+    }
+
+    /// A measurement and its picture.
+    struct State {
+        kernels: Vec<KernelResult>,
+        measured: Measured,
+        picture: Vec<[f32; 3]>,
+    }
+
+    fn measure(arguments: &Arguments, context: &Context, scene: &Scene) -> Result<State> {
+        let mut subject = Subject::new(context, scene, arguments)?;
+        subject.warm_up(arguments.warmup.unwrap_or(WARMUP))?;
+        let picture = subject.picture()?;
+        let iterations =
+            (0..arguments.frames.unwrap_or(FRAMES)).map(|_| subject.timed()).collect::<Result<Vec<_>>>()?;
+        let measured = measured(iterations);
+        Ok(State { kernels: measured.kernels(&Traffic::bound(), None), measured, picture })
+    }
+
+    /// Runs until Ctrl-C.
+    pub fn run(arguments: &Arguments, context: &Context, scene: &Scene) -> Result<()> {
+        let glsl = arguments.glsl.clone().unwrap_or_else(own_glsl);
+        if !glsl.is_dir() {
+            return Err(Error::input(&glsl, "is no folder of shaders", "give it with --glsl"));
+        }
+        let interrupted = Arc::new(AtomicBool::new(false));
+        let flag = interrupted.clone();
+        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
+            .map_err(|e| Error::argument("--watch", format!("cannot listen for Ctrl-C: {e}")))?;
+        let mut watched = Watched::new(glsl);
+        let mut state = measure(arguments, context, scene)?;
+        print_messages(context);
+        arguments.device.report_validation(context);
+        let wall = state.measured.wall_ms().median;
+        say!(
+            "watching {}: {} takes {wall:.2} ms; Ctrl-C ends",
+            watched.glsl.display(),
+            arguments.what().name()
+        );
+        let start = Instant::now();
+        let over = || arguments.watch_for.is_some_and(|limit| start.elapsed().as_secs_f64() > limit);
+        // Edited kernels that are not yet in use. After an edit that did not compile, they wait for the next one.
+        let mut changed: Vec<&str> = Vec::new();
+        while !interrupted.load(Ordering::Relaxed) && !over() {
+            std::thread::sleep(INTERVAL);
+            let newer = watched.changed();
+            if newer.is_empty() {
+                continue;
+            }
+            changed.retain(|kernel| !newer.contains(kernel));
+            changed.extend(newer);
+            let seen = Instant::now();
+            match recompile(context, &watched.glsl, &changed) {
+                Err(error) => say!("{error}\nthe old kernels stay"),
+                Ok(()) => {
+                    let new = measure(arguments, context, scene)?;
+                    report(arguments, &changed, &state, &new);
+                    print_messages(context);
+                    arguments.device.report_validation(context);
+                    say!("shown {:.2} s after the edit was seen", seen.elapsed().as_secs_f64());
+                    state = new;
+                    changed.clear();
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Replaces all kernels or none: with one broken shader, every kernel stays.
+    fn recompile(context: &Context, glsl: &Path, kernels: &[&str]) -> Result<(), String> {
+        let mut compiled = Vec::new();
+        let mut errors = Vec::new();
+        for kernel in kernels {
+            match reload::compile(glsl, kernel, context.limits()) {
+                Ok(spirv) => compiled.push((kernel, spirv)),
+                Err(Error::Input { path, problem, .. }) if !problem.contains(':') => {
+                    errors.push(format!("{}: {problem}", path.display()));
+                }
+                Err(Error::Input { problem, .. }) => errors.push(problem),
+                Err(error) => errors.push(error.to_string()),
+            }
+        }
+        if !errors.is_empty() {
+            errors.dedup();
+            return Err(errors.join("\n"));
+        }
+        for (kernel, spirv) in compiled {
+            context.replace_shader(kernel, Some(spirv));
+        }
+        Ok(())
+    }
+
+    fn report(arguments: &Arguments, changed: &[&str], old: &State, new: &State) {
+        let mut lines = vec![Line::whole(
+            arguments.what().name(),
+            "wall",
+            old.measured.wall_ms().times(1e3),
+            new.measured.wall_ms().times(1e3),
+        )];
+        let all = compare::kernels(arguments.what().name(), &old.kernels, &new.kernels);
+        lines.extend(all.into_iter().filter(|line| changed.contains(&line.kernel.as_str())));
+        say!("\nchanged: {}", changed.join(", "));
+        say!("{}", compare::table(&lines).trim_end());
+        let difference = largest_difference(&old.picture, &new.picture);
+        say!("largest difference of the pictures: {difference}");
+    }
+}

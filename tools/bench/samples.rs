@@ -1,0 +1,168 @@
+//! Share of the device's arithmetic rate that the blending kernels reach. Their samples are counted in a separate run; the
+//! operations of a sample are known.
+
+use super::schema::{ArithmeticRate, Run};
+use super::tasks::Task;
+use super::transactions::Counted;
+use super::workload::Scene;
+use super::{forms, frames, synthetic, transactions};
+use ashsplat::frame::LaunchSizes;
+use ashsplat::frame::tuning::Backend;
+use ashsplat::vk::{Context, Limits, SpecOverride};
+use ashsplat::{BlendSamples, Blending, RenderSettings, Renderer, Result};
+use ashsplat_program::args::DeviceArguments;
+
+/// Counts on its own context, which opens when a task first needs it.
+pub struct Counter<'a> {
+    device: &'a DeviceArguments,
+    seed: u64,
+    context: Option<Context>,
+}
+
+impl<'a> Counter<'a> {
+    pub fn new(device: &'a DeviceArguments, seed: u64) -> Self {
+        Self { device, seed, context: None }
+    }
+
+    /// Counts the samples of a task's frame, for each of its runs. None for tasks that blend nothing, and for training, which
+    /// blends differently in each iteration.
+    pub fn count(&mut self, task: &Task, runs: &[Run]) -> Result<Vec<BlendSamples>> {
+        let form = |run: &Run| forms::of_name(run.workload.blending.as_deref()?);
+        let forms: Vec<Blending> = runs.iter().filter_map(form).collect();
+        match task {
+            Task::Render(scene, ..) | Task::RenderBoth(scene, _) => of_frame(self.context()?, scene, &forms),
+            Task::TrainStep(scene, ..) => {
+                let seed = self.seed;
+                let context = self.context()?;
+                forms.into_iter().map(|form| of_step(context, scene, form, seed)).collect()
+            }
+            Task::Scan(..) | Task::Sort(..) | Task::Train(_) => Ok(Vec::new()),
+        }
+    }
+
+    /// Counts the memory transactions of a task's runs, for GPU kernels. None for processors, whose lanes share a cache line anyway,
+    /// and for tasks that are measured elsewhere as well.
+    pub fn transactions(&mut self, task: &Task, backend: Backend) -> Result<Counted> {
+        if backend != Backend::Gpu {
+            return Ok(Counted::new());
+        }
+        let (seed, none) = (self.seed, Counted::new());
+        let block = LaunchSizes::new(self.context()?.limits()).sort;
+        let (scene, start) = match task {
+            Task::Sort(elements, _) => {
+                return Ok(transactions::of_sort(&synthetic::keys(seed, *elements as usize), block));
+            }
+            Task::Render(scene, ..) => (scene, None),
+            Task::TrainStep(scene, ..) => (scene, Some(frames::start(scene, seed))),
+            Task::Scan(..) | Task::RenderBoth(..) | Task::Train(_) => return Ok(none),
+        };
+        let mut renderer = Renderer::new(self.context()?)?;
+        renderer.upload(start.as_ref().unwrap_or(&scene.gaussians))?;
+        let lists = renderer.tile_lists(&scene.camera, &RenderSettings::default())?;
+        let size = (scene.camera.width, scene.camera.height);
+        Ok(transactions::of_frame(&lists, size, block, start.is_some()))
+    }
+
+    fn context(&mut self) -> Result<&Context> {
+        match &mut self.context {
+            Some(context) => Ok(context),
+            none => {
+                let counts =
+                    SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 };
+                Ok(none.insert(self.device.context_with(|options| options.overrides.push(counts))?))
+            }
+        }
+    }
+
+    /// Prints the messages of the validation layer during counting.
+    pub fn report_validation(&self) {
+        self.context.iter().for_each(|context| self.device.report_validation(context));
+    }
+}
+
+fn of_frame(context: &Context, scene: &Scene, forms: &[Blending]) -> Result<Vec<BlendSamples>> {
+    let mut renderer = Renderer::new(context)?;
+    renderer.upload(&scene.gaussians)?;
+    let mut count = |form: &Blending| {
+        renderer.set_blending(*form);
+        Ok(renderer.render(&scene.camera, &RenderSettings::default())?.stats.samples)
+    };
+    forms.iter().map(&mut count).collect()
+}
+
+fn of_step(context: &Context, scene: &Scene, form: Blending, seed: u64) -> Result<BlendSamples> {
+    let mut trainer = frames::trainer(context, scene, seed)?;
+    trainer.set_blending(form);
+    frames::reach_full_degree(&mut trainer)?;
+    Ok(trainer.step()?.samples)
+}
+
+/// Additions, subtractions, multiplications and divisions of a sample in glsl/include/blending.glsl, for the opacity and all
+/// that follows. Comparisons, minima, selections, shuffles and exp2 do not count.
+struct Operations {
+    regions: f64,
+    shared: f64,
+    backward: f64,
+}
+
+impl Operations {
+    /// Operations with or without chained opacities, at a subgroup size.
+    fn of(chained: bool, subgroup_size: u32, region_height: u32) -> Self {
+        // Pixels of a lane in one column; see region_shape.glsl.
+        let rows = f64::from(region_height / (subgroup_size / subgroup_size.min(8)).max(1));
+        let opacity = |rows: f64| {
+            if chained && rows > 2.0 {
+                // 16 at the middle of a column and for its two quotients, then two products a row.
+                (16.0 + 2.0 * (rows - 1.0)) / rows
+            } else {
+                // dy, the form, the product; three more per column.
+                6.0 + 3.0 / rows
+            }
+        };
+        // 1 - alpha, T (1 - alpha), the weight, three colours by product and sum.
+        let forward = |rows: f64| opacity(rows) + 9.0;
+        // 1 - alpha, the weight, g . c (5), the rest (2), dL/dalpha (3), dL/dpower, T, three colours (6), dy and the column's
+        // moments (6); dx and the sums over columns, 10 a column.
+        let backward = opacity(rows) + 26.0 + 10.0 / rows;
+        // Without chains, the pixels of an invocation of blend_shared.comp are scattered.
+        Self { regions: forward(rows), shared: forward(if chained { rows } else { 1.0 }), backward }
+    }
+}
+
+/// Enters samples and operations of the blending kernels into a run.
+pub fn enter(run: &mut Run, samples: BlendSamples, limits: &Limits, arithmetic: Option<&ArithmeticRate>) {
+    let LaunchSizes { incremental_exp, blend, .. } = LaunchSizes::new(limits);
+    let operations = Operations::of(incremental_exp, blend.lanes, blend.region_height);
+    for kernel in &mut run.kernels {
+        let (samples, operations) = match kernel.kernel.as_str() {
+            "forward/blend" => (samples.forward, operations.regions),
+            "forward/blend_shared" => (samples.forward, operations.shared),
+            name if name.starts_with("backward/blend_backward") => (samples.backward, operations.backward),
+            _ => continue,
+        };
+        if samples == 0 {
+            continue;
+        }
+        let counted = samples as f64 * operations;
+        kernel.samples = Some(samples);
+        kernel.operations = Some(counted as u64);
+        kernel.gigaoperations_per_second = kernel.time_us.map(|time| counted / time.median * 1e-3);
+        let best = arithmetic.map(|rate| rate.gigaoperations_per_second);
+        kernel.share_of_arithmetic =
+            kernel.gigaoperations_per_second.zip(best).map(|(rate, best)| rate / best);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Operations;
+    /// By hand from blending.glsl: a GPU's lane has two pixels of a column at 32 lanes, one at 64; shared memory always has one.
+    #[test]
+    fn operations_of_a_sample_follow_its_columns() {
+        let of = |chained, subgroup_size| {
+            let Operations { regions, shared, .. } = Operations::of(chained, subgroup_size, 8);
+            (regions, shared)
+        };
+        assert_eq!([of(false, 32), of(false, 64), of(true, 8)], [(16.5, 18.0), (18.0, 18.0), (12.75, 12.75)]);
+    }
+}

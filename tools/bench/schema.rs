@@ -1,0 +1,331 @@
+//! Contents of a benchmark's result file: the schema `ashsplat-bench/1`, described in tools/bench.md.
+//!
+//! A field that was not measured is null. Times name their unit; a [`Spread`] is over the measured iterations.
+
+use ashsplat_program::measure::median;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The schema's name and version, first field of every file. The version rises when a reader of old files would
+/// misunderstand new ones.
+pub const SCHEMA: &str = "ashsplat-bench/1";
+
+/// One result file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// [`SCHEMA`].
+    pub schema: String,
+    pub program: Program,
+    pub host: Host,
+    pub device: Device,
+    /// Variables that change a driver's behaviour, if set.
+    pub environment: BTreeMap<String, String>,
+    pub settings: Settings,
+    pub copy_bandwidth: Option<CopyBandwidth>,
+    #[serde(default)]
+    pub arithmetic: Option<ArithmeticRate>,
+    pub runs: Vec<Run>,
+}
+
+/// The program that measured.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Program {
+    pub version: String,
+    /// Commit of the checkout in which it was built, with "-dirty" appended if files differ. Null outside a checkout, and if the
+    /// program is older than the commit.
+    pub commit: Option<String>,
+    /// "release" or "debug".
+    pub build: String,
+}
+
+/// The machine that holds the device.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Host {
+    pub system: String,
+    pub processor: Option<String>,
+    pub threads: usize,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Device {
+    pub name: String,
+    pub kind: String,
+    pub driver: String,
+    pub api_version: String,
+    pub subgroup_size: u32,
+    /// Subgroup size of the heaviest kernels; null in files written before it was added.
+    #[serde(default)]
+    pub heavy_subgroup_size: Option<u32>,
+    /// Form of the kernels that ran, "gpu" or "processor"; null in files written before it was added.
+    #[serde(default)]
+    pub backend: Option<String>,
+    pub limits: BTreeMap<String, f64>,
+}
+
+/// Settings of the measurement.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// Requested number of measured iterations.
+    pub iterations: u32,
+    /// Uncounted iterations before them.
+    pub warmup: u32,
+    pub seed: u64,
+    /// "timestamps": the device's clock; "host": kernels have no times, because the device has no clock or --host-clock was given.
+    pub clock: String,
+}
+
+/// Copy bandwidth of the device, measured in the same run: the yardstick of every kernel.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CopyBandwidth {
+    /// Size of the copied buffer, read once and written once.
+    pub bytes: u64,
+    /// Bytes read plus bytes written over the median time.
+    pub gigabytes_per_second: f64,
+    pub time_ms: Spread,
+    /// "timestamps", or "host": from submission until the host knows, which is later.
+    #[serde(default = "timestamps")]
+    pub clock: String,
+}
+
+/// Clock of files written before the field was added.
+fn timestamps() -> String {
+    "timestamps".to_owned()
+}
+
+/// Arithmetic rate of the device, measured in the same run by multiply-adds on registers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ArithmeticRate {
+    /// Operations of the dispatch; a multiply-add counts as two.
+    pub operations: u64,
+    /// By the least time: the highest rate reached.
+    pub gigaoperations_per_second: f64,
+    pub time_ms: Spread,
+    /// Same as in [`CopyBandwidth`].
+    #[serde(default = "timestamps")]
+    pub clock: String,
+}
+
+/// Results of one workload.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Run {
+    /// "scan", "sort", "render", "draw" (a frame that is not read back), "train-step" or "train". "render-regions" and
+    /// "render-shared" ("draw-…") if both forms of blending are measured.
+    pub name: String,
+    pub workload: Workload,
+    /// Measured iterations; 0 in files written before it was added.
+    #[serde(default)]
+    pub iterations: u32,
+    /// Wall time of an iteration, with every command timed.
+    pub wall_ms: Spread,
+    /// Time of an iteration's submissions on the device.
+    pub device_ms: Option<Spread>,
+    /// Parts of the wall time of an iteration.
+    pub split: Split,
+    /// Host time between the end of a submission and the start of the next one on the device's queue.
+    pub between_submissions_ms: Option<Spread>,
+    /// Wall time of an iteration with nothing timed.
+    #[serde(default)]
+    pub untimed_ms: Option<Spread>,
+    /// Processor time of the whole process per untimed iteration: the true cost on a software device.
+    pub cpu_seconds: Option<Spread>,
+    pub cost_of_measuring: Option<Cost>,
+    pub kernels: Vec<KernelResult>,
+    /// Device memory by arena.
+    pub memory: Vec<Arena>,
+    /// The same work on the processor.
+    pub cpu: Vec<CpuResult>,
+}
+
+/// Parts of the mean wall time of an iteration; they add up to it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Split {
+    /// Mean wall time.
+    pub wall_ms: f64,
+    /// Sum of all commands on the device; null without timestamps.
+    pub kernels_ms: Option<f64>,
+    /// Recording commands.
+    pub recording_ms: f64,
+    /// Handing commands to the driver.
+    pub submitting_ms: f64,
+    /// Waiting for the device beyond its commands: until it starts, and until the host wakes.
+    pub waiting_ms: f64,
+    /// Other host work: reading back, composing pictures.
+    pub host_ms: f64,
+}
+
+/// Times with every command timed over times without timestamps; the iterations take turns.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Cost {
+    pub wall: Spread,
+    /// Ratio of the process' processor time.
+    pub processor: Option<Spread>,
+}
+
+/// Inputs of a run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Workload {
+    /// "synthetic", or the files.
+    pub source: String,
+    /// FNV-1a over all inputs: Gaussians, camera, keys. Results compare only if it agrees.
+    pub hash: String,
+    /// Values of a scan, pairs of a sort.
+    pub elements: Option<u64>,
+    pub gaussians: Option<u32>,
+    pub sh_degree: Option<u32>,
+    pub width: Option<u32>,
+    pub height: Option<u32>,
+    pub visible: Option<u32>,
+    pub instances: Option<u32>,
+    /// Entries of the fullest tile.
+    pub longest_tile: Option<u32>,
+    /// Form of blending, "regions" or "shared"; null if nothing is blended, and in files written before it was added.
+    #[serde(default)]
+    pub blending: Option<String>,
+}
+
+/// A kernel within a stage, all of its dispatches together.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct KernelResult {
+    pub scope: String,
+    /// "sort/sort_upsweep", or "fill", "copy", "update".
+    pub kernel: String,
+    /// Dispatches per iteration.
+    pub calls: u32,
+    /// Dispatches that wait behind a barrier for earlier work; null in files written before it was added.
+    #[serde(default)]
+    pub waits: Option<u32>,
+    /// Workgroups per iteration, indirect dispatches included; null for transfers.
+    pub workgroups: Option<u64>,
+    /// Device time per iteration; null without timestamps.
+    pub time_us: Option<Spread>,
+    /// Bytes that it must read, each element once, by the memory plan and the workload's counts.
+    pub bytes_read: u64,
+    /// Bytes that it must write, each element once.
+    pub bytes_written: u64,
+    /// Bytes read and written over the median time.
+    pub gigabytes_per_second: Option<f64>,
+    /// Bandwidth over the device's own copy bandwidth.
+    pub share_of_copy_bandwidth: Option<f64>,
+    /// Accesses to scattered addresses; null if none were counted.
+    #[serde(default)]
+    pub transactions: Option<Transactions>,
+    /// Gaussian-pixel pairs that a blending kernel computes per iteration; null for others, and in files written before it was added.
+    #[serde(default)]
+    pub samples: Option<u64>,
+    /// Additions, multiplications and divisions of a blending kernel per iteration; null for others.
+    #[serde(default)]
+    pub operations: Option<u64>,
+    /// Operations over the median time.
+    #[serde(default)]
+    pub gigaoperations_per_second: Option<f64>,
+    /// Arithmetic rate over the device's own.
+    #[serde(default)]
+    pub share_of_arithmetic: Option<f64>,
+}
+
+/// Memory that a kernel's subgroups touch at once where lanes access scattered addresses, per iteration.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Transactions {
+    /// Bytes of these accesses.
+    pub bytes: u64,
+    /// Bytes of the accessed arrays.
+    pub array_bytes: u64,
+    /// Counts for several subgroup sizes.
+    pub by_lanes: Vec<Segments>,
+}
+
+/// Aligned memory segments of 32, 64 and 128 bytes that subgroups touch. Each access of a subgroup counts a segment once.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Segments {
+    pub lanes: u32,
+    pub of_32: u64,
+    pub of_64: u64,
+    pub of_128: u64,
+}
+
+/// Device memory of one arena.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Arena {
+    pub name: String,
+    pub peak_bytes: u64,
+}
+
+/// A sort or scan on the processor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CpuResult {
+    pub name: String,
+    pub threads: usize,
+    pub time_ms: Spread,
+}
+
+/// Minimum, median (of an even number, the mean of the middle two), 90th percentile by nearest rank, and mean.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Spread {
+    pub min: f64,
+    pub median: f64,
+    pub p90: f64,
+    /// Basis of sums over many iterations; 0 in files written before it was added.
+    #[serde(default)]
+    pub mean: f64,
+}
+
+impl Spread {
+    /// None without values.
+    pub fn of(mut values: Vec<f64>) -> Option<Self> {
+        values.sort_unstable_by(f64::total_cmp);
+        let n = values.len();
+        let min = *values.first()?;
+        let median = median(values.clone())?;
+        let p90 = values[(9 * n).div_ceil(10) - 1];
+        Some(Self { min, median, p90, mean: values.iter().sum::<f64>() / n as f64 })
+    }
+
+    /// True if a measurement can give it: finite, not negative, in order.
+    pub fn is_plausible(&self) -> bool {
+        let Self { min, median, p90, mean } = *self;
+        0.0 <= min && min <= median && median <= p90 && p90.is_finite() && mean.is_finite() && mean >= 0.0
+    }
+
+    /// Multiplies every value by a factor.
+    pub fn times(self, factor: f64) -> Self {
+        Self {
+            min: self.min * factor,
+            median: self.median * factor,
+            p90: self.p90 * factor,
+            mean: self.mean * factor,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spread_is_least_median_and_ninetieth() {
+        let values: Vec<f64> = (0..=10).rev().map(f64::from).collect();
+        assert_eq!(Spread::of(values), Some(Spread { min: 0.0, median: 5.0, p90: 9.0, mean: 5.0 }));
+        assert_eq!(Spread::of(vec![2.0]), Some(Spread { min: 2.0, median: 2.0, p90: 2.0, mean: 2.0 }));
+        assert_eq!(Spread::of(vec![]), None);
+        let even = Spread::of(vec![4.0, 1.0, 3.0, 2.0]);
+        assert_eq!(even, Some(Spread { min: 1.0, median: 2.5, p90: 4.0, mean: 2.5 }));
+        // The nearest rank of 15 is the 14th, ceil(0.9 · 15); of 10 the 9th.
+        let p90 = |n: u32| Spread::of((1..=n).map(f64::from).collect()).map(|spread| spread.p90);
+        assert_eq!([p90(15), p90(10), p90(20), p90(5)], [Some(14.0), Some(9.0), Some(18.0), Some(5.0)]);
+    }
+
+    #[test]
+    fn spreads_that_no_measurement_gives_are_seen() {
+        let plausible = |[min, median, p90]: [f64; 3]| Spread { min, median, p90, mean: 1.0 }.is_plausible();
+        assert!(plausible([0.0, 0.0, 0.0]) && plausible([1.0, 2.0, 3.0]));
+        for bad in [
+            [-1.0, 2.0, 3.0],
+            [2.0, 1.0, 3.0],
+            [1.0, 3.0, 2.0],
+            [1.0, f64::NAN, 2.0],
+            [1.0, 2.0, f64::INFINITY],
+        ] {
+            assert!(!plausible(bad), "{bad:?}");
+        }
+    }
+}

@@ -1,0 +1,443 @@
+//! The settings of a training run: defaults, then `--config FILE`, then the command line; and their dumps.
+
+mod block;
+mod data;
+mod few_photos;
+mod file;
+mod missing_points;
+mod train_overrides;
+mod unused;
+
+pub use data::{DataSettings, Outside, When};
+pub use few_photos::Facts;
+pub use missing_points::MissingPoints;
+pub use train_overrides::{Recipe, TrainOverrides, strategies};
+
+use crate::blocks::job::Job;
+use ashsplat::train::settings::TrainOption;
+use ashsplat::train::{Preset, StrategyType, TrainSettings};
+use ashsplat::{Error, Result};
+use block::BlockArguments;
+use clap::Args;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use toml::Table;
+
+pub const PRESETS: [&str; 3] = ["fast", "default", "quality"];
+/// Name of the settings dump for `--config`.
+pub const SETTINGS_FILE: &str = "settings.toml";
+/// Name of the settings dump in the reference's format.
+pub const CFG_ARGS_FILE: &str = "cfg_args";
+/// Name of the list of a run's cameras, held-out ones first.
+pub const CAMERAS_FILE: &str = "cameras.json";
+
+/// The settings that can be given on the command line, under the reference's names. All are optional: what is
+/// not given comes from `--config`, or else is the default.
+#[derive(Args, Default, Serialize)]
+pub struct Overrides {
+    /// Data set: a folder with images/ and sparse/0/ as COLMAP writes them, or with transforms.json, or a ZIP of one
+    #[arg(short, long, value_name = "DATASET")]
+    source_path: Option<PathBuf>,
+    /// Folder for everything that the run writes
+    #[arg(short, long, value_name = "OUT")]
+    model_path: Option<PathBuf>,
+    /// Defaults for a purpose, with the strategy budget: fast (fewer Gaussians, small pictures first), default, quality (more
+    /// Gaussians). What is given otherwise wins; without a preset they are the reference's
+    #[arg(long, value_parser = PRESETS, value_name = "NAME")]
+    preset: Option<String>,
+    /// Folder of the photos within the data set [default: images]
+    #[arg(short, long, value_name = "NAME")]
+    images: Option<String>,
+    /// Folder of inverse-depth maps within the data set: a 16-bit PNG per photo, of its name; scale and offset are in
+    /// sparse/0/depth_params.json, or else are fitted to the sparse points
+    #[arg(short, long, value_name = "FOLDER")]
+    depths: Option<PathBuf>,
+    /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: -1]
+    #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
+    resolution: Option<i32>,
+    /// Photos as they are stored, or turned as their metadata (Exif) say; auto takes them as stored unless the sizes of
+    /// their cameras are those of the turned ones [default: auto]
+    #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME")]
+    orientation: Option<String>,
+    /// Hold out every 8th view (by name) for tests
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
+    eval: Option<bool>,
+    /// Train on the left half of the held-out views as well, and test on the right one under the exposure that was learned;
+    /// sets --exposure (the reference's protocol)
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
+    train_test_exp: Option<bool>,
+    /// Settings for few photos: on, off, or on below 24 photos to train on (auto): without --strategy that is budget, with fewer
+    /// Gaussians, of which steps leave some out, and weights on their opacities and on their scales, the latter by the scene's
+    /// extent; a preset keeps its number of Gaussians. What is given otherwise wins [default: auto]
+    #[arg(long, value_name = "WHEN")]
+    few_photos: Option<When>,
+    #[command(flatten)]
+    #[serde(flatten)]
+    missing_points: MissingPoints,
+    /// Begin with the Gaussians of this file, of any format that convert reads, in place of points
+    #[arg(long, value_name = "FILE")]
+    init: Option<PathBuf>,
+    #[command(flatten)]
+    #[serde(flatten)]
+    block: BlockArguments,
+    /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
+    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
+    test_iterations: Option<Vec<u32>>,
+    /// Measure LPIPS too, in the last test, as `ashsplat eval` does: by the weights in this file; given twice, by both
+    #[arg(long, value_name = "FILE")]
+    lpips_weights: Option<Vec<PathBuf>>,
+    /// Save a PLY after these iterations, and after the last; -1 for the last only [default: 7000 30000]
+    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
+    save_iterations: Option<Vec<u32>>,
+    /// Write a checkpoint, from which training can go on, after these iterations
+    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
+    checkpoint_iterations: Option<Vec<u32>>,
+    /// Write a checkpoint after every so many iterations and after the last, of which only the newest stays; 0 for none
+    /// [default: 0]
+    #[arg(long, value_name = "N")]
+    checkpoint_every: Option<u32>,
+    #[command(flatten)]
+    #[serde(flatten)]
+    train: TrainOverrides,
+}
+
+/// Parses an iteration. -1, which means "never" in scripts for the reference, becomes 0, which never comes.
+fn iteration(text: &str) -> Result<u32, std::num::ParseIntError> {
+    if text == "-1" { Ok(0) } else { text.parse() }
+}
+
+/// All settings of a run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Settings {
+    pub data: DataSettings,
+    pub train: TrainSettings,
+}
+
+/// The given settings, by source.
+pub struct Given {
+    file: Option<PathBuf>,
+    of_file: Table,
+    of_job: Table,
+    of_line: Table,
+}
+
+impl Given {
+    /// Reads the file, and the job that it or the command line names.
+    pub fn read(file: Option<&Path>, overrides: &Overrides) -> Result<Given> {
+        let of_file = file.map_or_else(|| Ok(Table::new()), file::table)?;
+        let mut of_line =
+            Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
+        // A preset is a set of defaults, which settings in the file would override.
+        let chosen = set_by_presets().find(|&key| of_file.contains_key(key));
+        if let (Some(path), Some(key), true) = (file, chosen, of_line.contains_key("preset")) {
+            let problem = format!("sets {key}, which --preset would set");
+            return Err(Error::input(path, problem, "leave out one of them, or --preset"));
+        }
+        // A job in a file counts only if the file lacks the settings that follow from it. A dump has all of them.
+        let job = of_file.get("job").filter(|_| !of_file.contains_key("source_path"));
+        let job = overrides.block.job.as_deref().or(job.and_then(toml::Value::as_str));
+        let of_job = job.map_or_else(|| Ok(Table::new()), |job| Ok(Job::find(job)?.settings()))?;
+        of_line.remove("job");
+        Ok(Given { file: file.map(Path::to_owned), of_file, of_job, of_line })
+    }
+
+    /// Settles and checks all settings: the command line wins over the job, that over the file, and that over the
+    /// defaults.
+    pub fn settle(&self, facts: &Facts) -> Result<Settings> {
+        let sources = [&self.of_file, &self.of_job, &self.of_line].into_iter().flatten();
+        let all = sources.map(|(key, value)| (key.clone(), value.clone())).collect();
+        let mut settings =
+            Settings::from_table(all, facts).map_err(|problem| Error::argument("settings", problem))?;
+        settings.train.check()?;
+        settings.data.check_block()?;
+        if settings.train.depth_points > 0.0 && !settings.data.depths.as_os_str().is_empty() {
+            let problem = "does not go together with depth maps (-d): take one of them";
+            return Err(Error::argument("depth_points", problem));
+        }
+        if settings.data.train_test_exp && !settings.data.eval {
+            let problem = "is about held-out views: give --eval as well";
+            return Err(Error::argument("train_test_exp", problem));
+        }
+        let train = &mut settings.train;
+        train.sh_degree_start = train.sh_degree_start.max(facts.sh_degree).min(train.sh_degree);
+        Ok(settings)
+    }
+
+    /// True if a setting is given.
+    fn has(&self, name: &str) -> bool {
+        [&self.of_file, &self.of_job, &self.of_line].iter().any(|table| table.contains_key(name))
+    }
+}
+
+/// Names of the settings in which a preset differs from its strategy, and that of the strategy.
+fn set_by_presets() -> impl Iterator<Item = &'static str> {
+    let usual = TrainSettings::of_strategy(StrategyType::Budget);
+    let presets = [Preset::Fast, Preset::Default, Preset::Quality].map(TrainSettings::of_preset);
+    let differs = move |option: &&TrainOption| {
+        presets.iter().any(|preset| (option.value)(preset) != (option.value)(&usual))
+    };
+    let names = TrainSettings::OPTIONS.iter().filter(differs).map(|option| option.name);
+    std::iter::once("strategy").chain(names)
+}
+
+impl Settings {
+    /// The settings of file and command line before data set and start are known.
+    pub fn resolve(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
+        Given::read(file, overrides)?.settle(&Facts::default())
+    }
+
+    /// The settings that a run left in its folder: settings.toml, or the reference's `cfg_args`.
+    pub fn of_model(folder: &Path) -> Result<Settings> {
+        let ours = folder.join(SETTINGS_FILE);
+        if ours.is_file() {
+            return Settings::resolve(Some(&ours), &Overrides::default());
+        }
+        let reference = folder.join(CFG_ARGS_FILE);
+        match reference.try_exists() {
+            Ok(true) => Ok(Settings::from_cfg_args(&file::text(&reference)?)),
+            Ok(false) => Ok(Settings::default()),
+            Err(e) => Err(Error::io(reference, "read", e)),
+        }
+    }
+
+    fn from_table(mut table: Table, facts: &Facts) -> Result<Settings, String> {
+        let message = |e: toml::de::Error| e.message().to_owned();
+        let preset = table.remove("preset").map(Preset::deserialize).transpose().map_err(message)?;
+        let data_keys = Table::try_from(DataSettings::default()).map_err(|e| e.to_string())?;
+        let (data, train): (Table, Table) =
+            table.into_iter().partition(|(key, _)| data_keys.contains_key(key));
+        // Missing settings get the strategy's defaults.
+        let strategy = train.get("strategy").cloned().map(StrategyType::deserialize).transpose();
+        let strategy = strategy.map_err(message)?;
+        let usual = facts.defaults(preset, strategy);
+        if preset.is_some() && strategy.is_some_and(|strategy| strategy != usual.strategy) {
+            return Err("a preset has the strategy budget: leave out the preset, or another strategy".into());
+        }
+        let data: DataSettings = data.try_into().map_err(message)?;
+        if data.train_test_exp && train.get("exposure").and_then(toml::Value::as_bool) == Some(false) {
+            return Err("train_test_exp measures under exposures: leave out that, or exposure = false".into());
+        }
+        let mut all = Table::try_from(usual).map_err(|e| e.to_string())?;
+        all.extend(train);
+        if data.train_test_exp {
+            all.insert("exposure".into(), true.into());
+        }
+        Ok(Settings { data, train: all.try_into().map_err(message)? })
+    }
+
+    /// The settings dump for `--config`.
+    pub fn to_toml(&self) -> Result<String> {
+        let problem = |e: toml::ser::Error| Error::argument("settings", e.to_string());
+        let data = toml::to_string(&self.data).map_err(problem)?;
+        let train = toml::to_string(&self.train).map_err(problem)?;
+        Ok(format!("{}{data}{train}", file::dump_line()))
+    }
+
+    /// The line that the reference writes: the `repr` of its parsed model arguments, which viewers and scripts
+    /// read.
+    pub fn to_cfg_args(&self) -> String {
+        let python = |value: bool| if value { "True" } else { "False" };
+        let quoted = |path: &Path| python_string(&absolute(path).to_string_lossy());
+        format!(
+            "Namespace(sh_degree={}, source_path={}, model_path={}, images={}, depths={}, resolution={}, \
+             white_background={}, train_test_exp={}, data_device='cuda', eval={})",
+            self.train.sh_degree,
+            quoted(&self.data.source_path),
+            python_string(&self.data.model_path.to_string_lossy()),
+            python_string(&self.data.images),
+            python_string(&self.data.depths.to_string_lossy()),
+            self.data.resolution,
+            python(self.train.white_background),
+            python(self.data.train_test_exp),
+            python(self.data.eval),
+        )
+    }
+
+    fn from_cfg_args(text: &str) -> Settings {
+        let mut settings = Settings::default();
+        let text_of = |key| file::cfg_value(text, key).map(|v| v.trim_matches(['\'', '"']).to_owned());
+        let flag_of = |key| file::cfg_value(text, key) == Some("True");
+        if let Some(source) = text_of("source_path") {
+            settings.data.source_path = source.into();
+        }
+        if let Some(images) = text_of("images") {
+            settings.data.images = images;
+        }
+        if let Some(resolution) = file::cfg_value(text, "resolution").and_then(|v| v.parse().ok()) {
+            settings.data.resolution = resolution;
+        }
+        settings.data.eval = flag_of("eval");
+        settings.data.train_test_exp = flag_of("train_test_exp");
+        settings.train.exposure = settings.data.train_test_exp;
+        settings.train.white_background = flag_of("white_background");
+        settings.train.antialiasing = flag_of("antialiasing");
+        settings
+    }
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+fn python_string(text: &str) -> String {
+    format!("'{}'", text.replace('\\', "\\\\").replace('\'', "\\'"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ashsplat::train::settings::OptionKind;
+    use clap::{Command, FromArgMatches};
+    use toml::Value;
+
+    #[test]
+    fn a_preset_sets_defaults_and_no_more() {
+        let resolved = |given: &str| {
+            let overrides: Table = given.parse().expect("TOML");
+            Settings::from_table(overrides, &Facts::default())
+        };
+        for (name, preset) in
+            [("fast", Preset::Fast), ("default", Preset::Default), ("quality", Preset::Quality)]
+        {
+            let settings = resolved(&format!("preset = '{name}'")).expect("settings");
+            assert_eq!(settings.train, TrainSettings::of_preset(preset));
+            // The dump has all settings, and no preset.
+            let dump = settings.to_toml().expect("a dump");
+            assert_eq!(resolved(&dump).expect("settings"), settings);
+        }
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("a.toml");
+        std::fs::write(&file, "iterations = 900\n").expect("written");
+        let fast = Overrides { preset: Some("fast".into()), ..Overrides::default() };
+        let both = Settings::resolve(Some(&file), &fast).expect("settings").train;
+        assert_eq!(both, TrainSettings { iterations: 900, ..TrainSettings::of_preset(Preset::Fast) });
+        std::fs::write(&file, "strategy = 'budget'\n").expect("written");
+        let refused = Settings::resolve(Some(&file), &fast).expect_err("the file has chosen").to_string();
+        assert!(refused.contains("a.toml: sets strategy"), "{refused}");
+        let refused = resolved("train_test_exp = true\nexposure = false").expect_err("contradictory");
+        assert!(refused.contains("exposure = false"), "{refused}");
+        let given =
+            resolved("preset = 'fast'\nstrategy = 'budget'\ncap_ratio = 3.0").expect("settings").train;
+        assert_eq!(given, TrainSettings { cap_ratio: 3.0, ..TrainSettings::of_preset(Preset::Fast) });
+        let refused = resolved("preset = 'fast'\nstrategy = 'mcmc'").expect_err("contradictory");
+        assert!(refused.contains("leave out the preset"), "{refused}");
+        assert!(resolved("preset = 'good'").expect_err("unknown").contains("good"));
+        assert!(
+            [Preset::Fast, Preset::Default, Preset::Quality]
+                .into_iter()
+                .all(|preset| TrainSettings::of_preset(preset).check().is_ok())
+        );
+    }
+
+    #[test]
+    fn dump_reads_back() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join(SETTINGS_FILE);
+        let mut settings = Settings::default();
+        settings.data.eval = true;
+        settings.data.source_path = "some/where".into();
+        settings.train.position_lr_init = 1.25e-4;
+        settings.data.photo_points = When::On;
+        settings.train.seed = 17;
+        std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
+        let read = Settings::resolve(Some(&path), &Overrides::default()).expect("read back");
+        assert_eq!(read, settings);
+    }
+
+    #[test]
+    fn command_line_wins_over_file() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("my.toml");
+        std::fs::write(&path, "iterations = 10\nseed = 3\n").expect("written");
+        let mut overrides = Overrides::default();
+        overrides.train.0.insert("iterations".into(), 20.into());
+        let settings = Settings::resolve(Some(&path), &overrides).expect("settings");
+        assert_eq!((settings.train.iterations, settings.train.seed), (20, 3));
+    }
+
+    #[test]
+    fn a_strategy_brings_its_defaults() {
+        let mut overrides = Overrides::default();
+        overrides.train.0.insert("strategy".into(), "mcmc".into());
+        overrides.train.0.insert("opacity_lr".into(), 0.025.into());
+        let settings = Settings::resolve(None, &overrides).expect("settings").train;
+        let expected = TrainSettings { opacity_lr: 0.025, ..TrainSettings::of_strategy(StrategyType::Mcmc) };
+        assert_eq!(settings, expected);
+        assert_eq!((settings.densify_until_iter, settings.initial_opacity), (25_000, 0.5));
+        overrides.train.0.insert("strategy".into(), "mcm".into());
+        let message = Settings::resolve(None, &overrides).expect_err("refused").to_string();
+        assert!(message.contains("mcm") && message.contains("mcmc"), "{message}");
+    }
+
+    /// `default` was the earlier name of the reference's strategy.
+    #[test]
+    fn a_strategy_is_known_by_its_earlier_name() {
+        let command = TrainOverrides::augment_args(Command::new("train"));
+        let matches = command.try_get_matches_from(["train", "--strategy", "default"]).expect("accepted");
+        let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
+        assert_eq!(
+            Settings::from_table(overrides.0, &Facts::default()).expect("settings"),
+            Settings::default()
+        );
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("my.toml");
+        std::fs::write(&path, "strategy = \"default\"\n").expect("written");
+        let read = Settings::resolve(Some(&path), &Overrides::default()).expect("settings");
+        assert_eq!(read.train.strategy, StrategyType::Reference);
+    }
+
+    /// Options, files and checkpoints share names and types of values.
+    #[test]
+    fn every_option_is_on_the_command_line_and_in_the_file() {
+        let file = Table::try_from(TrainSettings::default()).expect("a table");
+        let options = TrainSettings::OPTIONS;
+        assert_eq!(file.len(), options.len());
+        let command = TrainOverrides::augment_args(Command::new("train"));
+        for option in options {
+            let argument = command.get_arguments().find(|argument| argument.get_id() == option.name);
+            let argument = argument.expect("an argument");
+            assert_eq!(argument.get_long(), Some(option.name.replace('_', "-").as_str()));
+            let given = match (&file[option.name], option.kind) {
+                (Value::Integer(_), OptionKind::Integer) => "7",
+                (Value::Float(_), OptionKind::Number) => "0.5",
+                (Value::Boolean(_), OptionKind::Switch) => "true",
+                (Value::String(name), OptionKind::Choice(names)) => {
+                    assert_eq!(Some(&name.as_str()), names.first(), "the default comes first");
+                    names[1]
+                }
+                (value, kind) => panic!("{}: {value} is no {kind:?}", option.name),
+            };
+            let arguments = ["train".to_owned(), format!("--{}={given}", option.name.replace('_', "-"))];
+            let matches = command.clone().try_get_matches_from(arguments).expect("accepted");
+            let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
+            let settings = Settings::from_table(overrides.0, &Facts::default()).expect("settings").train;
+            assert_eq!((option.value)(&settings).to_string(), given, "{}", option.name);
+            let changed = settings.values().into_iter().zip(TrainSettings::default().values());
+            assert_eq!(changed.filter(|(a, b)| a != b).count(), 1, "{}", option.name);
+        }
+    }
+
+    #[test]
+    fn unknown_name_in_file_is_refused() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("my.toml");
+        std::fs::write(&path, "iteration = 10\n").expect("written");
+        let message = Settings::resolve(Some(&path), &Overrides::default()).expect_err("refused").to_string();
+        assert!(message.contains("my.toml") && message.contains("`iteration`"), "{message}");
+    }
+
+    #[test]
+    fn cfg_args_of_the_reference() {
+        let mut settings = Settings::default();
+        settings.data.source_path = "/data/it's".into();
+        settings.data.eval = true;
+        let line = settings.to_cfg_args();
+        assert!(line.starts_with("Namespace(sh_degree=3, source_path='/data/it\\'s', "), "{line}");
+        let read = Settings::from_cfg_args(
+            "Namespace(data_device='cuda', eval=True, images='images_4', resolution=2, source_path='/data/truck', white_background=True)",
+        );
+        assert_eq!(read.data.source_path, PathBuf::from("/data/truck"));
+        assert_eq!((read.data.images.as_str(), read.data.resolution, read.data.eval), ("images_4", 2, true));
+        assert!(read.train.white_background);
+    }
+}

@@ -1,0 +1,137 @@
+//! Training settings on the command line.
+
+use super::{Overrides, Settings};
+use ashsplat::Result;
+use ashsplat::train::TrainSettings;
+use ashsplat::train::settings::{OptionKind, OptionValue, TrainOption};
+use clap::builder::{PossibleValue, PossibleValuesParser};
+use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, value_parser};
+use serde::Serialize;
+use toml::{Table, Value};
+
+/// Training settings that are given on the command line, by name. The options follow from
+/// [`TrainSettings::OPTIONS`].
+#[derive(Clone, Debug, Default, Serialize)]
+#[serde(transparent)]
+pub struct TrainOverrides(pub(super) Table);
+
+/// Source of a training's defaults.
+#[derive(Clone, Copy)]
+pub enum Recipe<'a> {
+    /// A value of `--strategy`.
+    Strategy(&'a str),
+    /// A value of `--preset`.
+    Preset(&'a str),
+}
+
+/// Earlier names of values: option, earlier name, current name.
+const EARLIER_NAMES: [(&str, &str, &str); 1] = [("strategy", "default", "reference")];
+
+/// Options with a letter, as in the reference.
+const LETTERS: [(&str, char); 1] = [("white_background", 'w')];
+
+/// The names of an option's values, including earlier ones.
+fn choices(option: &str, names: &'static [&'static str]) -> PossibleValuesParser {
+    let earlier = |name: &str| {
+        let of = EARLIER_NAMES.iter().filter(|of| (of.0, of.2) == (option, name));
+        of.map(|of| of.1).collect::<Vec<_>>()
+    };
+    PossibleValuesParser::new(names.iter().map(|name| PossibleValue::new(name).aliases(earlier(name))))
+}
+
+/// Parser of the strategies' names for `--strategy`.
+pub fn strategies() -> PossibleValuesParser {
+    let option = TrainSettings::OPTIONS.iter().find(|option| option.name == "strategy");
+    match option.map(|option| option.kind) {
+        Some(OptionKind::Choice(names)) => choices("strategy", names),
+        _ => PossibleValuesParser::new(Vec::<PossibleValue>::new()),
+    }
+}
+
+impl TrainOverrides {
+    fn argument(option: &TrainOption) -> Arg {
+        let about = option.about.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ");
+        let default = match option.default_value() {
+            OptionValue::Switch(false) => String::new(),
+            value => format!(" [default: {value}]"),
+        };
+        let argument = Arg::new(option.name).long(option.name.replace('_', "-")).help(about + &default);
+        let argument = match LETTERS.iter().find(|(name, _)| *name == option.name) {
+            Some((_, letter)) => argument.short(*letter),
+            None => argument,
+        };
+        match option.kind {
+            // A negative number gets an error about its range instead of being taken for an option.
+            OptionKind::Integer => {
+                argument.value_name("N").allow_negative_numbers(true).value_parser(value_parser!(u32))
+            }
+            OptionKind::Number => {
+                argument.value_name("X").allow_negative_numbers(true).value_parser(value_parser!(f64))
+            }
+            OptionKind::Choice(names) => {
+                argument.value_name("NAME").value_parser(choices(option.name, names))
+            }
+            OptionKind::Switch => argument
+                .value_name("BOOL")
+                .num_args(0..=1)
+                .require_equals(true)
+                .default_missing_value("true")
+                .value_parser(value_parser!(bool)),
+        }
+    }
+}
+
+impl TrainOverrides {
+    /// True if a setting was given.
+    pub fn has(&self, name: &str) -> bool {
+        self.0.contains_key(name)
+    }
+
+    /// Resolves and checks the settings of a training with this recipe and seed.
+    pub fn settings(&self, recipe: Recipe<'_>, seed: u32) -> Result<TrainSettings> {
+        let mut train = self.clone();
+        train.0.insert("seed".into(), i64::from(seed).into());
+        let preset = match recipe {
+            Recipe::Strategy(name) => {
+                train.0.insert("strategy".into(), name.into());
+                None
+            }
+            Recipe::Preset(name) => Some(name.to_owned()),
+        };
+        Ok(Settings::resolve(None, &Overrides { preset, train, ..Overrides::default() })?.train)
+    }
+}
+
+impl Args for TrainOverrides {
+    fn augment_args(command: Command) -> Command {
+        command.args(TrainSettings::OPTIONS.iter().map(Self::argument))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for TrainOverrides {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let mut overrides = Self::default();
+        overrides.update_from_arg_matches(matches)?;
+        Ok(overrides)
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        for option in TrainSettings::OPTIONS {
+            let name = option.name;
+            let given: Option<Value> = match option.kind {
+                OptionKind::Integer => matches.get_one::<u32>(name).map(|&value| i64::from(value).into()),
+                OptionKind::Number => matches.get_one::<f64>(name).map(|&value| value.into()),
+                OptionKind::Choice(_) => matches.get_one::<String>(name).map(|value| value.clone().into()),
+                OptionKind::Switch => matches.get_one::<bool>(name).map(|&value| value.into()),
+            };
+            if let Some(value) = given {
+                self.0.insert(name.into(), value);
+            }
+        }
+        Ok(())
+    }
+}

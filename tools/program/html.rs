@@ -1,0 +1,141 @@
+//! Parts of self-contained pages: style, pictures, histograms.
+
+use ashsplat::{Error, Result};
+use ashsplat_files::Photo;
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+use std::fmt::Write;
+
+/// Colours of curves and blocks.
+pub const COLORS: [&str; 18] = [
+    "#222222", "#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#00a5a5", "#f032e6", "#808000",
+    "#9a6324", "#808080", "#000075", "#5c0000", "#7fb800", "#e0a800", "#006b3c", "#b07aa1", "#0095ff",
+];
+
+/// Style of every page; light and dark.
+pub const STYLE: &str = "
+:root { color-scheme: light dark; --line: #8884; --text: #222; --page: #fff; --soft: #666; }
+@media (prefers-color-scheme: dark) { :root { --text: #ddd; --page: #181818; --soft: #999; } }
+body { font: 14px/1.45 sans-serif; color: var(--text); background: var(--page); max-width: 1160px; margin: 1.5em auto; padding: 0 1em; }
+h1 { font-size: 1.4em; margin-bottom: 0; } h2 { font-size: 1.1em; margin: 1.8em 0 .4em; }
+p.note { color: var(--soft); margin: .2em 0 .6em; } svg { display: block; } svg text { fill: currentColor; font: 11px sans-serif; }
+table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; font-size: 12px; }
+td, th { padding: 2px 7px; text-align: right; border-bottom: 1px solid var(--line); } td.name, th.name { text-align: left; }
+.key { display: inline-block; margin-right: 1em; } .key i { display: inline-block; width: .8em; height: .8em; margin-right: .35em; }
+.row { display: flex; flex-wrap: wrap; gap: 1.2em; } figure { margin: 0; } figcaption { color: var(--soft); font-size: 12px; }
+";
+
+/// A heading with a note.
+pub fn section(out: &mut String, title: &str, note: &str) {
+    let _ = writeln!(out, "<h2>{title}</h2><p class=\"note\">{note}</p>");
+}
+
+/// A picture as a data URL, lossless.
+pub fn png(width: u32, height: u32, rgb: &[u8]) -> Result<String> {
+    let mut bytes = Vec::new();
+    PngEncoder::new(&mut bytes).write_image(rgb, width, height, ExtendedColorType::Rgb8).map_err(refused)?;
+    Ok(format!("data:image/png;base64,{}", BASE64_STANDARD.encode(bytes)))
+}
+
+/// A photo as a small data URL.
+pub fn jpeg(photo: &Photo) -> Result<String> {
+    let mut bytes = Vec::new();
+    let encoder = JpegEncoder::new_with_quality(&mut bytes, 90);
+    encoder.write_image(&photo.rgb, photo.width, photo.height, ExtendedColorType::Rgb8).map_err(refused)?;
+    Ok(format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(bytes)))
+}
+
+fn refused(error: image::ImageError) -> Error {
+    Error::argument("picture of the page", format!("cannot be encoded: {error}"))
+}
+
+/// A colour from dark blue over purple and orange to light yellow. Its brightness rises, so it reads in grey too.
+pub fn heat(share: f64) -> [u8; 3] {
+    const STOPS: [[f64; 3]; 5] = [
+        [8.0, 8.0, 32.0],
+        [80.0, 18.0, 123.0],
+        [182.0, 54.0, 121.0],
+        [251.0, 136.0, 97.0],
+        [252.0, 253.0, 191.0],
+    ];
+    let place = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
+    let below = (place as usize).min(STOPS.len() - 2);
+    let part = place - below as f64;
+    [0, 1, 2].map(|c| (STOPS[below][c] * (1.0 - part) + STOPS[below + 1][c] * part).round() as u8)
+}
+
+const BINS: usize = 40;
+
+/// Draws a histogram of the finite values.
+pub fn histogram(out: &mut String, name: &str, values: &[f64]) {
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for &value in values.iter().filter(|v| v.is_finite()) {
+        low = low.min(value);
+        high = high.max(value);
+    }
+    if low > high {
+        return;
+    }
+    let step = ((high - low) / BINS as f64).max(1e-9);
+    let mut bins = [0u32; BINS];
+    for &value in values.iter().filter(|v| v.is_finite()) {
+        bins[(((value - low) / step) as usize).min(BINS - 1)] += 1;
+    }
+    let most = f64::from(bins.iter().copied().max().unwrap_or(1).max(1));
+    let _ = writeln!(
+        out,
+        "<svg width=\"262\" height=\"140\"><text x=\"131\" y=\"12\" text-anchor=\"middle\">{name}</text>"
+    );
+    for (i, &count) in bins.iter().enumerate() {
+        let height = 95.0 * f64::from(count) / most;
+        let from = low + step * i as f64;
+        let _ = writeln!(
+            out,
+            "<rect x=\"{}\" y=\"{:.2}\" width=\"5\" height=\"{height:.2}\" fill=\"#4e79a7\"><title>{from:.3} to {:.3}: {count}</title></rect>",
+            10 + 6 * i,
+            118.0 - height,
+            from + step
+        );
+    }
+    let _ = writeln!(
+        out,
+        "<text x=\"10\" y=\"133\">{}</text><text x=\"250\" y=\"133\" text-anchor=\"end\">{}</text></svg>",
+        short(low),
+        short(high)
+    );
+}
+
+fn short(value: f64) -> String {
+    if value.fract() == 0.0 { format!("{value}") } else { format!("{value:.2}") }
+}
+
+/// Escapes text for XML and HTML.
+pub fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// Display name of a stage.
+pub fn shown(stage: &str) -> &str {
+    if stage.is_empty() { "read-back" } else { stage }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heat_rises_in_brightness() {
+        let brightness = |i: u32| heat(f64::from(i) / 20.0).iter().map(|&c| u32::from(c)).sum::<u32>();
+        assert!((0..20).all(|i| brightness(i) < brightness(i + 1)));
+    }
+
+    #[test]
+    fn pictures_are_addresses() {
+        let photo = Photo { width: 2, height: 1, rgb: vec![9; 6] };
+        assert!(jpeg(&photo).expect("a picture").starts_with("data:image/jpeg;base64,/9j/"));
+        assert!(png(2, 1, &photo.rgb).expect("a picture").starts_with("data:image/png;base64,iVBORw0KGgo"));
+    }
+}

@@ -1,0 +1,36 @@
+//! What the commands of the program `ashsplat` share: arguments, settings, progress, data sets, pages.
+
+// Used by the program alone.
+#![allow(missing_docs)]
+
+/// Prints a line on stdout. Unlike `println!`, a failure does not panic: a training must continue. A full disk is
+/// reported at the end, a closed pipe never.
+#[macro_export]
+macro_rules! say {
+    ($($text:tt)*) => { $crate::output::say(format_args!($($text)*)) };
+}
+
+/// Prints a line on stderr.
+#[macro_export]
+macro_rules! tell {
+    ($($text:tt)*) => { $crate::output::tell(format_args!($($text)*)) };
+}
+
+pub mod args;
+pub mod axis;
+pub mod blocks;
+pub mod child;
+pub mod config;
+pub mod eval;
+pub mod film_file;
+pub mod html;
+pub mod light;
+pub mod lock;
+pub mod look;
+pub mod measure;
+pub mod model;
+pub mod output;
+mod pipeline_cache;
+pub mod progress;
+pub mod session;
+pub mod train_log;

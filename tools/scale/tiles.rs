@@ -1,0 +1,158 @@
+//! `ashsplat tiles`.
+
+mod likeness;
+mod measure;
+
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, WorldFrame};
+use ashsplat::vk::Context;
+use ashsplat::{Error, Renderer, Result};
+use ashsplat_files::splats::{self, ReadOptions};
+use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions, Tree};
+use ashsplat_files::{Progress, cameras_json};
+use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_TILES};
+use ashsplat_program::config::CAMERAS_FILE;
+use ashsplat_program::look::{look_of, orbit_around};
+use ashsplat_program::model::Model;
+use ashsplat_program::output;
+use ashsplat_program::progress::{counting, thousands};
+use ashsplat_program::session;
+use clap::Args;
+use glam::Vec3;
+use likeness::Likeness;
+use measure::Measurement;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Write a scene as a tree of tiles for viewers that stream: 3D Tiles 1.1 with KHR_gaussian_splatting in GLB.
+///
+/// Tiles that are far away are drawn by fewer Gaussians, merged of the others. How much a tile's picture differs from that of the finer
+/// ones is measured by rendering both, and is its geometric error: its screen-space error is the root of the squared difference, summed
+/// over the pixels that the tile covers.
+#[derive(Args)]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TILES)))]
+pub struct Arguments {
+    /// A file of Gaussians or a model folder
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    /// The folder, which must not be there yet
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+    /// Gaussians of a tile, at most
+    #[arg(long, value_name = "N", default_value_t = TileOptions::default().most, value_parser = most)]
+    max_gaussians: usize,
+    /// Pack the tiles' attributes as SPZ version 2 (KHR_gaussian_splatting_compression_spz_2): smaller, less exact, and all that CesiumJS
+    /// reads
+    #[arg(long)]
+    spz: bool,
+    /// Compare pictures of the tiles within 5 to 100 % of the scene's Gaussians with those of the scene itself: from 12 cameras of a
+    /// model folder, or around a file's Gaussians; needs the memory of the whole scene
+    #[arg(long)]
+    measure: bool,
+    /// Drop the Gaussians whose parameters are not finite, instead of refusing them
+    #[arg(long)]
+    drop_invalid: bool,
+    #[command(flatten)]
+    device: DeviceArguments,
+    /// No progress; only results and errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+fn most(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(most) if most >= 2 => Ok(most),
+        _ => Err("expected a number of 2 or more".into()),
+    }
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let model = Model::locate(&arguments.scene, None)?;
+    if arguments.out.is_file() {
+        return Err(Error::input(&arguments.out, "is a file", "give a folder that is not there yet"));
+    }
+    let stop = session::stop_on_ctrl_c()?;
+    let context = arguments.device.context()?;
+    let read = arguments.device.host.reading(arguments.drop_invalid);
+    let look = look_of(&model.settings, &splats::header(&model.ply, &read)?);
+    let mut likeness = Likeness::new(Renderer::new(&context)?, look);
+    let bar = counting("tiles", 0, arguments.quiet);
+    let report = |done: usize, total: usize| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+    };
+    let progress = Progress { report: Some(&report), interrupted: Some(&stop) };
+    let options = TileOptions { most: arguments.max_gaussians, packed: arguments.spz };
+    let done = output::in_folder(&arguments.out, |out| {
+        tiles::write(
+            &model.ply,
+            out,
+            &options,
+            &read,
+            &mut |fine, merged| likeness.difference(fine, merged),
+            &progress,
+        )
+    });
+    bar.finish_and_clear();
+    let done = done?;
+    for warning in &done.warnings {
+        tell!("warning: {warning}");
+    }
+    if !arguments.quiet {
+        let out = arguments.out.join(TILESET_FILE);
+        let (tiles, leaves, levels) = (done.tiles, done.leaves, done.levels);
+        let [own, written] = [done.gaussians, done.written].map(thousands);
+        say!(
+            "{own} Gaussians -> {} ({tiles} tiles, {leaves} of them the finest, {levels} levels, {written} Gaussians in all)",
+            out.display()
+        );
+    }
+    if arguments.measure {
+        say!("{}", arguments.measured(&context, &model, &read, &stop)?.trim_end());
+    }
+    arguments.device.report_validation(&context);
+    Ok(())
+}
+
+/// Number of cameras of a measurement.
+const VIEWS: usize = 12;
+
+impl Arguments {
+    fn measured(
+        &self,
+        context: &Context,
+        model: &Model,
+        read: &ReadOptions,
+        stop: &AtomicBool,
+    ) -> Result<String> {
+        let mut scene = splats::read(&model.ply, read)?;
+        let settings = look_of(&model.settings, &scene.header);
+        let tree = Tree::open(&self.out)?.in_world_frame();
+        scene.express_in(&tree.frame());
+        let whole = &scene.gaussians;
+        let cameras = views(model, whole, &tree.frame())?;
+        let measurement = Measurement { tree: &tree, whole, cameras: &cameras, settings, read: *read };
+        measurement.table(&mut Renderer::new(context)?, &|| match stop.load(Ordering::Relaxed) {
+            true => Err(Error::Interrupted),
+            false => Ok(()),
+        })
+    }
+}
+
+/// Some of the training's cameras, or cameras around the scene.
+fn views(model: &Model, gaussians: &Gaussians, frame: &WorldFrame) -> Result<Vec<Camera>> {
+    let file = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
+    if let Some(file) = file.filter(|file| file.is_file()) {
+        let all = cameras_json::read(&file, frame)?;
+        if all.is_empty() {
+            return Err(Error::input(
+                file,
+                "has no cameras",
+                "leave out --measure, or give the file of Gaussians itself",
+            ));
+        }
+        let every = all.len().div_ceil(VIEWS);
+        return Ok(all.iter().step_by(every).map(|named| named.camera).collect());
+    }
+    let intrinsics = Intrinsics::from_fov_x(1.0, 960, 540);
+    Ok(orbit_around(gaussians, Vec3::NEG_Y, VIEWS as u32, intrinsics).cameras())
+}

@@ -1,0 +1,106 @@
+//! Too little of a resource, from the start or from the middle of a training: it finishes, or says in one line why not.
+
+use crate::data;
+use crate::page::Page;
+use crate::program::{Ending, Limits, Program, can_mount};
+use crate::siege::{Outcome, Result, Siege, ensure, text};
+use crate::training::{self, LONGEST, Training};
+use std::fs::File;
+use std::io::Write;
+use std::os::fd::AsRawFd;
+use std::path::{Path, PathBuf};
+
+/// Size of the disk, KiB.
+const DISK: u64 = 16 << 10;
+/// Iterations while the disk is full; they include a test, a save and a checkpoint.
+const ITERATIONS: u64 = 60;
+
+/// The disk is full after half of the iterations, and free again for the last ones.
+pub fn full(siege: &Siege) -> Result<Outcome> {
+    if !can_mount() {
+        return Ok(Outcome::Skipped("no small disk can be mounted here".into()));
+    }
+    let disk = siege.place("attacked");
+    let limits = Limits { disk: Some((disk.clone(), DISK)), ..Limits::default() };
+    let mut training = Training::start(siege, &limits, &[])?;
+    // Only the program sees its disk. An open folder of it stays readable after the program ends.
+    let inside = format!("/proc/{}/root{}", training.program.id(), disk.display());
+    let held = File::open(inside)?;
+    let model = PathBuf::from(format!("/proc/self/fd/{}", held.as_raw_fd()));
+    let mut page = training.held()?;
+    fill(&model.join("filler"))?;
+    let done = train_on(&mut page);
+    training.explain(done)?;
+    std::fs::remove_file(model.join("filler"))?;
+    page.act("resume")?;
+    let errors = training.end()?;
+    let warnings = errors.lines().filter(|line| line.starts_with("warning: ")).count();
+    ensure!(warnings > 0, "no word of what could not be saved");
+    // Checkpoints that did not fit were written later, at other iterations.
+    training::check_result(siege, &model, &training::CHECKPOINTS[3..])?;
+    let lines = std::fs::read_to_string(model.join("train_log.csv"))?.lines().count();
+    ensure!(lines == 1 + training::ITERATIONS as usize, "the log has {lines} lines");
+    Ok(Outcome::Withstood(format!(
+        "{ITERATIONS} iterations without room: {warnings} warnings; all saved and same bits at the end"
+    )))
+}
+
+/// The page gets a message that saving failed, and training continues.
+fn train_on(page: &mut Page) -> Result<()> {
+    page.act("save")?;
+    page.wait_for("problem").map_err(|_| "a page is not told that nothing was saved")?;
+    let start = page.status()?["iteration"].as_u64().unwrap_or_default();
+    for _ in 0..ITERATIONS {
+        page.act("step")?;
+    }
+    page.until(|status| status["iteration"].as_u64() >= Some(start + ITERATIONS)).map(drop)
+}
+
+/// Fills the disk.
+fn fill(path: &Path) -> Result<()> {
+    let mut file = File::create(path)?;
+    for size in [64 << 10, 1 << 10, 1] {
+        while file.write_all(&vec![0; size]).is_ok() {}
+    }
+    Ok(())
+}
+
+/// The final scene fits into a file; checkpoints do not.
+pub fn file_size(siege: &Siege) -> Result<Outcome> {
+    let scene = training::undisturbed(siege)?;
+    let most = (scene.len() as u64 >> 10) + 8;
+    let limits = Limits { file: Some(most), ..Limits::default() };
+    let mut training = Training::start(siege, &limits, &[])?;
+    let ending = training.program.end(LONGEST)?;
+    ending.check_refused()?;
+    let result = std::fs::read(training::result_of(&training.model));
+    ensure!(result.is_ok_and(|result| result == scene), "no last scene, or other bits");
+    Ok(Outcome::Withstood(format!("{most} KiB: the last scene is whole, and one error names the checkpoint")))
+}
+
+pub fn descriptors(siege: &Siege) -> Result<Outcome> {
+    let limits = Limits { descriptors: Some(40), ..Limits::default() };
+    let mut training = Training::start(siege, &limits, &[])?;
+    let held = training.held().and_then(|mut page| page.act("resume").map(|()| page));
+    let _page = training.explain(held)?;
+    training.check_end(siege)?;
+    Ok(Outcome::Withstood("a page looks on; same bits at the end".into()))
+}
+
+/// A scene larger than the memory limit.
+pub fn memory(siege: &Siege) -> Result<Outcome> {
+    let refuse = |mib: u64, arguments: &[&str]| -> Result<Ending> {
+        let limits = Limits { memory: Some(mib << 10), ..Limits::default() };
+        let ending = Program::limited(siege, &limits, arguments)?.end(LONGEST)?;
+        ending.check_refused().map(|()| ending)
+    };
+    let [large, few, fewer] = ["large.ply", "few.ply", "fewer.ply"].map(|name| siege.place(name));
+    let mib = data::write_zeros(&large, 10_000_000)? >> 20;
+    // Decimation takes several times the memory of its Gaussians.
+    data::write_zeros(&few, 200_000)?;
+    let ending = refuse(250, &["convert", text(&few)?, text(&fewer)?, "--decimate", "50%"])?;
+    ensure!(ending.errors.contains("bytes of host memory"), "{ending}");
+    let limit = 400;
+    refuse(limit, &["info", text(&large)?])?;
+    Ok(Outcome::Withstood(format!("a scene of {mib} MiB with {limit}: refused in one line")))
+}

@@ -1,0 +1,300 @@
+//! `ashsplat view`, and what `train --view` shares with it.
+
+// Used by the program alone.
+#![allow(missing_docs)]
+
+#[macro_use]
+extern crate ashsplat_program;
+
+mod assets;
+mod cut;
+mod draw;
+mod film;
+pub mod hub;
+mod labels;
+mod lights;
+mod loading;
+mod openings;
+mod pace;
+mod photos;
+pub mod protocol;
+pub mod server;
+pub mod sibr;
+mod sizes;
+mod streamed;
+pub mod studio;
+mod subject;
+#[cfg(feature = "window")]
+mod window;
+
+pub use lights::PhotoLights;
+pub use photos::Photos;
+pub use subject::Subject;
+
+use ashsplat::{Error, RenderSettings, Renderer, Result};
+use ashsplat_files::splats::Target;
+use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_VIEWER};
+use ashsplat_program::look::{LookArguments, parse_direction, parse_target};
+use ashsplat_program::{output, session};
+use clap::Args;
+use glam::Vec3;
+use hub::Hub;
+use loading::Loading;
+use openings::{Openings, Wish};
+use protocol::ToPage;
+use server::{ServeArguments, Site};
+use std::collections::BTreeSet;
+use std::net::{IpAddr, Ipv6Addr, SocketAddr, TcpListener, UdpSocket};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::Scope;
+use std::time::Duration;
+use streamed::Scenery;
+use studio::Studio;
+use subject::Wanted;
+
+/// Look at a scene, a trained model, a tree of tiles or a data set in a browser, also on a machine without a screen; or in a window.
+///
+/// The pictures are rendered here and streamed to the page, as many as each page can take. From elsewhere, forward the
+/// port (ssh -L 8090:localhost:8090 HOST), or use --host with --token.
+#[derive(Args)]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_VIEWER)))]
+pub struct Arguments {
+    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), a model folder, a folder of `ashsplat tiles`, or a data set (its points) [default: the
+    /// page takes files that are dropped on it, and paths in this folder or below]
+    #[arg(value_name = "PATH")]
+    path: Option<PathBuf>,
+    /// Photos and cameras of this data set [default: that of the training]
+    #[arg(short, long, value_name = "DATASET")]
+    source_path: Option<PathBuf>,
+    /// Folder of the photos within the data set [default: as in training, else images]
+    #[arg(short, long, value_name = "NAME")]
+    images: Option<String>,
+    /// Iteration of the model folder's PLY [default: what was saved last]
+    #[arg(long, value_name = "N")]
+    iteration: Option<u32>,
+    /// Gaussians of a picture, at most, of a folder of tiles: the tiles whose error is largest in pixels are the finest
+    /// [default: 1000000; pages can change it]
+    #[arg(long, value_name = "N|N%", value_parser = parse_target)]
+    budget: Option<Target>,
+    /// Up in the pictures [default: as the cameras have it, without any 0,-1,0]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_direction)]
+    up: Option<Vec3>,
+    #[command(flatten)]
+    serve: ServeArguments,
+    /// In a window on this machine's screen instead of a page
+    #[arg(long, conflicts_with_all = ["host", "port", "token", "allow_origin"])]
+    window: bool,
+    /// Frames of the window are shown as fast as they come, not in step with the screen
+    #[arg(long, requires = "window")]
+    no_vsync: bool,
+    /// Folder for camera paths, films and the window's screenshots [default: out/view]
+    #[arg(short, long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    look: LookArguments,
+    #[command(flatten)]
+    device: DeviceArguments,
+}
+
+/// Interval at which an idle thread checks whether it should end.
+const REST: Duration = Duration::from_millis(200);
+/// Time for pages to receive the reason why the program ends.
+const LAST_WORDS: Duration = Duration::from_millis(300);
+
+/// Runs the command until Ctrl-C.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    // The default folder may be read-only: looking needs no files.
+    arguments.out.as_deref().map(output::check_folder).transpose()?;
+    let out = arguments.out.clone().unwrap_or_else(|| "out/view".into());
+    // From here on Ctrl-C only sets a flag, so that an unpacked ZIP is removed.
+    let stop = session::stop_on_ctrl_c()?;
+    // Report a missing file before any address.
+    if let Some(path) = &arguments.path {
+        std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
+    }
+    if arguments.window {
+        if cfg!(feature = "window") && arguments.path.is_none() {
+            let problem = "a window opens nothing by itself: give what it is to show, `ashsplat view --window out/MODEL` for \
+                           example; without --window, the page takes files and paths";
+            return Err(Error::argument("--window", problem));
+        }
+        #[cfg(feature = "window")]
+        return window::run(arguments, out, stop);
+        #[cfg(not(feature = "window"))]
+        return Err(Error::argument(
+            "--window",
+            "this program was built without windows: `cargo install --path tools/ashsplat --features window` installs \
+             one with them; without --window the viewer is a page in a browser",
+        ));
+    }
+    // Report a port in use before anything is loaded.
+    let listener = server::open(&arguments.serve)?;
+    let openings = arguments.openings(&listener);
+    let hub = Arc::new(Hub::default());
+    let name = arguments.path.as_ref().map(|path| path.display().to_string());
+    hub.greet_with(loading::message(name.as_deref().unwrap_or_default()).to_string());
+    let site = Site::new(hub.clone(), out.clone(), arguments.serve.clone());
+    let site = Arc::new(site.with_openings(openings.clone()));
+    let server = server::start(listener, site.clone())?;
+    announce(server.address, &arguments.serve);
+    say!(
+        "{}; Ctrl-C ends the viewer",
+        match &name {
+            Some(name) => format!("it shows {name}"),
+            None => "nothing is open: drop a file of Gaussians onto the page, or give a path there".into(),
+        }
+    );
+    std::thread::scope(|threads| {
+        let stage = Stage { arguments, openings, hub: hub.clone(), site, stop: &stop };
+        let ended = stage.play(threads, name, out);
+        // Stops a scene that is still being read.
+        stop.store(true, Ordering::Relaxed);
+        if let Err(error) = &ended {
+            hub.broadcast(&loading::failure("", error, None));
+            std::thread::sleep(if hub.pages() > 0 { LAST_WORDS } else { Duration::ZERO });
+        }
+        ended
+    })
+}
+
+/// The viewer's scenes, from the first to the last.
+struct Stage<'a> {
+    arguments: &'a Arguments,
+    openings: Option<Arc<Openings>>,
+    hub: Arc<Hub>,
+    site: Arc<Site>,
+    stop: &'a AtomicBool,
+}
+
+impl<'a> Stage<'a> {
+    /// `name`: name of the first scene.
+    fn play<'scope>(
+        &self,
+        threads: &'scope Scope<'scope, 'a>,
+        name: Option<String>,
+        out: PathBuf,
+    ) -> Result<()>
+    where
+        'a: 'scope,
+    {
+        let (arguments, stop, hub) = (self.arguments, self.stop, &self.hub);
+        let mut loading = match (&arguments.path, name) {
+            (Some(path), Some(name)) => {
+                let read = move || arguments.load(path, None, stop);
+                Some(Loading::begin(threads, hub, name, read)?)
+            }
+            _ => None,
+        };
+        // The device opens while the scene is read.
+        let context = arguments.device.context()?;
+        let mut scenery = Scenery::new(Renderer::new(&context)?);
+        let mut studio = Studio::new(hub.clone(), RenderSettings::default(), out);
+        let first = match loading.take() {
+            Some(loading) => loading.finish()?,
+            None => Subject::nothing(),
+        };
+        self.show(first, &mut scenery, &mut studio)?;
+        while !stop.load(Ordering::Relaxed) {
+            if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
+                let (name, room) = (read.name().to_owned(), read.room());
+                let failed = match read.finish() {
+                    // The previous scene stays.
+                    Err(error) => Some(error),
+                    Ok(subject) => {
+                        // Commands name the file that the page has sent, not its copy here.
+                        let file = if room.is_some() { Some(PathBuf::from(&name)) } else { subject.file };
+                        let subject = Subject { name: name.clone(), file, ..subject };
+                        self.show(subject, &mut scenery, &mut studio).err()
+                    }
+                };
+                if let Some(error) = failed {
+                    hub.broadcast(&loading::failure(&name, &error, room.as_deref()));
+                    studio::fatal(error)?;
+                }
+            }
+            if loading.is_none()
+                && let Some(wish) = self.openings.as_ref().and_then(|openings| openings.take())
+            {
+                let Wish { path, name, within, upload, turn } = wish;
+                let read = move || arguments.load(&path, within.as_deref(), stop);
+                loading = Some(Loading::begin(threads, hub, name, read)?.keeping(turn, upload));
+            }
+            studio.serve(&mut scenery, REST)?;
+        }
+        arguments.device.report_validation(&context);
+        Ok(())
+    }
+
+    fn show(&self, subject: Subject, scenery: &mut Scenery, studio: &mut Studio) -> Result<()> {
+        let mut greeting = subject.greeting(scenery.renderer.context().device_name(), None);
+        greeting["open"] = self.openings.as_ref().map(|openings| openings.described()).into();
+        if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), self.hub.clone()) {
+            // The previous scene is already gone.
+            self.show(Subject::nothing(), scenery, studio)?;
+            return Err(error);
+        }
+        studio.show(subject.base, subject.lights, subject.frame);
+        self.site.show_photos(subject.photos);
+        let greeting = greeting.to_string();
+        self.hub.greet_with(greeting.clone());
+        self.hub.broadcast(&ToPage::Text(greeting));
+        Ok(())
+    }
+}
+
+impl Arguments {
+    /// Loads the scene that the arguments name.
+    #[cfg(feature = "window")]
+    fn subject(&self, stop: &AtomicBool) -> Result<Subject> {
+        self.path.as_ref().map_or_else(|| Ok(Subject::nothing()), |path| self.load(path, None, stop))
+    }
+
+    fn load(&self, path: &Path, within: Option<&Path>, stop: &AtomicBool) -> Result<Subject> {
+        let source = self.source_path.as_deref();
+        let (images, budget) = (self.images.as_deref(), self.budget);
+        let wanted = Wanted { iteration: self.iteration, source, images, within, budget };
+        let subject = Subject::load(path, &wanted, &self.look, &self.device.host, stop)?;
+        Ok(Subject { up: self.up, ..subject })
+    }
+
+    /// Limits of what pages may open; none if the viewer was started with a scene.
+    fn openings(&self, listener: &TcpListener) -> Option<Arc<Openings>> {
+        let most_bytes = self.device.host.memory().limit();
+        let open =
+            || Openings::new(std::env::current_dir().ok(), server::reach(listener, &self.serve), most_bytes);
+        self.path.is_none().then(|| Arc::new(open()))
+    }
+}
+
+/// Prints the page's address. If the server listens at all addresses, prints one for this machine and those for others.
+pub fn announce(address: SocketAddr, arguments: &ServeArguments) {
+    let word = if arguments.token.is_some() { "?token=WORD" } else { "" };
+    let page = |place: String| format!("http://{place}/{word}");
+    let (ip, port) = (address.ip(), address.port());
+    let here = if ip.is_loopback() || ip.is_unspecified() {
+        format!("localhost:{port}")
+    } else {
+        address.to_string()
+    };
+    let others = if ip.is_unspecified() { outward_addresses(ip.is_ipv6()) } else { BTreeSet::new() };
+    let others: Vec<String> = others.iter().map(|ip| page(SocketAddr::new(*ip, port).to_string())).collect();
+    let others =
+        if others.is_empty() { String::new() } else { format!("; from elsewhere {}", others.join(", ")) };
+    say!("viewer at {}{others}", page(here));
+}
+
+/// This machine's outward addresses, by its routes to common ranges. Connecting a datagram socket sends nothing.
+fn outward_addresses(with_ipv6: bool) -> BTreeSet<IpAddr> {
+    let ranges = ["192.0.2.1", "10.0.0.1", "172.16.0.1", "192.168.0.1", "2001:db8::1", "fd00::1"];
+    let towards = |range: IpAddr| {
+        let any = if range.is_ipv6() { Ipv6Addr::UNSPECIFIED.into() } else { IpAddr::from([0; 4]) };
+        let socket = UdpSocket::bind((any, 0)).ok()?;
+        socket.connect((range, 9)).ok()?;
+        Some(socket.local_addr().ok()?.ip())
+    };
+    let ranges = ranges.iter().filter_map(|range| range.parse().ok());
+    let ranges = ranges.filter(|range: &IpAddr| with_ipv6 || range.is_ipv4());
+    ranges.filter_map(towards).filter(|ip| !ip.is_loopback()).collect()
+}

@@ -1,0 +1,90 @@
+//! Exposure and lens effects of the photos: a view can be drawn as its photo was exposed, through the lens that took it.
+
+use super::draw::Painter;
+use ashsplat::scene::Camera;
+use ashsplat::{Error, Result, Trainer};
+use ashsplat_files::cameras_json::NamedCamera;
+use ashsplat_program::light::{Light, Lights};
+use std::collections::BTreeMap;
+
+/// Exposure and lens effects of a scene's photos, by camera index. Empty by default.
+#[derive(Default)]
+pub struct PhotoLights {
+    photos: Vec<(Camera, Source)>,
+}
+
+/// Where a photo's exposure and lens effects come from.
+#[derive(Clone, Copy)]
+enum Source {
+    /// Saved by a finished training.
+    Kept(Light),
+    /// Learned by the running training.
+    Training(Places),
+}
+
+/// Indices of the training views that have a photo's exposure and its lens.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Places {
+    pub exposure: Option<usize>,
+    pub lens: Option<usize>,
+}
+
+impl PhotoLights {
+    /// Takes what a finished training has saved.
+    pub fn kept(cameras: &[NamedCamera], lights: &Lights) -> PhotoLights {
+        let photo = |named: &NamedCamera| (named.camera, Source::Kept(lights.of(&named.name)));
+        PhotoLights { photos: cameras.iter().map(photo).collect() }
+    }
+
+    /// Takes a running training: `trained` are the names of its views, `takers` the cameras of all photos.
+    pub fn in_training(
+        cameras: &[NamedCamera],
+        trained: &[String],
+        takers: &BTreeMap<String, u32>,
+        [exposure, lens_effects]: [bool; 2],
+    ) -> PhotoLights {
+        let photo = |named: &NamedCamera| {
+            let exposure = trained.iter().position(|name| exposure && *name == named.name);
+            let same = |name: &String| lens_effects && takers.get(name) == takers.get(&named.name);
+            let places = Places { exposure, lens: trained.iter().position(same) };
+            (named.camera, Source::Training(places))
+        };
+        PhotoLights { photos: cameras.iter().map(photo).collect() }
+    }
+
+    /// True if the photo has an exposure or lens effects.
+    pub fn has(&self, photo: usize) -> bool {
+        self.photos.get(photo).is_some_and(|(_, source)| match source {
+            Source::Kept(light) => !light.is_none(),
+            Source::Training(places) => *places != Places::default(),
+        })
+    }
+
+    /// Returns a photo's exposure and lens effects, and the camera at which it was taken.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a photo that does not exist; when the device is lost.
+    pub fn of(&self, photo: usize, painter: &dyn Painter) -> Result<(Camera, Light)> {
+        let (camera, source) = self.photos.get(photo).ok_or_else(|| {
+            let problem = format!("there is none of number {photo}: the scene has {}", self.photos.len());
+            Error::argument("photo", problem)
+        })?;
+        let light = match source {
+            Source::Kept(light) => *light,
+            Source::Training(places) => painter.light(*places)?,
+        };
+        Ok((*camera, light))
+    }
+}
+
+/// Reads the current exposure and lens effects of a training view.
+pub fn of_training(trainer: &Trainer, places: Places) -> Result<Light> {
+    let Places { exposure, lens } = places;
+    Ok(Light {
+        exposure: exposure
+            .map(|_| trainer.exposures())
+            .transpose()?
+            .and_then(|all| all.get(exposure?).copied()),
+        lens: lens.map(|_| trainer.lens_effects()).transpose()?.and_then(|all| all.get(lens?).copied()),
+    })
+}

@@ -1,0 +1,192 @@
+//! The scene as a file: written on a thread of its own, sent while it is read. Also counts how many Gaussians a cut leaves.
+
+use super::door::query_value;
+use super::seats::Seat;
+use super::{Site, files, refusal};
+use crate::cut::CutMessage;
+use crate::hub::{CurrentScene, SceneRequest};
+use crate::openings;
+use ashsplat::{Error, Result};
+use ashsplat_files::splats::{self, Format, WriteOptions};
+use axum::Extension;
+use axum::extract::{Path as UrlPath, State};
+use axum::http::{StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use serde_json::json;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+use tempfile::TempDir;
+use tokio::sync::{OwnedSemaphorePermit, oneshot};
+
+/// Most exports that are written or sent at once: each takes the scene's memory, then its file's disk space.
+pub(super) const MOST_EXPORTS: usize = 2;
+/// Longest wait for the rendering thread.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// The cut and SH degree that a page wants.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Export {
+    cut: CutMessage,
+    sh_degree: u32,
+}
+
+/// `/export/NAME.ply?min_opacity=X&min_density=X&low=X,X,X&high=X,X,X&sh_degree=N`
+pub async fn export(
+    State(site): State<Arc<Site>>,
+    Extension(seat): Extension<Arc<Seat>>,
+    UrlPath(name): UrlPath<String>,
+    uri: Uri,
+) -> Response {
+    let Some(format) = openings::format_of(&name) else { return StatusCode::NOT_FOUND.into_response() };
+    let wanted = match Export::of_query(&uri) {
+        Ok(wanted) => wanted,
+        Err(error) => return refusal(StatusCode::BAD_REQUEST, &error.to_string()),
+    };
+    let (scene, turn) = match scene_of(&site, &seat).await {
+        Ok(given) => given,
+        Err(refused) => return refused,
+    };
+    // The turn lasts until the file is written, even if the page has gone.
+    let work = move || wanted.write(&scene, format).map(|(folder, path)| (path, (folder, turn)));
+    match seat.waits_for(tokio::task::spawn_blocking(work)).await {
+        Ok(Ok((path, kept))) => match files::body_of(&path, kept) {
+            Some(body) => {
+                let kind = [
+                    (header::CONTENT_TYPE, "application/octet-stream"),
+                    (header::CONTENT_DISPOSITION, "attachment"),
+                    (header::CACHE_CONTROL, "no-store"),
+                ];
+                (kind, body).into_response()
+            }
+            None => StatusCode::NOT_FOUND.into_response(),
+        },
+        Ok(Err(error)) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()),
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}
+
+/// `/count?min_opacity=X&…`, same as for an export: counts the Gaussians that remain, `{"kept":N,"of":N,"losses":[]}`. With
+/// `format=spz`, `losses` says in words what that format cannot hold.
+pub async fn count(
+    State(site): State<Arc<Site>>,
+    Extension(seat): Extension<Arc<Seat>>,
+    uri: Uri,
+) -> Response {
+    let wanted = match Export::of_query(&uri) {
+        Ok(wanted) => wanted,
+        Err(error) => return refusal(StatusCode::BAD_REQUEST, &error.to_string()),
+    };
+    let format =
+        query_value(&uri, "format").and_then(|ending| openings::format_of(&format!("scene.{ending}")));
+    let (scene, turn) = match scene_of(&site, &seat).await {
+        Ok(given) => given,
+        Err(refused) => return refused,
+    };
+    let work = move || {
+        let _turn = turn;
+        let (limits, all) = (wanted.cut.cut().limits(), scene.gaussians.len());
+        let kept = (0..all).filter(|&index| limits.keeps(&scene.gaussians, index)).count();
+        let losses = format.map(|format| {
+            splats::cut_losses(format, &scene.gaussians, (&wanted.cut.cut(), wanted.sh_degree), &scene.marks)
+        });
+        let losses = losses.transpose().ok().flatten();
+        json!({ "kept": kept, "of": all, "losses": losses.unwrap_or_default() }).to_string()
+    };
+    match seat.waits_for(tokio::task::spawn_blocking(work)).await {
+        Ok(counts) => {
+            let kind = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
+            (kind, counts).into_response()
+        }
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}
+
+/// Returns the current scene and its turn, held until it is dropped; or the answer that refuses the page.
+async fn scene_of(
+    site: &Site,
+    seat: &Seat,
+) -> std::result::Result<(CurrentScene, OwnedSemaphorePermit), Response> {
+    let busy = || {
+        let text = "503: other exports are being made: ask again in a while\n";
+        (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "1")], text).into_response()
+    };
+    let turn = site.exports.clone().try_acquire_owned().map_err(|_| busy())?;
+    let (answer, scene) = oneshot::channel();
+    if !site.hub.ask_for_scene(SceneRequest { answer }) {
+        return Err(busy());
+    }
+    match seat.waits_for(tokio::time::timeout(PATIENCE, scene)).await {
+        Ok(Ok(Ok(scene))) => Ok((scene, turn)),
+        Ok(Ok(Err(problem))) => Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, &problem)),
+        _ => Err(busy()),
+    }
+}
+
+impl Export {
+    fn of_query(uri: &Uri) -> Result<Export> {
+        let bad = |name: &str| Error::argument("export", format!("'{name}' is not understood"));
+        let number = |name: &str, text: &str| match text {
+            "" => Ok(None),
+            text => match text.parse::<f32>() {
+                Ok(number) if number.is_finite() => Ok(Some(number)),
+                _ => Err(bad(name)),
+            },
+        };
+        let one = |name: &str| number(name, &query_value(uri, name).unwrap_or_default());
+        let three = |name: &str| -> Result<[Option<f32>; 3]> {
+            let text = query_value(uri, name).unwrap_or(",,".into());
+            let sides = text.split(',').map(|side| number(name, side)).collect::<Result<Vec<_>>>()?;
+            sides.try_into().map_err(|_| bad(name))
+        };
+        let cut = CutMessage {
+            min_opacity: one("min_opacity")?,
+            min_density: one("min_density")?,
+            low: three("low")?,
+            high: three("high")?,
+        };
+        cut.cut().check()?;
+        let degree = query_value(uri, "sh_degree").unwrap_or("3".into()).parse::<u32>();
+        let sh_degree = degree.ok().filter(|degree| *degree <= 3).ok_or_else(|| bad("sh_degree"))?;
+        Ok(Export { cut, sh_degree })
+    }
+
+    /// Writes a file into a new temporary folder.
+    fn write(&self, scene: &CurrentScene, format: Format) -> Result<(TempDir, PathBuf)> {
+        let room = std::env::temp_dir();
+        let folder = tempfile::tempdir().map_err(|e| Error::io(&room, "write a temporary file", e))?;
+        let path = folder.path().join(format!("scene{}", format.extension()));
+        let options = WriteOptions { format: Some(format), ..scene.marks };
+        splats::write_cut(&path, &scene.gaussians, (&self.cut.cut(), self.sh_degree), &options)?;
+        Ok((folder, path))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_say_what_pages_say() {
+        let of =
+            |query: &str| Export::of_query(&format!("/export/a.ply?{query}").parse().expect("an address"));
+        let text = r#"{"min_opacity":0.05,"min_density":0.3,"low":[null,-1.5,null],"high":[null,2,null]}"#;
+        let cut: CutMessage = serde_json::from_str(text).expect("a cut");
+        let asked = of("run=1&min_opacity=0.05&min_density=0.3&low=,-1.5,&high=,2,&sh_degree=1");
+        assert_eq!(asked.expect("an export"), Export { cut, sh_degree: 1 });
+        let all = Export { cut: CutMessage::default(), sh_degree: 3 };
+        assert_eq!([of(""), of("min_opacity=&low=,,")].map(Result::ok), [Some(all); 2]);
+        for query in [
+            "min_opacity=2",
+            "min_opacity=x",
+            "min_density=-1",
+            "low=1,2",
+            "high=1,2,3,4",
+            "low=nan,,",
+            "high=inf,,",
+            "sh_degree=4",
+        ] {
+            assert!(of(query).is_err(), "{query}");
+        }
+    }
+}

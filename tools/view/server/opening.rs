@@ -1,0 +1,246 @@
+//! Files that pages send, and paths that they name: see [`Openings`].
+
+use super::{Site, refusal};
+use crate::openings::{self, Openings, Wish};
+use ashsplat_files::splats::Format;
+use axum::body::{Body, Bytes, to_bytes};
+use axum::extract::{Path as UrlPath, Request, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use hyper::body::{Body as _, Frame};
+use serde::Deserialize;
+use std::fs::File;
+use std::future::poll_fn;
+use std::io::Write;
+use std::path::Path;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Longest message that names a path, bytes.
+const LONGEST_MESSAGE: usize = 64 << 10;
+/// Basic time for an upload.
+const GRACE: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_secs(60) };
+/// Received bytes that add one second to that time. A slower sender would keep others from sending.
+const BYTES_PER_SECOND: u64 = 256 << 10;
+/// Most bytes of a refused upload that are still read.
+const MOST_DRAINED: usize = 16 << 20;
+/// Longest time for reading them.
+const LINGER: Duration = Duration::from_secs(1);
+/// Most letters of a file's name on disk.
+const LONGEST_STEM: usize = 60;
+/// Most letters of a file's name on the page.
+const LONGEST_NAME: usize = 200;
+
+/// `POST /upload/NAME.ply` with the file's bytes.
+pub async fn upload(
+    State(site): State<Arc<Site>>,
+    UrlPath(name): UrlPath<String>,
+    request: Request,
+) -> Response {
+    let (head, mut body) = request.into_parts();
+    let answer = take_in(&site, &name, &head.headers, &mut body).await;
+    if answer.status() != StatusCode::ACCEPTED {
+        drain(&mut body).await;
+    }
+    answer
+}
+
+/// On refusal, part of the body may be left unread.
+async fn take_in(site: &Site, name: &str, headers: &HeaderMap, body: &mut Body) -> Response {
+    let Some(openings) = &site.openings else { return not_here() };
+    // Foreign pages cannot send this content type without a preflight request.
+    if !is_kind(headers, "application/octet-stream") {
+        return refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a file as application/octet-stream");
+    }
+    let Some(format) = openings::format_of(name) else {
+        let known = openings.described()["formats"].to_string();
+        return refusal(
+            StatusCode::UNSUPPORTED_MEDIA_TYPE,
+            &format!("{name}: give a file of one of {known}"),
+        );
+    };
+    let length = headers.get(header::CONTENT_LENGTH).and_then(|text| text.to_str().ok()?.parse().ok());
+    let Some(length) = length else {
+        return refusal(StatusCode::LENGTH_REQUIRED, "the file's length is missing");
+    };
+    if length > openings.most_bytes() {
+        let most = openings.most_bytes();
+        let problem = format!("{name}: has {length} bytes; reading may take {most} (--max-host-memory)");
+        return refusal(StatusCode::PAYLOAD_TOO_LARGE, &problem);
+    }
+    let Some(turn) = openings.turn() else { return busy() };
+    let folder = match tempfile::tempdir() {
+        Ok(folder) => folder,
+        Err(error) => return no_room(&error),
+    };
+    let path = folder.path().join(plain(name, format));
+    match receive(body, &path, length).await {
+        Ok(()) => {}
+        Err(Failed::Sender) => return refusal(StatusCode::BAD_REQUEST, "the file has not come whole"),
+        Err(Failed::Slow) => return refusal(StatusCode::REQUEST_TIMEOUT, "the file has come too slowly"),
+        Err(Failed::Disk(error)) => return no_room(&error),
+    }
+    let name = name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
+    openings.ask(Wish { path, name, within: None, upload: Some(folder), turn });
+    StatusCode::ACCEPTED.into_response()
+}
+
+/// A file name that is valid in any folder: letters and digits of the page's name, and the ending.
+fn plain(name: &str, format: Format) -> String {
+    let stem = &name[..name.len() - format.extension().len()];
+    let letter = |c: char| if c.is_ascii_alphanumeric() || "-_".contains(c) { c } else { '_' };
+    format!("{}{}", stem.chars().map(letter).take(LONGEST_STEM).collect::<String>(), format.extension())
+}
+
+/// A path that a page names.
+#[derive(Deserialize)]
+struct Named {
+    path: String,
+}
+
+/// `POST /open` with `{"path": "…"}`.
+pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Response {
+    let Some(openings) = &site.openings else { return not_here() };
+    if !is_kind(request.headers(), "application/json") {
+        return refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a path as application/json");
+    }
+    let told = tokio::time::timeout(GRACE, to_bytes(request.into_body(), LONGEST_MESSAGE)).await;
+    let told = told.ok().and_then(Result::ok).and_then(|bytes| serde_json::from_slice::<Named>(&bytes).ok());
+    let Some(Named { path: name }) = told else {
+        return refusal(StatusCode::BAD_REQUEST, "expected {\"path\": \"…\"}");
+    };
+    match name_for(openings, name.trim()) {
+        Ok(wish) => {
+            openings.ask(wish);
+            StatusCode::ACCEPTED.into_response()
+        }
+        Err(Some(problem)) => refusal(StatusCode::NOT_FOUND, &problem),
+        Err(None) => busy(),
+    }
+}
+
+/// Resolves the path that a page names. The error says why not, or is none if another page is opening a scene.
+fn name_for(openings: &Openings, name: &str) -> Result<Wish, Option<String>> {
+    let (path, folder) = openings.find(name).map_err(Some)?;
+    let within = Some(folder.to_owned());
+    let turn = openings.turn().ok_or(None)?;
+    Ok(Wish { path, name: name.to_owned(), within, upload: None, turn })
+}
+
+/// Reasons why an upload failed.
+enum Failed {
+    Sender,
+    Slow,
+    Disk(std::io::Error),
+}
+
+/// Waits for the next piece of an upload.
+async fn next(body: &mut Body) -> Option<Result<Frame<Bytes>, axum::Error>> {
+    poll_fn(|context| Pin::new(&mut *body).poll_frame(context)).await
+}
+
+/// Writes the received bytes, at most `length`. Time grows with bytes received, not with bytes announced.
+async fn receive(body: &mut Body, path: &Path, length: u64) -> Result<(), Failed> {
+    let mut file = File::create(path).map_err(Failed::Disk)?;
+    let begun = Instant::now();
+    let mut left = length;
+    loop {
+        let time = GRACE + Duration::from_secs((length - left) / BYTES_PER_SECOND);
+        let time = time.checked_sub(begun.elapsed()).ok_or(Failed::Slow)?;
+        let come = tokio::time::timeout(time, next(body)).await.map_err(|_| Failed::Slow)?;
+        let Some(frame) = come else { break };
+        let Ok(bytes) = frame.map_err(|_| Failed::Sender)?.into_data() else { continue };
+        left = left.checked_sub(bytes.len() as u64).ok_or(Failed::Sender)?;
+        file.write_all(&bytes).map_err(Failed::Disk)?;
+    }
+    if left == 0 { Ok(()) } else { Err(Failed::Sender) }
+}
+
+/// Reads some of what is still sent: a browser that is cut off while sending may not show the refusal.
+async fn drain(body: &mut Body) {
+    let rest = async {
+        let mut left = MOST_DRAINED;
+        while let Some(Ok(frame)) = next(body).await {
+            let bytes = frame.data_ref().map_or(0, Bytes::len);
+            let Some(rest) = left.checked_sub(bytes) else { return };
+            left = rest;
+        }
+    };
+    tokio::time::timeout(LINGER, rest).await.ok();
+}
+
+fn is_kind(headers: &HeaderMap, kind: &str) -> bool {
+    headers.get(header::CONTENT_TYPE).is_some_and(|said| said == kind)
+}
+
+fn not_here() -> Response {
+    let problem =
+        "this viewer shows what it was started with; start `ashsplat view` without a path to open others";
+    refusal(StatusCode::FORBIDDEN, problem)
+}
+
+fn busy() -> Response {
+    let text = "503: another scene is being opened\n";
+    (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "1")], text).into_response()
+}
+
+fn no_room(error: &std::io::Error) -> Response {
+    let place = std::env::temp_dir();
+    let problem = format!("{}: cannot write a temporary file: {error}", place.display());
+    refusal(StatusCode::INSUFFICIENT_STORAGE, &problem)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::convert::Infallible;
+    use std::task::{Context, Poll};
+
+    /// Sends a little and then nothing more.
+    struct Silent(Option<Bytes>);
+
+    impl hyper::body::Body for Silent {
+        type Data = Bytes;
+        type Error = Infallible;
+
+        fn poll_frame(
+            mut self: Pin<&mut Self>,
+            _: &mut Context<'_>,
+        ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
+            self.0.take().map_or(Poll::Pending, |bytes| Poll::Ready(Some(Ok(Frame::data(bytes)))))
+        }
+    }
+
+    #[test]
+    fn a_promise_gives_no_time() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("a.ply");
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("a runtime");
+        let got = |body: &mut Body, length| runtime.block_on(receive(body, &path, length));
+        let mut silent = Body::new(Silent(Some(Bytes::from_static(b"ply"))));
+        let begun = Instant::now();
+        assert!(matches!(got(&mut silent, 1 << 40), Err(Failed::Slow)));
+        assert!(begun.elapsed() < Duration::from_secs(60));
+        assert!(got(&mut Body::from("ply"), 3).is_ok());
+        assert!(matches!(got(&mut Body::from("ply"), 4), Err(Failed::Sender)));
+        // Draining does not wait for its end either.
+        runtime.block_on(drain(&mut silent));
+    }
+
+    #[test]
+    fn names_stay_in_their_folder() {
+        for (name, expected) in [
+            ("a.PLY", "a.ply"),
+            ("my scene.compressed.ply", "my_scene.compressed.ply"),
+            ("../../etc/x.spz", "______etc_x.spz"),
+            ("\u{e4}\u{0}/.ply", "___.ply"),
+            (".ply", ".ply"),
+        ] {
+            let format = Format::of_extension(name).expect("a format");
+            assert_eq!(plain(name, format), expected, "{name}");
+        }
+        let long = plain(&format!("{}.glb", "x".repeat(5000)), Format::Glb);
+        assert_eq!(long.len(), LONGEST_STEM + 4);
+    }
+}

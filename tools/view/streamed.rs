@@ -1,0 +1,255 @@
+//! The scene that a page or a window draws: loaded whole, or a tree of tiles within a budget of Gaussians.
+
+mod loader;
+mod residency;
+
+use super::draw::{Audience, Painter, Viewer};
+use super::hub::Hub;
+use super::protocol::ToPage;
+use super::subject::Streamed;
+use ashsplat::scene::Gaussians;
+use ashsplat::{
+    Camera, DeviceScene, Error, Frame, PixelReport, RenderSettings, Renderer, Result, TileReport,
+};
+use ashsplat_files::tiles::{Demand, Tree};
+use loader::{Loader, Source};
+use residency::{Residency, is_memory};
+use serde_json::{Value, json};
+use std::sync::Arc;
+
+/// Draws a scene that is loaded whole, or a tree whose visible tiles are loaded.
+pub struct Scenery {
+    pub renderer: Renderer,
+    streaming: Option<Streaming>,
+}
+
+/// Receives events of a tree, on any thread.
+pub trait Onlooker: Send + Sync {
+    /// A tile was loaded or has failed: draw the picture again.
+    fn renew(&self);
+    /// Shows a message to people.
+    fn tell(&self, problem: &str);
+}
+
+impl Onlooker for Hub {
+    fn renew(&self) {
+        Hub::renew(self);
+    }
+
+    fn tell(&self, problem: &str) {
+        self.broadcast(&ToPage::problem(problem));
+    }
+}
+
+/// The displayed tree.
+struct Streaming {
+    tree: Arc<Tree>,
+    residency: Residency<DeviceScene>,
+    loader: Loader,
+    onlooker: Arc<dyn Onlooker>,
+    /// The program's budget, Gaussians.
+    budget: usize,
+    /// The current viewer and its budget.
+    current: (Viewer, usize),
+    /// Most Gaussians that the device has had memory for; caps every viewer's budget.
+    most: usize,
+    /// Figures of the last picture.
+    shown: Value,
+}
+
+impl Scenery {
+    /// Shows the renderer's scene.
+    pub fn new(renderer: Renderer) -> Scenery {
+        Scenery { renderer, streaming: None }
+    }
+
+    /// Shows a scene, or the tree whose coarsest tile it is.
+    pub fn show(
+        &mut self,
+        gaussians: &Gaussians,
+        tree: Option<&Streamed>,
+        onlooker: Arc<dyn Onlooker>,
+    ) -> Result<()> {
+        self.streaming = None;
+        if !gaussians.is_empty() {
+            self.renderer.upload(gaussians)?;
+        }
+        let (Some(streamed), Some(coarsest)) = (tree, self.renderer.scene()) else { return Ok(()) };
+        let source = Source {
+            tree: streamed.tree.clone(),
+            read: streamed.read,
+            sh_degree: gaussians.sh_degree,
+            within: streamed.within.clone(),
+        };
+        let context = self.renderer.context().clone();
+        let waiting = onlooker.clone();
+        self.streaming = Some(Streaming {
+            tree: streamed.tree.clone(),
+            residency: Residency::new(streamed.tree.clone(), coarsest),
+            loader: Loader::start(context, source, move || waiting.renew())?,
+            onlooker,
+            budget: streamed.budget,
+            current: (Viewer::default(), streamed.budget),
+            most: usize::MAX,
+            shown: Value::Null,
+        });
+        Ok(())
+    }
+
+    /// Draws the loaded parts. If the device has no memory for the picture, tiles are removed: first those that nobody wants,
+    /// then the finest wanted ones.
+    fn draw<T>(&mut self, camera: &Camera, draw: impl Fn(&mut Renderer) -> Result<T>) -> Result<T> {
+        loop {
+            self.prepare(camera)?;
+            let drawn = draw(&mut self.renderer);
+            let more = drawn.as_ref().err().is_some_and(|error| self.make_room(error));
+            if !more {
+                return drawn;
+            }
+        }
+    }
+
+    /// Same as [`Scenery::scenes`], but returns true if nothing is missing.
+    fn prepare(&mut self, camera: &Camera) -> Result<bool> {
+        if self.streaming.is_some() {
+            self.scenes(camera)?;
+        }
+        Ok(self.streaming.as_ref().is_none_or(|streaming| streaming.shown["missing"] == 0))
+    }
+
+    /// Takes loaded tiles, requests missing ones, and makes the renderer draw those that are there. Returns these scenes.
+    pub fn scenes(&mut self, camera: &Camera) -> Result<Vec<DeviceScene>> {
+        let Some(streaming) = &mut self.streaming else {
+            return Ok(self.renderer.scene().into_iter().collect());
+        };
+        camera.check()?;
+        let scenes = streaming.scenes(camera);
+        self.renderer.set_scenes(&scenes)?;
+        Ok(scenes)
+    }
+
+    /// Frees memory after a failed allocation for a picture. True if anything was freed.
+    pub fn make_room(&mut self, error: &Error) -> bool {
+        is_memory(error) && self.streaming.as_mut().is_some_and(|streaming| streaming.make_room(error))
+    }
+
+    /// Most Gaussians and tiles of a picture of the tree; none for a scene that is loaded whole.
+    #[cfg(feature = "window")]
+    pub fn reach(&self) -> Option<[usize; 2]> {
+        self.streaming.as_ref().map(Streaming::reach)
+    }
+}
+
+impl Streaming {
+    /// Prints a message, and shows it to the viewers.
+    fn say(&self, problem: &str) {
+        tell!("{problem}");
+        self.onlooker.tell(problem);
+    }
+
+    #[cfg(feature = "window")]
+    fn reach(&self) -> [usize; 2] {
+        let tiles = self.tree.tiles();
+        let most = self.budget.min(self.most).min(self.tree.gaussians()).max(tiles[0].gaussians);
+        // No tile of a picture is an ancestor of another, so count the smallest tiles that fit.
+        let mut smallest: Vec<usize> = tiles.iter().map(|tile| tile.gaussians).collect();
+        smallest.sort_unstable();
+        let mut rest = most;
+        let fits = |gaussians: &usize| {
+            let left = rest.checked_sub(*gaussians);
+            rest = left.unwrap_or(rest);
+            left.is_some()
+        };
+        [most, smallest.into_iter().take_while(fits).count().max(1)]
+    }
+
+    /// Frees memory for a picture whose allocation failed. True if anything was freed.
+    fn make_room(&mut self, error: &Error) -> bool {
+        if self.residency.make_room() {
+            return true;
+        }
+        let least = self.tree.tiles()[0].gaussians;
+        let budget = self.current.1.min(self.most).min(self.tree.gaussians());
+        if budget <= least {
+            return false;
+        }
+        self.most = (budget / 2).max(least);
+        let most = self.most;
+        self.say(&format!("no memory for {budget} Gaussians, at most {most} are drawn from now on: {error}"));
+        true
+    }
+
+    fn scenes(&mut self, camera: &Camera) -> Vec<DeviceScene> {
+        for (tile, arrived) in self.loader.arrivals() {
+            match arrived {
+                Ok(scene) => self.residency.add(tile, scene),
+                Err(error) => {
+                    if let Some(problem) = self.residency.fail(tile, &error) {
+                        self.say(&problem);
+                    }
+                }
+            }
+        }
+        let (viewer, asked) = self.current;
+        let budget = asked.min(self.most);
+        let cut = self.residency.cut(viewer, &Demand::of(camera, budget));
+        self.loader.ask(cut.missing.iter().copied());
+        let (resident, resident_gaussians) = self.residency.resident();
+        self.shown = json!({
+            "of": self.tree.gaussians(), "budget": budget, "drawn": cut.drawn.len(), "wanted": cut.wanted,
+            "missing": cut.missing.len(), "resident": resident, "resident_gaussians": resident_gaussians,
+            "problems": self.residency.problems().count(), "problem": self.residency.problems().next(),
+        });
+        cut.drawn.iter().filter_map(|&tile| self.residency.get(tile).cloned()).collect()
+    }
+}
+
+impl Painter for Scenery {
+    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
+        self.draw(camera, |renderer| renderer.render(camera, settings))
+    }
+
+    fn render_with_tiles(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(Frame, TileReport)> {
+        self.draw(camera, |renderer| renderer.render_with_tiles(camera, settings))
+    }
+
+    fn inspect(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        pixel: [u32; 2],
+    ) -> Result<PixelReport> {
+        self.draw(camera, |renderer| renderer.inspect(camera, settings, pixel))
+    }
+
+    fn gaussians(&self) -> Result<Gaussians> {
+        if self.streaming.is_some() {
+            let problem = "is not saved from here: it is not whole; `ashsplat convert` reads the scene that it was made of";
+            return Err(Error::argument("a tree of tiles", problem));
+        }
+        self.renderer.gaussians()
+    }
+
+    fn shrink(&mut self) {
+        self.renderer.shrink();
+    }
+
+    fn attend(&mut self, audience: &Audience<'_>) {
+        let Some(streaming) = &mut self.streaming else { return };
+        let asked = audience.budget.map(|budget| usize::try_from(budget).unwrap_or(usize::MAX));
+        streaming.current = (audience.viewer, asked.unwrap_or(streaming.budget));
+        streaming.residency.keep_viewers(audience.is_there);
+    }
+
+    fn is_ready(&mut self, camera: &Camera) -> Result<bool> {
+        self.prepare(camera)
+    }
+
+    fn tree(&self) -> Option<&Value> {
+        self.streaming.as_ref().map(|streaming| &streaming.shown)
+    }
+}

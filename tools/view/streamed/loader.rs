@@ -1,0 +1,153 @@
+//! The thread that reads tiles and uploads them: no frame waits for a file.
+
+use ashsplat::scene::Gaussians;
+use ashsplat::vk::Context;
+use ashsplat::{DeviceScene, Error, Result};
+use ashsplat_files::splats::ReadOptions;
+use ashsplat_files::tiles::Tree;
+use ashsplat_program::session::guarded;
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+/// Where tiles are read from.
+pub struct Source {
+    pub tree: Arc<Tree>,
+    pub read: ReadOptions,
+    /// SH degree at which all tiles are stored.
+    pub sh_degree: u32,
+    /// Tiles whose links lead out of this folder are not read.
+    pub within: Option<PathBuf>,
+}
+
+/// A tile and its Gaussians on the device, or the error.
+pub type Arrival = (usize, Result<DeviceScene>);
+
+/// See the module.
+pub struct Loader {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    state: Mutex<State>,
+    news: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    wishes: VecDeque<usize>,
+    /// The tile being read.
+    current: Option<usize>,
+    arrivals: Vec<Arrival>,
+    /// Context for uploads; none once the loader ends.
+    context: Option<Context>,
+    /// True while the thread uses the device.
+    uploads: bool,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // A thread that panics leaves no half-made change here.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits for the next tile to read; none once the loader ends.
+    fn next(&self) -> Option<usize> {
+        let mut state = self.lock();
+        loop {
+            state.context.as_ref()?;
+            if let Some(tile) = state.wishes.pop_front() {
+                state.current = Some(tile);
+                return Some(tile);
+            }
+            state = self.news.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Returns the context for an upload, unless the loader ends.
+    fn begin_upload(&self) -> Option<Context> {
+        let mut state = self.lock();
+        state.uploads = state.context.is_some();
+        state.context.clone()
+    }
+
+    fn arrive(&self, arrival: Arrival) {
+        let mut state = self.lock();
+        (state.current, state.uploads) = (None, false);
+        state.arrivals.push(arrival);
+        self.news.notify_all();
+    }
+}
+
+impl Loader {
+    /// Starts the thread; `arrived` is called after each tile.
+    pub fn start(context: Context, source: Source, arrived: impl Fn() + Send + 'static) -> Result<Loader> {
+        let state = Mutex::new(State { context: Some(context), ..State::default() });
+        let shared = Arc::new(Shared { state, news: Condvar::new() });
+        let own = shared.clone();
+        let work = move || {
+            while let Some(tile) = own.next() {
+                let gaussians = guarded(|| source.read(tile));
+                let Some(context) = own.begin_upload() else { return };
+                // The waiting side must get a result for each tile, even after a panic. By then the thread no longer holds the device.
+                let scene = guarded(|| DeviceScene::upload(&context, &gaussians?, 0));
+                drop(context);
+                own.arrive((tile, scene));
+                arrived();
+            }
+        };
+        let thread = std::thread::Builder::new().name("tiles".into()).spawn(work);
+        thread.map_err(|e| Error::argument("viewer", format!("no thread to read with: {e}")))?;
+        Ok(Loader { shared })
+    }
+
+    /// Replaces the list of tiles to read, most urgent first. Earlier entries that are not repeated are dropped.
+    pub fn ask(&self, tiles: impl IntoIterator<Item = usize>) {
+        let mut state = self.shared.lock();
+        let known = |tile: &usize| {
+            state.current == Some(*tile) || state.arrivals.iter().any(|(arrived, _)| arrived == tile)
+        };
+        state.wishes = tiles.into_iter().filter(|tile| !known(tile)).collect();
+        drop(state);
+        self.shared.news.notify_one();
+    }
+
+    /// Takes the tiles that have arrived since the last call.
+    pub fn arrivals(&self) -> Vec<Arrival> {
+        std::mem::take(&mut self.shared.lock().arrivals)
+    }
+}
+
+impl Drop for Loader {
+    /// Waits until the thread is done with the device, but not for a file, since a network's may never come. Afterwards the
+    /// thread holds nothing of the device.
+    fn drop(&mut self) {
+        let mut state = self.shared.lock();
+        state.context = None;
+        self.shared.news.notify_all();
+        while state.uploads {
+            state = self.shared.news.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        state.arrivals.clear();
+    }
+}
+
+impl Source {
+    fn read(&self, tile: usize) -> Result<Gaussians> {
+        if let (Some(folder), Some(path)) = (&self.within, self.tree.path(tile)) {
+            let real = path.canonicalize().map_err(|e| Error::io(&path, "read", e))?;
+            if !real.starts_with(folder) {
+                let problem = "leads out of the folder that may be opened";
+                return Err(Error::input(path, problem, "start the viewer with the tree's path"));
+            }
+        }
+        let gaussians = self.tree.read(tile, &self.read)?.gaussians;
+        let degree = gaussians.sh_degree;
+        if degree != self.sh_degree {
+            let path = self.tree.path(tile).unwrap_or_default();
+            let problem = format!("has SH degree {degree}, and the coarsest tile {}", self.sh_degree);
+            return Err(Error::input(path, problem, "write the tree again with `ashsplat tiles`"));
+        }
+        Ok(gaussians)
+    }
+}

@@ -1,0 +1,286 @@
+//! The rendering thread: serves the hub's tasks one by one.
+
+use super::draw::{self, Audience, Painter, Viewer};
+use super::film::{Assembly, Film};
+use super::hub::{CurrentScene, Hub, RemoteRequest, SceneRequest, Task};
+use super::lights::PhotoLights;
+use super::protocol::{self, Look, ToPage};
+use super::sizes::{Sizes, Sparing};
+use ashsplat::scene::WorldFrame;
+use ashsplat::{Error, RenderSettings, Result};
+use ashsplat_files::splats::WriteOptions;
+use ashsplat_program::output;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Most films that are encoded at once: each takes a processor, descriptors and a frame's memory.
+const MOST_ASSEMBLED: usize = 2;
+
+/// Pause before a film checks again for its next frame's tiles: pages are served meanwhile.
+const SHORTLY: Duration = Duration::from_millis(5);
+/// Page number of programs that speak the reference's protocol; real pages have others.
+const REMOTE: u64 = 0;
+
+/// Serves pages with pictures of any painter.
+pub struct Studio {
+    hub: Arc<Hub>,
+    /// Render settings that the scene was trained with.
+    base: RenderSettings,
+    /// Exposure and lens effects of its photos.
+    lights: PhotoLights,
+    /// Coordinate frame of the scene within its files' coordinates.
+    frame: WorldFrame,
+    /// Folder of the films.
+    films: PathBuf,
+    film: Option<Film>,
+    sizes: Sizes,
+    /// Finished films being encoded, each on its own thread: neither frames nor training wait for them.
+    assembling: Vec<JoinHandle<()>>,
+    /// True if no page needs these any more.
+    abandoned: Arc<AtomicBool>,
+}
+
+impl Studio {
+    pub fn new(hub: Arc<Hub>, base: RenderSettings, films: PathBuf) -> Studio {
+        Studio {
+            hub,
+            base,
+            lights: PhotoLights::default(),
+            frame: WorldFrame::default(),
+            films,
+            film: None,
+            sizes: Sizes::default(),
+            assembling: Vec::new(),
+            abandoned: Arc::default(),
+        }
+    }
+
+    /// Switches to another scene, drawn as it was trained.
+    pub fn show(&mut self, base: RenderSettings, lights: PhotoLights, frame: WorldFrame) {
+        (self.base, self.lights, self.frame) = (base, lights, frame);
+    }
+
+    /// True if a film is in progress or waits.
+    pub fn has_films(&self) -> bool {
+        self.film.is_some() || self.hub.has_films()
+    }
+
+    /// True if any task is waiting.
+    pub fn is_wanted(&self) -> bool {
+        self.film.is_some() || self.hub.is_wanted()
+    }
+
+    /// Does one task, if one arrives in time. True if it did.
+    ///
+    /// # Errors
+    /// When the device is lost. Other errors are reported to the page that made the request.
+    pub fn serve(&mut self, painter: &mut dyn Painter, longest: Duration) -> Result<bool> {
+        let Some(task) = self.hub.next(longest) else { return Ok(false) };
+        let mut painter = Sparing { painter, sizes: self.sizes };
+        let done = self.serve_task(&mut painter, task);
+        self.sizes = painter.sizes;
+        done
+    }
+
+    fn serve_task(&mut self, painter: &mut dyn Painter, task: Task) -> Result<bool> {
+        match task {
+            Task::Frame { client, request } => {
+                self.attend(painter, client, &request.look);
+                let answer = draw::answer(painter, (&self.base, &self.lights, &self.frame), &request);
+                let failed = answer.is_err();
+                self.reply(client, answer.map(|(header, bytes)| ToPage::frame(&header, &bytes)))?;
+                if failed {
+                    // No frame was sent, so the page will not confirm one.
+                    self.hub.acknowledge(client);
+                }
+            }
+            Task::Pick { client, pick } => {
+                self.attend(painter, client, &pick.look);
+                let settings = draw::settings(&self.base, &pick.look);
+                let report = pick.camera.camera().and_then(|c| painter.inspect(&c, &settings, pick.pixel));
+                let answer = report.map(|r| ToPage::json(&protocol::picked(pick.id, pick.pixel, &r)));
+                self.reply(client, answer)?;
+            }
+            Task::Film => return self.go_on_filming(painter),
+            Task::Remote(request) => self.answer_remotely(painter, &request)?,
+            Task::Scene(request) => self.hand_over(painter, request)?,
+        }
+        Ok(true)
+    }
+
+    /// Tells the painter the viewer of the next picture.
+    fn attend(&self, painter: &mut dyn Painter, page: u64, look: &Look) {
+        painter.attend(&Audience {
+            viewer: Viewer { page, films: false },
+            budget: look.budget,
+            is_there: &|viewer| match viewer.films {
+                true => self.film.is_some(),
+                false => viewer.page == REMOTE || self.hub.has_page(viewer.page),
+            },
+        });
+    }
+
+    /// Sends an answer, or its error.
+    fn reply(&self, client: u64, answer: Result<ToPage>) -> Result<()> {
+        match answer {
+            Ok(message) => self.hub.send(client, message),
+            Err(error) => {
+                self.hub.send(client, ToPage::problem(&error.to_string()));
+                fatal(error)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn answer_remotely(&self, painter: &mut dyn Painter, request: &RemoteRequest) -> Result<()> {
+        self.attend(painter, REMOTE, &Look::default());
+        let settings = RenderSettings { scale_modifier: request.scale, ..self.base };
+        let mut camera = request.camera;
+        // The program sends coordinates of the files.
+        let rotation = camera.camera_from_world.as_dmat3();
+        camera.translation = self.frame.translation(rotation, camera.translation.as_dvec3());
+        let frame = painter.render(&camera, &settings).and_then(|frame| output::to_photo(&frame));
+        match frame {
+            Ok(photo) => {
+                request.answer.try_send(photo.rgb).ok();
+                Ok(())
+            }
+            // Without an answer, the connection closes.
+            Err(error) => fatal(error),
+        }
+    }
+
+    /// Sends the scene to the thread that writes it to a file.
+    fn hand_over(&self, painter: &dyn Painter, request: SceneRequest) -> Result<()> {
+        // The requester may have gone.
+        if request.answer.is_closed() {
+            return Ok(());
+        }
+        let marks = WriteOptions { frame: self.frame, ..WriteOptions::marking(&self.base) };
+        match painter.gaussians() {
+            Ok(gaussians) => drop(request.answer.send(Ok(CurrentScene { gaussians, marks }))),
+            Err(error) => {
+                drop(request.answer.send(Err(error.to_string())));
+                fatal(error)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Renders one frame of the film in progress, or begins the next film.
+    fn go_on_filming(&mut self, painter: &mut dyn Painter) -> Result<bool> {
+        let Some(mut film) = self.film.take() else { return Ok(self.begin_film()) };
+        let client = film.client();
+        if self.hub.film_is_called_off() {
+            film.discard();
+            self.end_film(client, json!({ "type": "film", "cancelled": true }));
+            return Ok(true);
+        }
+        let viewer = Viewer { page: client, films: true };
+        painter.attend(&Audience { viewer, budget: film.budget(), is_there: &|_| true });
+        match film.advance(painter, &self.base) {
+            Err(error) => {
+                film.discard();
+                self.end_film(client, json!({ "type": "film", "cancelled": true }));
+                self.reply(client, Err(error))?;
+            }
+            // The tiles of its next frame are still being read.
+            Ok(None) => {
+                std::thread::sleep(SHORTLY);
+                self.film = Some(film);
+            }
+            Ok(Some(progress)) => match film.assembly() {
+                None => {
+                    self.hub.send(client, ToPage::json(&progress));
+                    self.film = Some(film);
+                }
+                Some(assembly) => {
+                    self.end_film(client, progress.clone());
+                    self.assemble(client, assembly, progress);
+                }
+            },
+        }
+        Ok(true)
+    }
+
+    fn begin_film(&mut self) -> bool {
+        let Some((client, request)) = self.hub.take_film() else { return false };
+        self.assembling.retain(|thread| !thread.is_finished());
+        let begun = match self.assembling.len() < MOST_ASSEMBLED {
+            true => Film::begin(client, request, (&self.films, &self.frame)),
+            false => Err(Error::argument("film", "others are being put together: ask again in a while")),
+        };
+        match begun {
+            Ok(film) => self.film = Some(film),
+            Err(error) => {
+                self.end_film(client, json!({ "type": "film", "cancelled": true }));
+                self.hub.send(client, ToPage::problem(&error.to_string()));
+            }
+        }
+        true
+    }
+
+    /// Notifies the page and lets the next film begin.
+    fn end_film(&self, client: u64, message: Value) {
+        self.hub.film_ended();
+        self.hub.send(client, ToPage::json(&message));
+    }
+
+    /// Encodes a film on its own thread, then notifies the page.
+    fn assemble(&mut self, client: u64, film: Assembly, mut progress: Value) {
+        let (hub, abandoned) = (self.hub.clone(), self.abandoned.clone());
+        let work = move || {
+            let message = match film.run(&abandoned) {
+                Ok(files) => {
+                    let names = ["gif", "mp4", "path"].iter().filter_map(|kind| files[kind].as_str());
+                    hub.publish_film(names.map(str::to_owned));
+                    progress["files"] = files;
+                    progress
+                }
+                Err(error) => {
+                    hub.send(
+                        client,
+                        ToPage::problem(&format!(
+                            "the film's frames are there, but the film is not: {error}"
+                        )),
+                    );
+                    json!({ "type": "film", "cancelled": true })
+                }
+            };
+            hub.send(client, ToPage::json(&message));
+        };
+        match std::thread::Builder::new().name("film".into()).spawn(work) {
+            Ok(thread) => self.assembling.push(thread),
+            Err(error) => self.hub.send(client, ToPage::problem(&format!("no film: {error}"))),
+        }
+    }
+
+    /// Waits for the films that are being encoded.
+    pub fn finish(&mut self) {
+        // A panic has been reported already.
+        self.assembling.drain(..).for_each(|thread| drop(thread.join()));
+    }
+}
+
+impl Drop for Studio {
+    /// Leaves no half-made files.
+    fn drop(&mut self) {
+        self.abandoned.store(true, Ordering::Relaxed);
+        self.finish();
+        if let Some(film) = self.film.take() {
+            film.discard();
+        }
+    }
+}
+
+/// Returns errors that must end the program.
+pub fn fatal(error: Error) -> Result<()> {
+    match error {
+        Error::DeviceLost { .. } | Error::Timeout { .. } => Err(error),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,371 @@
+//! The scene to look at: Gaussians, render settings, cameras and photos.
+
+use super::labels::labels;
+use super::lights::PhotoLights;
+use super::photos::Photos;
+use super::protocol::CameraMessage;
+use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit, WorldFrame, without_strays};
+use ashsplat::{Error, RenderSettings, Result};
+use ashsplat_files::cameras_json::{self, NamedCamera};
+use ashsplat_files::quoted;
+use ashsplat_files::splats::{Format, ReadOptions, Target};
+use ashsplat_files::tiles::Tree;
+use ashsplat_files::{DatasetOptions, Gallery};
+use ashsplat_program::args::HostArguments;
+use ashsplat_program::config::{CAMERAS_FILE, DataSettings, Settings};
+use ashsplat_program::light::Lights;
+use ashsplat_program::look::{LookArguments, gaussians_of, orbit_around, tree_of};
+use ashsplat_program::model::Model;
+use ashsplat_program::progress::thousands;
+use ashsplat_program::{model, session};
+use glam::Vec3;
+use serde_json::{Value, json};
+use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::SystemTime;
+
+/// SH degree of a data set's points: they have one colour each.
+const POINTS_SH_DEGREE: u32 = 0;
+/// Size of the first picture, before the page requests its own.
+const START_SIZE: [u32; 2] = [1280, 720];
+
+/// A scene to look at.
+pub struct Subject {
+    pub name: String,
+    pub gaussians: Gaussians,
+    /// Coordinate frame of Gaussians and cameras within their files' coordinates.
+    pub frame: WorldFrame,
+    /// Render settings that it was trained with.
+    pub base: RenderSettings,
+    /// Cameras of the photos, if there are any.
+    pub cameras: Vec<NamedCamera>,
+    pub photos: Option<Arc<Photos>>,
+    /// Exposure and lens effects of the photos.
+    pub lights: PhotoLights,
+    /// Text on the page: instead of an empty scene, otherwise below the name.
+    pub note: Option<String>,
+    /// Its file or folder, for commands; none if there is none.
+    pub file: Option<PathBuf>,
+    /// Tree of tiles; the Gaussians are its coarsest tile.
+    pub tree: Option<Streamed>,
+    /// Up direction, if it differs from the cameras'.
+    pub up: Option<Vec3>,
+}
+
+/// A tree of tiles, of which the viewer loads the visible ones.
+pub struct Streamed {
+    pub tree: Arc<Tree>,
+    pub read: ReadOptions,
+    /// Most Gaussians of a picture.
+    pub budget: usize,
+    /// Tiles whose links lead out of this folder are not read.
+    pub within: Option<PathBuf>,
+}
+
+/// Options that select parts of a scene.
+pub struct Wanted<'a> {
+    /// Iteration of a model folder.
+    pub iteration: Option<u32>,
+    pub source: Option<&'a Path>,
+    pub images: Option<&'a str>,
+    /// Photos outside this folder are not read: a model may name any folder.
+    pub within: Option<&'a Path>,
+    /// Most Gaussians of a picture of a tree of tiles.
+    pub budget: Option<Target>,
+}
+
+/// Default budget of a tree, Gaussians.
+const BUDGET: usize = 1_000_000;
+
+impl Subject {
+    /// The subject before any scene is chosen.
+    pub fn nothing() -> Subject {
+        let note = "No scene is open. Start the viewer with something to look at: `ashsplat view scene.ply`, \
+                    `ashsplat view MODEL` (a folder as `ashsplat train -m` leaves it) or `ashsplat view DATASET`.";
+        Subject {
+            name: "nothing".into(),
+            gaussians: Gaussians::default(),
+            frame: WorldFrame::default(),
+            base: RenderSettings::default(),
+            cameras: Vec::new(),
+            photos: None,
+            lights: PhotoLights::default(),
+            note: Some(note.into()),
+            file: None,
+            tree: None,
+            up: None,
+        }
+    }
+
+    /// A tree of tiles: reads only its coarsest tile.
+    fn of_tree(
+        tree: Tree,
+        path: &Path,
+        wanted: &Wanted<'_>,
+        (look, host): (&LookArguments, &HostArguments),
+    ) -> Result<Subject> {
+        let coarsest = tree.path(0).ok_or_else(|| Error::input(path, "has no tiles", "write it again"))?;
+        let streamed = |tree: Tree| Streamed {
+            read: host.reading(look.drop_invalid),
+            budget: wanted.budget.map_or(BUDGET, |budget| gaussians_of(budget, &tree)),
+            within: wanted.within.map(Path::to_owned),
+            tree: Arc::new(tree),
+        };
+        if let Some(folder) = wanted.within
+            && !coarsest.canonicalize().is_ok_and(|real| real.starts_with(folder))
+        {
+            return Err(Error::input(
+                coarsest,
+                "leads out of the folder that may be opened",
+                "name the tree itself",
+            ));
+        }
+        let scene = tree.read(0, &host.reading(look.drop_invalid))?;
+        if scene.gaussians.is_empty() {
+            return Err(Error::input(
+                coarsest,
+                "has no Gaussians",
+                "write the tree again with `ashsplat tiles`",
+            ));
+        }
+        Ok(Subject {
+            name: path.display().to_string(),
+            base: look.settings(&Settings::default(), &scene.header)?,
+            gaussians: scene.gaussians,
+            frame: scene.frame,
+            cameras: Vec::new(),
+            photos: None,
+            lights: PhotoLights::default(),
+            note: Some(format!(
+                "{} Gaussians in {} tiles",
+                thousands(tree.gaussians() as u64),
+                tree.tiles().len()
+            )),
+            file: None,
+            tree: Some(streamed(tree)),
+            up: None,
+        })
+    }
+
+    /// Loads a file of Gaussians, a model folder, a tree of tiles, or the points of a data set.
+    pub fn load(
+        path: &Path,
+        wanted: &Wanted<'_>,
+        look: &LookArguments,
+        host: &HostArguments,
+        stop: &AtomicBool,
+    ) -> Result<Subject> {
+        let folder = model::folder_of_tiles(path);
+        if let Some(tree) = tree_of(folder, wanted.budget.is_some())? {
+            return Subject::of_tree(tree, path, wanted, (look, host));
+        }
+        if model::is_dataset(path) {
+            return Subject::of_dataset(path, wanted.images, host, stop);
+        }
+        let model = Model::locate(path, wanted.iteration)?;
+        let scene = look.load(&model.ply, host)?;
+        let mut data = model.settings.data.clone();
+        if let Some(source) = wanted.source {
+            data.source_path = source.to_owned();
+        }
+        if let Some(images) = wanted.images {
+            data.images = images.to_owned();
+        }
+        let asked = wanted.source.is_some() || wanted.images.is_some();
+        let white = model.settings.train.white_background;
+        if wanted.within.is_some_and(|folder| !lies_within(&data, folder)) {
+            data.source_path = PathBuf::new();
+        }
+        let gallery = match (asked, photos_of(&data, (white, &scene.frame), host, stop)) {
+            (true, gallery) => Some(gallery?),
+            (false, Err(Error::Interrupted)) => return Err(Error::Interrupted),
+            // The training's data set may be gone.
+            (false, gallery) => gallery.ok(),
+        };
+        let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
+        let cameras = match (&gallery, own.filter(|own| own.is_file())) {
+            (Some(gallery), _) => gallery.cameras(),
+            (None, Some(own)) => pinholes(&own, &scene.frame)?,
+            (None, None) => Vec::new(),
+        };
+        let lights = match &model.folder {
+            Some((folder, _)) => Lights::read(folder)?,
+            None => Lights::default(),
+        };
+        let newest = model.folder.is_some() && wanted.iteration.is_none();
+        let file = if newest { path.to_owned() } else { model.ply };
+        Ok(Subject {
+            name: path.display().to_string(),
+            base: look.settings(&model.settings, &scene.header)?,
+            gaussians: scene.gaussians,
+            frame: scene.frame,
+            lights: PhotoLights::kept(&cameras, &lights),
+            cameras,
+            photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
+            note: model.folder.map(|(_, iteration)| format!("iteration {iteration}")),
+            file: Some(file),
+            tree: None,
+            up: None,
+        })
+    }
+
+    fn of_dataset(
+        path: &Path,
+        images: Option<&str>,
+        host: &HostArguments,
+        stop: &AtomicBool,
+    ) -> Result<Subject> {
+        let data = DataSettings { source_path: path.to_owned(), ..Default::default() };
+        let mut options = DatasetOptions { host_memory: host.memory(), ..Default::default() };
+        if let Some(images) = images {
+            options.images = images.to_owned();
+        }
+        let gallery = session::open(&data, &options, stop)?;
+        let points = gallery.points();
+        let (gaussians, note) = if points.is_empty() {
+            (Gaussians::default(), "This data set has no points to show; its photos are on the right.")
+        } else {
+            (
+                ashsplat_files::initial_gaussians(points, POINTS_SH_DEGREE)?,
+                "the data set's points: nothing is trained yet",
+            )
+        };
+        Ok(Subject {
+            name: path.display().to_string(),
+            gaussians,
+            frame: *gallery.frame(),
+            base: RenderSettings::default(),
+            cameras: gallery.cameras(),
+            lights: PhotoLights::default(),
+            photos: Some(Arc::new(Photos::new(gallery))),
+            note: Some(note.into()),
+            file: None,
+            tree: None,
+            up: None,
+        })
+    }
+
+    /// First message to a page.
+    pub fn greeting(&self, device: &str, training: Option<u32>) -> Value {
+        let [width, height] = START_SIZE;
+        let intrinsics = Intrinsics::from_fov_x(1.0, width, height);
+        let cameras: Vec<Camera> = self.cameras.iter().map(|named| named.camera).collect();
+        let statistics = self.gaussians.statistics();
+        let tree = self.tree.as_ref();
+        let corners = |bounds: Bounds| json!([bounds.min.to_array(), bounds.max.to_array()]);
+        let middle = statistics.central_bounds.map(|bounds| bounds.center());
+        let orbit = Orbit::around_scene(&cameras, middle, 1, intrinsics);
+        let up = self.up.unwrap_or(Vec3::NEG_Y);
+        let orbit = orbit.unwrap_or_else(|| orbit_around(&self.gaussians, up, 1, intrinsics));
+        let start = without_strays(&cameras, Camera::position)
+            .first()
+            .copied()
+            .or_else(|| orbit.cameras().first().copied());
+        let names: Vec<&str> = self.cameras.iter().map(|named| named.name.as_str()).collect();
+        let photo = |(index, (named, label)): (usize, (&NamedCamera, String))| {
+            let camera = CameraMessage::of(&named.camera);
+            json!({ "name": named.name, "label": label, "camera": camera, "lit": self.lights.has(index) })
+        };
+        let photos = self.cameras.iter().zip(labels(&names)).enumerate().map(photo);
+        json!({
+            "type": "scene",
+            "name": self.name,
+            "run": run_name(),
+            "note": self.note,
+            "frame": { "origin": self.frame.origin.to_array(), "unit": self.frame.unit },
+            "empty": self.gaussians.is_empty(),
+            "gaussians": tree.map_or(self.gaussians.len(), |tree| tree.tree.gaussians()),
+            "tree": tree.map(|tree| json!({ "budget": tree.budget, "least": self.gaussians.len() })),
+            "sh_degree": self.gaussians.sh_degree,
+            "bounds": tree.and_then(Streamed::bounds).or(statistics.bounds).map(corners),
+            "central_bounds": statistics.central_bounds.map(corners),
+            "densities": statistics.density_percentiles,
+            "stem": self.stem(),
+            "convert": self.convert_command(),
+            "background": self.base.background,
+            "device": device,
+            "version": env!("CARGO_PKG_VERSION"),
+            "cameras": photos.collect::<Vec<_>>(),
+            "has_photos": self.photos.is_some(),
+            "start": start.map(|camera| CameraMessage::of(&camera)),
+            "pivot": orbit.center.to_array(),
+            "up": self.up.unwrap_or(orbit.up).to_array(),
+            "radius": orbit.radius,
+            "training": training,
+        })
+    }
+}
+
+impl Streamed {
+    /// Bounds of the whole tree.
+    fn bounds(&self) -> Option<Bounds> {
+        self.tree.tiles().first().map(|tile| tile.bounds)
+    }
+}
+
+impl Subject {
+    /// The scene's name without its ending, for new files.
+    fn stem(&self) -> String {
+        let name = Path::new(&self.name).file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let ending = Format::of_extension(&name).map_or(0, |format| format.extension().len());
+        let stem = name[..name.len() - ending].trim_start_matches('.');
+        if stem.is_empty() { "scene".into() } else { stem.into() }
+    }
+
+    /// Start of a command that cuts the scene.
+    fn convert_command(&self) -> Option<String> {
+        let file = self.file.as_ref()?.to_string_lossy().into_owned();
+        let cut = format!("{}_cut.ply", self.stem());
+        Some(format!("ashsplat convert {} {}", quoted(&file), quoted(&cut)))
+    }
+}
+
+/// A word unique to this run, so that no browser reuses another run's photos.
+fn run_name() -> String {
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    format!("{:x}", now.as_nanos())
+}
+
+/// The pinhole cameras of a model; the viewer shows no others.
+fn pinholes(file: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
+    let mut cameras = cameras_json::read(file, frame)?;
+    let all = cameras.len();
+    cameras.retain(|named| !named.camera.is_orthographic());
+    if cameras.len() < all {
+        tell!(
+            "{}: {} orthographic cameras are left out: views are pinholes",
+            file.display(),
+            all - cameras.len()
+        );
+    }
+    Ok(cameras)
+}
+
+/// True if a data set and its photos lie in `folder`, a path without links. A stranger's model may name any path.
+fn lies_within(data: &DataSettings, folder: &Path) -> bool {
+    let Ok(source) = data.source_path.canonicalize() else { return false };
+    let images = Path::new(&data.images);
+    // The masks' folder is named after the photos' folder, so a `..` would lead it out too.
+    let climbs = images.components().any(|part| part == Component::ParentDir);
+    let photos_lie_within = match source.join(images).canonicalize() {
+        Ok(photos) => photos.starts_with(folder),
+        // The folder does not exist, or lies in a ZIP, which is unpacked elsewhere.
+        Err(_) => !images.has_root() && !images.is_absolute(),
+    };
+    source.starts_with(folder) && !climbs && photos_lie_within
+}
+
+/// The photos of a training's data set, at the size that training uses.
+fn photos_of(
+    data: &DataSettings,
+    (white_background, frame): (bool, &WorldFrame),
+    host: &HostArguments,
+    stop: &AtomicBool,
+) -> Result<Gallery> {
+    if data.source_path.as_os_str().is_empty() {
+        return Err(Error::argument("data set", "is not known; name it with -s DATASET"));
+    }
+    let options = DatasetOptions { frame: Some(*frame), ..session::options(data, white_background, host)? };
+    session::open(data, &options, stop)
+}

@@ -1,0 +1,120 @@
+//! `ashsplat view --window`: a window on this machine's screen instead of a page, drawn by the same device.
+//!
+//! The window is a host that shares the engine's device, whose context has the window's extensions. Frames are recorded into
+//! the window's command buffers and copied to its images on the device. The modes that the processor colours (ellipsoids,
+//! depth, tiles) are drawn as for the page, and uploaded.
+
+mod app;
+mod comparison;
+mod controls;
+mod keys;
+mod navigation;
+mod pace;
+mod picture;
+mod present;
+mod stage;
+mod text;
+mod words;
+
+use super::Arguments;
+use super::streamed::{Onlooker, Scenery};
+use app::App;
+use ashsplat::{Error, Renderer, Result};
+use picture::Picture;
+use present::unfit;
+use stage::Stage;
+use std::panic;
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, PoisonError};
+use winit::event_loop::{EventLoop, EventLoopProxy};
+use words::no_display;
+
+/// Runs the command until its window is closed, or Ctrl-C.
+pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result<()> {
+    // A missing display is reported before anything is loaded.
+    let events = open()?;
+    let instance_extensions = present::instance_extensions(&events)?;
+    let subject = arguments.subject(&stop)?;
+    let opened = arguments.device.context_with(|options| {
+        // Frames recorded into a host's command buffers cannot read texels.
+        options.texels = false;
+        options.instance_extensions = instance_extensions;
+        options.device_extensions = present::DEVICE_EXTENSIONS.to_vec();
+    });
+    let context = opened.map_err(|error| match &error {
+        Error::MissingFeature { feature, .. }
+            if feature.contains("surface") || feature.contains("swapchain") =>
+        {
+            present::unfit(&error.to_string())
+        }
+        _ => error,
+    })?;
+    let mut scenery = Scenery::new(Renderer::new(&context)?);
+    let bell = Arc::new(Bell::new(events.create_proxy()));
+    let onlooker: Arc<dyn Onlooker> = bell.clone();
+    scenery.show(&subject.gaussians, subject.tree.as_ref(), onlooker)?;
+    let picture = Picture::new(scenery, subject.gaussians.sh_degree)?;
+    let stage = Stage::new(subject, (picture, bell), context.device_name(), out)?;
+    let mut app = App::new(stage, context.clone(), stop, !arguments.no_vsync);
+    say!("window on {}; ? lists the keys", context.device_name());
+    let ended = events.run_app(&mut app).map_err(|error| present::unfit(&error.to_string()));
+    let failed = app.close();
+    drop(app);
+    // The last objects take the device with them; report what validation says of that.
+    let left = || vec!["the window is closed, and something of it still holds the device".to_owned()];
+    for message in context.close().unwrap_or_else(left) {
+        tell!("validation: {message}");
+    }
+    failed.map_or(ended, Err)
+}
+
+/// Connects to the display of this session.
+///
+/// # Errors
+/// One line, if there is no display.
+fn open() -> Result<EventLoop<()>> {
+    // winit panics if a display library or an extension of the server is missing.
+    let before = panic::take_hook();
+    panic::set_hook(Box::new(|_| {}));
+    let opened = panic::catch_unwind(|| EventLoop::builder().build());
+    panic::set_hook(before);
+    match opened {
+        Ok(Ok(events)) => Ok(events),
+        Ok(Err(error)) => Err(unfit(&no_display(&error.to_string()))),
+        Err(payload) => {
+            let text = payload.downcast_ref::<String>().cloned();
+            let text = text.or_else(|| payload.downcast_ref::<&str>().map(|text| (*text).to_owned()));
+            Err(unfit(&no_display(&text.unwrap_or_default())))
+        }
+    }
+}
+
+/// Passes events of a tree of tiles from its reading thread to the window: wakes its loop, and keeps the latest message for it.
+pub struct Bell {
+    wake: Mutex<EventLoopProxy<()>>,
+    said: Mutex<Option<String>>,
+}
+
+impl Bell {
+    pub fn new(wake: EventLoopProxy<()>) -> Bell {
+        Bell { wake: Mutex::new(wake), said: Mutex::default() }
+    }
+
+    /// Takes the latest message, if any.
+    pub fn said(&self) -> Option<String> {
+        self.said.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+impl Onlooker for Bell {
+    fn renew(&self) {
+        // A loop that has ended needs no waking.
+        self.wake.lock().unwrap_or_else(PoisonError::into_inner).send_event(()).ok();
+    }
+
+    fn tell(&self, problem: &str) {
+        *self.said.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem.to_owned());
+        self.renew();
+    }
+}

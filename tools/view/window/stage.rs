@@ -1,0 +1,452 @@
+//! State of the window: view, mode, photo, text.
+
+use super::super::draw;
+use super::super::lights::PhotoLights;
+use super::super::photos::Photos;
+use super::super::protocol::{self, CameraMessage, Look, Mode};
+use super::super::studio::fatal;
+use super::super::subject::Subject;
+use super::Bell;
+use super::comparison::Comparison;
+use super::keys::Action;
+use super::navigation::Navigation;
+use super::pace::{Due, Pace};
+use super::picture::{Content, Picture};
+use super::present::Present;
+use super::text::{Overlay, Text, text};
+use super::words::{self, Measured};
+use ashsplat::scene::Camera;
+use ashsplat::{PixelReport, RenderSettings, Result};
+use ashsplat_files::Photo;
+use ashsplat_files::cameras_json::NamedCamera;
+use ashsplat_program::light::Light;
+use ashsplat_program::output;
+use glam::DVec3;
+use serde_json::Value;
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime};
+
+/// Modes in the page's order; the processor colours the last three.
+const MODES: [Mode; 5] = [Mode::Splats, Mode::Centres, Mode::Ellipsoids, Mode::Depth, Mode::Tiles];
+/// Display time of a message.
+const SAID: Duration = Duration::from_secs(6);
+/// Window rows per unit of text scale.
+const ROWS_PER_DOT: u32 = 540;
+/// Distance of the text from the corner, pixels.
+const CORNER: u32 = 8;
+
+/// A frame that the device still works on.
+struct Pending {
+    slot: u32,
+    due: Due,
+    begun: Instant,
+    /// Time that its picture took before submission, ms.
+    before: f64,
+    splats: bool,
+    /// True if it was drawn only to show the previous frame's figures.
+    settled: bool,
+}
+
+pub struct Stage {
+    picture: Picture,
+    bell: Arc<Bell>,
+    pub view: Navigation,
+    pub pace: Pace,
+    mode: usize,
+    base: RenderSettings,
+    cameras: Vec<NamedCamera>,
+    photos: Option<Arc<Photos>>,
+    lights: PhotoLights,
+    /// True if photos' views are drawn with their exposure and lens effects.
+    lit: bool,
+    name: String,
+    device: String,
+    note: Option<String>,
+    start: Option<Camera>,
+    center: DVec3,
+    /// Source units of a world unit.
+    unit: f32,
+    out: PathBuf,
+    /// Size of the window, pixels.
+    pub size: [u32; 2],
+    /// Pixels per logical pixel.
+    pub scale_factor: f64,
+    measured: Measured,
+    pending: VecDeque<Pending>,
+    ended: Option<Instant>,
+    settle: bool,
+    current: Option<usize>,
+    comparison: Option<Comparison>,
+    /// Border between photo and render, share of the photo's width.
+    share: f64,
+    pub inspecting: bool,
+    panel: bool,
+    pub help: bool,
+    picked: Vec<String>,
+    message: Option<(String, Instant)>,
+}
+
+impl Stage {
+    pub fn new(
+        subject: Subject,
+        (picture, bell): (Picture, Arc<Bell>),
+        device: &str,
+        out: PathBuf,
+    ) -> Result<Stage> {
+        let greeting = subject.greeting(device, None);
+        let triple = |key: &str| {
+            let values: Option<[f64; 3]> = serde_json::from_value(greeting[key].clone()).ok();
+            values.map_or(DVec3::ZERO, DVec3::from_array)
+        };
+        let start = match &greeting["start"] {
+            Value::Null => None,
+            message => serde_json::from_value::<CameraMessage>(message.clone()).ok(),
+        };
+        let center = triple("pivot");
+        let view = Navigation::new(center, triple("up"), greeting["radius"].as_f64().unwrap_or(1.0));
+        let mut stage = Stage {
+            picture,
+            bell,
+            view,
+            pace: Pace::new(),
+            mode: 0,
+            base: subject.base,
+            cameras: subject.cameras,
+            photos: subject.photos,
+            lights: subject.lights,
+            lit: false,
+            name: subject.name,
+            device: device.to_owned(),
+            note: subject.note,
+            start: start.map(|message| message.camera()).transpose()?,
+            center,
+            unit: subject.frame.unit as f32,
+            out,
+            size: [1, 1],
+            scale_factor: 1.0,
+            measured: Measured::default(),
+            pending: VecDeque::new(),
+            ended: None,
+            settle: false,
+            current: None,
+            comparison: None,
+            share: 0.5,
+            inspecting: false,
+            panel: true,
+            help: false,
+            picked: Vec::new(),
+            message: None,
+        };
+        stage.home();
+        Ok(stage)
+    }
+
+    /// The last part of the scene's name.
+    pub fn title(&self) -> &str {
+        self.name.split('/').rfind(|part| !part.is_empty()).unwrap_or(&self.name)
+    }
+
+    fn home(&mut self) {
+        let Some(start) = self.start else { return };
+        self.view.pivot = self.center;
+        self.view.take(&start, false);
+        self.view.touch();
+        self.pace.leap();
+    }
+
+    fn look(&self) -> Look {
+        Look { mode: MODES[self.mode], quality: 0, ..Look::default() }
+    }
+
+    /// Shows a message for a while.
+    pub fn say(&mut self, text: String) {
+        self.message = Some((text, Instant::now()));
+        self.pace.leap();
+    }
+
+    /// Performs a key's action that does not steer. True if the window should close.
+    pub fn act(&mut self, action: Action) -> Result<bool> {
+        match action {
+            Action::Mode(mode) => (self.mode, self.measured.legend) = (mode, None),
+            Action::Inspect => {
+                self.inspecting = !self.inspecting;
+                self.say(format!("inspecting pixels: {}", if self.inspecting { "on" } else { "off" }));
+            }
+            Action::Panel => self.panel = !self.panel,
+            Action::Screenshot => self.screenshot()?,
+            Action::Face => self.view.face(self.center),
+            Action::Home => self.home(),
+            Action::Photo(step) => self.step(step),
+            Action::PhotoLight => {
+                self.lit = !self.lit;
+                self.say(words::photo_light(self.lit, self.knows_lights()).into());
+            }
+            Action::Close => return Ok(!self.close_something()),
+            Action::Fly(_) | Action::Turn(_) | Action::Zoom(_) | Action::FlyMode => {}
+        }
+        self.pace.leap();
+        Ok(false)
+    }
+
+    fn knows_lights(&self) -> bool {
+        (0..self.cameras.len()).any(|photo| self.lights.has(photo))
+    }
+
+    /// Exposure and lens effects for the picture, if the view is exactly a photo's.
+    fn photo_light(&mut self) -> Result<Option<(Camera, Light)>> {
+        let lit = self.lit && self.mode == 0 && self.view.is_photo();
+        let photo = self.current.filter(|photo| lit && self.lights.has(*photo));
+        photo.map(|photo| self.lights.of(photo, self.picture.painter())).transpose()
+    }
+
+    /// Closes help, photo and list of Gaussians. True if any was open.
+    fn close_something(&mut self) -> bool {
+        let compares = self.comparison.take().is_some() && self.view.is_photo();
+        let open = self.help || compares || !self.picked.is_empty();
+        (self.help, self.current) = (false, None);
+        self.picked.clear();
+        open
+    }
+
+    /// Goes to the next or the previous photo.
+    fn step(&mut self, by: isize) {
+        let count = self.cameras.len() as isize;
+        if count == 0 {
+            return;
+        }
+        let from = self.current.map_or(if by > 0 { -1 } else { 0 }, |current| current as isize);
+        let index = (from + by).rem_euclid(count) as usize;
+        self.current = Some(index);
+        let named = &self.cameras[index];
+        self.view.take(&named.camera, true);
+        let name = named.name.clone();
+        let photo = self.photos.as_ref().map(|photos| photos.decoded_now(index));
+        let (photo, problem) = match photo {
+            Some(Ok(photo)) => (Some(photo), None),
+            Some(Err(error)) => (None, Some(error.to_string())),
+            None => (None, None),
+        };
+        self.comparison = photo.map(Comparison::new);
+        self.say(problem.unwrap_or(name));
+    }
+
+    /// Border between photo and render, pixels from the left; none if no photo is shown.
+    pub fn wipe(&self) -> Option<f64> {
+        let lens = self.view.lens().filter(|_| self.comparison.is_some())?;
+        let (scale, [x, _]) = Navigation::frame(lens, self.size);
+        Some(x + self.share * f64::from(lens.width) * scale)
+    }
+
+    /// Moves the border between photo and render.
+    pub fn move_wipe(&mut self, x: f64) {
+        let Some(lens) = self.view.lens() else { return };
+        let (scale, [left, _]) = Navigation::frame(lens, self.size);
+        self.share = ((x - left) / (f64::from(lens.width) * scale)).clamp(0.0, 1.0);
+        self.pace.leap();
+    }
+
+    fn report(&mut self, [x, y]: [f64; 2]) -> Result<Option<([u32; 2], PixelReport)>> {
+        let pixel = [x, y].map(|v| v.max(0.0) as u32);
+        let camera = self.view.camera(self.size);
+        let settings = draw::settings(&self.base, &Look::default());
+        if !self.picture.has_scene() {
+            return Ok(None);
+        }
+        match self.picture.painter().inspect(&camera, &settings, pixel) {
+            Ok(report) => Ok(Some((pixel, report))),
+            Err(error) => {
+                self.say(error.to_string());
+                fatal(error).map(|()| None)
+            }
+        }
+    }
+
+    /// Lists the Gaussians blended at a pixel.
+    pub fn pick(&mut self, at: [f64; 2]) -> Result<()> {
+        if let Some((pixel, mut report)) = self.report(at)? {
+            report.samples.iter_mut().for_each(|sample| sample.depth *= self.unit);
+            self.picked = words::picked(pixel, &report);
+            self.pace.leap();
+        }
+        Ok(())
+    }
+
+    /// Moves the pivot to the point at a pixel.
+    pub fn set_pivot(&mut self, at: [f64; 2]) -> Result<()> {
+        let depth = self.report(at)?.and_then(|(_, report)| protocol::pivot_depth(&report));
+        if let Some(depth) = depth {
+            self.view.pivot = self.view.unproject(at, depth.into(), self.size);
+            self.say("turning around this point".into());
+        }
+        Ok(())
+    }
+
+    fn screenshot(&mut self) -> Result<()> {
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let path = self.out.join(format!("ashsplat-{}.png", now.as_millis()));
+        let (camera, look) = (self.view.camera(self.size), self.look());
+        if !self.picture.has_scene() {
+            return Ok(());
+        }
+        let drawn = (self.photo_light())
+            .and_then(|light| draw::draw_as(self.picture.painter(), &camera, &self.base, &look, light));
+        match drawn.and_then(|drawn| output::write_png(&path, &drawn.photo)) {
+            Ok(()) => self.say(format!("saved {}", path.display())),
+            Err(error) => {
+                self.say(error.to_string());
+                fatal(error)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Handles the bell: a tile has arrived, or there is a message.
+    pub fn renew(&mut self, busy: bool) {
+        if let Some(problem) = self.bell.said() {
+            self.say(problem);
+        }
+        self.pace.renew(busy);
+    }
+
+    /// Returns the next frame to draw.
+    pub fn due(&mut self, now: Instant, busy: bool) -> Due {
+        if self.message.as_ref().is_some_and(|(_, since)| now.duration_since(*since) > SAID) {
+            self.message = None;
+            self.pace.leap();
+        }
+        match self.pace.next(now, busy) {
+            Due::Nothing if self.settle => Due::Still,
+            due => due,
+        }
+    }
+
+    /// True if the device works on a frame.
+    pub fn is_waiting(&self) -> bool {
+        !self.pending.is_empty()
+    }
+
+    /// Records finished frames.
+    pub fn poll(&mut self, present: &Present) -> Result<()> {
+        while let Some(first) = self.pending.front() {
+            if !present.is_done(first.slot)? {
+                break;
+            }
+            let Some(done) = self.pending.pop_front() else { break };
+            let (now, from) = (Instant::now(), self.ended.map_or(done.begun, |ended| ended.max(done.begun)));
+            self.ended = Some(now);
+            let milliseconds = done.before + now.duration_since(from).as_secs_f64() * 1e3;
+            self.measured.milliseconds = milliseconds;
+            if let Due::Moving(scale) = done.due {
+                self.pace.adapt(milliseconds, scale);
+            }
+            if !done.splats {
+                continue;
+            }
+            self.settle |= done.due == Due::Still && !done.settled && self.panel;
+            match self.picture.report(present, done.slot) {
+                Ok(Some(report)) => {
+                    if report.overflow {
+                        self.pace.leap();
+                    }
+                    self.measured.take(report);
+                }
+                Ok(None) => {}
+                Err(error) => {
+                    self.say(error.to_string());
+                    fatal(error)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Draws and shows a frame. False if the window is not ready.
+    pub fn draw(&mut self, present: &mut Present, due: Due) -> Result<bool> {
+        let Some(size) = present.size()? else { return Ok(false) };
+        self.size = size;
+        present.wait()?;
+        self.poll(present)?;
+        let small = due.sides(size);
+        let settled = std::mem::take(&mut self.settle) && due == Due::Still;
+        let (camera, start) = (self.view.camera(small), Instant::now());
+        let settings = draw::settings(&self.base, &self.look());
+        let prepared = self.prepare(present, &camera, &settings);
+        let before = start.elapsed().as_secs_f64() * 1e3;
+        let background = self.base.background;
+        let content = match &prepared {
+            Ok(_) if !self.picture.has_scene() => Content::Nothing(background),
+            Ok(Some(photo)) => Content::Photo(photo),
+            Ok(None) if !self.picture.is_in_view() => Content::Nothing(background),
+            Ok(None) => Content::Splats(&settings),
+            Err(error) => {
+                self.message = Some((error.to_string(), Instant::now()));
+                Content::Nothing(background)
+            }
+        };
+        self.measured.size = small;
+        let text = self.text();
+        if let (Some(lens), Some(comparison)) = (self.view.lens(), &mut self.comparison) {
+            comparison.fit(lens, size, self.share);
+        }
+        let mut overlays = Vec::new();
+        if let Some(comparison) = self.comparison.as_ref().filter(|_| self.view.is_photo()) {
+            overlays.push(comparison.overlay());
+        }
+        overlays.push(Overlay { picture: &text, corner: [CORNER; 2] });
+        let splats = matches!(content, Content::Splats(_));
+        let drawn = self.picture.draw(present, size, &camera, &content, &overlays)?;
+        if let Err(error) = prepared {
+            fatal(error)?;
+        }
+        let Some((slot, begun)) = drawn else { return Ok(false) };
+        let before = if splats { 0.0 } else { before };
+        self.pending.push_back(Pending { slot, due, begun, before, splats, settled });
+        self.pace.drawn(due, Instant::now());
+        Ok(true)
+    }
+
+    /// Allocates what the frame needs. Returns the picture in a mode that the processor colours.
+    fn prepare(
+        &mut self,
+        present: &Present,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<Option<Photo>> {
+        camera.check()?;
+        if !self.picture.has_scene() {
+            return Ok(None);
+        }
+        let light = self.photo_light()?;
+        if light.is_none() && matches!(MODES[self.mode], Mode::Splats | Mode::Centres) {
+            let whole = self.view.camera(self.size);
+            self.picture.prepare(present, &whole, settings)?;
+            return Ok(None);
+        }
+        let look = self.look();
+        let drawn = draw::draw_as(self.picture.painter(), camera, &self.base, &look, light)?;
+        let unit = if MODES[self.mode] == Mode::Depth { self.unit } else { 1.0 };
+        let legend = drawn.legend.map(|ends| ends.map(|end| end * unit));
+        let milliseconds = self.measured.milliseconds;
+        self.measured = Measured { milliseconds, legend, ..Measured::told(&drawn.stats) };
+        Ok(Some(drawn.photo))
+    }
+
+    fn text(&self) -> Text {
+        let mut lines = Vec::new();
+        if self.panel {
+            let rate = self.pace.frames_per_second();
+            lines = words::status(&self.name, &self.device, self.mode, rate, &self.measured);
+            lines.extend(self.picture.tree().and_then(words::tree));
+            lines.extend(self.note.iter().flat_map(|note| words::wrapped(note)));
+        }
+        lines.extend(self.message.iter().flat_map(|(message, _)| words::wrapped(message)));
+        lines.extend(self.picked.iter().cloned());
+        if self.help {
+            lines.extend(words::help());
+        }
+        let dots = (self.size[1] / ROWS_PER_DOT).max(self.scale_factor.round() as u32).clamp(1, 8);
+        text(&lines, dots, self.size.map(|side| side.saturating_sub(2 * CORNER)))
+    }
+}
