@@ -420,37 +420,11 @@ fn architecture_no_return_before_a_barrier() {
     assert_none("return before a barrier", violations);
 }
 
-/// True if a shader or its includes use subgroups.
-fn knows_of_subgroups(name: &str, shaders: &[Source]) -> bool {
-    let file = |source: &&Source| source.path.rsplit('/').next() == Some(name);
-    let source = shaders.iter().find(file).unwrap_or_else(|| panic!("{name} is no shader"));
-    let operation = |line: &str| {
-        let mut after = line.match_indices("subgroup").map(|(at, word)| &line[at + word.len()..]);
-        after.any(|rest| rest.starts_with(|c: char| c.is_ascii_uppercase()))
-    };
-    code_lines(&source.text).any(|(_, line)| {
-        let included = line.strip_prefix("#include \"").and_then(|rest| rest.split('"').next());
-        operation(line)
-            || ["gl_Subgroup", "gl_NumSubgroups"].iter().any(|word| line.contains(word))
-            || included.is_some_and(|name| knows_of_subgroups(name, shaders))
-    })
-}
-
 /// The words of a list in `.ci/run`.
 fn list_of_ci(name: &str) -> Vec<String> {
     let script = std::fs::read_to_string(root().join(".ci/run")).expect("a script");
     let list = script.split_once(&format!("{name}='")).and_then(|(_, rest)| rest.split_once('\''));
     list.expect("a list").0.split_whitespace().map(str::to_owned).collect()
-}
-
-/// `.ci/run` skips them at other subgroup sizes.
-#[test]
-fn architecture_kernels_without_subgroups() {
-    let names = list_of_ci("without_subgroups");
-    assert!(names.len() > 30, "{names:?}");
-    let shaders = sources(&["glsl"], &["comp", "glsl"]);
-    let wrong = names.iter().filter(|name| knows_of_subgroups(&format!("{name}.comp"), &shaders));
-    assert_none("kernels with subgroups", wrong.cloned().collect());
 }
 
 /// `.ci/run` runs these trainings with the kernels of GPUs: each word of its list must match a trial's name.
