@@ -531,7 +531,7 @@ mod tests {
     use glam::{Mat3, Vec3};
 
     fn run_of(iterations: u32) -> TrainSettings {
-        TrainSettings { iterations, ..TrainSettings::default() }
+        TrainSettings { iterations, ..TrainSettings::reference() }
     }
 
     /// Iterations of a run for which this holds.
@@ -545,7 +545,7 @@ mod tests {
             sh_degree_start,
             sh_degree,
             sh_degree_interval: 10,
-            ..TrainSettings::default()
+            ..TrainSettings::reference()
         };
         let scaled = |iterations| TrainSettings { scale_sh_degree: true, ..run_of(iterations) };
         let cases: [(&str, TrainSettings, &[u32], &[u32]); 8] = [
@@ -637,7 +637,7 @@ mod tests {
 
     #[test]
     fn schedule_of_the_reference() {
-        let settings = TrainSettings::default();
+        let settings = TrainSettings::reference();
         let densified = all(&settings, TrainSettings::densifies_at);
         assert_eq!((densified.first(), densified.last()), (Some(&600), Some(&14_900)));
         assert_eq!(all(&settings, TrainSettings::resets_opacity_at), [3000, 6000, 9000, 12_000]);
@@ -649,7 +649,7 @@ mod tests {
         let settings = TrainSettings { filter_3d: true, ..Default::default() };
         let computed = all(&settings, TrainSettings::computes_filters_at);
         assert_eq!((computed.first(), computed.last(), computed.len()), (Some(&15_100), Some(&29_800), 148));
-        assert_eq!(all(&TrainSettings::default(), TrainSettings::computes_filters_at), [0; 0]);
+        assert_eq!(all(&TrainSettings::reference(), TrainSettings::computes_filters_at), [0; 0]);
         // Scaled densification ends at 1000 of 2000 iterations.
         let short = TrainSettings { iterations: 2000, scale_schedule: true, ..settings };
         let computed = all(&short, TrainSettings::computes_filters_at);
@@ -662,7 +662,7 @@ mod tests {
         let (whole, short) = (scaled(30_000), scaled(2000));
         for iteration in [0, 1, 499, 15_000, 29_999] {
             assert_eq!(whole.scaled(iteration), iteration);
-            assert_eq!(whole.position_lr(iteration), TrainSettings::default().position_lr(iteration));
+            assert_eq!(whole.position_lr(iteration), TrainSettings::reference().position_lr(iteration));
         }
         assert_eq!([500, 15_000, 30_000].map(|i| short.scaled(i)), [33, 1000, 2000]);
         let densified = all(&short, TrainSettings::densifies_at);
@@ -720,7 +720,7 @@ mod tests {
             assert!((dropout.share - share).abs() < 1e-15);
             assert_eq!((dropout.seed, dropout.iteration), (5, iteration));
         }
-        assert_eq!(TrainSettings::default().dropout_at(9), None);
+        assert_eq!(TrainSettings::reference().dropout_at(9), None);
         let message = TrainSettings { dropout: 0.95, ..settings }.check().expect_err("refused").to_string();
         assert!(message.starts_with("dropout: is 0.95"), "{message}");
     }
@@ -745,7 +745,7 @@ mod tests {
 
     #[test]
     fn pictures_are_a_quarter_then_half_then_whole() {
-        let settings = TrainSettings { warm_up: 500, ..TrainSettings::default() };
+        let settings = TrainSettings { warm_up: 500, ..TrainSettings::reference() };
         let of =
             |width, height| Camera { fx: 300.0, fy: 310.0, cx: 151.0, cy: 99.0, ..camera(width, height) };
         // Small photographs are reduced less, or not at all.
@@ -768,7 +768,7 @@ mod tests {
         let part = of(800, 640).part([160, 80], [400, 320]).expect("a part");
         let whole = settings.warm_up_camera(2, &of(800, 640));
         assert_eq!(settings.warm_up_camera(2, &part), whole.part([40, 20], [100, 80]).expect("its part"));
-        assert_eq!(TrainSettings::default().warm_up_camera(2, &part), part);
+        assert_eq!(TrainSettings::reference().warm_up_camera(2, &part), part);
     }
 
     #[test]

@@ -63,17 +63,19 @@ pub enum ImportanceType {
     None,
 }
 
-/// Goal of a training: [`TrainSettings::of_preset`](super::TrainSettings::of_preset). Without a preset the reference's values
-/// apply.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Goal of a training: [`TrainSettings::of_preset`](super::TrainSettings::of_preset).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum Preset {
     /// Short time: fewer Gaussians, small pictures first.
     Fast,
     /// Good quality, with fewer Gaussians than the reference and in about its time.
+    #[default]
     Default,
     /// Best quality, regardless of time.
     Quality,
+    /// The article's recipe, with the reference implementation's values.
+    Reference,
 }
 
 /// Bounds of an option's value.
@@ -242,16 +244,19 @@ macro_rules! options {
     }) => {
         $(#[$about])*
         #[derive(Clone, Debug, PartialEq)]
-        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default, deny_unknown_fields))]
+        #[cfg_attr(
+            feature = "serde",
+            derive(serde::Serialize, serde::Deserialize),
+            serde(default = "TrainSettings::reference", deny_unknown_fields)
+        )]
         pub struct $name { $($(#[doc = $doc])+ pub $field: $kind,)* }
 
-        impl Default for $name {
-            fn default() -> Self {
+        impl $name {
+            /// Returns the settings of the reference implementation: the declared values.
+            pub fn reference() -> Self {
                 Self { $($field: $default,)* }
             }
-        }
 
-        impl $name {
             /// All settings in the order of declaration.
             pub const OPTIONS: &[$crate::train::settings::TrainOption] = &[$(
                 $crate::train::settings::TrainOption {
@@ -273,11 +278,12 @@ macro_rules! options {
 
 options! {
     /// All settings of a training run. They are the arguments of the reference implementation (gaussian-splatting,
-    /// `arguments/__init__.py`) with its names and defaults, and three values that it hard-codes. Settings of later work have
-    /// the names in their papers' code.
+    /// `arguments/__init__.py`) with its names, and three values that it hard-codes. Settings of later work have the names in
+    /// their papers' code. [`TrainSettings::default`] is [`Preset::Default`], which measures best;
+    /// [`TrainSettings::reference`] has the reference's values.
     ///
     /// Iterations are counted from 1. With the feature `serde` the settings can be read from and written to
-    /// any of its formats. Missing fields take their defaults, unknown ones are refused.
+    /// any of its formats. Missing fields take the reference's values, as in older files; unknown ones are refused.
     pub struct TrainSettings {
         /// Number of iterations, one view each
         iterations: u32 = 30_000, Bounds::AtLeast(1);
@@ -448,12 +454,18 @@ fn per_extent(weight: f64, scene_extent: f32) -> f64 {
     if usable { format!("{weight:.2e}").parse().unwrap_or(weight) } else { 0.0 }
 }
 
+impl Default for TrainSettings {
+    fn default() -> Self {
+        Self::of_preset(Preset::Default)
+    }
+}
+
 impl TrainSettings {
     /// Returns the defaults of a strategy. 3DGS-MCMC differs in rates, initial values, regularisers and the end of
     /// densification (its README and `train.py`). Budgeted growth differs in the means' rates and the threshold (Improved-GS,
     /// `arguments/__init__.py`). It enables all its parts and scales its schedule.
     pub fn of_strategy(strategy: StrategyType) -> Self {
-        let usual = Self { strategy, ..Self::default() };
+        let usual = Self { strategy, ..Self::reference() };
         match strategy {
             StrategyType::Reference | StrategyType::Fixed => usual,
             StrategyType::Budget => Self {
@@ -483,12 +495,13 @@ impl TrainSettings {
         }
     }
 
-    /// Returns the defaults of a preset, by measurement (tools/strategies.md). All use the strategy budget and prune faint
-    /// Gaussians late. They average parameters over the last steps of one view each, which allows larger rates of scales, and
-    /// of means at the end. Presets differ in the number of Gaussians and in the warm-up. [`exposure`](Self::exposure) is
-    /// nearly a gain per channel.
+    /// Returns the settings of a preset, by measurement (tools/strategies.md). All but the reference use the strategy budget,
+    /// antialiasing, and late prunings of faint Gaussians. They average parameters over the last steps of one view each, which
+    /// allows larger rates of scales, and of means at the end. They differ in the number of Gaussians and in the warm-up.
+    /// [`exposure`](Self::exposure) is nearly a gain per channel.
     pub fn of_preset(preset: Preset) -> Self {
         let usual = Self {
+            antialiasing: true,
             late_min_opacity: 0.1,
             multi_step: false,
             average_last: AVERAGED_SHARE,
@@ -505,6 +518,7 @@ impl TrainSettings {
             Preset::Fast => Self { cap_ratio: 8.0, warm_up: 500, ..usual },
             Preset::Default => usual,
             Preset::Quality => Self { cap_ratio: 20.0, ..usual },
+            Preset::Reference => Self::reference(),
         }
     }
 
@@ -539,8 +553,11 @@ impl TrainSettings {
     /// Returns a preset's settings for few photographs. The preset decides the number of Gaussians. The settings against
     /// overfitting stay, including the long mean.
     pub fn of_preset_for_few_photos(preset: Preset, scene_extent: f32) -> Self {
-        let preset = Self::of_preset(preset);
-        let few = Self::of_few_photos(preset.strategy, scene_extent);
+        let settings = Self::of_preset(preset);
+        let few = Self::of_few_photos(settings.strategy, scene_extent);
+        if preset == Preset::Reference {
+            return few;
+        }
         Self {
             dropout: few.dropout,
             scale_sh_degree: few.scale_sh_degree,
@@ -550,13 +567,13 @@ impl TrainSettings {
             average_last: few.average_last,
             scaling_lr: few.scaling_lr,
             position_lr_final: few.position_lr_final,
-            ..preset
+            ..settings
         }
     }
 
-    /// Refuses options that the strategy does not have, if they differ from their defaults.
+    /// Refuses options that the strategy does not have, if they differ from the reference's.
     pub(super) fn refuse(&self, strategy: &str, names: &[&str]) -> Result<()> {
-        let usual = Self::default();
+        let usual = Self::reference();
         for option in Self::OPTIONS.iter().filter(|option| names.contains(&option.name)) {
             let value = (option.value)(self);
             if value != (option.value)(&usual) {
@@ -632,9 +649,9 @@ mod tests {
             ("lambda_dssim", |s| s.lambda_dssim = 1.5),
             ("densification_interval", |s| s.densification_interval = 0),
         ];
-        assert!(TrainSettings::default().check().is_ok());
+        assert!(TrainSettings::reference().check().is_ok());
         for (name, spoil) in cases {
-            let mut settings = TrainSettings::default();
+            let mut settings = TrainSettings::reference();
             spoil(&mut settings);
             let message = settings.check().expect_err(name).to_string();
             assert!(message.starts_with(&format!("{name}: is ")), "{message}");

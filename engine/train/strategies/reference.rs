@@ -29,7 +29,7 @@ impl Reference {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
-        Self::of_settings(context, &TrainSettings::default())
+        Self::of_settings(context, &TrainSettings::reference())
     }
 
     /// Builds the kernels for these settings.
