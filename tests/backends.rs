@@ -45,7 +45,7 @@ fn backends_train_alike() {
         sh_degree_interval: 2,
         densify_from_iter: 3,
         densification_interval: 4,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     };
     let trained = [Backend::Processor, Backend::Gpu].map(|backend| {
         let context = context(backend);
@@ -195,7 +195,7 @@ fn backends_with_other_subgroups_than_they_report_are_refused() {
     let gpu = Gpu::new();
     let (size, wrong) = (gpu.subgroup(), 2 * gpu.subgroup());
     let context = context_of_fixed_size(wrong);
-    let trainer = Run::new(&context, views(2, 5), TrainSettings::default()).try_begin();
+    let trainer = Run::new(&context, views(2, 5), TrainSettings::reference()).try_begin();
     for said in [refusal(Renderer::new(&context)), refusal(trainer)] {
         assert_says(&said, &[&format!("subgroups of {wrong}"), &format!("with {size} of {size}")]);
     }

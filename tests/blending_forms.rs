@@ -74,7 +74,7 @@ fn train(context: &Context, [first, then]: [Blending; 2]) -> ([u64; 2], Vec<u32>
         densify_until_iter: 35,
         opacity_reset_interval: 15,
         densify_grad_threshold: 2e-5,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     };
     let start = gaussians(&small_scene(&mut Random::new(34), 200, 4));
     let mut trainer = Run { start, ..Run::new(context, vec![view(0), view(1)], settings) }.begin();

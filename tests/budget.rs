@@ -282,7 +282,7 @@ fn budget_refuses_what_contradicts_itself() {
     let optimizer_type = OptimizerType::SparseAdam;
     refused(TrainSettings { optimizer_type, ..settings() }, &["multi_step", "sparse_adam"]);
     // Parts that other strategies do not support.
-    let usual = TrainSettings::default();
+    let usual = TrainSettings::reference();
     for strategy in [StrategyType::Reference, StrategyType::Mcmc, StrategyType::Fixed] {
         refused(TrainSettings { recovery: true, strategy, ..usual.clone() }, &["recovery", "budget"]);
     }

@@ -188,7 +188,7 @@ fn checkpoints_say_what_else_made_them() {
 #[test]
 fn checkpoints_with_any_bit_flipped_are_refused() {
     let settings =
-        TrainSettings { sh_degree: 0, filter_3d: true, pose_opt: true, ..TrainSettings::default() };
+        TrainSettings { sh_degree: 0, filter_3d: true, pose_opt: true, ..TrainSettings::reference() };
     let one = start().select(&[0]).with_sh_degree(0);
     let run = Run { start: one, ..Run::shared(views(3, 9), settings) };
     let frame = WorldFrame { origin: DVec3::new(500_000.1, -0.5, 120.0), unit: 0.01 };

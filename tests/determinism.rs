@@ -33,7 +33,7 @@ fn train(gpu: &Gpu, seed: u32) -> (Vec<f32>, Gaussians) {
         opacity_reset_interval: 40,
         densify_grad_threshold: 5e-5,
         seed,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     };
     let start = gaussians(&small_scene(&mut Random::new(12), 200, 9));
     let mut trainer = Run { start, ..Run::new(gpu.context, views(), settings) }.begin();
@@ -93,7 +93,7 @@ fn determinism_of_training_keeps_the_bits_of_the_reference() {
 
 fn short_trainer(context: &Context) -> ashsplat::Result<Trainer> {
     let settings =
-        TrainSettings { densify_from_iter: 2, densification_interval: 2, ..TrainSettings::default() };
+        TrainSettings { densify_from_iter: 2, densification_interval: 2, ..TrainSettings::reference() };
     Run::new(context, training::views(3, 60), settings).try_begin()
 }
 
@@ -114,7 +114,7 @@ fn determinism_is_verified() {
 
 /// SH degree 1 is active from the third iteration on.
 fn graded_trainer(context: &Context) -> ashsplat::Result<Trainer> {
-    let settings = TrainSettings { sh_degree_interval: 3, ..TrainSettings::default() };
+    let settings = TrainSettings { sh_degree_interval: 3, ..TrainSettings::reference() };
     Run::new(context, training::views(3, 60), settings).try_begin()
 }
 

@@ -69,7 +69,7 @@ fn settings() -> TrainSettings {
         densify_until_iter: 0,
         opacity_reset_interval: 100_000,
         seed: 2,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     }
 }
 

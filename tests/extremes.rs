@@ -89,7 +89,7 @@ fn check(seed: u64, sound: usize, gradient: f64) -> Densified {
         densification_interval: 3,
         densify_grad_threshold: gradient,
         min_opacity: 0.0,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     };
     let mut trainer = Run::new(context, views(2, 50), settings).starting_at(&scene).begin();
     trainer.steps(2);

@@ -75,7 +75,7 @@ fn settings() -> TrainSettings {
         densify_until_iter: 4,
         opacity_reset_interval: 3,
         densify_grad_threshold: 1e-6,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     }
 }
 

@@ -114,7 +114,7 @@ fn frames_have_room_for_what_is_visible_and_grow_when_more_is() {
 fn a_first_frame_takes_the_place_of_the_reserve_of_a_training() {
     let scene = scene(3000, 2.5);
     let train = |context: &Context| -> Result<(Gaussians, u32)> {
-        let run = Run::new(context, vec![view_of(SIZE)], TrainSettings::default());
+        let run = Run::new(context, vec![view_of(SIZE)], TrainSettings::reference());
         let mut trainer = run.starting_at(&scene).try_begin()?;
         trainer.step()?;
         trainer.step()?;

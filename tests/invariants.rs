@@ -155,7 +155,7 @@ fn invariant_under_counting_samples() {
         let frame = renderer.render(&camera(&view), &settings(&view)).expect("a frame");
         let photo = Photo { width: 64, height: 48, rgb: vec![100; 64 * 48 * 3] };
         let views = vec![TrainView::new(camera(&view), photo)];
-        let settings = TrainSettings { sh_degree: 0, ..TrainSettings::default() };
+        let settings = TrainSettings { sh_degree: 0, ..TrainSettings::reference() };
         let run = Run::new(&context, views, settings).starting_at(&gaussians(&scene));
         let step = run.begin().steps(1).remove(0);
         (frame.color, frame.stats.samples, step.samples, step.loss.to_bits())

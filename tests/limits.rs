@@ -20,7 +20,7 @@ fn settings() -> TrainSettings {
         densify_from_iter: 1,
         densification_interval: 2,
         densify_grad_threshold: 1e-6,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     }
 }
 

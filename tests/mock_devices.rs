@@ -60,7 +60,7 @@ fn trained(context: &Context) -> String {
         densify_from_iter: 3,
         densification_interval: 4,
         densify_grad_threshold: 1e-6,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     };
     format!("{:?}", Run::new(context, views(3, 5), settings).until(10, &[]).fingerprint())
 }

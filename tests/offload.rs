@@ -25,7 +25,7 @@ fn settings() -> TrainSettings {
         densify_until_iter: 22,
         opacity_reset_interval: 16,
         densify_grad_threshold: 1e-6,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     }
 }
 

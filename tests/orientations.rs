@@ -20,7 +20,7 @@ fn settings() -> TrainSettings {
         densification_interval: 5,
         densify_until_iter: 12,
         densify_grad_threshold: 1e-6,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     }
 }
 

@@ -144,7 +144,7 @@ fn orthographic_cameras_have_no_gradients() {
     assert_says(refusal(Filter3d::new(context(), &[along_z()])), &["camera.projection"]);
     let [width, height] = SIZE;
     let photo = Photo { width, height, rgb: vec![128; 3 * (width * height) as usize] };
-    let run = Run::shared(vec![TrainView::new(along_z(), photo)], TrainSettings::default());
+    let run = Run::shared(vec![TrainView::new(along_z(), photo)], TrainSettings::reference());
     let run = run.starting_at(&one([0.0, 0.0, 3.0], [0.5; 3], 1.0));
     assert_says(refusal(run.try_begin()), &["view 0.camera.projection: is orthographic"]);
 }

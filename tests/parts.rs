@@ -77,7 +77,13 @@ impl Strategy for RandomPrune {
 }
 
 fn settings() -> TrainSettings {
-    TrainSettings { iterations: 20, sh_degree: 2, sh_degree_interval: 5, seed: 4, ..TrainSettings::default() }
+    TrainSettings {
+        iterations: 20,
+        sh_degree: 2,
+        sh_degree_interval: 5,
+        seed: 4,
+        ..TrainSettings::reference()
+    }
 }
 
 /// Work of a step that optimises everything, followed by these actions.

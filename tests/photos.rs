@@ -27,7 +27,7 @@ pub fn in_a_file(views: &[TrainView], held: u64) -> Vec<TrainView> {
 
 /// Settings of the checkpoint tests, but without an opacity reset and without random backgrounds.
 fn short() -> TrainSettings {
-    let usual = TrainSettings::default();
+    let usual = TrainSettings::reference();
     TrainSettings {
         opacity_reset_interval: usual.opacity_reset_interval,
         random_background: usual.random_background,
@@ -232,7 +232,7 @@ fn held_out_psnr(gpu: &Gpu, train: Vec<TrainView>, start: &Gaussians) -> f64 {
         scaling_lr: 0.01,
         densify_until_iter: 0,
         opacity_reset_interval: u32::MAX,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     };
     let mut trainer = Run::new(gpu.context, train, settings).starting_at(start).begin();
     trainer.finish();

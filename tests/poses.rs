@@ -238,7 +238,7 @@ fn few(iterations: u32) -> TrainSettings {
         sh_degree: 1,
         sh_degree_interval: 1,
         strategy: StrategyType::Fixed,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     }
 }
 
@@ -477,7 +477,7 @@ fn poses_count_among_the_memory() {
             inverse_depth: false,
             depth_points: 0,
         };
-        let settings = TrainSettings { pose_opt, ..TrainSettings::default() };
+        let settings = TrainSettings { pose_opt, ..TrainSettings::reference() };
         let photos = vec![photo; photos];
         let forecast = Forecast {
             settings: &settings,

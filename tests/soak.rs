@@ -35,7 +35,7 @@ fn soak_training() {
         densify_grad_threshold: 1e-5,
         opacity_reset_interval: tenth,
         sh_degree_interval: 100,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     };
     let context = context(Some(MEMORY));
     let mut trainer = Run::new(&context, views(5, 90), settings).begin();

@@ -30,7 +30,7 @@ fn training_settings() -> TrainSettings {
         densify_until_iter: 10,
         opacity_reset_interval: 9,
         seed: SEED,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     }
 }
 
@@ -222,7 +222,7 @@ fn training_step_that_overflows_is_run_again() {
         gaussian.opacity_logit = -3.0;
     }
     let photo = || Photo { width: 320, height: 240, rgb: vec![127; 3 * 320 * 240] };
-    let s = TrainSettings { sh_degree: 0, ..TrainSettings::default() };
+    let s = TrainSettings { sh_degree: 0, ..TrainSettings::reference() };
     let train = |room_first: bool| -> (Gaussians, Vec<f32>, u32) {
         let views = vec![TrainView::new(camera(&view), photo())];
         let mut trainer = Run::shared(views, s.clone()).starting_at(&gaussians(&scene)).begin();

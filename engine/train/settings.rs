@@ -176,9 +176,16 @@ impl TrainOption {
         }
     }
 
-    /// Returns the default value.
-    pub fn default_value(&self) -> OptionValue {
-        (self.value)(&TrainSettings::default())
+    /// Returns the default, and the values of the reference and of 3DGS-MCMC where they differ from it.
+    pub fn defaults(&self) -> Vec<(&'static str, OptionValue)> {
+        let usual = (self.value)(&TrainSettings::default());
+        let others = [
+            ("reference", TrainSettings::reference()),
+            ("mcmc", TrainSettings::of_strategy(StrategyType::Mcmc)),
+        ];
+        let others = others.map(|(name, settings)| (name, (self.value)(&settings)));
+        let others = others.into_iter().filter(|(_, value)| *value != usual);
+        std::iter::once(("default", usual)).chain(others).collect()
     }
 }
 
@@ -303,7 +310,7 @@ options! {
         position_lr_max_steps: u32 = 30_000, Bounds::AtLeast(1);
         /// Learning rate of the SH coefficients of degree 0; the others take a twentieth of it
         feature_lr: f64 = 2.5e-3, Bounds::NotNegative;
-        /// Learning rate of the opacity logits (mcmc: 0.05)
+        /// Learning rate of the opacity logits
         opacity_lr: f64 = 0.025, Bounds::NotNegative;
         /// Learning rate of the log-scales
         scaling_lr: f64 = 5e-3, Bounds::NotNegative;
@@ -313,74 +320,73 @@ options! {
         percent_dense: f64 = 0.01, Bounds::NotNegative;
         /// Weight of 1 - SSIM in the loss; the L1 term takes the rest
         lambda_dssim: f64 = 0.2, Bounds::Share;
-        /// Weight of the mean opacity in the loss (mcmc: 0.01)
+        /// Weight of the mean opacity in the loss
         opacity_reg: f64 = 0.0, Bounds::NotNegative;
-        /// Weight of the mean scale in the loss (mcmc: 0.01)
+        /// Weight of the mean scale in the loss
         scale_reg: f64 = 0.0, Bounds::NotNegative;
         /// Density control: the reference's, none, 3DGS-MCMC's, or budgeted growth; the last two set other defaults
         strategy: StrategyType = StrategyType::Reference, Bounds::None;
         /// Most Gaussians that the strategies mcmc and budget grow to; budget with 0: cap_ratio times those of the start, times the
-        /// cube root of iterations / 30000, rounded down (budget: 0)
+        /// cube root of iterations / 30000, rounded down
         cap_max: u32 = 1_000_000, Bounds::None;
         /// Most Gaussians of the strategy budget without cap_max, for each of the start
         cap_ratio: f64 = 10.0, Bounds::Positive;
         /// Rate of mcmc's noise on the means, times their learning rate
         noise_lr: f64 = 5e5, Bounds::NotNegative;
-        /// Opacity of the first Gaussians (mcmc: 0.5)
+        /// Opacity of the first Gaussians
         initial_opacity: f64 = INITIAL_OPACITY, Bounds::Share;
-        /// Scale of the first Gaussians, times the distance of their neighbours (mcmc: 0.1)
+        /// Scale of the first Gaussians, times the distance of their neighbours
         initial_scale: f64 = 1.0, Bounds::Positive;
         /// Iterations between densifications
         densification_interval: u32 = 100, Bounds::AtLeast(1);
         /// Iterations between opacity resets; none in the last 1000 of a run, from which it would not recover
         opacity_reset_interval: u32 = 3000, Bounds::AtLeast(1);
         /// Count what concerns the whole run in shares of 30,000 iterations: position_lr_max_steps, densify_from_iter,
-        /// densify_until_iter, the groups of multi_step and late prunings are multiplied by iterations / 30000 (budget: true)
+        /// densify_until_iter, the groups of multi_step and late prunings are multiplied by iterations / 30000
         scale_schedule: bool = false, Bounds::None;
         /// Larger learning rates in runs of fewer than 30,000 iterations: position_lr_init times 30000 / iterations, at most
-        /// 10; those of scales, opacities and colours times its root, at most 2 (budget: true)
+        /// 10; those of scales, opacities and colours times its root, at most 2
         scale_rates: bool = false, Bounds::None;
         /// Raise the SH degree in use at the same shares of the run: sh_degree_interval is multiplied by iterations / 30000, and is
-        /// at least 1 (budget: true, but not with few photos)
+        /// at least 1
         scale_sh_degree: bool = false, Bounds::None;
         /// Densification starts after this iteration
         densify_from_iter: u32 = 500, Bounds::None;
-        /// Densification, and the collection of its statistics, end before this iteration (mcmc: 25000)
+        /// Densification, and the collection of its statistics, end before this iteration
         densify_until_iter: u32 = 15_000, Bounds::None;
         /// Mean norm of the 2D mean's gradient (NDC) from which a Gaussian is densified
         densify_grad_threshold: f64 = 2e-4, Bounds::NotNegative;
-        /// That norm of sums of absolute values over pixels, so that opposite gradients do not cancel (AbsGS; budget: true)
+        /// That norm of sums of absolute values over pixels, so that opposite gradients do not cancel (AbsGS)
         absgrad: bool = false, Bounds::None;
-        /// Split a Gaussian into two drawn from it, or along its longest axis (budget: long-axis)
+        /// Split a Gaussian into two drawn from it, or along its longest axis
         split: SplitType = SplitType::Sample, Bounds::None;
         /// What the chance to be split follows with strategy budget: edges of the photographs, the gradient's statistic, nothing
         importance: ImportanceType = ImportanceType::Edges, Bounds::None;
-        /// Grow to cap_max along a square root, not at once (budget: true)
+        /// Grow to cap_max along a square root, not at once
         growth_curve: bool = false, Bounds::None;
-        /// Prune what does not recover from opacity resets, which are milder (budget: true)
+        /// Prune what does not recover from opacity resets, which are milder
         recovery: bool = false, Bounds::None;
-        /// Add up the gradients of several views before a step in the last third of the run (budget: true, presets: false)
+        /// Add up the gradients of several views before a step in the last third of the run
         multi_step: bool = false, Bounds::None;
         /// Share of the run, at its end, over whose steps parameters are averaged; the mean takes their place in the last iteration
-        /// (Polyak and Juditsky; stochastic weight averaging). Not together with multi_step (presets: 0.05)
+        /// (Polyak and Juditsky; stochastic weight averaging). Not together with multi_step
         average_last: f64 = 0.0, Bounds::Share;
         /// Learn the exposure of each photo: a 3x4 matrix that changes the rendered colours before they are compared
         exposure: bool = false, Bounds::None;
-        /// Learning rate of the exposures at the start (presets: 0.02)
+        /// Learning rate of the exposures at the start
         exposure_lr_init: f64 = 0.01, Bounds::Positive;
-        /// Learning rate of the exposures at the end (presets: 0.0005)
+        /// Learning rate of the exposures at the end
         exposure_lr_final: f64 = 0.001, Bounds::Positive;
         /// Iterations over which the exposures' learning rate rises from exposure_lr_delay_mult of it to all of it
         exposure_lr_delay_steps: u32 = 0, Bounds::None;
         /// Share of the exposures' learning rate at the start of that rise
         exposure_lr_delay_mult: f64 = 0.0, Bounds::Share;
         /// Weight of the squares of what exposures have besides a gain per channel, mixtures of channels and offsets, in the loss
-        /// (presets: 0.1)
         exposure_reg: f64 = 0.0, Bounds::NotNegative;
-        /// Scale steps of exposures by the gradients of all photos together, so that those that fit move little (presets: true)
+        /// Scale steps of exposures by the gradients of all photos together, so that those that fit move little
         exposure_shared: bool = false, Bounds::None;
         /// How far each step brings an exposure closer to none, as a share of its learning rate; nothing for one that is farther than 0.05
-        /// away. Photos without a clear change keep none: the minimax concave penalty, Zhang 2010 (presets: 0.05)
+        /// away. Photos without a clear change keep none: the minimax concave penalty, Zhang 2010
         exposure_sparsity: f64 = 0.0, Bounds::NotNegative;
         /// Learn vignetting and response of each camera, which change the rendered colours before they are compared
         lens_effects: bool = false, Bounds::None;
@@ -398,7 +404,7 @@ options! {
         /// Gaussians of a smaller opacity are pruned at a densification
         min_opacity: f64 = 0.005, Bounds::Share;
         /// With strategy budget, Gaussians of a smaller opacity are pruned up to seven times between 8000 and 21000 of 30000
-        /// iterations as well, but not within 300 after the start or an opacity reset; 0 for none (presets: 0.1)
+        /// iterations as well, but not within 300 after the start or an opacity reset; 0 for none
         late_min_opacity: f64 = 0.0, Bounds::Share;
         /// White background instead of black
         white_background: bool = false, Bounds::None;

@@ -25,7 +25,7 @@ pub fn settings() -> TrainSettings {
         densify_grad_threshold: 2e-5,
         random_background: true,
         seed: 6,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     }
 }
 

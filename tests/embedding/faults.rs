@@ -75,7 +75,7 @@ fn a_lost_device_records_nothing() {
         let context = guest(host, &faults).expect("a context");
         let scene = uploaded(&context, &cloud(60, 1));
         let mut renderer = reserved(&context, &Reservation::new(60, 1, 40, 30));
-        let mut trainer = trainer(&context, TrainSettings { iterations: 10, ..TrainSettings::default() });
+        let mut trainer = trainer(&context, TrainSettings { iterations: 10, ..TrainSettings::reference() });
         trainer.reserve_steps(&StepReservation::default()).expect("memory");
         let (scenes, camera) = ([(&scene).into()], camera(0.3, 40, 30));
         let frame = frame_of(&scenes, &camera);
@@ -96,7 +96,7 @@ fn a_lost_device_records_nothing() {
 fn a_run_that_is_over_records_no_step() {
     with_host(&options(), |host| {
         let context = guest(host, &Faults::new()).expect("a context");
-        let mut trainer = trainer(&context, TrainSettings { iterations: 3, ..TrainSettings::default() });
+        let mut trainer = trainer(&context, TrainSettings { iterations: 3, ..TrainSettings::reference() });
         trainer.reserve_steps(&StepReservation { slots: 4, instances: 0, visible: 0 }).expect("memory");
         let frames = [0; 4].map(|_| Commands::new(host));
         for (slot, in_flight) in frames.iter().enumerate() {

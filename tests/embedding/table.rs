@@ -215,7 +215,7 @@ fn training_steps(context: &Context, in_flight: &Commands<'_>) {
         opacity_reset_interval: 5,
         densify_grad_threshold: 1e-6,
         sh_degree_interval: 4,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     };
     let mut trainer = crate::training::trainer(context, settings);
     trainer.reserve_steps(&ONE_SLOT).expect("memory");

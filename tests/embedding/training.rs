@@ -23,7 +23,7 @@ pub fn settings() -> TrainSettings {
         densify_grad_threshold: 2e-5,
         random_background: true,
         seed: 3,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     }
 }
 
@@ -500,7 +500,7 @@ fn warm_up_trainer(context: &Context) -> Trainer {
         iterations: ITERATIONS,
         warm_up: 8,
         strategy: StrategyType::Fixed,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     };
     Trainer::new(context, (0..3).map(view).collect(), &cloud(300, 5), 4.0, settings).expect("a trainer")
 }

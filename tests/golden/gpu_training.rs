@@ -223,7 +223,7 @@ fn compare_adam(group: &str, state: &AdamState, expected: [&[f64]; 3]) -> Outcom
 /// Schedule of the resolved training settings.
 pub fn rates(path: &Path) -> Outcome {
     let npz = Npz::read(path);
-    let settings = TrainSettings::default();
+    let settings = TrainSettings::reference();
     let steps = npz.values("steps");
     let position: Vec<f64> = npz
         .values("extents")

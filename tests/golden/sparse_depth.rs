@@ -141,7 +141,7 @@ pub fn of_device(path: &Path) -> Outcome {
     let all = engine_points(&points(&npz));
     let points = DepthPointBuffers::new(context, &all, size)?;
     // The weight is the first iteration's.
-    let settings = TrainSettings { depth_points: npz.scalar("weight"), ..TrainSettings::default() };
+    let settings = TrainSettings { depth_points: npz.scalar("weight"), ..TrainSettings::reference() };
     let extent = npz.scalar("scene_scale") as f32;
     let term = SparseDepth::new(context, &settings, extent, all.len() as u32)?;
     let scratch: Vec<_> = term

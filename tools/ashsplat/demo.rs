@@ -91,9 +91,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-/// The reference's schedule, compressed: densification between a tenth and six tenths, SH degrees in the first half, the
-/// means' learning rate falling over the whole run, no opacity reset (there is no time to recover). The learning rates
-/// are 2 to 5 times the reference's, which are made for 30,000 iterations: worth 3 dB after the first thousand.
+/// The settings of `ashsplat train --eval` with this number of iterations.
 fn settings(dataset: &Path, model: &Path, iterations: u32, seed: u32) -> Settings {
     let data = DataSettings {
         source_path: dataset.to_owned(),
@@ -101,23 +99,9 @@ fn settings(dataset: &Path, model: &Path, iterations: u32, seed: u32) -> Setting
         eval: true,
         test_iterations: vec![iterations / 3, iterations * 2 / 3],
         save_iterations: Vec::new(),
-        ..Default::default()
+        ..DataSettings::default()
     };
-    let train = TrainSettings {
-        iterations,
-        seed,
-        sh_degree_interval: (iterations / 6).max(1),
-        position_lr_init: 8e-4,
-        position_lr_max_steps: iterations,
-        feature_lr: 5e-3,
-        opacity_lr: 0.05,
-        scaling_lr: 0.015,
-        densify_from_iter: iterations / 10,
-        densify_until_iter: iterations * 6 / 10,
-        opacity_reset_interval: iterations + 1,
-        ..Default::default()
-    };
-    Settings { data, train }
+    Settings { data, train: TrainSettings { iterations, seed, ..TrainSettings::default() } }
 }
 
 /// Writes the contact sheet and the metrics.

@@ -54,7 +54,8 @@ use tracking::Tracking;
 
 /// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
 ///
-/// Names and defaults are those of the reference implementation; hyphens and underscores are both accepted.
+/// Names of options are those of the reference implementation, with hyphens or underscores. Its settings are --preset reference;
+/// the defaults are those that measured best.
 /// Ctrl-C finishes the iteration, saves, writes a checkpoint, and exits with 130. When an iteration fails,
 /// the scene before it is saved and a checkpoint written. The scene is not saved if its opacities were
 /// already reset. Neither is saved if the device is lost or too slow, because the state of the Gaussians is
@@ -154,7 +155,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let mut gallery = session::open(&settings.data, &options, &stop)?;
     origin.express_in(gallery.frame());
-    let (settings, few_photos) = given.settle_for(&mut gallery, origin.checkpoint(), origin.sh_degree())?;
+    let (settings, defaults) = given.settle_for(&mut gallery, origin.checkpoint(), origin.sh_degree())?;
     // A continued training keeps its settings, used or not.
     if origin.start().is_none() {
         given.refuse_unused(&settings)?;
@@ -174,7 +175,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .notes()
         .iter()
         .chain(&dataset.notes)
-        .chain(&few_photos)
+        .chain(&defaults)
         .chain(&used)
         .filter(|_| !arguments.quiet)
         .for_each(|line| tell!("{line}"));

@@ -152,7 +152,7 @@ pub fn steady_settings(sh_degree: u32, seed: u64) -> TrainSettings {
         densify_until_iter: 0,
         opacity_reset_interval: u32::MAX,
         seed: seed as u32,
-        ..TrainSettings::default()
+        ..TrainSettings::reference()
     }
 }
 

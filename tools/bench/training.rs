@@ -65,7 +65,7 @@ impl Training {
         let settings = TrainSettings {
             sh_degree: self.initial.sh_degree,
             seed: seed as u32,
-            ..TrainSettings::default()
+            ..TrainSettings::reference()
         };
         let mut trainer =
             Trainer::new(context, self.views.clone(), &self.initial, self.scene_extent, settings)?;

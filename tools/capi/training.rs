@@ -247,8 +247,9 @@ unsafe fn give_rows(
 /// Uploads photographs and initial Gaussians, which are taken as they are: the settings initial_opacity and initial_scale are for
 /// ashsplat_trainer_new_from_points. The context needs a queue. `scene_extent` is 1.1 times the largest distance of a camera to their
 /// mean, or 0 to have it computed. `settings_json`: an object with the names of the reference implementation's settings,
-/// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"` or `"quality"`, and `"few_photos": true`, whose settings the others
-/// change. Missing settings have the defaults of the preset or of the strategy, and NULL keeps all defaults.
+/// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"`, `"quality"` or `"reference"`, and `"few_photos": true`, whose
+/// settings the others change. Missing settings are those of the preset; without one, those of the strategy if it is given, else of
+/// the preset default. NULL has all settings of the preset default.
 ///
 /// # Safety
 /// `context` is alive, `views` has `view_count` elements with arrays as the cameras say, `initial` is valid
@@ -368,7 +369,12 @@ fn settings_of(json: &str, extent: f32) -> Result<TrainSettings> {
             "fast" => Some(Preset::Fast),
             "default" => Some(Preset::Default),
             "quality" => Some(Preset::Quality),
-            other => return Err(refused(format!("preset: '{other}' is none of fast, default, quality"))),
+            "reference" => Some(Preset::Reference),
+            other => {
+                return Err(refused(format!(
+                    "preset: '{other}' is none of fast, default, quality, reference"
+                )));
+            }
         },
         Some(other) => return Err(refused(format!("preset: {other} is no text"))),
     };
@@ -377,17 +383,16 @@ fn settings_of(json: &str, extent: f32) -> Result<TrainSettings> {
         Some(Value::Bool(few)) => few,
         Some(other) => return Err(refused(format!("few_photos: {other} is neither true nor false"))),
     };
-    // Missing values get the defaults of the preset, or of the strategy.
     let strategy =
         serde_json::from_value::<TrainSettings>(Value::Object(given.clone())).map_err(problem)?.strategy;
     let usual = match (preset, few) {
         (Some(preset), _) if given.contains_key("strategy") => {
             return Err(refused(format!("preset: {preset:?} has a strategy; leave one of both out")));
         }
-        (Some(preset), false) => TrainSettings::of_preset(preset),
-        (Some(preset), true) => TrainSettings::of_preset_for_few_photos(preset, extent),
-        (None, true) => TrainSettings::of_few_photos(strategy, extent),
-        (None, false) => TrainSettings::of_strategy(strategy),
+        (None, false) if given.contains_key("strategy") => TrainSettings::of_strategy(strategy),
+        (None, true) if given.contains_key("strategy") => TrainSettings::of_few_photos(strategy, extent),
+        (preset, false) => TrainSettings::of_preset(preset.unwrap_or_default()),
+        (preset, true) => TrainSettings::of_preset_for_few_photos(preset.unwrap_or_default(), extent),
     };
     let mut all = json!(usual);
     if let Value::Object(all) = &mut all {

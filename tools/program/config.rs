@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::Table;
 
-pub const PRESETS: [&str; 3] = ["fast", "default", "quality"];
+pub const PRESETS: [&str; 4] = ["fast", "default", "quality", "reference"];
 /// Name of the settings dump for `--config`.
 pub const SETTINGS_FILE: &str = "settings.toml";
 /// Name of the settings dump in the reference's format.
@@ -41,8 +41,8 @@ pub struct Overrides {
     /// Folder for everything that the run writes
     #[arg(short, long, value_name = "OUT")]
     model_path: Option<PathBuf>,
-    /// Defaults for a purpose, with the strategy budget: fast (fewer Gaussians, small pictures first), default, quality (more
-    /// Gaussians). What is given otherwise wins; without a preset they are the reference's
+    /// Settings for a purpose: fast (fewer Gaussians, small pictures first), default, quality (more Gaussians), reference (the
+    /// article's recipe). What is given otherwise wins [default: default; with --strategy: the strategy's own settings]
     #[arg(long, value_parser = PRESETS, value_name = "NAME")]
     preset: Option<String>,
     /// Folder of the photos within the data set [default: images]
@@ -66,9 +66,9 @@ pub struct Overrides {
     /// sets --exposure (the reference's protocol)
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     train_test_exp: Option<bool>,
-    /// Settings for few photos: on, off, or on below 24 photos to train on (auto): without --strategy that is budget, with fewer
-    /// Gaussians, of which steps leave some out, and weights on their opacities and on their scales, the latter by the scene's
-    /// extent; a preset keeps its number of Gaussians. What is given otherwise wins [default: auto]
+    /// Settings for few photos: on, off, or on below 24 photos to train on (auto; not with the reference's strategy): steps leave
+    /// some Gaussians out, opacities and scales have weights, the latter by the scene's extent. What is given otherwise wins
+    /// [default: auto]
     #[arg(long, value_name = "WHEN")]
     few_photos: Option<When>,
     #[command(flatten)]
@@ -195,9 +195,14 @@ impl Settings {
         let reference = folder.join(CFG_ARGS_FILE);
         match reference.try_exists() {
             Ok(true) => Ok(Settings::from_cfg_args(&file::text(&reference)?)),
-            Ok(false) => Ok(Settings::default()),
+            Ok(false) => Ok(Settings::reference()),
             Err(e) => Err(Error::io(reference, "read", e)),
         }
+    }
+
+    /// The settings of the reference implementation, for models that do not say how they were trained.
+    fn reference() -> Settings {
+        Settings { train: TrainSettings::reference(), ..Settings::default() }
     }
 
     fn from_table(mut table: Table, facts: &Facts) -> Result<Settings, String> {
@@ -206,12 +211,11 @@ impl Settings {
         let data_keys = Table::try_from(DataSettings::default()).map_err(|e| e.to_string())?;
         let (data, train): (Table, Table) =
             table.into_iter().partition(|(key, _)| data_keys.contains_key(key));
-        // Missing settings get the strategy's defaults.
         let strategy = train.get("strategy").cloned().map(StrategyType::deserialize).transpose();
         let strategy = strategy.map_err(message)?;
         let usual = facts.defaults(preset, strategy);
         if preset.is_some() && strategy.is_some_and(|strategy| strategy != usual.strategy) {
-            return Err("a preset has the strategy budget: leave out the preset, or another strategy".into());
+            return Err("differs from the preset's: leave out the preset, or the strategy".into());
         }
         let data: DataSettings = data.try_into().map_err(message)?;
         if data.train_test_exp && train.get("exposure").and_then(toml::Value::as_bool) == Some(false) {
@@ -254,7 +258,7 @@ impl Settings {
     }
 
     fn from_cfg_args(text: &str) -> Settings {
-        let mut settings = Settings::default();
+        let mut settings = Settings::reference();
         let text_of = |key| file::cfg_value(text, key).map(|v| v.trim_matches(['\'', '"']).to_owned());
         let flag_of = |key| file::cfg_value(text, key) == Some("True");
         if let Some(source) = text_of("source_path") {
@@ -297,7 +301,7 @@ mod tests {
             Settings::from_table(overrides, &Facts::default())
         };
         for (name, preset) in
-            [("fast", Preset::Fast), ("default", Preset::Default), ("quality", Preset::Quality)]
+            PRESETS.into_iter().zip([Preset::Fast, Preset::Default, Preset::Quality, Preset::Reference])
         {
             let settings = resolved(&format!("preset = '{name}'")).expect("settings");
             assert_eq!(settings.train, TrainSettings::of_preset(preset));
@@ -323,7 +327,7 @@ mod tests {
         assert!(refused.contains("leave out the preset"), "{refused}");
         assert!(resolved("preset = 'good'").expect_err("unknown").contains("good"));
         assert!(
-            [Preset::Fast, Preset::Default, Preset::Quality]
+            [Preset::Fast, Preset::Default, Preset::Quality, Preset::Reference]
                 .into_iter()
                 .all(|preset| TrainSettings::of_preset(preset).check().is_ok())
         );
@@ -377,7 +381,7 @@ mod tests {
         let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
         assert_eq!(
             Settings::from_table(overrides.0, &Facts::default()).expect("settings"),
-            Settings::default()
+            Settings::reference()
         );
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("my.toml");
@@ -389,7 +393,7 @@ mod tests {
     /// Options, files and checkpoints share names and types of values.
     #[test]
     fn every_option_is_on_the_command_line_and_in_the_file() {
-        let file = Table::try_from(TrainSettings::default()).expect("a table");
+        let file = Table::try_from(TrainSettings::reference()).expect("a table");
         let options = TrainSettings::OPTIONS;
         assert_eq!(file.len(), options.len());
         let command = TrainOverrides::augment_args(Command::new("train"));
@@ -410,9 +414,11 @@ mod tests {
             let arguments = ["train".to_owned(), format!("--{}={given}", option.name.replace('_', "-"))];
             let matches = command.clone().try_get_matches_from(arguments).expect("accepted");
             let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
-            let settings = Settings::from_table(overrides.0, &Facts::default()).expect("settings").train;
+            let mut table = overrides.0;
+            table.entry("strategy").or_insert("reference".into());
+            let settings = Settings::from_table(table, &Facts::default()).expect("settings").train;
             assert_eq!((option.value)(&settings).to_string(), given, "{}", option.name);
-            let changed = settings.values().into_iter().zip(TrainSettings::default().values());
+            let changed = settings.values().into_iter().zip(TrainSettings::reference().values());
             assert_eq!(changed.filter(|(a, b)| a != b).count(), 1, "{}", option.name);
         }
     }

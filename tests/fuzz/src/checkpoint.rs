@@ -20,7 +20,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         device: "a device".into(),
         driver: "a driver".into(),
         kernels: "gpu, subgroups of 32".into(),
-        settings: TrainSettings { sh_degree, ..TrainSettings::default() },
+        settings: TrainSettings { sh_degree, ..TrainSettings::reference() },
         views: 3,
         views_fingerprint: 7,
         scene_extent: 2.0,

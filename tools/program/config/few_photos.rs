@@ -1,84 +1,87 @@
 //! The settings for few photos.
 
 use super::{Given, Settings, When};
-use ashsplat::train::{Checkpoint, OptimizerType, Preset, StrategyType, TrainSettings};
+use ashsplat::train::{Checkpoint, Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 
 /// Facts of data set and start, on which settings depend that are not given.
 #[derive(Clone, Copy, Default)]
-pub struct Facts {
-    /// For few photos: the default strategy, and the scene's extent.
-    few_photos: Option<(StrategyType, f32)>,
+pub struct Facts<'a> {
+    /// The scene's extent, for few photos.
+    few_photos: Option<f32>,
+    /// Settings of the checkpoint from which a training continues.
+    pub continued: Option<&'a TrainSettings>,
     /// SH degree that the start has already.
-    pub(super) sh_degree: u32,
+    pub sh_degree: u32,
 }
 
-impl Facts {
+impl Facts<'_> {
+    /// The settings that apply where none are given.
     pub(super) fn defaults(&self, preset: Option<Preset>, strategy: Option<StrategyType>) -> TrainSettings {
-        match (self.few_photos, preset) {
-            (None, None) => TrainSettings::of_strategy(strategy.unwrap_or_default()),
-            (None, Some(preset)) => TrainSettings::of_preset(preset),
-            (Some((usual, extent)), None) => TrainSettings::of_few_photos(strategy.unwrap_or(usual), extent),
-            (Some((_, extent)), Some(preset)) => TrainSettings::of_preset_for_few_photos(preset, extent),
+        if let (None, None, Some(settings)) = (preset, strategy, self.continued) {
+            // The number of iterations may differ from the checkpoint's.
+            return TrainSettings { iterations: TrainSettings::default().iterations, ..settings.clone() };
+        }
+        match (preset, strategy, self.few_photos) {
+            (None, Some(strategy), None) => TrainSettings::of_strategy(strategy),
+            (None, Some(strategy), Some(extent)) => TrainSettings::of_few_photos(strategy, extent),
+            (preset, _, None) => TrainSettings::of_preset(preset.unwrap_or_default()),
+            (preset, _, Some(extent)) => {
+                TrainSettings::of_preset_for_few_photos(preset.unwrap_or_default(), extent)
+            }
         }
     }
 }
 
 impl Given {
-    /// Settles the settings for a data set and a start of this SH degree, and reads the points whose depths are trained
-    /// on. Returns a note on what few photos change. A training that continues from a checkpoint keeps its strategy.
+    /// Settles the settings for a data set and a start, and reads the points whose depths are trained on. Returns a line on
+    /// settings that were not given, if they are not those that the checkpoint has.
     pub fn settle_for(
         &self,
         gallery: &mut Gallery,
         start: Option<&Checkpoint>,
         sh_degree: u32,
     ) -> Result<(Settings, Option<String>)> {
-        let usual = self.settle(&Facts { few_photos: None, sh_degree })?;
-        let photos = gallery.train_photos().len();
-        let few = match usual.data.few_photos {
-            When::Auto => photos < TrainSettings::FEW_PHOTOS,
-            When::On => true,
-            When::Off => false,
-        };
+        let continued = start.map(|start| &start.settings);
+        let usual = self.settle(&Facts { few_photos: None, continued, sh_degree })?;
         if usual.train.depth_points > 0.0 && gallery.read_tracks()? == 0 {
             let problem = "does not say which photos show which points, whose depths --depth-points needs";
             let remedy = "give a COLMAP model with its observations, or leave --depth-points out";
             return Err(Error::input(&usual.data.source_path, problem, remedy));
         }
-        let strategy = match start {
-            _ if !few => return Ok((usual, None)),
-            // A continued training keeps its settings, even those of an earlier version.
-            Some(start) if made_with(start, &usual.train) => return Ok((usual, None)),
-            Some(start) => strategy_of(start).unwrap_or_default(),
-            // The strategy budget adds up gradients over views, which this optimiser does not support.
-            None if usual.train.optimizer_type == OptimizerType::SparseAdam => StrategyType::Reference,
-            None => StrategyType::Budget,
+        let photos = gallery.train_photos().len();
+        let few = match usual.data.few_photos {
+            When::Auto => photos < TrainSettings::FEW_PHOTOS && usual.train.strategy == StrategyType::Budget,
+            When::On => true,
+            When::Off => false,
         };
+        let is_given = |name: &str| self.has(name);
+        match start {
+            Some(_) if !is_given("preset") && !is_given("strategy") => return Ok((usual, None)),
+            _ if !few => return Ok((usual, self.line_on_defaults())),
+            _ => {}
+        }
         let extent = usual.data.extent(gallery.scene_extent(), gallery.frame());
-        let settled = self.settle(&Facts { few_photos: Some((strategy, extent)), sh_degree })?;
+        let settled = self.settle(&Facts { few_photos: Some(extent), continued, sh_degree })?;
         let without = match settled.train.strategy {
             StrategyType::Fixed => Some("fixed"),
             StrategyType::Mcmc => Some("mcmc"),
             StrategyType::Reference | StrategyType::Budget => None,
         };
-        if let Some(strategy) = without.filter(|_| usual.data.few_photos == When::On) {
+        if let Some(strategy) = without {
             let problem = format!("on has no settings for --strategy {strategy}; leave one of both out");
             return Err(Error::argument("--few-photos", problem));
         }
-        let line = described(photos, |name| self.has(name), (&usual.train, &settled.train));
-        Ok((settled, line))
+        let lines = [self.line_on_defaults(), described(photos, is_given, (&usual.train, &settled.train))];
+        Ok((settled, lines.into_iter().flatten().reduce(|a, b| format!("{a}\n{b}"))))
     }
-}
 
-/// True if a checkpoint is from a run with these settings, except for the number of iterations.
-fn made_with(start: &Checkpoint, settings: &TrainSettings) -> bool {
-    TrainSettings { iterations: settings.iterations, ..start.settings.clone() } == *settings
-}
-
-/// The strategy of a checkpoint, unless it is a host's own.
-fn strategy_of(start: &Checkpoint) -> Option<StrategyType> {
-    toml::Value::String(start.strategy.name.clone()).try_into().ok()
+    /// Names the preset that applies because neither a preset nor a strategy is given.
+    fn line_on_defaults(&self) -> Option<String> {
+        let given = self.has("preset") || self.has("strategy");
+        (!given).then(|| "settings: --preset default; the article's recipe: --preset reference".to_owned())
+    }
 }
 
 /// Names the settings that the settings for few photos change; `None` if there are none.
@@ -87,21 +90,11 @@ fn described(
     is_given: impl Fn(&str) -> bool,
     (before, after): (&TrainSettings, &TrainSettings),
 ) -> Option<String> {
-    // The name of a strategy implies its settings, and the start its SH degree.
-    let usual = match before.strategy == after.strategy {
-        true => before.clone(),
-        false => TrainSettings {
-            strategy: before.strategy,
-            sh_degree_start: after.sh_degree_start,
-            ..TrainSettings::of_strategy(after.strategy)
-        },
-    };
-    let pairs = usual.values().into_iter().zip(after.values());
-    let mut changed: Vec<String> = pairs
-        .filter(|(usual, after)| usual != after && !is_given(after.0))
+    let pairs = before.values().into_iter().zip(after.values());
+    let changed: Vec<String> = pairs
+        .filter(|(before, after)| before != after && !is_given(after.0))
         .map(|(_, (name, value))| format!("--{} {value}", name.replace('_', "-")))
         .collect();
-    changed.sort_by_key(|option| !option.starts_with("--strategy "));
     let changed = Some(changed.join(" ")).filter(|changed| !changed.is_empty())?;
     Some(format!(
         "only {photos} photos to train on: {changed}, against fitting only these (--few-photos off: as with many)"
@@ -113,13 +106,11 @@ mod tests {
     use super::super::Overrides;
     use super::*;
     use std::path::Path;
-    use toml::Table;
 
     const EXTENT: f32 = 4.0;
 
     fn resolved(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
-        let few_photos = Some((StrategyType::Budget, EXTENT));
-        Given::read(file, overrides)?.settle(&Facts { few_photos, sh_degree: 0 })
+        Given::read(file, overrides)?.settle(&Facts { few_photos: Some(EXTENT), ..Facts::default() })
     }
 
     /// A scene in other units is trained the same.
@@ -142,48 +133,35 @@ mod tests {
             overrides.train.0.extend(given.iter().map(|(key, value)| ((*key).to_owned(), value.clone())));
             resolved(None, &overrides).expect("settings").train
         };
-        let usual = TrainSettings::of_few_photos(StrategyType::Budget, EXTENT);
-        assert_eq!(settled(&[]), usual);
-        assert_eq!(settled(&[("scale_reg", 0.5.into())]), TrainSettings { scale_reg: 0.5, ..usual.clone() });
-        assert_eq!(settled(&[("dropout", 0.0.into())]), TrainSettings { dropout: 0.0, ..usual.clone() });
+        let few = TrainSettings::of_preset_for_few_photos(Preset::Default, EXTENT);
+        assert_eq!(settled(&[]), few);
+        assert_eq!(settled(&[("dropout", 0.0.into())]), TrainSettings { dropout: 0.0, ..few.clone() });
+        let budget = TrainSettings::of_few_photos(StrategyType::Budget, EXTENT);
+        assert_eq!(settled(&[("strategy", "budget".into())]), budget);
         let reference = TrainSettings::of_few_photos(StrategyType::Reference, EXTENT);
         assert_eq!(settled(&[("strategy", "reference".into())]), reference);
-        let preset = Overrides { preset: Some("quality".into()), ..Overrides::default() };
-        let preset = resolved(None, &preset);
-        let quality = TrainSettings::of_preset(Preset::Quality);
-        assert!(!usual.multi_step && usual.average_last > quality.average_last);
-        let TrainSettings { dropout, opacity_reg, scale_reg, multi_step, scaling_lr, .. } = usual;
-        let TrainSettings { average_last, position_lr_final, scale_sh_degree, .. } = usual;
-        let keeps = TrainSettings { multi_step, scaling_lr, average_last, position_lr_final, ..quality };
-        let keeps = TrainSettings { scale_sh_degree, ..keeps };
-        let expected = TrainSettings { dropout, opacity_reg, scale_reg, ..keeps };
-        assert_eq!(preset.expect("settings").train, expected);
 
-        let none = |_: &str| false;
-        assert_eq!(described(8, none, (&usual, &usual)), None);
-        let before = TrainSettings { iterations: 900, ..TrainSettings::default() };
-        let given: Table = "iterations = 900\nlate_min_opacity = 0.1".parse().expect("a table");
-        let after = TrainSettings { iterations: 900, ..usual };
-        let said = described(8, |name| given.contains_key(name), (&before, &after)).expect("a line");
-        assert!(said.starts_with("only 8 photos to train on: --strategy budget --"), "{said}");
-        let parts = [
-            "--few-photos off",
-            "--dropout 0.2",
-            "--cap-ratio 8",
-            "--opacity-reg 0.01",
-            "--scale-reg 0.0112",
-            "--average-last 0.25",
-            "--scale-sh-degree false",
-        ];
-        for part in parts {
+        let many = TrainSettings::default();
+        assert_eq!(described(8, |_| false, (&few, &few)), None);
+        let said = described(8, |name| name == "dropout", (&many, &few)).expect("a line");
+        for part in ["only 8 photos", "--few-photos off", "--opacity-reg 0.01", "--scale-reg 0.0112"] {
             assert!(said.contains(part), "{said}");
         }
-        // Neither the given settings, nor those that the strategy implies.
-        for part in ["iterations", "late-min-opacity", "absgrad", "position", "--sh-degree"] {
-            assert!(!said.contains(part), "{said}");
-        }
-        let said = described(8, none, (&TrainSettings::default(), &reference)).expect("a line");
-        assert!(said.contains("to train on: --densify-until-iter 1500,"), "{said}");
+        assert!(!said.contains("--dropout"), "{said}");
+    }
+
+    /// A training that continues keeps the settings of its checkpoint, as far as no others are given.
+    #[test]
+    fn a_checkpoint_brings_its_settings() {
+        let settings = TrainSettings { iterations: 70, seed: 9, ..TrainSettings::reference() };
+        let facts = Facts { continued: Some(&settings), ..Facts::default() };
+        let settled = |overrides: &Overrides| {
+            Given::read(None, overrides).and_then(|given| given.settle(&facts)).expect("settings").train
+        };
+        let kept = TrainSettings { iterations: 30_000, ..settings.clone() };
+        assert_eq!(settled(&Overrides::default()), kept);
+        let preset = Overrides { preset: Some("fast".into()), ..Overrides::default() };
+        assert_eq!(settled(&preset), TrainSettings::of_preset(Preset::Fast));
     }
 
     /// A dump of settings includes this decision.
@@ -195,8 +173,7 @@ mod tests {
         for train in [few(StrategyType::Reference), few(StrategyType::Budget), TrainSettings::default()] {
             let settings = Settings { train, ..Settings::default() };
             std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
-            let none = Overrides::default();
-            let read = resolved(Some(&path), &none);
+            let read = resolved(Some(&path), &Overrides::default());
             assert_eq!(read.expect("settings"), settings);
         }
     }

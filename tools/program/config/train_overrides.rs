@@ -51,9 +51,12 @@ pub fn strategies() -> PossibleValuesParser {
 impl TrainOverrides {
     fn argument(option: &TrainOption) -> Arg {
         let about = option.about.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ");
-        let default = match option.default_value() {
-            OptionValue::Switch(false) => String::new(),
-            value => format!(" [default: {value}]"),
+        let default = match option.defaults()[..] {
+            [(_, OptionValue::Switch(false))] => String::new(),
+            ref all => {
+                let all: Vec<String> = all.iter().map(|(name, value)| format!("{name}: {value}")).collect();
+                format!(" [{}]", all.join(", "))
+            }
         };
         let argument = Arg::new(option.name).long(option.name.replace('_', "-")).help(about + &default);
         let argument = match LETTERS.iter().find(|(name, _)| *name == option.name) {

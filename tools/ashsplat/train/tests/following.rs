@@ -14,7 +14,7 @@ fn step(iteration: u32, milliseconds: f64) -> StepReport {
 }
 
 fn of(iterations: u32) -> TrainSettings {
-    TrainSettings { iterations, ..TrainSettings::default() }
+    TrainSettings { iterations, ..TrainSettings::reference() }
 }
 
 #[test]
