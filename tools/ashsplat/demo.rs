@@ -3,7 +3,7 @@
 mod dataset;
 mod sheet;
 
-use crate::train::{Run, say_what_next};
+use crate::train::{Run, say_start, say_what_next};
 use ashsplat::train::TrainSettings;
 use ashsplat::{Error, Result};
 use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING};
@@ -69,9 +69,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let options = session::options(&settings.data, false, &arguments.device.host)?;
     let gallery = session::open(&settings.data, &options, &stop)?;
     let loaded = session::load(&gallery, arguments.quiet, &stop)?;
-    let photos = loaded.train.len() + loaded.test.len();
     if !arguments.quiet {
-        tell!("{photos} photographs, {} points; training on {}", loaded.points.len(), context.device_name());
+        say_start(&loaded, &context);
     }
     let model = settings.data.model_path.clone();
     let mut run = Run::prepare(&context, loaded, settings, arguments.quiet)?;

@@ -171,6 +171,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     lpips.check(&gallery, &settings)?;
     check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
+    if !arguments.quiet {
+        say_start(&dataset, &context);
+    }
     gallery
         .notes()
         .iter()
@@ -217,6 +220,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     arguments.device.report_validation(&context);
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }
+}
+
+/// Says what is trained on which device.
+pub fn say_start(dataset: &Dataset, context: &Context) {
+    let sizes = dataset.train.iter().map(|view| (view.camera.width, view.camera.height));
+    let size = sizes.max().map_or_else(String::new, |(width, height)| format!(" of {width}x{height}"));
+    let (photos, held_out) = (dataset.train.len(), dataset.test.len());
+    tell!(
+        "{photos} photographs{size} to train on, {held_out} held out; training on {}",
+        context.device_name()
+    );
 }
 
 /// A training run: the trainer and its files.

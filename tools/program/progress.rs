@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 
 /// Iterations between two plain lines.
 const LINE_INTERVAL: u32 = 100;
+/// Longest time between two plain lines.
+const LONGEST_SILENCE: Duration = Duration::from_secs(30);
 /// Weight of the newest loss in the running mean, as in the reference.
 const LOSS_WEIGHT: f64 = 0.4;
 /// Weight of the newest measurement in the speed that gives the remaining time.
@@ -60,6 +62,10 @@ pub struct TrainProgress {
     /// Seconds per iteration.
     mean_seconds: RunningMean,
     mean_loss: RunningMean,
+    /// Time of the last plain line.
+    last_line: Instant,
+    /// True once [`TrainProgress::first_estimate`] was given.
+    estimated: bool,
     /// The last measurement and its iteration.
     psnr: Option<(f64, u32)>,
 }
@@ -84,6 +90,8 @@ impl TrainProgress {
             iterations_per_second: 0.0,
             mean_seconds: RunningMean::new(SPEED_WEIGHT),
             mean_loss: RunningMean::new(LOSS_WEIGHT),
+            last_line: Instant::now(),
+            estimated: false,
             psnr: None,
         }
     }
@@ -104,10 +112,21 @@ impl TrainProgress {
             bar.set_position(u64::from(state.iteration));
             bar.set_message(self.describe(state));
         } else if self.lines
-            && (state.iteration.is_multiple_of(LINE_INTERVAL) || state.iteration == self.iterations)
+            && (state.iteration.is_multiple_of(LINE_INTERVAL)
+                || state.iteration == self.iterations
+                || self.last_line.elapsed() > LONGEST_SILENCE)
         {
             tell!("{}/{}  {}", state.iteration, self.iterations, self.describe(state));
+            self.last_line = Instant::now();
         }
+    }
+
+    /// The remaining seconds after this iteration, once: as soon as the speed is known. The run takes longer if Gaussians
+    /// are added.
+    pub fn first_estimate(&mut self, iteration: u32) -> Option<f64> {
+        let seconds = self.mean_seconds.value().filter(|_| !self.estimated)?;
+        self.estimated = true;
+        Some(f64::from(self.iterations - iteration) * seconds)
     }
 
     /// Notes the result of a test.

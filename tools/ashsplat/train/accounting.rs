@@ -3,13 +3,18 @@
 use super::Run;
 use ashsplat::train::StepReport;
 use ashsplat::{Error, Result};
-use ashsplat_program::progress::{State, thousands};
+use ashsplat_files::quoted;
+use ashsplat_program::progress::{State, clock, thousands};
 use std::collections::BTreeMap;
 
 /// Iterations after which a training without effect is noticed.
 const WITHOUT_EFFECT: u32 = 300;
 /// Change of a view's loss, as a share of it, that counts as none.
 const SAME_LOSS: f32 = 1e-4;
+/// Seconds of a run from which a shorter one is proposed.
+const LONG_RUN: f64 = 3600.0;
+/// Iterations and width of photographs of the shorter run, which takes minutes on a processor.
+const SHORT_RUN: (u32, u32) = (600, 400);
 
 /// Notices that training has no effect: no view shows a Gaussian, or no view's loss moves.
 #[derive(Default)]
@@ -100,6 +105,23 @@ impl Run {
             gaussians: report.gaussians,
             memory_bytes: self.trainer.memory_bytes(),
         });
+        if let Some(seconds) = self.progress.first_estimate(report.iteration).filter(|s| *s > LONG_RUN) {
+            self.progress.note(&self.propose_short_run(seconds));
+        }
+    }
+
+    fn propose_short_run(&self, seconds: f64) -> String {
+        let (iterations, width) = SHORT_RUN;
+        let data = &self.settings.data;
+        let [dataset, model] =
+            [&data.source_path, &data.model_path].map(|path| quoted(&path.to_string_lossy()));
+        let is_wide = self.views.test.iter().any(|view| view.camera.width > width);
+        let smaller = if is_wide { format!(" -r {width}") } else { String::new() };
+        format!(
+            "at this speed the training takes {} or longer; a first look in minutes: \
+             ashsplat train -s {dataset} -m {model} --eval{smaller} --iterations {iterations}",
+            clock(seconds)
+        )
     }
 }
 
