@@ -58,8 +58,8 @@ fn zero_points_are_refused_unless_random_ones_are_wanted() {
     place.training_refuses(&["no points", "--random-points"]);
     let told = place.run("info @data").ok().stdout;
     assert!(told.contains("next ") && told.trim_end().ends_with(" --eval --random-points"), "{told}");
-    let train = "train -s @data -m @out --iterations 1 --quiet";
-    let run = place.run(format!("{train} --random-points --few-photos off")).ok();
+    let train = "train -s @data -m @out --iterations 1 --quiet --strategy reference";
+    let run = place.run(format!("{train} --random-points")).ok();
     assert!(run.stderr.starts_with("warning: ") && run.stderr.contains("random"), "{}", run.stderr);
     // Photos without texture give no points: the points are random, and a warning says so.
     for index in 0..VIEWS {
@@ -77,7 +77,7 @@ fn zero_points_of_a_textured_scene_are_found_in_its_photos() {
     place.write("demo/dataset/sparse/0/points3D.bin", 0_u64.to_le_bytes());
     let found = "no points to start from; 20,000 at which the photos agree stand in for them";
     for (options, finds) in
-        [("--strategy budget", true), ("", false), ("--photo-points --checkpoint-iterations 1", true)]
+        [("--strategy reference", false), ("", true), ("--photo-points --checkpoint-iterations 1", true)]
     {
         let train = "train -s @demo/dataset -m @model -r 4 --iterations 2 --random-points";
         let said = place.run(format!("{train} {options}")).ok().stderr;

@@ -3,7 +3,7 @@
 mod dataset;
 mod sheet;
 
-use crate::train::{Run, say_start, say_what_next};
+use crate::train::{Run, describe_start, say_what_next};
 use ashsplat::train::TrainSettings;
 use ashsplat::{Error, Result};
 use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING};
@@ -70,7 +70,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gallery = session::open(&settings.data, &options, &stop)?;
     let loaded = session::load(&gallery, arguments.quiet, &stop)?;
     if !arguments.quiet {
-        say_start(&loaded, &context);
+        tell!("{}", describe_start(&loaded, &context));
     }
     let model = settings.data.model_path.clone();
     let mut run = Run::prepare(&context, loaded, settings, arguments.quiet)?;

@@ -39,7 +39,7 @@ use ashsplat_program::progress::TrainProgress;
 use ashsplat_program::session;
 use ashsplat_program::train_log::{LOG_FILE, TrainLog};
 use checkpoints::StartFrom;
-use clap::{Args, value_parser};
+use clap::{Arg, Args, value_parser};
 use glam::DVec3;
 use live::{Live, LiveArguments};
 use origin::{First, Origin};
@@ -61,7 +61,8 @@ use tracking::Tracking;
 /// already reset. Neither is saved if the device is lost or too slow, because the state of the Gaussians is
 /// then unknown. A run that resumes from a checkpoint ends with the same bits as one that was never stopped.
 #[derive(Args)]
-#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TRAINING)))]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TRAINING)), mut_args(in_short_help))]
+#[command(after_help = EXAMPLES)]
 pub struct Arguments {
     #[command(flatten)]
     overrides: Overrides,
@@ -93,13 +94,53 @@ pub struct Arguments {
     /// first. The folder need not be there yet
     #[arg(long)]
     wait: bool,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = "Viewers of the running training")]
     live: LiveArguments,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = "Device and memory")]
     device: DeviceArguments,
     /// No progress; only results and errors
     #[arg(long)]
     quiet: bool,
+}
+
+const EXAMPLES: &str = "Examples:
+  ashsplat train -s my_scene -m out/my_scene --eval
+  ashsplat train -s my_scene -m out/first_look --eval -r 400 --iterations 600
+  ashsplat train -s my_scene -m out/my_scene --preset quality --exposure --view
+  ashsplat train --config out/my_scene/settings.toml --start-checkpoint latest";
+
+/// Options that `-h` lists; `--help` lists all.
+const COMMON: [&str; 25] = [
+    "source_path",
+    "model_path",
+    "preset",
+    "resolution",
+    "eval",
+    "few_photos",
+    "init",
+    "test_iterations",
+    "checkpoint_every",
+    "start_checkpoint",
+    "config",
+    "iterations",
+    "sh_degree",
+    "cap_max",
+    "exposure",
+    "pose_opt",
+    "white_background",
+    "antialiasing",
+    "seed",
+    "view",
+    "device",
+    "max_memory",
+    "photo_memory",
+    "quiet",
+    "help",
+];
+
+fn in_short_help(argument: Arg) -> Arg {
+    let is_common = COMMON.contains(&argument.get_id().as_str());
+    argument.hide_short_help(!is_common)
 }
 
 /// Number of iterations after which the cost is noted, for comparison with other trainers.
@@ -171,9 +212,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     lpips.check(&gallery, &settings)?;
     check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
-    if !arguments.quiet {
-        say_start(&dataset, &context);
-    }
+    let start = describe_start(&dataset, &context);
     gallery
         .notes()
         .iter()
@@ -197,6 +236,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let folder = settings.data.model_path.clone();
     let mut run = Run::begin(&context, dataset, (settings, held), &origin, arguments.quiet)?;
+    if !arguments.quiet {
+        tell!("{start}");
+    }
     unseen.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
     // Freed here: a checkpoint is as large as everything that training keeps on the device.
     drop(origin);
@@ -222,15 +264,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-/// Says what is trained on which device.
-pub fn say_start(dataset: &Dataset, context: &Context) {
+/// Describes what is trained on which device.
+pub fn describe_start(dataset: &Dataset, context: &Context) -> String {
     let sizes = dataset.train.iter().map(|view| (view.camera.width, view.camera.height));
     let size = sizes.max().map_or_else(String::new, |(width, height)| format!(" of {width}x{height}"));
     let (photos, held_out) = (dataset.train.len(), dataset.test.len());
-    tell!(
+    format!(
         "{photos} photographs{size} to train on, {held_out} held out; training on {}",
         context.device_name()
-    );
+    )
 }
 
 /// A training run: the trainer and its files.

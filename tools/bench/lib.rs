@@ -22,6 +22,7 @@ mod samples;
 mod scaling;
 mod schema;
 mod sizes;
+mod suite;
 mod synthetic;
 mod table;
 mod tasks;
@@ -79,6 +80,8 @@ enum What {
     Compare(CompareArguments),
     /// Trainings with several strategies and seeds: PSNR, SSIM, Gaussians, processor seconds and seconds along each
     Quality(quality::Arguments),
+    /// Recipes of training on many scenes: held-out PSNR, what each scene gains or loses
+    Suite(suite::Arguments),
     /// How each stage grows with the Gaussians and the pixels
     Scaling(scaling::Arguments),
 }
@@ -122,6 +125,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         }
         What::Compare(files) => return compare_files(files),
         What::Quality(a) => quality::run(a),
+        What::Suite(a) => suite::run(a),
         What::Scaling(sweep) => scaling::run(sweep),
     }?;
     Ok(ExitCode::SUCCESS)

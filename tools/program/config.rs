@@ -77,7 +77,7 @@ pub struct Overrides {
     /// Begin with the Gaussians of this file, of any format that convert reads, in place of points
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = "Blocks")]
     #[serde(flatten)]
     block: BlockArguments,
     /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
@@ -107,7 +107,7 @@ fn iteration(text: &str) -> Result<u32, std::num::ParseIntError> {
 }
 
 /// All settings of a run.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     pub data: DataSettings,
     pub train: TrainSettings,
@@ -200,9 +200,9 @@ impl Settings {
         }
     }
 
-    /// The settings of the reference implementation, for models that do not say how they were trained.
-    fn reference() -> Settings {
-        Settings { train: TrainSettings::reference(), ..Settings::default() }
+    /// The settings of the reference implementation, for scenes that do not say how they were trained.
+    pub fn reference() -> Settings {
+        Settings { data: DataSettings::default(), train: TrainSettings::reference() }
     }
 
     fn from_table(mut table: Table, facts: &Facts) -> Result<Settings, String> {
@@ -337,7 +337,7 @@ mod tests {
     fn dump_reads_back() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join(SETTINGS_FILE);
-        let mut settings = Settings::default();
+        let mut settings = Settings::reference();
         settings.data.eval = true;
         settings.data.source_path = "some/where".into();
         settings.train.position_lr_init = 1.25e-4;
@@ -434,7 +434,7 @@ mod tests {
 
     #[test]
     fn cfg_args_of_the_reference() {
-        let mut settings = Settings::default();
+        let mut settings = Settings::reference();
         settings.data.source_path = "/data/it's".into();
         settings.data.eval = true;
         let line = settings.to_cfg_args();

@@ -31,7 +31,7 @@ impl Model {
                 let problem = format!("is for model folders; {} is a file", path.display());
                 return Err(Error::argument("--iteration", problem));
             }
-            return Ok(Model { ply: path.to_owned(), folder: None, settings: Settings::default() });
+            return Ok(Model { ply: path.to_owned(), folder: None, settings: Settings::reference() });
         }
         if is_tiles(path) {
             Tree::open(path)?;

@@ -125,7 +125,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         #[cfg(not(feature = "window"))]
         return Err(Error::argument(
             "--window",
-            "this program was built without windows: `cargo install --path tools/ashsplat --features window` installs \
+            "this program was built without windows: `cargo install --locked --path tools/ashsplat --features window` installs \
              one with them; without --window the viewer is a page in a browser",
         ));
     }

@@ -131,7 +131,7 @@ impl Subject {
         }
         Ok(Subject {
             name: path.display().to_string(),
-            base: look.settings(&Settings::default(), &scene.header)?,
+            base: look.settings(&Settings::reference(), &scene.header)?,
             gaussians: scene.gaussians,
             frame: scene.frame,
             cameras: Vec::new(),

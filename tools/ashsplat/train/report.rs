@@ -8,9 +8,10 @@ mod views;
 use super::Run;
 use ashsplat::Result;
 use ashsplat::scene::{Gaussians, WorldFrame};
+use ashsplat::train::TrainSettings;
 use ashsplat_files::{View, quoted};
 use ashsplat_program::child;
-use ashsplat_program::config::Settings;
+use ashsplat_program::config::{DataSettings, Settings};
 use ashsplat_program::eval::{self, Evaluation, More};
 use ashsplat_program::html::{self, escape, section};
 use ashsplat_program::output;
@@ -297,7 +298,8 @@ fn memory(out: &mut String, run: &Run) {
 }
 
 fn settings(settings: &Settings) -> Result<String> {
-    let (text, usual) = (settings.to_toml()?, Settings::default().to_toml()?);
+    let usual = Settings { data: DataSettings::default(), train: TrainSettings::default() };
+    let (text, usual) = (settings.to_toml()?, usual.to_toml()?);
     let rows: Vec<String> = text
         .lines()
         .filter_map(|line| {

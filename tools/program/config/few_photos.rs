@@ -171,7 +171,7 @@ mod tests {
         let path = folder.path().join("settings.toml");
         let few = |strategy| TrainSettings::of_few_photos(strategy, EXTENT);
         for train in [few(StrategyType::Reference), few(StrategyType::Budget), TrainSettings::default()] {
-            let settings = Settings { train, ..Settings::default() };
+            let settings = Settings { train, ..Settings::reference() };
             std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
             let read = resolved(Some(&path), &Overrides::default());
             assert_eq!(read.expect("settings"), settings);

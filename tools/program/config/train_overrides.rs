@@ -30,6 +30,40 @@ const EARLIER_NAMES: [(&str, &str, &str); 1] = [("strategy", "default", "referen
 /// Options with a letter, as in the reference.
 const LETTERS: [(&str, char); 1] = [("white_background", 'w')];
 
+/// Headings in `--help`, by options. Others are rates and schedules.
+const HEADINGS: [(&str, &[&str]); 4] = [
+    (
+        "Density control",
+        &[
+            "strategy",
+            "cap_",
+            "noise_lr",
+            "initial_",
+            "percent_dense",
+            "densif",
+            "opacity_reset",
+            "absgrad",
+            "split",
+            "importance",
+            "growth_curve",
+            "recovery",
+            "min_opacity",
+            "late_min_opacity",
+        ],
+    ),
+    ("Exposures, lenses and poses", &["exposure", "lens_", "pose_"]),
+    ("Loss", &["lambda_dssim", "opacity_reg", "scale_reg", "depth_", "dropout"]),
+    (
+        "Picture",
+        &["white_background", "random_background", "antialiasing", "kernel_size", "filter_3d", "sh_degree"],
+    ),
+];
+
+fn heading(name: &str) -> &'static str {
+    let is_of = |(_, starts): &&(&str, &[&str])| starts.iter().any(|start| name.starts_with(start));
+    HEADINGS.iter().find(is_of).map_or("Rates and schedules", |(heading, _)| heading)
+}
+
 /// The names of an option's values, including earlier ones.
 fn choices(option: &str, names: &'static [&'static str]) -> PossibleValuesParser {
     let earlier = |name: &str| {
@@ -59,6 +93,7 @@ impl TrainOverrides {
             }
         };
         let argument = Arg::new(option.name).long(option.name.replace('_', "-")).help(about + &default);
+        let argument = argument.help_heading(heading(option.name));
         let argument = match LETTERS.iter().find(|(name, _)| *name == option.name) {
             Some((_, letter)) => argument.short(*letter),
             None => argument,

@@ -83,7 +83,7 @@ impl Ready {
         }
         let settings = match division.blocks.first() {
             Some(block) => Settings::of_model(&file.at(&block.folder))?,
-            None => Settings::default(),
+            None => Settings::reference(),
         };
         if let Some(path) = &arguments.against {
             Model::locate(path, None)?;

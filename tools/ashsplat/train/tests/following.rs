@@ -86,7 +86,7 @@ fn nothing_is_measured_right_after_growth() {
 #[test]
 fn a_view_that_cannot_be_measured_is_told() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut settings = Settings::default();
+    let mut settings = Settings::reference();
     settings.data.model_path = folder.path().to_owned();
     settings.train.iterations = 20;
     let context = Context::new(&ContextOptions::default()).expect("a device");

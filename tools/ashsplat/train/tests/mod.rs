@@ -45,7 +45,7 @@ fn a_training_that_cannot_start_leaves_the_model_alone() {
     let files = [SETTINGS_FILE, CFG_ARGS_FILE, CAMERAS_FILE, eval::RESULTS_FILE, "input.ply"];
     files.iter().for_each(|name| std::fs::write(folder.path().join(name), "old").expect("written"));
     let dataset = dataset(0.0);
-    let mut settings = Settings::default();
+    let mut settings = Settings::reference();
     settings.data.model_path = folder.path().to_owned();
     let context = Context::new(&ContextOptions::default()).expect("a device");
     let refused = Run::prepare(&context, dataset, settings, true).err().expect("refused");
@@ -67,7 +67,7 @@ fn a_failed_iteration_saves_only_what_is_known_and_seen() {
         (0..30).step_by(2).map(|i| (Fault::Object, i)).chain((0..3).map(|i| (Fault::WaitMemory, i)))
     {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let mut settings = Settings::default();
+        let mut settings = Settings::reference();
         settings.data.model_path = folder.path().to_owned();
         settings.train.opacity_reset_interval = 2;
         let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");
@@ -106,7 +106,7 @@ fn a_lost_device_leaves_the_older_checkpoint() {
     let options = ContextOptions { faults: Some(faults.clone()), ..Default::default() };
     let context = Context::new(&options).expect("a device");
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut settings = Settings::default();
+    let mut settings = Settings::reference();
     settings.data.model_path = folder.path().to_owned();
     let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");
     assert_eq!(run.older_checkpoint(), None);
@@ -132,7 +132,7 @@ fn a_lost_device_leaves_the_older_checkpoint() {
 #[test]
 fn iterations_that_are_left_out_are_counted() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut settings = Settings::default();
+    let mut settings = Settings::reference();
     settings.data.model_path = folder.path().to_owned();
     let context = Context::new(&ContextOptions::default()).expect("a device");
     let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");

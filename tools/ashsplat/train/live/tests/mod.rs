@@ -26,7 +26,7 @@ fn any_port() -> Doors {
 
 /// A run with a viewer, with its model in this folder.
 fn looked_at(context: &Context, model: &Path) -> Run {
-    let mut settings = Settings::default();
+    let mut settings = Settings::reference();
     settings.data.model_path = model.to_owned();
     let mut run = Run::prepare(context, dataset(1.0), settings, true).expect("a run");
     run.look_on(Some(any_port()), context, None).expect("a viewer");

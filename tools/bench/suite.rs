@@ -1,0 +1,321 @@
+//! `bench suite`: recipes of training on many scenes, and what each scene gains or loses.
+
+use super::machine;
+use ashsplat::scene::PointCloud;
+use ashsplat::{Error, Result};
+use ashsplat_files::colmap::{self, ColmapImage, Model};
+use ashsplat_files::{atomic, quoted, regular_file};
+use ashsplat_program::child::run_logged;
+use ashsplat_program::eval::RESULTS_FILE;
+use ashsplat_program::{output, session};
+use clap::Args;
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+/// Train many scenes by several recipes: a table of held-out PSNR with mean, worst loss and largest fall along a run.
+///
+/// FILE lists scenes and recipes (tools/bench.md). Each run is an `ashsplat train --eval`, whose model folder stays in the folder.
+/// After Ctrl-C the same command goes on with the run that was stopped. A run is made anew if its options, its scene or this
+/// program have changed.
+#[derive(Args)]
+pub struct Arguments {
+    /// Scenes and recipes
+    #[arg(value_name = "FILE")]
+    suite: PathBuf,
+    /// Folder for data sets of chosen photographs, runs and suite.md
+    #[arg(short, long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Folder of the data sets [default: that of FILE]
+    #[arg(long, value_name = "FOLDER")]
+    data: Option<PathBuf>,
+}
+
+/// A file of scenes and recipes.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Suite {
+    /// Iterations of each run.
+    iterations: u32,
+    /// Iterations after which held-out photographs are measured besides.
+    #[serde(default)]
+    tests: Vec<u32>,
+    #[serde(default = "one_seed")]
+    seeds: Vec<u32>,
+    /// Options of `train` for all runs.
+    #[serde(default)]
+    options: Vec<String>,
+    #[serde(rename = "scene")]
+    scenes: Vec<Scene>,
+    #[serde(rename = "recipe")]
+    recipes: Vec<Recipe>,
+}
+
+fn one_seed() -> Vec<u32> {
+    vec![0]
+}
+
+/// A data set, or some photographs of it.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct Scene {
+    name: String,
+    dataset: PathBuf,
+    /// As `train -r`.
+    #[serde(default = "stored_size")]
+    resolution: i32,
+    /// Number of photographs; all if it is missing. Points stay that two of them frame.
+    photographs: Option<usize>,
+    /// Takes photographs at equal distances by name, from this place on.
+    #[serde(default)]
+    first: usize,
+    /// Takes the photographs whose cameras are nearest to that of this one instead.
+    near: Option<String>,
+}
+
+fn stored_size() -> i32 {
+    -1
+}
+
+/// Options of `train` that are compared.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Recipe {
+    name: String,
+    #[serde(default)]
+    options: Vec<String>,
+}
+
+/// A finished run.
+#[derive(Serialize, Deserialize)]
+struct Run {
+    /// What the run depends on.
+    setup: String,
+    seconds: f64,
+    gaussians: u64,
+    /// Held-out PSNR by iteration, dB.
+    psnr: BTreeMap<u32, f64>,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let suite = Suite::read(&arguments.suite)?;
+    let stop = session::stop_on_ctrl_c()?;
+    let base = arguments.data.as_deref().or(arguments.suite.parent()).unwrap_or(Path::new(""));
+    let program = std::env::current_exe().map_err(|e| Error::io("ashsplat", "find", e))?;
+    atomic::create_folder(&arguments.out)?;
+    let mut runs = BTreeMap::new();
+    let all = suite.scenes.len() * suite.recipes.len() * suite.seeds.len();
+    for &seed in &suite.seeds {
+        for (at, scene) in suite.scenes.iter().enumerate() {
+            let data =
+                scene.data(&base.join(&scene.dataset), &arguments.out.join("data").join(&scene.name))?;
+            for (by, recipe) in suite.recipes.iter().enumerate() {
+                let folder = arguments.out.join(&scene.name).join(format!("{}-{seed}", recipe.name));
+                let command = suite.command(scene, recipe, seed, &data);
+                let run = finish(&program, command, &folder, suite.iterations, &stop)?;
+                let (name, psnr) = (folder.display(), run.psnr[&suite.iterations]);
+                tell!("{}/{all}  {name}  {psnr:.2} dB  {:.0} s", runs.len() + 1, run.seconds);
+                runs.insert((at, by, seed), run);
+            }
+        }
+    }
+    let table = suite.table(&runs);
+    output::write_text(&arguments.out.join("suite.md"), &table)?;
+    say!("{}", table.trim_end());
+    Ok(())
+}
+
+impl Suite {
+    fn read(path: &Path) -> Result<Suite> {
+        const MOST_BYTES: u64 = 1 << 20;
+        let remedy = "tools/bench.md describes such files";
+        let bytes = regular_file::read_at_most(path, MOST_BYTES)?
+            .ok_or_else(|| Error::input(path, format!("is longer than {MOST_BYTES} bytes"), remedy))?;
+        let text = ashsplat_files::text::from_bytes(path, bytes)?;
+        let suite: Suite = toml::from_str(&text).map_err(|e| Error::input(path, e.to_string(), remedy))?;
+        let empty = suite.scenes.is_empty() || suite.recipes.is_empty() || suite.seeds.is_empty();
+        let mut folders = BTreeSet::new();
+        let scenes = suite.scenes.iter().map(|scene| ("scene", &scene.name));
+        let names = scenes.chain(suite.recipes.iter().map(|recipe| ("recipe", &recipe.name)));
+        let bad = names.clone().find(|name| {
+            let unusable = name.1.is_empty() || name.1.contains(['/', '\\', '.']) || name.1 == "data";
+            unusable || !folders.insert(*name)
+        });
+        match bad {
+            _ if empty => Err(Error::input(path, "has no scenes, no recipes or no seeds", remedy)),
+            Some((kind, name)) => {
+                let problem = format!("the {kind} '{name}' is named twice, or by no name of a folder");
+                Err(Error::input(path, problem, "give names of letters and digits, each once"))
+            }
+            None => Ok(suite),
+        }
+    }
+
+    /// The arguments of a run, without its folder.
+    fn command(&self, scene: &Scene, recipe: &Recipe, seed: u32, data: &Path) -> Vec<String> {
+        let numbers = [self.iterations, seed].map(|number| number.to_string());
+        let mut all: Vec<String> =
+            ["train", "--eval", "--quiet", "--eval-share", "0"].map(String::from).into();
+        all.extend(["-s".into(), data.display().to_string(), "-r".into(), scene.resolution.to_string()]);
+        all.extend(["--iterations".into(), numbers[0].clone(), "--seed".into(), numbers[1].clone()]);
+        all.push("--test-iterations".into());
+        all.extend(self.tests.iter().chain([&self.iterations]).map(u32::to_string));
+        all.extend(["--save-iterations".into(), "-1".into()]);
+        all.extend(self.options.iter().chain(&recipe.options).cloned());
+        all
+    }
+
+    /// Scenes by recipes. All recipes but the first have their difference from the first.
+    fn table(&self, runs: &BTreeMap<(usize, usize, u32), Run>) -> String {
+        let mean = |of: &dyn Fn(&Run) -> f64, at: usize, by: usize| {
+            let values = self.seeds.iter().map(|&seed| of(&runs[&(at, by, seed)]));
+            values.sum::<f64>() / self.seeds.len() as f64
+        };
+        let last = |run: &Run| run.psnr[&self.iterations];
+        let psnr = |at: usize, by: usize| mean(&last, at, by);
+        let recipes = 0..self.recipes.len();
+        let names = self.recipes.iter().map(|recipe| recipe.name.as_str());
+        let mut text = row(std::iter::once("PSNR, dB").chain(names).map(String::from));
+        text += &row((0..=recipes.len()).map(|_| "---".into()));
+        let change = |value: f64, by: usize, first: f64| match by {
+            0 => format!("{value:.2}"),
+            _ => format!("{value:.2} ({:+.2})", value - first),
+        };
+        for (at, scene) in self.scenes.iter().enumerate() {
+            let cells = recipes.clone().map(|by| change(psnr(at, by), by, psnr(at, 0)));
+            text += &row(std::iter::once(scene.name.clone()).chain(cells));
+        }
+        let scenes = || 0..self.scenes.len();
+        let over = |value: &dyn Fn(usize) -> f64| scenes().map(value).sum::<f64>() / self.scenes.len() as f64;
+        let means: Vec<f64> = recipes.clone().map(|by| over(&|at| psnr(at, by))).collect();
+        let mut add = |name: &str, cell: &dyn Fn(usize) -> String| {
+            text += &row(std::iter::once(name.to_owned()).chain(recipes.clone().map(cell)));
+        };
+        add("**mean**", &|by| change(means[by], by, means[0]));
+        let least = |value: &dyn Fn(usize) -> f64| scenes().map(value).fold(f64::INFINITY, f64::min);
+        add("largest loss", &|by| format!("{:+.2}", least(&|at| psnr(at, by) - psnr(at, 0)).min(0.0)));
+        let rise = |run: &Run| last(run) - run.psnr.values().copied().fold(f64::NEG_INFINITY, f64::max);
+        add("largest fall along a run", &|by| format!("{:+.2}", least(&|at| mean(&rise, at, by))));
+        add("Gaussians", &|by| format!("{:.0}", over(&|at| mean(&|run| run.gaussians as f64, at, by))));
+        add("seconds", &|by| format!("{:.0}", over(&|at| mean(&|run| run.seconds, at, by))));
+        text
+    }
+}
+
+fn row(cells: impl Iterator<Item = String>) -> String {
+    format!("| {} |\n", cells.collect::<Vec<_>>().join(" | "))
+}
+
+impl Scene {
+    /// The folder to train on: the data set's, or a new one with the chosen photographs.
+    fn data(&self, source: &Path, folder: &Path) -> Result<PathBuf> {
+        let Some(count) = self.photographs else { return Ok(source.to_owned()) };
+        let model = Model::of_dataset(source)?;
+        let chosen = self.choose(&model, count)?;
+        let cameras = chosen.iter().map(|image| model.camera_of(image)).collect::<Result<Vec<_>>>()?;
+        let framed =
+            |at: &DVec3| cameras.iter().filter(|camera| camera.sees(at.as_vec3())).take(2).count() == 2;
+        let pairs = model.points.positions.iter().zip(&model.points.colors).filter(|(at, _)| framed(at));
+        let (positions, colors) = pairs.map(|(at, color)| (at.as_vec3().to_array(), *color)).unzip();
+        let used: BTreeSet<u32> = chosen.iter().map(|image| image.camera_id).collect();
+        let lenses: Vec<_> = used.iter().filter_map(|id| model.cameras.get(id).cloned()).collect();
+        for image in &chosen {
+            let from = image.photo_path(&source.join("images"), &model.file("images"))?;
+            let to = image.photo_path(&folder.join("images"), &model.file("images"))?;
+            let bytes = regular_file::read(&from, 1)?;
+            atomic::create_folder(to.parent().unwrap_or(folder))?;
+            atomic::write(&to, |w| w.write_all(&bytes))?;
+        }
+        let points = PointCloud { positions, colors };
+        colmap::write(folder.join("sparse").join("0"), &lenses, &chosen, &points)?;
+        Ok(folder.to_owned())
+    }
+
+    /// The chosen images, by name.
+    fn choose(&self, model: &Model, count: usize) -> Result<Vec<ColmapImage>> {
+        let mut images = model.images.clone();
+        images.sort_by(|a, b| a.name.cmp(&b.name));
+        let refuse = |problem: String| {
+            Err(Error::argument(format!("scene {}", self.name), problem + "; change the suite's file"))
+        };
+        if count == 0 || count > images.len() {
+            return refuse(format!("wants {count} photographs, there are {}", images.len()));
+        }
+        let Some(near) = &self.near else {
+            let at = |i: usize| (self.first + i * images.len() / count) % images.len();
+            let places: BTreeSet<usize> = (0..count).map(at).collect();
+            return Ok(places.into_iter().map(|place| images[place].clone()).collect());
+        };
+        let eye = |image: &ColmapImage| -(image.rotation().transpose() * DVec3::from(image.translation));
+        let Some(center) = images.iter().find(|image| image.name == *near).map(eye) else {
+            return refuse(format!("has no photograph '{near}'"));
+        };
+        images.sort_by(|a, b| eye(a).distance(center).total_cmp(&eye(b).distance(center)));
+        images.truncate(count);
+        images.sort_by(|a, b| a.name.cmp(&b.name));
+        Ok(images)
+    }
+}
+
+/// Makes a run, unless it is finished.
+fn finish(
+    program: &Path,
+    command: Vec<String>,
+    folder: &Path,
+    iterations: u32,
+    stop: &AtomicBool,
+) -> Result<Run> {
+    let note = folder.with_extension("json");
+    let made = machine::program();
+    let setup = format!("{} {} {}", made.version, made.commit.unwrap_or_default(), command.join(" "));
+    let earlier =
+        regular_file::read_json(&note).ok().and_then(|text| serde_json::from_slice::<Run>(&text).ok());
+    if let Some(run) = earlier.filter(|run| run.setup == setup) {
+        return Ok(run);
+    }
+    session::check(stop)?;
+    std::fs::remove_dir_all(folder).ok();
+    atomic::create_folder(folder)?;
+    let start = Instant::now();
+    let mut child = Command::new(program);
+    child.args(&command).arg("-m").arg(folder);
+    let ended = run_logged(child, &folder.with_extension("log"), stop, &|_| ())?;
+    if !ended.status.success() {
+        let problem = format!(
+            "a run failed: ashsplat {}",
+            command.iter().map(|a| quoted(a)).collect::<Vec<_>>().join(" ")
+        );
+        let said = ended.tail.last().cloned().unwrap_or_default();
+        return Err(Error::input(folder, problem, said));
+    }
+    let run = Run::read(folder, setup, iterations, start.elapsed().as_secs_f64())?;
+    output::write_json(&note, &run)?;
+    Ok(run)
+}
+
+impl Run {
+    fn read(folder: &Path, setup: String, iterations: u32, seconds: f64) -> Result<Run> {
+        #[derive(Deserialize)]
+        struct Entry {
+            #[serde(rename = "PSNR")]
+            psnr: f64,
+            gaussians: u64,
+        }
+        let path = folder.join(RESULTS_FILE);
+        let wrong = |problem: String| Error::input(&path, problem, "remove the folder and run again");
+        let entries: BTreeMap<String, Entry> =
+            serde_json::from_slice(&regular_file::read_json(&path)?).map_err(|e| wrong(e.to_string()))?;
+        let number = |name: &str| name.strip_prefix("ours_").and_then(|number| number.parse::<u32>().ok());
+        let psnr: BTreeMap<u32, f64> =
+            entries.iter().filter_map(|(name, entry)| Some((number(name)?, entry.psnr))).collect();
+        let last = entries.get(&format!("ours_{iterations}"));
+        let gaussians =
+            last.ok_or_else(|| wrong(format!("has no entry of iteration {iterations}")))?.gaussians;
+        Ok(Run { setup, seconds, gaussians, psnr })
+    }
+}
