@@ -5,19 +5,15 @@
 use std::fs::{self, File};
 use std::path::Path;
 
-use ashsplat::Error;
-use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
-use ashsplat::train::Checkpoint;
+use ashsplat::scene::{Intrinsics, PointCloud, WorldFrame};
 use ashsplat_files::colmap::{ColmapCamera, ColmapImage, Model};
 use ashsplat_files::dataset::{Dataset, DatasetOptions};
 use ashsplat_files::splats::{ConvertOptions, Format, ReadOptions, Target, WriteOptions};
-use ashsplat_files::{
-    CheckpointFile, Photo, PhotoFileFormat, Progress, Resolution, cameras_json, colmap, ply, splats,
-};
-use glam::Vec3;
+use ashsplat_files::{PhotoFileFormat, Progress, Resolution, cameras_json, colmap, ply, splats};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use crate::common::child;
+use crate::common::prelude::*;
 use crate::common::splats::scene;
 
 /// Address space of the readers.

@@ -2,7 +2,6 @@
 
 use ashsplat::train::OptimizerType;
 
-use crate::common::compare::elementwise;
 use crate::common::prelude::*;
 use crate::common::training::settings as usual;
 use crate::reference::average::mean;

@@ -1,10 +1,8 @@
 //! Finite differences prove the twins' backward pass, the twins prove the device's.
 
-use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::engine::{settings, twins};
 use crate::common::frame::unstable_pixels;
 use crate::common::prelude::*;
-use crate::common::scenes::{by_parameter, gradient_scalars, scalars};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::exposure::{Exposures, Matrix, expose, expose_backward};
 use crate::reference::inverse_depth_l1::inverse_depth_l1;
@@ -15,7 +13,6 @@ use crate::reference::project_backward::project_backward;
 use crate::reference::regularize::regularize;
 use crate::reference::sparse_depth::{self, Point, depth_sums, expected};
 use crate::reference::sparse_depth_gather::{expected_depth_backward, gather};
-use crate::reference::types::{Drawn, Dropout, Gradient, Splat, SplatGradient};
 
 /// Σ pixel · weight, a loss that is linear in the picture.
 pub fn linear_loss(gaussians: &[Gaussian], view: &View, weights: &[PixelGradient]) -> f64 {

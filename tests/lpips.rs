@@ -2,7 +2,6 @@
 
 use ashsplat::passes::lpips::{InputRange, Lpips, Network, Weights};
 
-use crate::common::compare::elementwise;
 use crate::common::prelude::*;
 use crate::reference::lpips::{ALEXNET, VGG16, formula, lpips};
 

@@ -7,15 +7,13 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::Duration;
 
-use ashsplat::Error;
-use ashsplat::scene::Gaussians;
 use ashsplat_files::colmap::Model;
 use ashsplat_files::dataset::{Dataset, DatasetOptions, View};
 use ashsplat_files::{Progress, ply, splats};
-use glam::Vec3;
 use libtest_mimic::{Failed, Trial};
 
 use crate::absent_data;
+use crate::common::prelude::*;
 
 /// Far more than any of the small files needs.
 const TIMEOUT: Duration = Duration::from_secs(120);

@@ -3,7 +3,6 @@
 use ashsplat::train::OptimizerType;
 
 use crate::common::prelude::*;
-use crate::common::scenes::gaussian;
 
 /// Bytes of a Gaussian of SH degree 3 in each of the four sets.
 const SET: u64 = 4 * (3 * 4 + 48);

@@ -10,7 +10,6 @@ use glam::{Mat3, Mat4, Vec4};
 use crate::common::engine::settings;
 use crate::common::prelude::*;
 use crate::reference::pipeline;
-use crate::reference::types::Drawn;
 
 const SIZE: [u32; 2] = [64, 48];
 /// Pixels per unit.

@@ -3,23 +3,18 @@
 
 use ashsplat::passes::poses::PoseBuffers;
 use ashsplat::scene::{StoredPhoto, Twist, scene_extent};
-use ashsplat::train::{Forecast, OptimizerType, PhotoSize, StrategyType, TrainView, Trainer};
-use ashsplat::{Alignment, Camera, Checkpoint, Error, Gaussians, RenderSettings, Renderer, TrainSettings};
-use ashsplat_files::{CheckpointFile, Photo, metrics};
+use ashsplat::train::{Forecast, OptimizerType, PhotoSize};
+use ashsplat::{Alignment, Checkpoint};
+use ashsplat_files::metrics;
 use glam::DVec3;
 
 use crate::checkpoints;
 use crate::common::blending::assert_alike;
-use crate::common::bounded;
-use crate::common::compare::elementwise;
-use crate::common::engine::{self, camera, derivatives, settings};
-use crate::common::gpu::Gpu;
+use crate::common::engine::{self, derivatives, settings};
 use crate::common::prelude::*;
-use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
 use crate::gradients::{self, decisions, linear_loss, narrow_view, narrowed, random_weights, stable_weights};
 use crate::reference::pipeline::{backward, pixels_of, render};
 use crate::reference::pose_step::moved;
-use crate::reference::types::{Extent, View};
 
 /// The view at exp(δ^) T.
 pub fn moved_view(view: &View, delta: [f64; 6]) -> View {

@@ -4,7 +4,6 @@ use ashsplat::frame::{LaunchSizes, SortMethod};
 use ashsplat::passes::scan::Workgroups;
 use ashsplat::passes::sort::{RadixSort, SortBuffers, Values};
 
-use crate::common::gpu::UNTOUCHED;
 use crate::common::prelude::*;
 use crate::reference::sort::sort_pairs;
 

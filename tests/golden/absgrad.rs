@@ -9,12 +9,10 @@ use super::Outcome;
 use super::rendering::{DOUBLE, SINGLE};
 use super::sets::{EXTENTS, gaussians, pixel_gradients};
 use super::stages::{Stages, field, views};
-use crate::common::compare::{GradientTolerance, equal, gradient, relative};
-use crate::common::gpu::Gpu;
+use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::project_backward::mean2d_statistic;
-use crate::reference::types::{Extent, Gaussian, View};
 
 /// Norms of the signed and of the absolute gradients, and true if visible, per Gaussian.
 type Norms = Vec<(f64, f64, bool)>;

@@ -2,20 +2,17 @@
 
 use std::path::Path;
 
-use ashsplat::TrainSettings;
 use ashsplat::passes::densify::{ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings};
-use ashsplat::train::{GrowthSchedule, QuantilePlace, StrategyType};
+use ashsplat::train::{GrowthSchedule, QuantilePlace};
 
 use super::Outcome;
 use super::gpu_training::{compare_parameters, densified};
 use super::sets::gaussians;
-use crate::common::compare::{elementwise, equal};
-use crate::common::gpu::Gpu;
+use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use crate::reference::gather::long_axis_child;
 use crate::reference::linear::sigmoid;
 use crate::reference::schedule;
-use crate::reference::types::Gaussian;
 
 /// Tolerance of every value, absolute and relative.
 const DEVICE: f64 = 2e-6;

@@ -1,14 +1,12 @@
 //! Trials of the device, with tolerances for float32.
 
-use ashsplat::RenderSettings;
 use libtest_mimic::Trial;
 
 use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
 use super::sets::RenderingSet;
 use super::{Outcome, SetFile};
-use crate::common::engine::{camera, gaussians, renderer, settings, widen};
-use crate::common::{assert_silent, context};
-use crate::reference::types::Extent;
+use crate::common::engine::settings;
+use crate::common::prelude::*;
 
 /// The trials of a rendering: picture and gradients of each extent.
 pub fn trials(set: &SetFile) -> Vec<Trial> {

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use ashsplat::TrainSettings;
 use ashsplat::frame::{LaunchSizes, SceneBuffers, Strips, planes};
 use ashsplat::passes::adam::Moments;
 use ashsplat::passes::densify::{
@@ -17,13 +16,11 @@ use super::report;
 use super::sets::{gaussians, view};
 use super::training::{FIELDS, GROUPS, REGULARIZER_WEIGHTS, RegularizerSet, departing};
 use crate::common::adam::{AdamState, Rates, Step, VisibleGradient};
-use crate::common::compare::{PixelTolerance, elementwise, equal, gradient, pixels};
 use crate::common::engine;
-use crate::common::gpu::Gpu;
+use crate::common::prelude::*;
 use crate::common::terms::regularize;
 use crate::golden::npz::{Npz, rows};
 use crate::reference::pipeline::render;
-use crate::reference::types::Gaussian;
 use crate::reference::{schedule, sh};
 
 /// A few roundings of float32.

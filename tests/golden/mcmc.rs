@@ -6,18 +6,15 @@ use ashsplat::frame::{SceneBuffers, planes};
 use ashsplat::kernels::constants::STATE_WORDS;
 use ashsplat::passes::adam::Moments;
 use ashsplat::passes::densify::{Densify, Draw, DrawBuffers, Gather, RandomKey, Relocation};
-use ashsplat::vk::MemoryKind;
 
 use super::Outcome;
 use super::sets::gaussians;
-use crate::common::compare::{elementwise, equal};
 use crate::common::engine;
-use crate::common::gpu::Gpu;
+use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use crate::reference::add_noise::noise;
 use crate::reference::linear::sigmoid;
 use crate::reference::relocate::relocate;
-use crate::reference::types::Gaussian;
 
 /// Tolerances of logits and log-scales.
 const DEVICE: f64 = 1e-4;

@@ -4,17 +4,14 @@ use std::path::Path;
 
 use super::Outcome;
 use super::sets::{self, EXTENTS, gaussians, pixel_gradients};
-use crate::common::compare::{elementwise, relative};
-use crate::common::engine::{self, camera, renderer, settings};
-use crate::common::gpu::Gpu;
+use crate::common::engine::{self, settings};
 use crate::common::poses::{Poses, pose_gradient, pose_step};
-use crate::common::{assert_silent, context};
+use crate::common::prelude::*;
 use crate::golden::npz::{Npz, rows};
 use crate::reference::adam::Parameter;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::pose_gradient::gradient_of_parameters;
 use crate::reference::pose_step::{moved, pose_step as twin_step};
-use crate::reference::types::{Extent, View};
 
 /// Tolerances relative to the largest entry of a gradient.
 const TWIN: f64 = 1e-6;

@@ -1,6 +1,5 @@
 //! Frames with backward passes by the engine's stages, for values that a renderer does not return.
 
-use ashsplat::RenderSettings;
 use ashsplat::frame::{
     Auxiliary, BlendVariant, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, PictureCapacity,
     PlacedScene, SceneBuffers, frame_requests, planes,
@@ -8,13 +7,12 @@ use ashsplat::frame::{
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::passes::backward::{Backward, BackwardVariant};
 use ashsplat::render::Forward;
-use ashsplat::vk::{MemoryKind, Recorder};
+use ashsplat::vk::Recorder;
 
 use super::sets;
-use crate::common::engine::{camera, gaussians, settings};
-use crate::common::gpu::Gpu;
+use crate::common::engine::settings;
+use crate::common::prelude::*;
 use crate::golden::npz::Npz;
-use crate::reference::types::{Extent, Gaussian, View};
 
 /// The cameras of an archive with a row per view.
 pub fn views(npz: &Npz, extent: Extent) -> Vec<View> {

@@ -3,19 +3,15 @@
 
 use ashsplat::frame::LaunchSizes;
 use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW};
-use ashsplat::vk::Buffer;
 
 use crate::common::blending::{
     Beside, Blended, CHAINED, How, LOW, SHARED, UNCHAINED, assert_same, forms, forward, forward_auxiliary,
     forward_limited, has_strips, strips_of,
 };
-use crate::common::compare::{PixelTolerance, pixels};
 use crate::common::frame::Lists;
-use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::scenes::small_view;
+use crate::common::prelude::*;
 use crate::reference::blend::{Pixel, before, beside, blend, samples};
 use crate::reference::pipeline::{pixels_of, tile_of};
-use crate::reference::types::Splat;
 
 const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstable: 2e-2 };
 const SIZE: [u32; 2] = [37, 21];

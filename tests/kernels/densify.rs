@@ -10,14 +10,9 @@ use ashsplat::kernels::densify::{
     classify, gather, mask_outside, relocate, reset_opacity, scatter_sources, zorder,
 };
 use ashsplat::passes::densify::{Curve, Densify, DensifyBuffers, OrderBuffers};
-use ashsplat::vk::{Buffer, MemoryKind};
-use glam::Vec3;
 
 use super::draws::{in_chunks, uploaded};
-use crate::common::compare::elementwise;
-use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{pack, place, planes, room, unpack};
-use crate::common::scenes::{Random, mixed_scene, small_scene};
+use crate::common::prelude::*;
 use crate::reference::classify::{Decision, GRADIENT_THRESHOLD, Statistic, decide, is_pruned, masked};
 use crate::reference::filter_sizes::shrink;
 use crate::reference::gather::{child_of, long_axis_child, random_normal};
@@ -26,7 +21,6 @@ use crate::reference::relocate::relocate as relocate_twin;
 use crate::reference::reset_opacity::reset_opacity as reset_opacity_twin;
 use crate::reference::scan::scan_spine;
 use crate::reference::scatter_sources::{Densify as DensifyTwin, Kind, place as place_twin};
-use crate::reference::types::Gaussian;
 use crate::reference::zorder::{cell, zorder as zorder_twin};
 
 const SCENE_EXTENT: f64 = 40.0;

@@ -11,18 +11,12 @@ use ashsplat::kernels::densify::{
     opacity_keys, sum_weights,
 };
 use ashsplat::passes::densify::{Candidates, Chances, Selection, SelectionBuffers, SelectionDraw};
-use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind};
 
 use super::pixels::{SIZES, layouts};
-use crate::common::compare::elementwise;
-use crate::common::engine::gaussians;
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::options;
-use crate::common::scenes::{Random, mixed_scene};
+use crate::common::prelude::*;
 use crate::reference::draws as twin;
 use crate::reference::gather::pcg4d;
 use crate::reference::linear::sigmoid;
-use crate::reference::types::Gaussian;
 
 const KEY: [u32; 2] = [42, 700];
 const THRESHOLD: f32 = 0.5;

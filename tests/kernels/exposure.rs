@@ -3,12 +3,9 @@
 
 use ashsplat::kernels::constants::{STATE_OVERFLOW, TERM_PARTIALS};
 use ashsplat::kernels::exposure::{expose, expose_backward, exposure_step, lens_backward, lens_effects};
-use ashsplat::vk::Buffer;
 
 use super::pixels::{SIZES, layouts};
-use crate::common::compare::elementwise;
-use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::scenes::Random;
+use crate::common::prelude::*;
 use crate::common::terms::{colors, place, values};
 use crate::reference::exposure::{self as twin, Exposures, IDENTITY, Matrix, Rows};
 use crate::reference::pixels::picture_to_rows;

@@ -11,13 +11,10 @@ use ashsplat::kernels::forward::{
 };
 
 use crate::common::frame::{Projected, shuffled, state, touched_at_most, visible_scene};
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{extent_word, scene_blocks};
-use crate::common::scenes::{Random, small_view};
+use crate::common::prelude::*;
 use crate::reference::lists::{self as twin, LISTED, is_listed, tiles_met};
 use crate::reference::scan::{scan_reduce, scan_spine};
 use crate::reference::tiles::{touched, touches_by_pixels};
-use crate::reference::types::{Extent, Gaussian, Splat, View};
 
 #[test]
 pub fn compact_equals_its_twin() {

@@ -4,18 +4,14 @@
 use ashsplat::kernels::constants::TERM_PARTIALS;
 use ashsplat::kernels::loss::{sparse_depth, sparse_depth_gather};
 use ashsplat::passes::loss::DepthPointBuffers;
-use ashsplat::vk::Buffer;
 
 use super::pixels::{SIZES, layouts};
-use crate::common::compare::elementwise;
-use crate::common::gpu::{Gpu, sizes};
-use crate::common::scenes::{Random, mixed_scene};
+use crate::common::prelude::*;
 use crate::common::terms::{added_to_fourth_plane, inverse_depth_l1, points, regularize, values};
 use crate::reference::inverse_depth_l1::inverse_depth_l1 as inverse_depth_twin;
 use crate::reference::regularize::{losses, regularize as regularize_twin};
 use crate::reference::sparse_depth::{Point, corners, loss};
 use crate::reference::sparse_depth_gather::gather;
-use crate::reference::types::Gaussian;
 
 /// Depth sums of a picture as the blending writes them.
 struct Depths {

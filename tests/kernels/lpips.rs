@@ -5,9 +5,7 @@ use std::ops::Range;
 
 use ashsplat::kernels::lpips::{convolve, feature_difference, max_pool};
 
-use crate::common::compare::{elementwise, equal};
-use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::scenes::Random;
+use crate::common::prelude::*;
 use crate::reference::lpips::{self as twin, Features, Window};
 
 /// Shape of a feature map of two pictures, as the kernels store it: feature_map.glsl.

@@ -5,9 +5,7 @@ use ashsplat::frame::Strips;
 use ashsplat::kernels::pixels::{gradient_from_rows, photo_reduced, photo_to_rows, picture_to_rows};
 use ashsplat::passes::loss::{Windowing, photo_bytes, photo_on_device};
 
-use crate::common::compare::elementwise;
-use crate::common::gpu::Gpu;
-use crate::common::scenes::Random;
+use crate::common::prelude::*;
 use crate::reference::pixels as twin;
 
 /// Sizes at and around the borders of strips.

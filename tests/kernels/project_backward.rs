@@ -6,15 +6,10 @@ use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBL
 use super::blend_backward::from_moments;
 use super::optimizer::{CAMERA, GradientRows};
 use crate::common::blending::assert_alike;
-use crate::common::compare::{GradientTolerance, elementwise, gradient};
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{antialias_word, camera_block, pack_filtered, pack_splats, planes, room};
-use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::common::prelude::*;
 use crate::reference::project::{color, project};
 use crate::reference::project_backward as twin;
-use crate::reference::types::{
-    DILATION, Drawn, Dropout, Extent, Gaussian, Gradient, Splat, SplatGradient, View,
-};
+use crate::reference::types::DILATION;
 
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 const QUATS: GradientTolerance = GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 };

@@ -4,12 +4,8 @@
 use ashsplat::frame::Strips;
 use ashsplat::kernels::loss::{self as kernels, loss_reduce};
 use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_on_device};
-use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind};
 
-use crate::common::compare::{GradientTolerance, elementwise, gradient};
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::options;
-use crate::common::scenes::Random;
+use crate::common::prelude::*;
 use crate::reference::loss_reduce::{LAMBDA_DSSIM, Loss as LossTwin, loss as loss_twin};
 use crate::reference::ssim::{Plane, SsimPlane, ssim_backward, ssim_forward};
 
