@@ -1,11 +1,10 @@
 //! Training that learns the exposures of its photographs, and the cameras' vignetting and response.
 
+use crate::common::prelude::*;
+use crate::common::training::settings as small_settings;
 use ashsplat::scene::{Exposure, LensEffects};
 use ashsplat::train::{OptimizerType, Preset};
 use ashsplat_files::metrics;
-
-use crate::common::prelude::*;
-use crate::common::training::settings as small_settings;
 
 const VIEWS: usize = 10;
 /// Views with known gains of their channels. Their mean is 1, as the mean of all exposures stays.

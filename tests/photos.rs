@@ -1,12 +1,11 @@
 //! Photographs in training: masked pixels have no loss, and reading photographs during training changes nothing.
 
-use ashsplat::frame::Strips;
-use ashsplat::passes::loss::{Windowing, photo_bytes, photo_on_device};
-use ashsplat_files::{PhotoMemory, StoredPhoto, metrics};
-
 use crate::common::engine::settings;
 use crate::common::prelude::*;
 use crate::common::training;
+use ashsplat::frame::Strips;
+use ashsplat::passes::loss::{Windowing, photo_bytes, photo_on_device};
+use ashsplat_files::{PhotoMemory, StoredPhoto, metrics};
 
 /// Memory for `held` photographs on the device and, in the same form, on the host, while another is read.
 fn held_bytes(views: &[TrainView], held: u64) -> u64 {

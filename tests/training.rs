@@ -209,7 +209,6 @@ fn compare_scenes(actual: &[Gaussian], expected: &[Gaussian]) {
     assert!(psnr > 60.0, "the scenes look different: {psnr:.1} dB");
 }
 
-/// A step whose frame overflows changes nothing and runs again, as if the capacity had sufficed from the start.
 #[test]
 fn training_step_that_overflows_is_run_again() {
     let view = View { background: [0.0; 3], ..small_view([320, 240]) };

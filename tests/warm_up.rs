@@ -1,9 +1,8 @@
 //! Runs that start with small pictures.
 
-use ashsplat_files::StoredPhoto;
-
 use crate::common::prelude::*;
 use crate::common::training::settings as small_settings;
+use ashsplat_files::StoredPhoto;
 
 const ITERATIONS: u32 = 24;
 const SIZE: [u32; 2] = [267, 259];

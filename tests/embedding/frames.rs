@@ -149,7 +149,6 @@ pub fn changing_view(number: u32) -> Camera {
     camera(number as f32 * 0.1, 1 + number * 7 % 64, 1 + number * 5 % 48)
 }
 
-/// Changing sizes and cameras allocate nothing beyond the reservation.
 #[test]
 fn a_thousand_frames_of_changing_size_take_no_memory() {
     with_guest(|host, context| draw_a_thousand(host, &context, |_| ()));
@@ -215,7 +214,6 @@ fn long_tiles_are_blended_in_several_passes() {
     });
 }
 
-/// The first frame is complete even if it has more instances than a default reservation expects.
 #[test]
 fn the_first_frame_that_is_reserved_for_is_whole() {
     with_guest(|host, context| {

@@ -1,10 +1,6 @@
 //! Antialiasing: size of the low-pass filter, its compensation with both gradients, and the 3D filter
 //! (spec_training.md, 7).
 
-use std::path::Path;
-
-use ashsplat::scene::filtered as baked;
-
 use super::Outcome;
 use super::rendering::{DOUBLE, SINGLE, judge_gradients, judge_picture};
 use super::sets::{EXTENTS, RenderingSet, views};
@@ -17,10 +13,11 @@ use crate::reference::nearest_depths::nearest_depth;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
 use crate::reference::project::intermediate;
 use crate::reference::reset_opacity::reset_opacity;
+use ashsplat::scene::filtered as baked;
+use std::path::Path;
 
 const NAME: &str = "antialias";
 
-/// Pictures, gradients, factors and covariances of the twins.
 pub fn of_twin(path: &Path) -> Outcome {
     let set = RenderingSet::of_feature(path);
     for (extent, _) in EXTENTS {
@@ -31,7 +28,6 @@ pub fn of_twin(path: &Path) -> Outcome {
     check_factors(&set, &set.gaussians)
 }
 
-/// Pictures and gradients of the device.
 pub fn of_device(path: &Path) -> Outcome {
     let set = RenderingSet::of_feature(path);
     let mut renderer = renderer();

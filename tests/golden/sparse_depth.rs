@@ -1,13 +1,5 @@
 //! The depths of sparse points: the loss and its gradients; twins and device against the vectors.
 
-use std::path::Path;
-
-use ashsplat::frame::{SceneBuffers, planes};
-use ashsplat::passes::backward::Statistics;
-use ashsplat::passes::loss::{DepthPointBuffers, LossTerm, TermInputs};
-use ashsplat::passes::pixels::PixelBorder;
-use ashsplat::train::SparseDepth;
-
 use super::Outcome;
 use super::sets::{gaussians, view};
 use super::stages::Stages;
@@ -19,8 +11,13 @@ use crate::reference::pipeline::{pixels_of, render, tile_of};
 use crate::reference::project_backward::project_backward;
 use crate::reference::sparse_depth::{Point, corners, depth_sums, expected, loss};
 use crate::reference::sparse_depth_gather::{expected_depth_backward, gather};
+use ashsplat::frame::{SceneBuffers, planes};
+use ashsplat::passes::backward::Statistics;
+use ashsplat::passes::loss::{DepthPointBuffers, LossTerm, TermInputs};
+use ashsplat::passes::pixels::PixelBorder;
+use ashsplat::train::SparseDepth;
+use std::path::Path;
 
-/// Results of an implementation.
 struct Computed {
     /// Expected depth and sum of the weights, per pixel.
     expected_depth: Vec<f64>,

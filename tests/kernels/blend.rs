@@ -1,9 +1,6 @@
 //! The kernels that blend, `forward/blend`, `forward/blend_shared`, `forward/blend_auxiliary` and
 //! `forward/blend_shared_auxiliary`, against one twin; and the pictures of the last three against the first two.
 
-use ashsplat::frame::LaunchSizes;
-use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW};
-
 use crate::common::blending::{
     Beside, Blended, CHAINED, How, LOW, SHARED, UNCHAINED, assert_same, forms, forward, forward_auxiliary,
     forward_limited, has_strips, strips_of,
@@ -12,16 +9,16 @@ use crate::common::frame::Lists;
 use crate::common::prelude::*;
 use crate::reference::blend::{Pixel, before, beside, blend, samples};
 use crate::reference::pipeline::{pixels_of, tile_of};
+use ashsplat::frame::LaunchSizes;
+use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW};
 
 const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstable: 2e-2 };
 const SIZE: [u32; 2] = [37, 21];
 
-/// Lists of so many entries in a picture of [`SIZE`].
 fn lists(gpu: &Gpu, entries: usize, opacity: [f64; 2]) -> Lists {
     Lists::long(gpu, entries, opacity, &small_view(SIZE))
 }
 
-/// A list of all splats in each tile.
 fn everywhere(gpu: &Gpu, splats: Vec<Splat>, size: [u32; 2]) -> Lists {
     let view = small_view(size);
     let [columns, rows] = view.tiles();
@@ -56,7 +53,6 @@ fn assert_pixels<'a>(
     }
 }
 
-/// Asserts that two pictures, inverse depths and last entries have the same bits.
 fn assert_same_bits(gpu: &Gpu, [a, b]: [&Blended; 2], pixels: usize, what: &str) {
     for (a, b, words) in [
         (&a.accumulated, &b.accumulated, 4),
@@ -166,7 +162,6 @@ pub fn blend_of_opaque_layers() {
     check(&gpu, &lists(&gpu, 50, [0.98, 1.0]), true, u32::MAX);
 }
 
-/// Passes over parts of the lists give the same picture, to the bit.
 #[test]
 pub fn blend_in_passes_equals_blend_at_once() {
     let gpu = Gpu::new();
@@ -317,7 +312,6 @@ pub fn blend_of_more_hits_than_an_invocation_has_rounds() {
     }
 }
 
-/// The number of regions per subgroup does not change the picture.
 #[test]
 pub fn blend_of_several_regions_per_subgroup_is_the_same() {
     let gpu = Gpu::new();
@@ -348,7 +342,6 @@ fn check_shared(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass:
     check_shared_form(gpu, lists, shared(workgroup_size.min(32), How { entries_per_pass, ..CHAINED }));
 }
 
-/// Compares colours, transmittances and inverse depths.
 fn assert_alike(gpu: &Gpu, [a, b]: [&Blended; 2], count: usize, what: &str) {
     for (a, b, values) in
         [(&a.accumulated, &b.accumulated, 4 * count), (&a.inverse_depth, &b.inverse_depth, count)]

@@ -1,13 +1,12 @@
 //! `forward/cull` against its twin, and `forward/cull_scenes` against both: to the bit with `forward/cull`.
 
-use ashsplat::kernels::blocks::CameraBlock;
-use ashsplat::kernels::constants::NO_BATCH;
-use ashsplat::kernels::forward::{cull, cull_scenes};
-
 use crate::common::prelude::*;
 use crate::reference::cull::cull as cull_twin;
 use crate::reference::linear::multiply;
 use crate::reference::project::project;
+use ashsplat::kernels::blocks::CameraBlock;
+use ashsplat::kernels::constants::NO_BATCH;
+use ashsplat::kernels::forward::{cull, cull_scenes};
 
 /// View of all tests, with this in place of Gaussians.
 fn view_of(drawn: Drawn) -> View {

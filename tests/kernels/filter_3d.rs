@@ -1,11 +1,10 @@
 //! The kernels of Mip-Splatting's 3D filter against their twins: `forward/nearest_depths` and `forward/filter_sizes`.
 
-use ashsplat::kernels::constants::{PLANE_LOG_SCALE, STATE_OVERFLOW};
-use ashsplat::kernels::forward::{filter_sizes, nearest_depths};
-
 use crate::common::prelude::*;
 use crate::reference::filter_sizes::filter_sizes as filter_sizes_twin;
 use crate::reference::nearest_depths::nearest_depth;
+use ashsplat::kernels::constants::{PLANE_LOG_SCALE, STATE_OVERFLOW};
+use ashsplat::kernels::forward::{filter_sizes, nearest_depths};
 
 /// Fourth components of the log-scales.
 fn filters(gpu: &Gpu, parameters: &Buffer, count: usize, coefficients: usize) -> Vec<f32> {

@@ -1,7 +1,5 @@
 //! `forward/project` against its twin, and `forward/project_scenes` against `forward/project` to the bit.
 
-use ashsplat::kernels::forward::project_scenes;
-
 use super::cull::Batch;
 use crate::common::frame::{Projected, state, tile_bounds, touched_at_most, visible_scene};
 use crate::common::prelude::*;
@@ -9,6 +7,7 @@ use crate::reference::cull::cull;
 use crate::reference::lists::{is_listed, listed_tiles, tiles_met};
 use crate::reference::project::radius_px;
 use crate::reference::tiles::{half_extent_px, reference_square, touched};
+use ashsplat::kernels::forward::project_scenes;
 
 struct Output {
     mean2d_extent: Vec<[f32; 4]>,

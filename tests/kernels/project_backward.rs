@@ -1,8 +1,5 @@
 //! `backward/project_backward` and `backward/expand_gradients` against their twins.
 
-use ashsplat::kernels::backward::{expand_gradients, project_backward};
-use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBLE};
-
 use super::blend_backward::from_moments;
 use super::optimizer::{CAMERA, GradientRows};
 use crate::common::blending::assert_alike;
@@ -10,6 +7,8 @@ use crate::common::prelude::*;
 use crate::reference::project::{color, project};
 use crate::reference::project_backward as twin;
 use crate::reference::types::DILATION;
+use ashsplat::kernels::backward::{expand_gradients, project_backward};
+use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBLE};
 
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 const QUATS: GradientTolerance = GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 };

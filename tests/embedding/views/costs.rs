@@ -17,7 +17,6 @@ fn cpu_ms() -> f64 {
     ticks.filter_map(|word| word.parse::<f64>().ok()).sum::<f64>() * 10.0
 }
 
-/// Measures groups of views, each group in one recording.
 fn shot(in_flight: &Commands<'_>, renderer: &mut Renderer, groups: &[&[RecordedFrame]]) -> [f64; 7] {
     let cpu = cpu_ms();
     in_flight.begin();
