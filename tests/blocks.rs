@@ -1,7 +1,7 @@
 //! Training of a scene block: its frozen neighbours are drawn and do not change.
 
 use crate::common::prelude::*;
-use crate::common::training::{forecast, photo_size, settings};
+use crate::common::training::{forecast, photo_size, settings, without_rates};
 use ashsplat::scene::{Bounds, Intrinsics};
 use ashsplat::train::checkpoint::GradientSums;
 use ashsplat::train::{LightSums, SceneBlock, TrainParts};
@@ -167,18 +167,12 @@ fn what_no_view_sees_can_be_left_out() {
 fn gaussians_are_added_in_the_core_only() {
     let (initial, block) = divided();
     let still = |strategy, percent_dense| TrainSettings {
-        position_lr_init: 1e-30,
-        position_lr_final: 1e-30,
-        feature_lr: 0.0,
-        opacity_lr: 0.0,
-        scaling_lr: 0.0,
-        rotation_lr: 0.0,
         min_opacity: 1e-9,
         percent_dense,
         strategy,
         cap_max: 10_000,
         densify_grad_threshold: 1e-9,
-        ..settings()
+        ..without_rates(settings())
     };
     for (settings, clones) in [
         (still(StrategyType::Reference, 1e3), true),

@@ -5,7 +5,7 @@ use crate::checkpoints;
 use crate::common::blending::assert_alike;
 use crate::common::engine::{self, derivatives, settings};
 use crate::common::prelude::*;
-use crate::common::training::{forecast, photo_size};
+use crate::common::training::{forecast, photo_size, psnr, without_rates};
 use crate::gradients::{self, decisions, linear_loss, narrow_view, narrowed, random_weights, stable_weights};
 use crate::reference::pipeline::{backward, pixels_of, render};
 use crate::reference::pose_step::moved;
@@ -13,7 +13,6 @@ use ashsplat::Alignment;
 use ashsplat::passes::poses::PoseBuffers;
 use ashsplat::scene::{StoredPhoto, Twist, scene_extent};
 use ashsplat::train::OptimizerType;
-use ashsplat_files::metrics;
 use glam::DVec3;
 
 /// The view at exp(δ^) T.
@@ -178,14 +177,14 @@ fn extent() -> f32 {
     scene_extent(cameras().iter().map(Camera::position).collect::<Vec<_>>().into_iter())
 }
 
-fn photographs() -> Vec<StoredPhoto> {
+fn photographs() -> Vec<Photo> {
     let mut renderer = engine::renderer();
     renderer.upload(&scene()).expect("upload");
     let photograph = |camera: &Camera| {
         let frame = renderer.render(camera, &RenderSettings::default()).expect("a photograph");
         let byte = |x: &f32| (x * 255.0).round().clamp(0.0, 255.0) as u8;
         let rgb = frame.color.iter().flatten().map(byte).collect();
-        StoredPhoto::from(Photo { width: SIZE[0], height: SIZE[1], rgb })
+        Photo { width: SIZE[0], height: SIZE[1], rgb }
     };
     cameras().iter().map(photograph).collect()
 }
@@ -237,17 +236,7 @@ fn few(iterations: u32) -> TrainSettings {
 
 /// Settings that keep the scene unchanged.
 fn fixed(iterations: u32) -> TrainSettings {
-    TrainSettings {
-        position_lr_init: 1e-30,
-        position_lr_final: 1e-30,
-        feature_lr: 0.0,
-        opacity_lr: 0.0,
-        scaling_lr: 0.0,
-        rotation_lr: 0.0,
-        pose_opt: true,
-        pose_lr: 1e-2,
-        ..few(iterations)
-    }
+    TrainSettings { pose_opt: true, pose_lr: 1e-2, ..without_rates(few(iterations)) }
 }
 
 #[test]
@@ -264,15 +253,6 @@ fn poses_are_found_again_on_a_scene_that_is_known() {
     // With turns about the cameras' centres, 0.015 and 2.2e-4 remain.
     assert!(degrees < 0.011 && share < 1.6e-4, "{degrees} degrees, {share} of the extent");
     assert!(trainer.gaussians().expect("Gaussians") == scene(), "the scene was to stay");
-}
-
-fn psnr(trainer: &mut Trainer, cameras: &[Camera]) -> f64 {
-    let settings = trainer.render_settings();
-    let each = cameras.iter().zip(photographs()).map(|(camera, photo)| {
-        let frame = trainer.render(camera, &settings).expect("a frame");
-        metrics::psnr(&frame.color, &photo.photo().expect("a photo").to_f32()).expect("PSNR")
-    });
-    each.sum::<f64>() / cameras.len() as f64
 }
 
 /// Optimises scene and poses together, both displaced. Without poses, the scene can only blur.
@@ -296,7 +276,7 @@ fn poses_and_scene_together_are_better_than_the_scene_alone() {
             Trainer::new(gpu.context, views(&perturbed()), &start, extent(), settings).expect("a trainer");
         trainer.steps(600);
         let own = trainer.cameras().expect("cameras");
-        (psnr(&mut trainer, &own), own)
+        (psnr(&mut trainer, own.iter().copied().zip(photographs())), own)
     };
     let ((without, same), (with, moved)) = (train(false), train(true));
     assert_eq!(same, perturbed());
@@ -307,7 +287,8 @@ fn poses_and_scene_together_are_better_than_the_scene_alone() {
 #[test]
 fn poses_of_held_out_views_are_aligned() {
     let gpu = Gpu::new();
-    let (cameras, given, photos) = (cameras(), perturbed(), photographs());
+    let (cameras, given) = (cameras(), perturbed());
+    let photos: Vec<StoredPhoto> = photographs().into_iter().map(Into::into).collect();
     let alignment = Alignment::default();
     let settings = RenderSettings::default();
     let mut trainer =

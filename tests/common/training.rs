@@ -6,8 +6,8 @@ use super::scenes::{Random, rotation_about_y, small_scene, small_view};
 use crate::reference::types::View;
 use ashsplat::train::{Checkpoint, Forecast, PhotoSize, StepReport, TrainParts, TrainView, Trainer};
 use ashsplat::vk::Context;
-use ashsplat::{Error, Gaussians, Result, TrainSettings};
-use ashsplat_files::{CheckpointFile, Photo};
+use ashsplat::{Camera, Error, Gaussians, Result, TrainSettings};
+use ashsplat_files::{CheckpointFile, Photo, metrics};
 
 pub const EXTENT: f32 = 5.0;
 
@@ -26,6 +26,29 @@ pub fn settings() -> TrainSettings {
         seed: 6,
         ..TrainSettings::default()
     }
+}
+
+/// Settings whose steps move nothing.
+pub fn without_rates(settings: TrainSettings) -> TrainSettings {
+    TrainSettings {
+        position_lr_init: 1e-30,
+        position_lr_final: 1e-30,
+        feature_lr: 0.0,
+        opacity_lr: 0.0,
+        scaling_lr: 0.0,
+        rotation_lr: 0.0,
+        ..settings
+    }
+}
+
+/// Mean PSNR of a trainer's pictures against photographs, dB.
+pub fn psnr(trainer: &mut Trainer, shown: impl ExactSizeIterator<Item = (Camera, Photo)>) -> f64 {
+    let (settings, count) = (trainer.render_settings(), shown.len());
+    let each = shown.map(|(camera, photo)| {
+        let frame = trainer.render(&camera, &settings).expect("a frame");
+        metrics::psnr(&frame.color, &photo.to_f32()).expect("equal sizes")
+    });
+    each.sum::<f64>() / count as f64
 }
 
 /// Grey views: the result of the training does not matter.

@@ -226,7 +226,6 @@ pub fn blend_of_long_needles_errs_no_more_in_chained_columns() {
             };
             stable.map(error).fold(0.0, f64::max)
         });
-        println!("variance up to {longest} px²: largest error {direct:.2e} direct, {chained:.2e} chained");
         assert!(chained <= 1.5 * direct + 1e-5, "{chained:e} chained, {direct:e} direct");
     }
 }

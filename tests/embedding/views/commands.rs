@@ -112,7 +112,6 @@ fn views_of_one_recording_have_fewer_commands() {
         let one = counts(host, &mut renderer, &[&views]);
         renderer.reserve(&Reservation { shared_sort: true, ..wanted }).expect("memory");
         let shared = counts(host, &mut renderer, &[&views]);
-        println!("dispatches, barriers, others: two recordings {two:?}, one {one:?}, one sort {shared:?}");
         assert!(one[0] == two[0] && one[1] < two[1], "{one:?}, {two:?}");
         assert!(shared[0] < one[0] && shared[1] < one[1], "{shared:?}, {one:?}");
     });
