@@ -167,9 +167,8 @@ impl Model {
     pub fn new(context: &Context, scene: SceneBuffers, rows: &RowMemory) -> Result<Self> {
         let model = Self::allocate(context, scene, rows)?;
         let Moments { first, second } = &model.moments;
-        context.run("clear moments", |r| {
-            first.iter().chain(second).chain(&model.statistics).for_each(|buffer| r.fill(buffer, 0));
-            Ok(())
+        context.run_commands("clear moments", |r| {
+            first.iter().chain(second).chain(&model.statistics).for_each(|buffer| r.fill(buffer, 0))
         })?;
         Ok(model)
     }

@@ -149,9 +149,6 @@ impl Trainer {
     }
 
     /// Updates the state from recorded steps that have finished. Returns the number still in flight. Never waits.
-    ///
-    /// # Errors
-    /// When the device is lost.
     pub fn settle(&mut self) -> Result<u32> {
         let settled = self.settle_finished();
         self.state.broken |= settled.is_err();
@@ -229,9 +226,6 @@ impl Trainer {
     }
 
     /// True if [`Trainer::maintain`] must be called before another step can be recorded. Never waits.
-    ///
-    /// # Errors
-    /// When the device is lost.
     pub fn maintenance_is_due(&mut self) -> Result<bool> {
         self.settle()?;
         let recorded = &self.recorded;
@@ -299,10 +293,7 @@ impl Trainer {
         let drawn = self.recorder.drawn();
         self.runner.reserve(gaussians, &self.run.cameras[0], self.run.settings.sh_degree, &drawn)?;
         let frame = self.runner.store.current()?;
-        self.context.run("clear state", |r| {
-            r.fill(&frame.state, 0);
-            Ok(())
-        })?;
+        self.context.run_commands("clear state", |r| r.fill(&frame.state, 0))?;
         let dispatches = self.step_dispatches();
         for slot in self.recorded.slots.iter_mut().filter(|slot| slot.dispatches < dispatches) {
             slot.record = RecordSlot::new(&self.context, dispatches)?;

@@ -464,9 +464,8 @@ impl Trainer {
         let Some(mask) = mask.filter(|_| action == Actions::DENSIFY) else { return Ok(()) };
         let model = &self.state.model;
         let absolute = self.rows.absolute().map(|place| &model.statistics[place]);
-        self.context.run("mask statistics", |r| {
-            mask.record(r, &model.scene, &model.statistics[0], absolute);
-            Ok(())
+        self.context.run_commands("mask statistics", |r| {
+            mask.record(r, &model.scene, &model.statistics[0], absolute)
         })?;
         Ok(())
     }
@@ -474,12 +473,11 @@ impl Trainer {
     /// Replaces the parameters by their means. Used if the frame that would record this does not fit.
     pub(super) fn end_means(&mut self) -> Result<()> {
         let model = &self.state.model;
-        self.context.run("end means", |r| {
+        self.context.run_commands("end means", |r| {
             for (mean, parameters) in model.spare.iter().zip(&model.scene.chunks) {
                 r.copy(mean, parameters);
             }
             self.losses.appearance.record_end(r);
-            Ok(())
         })?;
         self.compute_filters()?;
         self.state.progress.averaged = 0;

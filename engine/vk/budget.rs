@@ -79,7 +79,7 @@ impl Context {
             return Ok(());
         }
         let clear = |recorder: &mut Recorder| buffers.iter().for_each(|buffer| recorder.fill(buffer, 0));
-        self.run_command("clear", clear).map(drop)
+        self.run_commands("clear", clear).map(drop)
     }
 
     /// Resets the peaks of [`Context::memory`] and [`Context::memory_total`] to the current bytes, and forgets empty
@@ -318,7 +318,7 @@ impl Context {
         let mut best = f64::INFINITY;
         for _ in 0..ROUNDS {
             let begin = Instant::now();
-            let report = self.run_command("measurement", |recorder| recorder.copy(from, to))?;
+            let report = self.run_commands("measurement", |recorder| recorder.copy(from, to))?;
             let waited = begin.elapsed().as_secs_f64();
             best = best.min(if report.nanoseconds > 0.0 { report.nanoseconds * 1e-9 } else { waited });
         }
