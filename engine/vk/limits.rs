@@ -59,8 +59,8 @@ pub struct Limits {
     /// True if kernels broadcast from a lane that is known only at run time. The tuning must choose it and
     /// subgroupBroadcastDynamicId must be on; a host reports its device's.
     pub broadcasts: bool,
-    /// Faults of the driver against the specification.
-    pub workarounds: Workarounds,
+    /// Most loop iterations of an invocation, all loops together, before its loops stop silently. None: no limit.
+    pub max_loop_iterations: Option<u32>,
     /// (tile, Gaussian) instances per dispatch of blending; it may exceed this to complete its last tile. This limit is
     /// ours: it prevents a desktop's watchdog from resetting the device during a long dispatch.
     pub instances_per_dispatch: u32,
@@ -140,11 +140,6 @@ impl Limits {
         (most / self.subgroup_size * self.subgroup_size).max(self.subgroup_size)
     }
 
-    /// Most loop iterations of an invocation, all loops together, before its loops stop silently. None: no limit.
-    pub fn max_loop_iterations(&self) -> Option<u32> {
-        self.workarounds.contains(Workarounds::LOOPS_STOP_AT_65535).then_some(65_535)
-    }
-
     /// True if kernels with both forms read texels (see [`super::TexelFormat`]). The tuning must choose it, and every
     /// bindable buffer must have few enough texels.
     pub fn prefers_texels(&self) -> bool {
@@ -220,43 +215,29 @@ overrides! {
     instances_per_dispatch: u32,
 }
 
-/// Set of flags; see the constants.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Workarounds(u32);
-
-impl Workarounds {
-    /// An invocation's loops stop silently after 65,535 iterations, all loops together. llvmpipe of Mesa before 25
-    /// (LP_MAX_TGSI_LOOP_ITERATIONS in gallivm's lp_bld_limits.h). Blending then processes fewer entries of a tile per
-    /// dispatch.
-    pub const LOOPS_STOP_AT_65535: Self = Self(1 << 0);
-
-    /// Returns the flags of a driver, by its id and its `driverInfo`, such as `Mesa 22.3.6`. (llvmpipe's `driverVersion` is
-    /// 1 in all versions.)
-    pub fn of_driver(id: vk::DriverId, info: &str) -> Self {
-        let version = info.strip_prefix("Mesa ").and_then(|rest| rest.split('.').next()?.parse::<u32>().ok());
-        let stops = id == vk::DriverId::MESA_LLVMPIPE && version.is_none_or(|major| major < 25);
-        if stops { Self::LOOPS_STOP_AT_65535 } else { Self::default() }
-    }
-
-    /// True if all flags of another set are set.
-    pub const fn contains(self, other: Self) -> bool {
-        self.0 & other.0 == other.0
-    }
+/// Returns [`Limits::max_loop_iterations`] by the driver's id and its `driverInfo`, such as `Mesa 22.3.6`. (llvmpipe's
+/// `driverVersion` is 1 in all versions.) llvmpipe of Mesa before 25 has a limit, against the specification:
+/// LP_MAX_TGSI_LOOP_ITERATIONS in gallivm's lp_bld_limits.h. Blending then processes fewer entries of a tile per dispatch.
+pub(super) fn max_loop_iterations(id: vk::DriverId, info: &str) -> Option<u32> {
+    let version = info.strip_prefix("Mesa ").and_then(|rest| rest.split('.').next()?.parse::<u32>().ok());
+    (id == vk::DriverId::MESA_LLVMPIPE && version.is_none_or(|major| major < 25)).then_some(65_535)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::Workarounds;
+    use super::max_loop_iterations;
     use ash::vk;
 
     #[test]
-    fn workarounds_go_by_the_driver() {
-        let of_llvmpipe = |info| Workarounds::of_driver(vk::DriverId::MESA_LLVMPIPE, info);
-        let llvmpipe = of_llvmpipe("Mesa 22.3.6 (LLVM 15.0.6)");
-        assert!(llvmpipe.contains(Workarounds::LOOPS_STOP_AT_65535));
-        assert_eq!([of_llvmpipe("Mesa 24.99.0"), of_llvmpipe("unknown")], [llvmpipe; 2]);
-        assert_eq!(of_llvmpipe("Mesa 25.0.7-2+deb13u1 (LLVM 19.1.7)"), Workarounds::default());
-        let other = Workarounds::of_driver(vk::DriverId::MESA_RADV, "Mesa 22.3.6");
-        assert!(!other.contains(Workarounds::LOOPS_STOP_AT_65535) && other == Workarounds::default());
+    fn loops_are_limited_by_the_driver() {
+        for (id, info, limit) in [
+            (vk::DriverId::MESA_LLVMPIPE, "Mesa 22.3.6 (LLVM 15.0.6)", Some(65_535)),
+            (vk::DriverId::MESA_LLVMPIPE, "Mesa 24.99.0", Some(65_535)),
+            (vk::DriverId::MESA_LLVMPIPE, "unknown", Some(65_535)),
+            (vk::DriverId::MESA_LLVMPIPE, "Mesa 25.0.7-2+deb13u1 (LLVM 19.1.7)", None),
+            (vk::DriverId::MESA_RADV, "Mesa 22.3.6", None),
+        ] {
+            assert_eq!(max_loop_iterations(id, info), limit, "{info}");
+        }
     }
 }
