@@ -328,11 +328,15 @@ impl Population<'_> {
 /// Returns None if memory is short, and an error if the state of the device is unknown.
 fn or_none<T>(result: Result<T>) -> Result<Option<T>> {
     match result {
-        Ok(done) => Ok(Some(done)),
-        Err(error @ (Error::DeviceLost { .. } | Error::Timeout { .. })) => Err(error),
-        Err(Error::Vulkan { call: call @ "vkWaitForFences", result, remedy }) => {
-            Err(Error::Vulkan { call, result, remedy })
-        }
-        Err(_) => Ok(None),
+        Err(error) if !may_have_executed(&error) => Ok(None),
+        result => result.map(Some),
     }
+}
+
+/// True if the wait for a submission failed: it may or may not have executed.
+pub(super) fn may_have_executed(error: &Error) -> bool {
+    matches!(
+        error,
+        Error::DeviceLost { .. } | Error::Timeout { .. } | Error::Vulkan { call: "vkWaitForFences", .. }
+    )
 }

@@ -126,11 +126,7 @@ impl Trainer {
         let release = Release {
             stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
             accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
-            color: None,
-            occluder: None,
-            depth: None,
-            pick: None,
-            motion: None,
+            ..Release::default()
         };
         Ok(RecordedStep { iteration: plan.iteration, view: plan.view, release })
     }

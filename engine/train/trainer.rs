@@ -6,7 +6,7 @@ use super::checkpoint::{Capacities, Checkpoint, ExposureState, MeanState};
 use super::memory::{FrameShape, Model, PeakCounts, RowMemory};
 use super::parts::{BuiltParts, Forecast, TrainParts, check_block};
 use super::photos::{self, DepthMaps, Photos, TrainView, fingerprint_of};
-use super::population::Population;
+use super::population::{Population, may_have_executed};
 use super::poses::Poses;
 use super::schedule::{IterationPlan, Progress, Schedule, TrainingRun};
 use super::settings::TrainSettings;
@@ -100,13 +100,9 @@ impl RunState {
         Ok(())
     }
 
-    /// Notes a submission whose wait failed: it may or may not have executed.
+    /// Notes a submission whose wait failed.
     pub fn note_failure<T>(&mut self, result: &Result<T>) {
-        self.broken |= match result {
-            Err(Error::DeviceLost { .. } | Error::Timeout { .. }) => true,
-            Err(Error::Vulkan { call, .. }) => *call == "vkWaitForFences",
-            _ => false,
-        };
+        self.broken |= result.as_ref().is_err_and(may_have_executed);
     }
 }
 
