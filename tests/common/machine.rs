@@ -61,7 +61,7 @@ impl Machine {
             limits.max_workgroup_size = [1024; 3];
             limits.max_workgroup_subgroups = 1024 / lanes;
             limits.max_texels = 0;
-            limits.workarounds = ashsplat::vk::Workarounds::default();
+            limits.max_loop_iterations = None;
             limits.tuning = &Tuning::AMD;
         }
         limits

@@ -202,7 +202,7 @@ fn long_tiles_are_blended_in_several_passes() {
             report
         };
         let report = passes(&Reservation { blend_passes: 1, ..estimated });
-        let is_bounded = context.limits().max_loop_iterations().is_some();
+        let is_bounded = context.limits().max_loop_iterations.is_some();
         assert_eq!(report.overflow, is_bounded, "{report:?}");
         let report = passes(&estimated);
         assert_eq!(report.blend_passes, if is_bounded { 2 } else { 1 });

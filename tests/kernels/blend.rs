@@ -304,7 +304,7 @@ pub fn blend_of_more_hits_than_an_invocation_has_rounds() {
     assert!(red > 0.8 && transmittance < 0.2, "the last entry is lost: {red}, {transmittance}");
     assert!(chosen == blend(1, 1000), "fewer entries per pass change the picture");
     // A driver that bounds loops would lose entries in one pass.
-    let rounds = gpu.limits().max_loop_iterations().map_or(usize::MAX, |rounds| rounds as usize);
+    let rounds = gpu.limits().max_loop_iterations.map_or(usize::MAX, |rounds| rounds as usize);
     if blocks.regions_per_subgroup as usize * ENTRIES > rounds {
         let at_once = blend(blocks.regions_per_subgroup, u32::MAX);
         assert!(chosen != at_once, "the driver has more rounds than it is said to");
