@@ -2,9 +2,10 @@
 //! without a scene.
 
 use ashsplat_files::splats::Format;
+use ashsplat_program::session::locked;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use tempfile::TempDir;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
@@ -50,8 +51,7 @@ impl Openings {
     }
 
     fn lock(&self) -> MutexGuard<'_, Option<Wish>> {
-        // A thread that panics leaves no half-made change here.
-        self.wish.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.wish)
     }
 
     /// Describes the limits to a page.

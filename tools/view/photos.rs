@@ -7,10 +7,11 @@ use super::draw;
 use ashsplat::Error;
 use ashsplat::Result;
 use ashsplat_files::{Gallery, Photo, PhotoFileFormat};
+use ashsplat_program::session::locked;
 use axum::body::Bytes;
 use queue::{Busy, Queue, Turn};
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 pub use queue::Asker;
 
@@ -138,7 +139,7 @@ impl Photos {
     }
 
     fn kept(&self, index: usize, size: Size) -> Option<Arc<Vec<u8>>> {
-        self.shelf(size).lock().unwrap_or_else(PoisonError::into_inner).find(index)
+        locked(self.shelf(size)).find(index)
     }
 
     fn shelf(&self, size: Size) -> &Mutex<Kept> {
@@ -161,7 +162,7 @@ impl Photos {
             let view = photos.gallery.view(index).ok_or(Refusal::Unknown)?;
             let encoded = view.and_then(|view| encode(&*view.photo.photo()?, size));
             let bytes = Arc::new(encoded.map_err(|error| Refusal::Problem(error.to_string()))?);
-            photos.shelf(size).lock().unwrap_or_else(PoisonError::into_inner).add(index, bytes.clone());
+            locked(photos.shelf(size)).add(index, bytes.clone());
             Ok(bytes)
         };
         tokio::task::spawn_blocking(work).await.unwrap_or(Err(Refusal::Unknown))

@@ -121,6 +121,18 @@ pub struct ViewRequest {
     pub as_photo: Option<usize>,
 }
 
+/// Asks which Gaussians make up a pixel of a picture.
+#[derive(Clone, Copy, Debug, Deserialize)]
+pub struct Pick {
+    /// Returned with the answer.
+    pub id: u64,
+    pub camera: CameraMessage,
+    #[serde(default)]
+    pub look: Look,
+    /// Column and row.
+    pub pixel: [u32; 2],
+}
+
 /// A key camera of a path.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 pub struct PathKey {
@@ -153,21 +165,16 @@ pub enum FromPage {
     View(ViewRequest),
     /// The frame has arrived; the next may be sent.
     Ack {},
-    /// Asks which Gaussians make up a pixel, (column, row).
-    Pick {
-        id: u64,
-        camera: CameraMessage,
-        #[serde(default)]
-        look: Look,
-        pixel: [u32; 2],
-    },
+    Pick(Pick),
     /// Asks for training's progress, with curves from this iteration on.
     Status {
         #[serde(default)]
         since: u32,
     },
     /// Controls training.
-    Train { action: TrainAction },
+    Train {
+        action: TrainAction,
+    },
     /// Requests a film along a path.
     Film(FilmRequest),
     /// Cancels the film.

@@ -11,7 +11,7 @@ use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 use ashsplat_program::measure::Stopwatch;
-use ashsplat_program::session::guarded;
+use ashsplat_program::session::{guarded, locked};
 use ashsplat_view::hub::Hub;
 use ashsplat_view::protocol::{ToPage, TrainAction};
 use ashsplat_view::server::{ServeArguments, Server, Site};
@@ -24,7 +24,7 @@ use serde_json::json;
 use std::net::{IpAddr, TcpListener};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Looking on while training runs.
@@ -154,9 +154,7 @@ impl Live {
         hub.greet_with(subject.greeting(device, Some(iterations)).to_string());
         let curves = Arc::new(Mutex::new(Curves::new(iterations)));
         let asked = curves.clone();
-        hub.set_status(move |since| {
-            asked.lock().unwrap_or_else(PoisonError::into_inner).status(since).to_string()
-        });
+        hub.set_status(move |since| locked(&asked).status(since).to_string());
         let films = model.join("films");
         let mut studio = Studio::new(hub.clone(), subject.base, films.clone());
         studio.show(subject.base, subject.lights, subject.frame);
@@ -199,7 +197,7 @@ impl Live {
             self.hub.renew();
         }
         if self.allowance.permits() && self.studio.is_wanted() {
-            self.timed(|live| live.studio.serve(trainer, Duration::ZERO).map(|_| ()))?;
+            self.timed(|live| live.studio.serve(trainer, Duration::ZERO))?;
         }
         Ok(self.heed())
     }
@@ -261,7 +259,7 @@ impl Live {
     }
 
     fn note(&self, change: impl FnOnce(&mut Curves)) {
-        change(&mut self.curves.lock().unwrap_or_else(PoisonError::into_inner));
+        change(&mut locked(&self.curves));
     }
 
     /// Runs a task that counts towards the viewers' share.
@@ -309,8 +307,6 @@ impl Run {
         let cameras = gallery.as_ref().map(|gallery| gallery.cameras()).unwrap_or_default();
         let learns = [train.exposure, train.lens_effects];
         let subject = Subject {
-            tree: None,
-            up: None,
             name: data.model_path.display().to_string(),
             gaussians: self.trainer.gaussians()?,
             frame: self.views.frame,
@@ -320,6 +316,7 @@ impl Run {
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: Some("in training".into()),
             file: Some(data.model_path.clone()),
+            ..Subject::default()
         };
         let about = About {
             subject,

@@ -1,8 +1,9 @@
 //! Turns at a budget. An asker with many requests delays mostly itself: others wait only for work already under way.
 
+use ashsplat_program::session::locked;
 use std::collections::{BTreeMap, VecDeque};
 use std::net::IpAddr;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tokio::sync::oneshot;
 
@@ -60,8 +61,7 @@ impl Queue {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A thread that panics leaves no half-made change here.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.0)
     }
 
     /// Waits for the asker's turn and takes a share, capped at one asker's largest.

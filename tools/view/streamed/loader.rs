@@ -5,7 +5,7 @@ use ashsplat::vk::Context;
 use ashsplat::{DeviceScene, Error, Result};
 use ashsplat_files::splats::ReadOptions;
 use ashsplat_files::tiles::Tree;
-use ashsplat_program::session::guarded;
+use ashsplat_program::session::{guarded, locked};
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -47,8 +47,7 @@ struct State {
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A thread that panics leaves no half-made change here.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.state)
     }
 
     /// Waits for the next tile to read; none once the loader ends.

@@ -291,7 +291,7 @@ impl Stage {
             return Ok(());
         }
         let drawn = (self.photo_light())
-            .and_then(|light| draw::draw_as(self.picture.painter(), &camera, &self.base, &look, light));
+            .and_then(|light| draw::draw(self.picture.painter(), &camera, &self.base, &look, light));
         match drawn.and_then(|drawn| output::write_png(&path, &drawn.photo)) {
             Ok(()) => self.say(format!("saved {}", path.display())),
             Err(error) => {
@@ -425,7 +425,7 @@ impl Stage {
             return Ok(None);
         }
         let look = self.look();
-        let drawn = draw::draw_as(self.picture.painter(), camera, &self.base, &look, light)?;
+        let drawn = draw::draw(self.picture.painter(), camera, &self.base, &look, light)?;
         let unit = if MODES[self.mode] == Mode::Depth { self.unit } else { 1.0 };
         let legend = drawn.legend.map(|ends| ends.map(|end| end * unit));
         let milliseconds = self.measured.milliseconds;
