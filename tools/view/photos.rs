@@ -9,7 +9,7 @@ use ashsplat::Result;
 use ashsplat_files::{Gallery, Photo, PhotoFileFormat};
 use ashsplat_program::session::locked;
 use axum::body::Bytes;
-use queue::{Busy, Queue, Turn};
+use queue::{Queue, Turn};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
@@ -48,12 +48,6 @@ pub enum Refusal {
     Busy,
     /// It cannot be read.
     Problem(String),
-}
-
-impl From<Busy> for Refusal {
-    fn from(Busy: Busy) -> Refusal {
-        Refusal::Busy
-    }
 }
 
 /// The photos encoded last, newest at the end.
@@ -118,7 +112,7 @@ impl Photos {
         let bytes = match self.kept(index, size) {
             Some(bytes) => bytes,
             None => {
-                let turn = self.decoding.turn(asker, cost).await?;
+                let turn = self.decoding.turn(asker, cost).await.ok_or(Refusal::Busy)?;
                 // Another request may have decoded the same photo meanwhile.
                 match self.kept(index, size) {
                     Some(bytes) => bytes,
@@ -127,7 +121,7 @@ impl Photos {
             }
         };
         let mib = u32::try_from(bytes.len().div_ceil(1 << 20)).unwrap_or(SENDING_MIB);
-        let sent = self.sending.turn(asker, mib).await?;
+        let sent = self.sending.turn(asker, mib).await.ok_or(Refusal::Busy)?;
         Ok(Bytes::from_owner(Lent { bytes, _sent: sent }))
     }
 

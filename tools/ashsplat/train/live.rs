@@ -10,6 +10,7 @@ use ashsplat::train::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
+use ashsplat_program::config::Settings;
 use ashsplat_program::measure::Stopwatch;
 use ashsplat_program::session::{guarded, locked};
 use ashsplat_view::hub::Hub;
@@ -22,7 +23,6 @@ use clap::Args;
 use curves::Curves;
 use serde_json::json;
 use std::net::{IpAddr, TcpListener};
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -107,15 +107,6 @@ pub struct Doors {
     share: f64,
 }
 
-/// Properties of a training that are known before it begins.
-struct About<'a> {
-    subject: Subject,
-    device: &'a str,
-    iterations: u32,
-    model: &'a Path,
-    source: &'a Path,
-}
-
 /// The loopback address.
 const OWN: &str = "127.0.0.1";
 /// Least time between two new pictures for pages that follow the training.
@@ -147,15 +138,15 @@ pub struct Live {
 }
 
 impl Live {
-    /// Accepts connections at the ports.
-    fn start(doors: Doors, about: About) -> Result<Live> {
+    /// Accepts connections at the ports. `device`: the device's name.
+    fn start(doors: Doors, subject: Subject, device: &str, settings: &Settings) -> Result<Live> {
         let hub = Arc::new(Hub::default());
-        let About { subject, device, iterations, model, source } = about;
+        let (data, iterations) = (&settings.data, settings.train.iterations);
         hub.greet_with(subject.greeting(device, Some(iterations)).to_string());
         let curves = Arc::new(Mutex::new(Curves::new(iterations)));
         let asked = curves.clone();
         hub.set_status(move |since| locked(&asked).status(since).to_string());
-        let films = model.join("films");
+        let films = data.model_path.join("films");
         let mut studio = Studio::new(hub.clone(), subject.base, films.clone());
         studio.show(subject.base, subject.lights, subject.frame);
         let mut server = None;
@@ -169,7 +160,7 @@ impl Live {
         let mut wishes = None;
         if let Some(listener) = doors.network_viewer {
             let (address, shared) =
-                sibr::serve(listener, hub.clone(), source.to_string_lossy().into_owned())?;
+                sibr::serve(listener, hub.clone(), data.source_path.to_string_lossy().into_owned())?;
             say!("network viewer at {address}");
             wishes = Some(shared);
         }
@@ -318,14 +309,7 @@ impl Run {
             file: Some(data.model_path.clone()),
             ..Subject::default()
         };
-        let about = About {
-            subject,
-            device: context.device_name(),
-            iterations: train.iterations,
-            model: &data.model_path,
-            source: &data.source_path,
-        };
-        self.live = Some(Live::start(doors, about)?);
+        self.live = Some(Live::start(doors, subject, context.device_name(), &self.settings)?);
         Ok(())
     }
 

@@ -71,22 +71,18 @@ impl Viewer {
         &self.stream
     }
 
-    fn lock(&self) -> MutexGuard<'_, Said> {
-        locked(&self.said)
-    }
-
     fn said(&self) -> Said {
-        *self.lock()
+        *locked(&self.said)
     }
 
     /// Records a message that waits for an answer.
     pub fn speaks(&self, train: bool, keep_alive: bool) {
-        *self.lock() = Said { at: Instant::now(), waits: true, train, keep_alive };
+        *locked(&self.said) = Said { at: Instant::now(), waits: true, train, keep_alive };
     }
 
     /// Records that the answer was sent.
     pub fn is_answered(&self) {
-        let mut said = self.lock();
+        let mut said = locked(&self.said);
         (said.at, said.waits) = (Instant::now(), false);
     }
 }
