@@ -319,7 +319,8 @@ pub fn compare(a: &Compiled, b: &Compiled, path: &Path, limit: f64) -> Result<Co
 
 /// Table of one device: a row per kernel, or per variant.
 pub fn table(compiled: &Compiled, variants: bool) -> String {
-    let columns: [(&str, fn(&Figures) -> Option<f64>); 9] = [
+    type Column = (&'static str, fn(&Figures) -> Option<f64>);
+    let columns: [Column; 9] = [
         ("registers", |f| f.registers),
         ("scalar", |f| f.scalar_registers),
         ("spills", |f| f.spills),

@@ -55,6 +55,7 @@ pub struct Subject {
 }
 
 /// A tree of tiles, of which the viewer loads the visible ones.
+#[derive(Clone)]
 pub struct Streamed {
     pub tree: Arc<Tree>,
     pub read: ReadOptions,

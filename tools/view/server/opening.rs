@@ -52,7 +52,10 @@ pub async fn upload(
 async fn take_in(site: &Site, name: &str, headers: &HeaderMap, body: &mut Body) -> Result<(), Response> {
     let openings = site.openings.as_ref().ok_or_else(not_here)?;
     // Foreign pages cannot send this content type without a preflight request.
-    check_kind(headers, "application/octet-stream", "send a file as application/octet-stream")?;
+    if !is_kind(headers, "application/octet-stream") {
+        let problem = "send a file as application/octet-stream";
+        return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, problem));
+    }
     let format = openings::format_of(name).ok_or_else(|| {
         let known = openings.described()["formats"].to_string();
         refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, &format!("{name}: give a file of one of {known}"))
@@ -90,7 +93,9 @@ struct Named {
 /// `POST /open` with `{"path": "…"}`.
 pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Result<StatusCode, Response> {
     let openings = site.openings.as_ref().ok_or_else(not_here)?;
-    check_kind(request.headers(), "application/json", "send a path as application/json")?;
+    if !is_kind(request.headers(), "application/json") {
+        return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a path as application/json"));
+    }
     let told = tokio::time::timeout(GRACE, to_bytes(request.into_body(), LONGEST_MESSAGE)).await;
     let told = told.ok().and_then(Result::ok).and_then(|bytes| serde_json::from_slice::<Named>(&bytes).ok());
     let told = told.ok_or_else(|| refusal(StatusCode::BAD_REQUEST, "expected {\"path\": \"…\"}"))?;
@@ -140,9 +145,8 @@ async fn drain(body: &mut Body) {
     tokio::time::timeout(LINGER, rest).await.ok();
 }
 
-fn check_kind(headers: &HeaderMap, kind: &str, problem: &str) -> Result<(), Response> {
-    let is_kind = headers.get(header::CONTENT_TYPE).is_some_and(|said| said == kind);
-    if is_kind { Ok(()) } else { Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, problem)) }
+fn is_kind(headers: &HeaderMap, kind: &str) -> bool {
+    headers.get(header::CONTENT_TYPE).is_some_and(|said| said == kind)
 }
 
 fn not_here() -> Response {
