@@ -158,7 +158,16 @@ impl Error {
         }
     }
 
-    /// Names the setting that caused a [`Error::TooLarge`].
+    /// Returns [`Error::TooLarge`] with the amount and its unit, and the limit and its name.
+    pub fn too_large(
+        what: impl Into<String>,
+        (needed, unit): (u64, &'static str),
+        (limit, limit_name): (u64, &'static str),
+    ) -> Self {
+        Self::TooLarge { what: what.into(), needed, unit, limit, limit_name }
+    }
+
+    /// Names the setting, or the frame, that caused an [`Error::TooLarge`].
     #[must_use]
     pub(crate) fn of_field(self, field: impl std::fmt::Display) -> Self {
         match self {

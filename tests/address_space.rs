@@ -2,30 +2,23 @@
 //! with the required amount, and does not end the program.
 #![cfg(target_os = "linux")]
 
-use std::fs::{self, File};
-use std::path::Path;
-
-use ashsplat::Error;
-use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
-use ashsplat::train::Checkpoint;
+use crate::common::child;
+use crate::common::prelude::*;
+use crate::common::splats::scene;
+use ashsplat::scene::{Intrinsics, PointCloud, WorldFrame};
 use ashsplat_files::colmap::{ColmapCamera, ColmapImage, Model};
 use ashsplat_files::dataset::{Dataset, DatasetOptions};
 use ashsplat_files::splats::{ConvertOptions, Format, ReadOptions, Target, WriteOptions};
-use ashsplat_files::{
-    CheckpointFile, Photo, PhotoFileFormat, Progress, Resolution, cameras_json, colmap, ply, splats,
-};
-use glam::Vec3;
+use ashsplat_files::{PhotoFileFormat, Progress, Resolution, cameras_json, colmap, ply, splats};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
-
-use crate::common::child;
-use crate::common::splats::scene;
+use std::fs::{self, File};
+use std::path::Path;
 
 /// Address space of the readers.
 const ROOM: u64 = 24 << 20;
 /// Number of Gaussians; each takes at least 56 bytes.
 const MANY: usize = 400_000;
 
-/// The address space of this process, bytes.
 fn address_space() -> u64 {
     let status = fs::read_to_string("/proc/self/status").expect("a status");
     let line = status.lines().find_map(|line| line.strip_prefix("VmSize:")).expect("a size");

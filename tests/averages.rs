@@ -1,11 +1,9 @@
 //! Parameters that are averaged over the last steps of a run.
 
-use ashsplat::train::OptimizerType;
-
-use crate::common::compare::elementwise;
 use crate::common::prelude::*;
 use crate::common::training::settings as usual;
 use crate::reference::average::mean;
+use ashsplat::train::OptimizerType;
 
 /// The last densification is after iteration 30 of 40.
 fn settings(average_last: f64) -> TrainSettings {

@@ -1,12 +1,11 @@
 //! Rows of the tuning table on the present device: a GPU's kernels on a software driver, and vice versa.
 
+use crate::common::blending::assert_alike;
+use crate::common::prelude::*;
 use ashsplat::frame::tuning::{Backend, Tuning};
 use ashsplat::frame::{LaunchSizes, SortMethod};
 use ashsplat::kernels::sort::sort_downsweep;
 use ashsplat::vk::{KernelInterface, Requirements};
-
-use crate::common::blending::assert_alike;
-use crate::common::prelude::*;
 
 fn context(backend: Backend) -> Context {
     Context::new(&ContextOptions { backend: Some(backend), ..options() }).expect("a device")

@@ -1,5 +1,7 @@
 //! Every barrier of a training step is needed, and the hazard checker notices each missing one.
 
+use crate::common::engine::settings;
+use crate::common::prelude::*;
 use ashsplat::frame::{
     Auxiliary, BlendVariant, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, POSE_BYTES,
     PictureCapacity, PlacedScene, SceneBuffers, Strips, frame_requests, planes,
@@ -10,9 +12,6 @@ use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_byt
 use ashsplat::passes::poses::{PoseBuffers, PoseGradient, PoseOptimizer, PoseStep};
 use ashsplat::render::Forward;
 use ashsplat::vk::{Buffer, Recorder};
-
-use crate::common::engine::settings;
-use crate::common::prelude::*;
 
 const SIZE: [u32; 2] = [40, 30];
 const SH_DEGREE: u32 = 1;
@@ -30,7 +29,6 @@ enum Kind {
 
 const KINDS: [Kind; 3] = [Kind::Step, Kind::Gradients, Kind::Poses];
 
-/// Buffers and kernels of a training step.
 struct Training {
     context: Context,
     forward: Forward,

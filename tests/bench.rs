@@ -454,7 +454,6 @@ fn bench_counts_waits_and_transactions() {
 
 const BLENDED: [&str; 8] = ["--gaussians", "400", "--width", "72", "--height", "48", "--iterations", "3"];
 
-/// Names of a run's kernels of the stage "blend".
 fn blended(run: &Value) -> Vec<&str> {
     kernels(run).iter().filter(|k| k["scope"] == "blend").filter_map(|k| k["kernel"].as_str()).collect()
 }

@@ -1,12 +1,11 @@
 //! The two forms of blending: the same bits through renderer and trainer, other work.
 
-use ashsplat::frame::tuning::Backend;
-use ashsplat::{BlendSamples, Blending};
-
 use crate::common::blending::assert_same;
 use crate::common::count_hits;
 use crate::common::engine::{derivatives, settings};
 use crate::common::prelude::*;
+use ashsplat::frame::tuning::Backend;
+use ashsplat::{BlendSamples, Blending};
 
 /// A device that counts blended samples: the count reveals which kernel ran.
 fn counting() -> Context {

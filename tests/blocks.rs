@@ -1,12 +1,11 @@
 //! Training of a scene block: its frozen neighbours are drawn and do not change.
 
+use crate::common::prelude::*;
+use crate::common::training::{forecast, photo_size, settings, without_rates};
 use ashsplat::scene::{Bounds, Intrinsics};
 use ashsplat::train::checkpoint::GradientSums;
 use ashsplat::train::{LightSums, SceneBlock, TrainParts};
 use std::collections::HashSet;
-
-use crate::common::prelude::*;
-use crate::common::training::{forecast, photo_size, settings};
 
 /// Half of the scene, minus a margin.
 fn core() -> Bounds {
@@ -25,7 +24,6 @@ fn divided() -> (Gaussians, SceneBlock) {
     (trained, block)
 }
 
-/// Runs `act` with the training of a block, or of a whole scene.
 fn with_run<T>(
     context: &Context,
     initial: &Gaussians,
@@ -169,18 +167,12 @@ fn what_no_view_sees_can_be_left_out() {
 fn gaussians_are_added_in_the_core_only() {
     let (initial, block) = divided();
     let still = |strategy, percent_dense| TrainSettings {
-        position_lr_init: 1e-30,
-        position_lr_final: 1e-30,
-        feature_lr: 0.0,
-        opacity_lr: 0.0,
-        scaling_lr: 0.0,
-        rotation_lr: 0.0,
         min_opacity: 1e-9,
         percent_dense,
         strategy,
         cap_max: 10_000,
         densify_grad_threshold: 1e-9,
-        ..settings()
+        ..without_rates(settings())
     };
     for (settings, clones) in [
         (still(StrategyType::Reference, 1e3), true),
@@ -337,10 +329,8 @@ fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
     let last = end(&mut run.resume(&joined));
     assert_eq!(last.iteration, settings.iterations);
     // The expected frames are like the previous ones, instead of showing all Gaussians that fit the capacity.
-    assert!(
-        last.capacities.frame_instances >= last.capacities.most_instances
-            && joined.capacities.most_instances > 0
-    );
+    assert!(last.capacities.frame_instances >= last.capacities.most_instances);
+    assert!(joined.capacities.most_instances > 0);
     assert!(last.capacities.frame_instances < 6 * last.capacities.gaussians, "{:?}", last.capacities);
 
     let refused = |change: &dyn Fn(&mut Checkpoint), said: &str| {

@@ -1,12 +1,11 @@
 //! Training with budgeted growth, and its parts that the reference's strategy can use.
 
-use ashsplat::passes::densify::RESET_OPACITY;
-use ashsplat::train::{ImportanceType, OptimizerType, SplitType};
-
 use crate::checkpoints::check_growth_in_bounded_memory;
 use crate::common::prelude::*;
 use crate::reference::linear::sigmoid;
 use crate::reference::schedule::quantile;
+use ashsplat::passes::densify::RESET_OPACITY;
+use ashsplat::train::{ImportanceType, OptimizerType, SplitType};
 
 const CAP: u32 = 260;
 
@@ -214,7 +213,6 @@ fn budget_prunes_what_does_not_recover() {
     }
 }
 
-/// Only Gaussians that are faint late in a run are pruned. A resumed run has the same bits.
 #[test]
 fn budget_prunes_what_is_faint_late() {
     let settings = TrainSettings {

@@ -1,13 +1,12 @@
 //! A run that resumes from a checkpoint ends with the same bits as an uninterrupted one.
 
+use crate::common::device::planned_peak;
+use crate::common::prelude::*;
+use crate::few_photos::{few, mapped};
 use ashsplat::scene::WorldFrame;
 use ashsplat::train::{Actions, OptimizerType};
 use glam::DVec3;
 use std::path::Path;
-
-use crate::common::device::planned_peak;
-use crate::common::prelude::*;
-use crate::few_photos::{few, mapped};
 
 pub use crate::common::training::{settings, start, views};
 

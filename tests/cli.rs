@@ -21,23 +21,21 @@ mod settings;
 mod tiles;
 mod training;
 
-use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
-
+use crate::program::running::Running;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::train::Checkpoint;
 use ashsplat_files::colmap::{ColmapCamera, ColmapImage};
 use ashsplat_files::splats::{ReadOptions, WriteOptions};
 use ashsplat_files::{CheckpointFile, Photo, PhotoFileFormat, colmap, splats};
 use glam::{Vec3, vec3};
-use serde_json::Value;
-use tempfile::TempDir;
-
-use crate::program::running::Running;
 pub(crate) use place::{Place, point_cloud, wait_until};
 pub(crate) use run::{Finished, assert_refused, finish, program, text};
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
 
 /// Size of the photos of [`write_dataset`], pixels.
 const SIZE: [u32; 2] = [48, 32];
@@ -50,13 +48,11 @@ pub(crate) fn succeed(arguments: &[&str]) -> String {
     finish(program().args(arguments)).ok().stdout
 }
 
-/// Runs the program, which must refuse.
 #[track_caller]
 pub(crate) fn refuse(arguments: &[&str], words: &[&str]) {
     finish(program().args(arguments)).refused(words);
 }
 
-/// Checks that a text has all of these words.
 #[track_caller]
 pub(crate) fn assert_has(text: &str, words: &[&str]) {
     for word in words {
@@ -110,7 +106,6 @@ fn write_observed(folder: &Path) {
     write_text_model(folder, &images, &rows);
 }
 
-/// Name of a view's photo.
 fn photo_name(index: u32) -> String {
     format!("{:02}.png", index + 1)
 }

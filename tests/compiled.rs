@@ -1,14 +1,12 @@
 //! `ashsplat profile --static`: compiler statistics of the kernels, from a driver that compiles for absent GPUs.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-
-use serde_json::Value;
-use tempfile::tempdir;
-
 use crate::bench::{number, read};
 use crate::cli::{Finished, assert_refused, finish, program, refuse, succeed, text};
 use crate::common::{assert_says, context, new_paths, root};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use tempfile::tempdir;
 
 /// One GPU each of RDNA2, GCN5 and RDNA3, with its names in all versions of Mesa: RDNA3's differs in Mesa 22.
 const FAMILIES: [&[&str]; 3] = [&["navi21"], &["vega10"], &["gfx1100", "navi31"]];

@@ -3,16 +3,13 @@
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]
 
+use crate::absent;
+use libtest_mimic::Trial;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use libtest_mimic::Trial;
-
-use crate::absent;
-
-/// Memory limit of the group, bytes.
 const LIMIT: u64 = 512 << 20;
 
 /// One trial, if this process may create a group within its own.
@@ -56,7 +53,6 @@ impl Group {
         }
     }
 
-    /// A program that joins the group before it starts.
     fn command(&self, program: &str) -> Command {
         let mut command = Command::new("sh");
         command.args(["-c", "echo $$ > \"$0/cgroup.procs\" && exec \"$@\""]).arg(&self.0).arg(program);

@@ -1,11 +1,10 @@
 //! The same inputs on the same device give the same bits, also in training.
 
-use ashsplat::scene::Fingerprint;
-use ashsplat::train::verify::{Verdict, verify_determinism};
-
 use crate::common::engine::settings;
 use crate::common::prelude::*;
 use crate::common::training;
+use ashsplat::scene::Fingerprint;
+use ashsplat::train::verify::{Verdict, verify_determinism};
 
 fn views() -> Vec<TrainView> {
     let scene = gaussians(&small_scene(&mut Random::new(11), 120, 4));
@@ -21,7 +20,6 @@ fn views() -> Vec<TrainView> {
         .collect()
 }
 
-/// A short run with densification and an opacity reset. Returns the losses and the final Gaussians.
 fn train(gpu: &Gpu, seed: u32) -> (Vec<f32>, Gaussians) {
     let settings = TrainSettings {
         iterations: 70,
@@ -205,7 +203,6 @@ fn determinism_audit_holds_a_few_outputs_at_a_time() {
     assert_silent(&context);
 }
 
-/// Pictures and gradients of a scene at every SH degree, with one form of the kernels.
 fn by_form(options: &ContextOptions) -> Vec<(Vec<[f32; 3]>, ashsplat::Gradients)> {
     let context = Context::new(options).expect("a device");
     let mut renderer = Renderer::new(&context).expect("kernels");

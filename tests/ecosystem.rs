@@ -11,18 +11,16 @@ mod cesium;
 mod playcanvas;
 mod tiles;
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
-use std::sync::{Arc, OnceLock};
-
+use crate::absent;
+use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, tolerance};
 use ashsplat::scene::{Gaussians, Similarity};
 use ashsplat_files::splats::{self, ConvertOptions, Format, ReadOptions, WriteOptions};
 use ashsplat_files::{Photo, PhotoFileFormat, metrics};
 use glam::{DQuat, DVec3, EulerRot};
 use libtest_mimic::{Failed, Trial};
-
-use crate::absent;
-use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, tolerance};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::{Arc, OnceLock};
 
 const PACKAGES: [&str; 5] = [
     "cesium@1.145.0",
@@ -36,7 +34,6 @@ const TILES_TOOLS: &str = "3d-tiles-tools@0.5.4";
 
 const KEEP: ReadOptions = ReadOptions { drop_invalid: false, max_host_memory: None };
 
-/// A comparison with the packages in a folder, for a format.
 type Check = fn(&Path, Format);
 
 pub fn trials() -> Vec<Trial> {
@@ -95,7 +92,6 @@ pub fn trials() -> Vec<Trial> {
     cases.into_iter().map(trial).chain([missing]).collect()
 }
 
-/// Runs one of our scripts with Node. Returns its stdout.
 fn run_script(name: &str, arguments: &[&Path]) -> String {
     let script = crate::common::root().join("tests/ecosystem").join(name);
     let result = Command::new("node").arg(script).args(arguments).output().expect("node");
@@ -146,7 +142,6 @@ fn install(wanted: &str) -> Result<PathBuf, String> {
     installed("npm", &[&["--omit=optional"], &PACKAGES[..]].concat())
 }
 
-/// Folder with Cesium's 3D Tiles tools, given that of the other packages.
 fn tiles_tools(modules: &Path) -> Result<PathBuf, String> {
     static INSTALLED: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     if modules.join("3d-tiles-tools").is_dir() {
@@ -192,7 +187,6 @@ fn small(format: Format) -> Tolerance {
     Tolerance { mean: 1e-5, log_scale: 1e-5, opacity: 1e-5, rotation, color: 1e-4, sh: 1e-5 }
 }
 
-/// It reads our files with the same result as we do.
 fn they_read_ours(modules: &Path, format: Format) {
     let folder = tempfile::tempdir().unwrap();
     let ours = folder.path().join(format!("ours{}", format.extension()));
@@ -207,7 +201,6 @@ fn they_read_ours(modules: &Path, format: Format) {
     assert_close(&sorted, &expected, &Tolerance { rotation: 2.0 * margin.rotation, ..margin });
 }
 
-/// We read its files, as close to the original as the format allows.
 fn we_read_theirs(modules: &Path, format: Format) {
     let folder = tempfile::tempdir().unwrap();
     let ours = folder.path().join("ours.ply");

@@ -1,11 +1,10 @@
 //! Training that learns the exposures of its photographs, and the cameras' vignetting and response.
 
+use crate::common::prelude::*;
+use crate::common::training::{psnr, settings as small_settings};
 use ashsplat::scene::{Exposure, LensEffects};
 use ashsplat::train::{OptimizerType, Preset};
 use ashsplat_files::metrics;
-
-use crate::common::prelude::*;
-use crate::common::training::settings as small_settings;
 
 const VIEWS: usize = 10;
 /// Views with known gains of their channels. Their mean is 1, as the mean of all exposures stays.
@@ -95,12 +94,7 @@ fn train(
     let views = cameras().into_iter().zip(taken).map(|(camera, photo)| TrainView::new(camera, photo.clone()));
     let mut trainer = Run::new(gpu.context, views.collect(), settings.clone()).starting_at(start).begin();
     assert!(trainer.finish().iter().all(|report| report.loss.is_finite()));
-    let render = trainer.render_settings();
-    let quality = cameras().into_iter().zip(shown).map(|(camera, photo)| {
-        let frame = trainer.render(&camera, &render).expect("a frame");
-        metrics::psnr(&frame.color, &photo.to_f32()).expect("a number")
-    });
-    let quality = quality.sum::<f64>() / VIEWS as f64;
+    let quality = psnr(&mut trainer, cameras().into_iter().zip(shown.iter().cloned()));
     (quality, trainer.exposures().expect("exposures"))
 }
 
@@ -125,7 +119,7 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     let (learnt, resting) = train(&gpu, &few, [&taken, &shown], &with);
     let restless = TrainSettings { exposure_sparsity: 0.0, ..with.clone() };
     let (_, moving) = train(&gpu, &few, [&taken, &shown], &restless);
-    let (best, exposures) = train(&gpu, &gray(1), [&taken, &shown], &with);
+    let (_, exposures) = train(&gpu, &gray(1), [&taken, &shown], &with);
     // Exposed mean colour of the photograph.
     let mut worst: f32 = 0.0;
     for (view, gains) in CHANGED {
@@ -137,9 +131,6 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
             worst = worst.max((exposed[k] / mean[k] / gains[k] - 1.0).abs());
         }
     }
-    println!(
-        "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4} at {best:.2} dB"
-    );
     assert!(worst < 0.007, "a gain is off by {worst}");
     // Distance of the unchanged photographs' exposures from the identity.
     let [resting, moving] = [resting, moving].map(|exposures| {
@@ -151,7 +142,6 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
         });
         differences.sum::<f64>().sqrt()
     });
-    println!("unchanged photographs' exposures: {resting:.4}, {moving:.4} without sparsity");
     assert!(resting < 0.5 * moving, "{resting}, {moving}");
     assert!(learnt > unchanged - 0.1 && ignored < learnt, "{learnt}, {ignored}: {unchanged}");
     let mut mean = [[0.0_f64; 4]; 3];
@@ -183,7 +173,6 @@ fn exposures_are_pulled_to_gains() {
         (gains, others)
     };
     let ((free_gains, free), (gains, pulled)) = (train(0.0), train(100.0));
-    println!("gains {free_gains:.4}, pulled {gains:.4}; all else {free:.4}, pulled {pulled:.4}");
     assert!(pulled < 0.2 * free, "{free}, pulled {pulled}");
     assert!(gains > 0.5 * free_gains, "{free_gains}, pulled {gains}");
 }
@@ -298,7 +287,6 @@ fn lens_effects_are_recovered() {
             worst = worst.max((found / expected - 1.0).abs());
         }
     }
-    println!("held out: ignored {ignored:.2} dB, learnt {learnt:.2} dB; off by {worst:.4}; {effects:?}");
     assert!(worst < 0.04, "off by {worst}");
     assert!(learnt > ignored + 2.0, "{ignored} dB, with lens effects {learnt} dB");
 }

@@ -1,12 +1,11 @@
 //! Parameters that no training should produce: no hang, no write out of bounds, no spreading NaN.
 
+use crate::common::prelude::*;
 use ashsplat::train::Densified;
 use ashsplat_files::splats;
 use ashsplat_files::splats::{Format, ReadOptions, WriteOptions};
 use proptest::prelude::*;
 use std::sync::OnceLock;
-
-use crate::common::prelude::*;
 
 const EXTREMES: [f32; 12] = [
     f32::NAN,

@@ -1,9 +1,8 @@
 //! Features for few photographs: dropout of Gaussians, and the depths of sparse points.
 
-use ashsplat::passes::loss::DepthPoint;
-
 use crate::common::prelude::*;
 use crate::common::training::settings as small_settings;
+use ashsplat::passes::loss::DepthPoint;
 
 fn settings() -> TrainSettings {
     TrainSettings { dropout: 0.3, depth_points: 0.2, ..small_settings() }
@@ -65,7 +64,6 @@ fn inverse_depth_maps_resume_to_the_bit() {
     assert_says(refusal(run(other).try_resume(&checkpoint)), &["other photographs"]);
 }
 
-/// Each setting changes the result; without them, points are ignored.
 #[test]
 fn few_photos_settings_have_an_effect_each() {
     let off = TrainSettings { dropout: 0.0, depth_points: 0.0, ..settings() };

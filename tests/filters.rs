@@ -1,9 +1,8 @@
 //! Mip-Splatting's filters in training, in files and in pictures.
 
+use crate::common::prelude::*;
 use ashsplat_files::ply;
 use ashsplat_files::splats::WriteOptions;
-
-use crate::common::prelude::*;
 
 /// Densifies after 15, 20, ... 35, resets opacities after 20, computes new filter sizes after 100 and 200.
 fn settings() -> TrainSettings {

@@ -1,8 +1,7 @@
 //! First frames start from an estimate of their instances, and are complete.
 
-use ashsplat::frame::{LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, initial_instances, initial_visible};
-
 use crate::common::prelude::*;
+use ashsplat::frame::{LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, initial_instances, initial_visible};
 
 const SIZE: [u32; 2] = [200, 120];
 

@@ -19,24 +19,20 @@ mod stages;
 mod training;
 mod twin;
 
-use std::path::{Path, PathBuf};
-
+use crate::absent_data;
+use crate::common::root;
+use crate::golden::npz::Npz;
+use crate::reference::types::Extent;
 use ashsplat::scene::sh::rgb_to_sh_dc;
 use ashsplat::scene::{PointCloud, scene_extent};
 use ashsplat_files::init::mean_squared_neighbour_distances;
 use ashsplat_files::initial_gaussians;
 use glam::Vec3;
 use libtest_mimic::{Failed, Trial};
+use std::path::{Path, PathBuf};
 
-use crate::absent_data;
-use crate::common::root;
-use crate::golden::npz::Npz;
-use crate::reference::types::Extent;
-
-/// Result of a check.
 type Outcome = Result<(), Failed>;
 
-/// Checks the set of a file.
 type Check = fn(&Path) -> Outcome;
 
 /// Subjects of sets: fields by which they are known, name, checks of the twin and of the device. The first entry of
@@ -79,12 +75,10 @@ impl SetFile {
         std::iter::once(Extent::Reference).chain(self.exact.is_some().then_some(Extent::Exact))
     }
 
-    /// True if the set has all of these fields.
     fn has(&self, fields: &str) -> bool {
         fields.split(' ').all(|name| self.fields.iter().any(|field| field == name))
     }
 
-    /// One trial per implementation.
     fn trials(&self) -> Vec<Trial> {
         let trial = |implementation: &str, subject: &str, check: Check| {
             let path = self.path.clone();
@@ -124,7 +118,6 @@ fn own() -> PathBuf {
     root().join("tests/golden/sets")
 }
 
-/// The project's own sets, and those of the shared folder with other names.
 fn sets(shared: &Path) -> Vec<SetFile> {
     let mut sets = list(&own());
     assert!(!sets.is_empty(), "no golden vectors in {}", own().display());
@@ -150,13 +143,6 @@ fn list(folder: &Path) -> Vec<SetFile> {
             }
         })
         .collect()
-}
-
-/// Prints measured errors if `ASHSPLAT_GOLDEN_REPORT` is set.
-fn report(text: impl FnOnce() -> String) {
-    if std::env::var_os("ASHSPLAT_GOLDEN_REPORT").is_some() {
-        println!("{}", text());
-    }
 }
 
 /// The initial Gaussians and the scene extent, which the host computes.

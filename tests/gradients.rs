@@ -1,10 +1,8 @@
 //! Finite differences prove the twins' backward pass, the twins prove the device's.
 
-use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::engine::{settings, twins};
 use crate::common::frame::unstable_pixels;
 use crate::common::prelude::*;
-use crate::common::scenes::{by_parameter, gradient_scalars, scalars};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::exposure::{Exposures, Matrix, expose, expose_backward};
 use crate::reference::inverse_depth_l1::inverse_depth_l1;
@@ -15,7 +13,6 @@ use crate::reference::project_backward::project_backward;
 use crate::reference::regularize::regularize;
 use crate::reference::sparse_depth::{self, Point, depth_sums, expected};
 use crate::reference::sparse_depth_gather::{expected_depth_backward, gather};
-use crate::reference::types::{Drawn, Dropout, Gradient, Splat, SplatGradient};
 
 /// Σ pixel · weight, a loss that is linear in the picture.
 pub fn linear_loss(gaussians: &[Gaussian], view: &View, weights: &[PixelGradient]) -> f64 {
@@ -43,7 +40,6 @@ pub fn stable_weights(random: &mut Random, view: &View, frame: &Frame) -> Vec<Pi
     weights
 }
 
-/// Random weights of the colour at stable pixels.
 pub fn color_weights(random: &mut Random, unstable: &[bool]) -> Vec<PixelGradient> {
     let mut color = |unstable| if unstable { [0.0; 3] } else { [0; 3].map(|_| random.signed()) };
     let weight = |&unstable| PixelGradient { color: color(unstable), inverse_depth: 0.0 };
@@ -203,7 +199,6 @@ fn gradients_of_the_device_through_the_jacobian_limits() {
 
 const STEP: f64 = 1e-6;
 
-/// Compares the derivative of a term by each parameter. Errors are relative to the largest derivative.
 fn compare<T: PartialEq>(
     scene: &[Gaussian],
     gradients: &[Gradient],
@@ -253,7 +248,6 @@ fn gradients_of_inverse_depth_maps_agree_with_finite_differences() {
     assert!(compared > 60, "only {compared} of 84");
 }
 
-/// Pixels of a frame with their tiles and lists.
 fn lists<'a>(frame: &'a Frame, view: &View) -> Vec<([u32; 2], usize, Vec<&'a Splat>)> {
     let list = |tile: usize| frame.lists[tile].iter().filter_map(|&g| frame.splats[g as usize].as_ref());
     pixels_of(view).map(|pixel| (pixel, tile_of(view, pixel), list(tile_of(view, pixel)).collect())).collect()
@@ -301,7 +295,6 @@ fn gradients_of_sparse_points_agree_with_finite_differences() {
     assert!(compared > 80, "only {compared} of 112");
 }
 
-/// Compares each `nth` derivative by numbers.
 fn compare_numbers(what: &str, at: &[f64], derivatives: &[f64], nth: usize, loss: impl Fn(&[f64]) -> f64) {
     let some: Vec<f64> = derivatives.iter().step_by(nth).copied().collect();
     let moved = |place: usize, by: f64| {
@@ -312,7 +305,6 @@ fn compare_numbers(what: &str, at: &[f64], derivatives: &[f64], nth: usize, loss
     compare_with_differences(what, &some, STEP, |_| 1e-8, moved);
 }
 
-/// A matrix of its twelve numbers.
 fn matrix(numbers: &[f64]) -> Matrix {
     [0, 1, 2].map(|row| [0, 1, 2, 3].map(|column| numbers[4 * row + column]))
 }

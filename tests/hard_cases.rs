@@ -1,13 +1,10 @@
 //! Extreme frames: very long tiles, nothing to draw, odd and large images, too little capacity.
 
-use crate::common::compare::{GradientTolerance, PixelTolerance, gradient, pixels};
-use crate::common::engine::{settings, twins, widen};
+use crate::common::engine::{settings, twins};
 use crate::common::frame::unstable_pixels;
 use crate::common::prelude::*;
-use crate::common::scenes::{by_parameter, scalars};
 use crate::gradients::{color_weights, narrowed};
 use crate::reference::pipeline::{self, backward, render};
-use crate::reference::types::Gradient;
 
 /// A camera at the origin that looks along z, so that depths are exact in float32.
 fn axis_view(size_px: [u32; 2]) -> View {

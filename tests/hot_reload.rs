@@ -19,7 +19,6 @@ use tempfile::tempdir;
 const SMALL: [&str; 10] =
     ["--gaussians", "300", "--width", "80", "--height", "48", "--frames", "3", "--warmup", "1"];
 
-/// A copy of all shaders, for editing.
 fn shaders(folder: &Path) -> PathBuf {
     fn copy(from: &Path, to: &Path) {
         fs::create_dir_all(to).expect("a folder");

@@ -2,15 +2,14 @@
 //! (tests/interpreter) runs them with a GPU's workgroups against the twins, and with the device's lanes against the
 //! device.
 
-use ashsplat::frame::LaunchSizes;
-use ashsplat::kernels::sort::{sort_downsweep, sort_upsweep};
-
 use crate::common::context;
 use crate::common::gpu::Gpu;
 use crate::common::machine::{Machine, on};
 use crate::kernels::{
     blend, blend_backward, cull, densify, draws, filter_3d, lists, poses, project_backward, scan, sort, ssim,
 };
+use ashsplat::frame::LaunchSizes;
+use ashsplat::kernels::sort::{sort_downsweep, sort_upsweep};
 
 /// Subgroups of AMD's GPUs, with the elementwise workgroups of all GPUs.
 const AMD: Machine = Machine::Interpreter { lanes: 64, workgroup: 256 };

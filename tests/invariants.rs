@@ -1,10 +1,9 @@
 //! Properties that a picture must not depend on.
 
-use ashsplat::BlendSamples;
-
 use crate::common::count_hits;
 use crate::common::engine::settings;
 use crate::common::prelude::*;
+use ashsplat::BlendSamples;
 
 const UNTURNED: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 

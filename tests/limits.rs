@@ -1,11 +1,10 @@
 //! Lowered limits and little memory give the same picture and training, or an error with the numbers.
 
+use crate::common::device::{assert_uses_all, planned_peak};
+use crate::common::prelude::*;
 use ashsplat::frame::tuning::Backend;
 use ashsplat::frame::{FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, frame_requests};
 use ashsplat::scene::Intrinsics;
-
-use crate::common::device::{assert_uses_all, planned_peak};
-use crate::common::prelude::*;
 
 fn render(context: &Context) -> Result<Vec<[f32; 3]>> {
     let mut renderer = Renderer::new(context)?;
@@ -240,7 +239,6 @@ fn limits_of_instances_leave_out_the_views_beyond_them() {
     assert_silent(&context);
 }
 
-/// A run whose last iteration was skipped resumes like a longer run.
 #[test]
 fn limits_of_instances_leave_out_the_last_iteration_of_a_run() {
     let context = crowded();
@@ -274,7 +272,6 @@ fn limits_of_instances_leave_out_the_last_iteration_of_a_run() {
     assert_silent(&context);
 }
 
-/// If no view fits any more, training ends with the reason.
 #[test]
 fn limits_of_instances_end_a_training_of_nothing() {
     let context = crowded();

@@ -1,10 +1,8 @@
 //! LPIPS on the device: the same bits with any memory, and errors for invalid inputs.
 
-use ashsplat::passes::lpips::{InputRange, Lpips, Network, Weights};
-
-use crate::common::compare::elementwise;
 use crate::common::prelude::*;
 use crate::reference::lpips::{ALEXNET, VGG16, formula, lpips};
+use ashsplat::passes::lpips::{InputRange, Lpips, Network, Weights};
 
 fn weights(network: Network) -> Weights {
     let own = match network {

@@ -5,15 +5,14 @@
 //! This process therefore uses them as well. A training must end with the same bits, wherever memory lies and
 //! whichever queue copies. `tools/as_gpu mock:discrete` runs the whole suite on one.
 
+use crate::common::prelude::*;
+use crate::common::{child, context, root};
 use ashsplat::frame::tuning::Backend;
 use ashsplat::vk::Transfers;
 use ashsplat_mock_layer::{FORGETTING, MACHINES, VARIABLE};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::sync::LazyLock;
-
-use crate::common::prelude::*;
-use crate::common::{child, context, root};
 
 /// Tests that a child runs: the device's claims, trainings and pictures for the parent, transfers of all kinds, and
 /// a training with photographs from a file.
@@ -65,7 +64,6 @@ fn trained(context: &Context) -> String {
     format!("{:?}", Run::new(context, views(3, 5), settings).until(10, &[]).fingerprint())
 }
 
-/// A picture, and the fingerprint of a training.
 fn results(context: &Context) -> (Vec<f32>, String) {
     let mut renderer = loaded(context, &gaussians(&mixed_scene(&mut Random::new(17), 1500, 16)));
     let frame = renderer.render(&camera(&small_view([203, 117])), &RenderSettings::default());
@@ -93,7 +91,6 @@ fn can_be_claimed() -> bool {
     true
 }
 
-/// Makes a child use this machine.
 fn claim(child: &mut Command, machine: &str) {
     let library = std::env::current_exe().expect("a path");
     let mut libraries = vec![library.parent().expect("deps").to_owned()];

@@ -1,9 +1,7 @@
 //! Training with parameters and moments in host memory: the same bits, and little device memory.
 
-use ashsplat::train::OptimizerType;
-
 use crate::common::prelude::*;
-use crate::common::scenes::gaussian;
+use ashsplat::train::OptimizerType;
 
 /// Bytes of a Gaussian of SH degree 3 in each of the four sets.
 const SET: u64 = 4 * (3 * 4 + 48);

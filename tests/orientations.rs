@@ -1,11 +1,10 @@
 //! Pictures of several shapes: wide and high ones share the memory of one, and large ones do not affect later ones.
 
-use ashsplat::scene::Intrinsics;
-use ashsplat::train::{Capacities, PhotoSize};
-
 use crate::common::device::assert_uses_all;
 use crate::common::prelude::*;
 use crate::common::training::{forecast_of, photo_size};
+use ashsplat::scene::Intrinsics;
+use ashsplat::train::{Capacities, PhotoSize};
 
 const WIDE: [u32; 2] = [320, 32];
 const HIGH: [u32; 2] = [32, 320];
@@ -139,10 +138,8 @@ fn orientations_go_on_from_checkpoints_of_earlier_versions() {
     for (frame_width, frame_height) in [(320, 320), (320, 32), (4000, 4000)] {
         // The product does not fit this device.
         let context = with_range(RANGE);
-        let from = Checkpoint {
-            capacities: Capacities { frame_width, frame_height, ..read.capacities },
-            ..read.clone()
-        };
+        let capacities = Capacities { frame_width, frame_height, ..read.capacities };
+        let from = Checkpoint { capacities, ..read.clone() };
         let mut resumed = run(&context).resume(&from);
         assert_eq!(resumed.state().capacities, read.capacities);
         resumed.finish();

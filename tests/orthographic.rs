@@ -1,16 +1,14 @@
 //! Orthographic cameras: pictures of known Gaussians by formula, and of random ones by the twin.
 
+use crate::common::engine::settings;
+use crate::common::prelude::*;
+use crate::reference::pipeline;
 use ashsplat::Shape;
 use ashsplat::passes::filter_3d::Filter3d;
 use ashsplat::scene::{ClipY, DepthMapping, HostView, Intrinsics, Projection, WorldFrame};
 use ashsplat_files::cameras_json;
 use glam::camera::rh::view::look_at_mat4;
 use glam::{Mat3, Mat4, Vec4};
-
-use crate::common::engine::settings;
-use crate::common::prelude::*;
-use crate::reference::pipeline;
-use crate::reference::types::Drawn;
 
 const SIZE: [u32; 2] = [64, 48];
 /// Pixels per unit.

@@ -1,6 +1,8 @@
 //! Exchangeable parts of training: strategies and loss terms that the library does not have, and what they can
 //! request.
 
+use crate::common::prelude::*;
+use crate::photos::in_a_file;
 use ashsplat::passes::densify::{
     Candidates, Chances, Densify, Importance, Selection, SelectionBuffers, SelectionDraw,
 };
@@ -10,9 +12,6 @@ use ashsplat::train::strategy::{ABSOLUTE_STATISTIC, Changes, Hooks, Statistic, S
 use ashsplat::train::{Actions, Densified, Population, Regularizers, Strategy, TrainParts};
 use ashsplat::vk::{Buffer, Recorder};
 use std::sync::{Arc, Mutex};
-
-use crate::common::prelude::*;
-use crate::photos::in_a_file;
 
 /// An action of this strategy only.
 const PRUNE: Actions = Actions(1 << 7);
@@ -190,7 +189,6 @@ fn the_fixed_strategy_keeps_the_number_of_gaussians() {
     assert!(count(StrategyType::Reference) > start().len());
 }
 
-/// Mean opacity and mean scale.
 fn means(gaussians: &Gaussians) -> [f64; 2] {
     let opacity = |&logit: &f32| 1.0 / (1.0 + f64::from(-logit).exp());
     let scale = |scale: &f32| f64::from(*scale).exp();
@@ -301,7 +299,6 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
     }
 }
 
-/// A term that keeps its inputs.
 #[derive(Clone)]
 struct Probe {
     picture: Buffer,
@@ -375,7 +372,6 @@ fn a_term_by_rows_sees_the_picture_and_the_photograph() {
     }
 }
 
-/// Number of Gaussians removed at a time.
 const REMOVED: u32 = 9;
 
 /// Requests absolute statistics if `absolute`. After every `every` iterations it removes Gaussians, drawn in

@@ -1,9 +1,8 @@
 //! Parts of pictures are rendered, differentiated and trained like the whole.
 
-use ashsplat::scene::{Intrinsics, StoredPhoto};
-
 use crate::common::prelude::*;
 use crate::common::splats::{ball, camera};
+use ashsplat::scene::{Intrinsics, StoredPhoto};
 
 /// Corners and sizes: aligned to tiles, across them, at the far edges, a single pixel.
 const PARTS: [([u32; 2], [u32; 2]); 4] =

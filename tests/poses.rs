@@ -1,25 +1,19 @@
 //! Gradients of camera poses: finite differences prove the twin, the twin proves the device. Displaced poses are
 //! recovered in training and by alignment.
 
-use ashsplat::passes::poses::PoseBuffers;
-use ashsplat::scene::{StoredPhoto, Twist, scene_extent};
-use ashsplat::train::{Forecast, OptimizerType, PhotoSize, StrategyType, TrainView, Trainer};
-use ashsplat::{Alignment, Camera, Checkpoint, Error, Gaussians, RenderSettings, Renderer, TrainSettings};
-use ashsplat_files::{CheckpointFile, Photo, metrics};
-use glam::DVec3;
-
 use crate::checkpoints;
 use crate::common::blending::assert_alike;
-use crate::common::bounded;
-use crate::common::compare::elementwise;
-use crate::common::engine::{self, camera, derivatives, settings};
-use crate::common::gpu::Gpu;
+use crate::common::engine::{self, derivatives, settings};
 use crate::common::prelude::*;
-use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
+use crate::common::training::{forecast, photo_size, psnr, without_rates};
 use crate::gradients::{self, decisions, linear_loss, narrow_view, narrowed, random_weights, stable_weights};
 use crate::reference::pipeline::{backward, pixels_of, render};
 use crate::reference::pose_step::moved;
-use crate::reference::types::{Extent, View};
+use ashsplat::Alignment;
+use ashsplat::passes::poses::PoseBuffers;
+use ashsplat::scene::{StoredPhoto, Twist, scene_extent};
+use ashsplat::train::OptimizerType;
+use glam::DVec3;
 
 /// The view at exp(δ^) T.
 pub fn moved_view(view: &View, delta: [f64; 6]) -> View {
@@ -101,7 +95,6 @@ fn poses_of_the_device_agree_with_the_twin() {
     drop((renderer, gpu));
 }
 
-/// Each range of parameters adds its part.
 #[test]
 fn poses_of_a_scene_in_several_buffers() {
     let context = with_range(100_000);
@@ -171,7 +164,6 @@ fn scene() -> Gaussians {
     engine::gaussians(&small_scene(&mut Random::new(41), 150, 4))
 }
 
-/// Cameras around the scene.
 fn cameras() -> Vec<Camera> {
     let turned = |i: u32| {
         let angle = std::f64::consts::TAU * f64::from(i) / f64::from(VIEWS);
@@ -185,14 +177,14 @@ fn extent() -> f32 {
     scene_extent(cameras().iter().map(Camera::position).collect::<Vec<_>>().into_iter())
 }
 
-fn photographs() -> Vec<StoredPhoto> {
+fn photographs() -> Vec<Photo> {
     let mut renderer = engine::renderer();
     renderer.upload(&scene()).expect("upload");
     let photograph = |camera: &Camera| {
         let frame = renderer.render(camera, &RenderSettings::default()).expect("a photograph");
         let byte = |x: &f32| (x * 255.0).round().clamp(0.0, 255.0) as u8;
         let rgb = frame.color.iter().flatten().map(byte).collect();
-        StoredPhoto::from(Photo { width: SIZE[0], height: SIZE[1], rgb })
+        Photo { width: SIZE[0], height: SIZE[1], rgb }
     };
     cameras().iter().map(photograph).collect()
 }
@@ -244,23 +236,7 @@ fn few(iterations: u32) -> TrainSettings {
 
 /// Settings that keep the scene unchanged.
 fn fixed(iterations: u32) -> TrainSettings {
-    TrainSettings {
-        position_lr_init: 1e-30,
-        position_lr_final: 1e-30,
-        feature_lr: 0.0,
-        opacity_lr: 0.0,
-        scaling_lr: 0.0,
-        rotation_lr: 0.0,
-        pose_opt: true,
-        pose_lr: 1e-2,
-        ..few(iterations)
-    }
-}
-
-fn run(trainer: &mut Trainer, steps: u32) {
-    for _ in 0..steps {
-        trainer.step().expect("a step");
-    }
+    TrainSettings { pose_opt: true, pose_lr: 1e-2, ..without_rates(few(iterations)) }
 }
 
 #[test]
@@ -272,20 +248,11 @@ fn poses_are_found_again_on_a_scene_that_is_known() {
     let mut trainer =
         Trainer::new(gpu.context, views(given), &scene(), extent(), fixed(1500)).expect("a trainer");
     assert_eq!(trainer.cameras().expect("cameras"), given, "nothing has moved yet");
-    run(&mut trainer, 1500);
+    trainer.steps(1500);
     let (degrees, share) = apart(&trainer.cameras().expect("cameras"), &cameras());
     // With turns about the cameras' centres, 0.015 and 2.2e-4 remain.
     assert!(degrees < 0.011 && share < 1.6e-4, "{degrees} degrees, {share} of the extent");
     assert!(trainer.gaussians().expect("Gaussians") == scene(), "the scene was to stay");
-}
-
-fn psnr(trainer: &mut Trainer, cameras: &[Camera]) -> f64 {
-    let settings = trainer.render_settings();
-    let each = cameras.iter().zip(photographs()).map(|(camera, photo)| {
-        let frame = trainer.render(camera, &settings).expect("a frame");
-        metrics::psnr(&frame.color, &photo.photo().expect("a photo").to_f32()).expect("PSNR")
-    });
-    each.sum::<f64>() / cameras.len() as f64
 }
 
 /// Optimises scene and poses together, both displaced. Without poses, the scene can only blur.
@@ -307,9 +274,9 @@ fn poses_and_scene_together_are_better_than_the_scene_alone() {
         };
         let mut trainer =
             Trainer::new(gpu.context, views(&perturbed()), &start, extent(), settings).expect("a trainer");
-        run(&mut trainer, 600);
+        trainer.steps(600);
         let own = trainer.cameras().expect("cameras");
-        (psnr(&mut trainer, &own), own)
+        (psnr(&mut trainer, own.iter().copied().zip(photographs())), own)
     };
     let ((without, same), (with, moved)) = (train(false), train(true));
     assert_eq!(same, perturbed());
@@ -320,18 +287,19 @@ fn poses_and_scene_together_are_better_than_the_scene_alone() {
 #[test]
 fn poses_of_held_out_views_are_aligned() {
     let gpu = Gpu::new();
-    let (cameras, given, photos) = (cameras(), perturbed(), photographs());
+    let (cameras, given) = (cameras(), perturbed());
+    let photos: Vec<StoredPhoto> = photographs().into_iter().map(Into::into).collect();
     let alignment = Alignment::default();
     let settings = RenderSettings::default();
     let mut trainer =
         Trainer::new(gpu.context, views(&cameras), &scene(), extent(), fixed(10)).expect("a trainer");
     trainer.step().expect("a step");
-    let before = trainer.checkpoint().expect("a state");
+    let before = trainer.state();
     let align = |(camera, photo)| trainer.align(camera, photo, &settings, &alignment).expect("aligned");
     let aligned: Vec<Camera> = given.iter().zip(&photos).take(3).map(align).collect();
     let (degrees, share) = apart(&aligned, &cameras);
     assert!(degrees < 0.15 && share < 2e-3, "{degrees} degrees, {share} of the extent");
-    assert!(trainer.checkpoint().expect("a state") == before, "training has changed");
+    assert!(trainer.state() == before, "training has changed");
     // A renderer gives the same result.
     let mut renderer = engine::renderer();
     renderer.upload(&scene()).expect("upload");
@@ -351,44 +319,23 @@ fn short() -> TrainSettings {
     TrainSettings { pose_opt: true, pose_lr: 1e-3, ..checkpoints::settings() }
 }
 
-fn new(gpu: &Gpu, settings: &TrainSettings) -> Trainer {
-    Trainer::new(gpu.context, checkpoints::views(5, 40), &checkpoints::start(), 5.0, settings.clone())
-        .expect("a trainer")
-}
-
-fn resume(gpu: &Gpu, settings: &TrainSettings, from: &Checkpoint) -> Result<Trainer, Error> {
-    Trainer::resume(gpu.context, checkpoints::views(5, 40), 5.0, settings.clone(), from)
-}
-
-/// The checkpoint as a file gives it back.
-fn through_a_file(checkpoint: &Checkpoint) -> Checkpoint {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let path = folder.path().join("c.safetensors");
-    checkpoint.write(&path).expect("written");
-    Checkpoint::read(&path).expect("read")
+fn run(settings: TrainSettings) -> Run<'static> {
+    Run::shared(crate::common::training::views(5, 40), settings)
 }
 
 /// Poses, moments and cameras go through a file, also where a densification (15) or a reset (20) is due.
 #[test]
 fn poses_are_resumed_to_the_bit() {
-    let gpu = Gpu::new();
     for settings in [short(), TrainSettings { optimizer_type: OptimizerType::SparseAdam, ..short() }] {
-        let mut whole = new(&gpu, &settings);
-        run(&mut whole, 40);
-        let end = whole.checkpoint().expect("the end");
+        let run = run(settings);
+        let end = run.check_stops(&[&[0], &[15], &[20], &[33]]);
         let poses = end.poses.as_ref().expect("poses");
         assert!(poses.parameters.iter().all(|xi| xi.iter().all(|&x| x != 0.0)), "{poses:?}");
-        for stop in [0, 15, 20, 33] {
-            let mut trainer = new(&gpu, &settings);
-            run(&mut trainer, stop);
-            let read = through_a_file(&trainer.checkpoint().expect("one"));
-            let cameras = trainer.cameras().expect("cameras");
-            drop(trainer);
-            let mut trainer = resume(&gpu, &settings, &read).expect("resumed");
-            assert_eq!(trainer.cameras().expect("cameras"), cameras);
-            run(&mut trainer, 40 - stop);
-            assert!(trainer.checkpoint().expect("the end") == end, "interrupted after {stop}: other bits");
-            assert_eq!(trainer.cameras().expect("cameras"), whole.cameras().expect("cameras"));
+        for stop in [0, 15, 20, 33, 40] {
+            let mut trainer = run.begin();
+            trainer.steps(stop);
+            let (cameras, state) = (trainer.cameras().expect("cameras"), trainer.state());
+            assert_eq!(run.resume(&state).cameras().expect("cameras"), cameras);
         }
     }
 }
@@ -396,46 +343,41 @@ fn poses_are_resumed_to_the_bit() {
 /// A checkpoint with poses cannot start a run without them, or vice versa. One that lost its poses is invalid.
 #[test]
 fn poses_of_a_checkpoint_must_fit() {
-    let gpu = Gpu::new();
-    let mut trainer = new(&gpu, &short());
-    trainer.step().expect("a step");
-    let sound = trainer.checkpoint().expect("a checkpoint");
-    let refuse = |settings: &TrainSettings, checkpoint: &Checkpoint, word: &str| {
-        let message = resume(&gpu, settings, checkpoint).err().expect("refused").to_string();
-        assert!(message.contains(word), "no '{word}' in {message}");
+    let run = run(short());
+    let sound = run.until(1, &[]);
+    let refuse = |run: &Run, checkpoint: &Checkpoint, word: &str| {
+        assert_says(refusal(run.try_resume(checkpoint)), &[word]);
     };
-    refuse(&TrainSettings { pose_opt: false, ..short() }, &sound, "pose_opt was true, is false");
-    refuse(&short(), &Checkpoint { poses: None, ..sound.clone() }, "lacks the poses");
+    let without = self::run(TrainSettings { pose_opt: false, ..short() });
+    refuse(&without, &sound, "pose_opt was true, is false");
+    refuse(&run, &Checkpoint { poses: None, ..sound.clone() }, "lacks the poses");
     let [mut fewer_poses, mut fewer_depths] = [sound.clone(), sound];
     fewer_poses.poses.as_mut().expect("poses").parameters.pop();
     fewer_depths.poses.as_mut().expect("poses").depths.pop();
     for short_one in [fewer_poses, fewer_depths] {
-        refuse(&short(), &short_one, "another number than the views");
+        refuse(&run, &short_one, "another number than the views");
     }
 }
 
 /// Older checkpoints lack the pivots: their cameras turn about their centres, and continue to.
 #[test]
 fn poses_of_older_checkpoints_turn_about_the_cameras() {
-    let gpu = Gpu::new();
-    let mut trainer = new(&gpu, &short());
-    run(&mut trainer, 9);
-    let present = trainer.checkpoint().expect("a checkpoint");
+    let run = run(short());
+    let present = run.until(9, &[]);
     let depths = &present.poses.as_ref().expect("poses").depths;
     assert!(depths.len() == 5 && depths.iter().all(|&depth| depth > 1.0), "{depths:?}");
     let mut older = present.clone();
     older.poses.as_mut().expect("poses").depths.clear();
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let path = folder.path().join("c.safetensors");
+    let (_folder, [path]) = new_paths(["c.safetensors"]);
     older.write(&path).expect("written");
     let bytes = std::fs::read(&path).expect("a file");
     assert!(!String::from_utf8_lossy(&bytes).contains(Checkpoint::POSE_DEPTHS));
     let read = Checkpoint::read(&path).expect("read");
     assert!(read == older);
     let next = |from: &Checkpoint| {
-        let mut trainer = resume(&gpu, &short(), from).expect("resumed");
-        trainer.step().expect("a step");
-        trainer.checkpoint().expect("a checkpoint").poses.expect("poses")
+        let mut trainer = run.resume(from);
+        trainer.steps(1);
+        trainer.state().poses.expect("poses")
     };
     let (older, present) = (next(&read), next(&present));
     assert_eq!(older.depths, [0.0; 5]);
@@ -444,53 +386,26 @@ fn poses_of_older_checkpoints_turn_about_the_cameras() {
 
 #[test]
 fn poses_stay_unless_asked_for() {
-    let gpu = Gpu::new();
-    let settings = TrainSettings { pose_opt: false, ..short() };
-    let mut trainer = new(&gpu, &settings);
-    trainer.step().expect("a step");
-    let given: Vec<Camera> = checkpoints::views(5, 40).iter().map(|view| view.camera).collect();
-    assert_eq!(trainer.cameras().expect("cameras"), given);
-    assert!(trainer.checkpoint().expect("a checkpoint").poses.is_none());
+    let without = run(TrainSettings { pose_opt: false, ..short() });
+    let mut plain = without.begin();
     // With the option and a rate of 0, the scene trains to the same bits: the moved camera is the given one.
-    let still = TrainSettings { pose_opt: true, pose_lr: 0.0, ..short() };
-    let (mut plain, mut still) = (new(&gpu, &settings), new(&gpu, &still));
-    for iteration in 1..=40 {
-        let losses = [&mut plain, &mut still].map(|trainer| trainer.step().expect("a step").loss.to_bits());
-        // The optimiser reads the camera's position from another place, where it is rounded once more.
-        if iteration == 1 {
-            assert_eq!(losses[0], losses[1]);
-        }
+    let mut still = run(TrainSettings { pose_opt: true, pose_lr: 0.0, ..short() }).begin();
+    // The optimiser reads the camera's position from another place, where it is rounded once more.
+    assert_eq!(plain.steps(1)[0].loss.to_bits(), still.steps(1)[0].loss.to_bits());
+    still.finish();
+    let given: Vec<Camera> = without.views.iter().map(|view| view.camera).collect();
+    for trainer in [&plain, &still] {
+        assert_eq!(trainer.cameras().expect("cameras"), given);
     }
-    assert_eq!(still.cameras().expect("cameras"), given);
+    assert!(plain.state().poses.is_none());
 }
 
-/// The memory in an error includes the poses.
 #[test]
 fn poses_count_among_the_memory() {
     let needed = |pose_opt: bool, photos: usize| {
         let context = bounded(Some(1 << 20));
-        let photo = PhotoSize {
-            name: "a.png".into(),
-            width: 300,
-            height: 200,
-            masked: false,
-            inverse_depth: false,
-            depth_points: 0,
-        };
         let settings = TrainSettings { pose_opt, ..TrainSettings::reference() };
-        let photos = vec![photo; photos];
-        let forecast = Forecast {
-            settings: &settings,
-            photos: &photos,
-            photo_memory: None,
-            gaussians: 1000,
-            frozen: 0,
-            capacities: None,
-        };
-        match forecast.check(&context).expect_err("too much") {
-            Error::TooLarge { needed, .. } => needed,
-            other => panic!("{other}"),
-        }
+        forecast(&settings, &vec![photo_size("a.png", [300, 200]); photos], [1000, 0], &context).0
     };
     for photos in [3, 900] {
         let more = needed(true, photos) - needed(false, photos);

@@ -4,13 +4,12 @@
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]
 
-use std::path::Path;
-use std::process::Command;
-
 use ashsplat_files::metrics;
 use ashsplat_files::{Dataset, DatasetOptions, Progress};
 use libtest_mimic::Trial;
 use serde_json::json;
+use std::path::Path;
+use std::process::Command;
 
 #[path = "cli/run.rs"]
 #[allow(dead_code)]
@@ -167,7 +166,6 @@ fn decoded(film: &Path, options: &[&str]) -> Vec<u8> {
     run.stdout
 }
 
-/// Films with odd sides, whose colours ffmpeg must not shift.
 fn ffmpeg_makes_films() {
     let cinema = Cinema::open();
     let mut page = cinema.server.page();

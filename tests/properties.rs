@@ -1,14 +1,11 @@
 //! Random scenes, cameras and modes: the device's picture and gradients equal the twin's.
 
-use proptest::prelude::*;
-
-use crate::common::compare::{GradientTolerance, PixelTolerance, gradient, pixels};
-use crate::common::engine::{settings, twins, widen};
+use crate::common::engine::{settings, twins};
 use crate::common::frame::unstable_pixels;
 use crate::common::prelude::*;
-use crate::common::scenes::by_parameter;
 use crate::gradients::{color_weights, narrowed};
 use crate::reference::pipeline::{Frame, backward, render};
+use proptest::prelude::*;
 
 #[derive(Clone, Debug)]
 struct Case {

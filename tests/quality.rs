@@ -1,18 +1,15 @@
 //! `ashsplat bench quality`: trainings with several strategies and seeds.
 
-use std::path::{Path, PathBuf};
-
-use ashsplat::TrainSettings;
-use ashsplat::train::settings::OptionKind;
-use serde_json::Value;
-use tempfile::TempDir;
-
 use crate::bench::{number, read, runs};
 use crate::cli::{assert_refused, finish, program, succeed, text, write_dataset};
 use crate::common::new_paths;
 use crate::program::running::Running;
+use ashsplat::TrainSettings;
+use ashsplat::train::settings::OptionKind;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
 
-/// Names of the default strategy and of another.
 fn strategies() -> [&'static str; 2] {
     let option = TrainSettings::OPTIONS.iter().find(|option| option.name == "strategy").expect("there");
     let OptionKind::Choice(names) = option.kind else { panic!("{:?}", option.kind) };
@@ -25,7 +22,6 @@ fn folders() -> (TempDir, PathBuf, PathBuf) {
     (folder, data, out)
 }
 
-/// Checks that the end of a run is that of `train`.
 fn assert_trained(end: &Value, model: &Path) {
     let trained = &read(&model.join("results.json"))["ours_12"];
     for (ours, theirs) in [("psnr", "PSNR"), ("ssim", "SSIM"), ("gaussians", "gaussians")] {
@@ -152,7 +148,6 @@ fn bench_quality_refuses_what_makes_no_sense() {
     assert_eq!(run["setup"]["random_points"], true, "{run}");
 }
 
-/// Ctrl-C during the second run keeps the first one and its picture.
 #[cfg(unix)]
 #[test]
 fn bench_quality_keeps_what_is_over_when_stopped() {

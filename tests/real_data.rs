@@ -3,15 +3,13 @@
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
-
+use crate::absent_data;
 use ashsplat_files::colmap::{Model, find};
 use ashsplat_files::dataset::{Dataset, DatasetOptions};
 use ashsplat_files::{Progress, Resolution, ply, splats};
 use glam::Vec3;
 use libtest_mimic::Trial;
-
-use crate::absent_data;
+use std::path::{Path, PathBuf};
 
 pub fn trials(shared: &Path) -> Vec<Trial> {
     let data = shared.join("data");

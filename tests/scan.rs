@@ -1,12 +1,8 @@
 //! The whole prefix sum.
 
-use ashsplat::passes::scan::{Scan, ScanBuffers, Workgroups};
-use ashsplat::vk::{ContextOptions, LimitsOverride};
-
-use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::options;
-use crate::common::scenes::Random;
+use crate::common::prelude::*;
 use crate::reference::scan::exclusive_scan;
+use ashsplat::passes::scan::{Scan, ScanBuffers, Workgroups};
 
 /// Scans on the device. The host or a buffer gives the number of workgroups.
 fn check(gpu: &Gpu, scan: &Scan, values: &[u32], indirect: bool) {

@@ -1,9 +1,8 @@
 //! Several scenes on the device, drawn as one by `Renderer::set_scenes`.
 
-use ashsplat::DeviceScene;
-
 use crate::common::prelude::*;
 use crate::common::splats::{ball, camera};
+use ashsplat::DeviceScene;
 
 /// Ends of the parts: one is empty, and none is a multiple of a block.
 const ENDS: [usize; 5] = [0, 130, 130, 400, 700];

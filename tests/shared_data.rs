@@ -15,9 +15,8 @@ mod program;
 mod programs;
 mod real_data;
 
-use std::process::ExitCode;
-
 use libtest_mimic::{Failed, Trial};
+use std::process::ExitCode;
 
 fn main() -> ExitCode {
     let arguments = libtest_mimic::Arguments::from_args();

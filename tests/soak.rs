@@ -3,7 +3,6 @@
 
 use crate::common::prelude::*;
 
-/// Without the validation layer, whose records would hide a growth of memory.
 fn context(max_memory: Option<u64>) -> Context {
     Context::new(&ContextOptions { max_memory, ..ContextOptions::default() }).expect("a device")
 }
@@ -46,10 +45,7 @@ fn soak_training() {
         let loss = reports.iter().map(|report| f64::from(report.loss)).sum::<f64>() / f64::from(tenth);
         densified += reports.iter().filter(|report| report.densified.is_some()).count();
         let (bytes, kib) = (context.memory_total().bytes, resident_kib());
-        eprintln!(
-            "{part} of 10: mean loss {loss:.5}, {} KiB of device memory, {kib} KiB resident",
-            bytes >> 10
-        );
+        eprintln!("{part} of 10: loss {loss:.5}, {} KiB on the device, {kib} KiB resident", bytes >> 10);
         losses.push(loss);
         device_bytes.push(bytes);
         resident.push(kib);

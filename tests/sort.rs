@@ -1,12 +1,10 @@
 //! The whole radix sort with every method: order, permutation and stability.
 
+use crate::common::prelude::*;
+use crate::reference::sort::sort_pairs;
 use ashsplat::frame::{LaunchSizes, SortMethod};
 use ashsplat::passes::scan::Workgroups;
 use ashsplat::passes::sort::{RadixSort, SortBuffers, Values};
-
-use crate::common::gpu::UNTOUCHED;
-use crate::common::prelude::*;
-use crate::reference::sort::sort_pairs;
 
 /// The sort by matching, by runs, and by runs with a single workgroup for few pairs.
 fn sorts(gpu: &Gpu) -> [RadixSort; 3] {
@@ -143,7 +141,6 @@ fn sort_in_a_narrow_grid() {
     }
 }
 
-/// One pass with the smallest blocks: more workgroups than one axis of a grid holds.
 #[test]
 fn sort_of_more_than_65535_workgroups() {
     let overrides = vec![sort_constant("WORKGROUP_SIZE", 1), sort_constant("ITEMS", 1)];

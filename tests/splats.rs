@@ -1,13 +1,12 @@
 //! Pictures after Gaussians are moved, decimated and stored.
 
+use crate::common::prelude::*;
+use crate::common::splats::scene;
 use ashsplat::scene::{Intrinsics, Similarity};
 use ashsplat_files::decimate::decimate;
 use ashsplat_files::metrics;
 use ashsplat_files::splats::{self, Format, WriteOptions};
 use glam::{DQuat, DVec3, EulerRot};
-
-use crate::common::prelude::*;
-use crate::common::splats::scene;
 
 /// A ball that fills the picture, with strongly view-dependent colours.
 fn ball() -> Gaussians {

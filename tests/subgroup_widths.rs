@@ -1,9 +1,8 @@
 //! The same integers and tolerances with any subgroup size: llvmpipe supports 4, 8 or 16 lanes.
 
-use std::path::Path;
-
 use crate::common::prelude::*;
 use crate::common::{child, context};
+use std::path::Path;
 
 /// Tests that the child processes run. Sort and scan equal the twins to the bit. Blending, its backward, the
 /// projection's backward, the loss and whole frames with gradients are within tolerances.

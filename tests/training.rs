@@ -2,7 +2,6 @@
 
 use crate::common::engine::{settings, twins};
 use crate::common::prelude::*;
-use crate::common::scenes::{gradient_scalars, scalars};
 use crate::reference::adam::{Parameter, adam};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::classify::Statistic;
@@ -12,7 +11,6 @@ use crate::reference::pipeline::{backward, render};
 use crate::reference::project_backward::mean2d_statistic;
 use crate::reference::reset_opacity::reset_opacity;
 use crate::reference::scatter_sources::{Densify, Kind, Placed, place};
-use crate::reference::types::Gradient;
 use crate::reference::zorder::zorder;
 
 const SIZE: [u32; 2] = [48, 36];
@@ -211,7 +209,6 @@ fn compare_scenes(actual: &[Gaussian], expected: &[Gaussian]) {
     assert!(psnr > 60.0, "the scenes look different: {psnr:.1} dB");
 }
 
-/// A step whose frame overflows changes nothing and runs again, as if the capacity had sufficed from the start.
 #[test]
 fn training_step_that_overflows_is_run_again() {
     let view = View { background: [0.0; 3], ..small_view([320, 240]) };

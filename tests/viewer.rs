@@ -13,21 +13,19 @@ mod trees;
 #[allow(dead_code)]
 mod window;
 
-use std::io::{Read, Write};
-use std::net::TcpStream;
-use std::path::Path;
-use std::time::{Duration, Instant};
-
+use crate::cli::{Place, point_cloud, text, wait_until, write_dataset};
+use crate::common::engine::renderer;
+pub use crate::program::page::*;
 use ashsplat::scene::{Camera, WorldFrame};
 use ashsplat::{Gaussians, RenderSettings};
 use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
 use ashsplat_files::{Photo, cameras_json};
 use glam::Vec3;
 use serde_json::{Value, json};
-
-use crate::cli::{Place, point_cloud, text, wait_until, write_dataset};
-use crate::common::engine::renderer;
-pub use crate::program::page::*;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::time::{Duration, Instant};
 
 /// A viewer of a ball, and its folder.
 fn view_ball(count: usize, more: &[&str]) -> (Place, Server) {
@@ -44,12 +42,10 @@ fn rendered(gaussians: &Gaussians, camera: &Camera, settings: &RenderSettings) -
     Photo::from_f32(frame.width, frame.height, &frame.color).expect("a picture").rgb
 }
 
-/// JSON in the body of an answer.
 fn json_body(server: &Server, path: &str) -> Value {
     serde_json::from_slice(&server.get(path, &[]).2).expect("JSON")
 }
 
-/// Mean difference of two pictures, in levels.
 fn mean_difference(a: &[u8], b: &[u8]) -> f64 {
     assert_eq!(a.len(), b.len());
     a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / a.len() as f64

@@ -1,12 +1,11 @@
 //! Training whose memory depends on the visible Gaussians: views that show more than estimated, within bounds.
 
-use ashsplat::frame::initial_visible;
-use ashsplat::scene::Bounds;
-use ashsplat::train::{Capacities, SceneBlock};
-
 use crate::common::device::kept_for_transfers;
 use crate::common::prelude::*;
 use crate::common::training::{forecast, photo_size};
+use ashsplat::frame::initial_visible;
+use ashsplat::scene::Bounds;
+use ashsplat::train::{Capacities, SceneBlock};
 
 const SIZE: [u32; 2] = [64, 48];
 const COUNT: u32 = 24_000;
@@ -36,7 +35,6 @@ fn run(context: &Context, settings: TrainSettings) -> Run<'_> {
     Run::new(context, views(), settings).starting_at(&scene())
 }
 
-/// Memory that a training needs, from its error.
 fn needed(settings: &TrainSettings) -> u64 {
     let photos = vec![photo_size("a", SIZE); 2];
     forecast(settings, &photos, [COUNT, 0], &bounded(Some(1))).0
@@ -171,7 +169,6 @@ fn a_reserve_gives_way(settings: &TrainSettings) {
     assert!(trained == expected, "other bits");
 }
 
-/// A view without enough memory is skipped, its needs are reported, and no Gaussian is added until it fits.
 #[test]
 fn a_view_that_shows_too_much_stops_growth() {
     let grows = TrainSettings {

@@ -9,11 +9,9 @@ mod profile;
 mod recorder;
 mod uniform;
 
+use crate::common;
 use ashsplat::vk::{Buffer, Context, ContextOptions, MemoryKind, Recorder, RunReport};
 
-use crate::common;
-
-/// Records, submits and waits.
 fn run(context: &Context, record: impl FnOnce(&mut Recorder)) -> RunReport {
     let report = context.run("test", |r| {
         record(r);
@@ -28,7 +26,6 @@ fn allocate<const N: usize>(context: &Context, requests: [(&'static str, u64); N
     buffers.try_into().expect("as many as requested")
 }
 
-/// Words of a buffer.
 fn words(context: &Context, buffer: &Buffer) -> Vec<u32> {
     bytemuck::pod_collect_to_vec(&context.download(buffer).expect("download"))
 }

@@ -1,9 +1,8 @@
 //! Runs that start with small pictures.
 
-use ashsplat_files::StoredPhoto;
-
 use crate::common::prelude::*;
-use crate::common::training::settings as small_settings;
+use crate::common::training::{settings as small_settings, without_rates};
+use ashsplat_files::StoredPhoto;
 
 const ITERATIONS: u32 = 24;
 const SIZE: [u32; 2] = [267, 259];
@@ -54,19 +53,6 @@ fn warm_up_draws_fewer_tiles_at_first() {
     assert_eq!(picture.color.len(), PIXELS);
 }
 
-fn without_rates(settings: TrainSettings) -> TrainSettings {
-    TrainSettings {
-        position_lr_init: 1e-12,
-        position_lr_final: 1e-12,
-        feature_lr: 0.0,
-        opacity_lr: 0.0,
-        scaling_lr: 0.0,
-        rotation_lr: 0.0,
-        strategy: StrategyType::Fixed,
-        ..settings
-    }
-}
-
 /// The losses equal those of a training on small photographs with matching cameras.
 #[test]
 fn warm_up_trains_on_means_of_pixels() {
@@ -91,7 +77,8 @@ fn warm_up_trains_on_means_of_pixels() {
     };
     let by_hand = unmasked.iter().map(small).collect();
     // The first iteration uses the whole picture, and makes no step here.
-    let still = |warm_up| TrainSettings { warm_up, ..without_rates(settings()) };
+    let fixed = TrainSettings { strategy: StrategyType::Fixed, ..settings() };
+    let still = |warm_up| TrainSettings { warm_up, ..without_rates(fixed.clone()) };
     assert_eq!(losses(by_hand, still(0))[1..], losses(unmasked, still(12))[1..]);
 }
 

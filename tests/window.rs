@@ -9,10 +9,6 @@ mod running;
 #[path = "window/server.rs"]
 mod server;
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
-use std::time::{Duration, Instant};
-
 use ashsplat::scene::{Camera, Exposure, Gaussians, Intrinsics, WorldFrame};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
@@ -24,6 +20,9 @@ use libtest_mimic::{Failed, Trial};
 use run::{Finished, finish, program, text};
 use running::Running;
 use server::{Desk, PATIENCE, PAUSE, Server};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Stdio};
+use std::time::{Duration, Instant};
 
 /// Size of the cameras, and of the resized window.
 const SIZE: [u32; 2] = [480, 360];
@@ -131,7 +130,6 @@ fn start(server: &Server, model: &Path, out: &Path, options: &[&str]) -> Running
     Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()))
 }
 
-/// Largest and mean difference of two pictures, in levels; None if their sizes differ.
 fn difference(shown: &Photo, photo: &Photo) -> Option<(u8, f64)> {
     if [shown.width, shown.height] != [photo.width, photo.height] {
         return None;

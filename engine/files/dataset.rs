@@ -83,12 +83,12 @@ impl Dataset {
 
     fn of(gallery: &Gallery, progress: Progress<'_>) -> Result<Self> {
         let Gallery { options, views: planned, held_out, .. } = gallery;
-        plan::check_split(&gallery.list, held_out)?;
-        let mut warnings = gallery.warnings.clone();
+        plan::check_split(&gallery.plan.list, held_out)?;
+        let mut warnings = gallery.plan.warnings.clone();
         let needed = gallery.texel_bytes();
         let file = photo_file(needed, options, &mut warnings)?;
         let kept = gallery.map_bytes() + if file.is_some() { 0 } else { needed };
-        let (list, total) = (gallery.list.display(), planned.len());
+        let (list, total) = (gallery.plan.list.display(), planned.len());
         let what = || format!("{list}: keeping its {total} photos in memory (-r makes them smaller)");
         let _kept = options.host_memory.keep(&what, kept)?;
         // Decoding gets the memory that the kept photos leave: waiting for theirs would never end.
@@ -104,8 +104,7 @@ impl Dataset {
         };
         let load = |index: usize| {
             progress.check()?;
-            let read = planned[index].read_photo(options)?;
-            let (view, photo_use) = planned[index].view_of(read)?;
+            let (view, photo_use) = planned[index].load(options)?;
             let map = gallery.maps[index].as_ref();
             let track = gallery.tracks.get(index).and_then(Option::as_ref);
             let trained = |mut view: View| {
@@ -142,7 +141,7 @@ impl Dataset {
             warnings.push("all training cameras are at one place; the scene extent is taken as 1".into());
             extent = 1.0;
         }
-        let points = gallery.points.clone();
+        let points = gallery.plan.points.clone();
         if points.is_empty() {
             const GUESSED: &str = ", at guessed depths: the cameras do not look at one place and so do not tell how far the \
                                    scene is; give points";
@@ -150,8 +149,8 @@ impl Dataset {
             let guessed = if seen_box(&cameras).is_some() { "" } else { GUESSED };
             warnings.push(random_points_instead() + guessed);
         }
-        let source = gallery.source.clone();
-        Self { frame: gallery.frame, train, test, points, scene_extent: extent, source, warnings, notes }
+        let source = gallery.plan.source.clone();
+        Self { frame: gallery.plan.frame, train, test, points, scene_extent: extent, source, warnings, notes }
     }
 
     /// All views by name, including held-out ones.

@@ -6,14 +6,15 @@
 
 mod frame;
 
+use std::collections::BTreeMap;
 use std::ffi::OsStr;
-use std::fmt::Formatter;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DMat3, DVec3};
-use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
-use serde_json::{Map, Number, Value};
+use serde_json::error::Category;
+use serde_json::value::RawValue;
+use serde_json::{Map, Value};
 
 use crate::names::{Finder, ending, entries, first_with, plain, stays_inside};
 use crate::{cost, ply, regular_file, text};
@@ -120,14 +121,18 @@ impl Transforms {
         }
         let mut clouds = Vec::new();
         for (index, path) in files.iter().enumerate() {
-            let (text, document) = parse(path)?;
+            let text = text::read(path)?;
+            if text.trim_ascii().is_empty() {
+                return Err(Error::input(path, "is empty", "download or copy it again"));
+            }
+            let document = Document::parse(path, &text)?;
             let before = all.frames.len();
-            let (warnings, depth_maps) = frame::read_all(path, (&text, &document), &mut all.frames)?;
+            let (warnings, depth_maps) = frame::read_all(path, &document, &mut all.frames)?;
             all.warnings.extend(warnings);
             all.depth_maps += depth_maps;
             all.frames[before..].iter_mut().for_each(|frame| frame.test |= index > 0);
             all.has_split |= all.frames.iter().any(|frame| frame.test);
-            clouds.extend(cloud(path, &document, &mut all.warnings)?);
+            clouds.extend(cloud(path, &document.values, &mut all.warnings)?);
         }
         if let Some((path, applied)) = clouds.into_iter().next() {
             all.points = ply::read_points_of(&path, &mut all.warnings)?;
@@ -162,25 +167,13 @@ impl Transforms {
     }
 }
 
-/// The JSON text of a file, and its top-level values.
-fn parse(path: &Path) -> Result<(String, Value)> {
-    let text = text::read(path)?;
-    if text.trim_ascii().is_empty() {
-        return Err(Error::input(path, "is empty", "download or copy it again"));
-    }
-    let document = read_document(path, &text)?;
-    if document.is_object() {
-        return Ok((text, document));
-    }
-    Err(Error::input(path, "the top value is not an object with frames", "is it another kind of JSON?"))
-}
+const DAMAGED: &str =
+    "the file is damaged or cut short, or holds numbers that JSON does not have (NaN): write it again";
 
 fn not_json(path: &Path, text: &str, error: &serde_json::Error) -> Error {
-    let damaged =
-        "the file is damaged or cut short, or holds numbers that JSON does not have (NaN): write it again";
     let remedy = match has_decimal_comma(text, error) {
         true => "a number there has a decimal comma: write it with a point",
-        false => damaged,
+        false => DAMAGED,
     };
     Error::input(path, format!("is not JSON: {error}"), remedy)
 }
@@ -293,167 +286,45 @@ impl Frame {
     }
 }
 
-/// Largest number of keys in an object.
-const MOST_KEYS: usize = 1000;
-/// Number of kept elements per list, except the file's lists of names; a matrix has up to 4.
-const MOST_ELEMENTS: usize = 8;
-/// Largest depth of nested lists that are kept: a matrix.
-const MOST_DEPTH: u32 = 2;
+/// Longest value that is kept, bytes, except for the lists of names. A longer one has no known key, and would take up to
+/// 200 times its bytes of memory.
+const MOST_BYTES: usize = 1 << 16;
 
-/// The top-level values of the file. Objects inside lists are empty, `frames` among them.
-fn read_document(path: &Path, text: &str) -> Result<Value> {
-    read_json(path, text, Pruned { depth: 0, keeps_names: true })
+/// A file whose frames are not parsed yet.
+struct Document<'a> {
+    /// All values except the frames.
+    values: Value,
+    /// `None` without a list of frames.
+    frames: Option<Vec<&'a RawValue>>,
 }
 
-/// Passes the frames of a file to `each`, one by one.
-fn each_frame(path: &Path, text: &str, each: &mut dyn FnMut(Value) -> Result<()>) -> Result<()> {
-    let mut failed = None;
-    let mut pass = |frame| each(frame).map_err(|error| failed = Some(error)).is_ok();
-    let result = read_json(path, text, Frames(&mut pass));
-    failed.map_or(result, Err)
-}
-
-fn read_json<'de, S: DeserializeSeed<'de>>(path: &Path, text: &'de str, seed: S) -> Result<S::Value> {
-    let mut json = serde_json::Deserializer::from_str(text);
-    let value = seed.deserialize(&mut json).and_then(|value| json.end().map(|()| value));
-    value.map_err(|e| not_json(path, text, &e))
-}
-
-/// Reads a value without the contents of nested objects, and with shortened lists.
-#[derive(Clone, Copy)]
-struct Pruned {
-    depth: u32,
-    /// True if lists of strings keep all elements.
-    keeps_names: bool,
-}
-
-impl<'de> DeserializeSeed<'de> for Pruned {
-    type Value = Value;
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Value, D::Error> {
-        deserializer.deserialize_any(self)
-    }
-}
-
-impl<'de> Visitor<'de> for Pruned {
-    type Value = Value;
-
-    fn expecting(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-        f.write_str("a value")
-    }
-
-    fn visit_unit<E>(self) -> Result<Value, E> {
-        Ok(Value::Null)
-    }
-
-    fn visit_bool<E>(self, value: bool) -> Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_i64<E>(self, value: i64) -> Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_u64<E>(self, value: u64) -> Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_f64<E>(self, value: f64) -> Result<Value, E> {
-        Ok(Number::from_f64(value).into())
-    }
-
-    fn visit_str<E>(self, value: &str) -> Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Value, A::Error> {
-        let (mut kept, mut others) = (Vec::new(), 0);
-        if self.depth > MOST_DEPTH {
-            while list.next_element::<IgnoredAny>()?.is_some() {}
-        }
-        let inside = Self { depth: self.depth + 1, ..self };
-        while let Some(value) = list.next_element_seed(inside)? {
-            let is_name = self.keeps_names && self.depth == 1 && value.is_string();
-            others += usize::from(!is_name);
-            if is_name || others <= MOST_ELEMENTS {
-                kept.push(value);
+impl<'a> Document<'a> {
+    fn parse(path: &Path, text: &'a str) -> Result<Self> {
+        let raw: RawObject<'_> = serde_json::from_str(text).map_err(|e| match e.classify() {
+            Category::Data => {
+                let problem = "the top value is not an object with frames";
+                Error::input(path, problem, "is it another kind of JSON?")
             }
-        }
-        Ok(Value::Array(kept))
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut object: A) -> Result<Value, A::Error> {
-        let mut kept = Map::new();
-        if self.depth > 0 {
-            while object.next_entry::<IgnoredAny, IgnoredAny>()?.is_some() {}
-        }
-        while let Some(key) = object.next_key::<String>()? {
-            kept.insert(key, object.next_value_seed(Self { depth: self.depth + 1, ..self })?);
-            if kept.len() > MOST_KEYS {
-                return Err(A::Error::custom(format!("an object has more than {MOST_KEYS} keys")));
-            }
-        }
-        Ok(Value::Object(kept))
+            _ => not_json(path, text, &e),
+        })?;
+        let frames = raw.get("frames").and_then(|list| serde_json::from_str(list.get()).ok());
+        Ok(Self { values: values(path, raw)?, frames })
     }
 }
 
-/// Reads the object around the frames. Passes each frame on; `false` stops the reading.
-struct Frames<'a>(&'a mut dyn FnMut(Value) -> bool);
+/// The values of an object by their keys.
+type RawObject<'a> = BTreeMap<String, &'a RawValue>;
 
-/// Reads the list of frames.
-struct FrameList<'a>(&'a mut dyn FnMut(Value) -> bool);
-
-impl<'de> DeserializeSeed<'de> for Frames<'_> {
-    type Value = ();
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_map(self)
-    }
-}
-
-impl<'de> Visitor<'de> for Frames<'_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-        f.write_str("an object")
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut object: A) -> Result<(), A::Error> {
-        let mut is_read = false;
-        while let Some(key) = object.next_key::<String>()? {
-            if key != "frames" {
-                object.next_value::<IgnoredAny>()?;
-            } else if std::mem::replace(&mut is_read, true) {
-                return Err(A::Error::custom("the key `frames` comes twice"));
-            } else {
-                object.next_value_seed(FrameList(&mut *self.0))?;
-            }
+/// Parses the values of an object, except the frames and what is too long to be of use.
+fn values(path: &Path, raw: RawObject<'_>) -> Result<Value> {
+    let mut values = Map::new();
+    for (key, value) in raw {
+        let is_used = value.get().len() <= MOST_BYTES || frame::LISTS.contains(&key.as_str());
+        if is_used && key != "frames" {
+            let parsed = serde_json::from_str(value.get());
+            let problem = |e| Error::input(path, format!("{key} is not JSON: {e}"), DAMAGED);
+            values.insert(key.clone(), parsed.map_err(problem)?);
         }
-        Ok(())
     }
-}
-
-impl<'de> DeserializeSeed<'de> for FrameList<'_> {
-    type Value = ();
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_seq(self)
-    }
-}
-
-impl<'de> Visitor<'de> for FrameList<'_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-        f.write_str("a list")
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<(), A::Error> {
-        while let Some(frame) = list.next_element_seed(Pruned { depth: 0, keeps_names: false })? {
-            if !(self.0)(frame) {
-                return Err(A::Error::custom("stopped"));
-            }
-        }
-        Ok(())
-    }
+    Ok(Value::Object(values))
 }

@@ -165,7 +165,7 @@ impl LaunchSizes {
             // Some drivers limit the loop iterations of an invocation. An entry costs one iteration in each region of its
             // subgroup. It also costs a fraction of an iteration for its batch, at any subgroup size from 4.
             entries_per_pass: limits
-                .max_loop_iterations()
+                .max_loop_iterations
                 .map_or(MAX_ENTRIES_PER_PASS, |n| n / (regions_per_subgroup + 1))
                 .min(MAX_ENTRIES_PER_PASS),
             instances_per_dispatch: limits.instances_per_dispatch.max(1),

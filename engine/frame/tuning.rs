@@ -2,8 +2,7 @@
 //!
 //! A device's [`Tuning`] is a row of this table. The row is set once, when the device is opened
 //! ([`Limits::tuning`](crate::vk::Limits::tuning)); no other file asks what kind of device it is.
-//! [`Limits`](crate::vk::Limits) holds the bounds that a device reports, [`Workarounds`](crate::vk::Workarounds) the faults
-//! of drivers.
+//! [`Limits`](crate::vk::Limits) holds the bounds that a device reports.
 //!
 //! [`ContextOptions::backend`](crate::vk::ContextOptions::backend) overrides the row: a GPU's kernels and layouts then run on a
 //! software driver, where they can be tested and debugged without a GPU.

@@ -318,7 +318,7 @@ impl FrameStore {
             (false, true) => Some(format!("a frame of {instances}")),
             (false, false) => None,
         };
-        result.map(|_| true).map_err(|error| named.into_iter().fold(error, name))
+        result.map(|_| true).map_err(|error| named.into_iter().fold(error, Error::of_field))
     }
 }
 
@@ -335,15 +335,5 @@ fn is_memory(error: &Error) -> bool {
 /// Adds the image's size to an error. `alone`: the buffers are for this image only, not for expected larger ones.
 fn name_image(error: Error, camera: &Camera, alone: bool) -> Error {
     let others = if alone { "" } else { ", and those larger ones that will follow" };
-    name(error, format!("an image of {}x{} pixels{others}", camera.width, camera.height))
-}
-
-/// Names the cause of an error before the buffer that did not fit.
-fn name(error: Error, frame: String) -> Error {
-    match error {
-        Error::TooLarge { what, needed, unit, limit, limit_name } => {
-            Error::TooLarge { what: format!("{frame}: {what}"), needed, unit, limit, limit_name }
-        }
-        other => other,
-    }
+    error.of_field(format!("an image of {}x{} pixels{others}", camera.width, camera.height))
 }

@@ -38,9 +38,6 @@ pub(super) struct AppearanceInputs<'a> {
 
 impl Appearance {
     /// `sums`: true if steps may follow several views.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     pub fn new(context: &Context, settings: &TrainSettings, sums: bool) -> Result<Self> {
         let (shares, sparse) = (settings.exposure_shared, settings.exposure_sparsity > 0.0);
         let form = LightForm { center: true, sums, shares, sparse };

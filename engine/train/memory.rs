@@ -167,9 +167,8 @@ impl Model {
     pub fn new(context: &Context, scene: SceneBuffers, rows: &RowMemory) -> Result<Self> {
         let model = Self::allocate(context, scene, rows)?;
         let Moments { first, second } = &model.moments;
-        context.run("clear moments", |r| {
-            first.iter().chain(second).chain(&model.statistics).for_each(|buffer| r.fill(buffer, 0));
-            Ok(())
+        context.run_commands("clear moments", |r| {
+            first.iter().chain(second).chain(&model.statistics).for_each(|buffer| r.fill(buffer, 0))
         })?;
         Ok(model)
     }
@@ -410,19 +409,17 @@ impl StartMemory<'_> {
         let most = refused.into_iter().max_by_key(|(photo, ..)| (photo.pixels(), photo.width));
         match most {
             None => Ok(()),
-            Some((photo, Error::TooLarge { what, needed, unit, limit, limit_name }, _)) => {
+            Some((photo, error, _)) => {
                 let others = match all - 1 {
                     0 => String::new(),
                     1 => " and 1 other".into(),
                     more => format!(" and {more} others"),
                 };
-                let what = format!(
-                    "training on the photograph '{}' of {}x{} pixels{others} (-r scales photographs down): {what}",
-                    photo.name, photo.width, photo.height
-                );
-                Err(Error::TooLarge { what, needed, unit, limit, limit_name })
+                let PhotoSize { name, width, height, .. } = photo;
+                Err(error.of_field(format!(
+                    "training on the photograph '{name}' of {width}x{height} pixels{others} (-r scales photographs down)"
+                )))
             }
-            Some((_, error, _)) => Err(error),
         }
     }
 
@@ -442,15 +439,11 @@ impl StartMemory<'_> {
             (limits.max_storage_buffer_range, "maxStorageBufferRange"),
             (limits.max_allocation_bytes, "maxMemoryAllocationSize"),
         ];
-        let (limit, limit_name) = if most[1].0 < most[0].0 { most[1] } else { most[0] };
+        let limit = if most[1].0 < most[0].0 { most[1] } else { most[0] };
         match requests.max_by_key(|(.., bytes)| *bytes) {
-            Some((arena, name, needed)) if needed > limit => Err(Error::TooLarge {
-                what: format!("buffer {arena}.{name}"),
-                needed,
-                unit: "bytes",
-                limit,
-                limit_name,
-            }),
+            Some((arena, name, needed)) if needed > limit.0 => {
+                Err(Error::too_large(format!("buffer {arena}.{name}"), (needed, "bytes"), limit))
+            }
             _ => check_grids(limits, &frame, &launches),
         }
     }
@@ -463,13 +456,9 @@ impl StartMemory<'_> {
         let Self { photos: all, ref photo_bytes, count, sh_degree, .. } = *self;
         let most = max_trained_among(context.limits(), self.frozen);
         if count > most {
-            return Err(Error::TooLarge {
-                what: "the gradients of the scene".into(),
-                needed: u64::from(count) + u64::from(self.frozen),
-                unit: "Gaussians",
-                limit: max_trained_gaussians(context.limits()).into(),
-                limit_name: "what maxStorageBufferRange holds",
-            });
+            let needed = u64::from(count) + u64::from(self.frozen);
+            let limit = (max_trained_gaussians(context.limits()).into(), "what maxStorageBufferRange holds");
+            return Err(Error::too_large("the gradients of the scene", (needed, "Gaussians"), limit));
         }
         // The reserve delays the first reallocation by densification.
         let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
@@ -495,13 +484,9 @@ impl StartMemory<'_> {
             return Ok(count);
         }
         if !least.is_offloadable(context) {
-            return Err(Error::TooLarge {
-                what: format!("training {count} Gaussians of SH degree {sh_degree} in the host's memory"),
-                needed: least.offloaded,
-                unit: "bytes",
-                limit: context.offload().unwrap_or(0).saturating_sub(context.memory_offloaded().bytes),
-                limit_name: "--offload",
-            });
+            let what = format!("training {count} Gaussians of SH degree {sh_degree} in the host's memory");
+            let limit = context.offload().unwrap_or(0).saturating_sub(context.memory_offloaded().bytes);
+            return Err(Error::too_large(what, (least.offloaded, "bytes"), (limit, "--offload")));
         }
         let least = least.device;
         // A photograph budget of half the limit follows the total: all photographs, or half of the requested bytes.
@@ -520,14 +505,9 @@ impl StartMemory<'_> {
              need less, or --photo-memory)",
             all.len()
         );
-        Err(Error::TooLarge {
-            what,
-            // Includes the bytes already held, so that a limit of this value suffices.
-            needed: held + least + with_more.max(photos),
-            unit: "bytes",
-            limit,
-            limit_name,
-        })
+        // Includes the bytes already held, so that a limit of this value suffices.
+        let needed = held + least + with_more.max(photos);
+        Err(Error::too_large(what, (needed, "bytes"), (limit, limit_name)))
     }
 
     /// True if the capacities of an earlier run hold the Gaussians and fit here.

@@ -4,6 +4,8 @@
 //! buffer instead. A densification or an opacity reset runs at the start of the next step, so that the scene between steps is
 //! what the reference would save. A step whose frame overflowed its buffers changes nothing and is repeated with a larger
 //! capacity.
+//!
+//! Unless a function names other errors, they are those of the device: it refuses a pipeline, has no memory left or is lost.
 
 mod appearance;
 mod block;

@@ -26,9 +26,6 @@ pub struct TrainParts {
 
 impl TrainParts {
     /// Returns the parts that the settings select.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     pub fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let terms = terms::of_settings(context, settings)?;
         Ok(Self { strategy: strategies::of_settings(context, settings)?, terms, block: None })

@@ -50,13 +50,9 @@ impl Places {
         let read = if windowing == Windowing::Sweeps { read } else { 0 };
         let held = memory.saturating_sub(read) / bytes;
         if held <= ON_HOST {
-            return Err(Error::TooLarge {
-                what: format!("reading ahead ({} of the largest photograph at a time)", ON_HOST + 1),
-                needed: (ON_HOST + 1) * bytes + read,
-                unit: "bytes",
-                limit: memory,
-                limit_name: "--photo-memory, or half of --max-memory or --max-host-memory",
-            });
+            let what = format!("reading ahead ({} of the largest photograph at a time)", ON_HOST + 1);
+            let limit = (memory, "--photo-memory, or half of --max-memory or --max-host-memory");
+            return Err(Error::too_large(what, ((ON_HOST + 1) * bytes + read, "bytes"), limit));
         }
         let count = usize::try_from(held - ON_HOST).unwrap_or(usize::MAX).min(photos.len());
         Ok(Some(Self { count, bytes }))

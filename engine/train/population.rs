@@ -111,10 +111,7 @@ impl Population<'_> {
         };
         let (importance, place) = (&own[0], &place[0]);
         let buffers = ImportanceBuffers::from_allocated(buffers);
-        context.run("clear importance", |r| {
-            r.fill(importance, 0);
-            Ok(())
-        })?;
+        context.run_commands("clear importance", |r| r.fill(importance, 0))?;
         // The weights do not depend on colours.
         let settings = RenderSettings { inverse_depth: false, ..self.run.settings.render_settings() };
         let share = 1.0 / views.len() as f32;
@@ -162,9 +159,6 @@ impl Population<'_> {
     /// Allocates planes and a frame for `rows` rows, if they exceed the capacity. Tries a reserve of half, then no reserve,
     /// then the largest capacity that fits, if that is at least a sixteenth larger than the present one. The growth may fall
     /// short of `rows`: see [`Population::capacity_with`].
-    ///
-    /// # Errors
-    /// When the device is lost.
     pub fn make_room(&mut self, rows: u32) -> Result<Growth> {
         let old = self.model.scene.plan.capacity;
         if rows <= old {
@@ -236,7 +230,7 @@ impl Population<'_> {
             parameter_gradients: old.parameter_gradients.clone(),
         });
         new.scene.count = rows;
-        self.context.run("densify: gather", |r| {
+        self.context.run_commands("densify: gather", |r| {
             let sources = record_sources(r, &old.scene);
             new.statistics.iter().for_each(|statistic| r.fill(statistic, 0));
             kernels.record_gather_parameters(r, &Gather { from: &old.scene, to: &new.scene, sources }, key);
@@ -249,7 +243,6 @@ impl Population<'_> {
             }
             r.barrier();
             record_changes(r, (&new.scene, &new.moments), sources);
-            Ok(())
         })?;
         *self.model = new;
         // The gradient sums are void: their planes are no longer the spare set, and their rows are in the old order.
@@ -335,11 +328,15 @@ impl Population<'_> {
 /// Returns None if memory is short, and an error if the state of the device is unknown.
 fn or_none<T>(result: Result<T>) -> Result<Option<T>> {
     match result {
-        Ok(done) => Ok(Some(done)),
-        Err(error @ (Error::DeviceLost { .. } | Error::Timeout { .. })) => Err(error),
-        Err(Error::Vulkan { call: call @ "vkWaitForFences", result, remedy }) => {
-            Err(Error::Vulkan { call, result, remedy })
-        }
-        Err(_) => Ok(None),
+        Err(error) if !may_have_executed(&error) => Ok(None),
+        result => result.map(Some),
     }
+}
+
+/// True if the wait for a submission failed: it may or may not have executed.
+pub(super) fn may_have_executed(error: &Error) -> bool {
+    matches!(
+        error,
+        Error::DeviceLost { .. } | Error::Timeout { .. } | Error::Vulkan { call: "vkWaitForFences", .. }
+    )
 }

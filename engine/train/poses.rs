@@ -57,10 +57,9 @@ impl Poses {
             cameras: (0..cameras.len()).map(at).collect(),
             buffers,
         };
-        context.run("clear poses", |r| {
+        context.run_commands("clear poses", |r| {
             let PoseBuffers { parameters, moments, gradient, sums, .. } = &poses.buffers;
             [parameters, moments, gradient, sums].into_iter().for_each(|buffer| r.fill(buffer, 0));
-            Ok(())
         })?;
         poses.make_cameras(context)?;
         Ok(Some(poses))
@@ -70,11 +69,10 @@ impl Poses {
     fn make_cameras(&self, context: &Context) -> Result<()> {
         let state =
             context.allocate("poses", &[("state", u64::from(STATE_WORDS) * 4)], MemoryKind::Device)?;
-        let made = context.run("make cameras", |r| {
+        let made = context.run_commands("make cameras", |r| {
             r.fill(&state[0], 0);
             r.barrier();
             self.optimizer.record(r, &self.buffers, &state[0], None);
-            Ok(())
         });
         made.map(drop)
     }

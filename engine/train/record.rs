@@ -126,11 +126,7 @@ impl Trainer {
         let release = Release {
             stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
             accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
-            color: None,
-            occluder: None,
-            depth: None,
-            pick: None,
-            motion: None,
+            ..Release::default()
         };
         Ok(RecordedStep { iteration: plan.iteration, view: plan.view, release })
     }
@@ -149,9 +145,6 @@ impl Trainer {
     }
 
     /// Updates the state from recorded steps that have finished. Returns the number still in flight. Never waits.
-    ///
-    /// # Errors
-    /// When the device is lost.
     pub fn settle(&mut self) -> Result<u32> {
         let settled = self.settle_finished();
         self.state.broken |= settled.is_err();
@@ -229,9 +222,6 @@ impl Trainer {
     }
 
     /// True if [`Trainer::maintain`] must be called before another step can be recorded. Never waits.
-    ///
-    /// # Errors
-    /// When the device is lost.
     pub fn maintenance_is_due(&mut self) -> Result<bool> {
         self.settle()?;
         let recorded = &self.recorded;
@@ -299,10 +289,7 @@ impl Trainer {
         let drawn = self.recorder.drawn();
         self.runner.reserve(gaussians, &self.run.cameras[0], self.run.settings.sh_degree, &drawn)?;
         let frame = self.runner.store.current()?;
-        self.context.run("clear state", |r| {
-            r.fill(&frame.state, 0);
-            Ok(())
-        })?;
+        self.context.run_commands("clear state", |r| r.fill(&frame.state, 0))?;
         let dispatches = self.step_dispatches();
         for slot in self.recorded.slots.iter_mut().filter(|slot| slot.dispatches < dispatches) {
             slot.record = RecordSlot::new(&self.context, dispatches)?;

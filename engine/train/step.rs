@@ -103,9 +103,6 @@ impl<'a> StepParts<'a> {
 impl StepRecorder {
     /// The first term writes the picture's gradient. `sums`: true if gradients of several views may be added up. `absolute`:
     /// index of [`ABSOLUTE_STATISTIC`](super::work::ABSOLUTE_STATISTIC) among all statistics.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     pub fn new(
         context: &Context,
         terms: Vec<Box<dyn LossTerm>>,
@@ -399,9 +396,6 @@ struct PhotoPreparation {
 
 impl PhotoPreparation {
     /// None unless the settings have a warm-up or random backgrounds.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     fn new(context: &Context, settings: &TrainSettings) -> Result<Option<Self>> {
         let whole = settings.random_background;
         if settings.warm_up == 0 && !whole {

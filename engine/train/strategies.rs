@@ -17,9 +17,6 @@ use crate::error::Result;
 use crate::vk::Context;
 
 /// Returns the strategy that the settings select.
-///
-/// # Errors
-/// When the device refuses a pipeline.
 pub(super) fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Box<dyn Strategy>> {
     Ok(match settings.strategy {
         StrategyType::Reference => Box::new(Reference::of_settings(context, settings)?),

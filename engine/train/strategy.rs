@@ -65,9 +65,6 @@ pub trait Strategy: Send {
     fn work(&self, settings: &TrainSettings, iteration: u32) -> Work;
 
     /// Returns the terms that the strategy adds to the loss. Called once.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     fn loss_terms(&mut self, _: &Context, _: &TrainSettings) -> Result<Vec<Box<dyn LossTerm>>> {
         Ok(Vec::new())
     }

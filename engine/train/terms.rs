@@ -9,9 +9,6 @@ use crate::passes::loss::{LossTerm, PixelLayout, Targets, TermInputs};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Returns the terms with a weight above 0.
-///
-/// # Errors
-/// When the device refuses a pipeline.
 pub(super) fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Vec<Box<dyn LossTerm>>> {
     let mut terms: Vec<Box<dyn LossTerm>> = Vec::new();
     let (opacity, scale) = (settings.opacity_reg, settings.scale_reg);
@@ -68,9 +65,6 @@ pub struct InverseDepth {
 
 impl InverseDepth {
     /// Builds the kernels. The weights are [`TrainSettings::depth_l1_weight`].
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let (workgroup_size, subgroup_size) = group_sizes(context);
         let strips = LaunchSizes::new(context.limits()).strips;
@@ -129,9 +123,6 @@ pub struct Regularizers {
 
 impl Regularizers {
     /// Builds the kernels. `opacity` and `scale` are the weights.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     pub fn new(context: &Context, opacity: f64, scale: f64) -> Result<Self> {
         let (workgroup_size, subgroup_size) = group_sizes(context);
         let regularize = Kernel::new(context, &regularize::Spec { workgroup_size, subgroup_size })?;
@@ -198,9 +189,6 @@ pub struct SparseDepth {
 
 impl SparseDepth {
     /// Builds the kernels for views of at most `most_points` points.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     pub fn new(
         context: &Context,
         settings: &TrainSettings,

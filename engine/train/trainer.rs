@@ -6,7 +6,7 @@ use super::checkpoint::{Capacities, Checkpoint, ExposureState, MeanState};
 use super::memory::{FrameShape, Model, PeakCounts, RowMemory};
 use super::parts::{BuiltParts, Forecast, TrainParts, check_block};
 use super::photos::{self, DepthMaps, Photos, TrainView, fingerprint_of};
-use super::population::Population;
+use super::population::{Population, may_have_executed};
 use super::poses::Poses;
 use super::schedule::{IterationPlan, Progress, Schedule, TrainingRun};
 use super::settings::TrainSettings;
@@ -100,13 +100,9 @@ impl RunState {
         Ok(())
     }
 
-    /// Notes a submission whose wait failed: it may or may not have executed.
+    /// Notes a submission whose wait failed.
     pub fn note_failure<T>(&mut self, result: &Result<T>) {
-        self.broken |= match result {
-            Err(Error::DeviceLost { .. } | Error::Timeout { .. }) => true,
-            Err(Error::Vulkan { call, .. }) => *call == "vkWaitForFences",
-            _ => false,
-        };
+        self.broken |= result.as_ref().is_err_and(may_have_executed);
     }
 }
 
@@ -464,9 +460,8 @@ impl Trainer {
         let Some(mask) = mask.filter(|_| action == Actions::DENSIFY) else { return Ok(()) };
         let model = &self.state.model;
         let absolute = self.rows.absolute().map(|place| &model.statistics[place]);
-        self.context.run("mask statistics", |r| {
-            mask.record(r, &model.scene, &model.statistics[0], absolute);
-            Ok(())
+        self.context.run_commands("mask statistics", |r| {
+            mask.record(r, &model.scene, &model.statistics[0], absolute)
         })?;
         Ok(())
     }
@@ -474,12 +469,11 @@ impl Trainer {
     /// Replaces the parameters by their means. Used if the frame that would record this does not fit.
     pub(super) fn end_means(&mut self) -> Result<()> {
         let model = &self.state.model;
-        self.context.run("end means", |r| {
+        self.context.run_commands("end means", |r| {
             for (mean, parameters) in model.spare.iter().zip(&model.scene.chunks) {
                 r.copy(mean, parameters);
             }
             self.losses.appearance.record_end(r);
-            Ok(())
         })?;
         self.compute_filters()?;
         self.state.progress.averaged = 0;

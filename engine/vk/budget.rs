@@ -79,7 +79,7 @@ impl Context {
             return Ok(());
         }
         let clear = |recorder: &mut Recorder| buffers.iter().for_each(|buffer| recorder.fill(buffer, 0));
-        self.run_command("clear", clear).map(drop)
+        self.run_commands("clear", clear).map(drop)
     }
 
     /// Resets the peaks of [`Context::memory`] and [`Context::memory_total`] to the current bytes, and forgets empty
@@ -156,14 +156,10 @@ impl Context {
         let heaps = self.device.memory.memory_heaps_as_slice().iter().enumerate();
         let local = heaps.filter(|(_, heap)| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
         let (largest, _) = local.max_by_key(|(_, heap)| heap.size)?;
-        Some(of_driver(budget.heap_budget[largest], budget.heap_usage[largest], self.memory_total().bytes))
+        // Others in this process, such as a host's engine, may use the heap too: the share is the free part and our bytes.
+        let free = budget.heap_budget[largest].saturating_sub(budget.heap_usage[largest]);
+        Some(free.saturating_add(self.memory_total().bytes))
     }
-}
-
-/// Returns this context's share of a heap: its own bytes, and the free part of the budget. Other users in this process,
-/// such as a host's engine, may use the heap too.
-fn of_driver(heap_budget: u64, heap_usage: u64, ours: u64) -> u64 {
-    heap_budget.saturating_sub(heap_usage).saturating_add(ours)
 }
 
 /// For tests: content of the guard bands around every buffer, which detect writes outside it.
@@ -318,7 +314,7 @@ impl Context {
         let mut best = f64::INFINITY;
         for _ in 0..ROUNDS {
             let begin = Instant::now();
-            let report = self.run_command("measurement", |recorder| recorder.copy(from, to))?;
+            let report = self.run_commands("measurement", |recorder| recorder.copy(from, to))?;
             let waited = begin.elapsed().as_secs_f64();
             best = best.min(if report.nanoseconds > 0.0 { report.nanoseconds * 1e-9 } else { waited });
         }
@@ -342,24 +338,4 @@ fn host_rates(buffer: &Buffer) -> (f64, f64) {
     // Uses the result, so that the reads are not optimized away.
     assert!(back.iter().all(|&byte| byte == 0x5A), "memory does not hold what was written");
     (written.len() as f64 / write.max(1e-9), back.len() as f64 / read.max(1e-9))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::of_driver;
-
-    #[test]
-    fn what_others_use_is_not_ours() {
-        let cases = [
-            ("no other user", [1000, 300, 300], 1000),
-            ("nothing in use", [1000, 0, 0], 1000),
-            ("another user has 500", [1000, 800, 300], 500),
-            ("over the budget: the current bytes stay", [1000, 1200, 300], 300),
-            ("a part of our bytes lies in another heap", [1000, 200, 300], 1100),
-            ("no budget", [u64::MAX, 0, 9], u64::MAX),
-        ];
-        for (case, [budget, usage, ours], share) in cases {
-            assert_eq!(of_driver(budget, usage, ours), share, "{case}");
-        }
-    }
 }

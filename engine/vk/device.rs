@@ -1,7 +1,7 @@
 //! The loader, the Vulkan instance, and the devices: enumerates them, checks them, and selects one.
 
 use super::debug::{Messenger, vk_error};
-use super::limits::{Limits, Workarounds};
+use super::limits::{Limits, max_loop_iterations};
 use super::requirements::{Features, SUBGROUP_OPERATIONS, low_limits};
 use crate::error::{Error, Result};
 use crate::frame::tuning::{Backend, Tuning};
@@ -133,7 +133,7 @@ fn one_line(text: &str) -> String {
 const INSTANCES_PER_DISPATCH: u32 = 1 << 25;
 
 /// Description of a device by [`devices`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct DeviceDescription {
     /// Index, for `--device` and `ASHSPLAT_DEVICE`.
@@ -161,6 +161,7 @@ pub fn devices() -> Result<Vec<DeviceDescription>> {
     Ok(candidates(&instance.raw, vk::API_VERSION_1_3)?.into_iter().map(|c| c.description).collect())
 }
 
+#[derive(Default)]
 pub(super) struct Candidate {
     pub(super) physical: vk::PhysicalDevice,
     pub(super) description: DeviceDescription,
@@ -294,17 +295,11 @@ pub(super) fn describe(
             index,
             name: text(basic.device_name_as_c_str()),
             kind: KINDS.iter().find(|(kind, _)| *kind == basic.device_type).map_or("other", |(_, name)| name),
-            driver: String::new(),
             api_version: version(basic.api_version),
-            limits: None,
-            problem: None,
+            ..Default::default()
         },
         device_type: basic.device_type,
-        queue_family: 0,
-        presenting_family: 0,
-        copying_family: None,
-        features: OptionalFeatures::default(),
-        missing: None,
+        ..Default::default()
     };
     let missing = if basic.api_version < least_version {
         Some(format!("Vulkan 1.3 (it has {})", candidate.description.api_version))
@@ -452,7 +447,7 @@ fn limits(
         timestamp_period_ns: if timestamps { f64::from(l.timestamp_period) } else { 0.0 },
         tuning,
         broadcasts: false,
-        workarounds: Workarounds::of_driver(v12.driver_id, &text(v12.driver_info_as_c_str())),
+        max_loop_iterations: max_loop_iterations(v12.driver_id, &text(v12.driver_info_as_c_str())),
         instances_per_dispatch: INSTANCES_PER_DISPATCH,
         overrides: Vec::new(),
     }

@@ -7,7 +7,7 @@ use super::memory::{Block, Buffer, PLACEMENT_ALIGNMENT, pack, padded};
 use super::open_device::Device;
 use super::pipeline::DescriptorSets;
 use super::profile::{MAX_SCOPES, Profiler, ScopeTime};
-use super::recorder::{ForeignTarget, Kept, Recorder};
+use super::recorder::{ForeignTarget, Kept, Recorder, Target};
 use super::requirements::Requirements;
 use crate::error::{Error, Result};
 use ash::vk;
@@ -234,7 +234,8 @@ impl RecordSlot {
         }
         let target = ForeignTarget { raw: commands.raw, descriptors: self.descriptors.clone() };
         let profiler = self.spare.take().unwrap_or_default().again(queries);
-        let mut recorder = Recorder::foreign(inner, target, self.kept.clone(), profiler, label);
+        let kept = self.kept.clone();
+        let mut recorder = Recorder::begin(Target::Foreign(target), inner.clone(), kept, profiler, label);
         recorder.barrier();
         Ok(recorder)
     }

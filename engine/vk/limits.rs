@@ -59,8 +59,8 @@ pub struct Limits {
     /// True if kernels broadcast from a lane that is known only at run time. The tuning must choose it and
     /// subgroupBroadcastDynamicId must be on; a host reports its device's.
     pub broadcasts: bool,
-    /// Faults of the driver against the specification.
-    pub workarounds: Workarounds,
+    /// Most loop iterations of an invocation, all loops together, before its loops stop silently. None: no limit.
+    pub max_loop_iterations: Option<u32>,
     /// (tile, Gaussian) instances per dispatch of blending; it may exceed this to complete its last tile. This limit is
     /// ours: it prevents a desktop's watchdog from resetting the device during a long dispatch.
     pub instances_per_dispatch: u32,
@@ -140,11 +140,6 @@ impl Limits {
         (most / self.subgroup_size * self.subgroup_size).max(self.subgroup_size)
     }
 
-    /// Most loop iterations of an invocation, all loops together, before its loops stop silently. None: no limit.
-    pub fn max_loop_iterations(&self) -> Option<u32> {
-        self.workarounds.contains(Workarounds::LOOPS_STOP_AT_65535).then_some(65_535)
-    }
-
     /// True if kernels with both forms read texels (see [`super::TexelFormat`]). The tuning must choose it, and every
     /// bindable buffer must have few enough texels.
     pub fn prefers_texels(&self) -> bool {
@@ -177,96 +172,72 @@ impl Limits {
     }
 }
 
-/// For tests: stricter limits than the device's; `None` keeps the device's.
+/// Defines [`LimitsOverride`] and [`Limits::lowered`] for these limits.
 #[cfg(feature = "testing")]
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LimitsOverride {
-    /// For [`Limits::max_storage_buffer_range`].
-    pub max_storage_buffer_range: Option<u64>,
-    /// For [`Limits::max_allocation_bytes`].
-    pub max_allocation_bytes: Option<u64>,
-    /// For [`Limits::max_workgroups_per_axis`].
-    pub max_workgroups_per_axis: Option<u32>,
-    /// For [`Limits::max_workgroup_invocations`].
-    pub max_workgroup_invocations: Option<u32>,
-    /// For [`Limits::shared_memory_bytes`].
-    pub shared_memory_bytes: Option<u32>,
-    /// For [`Limits::push_constant_bytes`].
-    pub push_constant_bytes: Option<u32>,
-    /// For [`Limits::max_workgroup_subgroups`].
-    pub max_workgroup_subgroups: Option<u32>,
-    /// For [`Limits::max_push_descriptors`].
-    pub max_push_descriptors: Option<u32>,
-    /// For [`Limits::max_texels`].
-    pub max_texels: Option<u64>,
-    /// For [`Limits::subgroup_size`]: emulates a device with this size that does not let it be required.
-    pub fixed_subgroup_size: Option<u32>,
-    /// For [`Limits::instances_per_dispatch`].
-    pub instances_per_dispatch: Option<u32>,
+macro_rules! overrides {
+    ($($limit:ident: $type:ty,)*) => {
+        /// For tests: stricter limits than the device's; `None` keeps the device's.
+        #[derive(Clone, Copy, Debug, Default, PartialEq)]
+        pub struct LimitsOverride {
+            $(
+                #[doc = concat!("For [`Limits::", stringify!($limit), "`].")]
+                pub $limit: Option<$type>,
+            )*
+            /// For [`Limits::subgroup_size`]: emulates a device with this size that does not let it be required.
+            pub fixed_subgroup_size: Option<u32>,
+        }
+
+        impl Limits {
+            /// Lowers each limit to the override's value. An override never raises a limit, except the fixed subgroup size.
+            pub fn lowered(mut self, to: &LimitsOverride) -> Self {
+                $(self.$limit = to.$limit.map_or(self.$limit, |least| least.min(self.$limit));)*
+                if let Some(size) = to.fixed_subgroup_size {
+                    [self.subgroup_size, self.heavy_subgroup_size, self.own_subgroup_size] = [size; 3];
+                    self.subgroup_size_selectable = false;
+                }
+                self
+            }
+        }
+    };
 }
 
 #[cfg(feature = "testing")]
-impl Limits {
-    /// Lowers each limit to the override's value. An override never raises a limit, except the fixed subgroup size.
-    pub fn lowered(mut self, to: &LimitsOverride) -> Self {
-        fn lower<T: Ord + Copy>(limit: &mut T, to: Option<T>) {
-            *limit = to.map_or(*limit, |to| to.min(*limit));
-        }
-        lower(&mut self.max_storage_buffer_range, to.max_storage_buffer_range);
-        lower(&mut self.max_allocation_bytes, to.max_allocation_bytes);
-        lower(&mut self.max_workgroups_per_axis, to.max_workgroups_per_axis);
-        lower(&mut self.max_workgroup_invocations, to.max_workgroup_invocations);
-        lower(&mut self.shared_memory_bytes, to.shared_memory_bytes);
-        lower(&mut self.push_constant_bytes, to.push_constant_bytes);
-        lower(&mut self.max_workgroup_subgroups, to.max_workgroup_subgroups);
-        lower(&mut self.max_push_descriptors, to.max_push_descriptors);
-        lower(&mut self.max_texels, to.max_texels);
-        lower(&mut self.instances_per_dispatch, to.instances_per_dispatch);
-        if let Some(size) = to.fixed_subgroup_size {
-            [self.subgroup_size, self.heavy_subgroup_size, self.own_subgroup_size] = [size; 3];
-            self.subgroup_size_selectable = false;
-        }
-        self
-    }
+overrides! {
+    max_storage_buffer_range: u64,
+    max_allocation_bytes: u64,
+    max_workgroups_per_axis: u32,
+    max_workgroup_invocations: u32,
+    shared_memory_bytes: u32,
+    push_constant_bytes: u32,
+    max_workgroup_subgroups: u32,
+    max_push_descriptors: u32,
+    max_texels: u64,
+    instances_per_dispatch: u32,
 }
 
-/// Set of flags; see the constants.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Workarounds(u32);
-
-impl Workarounds {
-    /// An invocation's loops stop silently after 65,535 iterations, all loops together. llvmpipe of Mesa before 25
-    /// (LP_MAX_TGSI_LOOP_ITERATIONS in gallivm's lp_bld_limits.h). Blending then processes fewer entries of a tile per
-    /// dispatch.
-    pub const LOOPS_STOP_AT_65535: Self = Self(1 << 0);
-
-    /// Returns the flags of a driver, by its id and its `driverInfo`, such as `Mesa 22.3.6`. (llvmpipe's `driverVersion` is
-    /// 1 in all versions.)
-    pub fn of_driver(id: vk::DriverId, info: &str) -> Self {
-        let version = info.strip_prefix("Mesa ").and_then(|rest| rest.split('.').next()?.parse::<u32>().ok());
-        let stops = id == vk::DriverId::MESA_LLVMPIPE && version.is_none_or(|major| major < 25);
-        if stops { Self::LOOPS_STOP_AT_65535 } else { Self::default() }
-    }
-
-    /// True if all flags of another set are set.
-    pub const fn contains(self, other: Self) -> bool {
-        self.0 & other.0 == other.0
-    }
+/// Returns [`Limits::max_loop_iterations`] by the driver's id and its `driverInfo`, such as `Mesa 22.3.6`. (llvmpipe's
+/// `driverVersion` is 1 in all versions.) llvmpipe of Mesa before 25 has a limit, against the specification:
+/// LP_MAX_TGSI_LOOP_ITERATIONS in gallivm's lp_bld_limits.h. Blending then processes fewer entries of a tile per dispatch.
+pub(super) fn max_loop_iterations(id: vk::DriverId, info: &str) -> Option<u32> {
+    let version = info.strip_prefix("Mesa ").and_then(|rest| rest.split('.').next()?.parse::<u32>().ok());
+    (id == vk::DriverId::MESA_LLVMPIPE && version.is_none_or(|major| major < 25)).then_some(65_535)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::Workarounds;
+    use super::max_loop_iterations;
     use ash::vk;
 
     #[test]
-    fn workarounds_go_by_the_driver() {
-        let of_llvmpipe = |info| Workarounds::of_driver(vk::DriverId::MESA_LLVMPIPE, info);
-        let llvmpipe = of_llvmpipe("Mesa 22.3.6 (LLVM 15.0.6)");
-        assert!(llvmpipe.contains(Workarounds::LOOPS_STOP_AT_65535));
-        assert_eq!([of_llvmpipe("Mesa 24.99.0"), of_llvmpipe("unknown")], [llvmpipe; 2]);
-        assert_eq!(of_llvmpipe("Mesa 25.0.7-2+deb13u1 (LLVM 19.1.7)"), Workarounds::default());
-        let other = Workarounds::of_driver(vk::DriverId::MESA_RADV, "Mesa 22.3.6");
-        assert!(!other.contains(Workarounds::LOOPS_STOP_AT_65535) && other == Workarounds::default());
+    fn loops_are_limited_by_the_driver() {
+        for (id, info, limit) in [
+            (vk::DriverId::MESA_LLVMPIPE, "Mesa 22.3.6 (LLVM 15.0.6)", Some(65_535)),
+            (vk::DriverId::MESA_LLVMPIPE, "Mesa 24.99.0", Some(65_535)),
+            (vk::DriverId::MESA_LLVMPIPE, "unknown", Some(65_535)),
+            (vk::DriverId::MESA_LLVMPIPE, "Mesa 25.0.7-2+deb13u1 (LLVM 19.1.7)", None),
+            (vk::DriverId::MESA_RADV, "Mesa 22.3.6", None),
+        ] {
+            assert_eq!(max_loop_iterations(id, info), limit, "{info}");
+        }
     }
 }

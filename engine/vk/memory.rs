@@ -524,26 +524,23 @@ impl Device {
         kept_free: u64,
     ) -> Result<Vec<Buffer>> {
         let limits = &self.limits;
-        let too_large = |what: String, needed, limit, limit_name| {
-            Err(Error::TooLarge { what, needed, unit: "bytes", limit, limit_name })
-        };
+        let too_large = |what: String, needed, limit| Err(Error::too_large(what, (needed, "bytes"), limit));
         let range = limits.max_storage_buffer_range;
         if let Some(&(name, bytes)) = requests.iter().find(|(_, bytes)| *bytes > range) {
-            return too_large(format!("buffer {arena}.{name}"), bytes, range, "maxStorageBufferRange");
+            return too_large(format!("buffer {arena}.{name}"), bytes, (range, "maxStorageBufferRange"));
         }
         let guard = self.guard();
         let sizes = self.sizes(requests);
         let packing = match pack(&sizes, limits.max_allocation_bytes) {
             Ok(packing) => packing,
             Err(i) => {
-                let limit = limits.max_allocation_bytes;
-                let what = format!("buffer {arena}.{}", requests[i].0);
-                return too_large(what, sizes[i], limit, "maxMemoryAllocationSize");
+                let limit = (limits.max_allocation_bytes, "maxMemoryAllocationSize");
+                return too_large(format!("buffer {arena}.{}", requests[i].0), sizes[i], limit);
             }
         };
         let total: u64 = packing.blocks.iter().sum();
         if total > limits.heap_bytes && kind == MemoryKind::Device && limits.tuning.heap_is_bound {
-            return too_large(format!("arena {arena}"), total, limits.heap_bytes, "device-local heap");
+            return too_large(format!("arena {arena}"), total, (limits.heap_bytes, "device-local heap"));
         }
         let (used, limit, limit_name) = match kind {
             MemoryKind::Offloaded => (self.registry.offloaded().bytes, self.offload(), OFFLOAD),
@@ -554,7 +551,7 @@ impl Device {
                 0 => format!("arena {arena} (beside {used} bytes in use)"),
                 _ => format!("arena {arena} (beside {used} bytes in use and for transfers)"),
             };
-            return too_large(what, used.saturating_add(total), limit, limit_name);
+            return too_large(what, used.saturating_add(total), (limit, limit_name));
         }
         let arena: Arc<str> = arena.into();
         let blocks = (packing.blocks.iter().enumerate())

@@ -5,7 +5,7 @@
 //! | module | what |
 //! |---|---|
 //! | `binding_numbers`, `lock`, `format`, `hazard` | numbers of bindings; locks; formats; missing barriers |
-//! | `limits`, `requirements` | [`Limits`] and [`Workarounds`], read once; features that a host enables |
+//! | `limits`, `requirements` | [`Limits`], read once; features that a host enables |
 //! | `debug` | names, labels and validation messages |
 //! | `memory_types` | [`MemoryKind`] and its memory types; [`HostAllocator`]: memory from a host |
 //! | `faults`, `raw_device`, `compile_only` | the device's functions, that may fail on demand, or run nothing |
@@ -96,7 +96,7 @@ pub use kernel::{
 };
 #[cfg(feature = "testing")]
 pub use limits::LimitsOverride;
-pub use limits::{Limits, SpecOverride, Workarounds, is_kernel_of, is_yardstick};
+pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
 pub use memory::{Buffer, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use memory_types::{ArenaMemory, HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 pub use open_device::QueueLock;

@@ -144,8 +144,9 @@ pub struct Recorder {
     failed: Option<Error>,
 }
 
-enum Target {
+pub(super) enum Target {
     Owned(Box<Commands>),
+    /// A command buffer that the host submits: see [`super::RecordSlot::begin`].
     Foreign(ForeignTarget),
 }
 
@@ -170,18 +171,7 @@ impl Recorder {
         Self { audit, ..Self::begin(target, inner, Arc::default(), profiler, label) }
     }
 
-    /// Records into a command buffer that the host submits: see [`super::RecordSlot::begin`].
-    pub(super) fn foreign(
-        inner: &Arc<Device>,
-        target: ForeignTarget,
-        kept: Arc<Mutex<Kept>>,
-        profiler: Profiler,
-        label: &str,
-    ) -> Self {
-        Self::begin(Target::Foreign(target), inner.clone(), kept, profiler, label)
-    }
-
-    fn begin(
+    pub(super) fn begin(
         commands: Target,
         inner: Arc<Device>,
         kept: Arc<Mutex<Kept>>,

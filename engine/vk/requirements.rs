@@ -6,91 +6,72 @@ use ash::vk;
 use std::ffi::CStr;
 use std::fmt;
 
-/// Relevant device features, by their Vulkan names.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Features {
+/// Defines [`Features`] by a table: field, Vulkan name, whether every device must have it, and the struct of Vulkan's core
+/// that holds it, if it is not of an extension.
+macro_rules! features {
+    ($v12:ident, $v13:ident; $($(#[$doc:meta])* $field:ident: $name:literal, $required:literal $(, $core:ident)?;)*) => {
+        /// Relevant device features, by their Vulkan names.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        pub struct Features {
+            $($(#[$doc])* pub $field: bool,)*
+        }
+
+        impl Features {
+            /// Features that every device must have; the optional ones are false.
+            pub const REQUIRED: Self = Self { $($field: $required,)* };
+
+            /// Reads the feature structs of a device, or of its creation. They contain no features of extensions, which become
+            /// false.
+            pub fn of(
+                $v12: &vk::PhysicalDeviceVulkan12Features<'_>,
+                $v13: &vk::PhysicalDeviceVulkan13Features<'_>,
+            ) -> Self {
+                Self { $($($field: $core.$field != 0,)?)* ..Self::default() }
+            }
+
+            /// Turns on these features in the structs for the creation of a device, and leaves the others unchanged.
+            ///
+            /// A host that chains structs of single features sets the fields of the same names in those. Features of extensions
+            /// are always set that way.
+            pub fn merge_into(
+                &self,
+                $v12: &mut vk::PhysicalDeviceVulkan12Features<'_>,
+                $v13: &mut vk::PhysicalDeviceVulkan13Features<'_>,
+            ) {
+                $($($core.$field |= vk::Bool32::from(self.$field);)?)*
+            }
+
+            /// Returns names and values.
+            pub fn all(&self) -> [(&'static str, bool); 8] {
+                [$(($name, self.$field),)*]
+            }
+        }
+    };
+}
+
+features! {
+    v12, v13;
     /// scalarBlockLayout, Vulkan 1.2.
-    pub scalar_block_layout: bool,
+    scalar_block_layout: "scalarBlockLayout", true, v12;
     /// synchronization2, Vulkan 1.3.
-    pub synchronization2: bool,
+    synchronization2: "synchronization2", true, v13;
     /// maintenance4, Vulkan 1.3: the workgroup sizes are specialization constants.
-    pub maintenance4: bool,
+    maintenance4: "maintenance4", true, v13;
     /// subgroupSizeControl, Vulkan 1.3.
-    pub subgroup_size_control: bool,
+    subgroup_size_control: "subgroupSizeControl", true, v13;
     /// computeFullSubgroups, Vulkan 1.3.
-    pub compute_full_subgroups: bool,
+    compute_full_subgroups: "computeFullSubgroups", true, v13;
     /// subgroupBroadcastDynamicId, Vulkan 1.2. Optional: kernels share values by broadcasts where that is faster.
-    pub subgroup_broadcast_dynamic_id: bool,
+    subgroup_broadcast_dynamic_id: "subgroupBroadcastDynamicId", false, v12;
     /// shaderMaximalReconvergence of VK_KHR_shader_maximal_reconvergence. Optional: a subgroup's invocations reconverge
     /// after a branch, as kernels assume.
-    pub shader_maximal_reconvergence: bool,
+    shader_maximal_reconvergence: "shaderMaximalReconvergence", false;
     /// shaderSubgroupUniformControlFlow of VK_KHR_shader_subgroup_uniform_control_flow. Optional: invocations reconverge if
     /// the whole subgroup was converged before. Used if shaderMaximalReconvergence is missing.
-    pub shader_subgroup_uniform_control_flow: bool,
+    shader_subgroup_uniform_control_flow: "shaderSubgroupUniformControlFlow", false;
 }
 
 impl Features {
-    /// Features that every device must have; the optional ones are false.
-    pub const REQUIRED: Self = Self {
-        scalar_block_layout: true,
-        synchronization2: true,
-        maintenance4: true,
-        subgroup_size_control: true,
-        compute_full_subgroups: true,
-        subgroup_broadcast_dynamic_id: false,
-        shader_maximal_reconvergence: false,
-        shader_subgroup_uniform_control_flow: false,
-    };
-
-    /// Reads the feature structs of a device, or of its creation. They contain no features of extensions, which become
-    /// false.
-    pub fn of(
-        v12: &vk::PhysicalDeviceVulkan12Features<'_>,
-        v13: &vk::PhysicalDeviceVulkan13Features<'_>,
-    ) -> Self {
-        Self {
-            scalar_block_layout: v12.scalar_block_layout != 0,
-            synchronization2: v13.synchronization2 != 0,
-            maintenance4: v13.maintenance4 != 0,
-            subgroup_size_control: v13.subgroup_size_control != 0,
-            compute_full_subgroups: v13.compute_full_subgroups != 0,
-            subgroup_broadcast_dynamic_id: v12.subgroup_broadcast_dynamic_id != 0,
-            ..Self::default()
-        }
-    }
-
-    /// Turns on these features in the structs for the creation of a device, and leaves the others unchanged.
-    ///
-    /// A host that chains structs of single features sets the fields of the same names in those. Features of extensions are
-    /// always set that way.
-    pub fn merge_into(
-        &self,
-        v12: &mut vk::PhysicalDeviceVulkan12Features<'_>,
-        v13: &mut vk::PhysicalDeviceVulkan13Features<'_>,
-    ) {
-        let add = |to: &mut vk::Bool32, wanted: bool| *to |= vk::Bool32::from(wanted);
-        add(&mut v12.scalar_block_layout, self.scalar_block_layout);
-        add(&mut v12.subgroup_broadcast_dynamic_id, self.subgroup_broadcast_dynamic_id);
-        add(&mut v13.synchronization2, self.synchronization2);
-        add(&mut v13.maintenance4, self.maintenance4);
-        add(&mut v13.subgroup_size_control, self.subgroup_size_control);
-        add(&mut v13.compute_full_subgroups, self.compute_full_subgroups);
-    }
-
-    /// Returns names and values.
-    pub fn all(&self) -> [(&'static str, bool); 8] {
-        [
-            ("scalarBlockLayout", self.scalar_block_layout),
-            ("synchronization2", self.synchronization2),
-            ("maintenance4", self.maintenance4),
-            ("subgroupSizeControl", self.subgroup_size_control),
-            ("computeFullSubgroups", self.compute_full_subgroups),
-            ("subgroupBroadcastDynamicId", self.subgroup_broadcast_dynamic_id),
-            ("shaderMaximalReconvergence", self.shader_maximal_reconvergence),
-            ("shaderSubgroupUniformControlFlow", self.shader_subgroup_uniform_control_flow),
-        ]
-    }
-
     /// Returns all features of [`Features::REQUIRED`] that are not set.
     pub fn missing(&self) -> Vec<&'static str> {
         let required = Self::REQUIRED.all().into_iter().zip(self.all());

@@ -149,7 +149,7 @@ impl Context {
         }
         let whole_words = bytes.len().is_multiple_of(4) && buffer.offset().is_multiple_of(4);
         if bytes.len() <= MAX_UPDATE_BYTES && whole_words {
-            return self.run_command("upload", |recorder| recorder.update(buffer, bytes)).map(drop);
+            return self.run_commands("upload", |recorder| recorder.update(buffer, bytes)).map(drop);
         }
         let copied = match self.is_watched() {
             true => self.upload_watched(buffer, bytes),
@@ -162,7 +162,8 @@ impl Context {
         copied
     }
 
-    pub(super) fn run_command(&self, label: &str, record: impl FnOnce(&mut Recorder)) -> Result<RunReport> {
+    /// Same as [`Context::run`], for commands whose recording cannot fail.
+    pub(crate) fn run_commands(&self, label: &str, record: impl FnOnce(&mut Recorder)) -> Result<RunReport> {
         self.run(label, |recorder| {
             record(recorder);
             Ok(())
@@ -239,7 +240,7 @@ impl Context {
             // The last piece may end within a word: the rest of that word is in the buffer's padding.
             let whole = length.next_multiple_of(4).min(buffer.bytes() - offset as u64);
             let (from, to) = (staging.range(place.start, whole), buffer.range(offset as u64, whole));
-            let ran = self.run_command("upload", |recorder| recorder.copy(&from, &to));
+            let ran = self.run_commands("upload", |recorder| recorder.copy(&from, &to));
             ran.inspect_err(|_| ring.abandon())?;
             offset += length as usize;
         }
@@ -302,7 +303,7 @@ impl Context {
         let (staging, place) = ring.reserve(&self.device, from.bytes())?;
         let length = place.end - place.start;
         let (from, to) = (from.range(0, length), staging.range(place.start, length));
-        let ran = self.run_command("download", |recorder| recorder.copy(&from, &to));
+        let ran = self.run_commands("download", |recorder| recorder.copy(&from, &to));
         ran.inspect_err(|_| ring.abandon())?;
         to.block().read_mapped(to.offset(), &mut bytes[..length as usize]);
         Ok(length as usize)

@@ -18,7 +18,6 @@ impl Place {
         finish(&mut self.training(model, more.as_ref()))
     }
 
-    /// Same as [`Self::attempt`], but it must succeed.
     #[track_caller]
     pub(super) fn train(&self, model: &str, more: impl AsRef<str>) -> Finished {
         self.attempt(model, more).ok()
@@ -126,7 +125,6 @@ fn too_little_memory_is_told_how_much_would_do() {
     place.train("model", format!("--max-memory {needed} --iterations 2"));
 }
 
-/// Training in host memory gives the same scene as in device memory, also when it resumes there.
 #[test]
 fn offload_gives_the_same_scene() {
     let place = Place::new();

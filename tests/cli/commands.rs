@@ -66,7 +66,6 @@ fn write_cameras(place: &Place, file: &str, cameras: &[Value]) {
     place.write(file, Value::from(cameras).to_string());
 }
 
-/// A channel of an EXR.
 fn channel(picture: &Path, name: &str) -> Vec<f32> {
     let image = read_first_flat_layer_from_file(picture).expect("an EXR");
     let channel = image.layer_data.channel_data.list.iter().find(|channel| channel.name.eq(name));

@@ -7,7 +7,6 @@ use ashsplat::train::SceneBlock;
 /// Grows from the beginning, and makes a step at the end of a round.
 const STRATEGY: &str = "--strategy reference --densify-from-iter 2 --densification-interval 3";
 
-/// A scene in blocks that are trained in rounds.
 struct Divided {
     place: Place,
     blocks: Vec<Value>,

@@ -4,7 +4,6 @@ use super::*;
 use ashsplat::scene::Bounds;
 
 impl Place {
-    /// A data set and a coarse model of it.
     pub(super) fn with_coarse_model() -> Place {
         let place = Place::new();
         place.train("coarse", "--iterations 12 --eval");
@@ -37,7 +36,6 @@ impl Place {
     }
 }
 
-/// A list in a JSON object.
 pub(super) fn list<'a>(of: &'a Value, name: &str) -> &'a Vec<Value> {
     of[name].as_array().unwrap_or_else(|| panic!("no list {name}"))
 }
@@ -50,12 +48,10 @@ fn real(of: &Value, name: &str) -> f64 {
     of[name].as_f64().unwrap_or_else(|| panic!("no number {name} in {of}"))
 }
 
-/// A file in a block's folder.
 pub(super) fn file_of(block: &Value, name: &str) -> String {
     format!("{}/{name}", block["folder"].as_str().expect("a folder"))
 }
 
-/// The scene of a block that is trained to its end.
 pub(super) fn scene_of(block: &Value) -> String {
     point_cloud(block["folder"].as_str().expect("a folder"), number(block, "iterations") as u32)
 }
@@ -87,7 +83,6 @@ pub(super) fn core(block: &Value) -> Bounds {
     Bounds { min: corner("min", f32::NEG_INFINITY), max: corner("max", f32::INFINITY) }
 }
 
-/// True for a mean in the core box of a block.
 pub(super) fn in_core(block: &Value, mean: [f32; 3]) -> bool {
     core(block).contains(Vec3::from_array(mean))
 }

@@ -34,7 +34,6 @@ fn near_and_far() -> [Place; 2] {
     [DVec3::ZERO, UTM].map(|offset| moved(1.0, offset))
 }
 
-/// Removes the comment with the origin from a PLY.
 fn without_origin(ply: Vec<u8>) -> Vec<u8> {
     let comment = b"comment origin 500000 5000000 120\n";
     let at = ply.windows(comment.len()).position(|bytes| bytes == comment).expect("the origin");

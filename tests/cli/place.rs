@@ -10,7 +10,6 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    /// A temporary folder.
     pub(crate) fn empty() -> Place {
         let folder = tempfile::tempdir().expect("a temporary folder");
         Place { path: folder.path().to_owned(), _temporary: Some(folder) }
@@ -38,7 +37,6 @@ impl Place {
         self.at(name).exists()
     }
 
-    /// Words of a command line.
     pub(crate) fn words(&self, line: impl AsRef<str>) -> Vec<String> {
         let path = |name: &str| text(&self.at(name)).to_owned();
         let word = |word: &str| word.strip_prefix('@').map_or_else(|| word.to_owned(), path);
@@ -56,7 +54,6 @@ impl Place {
         finish(&mut self.command(line))
     }
 
-    /// Runs a command that prints JSON.
     pub(crate) fn json_of(&self, line: impl AsRef<str>) -> Value {
         serde_json::from_str(&self.run(line).ok().stdout).expect("JSON")
     }
@@ -94,7 +91,6 @@ impl Place {
         std::fs::create_dir_all(self.at(name)).expect("created");
     }
 
-    /// Removes a file or a folder.
     pub(crate) fn remove(&self, name: impl AsRef<Path>) {
         let path = self.at(name);
         if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) }
@@ -105,12 +101,10 @@ impl Place {
         std::fs::rename(self.at(from), self.at(to)).expect("moved");
     }
 
-    /// All files below a folder, sorted, with relative paths.
     pub(crate) fn files(&self, name: impl AsRef<Path>) -> Vec<PathBuf> {
         crate::common::files_below(&self.at(name))
     }
 
-    /// Bytes of a model's point cloud.
     pub(crate) fn ply(&self, model: &str, iteration: u32) -> Vec<u8> {
         self.read(point_cloud(model, iteration))
     }
@@ -119,25 +113,21 @@ impl Place {
         splats::read(self.at(name), &ReadOptions::default()).expect("Gaussians").gaussians
     }
 
-    /// Writes a PLY.
     pub(crate) fn write_scene(&self, name: impl AsRef<Path>, gaussians: &Gaussians) {
         let path = self.at(name);
         std::fs::create_dir_all(path.parent().expect("a folder")).expect("created");
         ashsplat_files::ply::write(path, gaussians).expect("written");
     }
 
-    /// A saved picture, RGB.
     pub(crate) fn picture(&self, name: impl AsRef<Path>) -> image::RgbImage {
         image::open(self.at(name)).expect("a picture").to_rgb8()
     }
 }
 
-/// A model's point cloud.
 pub(crate) fn point_cloud(model: &str, iteration: u32) -> String {
     format!("{model}/point_cloud/iteration_{iteration}/point_cloud.ply")
 }
 
-/// A program that runs beside the test.
 pub(crate) struct Beside {
     pub(crate) child: Running,
     /// The lines of its stderr.
@@ -145,7 +135,6 @@ pub(crate) struct Beside {
 }
 
 impl Beside {
-    /// Waits for a line with this beginning.
     #[track_caller]
     pub(crate) fn wait_for(&mut self, beginning: &str) -> String {
         self.lines.find(|line| line.starts_with(beginning)).unwrap_or_else(|| panic!("no line '{beginning}'"))
@@ -168,7 +157,6 @@ impl Beside {
     }
 }
 
-/// Waits until a condition holds.
 #[track_caller]
 pub(crate) fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let start = Instant::now();

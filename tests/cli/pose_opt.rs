@@ -71,7 +71,6 @@ fn similarity(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> Simila
     Similarity { rotation, scale, translation: wanted - scale * (rotation * found) }
 }
 
-/// Pairs each camera with the true one of its name.
 fn pairs(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> Vec<[Camera; 2]> {
     let of = |name: &str| true_ones.iter().find(|(other, _)| other == name).expect("known").1;
     cameras.iter().map(|named| [named.camera, of(&named.name)]).collect()

@@ -54,20 +54,17 @@ impl Photographs {
         assert_eq!(run.stdout, "");
     }
 
-    /// Calls of the stand-ins, without their calls of `-h`.
     fn calls(&self) -> Vec<String> {
         let calls = std::fs::read_to_string(self.at("fake/calls")).unwrap_or_default();
         std::fs::remove_file(self.at("fake/calls")).ok();
         calls.lines().filter(|call| !call.ends_with(" -h")).map(str::to_owned).collect()
     }
 
-    /// First words of the calls.
     fn stages(&self) -> Vec<String> {
         self.calls().iter().filter_map(|call| call.split(' ').next().map(str::to_owned)).collect()
     }
 }
 
-/// Command in the backquotes of a message.
 fn hint(message: &str) -> &str {
     message.split('`').nth(1).unwrap_or_else(|| panic!("no command in {message}"))
 }

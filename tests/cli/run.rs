@@ -3,7 +3,6 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-/// A finished run of the program.
 pub(crate) struct Finished {
     /// The command line, for failure messages.
     command: String,
@@ -24,21 +23,18 @@ impl From<Output> for Finished {
 }
 
 impl Finished {
-    /// Checks that the program succeeded.
     #[track_caller]
     pub(crate) fn ok(self) -> Finished {
         assert_eq!(self.code, Some(0), "{}: {}{}", self.command, self.stdout, self.stderr);
         self
     }
 
-    /// Checks that stdout has all of these words.
     #[track_caller]
     pub(crate) fn says(self, words: &[&str]) -> Finished {
         self.has(&self.stdout, words);
         self
     }
 
-    /// Checks that stderr has all of these words.
     #[track_caller]
     pub(crate) fn warns(self, words: &[&str]) -> Finished {
         self.has(&self.stderr, words);
@@ -82,7 +78,6 @@ pub(crate) fn assert_refused(run: &Finished, words: &[&str]) {
     run.ends_with_error(errors[0], words);
 }
 
-/// The program, not yet started, in a clean environment except for the choice of the driver.
 pub(crate) fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ashsplat"));
     command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");
@@ -94,7 +89,6 @@ pub(crate) fn finish(command: &mut Command) -> Finished {
     Finished { command: format!("{command:?}"), ..output.into() }
 }
 
-/// A path as an argument.
 pub(crate) fn text(path: &Path) -> &str {
     path.to_str().expect("temporary paths are UTF-8")
 }

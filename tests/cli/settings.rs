@@ -94,7 +94,6 @@ fn train(place: &Place, model: &str, more: &str) -> Finished {
     place.run(format!("train -s @data -m @{model} --iterations 12 {SCHEDULE} {more}"))
 }
 
-/// Value of a setting in a run's dump.
 fn setting(place: &Place, model: &str, name: &str) -> String {
     let dump = place.read_text(format!("{model}/settings.toml"));
     let line = dump.lines().find_map(|line| line.strip_prefix(&format!("{name} = ")));

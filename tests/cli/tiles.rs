@@ -1,7 +1,6 @@
 //! `tiles`.
 
 use super::*;
-
 use crate::common::splats::scene;
 
 fn with_scene(gaussians: usize) -> Place {
@@ -137,7 +136,6 @@ fn a_tree_is_drawn_within_a_budget() {
     place.run("render @tiles --orbit 1 -o @pictures").refused(&["0.glb"]);
 }
 
-/// Numbers in a line of a table.
 fn numbers(line: &str) -> Vec<f64> {
     let words = line.split_whitespace().map(|word| word.trim_end_matches('%').replace(',', ""));
     words.map(|word| word.parse().expect("a number")).collect()

@@ -1,13 +1,12 @@
 //! The optimiser's kernel with its state on the device.
 
+use super::gpu::Gpu;
+use super::layout::{pack, planes, room, unpack};
+use crate::reference::types::Gaussian;
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_OVERFLOW};
 use ashsplat::kernels::optimizer::adam::{self, Push};
 use ashsplat::vk::{Buffer, Kernel};
-
-use super::gpu::Gpu;
-use super::layout::{pack, planes, room, unpack};
-use crate::reference::types::Gaussian;
 
 /// Gradients of a visible Gaussian, as the kernel reads them.
 #[derive(Clone, Copy, Debug, Default)]

@@ -1,15 +1,13 @@
 //! The two blending kernels over tile lists.
 
+use super::frame::Lists;
+use super::gpu::Gpu;
 use ashsplat::frame::Strips;
 use ashsplat::frame::tuning::Backend;
 use ashsplat::kernels::backward::{blend_backward, blend_backward_subgroup_per_tile};
 use ashsplat::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary};
 use ashsplat::vk::{Buffer, Context};
 
-use super::frame::Lists;
-use super::gpu::Gpu;
-
-/// Outputs of the forward kernel that the backward kernel reads.
 pub struct Blended {
     pub accumulated: Buffer,
     /// Three planes; only written in strips.
@@ -53,7 +51,6 @@ pub fn assert_alike(context: &Context, a: &[f32], b: &[f32], (what, share): (&st
     assert!(a.len() == b.len() && a.iter().zip(b).all(same), "{what} differ");
 }
 
-/// Rows of pixels of a region.
 fn region_height(gpu: &Gpu, how: How) -> u32 {
     (if how.low_regions { 4 } else { 8 }).max(gpu.subgroup() / 8)
 }
@@ -147,7 +144,6 @@ pub struct How {
     pub sums: OtherSums,
 }
 
-/// Layout of a view's planes.
 pub fn strips_of(lists: &Lists) -> Strips {
     let [width, height] = lists.view.size_px;
     Strips { width, height }
@@ -230,7 +226,6 @@ pub fn forward_limited(
     blend_lists!(gpu, lists, blend, spec, how, limits)
 }
 
-/// Outputs of the auxiliary kernels.
 pub struct Beside {
     pub blended: Blended,
     /// Value per pixel: 1 + place in the list, and the bits of the weight.

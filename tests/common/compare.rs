@@ -9,16 +9,6 @@ pub struct PixelTolerance {
     pub unstable: f64,
 }
 
-/// Measured errors.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct PixelErrors {
-    pub max: f64,
-    pub mean: f64,
-    /// Number of unstable pixels that differ by more than their bound.
-    pub unstable_off: usize,
-}
-
-/// Share of the unstable pixels that may differ by more than their bound.
 pub const UNSTABLE_SHARE: f64 = 0.01;
 
 pub fn pixels(
@@ -27,39 +17,38 @@ pub fn pixels(
     expected: &[f64],
     unstable: &[bool],
     tolerance: PixelTolerance,
-) -> Result<PixelErrors, String> {
+) -> Result<(), String> {
     same_length(what, actual, expected)?;
     let channels = expected.len() / unstable.len().max(1);
-    let mut errors = PixelErrors::default();
-    let mut stable_values = 0_usize;
-    let mut place = 0;
+    let (mut max, mut sum, mut place) = (0.0_f64, 0.0, 0);
+    let (mut stable_values, mut unstable_off) = (0_usize, 0_usize);
     for (pixel, &unstable) in unstable.iter().enumerate() {
         let values = pixel * channels..(pixel + 1) * channels;
         let difference = actual[values.clone()].iter().zip(&expected[values]).map(|(a, e)| (a - e).abs());
         let largest = difference.clone().fold(0.0, f64::max);
         if unstable {
-            errors.unstable_off += usize::from(largest > tolerance.unstable);
+            unstable_off += usize::from(largest > tolerance.unstable);
         } else {
-            if largest > errors.max {
-                (errors.max, place) = (largest, pixel);
+            if largest > max {
+                (max, place) = (largest, pixel);
             }
-            errors.mean += difference.sum::<f64>();
+            sum += difference.sum::<f64>();
             stable_values += channels;
         }
     }
-    errors.mean /= stable_values.max(1) as f64;
+    let mean = sum / stable_values.max(1) as f64;
     let unstable_count = unstable.iter().filter(|&&unstable| unstable).count();
     let at = format!("at pixel {place}");
-    let bounds = [(errors.max, tolerance.max, at.as_str()), (errors.mean, tolerance.mean, "on average")];
+    let bounds = [(max, tolerance.max, at.as_str()), (mean, tolerance.mean, "on average")];
     for (measured, accepted, place) in bounds {
         if measured > accepted {
             return Err(format!("{what}: off by {measured:.3e} {place}, accepted {accepted:.1e}"));
         }
     }
-    if errors.unstable_off as f64 > UNSTABLE_SHARE * unstable_count as f64 {
-        return Err(format!("{what}: {} of {unstable_count} unstable pixels are off", errors.unstable_off));
+    if unstable_off as f64 > UNSTABLE_SHARE * unstable_count as f64 {
+        return Err(format!("{what}: {unstable_off} of {unstable_count} unstable pixels are off"));
     }
-    Ok(errors)
+    Ok(())
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -70,19 +59,6 @@ pub struct GradientTolerance {
     pub max_over_max: f64,
 }
 
-/// Measured errors.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct GradientErrors {
-    /// ‖actual − expected‖₂ / ‖expected‖₂.
-    pub relative_l2: f64,
-    /// max |actual − expected| / max |expected|.
-    pub max_over_max: f64,
-    /// 1 − cosine.
-    pub one_minus_cosine: f64,
-    /// Σ (actual − expected)·sign(expected) / Σ |expected|: negative if gradients shrink systematically.
-    pub bias: f64,
-}
-
 /// Compares gradients, without the Gaussians of `skip`.
 pub fn gradient(
     what: &str,
@@ -90,7 +66,7 @@ pub fn gradient(
     expected: &[f64],
     skip: &[bool],
     tolerance: GradientTolerance,
-) -> Result<GradientErrors, String> {
+) -> Result<(), String> {
     same_length(what, actual, expected)?;
     let per_gaussian = expected.len() / skip.len().max(1);
     let kept = (0..expected.len()).filter(|i| !skip[i / per_gaussian]).map(|i| (actual[i], expected[i]));
@@ -109,21 +85,17 @@ pub fn gradient(
     }
     if expected2 == 0.0 {
         return match actual2 == 0.0 {
-            true => Ok(GradientErrors::default()),
+            true => Ok(()),
             false => Err(format!("{what}: not zero ({:.3e})", actual2.sqrt())),
         };
     }
-    let errors = GradientErrors {
-        relative_l2: (difference2 / expected2).sqrt(),
-        max_over_max: largest_difference / largest_expected,
-        one_minus_cosine: 1.0 - product / (actual2 * expected2).sqrt(),
-        bias: bias / total,
-    };
+    // ‖actual − expected‖₂ / ‖expected‖₂, and max |actual − expected| / max |expected|. The signed bias, Σ (actual −
+    // expected)·sign(expected) / Σ |expected|, is negative if gradients shrink systematically.
     let bounds = [
-        ("relative L2", errors.relative_l2, tolerance.relative_l2),
-        ("largest error over largest value", errors.max_over_max, tolerance.max_over_max),
-        ("1 - cosine", errors.one_minus_cosine, tolerance.relative_l2),
-        ("signed bias", errors.bias.abs(), tolerance.relative_l2),
+        ("relative L2", (difference2 / expected2).sqrt(), tolerance.relative_l2),
+        ("largest error over largest value", largest_difference / largest_expected, tolerance.max_over_max),
+        ("1 - cosine", 1.0 - product / (actual2 * expected2).sqrt(), tolerance.relative_l2),
+        ("signed bias", (bias / total).abs(), tolerance.relative_l2),
     ];
     for (name, measured, accepted) in bounds {
         // Written so that NaN is rejected.
@@ -132,34 +104,31 @@ pub fn gradient(
             return Err(format!("{what}: {name} {measured:.3e}, accepted {accepted:.1e}"));
         }
     }
-    Ok(errors)
+    Ok(())
 }
 
-/// Compares element by element: |actual − expected| ≤ absolute + relative·|expected|. Returns the largest excess
-/// over the relative part.
+/// Compares element by element: |actual − expected| ≤ absolute + relative·|expected|.
 pub fn elementwise(
     what: &str,
     actual: &[f64],
     expected: &[f64],
     absolute: f64,
     relative: f64,
-) -> Result<f64, String> {
+) -> Result<(), String> {
     same_length(what, actual, expected)?;
-    let mut largest = 0.0_f64;
     for (i, (a, e)) in actual.iter().zip(expected).enumerate() {
         let within = (a - e).abs() <= absolute + relative * e.abs();
         if !within {
             return Err(format!("{what}: element {i} is {a:.9e}, expected {e:.9e}"));
         }
-        largest = largest.max((a - e).abs());
     }
-    Ok(largest)
+    Ok(())
 }
 
 /// Compares element by element with a bound relative to the largest expected value.
 pub fn relative(what: &str, actual: &[f64], expected: &[f64], bound: f64) -> Result<(), String> {
     let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
-    elementwise(what, actual, expected, bound * largest, 0.0).map(drop)
+    elementwise(what, actual, expected, bound * largest, 0.0)
 }
 
 pub fn equal<T: PartialEq + std::fmt::Debug>(what: &str, actual: &[T], expected: &[T]) -> Result<(), String> {

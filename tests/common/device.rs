@@ -28,7 +28,6 @@ pub fn count_hits() -> SpecOverride {
     SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 }
 }
 
-/// Validation (if installed) and hazard checks.
 fn checked() -> ContextOptions {
     static VALIDATION: OnceLock<bool> = OnceLock::new();
     let validation = *VALIDATION.get_or_init(|| {
@@ -44,7 +43,6 @@ fn checked() -> ContextOptions {
     ContextOptions { validation, hazard_check: true, ..ContextOptions::default() }
 }
 
-/// A separate device with lower limits.
 pub fn limited(limits: LimitsOverride) -> Context {
     Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device")
 }

@@ -1,15 +1,13 @@
 //! Converts the twins' scenes and views to the engine's types.
 
-use std::sync::{Mutex, MutexGuard, OnceLock};
-
+use super::context;
+use crate::reference::types::{Extent, Gaussian, View};
 use ashsplat::frame::Dropout;
 use ashsplat::scene::Projection;
 use ashsplat::vk::Context;
 use ashsplat::{Camera, Gaussians, Gradients, JacobianLimit, RenderSettings, Renderer};
 use glam::{Mat3, Vec3};
-
-use super::context;
-use crate::reference::types::{Extent, Gaussian, View};
+use std::sync::{Mutex, MutexGuard, OnceLock};
 
 /// Parameters, rounded to float32.
 pub fn gaussians(twins: &[Gaussian]) -> Gaussians {

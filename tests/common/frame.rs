@@ -1,9 +1,5 @@
 //! Splats of a random scene and their tile lists, as inputs of the kernels that follow the projection.
 
-use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_INSTANCES, STATE_VISIBLE};
-use ashsplat::kernels::forward::project;
-use ashsplat::vk::Buffer;
-
 use super::gpu::{Gpu, UNTOUCHED};
 use super::layout::{
     SplatPlanes, antialias_word, camera_block, extent_word, pack_filtered, pack_splats, room, rounded,
@@ -16,8 +12,10 @@ use crate::reference::tiles::{alpha_unclamped, touched, touches_by_pixels};
 use crate::reference::types::{
     ALPHA_MAX, ALPHA_MIN, Extent, Gaussian, Selection, Splat, TRANSMITTANCE_MIN, View,
 };
+use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_INSTANCES, STATE_VISIBLE};
+use ashsplat::kernels::forward::project;
+use ashsplat::vk::Buffer;
 
-/// Visible splats: on the host with the blending's precision, and on the device.
 pub struct Splats {
     pub splats: Vec<Splat>,
     pub mean2d_extent: Buffer,
@@ -151,7 +149,6 @@ impl Projected {
     }
 }
 
-/// About `count` visible Gaussians of a random scene.
 pub fn visible_scene(count: usize, view: &View) -> Vec<Gaussian> {
     let mut random = Random::new(count as u64);
     let mut gaussians = Vec::new();
@@ -221,7 +218,6 @@ pub fn shuffled(count: usize) -> Vec<u32> {
     order
 }
 
-/// Splats in tile lists: each tile has its own list of visible indices, front to back.
 pub struct Lists {
     pub view: View,
     pub frame: Splats,
@@ -282,7 +278,6 @@ impl Lists {
         Lists::new(gpu, frame.splats, lists, &view)
     }
 
-    /// The splats of the list of a pixel's tile.
     pub fn list_of(&self, pixel: [u32; 2]) -> Vec<&Splat> {
         self.lists[tile_of(&self.view, pixel)].iter().map(|&i| &self.frame.splats[i as usize]).collect()
     }
@@ -299,7 +294,6 @@ impl Lists {
     }
 }
 
-/// A random splat near a tile.
 fn random_splat(random: &mut Random, corner: [f64; 2], opacity: [f64; 2]) -> Splat {
     let [xx, yy] = [0; 2].map(|_| random.between(0.5, 60.0));
     let xy = random.between(-0.9, 0.9) * (xx * yy).sqrt();

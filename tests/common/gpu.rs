@@ -1,17 +1,15 @@
 //! Runs single kernels: uploads and reads buffers, and checks that validation stays silent.
 
-use std::sync::OnceLock;
-
-use ashsplat::kernels::constants::STATE_WORDS;
-use ashsplat::passes::loss::Windowing;
-use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, KernelInterface, Limits, MemoryKind, Recorder};
-use bytemuck::Pod;
-
 use super::compare::equal;
 use super::layout::{pack, planes, room, unpack};
 use super::machine::{self, Machine};
 use super::{assert_silent, context, options};
 use crate::reference::types::Gaussian;
+use ashsplat::kernels::constants::STATE_WORDS;
+use ashsplat::passes::loss::Windowing;
+use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, KernelInterface, Limits, MemoryKind, Recorder};
+use bytemuck::Pod;
+use std::sync::OnceLock;
 
 /// Initial word of every output, so that tests see what a kernel writes.
 pub const UNTOUCHED: u32 = 0xDEAD_BEEF;
@@ -58,7 +56,6 @@ impl Gpu {
         has
     }
 
-    /// Forms of the loss that this device supports.
     pub fn windowings(&self) -> impl Iterator<Item = Windowing> {
         let sweeps = self.has_texels("the loss by sweeps").then_some(Windowing::Sweeps);
         std::iter::once(Windowing::Blocks).chain(sweeps)

@@ -1,16 +1,14 @@
 //! Layout of Gaussians, cameras and splats for the kernels (documented in the shaders and `constants.glsl`).
 
+use crate::reference::project::slope_limits;
+use crate::reference::tiles::half_extent_px;
+use crate::reference::types::{Gaussian, Splat, View};
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{
     ANTIALIAS_COMPENSATED, ANTIALIAS_DETACHED, CAMERA_BLOCK_MEMBERS, CAMERA_BLOCK_WORDS, PLANE_LOG_SCALE,
     PLANE_MEAN_OPACITY, PLANE_QUAT, PLANE_SH,
 };
 
-use crate::reference::project::slope_limits;
-use crate::reference::tiles::half_extent_px;
-use crate::reference::types::{Gaussian, Splat, View};
-
-/// Number of vec4 planes for `coefficients` SH coefficients.
 pub fn planes(coefficients: usize) -> usize {
     PLANE_SH as usize + (3 * coefficients).div_ceil(4)
 }
@@ -157,7 +155,6 @@ pub fn extent_word(view: &View) -> u32 {
     }
 }
 
-/// Splats as the blending kernels read them.
 #[derive(Clone, Debug, Default)]
 pub struct SplatPlanes {
     pub mean2d_extent: Vec<[f32; 4]>,

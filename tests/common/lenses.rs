@@ -3,12 +3,11 @@
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]
 
-use std::path::Path;
-
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
 use ashsplat_files::colmap::{self, CameraModel, ColmapCamera, ColmapImage};
 use ashsplat_files::{Photo, PhotoFileFormat};
 use glam::Vec3;
+use std::path::Path;
 
 /// Each of COLMAP's models with parameters of a wide consumer lens, for photos of 320×240.
 pub fn cameras() -> Vec<ColmapCamera> {
@@ -30,7 +29,6 @@ pub fn cameras() -> Vec<ColmapCamera> {
     (1..).zip(models).map(camera).collect()
 }
 
-/// A smooth picture without symmetry.
 fn picture(width: u32, height: u32) -> Photo {
     let pixel = |index: u32| {
         let (x, y) = ((index % width) as f32, (index / width) as f32);

@@ -1,8 +1,7 @@
 //! Files of LPIPS weights, computed by a formula.
 
-use std::path::Path;
-
 use crate::reference::lpips::{ALEXNET, Step, VGG16, formula};
+use std::path::Path;
 
 #[derive(Clone, Debug)]
 pub struct Tensor {

@@ -1,12 +1,11 @@
 //! Machines that run a test's kernels: the device, an interpreter, or both, whose results must agree.
 
-use std::cell::{Cell, RefCell};
-use std::collections::HashMap;
-use std::rc::Rc;
-
 use ashsplat::frame::tuning::Tuning;
 use ashsplat::vk::{Buffer, Context, KernelInterface, Limits};
 use ashsplat_interpreter::{Dispatch, Fault, Order, Program};
+use std::cell::{Cell, RefCell};
+use std::collections::HashMap;
+use std::rc::Rc;
 
 /// Kernels that read unwritten shared memory and drop the value: the sums of regions that no Gaussian hits. If they
 /// used it, results would be NaN.
@@ -62,7 +61,7 @@ impl Machine {
             limits.max_workgroup_size = [1024; 3];
             limits.max_workgroup_subgroups = 1024 / lanes;
             limits.max_texels = 0;
-            limits.workarounds = ashsplat::vk::Workarounds::default();
+            limits.max_loop_iterations = None;
             limits.tuning = &Tuning::AMD;
         }
         limits
@@ -80,7 +79,6 @@ fn program<K: KernelInterface>(spec: &K::Spec, lanes: u32) -> Rc<Program> {
     })
 }
 
-/// Words of buffers by binding.
 pub type Words = Vec<(u32, Vec<u32>)>;
 
 fn words<K: KernelInterface>(context: &Context, bind: &K::Bind<'_>) -> Words {
@@ -121,7 +119,6 @@ fn interpreted<K: KernelInterface>(
     (program, [before, after])
 }
 
-/// Interprets one dispatch, and writes the device's buffers.
 pub fn interpret<K: KernelInterface>(
     context: &Context,
     lanes: u32,
@@ -160,10 +157,8 @@ pub fn compare<K: KernelInterface>(
         if let Some(at) = other {
             let [a, b] = [device[at], interpreted[at]];
             let [x, y] = [a, b].map(f32::from_bits);
-            panic!(
-                "{}: word {at} of binding {binding} is {a:#x} ({x}) on the device, {b:#x} ({y}) interpreted",
-                K::NAME
-            );
+            let word = format!("{}: word {at} of binding {binding}", K::NAME);
+            panic!("{word} is {a:#x} ({x}) on the device, {b:#x} ({y}) interpreted");
         }
     }
 }

@@ -56,7 +56,6 @@ pub fn files_below(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Fails unless a message has all of these words.
 #[track_caller]
 pub fn assert_says(message: impl AsRef<str>, words: &[&str]) {
     let message = message.as_ref();

@@ -1,10 +1,9 @@
 //! The kernels of poses with their buffers.
 
+use super::gpu::Gpu;
 use ashsplat::kernels::constants::STATE_OVERFLOW;
 use ashsplat::kernels::poses::{pose_gradient, pose_step};
 use ashsplat::vk::Buffer;
-
-use super::gpu::Gpu;
 
 /// Runs `poses/pose_gradient`: returns g and dL/dξ.
 pub fn pose_gradient(gpu: &Gpu, sums: &[[f32; 6]], parameters: &[[f32; 6]], image: u32) -> [[f64; 6]; 2] {
@@ -22,7 +21,6 @@ pub fn pose_gradient(gpu: &Gpu, sums: &[[f32; 6]], parameters: &[[f32; 6]], imag
     [g.map(f64::from), d_xi.map(f64::from)]
 }
 
-/// All poses, on the host.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Poses {
     /// ξ of each image.

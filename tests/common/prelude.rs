@@ -1,16 +1,23 @@
 //! Types and fixtures that most tests of the engine use.
 
 pub use ashsplat::train::{Checkpoint, StepReport, StrategyType, TrainView, Trainer};
-pub use ashsplat::vk::{Context, ContextOptions, LimitsOverride, MemoryKind, SpecOverride};
+pub use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind, SpecOverride};
 pub use ashsplat::{Camera, Error, Frame, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
 pub use ashsplat_files::{CheckpointFile, Photo};
 pub use glam::Vec3;
 pub use tempfile::tempdir;
 
+pub use super::compare::{GradientTolerance, PixelTolerance, elementwise, equal, gradient, pixels, relative};
 pub use super::device::{arena_peak, assert_silent, bounded, context, limited, options, with_range};
-pub use super::engine::{camera, gaussians, loaded, renderer};
-pub use super::gpu::Gpu;
-pub use super::scenes::{Random, mixed_scene, rotation_about_y, small_scene, small_view};
+pub use super::engine::{camera, gaussians, loaded, renderer, widen};
+pub use super::gpu::{Gpu, UNTOUCHED, sizes};
+pub use super::layout::{
+    antialias_word, camera_block, cut_outs, extent_word, pack, pack_filtered, pack_splats, place, planes,
+    room, scene_blocks, unpack,
+};
+pub use super::scenes::*;
 pub use super::training::{EXTENT, Run, Succeeds, refusal, start, through_a_file, view_of, views};
 pub use super::{assert_says, new_paths};
-pub use crate::reference::types::{Extent, Gaussian, View};
+pub use crate::reference::types::{
+    CutOut, Drawn, Dropout, Extent, Gaussian, Gradient, Limits, Selection, Splat, SplatGradient, Tint, View,
+};

@@ -119,7 +119,6 @@ pub fn mixed_scene(random: &mut Random, count: usize, coefficients: usize) -> Ve
         .collect()
 }
 
-/// All scalar parameters of a Gaussian.
 pub fn scalars(gaussian: &mut Gaussian) -> Vec<&mut f64> {
     let mut all: Vec<&mut f64> = gaussian.mean.iter_mut().collect();
     all.extend(gaussian.quat.iter_mut());

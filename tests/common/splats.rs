@@ -79,7 +79,6 @@ pub fn tolerance(format: Format) -> Tolerance {
     }
 }
 
-/// Compares Gaussians that are in the same order.
 pub fn assert_close(actual: &Gaussians, expected: &Gaussians, tolerance: &Tolerance) {
     actual.check_shapes().expect("vectors that fit together");
     assert_eq!((actual.len(), actual.sh_degree), (expected.len(), expected.sh_degree));
@@ -120,13 +119,11 @@ pub fn in_order_of(expected: &Gaussians, actual: &Gaussians) -> Gaussians {
     actual.select(&order)
 }
 
-/// A camera before the scene, turned a little.
 pub fn camera(turn: f32) -> Camera {
     let eye = Vec3::new(4.0 * turn.sin(), -1.0, -4.0 * turn.cos());
     Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.9, 96, 64))
 }
 
-/// A ball of Gaussians of soft colours.
 pub fn ball(count: usize) -> Gaussians {
     let mut gaussians = scene(count, 1);
     gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.12);

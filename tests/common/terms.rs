@@ -1,16 +1,15 @@
 //! Pictures in the native layout, and the kernels of the loss's terms that several tests run.
 
-use ashsplat::frame::Strips;
-use ashsplat::kernels::constants::{PLANE_SH, TERM_PARTIALS};
-use ashsplat::kernels::loss::{inverse_depth_l1 as inverse, regularize as sums, term_reduce as reduce};
-use ashsplat::passes::loss::DepthPoint;
-use ashsplat::vk::Buffer;
-
 use super::gpu::Gpu;
 use super::layout::{pack, room, unpack};
 use crate::reference::pixels::strip_index;
 use crate::reference::sparse_depth::Point;
 use crate::reference::types::Gaussian;
+use ashsplat::frame::Strips;
+use ashsplat::kernels::constants::{PLANE_SH, TERM_PARTIALS};
+use ashsplat::kernels::loss::{inverse_depth_l1 as inverse, regularize as sums, term_reduce as reduce};
+use ashsplat::passes::loss::DepthPoint;
+use ashsplat::vk::Buffer;
 
 /// Floats of a native picture.
 pub fn values([width, height]: [usize; 2]) -> usize {
@@ -25,7 +24,6 @@ pub fn place(size: [usize; 2], strips: bool, pixel: usize, channel: usize) -> us
     }
 }
 
-/// Colours of a native picture.
 pub fn colors(native: &[f32], size: [usize; 2], strips: bool) -> Vec<[f64; 3]> {
     let color = |pixel| [0, 1, 2].map(|channel| f64::from(native[place(size, strips, pixel, channel)]));
     (0..size[0] * size[1]).map(color).collect()
@@ -77,7 +75,6 @@ pub fn added_to_fourth_plane(
     added
 }
 
-/// Converts points to the engine's type.
 pub fn points(all: &[Point]) -> Vec<DepthPoint> {
     let f = |x: f64| x as f32;
     let point = |p: &Point| DepthPoint { position_px: p.position_px.map(f), inverse_z: f(p.inverse_z) };

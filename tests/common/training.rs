@@ -1,14 +1,13 @@
 //! Trainings of small scenes, which tests interrupt, bound and compare.
 
-use ashsplat::train::{Checkpoint, Forecast, PhotoSize, StepReport, TrainParts, TrainView, Trainer};
-use ashsplat::vk::Context;
-use ashsplat::{Error, Gaussians, Result, TrainSettings};
-use ashsplat_files::{CheckpointFile, Photo};
-
 use super::device::{assert_silent, context};
 use super::engine::{camera, gaussians};
 use super::scenes::{Random, rotation_about_y, small_scene, small_view};
 use crate::reference::types::View;
+use ashsplat::train::{Checkpoint, Forecast, PhotoSize, StepReport, TrainParts, TrainView, Trainer};
+use ashsplat::vk::Context;
+use ashsplat::{Camera, Error, Gaussians, Result, TrainSettings};
+use ashsplat_files::{CheckpointFile, Photo, metrics};
 
 pub const EXTENT: f32 = 5.0;
 
@@ -29,6 +28,29 @@ pub fn settings() -> TrainSettings {
     }
 }
 
+/// Settings whose steps move nothing.
+pub fn without_rates(settings: TrainSettings) -> TrainSettings {
+    TrainSettings {
+        position_lr_init: 1e-30,
+        position_lr_final: 1e-30,
+        feature_lr: 0.0,
+        opacity_lr: 0.0,
+        scaling_lr: 0.0,
+        rotation_lr: 0.0,
+        ..settings
+    }
+}
+
+/// Mean PSNR of a trainer's pictures against photographs, dB.
+pub fn psnr(trainer: &mut Trainer, shown: impl ExactSizeIterator<Item = (Camera, Photo)>) -> f64 {
+    let (settings, count) = (trainer.render_settings(), shown.len());
+    let each = shown.map(|(camera, photo)| {
+        let frame = trainer.render(&camera, &settings).expect("a frame");
+        metrics::psnr(&frame.color, &photo.to_f32()).expect("equal sizes")
+    });
+    each.sum::<f64>() / count as f64
+}
+
 /// Grey views: the result of the training does not matter.
 pub fn views(count: u32, gray: u8) -> Vec<TrainView> {
     (0..count)
@@ -40,7 +62,6 @@ pub fn views(count: u32, gray: u8) -> Vec<TrainView> {
         .collect()
 }
 
-/// A view of this size whose photograph has a pattern.
 pub fn view_of(size: [u32; 2]) -> TrainView {
     let [width, height] = size;
     let rgb = (0..width * height * 3).map(|k| (k * 7) as u8).collect();
@@ -51,7 +72,6 @@ pub fn start() -> Gaussians {
     gaussians(&small_scene(&mut Random::new(31), 150, 9))
 }
 
-/// What a training is made of.
 pub struct Run<'a> {
     pub context: &'a Context,
     pub views: Vec<TrainView>,
@@ -173,7 +193,6 @@ pub fn refusal<T>(result: Result<T>) -> String {
     result.err().expect("refused").to_string()
 }
 
-/// The checkpoint read back from a file.
 pub fn through_a_file(checkpoint: &Checkpoint) -> Checkpoint {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("a.safetensors");

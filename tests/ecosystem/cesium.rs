@@ -1,17 +1,14 @@
 //! CesiumJS in headless Chromium draws our trees of tiles as we draw their Gaussians.
 
-use std::path::Path;
-
+use super::playcanvas::{camera, render};
+use super::tiles::{document, tree_of_the_ball};
+use super::{compare_at_least, once_more_with_patience, read, run_script};
 use ashsplat::scene::{Camera, Gaussians};
 use ashsplat_files::{Photo, PhotoFileFormat};
 use glam::Vec3;
 use serde_json::Value;
+use std::path::Path;
 
-use super::playcanvas::{camera, render};
-use super::tiles::{document, tree_of_the_ball};
-use super::{compare_at_least, once_more_with_patience, read, run_script};
-
-/// Least PSNR between its picture and ours of the same tiles, dB.
 const LEAST_PSNR: f64 = 35.0;
 
 pub const TRIALS: [(&str, super::Check); 1] =

@@ -1,18 +1,15 @@
 //! The PlayCanvas engine in headless Chromium draws our files as we do.
 
-use std::path::Path;
-
+use super::{compare, compare_at_least, once_more_with_patience, read, run_script};
+use crate::common::engine::renderer;
+use crate::common::splats::scene;
 use ashsplat::RenderSettings;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
 use ashsplat_files::splats::{self, Format, WriteOptions};
 use ashsplat_files::{Photo, PhotoFileFormat};
 use glam::{Mat3, Quat, Vec3};
+use std::path::Path;
 
-use super::{compare, compare_at_least, once_more_with_patience, read, run_script};
-use crate::common::engine::renderer;
-use crate::common::splats::scene;
-
-/// Least PSNR between its picture and ours, dB.
 const LEAST_PSNR: f64 = 30.0;
 /// Number of frames to wait, a fifth of a second each.
 const STILL_FRAMES: u32 = 3;
@@ -116,7 +113,6 @@ pub fn render(gaussians: &Gaussians, camera: &Camera) -> Photo {
     Photo::from_f32(frame.width, frame.height, &frame.color).unwrap()
 }
 
-/// Draws a file with PlayCanvas.
 fn draw(
     modules: &Path,
     scene: &Path,

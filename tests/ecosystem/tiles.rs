@@ -1,17 +1,15 @@
 //! Our trees of tiles in Cesium's 3D Tiles tools and Khronos' glTF validator; our levels, bundled for PlayCanvas by
 //! splat-transform.
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
-
+use super::playcanvas::{ball, camera, render};
+use super::{compare, read, text};
 use ashsplat::scene::Gaussians;
 use ashsplat_files::Progress;
 use ashsplat_files::splats::{self, ConvertOptions, Target, WriteOptions};
 use ashsplat_files::tiles::{self, TileOptions};
 use serde_json::Value;
-
-use super::playcanvas::{ball, camera, render};
-use super::{compare, read, text};
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
 pub const TRIALS: [(&str, super::Check); 3] = [
     ("gltf_validator_accepts_our_tiles_ply", |modules, _| {
@@ -29,7 +27,6 @@ fn each_tree(check: impl Fn(&Path, bool)) {
     }
 }
 
-/// Writes the ball as a tree, whose coarser tiles have an error of 0.05.
 pub fn tree_of_the_ball(folder: &Path, packed: bool) -> PathBuf {
     let (scene, tree) = (folder.join("scene.ply"), folder.join(if packed { "packed" } else { "plain" }));
     splats::write(&scene, &ball(), &WriteOptions::default()).unwrap();
@@ -68,7 +65,6 @@ fn it_bundles_our_levels(modules: &Path) {
     }
 }
 
-/// Sorted tiles below a folder.
 fn glbs(folder: &Path) -> Vec<PathBuf> {
     let files = crate::common::files_below(folder).into_iter().map(|file| folder.join(file));
     files.filter(|file| file.extension().is_some_and(|own| own == "glb")).collect()
@@ -111,7 +107,6 @@ fn the_tools_read(modules: &Path, tree: &Path) {
     }
 }
 
-/// The tree's description.
 pub fn document(folder: &Path) -> Value {
     serde_json::from_slice(&std::fs::read(folder.join("tileset.json")).unwrap()).unwrap()
 }

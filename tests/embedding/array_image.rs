@@ -57,7 +57,6 @@ impl<'a> ArrayImage<'a> {
         cameras.iter().zip(&self.layers).map(frame).collect()
     }
 
-    /// Reads the texels of all layers.
     pub fn read(&self) -> Vec<Vec<[f32; 4]>> {
         let [width, height] = self.size;
         let (pixels, layer_count) = (width * height, self.layers.len() as u32);

@@ -11,7 +11,6 @@ use crate::stage::*;
 use ashsplat::kernels::constants::NOT_PICKED;
 use truth::{SIZE, Screens, Truth, ball, both, round, shifted, turned};
 
-/// Four Gaussians at known positions: the picked one, its depth, its weight, its motion.
 #[test]
 fn picks_and_motion_of_a_scene_on_paper() {
     with_guest(|host, context| {
@@ -20,14 +19,9 @@ fn picks_and_motion_of_a_scene_on_paper() {
         // Opacity 0.2 in front of 0.9 at the pixel (40, 35): weights of 0.2 and 0.72. Also 0.6 in front of 0.9:
         // weights of 0.6 and 0.36.
         let right = |z: f32| 30.0 / view.fx * z;
-        let first = appended(
-            &ball(&view, [0.0, 0.0, 3.0], [0.05, 0.2]),
-            &ball(&view, [right(2.0), 0.0, 2.0], [0.04, 0.6]),
-        );
-        let second = appended(
-            &ball(&view, [0.0, 0.0, 6.0], [0.1, 0.9]),
-            &ball(&view, [right(5.0), 0.0, 5.0], [0.1, 0.9]),
-        );
+        let ball = |at, own| ball(&view, at, own);
+        let first = appended(&ball([0.0, 0.0, 3.0], [0.05, 0.2]), &ball([right(2.0), 0.0, 2.0], [0.04, 0.6]));
+        let second = appended(&ball([0.0, 0.0, 6.0], [0.1, 0.9]), &ball([right(5.0), 0.0, 5.0], [0.1, 0.9]));
         let scenes = [&first, &second].map(|part| uploaded(&context, part));
         let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
         for form in Blending::ALL {
@@ -77,7 +71,6 @@ fn picks_and_motion_of_a_scene_on_paper() {
     });
 }
 
-/// Random scenes, drawn in every way that a frame allows.
 #[test]
 fn picks_and_motion_of_random_scenes() {
     with_guest(|host, context| {
@@ -365,7 +358,6 @@ fn parallel(camera: &Camera) -> Camera {
     Camera { fx: camera.fx / 4.0, fy: camera.fy / 4.0, ..camera.orthographic() }
 }
 
-/// Orthographic cameras in this frame, in the previous one, and in both.
 #[test]
 fn picks_and_motion_of_orthographic_cameras() {
     with_guest(|host, context| {
@@ -439,7 +431,6 @@ fn picks_have_the_depth_of_an_orthographic_host() {
     });
 }
 
-/// An orthographic previous camera must be reserved like a current one.
 #[test]
 fn an_orthographic_camera_before_is_reserved() {
     with_guest(|host, context| {

@@ -6,7 +6,6 @@ use ashsplat::kernels::compose::expected_depth;
 use ashsplat::scene::Cut;
 use ashsplat::vk::{CompileOnly, Features, ForeignImage, Kernel, Recorder};
 
-/// The error of a context with a changed description.
 fn refused_device(host: &Host, change: impl FnOnce(&mut ForeignDevice<'_>)) -> Error {
     let mut foreign = host.foreign();
     change(&mut foreign);
@@ -48,7 +47,6 @@ fn a_host_that_has_not_enabled_a_feature_is_told_which() {
     });
 }
 
-/// A context without a queue cannot submit, but can still record.
 #[test]
 fn a_host_may_keep_its_queue() {
     with_host(&options(), |host| {

@@ -44,7 +44,6 @@ fn unorm_steps(format: Format) -> Option<f64> {
     }
 }
 
-/// Clear colour for an image of this format.
 fn cleared(format: Format) -> [f32; 4] {
     if unorm_steps(format).is_some() { BELOW_CODES } else { BELOW }
 }
@@ -259,7 +258,6 @@ fn an_srgb_image_is_seen_as_linear_light() {
     });
 }
 
-/// A host that mixes premultiplied colours in linear light gets the picture that the guest mixes itself.
 #[test]
 fn premultiplied_colours_are_mixed_by_the_host_as_by_the_guest() {
     with_host(&options(), |host| {
@@ -304,7 +302,6 @@ fn what_was_trained_is_washed_out_unless_it_is_linear() {
     });
 }
 
-/// Prints the times of both encodings, measured in turn.
 #[test]
 #[ignore = "a measurement"]
 fn what_linear_light_costs() {
@@ -331,7 +328,6 @@ fn what_linear_light_costs() {
     });
 }
 
-/// Two pictures side by side.
 fn panels(pictures: [image::RgbImage; 2]) -> image::RgbImage {
     let (width, height) = pictures[0].dimensions();
     let mut both = image::RgbImage::from_pixel(2 * width + 8, height, image::Rgb([255; 3]));

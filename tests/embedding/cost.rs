@@ -1,22 +1,19 @@
 //! Costs of frames for the host: memory of slots, time and heap allocations of `record`.
 //!
-//! Prints the guide's tables: `cargo test --release --test embedding -- --ignored --nocapture cost::tables`.
+//! Prints the guide's tables: `cargo test --release --test embedding -- --ignored --nocapture cost::`.
 
 use crate::auxiliary::truth::Screens;
 use crate::counting::allocations;
 use crate::stage::*;
 use crate::table::Images;
-use std::sync::Mutex;
 use std::time::Instant;
 
-/// A guest as in a shipped game, without any checks.
 pub fn shipped(host: &Host, timestamps: bool) -> Context {
     let options = ContextOptions { timestamps, hazard_check: false, ..ContextOptions::default() };
     // SAFETY: as in `guest`.
     unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context")
 }
 
-/// Bytes that a reservation allocates.
 fn reserved_bytes(context: &Context, wanted: &Reservation) -> u64 {
     let before = context.memory_total().bytes;
     let mut renderer = Renderer::new(context).expect("kernels");
@@ -65,12 +62,17 @@ fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Median of the ratios of pairs.
-fn ratio(own: &[f64], other: &[f64]) -> f64 {
+pub fn ratio(own: &[f64], other: &[f64]) -> f64 {
     median(own.iter().zip(other).map(|(own, other)| own / other))
 }
 
-fn memory_table(host: &Host) {
+#[test]
+#[ignore = "prints a table of the guide"]
+fn memory_table() {
+    with_host(&HostOptions::default(), print_memory);
+}
+
+fn print_memory(host: &Host) {
     let context = shipped(host, false);
     println!("Gaussians | picture | frames go into | one slot, MiB | two | three | three / one");
     for gaussians in [100_000, 1_000_000, 2_000_000] {
@@ -94,7 +96,7 @@ fn memory_table(host: &Host) {
 /// frames.
 pub fn record_cost(
     host: &Host,
-    (scenes, together, motion): (u32, bool, bool),
+    (scenes, together): (u32, bool),
     timestamps: bool,
     frames: usize,
 ) -> ([f64; 2], u64) {
@@ -107,16 +109,14 @@ pub fn record_cost(
     let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
     let count = scenes.len() as u32;
     let wanted = Reservation { slots: 2, scenes: count, ..Reservation::new(8 * count, 1, 64, 48) };
-    let mut renderer = reserved(&context, &Reservation { motion, ..wanted });
-    let screens = Screens::new(host, &context, [64, 48]);
+    let mut renderer = reserved(&context, &wanted);
     let in_flight = [0; 2].map(|_| Commands::new(host));
     let view = camera(0.3, 64, 48);
     let (mut times, mut most) = (Vec::new(), 0);
     for number in 0..frames + 4 {
         let (slot, frame) = (number % 2, &in_flight[number % 2]);
         let commands = frame.begun(&context);
-        let motion = motion.then(|| screens.motion(&view));
-        let recorded = RecordedFrame { motion, ..frame_of(&placed, &view) };
+        let recorded = frame_of(&placed, &view);
         let start = Instant::now();
         let (asked, done) = allocations(|| renderer.record(commands, slot as u32, &recorded));
         let time = start.elapsed().as_secs_f64() * 1e6;
@@ -135,7 +135,6 @@ pub fn record_cost(
     ([times[times.len() / 2], times[0]], most)
 }
 
-/// Records every kind of frame repeatedly, with a report after each.
 fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
     with_host(host_options, |host| {
         let context = shipped(host, timestamps);
@@ -202,80 +201,6 @@ fn record_takes_nothing_from_the_heap() {
     }
 }
 
-/// Milliseconds to build kernels ahead on `threads` threads, to call `Renderer::new` and `reserve`, and to draw two
-/// frames.
-fn first_frame(threads: usize) -> [f64; 4] {
-    let host = Host::new(&HostOptions::default()).expect("a host");
-    let context = shipped(&host, false);
-    let scene = uploaded(&context, &cloud(10_000, 1));
-    let wanted = Reservation { occlusion: true, ..Reservation::new(10_000, 1, 640, 480) };
-    let ms = |start: Instant| start.elapsed().as_secs_f64() * 1e3;
-    let start = Instant::now();
-    if threads > 0 {
-        let jobs = Mutex::new(Renderer::kernel_jobs(&context, &wanted).expect("a list"));
-        let next = || jobs.lock().expect("no panic while held").pop();
-        std::thread::scope(|scope| {
-            for _ in 0..threads {
-                scope.spawn(|| {
-                    while let Some(job) = next() {
-                        job.build().expect("built")
-                    }
-                });
-            }
-        });
-    }
-    let ahead = ms(start);
-    let start = Instant::now();
-    let mut renderer = reserved(&context, &wanted);
-    let reserved = ms(start);
-    let in_flight = Commands::new(&host);
-    let (view, placed) = (camera(0.3, 640, 480), [(&scene).into()]);
-    let mut frame = || {
-        let start = Instant::now();
-        let recorded = frame_of(&placed, &view);
-        renderer.record(in_flight.begun(&context), 0, &recorded).expect("a recording");
-        in_flight.finish();
-        ms(start)
-    };
-    let frames = [frame(), frame()];
-    drop((in_flight, renderer, scene, context));
-    host.destroy();
-    [ahead, reserved, frames[0], frames[1]]
-}
-
-#[test]
-#[ignore = "prints the tables of the guide"]
-fn tables() {
-    first_frame_table();
-    with_host(&HostOptions::default(), memory_table);
-    record_table();
-}
-
-/// Prints only the first frame's table. MESA_SHADER_CACHE_DISABLE=true disables the disk cache.
-#[test]
-#[ignore = "prints a table of the guide"]
-fn first_frame_table() {
-    println!("threads | kernels ahead, ms | Renderer::new and reserve | first frame | second");
-    for threads in [0, 1, 2] {
-        // The least of some runs, because other programs only add time.
-        let runs = (0..5).map(|_| first_frame(threads));
-        let least = runs.reduce(|least, run| std::array::from_fn(|i| least[i].min(run[i])));
-        let [ahead, reserved, first, second] = least.expect("a run");
-        println!("{threads} | {ahead:.0} | {reserved:.0} | {first:.0} | {second:.0}");
-    }
-}
-
-/// Prints only the row of thousands of scenes in one buffer, which takes ten seconds.
-#[test]
-#[ignore = "prints a row of the guide"]
-fn record_of_thousands() {
-    with_host(&HostOptions::default(), |host| {
-        let ([median, fastest], asked) = record_cost(host, (2048, true, false), false, 100);
-        println!("2048 | true | false | {median:.1} | {fastest:.1} | {asked}");
-    });
-}
-
-/// Prints only the table of `record`.
 #[test]
 #[ignore = "prints a table of the guide"]
 fn record_table() {
@@ -283,7 +208,7 @@ fn record_table() {
         println!("scenes | in one buffer | timestamps | record, median us | fastest | heap allocations");
         for (scenes, frames) in [(1, 100), (2, 100), (4, 100), (8, 100), (16, 100), (64, 50), (2048, 19)] {
             for (together, timestamps) in [(false, false), (false, true), (true, false), (true, true)] {
-                let kind = (scenes, together, false);
+                let kind = (scenes, together);
                 let ([median, fastest], asked) = record_cost(host, kind, timestamps, frames);
                 println!("{scenes} | {together} | {timestamps} | {median:.1} | {fastest:.1} | {asked}");
             }

@@ -46,7 +46,6 @@ fn with_cut_outs(wanted: Reservation) -> Reservation {
     Reservation { slots: 2, occlusion: true, tint: true, cut_outs: 20, selection: true, ..wanted }
 }
 
-/// Cut-outs give the bits of a frame whose scenes the host has filtered.
 #[test]
 fn cut_outs_leave_the_bits_of_a_filtered_scene() {
     with_host(&options(), |host| {
@@ -115,12 +114,8 @@ fn costs() {
     with_host(&HostOptions::default(), |host| {
         let context = crate::cost::shipped(host, true);
         let scene = uploaded(&context, &cloud(200_000, 1));
-        let wanted = Reservation {
-            tint: true,
-            cut_outs: 16,
-            selection: true,
-            ..Reservation::new(200_000, 1, 640, 480)
-        };
+        let wanted = Reservation::new(200_000, 1, 640, 480);
+        let wanted = Reservation { tint: true, cut_outs: 16, selection: true, ..wanted };
         let mut renderer = reserved(&context, &wanted);
         let volume = Volume::Box { half_size: Vec3::splat(9.0) };
         let around = [CutOut { volume, pose: pose(0.3, Vec3::ZERO, 1.0), inside: Inside::Kept }; 16];

@@ -14,7 +14,6 @@ fn guest(host: &Host, faults: &Faults) -> Result<Context> {
     unsafe { Context::from_foreign(&host.foreign(), &options) }
 }
 
-/// Creates all of a guest's objects and records one frame. Returns the number of visible Gaussians.
 fn frame(host: &Host, faults: &Faults) -> Result<u32> {
     let context = guest(host, faults)?;
     let scene = DeviceScene::upload(&context, &cloud(60, 1), 0)?;

@@ -149,7 +149,6 @@ pub fn changing_view(number: u32) -> Camera {
     camera(number as f32 * 0.1, 1 + number * 7 % 64, 1 + number * 5 % 48)
 }
 
-/// Changing sizes and cameras allocate nothing beyond the reservation.
 #[test]
 fn a_thousand_frames_of_changing_size_take_no_memory() {
     with_guest(|host, context| draw_a_thousand(host, &context, |_| ()));
@@ -203,7 +202,7 @@ fn long_tiles_are_blended_in_several_passes() {
             report
         };
         let report = passes(&Reservation { blend_passes: 1, ..estimated });
-        let is_bounded = context.limits().max_loop_iterations().is_some();
+        let is_bounded = context.limits().max_loop_iterations.is_some();
         assert_eq!(report.overflow, is_bounded, "{report:?}");
         let report = passes(&estimated);
         assert_eq!(report.blend_passes, if is_bounded { 2 } else { 1 });
@@ -215,7 +214,6 @@ fn long_tiles_are_blended_in_several_passes() {
     });
 }
 
-/// The first frame is complete even if it has more instances than a default reservation expects.
 #[test]
 fn the_first_frame_that_is_reserved_for_is_whole() {
     with_guest(|host, context| {

@@ -15,7 +15,6 @@ fn scene_bytes(context: &Context) -> u64 {
     context.memory().iter().find(|arena| arena.name == "scene").map_or(0, |arena| arena.bytes)
 }
 
-/// Scenes and views that are dropped while two slots' frames use them live until both are done.
 #[test]
 fn what_is_dropped_lives_as_long_as_its_slots_need_it() {
     with_guest(|host, context| {
@@ -86,7 +85,6 @@ fn a_report_does_not_wait_for_the_hosts_own_commands() {
     });
 }
 
-/// A test fails if it leaks an object of the device.
 #[test]
 #[should_panic(expected = "vkDestroyDevice")]
 fn leaks_are_seen() {
@@ -97,7 +95,6 @@ fn leaks_are_seen() {
     });
 }
 
-/// A report stays the same however often it is read.
 #[test]
 fn a_report_is_kept() {
     with_guest(|host, context| {
@@ -194,7 +191,6 @@ fn leaked_recorders_and_slots_block_nothing() {
     }
 }
 
-/// A discarded recording has no report, not even the previous one.
 #[test]
 fn a_discarded_recording_has_no_report() {
     with_guest(|host, context| {
@@ -218,7 +214,6 @@ fn a_discarded_recording_has_no_report() {
     });
 }
 
-/// The sum of weights / z can be read from the slot like the pixels.
 #[test]
 fn inverse_depth_lies_in_the_slot() {
     with_guest(|host, context| {

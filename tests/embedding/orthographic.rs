@@ -1,13 +1,11 @@
 //! Hosts with orthographic projections: pictures, occlusion and expected depth.
 
+use crate::scenes::assert_nearly_equal;
 use crate::stage::*;
 use ashsplat::glam;
 use ashsplat::glam::camera::rh::view::look_at_mat4;
 use ashsplat::glam::{Mat4, Vec4};
 use ashsplat::scene::{ClipY, HostView};
-
-use crate::cost::print_stages;
-use crate::scenes::assert_nearly_equal;
 
 pub const SIZE: [u32; 2] = [110, 70];
 
@@ -119,7 +117,6 @@ fn parallel_rays_see_a_turned_scene_from_its_own_side() {
     });
 }
 
-/// Expected depth is z in the camera's frame. Its conversion equals the depth of the host's own matrices.
 #[test]
 fn expected_depth_of_parallel_rays_is_z() {
     with_scene(|host, renderer, _, _| {
@@ -175,31 +172,5 @@ fn an_orthographic_camera_is_reserved() {
         let placed = [Placed::from(&scene)];
         let error = refused(host, &mut renderer, &frame_of(&placed, &camera)).to_string();
         assert!(error.contains("Reservation::orthographic: not reserved"), "{error}");
-    });
-}
-
-/// Prints milliseconds of a frame with parallel rays and through a pinhole, measured in turn.
-#[test]
-#[ignore = "prints numbers of the guide"]
-fn costs() {
-    with_host(&HostOptions::default(), |host| {
-        let context = crate::cost::shipped(host, true);
-        let scene = uploaded(&context, &cloud(200_000, 1));
-        let wanted = Reservation { orthographic: true, ..Reservation::new(200_000, 1, 640, 480) };
-        let mut renderer = reserved(&context, &wanted);
-        let pinhole = camera(0.7, 640, 480);
-        // The pixel scale of the pinhole at the middle of the cloud.
-        let distance = pinhole.project(Vec3::ZERO).2;
-        let parallel =
-            Camera { fx: pinhole.fx / distance, fy: pinhole.fy / distance, ..pinhole.orthographic() };
-        let placed = [Placed::from(&scene)];
-        let cases = [("pinhole", &pinhole), ("orthographic", &parallel)]
-            .map(|(name, camera)| (name, frame_of(&placed, camera)));
-        print_stages(host, &mut renderer, &cases, &["cull", "project", "blend"], 30);
-        for (name, frame) in &cases {
-            rendered(host, &mut renderer, frame);
-            let report = report_of(&mut renderer, 0);
-            println!("{name}: {} visible, {} instances", report.visible, report.instances_needed);
-        }
     });
 }

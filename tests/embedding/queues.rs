@@ -10,7 +10,6 @@ use std::path::Path;
 
 const SIZE: [u32; 2] = [64, 48];
 
-/// A context with the host's compute queue.
 fn asynchronous(host: &Host) -> Context {
     let AsyncQueue { family, queue, .. } = host.async_queue.expect("asked for");
     let foreign = ForeignDevice { queue_family: family, queue: Some(queue), ..host.foreign() };
@@ -46,7 +45,6 @@ fn on_a_machine_with_two_queues(trial: &str) {
     });
 }
 
-/// A command buffer of one queue, and the semaphore that the other queue waits for.
 struct Work<'a> {
     host: &'a Host,
     queue: vk::Queue,
@@ -186,13 +184,11 @@ fn draw_in_turns(
     drop(renderer);
 }
 
-/// An image that the host and the guest draw into.
 fn shared_image<'a>(host: &'a Host, context: &Context) -> Picture<'a> {
     let target = ("shared", ImageUse::Target);
     Picture::new(host, context, target, vk::Format::R32G32B32A32_SFLOAT, SIZE)
 }
 
-/// Two views into one image must agree on the family that owns it.
 fn assert_one_owner(
     host: &Host,
     context: &Context,

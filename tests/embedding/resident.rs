@@ -16,7 +16,6 @@ fn resident_kib() -> Option<u64> {
     Some(pages * 4)
 }
 
-/// Memory once settled, and after the last frame.
 #[derive(Default)]
 struct Measured {
     resident_kib: [u64; 2],
@@ -24,7 +23,6 @@ struct Measured {
 }
 
 impl Measured {
-    /// Before each frame, and after the last.
     fn note(&mut self, context: &Context, number: u32) {
         let at = match number {
             SETTLED => 0,

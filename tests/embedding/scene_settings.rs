@@ -6,7 +6,6 @@ use ashsplat::Shape;
 
 pub const SIZE: [u32; 2] = [110, 70];
 
-/// Scenes, and frames of them.
 pub struct Stage<'a> {
     host: &'a Host,
     pub renderer: Renderer,
@@ -44,24 +43,20 @@ impl<'a> Stage<'a> {
         rendered(host, renderer, &RecordedFrame::new(&placed, camera, frame))
     }
 
-    /// The error of a refused frame.
     pub fn refused(&mut self, settings: &[SceneSettings]) -> Error {
         let placed = placed(&self.scenes, &self.poses, settings);
         refused(self.host, &mut self.renderer, &RecordedFrame::new(&placed, &self.camera, &self.frame))
     }
 
-    /// Fails unless a frame with these settings is refused for this reason.
     pub fn assert_refused(&mut self, settings: &[SceneSettings], expected: &str) {
         assert_argument(&self.refused(settings), expected);
     }
 
-    /// Fails unless the picture is the engine's own of these Gaussians, to the bit.
     pub fn assert_drawn(&mut self, settings: &[SceneSettings], gaussians: &Gaussians) {
         assert_same(&self.pixels(settings), &owned(gaussians, &self.camera, &self.frame));
     }
 }
 
-/// Pairs scenes with poses and settings.
 pub fn placed<'a>(
     scenes: &'a [DeviceScene],
     poses: &[Pose],
@@ -162,7 +157,6 @@ fn a_tint_and_an_opacity_are_factors() {
     });
 }
 
-/// Errors in a scene's settings name the scene's place and the field.
 #[test]
 fn bad_settings_of_a_scene_are_refused_by_name() {
     with_host(&options(), |host| {

@@ -37,7 +37,6 @@ fn several_scenes_are_one_picture() {
     });
 }
 
-/// Fails if more than a few pixels differ by more than rounding.
 pub fn assert_nearly_equal(pixels: &[[f32; 4]], expected: &Frame) {
     let differences = pixels
         .iter()
@@ -232,7 +231,6 @@ pub fn planes(g: &Gaussians, room: usize) -> Vec<u8> {
     bytemuck::cast_slice(&planes).to_vec()
 }
 
-/// The expected depth of a wall of Gaussians at one depth is that depth.
 #[test]
 fn expected_depth_is_the_depth_of_a_wall() {
     with_guest(|host, context| {
@@ -272,7 +270,6 @@ fn expected_depth_is_the_depth_of_a_wall() {
     });
 }
 
-/// Gaussians in front of the host's depth are visible, those behind are not.
 #[test]
 fn a_hosts_depth_hides_what_lies_behind_it() {
     with_guest(|host, context| {

@@ -6,7 +6,6 @@ use crate::stage::*;
 
 const RED: [f32; 3] = [1.0, 0.25, 0.0];
 
-/// A mask in the host's memory.
 struct Mask<'a> {
     buffer: Buffer,
     own: Staging<'a>,
@@ -19,7 +18,6 @@ impl<'a> Mask<'a> {
         Self { buffer: own.adopt(context, "mask", 0, bytes), own }
     }
 
-    /// Sets the bits of the selected Gaussians.
     fn select(&self, gaussians: usize, selected: impl Fn(usize) -> bool) {
         let mut words = vec![0u32; gaussians.div_ceil(32)];
         (0..gaussians).filter(|&i| selected(i)).for_each(|i| words[i / 32] |= 1 << (i % 32));

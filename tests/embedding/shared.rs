@@ -7,7 +7,6 @@ use crate::stage::*;
 const SIZE: [u32; 2] = [96, 80];
 const PIXELS: usize = 96 * 80;
 
-/// Bytes of device memory for frames.
 fn slot_bytes(context: &Context) -> u64 {
     let memory = context.memory();
     memory.iter().find(|arena| arena.name == "frame slot").map_or(0, |arena| arena.bytes)
@@ -38,7 +37,6 @@ fn slots_of_a_queue_share_what_lives_within_a_frame() {
     });
 }
 
-/// Records a frame and a copy of its pixels.
 fn record(
     renderer: &mut Renderer,
     (slot, commands, staging): (u32, &Commands<'_>, &Staging<'_>),
@@ -48,7 +46,6 @@ fn record(
     copy_pixels(renderer, slot, commands, staging);
 }
 
-/// Every frame starts after all submitted before it, in whatever order they were recorded.
 #[test]
 fn frames_that_share_memory_may_be_submitted_in_any_order() {
     with_guest(|host, context| {
@@ -158,9 +155,7 @@ fn memory_grows_while_frames_fly() {
         let both = slot_bytes(&context);
         record(&mut renderer, (2, &frames[2], &staging[2]), &recorded);
         frames[2].submit();
-        assert!(
-            !renderer.slot_finished(0).expect("a status") && !renderer.slot_finished(2).expect("a status")
-        );
+        assert!([0, 2].iter().all(|&slot| !renderer.slot_finished(slot).expect("a status")));
         gate.open();
         frames.iter().for_each(|frame| frame.wait());
 
@@ -189,7 +184,6 @@ fn memory_grows_while_frames_fly() {
     });
 }
 
-/// A host's buffer for frames, with its memory.
 struct HostBlock<'a>(Own<'a, (vk::Buffer, vk::DeviceMemory)>);
 
 impl<'a> HostBlock<'a> {

@@ -1,11 +1,10 @@
 //! The splats' depth in a host's depth attachment: the example's pass, for each kind of projection.
 
+use crate::passes::{DEPTH_WRITTEN, EMPTY, SplatDepth};
 use crate::stage::*;
 use ashsplat::glam::camera::rh::{proj::vulkan, view::look_at_mat4};
 use ashsplat::glam::{Mat4, Vec4};
 use ashsplat::scene::{ClipY, HostView};
-
-use crate::passes::{DEPTH_WRITTEN, EMPTY, SplatDepth};
 
 const SIZE: [u32; 2] = [64, 48];
 

@@ -46,7 +46,6 @@ pub fn with_host(options: &HostOptions, test: impl FnOnce(&Host)) {
     assert!(messages.is_empty(), "validation:\n{}", messages.join("\n"));
 }
 
-/// Runs a test on a host's device under validation, with a guest.
 pub fn with_guest(test: impl FnOnce(&Host, Context)) {
     with_host(&options(), |host| test(host, guest(host)));
 }
@@ -95,7 +94,6 @@ pub unsafe fn device_wrapping(host: &Host, functions: &[Wrapped<'_>]) -> ash::De
     unsafe { device_with(host, replace) }
 }
 
-/// The guest's context on a host's device.
 pub fn guest(host: &Host) -> Context {
     guest_of(&host.foreign(), &ContextOptions { hazard_check: true, ..ContextOptions::default() })
 }
@@ -106,13 +104,11 @@ pub fn guest_of_small_bindings(host: &Host) -> Context {
     guest_of(&host.foreign(), &options)
 }
 
-/// Options of a context with bindings of at most so many bytes.
 pub fn small_bindings(bytes: u64) -> ContextOptions {
     let limits = LimitsOverride { max_storage_buffer_range: Some(bytes), ..LimitsOverride::default() };
     ContextOptions { limits_override: Some(limits), ..ContextOptions::default() }
 }
 
-/// A context on a host's device, described in another way or with other options.
 pub fn guest_of(foreign: &ForeignDevice<'_>, options: &ContextOptions) -> Context {
     // SAFETY: the host outlives the context in all tests. They use the queue from one thread, or under its lock. The
     // host lists the enabled features.
@@ -148,7 +144,6 @@ impl<T> Drop for Own<'_, T> {
     }
 }
 
-/// A host's command buffer with its fence.
 pub type Commands<'a> = Own<'a, InFlight>;
 
 impl<'a> Own<'a, InFlight> {
@@ -166,7 +161,6 @@ impl<'a> Own<'a, InFlight> {
         unsafe { context.adopt_commands(self.commands) }.expect("a command buffer")
     }
 
-    /// Begins the command buffer, for the guest.
     pub fn begun(&self, context: &Context) -> ForeignCommands {
         self.begin();
         self.adopt(context)
@@ -180,7 +174,6 @@ impl<'a> Own<'a, InFlight> {
         InFlight::wait(self, self.host).expect("done");
     }
 
-    /// Submits and waits.
     pub fn finish(&self) {
         self.submit();
         self.wait();
@@ -212,7 +205,6 @@ impl<'a> Gate<'a> {
     }
 }
 
-/// A host's buffer in mapped memory.
 pub struct Staging<'a> {
     buffer: Own<'a, HostBuffer>,
     bytes: u64,
@@ -236,13 +228,11 @@ impl<'a> Staging<'a> {
         self.buffer.write(self.buffer.host, bytes).expect("written");
     }
 
-    /// Reads the whole buffer.
     pub fn read<T: bytemuck::Pod>(&self) -> Vec<T> {
         let read = self.buffer.read(self.buffer.host, self.bytes as usize);
         bytemuck::pod_collect_to_vec(&read.expect("bytes"))
     }
 
-    /// The buffer's part as the guest's.
     pub fn adopt(&self, context: &Context, name: &'static str, offset: u64, bytes: u64) -> Buffer {
         // SAFETY: the buffer is the host's, of this size, and outlives what the guest makes of it. Uses of overlapping
         // ranges are apart in time.
@@ -282,7 +272,6 @@ pub fn used(ImageState { layout, stages, accesses }: ImageState) -> Use {
     (layout, stages, accesses)
 }
 
-/// Bytes of a texel of a host's image.
 pub fn texel_bytes(format: vk::Format) -> u32 {
     match format {
         vk::Format::R16G16B16A16_SFLOAT => 8,
@@ -291,7 +280,6 @@ pub fn texel_bytes(format: vk::Format) -> u32 {
     }
 }
 
-/// A host's image.
 pub type Texture<'a> = Own<'a, HostTexture>;
 
 impl<'a> Own<'a, HostTexture> {
@@ -299,18 +287,15 @@ impl<'a> Own<'a, HostTexture> {
         Self::of(host, HostTexture::new(host, format, usage, size).expect("an image"), HostTexture::destroy)
     }
 
-    /// The image as the guest's.
     pub fn adopt(&self, context: &Context, name: &'static str, purpose: ImageUse) -> Image {
         // SAFETY: the description matches the image, which outlives every use of the view.
         unsafe { Image::adopt(context, name, &self.foreign(), purpose) }.expect("adopted")
     }
 
-    /// A buffer of the image's size.
     pub fn staging(&self) -> Staging<'a> {
         Staging::new(self.host, u64::from(texel_bytes(self.format) * self.size[0] * self.size[1]))
     }
 
-    /// Reads the texels after the image's last use.
     pub fn read<T: bytemuck::Pod>(&self, from: ImageState) -> Vec<T> {
         let staging = self.staging();
         let copied = self.host.run(|commands| {
@@ -321,7 +306,6 @@ impl<'a> Own<'a, HostTexture> {
         staging.read()
     }
 
-    /// Writes all texels. The image is [`COPIED`] then.
     pub fn write<T: bytemuck::Pod>(&self, texels: &[T]) {
         let staging = Staging::holding(self.host, bytemuck::cast_slice(texels));
         let copied = self.host.run(|commands| {
@@ -336,7 +320,6 @@ impl<'a> Own<'a, HostTexture> {
         copied.expect("copied");
     }
 
-    /// Records a clear of a colour image, which is [`COPIED`] then.
     pub fn clear(&self, commands: vk::CommandBuffer, from: ImageState, float32: [f32; 4]) {
         self.barrier(self.host, commands, used(from), used(COPIED));
         let (device, color) = (&self.host.device, vk::ClearColorValue { float32 });
@@ -347,17 +330,14 @@ impl<'a> Own<'a, HostTexture> {
     }
 }
 
-/// All of an image with one layer.
 pub fn whole(aspect_mask: vk::ImageAspectFlags) -> vk::ImageSubresourceRange {
     vk::ImageSubresourceRange { aspect_mask, level_count: 1, layer_count: 1, ..Default::default() }
 }
 
-/// An image for a frame.
 pub fn host_image(image: &Image, from: ImageState) -> HostImage<'_> {
     HostImage { image, from, offset: [0; 2] }
 }
 
-/// A host's image with the guest's view of it.
 pub struct Picture<'a> {
     // The view goes before its image.
     pub image: Image,
@@ -382,7 +362,6 @@ impl<'a> Picture<'a> {
         Self { image: texture.adopt(context, name, purpose), texture }
     }
 
-    /// A host's depth that has one value. It is [`COPIED`].
     pub fn of_depth(host: &'a Host, context: &Context, size: [u32; 2], value: f32) -> Self {
         let depth = Self::new(host, context, ("depth", ImageUse::Occluder), vk::Format::D32_SFLOAT, size);
         depth.texture.write(&vec![value; (size[0] * size[1]) as usize]);
@@ -395,18 +374,15 @@ impl<'a> Picture<'a> {
     }
 }
 
-/// Target for a view's colours as trained.
 pub fn into(image: &Image, behind: Background, offset: [u32; 2]) -> Target<'_> {
     let to = HostImage { offset, ..host_image(image, ImageState::UNDEFINED) };
     Target::Image { to, behind, encoding: ColorEncoding::AsTrained }
 }
 
-/// A scene on the guest's device.
 pub fn uploaded(context: &Context, gaussians: &Gaussians) -> DeviceScene {
     DeviceScene::upload(context, gaussians, 0).expect("a scene")
 }
 
-/// A mask of a selection on the guest's device.
 pub fn mask_of(context: &Context, bytes: &[u8]) -> Buffer {
     let request = [("mask", bytes.len() as u64)];
     let mask = context.allocate("selection", &request, MemoryKind::Device).expect("memory");
@@ -414,7 +390,6 @@ pub fn mask_of(context: &Context, bytes: &[u8]) -> Buffer {
     mask[0].clone()
 }
 
-/// A renderer with memory for a host's frames.
 pub fn reserved(context: &Context, wanted: &Reservation) -> Renderer {
     let mut renderer = Renderer::new(context).expect("kernels");
     renderer.reserve(wanted).expect("memory");
@@ -427,17 +402,14 @@ pub static SETTINGS: LazyLock<RenderSettings> = LazyLock::new(RenderSettings::de
 /// Recorded training with one step in flight.
 pub const ONE_SLOT: StepReservation = StepReservation { slots: 1, instances: 0, visible: 0 };
 
-/// A frame into the slot's buffer, with the usual settings.
 pub fn frame_of<'a>(scenes: &'a [Placed<'a>], camera: &'a Camera) -> RecordedFrame<'a> {
     RecordedFrame::new(scenes, camera, &SETTINGS)
 }
 
-/// The report of a slot whose frame has finished.
 pub fn report_of(renderer: &mut Renderer, slot: u32) -> SlotReport {
     renderer.slot_report(slot).expect("a report").expect("finished")
 }
 
-/// Gaussians in front of the cameras of these tests.
 pub fn cloud(count: usize, seed: u32) -> Gaussians {
     let mut state = seed.wrapping_mul(747_796_405).wrapping_add(1);
     let mut random = || {
@@ -455,7 +427,6 @@ pub fn cloud(count: usize, seed: u32) -> Gaussians {
     cloud
 }
 
-/// A camera that looks at the cloud from the side `turn`.
 pub fn camera(turn: f32, width: u32, height: u32) -> Camera {
     let eye = Vec3::new(4.0 * turn.sin(), -1.0, -4.0 * turn.cos());
     Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.7, width, height))
@@ -496,7 +467,6 @@ pub fn assert_drawn(host: &Host, renderer: &mut Renderer, frame: &RecordedFrame<
     assert_same(&rendered(host, renderer, frame), &owned(gaussians, frame.camera, frame.settings));
 }
 
-/// Records, submits and waits for views in slot 0.
 pub fn render_views(host: &Host, renderer: &mut Renderer, views: &[RecordedFrame<'_>]) -> Vec<Release> {
     let commands = Commands::new(host);
     let mut releases = vec![Release::default(); views.len()];
@@ -506,13 +476,11 @@ pub fn render_views(host: &Host, renderer: &mut Renderer, views: &[RecordedFrame
     releases
 }
 
-/// The error of a frame that is refused.
 pub fn refused(host: &Host, renderer: &mut Renderer, frame: &RecordedFrame<'_>) -> Error {
     let commands = Commands::new(host);
     renderer.record(commands.begun(renderer.context()), 0, frame).expect_err("refused")
 }
 
-/// Fails unless a call is refused, and its error says this.
 pub fn assert_error<T>(result: Result<T, Error>, expected: &str) {
     match result {
         Ok(_) => panic!("accepted (expected {expected})"),
@@ -520,13 +488,11 @@ pub fn assert_error<T>(result: Result<T, Error>, expected: &str) {
     }
 }
 
-/// Fails unless an error of the caller says this.
 pub fn assert_argument(error: &Error, expected: &str) {
     assert!(matches!(error, Error::Argument { .. }), "{error:?}");
     assert!(error.to_string().contains(expected), "{error} (expected {expected})");
 }
 
-/// Records a copy of a slot's pixels, as a host does, with a wait as the release requires.
 pub fn copy_pixels(renderer: &mut Renderer, slot: u32, commands: &Commands<'_>, to: &Staging<'_>) {
     let (from, offset) = renderer.slot_pixels(slot).expect("a slot").handle();
     let barriers = [vk::MemoryBarrier2::default()
@@ -554,7 +520,6 @@ pub fn assert_same(recorded: &[[f32; 4]], frame: &Frame) {
     }
 }
 
-/// Points within a picture of 48 x 36 pixels.
 pub fn depth_points() -> Vec<ashsplat::passes::loss::DepthPoint> {
     let point = |k: u32| ashsplat::passes::loss::DepthPoint {
         position_px: [(k * 7 % 47) as f32 + 0.25, (k * 11 % 35) as f32 + 0.5],

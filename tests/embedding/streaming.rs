@@ -1,12 +1,11 @@
 //! A tree of tiles in a host's frames: each tile is a scene that a thread reads and a recorded update writes.
 
 use crate::stage::*;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::sync::mpsc;
-
 use ashsplat_files::Progress;
 use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
 use ashsplat_files::tiles::{self, Demand, TileOptions, Tree};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::mpsc;
 
 /// Gaussians of a tile.
 const MOST: usize = 20;
@@ -14,9 +13,7 @@ const MOST: usize = 20;
 const BUDGET: usize = 200;
 /// Number of scenes on the device: those of a picture, and those that replace them.
 const ROOM: usize = 32;
-/// Frames in flight.
 const SLOTS: usize = 2;
-/// Size of the picture, pixels.
 const SIZE: [u32; 2] = [110, 70];
 
 fn written(folder: &std::path::Path) -> Tree {
@@ -35,7 +32,6 @@ fn inside(turn: f32) -> Camera {
     Camera::look_at(-0.2 * away, away, Vec3::NEG_Y, Intrinsics::from_fov_x(1.2, SIZE[0], SIZE[1]))
 }
 
-/// A submitted frame.
 struct Flying {
     camera: Camera,
     tiles: Vec<usize>,
@@ -90,10 +86,7 @@ fn tiles_stream_into_recorded_frames() {
                 while leaving.front().is_some_and(|(from, ..)| *from <= frame) {
                     let (_, scene, tile) = leaving.pop_front().expect("the first");
                     let flies = |other: &Flying| other.tiles.contains(&tile);
-                    assert!(
-                        !flying.iter().flatten().any(flies),
-                        "frame {frame} would write what another one draws"
-                    );
+                    assert!(!flying.iter().flatten().any(flies), "frame {frame} writes what another draws");
                     overlapped += usize::from(flying.iter().flatten().count() > 0);
                     free.push(scene);
                 }

@@ -123,7 +123,6 @@ unsafe extern "system" fn create_pipelines_with(
 /// Functions besides `vkCmd*` that recording may call.
 const ALLOWED: [&str; 3] = ["vkGetEventStatus", "vkResetEvent", "vkUpdateDescriptorSets"];
 
-/// The host's device with the instrumented table, and the names of absent functions.
 fn instrumented(host: &Host) -> (ash::Device, BTreeSet<String>) {
     let mut absent = BTreeSet::new();
     let replace = |name: &CStr, address: *const c_void| {
@@ -223,11 +222,7 @@ fn training_steps(context: &Context, in_flight: &Commands<'_>) {
     for iteration in 1..=12 {
         take_calls();
         let is_due = trainer.maintenance_is_due().expect("an answer");
-        assert_eq!(
-            take_calls(),
-            [],
-            "iteration {iteration}: taking note of what has finished waits for nothing"
-        );
+        assert_eq!(take_calls(), [], "iteration {iteration}: noting what has finished waits for nothing");
         if is_due {
             trainer.maintain().expect("maintained");
             maintained += 1;

@@ -54,7 +54,6 @@ fn done(trainer: &mut Trainer, slot: u32) -> StepReport {
     }
 }
 
-/// Records and executes one step in slot 0.
 fn execute(trainer: &mut Trainer, context: &Context, in_flight: &Commands<'_>) {
     trainer.record_step(in_flight.begun(context), 0).expect("a recording");
     in_flight.finish();
@@ -232,10 +231,7 @@ fn steps_without_room_change_nothing() {
             assert!(instances_needed > 20);
         }
         assert_eq!(recorded.iteration(), 0);
-        assert!(
-            recorded.checkpoint().expect("a state") == before,
-            "a step without room has changed something"
-        );
+        assert!(recorded.checkpoint().expect("a state") == before, "a step without room changes something");
         assert!(recorded.maintenance_is_due().expect("an answer"));
         assert_error(recorded.record_step(frames[0].begun(&context), 0), "maintain");
         assert!(recorded.maintain().expect("room").grown);
@@ -439,7 +435,6 @@ fn steps_that_see_more_than_estimated_are_repeated() {
     });
 }
 
-/// A discarded command buffer takes back its steps; later ones must be discarded, too.
 #[test]
 fn steps_that_are_thrown_away_are_recorded_again() {
     with_guest(|host, context| {
@@ -486,10 +481,8 @@ fn steps_that_are_discarded_too_late_break_the_trainer() {
     });
 }
 
-/// Iterations of a run with a warm-up.
 const ITERATIONS: u32 = 16;
 
-/// Trainer of a run that starts with small pictures.
 fn warm_up_trainer(context: &Context) -> Trainer {
     let (width, height) = (272, 260);
     let view = |number: u32| {
@@ -505,7 +498,6 @@ fn warm_up_trainer(context: &Context) -> Trainer {
     Trainer::new(context, (0..3).map(view).collect(), &cloud(300, 5), 4.0, settings).expect("a trainer")
 }
 
-/// The reservation prepares pictures of every size, whichever comes first.
 #[test]
 fn recorded_steps_of_a_warm_up_have_the_owned_paths_bits() {
     with_guest(|host, context| {

@@ -3,7 +3,6 @@
 use crate::scenes::renderer;
 use crate::stage::*;
 
-/// Replaces a range of Gaussians.
 pub fn replace(all: &mut Gaussians, first: usize, new: &Gaussians) {
     let end = first + new.len();
     all.means[first..end].copy_from_slice(&new.means);
@@ -45,7 +44,6 @@ fn updates_replace_a_part_of_a_scene() {
     });
 }
 
-/// A cloud with spherical harmonics of some degree.
 fn cloud_of_degree(sh_degree: u32, count: usize, seed: u32) -> Gaussians {
     let own = cloud(count, seed);
     let coefficients = (sh_degree as usize + 1).pow(2);

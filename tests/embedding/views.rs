@@ -21,7 +21,6 @@ fn record_groups(commands: &Commands<'_>, renderer: &mut Renderer, groups: &[&[R
     }
 }
 
-/// A cloud with Gaussians that only one eye sees, and some that no view can show.
 fn hard_cloud() -> Gaussians {
     let mut hard = cloud(900, 4);
     for (i, x) in [f32::NAN, f32::INFINITY, 1e30, -1e38, 3.0e8].into_iter().enumerate() {
@@ -85,7 +84,6 @@ fn layers_have_the_bits_of_frames_alone() {
     });
 }
 
-/// State of an image that kernels have written.
 fn written() -> ImageState {
     let read = vk::AccessFlags2::SHADER_STORAGE_READ;
     ImageState { accesses: WRITTEN.accesses | read, ..WRITTEN }
@@ -133,12 +131,8 @@ fn bad_views_are_refused_by_name() {
         let placed = [Placed::from(&scene)];
         let (view, large) = (camera(0.3, SIZE[0], SIZE[1]), camera(0.3, 200, 200));
         let broken = Camera { fx: f32::NAN, ..view };
-        let wanted = Reservation {
-            views: 2,
-            expected_depth: true,
-            occlusion: true,
-            ..Reservation::new(20, 1, 72, 56)
-        };
+        let wanted = Reservation { views: 2, occlusion: true, ..Reservation::new(20, 1, 72, 56) };
+        let wanted = Reservation { expected_depth: true, ..wanted };
         let mut renderer = reserved(&context, &wanted);
         let array = ArrayImage::new(host, &context, [200, 200], 2);
         let (storage, sampled) = (vk::ImageUsageFlags::STORAGE, vk::ImageUsageFlags::SAMPLED);
@@ -158,10 +152,8 @@ fn bad_views_are_refused_by_name() {
         let mapping = DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0, linear: false };
         let hides = RecordedFrame { occluder: Some(Occluder { depth: host_image(&read), mapping }), ..good };
         let deep = RenderSettings { inverse_depth: true, ..*SETTINGS };
-        let tinted = [Placed {
-            settings: SceneSettings { opacity: 0.5, ..SceneSettings::default() },
-            ..Placed::from(&scene)
-        }];
+        let faint = SceneSettings { opacity: 0.5, ..SceneSettings::default() };
+        let tinted = [Placed { settings: faint, ..Placed::from(&scene) }];
         let cases: [(&[RecordedFrame], usize, &str); 13] = [
             (&[], 0, "views: there are none"),
             (&[good; 3], 3, "views: 3 of them, Reservation::views is 2"),

@@ -1,20 +1,16 @@
 //! The statistics of signed and of absolute gradients of 2D means: twins and device against the vectors.
 
-use std::path::Path;
-
-use ashsplat::passes::backward::Statistics;
-use ashsplat::passes::pixels::PixelBorder;
-
 use super::Outcome;
 use super::rendering::{DOUBLE, SINGLE};
 use super::sets::{EXTENTS, gaussians, pixel_gradients};
 use super::stages::{Stages, field, views};
-use crate::common::compare::{GradientTolerance, equal, gradient, relative};
-use crate::common::gpu::Gpu;
+use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::project_backward::mean2d_statistic;
-use crate::reference::types::{Extent, Gaussian, View};
+use ashsplat::passes::backward::Statistics;
+use ashsplat::passes::pixels::PixelBorder;
+use std::path::Path;
 
 /// Norms of the signed and of the absolute gradients, and true if visible, per Gaussian.
 type Norms = Vec<(f64, f64, bool)>;
@@ -25,7 +21,6 @@ fn image_gradients(npz: &Npz, views: &[View]) -> Vec<Vec<[f64; 3]>> {
     all.chunks(all.len() / views.len()).map(<[_]>::to_vec).collect()
 }
 
-/// Checks a set's values of each view, and of all views together.
 fn check(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64) -> Outcome {
     let of = |name: &str| npz.values(&field(extent, name));
     let signed: Vec<f64> = views.iter().flatten().map(|norms| norms.0).collect();
@@ -56,7 +51,6 @@ fn check(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64
     Ok(())
 }
 
-/// Clone and split decisions by the means over views: AbsGS's rule, and absolute gradients for both.
 fn decisions(npz: &Npz, set: &[Gaussian], [signed, absolute, views]: [&[f64]; 3]) -> Outcome {
     let most = npz.scalar("percent_dense") * npz.scalar("extent");
     let decide = |sum: &[f64], threshold: &str, large: bool| -> Vec<f64> {

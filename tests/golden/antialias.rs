@@ -1,29 +1,23 @@
 //! Antialiasing: size of the low-pass filter, its compensation with both gradients, and the 3D filter
 //! (spec_training.md, 7).
 
-use std::path::Path;
-
-use ashsplat::scene::filtered as baked;
-use ashsplat::{RenderSettings, Renderer};
-
 use super::Outcome;
 use super::rendering::{DOUBLE, SINGLE, judge_gradients, judge_picture};
 use super::sets::{EXTENTS, RenderingSet, views};
 use super::{gpu, twin};
-use crate::common::compare::{elementwise, equal, relative};
-use crate::common::engine::{camera, gaussians, renderer, settings, widen};
-use crate::common::{assert_silent, context};
+use crate::common::engine::settings;
+use crate::common::prelude::*;
 use crate::reference::filter_sizes::{filter_sizes, filtered, filtered_backward, shrink};
 use crate::reference::linear::sigmoid;
 use crate::reference::nearest_depths::nearest_depth;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
 use crate::reference::project::intermediate;
 use crate::reference::reset_opacity::reset_opacity;
-use crate::reference::types::{Extent, Gaussian, Gradient, View};
+use ashsplat::scene::filtered as baked;
+use std::path::Path;
 
 const NAME: &str = "antialias";
 
-/// Pictures, gradients, factors and covariances of the twins.
 pub fn of_twin(path: &Path) -> Outcome {
     let set = RenderingSet::of_feature(path);
     for (extent, _) in EXTENTS {
@@ -34,7 +28,6 @@ pub fn of_twin(path: &Path) -> Outcome {
     check_factors(&set, &set.gaussians)
 }
 
-/// Pictures and gradients of the device.
 pub fn of_device(path: &Path) -> Outcome {
     let set = RenderingSet::of_feature(path);
     let mut renderer = renderer();

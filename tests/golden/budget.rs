@@ -1,21 +1,16 @@
 //! Budgeted growth: splits along the long axis and the schedule, twins and device against the vectors.
 
-use std::path::Path;
-
-use ashsplat::TrainSettings;
-use ashsplat::passes::densify::{ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings};
-use ashsplat::train::{GrowthSchedule, QuantilePlace, StrategyType};
-
 use super::Outcome;
 use super::gpu_training::{compare_parameters, densified};
 use super::sets::gaussians;
-use crate::common::compare::{elementwise, equal};
-use crate::common::gpu::Gpu;
+use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use crate::reference::gather::long_axis_child;
 use crate::reference::linear::sigmoid;
 use crate::reference::schedule;
-use crate::reference::types::Gaussian;
+use ashsplat::passes::densify::{ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings};
+use ashsplat::train::{GrowthSchedule, QuantilePlace};
+use std::path::Path;
 
 /// Tolerance of every value, absolute and relative.
 const DEVICE: f64 = 2e-6;
@@ -54,7 +49,6 @@ pub fn split_of_device(path: &Path) -> Outcome {
     compare_parameters(&npz, &after, DEVICE)
 }
 
-/// Compares budgets, steps, the opacity threshold and the Gaussians above it.
 fn compare_schedule(
     npz: &Npz,
     budget: impl Fn(u32) -> f64,

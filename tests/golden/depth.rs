@@ -1,25 +1,19 @@
 //! Inverse-depth maps: the fit of their scale, the loss and its gradients; twins, host and device against the vectors.
 
-use std::path::Path;
-
-use ashsplat::RenderSettings;
-use ashsplat_files::depth_fit::{DepthFit, DepthPoint};
-use ashsplat_files::images::DepthMap;
-
 use super::Outcome;
 use super::rendering::{DOUBLE, SINGLE, Tolerance};
 use super::sets::{EXTENTS, gaussians, view};
-use crate::common::compare::{elementwise, equal, gradient, pixels};
 use crate::common::engine;
-use crate::common::gpu::Gpu;
+use crate::common::prelude::*;
 use crate::common::terms::inverse_depth_l1;
 use crate::golden::npz::Npz;
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::inverse_depth_l1::inverse_depth_l1 as twin;
 use crate::reference::pipeline::{backward, render};
-use crate::reference::types::View;
+use ashsplat_files::depth_fit::{DepthFit, DepthPoint};
+use ashsplat_files::images::DepthMap;
+use std::path::Path;
 
-/// Results of an implementation with one extent.
 struct Computed {
     inverse_depth: Vec<f64>,
     loss: f64,

@@ -1,11 +1,5 @@
 //! Exposures: twins and device against the vectors.
 
-use std::path::Path;
-
-use ashsplat::kernels::constants::{STATE_WORDS, TERM_PARTIALS};
-use ashsplat::kernels::exposure::{expose, expose_backward, exposure_step};
-use ashsplat::passes::loss::Windowing;
-
 use super::Outcome;
 use super::gpu_training::device_loss;
 use super::rendering::SINGLE;
@@ -17,11 +11,14 @@ use crate::reference::exposure::{
     Exposures, Matrix, expose as expose_twin, expose_backward as backward_twin,
 };
 use crate::reference::loss_reduce;
+use ashsplat::kernels::constants::{STATE_WORDS, TERM_PARTIALS};
+use ashsplat::kernels::exposure::{expose, expose_backward, exposure_step};
+use ashsplat::passes::loss::Windowing;
+use std::path::Path;
 
 const ROUNDING: f64 = 1.5e-7;
 const DOUBLE: GradientTolerance = GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 };
 
-/// Tolerances of values, loss and gradients.
 struct Tolerances {
     out: f64,
     loss: f64,
@@ -29,7 +26,6 @@ struct Tolerances {
     adam: f64,
 }
 
-/// Results of an implementation.
 struct Computed {
     out: Vec<[f64; 3]>,
     loss: f64,

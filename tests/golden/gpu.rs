@@ -1,14 +1,11 @@
 //! Trials of the device, with tolerances for float32.
 
-use ashsplat::RenderSettings;
-use libtest_mimic::Trial;
-
 use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
 use super::sets::RenderingSet;
 use super::{Outcome, SetFile};
-use crate::common::engine::{camera, gaussians, renderer, settings, widen};
-use crate::common::{assert_silent, context};
-use crate::reference::types::Extent;
+use crate::common::engine::settings;
+use crate::common::prelude::*;
+use libtest_mimic::Trial;
 
 /// The trials of a rendering: picture and gradients of each extent.
 pub fn trials(set: &SetFile) -> Vec<Trial> {
@@ -71,7 +68,6 @@ fn check_gradients(file: &SetFile, extent: Extent) -> Outcome {
     Ok(())
 }
 
-/// Converts a frame of the engine for the judge.
 pub(super) fn picture(frame: &ashsplat::Frame) -> Picture {
     let single = |values: &[f32]| values.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
     Picture {
@@ -81,7 +77,6 @@ pub(super) fn picture(frame: &ashsplat::Frame) -> Picture {
     }
 }
 
-/// Converts gradients of the engine for the judge.
 pub(super) fn gradients(gradients: &ashsplat::Gradients) -> Gradients {
     let parameters = &gradients.parameters;
     Gradients {

@@ -1,24 +1,18 @@
 //! Edge-weighted blending importance and the draw with it: twins and device against the vectors.
 
-use std::path::Path;
-
-use ashsplat::RenderSettings;
+use super::Outcome;
+use super::sets::{EXTENTS, gaussians, pixel_gradients};
+use super::stages::{Stages, field, views};
+use crate::common::prelude::*;
+use crate::golden::npz::{Npz, rows};
+use crate::reference::draws::{edges, gray, importance, key, mark, responses};
+use crate::reference::pipeline::{backward, render};
 use ashsplat::passes::densify::{
     Candidates, Chances, EdgePhoto, Importance, ImportanceBuffers, Selection, SelectionBuffers, SelectionDraw,
 };
 use ashsplat::passes::loss::{Windowing, photo_on_device};
 use ashsplat::passes::pixels::PixelBorder;
-use ashsplat::vk::MemoryKind;
-
-use super::Outcome;
-use super::sets::{EXTENTS, gaussians, pixel_gradients};
-use super::stages::{Stages, field, views};
-use crate::common::compare::{elementwise, equal, relative};
-use crate::common::gpu::Gpu;
-use crate::golden::npz::{Npz, rows};
-use crate::reference::draws::{edges, gray, importance, key, mark, responses};
-use crate::reference::pipeline::{backward, render};
-use crate::reference::types::View;
+use std::path::Path;
 
 /// Tolerances relative to the largest value.
 const DEVICE: f64 = 1e-5;

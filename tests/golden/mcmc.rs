@@ -1,23 +1,18 @@
 //! Relocation, growth and noise of 3DGS-MCMC: twins and device against the vectors.
 
-use std::path::Path;
-
-use ashsplat::frame::{SceneBuffers, planes};
-use ashsplat::kernels::constants::STATE_WORDS;
-use ashsplat::passes::adam::Moments;
-use ashsplat::passes::densify::{Densify, Draw, DrawBuffers, Gather, RandomKey, Relocation};
-use ashsplat::vk::MemoryKind;
-
 use super::Outcome;
 use super::sets::gaussians;
-use crate::common::compare::{elementwise, equal};
 use crate::common::engine;
-use crate::common::gpu::Gpu;
+use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use crate::reference::add_noise::noise;
 use crate::reference::linear::sigmoid;
 use crate::reference::relocate::relocate;
-use crate::reference::types::Gaussian;
+use ashsplat::frame::{SceneBuffers, planes};
+use ashsplat::kernels::constants::STATE_WORDS;
+use ashsplat::passes::adam::Moments;
+use ashsplat::passes::densify::{Densify, Draw, DrawBuffers, Gather, RandomKey, Relocation};
+use std::path::Path;
 
 /// Tolerances of logits and log-scales.
 const DEVICE: f64 = 1e-4;
@@ -31,7 +26,6 @@ struct Step {
     draws: Vec<f64>,
 }
 
-/// The draws of relocation and of growth.
 fn steps(npz: &Npz) -> [Step; 2] {
     let dead = npz.flags("dead");
     let count = dead.len();

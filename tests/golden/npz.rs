@@ -4,7 +4,6 @@ use std::collections::HashMap;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
-
 use zip::ZipArchive;
 
 /// An array, flattened row-major, as f64 (exact for f4, i4 and u1).
@@ -14,7 +13,6 @@ pub struct Array {
     pub values: Vec<f64>,
 }
 
-/// All arrays of an archive.
 #[derive(Clone, Debug, Default)]
 pub struct Npz {
     arrays: HashMap<String, Array>,
@@ -66,7 +64,6 @@ impl Npz {
         &self.array(name).values
     }
 
-    /// Value of an array of one element.
     pub fn scalar(&self, name: &str) -> f64 {
         self.values(name)[0]
     }
@@ -76,13 +73,11 @@ impl Npz {
         rows(self.values(name))
     }
 
-    /// An array of flags.
     pub fn flags(&self, name: &str) -> Vec<bool> {
         self.values(name).iter().map(|&x| x != 0.0).collect()
     }
 }
 
-/// Groups values into rows.
 pub fn rows<const N: usize>(values: &[f64]) -> Vec<[f64; N]> {
     let (rows, rest) = values.as_chunks::<N>();
     assert!(rest.is_empty(), "{} values do not make rows of {N}", values.len());

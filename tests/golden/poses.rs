@@ -1,26 +1,21 @@
 //! Gradients of camera poses and their optimiser: twins and device against the vectors.
 
-use std::path::Path;
-
 use super::Outcome;
 use super::sets::{self, EXTENTS, gaussians, pixel_gradients};
-use crate::common::compare::{elementwise, relative};
-use crate::common::engine::{self, camera, renderer, settings};
-use crate::common::gpu::Gpu;
+use crate::common::engine::{self, settings};
 use crate::common::poses::{Poses, pose_gradient, pose_step};
-use crate::common::{assert_silent, context};
+use crate::common::prelude::*;
 use crate::golden::npz::{Npz, rows};
 use crate::reference::adam::Parameter;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::pose_gradient::gradient_of_parameters;
 use crate::reference::pose_step::{moved, pose_step as twin_step};
-use crate::reference::types::{Extent, View};
+use std::path::Path;
 
 /// Tolerances relative to the largest entry of a gradient.
 const TWIN: f64 = 1e-6;
 const DEVICE: f64 = 1e-4;
 
-/// The cameras of a set: at the given pose, and moved by ξ.
 fn views(npz: &Npz, extent: Extent) -> Vec<[View; 2]> {
     let (rotations, translations) = (npz.rows::<9>("R_xi"), npz.rows::<3>("t_xi"));
     let both = |(index, view): (usize, View)| {

@@ -1,10 +1,9 @@
 //! Rendering sets as the twins' types.
 
-use std::path::Path;
-
 use crate::golden::npz::{Npz, rows};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::types::{Drawn, Extent, Gaussian, View};
+use std::path::Path;
 
 /// The extents with the prefix of their fields.
 pub const EXTENTS: [(Extent, &str); 2] = [(Extent::Exact, ""), (Extent::Reference, "ref_")];
@@ -73,7 +72,6 @@ pub fn pixel_gradients(colors: impl IntoIterator<Item = [f64; 3]>) -> Vec<PixelG
     colors.into_iter().map(|color| PixelGradient { color, inverse_depth: 0.0 }).collect()
 }
 
-/// Gaussians of an archive whose fields have this prefix.
 pub fn gaussians(npz: &Npz, prefix: &str) -> Vec<Gaussian> {
     let field = |name: &str| format!("{prefix}{name}");
     let means = npz.rows::<3>(&field("means"));
@@ -93,12 +91,10 @@ pub fn gaussians(npz: &Npz, prefix: &str) -> Vec<Gaussian> {
         .collect()
 }
 
-/// The camera of an archive.
 pub fn view(npz: &Npz) -> View {
     views(npz).swap_remove(0)
 }
 
-/// The cameras of an archive.
 pub fn views(npz: &Npz) -> Vec<View> {
     (0..npz.values("cam_t").len() / 3).map(|index| view_of(npz, index)).collect()
 }

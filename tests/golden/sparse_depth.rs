@@ -1,29 +1,23 @@
 //! The depths of sparse points: the loss and its gradients; twins and device against the vectors.
 
-use std::path::Path;
-
-use ashsplat::frame::{SceneBuffers, planes};
-use ashsplat::passes::backward::Statistics;
-use ashsplat::passes::loss::{DepthPointBuffers, LossTerm, TermInputs};
-use ashsplat::passes::pixels::PixelBorder;
-use ashsplat::train::SparseDepth;
-use ashsplat::{Gaussians, TrainSettings};
-
 use super::Outcome;
 use super::sets::{gaussians, view};
 use super::stages::Stages;
-use crate::common::compare::{GradientTolerance, elementwise, gradient};
 use crate::common::engine::twins;
-use crate::common::gpu::Gpu;
+use crate::common::prelude::*;
 use crate::common::terms::points as engine_points;
 use crate::golden::npz::Npz;
 use crate::reference::pipeline::{pixels_of, render, tile_of};
 use crate::reference::project_backward::project_backward;
 use crate::reference::sparse_depth::{Point, corners, depth_sums, expected, loss};
 use crate::reference::sparse_depth_gather::{expected_depth_backward, gather};
-use crate::reference::types::{Extent, Gaussian, Gradient, Splat, SplatGradient, View};
+use ashsplat::frame::{SceneBuffers, planes};
+use ashsplat::passes::backward::Statistics;
+use ashsplat::passes::loss::{DepthPointBuffers, LossTerm, TermInputs};
+use ashsplat::passes::pixels::PixelBorder;
+use ashsplat::train::SparseDepth;
+use std::path::Path;
 
-/// Results of an implementation.
 struct Computed {
     /// Expected depth and sum of the weights, per pixel.
     expected_depth: Vec<f64>,

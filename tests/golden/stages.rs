@@ -1,6 +1,9 @@
 //! Frames with backward passes by the engine's stages, for values that a renderer does not return.
 
-use ashsplat::RenderSettings;
+use super::sets;
+use crate::common::engine::settings;
+use crate::common::prelude::*;
+use crate::golden::npz::Npz;
 use ashsplat::frame::{
     Auxiliary, BlendVariant, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, PictureCapacity,
     PlacedScene, SceneBuffers, frame_requests, planes,
@@ -8,20 +11,13 @@ use ashsplat::frame::{
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::passes::backward::{Backward, BackwardVariant};
 use ashsplat::render::Forward;
-use ashsplat::vk::{MemoryKind, Recorder};
-
-use super::sets;
-use crate::common::engine::{camera, gaussians, settings};
-use crate::common::gpu::Gpu;
-use crate::golden::npz::Npz;
-use crate::reference::types::{Extent, Gaussian, View};
+use ashsplat::vk::Recorder;
 
 /// The cameras of an archive with a row per view.
 pub fn views(npz: &Npz, extent: Extent) -> Vec<View> {
     sets::views(npz).into_iter().map(|view| View { extent, ..view }).collect()
 }
 
-/// Field name for an extent; those of the reference have a prefix.
 pub fn field(extent: Extent, name: &str) -> String {
     match extent {
         Extent::Exact => name.to_owned(),
@@ -29,7 +25,6 @@ pub fn field(extent: Extent, name: &str) -> String {
     }
 }
 
-/// A scene, and a frame with its kernels for the views.
 pub struct Stages<'a> {
     pub gpu: &'a Gpu,
     pub backward: Backward,
@@ -47,7 +42,6 @@ impl<'a> Stages<'a> {
         Self::with_depth(gpu, set, views, false)
     }
 
-    /// Same as [`Stages::new`], but can also draw the sum of weights z.
     pub fn with_depth(gpu: &'a Gpu, set: &[Gaussian], views: &[View], linear_depth: bool) -> Stages<'a> {
         let context = gpu.context;
         let sh_degree = views[0].sh_degree;
@@ -79,7 +73,6 @@ impl<'a> Stages<'a> {
         Stages { gpu, backward, scene, forward, frame, capacity, linear_depth }
     }
 
-    /// Draws a view and records further commands after it.
     pub fn run(&self, view: &View, record: impl FnOnce(&mut Recorder, &FrameInputs, &Backward)) {
         let linear_depth = self.linear_depth;
         let settings = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(view) };

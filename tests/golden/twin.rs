@@ -1,15 +1,13 @@
 //! Trials of the twins: they must match the vectors up to the rounding of stored float32.
 
-use libtest_mimic::Trial;
-
 use super::rendering::{DOUBLE, Gradients, Picture, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
 use super::{Outcome, SetFile};
 use crate::common::compare::{elementwise, equal};
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
 use crate::reference::types::Extent;
+use libtest_mimic::Trial;
 
-/// The trials of a rendering, one per extent.
 pub fn trials(set: &SetFile) -> Vec<Trial> {
     let trial = |extent| {
         let (file, suffix) = (set.clone(), if extent == Extent::Exact { "exact_" } else { "" });
@@ -73,7 +71,6 @@ fn judge_counts(set: &RenderingSet, extent: Extent, frame: &Frame) -> Outcome {
     Ok(())
 }
 
-/// Compares all stored values of the splats.
 fn judge_splats(set: &RenderingSet, frame: &Frame) -> Outcome {
     let npz = &set.npz;
     let touched: Vec<f64> = frame.tiles_touched.iter().map(|&n| f64::from(n)).collect();

@@ -1,12 +1,11 @@
 //! Cameras from files stay in double precision until they are stored.
 
-use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
-use glam::{DMat3, DQuat, DVec3};
-
 use crate::cameras_json;
 use crate::dataset::{Dataset, DatasetOptions};
 use crate::images::{Photo, PhotoFileFormat};
 use crate::progress::Progress;
+use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
+use glam::{DMat3, DQuat, DVec3};
 
 const INTRINSICS: Intrinsics = Intrinsics { fx: 5.0, fy: 5.0, cx: 2.0, cy: 1.0, width: 4, height: 2 };
 

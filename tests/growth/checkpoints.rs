@@ -1,11 +1,9 @@
 //! Checkpoints with many Gaussians, statistics and values of a strategy.
 
-use std::path::Path;
-
-use ashsplat::train::checkpoint::{Checkpoint, StrategyState, StrategyStatistic};
-
 use super::{assert_linear, gaussians};
 use crate::checkpoint::CheckpointFile;
+use ashsplat::train::checkpoint::{Checkpoint, StrategyState, StrategyStatistic};
+use std::path::Path;
 
 #[path = "../fuzz/src/checkpoint.rs"]
 mod valid;

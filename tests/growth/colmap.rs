@@ -1,10 +1,9 @@
 //! COLMAP's text: long lists, long lines, comments, many models to choose from.
 
-use std::fmt::Write;
-use std::path::Path;
-
 use super::assert_linear;
 use crate::colmap::Model;
+use std::fmt::Write;
+use std::path::Path;
 
 /// Writes a text model; images have observations, points have tracks.
 pub(super) fn write_model(folder: &Path, cameras: &str, images: &str, points: &str) {

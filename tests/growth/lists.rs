@@ -1,13 +1,5 @@
 //! Lists of values by photograph names: exposures, parameters of depth maps; and names of weights.
 
-use std::collections::BTreeMap;
-use std::path::Path;
-
-use ashsplat::passes::lpips::Weights;
-use ashsplat::scene::{Exposure, LensEffects};
-use image::{ImageBuffer, Luma};
-use serde_json::{Map, Value, json};
-
 use super::assert_linear;
 use super::colmap::write_model;
 use crate::dataset::{Dataset, DatasetOptions};
@@ -18,6 +10,12 @@ use crate::images::{DepthMap, Photo, PhotoFileFormat};
 use crate::lens_json::LensFile;
 use crate::lpips_weights::WeightsFile;
 use crate::progress::Progress;
+use ashsplat::passes::lpips::Weights;
+use ashsplat::scene::{Exposure, LensEffects};
+use image::{ImageBuffer, Luma};
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
 
 /// Exposures and parameters of depth maps by name, and lenses of photographs with a camera each.
 #[test]

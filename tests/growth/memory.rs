@@ -1,13 +1,5 @@
 //! Small files with large claims are refused before memory is reserved.
 
-use std::io::Write;
-use std::path::Path;
-
-use ashsplat::Error;
-use image::codecs::jpeg::JpegEncoder;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
 use super::{Cost, alone, gaussians};
 use crate::HostMemory;
 use crate::dataset::{Dataset, DatasetOptions};
@@ -16,6 +8,12 @@ use crate::progress::Progress;
 use crate::splats::{self, ConvertOptions, ReadOptions, WriteOptions};
 use crate::tiles::Tree;
 use crate::transforms::Transforms;
+use ashsplat::Error;
+use image::codecs::jpeg::JpegEncoder;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::io::Write;
+use std::path::Path;
 
 /// A picture with much detail, as a baseline JPEG.
 fn jpeg(width: u32, height: u32) -> Vec<u8> {
@@ -103,10 +101,8 @@ fn photos_beyond_the_bound_are_refused_before_they_are_decoded() {
     says(refused, "images/a.png: reading it needs ");
     assert!(cost.bytes < 4 << 20, "{cost:?}");
     let loaded = load(60 << 20, whole, in_a_file()).unwrap();
-    assert!(
-        loaded.train[0].photo.file().is_some()
-            && loaded.warnings.iter().any(|w| w.contains("kept in a file"))
-    );
+    assert!(loaded.train[0].photo.file().is_some());
+    assert!(loaded.warnings.iter().any(|w| w.contains("kept in a file")));
     assert!(load(100 << 20, whole, None).unwrap().train[0].photo.file().is_none());
     // At a smaller size, the reader needs only rows.
     assert_eq!(load(12 << 20, Resolution::Width(400), None).unwrap().train[0].photo.width, 400);

@@ -13,17 +13,15 @@ mod names;
 mod photos;
 mod scenes;
 
+use crate::cost::counter::STEPS;
+use crate::dataset::{Dataset, DatasetOptions, DatasetReport};
+use crate::progress::Progress;
+use ashsplat::scene::Gaussians;
+use cap::Cap;
 use std::alloc::System;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Mutex, MutexGuard, PoisonError};
-
-use ashsplat::scene::Gaussians;
-use cap::Cap;
-
-use crate::cost::counter::STEPS;
-use crate::dataset::{Dataset, DatasetOptions, DatasetReport};
-use crate::progress::Progress;
 
 #[global_allocator]
 static MEMORY: Cap<System> = Cap::new(System, usize::MAX);

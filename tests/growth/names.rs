@@ -1,11 +1,9 @@
 //! Names of photos: long, deep, many, missing.
 
-use std::path::Path;
-
-use serde_json::json;
-
 use super::{assert_linear, inspect, on_a_small_stack};
 use crate::images::{Photo, PhotoFileFormat};
+use serde_json::json;
+use std::path::Path;
 
 /// A transforms.json with these paths; each frame has a different focal length.
 fn write(folder: &Path, paths: &[String], key: &str) {

@@ -1,15 +1,13 @@
 //! Photographs: decoded by rows where possible, and detected if truncated.
 
-use std::io::Write;
-use std::path::Path;
-
-use image::{DynamicImage, RgbImage};
-use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
-
 use super::memory::peak_mib;
 use super::{alone, assert_linear};
 use crate::HostMemory;
 use crate::images::{Photo, PhotoFileFormat, Request, read_as};
+use image::{DynamicImage, RgbImage};
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
+use std::io::Write;
+use std::path::Path;
 
 fn noise(index: u32) -> u8 {
     (index.wrapping_mul(2_654_435_761) >> 23) as u8
@@ -51,10 +49,7 @@ fn rows_have_the_bits_of_whole_photos() {
             let request = Request { scaled: Some((width, height)), size: Some((61, 47)), ..plain };
             let scaled = read_as(&path, &request).unwrap();
             let expected = whole.photo.clone().scaled_to(width, height).unwrap();
-            assert!(
-                scaled.photo == expected && scaled.alpha == whole.alpha,
-                "kind {index}, {width}x{height}"
-            );
+            assert!(scaled.photo == expected && scaled.alpha == whole.alpha, "{index}, {width}x{height}");
         }
     }
 }

@@ -1,17 +1,15 @@
 //! Files of Gaussians, points, cameras; archives.
 
-use std::io::Write;
-use std::ops::Add;
-use std::path::Path;
-
-use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
-use glam::Vec3;
-use serde_json::{Value, json};
-
 use super::{assert_linear, gaussians, on_a_small_stack};
 use crate::colmap::{self, ColmapCamera, ColmapImage, Model};
 use crate::splats::{self, ReadOptions, WriteOptions};
 use crate::{cameras_json, ply};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
+use glam::Vec3;
+use serde_json::{Value, json};
+use std::io::Write;
+use std::ops::Add;
+use std::path::Path;
 
 fn read(path: &Path) -> Result<splats::Scene, String> {
     splats::read(path, &ReadOptions::default()).map_err(|error| error.to_string())

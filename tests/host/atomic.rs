@@ -1,11 +1,9 @@
 //! Files are written whole or not at all.
 
-use std::io::Error;
-
+use super::files::{Folder, assert_says, names, refusal};
 use ashsplat::scene::Gaussians;
 use ashsplat_files::{atomic, ply};
-
-use super::files::{Folder, assert_says, names, refusal};
+use std::io::Error;
 
 #[test]
 fn a_failing_writer_leaves_the_old_file_and_nothing_else() {

@@ -1,11 +1,10 @@
 //! Cameras: poses, sizes, checks, orbits.
 
+use super::files::{Folder, assert_says, names, refusal};
 use ashsplat::scene::{Camera, Intrinsics, Motion, Orbit, WorldFrame, scene_extent, strays};
 use ashsplat_files::cameras_json;
 use ashsplat_files::init::seen_box;
 use glam::{DVec3, Mat3, Quat, Vec3};
-
-use super::files::{Folder, assert_says, names, refusal};
 
 fn intrinsics() -> Intrinsics {
     Intrinsics { fx: 60.0, fy: 61.0, cx: 31.0, cy: 25.0, width: 64, height: 48 }

@@ -1,12 +1,10 @@
 //! Cells of a scene that is trained in blocks: every position lies in exactly one.
 
+use super::files::assert_says;
 use ashsplat::scene::{Bounds, Cells};
 use glam::Vec3;
 use proptest::prelude::*;
 
-use super::files::assert_says;
-
-/// Cells whose boxes contain a position.
 fn holders(cells: &Cells, place: Vec3) -> Vec<usize> {
     (0..cells.bounds().len()).filter(|&cell| cells.bounds()[cell].contains(place)).collect()
 }

@@ -1,13 +1,11 @@
 //! COLMAP models: round trips, text against binary, choice among several models, damage.
 
-use std::path::Path;
-use std::time::{Duration, SystemTime};
-
+use super::files::{Folder, assert_says, for_each_mutation, for_each_truncation, names, refusal};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat_files::colmap::{self, CameraModel, ColmapCamera, ColmapImage, Model};
 use glam::Vec3;
-
-use super::files::{Folder, assert_says, for_each_mutation, for_each_truncation, names, refusal};
+use std::path::Path;
+use std::time::{Duration, SystemTime};
 
 struct Parts {
     cameras: Vec<ColmapCamera>,

@@ -1,16 +1,14 @@
 //! Data sets: loading, splitting, reported problems.
 
-use std::sync::Mutex;
-use std::sync::atomic::AtomicBool;
-
+use super::files::{Folder, assert_one, assert_says, assert_some, cloud, named};
 use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use ashsplat_files::colmap::ColmapImage;
 use ashsplat_files::{Dataset, DatasetOptions, Gallery, Progress, Resolution, cameras_json};
 use glam::{DVec3, Vec3};
 use image::{GrayImage, ImageBuffer, Luma, RgbaImage};
 use serde_json::{Map, Value, json};
-
-use super::files::{Folder, assert_one, assert_says, assert_some, cloud, named};
+use std::sync::Mutex;
+use std::sync::atomic::AtomicBool;
 
 const INTRINSICS: Intrinsics = Intrinsics { fx: 21.0, fy: 22.0, cx: 10.5, cy: 6.0, width: 20, height: 12 };
 
@@ -18,7 +16,6 @@ fn look(eye: Vec3, target: Vec3) -> Camera {
     Camera::look_at(eye, target, Vec3::NEG_Y, INTRINSICS)
 }
 
-/// The same camera, but away from the origin.
 fn outward(camera: &Camera) -> Camera {
     look(camera.position(), 2.0 * camera.position())
 }
@@ -47,7 +44,6 @@ impl Folder {
         (0..).zip(&names).for_each(|(grey, name)| self.photo(&format!("images/{name}"), grey));
     }
 
-    /// Writes the model as text: lines of images with their observations, and of points.
     fn text_model(&self, images: &str, points: &str) {
         let parts = [("cameras", "1 PINHOLE 20 12 21 22 10.5 6\n"), ("images", images), ("points3D", points)];
         for (part, text) in parts {
@@ -57,7 +53,6 @@ impl Folder {
     }
 }
 
-/// Lines of an image and its observations.
 fn image_lines(id: u32, name: &str, quat: [f64; 4], translation: [f64; 3], seen: &str) -> String {
     let numbers: String = quat.iter().chain(&translation).map(|x| format!("{x} ")).collect();
     format!("{id} {numbers}1 {name}\n{seen}\n")
@@ -494,7 +489,6 @@ fn views_are_chosen_by_name() {
     assert_eq!(dataset.train[1].photo.photo().unwrap().rgb[0], 3);
 }
 
-/// Writes a data set in text, scaled and then moved by `offset`.
 fn write_moved(folder: &Folder, scale: f64, offset: DVec3) {
     let (mut images, mut points, mut fits) = (String::new(), String::new(), Map::new());
     for i in 0..9 {

@@ -1,13 +1,12 @@
 //! Photos that their metadata turn, and masks of another size.
 
+use super::files::{Folder, assert_says, assert_some, cloud, with};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoOrientation};
 use glam::Vec3;
 use image::{GrayImage, Luma};
 use serde_json::{Value, json};
-
-use super::files::{Folder, assert_says, assert_some, cloud, with};
 
 /// A black JPEG with its left quarter white and its upper quarter grey, and an orientation in its Exif data.
 fn jpeg([width, height]: [u32; 2], orientation: u8) -> Vec<u8> {
@@ -172,7 +171,6 @@ fn models_say_by_their_sizes_whether_photos_are_turned() {
     }
 }
 
-/// A mask of this size that hides the left half and the last column.
 fn mask(width: u32, height: u32) -> GrayImage {
     let value = |x| if x < width / 2 || x + 1 == width { 0 } else { 255 };
     GrayImage::from_fn(width, height, |x, _| Luma([value(x)]))

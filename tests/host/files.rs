@@ -1,13 +1,12 @@
 //! Helpers of the tests that write files and data sets.
 
-use std::ops::Deref;
-use std::path::{Path, PathBuf};
-
 use ashsplat::scene::{Camera, PointCloud, WorldFrame};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::{Dataset, DatasetOptions, DatasetReport, Photo, PhotoFileFormat, Progress, View, ply};
 use image::{DynamicImage, GrayImage, Luma};
 use serde_json::Value;
+use std::ops::Deref;
+use std::path::{Path, PathBuf};
 
 pub use crate::common::assert_says;
 use crate::common::scenes::Random;
@@ -79,7 +78,6 @@ pub fn assert_some(lines: &[String], words: &[&str]) {
     assert!(lines.iter().any(has_all), "no {words:?} in: {lines:?}");
 }
 
-/// Sorted names in a folder.
 pub fn names(folder: &Path) -> Vec<String> {
     let entry = |entry: std::io::Result<std::fs::DirEntry>| entry.unwrap().file_name().into_string().unwrap();
     let mut names: Vec<String> = std::fs::read_dir(folder).unwrap().map(entry).collect();
@@ -146,7 +144,6 @@ fn places(bytes: &[u8]) -> impl Iterator<Item = usize> + use<> {
     (0..bytes.len()).filter(move |place| *place < begin || *place >= end || place % 3 == 0)
 }
 
-/// Writes a new file, because file systems may flush overwritten files to the disk, which is slow.
 fn replace(path: &Path, bytes: &[u8]) {
     let _ = std::fs::remove_file(path);
     std::fs::write(path, bytes).unwrap();
@@ -160,7 +157,6 @@ impl Folder {
         Photo { width, height, rgb }.write_png(self.put(name, "")).unwrap();
     }
 
-    /// Writes a photograph of 20×12 pixels of one grey.
     pub fn photo(&self, name: &str, grey: u8) {
         self.picture(name, [20, 12], grey);
     }
@@ -173,7 +169,6 @@ impl Folder {
         self.put(name, value.to_string());
     }
 
-    /// Writes a COLMAP model with images of one lens: their names and poses.
     pub fn model(&self, images: &[(u32, &str, Camera)], points: &PointCloud) {
         let lens = images.iter().map(|(.., camera)| ColmapCamera::pinhole(1, camera)).take(1);
         let posed = |(id, name, camera): &(u32, &str, Camera)| ColmapImage::posed(*id, 1, *name, camera);
@@ -205,7 +200,6 @@ impl Folder {
         self.try_load(&DatasetOptions::default()).unwrap_err()
     }
 
-    /// Warnings of loading that contain a word.
     pub fn warnings(&self, word: &str) -> Vec<String> {
         let mut lines = self.load().warnings;
         lines.retain(|line| line.contains(word));
@@ -213,7 +207,6 @@ impl Folder {
     }
 }
 
-/// Points at these positions, of one colour.
 pub fn cloud(positions: &[[f32; 3]], color: [u8; 3]) -> PointCloud {
     PointCloud { positions: positions.to_vec(), colors: vec![color; positions.len()] }
 }

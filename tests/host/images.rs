@@ -1,12 +1,10 @@
 //! Photographs: colour types, sizes, damage.
 
-use std::path::Path;
-
+use super::files::{Folder, assert_says, for_each_truncation, names, refusal};
 use ashsplat_files::images::photo_size;
 use ashsplat_files::{Photo, PhotoFileFormat, Resolution};
 use image::{DynamicImage, ImageBuffer, Luma, LumaA, Rgb, Rgba};
-
-use super::files::{Folder, assert_says, for_each_truncation, names, refusal};
+use std::path::Path;
 
 const BLACK: [f32; 3] = [0.0; 3];
 

@@ -1,5 +1,7 @@
 //! Lens distortion: the models, their inverse, the undistorted pinhole. COLMAP's own tool is among the programs.
 
+use super::files::Folder;
+use crate::common::lenses::write;
 use ashsplat::scene::Intrinsics;
 use ashsplat::scene::lens::{Distortion, Lens};
 use ashsplat_files::colmap::Model;
@@ -7,10 +9,6 @@ use ashsplat_files::images::undistort;
 use ashsplat_files::{DatasetOptions, Gallery, Photo, Progress};
 use glam::{DVec2, dvec2};
 use proptest::prelude::*;
-
-use crate::common::lenses::write;
-
-use super::files::Folder;
 
 fn lenses() -> Vec<Lens> {
     let folder = Folder::new();

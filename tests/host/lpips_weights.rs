@@ -1,15 +1,12 @@
 //! Files of tensors: the weights of LPIPS, and damaged checkpoints.
 
-use std::path::{Path, PathBuf};
-
+use super::files::{Folder, for_each_mutation};
+use crate::common::lpips_files::{Tensor, alexnet, write};
+use crate::reference::lpips::{ALEXNET, formula};
 use ashsplat::passes::lpips::{Network, Weights};
 use ashsplat::train::Checkpoint;
 use ashsplat_files::{CheckpointFile, HostMemory, WeightsFile};
-
-use crate::common::lpips_files::{Tensor, alexnet, write};
-use crate::reference::lpips::{ALEXNET, formula};
-
-use super::files::{Folder, for_each_mutation};
+use std::path::{Path, PathBuf};
 
 fn read(path: &Path) -> Result<Weights, String> {
     Weights::read(path, &HostMemory::default()).map_err(|e| e.to_string())

@@ -1,18 +1,15 @@
 //! File names of phones, other systems and other programs, and errors for inputs that are no data set.
 
-use std::path::Path;
-
+use super::files::{Folder, assert_one, assert_says, assert_some, cloud, greys, left_half, named, with};
+use super::images::png_chunk;
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat_files::{Dataset, DatasetOptions, Progress};
 use glam::Vec3;
 use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
 use serde_json::{Value, json};
-
-use super::files::{Folder, assert_one, assert_says, assert_some, cloud, greys, left_half, named, with};
-use super::images::png_chunk;
+use std::path::Path;
 
 impl Folder {
-    /// Writes a model with images of these names.
     fn model_of(&self, names: &[&str]) {
         let intrinsics = Intrinsics { fx: 21.0, fy: 21.0, cx: 10.0, cy: 6.0, width: 20, height: 12 };
         let eye = |id: u32| Vec3::new(id as f32, 0.0, -3.0);
@@ -21,7 +18,6 @@ impl Folder {
         self.model(&images, &cloud(&[[0.0; 3]; 2], [9; 3]));
     }
 
-    /// Warnings of loading; `info` has the same.
     fn all_warnings(&self) -> Vec<String> {
         let warnings = self.load().warnings;
         assert_eq!(warnings, self.inspect(&DatasetOptions::default()).warnings);
@@ -34,7 +30,6 @@ fn frame(name: &str, index: usize) -> Value {
     json!({ "file_path": name, "transform_matrix": pose })
 }
 
-/// A transforms.json of these photographs.
 fn transforms(names: &[&str]) -> Value {
     let frames: Vec<Value> = names.iter().enumerate().map(|(index, name)| frame(name, index)).collect();
     json!({ "fl_x": 21, "w": 20, "h": 12, "frames": frames })
@@ -219,7 +214,6 @@ fn png_gamma_is_told() {
     assert_one(&warnings(Some(100_000), false), &[words]);
 }
 
-/// A photo with two poses is used twice, with a warning.
 #[test]
 fn photos_with_several_poses_are_told() {
     let folder = Folder::new();

@@ -1,15 +1,12 @@
 //! SPZ of version 2, alone and inside a GLB.
 
-use std::io::{Read, Write};
-use std::path::Path;
-
+use super::files::{Folder, assert_says};
+use crate::common::splats::{Tolerance, assert_close, scene, tolerance};
 use ashsplat::scene::Gaussians;
 use ashsplat_files::splats::{self, Format, ReadOptions, Scene, WriteOptions};
 use serde_json::{Value, json};
-
-use crate::common::splats::{Tolerance, assert_close, scene, tolerance};
-
-use super::files::{Folder, assert_says};
+use std::io::{Read, Write};
+use std::path::Path;
 
 const COMPRESSION: &str = "KHR_gaussian_splatting_compression_spz_2";
 

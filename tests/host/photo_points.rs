@@ -1,13 +1,11 @@
 //! Points found in photographs of a wall with a known position.
 
-use std::sync::atomic::AtomicBool;
-
+use super::files::assert_says;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, StoredPhoto};
 use ashsplat_files::photo_points::photo_points;
 use ashsplat_files::{HostMemory, Photo, Progress, View};
 use glam::{Vec3, vec3};
-
-use super::files::assert_says;
+use std::sync::atomic::AtomicBool;
 
 const SIZE: [u32; 2] = [160, 120];
 

@@ -1,12 +1,10 @@
 //! PLY files: round trips, every layout, damage.
 
-use std::path::Path;
-
+use super::files::{Folder, assert_says, for_each_mutation, for_each_truncation, names, refusal};
 use ashsplat::scene::{Gaussians, PointCloud, WorldFrame};
 use ashsplat_files::ply::{self, PlyOptions};
 use proptest::prelude::*;
-
-use super::files::{Folder, assert_says, for_each_mutation, for_each_truncation, names, refusal};
+use std::path::Path;
 
 const KEEP: PlyOptions = PlyOptions { drop_invalid: false };
 const DROP: PlyOptions = PlyOptions { drop_invalid: true };
@@ -103,7 +101,6 @@ fn shapes_are_checked_before_writing() {
     assert_eq!(names(&folder), [""; 0]);
 }
 
-/// Layout of a test file.
 #[derive(Clone, Debug)]
 struct Shape {
     order: Vec<usize>,
@@ -131,7 +128,6 @@ fn shape(properties: usize) -> impl Strategy<Value = Shape> {
         .prop_map(|(order, types, encoding, crlf, extra)| Shape { order, types, encoding, crlf, extra })
 }
 
-/// Writes a number in the file's encoding.
 fn encode(out: &mut Vec<u8>, value: f64, kind: &str, encoding: usize) {
     let start = out.len();
     match kind {
@@ -281,7 +277,6 @@ fn unusable_values_are_counted_and_dropped_on_request() {
 
 const PLACE: [(&str, &str); 3] = [("float", "x"), ("float", "y"), ("float", "z")];
 
-/// A file in text, with a vertex per row.
 fn text_ply(comments: &[&str], properties: &[(&str, &str)], rows: &str) -> String {
     let comments: String = comments.iter().map(|comment| format!("comment {comment}\n")).collect();
     let header: String = properties.iter().map(|(kind, name)| format!("property {kind} {name}\n")).collect();
@@ -358,7 +353,6 @@ fn files_that_are_something_else_are_named() {
     assert!(message(&folder.join("none.ply"), &KEEP).contains("cannot read: No such file"));
 }
 
-/// A file of one Gaussian with these comments and properties.
 fn ascii(comments: &[&str], properties: &[(&str, &str, f64)]) -> String {
     let names: Vec<_> = properties.iter().map(|(kind, name, _)| (*kind, *name)).collect();
     let values: Vec<String> = properties.iter().map(|(.., value)| value.to_string()).collect();

@@ -1,17 +1,14 @@
 //! All formats of Gaussians: round trips within each format's quantisation, layouts, damage.
 
-use std::path::{Path, PathBuf};
-
+use super::files::{Folder, assert_one, assert_says, for_each_mutation, for_each_truncation, names, refusal};
+use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, tolerance};
 use ashsplat::scene::{Bounds, Camera, Cells, Cut, Gaussians, Intrinsics, Similarity, WorldFrame};
 use ashsplat_files::splats::{
     self, ConvertOptions, Converted, Format, ReadOptions, Scene, Target, WriteOptions,
 };
 use glam::{DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
-
-use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, tolerance};
-
-use super::files::{Folder, assert_one, assert_says, for_each_mutation, for_each_truncation, names, refusal};
+use std::path::{Path, PathBuf};
 
 const KEEP: ReadOptions = ReadOptions { drop_invalid: false, max_host_memory: None };
 const DROP: ReadOptions = ReadOptions { drop_invalid: true, max_host_memory: None };
@@ -29,14 +26,12 @@ impl Folder {
         splats::read(self.join(name), &KEEP).unwrap()
     }
 
-    /// What is read of a file just written.
     fn through(&self, format: Format, gaussians: &Gaussians) -> Scene {
         let name = named("scene", format);
         self.write(&name, gaussians);
         self.read(&name)
     }
 
-    /// The error of reading a file, with its path.
     fn refused(&self, name: &str) -> String {
         let path = self.join(name);
         refusal(&path, splats::read(&path, &KEEP))
@@ -95,7 +90,6 @@ fn every_format_reads_what_it_writes() {
     assert_eq!(names(&folder).len(), Format::ALL.len() + 1);
 }
 
-/// Reading and writing a quantised file again changes no value.
 #[test]
 fn a_second_round_trip_changes_nothing() {
     let folder = Folder::new();
@@ -181,7 +175,6 @@ fn changes_on_the_way() {
     assert_eq!((done.written, done.warnings.len()), (0, 1));
 }
 
-/// Cuts from memory and from a file give the same bytes.
 #[test]
 fn a_cut_scene_is_written_as_a_conversion_writes_it() {
     let folder = Folder::new();
@@ -718,7 +711,6 @@ fn formats_are_known_by_content_before_name() {
     assert_says(refusal(&folder, splats::read(&folder, &KEEP)), &["is not a file"]);
 }
 
-/// Writes a glTF of `count` Gaussians with a change of its JSON.
 fn changed_gltf(folder: &Folder, count: usize, change: impl FnOnce(&mut Value)) {
     folder.write("scene.gltf", &scene(count, 0));
     let mut document: Value = serde_json::from_slice(&folder.bytes("scene.gltf")).unwrap();

@@ -1,9 +1,7 @@
 //! Scenes as trees of tiles.
 
-use std::cell::Cell;
-use std::fs;
-use std::path::{Path, PathBuf};
-
+use super::files::{Folder, assert_says, names, refusal};
+use crate::common::splats::scene;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Projection, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_files::Progress;
@@ -11,10 +9,9 @@ use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
 use ashsplat_files::tiles::{self, Demand, TILESET_FILE, TileOptions, Tiling, Tree};
 use glam::{DVec3, Quat, Vec3, vec3};
 use serde_json::Value;
-
-use crate::common::splats::scene;
-
-use super::files::{Folder, assert_says, names, refusal};
+use std::cell::Cell;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 const KEEP: ReadOptions = ReadOptions { drop_invalid: false, max_host_memory: None };
 
@@ -73,7 +70,6 @@ fn children(tile: &Value) -> &[Value] {
     tile["children"].as_array().map_or(&[], Vec::as_slice)
 }
 
-/// Checks the tiles of a tree, and collects the Gaussians of its leaves.
 fn leaves_of(tile: &Value, folder: &Path, most: usize, found: &mut Vec<Gaussians>) -> usize {
     let own = splats::read(folder.join(tile["content"]["uri"].as_str().unwrap()), &KEEP).unwrap().gaussians;
     assert!((1..=most).contains(&own.len()), "{} of {most}", own.len());
@@ -321,12 +317,7 @@ fn a_cut_is_finer_where_it_is_nearer_and_leaves_out_what_is_not_seen() {
     let finest: Vec<usize> =
         (0..tree.tiles().len()).filter(|&tile| tree.tiles()[tile].children.is_empty()).collect();
     let expected: Vec<usize> = finest.iter().copied().filter(reaches).collect();
-    assert!(
-        expected.len() > 3 && expected.len() < 3 * finest.len() / 4,
-        "{} of {}",
-        expected.len(),
-        finest.len()
-    );
+    assert!((4..3 * finest.len() / 4).contains(&expected.len()), "{} of {}", expected.len(), finest.len());
     assert_eq!(drawn, expected);
 }
 
@@ -363,7 +354,6 @@ fn trees_of_others_are_refused() {
     assert_says(Tree::open(&folder).unwrap().read(0, &KEEP).unwrap_err().to_string(), &["says 7"]);
 }
 
-/// Gaussians as large as single precision allows have finite numbers in the description, no nulls.
 #[test]
 fn enormous_gaussians_have_finite_boxes() {
     let mut large = scene(90, 0);

@@ -1,10 +1,9 @@
 //! Transforms and merges of Gaussians on the host.
 
+use crate::common::splats::scene;
 use ashsplat::scene::{Gaussians, Similarity};
 use ashsplat_files::decimate::decimate;
 use glam::{DQuat, DVec3, EulerRot};
-
-use crate::common::splats::scene;
 
 fn similarity() -> Similarity {
     Similarity {

@@ -1,18 +1,16 @@
 //! Data sets in transforms.json, masks, orientations and archives.
 
-use std::io::Write;
-use std::ops::Range;
-use std::path::{Path, PathBuf};
-
+use super::files::{Folder, assert_one, assert_says, assert_some, cloud, left_half, named, refusal, with};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat_files::colmap;
 use ashsplat_files::{Dataset, DatasetOptions, Progress, Resolution, ply};
 use glam::Vec3;
 use image::{GrayImage, Luma, Rgba, RgbaImage};
 use serde_json::{Value, json};
+use std::io::Write;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 use zip::write::SimpleFileOptions;
-
-use super::files::{Folder, assert_one, assert_says, assert_some, cloud, left_half, named, refusal, with};
 
 fn camera(index: u32) -> Camera {
     let (sin, cos) = (index as f32 * 0.7).sin_cos();
@@ -39,7 +37,6 @@ impl Folder {
         indices.map(frame).collect()
     }
 
-    /// Writes a transforms.json of the first photos with further keys.
     fn transforms(&self, count: u32, keys: &Value) {
         let frames = self.frames("images", 0..count, ".png");
         self.json("transforms.json", &with(json!({ "camera_angle_x": angle(), "frames": frames }), keys));
@@ -58,7 +55,6 @@ fn load(path: &Path, options: &DatasetOptions) -> Dataset {
     dataset
 }
 
-/// Fails unless a data set is refused with these words.
 #[track_caller]
 fn assert_refused(path: &Path, words: &[&str]) {
     assert_says(refusal(path, Dataset::load(path, &DatasetOptions::default(), Progress::NONE)), words);
@@ -236,7 +232,6 @@ fn distortion_params_are_used() {
     assert!(by_list == sizes(json!({ "k1": -0.2, "p1": 0.01 })) && by_list[0].0.width < 20);
 }
 
-/// Warnings name points without finite positions and files of points that are not read.
 #[test]
 fn points_that_cannot_be_used_are_told() {
     let folder = Folder::new();

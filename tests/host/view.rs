@@ -1,10 +1,9 @@
 //! A host's matrices as a camera and a depth mapping, in all conventions.
 
+use super::files::assert_says;
 use ashsplat::scene::{ClipY, HostView, Pose};
 use glam::camera::{lh, rh};
 use glam::{Mat3, Mat4, Quat, Vec3, Vec4};
-
-use super::files::assert_says;
 
 const SIZE: (u32, u32) = (640, 360);
 const EYE: Vec3 = Vec3::new(1.0, 2.0, 5.0);
@@ -78,11 +77,7 @@ fn host_views_put_points_where_the_host_does() {
             assert!(close, "{name}: {point} at ({x}, {y}), the host draws it at {expected}");
             assert!(w > 0.0 && z > 0.0);
             let from_depth = mapping.z(expected.z);
-            assert!(
-                (from_depth / z - 1.0).abs() < 1e-2,
-                "{name}: depth {} is {from_depth}, not {z}",
-                expected.z
-            );
+            assert!((from_depth / z - 1.0).abs() < 1e-2, "{name}: {from_depth}, not {z}");
         }
         // The near plane, and the far plane or infinity.
         let near_value = if reversed { 1.0 } else { 0.0 };

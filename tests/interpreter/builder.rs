@@ -1,12 +1,11 @@
 //! A module's control flow as a flat list: functions are inlined, and blocks that the specialization makes
 //! unreachable are omitted.
 
-use std::collections::{HashMap, HashSet};
-use std::rc::Rc;
-
 use crate::arithmetic::evaluate;
 use crate::module::{BINDING, BUILT_IN, Id, Instruction, Module, NON_WRITABLE, Variable, has_result};
 use crate::program::{Edge, Kind, Memory, NO_SLOT, Operation, Slot};
+use std::collections::{HashMap, HashSet};
+use std::rc::Rc;
 
 /// Target of a pointer.
 #[derive(Clone, Copy, Debug)]
@@ -261,7 +260,6 @@ impl<'m> Builder<'m> {
         self.labels.len() as u32 - 1
     }
 
-    /// Begins a block.
     fn place(&mut self, label: u32) {
         self.labels[label as usize] = self.operations.len() as u32;
         self.temporary = 0;

@@ -1,11 +1,10 @@
 //! Runs a program: one workgroup after another, and within each its subgroups from barrier to barrier.
 
-use std::fmt;
-
 use crate::arithmetic::POISON;
 use crate::lockstep::{Problem, Subgroup};
 use crate::memory::Words;
 use crate::program::{Kind, Program};
+use std::fmt;
 
 /// Order of workgroups, and of a workgroup's subgroups between barriers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

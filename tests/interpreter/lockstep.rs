@@ -1,10 +1,9 @@
 //! A subgroup: its lanes run in lockstep, each block with all lanes that have arrived there.
 
-use std::cell::Cell;
-
 use crate::arithmetic::{POISON, binary, binary_lanes, ternary_lanes, unary_lanes};
 use crate::memory::{Moment, Words};
 use crate::program::{Address, Edge, NO_SLOT, Operation, Program, Slot};
+use std::cell::Cell;
 
 /// A subgroup of the current workgroup.
 pub(crate) struct Subgroup {
@@ -406,29 +405,5 @@ fn reduce(code: u16, kind: u8, target: Row, value: Row, active: u128) {
     }
     if kind == 0 {
         lanes_of(active).for_each(|lane| target[lane].set(sum));
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn row(words: impl IntoIterator<Item = u32>) -> Vec<Cell<u32>> {
-        words.into_iter().map(Cell::new).collect()
-    }
-
-    fn words(row: Row) -> Vec<u32> {
-        row.iter().map(Cell::get).collect()
-    }
-
-    #[test]
-    fn inactive_lanes_give_nothing() {
-        let (value, target) = (row([10, 11, 12, 13]), row([0; 4]));
-        let from = |code, lanes: [u32; 4], active| shuffle(code, &target, (&value, &row(lanes)), active);
-        assert!(from(346, [1; 4], 0b1111).is_ok());
-        assert_eq!(words(&target), [11, 10, 13, 12]);
-        assert_eq!(from(346, [1; 4], 0b0111).expect_err("lane 3 sleeps").1, Some(2));
-        assert_eq!(from(345, [0, 1, 2, 4], 0b1111).expect_err("no lane 4").1, Some(3));
-        assert_eq!(from(337, [0, 1, 0, 0], 0b1111).expect_err("not uniform").1, Some(1));
     }
 }

@@ -1,8 +1,7 @@
 //! Declarations of a module: types, constants under a specialization, variables, functions.
 
-use std::collections::HashMap;
-
 use crate::arithmetic::{POISON, evaluate};
+use std::collections::HashMap;
 
 pub(crate) type Id = u32;
 
@@ -238,7 +237,6 @@ impl<'m> Module<'m> {
         self.constant(id).map(|words| words[0])
     }
 
-    /// The type of a value.
     pub(crate) fn type_of(&self, id: Id) -> Id {
         let constant = || self.constants.get(&id).map(|(of, _)| *of);
         self.types_of_values.get(&id).copied().or_else(constant).unwrap_or(0)

@@ -2,7 +2,6 @@
 
 use crate::{Dispatch, Fault, Order, Program};
 
-/// An instruction of an opcode with these operands.
 fn i(opcode: u32, operands: &[u32]) -> Vec<u32> {
     [&[(operands.len() as u32 + 1) << 16 | opcode], operands].concat()
 }
@@ -90,9 +89,8 @@ fn barriers_that_not_all_reach_are_faults() {
     assert_eq!(fault.problem, "a barrier that lane 1 does not reach");
     let fault = run(&barrier_if(SUBGROUP), 1).expect_err("one subgroup of two");
     assert_eq!((fault.problem.as_str(), fault.opcode), ("a barrier that not all subgroups reach", 224));
-    assert!(
-        fault.to_string().starts_with("small: a barrier that not all subgroups reach; opcode 224 at word")
-    );
+    let said = "small: a barrier that not all subgroups reach; opcode 224 at word";
+    assert!(fault.to_string().starts_with(said), "{fault}");
 }
 
 #[test]

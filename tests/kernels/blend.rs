@@ -1,31 +1,24 @@
 //! The kernels that blend, `forward/blend`, `forward/blend_shared`, `forward/blend_auxiliary` and
 //! `forward/blend_shared_auxiliary`, against one twin; and the pictures of the last three against the first two.
 
-use ashsplat::frame::LaunchSizes;
-use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW};
-use ashsplat::vk::Buffer;
-
 use crate::common::blending::{
     Beside, Blended, CHAINED, How, LOW, SHARED, UNCHAINED, assert_same, forms, forward, forward_auxiliary,
     forward_limited, has_strips, strips_of,
 };
-use crate::common::compare::{PixelTolerance, pixels};
 use crate::common::frame::Lists;
-use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::scenes::small_view;
+use crate::common::prelude::*;
 use crate::reference::blend::{Pixel, before, beside, blend, samples};
 use crate::reference::pipeline::{pixels_of, tile_of};
-use crate::reference::types::Splat;
+use ashsplat::frame::LaunchSizes;
+use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW};
 
 const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstable: 2e-2 };
 const SIZE: [u32; 2] = [37, 21];
 
-/// Lists of so many entries in a picture of [`SIZE`].
 fn lists(gpu: &Gpu, entries: usize, opacity: [f64; 2]) -> Lists {
     Lists::long(gpu, entries, opacity, &small_view(SIZE))
 }
 
-/// A list of all splats in each tile.
 fn everywhere(gpu: &Gpu, splats: Vec<Splat>, size: [u32; 2]) -> Lists {
     let view = small_view(size);
     let [columns, rows] = view.tiles();
@@ -60,7 +53,6 @@ fn assert_pixels<'a>(
     }
 }
 
-/// Asserts that two pictures, inverse depths and last entries have the same bits.
 fn assert_same_bits(gpu: &Gpu, [a, b]: [&Blended; 2], pixels: usize, what: &str) {
     for (a, b, words) in [
         (&a.accumulated, &b.accumulated, 4),
@@ -170,7 +162,6 @@ pub fn blend_of_opaque_layers() {
     check(&gpu, &lists(&gpu, 50, [0.98, 1.0]), true, u32::MAX);
 }
 
-/// Passes over parts of the lists give the same picture, to the bit.
 #[test]
 pub fn blend_in_passes_equals_blend_at_once() {
     let gpu = Gpu::new();
@@ -235,7 +226,6 @@ pub fn blend_of_long_needles_errs_no_more_in_chained_columns() {
             };
             stable.map(error).fold(0.0, f64::max)
         });
-        println!("variance up to {longest} px²: largest error {direct:.2e} direct, {chained:.2e} chained");
         assert!(chained <= 1.5 * direct + 1e-5, "{chained:e} chained, {direct:e} direct");
     }
 }
@@ -314,14 +304,13 @@ pub fn blend_of_more_hits_than_an_invocation_has_rounds() {
     assert!(red > 0.8 && transmittance < 0.2, "the last entry is lost: {red}, {transmittance}");
     assert!(chosen == blend(1, 1000), "fewer entries per pass change the picture");
     // A driver that bounds loops would lose entries in one pass.
-    let rounds = gpu.limits().max_loop_iterations().map_or(usize::MAX, |rounds| rounds as usize);
+    let rounds = gpu.limits().max_loop_iterations.map_or(usize::MAX, |rounds| rounds as usize);
     if blocks.regions_per_subgroup as usize * ENTRIES > rounds {
         let at_once = blend(blocks.regions_per_subgroup, u32::MAX);
         assert!(chosen != at_once, "the driver has more rounds than it is said to");
     }
 }
 
-/// The number of regions per subgroup does not change the picture.
 #[test]
 pub fn blend_of_several_regions_per_subgroup_is_the_same() {
     let gpu = Gpu::new();
@@ -352,7 +341,6 @@ fn check_shared(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass:
     check_shared_form(gpu, lists, shared(workgroup_size.min(32), How { entries_per_pass, ..CHAINED }));
 }
 
-/// Compares colours, transmittances and inverse depths.
 fn assert_alike(gpu: &Gpu, [a, b]: [&Blended; 2], count: usize, what: &str) {
     for (a, b, values) in
         [(&a.accumulated, &b.accumulated, 4 * count), (&a.inverse_depth, &b.inverse_depth, count)]

@@ -3,14 +3,11 @@
 use crate::common::blending::{
     Blended, CHAINED, How, OtherSums, SlotSums, backward, backward_alone, forms, forward,
 };
-use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::frame::{Lists, state};
-use crate::common::gpu::Gpu;
 use crate::common::machine::{Machine, current};
-use crate::common::scenes::{Random, small_view};
+use crate::common::prelude::*;
 use crate::reference::blend_backward::{PixelGradient, blend_backward};
 use crate::reference::pipeline::{pixels_of, tile_of};
-use crate::reference::types::{Splat, SplatGradient};
 
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 

@@ -3,6 +3,9 @@
 //! `compose/compose_r11g11b10f`, `compose/depth_limit`, `compose/expected_depth`, `compose/mean_motion` and
 //! `compose/picks`.
 
+use crate::common::gpu::{Gpu, UNTOUCHED};
+use crate::common::scenes::Random;
+use crate::reference::compose as twin;
 use ashsplat::ColorEncoding;
 use ashsplat::ColorEncoding::AsTrained;
 use ashsplat::ash::vk::Format;
@@ -14,15 +17,10 @@ use ashsplat::scene::DepthMapping;
 use ashsplat::vk::{Image, ImageUse, Recorder};
 use bytemuck::Pod;
 
-use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::scenes::Random;
-use crate::reference::compose as twin;
-
 /// Size of the frame, smaller than the image.
 const SIZE: [u32; 2] = [21, 13];
 /// Position of the frame in the image.
 const OFFSET: [u32; 2] = [5, 2];
-/// Size of the image.
 const IMAGE: [u32; 2] = [32, 17];
 
 /// Pixels as blending leaves them: premultiplied colour, transmittance.
@@ -93,16 +91,13 @@ fn check(
     }
 }
 
-/// Exposure of the linear output.
 const EXPOSURE: f32 = 0.8;
 const LINEAR: ColorEncoding = ColorEncoding::LinearSrgb { exposure: EXPOSURE };
 
-/// True if the result is opaque.
 fn is_opaque(behind: Background) -> bool {
     matches!(behind, Background::Color(_))
 }
 
-/// All kinds of background.
 const BEHIND: [Background; 3] = [Background::Color([0.2, 0.4, 0.7]), Background::Nothing, Background::Image];
 
 const TEXELS: u32 = IMAGE[0] * IMAGE[1];

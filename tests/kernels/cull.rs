@@ -1,18 +1,12 @@
 //! `forward/cull` against its twin, and `forward/cull_scenes` against both: to the bit with `forward/cull`.
 
-use ashsplat::kernels::blocks::CameraBlock;
-use ashsplat::kernels::constants::NO_BATCH;
-use ashsplat::kernels::forward::{cull, cull_scenes};
-
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{
-    antialias_word, camera_block, cut_outs, extent_word, pack_filtered, room, scene_blocks,
-};
-use crate::common::scenes::{Random, drawn_shapes, mixed_scene, rotation_about_y, small_view};
+use crate::common::prelude::*;
 use crate::reference::cull::cull as cull_twin;
 use crate::reference::linear::multiply;
 use crate::reference::project::project;
-use crate::reference::types::{CutOut, Drawn, Dropout, Extent, Gaussian, Limits, Tint, View};
+use ashsplat::kernels::blocks::CameraBlock;
+use ashsplat::kernels::constants::NO_BATCH;
+use ashsplat::kernels::forward::{cull, cull_scenes};
 
 /// View of all tests, with this in place of Gaussians.
 fn view_of(drawn: Drawn) -> View {

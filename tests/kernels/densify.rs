@@ -2,22 +2,8 @@
 //! `densify/scatter_sources`, `densify/gather`, `densify/relocate`, `densify/reset_opacity`, `densify/mask_outside` and
 //! `densify/zorder`.
 
-use ashsplat::frame::LaunchSizes;
-use ashsplat::kernels::constants::{
-    CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED, PLANE_LOG_SCALE,
-};
-use ashsplat::kernels::densify::{
-    classify, gather, mask_outside, relocate, reset_opacity, scatter_sources, zorder,
-};
-use ashsplat::passes::densify::{Curve, Densify, DensifyBuffers, OrderBuffers};
-use ashsplat::vk::{Buffer, MemoryKind};
-use glam::Vec3;
-
 use super::draws::{in_chunks, uploaded};
-use crate::common::compare::elementwise;
-use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{pack, place, planes, room, unpack};
-use crate::common::scenes::{Random, mixed_scene, small_scene};
+use crate::common::prelude::*;
 use crate::reference::classify::{Decision, GRADIENT_THRESHOLD, Statistic, decide, is_pruned, masked};
 use crate::reference::filter_sizes::shrink;
 use crate::reference::gather::{child_of, long_axis_child, random_normal};
@@ -26,8 +12,15 @@ use crate::reference::relocate::relocate as relocate_twin;
 use crate::reference::reset_opacity::reset_opacity as reset_opacity_twin;
 use crate::reference::scan::scan_spine;
 use crate::reference::scatter_sources::{Densify as DensifyTwin, Kind, place as place_twin};
-use crate::reference::types::Gaussian;
 use crate::reference::zorder::{cell, zorder as zorder_twin};
+use ashsplat::frame::LaunchSizes;
+use ashsplat::kernels::constants::{
+    CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED, PLANE_LOG_SCALE,
+};
+use ashsplat::kernels::densify::{
+    classify, gather, mask_outside, relocate, reset_opacity, scatter_sources, zorder,
+};
+use ashsplat::passes::densify::{Curve, Densify, DensifyBuffers, OrderBuffers};
 
 const SCENE_EXTENT: f64 = 40.0;
 
@@ -384,30 +377,6 @@ fn gather_of_moments() {
     }
 }
 
-/// The generator's numbers are standard normal and independent of each other.
-#[test]
-fn random_numbers_are_normal() {
-    let mut sum = [0.0; 3];
-    let mut products = [[0.0; 3]; 3];
-    let count = 100_000;
-    for key in 0..count {
-        let normal = random_normal([SEED, ITERATION, key / 2, key % 2]);
-        for i in 0..3 {
-            sum[i] += normal[i];
-            for j in 0..3 {
-                products[i][j] += normal[i] * normal[j];
-            }
-        }
-    }
-    for (i, row) in products.iter().enumerate() {
-        assert!((sum[i] / f64::from(count)).abs() < 0.015, "mean {}", sum[i]);
-        for (j, product) in row.iter().enumerate() {
-            let expected = if i == j { 1.0 } else { 0.0 };
-            assert!((product / f64::from(count) - expected).abs() < 0.02, "covariance {i} {j}");
-        }
-    }
-}
-
 #[test]
 fn relocate_equals_its_twin() {
     let gpu = Gpu::new();
@@ -615,18 +584,6 @@ fn zorder_equals_its_twin() {
             assert_eq!(*key, zorder_twin(mean, CENTER, EXTENT), "{mean:?}");
         }
     }
-}
-
-#[test]
-fn zorder_keys_are_the_bits_of_cells_in_turn() {
-    let corner = |x: f64, y: f64, z: f64| zorder_twin([x, y, z], [0.0; 3], 1.0);
-    // The middle of space is the first cell of the upper half.
-    assert_eq!(corner(0.0, -1e9, -1e9), 1 << 27);
-    assert_eq!(corner(-1e9, 0.0, -1e9), 1 << 28);
-    assert_eq!(corner(-1e9, -1e9, 0.0), 1 << 29);
-    assert_eq!(corner(1e9, 1e9, 1e9), (1 << 30) - 1);
-    assert_eq!(corner(f64::NAN, -1e9, -1e9), 0);
-    assert_eq!(corner(1.0, -1e9, -1e9), 1 << 27 | 1 << 24);
 }
 
 /// Rows are sorted by their keys, and rows of one key keep their order. There are more rows than one workgroup sorts

@@ -2,6 +2,11 @@
 //! `densify/mark_drawn`, `densify/draw_weights`, `densify/draw_sources`, `densify/opacity_keys`,
 //! `densify/edge_response`, `densify/edge_gradient`, `densify/sum_weights` and `densify/add_importance`.
 
+use super::pixels::{SIZES, layouts};
+use crate::common::prelude::*;
+use crate::reference::draws as twin;
+use crate::reference::gather::pcg4d;
+use crate::reference::linear::sigmoid;
 use ashsplat::frame::{SceneBuffers, Strips, planes};
 use ashsplat::kernels::constants::{
     CHANCE_EQUAL, CHANCE_IMPORTANCE, CHANCE_STATISTIC, NOT_DRAWN, NOT_VISIBLE, STATE_OVERFLOW,
@@ -11,18 +16,6 @@ use ashsplat::kernels::densify::{
     opacity_keys, sum_weights,
 };
 use ashsplat::passes::densify::{Candidates, Chances, Selection, SelectionBuffers, SelectionDraw};
-use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind};
-
-use super::pixels::{SIZES, layouts};
-use crate::common::compare::elementwise;
-use crate::common::engine::gaussians;
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::options;
-use crate::common::scenes::{Random, mixed_scene};
-use crate::reference::draws as twin;
-use crate::reference::gather::pcg4d;
-use crate::reference::linear::sigmoid;
-use crate::reference::types::Gaussian;
 
 const KEY: [u32; 2] = [42, 700];
 const THRESHOLD: f32 = 0.5;
@@ -523,7 +516,6 @@ fn summed(gpu: &Gpu, visible: &[(u32, Vec<f32>)], size: usize, overflow: bool) -
     (weights, gpu.read(&ranges, 4))
 }
 
-/// Smallest and largest weight.
 fn extent(weights: &[f32]) -> [f32; 2] {
     let low = weights.iter().copied().fold(f32::INFINITY, f32::min);
     [low, weights.iter().copied().fold(0.0, f32::max)]

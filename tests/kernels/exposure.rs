@@ -1,17 +1,13 @@
 //! The kernels of `exposure/` against their twins: `exposure/expose`, `exposure/expose_backward`,
 //! `exposure/lens_effects`, `exposure/lens_backward` and `exposure/exposure_step`.
 
-use ashsplat::kernels::constants::{STATE_OVERFLOW, TERM_PARTIALS};
-use ashsplat::kernels::exposure::{expose, expose_backward, exposure_step, lens_backward, lens_effects};
-use ashsplat::vk::Buffer;
-
 use super::pixels::{SIZES, layouts};
-use crate::common::compare::elementwise;
-use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::scenes::Random;
+use crate::common::prelude::*;
 use crate::common::terms::{colors, place, values};
 use crate::reference::exposure::{self as twin, Exposures, IDENTITY, Matrix, Rows};
 use crate::reference::pixels::picture_to_rows;
+use ashsplat::kernels::constants::{STATE_OVERFLOW, TERM_PARTIALS};
+use ashsplat::kernels::exposure::{expose, expose_backward, exposure_step, lens_backward, lens_effects};
 
 const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
 
@@ -205,7 +201,6 @@ impl<'a> Backward<'a> {
     }
 }
 
-/// Sum of partial gradients of rows.
 fn sum(parts: &[Floats]) -> Matrix {
     let mut sums = [[0.0; 4]; 3];
     for part in parts {

@@ -1,15 +1,10 @@
 //! The kernels of Mip-Splatting's 3D filter against their twins: `forward/nearest_depths` and `forward/filter_sizes`.
 
-use ashsplat::kernels::constants::{PLANE_LOG_SCALE, STATE_OVERFLOW};
-use ashsplat::kernels::forward::{filter_sizes, nearest_depths};
-use ashsplat::vk::Buffer;
-
-use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{pack, pack_filtered, place, planes, room};
-use crate::common::scenes::{Random, mixed_scene, rotation_about_y, small_view};
+use crate::common::prelude::*;
 use crate::reference::filter_sizes::filter_sizes as filter_sizes_twin;
 use crate::reference::nearest_depths::nearest_depth;
-use crate::reference::types::{Gaussian, View};
+use ashsplat::kernels::constants::{PLANE_LOG_SCALE, STATE_OVERFLOW};
+use ashsplat::kernels::forward::{filter_sizes, nearest_depths};
 
 /// Fourth components of the log-scales.
 fn filters(gpu: &Gpu, parameters: &Buffer, count: usize, coefficients: usize) -> Vec<f32> {

@@ -2,22 +2,17 @@
 //! `forward/write_indirect_args`, `forward/write_visible_ranges`, `forward/count`, `forward/duplicate_with_tiles` and
 //! `forward/ranges`.
 
-use std::ops::Range;
-
+use crate::common::frame::{Projected, shuffled, state, touched_at_most, visible_scene};
+use crate::common::prelude::*;
+use crate::reference::lists::{self as twin, LISTED, is_listed, tiles_met};
+use crate::reference::scan::{scan_reduce, scan_spine};
+use crate::reference::tiles::{touched, touches_by_pixels};
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::kernels::forward::{
     compact, count, duplicate_with_tiles, ranges, write_indirect_args, write_visible_ranges,
 };
-
-use crate::common::frame::{Projected, shuffled, state, touched_at_most, visible_scene};
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{extent_word, scene_blocks};
-use crate::common::scenes::{Random, small_view};
-use crate::reference::lists::{self as twin, LISTED, is_listed, tiles_met};
-use crate::reference::scan::{scan_reduce, scan_spine};
-use crate::reference::tiles::{touched, touches_by_pixels};
-use crate::reference::types::{Extent, Gaussian, Splat, View};
+use std::ops::Range;
 
 #[test]
 pub fn compact_equals_its_twin() {
@@ -70,12 +65,7 @@ fn write_indirect_args_equals_its_twin() {
             block_third: 256,
             max_workgroups_per_axis: limit,
         };
-        gpu.dispatch::<write_indirect_args::Interface>(
-            &write_indirect_args::Spec::default(),
-            &bind,
-            &push,
-            1,
-        );
+        gpu.dispatch::<write_indirect_args::Interface>(&Default::default(), &bind, &push, 1);
         let (elements, overflow) = twin::clamp(needed, capacity);
         let mut words = vec![0; STATE_WORDS as usize];
         (words[2], words[3], words[STATE_OVERFLOW as usize]) = (needed, elements, u32::from(overflow));

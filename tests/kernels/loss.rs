@@ -1,21 +1,16 @@
 //! The loss's terms beside the photometric one against their twins: `loss/inverse_depth_l1`, `loss/regularize`,
 //! `loss/term_reduce`, `loss/sparse_depth` and `loss/sparse_depth_gather`.
 
-use ashsplat::kernels::constants::TERM_PARTIALS;
-use ashsplat::kernels::loss::{sparse_depth, sparse_depth_gather};
-use ashsplat::passes::loss::DepthPointBuffers;
-use ashsplat::vk::Buffer;
-
 use super::pixels::{SIZES, layouts};
-use crate::common::compare::elementwise;
-use crate::common::gpu::{Gpu, sizes};
-use crate::common::scenes::{Random, mixed_scene};
+use crate::common::prelude::*;
 use crate::common::terms::{added_to_fourth_plane, inverse_depth_l1, points, regularize, values};
 use crate::reference::inverse_depth_l1::inverse_depth_l1 as inverse_depth_twin;
 use crate::reference::regularize::{losses, regularize as regularize_twin};
 use crate::reference::sparse_depth::{Point, corners, loss};
 use crate::reference::sparse_depth_gather::gather;
-use crate::reference::types::Gaussian;
+use ashsplat::kernels::constants::TERM_PARTIALS;
+use ashsplat::kernels::loss::{sparse_depth, sparse_depth_gather};
+use ashsplat::passes::loss::DepthPointBuffers;
 
 /// Depth sums of a picture as the blending writes them.
 struct Depths {
@@ -26,7 +21,6 @@ struct Depths {
 }
 
 impl Depths {
-    /// Random depths; some pixels are empty.
     fn random(random: &mut Random, size: [usize; 2]) -> Depths {
         let one = |random: &mut Random| match random.below(6) {
             0 => [0.0, 1.0],
@@ -40,7 +34,6 @@ impl Depths {
         Depths { size, sums: column(0), transmittances: column(1) }
     }
 
-    /// Expected depths.
     fn expected(&self) -> Vec<f64> {
         let pairs = self.sums.iter().zip(&self.transmittances);
         pairs.map(|(&sum, &t)| f64::from(sum) / (1.0 - f64::from(t)).max(1e-10)).collect()

@@ -1,14 +1,10 @@
 //! The kernels of `lpips/` against their twins: `lpips/convolve`, `lpips/max_pool` and `lpips/feature_difference`. Each
 //! reads texels or storage buffers.
 
-use std::ops::Range;
-
-use ashsplat::kernels::lpips::{convolve, feature_difference, max_pool};
-
-use crate::common::compare::{elementwise, equal};
-use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::scenes::Random;
+use crate::common::prelude::*;
 use crate::reference::lpips::{self as twin, Features, Window};
+use ashsplat::kernels::lpips::{convolve, feature_difference, max_pool};
+use std::ops::Range;
 
 /// Shape of a feature map of two pictures, as the kernels store it: feature_map.glsl.
 struct MapShape {
@@ -48,7 +44,6 @@ impl MapShape {
     }
 }
 
-/// Packs the last rows of two pictures.
 fn pack(shape: &MapShape, pictures: &[Features; 2]) -> Vec<[f32; 4]> {
     let mut texels = vec![[0.0; 4]; shape.texels()];
     for (picture, features) in pictures.iter().enumerate() {
@@ -85,12 +80,10 @@ const CASES: [Case; 5] = [
     (Window { size: 2, stride: 3, padding: 0 }, 5, 4, [17, 12]),
 ];
 
-/// The features of two pictures, rounded to float32.
 fn two_pictures(shape: [usize; 3], mut feature: impl FnMut(usize, usize) -> f32) -> [Features; 2] {
     [(); 2].map(|()| Features::new(shape, |_, y, x| f64::from(feature(y, x))))
 }
 
-/// Features after a ReLU.
 fn rectified(random: &mut Random) -> f32 {
     (random.unit() as f32 - 0.2).max(0.0)
 }

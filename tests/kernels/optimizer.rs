@@ -1,21 +1,16 @@
 //! The kernels of `optimizer/` against their twins: `optimizer/adam`, `optimizer/add_gradients`,
 //! `optimizer/add_noise` and `optimizer/average`.
 
-use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_OVERFLOW};
-use ashsplat::kernels::optimizer::{add_gradients, add_noise, average};
-
 use crate::common::adam::{AdamState, Rates, Step, VisibleGradient, camera_block};
-use crate::common::compare::elementwise;
-use crate::common::engine::widen;
-use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{pack, planes, room};
-use crate::common::scenes::{Random, mixed_scene, scalars as all_scalars};
+use crate::common::prelude::*;
+use crate::common::scenes::scalars as all_scalars;
 use crate::reference::adam::{Parameter, adam, adam_sparse, add, is_skipped};
 use crate::reference::add_noise::noise;
 use crate::reference::average::mean;
 use crate::reference::gather::random_normal;
 use crate::reference::sh::sh_gradient;
-use crate::reference::types::Gaussian;
+use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_OVERFLOW};
+use ashsplat::kernels::optimizer::{add_gradients, add_noise, average};
 
 const RATES: Rates =
     Rates { mean: 1e-3, opacity: 0.025, quat: 2e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1.25e-4 };

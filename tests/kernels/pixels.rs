@@ -1,19 +1,15 @@
 //! The kernels that convert pictures' layouts against their twins: `pixels/picture_to_rows`,
 //! `pixels/gradient_from_rows`, `pixels/photo_to_rows` and `pixels/photo_reduced`.
 
+use crate::common::prelude::*;
+use crate::reference::pixels as twin;
 use ashsplat::frame::Strips;
 use ashsplat::kernels::pixels::{gradient_from_rows, photo_reduced, photo_to_rows, picture_to_rows};
 use ashsplat::passes::loss::{Windowing, photo_bytes, photo_on_device};
 
-use crate::common::compare::elementwise;
-use crate::common::gpu::Gpu;
-use crate::common::scenes::Random;
-use crate::reference::pixels as twin;
-
 /// Sizes at and around the borders of strips.
 pub const SIZES: [[u32; 2]; 6] = [[1, 1], [2, 8], [3, 9], [66, 17], [130, 41], [257, 64]];
 
-/// Each size in both layouts.
 pub fn layouts(sizes: impl IntoIterator<Item = [u32; 2]>) -> impl Iterator<Item = ([u32; 2], bool)> {
     sizes.into_iter().flat_map(|size| [(size, true), (size, false)])
 }

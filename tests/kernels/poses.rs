@@ -1,10 +1,7 @@
 //! The kernels of `poses/` against their twins: `poses/pose_gradient` and `poses/pose_step`.
 
-use crate::common::compare::elementwise;
-use crate::common::engine::widen;
-use crate::common::gpu::{Gpu, sizes};
 use crate::common::poses::{Poses, Step, pose_gradient, pose_step, pose_view};
-use crate::common::scenes::{Random, rotation_about_y};
+use crate::common::prelude::*;
 use crate::reference::adam::Parameter;
 use crate::reference::pose_gradient::{gradient_of_parameters, total};
 use crate::reference::pose_step::{moved, step_about};

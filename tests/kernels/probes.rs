@@ -1,12 +1,11 @@
 //! Kernels that probe a device, against their twins: `arithmetic/multiply_add` and `subgroups/subgroup_probe`.
 
-use ashsplat::kernels::arithmetic::multiply_add;
-use ashsplat::kernels::constants as c;
-use ashsplat::kernels::subgroups::subgroup_probe;
-
 use crate::common::compare::elementwise;
 use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::reference::probes as twin;
+use ashsplat::kernels::arithmetic::multiply_add;
+use ashsplat::kernels::constants as c;
+use ashsplat::kernels::subgroups::subgroup_probe;
 
 #[test]
 fn multiply_add_equals_its_twin() {

@@ -1,17 +1,13 @@
 //! `forward/project` against its twin, and `forward/project_scenes` against `forward/project` to the bit.
 
-use ashsplat::kernels::forward::project_scenes;
-
 use super::cull::Batch;
 use crate::common::frame::{Projected, state, tile_bounds, touched_at_most, visible_scene};
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{antialias_word, extent_word, scene_blocks};
-use crate::common::scenes::{Random, drawn_shapes, mixed_scene, rotation_about_y, small_view};
+use crate::common::prelude::*;
 use crate::reference::cull::cull;
 use crate::reference::lists::{is_listed, listed_tiles, tiles_met};
 use crate::reference::project::radius_px;
 use crate::reference::tiles::{half_extent_px, reference_square, touched};
-use crate::reference::types::{Drawn, Dropout, Extent, Selection, Splat, Tint, View};
+use ashsplat::kernels::forward::project_scenes;
 
 struct Output {
     mean2d_extent: Vec<[f32; 4]>,

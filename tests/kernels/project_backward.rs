@@ -1,20 +1,14 @@
 //! `backward/project_backward` and `backward/expand_gradients` against their twins.
 
-use ashsplat::kernels::backward::{expand_gradients, project_backward};
-use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBLE};
-
 use super::blend_backward::from_moments;
 use super::optimizer::{CAMERA, GradientRows};
 use crate::common::blending::assert_alike;
-use crate::common::compare::{GradientTolerance, elementwise, gradient};
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{antialias_word, camera_block, pack_filtered, pack_splats, planes, room};
-use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::common::prelude::*;
 use crate::reference::project::{color, project};
 use crate::reference::project_backward as twin;
-use crate::reference::types::{
-    DILATION, Drawn, Dropout, Extent, Gaussian, Gradient, Splat, SplatGradient, View,
-};
+use crate::reference::types::DILATION;
+use ashsplat::kernels::backward::{expand_gradients, project_backward};
+use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBLE};
 
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 const QUATS: GradientTolerance = GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 };
@@ -189,25 +183,16 @@ fn check(gpu: &Gpu, scene: &Scene) {
     let row = |plane: usize, place: usize| planes[plane * stride + place].map(f64::from);
     let all = |values: &dyn Fn(usize) -> Vec<f64>| (0..count).flat_map(values).collect::<Vec<f64>>();
     let of_gradient = |field: fn(&Gradient) -> Vec<f64>| all(&|i| field(&expected[i].0));
+    let three = |plane| all(&|i| row(plane, i)[..3].to_vec());
+    let mean2d = all(&|i| vec![row(2, i)[3], row(3, i)[3]]);
+    let expected_mean2d = all(&|i| expected[i].1.mean2d_px.to_vec());
     let compared = [
-        ("mean", all(&|i| row(0, i)[..3].to_vec()), of_gradient(|g| g.mean.to_vec()), &near_clamp, TOLERANCE),
+        ("mean", three(0), of_gradient(|g| g.mean.to_vec()), &near_clamp, TOLERANCE),
         ("opacity", all(&|i| vec![row(0, i)[3]]), of_gradient(|g| vec![g.opacity_logit]), &skip, TOLERANCE),
         ("quaternion", all(&|i| row(1, i).to_vec()), of_gradient(|g| g.quat.to_vec()), &skip, QUATS),
-        (
-            "log-scale",
-            all(&|i| row(2, i)[..3].to_vec()),
-            of_gradient(|g| g.log_scale.to_vec()),
-            &skip,
-            TOLERANCE,
-        ),
-        ("colour", all(&|i| row(3, i)[..3].to_vec()), all(&|i| d_color(i).to_vec()), &near_clamp, TOLERANCE),
-        (
-            "mean2d",
-            all(&|i| vec![row(2, i)[3], row(3, i)[3]]),
-            all(&|i| expected[i].1.mean2d_px.to_vec()),
-            &skip,
-            TOLERANCE,
-        ),
+        ("log-scale", three(2), of_gradient(|g| g.log_scale.to_vec()), &skip, TOLERANCE),
+        ("colour", three(3), all(&|i| d_color(i).to_vec()), &near_clamp, TOLERANCE),
+        ("mean2d", mean2d, expected_mean2d, &skip, TOLERANCE),
     ];
     for (name, actual, expected, skip, tolerance) in compared {
         gradient(name, &actual, &expected, skip, tolerance)

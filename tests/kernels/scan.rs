@@ -1,11 +1,10 @@
 //! The kernels of `scan/` against their twins, alone and together: `scan/scan_reduce`, `scan/scan_spine` and
 //! `scan/scan_apply`.
 
-use ashsplat::kernels::scan::{scan_apply, scan_reduce, scan_spine};
-
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
 use crate::common::scenes::Random;
 use crate::reference::scan as twin;
+use ashsplat::kernels::scan::{scan_apply, scan_reduce, scan_spine};
 
 /// Workgroup size and items of an invocation. A single subgroup needs no barrier.
 fn shapes(gpu: &Gpu) -> [(u32, u32); 2] {

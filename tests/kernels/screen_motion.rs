@@ -1,12 +1,8 @@
 //! `forward/screen_motion` against its twin.
 
-use ashsplat::kernels::forward::screen_motion::{Bind, Interface, Push, Spec};
-
-use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::layout::{camera_block, pack, room};
-use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::common::prelude::*;
 use crate::reference::screen_motion::screen_motion;
-use crate::reference::types::{Drawn, Gaussian, View};
+use ashsplat::kernels::forward::screen_motion::{Bind, Interface, Push, Spec};
 
 /// The kernel's motions of every second Gaussian of a range that begins behind others.
 fn moved(gpu: &Gpu, gaussians: &[Gaussian], view: &View, before: &View) -> Vec<[f32; 2]> {

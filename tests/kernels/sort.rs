@@ -2,16 +2,13 @@
 //! `sort/sort_downsweep`, `sort/sort_downsweep_serial` and `sort/sort_single_subgroup`. The twins do the other steps of
 //! a pass.
 
+use super::scan::random_words;
+use crate::common::prelude::*;
+use crate::reference::sort as twin;
 use ashsplat::kernels::sort::{
     sort_downsweep, sort_downsweep_serial, sort_single_subgroup, sort_spine, sort_upsweep,
     sort_upsweep_serial,
 };
-use ashsplat::vk::Buffer;
-
-use super::scan::random_words;
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::scenes::Random;
-use crate::reference::sort as twin;
 
 /// All keys equal; two keys alternating; two keys in halves.
 fn equal_and_extreme(size: usize) -> Vec<Vec<u32>> {

@@ -1,21 +1,15 @@
 //! The photometric loss by blocks and by sweeps against its twins: `loss/ssim_forward`, `loss/ssim_forward_sweep`,
 //! `loss/ssim_backward`, `loss/ssim_backward_sweep` and `loss/loss_reduce`; and the whole loss by the engine.
 
+use crate::common::prelude::*;
+use crate::reference::loss_reduce::{LAMBDA_DSSIM, Loss as LossTwin, loss as loss_twin};
+use crate::reference::ssim::{Plane, SsimPlane, ssim_backward, ssim_forward};
 use ashsplat::frame::Strips;
 use ashsplat::kernels::loss::{self as kernels, loss_reduce};
 use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_on_device};
-use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind};
-
-use crate::common::compare::{GradientTolerance, elementwise, gradient};
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::options;
-use crate::common::scenes::Random;
-use crate::reference::loss_reduce::{LAMBDA_DSSIM, Loss as LossTwin, loss as loss_twin};
-use crate::reference::ssim::{Plane, SsimPlane, ssim_backward, ssim_forward};
 
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.75];
 
-/// A rendered picture and a photograph.
 struct Pictures {
     size: [u32; 2],
     /// Colour without background, and transmittance, as the blending writes them.
@@ -62,7 +56,6 @@ impl Pictures {
         pictures
     }
 
-    /// True if the mask keeps a pixel.
     fn counts(&self, pixel: usize) -> bool {
         !self.masked || self.photo[pixel] >> 24 != 0
     }
@@ -102,7 +95,6 @@ impl Pictures {
         photo_on_device(windowing, width, height, self.masked, bytemuck::cast_slice(&self.photo).to_vec())
     }
 
-    /// Number of words of the gradient.
     fn gradient_words(&self, windowing: Windowing) -> usize {
         match windowing {
             Windowing::Blocks => 4 * self.pixels(),
@@ -145,7 +137,6 @@ impl Window {
         }
     }
 
-    /// Number of words of the derivatives.
     fn derivative_words(self, pictures: &Pictures) -> usize {
         match self {
             Self::Block { .. } => 9 * pictures.pixels(),
@@ -178,7 +169,6 @@ impl Window {
         places.flat_map(|place| [place, place + 1, place + 2]).collect()
     }
 
-    /// Number of partial sums of a channel.
     fn partials(self, pictures: &Pictures) -> usize {
         let [width, height] = pictures.size;
         match self {
@@ -238,7 +228,6 @@ fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffer) {
     (derivatives, loss_partials)
 }
 
-/// Weight of the loss.
 const WEIGHT: f32 = 0.7;
 
 /// Runs the backward kernel. Returns [`WEIGHT`] dL/d(r, g, b) and a fourth component that it does not write.
@@ -337,7 +326,6 @@ fn check_all(gpu: &Gpu, windows: &[Window], check: fn(&Gpu, &Pictures, Window)) 
     }
 }
 
-/// Compares derivatives and partial sums of either kernel with the twin's.
 fn check_forward(gpu: &Gpu, pictures: &Pictures, window: Window) {
     let (derivatives, partials) = forward(gpu, pictures, window);
     let count = pictures.pixels();
@@ -375,7 +363,6 @@ fn ssim_forward_sweep_equals_its_twin() {
     check_all(&gpu, &sweeps(&gpu), check_forward);
 }
 
-/// Compares the gradient of either kernel with the twin's.
 fn check_backward(gpu: &Gpu, pictures: &Pictures, window: Window) {
     let count = pictures.pixels();
     let planes = [0, 1, 2].map(|channel| pictures.planes(channel));
@@ -572,7 +559,6 @@ fn loss_under_a_mask_is_that_of_the_pictures_times_the_mask() {
     }
 }
 
-/// Both forms give the same loss.
 #[test]
 fn loss_by_blocks_and_by_sweeps() {
     if !Gpu::new().has_texels("the loss by sweeps") {

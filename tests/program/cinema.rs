@@ -1,11 +1,9 @@
 //! Films that the viewer records.
 
-use std::path::{Path, PathBuf};
-
-use serde_json::{Value, json};
-use tempfile::{TempDir, tempdir};
-
 use super::page::{Page, Server, camera, message, write_ball};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use tempfile::{TempDir, tempdir};
 
 /// A viewer of a small scene, and the folder for its films.
 pub struct Cinema {
@@ -26,7 +24,6 @@ impl Cinema {
         self.folder.path().join("films")
     }
 
-    /// Names of the files in the film folder.
     pub fn files(&self) -> Vec<String> {
         let entries = std::fs::read_dir(self.films()).expect("a folder");
         let name = |entry: std::io::Result<std::fs::DirEntry>| {
@@ -63,7 +60,6 @@ impl Page {
     }
 }
 
-/// A frame of a film, RGB.
 pub fn pixels(folder: &Path, index: u32) -> Vec<u8> {
     image::open(folder.join(format!("{index:05}.png"))).expect("a PNG").to_rgb8().into_raw()
 }

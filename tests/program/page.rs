@@ -1,23 +1,19 @@
 //! The program as a server, and a client that does what the page does.
 
+use super::running::Running;
+pub use crate::common::splats::{ball, camera};
+use ashsplat::scene::Camera;
+use ashsplat_files::splats::{self, WriteOptions};
+use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
-
-use ashsplat::scene::Camera;
-use ashsplat_files::splats::{self, WriteOptions};
-use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};
 
-use super::running::Running;
-pub use crate::common::splats::{ball, camera};
-
-/// Timeout of every wait.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A serving program. The drop ends it.
 pub struct Server {
     child: Running,
     /// Lines printed before it was ready.
@@ -73,7 +69,6 @@ impl Server {
         self.wait()
     }
 
-    /// Waits for the program's end. Returns exit code and stderr.
     pub fn wait(&mut self) -> (Option<i32>, String) {
         let mut stderr = String::new();
         self.child.stderr.take().expect("its stderr").read_to_string(&mut stderr).ok();
@@ -181,7 +176,6 @@ impl Page {
         self.socket.send(Message::text(message.to_string())).expect("sent");
     }
 
-    /// Waits for the next frame or message.
     pub fn hear(&mut self) -> Heard {
         loop {
             match self.socket.read().expect("a message") {
@@ -199,7 +193,6 @@ impl Page {
         }
     }
 
-    /// Waits for the next message of this type and skips others, except problems.
     pub fn wait_for(&mut self, kind: &str) -> Value {
         let start = Instant::now();
         while start.elapsed() < PATIENCE {
@@ -213,12 +206,10 @@ impl Page {
         panic!("no {kind}");
     }
 
-    /// Waits for the next error message.
     pub fn wait_for_problem(&mut self) -> String {
         self.wait_for("problem")["message"].as_str().expect("words").to_owned()
     }
 
-    /// Waits for the next frame.
     pub fn frame(&mut self) -> Shown {
         loop {
             match self.hear() {
@@ -237,7 +228,6 @@ impl Page {
         silent
     }
 
-    /// Requests a frame and acknowledges it.
     pub fn look(&mut self, camera: &Camera, look: &Value) -> Shown {
         self.send(&view(1, camera, look));
         let shown = self.frame();
@@ -251,7 +241,6 @@ pub fn view(seq: u64, camera: &Camera, look: &Value) -> Value {
     json!({ "type": "view", "seq": seq, "camera": message(camera), "look": look })
 }
 
-/// Camera in the page's format.
 pub fn message(camera: &Camera) -> Value {
     let rows = [0, 1, 2].map(|row| camera.camera_from_world.row(row).to_array());
     json!({
@@ -260,7 +249,6 @@ pub fn message(camera: &Camera) -> Value {
     })
 }
 
-/// Writes a ball as a PLY.
 pub fn write_ball(folder: &Path, count: usize) -> std::path::PathBuf {
     let path = folder.join("ball.ply");
     splats::write(&path, &ball(count), &WriteOptions::default()).expect("a PLY");

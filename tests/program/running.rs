@@ -23,7 +23,6 @@ impl Running {
         nix::sys::signal::kill(nix::unistd::Pid::from_raw(pid), signal).expect("a signal");
     }
 
-    /// Waits for the program's end.
     pub fn finish(mut self) -> Output {
         self.0.take().expect("a program").wait_with_output().expect("it ends")
     }

@@ -7,7 +7,6 @@ pub const BETA1: f64 = 0.9;
 pub const BETA2: f64 = 0.999;
 pub const EPSILON: f64 = 1e-15;
 
-/// One scalar parameter with its moments.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Parameter {
     pub value: f64,

@@ -69,7 +69,6 @@ impl Exposures {
         self.step_of_sums(rate, count, center);
     }
 
-    /// Adds the gradient of a photograph to the sums. `starts`: it is the first.
     pub fn add(&mut self, view: usize, gradient: &Matrix, starts: bool) {
         if starts {
             self.sums.fill([[0.0; 4]; 3]);

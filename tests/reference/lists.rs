@@ -2,10 +2,9 @@
 //! `forward/write_visible_ranges`, `forward/count`, `forward/duplicate_with_tiles` and `forward/ranges`. Lists of tiles
 //! are those of `glsl/include/tile_list.glsl`.
 
-use std::ops::Range;
-
 use super::tiles;
 use super::types::{Splat, View};
+use std::ops::Range;
 
 /// Place of an index that is not in the list.
 pub const NOT_LISTED: u32 = u32::MAX;

@@ -11,7 +11,6 @@ pub struct Features {
 }
 
 impl Features {
-    /// Features with values computed by a formula.
     pub fn new(
         [channels, height, width]: [usize; 3],
         mut value: impl FnMut(usize, usize, usize) -> f64,
@@ -24,14 +23,12 @@ impl Features {
         self.values[(c * self.height + y) * self.width + x]
     }
 
-    /// Row `y` of channel `c`.
     pub fn row(&self, c: usize, y: usize) -> &[f64] {
         let start = (c * self.height + y) * self.width;
         &self.values[start..start + self.width]
     }
 }
 
-/// Side of the window, stride, and zero padding around the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
     pub size: usize,
@@ -40,7 +37,6 @@ pub struct Window {
 }
 
 impl Window {
-    /// Number of windows along a side.
     pub fn count(&self, side: usize) -> usize {
         (side + 2 * self.padding - self.size) / self.stride + 1
     }

@@ -99,7 +99,6 @@ impl SplatGradient {
     }
 }
 
-/// Row-major pixels of a view.
 pub fn pixels_of(view: &View) -> impl Iterator<Item = [u32; 2]> + use<> {
     let [width, height] = view.size_px;
     (0..height).flat_map(move |y| (0..width).map(move |x| [x, y]))

@@ -44,7 +44,6 @@ pub fn gradient_from_rows(
     }
 }
 
-/// Returns (r, g, b, mask) per pixel.
 pub fn photo_to_rows(planes: &[u8], size: [usize; 2], masked: bool) -> Vec<[u8; 4]> {
     let [width, height] = size;
     let value = |plane, pixel| planes[strip_index(plane, [pixel % width, pixel / width], size)];

@@ -106,7 +106,6 @@ pub fn intermediate(gaussian: &Gaussian, view: &View) -> Option<Intermediate> {
     })
 }
 
-/// The splat of a Gaussian, `None` when culled.
 pub fn project(gaussian: &Gaussian, view: &View) -> Option<Splat> {
     let on_the_way = intermediate(gaussian, view)?;
     let [a, b, c] = on_the_way.cov2d_undilated;

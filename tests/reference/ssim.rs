@@ -60,7 +60,6 @@ pub fn blur(plane: &Plane) -> Vec<f64> {
     blurred
 }
 
-/// SSIM of picture x against picture y.
 pub fn ssim_forward(x: &Plane, y: &Plane) -> SsimPlane {
     let product = |a: &Plane, b: &Plane| Plane {
         width: a.width,

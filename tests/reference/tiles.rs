@@ -95,7 +95,6 @@ pub fn touches_rectangle(splat: &Splat, tile: [u32; 2]) -> bool {
     smallest_form_over_tile(splat, tile) <= level(splat)
 }
 
-/// The tiles of a splat in row-major order.
 pub fn touched(splat: &Splat, view: &View) -> Vec<u32> {
     let [x0, y0, x1, y1] = match view.extent {
         Extent::Exact => exact_box(splat, view),

@@ -133,7 +133,6 @@ pub struct Dropout {
 }
 
 impl Dropout {
-    /// True if a Gaussian is omitted.
     pub fn drops(&self, gaussian: usize) -> bool {
         pcg4d([self.seed, self.iteration, gaussian as u32, 6])[0] >> 8 < self.below
     }
@@ -190,14 +189,12 @@ impl Drawn {
         orthographic: false,
     };
 
-    /// True if the cut-outs keep a Gaussian.
     pub fn keeps(&self, gaussian: &Gaussian) -> bool {
         let own = || self.cut_outs.iter().flatten();
         let inside = |removes: bool| own().any(|c| c.removes == removes && c.contains(gaussian.mean));
         !inside(true) && (inside(false) || own().all(|c| c.removes))
     }
 
-    /// True if the dropout omits a Gaussian.
     pub fn drops(&self, gaussian: usize) -> bool {
         self.dropout.is_some_and(|dropout| dropout.drops(gaussian))
     }

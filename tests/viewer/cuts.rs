@@ -1,11 +1,10 @@
 //! Cuts, and exported files: those of the viewer and of `ashsplat convert`.
 
+use super::training::Training;
 use super::*;
 use ashsplat::scene::{Bounds, Cut};
 use ashsplat_files::splats::Format;
 use glam::DVec3;
-
-use super::training::Training;
 
 const COUNT: usize = 900;
 
@@ -23,7 +22,6 @@ fn cuts() -> Vec<Value> {
     ]
 }
 
-/// Picture of Gaussians that the test has cut itself.
 fn picture(gaussians: &Gaussians, camera: &Camera) -> Vec<u8> {
     rendered(gaussians, camera, &RenderSettings::default())
 }

@@ -185,7 +185,6 @@ fn viewer_shows_views_as_they_were_photographed() {
     assert!(shown(&mut page, photo, None) == plain);
 }
 
-/// During training, exposures are those learned so far. Trainings that learn none show none.
 #[test]
 fn viewer_of_a_training_shows_its_exposures() {
     for learns in [true, false] {

@@ -22,7 +22,6 @@ impl Empty {
         Empty { place, server }
     }
 
-    /// Number of files in the temporary folder.
     fn left(&self) -> usize {
         std::fs::read_dir(self.place.at("room")).expect("a folder").count()
     }
@@ -45,7 +44,6 @@ fn bytes_of(count: usize, ending: &str) -> Vec<u8> {
 }
 
 impl Page {
-    /// Waits for the next scene or error.
     fn opened(&mut self) -> Result<Value, String> {
         loop {
             let Heard::Message(message) = self.hear() else { continue };

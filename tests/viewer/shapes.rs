@@ -106,7 +106,6 @@ fn shapes_that_make_no_sense_are_refused() {
     assert!(error.to_string().contains("as they are"), "{error}");
 }
 
-/// Small ellipsoids have no holes, wherever they lie: their edges are steeper than any Gaussian's.
 #[test]
 fn small_ellipsoids_have_no_holes() {
     let settings = RenderSettings { shape: Shape::Ellipsoid, ..RenderSettings::default() };
@@ -124,10 +123,8 @@ fn small_ellipsoids_have_no_holes() {
         for (index, transmittance) in frame.transmittance.iter().enumerate() {
             let [column, row] = [index as u32 % frame.width, index as u32 / frame.width];
             let distance = (column as f32 - middle[0]).hypot(row as f32 - middle[1]);
-            assert!(
-                distance > radius || *transmittance < 0.5,
-                "{k}: {scale}, pixel {column}, {row}: {transmittance}"
-            );
+            let place = format!("{k}: {scale}, pixel {column}, {row}");
+            assert!(distance > radius || *transmittance < 0.5, "{place}: {transmittance}");
         }
     }
 }

@@ -9,7 +9,6 @@ fn silent(server: &Server, count: usize) -> Vec<TcpStream> {
     (0..count).filter_map(|_| TcpStream::connect(server.host.as_str()).ok()).collect()
 }
 
-/// Silent connections, many more than the program's limit of descriptors.
 #[test]
 fn viewer_leaves_descriptors_to_a_training() {
     let training = Training::start_within(150);

@@ -47,12 +47,10 @@ impl Page {
         self.send(&json!({ "type": "train", "action": action }));
     }
 
-    /// Waits for an iteration while training is stepped.
     pub fn reach(&mut self, iteration: u64) {
         wait_until("the iteration does not come", || self.status(0)["iteration"] == iteration);
     }
 
-    /// Waits for any later iteration.
     pub fn pass(&mut self, iteration: u64) {
         wait_until("it does not go on", || self.status(0)["iteration"].as_u64() > Some(iteration));
     }

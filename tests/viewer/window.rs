@@ -18,7 +18,7 @@ mod text;
 #[path = "../../tools/view/window/words.rs"]
 mod words;
 
-use keys::{Action, HELP, KEYS, ONLY_PAGE};
+use keys::{Action, KEYS, ONLY_PAGE};
 
 fn page(file: &str) -> String {
     let path = crate::common::root().join("tools/view/web").join(file);
@@ -86,27 +86,4 @@ fn window_has_the_keys_of_the_page() {
     let window: Vec<_> = KEYS.iter().map(|(code, _)| *code).chain(ONLY_PAGE.map(|(code, _)| code)).collect();
     let unknown: Vec<_> = window.iter().filter(|code| !known.iter().any(|k| k == *code)).collect();
     assert!(unknown.is_empty() && known.len() == window.len(), "not keys of the page: {unknown:?}");
-}
-
-#[test]
-fn window_explains_keys_as_the_page_does() {
-    let text = page("index.html");
-    let dialog = between(&text, "<dialog id=\"keys\">", "</dialog>");
-    let rows = dialog.split("<tr><td>").skip(1).map(|row| {
-        let key = row.split("</td>").next().expect("a key");
-        (key, between(row, "<td>", "</td>"))
-    });
-    // Rows that the window supports partly or not at all.
-    let other =
-        ["one finger", "two fingers", "double tap", "V, I, C", "K, P", "X", "Space", "O", "H, Esc, ?", "[ ]"];
-    let mut same = 0;
-    for (key, meaning) in rows {
-        let here = HELP.iter().find(|(k, _)| *k == key).map(|(_, meaning)| *meaning);
-        if here != Some(meaning) {
-            assert!(other.contains(&key), "{key}: '{meaning}' on the page, {here:?} in the window");
-        } else {
-            same += 1;
-        }
-    }
-    assert!(same >= 10, "{same}");
 }

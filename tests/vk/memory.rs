@@ -110,7 +110,6 @@ fn arenas_are_counted() {
     assert_eq!(arena("images").bytes, 0);
 }
 
-/// A new bound applies from the next allocation on.
 #[test]
 fn the_bound_of_all_arenas_may_change() {
     let context = common::bounded(None);

@@ -6,7 +6,6 @@ use ashsplat::vk::{Access, Context, ContextOptions, Submission};
 
 const COUNT: u32 = 5000;
 
-/// One scan whose grid the host gives, and one whose grid is in a buffer.
 fn run_scans(gpu: &Gpu) {
     let scan = Scan::new(gpu.context).expect("kernels");
     let grid = scan.block_words(COUNT.into()) as u32;
@@ -40,7 +39,6 @@ fn of_scans(submissions: Vec<Submission>) -> Submission {
     own.next().expect("the recording was logged")
 }
 
-/// A separate device, because a profile belongs to its context.
 fn own_gpu(options: ContextOptions) -> Gpu {
     let context = Context::new(&options).expect("a device");
     Gpu::of(Box::leak(Box::new(context)))
@@ -94,10 +92,7 @@ fn check_times(gpu: &Gpu, submission: &Submission) {
     if submission.calibrated {
         // The clocks are read in sequence, and a thread may be interrupted in between.
         let error = submission.calibration_error;
-        assert!(
-            error <= submission.done - submission.begun,
-            "clocks that are read apart by {error:?} tell nothing"
-        );
+        assert!(error <= submission.done - submission.begun, "clocks read apart by {error:?} tell nothing");
         assert!(device_begun + error >= submission.submitting, "the device begins after the host submits");
         let device_done = device_begun + std::time::Duration::from_nanos(whole as u64);
         assert!(device_done <= submission.done + error, "the device ends before the host knows");

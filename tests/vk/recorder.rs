@@ -36,12 +36,10 @@ impl BlockSums {
         scan_reduce::Bind { counts: &self.counts, values: &self.values, block_sums: &self.block_sums }
     }
 
-    /// Dispatches the kernel.
     fn record(&self, r: &mut Recorder) {
         r.dispatch(&self.kernel, &self.bind(), &PUSH, self.workgroups);
     }
 
-    /// Computes the sums and checks them.
     fn run(&self, context: &Context) {
         run(context, |r| self.record(r));
         self.check(context);
@@ -132,7 +130,6 @@ fn a_missing_barrier_panics_with_both_ends() {
     });
 }
 
-/// Records four commands and three barriers, each of them needed.
 fn record(recorder: &mut Recorder, sums: &BlockSums) {
     recorder.update(&sums.arguments, bytemuck::cast_slice(&[sums.workgroups as u32, 1, 1]));
     recorder.barrier();

@@ -7,7 +7,6 @@ use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::forward::cull;
 use ashsplat::vk::{Access, BindingKind, Buffer, Context, ContextOptions, Kernel, KernelInterface, Recorder};
 
-/// Objects to cull zero Gaussians.
 struct Culling {
     buffers: [Buffer; 4],
     kernel: Kernel<cull::Interface>,
@@ -23,7 +22,6 @@ impl Culling {
         }
     }
 
-    /// Writes a block and culls with it.
     fn record(&self, r: &mut Recorder, camera_block: &Buffer) {
         let [parameters, visible_flags, block_counts, blocks] = &self.buffers;
         r.update(blocks, &vec![0; blocks.bytes() as usize]);

@@ -1,10 +1,10 @@
 //! An X server without a screen, and simulated input.
 
+use crate::running::Running;
+use ashsplat_files::Photo;
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
-
-use ashsplat_files::Photo;
 use x11rb::connection::Connection;
 use x11rb::protocol::xproto::{
     AtomEnum, ClientMessageEvent, ConfigureWindowAux, ConnectionExt as _, EventMask, ImageFormat, InputFocus,
@@ -13,9 +13,6 @@ use x11rb::protocol::xproto::{
 use x11rb::protocol::xtest::ConnectionExt as _;
 use x11rb::rust_connection::RustConnection;
 
-use crate::running::Running;
-
-/// Timeout of every wait.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 pub const PAUSE: Duration = Duration::from_millis(50);
 
@@ -27,7 +24,6 @@ pub struct Server {
 }
 
 impl Server {
-    /// Starts on the first free display.
     pub fn start() -> Server {
         let mut xvfb = Command::new("Xvfb");
         xvfb.args(["-displayfd", "1", "-screen", "0", "1400x900x24", "-nolisten", "tcp", "-noreset"]);
@@ -44,7 +40,6 @@ impl Server {
     }
 }
 
-/// Simulated input at the server.
 pub struct Desk {
     connection: RustConnection,
     root: Window,
@@ -82,7 +77,6 @@ impl Desk {
         self.connection.flush().expect("sent");
     }
 
-    /// Presses and releases a key; the code is Linux' plus 8.
     pub fn key(&self, code: u8) {
         self.hold(code, Duration::ZERO);
     }
@@ -94,14 +88,12 @@ impl Desk {
         self.fake(KEY_RELEASE_EVENT, code, [0; 2]);
     }
 
-    /// Presses a key while another is held.
     pub fn chord(&self, held: u8, code: u8) {
         self.fake(KEY_PRESS_EVENT, held, [0; 2]);
         self.key(code);
         self.fake(KEY_RELEASE_EVENT, held, [0; 2]);
     }
 
-    /// Drags with the left button.
     pub fn drag(&self, from: [i16; 2], to: [i16; 2]) {
         self.fake(MOTION_NOTIFY_EVENT, 0, from);
         self.fake(4, 1, from);
@@ -135,7 +127,6 @@ impl Desk {
         self.connection.flush().expect("sent");
     }
 
-    /// Screenshot of a window.
     pub fn screenshot(&self, window: Window) -> Photo {
         let place = self.connection.get_geometry(window).expect("sent").reply().expect("a window");
         let (width, height) = (place.width, place.height);

@@ -1,13 +1,13 @@
 //! `ashsplat inspect`.
 
 use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
-use ashsplat::{Error, PixelReport, Renderer, Result, Sample};
+use ashsplat::{Error, PixelReport, Renderer, Result};
 use ashsplat_files::cameras_json;
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::config::CAMERAS_FILE;
 use ashsplat_program::look::LookArguments;
 use ashsplat_program::model::Model;
-use ashsplat_program::session;
+use ashsplat_program::{output, session};
 use clap::Args;
 use glam::{DVec3, Mat3};
 use serde_json::json;
@@ -153,12 +153,6 @@ fn triple(color: [f32; 3]) -> String {
 }
 
 fn print_json(report: &PixelReport) {
-    let sample = |(rank, s): (usize, &Sample)| {
-        json!({
-            "rank": rank, "id": s.gaussian, "depth": s.depth, "alpha": s.alpha, "weight": s.weight,
-            "transmittance_left": s.transmittance_after, "color": s.color,
-        })
-    };
-    let samples: Vec<_> = report.samples.iter().enumerate().map(sample).collect();
+    let samples = output::samples(report);
     say!("{:#}", json!({ "samples": samples, "color": report.color, "transmittance": report.transmittance }));
 }

@@ -1,8 +1,9 @@
 //! A compiler's figures of kernels: the schema `ashsplat-static/1`, which `profile --static` writes, its table, and the
 //! comparison of two files.
 
+use super::kernels;
 use super::schema::{Device, Program};
-use ashsplat::vk::{ConstantKind, Executable, KernelInterface, KernelVisitor, PipelineStatistics};
+use ashsplat::vk::{ConstantKind, Executable, PipelineStatistics};
 use ashsplat::{Error, Result};
 use ashsplat_files::regular_file;
 use serde::{Deserialize, Serialize};
@@ -105,29 +106,16 @@ impl Figures {
     }
 }
 
-/// Collects names and kinds of a kernel's constants.
-struct Constants<'a> {
-    kernel: &'a str,
-    found: BTreeMap<u32, (&'static str, ConstantKind)>,
-}
-
-impl KernelVisitor for Constants<'_> {
-    fn visit<K: KernelInterface>(&mut self) {
-        if K::NAME == self.kernel {
-            self.found.extend(K::CONSTANTS.iter().map(|c| (c.id, (c.name, c.kind))));
-        }
-    }
-}
-
 impl Pipeline {
     /// Figures of a pipeline's largest program. Drivers that compile several choose among them at run time.
     pub fn of(statistics: &PipelineStatistics) -> Self {
-        let mut constants = Constants { kernel: statistics.kernel, found: BTreeMap::new() };
-        ashsplat::kernels::visit_all(&mut constants);
-        let named = statistics.constants.iter().map(|(id, bits)| match constants.found.get(id) {
-            Some((name, kind)) => ((*name).to_owned(), value(*kind, *bits)),
-            None => (format!("constant {id}"), bits.to_string()),
-        });
+        let kernel = kernels::all().into_iter().find(|kernel| kernel.name == statistics.kernel);
+        let constants = kernel.map_or(&[][..], |kernel| kernel.constants);
+        let named =
+            statistics.constants.iter().map(|(id, bits)| match constants.iter().find(|c| c.id == *id) {
+                Some(constant) => (constant.name.to_owned(), value(constant.kind, *bits)),
+                None => (format!("constant {id}"), bits.to_string()),
+            });
         let executable = statistics.executables.iter().max_by_key(|e| e.subgroup_size);
         let known = executable.map_or(0, |e| e.subgroup_size);
         Self {
@@ -331,25 +319,23 @@ pub fn compare(a: &Compiled, b: &Compiled, path: &Path, limit: f64) -> Result<Co
 
 /// Table of one device: a row per kernel, or per variant.
 pub fn table(compiled: &Compiled, variants: bool) -> String {
-    let names =
-        ["registers", "scalar", "spills", "fills", "scratch", "shared", "per SIMD", "latency", "code"];
+    type Column = (&'static str, fn(&Figures) -> Option<f64>);
+    let columns: [Column; 9] = [
+        ("registers", |f| f.registers),
+        ("scalar", |f| f.scalar_registers),
+        ("spills", |f| f.spills),
+        ("fills", |f| f.fills),
+        ("scratch", |f| f.scratch_bytes),
+        ("shared", |f| f.shared_bytes),
+        ("per SIMD", |f| f.subgroups_per_simd),
+        ("latency", |f| f.latency),
+        ("code", |f| f.code_bytes.or(f.instructions)),
+    ];
     let mut text = format!("{:<44} {:>5} {:>9}", "kernel", "lanes", "workgroup");
-    names.iter().for_each(|name| text += &format!(" {name:>9}"));
+    columns.iter().for_each(|(name, _)| text += &format!(" {name:>9}"));
     let mut row = |name: &str, p: &Pipeline, rest: &str| {
-        let f = &p.figures;
         text += &format!("\n{name:<44} {:>5} {:>9}", p.subgroup_size, p.workgroup());
-        let figures = [
-            f.registers,
-            f.scalar_registers,
-            f.spills,
-            f.fills,
-            f.scratch_bytes,
-            f.shared_bytes,
-            f.subgroups_per_simd,
-            f.latency,
-            f.code_bytes.or(f.instructions),
-        ];
-        figures.iter().for_each(|figure| text += &format!(" {:>9}", shown(*figure)));
+        columns.iter().for_each(|(_, figure)| text += &format!(" {:>9}", shown(figure(&p.figures))));
         text += rest;
     };
     if variants {

@@ -26,12 +26,6 @@ pub struct Job<'a> {
 }
 
 impl Job<'_> {
-    fn counts(&self, capacity: u32) -> Result<Counts> {
-        let g = &self.scene.gaussians;
-        let size = (self.scene.camera.width, self.scene.camera.height);
-        counts(self.context, (g.len() as u32, capacity), g.sh_degree, size)
-    }
-
     fn run(&self, name: &str, workload: Workload, measured: &Measured, counts: Counts) -> Run {
         result(self.context, name, workload, measured, counts, self.copy)
     }
@@ -43,7 +37,9 @@ impl Job<'_> {
         form: Blending,
         measured: &Measured,
     ) -> Result<Run> {
-        let counts = self.counts(stats.gaussians)?.seen(stats.visible, stats.instances);
+        let (g, size) = (&self.scene.gaussians, (self.scene.camera.width, self.scene.camera.height));
+        let counts = counts(self.context, (g.len() as u32, stats.gaussians), g.sh_degree, size)?;
+        let counts = counts.seen(stats.visible, stats.instances);
         let workload = Workload {
             longest_tile: Some(stats.longest_tile),
             blending: Some(forms::name(form).to_owned()),
@@ -54,7 +50,7 @@ impl Job<'_> {
 }
 
 /// Counts of a frame of this size, without its visible Gaussians and instances. `gaussians`: number and capacity.
-pub fn counts(
+fn counts(
     context: &Context,
     (gaussians, capacity): (u32, u32),
     sh_degree: u32,
@@ -63,6 +59,18 @@ pub fn counts(
     let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
     let chunks = plan.ranges(gaussians).count() as u64;
     Ok(Counts { gaussians, visible: 0, instances: 0, width, height, sh_degree, chunks })
+}
+
+/// Counts of a training step.
+pub fn step_counts(
+    context: &Context,
+    report: &StepReport,
+    sh_degree: u32,
+    size: (u32, u32),
+) -> Result<Counts> {
+    let count = report.gaussians;
+    let capacity = count.saturating_add(count / 2).max(1 << 12);
+    Ok(counts(context, (count, capacity), sh_degree, size)?.seen(report.visible, report.instances))
 }
 
 pub fn result(
@@ -91,13 +99,19 @@ fn frame(renderer: &mut Renderer, job: &Job, settings: &RenderSettings) -> Resul
     }
 }
 
-/// Measures a frame. Returns the run and its measurement.
-pub fn render(job: &Job) -> Result<(Run, Measured)> {
-    let mut renderer = Renderer::new(job.context)?;
-    if let Some(form) = job.blending {
+/// The renderer of a scene. `form`: None for the device's default.
+pub fn renderer(context: &Context, scene: &Scene, form: Option<Blending>) -> Result<Renderer> {
+    let mut renderer = Renderer::new(context)?;
+    if let Some(form) = form {
         renderer.set_blending(form);
     }
-    renderer.upload(&job.scene.gaussians)?;
+    renderer.upload(&scene.gaussians)?;
+    Ok(renderer)
+}
+
+/// Measures a frame. Returns the run and its measurement.
+pub fn render(job: &Job) -> Result<(Run, Measured)> {
+    let mut renderer = renderer(job.context, job.scene, job.blending)?;
     let settings = RenderSettings::default();
     let mut stats = FrameStats::default();
     let iterate = || {
@@ -114,8 +128,7 @@ pub fn render(job: &Job) -> Result<(Run, Measured)> {
 
 /// Measures a frame in both forms of blending, in turn.
 pub fn render_both(job: &Job) -> Result<Vec<Run>> {
-    let mut renderer = Renderer::new(job.context)?;
-    renderer.upload(&job.scene.gaussians)?;
+    let mut renderer = renderer(job.context, job.scene, None)?;
     let settings = RenderSettings::default();
     let mut stats = FrameStats::default();
     let mut blended = |blending: Blending| {
@@ -164,46 +177,40 @@ pub fn start(scene: &Scene, seed: u64) -> Gaussians {
     }
 }
 
-/// The trainer of a scene. A synthetic scene starts disturbed, and is trained on its own picture.
-pub fn trainer(context: &Context, scene: &Scene, seed: u64) -> Result<Trainer> {
+/// The trainer of a scene, after steps that reach the full SH degree. A synthetic scene starts disturbed, and is trained on its own
+/// picture.
+pub fn trainer(context: &Context, scene: &Scene, form: Option<Blending>, seed: u64) -> Result<Trainer> {
     let view = match &scene.view {
         Some(view) => view.clone(),
         None => {
-            let mut renderer = Renderer::new(context)?;
-            renderer.upload(&scene.gaussians)?;
-            let frame = renderer.render(&scene.camera, &RenderSettings::default())?;
+            let frame = renderer(context, scene, None)?.render(&scene.camera, &RenderSettings::default())?;
             let photo = Photo::from_f32(frame.width, frame.height, &frame.color)?;
             TrainView::new(scene.camera, photo)
         }
     };
     let settings = steady_settings(scene.gaussians.sh_degree, seed);
-    Trainer::new(context, vec![view], &start(scene, seed), scene.scene_extent, settings)
-}
-
-/// Steps until the full SH degree is in use.
-pub fn reach_full_degree(trainer: &mut Trainer) -> Result<()> {
-    for _ in 0..=trainer.settings().sh_degree {
+    let mut trainer = Trainer::new(context, vec![view], &start(scene, seed), scene.scene_extent, settings)?;
+    if let Some(form) = form {
+        trainer.set_blending(form);
+    }
+    for _ in 0..=scene.gaussians.sh_degree {
         trainer.step()?;
     }
-    Ok(())
+    Ok(trainer)
 }
 
 /// Measures a training step (forward, loss, backward, Adam). Returns the run and its measurement.
 pub fn train_step(job: &Job) -> Result<(Run, Measured)> {
-    let mut trainer = trainer(job.context, job.scene, job.seed)?;
-    if let Some(form) = job.blending {
-        trainer.set_blending(form);
-    }
-    reach_full_degree(&mut trainer)?;
+    let mut trainer = trainer(job.context, job.scene, job.blending, job.seed)?;
     let mut report = StepReport::default();
     let iterate = || {
         report = trainer.step()?;
         Ok(())
     };
     let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
-    let count = report.gaussians;
-    let capacity = count.saturating_add(count / 2).max(1 << 12);
-    let counts = job.counts(capacity)?.seen(report.visible, report.instances);
+    let camera = &job.scene.camera;
+    let degree = job.scene.gaussians.sh_degree;
+    let counts = step_counts(job.context, &report, degree, (camera.width, camera.height))?;
     let workload = job.scene.training_workload(&trainer.render_settings(), job.seed);
     let blending = Some(forms::name(trainer.blending()).to_owned());
     let workload = Workload { longest_tile: Some(report.longest_tile), blending, ..workload };

@@ -12,6 +12,7 @@ mod compiled;
 mod cpu_sorts;
 mod forms;
 mod frames;
+mod kernels;
 mod machine;
 mod measure;
 mod plot;
@@ -32,8 +33,7 @@ mod transactions;
 mod workload;
 
 use arguments::{
-    AllArguments, BlendingArguments, FrameArguments, IterationArguments, OutputArguments, PrimitiveArguments,
-    TrainArguments,
+    AllArguments, BlendingArguments, FrameArguments, OutputArguments, PrimitiveArguments, TrainArguments,
 };
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -43,7 +43,6 @@ use schema::{Report, Run, Settings};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use tasks::Task;
-use workload::SceneArguments;
 
 /// Exit code of a comparison that --fail-above fails. Other failures have another.
 const REGRESSION: u8 = 1;
@@ -103,24 +102,25 @@ struct CompareArguments {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     match &arguments.what {
-        What::Scan(a) => measure_all(&a.output, Plan::of_primitive(a), |_| Ok(tasks::of_scan(a))),
-        What::Sort(a) => measure_all(&a.output, Plan::of_primitive(a), |_| Ok(tasks::of_sort(a))),
-        What::Render(a) => {
-            measure_all(&a.output, Plan::of(a.iterations, &a.scene), |_| tasks::of_frames(a, false))
-        }
+        What::Scan(a) => measure_all(&a.output, (a.iterations.get(), a.seed), |_| Ok(tasks::of_scan(a))),
+        What::Sort(a) => measure_all(&a.output, (a.iterations.get(), a.seed), |_| Ok(tasks::of_sort(a))),
+        What::Render(a) => measure_all(&a.output, (a.iterations.get(), a.scene.synthetic.seed()), |_| {
+            tasks::of_frames(a, false)
+        }),
         What::Blending(a) => {
-            measure_all(&a.output, Plan::of(a.iterations, &a.scene), |_| tasks::of_blending(a))
+            measure_all(&a.output, (a.iterations.get(), a.scene.synthetic.seed()), |_| tasks::of_blending(a))
         }
-        What::TrainStep(a) => {
-            measure_all(&a.output, Plan::of(a.iterations, &a.scene), |_| tasks::of_frames(a, true))
-        }
+        What::TrainStep(a) => measure_all(&a.output, (a.iterations.get(), a.scene.synthetic.seed()), |_| {
+            tasks::of_frames(a, true)
+        }),
         What::Train(a) => {
-            let plan = Plan { iterations: training::ITERATIONS, seed: a.seed };
             let host = &a.output.device.host;
-            measure_all(&a.output, plan, |_| tasks::of_training(&a.dataset, &a.windows, a.sh_degree, host))
+            measure_all(&a.output, (training::ITERATIONS, a.seed), |_| {
+                tasks::of_training(&a.dataset, &a.windows, a.sh_degree, host)
+            })
         }
         What::All(a) => {
-            let plan = Plan { iterations: a.iterations.get(), seed: a.synthetic.seed() };
+            let plan = (a.iterations.get(), a.synthetic.seed());
             measure_all(&a.output, plan, |context| tasks::of_all(a, context.limits().tuning.is_slow))
         }
         What::Compare(files) => return compare_files(files),
@@ -129,23 +129,6 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         What::Scaling(sweep) => scaling::run(sweep),
     }?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// Parameters shared by all workloads of a report.
-#[derive(Clone, Copy)]
-struct Plan {
-    iterations: Iterations,
-    seed: u64,
-}
-
-impl Plan {
-    fn of_primitive(arguments: &PrimitiveArguments) -> Self {
-        Self { iterations: arguments.iterations.get(), seed: arguments.seed }
-    }
-
-    fn of(iterations: IterationArguments, scene: &SceneArguments) -> Self {
-        Self { iterations: iterations.get(), seed: scene.synthetic.seed() }
-    }
 }
 
 fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
@@ -220,7 +203,7 @@ fn compare_compiled(files: &CompareArguments) -> Result<ExitCode> {
 
 fn measure_all(
     output: &OutputArguments,
-    Plan { iterations, seed }: Plan,
+    (iterations, seed): (Iterations, u64),
     tasks: impl FnOnce(&Context) -> Result<Vec<Task>>,
 ) -> Result<()> {
     output.check(&[])?;

@@ -61,9 +61,9 @@ pub struct Measurement<'a> {
     profile: Profile,
     iterations: Vec<Iteration>,
     untimed_ms: Vec<f64>,
-    cpu: Option<Vec<f64>>,
+    cpu: Vec<Option<f64>>,
     ratios: Vec<f64>,
-    cpu_ratios: Option<Vec<f64>>,
+    cpu_ratios: Vec<Option<f64>>,
 }
 
 impl<'a> Measurement<'a> {
@@ -88,9 +88,9 @@ impl<'a> Measurement<'a> {
             profile,
             iterations: Vec::new(),
             untimed_ms: Vec::new(),
-            cpu: Some(Vec::new()),
+            cpu: Vec::new(),
             ratios: Vec::new(),
-            cpu_ratios: Some(Vec::new()),
+            cpu_ratios: Vec::new(),
         })
     }
 
@@ -108,13 +108,7 @@ impl<'a> Measurement<'a> {
         let untimed = begun.elapsed();
         self.untimed_ms.push(untimed.as_secs_f64() * 1e3);
         let spent = cpu_begun.zip(process_seconds()).map(spent_between);
-        let with = |all: Option<Vec<f64>>, value: Option<f64>| {
-            all.zip(value).map(|(mut all, value)| {
-                all.push(value);
-                all
-            })
-        };
-        self.cpu = with(self.cpu.take(), spent);
+        self.cpu.push(spent);
         context.set_timestamps(self.timed);
         prepare()?;
         context.set_profile(Some(&self.profile));
@@ -125,8 +119,7 @@ impl<'a> Measurement<'a> {
         let timed = cpu_begun.zip(process_seconds()).map(spent_between);
         context.set_profile(None);
         context.set_timestamps(true);
-        let ratio = timed.zip(spent).map(|(timed, untimed)| timed / untimed.max(1e-9));
-        self.cpu_ratios = with(self.cpu_ratios.take(), ratio);
+        self.cpu_ratios.push(timed.zip(spent).map(|(timed, untimed)| timed / untimed.max(1e-9)));
         self.ratios.push(wall.as_secs_f64() / untimed.as_secs_f64().max(1e-9));
         self.iterations.push(Iteration { begun, wall, submissions: self.profile.take() });
         Ok(())
@@ -135,11 +128,12 @@ impl<'a> Measurement<'a> {
     /// Returns the measurements of all rounds.
     pub fn end(self) -> Measured {
         let ratios = if self.timed { self.ratios } else { Vec::new() };
-        let processor = self.cpu_ratios.and_then(Spread::of);
+        let of_all = |values: Vec<Option<f64>>| Spread::of(values.into_iter().collect::<Option<Vec<_>>>()?);
+        let processor = of_all(self.cpu_ratios);
         Measured {
             iterations: self.iterations,
             untimed_ms: Spread::of(self.untimed_ms),
-            cpu_seconds: self.cpu.and_then(Spread::of),
+            cpu_seconds: of_all(self.cpu),
             cost: Spread::of(ratios).map(|wall| Cost { wall, processor }),
         }
     }

@@ -22,37 +22,18 @@ use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use subject::Subject;
 
-/// Options that conflict with --dump, which runs nothing.
-const NOT_WITH_DUMP: [&str; 31] = [
+/// Options that conflict with --dump, besides those that run something.
+const NOT_WITH_DUMP: [&str; 12] = [
     "what",
     "is_static",
     "json",
     "asm",
     "beside",
-    "html",
-    "trace",
     "spec",
-    "ab",
-    "watch",
     "glsl",
-    "printf",
-    "capture",
-    "frames",
-    "warmup",
-    "gaussians",
     "sh_degree",
-    "width",
-    "height",
-    "seed",
-    "scene",
-    "camera",
-    "dataset",
-    "view",
     "blending",
     "device",
-    "validation",
-    "max_memory",
-    "max_host_memory",
     "subgroup_size",
     "backend",
 ];
@@ -96,7 +77,7 @@ pub struct Arguments {
     compiled: compiled::StaticArguments,
     /// Write the SPIR-V of each kernel (or of those of --kernel) below this folder, with counts of its instructions by class;
     /// constants have their defaults there, for --spec's are given to the driver
-    #[arg(long, value_name = "DIR", conflicts_with_all = NOT_WITH_DUMP)]
+    #[arg(long, value_name = "DIR", conflicts_with_all = NOT_WITH_DUMP, conflicts_with_all = compiled::NOT_WITH_STATIC)]
     dump: Option<PathBuf>,
     /// Compile edited shaders again while running, and show what changed (feature hot-reload); Ctrl-C ends it
     #[arg(long, conflicts_with_all = ["html", "trace", "kernel"])]
@@ -257,7 +238,7 @@ fn only(name: Option<&str>, kernels: &mut Vec<KernelResult>) -> Result<()> {
 /// Refuses a kernel or folder that does not exist, and names those that do.
 fn check_kernel(name: Option<&str>) -> Result<()> {
     let Some(name) = name else { return Ok(()) };
-    let known = spec::kernels();
+    let known = spec::kernel_names();
     if known.iter().any(|k| is_kernel_of(k, name)) {
         return Ok(());
     }

@@ -81,8 +81,7 @@ impl<'a> Counter<'a> {
 }
 
 fn of_frame(context: &Context, scene: &Scene, forms: &[Blending]) -> Result<Vec<BlendSamples>> {
-    let mut renderer = Renderer::new(context)?;
-    renderer.upload(&scene.gaussians)?;
+    let mut renderer = frames::renderer(context, scene, None)?;
     let mut count = |form: &Blending| {
         renderer.set_blending(*form);
         Ok(renderer.render(&scene.camera, &RenderSettings::default())?.stats.samples)
@@ -91,10 +90,7 @@ fn of_frame(context: &Context, scene: &Scene, forms: &[Blending]) -> Result<Vec<
 }
 
 fn of_step(context: &Context, scene: &Scene, form: Blending, seed: u64) -> Result<BlendSamples> {
-    let mut trainer = frames::trainer(context, scene, seed)?;
-    trainer.set_blending(form);
-    frames::reach_full_degree(&mut trainer)?;
-    Ok(trainer.step()?.samples)
+    Ok(frames::trainer(context, scene, Some(form), seed)?.step()?.samples)
 }
 
 /// Additions, subtractions, multiplications and divisions of a sample in glsl/include/blending.glsl, for the opacity and all

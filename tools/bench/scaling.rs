@@ -10,6 +10,7 @@ use ashsplat::frame::max_trained_gaussians;
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_program::output;
+use ashsplat_program::progress::thousands;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -68,7 +69,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let context = arguments.output.context()?;
     arguments.check_trained(max_trained_gaussians(context.limits()))?;
     let yardsticks = Yardsticks::measure(&context)?;
-    let (width, fixed) = (arguments.width, table::grouped(arguments.gaussians.into()));
+    let (width, fixed) = (arguments.width, thousands(arguments.gaussians.into()));
     let (mut panels, mut sweeps): (Vec<Panel>, Vec<Sweep>) = (Vec::new(), Vec::new());
     for task in Task::value_variants().iter().copied().filter(|task| arguments.of.contains(task)) {
         let measure = |size| arguments.measure(task, &context, &yardsticks, size);
@@ -120,9 +121,9 @@ impl Arguments {
         let problem = format!(
             "this device trains at most {} (a binding holds the gradients of no more); \
              sweep fewer with --counts and --gaussians, or --of frames alone",
-            table::grouped(most.into())
+            thousands(most.into())
         );
-        Err(Error::argument(format!("{} Gaussians", table::grouped(largest.into())), problem))
+        Err(Error::argument(format!("{} Gaussians", thousands(largest.into())), problem))
     }
 
     fn scene(&self, gaussians: u32, width: u32) -> SyntheticArguments {
@@ -232,7 +233,7 @@ fn exponents(axis: &str, groups: &[&[Series]]) -> String {
     let width = width.unwrap_or(0).max(axis.len());
     let mut out = format!("{axis:<width$}");
     for (x, _) in groups.iter().find_map(|group| group.first()).map_or(&[][..], |series| &series.points) {
-        out += &format!("{:>12}", table::grouped(*x as u64));
+        out += &format!("{:>12}", thousands(*x as u64));
     }
     out += "   exponent\n";
     for group in groups {

@@ -1,39 +1,31 @@
 //! Results for people and for spreadsheets.
 
 use super::schema::{Report, Run, Spread, Workload};
+use ashsplat_program::progress::thousands;
 use std::fmt::Write;
-
-/// Separates thousands with commas.
-pub fn grouped(n: u64) -> String {
-    let digits = n.to_string();
-    let mut out = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(digit);
-    }
-    out
-}
 
 /// Describes a workload in one line.
 pub fn describe(w: &Workload) -> String {
     let mut text = String::new();
     if let Some(elements) = w.elements {
-        let _ = write!(text, "{} elements", grouped(elements));
+        let _ = write!(text, "{} elements", thousands(elements));
     }
     if let (Some(n), Some(degree)) = (w.gaussians, w.sh_degree) {
-        let _ = write!(text, "{} Gaussians of SH degree {degree}", grouped(n.into()));
+        let _ = write!(text, "{} Gaussians of SH degree {degree}", thousands(n.into()));
     }
     if let (Some(width), Some(height)) = (w.width, w.height) {
         let _ = write!(text, ", {width}x{height}");
     }
     if let (Some(visible), Some(instances)) = (w.visible, w.instances) {
-        let _ =
-            write!(text, ", {} visible, {} instances", grouped(visible.into()), grouped(instances.into()));
+        let _ = write!(
+            text,
+            ", {} visible, {} instances",
+            thousands(visible.into()),
+            thousands(instances.into())
+        );
     }
     if let Some(longest) = w.longest_tile {
-        let _ = write!(text, ", longest tile {}", grouped(longest.into()));
+        let _ = write!(text, ", longest tile {}", thousands(longest.into()));
     }
     format!("{text} ({})", w.source)
 }
@@ -230,13 +222,4 @@ pub fn csv(report: &Report) -> String {
         }
     }
     out
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn thousands_are_grouped() {
-        let texts = [0, 12, 123, 1234, 1_048_576].map(super::grouped);
-        assert_eq!(texts, ["0", "12", "123", "1,234", "1,048,576"]);
-    }
 }

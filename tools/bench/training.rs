@@ -81,11 +81,8 @@ impl Training {
             };
             let measured = measure(context, ITERATIONS, || Ok(()), iterate)?;
             let workload = self.workload(end, &last, &trainer);
-            let count = last.gaussians;
             let size = (workload.width.unwrap_or(0), workload.height.unwrap_or(0));
-            let capacity = count.saturating_add(count / 2).max(1 << 12);
-            let counts = frames::counts(context, (count, capacity), trainer.settings().sh_degree, size)?;
-            let counts = counts.seen(last.visible, last.instances);
+            let counts = frames::step_counts(context, &last, trainer.settings().sh_degree, size)?;
             runs.push(frames::result(context, "train", workload, &measured, counts, copy));
         }
         Ok(runs)

@@ -122,34 +122,29 @@ requirements! {
         v11.get_image_memory_requirements2, memory_requirements;
 }
 
-pub unsafe extern "system" fn of_new_buffer(
-    device: vk::Device,
-    info: *const vk::DeviceBufferMemoryRequirements<'_>,
-    requirements: *mut vk::MemoryRequirements2<'_>,
-) {
-    let state = DeviceState::of(device);
-    // SAFETY: the caller's arguments; the changed description outlives the call.
-    unsafe {
-        let mut own = *info;
-        let create = own.p_create_info.as_ref().map(|create| families::exclusive_buffer(create));
-        own.p_create_info = create.as_ref().map_or(null(), |create| create);
-        (state.v13.get_device_buffer_memory_requirements)(device, &raw const own, requirements);
-        allow(&state, &mut (*requirements).memory_requirements);
-    }
+/// Defines queries about objects that do not exist yet. A row has the function's name, the description, how it is changed, and the
+/// driver's function.
+macro_rules! requirements_of_new {
+    ($($name:ident($asked:ident), $changed:ident, $next:ident;)*) => {$(
+        pub unsafe extern "system" fn $name(
+            device: vk::Device,
+            info: *const vk::$asked<'_>,
+            requirements: *mut vk::MemoryRequirements2<'_>,
+        ) {
+            let state = DeviceState::of(device);
+            // SAFETY: the caller's arguments; the changed description outlives the call.
+            unsafe {
+                let mut own = *info;
+                let create = own.p_create_info.as_ref().map(|create| families::$changed(create));
+                own.p_create_info = create.as_ref().map_or(null(), |create| create);
+                (state.v13.$next)(device, &raw const own, requirements);
+                allow(&state, &mut (*requirements).memory_requirements);
+            }
+        }
+    )*};
 }
 
-pub unsafe extern "system" fn of_new_image(
-    device: vk::Device,
-    info: *const vk::DeviceImageMemoryRequirements<'_>,
-    requirements: *mut vk::MemoryRequirements2<'_>,
-) {
-    let state = DeviceState::of(device);
-    // SAFETY: as above.
-    unsafe {
-        let mut own = *info;
-        let create = own.p_create_info.as_ref().map(|create| families::exclusive_image(create));
-        own.p_create_info = create.as_ref().map_or(null(), |create| create);
-        (state.v13.get_device_image_memory_requirements)(device, &raw const own, requirements);
-        allow(&state, &mut (*requirements).memory_requirements);
-    }
+requirements_of_new! {
+    of_new_buffer(DeviceBufferMemoryRequirements), exclusive_buffer, get_device_buffer_memory_requirements;
+    of_new_image(DeviceImageMemoryRequirements), exclusive_image, get_device_image_memory_requirements;
 }

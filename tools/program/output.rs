@@ -1,19 +1,31 @@
 //! Writes the files of commands: whole or not at all, in folders that are created as needed.
 
 use ashsplat::scene::{linear_from_premultiplied, linear_from_srgb};
-use ashsplat::{Error, Frame, RenderSettings, Result};
+use ashsplat::{Error, Frame, PixelReport, RenderSettings, Result, Sample};
 use ashsplat_files::{Photo, PhotoFileFormat, atomic, regular_file};
 use clap::ValueEnum;
 use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, LineOrder, SmallVec, WritableImage,
 };
 use serde::Serialize;
+use serde_json::{Value, json};
 use std::io::{Cursor, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 /// The first error of writing to stdout.
 static STDOUT_FAILURE: OnceLock<std::io::Error> = OnceLock::new();
+
+/// Describes the Gaussians that were blended at a pixel, front to back.
+pub fn samples(report: &PixelReport) -> Vec<Value> {
+    let sample = |(rank, s): (usize, &Sample)| {
+        json!({
+            "rank": rank, "id": s.gaussian, "depth": s.depth, "alpha": s.alpha, "weight": s.weight,
+            "transmittance_left": s.transmittance_after, "color": s.color,
+        })
+    };
+    report.samples.iter().enumerate().map(sample).collect()
+}
 
 /// Writes a line to stdout. A closed pipe is not an error. The work continues after any other failure, and
 /// [`check_stdout`] reports it at the end.

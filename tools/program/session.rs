@@ -12,7 +12,7 @@ use clap::Args;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// Which data set a command uses, and how.
 #[derive(Args)]
@@ -167,4 +167,9 @@ pub fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
 pub fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
     // The panic has already printed its place.
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| Err(Error::argument("a panic", "told above")))
+}
+
+/// Locks a mutex whose holders leave no half-made change when they panic.
+pub fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -125,12 +125,8 @@ pub fn settings(base: &RenderSettings, look: &Look) -> RenderSettings {
     }
 }
 
-pub fn draw(painter: &mut dyn Painter, camera: &Camera, base: &RenderSettings, look: &Look) -> Result<Drawn> {
-    draw_as(painter, camera, base, look, None)
-}
-
-/// Same as [`draw`], but in [`Mode::Splats`] also applies a photo's exposure and lens effects. The photo's camera comes with them.
-pub fn draw_as(
+/// In [`Mode::Splats`], a photo's exposure and lens effects are applied. The photo's camera comes with them.
+pub fn draw(
     painter: &mut dyn Painter,
     camera: &Camera,
     base: &RenderSettings,
@@ -179,7 +175,7 @@ pub fn answer(
     let camera = request.camera.camera()?;
     let light = request.as_photo.map(|photo| lights.of(photo, painter)).transpose()?;
     let start = Instant::now();
-    let drawn = draw_as(painter, &camera, base, &request.look, light)?;
+    let drawn = draw(painter, &camera, base, &request.look, light)?;
     let render_ms = start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
     let bytes = encode(&drawn.photo, request.look.quality)?;

@@ -65,6 +65,11 @@ impl Film {
         })
     }
 
+    /// Width and height of a frame, pixels.
+    pub fn size(&self) -> [u32; 2] {
+        [self.request.width, self.request.height]
+    }
+
     /// Most Gaussians of a frame of a tree of tiles.
     pub fn budget(&self) -> Option<u64> {
         self.request.look.budget
@@ -76,7 +81,7 @@ impl Film {
             if !painter.is_ready(camera)? {
                 return Ok(None);
             }
-            let photo = draw::draw(painter, camera, base, &self.request.look)?.photo;
+            let photo = draw::draw(painter, camera, base, &self.request.look, None)?.photo;
             let frames = self.folder.join(&self.name);
             output::write_png(&output::numbered(&frames, self.done, "png"), &photo)?;
             self.done += 1;

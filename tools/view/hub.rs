@@ -8,9 +8,10 @@ mod films;
 mod outbox;
 mod turns;
 
-use super::protocol::{CameraMessage, Look, ToPage, TrainAction, ViewRequest};
+use super::protocol::{Pick, ToPage, TrainAction, ViewRequest};
 use ashsplat::Gaussians;
 use ashsplat_files::splats::WriteOptions;
+use ashsplat_program::session::locked;
 use outbox::Outbox;
 use serde_json::json;
 use std::collections::VecDeque;
@@ -29,15 +30,6 @@ const MOST_SCENES: usize = 2;
 const MOST_PICKS: usize = 4;
 /// Most waiting training actions; more are refused.
 const MOST_ACTIONS: usize = 64;
-
-/// The pixel, and its picture, that a page asks about.
-#[derive(Clone, Copy, Debug)]
-pub struct Pick {
-    pub id: u64,
-    pub camera: CameraMessage,
-    pub look: Look,
-    pub pixel: [u32; 2],
-}
 
 /// A picture for a program that speaks the reference's protocol; the answer is its RGB bytes.
 #[derive(Debug)]
@@ -89,8 +81,7 @@ pub struct Hub {
 
 impl Hub {
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A thread that panics leaves no half-made change here.
-        self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+        locked(&self.state)
     }
 
     fn change<T>(&self, change: impl FnOnce(&mut State) -> T) -> T {
@@ -177,35 +168,20 @@ impl Hub {
 
     /// Queues a page's question about a pixel; false if too many of its picks wait.
     pub fn pick(&self, client: u64, pick: Pick) -> bool {
-        self.change(|state| match state.clients.get_mut(&client) {
-            Some(client) if client.picks.len() < MOST_PICKS => {
-                client.picks.push_back(pick);
-                true
-            }
-            _ => false,
+        self.change(|state| {
+            let client = state.clients.get_mut(&client);
+            client.is_some_and(|client| queue(&mut client.picks, pick, MOST_PICKS))
         })
     }
 
     /// Queues another program's request for a picture; false if too many wait.
     pub fn ask_remotely(&self, request: RemoteRequest) -> bool {
-        self.change(|state| {
-            let taken = state.remote.len() < MOST_REMOTE;
-            if taken {
-                state.remote.push_back(request);
-            }
-            taken
-        })
+        self.change(|state| queue(&mut state.remote, request, MOST_REMOTE))
     }
 
     /// Queues a request for the Gaussians; false if too many wait.
     pub fn ask_for_scene(&self, request: SceneRequest) -> bool {
-        self.change(|state| {
-            let taken = state.scenes.len() < MOST_SCENES;
-            if taken {
-                state.scenes.push_back(request);
-            }
-            taken
-        })
+        self.change(|state| queue(&mut state.scenes, request, MOST_SCENES))
     }
 
     /// Requests new frames for the pages that follow the scene's changes.
@@ -219,13 +195,7 @@ impl Hub {
 
     /// Queues a training action; false if nothing is trained or too many wait.
     pub fn act(&self, action: TrainAction) -> bool {
-        self.change(|state| {
-            let heard = state.status.is_some() && state.actions.len() < MOST_ACTIONS;
-            if heard {
-                state.actions.push_back(action);
-            }
-            heard
-        })
+        self.change(|state| state.status.is_some() && queue(&mut state.actions, action, MOST_ACTIONS))
     }
 
     /// Takes all queued training actions.
@@ -281,8 +251,18 @@ impl Hub {
     }
 }
 
+/// Adds to a queue; false if it is full.
+fn queue<T>(queue: &mut VecDeque<T>, item: T, most: usize) -> bool {
+    let has_room = queue.len() < most;
+    if has_room {
+        queue.push_back(item);
+    }
+    has_room
+}
+
 #[cfg(test)]
 mod tests {
+    use super::super::protocol::{CameraMessage, Look};
     use super::*;
 
     pub(super) fn view(seq: u64) -> ViewRequest {

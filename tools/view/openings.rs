@@ -2,9 +2,10 @@
 //! without a scene.
 
 use ashsplat_files::splats::Format;
+use ashsplat_program::session::locked;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use tempfile::TempDir;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
@@ -49,11 +50,6 @@ impl Openings {
         Openings { folder, most_bytes, turn: Arc::new(Semaphore::new(1)), wish: Mutex::default() }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Option<Wish>> {
-        // A thread that panics leaves no half-made change here.
-        self.wish.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Describes the limits to a page.
     pub fn described(&self) -> Value {
         json!({ "folder": self.folder, "bytes": self.most_bytes, "formats": FORMATS.map(Format::extension) })
@@ -69,12 +65,12 @@ impl Openings {
     }
 
     pub fn ask(&self, wish: Wish) {
-        *self.lock() = Some(wish);
+        *locked(&self.wish) = Some(wish);
     }
 
     /// Takes the scene to open, if any.
     pub fn take(&self) -> Option<Wish> {
-        self.lock().take()
+        locked(&self.wish).take()
     }
 
     /// Resolves a path that a page names; links may not lead out of the folder either. A path outside gets the same error as a

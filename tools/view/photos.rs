@@ -7,10 +7,11 @@ use super::draw;
 use ashsplat::Error;
 use ashsplat::Result;
 use ashsplat_files::{Gallery, Photo, PhotoFileFormat};
+use ashsplat_program::session::locked;
 use axum::body::Bytes;
-use queue::{Busy, Queue, Turn};
+use queue::{Queue, Turn};
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 pub use queue::Asker;
 
@@ -47,12 +48,6 @@ pub enum Refusal {
     Busy,
     /// It cannot be read.
     Problem(String),
-}
-
-impl From<Busy> for Refusal {
-    fn from(Busy: Busy) -> Refusal {
-        Refusal::Busy
-    }
 }
 
 /// The photos encoded last, newest at the end.
@@ -117,7 +112,7 @@ impl Photos {
         let bytes = match self.kept(index, size) {
             Some(bytes) => bytes,
             None => {
-                let turn = self.decoding.turn(asker, cost).await?;
+                let turn = self.decoding.turn(asker, cost).await.ok_or(Refusal::Busy)?;
                 // Another request may have decoded the same photo meanwhile.
                 match self.kept(index, size) {
                     Some(bytes) => bytes,
@@ -126,7 +121,7 @@ impl Photos {
             }
         };
         let mib = u32::try_from(bytes.len().div_ceil(1 << 20)).unwrap_or(SENDING_MIB);
-        let sent = self.sending.turn(asker, mib).await?;
+        let sent = self.sending.turn(asker, mib).await.ok_or(Refusal::Busy)?;
         Ok(Bytes::from_owner(Lent { bytes, _sent: sent }))
     }
 
@@ -138,7 +133,7 @@ impl Photos {
     }
 
     fn kept(&self, index: usize, size: Size) -> Option<Arc<Vec<u8>>> {
-        self.shelf(size).lock().unwrap_or_else(PoisonError::into_inner).find(index)
+        locked(self.shelf(size)).find(index)
     }
 
     fn shelf(&self, size: Size) -> &Mutex<Kept> {
@@ -161,7 +156,7 @@ impl Photos {
             let view = photos.gallery.view(index).ok_or(Refusal::Unknown)?;
             let encoded = view.and_then(|view| encode(&*view.photo.photo()?, size));
             let bytes = Arc::new(encoded.map_err(|error| Refusal::Problem(error.to_string()))?);
-            photos.shelf(size).lock().unwrap_or_else(PoisonError::into_inner).add(index, bytes.clone());
+            locked(photos.shelf(size)).add(index, bytes.clone());
             Ok(bytes)
         };
         tokio::task::spawn_blocking(work).await.unwrap_or(Err(Refusal::Unknown))

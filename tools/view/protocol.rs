@@ -4,12 +4,13 @@
 use super::cut::CutMessage;
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::{Error, PixelReport, Result, Shape};
+use ashsplat_program::output::samples;
 use glam::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-/// Most pixels of a picture that a page requests.
-const MOST_PIXELS: u64 = 3840 * 2400;
+/// Most pixels of a requested picture.
+pub const MOST_PIXELS: u64 = 3840 * 2400;
 
 /// The page's camera: x right, y down, z forward.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize)]
@@ -121,6 +122,18 @@ pub struct ViewRequest {
     pub as_photo: Option<usize>,
 }
 
+/// Asks which Gaussians make up a pixel of a picture.
+#[derive(Clone, Copy, Debug, Deserialize)]
+pub struct Pick {
+    /// Returned with the answer.
+    pub id: u64,
+    pub camera: CameraMessage,
+    #[serde(default)]
+    pub look: Look,
+    /// Column and row.
+    pub pixel: [u32; 2],
+}
+
 /// A key camera of a path.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 pub struct PathKey {
@@ -153,21 +166,16 @@ pub enum FromPage {
     View(ViewRequest),
     /// The frame has arrived; the next may be sent.
     Ack {},
-    /// Asks which Gaussians make up a pixel, (column, row).
-    Pick {
-        id: u64,
-        camera: CameraMessage,
-        #[serde(default)]
-        look: Look,
-        pixel: [u32; 2],
-    },
+    Pick(Pick),
     /// Asks for training's progress, with curves from this iteration on.
     Status {
         #[serde(default)]
         since: u32,
     },
     /// Controls training.
-    Train { action: TrainAction },
+    Train {
+        action: TrainAction,
+    },
     /// Requests a film along a path.
     Film(FilmRequest),
     /// Cancels the film.
@@ -213,19 +221,8 @@ impl ToPage {
 
 /// Answers a pick. `depth` is where half of the light is blocked, or none if too little is.
 pub fn picked(id: u64, pixel: [u32; 2], report: &PixelReport) -> Value {
-    let samples: Vec<Value> = report
-        .samples
-        .iter()
-        .enumerate()
-        .map(|(rank, s)| {
-            json!({
-                "rank": rank, "id": s.gaussian, "depth": s.depth, "alpha": s.alpha, "weight": s.weight,
-                "transmittance_left": s.transmittance_after, "color": s.color,
-            })
-        })
-        .collect();
     json!({
-        "type": "picked", "id": id, "pixel": pixel, "samples": samples, "color": report.color,
+        "type": "picked", "id": id, "pixel": pixel, "samples": samples(report), "color": report.color,
         "transmittance": report.transmittance, "depth": pivot_depth(report),
     })
 }

@@ -13,6 +13,7 @@ use super::hub::Hub;
 use super::openings::{Openings, Reach};
 use super::photos::{Asker, Photos, Refusal, Size};
 use ashsplat::{Error, Result};
+use ashsplat_program::session::locked;
 use axum::extract::{Path as UrlPath, State};
 use axum::http::{StatusCode, Uri, header};
 use axum::middleware;
@@ -23,7 +24,7 @@ use clap::Args;
 use seats::{Limits, Seat};
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, Once, PoisonError};
+use std::sync::{Arc, Mutex, Once};
 use std::thread::JoinHandle;
 use tokio::sync::{Semaphore, oneshot};
 
@@ -101,12 +102,11 @@ impl Site {
 
     /// Replaces the photos.
     pub fn show_photos(&self, photos: Option<Arc<Photos>>) {
-        // A thread that panics leaves no half-made change here.
-        *self.photos.lock().unwrap_or_else(PoisonError::into_inner) = photos;
+        *locked(&self.photos) = photos;
     }
 
     fn photos(&self) -> Option<Arc<Photos>> {
-        self.photos.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        locked(&self.photos).clone()
     }
 }
 
@@ -220,17 +220,21 @@ async fn asset(uri: Uri) -> Response {
         Some((kind, text)) => {
             ([(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, "no-cache")], text).into_response()
         }
-        None => (
+        None => refusal(
             StatusCode::NOT_FOUND,
-            "404: there is nothing of this name; a proxy must take its own path off\n",
-        )
-            .into_response(),
+            "there is nothing of this name; a proxy must take its own path off",
+        ),
     }
 }
 
 /// A refusal with a text.
 fn refusal(code: StatusCode, problem: &str) -> Response {
     (code, format!("{}: {problem}\n", code.as_u16())).into_response()
+}
+
+/// Asks the page to try again soon.
+fn busy(problem: &str) -> Response {
+    ([(header::RETRY_AFTER, "1")], refusal(StatusCode::SERVICE_UNAVAILABLE, problem)).into_response()
 }
 
 /// Answers with a photo of the data set as JPEG.
@@ -261,10 +265,7 @@ async fn send_photo(site: Arc<Site>, index: usize, size: Size, asker: Asker) -> 
         }
         Err(Refusal::Problem(problem)) => (StatusCode::UNPROCESSABLE_ENTITY, problem).into_response(),
         Err(Refusal::Unknown) => StatusCode::NOT_FOUND.into_response(),
-        Err(Refusal::Busy) => {
-            let text = "503: too many photos are asked for at once\n";
-            (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "1")], text).into_response()
-        }
+        Err(Refusal::Busy) => busy("too many photos are asked for at once"),
     }
 }
 

@@ -9,6 +9,7 @@ mod viewers;
 
 use super::hub::{Hub, RemoteRequest};
 use super::pace::Pace;
+use super::protocol::MOST_PIXELS;
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::{Error, Result};
 use glam::{Mat3, Vec3};
@@ -29,8 +30,6 @@ const SILENCE: Duration = if cfg!(test) { Duration::from_millis(200) } else { Du
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Pause when no connection can be accepted, for example because there are no free descriptors.
 const PAUSE: Duration = Duration::from_millis(100);
-/// Most pixels of a picture.
-const MOST_PIXELS: u64 = 3840 * 2400;
 
 /// The viewer's message.
 #[derive(Debug, Deserialize)]

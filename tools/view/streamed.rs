@@ -12,7 +12,7 @@ use ashsplat::{
     Camera, DeviceScene, Error, Frame, PixelReport, RenderSettings, Renderer, Result, TileReport,
 };
 use ashsplat_files::tiles::{Demand, Tree};
-use loader::{Loader, Source};
+use loader::Loader;
 use residency::{Residency, is_memory};
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -75,18 +75,12 @@ impl Scenery {
             self.renderer.upload(gaussians)?;
         }
         let (Some(streamed), Some(coarsest)) = (tree, self.renderer.scene()) else { return Ok(()) };
-        let source = Source {
-            tree: streamed.tree.clone(),
-            read: streamed.read,
-            sh_degree: gaussians.sh_degree,
-            within: streamed.within.clone(),
-        };
         let context = self.renderer.context().clone();
         let waiting = onlooker.clone();
         self.streaming = Some(Streaming {
             tree: streamed.tree.clone(),
             residency: Residency::new(streamed.tree.clone(), coarsest),
-            loader: Loader::start(context, source, move || waiting.renew())?,
+            loader: Loader::start(context, streamed.clone(), gaussians.sh_degree, move || waiting.renew())?,
             onlooker,
             budget: streamed.budget,
             current: (Viewer::default(), streamed.budget),

@@ -5,7 +5,7 @@ use super::film::{Assembly, Film};
 use super::hub::{CurrentScene, Hub, RemoteRequest, SceneRequest, Task};
 use super::lights::PhotoLights;
 use super::protocol::{self, Look, ToPage};
-use super::sizes::{Sizes, Sparing};
+use super::sizes::Sizes;
 use ashsplat::scene::WorldFrame;
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::splats::WriteOptions;
@@ -74,19 +74,12 @@ impl Studio {
         self.film.is_some() || self.hub.is_wanted()
     }
 
-    /// Does one task, if one arrives in time. True if it did.
+    /// Does one task, if one arrives in time.
     ///
     /// # Errors
     /// When the device is lost. Other errors are reported to the page that made the request.
-    pub fn serve(&mut self, painter: &mut dyn Painter, longest: Duration) -> Result<bool> {
-        let Some(task) = self.hub.next(longest) else { return Ok(false) };
-        let mut painter = Sparing { painter, sizes: self.sizes };
-        let done = self.serve_task(&mut painter, task);
-        self.sizes = painter.sizes;
-        done
-    }
-
-    fn serve_task(&mut self, painter: &mut dyn Painter, task: Task) -> Result<bool> {
+    pub fn serve(&mut self, painter: &mut dyn Painter, longest: Duration) -> Result<()> {
+        let Some(task) = self.hub.next(longest) else { return Ok(()) };
         match task {
             Task::Frame { client, request } => {
                 self.attend(painter, client, &request.look);
@@ -96,20 +89,32 @@ impl Studio {
                 if failed {
                     // No frame was sent, so the page will not confirm one.
                     self.hub.acknowledge(client);
+                } else {
+                    self.drew(painter, [request.camera.width, request.camera.height]);
                 }
             }
             Task::Pick { client, pick } => {
                 self.attend(painter, client, &pick.look);
                 let settings = draw::settings(&self.base, &pick.look);
                 let report = pick.camera.camera().and_then(|c| painter.inspect(&c, &settings, pick.pixel));
+                if report.is_ok() {
+                    self.drew(painter, [pick.camera.width, pick.camera.height]);
+                }
                 let answer = report.map(|r| ToPage::json(&protocol::picked(pick.id, pick.pixel, &r)));
                 self.reply(client, answer)?;
             }
-            Task::Film => return self.go_on_filming(painter),
+            Task::Film => self.go_on_filming(painter)?,
             Task::Remote(request) => self.answer_remotely(painter, &request)?,
             Task::Scene(request) => self.hand_over(painter, request)?,
         }
-        Ok(true)
+        Ok(())
+    }
+
+    /// Frees memory if earlier pictures were much larger than this one and those before it.
+    fn drew(&mut self, painter: &mut dyn Painter, [width, height]: [u32; 2]) {
+        if self.sizes.note(u64::from(width) * u64::from(height)) {
+            painter.shrink();
+        }
     }
 
     /// Tells the painter the viewer of the next picture.
@@ -136,7 +141,7 @@ impl Studio {
         Ok(())
     }
 
-    fn answer_remotely(&self, painter: &mut dyn Painter, request: &RemoteRequest) -> Result<()> {
+    fn answer_remotely(&mut self, painter: &mut dyn Painter, request: &RemoteRequest) -> Result<()> {
         self.attend(painter, REMOTE, &Look::default());
         let settings = RenderSettings { scale_modifier: request.scale, ..self.base };
         let mut camera = request.camera;
@@ -146,6 +151,7 @@ impl Studio {
         let frame = painter.render(&camera, &settings).and_then(|frame| output::to_photo(&frame));
         match frame {
             Ok(photo) => {
+                self.drew(painter, [camera.width, camera.height]);
                 request.answer.try_send(photo.rgb).ok();
                 Ok(())
             }
@@ -172,13 +178,16 @@ impl Studio {
     }
 
     /// Renders one frame of the film in progress, or begins the next film.
-    fn go_on_filming(&mut self, painter: &mut dyn Painter) -> Result<bool> {
-        let Some(mut film) = self.film.take() else { return Ok(self.begin_film()) };
+    fn go_on_filming(&mut self, painter: &mut dyn Painter) -> Result<()> {
+        let Some(mut film) = self.film.take() else {
+            self.begin_film();
+            return Ok(());
+        };
         let client = film.client();
         if self.hub.film_is_called_off() {
             film.discard();
             self.end_film(client, json!({ "type": "film", "cancelled": true }));
-            return Ok(true);
+            return Ok(());
         }
         let viewer = Viewer { page: client, films: true };
         painter.attend(&Audience { viewer, budget: film.budget(), is_there: &|_| true });
@@ -193,22 +202,25 @@ impl Studio {
                 std::thread::sleep(SHORTLY);
                 self.film = Some(film);
             }
-            Ok(Some(progress)) => match film.assembly() {
-                None => {
-                    self.hub.send(client, ToPage::json(&progress));
-                    self.film = Some(film);
+            Ok(Some(progress)) => {
+                self.drew(painter, film.size());
+                match film.assembly() {
+                    None => {
+                        self.hub.send(client, ToPage::json(&progress));
+                        self.film = Some(film);
+                    }
+                    Some(assembly) => {
+                        self.end_film(client, progress.clone());
+                        self.assemble(client, assembly, progress);
+                    }
                 }
-                Some(assembly) => {
-                    self.end_film(client, progress.clone());
-                    self.assemble(client, assembly, progress);
-                }
-            },
+            }
         }
-        Ok(true)
+        Ok(())
     }
 
-    fn begin_film(&mut self) -> bool {
-        let Some((client, request)) = self.hub.take_film() else { return false };
+    fn begin_film(&mut self) {
+        let Some((client, request)) = self.hub.take_film() else { return };
         self.assembling.retain(|thread| !thread.is_finished());
         let begun = match self.assembling.len() < MOST_ASSEMBLED {
             true => Film::begin(client, request, (&self.films, &self.frame)),
@@ -221,7 +233,6 @@ impl Studio {
                 self.hub.send(client, ToPage::problem(&error.to_string()));
             }
         }
-        true
     }
 
     /// Notifies the page and lets the next film begin.

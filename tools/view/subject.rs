@@ -31,6 +31,7 @@ const POINTS_SH_DEGREE: u32 = 0;
 const START_SIZE: [u32; 2] = [1280, 720];
 
 /// A scene to look at.
+#[derive(Default)]
 pub struct Subject {
     pub name: String,
     pub gaussians: Gaussians,
@@ -54,6 +55,7 @@ pub struct Subject {
 }
 
 /// A tree of tiles, of which the viewer loads the visible ones.
+#[derive(Clone)]
 pub struct Streamed {
     pub tree: Arc<Tree>,
     pub read: ReadOptions,
@@ -83,19 +85,7 @@ impl Subject {
     pub fn nothing() -> Subject {
         let note = "No scene is open. Start the viewer with something to look at: `ashsplat view scene.ply`, \
                     `ashsplat view MODEL` (a folder as `ashsplat train -m` leaves it) or `ashsplat view DATASET`.";
-        Subject {
-            name: "nothing".into(),
-            gaussians: Gaussians::default(),
-            frame: WorldFrame::default(),
-            base: RenderSettings::default(),
-            cameras: Vec::new(),
-            photos: None,
-            lights: PhotoLights::default(),
-            note: Some(note.into()),
-            file: None,
-            tree: None,
-            up: None,
-        }
+        Subject { name: "nothing".into(), note: Some(note.into()), ..Subject::default() }
     }
 
     /// A tree of tiles: reads only its coarsest tile.
@@ -134,17 +124,13 @@ impl Subject {
             base: look.settings(&Settings::reference(), &scene.header)?,
             gaussians: scene.gaussians,
             frame: scene.frame,
-            cameras: Vec::new(),
-            photos: None,
-            lights: PhotoLights::default(),
             note: Some(format!(
                 "{} Gaussians in {} tiles",
                 thousands(tree.gaussians() as u64),
                 tree.tiles().len()
             )),
-            file: None,
             tree: Some(streamed(tree)),
-            up: None,
+            ..Subject::default()
         })
     }
 
@@ -205,8 +191,7 @@ impl Subject {
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: model.folder.map(|(_, iteration)| format!("iteration {iteration}")),
             file: Some(file),
-            tree: None,
-            up: None,
+            ..Subject::default()
         })
     }
 
@@ -235,14 +220,10 @@ impl Subject {
             name: path.display().to_string(),
             gaussians,
             frame: *gallery.frame(),
-            base: RenderSettings::default(),
             cameras: gallery.cameras(),
-            lights: PhotoLights::default(),
             photos: Some(Arc::new(Photos::new(gallery))),
             note: Some(note.into()),
-            file: None,
-            tree: None,
-            up: None,
+            ..Subject::default()
         })
     }
 

@@ -20,13 +20,14 @@ use super::Arguments;
 use super::streamed::{Onlooker, Scenery};
 use app::App;
 use ashsplat::{Error, Renderer, Result};
+use ashsplat_program::session::locked;
 use picture::Picture;
 use present::unfit;
 use stage::Stage;
 use std::panic;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use winit::event_loop::{EventLoop, EventLoopProxy};
 use words::no_display;
 
@@ -103,18 +104,18 @@ impl Bell {
 
     /// Takes the latest message, if any.
     pub fn said(&self) -> Option<String> {
-        self.said.lock().unwrap_or_else(PoisonError::into_inner).take()
+        locked(&self.said).take()
     }
 }
 
 impl Onlooker for Bell {
     fn renew(&self) {
         // A loop that has ended needs no waking.
-        self.wake.lock().unwrap_or_else(PoisonError::into_inner).send_event(()).ok();
+        locked(&self.wake).send_event(()).ok();
     }
 
     fn tell(&self, problem: &str) {
-        *self.said.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem.to_owned());
+        *locked(&self.said) = Some(problem.to_owned());
         self.renew();
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
@@ -33,47 +33,26 @@ pub struct Gallery {
     pub(super) maps: Vec<Option<PlannedMap>>,
     /// One per view; empty before [`Gallery::read_tracks`].
     pub(super) tracks: Vec<Option<Track>>,
-    pub(super) frame: WorldFrame,
-    pub(super) points: PointCloud,
-    pub(super) warnings: Vec<String>,
-    pub(super) notes: Vec<String>,
-    /// The folder of the COLMAP model, or the transforms.json.
-    pub(super) source: PathBuf,
-    /// The file that lists the views.
-    pub(super) list: PathBuf,
+    /// The plan without its views.
+    pub(super) plan: Plan,
 }
 
 impl Gallery {
     /// Opens a data set. A ZIP stays unpacked as long as this value lives. The photos are not decoded.
     pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         let unpacked = Unpacked::open(path.as_ref(), progress)?;
-        let plan = read::plan(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
-        let held_out = plan.held_out(options);
-        plan.check_views().map_err(|error| unpacked.name(error))?;
-        let Plan { views, frame, points, source, list, warnings, notes, .. } = plan;
-        let views: Vec<PlannedView> =
-            views.into_iter().collect::<Result<_>>().map_err(|error| unpacked.name(error))?;
-        let mut warnings = warnings;
-        let maps = depths::plan(unpacked.folder(), (&views, &held_out, &frame), options, &mut warnings);
-        let maps = maps.map_err(|error| unpacked.name(error))?;
-        let named = |lines: Vec<String>| lines.iter().map(|line| unpacked.name_in(line)).collect();
-        let (warnings, notes) = (named(warnings), named(notes));
-        let source = unpacked.named(&source);
-        let (options, tracks) = (options.clone(), Vec::new());
-        Ok(Self {
-            unpacked,
-            options,
-            views,
-            held_out,
-            maps,
-            tracks,
-            frame,
-            points,
-            warnings,
-            notes,
-            source,
-            list,
-        })
+        let open = || {
+            let mut plan = read::plan(unpacked.folder(), options)?;
+            let held_out = plan.held_out(options);
+            plan.check_views()?;
+            let views = std::mem::take(&mut plan.views).into_iter().collect::<Result<Vec<_>>>()?;
+            let known = (&views[..], &held_out[..], &plan.frame);
+            let maps = depths::plan(unpacked.folder(), known, options, &mut plan.warnings)?;
+            Ok((plan, views, held_out, maps))
+        };
+        let (mut plan, views, held_out, maps) = open().map_err(|error| unpacked.name(error))?;
+        plan.name_paths(&unpacked);
+        Ok(Self { unpacked, options: options.clone(), views, held_out, maps, tracks: Vec::new(), plan })
     }
 
     /// Removes all views except those with these names. The choice of held-out views stays as it was.
@@ -82,7 +61,7 @@ impl Gallery {
         if let Some(missing) = names.iter().find(|name| !known.contains(name.as_str())) {
             let problem = format!("has no photo {missing}, which is to be used");
             let remedy = "give the data set that the list of photos was made for";
-            return Err(self.unpacked.name(Error::input(&self.list, problem, remedy)));
+            return Err(self.unpacked.name(Error::input(&self.plan.list, problem, remedy)));
         }
         let kept: Vec<bool> = self.views.iter().map(|view| names.contains(&view.name)).collect();
         fn retain<T>(all: &mut Vec<T>, kept: &[bool]) {
@@ -151,7 +130,7 @@ impl Gallery {
 
     /// The cameras by name, at the photos' own sizes.
     pub fn cameras(&self) -> Vec<NamedCamera> {
-        self.cameras_in(&self.frame)
+        self.cameras_in(&self.plan.frame)
     }
 
     /// The cameras by name, at the photos' own sizes, in the world coordinates of another frame.
@@ -211,22 +190,22 @@ impl Gallery {
 
     /// Warnings that do not prevent the use of the photos.
     pub fn warnings(&self) -> &[String] {
-        &self.warnings
+        &self.plan.warnings
     }
 
     /// Harmless notes on the treatment of the photos, one line each.
     pub fn notes(&self) -> &[String] {
-        &self.notes
+        &self.plan.notes
     }
 
     /// The frame of cameras and points.
     pub fn frame(&self) -> &WorldFrame {
-        &self.frame
+        &self.plan.frame
     }
 
     /// The data set's points. There may be none.
     pub fn points(&self) -> &PointCloud {
-        &self.points
+        &self.plan.points
     }
 
     /// Width and height in pixels that a photo will have when it is read; `None` for an index out of range.
@@ -237,7 +216,8 @@ impl Gallery {
     /// Reads a photo, undistorted and scaled as the options say; `None` for an index out of range.
     pub fn view(&self, index: usize) -> Option<Result<View>> {
         let view = self.views.get(index)?;
-        Some(view.load(&self.options).map_err(|error| self.unpacked.name(error)))
+        let loaded = view.load(&self.options).map_err(|error| self.unpacked.name(error));
+        Some(loaded.map(|(view, _)| view))
     }
 }
 
@@ -250,7 +230,7 @@ impl Gallery {
     /// tell if a photo shows it, because other surfaces may hide it.
     pub fn read_tracks(&mut self) -> Result<usize> {
         let folder = self.unpacked.folder();
-        if !colmap::exists(folder) || self.source.extension().is_some_and(|ending| ending == "json") {
+        if !colmap::exists(folder) || self.plan.source.extension().is_some_and(|ending| ending == "json") {
             return Ok(0);
         }
         let read = || colmap::tracks(&Model::of_dataset(folder)?);
@@ -258,7 +238,7 @@ impl Gallery {
         let mut tracks = vec![None; self.views.len()];
         for index in self.trained() {
             let points = shown.remove(&self.views[index].image_id).filter(|points| !points.is_empty());
-            let world = |point| self.frame.world(DVec3::from_array(point));
+            let world = |point| self.plan.frame.world(DVec3::from_array(point));
             tracks[index] = points.map(|points| points.into_iter().map(world).collect::<Track>());
         }
         self.tracks = tracks;

@@ -83,10 +83,8 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
             return report;
         }
     };
+    plan.name_paths(&unpacked);
     report.describe(&plan);
-    report.model = Some(unpacked.named(&plan.source));
-    let lines = report.warnings.iter_mut().chain(&mut report.notes);
-    lines.for_each(|line| *line = unpacked.name_in(line));
     let held_out = plan.held_out(options);
     let split = plan.check_views().and_then(|()| check_split(&plan.list, &held_out));
     let mut views = Vec::new();
@@ -116,6 +114,7 @@ impl DatasetReport {
     }
 
     fn describe(&mut self, plan: &Plan) {
+        self.model = Some(plan.source.clone());
         self.cameras.clone_from(&plan.cameras);
         self.images = plan.registered;
         self.points = plan.points.len();
@@ -150,9 +149,9 @@ impl DatasetReport {
         let done = AtomicUsize::new(0);
         let check = |(view, _): &(PlannedView, bool)| -> Result<PhotoUse> {
             progress.check()?;
-            let result = view.read_photo(options);
+            let result = view.load(options);
             progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, views.len());
-            result.map(|photo| photo.photo_use)
+            result.map(|(_, photo_use)| photo_use)
         };
         let results: Vec<_> = views.par_iter().map(check).collect();
         self.sound_photos = results.iter().filter(|result| result.is_ok()).count();

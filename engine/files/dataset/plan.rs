@@ -8,6 +8,7 @@ use glam::{DVec3, Vec3};
 use super::notes;
 use super::options::DatasetOptions;
 use super::planned_view::PlannedView;
+use super::unpacked::Unpacked;
 use crate::names::first_with;
 use ashsplat::scene::{Camera, PointCloud, SourcePoints, WorldFrame, far_camera, median_ball, strays};
 use ashsplat::{Error, Result};
@@ -43,6 +44,12 @@ impl Plan {
     /// Adds a warning about the file that lists the views.
     pub(super) fn warn(&mut self, problem: impl std::fmt::Display) {
         self.warnings.push(format!("{}: {problem}", self.list.display()));
+    }
+
+    /// Replaces temporary paths by paths in the archive.
+    pub(super) fn name_paths(&mut self, unpacked: &Unpacked) {
+        self.warnings.iter_mut().chain(&mut self.notes).for_each(|line| *line = unpacked.name_in(line));
+        self.source = unpacked.named(&self.source);
     }
 
     /// Chooses the frame unless one is given, and moves views and points into it.

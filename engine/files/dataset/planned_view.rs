@@ -56,16 +56,6 @@ pub(super) struct PhotoUse {
     pub(super) gamma: Option<f32>,
 }
 
-pub(super) struct ReadPhoto {
-    /// The photo, undistorted and scaled.
-    photo: Photo,
-    /// Its opacity, in grey, with [`DatasetOptions::keep_opacity`].
-    opacity: Option<Photo>,
-    /// Its mask at the file's size.
-    mask: Option<Mask>,
-    pub(super) photo_use: PhotoUse,
-}
-
 impl PlannedView {
     /// A view at the origin with its whole photo, and without a name.
     pub(super) fn of(
@@ -119,7 +109,8 @@ impl PlannedView {
         (p.z > 0.0 && inside(x, width) && inside(y, height)).then_some(p.z)
     }
 
-    pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<ReadPhoto> {
+    /// Reads the photo, undistorted and scaled, with its mask.
+    pub(super) fn load(&self, options: &DatasetOptions) -> Result<(View, PhotoUse)> {
         let (lens, pinhole) = (self.lens, self.pinhole);
         let memory = &options.host_memory;
         let own = (lens.width, lens.height);
@@ -161,7 +152,7 @@ impl PlannedView {
         drop(lease);
         let is_hidden = mask.as_ref().is_some_and(Mask::hides_all);
         let photo_use = PhotoUse { is_hidden, mask_is_cut_out, is_transparent, gamma };
-        Ok(ReadPhoto { photo, opacity, mask, photo_use })
+        Ok((self.view_of(photo, opacity, mask)?, photo_use))
     }
 
     /// Size at which the photo or its part will be used.
@@ -201,12 +192,8 @@ impl PlannedView {
         4 * u64::from(width) * u64::from(height)
     }
 
-    pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
-        Ok(self.view_of(self.read_photo(options)?)?.0)
-    }
-
-    pub(super) fn view_of(&self, read: ReadPhoto) -> Result<(View, PhotoUse)> {
-        let ReadPhoto { mut photo, mut opacity, mask, photo_use } = read;
+    /// The view of a photo, its opacity in grey, and its mask at the file's size.
+    fn view_of(&self, mut photo: Photo, mut opacity: Option<Photo>, mask: Option<Mask>) -> Result<View> {
         let original_camera = self.camera();
         let (width, height) = (photo.width, photo.height);
         let coarse = self.coarse_mask.as_ref().map(|mask| mask.stretched_to(width, height));
@@ -226,7 +213,7 @@ impl PlannedView {
                 StoredPhoto::with_opacity(photo, &opacity, mask)
             }
         };
-        let view = View {
+        Ok(View {
             name: self.name.clone(),
             image_id: self.image_id,
             camera_id: self.camera_id,
@@ -235,7 +222,6 @@ impl PlannedView {
             photo,
             inverse_depth: None,
             depth_points: None,
-        };
-        Ok((view, photo_use))
+        })
     }
 }

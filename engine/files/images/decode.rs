@@ -6,10 +6,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use image::metadata::Orientation;
-use image::{
-    ColorType, DynamicImage, GrayImage, ImageBuffer, ImageDecoder, ImageFormat, ImageReader, Limits, Luma,
-    LumaA, Pixel, Rgb, RgbImage, Rgba,
-};
+use image::{ColorType, DynamicImage, GrayImage, ImageDecoder, ImageFormat, ImageReader, Limits, RgbImage};
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
@@ -160,8 +157,9 @@ impl Rows {
         Ok(Self { background: request.background, width: size.0, to, scaler, rgb, alpha })
     }
 
-    fn push(&mut self, rows: DynamicImage) {
-        let (rgb, alpha) = composite(rows, self.background);
+    /// Adds rows of this number of channels.
+    fn push(&mut self, rows: Vec<u8>, channels: usize) {
+        let (rgb, alpha) = composite(rows, channels, self.background);
         match &mut self.scaler {
             Some(scaler) => rgb.chunks_exact(3 * self.width as usize).for_each(|row| scaler.push(row)),
             None => self.rgb.extend(rgb),
@@ -241,12 +239,16 @@ pub(crate) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     if request.turned {
         image.apply_orientation(header.orientation);
     }
+    let (values, channels) = match color.has_alpha() {
+        true => (image.into_rgba8().into_raw(), 4),
+        false => (image.into_rgb8().into_raw(), 3),
+    };
     if request.scaled_of(size).is_none() {
-        let (rgb, alpha) = composite(image, request.background);
+        let (rgb, alpha) = composite(values, channels, request.background);
         return Ok(Decoded { photo: Photo { width: size.0, height: size.1, rgb }, alpha, gamma, lease });
     }
     let mut rows = Rows::new(path, request, size, color.has_alpha())?;
-    rows.push(image);
+    rows.push(values, channels);
     Ok(rows.finish(gamma, lease))
 }
 
@@ -297,19 +299,24 @@ fn is_png(bytes: &[u8]) -> bool {
     bytes.starts_with(b"\x89PNG")
 }
 
-/// The picture's colours, blended over the background, and its alpha channel.
-fn composite(image: DynamicImage, background: [f32; 3]) -> (Vec<u8>, Option<Vec<u8>>) {
-    if !image.color().has_alpha() {
-        return (image.into_rgb8().into_raw(), None);
+/// Colours of 1 to 4 channels (grey, grey and alpha, r g b, r g b and alpha), blended over the background, and their alpha
+/// channel.
+fn composite(values: Vec<u8>, channels: usize, background: [f32; 3]) -> (Vec<u8>, Option<Vec<u8>>) {
+    match channels {
+        1 => return (values.iter().flat_map(|&grey| [grey; 3]).collect(), None),
+        3 => return (values, None),
+        _ => {}
     }
     let background = background.map(|c| 255.0 * c.clamp(0.0, 1.0));
-    let pixels = image.width() as usize * image.height() as usize;
+    let pixels = values.len() / channels;
     let (mut rgb, mut alphas) = (Vec::with_capacity(3 * pixels), Vec::with_capacity(pixels));
-    for &[r, g, b, alpha] in image.into_rgba8().into_raw().as_chunks::<4>().0 {
+    for pixel in values.chunks_exact(channels) {
+        let alpha = pixel[channels - 1];
         alphas.push(alpha);
         let opacity = f32::from(alpha) / 255.0;
-        for (color, behind) in [r, g, b].into_iter().zip(background) {
-            rgb.push((f32::from(color) * opacity + behind * (1.0 - opacity)).round() as u8);
+        for (channel, behind) in background.into_iter().enumerate() {
+            let color = f32::from(pixel[if channels == 2 { 0 } else { channel }]);
+            rgb.push((color * opacity + behind * (1.0 - opacity)).round() as u8);
         }
     }
     (rgb, Some(alphas))
@@ -375,32 +382,15 @@ fn read_png_rows(
     let mut rows = Rows::new(path, request, size, has_alpha)?;
     while let Some(row) = reader.next_row().map_err(|e| damaged(&e))? {
         cost::steps(row.data().len());
-        let row = as_image(row.data(), color, depth, size.0);
-        rows.push(row.ok_or_else(|| damaged(&UNREAD_KIND))?);
+        let rounded = |&word: &[u8; 2]| ((u32::from(u16::from_be_bytes(word)) + 128) / 257) as u8;
+        let values = match depth {
+            png::BitDepth::Eight => row.data().to_vec(),
+            png::BitDepth::Sixteen => row.data().as_chunks().0.iter().map(rounded).collect(),
+            _ => return Err(damaged(&UNREAD_KIND)),
+        };
+        rows.push(values, color.samples());
     }
     Ok(Some(rows.finish(gamma, lease)))
-}
-
-fn as_image(row: &[u8], color: png::ColorType, depth: png::BitDepth, width: u32) -> Option<DynamicImage> {
-    use png::{BitDepth, ColorType};
-    fn bytes<P: Pixel<Subpixel = u8>>(row: &[u8], width: u32) -> Option<ImageBuffer<P, Vec<u8>>> {
-        ImageBuffer::from_raw(width, 1, Vec::from(row))
-    }
-    fn words<P: Pixel<Subpixel = u16>>(row: &[u8], width: u32) -> Option<ImageBuffer<P, Vec<u16>>> {
-        let words = row.as_chunks::<2>().0.iter().map(|&word| u16::from_be_bytes(word));
-        ImageBuffer::from_raw(width, 1, words.collect())
-    }
-    match (color, depth) {
-        (ColorType::Grayscale, BitDepth::Eight) => bytes::<Luma<u8>>(row, width).map(Into::into),
-        (ColorType::GrayscaleAlpha, BitDepth::Eight) => bytes::<LumaA<u8>>(row, width).map(Into::into),
-        (ColorType::Rgb, BitDepth::Eight) => bytes::<Rgb<u8>>(row, width).map(Into::into),
-        (ColorType::Rgba, BitDepth::Eight) => bytes::<Rgba<u8>>(row, width).map(Into::into),
-        (ColorType::Grayscale, BitDepth::Sixteen) => words::<Luma<u16>>(row, width).map(Into::into),
-        (ColorType::GrayscaleAlpha, BitDepth::Sixteen) => words::<LumaA<u16>>(row, width).map(Into::into),
-        (ColorType::Rgb, BitDepth::Sixteen) => words::<Rgb<u16>>(row, width).map(Into::into),
-        (ColorType::Rgba, BitDepth::Sixteen) => words::<Rgba<u16>>(row, width).map(Into::into),
-        _ => None,
-    }
 }
 
 /// Entropy-coded bytes of ones, appended to the data. No code consists of ones only, so a decoder that needs a code

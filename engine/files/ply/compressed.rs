@@ -85,9 +85,8 @@ impl<'a> CompressedPly<'a> {
 fn read_chunks(file: &mut PlyFile<'_>, element: &Element) -> Result<Vec<Chunk>> {
     // In older files, all colours are 0 to 1.
     let used = if element.has(CHUNK_PROPERTIES[4][0]) { 6 } else { 4 };
-    let names: Vec<String> = CHUNK_PROPERTIES[..used].iter().flatten().map(|name| name.to_string()).collect();
     let mut chunks = Vec::with_capacity(usize::try_from(element.count).unwrap_or(0));
-    file.for_each_row(element, &names, |_, row| {
+    file.for_each_row(element, CHUNK_PROPERTIES[..used].as_flattened(), |_, row| {
         let mut chunk: Chunk = [0.0; 18];
         chunk[15..].fill(1.0);
         for (value, &read) in chunk.iter_mut().zip(row) {
@@ -133,14 +132,13 @@ impl Source for CompressedPly<'_> {
     }
 
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        let names = VERTEX_PROPERTIES.map(str::to_owned);
         let (chunks, sh) = (&self.chunks, &self.sh);
         let degree = self.header.sh_degree;
         let higher = sh_coefficients(degree) - 1;
         let mut block = Gaussians { sh_degree: degree, ..Default::default() };
         let padding = self.file.header.padding.clone();
         let is_padding = |row: u64| padding.iter().any(|&(first, count)| row >= first && row - first < count);
-        self.file.for_each_row(&self.vertex, &names, |index, row| {
+        self.file.for_each_row(&self.vertex, &VERTEX_PROPERTIES, |index, row| {
             if is_padding(index) {
                 return Ok(());
             }

@@ -157,8 +157,7 @@ fn first_rows(path: &Path, names: &[&str], mut visit: impl FnMut(&[f64])) -> Res
     let mut file = PlyFile::open(path)?;
     let vertex = file.seek_element("vertex")?;
     let first = Element { count: vertex.count.min(BLOCK as u64), ..vertex };
-    let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
-    file.for_each_row(&first, &names, |_, row| {
+    file.for_each_row(&first, names, |_, row| {
         visit(row);
         Ok(())
     })
@@ -289,8 +288,7 @@ pub(crate) fn read_points_of(path: &Path, warnings: &mut Vec<String>) -> Result<
     if color.is_none() {
         warnings.push(format!("{}: the points have no colours and start white", path.display()));
     }
-    let names = ["x", "y", "z"].into_iter().chain(color.into_iter().flatten());
-    let names: Vec<String> = names.map(str::to_owned).collect();
+    let names: Vec<_> = ["x", "y", "z"].into_iter().chain(color.into_iter().flatten()).collect();
     host_memory::check_free(path, element.count.saturating_mul(39))?;
     let file_origin = file.header.origin;
     let mut points = SourcePoints::default();
@@ -441,7 +439,7 @@ fn white(path: &Path, element: &Element, names: [&str; 3]) -> Result<f64> {
     let mut file = PlyFile::open(path)?;
     let element = file.seek_element(&element.name)?;
     let mut brightest = 0.0_f64;
-    file.for_each_row(&element, &names.map(str::to_owned), |_, row| {
+    file.for_each_row(&element, &names, |_, row| {
         brightest = row.iter().fold(brightest, |most, &value| most.max(value));
         Ok(())
     })?;

@@ -97,11 +97,12 @@ impl<'a> PlyFile<'a> {
     pub(crate) fn for_each_row(
         &mut self,
         element: &Element,
-        names: &[String],
+        names: &[impl AsRef<str>],
         mut row: impl FnMut(u64, &[f64]) -> Result<()>,
     ) -> Result<()> {
         self.check_no_list(element)?;
-        let columns = names.iter().map(|name| self.column(element, name)).collect::<Result<Vec<_>>>()?;
+        let columns =
+            names.iter().map(|name| self.column(element, name.as_ref())).collect::<Result<Vec<_>>>()?;
         let mut values = vec![0.0; columns.len()];
         match self.header.encoding {
             Encoding::Ascii => {

@@ -18,9 +18,10 @@ use ashsplat::{Error, Result};
 pub(crate) const MAX_COMPRESSED_LOG_SCALE: f32 = 20.0;
 
 /// A format of files of Gaussians.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Format {
     /// PLY in the layout of the reference implementation: all parameters as floats.
+    #[default]
     Ply,
     /// PlayCanvas' compressed PLY: 16 bytes and a byte for each higher SH value, in chunks of 256.
     CompressedPly,

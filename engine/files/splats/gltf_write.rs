@@ -106,14 +106,8 @@ fn glb_head(document: &Value, binary_bytes: u64) -> Result<Vec<u8>> {
     json.resize(json.len().next_multiple_of(4), b' ');
     let total = 12 + 8 + json.len() as u64 + 8 + binary_bytes;
     let (Ok(total), Ok(binary)) = (u32::try_from(total), u32::try_from(binary_bytes)) else {
-        let limit = u64::from(u32::MAX);
-        return Err(Error::TooLarge {
-            what: "a GLB".into(),
-            needed: total,
-            unit: "bytes",
-            limit,
-            limit_name: "its format; .gltf has no such limit",
-        });
+        let limit = (u32::MAX.into(), "its format; .gltf has no such limit");
+        return Err(Error::too_large("a GLB", (total, "bytes"), limit));
     };
     let mut head = Vec::new();
     head.extend(b"glTF");

@@ -610,8 +610,8 @@ fn packed(
     produce: &mut Produce<'_>,
 ) -> Result<(Packing, Vec<File>)> {
     if u32::try_from(outline.count).is_err() {
-        let (what, needed, limit) = ("an SPZ".into(), outline.count, u64::from(u32::MAX));
-        return Err(Error::TooLarge { what, needed, unit: "Gaussians", limit, limit_name: "its format" });
+        let limit = (u32::MAX.into(), "its format");
+        return Err(Error::too_large("an SPZ", (outline.count, "Gaussians"), limit));
     }
     let fractional_bits = fractional_bits(outline).ok_or_else(|| {
         let problem = format!("a mean lies at {}, too far out for SPZ", farthest(outline));

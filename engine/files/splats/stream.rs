@@ -18,7 +18,7 @@ pub(crate) const BLOCK: usize = 16_384;
 pub(crate) type Sink<'a> = dyn FnMut(Gaussians) -> Result<()> + 'a;
 
 /// Properties of a file before its Gaussians.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Header {
     /// Format of the file.
     pub format: Format,
@@ -44,18 +44,7 @@ pub struct Header {
 
 impl Header {
     pub(crate) fn new(format: Format, count: u64, sh_degree: u32) -> Self {
-        Self {
-            format,
-            count,
-            sh_degree,
-            antialiased: false,
-            kernel_size: None,
-            is_2dgs: false,
-            origin: DVec3::ZERO,
-            unit: None,
-            double_positions: false,
-            warnings: Vec::new(),
-        }
+        Self { format, count, sh_degree, ..Self::default() }
     }
 
     /// Antialiasing and kernel size, for messages.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DVec3, dvec2};
 use serde_json::Value;
 
-use super::{below, each_frame};
+use super::{Document, below, values};
 use crate::names::{Finder, MAX_PATH_BYTES, ending, has_photo_ending, plain, stays_inside};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::scene::lens::{Distortion, Lens};
@@ -99,21 +99,21 @@ pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
 /// Appends the frames of a file. Returns the warnings, and the number of frames that name a depth map.
 pub(super) fn read_all(
     path: &Path,
-    (text, document): (&str, &Value),
+    document: &Document<'_>,
     frames: &mut Vec<Frame>,
 ) -> Result<(Vec<String>, usize)> {
-    let Some(list) = document["frames"].as_array() else {
+    let Some(list) = &document.frames else {
         return Err(Error::input(path, "has no list `frames`", "is it a transforms.json?"));
     };
     if list.is_empty() {
         let remedy = "the cameras were not found: compute them again";
         return Err(Error::input(path, "the list `frames` is empty", remedy));
     }
-    let shown = path.display();
+    let (shown, document) = (path.display(), &document.values);
     let finder = RefCell::new(Finder::default());
     let split = Split::of(path, document)?;
     let mut warnings = Vec::new();
-    let (mut count, mut elsewhere, mut unused, mut depth_maps) = (0, 0, 0, 0);
+    let (count, mut elsewhere, mut unused, mut depth_maps) = (list.len(), 0, 0, 0);
     let mut lens_keys = BTreeSet::new();
     unused_lens_keys(document, &mut lens_keys);
     let mut unused_keys = BTreeSet::new();
@@ -121,9 +121,10 @@ pub(super) fn read_all(
         unused_keys.insert("test_frames".to_owned());
     }
     let (mut times, mut contradiction) = (f64::INFINITY..f64::NEG_INFINITY, None);
-    each_frame(path, text, &mut |value| {
-        let reader = Reader { path, index: count, frame: &value, document, finder: &finder };
-        count += 1;
+    for (index, raw) in list.iter().enumerate() {
+        // A frame that is no object has no file_path.
+        let value = values(path, serde_json::from_str(raw.get()).unwrap_or_default())?;
+        let reader = Reader { path, index, frame: &value, document, finder: &finder };
         let (mut frame, led_out) = reader.read()?;
         elsewhere += usize::from(led_out);
         unused_lens_keys(&value, &mut lens_keys);
@@ -150,8 +151,7 @@ pub(super) fn read_all(
                 frames.push(frame);
             }
         }
-        Ok(())
-    })?;
+    }
     split.check(path)?;
     if elsewhere > 0 {
         warnings.push(format!(
@@ -441,7 +441,7 @@ impl Reader<'_> {
 }
 
 /// Keys of the name lists. The first held-out list that exists is used; they come last.
-const LISTS: [&str; 3] = ["train_filenames", "test_filenames", "val_filenames"];
+pub(super) const LISTS: [&str; 3] = ["train_filenames", "test_filenames", "val_filenames"];
 
 /// The names of each list, with true for each name that a frame has. `None` if the list is missing or empty.
 struct Split {

@@ -55,9 +55,6 @@ const START: &str = "start";
 
 impl Budget {
     /// Builds the kernels for these settings.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let form =
             DensifyForm { long_axis: settings.split == SplitType::LongAxis, criterion: Criterion::Selected };
@@ -228,10 +225,7 @@ impl Budget {
     ) -> Result<u32> {
         let (context, settings) = (population.context(), population.settings());
         if wanted == 0 {
-            context.run("select none", |r| {
-                r.fill(&buffers.selected, 0);
-                Ok(())
-            })?;
+            context.run_commands("select none", |r| r.fill(&buffers.selected, 0))?;
             return Ok(0);
         }
         let draw = SelectionDraw {
@@ -251,10 +245,7 @@ impl Budget {
             iteration: population.iteration(),
             explicit: None,
         };
-        context.run("select", |r| {
-            self.selection.record(r, &draw, buffers);
-            Ok(())
-        })?;
+        context.run_commands("select", |r| self.selection.record(r, &draw, buffers))?;
         let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&context.download(&buffers.totals)?);
         Ok(totals[2])
     }
@@ -289,9 +280,8 @@ impl Budget {
         let buffers = population.allocate(&self.selection.requests(population.count()))?;
         let Some(buffers) = buffers.map(SelectionBuffers::from_allocated) else { return Ok(None) };
         let mut sorted = None;
-        context.run("order opacities", |r| {
-            sorted = Some(self.selection.record_opacities(r, population.scene(), &buffers));
-            Ok(())
+        context.run_commands("order opacities", |r| {
+            sorted = Some(self.selection.record_opacities(r, population.scene(), &buffers))
         })?;
         let Some(sorted) = sorted else { unreachable!("recorded") };
         let place = QuantilePlace::new(population.count(), share);

@@ -22,9 +22,6 @@ pub struct Mcmc {
 
 impl Mcmc {
     /// Builds the kernels.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernels: Densify::new(context)?, relocation: Relocation::new(context)? })
     }

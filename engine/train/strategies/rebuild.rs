@@ -33,10 +33,9 @@ impl<'a> Decisions<'a> {
     /// Decides what happens to each Gaussian.
     pub fn classify(&self, population: &Population, inputs: ClassifyInputs) -> Result<Densified> {
         let context = population.context();
-        context.run("densify: classify", |r| {
+        context.run_commands("densify: classify", |r| {
             let scene = population.scene();
             self.kernels.record_classify_by(r, scene, inputs, &self.buffers, &self.settings);
-            Ok(())
         })?;
         let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&context.download(&self.buffers.totals)?);
         let before = population.count();
@@ -48,10 +47,7 @@ impl<'a> Decisions<'a> {
     pub fn classify_kept(&self, population: &Population) -> Result<Densified> {
         // The buffer is zero until sources are written, so no Gaussian is selected.
         let none = &self.buffers.sources;
-        population.context().run("select none", |r| {
-            r.fill(none, 0);
-            Ok(())
-        })?;
+        population.context().run_commands("select none", |r| r.fill(none, 0))?;
         let statistics = &population.statistics()[0];
         self.classify(population, ClassifyInputs { statistics, criteria: Some(none) })
     }
@@ -103,9 +99,8 @@ pub(super) fn order_buffers(population: &Population, rows: u32) -> Result<Option
 
 /// Lowers all opacities to at most this one.
 pub(super) fn reset_opacity(population: &Population, kernels: &Densify, most: f64) -> Result<Changes> {
-    population.context().run("reset opacity", |r| {
-        kernels.record_reset_to(r, population.scene(), population.moments(), most);
-        Ok(())
+    population.context().run_commands("reset opacity", |r| {
+        kernels.record_reset_to(r, population.scene(), population.moments(), most)
     })?;
     Ok(Changes { opacities_reset: true, ..Changes::default() })
 }

@@ -25,17 +25,11 @@ pub struct Reference {
 
 impl Reference {
     /// Builds the kernels with the reference's own parts.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
         Self::of_settings(context, &TrainSettings::reference())
     }
 
     /// Builds the kernels for these settings.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
     pub fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let absolute = settings.absgrad;
         let form = DensifyForm {

@@ -6,7 +6,6 @@ use crate::stage::*;
 /// Texels of picks and of motion; empty unless requested.
 pub type Beside = (Vec<[u32; 4]>, Vec<[u16; 2]>);
 
-/// Picks and motion of a slot.
 pub struct Flight<'a> {
     screens: Screens<'a>,
     staging: [Staging<'a>; 2],
@@ -20,7 +19,6 @@ impl<'a> Flight<'a> {
         Self { screens, staging, last: [ImageState::UNDEFINED; 2] }
     }
 
-    /// Adds picks and motion to a frame.
     pub fn with<'b>(
         &'b self,
         frame: RecordedFrame<'b>,
@@ -70,7 +68,6 @@ pub struct Wanted {
     pub occluder: Option<DepthMapping>,
 }
 
-/// Words of colours and of expected depth; empty unless requested.
 pub type Seen = [Vec<u32>; 2];
 
 /// Images that frames of a slot draw into or that hide splats.
@@ -92,7 +89,6 @@ impl<'a> Outputs<'a> {
         Self { pictures, staging, last: [ImageState::UNDEFINED, ImageState::UNDEFINED, COPIED] }
     }
 
-    /// Adds the wanted outputs and inputs to a frame.
     pub fn with<'b>(&'b self, frame: RecordedFrame<'b>, wanted: &Wanted) -> RecordedFrame<'b> {
         let to = |which: usize| host_image(&self.pictures[which].image, self.last[which]);
         let image = |(behind, encoding)| Target::Image { to: to(0), behind, encoding };

@@ -8,13 +8,11 @@ use glam::{DMat3, DVec3};
 
 pub const SIZE: [u32; 2] = [96, 70];
 
-/// A host's images for picks and motion.
 pub struct Screens<'a> {
     host: &'a Host,
     pub pictures: [Picture<'a>; 2],
 }
 
-/// Outputs of a frame.
 #[derive(Clone)]
 pub struct Shot {
     pub pixels: Vec<[f32; 4]>,
@@ -37,7 +35,6 @@ impl<'a> Screens<'a> {
         PickTarget { to: self.to(0) }
     }
 
-    /// Renders a frame with picks and motion.
     pub fn shot(&self, renderer: &mut Renderer, frame: &RecordedFrame<'_>, previous: &Camera) -> Shot {
         let frame = RecordedFrame { pick: Some(self.pick()), motion: Some(self.motion(previous)), ..*frame };
         let pixels = rendered(self.host, renderer, &frame);
@@ -191,7 +188,6 @@ impl Truth {
         covered
     }
 
-    /// Numbers of covered pixels and of pixels that differ.
     fn compare(&self, shot: &Shot, [width, height]: [u32; 2]) -> [usize; 2] {
         let (mut covered, mut odd) = (0, 0);
         for index in 0..width * height {

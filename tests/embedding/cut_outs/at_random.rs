@@ -72,7 +72,6 @@ pub fn mapping(camera: &Camera) -> DepthMapping {
     DepthMapping { scale, offset: 0.0, clear_value: 1.0, linear }
 }
 
-/// Outputs and inputs of a frame beside its scenes.
 struct Wants<'a> {
     outputs: Wanted,
     /// Picks, motion.
@@ -80,7 +79,6 @@ struct Wants<'a> {
     before: &'a Camera,
 }
 
-/// Outputs of a frame: the slot's pixels, or images.
 #[derive(PartialEq)]
 struct Shown {
     pixels: Vec<[f32; 4]>,
@@ -88,7 +86,6 @@ struct Shown {
     beside: Beside,
 }
 
-/// A command buffer, and the outputs of its frame.
 struct Shot<'a> {
     in_flight: Commands<'a>,
     staging: Staging<'a>,
@@ -148,7 +145,6 @@ fn cut_outs(random: &mut Random) -> Vec<Vec<CutOut>> {
     (0..LARGE + SMALL).map(&mut set).collect()
 }
 
-/// Random settings of each scene. Most small ones use the same features.
 fn scene_settings<'a>(
     random: &mut Random,
     sets: &'a [Vec<CutOut>],
@@ -288,7 +284,6 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     drop((stage, plain));
 }
 
-/// Gives scenes their previous poses.
 fn come_from<'a>(mut placed: Vec<Placed<'a>>, earlier: &[Pose]) -> Vec<Placed<'a>> {
     for (placed, pose) in placed.iter_mut().zip(earlier) {
         placed.previous_pose = Some(*pose);

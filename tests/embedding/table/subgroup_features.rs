@@ -4,7 +4,6 @@ use super::{Callbacks, Device, create_module, instrumented};
 use crate::stage::*;
 use std::sync::Mutex;
 
-/// Shader modules that the driver received.
 static MODULES: Mutex<Vec<Vec<u32>>> = Mutex::new(Vec::new());
 
 pub unsafe extern "system" fn create_module_of(

@@ -10,10 +10,8 @@ use std::ops::Range;
 
 /// Largest number of views of a recording.
 const MOST: u32 = 3;
-/// Number of small scenes.
 const SMALL: u32 = 20;
 
-/// A view's scenes and outputs.
 struct View<'a> {
     scenes: &'a [Placed<'a>],
     camera: &'a Camera,
@@ -39,7 +37,6 @@ impl<'a> Screens<'a> {
         Self { array, flights, outputs }
     }
 
-    /// Renders some views in one recording, into the images from `bank` on.
     fn render(
         &mut self,
         host: &Host,
@@ -59,7 +56,6 @@ impl<'a> Screens<'a> {
         group.zip(&releases).for_each(|(number, release)| self.outputs[bank + number].note(release));
     }
 
-    /// Words of a view's images, within its picture.
     fn shown(&self, colors: &[Vec<[f32; 4]>], view: &View<'_>, place: usize) -> [Vec<u32>; 4] {
         let [width, height] = [view.camera.width as usize, view.camera.height as usize];
         let cropped = |texels: &[u32]| -> Vec<u32> {

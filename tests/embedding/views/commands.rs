@@ -81,7 +81,6 @@ fn counting(host: &Host) -> ash::Device {
     unsafe { device_with(host, replace) }
 }
 
-/// Numbers of dispatches, barriers and other commands of groups of views, each group in one recording.
 fn counts(host: &Host, renderer: &mut Renderer, groups: &[&[RecordedFrame<'_>]]) -> [u32; 3] {
     let in_flight = Commands::new(host);
     in_flight.begin();
@@ -106,18 +105,13 @@ fn views_of_one_recording_have_fewer_commands() {
         let cameras = [left, left.moved_aside([0.3, 0.0])];
         let array = ArrayImage::new(host, &context, SIZE, 2);
         let views = array.frames(&placed, &cameras);
-        let wanted = Reservation {
-            slots: 2,
-            views: 2,
-            images_only: true,
-            ..Reservation::new(300, 1, SIZE[0], SIZE[1])
-        };
+        let wanted = Reservation::new(300, 1, SIZE[0], SIZE[1]);
+        let wanted = Reservation { slots: 2, views: 2, images_only: true, ..wanted };
         let mut renderer = reserved(&context, &wanted);
         let two = counts(host, &mut renderer, &[&views[..1], &views[1..]]);
         let one = counts(host, &mut renderer, &[&views]);
         renderer.reserve(&Reservation { shared_sort: true, ..wanted }).expect("memory");
         let shared = counts(host, &mut renderer, &[&views]);
-        println!("dispatches, barriers, others: two recordings {two:?}, one {one:?}, one sort {shared:?}");
         assert!(one[0] == two[0] && one[1] < two[1], "{one:?}, {two:?}");
         assert!(shared[0] < one[0] && shared[1] < one[1], "{shared:?}, {one:?}");
     });
@@ -141,11 +135,8 @@ fn many_views_make_no_descriptor_pool() {
             ..frame_of(&placed, &eye)
         });
         let mut renderer = Renderer::new(&context).expect("kernels");
-        let wanted = Reservation {
-            views: VIEWS as u32,
-            images_only: true,
-            ..Reservation::new(10, 1, SIZE[0], SIZE[1])
-        };
+        let wanted = Reservation::new(10, 1, SIZE[0], SIZE[1]);
+        let wanted = Reservation { views: VIEWS as u32, images_only: true, ..wanted };
         let before = POOLS.load(Ordering::Relaxed);
         renderer.reserve(&wanted).expect("memory");
         let reserved = POOLS.load(Ordering::Relaxed);

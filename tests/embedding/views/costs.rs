@@ -1,14 +1,9 @@
-//! Costs of two eyes in two recordings, in one, and with one sort.
+//! Costs of two eyes with one sort, against two recordings.
 
 use super::record_groups;
 use crate::array_image::ArrayImage;
-use crate::cost::shipped;
+use crate::cost::{ratio, shipped};
 use crate::stage::*;
-use std::time::Instant;
-
-const CASES: [&str; 3] = ["two recordings", "one", "one, shared sort"];
-const FIGURES: [&str; 7] =
-    ["device, ms", "cull", "project", "depth sort", "the rest", "CPU, ms", "record, us"];
 
 /// CPU time of this process so far, ms, in steps of ten.
 fn cpu_ms() -> f64 {
@@ -17,28 +12,19 @@ fn cpu_ms() -> f64 {
     ticks.filter_map(|word| word.parse::<f64>().ok()).sum::<f64>() * 10.0
 }
 
-/// Measures groups of views, each group in one recording.
-fn shot(in_flight: &Commands<'_>, renderer: &mut Renderer, groups: &[&[RecordedFrame]]) -> [f64; 7] {
+/// Milliseconds of the depth sorts and of all processors, for groups of views, each group in one recording.
+fn shot(in_flight: &Commands<'_>, renderer: &mut Renderer, groups: &[&[RecordedFrame]]) -> [f64; 2] {
     let cpu = cpu_ms();
     in_flight.begin();
-    let recording = Instant::now();
     record_groups(in_flight, renderer, groups);
-    let recorded = recording.elapsed().as_secs_f64() * 1e6;
     in_flight.finish();
-    let mut scopes = Vec::new();
-    for slot in 0..groups.len() as u32 {
-        scopes.extend(report_of(renderer, slot).scopes);
-    }
-    let sum = |name: &str| -> f64 {
-        let own = scopes.iter().filter(|scope| scope.depth == 0 && (name.is_empty() || scope.name == name));
-        own.map(|scope| scope.nanoseconds / 1e6).sum()
-    };
-    let [all, cull, project, sort] = ["", "cull", "project", "depth sort"].map(sum);
-    [all, cull, project, sort, all - cull - project - sort, cpu_ms() - cpu, recorded]
+    let scopes = (0..groups.len() as u32).flat_map(|slot| report_of(renderer, slot).scopes);
+    let sorts = scopes.filter(|scope| scope.depth == 0 && scope.name == "depth sort");
+    [sorts.map(|scope| scope.nanoseconds / 1e6).sum(), cpu_ms() - cpu]
 }
 
 #[test]
-#[ignore = "prints a table of the guide"]
+#[ignore = "prints numbers of the guide"]
 fn costs() {
     const GAUSSIANS: usize = 200_000;
     const SIZE: [u32; 2] = [640, 480];
@@ -52,41 +38,23 @@ fn costs() {
         let views = array.frames(&placed, &cameras);
         let wanted = Reservation::new(GAUSSIANS as u32, 1, SIZE[0], SIZE[1]);
         let wanted = Reservation { slots: 2, views: 2, images_only: true, ..wanted };
-        let mut renderers = [false, true].map(|shared_sort| {
-            let mut renderer = Renderer::new(&context).expect("kernels");
-            let reserved = Reservation { shared_sort, ..wanted };
-            let bytes = renderer.reservation_bytes(&reserved).expect("bytes");
-            println!("shared sort {shared_sort}: {:.2} MiB", bytes as f64 / 1024.0 / 1024.0);
-            renderer.reserve(&reserved).expect("memory");
-            renderer
-        });
+        let mut renderers =
+            [false, true].map(|shared_sort| reserved(&context, &Reservation { shared_sort, ..wanted }));
         let in_flight = Commands::new(host);
-        let mut shots = [const { Vec::new() }; CASES.len()];
+        let recordings = [&[&views[..1], &views[1..]][..], &[&views[..]]];
+        // The figures of two recordings, and of one with one sort.
+        let mut shots = [0; 2].map(|_| [0; 2].map(|_| Vec::new()));
         for round in 0..32 {
-            for (case, shots) in shots.iter_mut().enumerate() {
-                let renderer = &mut renderers[usize::from(case == 2)];
-                let (alone, both) = ([&views[..1], &views[1..]], [&views[..]]);
-                let groups = if case == 0 { &alone[..] } else { &both[..] };
+            for ((renderer, groups), shots) in renderers.iter_mut().zip(recordings).zip(&mut shots) {
                 let figures = shot(&in_flight, renderer, groups);
                 if round > 1 {
-                    shots.push(figures);
+                    shots.iter_mut().zip(figures).for_each(|(all, figure)| all.push(figure));
                 }
             }
         }
-        println!("mean, least, and median of the ratios of pairs to two recordings");
-        println!("recorded as | {}", FIGURES.join(" | "));
-        for (name, own) in CASES.iter().zip(&shots) {
-            print!("{name}");
-            for figure in 0..FIGURES.len() {
-                let mean = own.iter().map(|shot| shot[figure]).sum::<f64>() / own.len() as f64;
-                let least = own.iter().map(|shot| shot[figure]).fold(f64::INFINITY, f64::min);
-                let pairs = own.iter().zip(&shots[0]);
-                let mut ratios: Vec<f64> =
-                    pairs.map(|(own, other)| own[figure] / other[figure].max(1e-9)).collect();
-                ratios.sort_by(f64::total_cmp);
-                print!(" | {mean:.1}, {least:.1}, {:.2}", ratios[ratios.len() / 2]);
-            }
-            println!();
+        let [two, one] = shots;
+        for (name, (one, two)) in ["depth sort", "processor time"].into_iter().zip(one.iter().zip(&two)) {
+            println!("{name}: {:.2} of that of two recordings", ratio(one, two));
         }
     });
 }

@@ -28,7 +28,6 @@ impl<'a> Split<'a> {
         Self { pictures, beside: Screens::new(host, context, BOTH) }
     }
 
-    /// A frame with every output into a player's part. `last`: the images' states.
     fn frame<'b>(&'b self, frame: RecordedFrame<'b>, player: u32, last: &Release) -> RecordedFrame<'b> {
         let to = |picture: &'b Picture<'_>, from: Option<ImageState>| HostImage {
             offset: [player * SIZE[0], 0],
@@ -63,7 +62,6 @@ impl<'a> Split<'a> {
         unused
     }
 
-    /// States of the images after they were read.
     fn after_read(release: &Release) -> Release {
         let mut after = *release;
         for state in [&mut after.color, &mut after.depth, &mut after.pick, &mut after.motion] {
@@ -72,7 +70,6 @@ impl<'a> Split<'a> {
         after
     }
 
-    /// Reads all outputs.
     fn read(&self) -> [Vec<u32>; 4] {
         let [color, depth, _] = &self.pictures;
         let [picks, motions] = &self.beside.pictures;
@@ -80,7 +77,6 @@ impl<'a> Split<'a> {
     }
 }
 
-/// A reservation for two players with every feature.
 fn for_two(shared_sort: bool) -> Reservation {
     Reservation {
         views: 2,

@@ -4,7 +4,6 @@ use ashsplat::TrainSettings;
 use ashsplat::scene::{Gaussians, WorldFrame};
 use ashsplat::train::checkpoint::{Capacities, Checkpoint};
 
-/// A checkpoint of some Gaussians.
 pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
     let count = gaussians.len();
     let ones = Gaussians {

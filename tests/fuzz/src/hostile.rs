@@ -33,7 +33,6 @@ impl Number {
     }
 }
 
-/// A number that overwrites bytes of a file.
 #[derive(Arbitrary, Clone, Copy, Debug)]
 pub struct Patch {
     at: u16,
@@ -56,7 +55,6 @@ pub fn patch(file: &mut [u8], patches: &[Patch]) {
     }
 }
 
-/// Bytes described by a few.
 #[derive(Arbitrary, Clone, Copy, Debug)]
 pub struct Filling {
     length: u32,

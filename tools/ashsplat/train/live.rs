@@ -10,8 +10,9 @@ use ashsplat::train::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
+use ashsplat_program::config::Settings;
 use ashsplat_program::measure::Stopwatch;
-use ashsplat_program::session::guarded;
+use ashsplat_program::session::{guarded, locked};
 use ashsplat_view::hub::Hub;
 use ashsplat_view::protocol::{ToPage, TrainAction};
 use ashsplat_view::server::{ServeArguments, Server, Site};
@@ -22,9 +23,8 @@ use clap::Args;
 use curves::Curves;
 use serde_json::json;
 use std::net::{IpAddr, TcpListener};
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Looking on while training runs.
@@ -107,15 +107,6 @@ pub struct Doors {
     share: f64,
 }
 
-/// Properties of a training that are known before it begins.
-struct About<'a> {
-    subject: Subject,
-    device: &'a str,
-    iterations: u32,
-    model: &'a Path,
-    source: &'a Path,
-}
-
 /// The loopback address.
 const OWN: &str = "127.0.0.1";
 /// Least time between two new pictures for pages that follow the training.
@@ -147,17 +138,15 @@ pub struct Live {
 }
 
 impl Live {
-    /// Accepts connections at the ports.
-    fn start(doors: Doors, about: About) -> Result<Live> {
+    /// Accepts connections at the ports. `device`: the device's name.
+    fn start(doors: Doors, subject: Subject, device: &str, settings: &Settings) -> Result<Live> {
         let hub = Arc::new(Hub::default());
-        let About { subject, device, iterations, model, source } = about;
+        let (data, iterations) = (&settings.data, settings.train.iterations);
         hub.greet_with(subject.greeting(device, Some(iterations)).to_string());
         let curves = Arc::new(Mutex::new(Curves::new(iterations)));
         let asked = curves.clone();
-        hub.set_status(move |since| {
-            asked.lock().unwrap_or_else(PoisonError::into_inner).status(since).to_string()
-        });
-        let films = model.join("films");
+        hub.set_status(move |since| locked(&asked).status(since).to_string());
+        let films = data.model_path.join("films");
         let mut studio = Studio::new(hub.clone(), subject.base, films.clone());
         studio.show(subject.base, subject.lights, subject.frame);
         let mut server = None;
@@ -171,7 +160,7 @@ impl Live {
         let mut wishes = None;
         if let Some(listener) = doors.network_viewer {
             let (address, shared) =
-                sibr::serve(listener, hub.clone(), source.to_string_lossy().into_owned())?;
+                sibr::serve(listener, hub.clone(), data.source_path.to_string_lossy().into_owned())?;
             say!("network viewer at {address}");
             wishes = Some(shared);
         }
@@ -199,7 +188,7 @@ impl Live {
             self.hub.renew();
         }
         if self.allowance.permits() && self.studio.is_wanted() {
-            self.timed(|live| live.studio.serve(trainer, Duration::ZERO).map(|_| ()))?;
+            self.timed(|live| live.studio.serve(trainer, Duration::ZERO))?;
         }
         Ok(self.heed())
     }
@@ -261,7 +250,7 @@ impl Live {
     }
 
     fn note(&self, change: impl FnOnce(&mut Curves)) {
-        change(&mut self.curves.lock().unwrap_or_else(PoisonError::into_inner));
+        change(&mut locked(&self.curves));
     }
 
     /// Runs a task that counts towards the viewers' share.
@@ -309,8 +298,6 @@ impl Run {
         let cameras = gallery.as_ref().map(|gallery| gallery.cameras()).unwrap_or_default();
         let learns = [train.exposure, train.lens_effects];
         let subject = Subject {
-            tree: None,
-            up: None,
             name: data.model_path.display().to_string(),
             gaussians: self.trainer.gaussians()?,
             frame: self.views.frame,
@@ -320,15 +307,9 @@ impl Run {
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: Some("in training".into()),
             file: Some(data.model_path.clone()),
+            ..Subject::default()
         };
-        let about = About {
-            subject,
-            device: context.device_name(),
-            iterations: train.iterations,
-            model: &data.model_path,
-            source: &data.source_path,
-        };
-        self.live = Some(Live::start(doors, about)?);
+        self.live = Some(Live::start(doors, subject, context.device_name(), &self.settings)?);
         Ok(())
     }
 

@@ -6,6 +6,7 @@ mod lights;
 mod views;
 
 use super::Run;
+use super::tracking::spread;
 use ashsplat::Result;
 use ashsplat::scene::{Gaussians, WorldFrame};
 use ashsplat::train::TrainSettings;
@@ -146,8 +147,7 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
 
 /// Measures a few of the views, evenly spread.
 fn measure_some(run: &mut Run) -> Result<(Vec<View>, Evaluation)> {
-    let views: Vec<View> =
-        views::spread(&run.views.test.iter().collect::<Vec<_>>()).into_iter().cloned().collect();
+    let views = spread(&run.views.test, views::SHOWN);
     let settings = run.trainer.render_settings();
     let protocol = run.protocol()?;
     let evaluation = eval::evaluate(views.iter().map(Ok), &protocol, More::default(), |camera| {
@@ -234,7 +234,7 @@ fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> R
 
 fn sheet(out: &mut String, run: &mut Run, evaluation: &Evaluation, all: &[View]) -> Result<()> {
     let order = views::worst_first(&evaluation.views);
-    let shown = views::spread(&order);
+    let shown = spread(&order, views::SHOWN);
     let note = match (shown.len(), order.len()) {
         (some, all) if some < all => {
             format!("{some} of {all} views from the worst to the best: photo, render, error")

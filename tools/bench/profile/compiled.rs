@@ -35,12 +35,11 @@ pub struct StaticArguments {
 }
 
 /// Options that run something, or select what a compiler does not see.
-const NOT_WITH_STATIC: [&str; 20] = [
+pub const NOT_WITH_STATIC: [&str; 19] = [
     "html",
     "trace",
     "ab",
     "watch",
-    "dump",
     "printf",
     "capture",
     "frames",

@@ -4,13 +4,13 @@ mod charts;
 mod tiles;
 mod timeline;
 
-use crate::machine;
 use crate::measure::{Iteration, Measured, commands};
 use crate::schema::{Run, Split};
 use crate::table::describe;
 use crate::workload::Scene;
+use crate::{frames, machine};
 use ashsplat::vk::Context;
-use ashsplat::{RenderSettings, Renderer, Result};
+use ashsplat::{RenderSettings, Result};
 use ashsplat_program::html::{self, escape, section, shown};
 use std::fmt::Write;
 
@@ -74,8 +74,7 @@ pub fn page(
     constants: &[String],
 ) -> Result<String> {
     let stages = Stages::new(run);
-    let mut renderer = Renderer::new(context)?;
-    renderer.upload(&scene.gaussians)?;
+    let mut renderer = frames::renderer(context, scene, None)?;
     let settings = RenderSettings::default();
     let picture = renderer.render(&scene.camera, &settings)?;
     let filled = renderer.tiles(&scene.camera, &settings)?;

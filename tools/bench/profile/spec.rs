@@ -1,43 +1,12 @@
 //! `--spec [KERNEL.]NAME=VALUE`: other values for specialization constants.
 
-use ashsplat::kernels::visit_all;
-use ashsplat::vk::{
-    ConstantKind, ContextOptions, KernelInterface, KernelVisitor, SpecOverride, is_kernel_of, is_yardstick,
-};
+use crate::kernels;
+use ashsplat::vk::{ConstantInfo, ConstantKind, ContextOptions, SpecOverride, is_kernel_of, is_yardstick};
 use ashsplat::{Error, Result};
 
-/// A constant of one kernel.
-struct Constant {
-    kernel: &'static str,
-    name: &'static str,
-    kind: ConstantKind,
-}
-
-/// All constants of all kernels.
-#[derive(Default)]
-struct Constants(Vec<Constant>);
-
-impl KernelVisitor for Constants {
-    fn visit<K: KernelInterface>(&mut self) {
-        if is_yardstick(K::NAME) {
-            return;
-        }
-        let own = K::CONSTANTS.iter().map(|c| Constant { kernel: K::NAME, name: c.name, kind: c.kind });
-        self.0.extend(own);
-    }
-}
-
 /// The names of all kernels.
-pub fn kernels() -> Vec<&'static str> {
-    struct Names(Vec<&'static str>);
-    impl KernelVisitor for Names {
-        fn visit<K: KernelInterface>(&mut self) {
-            self.0.push(K::NAME);
-        }
-    }
-    let mut names = Names(Vec::new());
-    visit_all(&mut names);
-    names.0
+pub fn kernel_names() -> Vec<&'static str> {
+    kernels::all().iter().map(|kernel| kernel.name).collect()
 }
 
 /// Parses a comma-separated list of settings; "-" is an empty list.
@@ -80,19 +49,19 @@ fn parse(option: &str, text: &str) -> Result<SpecOverride> {
         return Err(argument("expected [KERNEL.]NAME=VALUE".into()));
     };
     let (kernel, name) = place.rsplit_once('.').unwrap_or(("", place));
-    let mut all = Constants::default();
-    visit_all(&mut all);
-    let of_kernel = |c: &&Constant| kernel.is_empty() || is_kernel_of(c.kernel, kernel);
     if is_yardstick(kernel) {
         let problem = "is the yardstick of the other kernels and keeps its constants; name another kernel";
         return Err(argument(format!("{kernel} {problem}")));
     }
-    if !kernels().iter().any(|k| is_kernel_of(k, kernel)) && !kernel.is_empty() {
-        let known = kernels().join(", ");
+    if !kernel.is_empty() && !kernel_names().iter().any(|k| is_kernel_of(k, kernel)) {
+        let known = kernel_names().join(", ");
         return Err(argument(format!("there is no kernel or folder '{kernel}'; there are: {known}")));
     }
-    let Some(constant) = all.0.iter().filter(of_kernel).find(|c| c.name == name) else {
-        let mut names: Vec<&str> = all.0.iter().filter(of_kernel).map(|c| c.name).collect();
+    let chosen = kernels::all().into_iter().filter(|k| kernel.is_empty() || is_kernel_of(k.name, kernel));
+    let constants: Vec<&ConstantInfo> =
+        chosen.filter(|k| !is_yardstick(k.name)).flat_map(|k| k.constants).collect();
+    let Some(constant) = constants.iter().find(|c| c.name == name) else {
+        let mut names: Vec<&str> = constants.iter().map(|c| c.name).collect();
         names.sort_unstable();
         names.dedup();
         let whose = if kernel.is_empty() { "any kernel".to_owned() } else { kernel.to_owned() };

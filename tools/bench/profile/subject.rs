@@ -26,22 +26,8 @@ impl<'a> Subject<'a> {
     pub fn new(context: &'a Context, scene: &'a Scene, arguments: &Arguments) -> Result<Self> {
         let form = arguments.form.get();
         let work = match arguments.what() {
-            What::Render => {
-                let mut renderer = Renderer::new(context)?;
-                if let Some(form) = form {
-                    renderer.set_blending(form);
-                }
-                renderer.upload(&scene.gaussians)?;
-                Work::Frame(Box::new(renderer))
-            }
-            What::TrainStep => {
-                let mut trainer = frames::trainer(context, scene, arguments.seed())?;
-                if let Some(form) = form {
-                    trainer.set_blending(form);
-                }
-                frames::reach_full_degree(&mut trainer)?;
-                Work::Step(Box::new(trainer))
-            }
+            What::Render => Work::Frame(Box::new(frames::renderer(context, scene, form)?)),
+            What::TrainStep => Work::Step(Box::new(frames::trainer(context, scene, form, arguments.seed())?)),
         };
         let profile = context.profile();
         context.set_profile(None);

@@ -32,13 +32,13 @@ mod reloading {
     use super::super::subject::{Subject, largest_difference, measured};
     use super::super::{Arguments, print_messages, spec};
     use crate::compare::{self, Line};
+    use crate::kernels;
     use crate::measure::Measured;
     use crate::schema::KernelResult;
     use crate::traffic::Traffic;
     use crate::workload::Scene;
     use ashsplat::kernels::reload;
-    use ashsplat::kernels::visit_all;
-    use ashsplat::vk::{Context, KernelInterface, KernelVisitor, Limits};
+    use ashsplat::vk::Context;
     use ashsplat::{Error, Result};
     use std::collections::HashMap;
     use std::path::{Path, PathBuf};
@@ -57,26 +57,13 @@ mod reloading {
         PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../glsl"))
     }
 
-    struct Spirv<'a> {
-        limits: &'a Limits,
-        modules: HashMap<&'static str, &'static [u32]>,
-    }
-
-    impl KernelVisitor for Spirv<'_> {
-        fn visit<K: KernelInterface>(&mut self) {
-            self.modules.insert(K::NAME, K::form(self.limits).spirv);
-        }
-    }
-
     /// Compiles the kernels of a folder and uses those that differ from the program's own.
     pub fn take_over(context: &Context, glsl: &Path) -> Result<()> {
-        let mut own = Spirv { limits: context.limits(), modules: HashMap::new() };
-        visit_all(&mut own);
-        for kernel in spec::kernels() {
-            let spirv = reload::compile(glsl, kernel, context.limits())?;
-            if own.modules.get(kernel).is_some_and(|built| *built != spirv) {
-                tell!("{kernel}: taken from {}", glsl.display());
-                context.replace_shader(kernel, Some(spirv));
+        for own in kernels::all() {
+            let spirv = reload::compile(glsl, own.name, context.limits())?;
+            if own.spirv_for(context.limits()) != spirv {
+                tell!("{}: taken from {}", own.name, glsl.display());
+                context.replace_shader(own.name, Some(spirv));
             }
         }
         Ok(())
@@ -99,7 +86,7 @@ mod reloading {
         fn changed(&mut self) -> Vec<&'static str> {
             let mut newer = Vec::new();
             let mut changed = Vec::new();
-            for kernel in spec::kernels() {
+            for kernel in spec::kernel_names() {
                 for file in reload::files(&self.glsl, kernel) {
                     let Ok(time) = std::fs::metadata(&file).and_then(|m| m.modified()) else { continue };
                     if self.times.get(&file) != Some(&time) {

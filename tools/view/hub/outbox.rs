@@ -1,8 +1,9 @@
 //! Messages that wait to be sent to one page: only the newest picture, and a bounded number of texts.
 
 use crate::protocol::ToPage;
+use ashsplat_program::session::locked;
 use std::collections::VecDeque;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 
 /// Most waiting texts. A page that lets more pile up does not read, and is given up.
@@ -33,8 +34,7 @@ impl Waiting {
 
 impl Outbox {
     fn lock(&self) -> MutexGuard<'_, Waiting> {
-        // A thread that panics leaves no half-made change here.
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.waiting)
     }
 
     /// Adds a message. A new picture replaces a waiting one.

@@ -1,7 +1,7 @@
 //! Waiting requests for the rendering thread, and the order in which it serves them.
 
-use super::{Outbox, Pick, RemoteRequest, SceneRequest, Task};
-use crate::protocol::{FilmRequest, TrainAction, ViewRequest};
+use super::{Outbox, RemoteRequest, SceneRequest, Task};
+use crate::protocol::{FilmRequest, Pick, TrainAction, ViewRequest};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 

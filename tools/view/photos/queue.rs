@@ -1,8 +1,9 @@
 //! Turns at a budget. An asker with many requests delays mostly itself: others wait only for work already under way.
 
+use ashsplat_program::session::locked;
 use std::collections::{BTreeMap, VecDeque};
 use std::net::IpAddr;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tokio::sync::oneshot;
 
@@ -19,10 +20,6 @@ pub struct Asker {
     pub peer: IpAddr,
     pub page: Option<u64>,
 }
-
-/// Too many requests.
-#[derive(Debug, PartialEq, Eq)]
-pub struct Busy;
 
 /// A budget and its waiting askers.
 #[derive(Clone)]
@@ -60,26 +57,25 @@ impl Queue {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A thread that panics leaves no half-made change here.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.0)
     }
 
-    /// Waits for the asker's turn and takes a share, capped at one asker's largest.
-    pub async fn turn(&self, asker: Asker, share: u32) -> Result<Turn, Busy> {
+    /// Waits for the asker's turn and takes a share, capped at one asker's largest. None if there are too many requests.
+    pub async fn turn(&self, asker: Asker, share: u32) -> Option<Turn> {
         let turn = {
             let mut state = self.lock();
             state.forget_the_gone();
             let share = share.min(state.most_of_one);
             let line = state.lines.entry(asker).or_default();
             if line.waiting.len() >= MOST_WAITING {
-                return Err(Busy);
+                return None;
             }
             let (grant, turn) = oneshot::channel();
             line.waiting.push_back((share, grant));
             turn
         };
         self.serve();
-        tokio::time::timeout(PATIENCE, turn).await.ok().and_then(Result::ok).ok_or(Busy)
+        tokio::time::timeout(PATIENCE, turn).await.ok()?.ok()
     }
 
     /// Gives the free budget to waiting askers.
@@ -149,7 +145,7 @@ mod tests {
     use std::pin::Pin;
     use std::task::{Context, Poll, Waker};
 
-    type Waiting = Pin<Box<dyn Future<Output = Result<Turn, Busy>>>>;
+    type Waiting = Pin<Box<dyn Future<Output = Option<Turn>>>>;
 
     /// Requests of one page: granted, waiting and refused.
     #[derive(Default)]
@@ -171,8 +167,8 @@ mod tests {
             let mut still = Vec::new();
             for mut waits in self.waiting.drain(..) {
                 match waits.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
-                    Poll::Ready(Ok(turn)) => self.turns.push(turn),
-                    Poll::Ready(Err(Busy)) => self.refused += 1,
+                    Poll::Ready(Some(turn)) => self.turns.push(turn),
+                    Poll::Ready(None) => self.refused += 1,
                     Poll::Pending => still.push(waits),
                 }
             }

@@ -2,7 +2,7 @@
 
 use super::door::query_value;
 use super::seats::Seat;
-use super::{Site, files, refusal};
+use super::{Site, busy, files, refusal};
 use crate::cut::CutMessage;
 use crate::hub::{CurrentScene, SceneRequest};
 use crate::openings;
@@ -11,7 +11,7 @@ use ashsplat_files::splats::{self, Format, WriteOptions};
 use axum::Extension;
 use axum::extract::{Path as UrlPath, State};
 use axum::http::{StatusCode, Uri, header};
-use axum::response::{IntoResponse, Response};
+use axum::response::{self, IntoResponse, Response};
 use serde_json::json;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -37,33 +37,24 @@ pub async fn export(
     Extension(seat): Extension<Arc<Seat>>,
     UrlPath(name): UrlPath<String>,
     uri: Uri,
-) -> Response {
-    let Some(format) = openings::format_of(&name) else { return StatusCode::NOT_FOUND.into_response() };
-    let wanted = match Export::of_query(&uri) {
-        Ok(wanted) => wanted,
-        Err(error) => return refusal(StatusCode::BAD_REQUEST, &error.to_string()),
-    };
-    let (scene, turn) = match scene_of(&site, &seat).await {
-        Ok(given) => given,
-        Err(refused) => return refused,
-    };
+) -> response::Result<Response> {
+    let format = openings::format_of(&name).ok_or(StatusCode::NOT_FOUND)?;
+    let wanted =
+        Export::of_query(&uri).map_err(|error| refusal(StatusCode::BAD_REQUEST, &error.to_string()))?;
+    let (scene, turn) = scene_of(&site, &seat).await?;
     // The turn lasts until the file is written, even if the page has gone.
     let work = move || wanted.write(&scene, format).map(|(folder, path)| (path, (folder, turn)));
-    match seat.waits_for(tokio::task::spawn_blocking(work)).await {
-        Ok(Ok((path, kept))) => match files::body_of(&path, kept) {
-            Some(body) => {
-                let kind = [
-                    (header::CONTENT_TYPE, "application/octet-stream"),
-                    (header::CONTENT_DISPOSITION, "attachment"),
-                    (header::CACHE_CONTROL, "no-store"),
-                ];
-                (kind, body).into_response()
-            }
-            None => StatusCode::NOT_FOUND.into_response(),
-        },
-        Ok(Err(error)) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()),
-        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
-    }
+    let written = seat.waits_for(tokio::task::spawn_blocking(work)).await;
+    let (path, kept) = written
+        .map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?
+        .map_err(|error| refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()))?;
+    let body = files::body_of(&path, kept).ok_or(StatusCode::NOT_FOUND)?;
+    let kind = [
+        (header::CONTENT_TYPE, "application/octet-stream"),
+        (header::CONTENT_DISPOSITION, "attachment"),
+        (header::CACHE_CONTROL, "no-store"),
+    ];
+    Ok((kind, body).into_response())
 }
 
 /// `/count?min_opacity=X&…`, same as for an export: counts the Gaussians that remain, `{"kept":N,"of":N,"losses":[]}`. With
@@ -72,17 +63,12 @@ pub async fn count(
     State(site): State<Arc<Site>>,
     Extension(seat): Extension<Arc<Seat>>,
     uri: Uri,
-) -> Response {
-    let wanted = match Export::of_query(&uri) {
-        Ok(wanted) => wanted,
-        Err(error) => return refusal(StatusCode::BAD_REQUEST, &error.to_string()),
-    };
+) -> response::Result<Response> {
+    let wanted =
+        Export::of_query(&uri).map_err(|error| refusal(StatusCode::BAD_REQUEST, &error.to_string()))?;
     let format =
         query_value(&uri, "format").and_then(|ending| openings::format_of(&format!("scene.{ending}")));
-    let (scene, turn) = match scene_of(&site, &seat).await {
-        Ok(given) => given,
-        Err(refused) => return refused,
-    };
+    let (scene, turn) = scene_of(&site, &seat).await?;
     let work = move || {
         let _turn = turn;
         let (limits, all) = (wanted.cut.cut().limits(), scene.gaussians.len());
@@ -93,33 +79,24 @@ pub async fn count(
         let losses = losses.transpose().ok().flatten();
         json!({ "kept": kept, "of": all, "losses": losses.unwrap_or_default() }).to_string()
     };
-    match seat.waits_for(tokio::task::spawn_blocking(work)).await {
-        Ok(counts) => {
-            let kind = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
-            (kind, counts).into_response()
-        }
-        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
-    }
+    let counts = seat.waits_for(tokio::task::spawn_blocking(work)).await;
+    let counts = counts.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?;
+    let kind = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
+    Ok((kind, counts).into_response())
 }
 
 /// Returns the current scene and its turn, held until it is dropped; or the answer that refuses the page.
-async fn scene_of(
-    site: &Site,
-    seat: &Seat,
-) -> std::result::Result<(CurrentScene, OwnedSemaphorePermit), Response> {
-    let busy = || {
-        let text = "503: other exports are being made: ask again in a while\n";
-        (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "1")], text).into_response()
-    };
+async fn scene_of(site: &Site, seat: &Seat) -> response::Result<(CurrentScene, OwnedSemaphorePermit)> {
+    let busy = || busy("other exports are being made: ask again in a while");
     let turn = site.exports.clone().try_acquire_owned().map_err(|_| busy())?;
     let (answer, scene) = oneshot::channel();
     if !site.hub.ask_for_scene(SceneRequest { answer }) {
-        return Err(busy());
+        return Err(busy().into());
     }
     match seat.waits_for(tokio::time::timeout(PATIENCE, scene)).await {
         Ok(Ok(Ok(scene))) => Ok((scene, turn)),
-        Ok(Ok(Err(problem))) => Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, &problem)),
-        _ => Err(busy()),
+        Ok(Ok(Err(problem))) => Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, &problem).into()),
+        _ => Err(busy().into()),
     }
 }
 

@@ -1,7 +1,7 @@
-//! Files that pages send, and paths that they name: see [`Openings`].
+//! Files that pages send, and paths that they name: see [`openings`].
 
-use super::{Site, refusal};
-use crate::openings::{self, Openings, Wish};
+use super::{Site, busy, refusal};
+use crate::openings::{self, Wish};
 use ashsplat_files::splats::Format;
 use axum::body::{Body, Bytes, to_bytes};
 use axum::extract::{Path as UrlPath, Request, State};
@@ -39,51 +39,42 @@ pub async fn upload(
     request: Request,
 ) -> Response {
     let (head, mut body) = request.into_parts();
-    let answer = take_in(&site, &name, &head.headers, &mut body).await;
-    if answer.status() != StatusCode::ACCEPTED {
-        drain(&mut body).await;
+    match take_in(&site, &name, &head.headers, &mut body).await {
+        Ok(()) => StatusCode::ACCEPTED.into_response(),
+        Err(refused) => {
+            drain(&mut body).await;
+            refused
+        }
     }
-    answer
 }
 
 /// On refusal, part of the body may be left unread.
-async fn take_in(site: &Site, name: &str, headers: &HeaderMap, body: &mut Body) -> Response {
-    let Some(openings) = &site.openings else { return not_here() };
+async fn take_in(site: &Site, name: &str, headers: &HeaderMap, body: &mut Body) -> Result<(), Response> {
+    let openings = site.openings.as_ref().ok_or_else(not_here)?;
     // Foreign pages cannot send this content type without a preflight request.
     if !is_kind(headers, "application/octet-stream") {
-        return refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a file as application/octet-stream");
+        let problem = "send a file as application/octet-stream";
+        return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, problem));
     }
-    let Some(format) = openings::format_of(name) else {
+    let format = openings::format_of(name).ok_or_else(|| {
         let known = openings.described()["formats"].to_string();
-        return refusal(
-            StatusCode::UNSUPPORTED_MEDIA_TYPE,
-            &format!("{name}: give a file of one of {known}"),
-        );
-    };
+        refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, &format!("{name}: give a file of one of {known}"))
+    })?;
     let length = headers.get(header::CONTENT_LENGTH).and_then(|text| text.to_str().ok()?.parse().ok());
-    let Some(length) = length else {
-        return refusal(StatusCode::LENGTH_REQUIRED, "the file's length is missing");
-    };
+    let length =
+        length.ok_or_else(|| refusal(StatusCode::LENGTH_REQUIRED, "the file's length is missing"))?;
     if length > openings.most_bytes() {
         let most = openings.most_bytes();
         let problem = format!("{name}: has {length} bytes; reading may take {most} (--max-host-memory)");
-        return refusal(StatusCode::PAYLOAD_TOO_LARGE, &problem);
+        return Err(refusal(StatusCode::PAYLOAD_TOO_LARGE, &problem));
     }
-    let Some(turn) = openings.turn() else { return busy() };
-    let folder = match tempfile::tempdir() {
-        Ok(folder) => folder,
-        Err(error) => return no_room(&error),
-    };
+    let turn = openings.turn().ok_or_else(occupied)?;
+    let folder = tempfile::tempdir().map_err(no_room)?;
     let path = folder.path().join(plain(name, format));
-    match receive(body, &path, length).await {
-        Ok(()) => {}
-        Err(Failed::Sender) => return refusal(StatusCode::BAD_REQUEST, "the file has not come whole"),
-        Err(Failed::Slow) => return refusal(StatusCode::REQUEST_TIMEOUT, "the file has come too slowly"),
-        Err(Failed::Disk(error)) => return no_room(&error),
-    }
+    receive(body, &path, length).await?;
     let name = name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
     openings.ask(Wish { path, name, within: None, upload: Some(folder), turn });
-    StatusCode::ACCEPTED.into_response()
+    Ok(())
 }
 
 /// A file name that is valid in any folder: letters and digits of the page's name, and the ending.
@@ -100,39 +91,21 @@ struct Named {
 }
 
 /// `POST /open` with `{"path": "…"}`.
-pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Response {
-    let Some(openings) = &site.openings else { return not_here() };
+pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Result<StatusCode, Response> {
+    let openings = site.openings.as_ref().ok_or_else(not_here)?;
     if !is_kind(request.headers(), "application/json") {
-        return refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a path as application/json");
+        return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a path as application/json"));
     }
     let told = tokio::time::timeout(GRACE, to_bytes(request.into_body(), LONGEST_MESSAGE)).await;
     let told = told.ok().and_then(Result::ok).and_then(|bytes| serde_json::from_slice::<Named>(&bytes).ok());
-    let Some(Named { path: name }) = told else {
-        return refusal(StatusCode::BAD_REQUEST, "expected {\"path\": \"…\"}");
-    };
-    match name_for(openings, name.trim()) {
-        Ok(wish) => {
-            openings.ask(wish);
-            StatusCode::ACCEPTED.into_response()
-        }
-        Err(Some(problem)) => refusal(StatusCode::NOT_FOUND, &problem),
-        Err(None) => busy(),
-    }
-}
-
-/// Resolves the path that a page names. The error says why not, or is none if another page is opening a scene.
-fn name_for(openings: &Openings, name: &str) -> Result<Wish, Option<String>> {
-    let (path, folder) = openings.find(name).map_err(Some)?;
+    let told = told.ok_or_else(|| refusal(StatusCode::BAD_REQUEST, "expected {\"path\": \"…\"}"))?;
+    let name = told.path.trim();
+    let found = openings.find(name);
+    let (path, folder) = found.map_err(|problem| refusal(StatusCode::NOT_FOUND, &problem))?;
     let within = Some(folder.to_owned());
-    let turn = openings.turn().ok_or(None)?;
-    Ok(Wish { path, name: name.to_owned(), within, upload: None, turn })
-}
-
-/// Reasons why an upload failed.
-enum Failed {
-    Sender,
-    Slow,
-    Disk(std::io::Error),
+    let turn = openings.turn().ok_or_else(occupied)?;
+    openings.ask(Wish { path, name: name.to_owned(), within, upload: None, turn });
+    Ok(StatusCode::ACCEPTED)
 }
 
 /// Waits for the next piece of an upload.
@@ -141,20 +114,22 @@ async fn next(body: &mut Body) -> Option<Result<Frame<Bytes>, axum::Error>> {
 }
 
 /// Writes the received bytes, at most `length`. Time grows with bytes received, not with bytes announced.
-async fn receive(body: &mut Body, path: &Path, length: u64) -> Result<(), Failed> {
-    let mut file = File::create(path).map_err(Failed::Disk)?;
+async fn receive(body: &mut Body, path: &Path, length: u64) -> Result<(), Response> {
+    let incomplete = || refusal(StatusCode::BAD_REQUEST, "the file has not come whole");
+    let slow = || refusal(StatusCode::REQUEST_TIMEOUT, "the file has come too slowly");
+    let mut file = File::create(path).map_err(no_room)?;
     let begun = Instant::now();
     let mut left = length;
     loop {
         let time = GRACE + Duration::from_secs((length - left) / BYTES_PER_SECOND);
-        let time = time.checked_sub(begun.elapsed()).ok_or(Failed::Slow)?;
-        let come = tokio::time::timeout(time, next(body)).await.map_err(|_| Failed::Slow)?;
+        let time = time.checked_sub(begun.elapsed()).ok_or_else(slow)?;
+        let come = tokio::time::timeout(time, next(body)).await.map_err(|_| slow())?;
         let Some(frame) = come else { break };
-        let Ok(bytes) = frame.map_err(|_| Failed::Sender)?.into_data() else { continue };
-        left = left.checked_sub(bytes.len() as u64).ok_or(Failed::Sender)?;
-        file.write_all(&bytes).map_err(Failed::Disk)?;
+        let Ok(bytes) = frame.map_err(|_| incomplete())?.into_data() else { continue };
+        left = left.checked_sub(bytes.len() as u64).ok_or_else(incomplete)?;
+        file.write_all(&bytes).map_err(no_room)?;
     }
-    if left == 0 { Ok(()) } else { Err(Failed::Sender) }
+    if left == 0 { Ok(()) } else { Err(incomplete()) }
 }
 
 /// Reads some of what is still sent: a browser that is cut off while sending may not show the refusal.
@@ -180,12 +155,11 @@ fn not_here() -> Response {
     refusal(StatusCode::FORBIDDEN, problem)
 }
 
-fn busy() -> Response {
-    let text = "503: another scene is being opened\n";
-    (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "1")], text).into_response()
+fn occupied() -> Response {
+    busy("another scene is being opened")
 }
 
-fn no_room(error: &std::io::Error) -> Response {
+fn no_room(error: std::io::Error) -> Response {
     let place = std::env::temp_dir();
     let problem = format!("{}: cannot write a temporary file: {error}", place.display());
     refusal(StatusCode::INSUFFICIENT_STORAGE, &problem)
@@ -217,13 +191,15 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("a.ply");
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("a runtime");
-        let got = |body: &mut Body, length| runtime.block_on(receive(body, &path, length));
+        let got = |body: &mut Body, length| {
+            runtime.block_on(receive(body, &path, length)).map_err(|refused| refused.status())
+        };
         let mut silent = Body::new(Silent(Some(Bytes::from_static(b"ply"))));
         let begun = Instant::now();
-        assert!(matches!(got(&mut silent, 1 << 40), Err(Failed::Slow)));
+        assert_eq!(got(&mut silent, 1 << 40), Err(StatusCode::REQUEST_TIMEOUT));
         assert!(begun.elapsed() < Duration::from_secs(60));
-        assert!(got(&mut Body::from("ply"), 3).is_ok());
-        assert!(matches!(got(&mut Body::from("ply"), 4), Err(Failed::Sender)));
+        assert_eq!(got(&mut Body::from("ply"), 3), Ok(()));
+        assert_eq!(got(&mut Body::from("ply"), 4), Err(StatusCode::BAD_REQUEST));
         // Draining does not wait for its end either.
         runtime.block_on(drain(&mut silent));
     }

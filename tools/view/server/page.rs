@@ -3,7 +3,7 @@
 
 use super::seats::Seat;
 use super::{Site, refusal};
-use crate::hub::{Hub, Pick};
+use crate::hub::Hub;
 use crate::pace::Pace;
 use crate::protocol::{FromPage, ToPage};
 use axum::Extension;
@@ -122,8 +122,8 @@ fn heed(hub: &Hub, client: u64, text: &str) {
     match serde_json::from_str(text) {
         Ok(FromPage::View(view)) => hub.set_view(client, view),
         Ok(FromPage::Ack {}) => hub.acknowledge(client),
-        Ok(FromPage::Pick { id, camera, look, pixel }) => {
-            if !hub.pick(client, Pick { id, camera, look, pixel }) {
+        Ok(FromPage::Pick(pick)) => {
+            if !hub.pick(client, pick) {
                 refuse("too many pixels asked for at once");
             }
         }

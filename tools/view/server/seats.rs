@@ -3,10 +3,11 @@
 //! A connection takes a descriptor of the program, which saving needs too. So there are few, and idle ones close
 //! first.
 
+use ashsplat_program::session::locked;
 use std::net::IpAddr;
 use std::pin::pin;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 use tokio::sync::Notify;
 
@@ -89,8 +90,7 @@ impl Seats {
     }
 
     fn lock(&self) -> MutexGuard<'_, Vec<Arc<Seat>>> {
-        // A thread that panics leaves no half-made change here.
-        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.taken)
     }
 
     /// Takes a seat for a new connection. If none is free, the longest idle connection makes way. None if none is idle.

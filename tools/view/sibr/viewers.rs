@@ -1,7 +1,8 @@
 //! The viewers that speak the protocol, and whether they let training continue.
 
+use ashsplat_program::session::locked;
 use std::net::{Shutdown, TcpStream};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Instant;
 
 /// Most viewers at once. For one more, the longest silent viewer goes.
@@ -32,8 +33,7 @@ struct Said {
 
 impl Wishes {
     fn lock(&self) -> MutexGuard<'_, Vec<Arc<Viewer>>> {
-        // A thread that panics leaves no half-made change here.
-        self.viewers.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.viewers)
     }
 
     /// True if training may continue. A viewer that has sent nothing yet does not pause it.
@@ -71,22 +71,18 @@ impl Viewer {
         &self.stream
     }
 
-    fn lock(&self) -> MutexGuard<'_, Said> {
-        self.said.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn said(&self) -> Said {
-        *self.lock()
+        *locked(&self.said)
     }
 
     /// Records a message that waits for an answer.
     pub fn speaks(&self, train: bool, keep_alive: bool) {
-        *self.lock() = Said { at: Instant::now(), waits: true, train, keep_alive };
+        *locked(&self.said) = Said { at: Instant::now(), waits: true, train, keep_alive };
     }
 
     /// Records that the answer was sent.
     pub fn is_answered(&self) {
-        let mut said = self.lock();
+        let mut said = locked(&self.said);
         (said.at, said.waits) = (Instant::now(), false);
     }
 }

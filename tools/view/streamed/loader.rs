@@ -1,24 +1,12 @@
 //! The thread that reads tiles and uploads them: no frame waits for a file.
 
+use crate::subject::Streamed;
 use ashsplat::scene::Gaussians;
 use ashsplat::vk::Context;
 use ashsplat::{DeviceScene, Error, Result};
-use ashsplat_files::splats::ReadOptions;
-use ashsplat_files::tiles::Tree;
-use ashsplat_program::session::guarded;
+use ashsplat_program::session::{guarded, locked};
 use std::collections::VecDeque;
-use std::path::PathBuf;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-
-/// Where tiles are read from.
-pub struct Source {
-    pub tree: Arc<Tree>,
-    pub read: ReadOptions,
-    /// SH degree at which all tiles are stored.
-    pub sh_degree: u32,
-    /// Tiles whose links lead out of this folder are not read.
-    pub within: Option<PathBuf>,
-}
 
 /// A tile and its Gaussians on the device, or the error.
 pub type Arrival = (usize, Result<DeviceScene>);
@@ -47,8 +35,7 @@ struct State {
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A thread that panics leaves no half-made change here.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.state)
     }
 
     /// Waits for the next tile to read; none once the loader ends.
@@ -80,14 +67,19 @@ impl Shared {
 }
 
 impl Loader {
-    /// Starts the thread; `arrived` is called after each tile.
-    pub fn start(context: Context, source: Source, arrived: impl Fn() + Send + 'static) -> Result<Loader> {
+    /// Starts the thread; `arrived` is called after each tile. `sh_degree`: SH degree at which all tiles are stored.
+    pub fn start(
+        context: Context,
+        streamed: Streamed,
+        sh_degree: u32,
+        arrived: impl Fn() + Send + 'static,
+    ) -> Result<Loader> {
         let state = Mutex::new(State { context: Some(context), ..State::default() });
         let shared = Arc::new(Shared { state, news: Condvar::new() });
         let own = shared.clone();
         let work = move || {
             while let Some(tile) = own.next() {
-                let gaussians = guarded(|| source.read(tile));
+                let gaussians = guarded(|| streamed.read(tile, sh_degree));
                 let Some(context) = own.begin_upload() else { return };
                 // The waiting side must get a result for each tile, even after a panic. By then the thread no longer holds the device.
                 let scene = guarded(|| DeviceScene::upload(&context, &gaussians?, 0));
@@ -132,8 +124,9 @@ impl Drop for Loader {
     }
 }
 
-impl Source {
-    fn read(&self, tile: usize) -> Result<Gaussians> {
+impl Streamed {
+    /// Reads a tile, which must have this SH degree.
+    fn read(&self, tile: usize, sh_degree: u32) -> Result<Gaussians> {
         if let (Some(folder), Some(path)) = (&self.within, self.tree.path(tile)) {
             let real = path.canonicalize().map_err(|e| Error::io(&path, "read", e))?;
             if !real.starts_with(folder) {
@@ -143,9 +136,9 @@ impl Source {
         }
         let gaussians = self.tree.read(tile, &self.read)?.gaussians;
         let degree = gaussians.sh_degree;
-        if degree != self.sh_degree {
+        if degree != sh_degree {
             let path = self.tree.path(tile).unwrap_or_default();
-            let problem = format!("has SH degree {degree}, and the coarsest tile {}", self.sh_degree);
+            let problem = format!("has SH degree {degree}, and the coarsest tile {sh_degree}");
             return Err(Error::input(path, problem, "write the tree again with `ashsplat tiles`"));
         }
         Ok(gaussians)

@@ -1,8 +1,6 @@
 //! State of the window: view, mode, photo, text.
 
 use super::super::draw;
-use super::super::lights::PhotoLights;
-use super::super::photos::Photos;
 use super::super::protocol::{self, CameraMessage, Look, Mode};
 use super::super::studio::fatal;
 use super::super::subject::Subject;
@@ -16,9 +14,8 @@ use super::present::Present;
 use super::text::{Overlay, Text, text};
 use super::words::{self, Measured};
 use ashsplat::scene::Camera;
-use ashsplat::{PixelReport, RenderSettings, Result};
+use ashsplat::{Error, Gaussians, PixelReport, RenderSettings, Result};
 use ashsplat_files::Photo;
-use ashsplat_files::cameras_json::NamedCamera;
 use ashsplat_program::light::Light;
 use ashsplat_program::output;
 use glam::DVec3;
@@ -55,15 +52,11 @@ pub struct Stage {
     pub view: Navigation,
     pub pace: Pace,
     mode: usize,
-    base: RenderSettings,
-    cameras: Vec<NamedCamera>,
-    photos: Option<Arc<Photos>>,
-    lights: PhotoLights,
+    /// The scene, without its Gaussians.
+    subject: Subject,
     /// True if photos' views are drawn with their exposure and lens effects.
     lit: bool,
-    name: String,
     device: String,
-    note: Option<String>,
     start: Option<Camera>,
     center: DVec3,
     /// Source units of a world unit.
@@ -112,17 +105,12 @@ impl Stage {
             view,
             pace: Pace::new(),
             mode: 0,
-            base: subject.base,
-            cameras: subject.cameras,
-            photos: subject.photos,
-            lights: subject.lights,
             lit: false,
-            name: subject.name,
             device: device.to_owned(),
-            note: subject.note,
             start: start.map(|message| message.camera()).transpose()?,
             center,
             unit: subject.frame.unit as f32,
+            subject: Subject { gaussians: Gaussians::default(), ..subject },
             out,
             size: [1, 1],
             scale_factor: 1.0,
@@ -145,7 +133,7 @@ impl Stage {
 
     /// The last part of the scene's name.
     pub fn title(&self) -> &str {
-        self.name.split('/').rfind(|part| !part.is_empty()).unwrap_or(&self.name)
+        self.subject.name.split('/').rfind(|part| !part.is_empty()).unwrap_or(&self.subject.name)
     }
 
     fn home(&mut self) {
@@ -164,6 +152,12 @@ impl Stage {
     pub fn say(&mut self, text: String) {
         self.message = Some((text, Instant::now()));
         self.pace.leap();
+    }
+
+    /// Shows an error. Returns it if it must end the program.
+    fn complain(&mut self, error: Error) -> Result<()> {
+        self.say(error.to_string());
+        fatal(error)
     }
 
     /// Performs a key's action that does not steer. True if the window should close.
@@ -191,14 +185,14 @@ impl Stage {
     }
 
     fn knows_lights(&self) -> bool {
-        (0..self.cameras.len()).any(|photo| self.lights.has(photo))
+        (0..self.subject.cameras.len()).any(|photo| self.subject.lights.has(photo))
     }
 
     /// Exposure and lens effects for the picture, if the view is exactly a photo's.
     fn photo_light(&mut self) -> Result<Option<(Camera, Light)>> {
         let lit = self.lit && self.mode == 0 && self.view.is_photo();
-        let photo = self.current.filter(|photo| lit && self.lights.has(*photo));
-        photo.map(|photo| self.lights.of(photo, self.picture.painter())).transpose()
+        let photo = self.current.filter(|photo| lit && self.subject.lights.has(*photo));
+        photo.map(|photo| self.subject.lights.of(photo, self.picture.painter())).transpose()
     }
 
     /// Closes help, photo and list of Gaussians. True if any was open.
@@ -212,17 +206,17 @@ impl Stage {
 
     /// Goes to the next or the previous photo.
     fn step(&mut self, by: isize) {
-        let count = self.cameras.len() as isize;
+        let count = self.subject.cameras.len() as isize;
         if count == 0 {
             return;
         }
         let from = self.current.map_or(if by > 0 { -1 } else { 0 }, |current| current as isize);
         let index = (from + by).rem_euclid(count) as usize;
         self.current = Some(index);
-        let named = &self.cameras[index];
+        let named = &self.subject.cameras[index];
         self.view.take(&named.camera, true);
         let name = named.name.clone();
-        let photo = self.photos.as_ref().map(|photos| photos.decoded_now(index));
+        let photo = self.subject.photos.as_ref().map(|photos| photos.decoded_now(index));
         let (photo, problem) = match photo {
             Some(Ok(photo)) => (Some(photo), None),
             Some(Err(error)) => (None, Some(error.to_string())),
@@ -250,16 +244,13 @@ impl Stage {
     fn report(&mut self, [x, y]: [f64; 2]) -> Result<Option<([u32; 2], PixelReport)>> {
         let pixel = [x, y].map(|v| v.max(0.0) as u32);
         let camera = self.view.camera(self.size);
-        let settings = draw::settings(&self.base, &Look::default());
+        let settings = draw::settings(&self.subject.base, &Look::default());
         if !self.picture.has_scene() {
             return Ok(None);
         }
         match self.picture.painter().inspect(&camera, &settings, pixel) {
             Ok(report) => Ok(Some((pixel, report))),
-            Err(error) => {
-                self.say(error.to_string());
-                fatal(error).map(|()| None)
-            }
+            Err(error) => self.complain(error).map(|()| None),
         }
     }
 
@@ -291,13 +282,10 @@ impl Stage {
             return Ok(());
         }
         let drawn = (self.photo_light())
-            .and_then(|light| draw::draw_as(self.picture.painter(), &camera, &self.base, &look, light));
+            .and_then(|light| draw::draw(self.picture.painter(), &camera, &self.subject.base, &look, light));
         match drawn.and_then(|drawn| output::write_png(&path, &drawn.photo)) {
             Ok(()) => self.say(format!("saved {}", path.display())),
-            Err(error) => {
-                self.say(error.to_string());
-                fatal(error)?;
-            }
+            Err(error) => self.complain(error)?,
         }
         Ok(())
     }
@@ -353,10 +341,7 @@ impl Stage {
                     self.measured.take(report);
                 }
                 Ok(None) => {}
-                Err(error) => {
-                    self.say(error.to_string());
-                    fatal(error)?;
-                }
+                Err(error) => self.complain(error)?,
             }
         }
         Ok(())
@@ -371,10 +356,10 @@ impl Stage {
         let small = due.sides(size);
         let settled = std::mem::take(&mut self.settle) && due == Due::Still;
         let (camera, start) = (self.view.camera(small), Instant::now());
-        let settings = draw::settings(&self.base, &self.look());
+        let settings = draw::settings(&self.subject.base, &self.look());
         let prepared = self.prepare(present, &camera, &settings);
         let before = start.elapsed().as_secs_f64() * 1e3;
-        let background = self.base.background;
+        let background = self.subject.base.background;
         let content = match &prepared {
             Ok(_) if !self.picture.has_scene() => Content::Nothing(background),
             Ok(Some(photo)) => Content::Photo(photo),
@@ -425,7 +410,7 @@ impl Stage {
             return Ok(None);
         }
         let look = self.look();
-        let drawn = draw::draw_as(self.picture.painter(), camera, &self.base, &look, light)?;
+        let drawn = draw::draw(self.picture.painter(), camera, &self.subject.base, &look, light)?;
         let unit = if MODES[self.mode] == Mode::Depth { self.unit } else { 1.0 };
         let legend = drawn.legend.map(|ends| ends.map(|end| end * unit));
         let milliseconds = self.measured.milliseconds;
@@ -437,9 +422,9 @@ impl Stage {
         let mut lines = Vec::new();
         if self.panel {
             let rate = self.pace.frames_per_second();
-            lines = words::status(&self.name, &self.device, self.mode, rate, &self.measured);
+            lines = words::status(&self.subject.name, &self.device, self.mode, rate, &self.measured);
             lines.extend(self.picture.tree().and_then(words::tree));
-            lines.extend(self.note.iter().flat_map(|note| words::wrapped(note)));
+            lines.extend(self.subject.note.iter().flat_map(|note| words::wrapped(note)));
         }
         lines.extend(self.message.iter().flat_map(|(message, _)| words::wrapped(message)));
         lines.extend(self.picked.iter().cloned());

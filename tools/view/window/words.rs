@@ -3,6 +3,7 @@
 use super::keys::{HELP, ONLY_PAGE};
 use ashsplat::vk::ScopeTime;
 use ashsplat::{PixelReport, SlotReport};
+use ashsplat_program::progress::thousands;
 use serde_json::Value;
 
 /// Most Gaussians listed for a pixel.
@@ -43,19 +44,6 @@ impl Measured {
     }
 }
 
-/// A number with separators between thousands.
-fn grouped(number: u32) -> String {
-    let digits = number.to_string();
-    let mut text = String::new();
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}
-
 /// Permanent text: scene, frame, stages, device.
 pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measured) -> Vec<String> {
     let [width, height] = frame.size;
@@ -65,7 +53,8 @@ pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measure
         format!("{width}×{height} · {:.1} ms{rate} · {}", frame.milliseconds, MODES[mode]),
     ];
     if frame.gaussians > 0 {
-        let [visible, all, instances] = [frame.visible, frame.gaussians, frame.instances].map(grouped);
+        let [visible, all, instances] =
+            [frame.visible, frame.gaussians, frame.instances].map(|count| thousands(count.into()));
         lines.push(format!("{visible} of {all} Gaussians visible, {instances} instances"));
     }
     let stages: Vec<_> = frame.stages.iter().filter(|stage| stage.depth == 0).collect();
@@ -86,7 +75,7 @@ pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measure
 
 /// How complete a tree's picture is, and what is still being read.
 pub fn tree(shown: &Value) -> Option<String> {
-    let number = |key: &str| shown[key].as_u64().map(|n| grouped(u32::try_from(n).unwrap_or(u32::MAX)));
+    let number = |key: &str| shown[key].as_u64().map(thousands);
     let mut line = format!("{} tiles of a tree of {} Gaussians", number("drawn")?, number("of")?);
     if let Some(missing) = number("missing").filter(|missing| missing != "0") {
         line += &format!(", {missing} to come");

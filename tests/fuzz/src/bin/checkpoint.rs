@@ -10,7 +10,6 @@ use std::sync::LazyLock;
 
 static FILE: LazyLock<PathBuf> = LazyLock::new(|| folder("checkpoint").join("input.safetensors"));
 
-/// Valid files of two degrees.
 fn seeds() {
     for sh_degree in [0, 1] {
         checkpoint(gaussians(2, sh_degree), sh_degree).write(&*FILE).expect("written");

@@ -14,7 +14,6 @@ const NAMES: [&str; 7] = ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.gl
 
 static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| folder("splats"));
 
-/// Writes a valid file of each format.
 fn seeds() {
     for degree in [0, 1] {
         for (kind, name) in NAMES.iter().enumerate().filter(|(_, name)| name.starts_with("a.")) {

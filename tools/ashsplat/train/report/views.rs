@@ -1,6 +1,5 @@
 //! Views beside their photos, with their quality.
 
-use crate::train::tracking;
 use ashsplat::{Frame, Result};
 use ashsplat_files::{Photo, PhotoFileFormat, View};
 use ashsplat_program::eval::{Evaluation, ViewResult};
@@ -20,11 +19,6 @@ pub fn worst_first(views: &[ViewResult]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..views.len()).collect();
     order.sort_by(|&a, &b| views[a].psnr.total_cmp(&views[b].psnr));
     order
-}
-
-/// At most [`SHOWN`] elements, evenly spread.
-pub fn spread<T: Clone>(all: &[T]) -> Vec<T> {
-    tracking::spread(all, SHOWN)
 }
 
 /// Writes a row of the contact sheet.
@@ -121,18 +115,4 @@ pub fn table(evaluation: &Evaluation) -> String {
         cells(&mut std::iter::once(evaluation.ssim()).chain(evaluation.lpips().map(|(_, value)| value)))
     );
     out
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn first_and_last_are_shown() {
-        let all: Vec<usize> = (0..100).collect();
-        let shown = spread(&all);
-        assert_eq!((shown.len(), shown[0], shown[SHOWN - 1]), (SHOWN, 0, 99));
-        assert_eq!(spread(&[7]), [7]);
-        assert!(spread::<usize>(&[]).is_empty());
-    }
 }

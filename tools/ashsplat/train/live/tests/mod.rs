@@ -4,10 +4,10 @@ use super::*;
 use crate::train::tests::dataset;
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::vk::{ContextOptions, Fault, Faults};
-use ashsplat_program::config::Settings;
 use ashsplat_view::protocol::{CameraMessage, Look, ViewRequest};
 use glam::Vec3;
 use std::net::TcpStream;
+use std::path::Path;
 use tungstenite::{Message, WebSocket};
 
 fn any_port() -> Doors {
