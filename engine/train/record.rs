@@ -333,8 +333,8 @@ impl Trainer {
     /// Maximum number of dispatches in a step.
     fn step_dispatches(&self) -> usize {
         const PER_STEP: u32 = 64;
-        // Per chunk of parameters: culling, projection, its backward pass, the optimiser. Chunks of frozen Gaussians have the
-        // first two, and share one dispatch for their ranges.
+        // Per chunk of parameters: culling, projection, its backward pass, the optimiser, the strategy's update. Chunks of frozen
+        // Gaussians have the first two, and share one dispatch for their ranges.
         let frozen = self.surroundings().map_or(0, |frozen| 2 * frozen.plan().chunks + 1);
         let frame = self.runner.store.capacity();
         let blending =
@@ -345,7 +345,7 @@ impl Trainer {
             if self.run.settings.average_last > 0.0 { scene.chunks * (scene.sh_degree + 2) } else { 0 };
         // The 3D filter has the nearest depths, and the sizes that follow from them.
         let filter = if self.run.settings.filter_3d { 2 * scene.chunks } else { 0 };
-        (PER_STEP + 4 * scene.chunks + mean + filter + frozen + 2 * blending) as usize
+        (PER_STEP + 5 * scene.chunks + mean + filter + frozen + 2 * blending) as usize
     }
 
     /// Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps; valid until the next
