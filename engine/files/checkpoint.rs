@@ -275,7 +275,7 @@ impl Metadata {
         let unknown = |e: serde_json::Error| format!("has settings that this version does not know: {e}");
         let mut settings: Map<String, Value> =
             serde_json::from_str(self.text("settings")?).map_err(unknown)?;
-        earlier_settings::remove(|name| settings.remove(name))?;
+        earlier_settings::remove_earlier(|name| settings.remove(name))?;
         serde_json::from_value(Value::Object(settings)).map_err(unknown)
     }
 

@@ -53,7 +53,8 @@ pub fn table(path: &Path, purpose: Purpose) -> Result<Table> {
         let line = e.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
         Error::input(path, format!("line {line}: {}", e.message()), remedy)
     })?;
-    if let (Err(problem), Purpose::Training) = (earlier_settings::remove(|name| table.remove(name)), purpose)
+    if let (Err(problem), Purpose::Training) =
+        (earlier_settings::remove_earlier(|name| table.remove(name)), purpose)
     {
         return Err(Error::input(path, problem, "leave it out"));
     }
