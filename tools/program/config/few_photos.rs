@@ -51,7 +51,7 @@ impl Given {
             // A continued training keeps its settings, even those of an earlier version.
             Some(start) if made_with(start, &usual.train) => return Ok((usual, None)),
             Some(start) => strategy_of(start).unwrap_or_default(),
-            // The strategy budget adds up gradients over views, which this optimiser does not support.
+            // Budgeted growth of few photos is not measured with this optimiser.
             None if usual.train.optimizer_type == OptimizerType::SparseAdam => StrategyType::Reference,
             None => StrategyType::Budget,
         };
@@ -151,10 +151,10 @@ mod tests {
         let preset = Overrides { preset: Some("quality".into()), ..Overrides::default() };
         let preset = resolved(None, &preset);
         let quality = TrainSettings::of_preset(Preset::Quality);
-        assert!(!usual.multi_step && usual.average_last > quality.average_last);
-        let TrainSettings { dropout, opacity_reg, scale_reg, multi_step, scaling_lr, .. } = usual;
+        assert!(usual.average_last > quality.average_last);
+        let TrainSettings { dropout, opacity_reg, scale_reg, scaling_lr, .. } = usual;
         let TrainSettings { average_last, position_lr_final, scale_sh_degree, .. } = usual;
-        let keeps = TrainSettings { multi_step, scaling_lr, average_last, position_lr_final, ..quality };
+        let keeps = TrainSettings { scaling_lr, average_last, position_lr_final, ..quality };
         let keeps = TrainSettings { scale_sh_degree, ..keeps };
         let expected = TrainSettings { dropout, opacity_reg, scale_reg, ..keeps };
         assert_eq!(preset.expect("settings").train, expected);
