@@ -80,15 +80,3 @@ fn averages_go_on_from_checkpoints_to_the_bit() {
     broken.means.as_mut().expect("means").gaussians = start();
     assert!(broken.check().expect_err("refused").to_string().contains("means"));
 }
-
-#[test]
-fn averages_need_a_step_after_each_view() {
-    let of = |multi_step| TrainSettings {
-        average_last: 0.1,
-        multi_step,
-        cap_max: 0,
-        ..TrainSettings::of_strategy(StrategyType::Budget)
-    };
-    assert_says(refusal(run(&of(true)).try_begin()), &["average_last", "multi_step"]);
-    run(&of(false)).begin();
-}

@@ -56,8 +56,7 @@ fn backends_train_alike() {
 }
 
 /// Loops over SH coefficients that are not unrolled add in the same order: pictures, trainings with and without
-/// poses. Sums over several views (`multi_step`) are excluded, because this driver rounds them differently in a
-/// loop.
+/// poses.
 #[test]
 fn backends_of_both_kinds_of_loops_and_with_shared_splats_have_the_same_bits() {
     ["SH_LOOPS", "SHARED_SPLATS"].into_iter().for_each(compare_switched);
@@ -79,7 +78,6 @@ fn compare_switched(constant: &str) {
             sh_degree_interval: 2,
             scale_sh_degree: false,
             strategy,
-            multi_step: false,
             pose_opt,
             ..TrainSettings::of_strategy(strategy)
         };

@@ -6,7 +6,7 @@ use ashsplat::frame::{
     Auxiliary, BlendVariant, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, POSE_BYTES,
     PictureCapacity, PlacedScene, SceneBuffers, Strips, frame_requests, planes,
 };
-use ashsplat::passes::adam::{Moments, Optimizer, Rates, Step, ViewSum};
+use ashsplat::passes::adam::{Moments, Optimizer, Rates, Step};
 use ashsplat::passes::backward::{Backward, BackwardVariant, Statistics};
 use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::passes::poses::{PoseBuffers, PoseGradient, PoseOptimizer, PoseStep};
@@ -92,7 +92,7 @@ impl Training {
             optimizer: Optimizer::new(&context, false),
             poses: PoseBuffers::from_allocated(3, poses),
             pose_gradient: PoseGradient::new(&context).expect("kernels"),
-            pose_optimizer: PoseOptimizer::new(&context, false).expect("kernels"),
+            pose_optimizer: PoseOptimizer::new(&context).expect("kernels"),
             moved_optimizer: Optimizer::new(&context, false).with_moved_cameras(),
             moments: Moments { first: planes_of("moments"), second: planes_of("moments") },
             gradients: planes_of("gradients"),
@@ -173,7 +173,7 @@ impl Training {
         let (poses, state) = (&self.poses, &self.frame.state);
         self.pose_gradient.record(recorder, &inputs, (&poses.parameters, 0), &poses.gradient);
         recorder.barrier();
-        let step = PoseStep { rate: 1e-3, count: 1, sum: ViewSum::ALONE };
+        let step = PoseStep { rate: 1e-3, count: 1 };
         self.pose_optimizer.record(recorder, poses, state, Some((step, 0)));
     }
 

@@ -3,8 +3,7 @@
 use crate::common::prelude::*;
 use crate::common::training::{forecast, photo_size, settings, without_rates};
 use ashsplat::scene::{Bounds, Intrinsics};
-use ashsplat::train::checkpoint::GradientSums;
-use ashsplat::train::{LightSums, SceneBlock, TrainParts};
+use ashsplat::train::{SceneBlock, TrainParts};
 use std::collections::HashSet;
 
 /// Half of the scene, minus a margin.
@@ -341,19 +340,6 @@ fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
     refused(&|other| other.settings.opacity_lr = 0.5, "other settings: opacity_lr was 0.5, is ");
     refused(&|other| other.strategy.name = "fixed".into(), "another strategy");
     refused(&|other| other.strategy.statistics.clear(), "another strategy");
-    let summed = GradientSums {
-        views: 3,
-        sums: whole.gaussians.clone(),
-        light: LightSums::default(),
-        poses: Vec::new(),
-    };
-    let sums = |other: &mut Checkpoint| other.gradient_sums = Some(summed.clone());
-    refused(&sums, "gradients of 3 views, not of 0");
-    let mut summed_up = whole.clone();
-    sums(&mut summed_up);
-    let mut both = kept(&summed_up, &odd);
-    both.append(&kept(&summed_up, &even)).expect("of the same settings");
-    assert!(both == kept(&summed_up, &[&odd[..], &even[..]].concat()));
     // Only the number of iterations may differ.
     let mut longer = whole.clone();
     longer.settings.iterations += 7;

@@ -28,8 +28,8 @@ fn settings() -> TrainSettings {
     }
 }
 
-/// The last third, of 18 iterations, has steps of 5 and of 20 views: groups begin at 40 and at 48.
-fn in_groups() -> TrainSettings {
+/// The same densifications, in shares of 30,000 iterations.
+fn scaled() -> TrainSettings {
     TrainSettings {
         iterations: 60,
         scale_schedule: true,
@@ -79,9 +79,9 @@ fn budget_has_a_switch_for_each_part() {
     let end = |settings: TrainSettings| run(&settings).end(&[]).gaussians;
     type Change = fn(&mut TrainSettings);
     // With the statistic, so that all parts have an effect.
-    let by_statistic = || TrainSettings { importance: ImportanceType::Statistic, ..in_groups() };
+    let by_statistic = || TrainSettings { importance: ImportanceType::Statistic, ..scaled() };
     let whole = end(by_statistic());
-    let changes: [Change; 10] = [
+    let changes: [Change; 9] = [
         |s| s.absgrad = false,
         |s| s.scale_rates = false,
         |s| s.scale_sh_degree = true,
@@ -91,7 +91,6 @@ fn budget_has_a_switch_for_each_part() {
         |s| s.importance = ImportanceType::None,
         |s| s.growth_curve = false,
         |s| s.recovery = false,
-        |s| s.multi_step = false,
     ];
     for (number, change) in changes.into_iter().enumerate() {
         let mut settings = by_statistic();
@@ -104,56 +103,8 @@ fn budget_has_a_switch_for_each_part() {
 fn budget_resumes_to_the_bit() {
     // Around densifications, and between a reset and the next densification.
     run(&settings()).check_stops(&[&[7, 15], &[20, 23], &[34, 35]]);
-    // Within sums: 40 and 45 make steps, 48 begins groups of 20.
-    let whole = run(&in_groups()).check_stops(&[&[41, 44], &[45, 52], &[59, 47]]);
-    assert!(whole.gradient_sums.is_some(), "the last iteration makes no step");
-    // With exposures and poses, which also sum views.
-    let lit = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..in_groups() };
-    let whole = run(&lit).check_stops(&[&[18, 43], &[45, 52]]);
-    let sums = whole.gradient_sums.as_ref().expect("the last iteration makes no step");
-    assert_eq!((sums.light.exposures.len(), sums.poses.len()), (4, 4));
-}
-
-/// Each view of a step contributes to its own exposure and pose, not only the last view. Nothing moves between
-/// steps.
-#[test]
-fn budget_adds_up_exposures_and_poses() {
-    let settings = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..in_groups() };
-    let mut trainer = trainer(&settings);
-    trainer.steps(40);
-    let before = trainer.state();
-    let mut seen = [false; 4];
-    for iteration in 41..=45 {
-        seen[trainer.step().expect("a step").view] = true;
-        let after = trainer.state();
-        let moved = after.exposures != before.exposures || after.poses != before.poses;
-        assert_eq!(moved, iteration == 45, "{iteration}");
-    }
-    assert_eq!(seen, [true; 4]);
-    let after = trainer.state();
-    // A second moment without a gradient decreases by a thousandth.
-    let grown = |before: &[f32], after: &[f32]| before.iter().zip(after).any(|(b, a)| *a > 0.99901 * b);
-    let [first, last] = [&before, &after].map(|state| state.poses.as_ref().expect("poses"));
-    for view in 0..4 {
-        let [b, a] = [&before, &after].map(|state| state.exposures.second_moments[view].as_flattened());
-        assert!(grown(b, a), "the exposure of view {view} has no gradient");
-        let (b, a) = (&first.second_moments[view], &last.second_moments[view]);
-        assert!(grown(b, a), "the pose of view {view} has no gradient");
-    }
-}
-
-/// A step after several views uses the sum of their gradients. Nothing moves between steps.
-#[test]
-fn budget_makes_one_step_of_several_views() {
-    let mut trainer = trainer(&in_groups());
-    let mut moves = |_: &u32| {
-        let before = trainer.trained();
-        trainer.steps(1);
-        trainer.trained() != before
-    };
-    let moved: Vec<u32> = (1..=60).filter(&mut moves).collect();
-    assert_eq!(moved, (1..=39).chain([40, 45]).collect::<Vec<_>>());
-    assert_eq!(trainer.state().optimizer_steps, 41);
+    let lit = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..scaled() };
+    run(&lit).check_stops(&[&[18, 43]]);
 }
 
 fn not_of_the_faintest_fifth(all: &Gaussians) -> usize {
@@ -277,8 +228,6 @@ fn budget_refuses_what_contradicts_itself() {
     refused(mcmc, &["cap_max"]);
     refused(TrainSettings { cap_max: 0, cap_ratio: 0.9, ..settings() }, &["cap_ratio", "1 or more"]);
     refused(TrainSettings { cap_max: 149, ..settings() }, &["cap_max", "149", "150"]);
-    let optimizer_type = OptimizerType::SparseAdam;
-    refused(TrainSettings { optimizer_type, ..settings() }, &["multi_step", "sparse_adam"]);
     // Parts that other strategies do not support.
     let usual = TrainSettings::reference();
     for strategy in [StrategyType::Reference, StrategyType::Mcmc, StrategyType::Fixed] {

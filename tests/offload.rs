@@ -71,7 +71,7 @@ fn offload_trains_four_times_what_the_device_holds() {
 fn offload_changes_no_bit_of_any_strategy() {
     let start = start(2000);
     let of = |strategy| TrainSettings { strategy, absgrad: false, ..settings() };
-    let budget = TrainSettings { multi_step: true, scale_schedule: false, ..of(StrategyType::Budget) };
+    let budget = TrainSettings { scale_schedule: false, ..of(StrategyType::Budget) };
     let filtered = TrainSettings { filter_3d: true, opacity_reg: 0.01, ..settings() };
     let sparse = TrainSettings { optimizer_type: OptimizerType::SparseAdam, pose_opt: true, ..settings() };
     for settings in [budget, of(StrategyType::Mcmc), filtered, sparse] {

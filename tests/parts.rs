@@ -43,7 +43,7 @@ impl Strategy for RandomPrune {
     }
 
     fn records(&self) -> Hooks {
-        Hooks { statistics: true, update: true, ..Hooks::default() }
+        Hooks { statistics: true, update: true }
     }
 
     fn record_statistics(&self, r: &mut Recorder, step: &StepInputs) {
@@ -87,7 +87,7 @@ fn settings() -> TrainSettings {
 
 /// Work of a step that optimises everything, followed by these actions.
 fn optimizing(actions: Actions) -> Work {
-    Work { accumulates: false, optimizes: true, optimizes_opacity: true, sums_gradients: false, actions }
+    Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions }
 }
 
 #[test]

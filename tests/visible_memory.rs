@@ -76,14 +76,7 @@ fn steps_that_are_run_again_leave_the_bits_of_others() {
     };
     for settings in [
         TrainSettings { exposure: true, pose_opt: true, filter_3d: true, ..usual.clone() },
-        TrainSettings {
-            iterations: 12,
-            sh_degree: 1,
-            average_last: 0.5,
-            multi_step: false,
-            dropout: 0.1,
-            ..growing
-        },
+        TrainSettings { iterations: 12, sh_degree: 1, average_last: 0.5, dropout: 0.1, ..growing },
     ] {
         let run = run(context(), settings);
         let mut started = run.begin();
@@ -136,8 +129,8 @@ fn a_reserve_gives_way_to_a_frame_in_the_middle_of_a_run() {
         exposure: true,
         ..TrainSettings::of_strategy(StrategyType::Budget)
     };
-    let means = TrainSettings { average_last: 1.0, multi_step: false, ..budget.clone() };
-    let poses = TrainSettings { pose_opt: true, multi_step: false, ..budget };
+    let means = TrainSettings { average_last: 1.0, ..budget.clone() };
+    let poses = TrainSettings { pose_opt: true, ..budget };
     for settings in [few_first, means, poses] {
         a_reserve_gives_way(&settings);
     }

@@ -11,15 +11,15 @@ use serde_json::{Map, Value, json};
 
 use crate::host_memory::HostMemory;
 use crate::splats::Format;
-use crate::{atomic, cost, regular_file};
+use crate::{atomic, cost, earlier_settings, regular_file};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Fingerprint, Gaussians, WorldFrame};
-use ashsplat::train::BlockState;
 use ashsplat::train::checkpoint::{
-    Capacities, Checkpoint, ExposureState, GradientSums, LightSums, MeanState, PoseState, StrategyState,
+    Capacities, Checkpoint, ExposureState, LightMeans, MeanState, PoseState, StrategyState,
     StrategyStatistic, Tensor,
 };
 use ashsplat::train::strategy::Actions;
+use ashsplat::train::{BlockState, TrainSettings};
 use ashsplat::{Error, Result};
 
 /// Changes when older files can no longer be read.
@@ -31,8 +31,6 @@ const MAX_MEMORY: &str = "room_max_memory";
 const FRAME_GAUSSIANS: &str = "room_frame_gaussians";
 const FRAME_VISIBLE: &str = "room_frame_visible";
 const MOST_VISIBLE: &str = "most_visible";
-/// [`GradientSums::views`]. Present only if there are any.
-const SUMMED_VIEWS: &str = "gradient_sum_views";
 const AVERAGED_STEPS: &str = "mean_steps";
 /// Key of [`Checkpoint::skipped`]. The oldest files lack it.
 const SKIPPED: &str = "left_out";
@@ -148,7 +146,6 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         ("view_order_epoch", (u64::from(checkpoint.iteration) / views).to_string()),
         ("view_order_position", (u64::from(checkpoint.iteration) % views).to_string()),
     ];
-    let summed = checkpoint.gradient_sums.as_ref().map(|sums| (SUMMED_VIEWS, sums.views.to_string()));
     let averaged = checkpoint.means.as_ref().map(|means| (AVERAGED_STEPS, means.steps.to_string()));
     let due = DUE.map(|(name, action)| (name, checkpoint.due.contains(action).to_string()));
     let others = DUE.iter().fold(checkpoint.due, |due, (_, action)| due.without(*action));
@@ -161,8 +158,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     let WorldFrame { origin, unit } = checkpoint.frame;
     let frame = [origin.x, origin.y, origin.z, unit].map(|value| value.to_string()).join(",");
     let frame = (!checkpoint.frame.is_identity()).then_some((FRAME, frame));
-    let named =
-        pairs.into_iter().chain(room).chain(kernels).chain(due).chain(others).chain(max_memory).chain(summed);
+    let named = pairs.into_iter().chain(room).chain(kernels).chain(due).chain(others).chain(max_memory);
     let named = named.chain(averaged).chain(frame).chain(block);
     let own = checkpoint.strategy.values.iter();
     let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
@@ -211,14 +207,12 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     if !cfg!(fuzzing) && fingerprint_of(&metadata.0) != metadata.hexadecimal(FINGERPRINT)? {
         return Err("is damaged: its metadata do not have the fingerprint that they were written with".into());
     }
-    let settings = serde_json::from_str(metadata.text("settings")?)
-        .map_err(|e| format!("has settings that this version does not know: {e}"))?;
     let checkpoint = Checkpoint {
         version: metadata.text("version")?.to_owned(),
         device: metadata.text("device")?.to_owned(),
         driver: metadata.text("driver")?.to_owned(),
         kernels: metadata.optional(KERNELS)?.unwrap_or_default(),
-        settings,
+        settings: metadata.settings()?,
         views: metadata.parsed("views")?,
         views_fingerprint: metadata.hexadecimal("views_fingerprint")?,
         scene_extent: f32::from_bits(metadata.hexadecimal("scene_extent_bits")? as u32),
@@ -238,25 +232,12 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             statistics: strategy_statistics(&header, &tensors)?,
             values: metadata.strategy(),
         },
-        gradient_sums: match metadata.optional(SUMMED_VIEWS)? {
-            None | Some(0) => None,
-            Some(views) => Some(GradientSums {
-                views,
-                sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)?,
-                light: light_sums(&tensors, Checkpoint::GRADIENT_SUMS)?,
-                poses: optional_values(
-                    &tensors,
-                    &[Checkpoint::GRADIENT_SUMS, Checkpoint::POSES[0]].concat(),
-                    &[6],
-                )?,
-            }),
-        },
         means: match metadata.optional(AVERAGED_STEPS)? {
             None | Some(0) => None,
             Some(steps) => Some(MeanState {
                 steps,
                 gaussians: gaussians(&tensors, Checkpoint::MEANS)?,
-                light: light_sums(&tensors, Checkpoint::MEANS)?,
+                light: light_means(&tensors)?,
             }),
         },
         exposures: light_state(&tensors, Checkpoint::EXPOSURES)?,
@@ -288,6 +269,14 @@ impl Metadata {
     /// Returns `None` if the entry is missing.
     fn optional<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, String> {
         self.0.contains_key(name).then(|| self.parsed(name)).transpose()
+    }
+
+    fn settings(&self) -> Result<TrainSettings, String> {
+        let unknown = |e: serde_json::Error| format!("has settings that this version does not know: {e}");
+        let mut settings: Map<String, Value> =
+            serde_json::from_str(self.text("settings")?).map_err(unknown)?;
+        earlier_settings::remove_earlier(|name| settings.remove(name))?;
+        serde_json::from_value(Value::Object(settings)).map_err(unknown)
     }
 
     /// Returns the identity for older files.
@@ -420,9 +409,9 @@ fn light_state(tensors: &SafeTensors, own: &str) -> Result<ExposureState, String
     })
 }
 
-fn light_sums(tensors: &SafeTensors, prefix: &str) -> Result<LightSums, String> {
-    let of = |own| matrices(tensors, prefix, own);
-    Ok(LightSums { exposures: of(Checkpoint::EXPOSURES)?, lenses: of(Checkpoint::LENSES)? })
+fn light_means(tensors: &SafeTensors) -> Result<LightMeans, String> {
+    let of = |own| matrices(tensors, Checkpoint::MEANS, own);
+    Ok(LightMeans { exposures: of(Checkpoint::EXPOSURES)?, lenses: of(Checkpoint::LENSES)? })
 }
 
 fn matrices(tensors: &SafeTensors, prefix: &str, own: &str) -> Result<Vec<[[f32; 4]; 3]>, String> {
@@ -445,4 +434,23 @@ fn gaussians(tensors: &SafeTensors, prefix: &str) -> Result<Gaussians, String> {
         opacity_logits: values(tensors, &named("opacity_logits"), &[])?,
         sh: bytemuck::pod_collect_to_vec(sh.data()),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Checkpoints of earlier versions name the switch `multi_step`.
+    #[test]
+    fn settings_of_earlier_versions_are_read_if_nothing_in_them_is_gone() {
+        let settings = TrainSettings { opacity_lr: 0.1, seed: 7, ..TrainSettings::default() };
+        let read = |multi_step: bool| {
+            let mut all = json!(settings);
+            all["multi_step"] = multi_step.into();
+            Metadata(BTreeMap::from([("settings".to_owned(), all.to_string())])).settings()
+        };
+        assert_eq!(read(false).as_ref(), Ok(&settings));
+        let problem = read(true).expect_err("refused");
+        assert_eq!(problem, "has multi_step = true, but steps of several views no longer exist");
+    }
 }

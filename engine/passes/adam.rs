@@ -3,7 +3,7 @@
 use crate::error::Result;
 use crate::frame::{FrameInputs, LaunchSizes, SceneBuffers, plane_group};
 use crate::kernels::constants::PLANE_ROW;
-use crate::kernels::optimizer::{adam, add_gradients, average};
+use crate::kernels::optimizer::{adam, average};
 use crate::vk::{Buffer, Context, Kernel, KernelSet, Recorder};
 
 /// Adam's constants in the reference: β₁, β₂, ε.
@@ -41,20 +41,6 @@ pub struct Step {
     pub opacity_count: u64,
 }
 
-/// A view's place among the views of a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ViewSum {
-    /// True for the first view since the last step: it overwrites the sums.
-    pub starts: bool,
-    /// True if a step follows; otherwise the gradient is only added to the sums.
-    pub makes_step: bool,
-}
-
-impl ViewSum {
-    /// A step of one view.
-    pub const ALONE: Self = Self { starts: true, makes_step: true };
-}
-
 /// First and second moments, laid out like the scene's planes.
 #[derive(Clone)]
 pub struct Moments {
@@ -71,19 +57,7 @@ pub struct Optimizer {
     sparse: bool,
     parameter_gradients: bool,
     moved_cameras: bool,
-    /// True if steps from sums of several views' gradients may be recorded.
-    sums: bool,
     adam: KernelSet<adam::Interface>,
-    add: KernelSet<add_gradients::Interface>,
-}
-
-/// A view's place in a sum of gradients.
-#[derive(Clone, Copy)]
-pub struct GradientSums<'a> {
-    /// The sums, laid out like the scene's planes, one buffer per chunk.
-    pub sums: &'a [Buffer],
-    /// True for the first view, which overwrites the sums.
-    pub starts: bool,
 }
 
 impl Optimizer {
@@ -96,9 +70,7 @@ impl Optimizer {
             sparse,
             parameter_gradients: false,
             moved_cameras: false,
-            sums: false,
             adam: KernelSet::default(),
-            add: KernelSet::default(),
         }
     }
 
@@ -106,11 +78,6 @@ impl Optimizer {
     /// receives their gradient.
     pub fn with_parameter_gradients(context: &Context, sparse: bool) -> Self {
         Self { parameter_gradients: true, ..Self::new(context, sparse) }
-    }
-
-    /// Adds the kernels for [`Optimizer::record_add`] and [`Optimizer::record_sums`].
-    pub fn with_sums(self) -> Self {
-        Self { sums: true, ..self }
     }
 
     /// Supports frames whose cameras the device moves: [`FrameInputs::pose`].
@@ -121,77 +88,13 @@ impl Optimizer {
 
     /// Builds the variant for an SH degree if it is missing.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        self.adam.prepare(&self.context, self.adam_spec(sh_degree, false))?;
-        if self.sums {
-            self.add.prepare(&self.context, self.add_spec(sh_degree))?;
-            self.adam.prepare(&self.context, self.adam_spec(sh_degree, true))?;
-        }
-        Ok(())
+        self.adam.prepare(&self.context, self.adam_spec(sh_degree))
     }
 
-    fn adam_spec(&self, sh_degree: u32, sums: bool) -> adam::Spec {
+    fn adam_spec(&self, sh_degree: u32) -> adam::Spec {
         let Self { sparse, parameter_gradients, moved_cameras: moved_camera, .. } = *self;
         let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
-        adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, moved_camera, sh_loops }
-    }
-
-    fn add_spec(&self, sh_degree: u32) -> add_gradients::Spec {
-        let adam::Spec { workgroup_size, parameter_gradients, moved_camera, sh_loops, .. } =
-            self.adam_spec(sh_degree, true);
-        add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients, moved_camera, sh_loops }
-    }
-
-    /// Records the addition of `frame.gradients`, and of `parameter_gradients` as in [`Optimizer::record`], to the sums. The
-    /// caller places barriers before and after.
-    pub fn record_add(
-        &self,
-        r: &mut Recorder,
-        inputs: &FrameInputs,
-        parameter_gradients: &[Buffer],
-        to: GradientSums,
-    ) {
-        let Some(kernel) = self.add.get(r, &self.add_spec(inputs.sh_degree())) else { return };
-        let (f, plan) = (inputs.frame, &inputs.scene().plan);
-        r.scope("add gradients", |r| {
-            inputs.scene().record_chunks(r, |r, range, parameters| {
-                let bind = add_gradients::Bind {
-                    sums: &to.sums[range.chunk],
-                    parameters,
-                    visible_index: &f.visible_index,
-                    gradients: &f.gradients,
-                    state: &f.state,
-                    old_sums: &to.sums[range.chunk],
-                    parameter_gradients: match self.parameter_gradients {
-                        true => &parameter_gradients[range.chunk],
-                        false => &f.gradients,
-                    },
-                    camera_block: &f.camera_block(0),
-                };
-                let push = add_gradients::Push {
-                    camera_position: inputs.camera.position().to_array(),
-                    first: range.first,
-                    count: range.count,
-                    chunk_gaussians: plan.chunk_gaussians,
-                    gradient_stride: inputs.capacity.visible,
-                    planes: plan.planes,
-                    starts: to.starts.into(),
-                };
-                r.dispatch(kernel, &bind, &push, self.sizes.groups(range.count));
-            });
-        });
-    }
-
-    /// Records one step from sums of several views' gradients, including this frame's. The caller places barriers before and
-    /// after.
-    pub fn record_sums(
-        &self,
-        r: &mut Recorder,
-        inputs: &FrameInputs,
-        moments: &Moments,
-        sums: &[Buffer],
-        step: &Step,
-    ) {
-        self.record_adam(r, self.adam_spec(inputs.sh_degree(), true), inputs, moments, Some(sums), step);
+        adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, moved_camera, sh_loops }
     }
 
     /// Records one step from `frame.gradients`, and from `parameter_gradients`
@@ -205,21 +108,7 @@ impl Optimizer {
         parameter_gradients: &[Buffer],
         step: &Step,
     ) {
-        let direct = self.parameter_gradients.then_some(parameter_gradients);
-        self.record_adam(r, self.adam_spec(inputs.sh_degree(), false), inputs, moments, direct, step);
-    }
-
-    /// `direct`: gradients in the layout of the scene's planes, if the kernel reads any.
-    fn record_adam(
-        &self,
-        r: &mut Recorder,
-        spec: adam::Spec,
-        inputs: &FrameInputs,
-        moments: &Moments,
-        direct: Option<&[Buffer]>,
-        step: &Step,
-    ) {
-        let Some(kernel) = self.adam.get(r, &spec) else { return };
+        let Some(kernel) = self.adam.get(r, &self.adam_spec(inputs.sh_degree())) else { return };
         let f = inputs.frame;
         r.scope("adam", |r| {
             inputs.scene().record_chunks(r, |r, range, parameters| {
@@ -235,7 +124,10 @@ impl Optimizer {
                     old_moments_1: moments_1,
                     old_moments_2: moments_2,
                     // Without such terms the kernel does not read this binding.
-                    parameter_gradients: direct.map_or(&f.gradients, |gradients| &gradients[range.chunk]),
+                    parameter_gradients: match self.parameter_gradients {
+                        true => &parameter_gradients[range.chunk],
+                        false => &f.gradients,
+                    },
                     camera_block: &f.camera_block(0),
                 };
                 let push = push(inputs, step, range.first, range.count);

@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::frame::{FrameInputs, LaunchSizes, Strips};
 use crate::kernels::constants::TERM_PARTIALS;
 use crate::kernels::exposure::{expose, expose_backward, exposure_step};
-use crate::passes::adam::{BETA_1, BETA_2, ViewSum};
+use crate::passes::adam::{BETA_1, BETA_2};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Adam's ε for exposures in the reference (the default of PyTorch).
@@ -22,8 +22,6 @@ pub struct LightForm {
     /// True if each step brings the mean of all matrices back to the identity. Otherwise scene and exposures could drift
     /// against each other.
     pub center: bool,
-    /// True if steps may follow several views ([`ViewSum`]).
-    pub sums: bool,
     /// True if all photographs share the second moments.
     pub shares: bool,
     /// True if steps have a [`LightStep::sparsity`].
@@ -37,8 +35,6 @@ pub struct LightStep {
     pub rate: f64,
     /// Number of steps including this one, counted from 1.
     pub count: u64,
-    /// Place of the view among those whose gradients add up.
-    pub sum: ViewSum,
     /// Factor of each value that adds to its gradient and pulls it to 0. Spares the diagonal of centred exposures.
     pub decay: f64,
     /// Distance by which a step brings a matrix closer to the identity, as a share of the rate. It decreases with the matrix's
@@ -60,8 +56,8 @@ pub struct LightBuffers {
     pub picture: Buffer,
     /// Partial sums of a matrix's gradient.
     pub partials: Buffer,
-    /// Sums of gradients since the last step, laid out like the matrices. Only steps of several views use them.
-    pub sums: Buffer,
+    /// Means of the matrices over several steps ([`Averaging`](crate::passes::adam::Averaging)).
+    pub means: Buffer,
 }
 
 impl LightBuffers {
@@ -76,7 +72,7 @@ impl LightBuffers {
             "exposure_moments_2",
             "exposed_picture",
             "exposure_partials",
-            "exposure_sums",
+            "exposure_means",
         ];
         Self::named_requests(names, sizes)
     }
@@ -86,7 +82,7 @@ impl LightBuffers {
         names: [&'static str; Self::COUNT],
         sizes: &[(u32, u32)],
     ) -> [(&'static str, u64); Self::COUNT] {
-        let [values, moments_1, moments_2, picture_name, partials, sums] = names;
+        let [values, moments_1, moments_2, picture_name, partials, means] = names;
         let matrices = MATRIX_BYTES * sizes.len() as u64;
         // Strips have at least as many values as the picture has pixels.
         let picture = |&(width, height): &(u32, u32)| 16 * Strips { width, height }.values();
@@ -96,14 +92,14 @@ impl LightBuffers {
             (moments_2, matrices),
             (picture_name, sizes.iter().map(picture).max().unwrap_or(0)),
             (partials, MATRIX_BYTES * u64::from(TERM_PARTIALS)),
-            (sums, matrices),
+            (means, matrices),
         ]
     }
 
     /// Assigns the buffers, in the order of [`LightBuffers::requests`].
     pub fn from_allocated(buffers: [Buffer; Self::COUNT]) -> Self {
-        let [values, first_moments, second_moments, picture, partials, sums] = buffers;
-        Self { values, first_moments, second_moments, picture, partials, sums }
+        let [values, first_moments, second_moments, picture, partials, means] = buffers;
+        Self { values, first_moments, second_moments, picture, partials, means }
     }
 
     /// Number of photographs or lenses.
@@ -114,7 +110,6 @@ impl LightBuffers {
     /// Sets all matrices to the given one, and all moments to zero.
     pub fn reset(&self, context: &Context, matrix: [[f32; 4]; 3]) -> Result<()> {
         let (all, none) = (vec![matrix; self.photographs()], vec![[[0.0; 4]; 3]; self.photographs()]);
-        self.upload_sums(context, &[])?;
         self.upload(context, [&all, &none, &none])
     }
 
@@ -128,14 +123,12 @@ impl LightBuffers {
         all.try_for_each(|(buffer, rows)| self.fill(context, buffer, rows, "exposures"))
     }
 
-    /// Uploads the gradient sums; an empty slice uploads zeros.
+    /// Uploads the means.
     ///
     /// # Errors
     /// Same as [`LightBuffers::upload`].
-    pub fn upload_sums(&self, context: &Context, sums: &[[[f32; 4]; 3]]) -> Result<()> {
-        let none = vec![[[0.0; 4]; 3]; self.photographs()];
-        let sums = if sums.is_empty() { &none } else { sums };
-        self.fill(context, &self.sums, sums, "gradient sums of exposures")
+    pub fn upload_means(&self, context: &Context, means: &[[[f32; 4]; 3]]) -> Result<()> {
+        self.fill(context, &self.means, means, "means of exposures")
     }
 
     fn fill(&self, context: &Context, buffer: &Buffer, rows: &[[[f32; 4]; 3]], what: &str) -> Result<()> {
@@ -146,9 +139,9 @@ impl LightBuffers {
         context.upload(buffer, bytemuck::cast_slice(rows))
     }
 
-    /// Downloads the gradient sums.
-    pub fn download_sums(&self, context: &Context) -> Result<Vec<[[f32; 4]; 3]>> {
-        Ok(bytemuck::pod_collect_to_vec(&context.download(&self.sums)?))
+    /// Downloads the means.
+    pub fn download_means(&self, context: &Context) -> Result<Vec<[[f32; 4]; 3]>> {
+        Ok(bytemuck::pod_collect_to_vec(&context.download(&self.means)?))
     }
 
     /// Downloads matrices and both moments.
@@ -221,9 +214,8 @@ impl Exposing {
         r.scope("exposure backward", |r| r.dispatch(&self.backward, &bind, &push, TERM_PARTIALS.into()));
     }
 
-    /// Records a step of the optimiser over all matrices, or the addition to the sums ([`ViewSum`]). The matrix of `view` has
-    /// the gradient of [`Exposing::record_backward`]. If the frame overflowed, nothing changes. The caller places barriers
-    /// before and after.
+    /// Records a step of the optimiser over all matrices. The matrix of `view` has the gradient of
+    /// [`Exposing::record_backward`]. If the frame overflowed, nothing changes. The caller places barriers before and after.
     pub fn record_step(&self, r: &mut Recorder, of: (&LightBuffers, &Buffer), view: u32, step: &LightStep) {
         r.scope("exposure step", |r| self.step.record(r, of, view, step));
     }
@@ -237,8 +229,8 @@ impl LightOptimizer {
     pub(crate) fn new(context: &Context, form: LightForm) -> Result<Self> {
         let workgroup_size = LaunchSizes::new(context.limits()).elementwise_workgroup;
         let subgroup_size = context.limits().subgroup_size;
-        let LightForm { center, sums, shares, sparse } = form;
-        let step = exposure_step::Spec { workgroup_size, subgroup_size, center, sums, shares, sparse };
+        let LightForm { center, shares, sparse } = form;
+        let step = exposure_step::Spec { workgroup_size, subgroup_size, center, shares, sparse };
         Ok(Self(Kernel::new(context, &step)?))
     }
 
@@ -257,7 +249,6 @@ impl LightOptimizer {
             exposures: &buffers.values,
             moments_1: &buffers.first_moments,
             moments_2: &buffers.second_moments,
-            sums: &buffers.sums,
         };
         let push = exposure_step::Push {
             photographs: buffers.photographs() as u32,
@@ -269,8 +260,6 @@ impl LightOptimizer {
             epsilon: EPSILON as f32,
             rate: (step.rate / correction(BETA_1)) as f32,
             inverse_bias_2: correction(BETA_2).sqrt().recip() as f32,
-            makes_step: step.sum.makes_step.into(),
-            starts: step.sum.starts.into(),
             decay: step.decay as f32,
             sparsity: step.sparsity as f32,
         };

@@ -16,7 +16,7 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 /// per photograph.
 pub fn requests(sizes: &[(u32, u32)]) -> [(&'static str, u64); LightBuffers::COUNT] {
     let names =
-        ["lenses", "lens_moments_1", "lens_moments_2", "shaded_picture", "lens_partials", "lens_sums"];
+        ["lenses", "lens_moments_1", "lens_moments_2", "shaded_picture", "lens_partials", "lens_means"];
     LightBuffers::named_requests(names, sizes)
 }
 
@@ -42,8 +42,8 @@ pub struct Lenses {
 }
 
 impl Lenses {
-    /// Builds the kernels; `sums`: steps may follow several views ([`ViewSum`](crate::passes::adam::ViewSum)).
-    pub fn new(context: &Context, sums: bool) -> Result<Self> {
+    /// Builds the kernels.
+    pub fn new(context: &Context) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
         let subgroup_size = context.limits().subgroup_size;
@@ -51,7 +51,7 @@ impl Lenses {
         Ok(Self {
             forward: Kernel::new(context, &lens_effects::Spec { workgroup_size, strips })?,
             backward: Kernel::new(context, &backward)?,
-            step: LightOptimizer::new(context, LightForm { sums, ..LightForm::default() })?,
+            step: LightOptimizer::new(context, LightForm::default())?,
             sizes,
         })
     }

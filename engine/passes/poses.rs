@@ -13,7 +13,7 @@ pub use crate::frame::pose_of;
 use crate::error::Result;
 use crate::frame::{FrameInputs, LaunchSizes, POSE_BYTES, array_of};
 use crate::kernels::poses::{pose_gradient, pose_step};
-use crate::passes::adam::{BETA_1, BETA_2, ViewSum};
+use crate::passes::adam::{BETA_1, BETA_2};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -70,8 +70,6 @@ pub struct PoseStep {
     pub rate: f64,
     /// Number of steps including this one, counted from 1.
     pub count: u64,
-    /// Place of the view among those whose gradients add up.
-    pub sum: ViewSum,
 }
 
 /// Poses of all images on the device.
@@ -91,13 +89,11 @@ pub struct PoseBuffers {
     pub cameras: Buffer,
     /// Gradient of a pose: see [`PoseGradient::record`].
     pub gradient: Buffer,
-    /// Two vec3 per image: sums of gradients since the last step. Only steps of several views use them.
-    pub sums: Buffer,
 }
 
 impl PoseBuffers {
     /// Names and bytes of the buffers.
-    pub fn requests(images: u32) -> [(&'static str, u64); 7] {
+    pub fn requests(images: u32) -> [(&'static str, u64); 6] {
         let images = u64::from(images);
         [
             ("pose_parameters", images * PARAMETER_BYTES),
@@ -106,14 +102,13 @@ impl PoseBuffers {
             ("pose_depths", images * 4),
             ("pose_cameras", images * POSE_BYTES),
             ("pose_gradient", GRADIENT_BYTES),
-            ("pose_view_sums", images * PARAMETER_BYTES),
         ]
     }
 
     /// Assigns the buffers that were allocated for [`PoseBuffers::requests`], in the same order.
     pub fn from_allocated(images: u32, buffers: Vec<Buffer>) -> Self {
-        let [parameters, moments, starts, depths, cameras, gradient, sums] = array_of(buffers);
-        Self { images, parameters, moments, starts, depths, cameras, gradient, sums }
+        let [parameters, moments, starts, depths, cameras, gradient] = array_of(buffers);
+        Self { images, parameters, moments, starts, depths, cameras, gradient }
     }
 }
 
@@ -131,17 +126,17 @@ pub struct PoseOptimizer {
 }
 
 impl PoseOptimizer {
-    /// Builds the kernel; `sums`: steps may follow several views ([`ViewSum`]).
-    pub fn new(context: &Context, sums: bool) -> Result<Self> {
+    /// Builds the kernel.
+    pub fn new(context: &Context) -> Result<Self> {
         let workgroup = LaunchSizes::new(context.limits()).elementwise_workgroup;
-        let kernel = Kernel::new(context, &pose_step::Spec { workgroup_size: workgroup, sums })?;
+        let kernel = Kernel::new(context, &pose_step::Spec { workgroup_size: workgroup })?;
         Ok(Self { kernel, workgroup })
     }
 
     /// Records a step with the gradient of the given image, and computes the cameras of all images. All poses are one tensor,
-    /// so those of other images decay and move as well. If no step follows the view, its gradient is added to the sums. Without
-    /// `step` only the cameras are computed. If `state` ([`FrameBuffers::state`](crate::frame::FrameBuffers)) has an overflow,
-    /// nothing changes. The caller places barriers before and after.
+    /// so those of other images decay and move as well. Without `step` only the cameras are computed. If `state`
+    /// ([`FrameBuffers::state`](crate::frame::FrameBuffers)) has an overflow, nothing changes. The caller places barriers before
+    /// and after.
     pub fn record(
         &self,
         r: &mut Recorder,
@@ -149,14 +144,12 @@ impl PoseOptimizer {
         state: &Buffer,
         step: Option<(PoseStep, u32)>,
     ) {
-        let none = PoseStep { rate: 0.0, count: 1, sum: ViewSum::ALONE };
-        let (PoseStep { rate, count, sum }, seen) = step.unwrap_or((none, 0));
+        let none = PoseStep { rate: 0.0, count: 1 };
+        let (PoseStep { rate, count }, seen) = step.unwrap_or((none, 0));
         let push = pose_step::Push {
             images: buffers.images,
             seen,
-            makes_step: (step.is_some() && sum.makes_step).into(),
-            adds: (!sum.makes_step).into(),
-            starts: sum.starts.into(),
+            makes_step: step.is_some().into(),
             beta_1: BETA_1 as f32,
             beta_2: BETA_2 as f32,
             one_minus_beta_1: (1.0 - BETA_1) as f32,
@@ -173,7 +166,6 @@ impl PoseOptimizer {
             pose_moments: &buffers.moments,
             pose_cameras: &buffers.cameras,
             state,
-            pose_view_sums: &buffers.sums,
             pose_depths: &buffers.depths,
         };
         r.dispatch(&self.kernel, &bind, &push, buffers.images.div_ceil(self.workgroup).into());

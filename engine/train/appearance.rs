@@ -1,6 +1,6 @@
 //! Appearance of the photographs, learned with the scene: the exposure of each one, and the effects of each lens.
 
-use super::checkpoint::{ExposureState, LightSums};
+use super::checkpoint::{ExposureState, LightMeans};
 use super::photos::TrainView;
 use super::schedule::{IterationPlan, TrainingRun};
 use super::settings::TrainSettings;
@@ -37,13 +37,12 @@ pub(super) struct AppearanceInputs<'a> {
 }
 
 impl Appearance {
-    /// `sums`: true if steps may follow several views.
-    pub fn new(context: &Context, settings: &TrainSettings, sums: bool) -> Result<Self> {
+    pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let (shares, sparse) = (settings.exposure_shared, settings.exposure_sparsity > 0.0);
-        let form = LightForm { center: true, sums, shares, sparse };
+        let form = LightForm { center: true, shares, sparse };
         Ok(Self {
             exposing: settings.exposure.then(|| Exposing::new(context, form)).transpose()?,
-            lenses: settings.lens_effects.then(|| Lenses::new(context, sums)).transpose()?,
+            lenses: settings.lens_effects.then(|| Lenses::new(context)).transpose()?,
         })
     }
 
@@ -112,7 +111,7 @@ impl Appearance {
         }
     }
 
-    /// Records the steps, or the additions to the gradient sums. Each part begins with a barrier.
+    /// Records the steps. Each part begins with a barrier.
     pub fn record_step(&self, r: &mut Recorder, inputs: &AppearanceInputs) {
         let (plan, state) = (inputs.plan, &inputs.frame.frame.state);
         if let Some((exposing, exposures)) = self.exposures(inputs) {
@@ -131,14 +130,14 @@ impl AppearanceMemory {
         self.exposures.iter().chain(&self.lenses)
     }
 
-    /// Records the running means, which share the buffers of the gradient sums.
+    /// Records the running means.
     pub fn record_means(&self, r: &mut Recorder, averaging: &Averaging, state: &Buffer, step: MeanStep) {
-        self.all().for_each(|buffers| averaging.record(r, [&buffers.values, &buffers.sums, state], step));
+        self.all().for_each(|buffers| averaging.record(r, [&buffers.values, &buffers.means, state], step));
     }
 
     /// Records copies of the means over the values.
     pub fn record_end(&self, r: &mut Recorder) {
-        self.all().for_each(|buffers| r.copy(&buffers.sums, &buffers.values));
+        self.all().for_each(|buffers| r.copy(&buffers.means, &buffers.values));
     }
 
     /// Exposures of all views, and the effects of the first `lenses` lenses.
@@ -153,17 +152,17 @@ impl AppearanceMemory {
         Ok([state(&self.exposures, usize::MAX)?, state(&self.lenses, lenses)?])
     }
 
-    /// Sums of gradients since the last step.
-    pub fn sums(&self, context: &Context, lenses: usize) -> Result<LightSums> {
-        let sums = |buffers: &Option<LightBuffers>| {
-            buffers.as_ref().map_or(Ok(Vec::new()), |buffers| buffers.download_sums(context))
+    /// Running means of the same matrices.
+    pub fn means(&self, context: &Context, lenses: usize) -> Result<LightMeans> {
+        let means = |buffers: &Option<LightBuffers>| {
+            buffers.as_ref().map_or(Ok(Vec::new()), |buffers| buffers.download_means(context))
         };
-        let mut of_lenses = sums(&self.lenses)?;
+        let mut of_lenses = means(&self.lenses)?;
         of_lenses.truncate(lenses);
-        Ok(LightSums { exposures: sums(&self.exposures)?, lenses: of_lenses })
+        Ok(LightMeans { exposures: means(&self.exposures)?, lenses: of_lenses })
     }
 
-    /// Restores [`AppearanceMemory::states`] and [`AppearanceMemory::sums`].
+    /// Restores [`AppearanceMemory::states`] and [`AppearanceMemory::means`].
     ///
     /// # Errors
     /// [`Error::Argument`] if there are more rows than views.
@@ -171,10 +170,10 @@ impl AppearanceMemory {
         &self,
         context: &Context,
         [exposures, lenses]: [&ExposureState; 2],
-        sums: &LightSums,
+        means: &LightMeans,
     ) -> Result<()> {
-        let parts = [(&self.exposures, exposures, &sums.exposures), (&self.lenses, lenses, &sums.lenses)];
-        for (buffers, state, sums) in parts {
+        let parts = [(&self.exposures, exposures, &means.exposures), (&self.lenses, lenses, &means.lenses)];
+        for (buffers, state, means) in parts {
             let Some(buffers) = buffers else { continue };
             // Views that share a lens leave rows unused.
             let padded = |rows: &Vec<[[f32; 4]; 3]>| -> Result<Vec<[[f32; 4]; 3]>> {
@@ -189,7 +188,7 @@ impl AppearanceMemory {
             let ExposureState { values, first_moments, second_moments } = state;
             let sets = [padded(values)?, padded(first_moments)?, padded(second_moments)?];
             buffers.upload(context, [&sets[0], &sets[1], &sets[2]])?;
-            buffers.upload_sums(context, &padded(sums)?)?;
+            buffers.upload_means(context, &padded(means)?)?;
         }
         Ok(())
     }

@@ -57,8 +57,6 @@ pub struct Checkpoint {
     pub filters: Vec<f32>,
     /// Further state of the strategy.
     pub strategy: StrategyState,
-    /// Sums of the gradients since the last step.
-    pub gradient_sums: Option<GradientSums>,
     /// Means of the parameters over the last steps ([`TrainSettings::average_last`]).
     pub means: Option<MeanState>,
     /// Exposures of the views' photographs, if they are learned.
@@ -100,22 +98,9 @@ pub struct StrategyState {
     pub values: Vec<(String, String)>,
 }
 
-/// Sums of the gradients of several views, for a later step.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GradientSums {
-    /// Number of views in the sums.
-    pub views: u32,
-    /// The sums, shaped like the parameters.
-    pub sums: Gaussians,
-    /// Sums for exposures and lenses.
-    pub light: LightSums,
-    /// Sums for the poses, if they are optimised. Older checkpoints lack them and lose these views' contributions.
-    pub poses: Vec<[f32; 6]>,
-}
-
-/// Sums of gradients over several views, or means of values. Empty if nothing is learned, and in older checkpoints.
+/// Means of exposures and lenses over several steps. Empty if they are not learned.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct LightSums {
+pub struct LightMeans {
     /// One per photograph.
     pub exposures: Vec<[[f32; 4]; 3]>,
     /// One per lens.
@@ -130,7 +115,7 @@ pub struct MeanState {
     /// The means, shaped like the parameters.
     pub gaussians: Gaussians,
     /// Means for exposures and lenses.
-    pub light: LightSums,
+    pub light: LightMeans,
 }
 
 /// A statistic of a strategy.
@@ -258,9 +243,8 @@ impl Checkpoint {
     pub fn tensors(&self) -> Vec<Tensor<'_>> {
         let mut tensors = Vec::new();
         let sets = [&self.gaussians, &self.first_moments, &self.second_moments];
-        let sums = self.gradient_sums.iter().map(|sums| (Self::GRADIENT_SUMS, &sums.sums));
         let means = self.means.iter().map(|means| (Self::MEANS, &means.gaussians));
-        for (prefix, set) in Self::SETS.into_iter().zip(sets).chain(sums).chain(means) {
+        for (prefix, set) in Self::SETS.into_iter().zip(sets).chain(means) {
             let (n, k) = (set.len(), sh_coefficients(set.sh_degree));
             let named = |name| format!("{prefix}{name}");
             tensors.push(Tensor::new(named("means"), [n, 3], &set.means));
@@ -288,14 +272,9 @@ impl Checkpoint {
                 tensors.push(Tensor::new(Self::POSE_DEPTHS, [poses.depths.len()], &poses.depths));
             }
         }
-        let sums = self.gradient_sums.iter().map(|sums| (Self::GRADIENT_SUMS, &sums.light, &sums.poses[..]));
-        let means = self.means.iter().map(|means| (Self::MEANS, &means.light, &[][..]));
-        for (prefix, LightSums { exposures, lenses }, poses) in sums.chain(means) {
-            tensors.extend(Tensor::of_matrices(prefix, Self::EXPOSURES, exposures));
-            tensors.extend(Tensor::of_matrices(prefix, Self::LENSES, lenses));
-            if !poses.is_empty() {
-                tensors.push(Tensor::new(format!("{prefix}{}", Self::POSES[0]), [poses.len(), 6], poses));
-            }
+        if let Some(MeanState { light: LightMeans { exposures, lenses }, .. }) = &self.means {
+            tensors.extend(Tensor::of_matrices(Self::MEANS, Self::EXPOSURES, exposures));
+            tensors.extend(Tensor::of_matrices(Self::MEANS, Self::LENSES, lenses));
         }
         tensors
     }
@@ -305,9 +284,6 @@ impl Checkpoint {
 
     /// Name of the tensor of filter sizes, as in Mip-Splatting's PLY.
     pub const FILTERS: &str = "filter_3D";
-
-    /// Prefix of the tensor names of [`Checkpoint::gradient_sums`].
-    pub const GRADIENT_SUMS: &str = "gradient_sum.";
 
     /// Prefix of the tensor names of [`Checkpoint::means`].
     pub const MEANS: &str = "mean.";
@@ -356,14 +332,12 @@ impl Checkpoint {
             0 => (0, 1),
             _ => (gaussians, capacities.frame_instances.clamp(1, MOST_BLEND_PASSES)),
         };
-        let summed = self.gradient_sums.as_ref().map_or(0, |sums| sums.views);
         let averaged = self.means.as_ref().map_or(0, |means| means.steps);
         let ranges = [
             ("views", self.views, 1, u32::MAX.into()),
             ("iteration", iteration, 0, u64::from(u32::MAX) - 1),
             ("optimizer_steps", self.optimizer_steps, 0, iteration),
             ("opacity_steps", self.opacity_steps, 0, self.optimizer_steps),
-            ("gradient_sum_views", summed.into(), 0, iteration),
             ("mean_steps", averaged.into(), 0, iteration),
             ("left_out", self.skipped.into(), 0, iteration),
             ("room_gaussians", capacities.gaussians.into(), 0, 1 << 30),
@@ -381,9 +355,9 @@ impl Checkpoint {
         self.check_values()
     }
 
-    /// Statistics and gradient sums are unchecked, because values there that are not finite change no parameter.
+    /// Statistics are unchecked, because values there that are not finite change no parameter.
     fn check_values(&self) -> Result<()> {
-        let free = ["statistics", Self::STRATEGY, Self::GRADIENT_SUMS];
+        let free = ["statistics", Self::STRATEGY];
         for Tensor { name, bytes, .. } in self.tensors() {
             if free.iter().any(|prefix| name.starts_with(prefix)) {
                 continue;
@@ -402,10 +376,9 @@ impl Checkpoint {
 
     fn check_shapes(&self) -> Result<()> {
         self.gaussians.check_shapes()?;
-        let sums = self.gradient_sums.iter().map(|sums| ("gradient sums", &sums.sums));
         let moments = [("moments", &self.first_moments), ("moments", &self.second_moments)];
         let means = self.means.iter().map(|means| ("means", &means.gaussians));
-        for (name, set) in moments.into_iter().chain(sums).chain(means) {
+        for (name, set) in moments.into_iter().chain(means) {
             set.check_shapes()?;
             if (set.len(), set.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
                 return Err(Error::argument(name, "are of another number or degree than the Gaussians"));
@@ -421,20 +394,16 @@ impl Checkpoint {
         let most = if self.settings.lens_effects { self.views } else { 0 };
         let lenses_fit = lenses == [lenses[0]; 3] && lenses[0] <= most && (most == 0 || lenses[0] > 0);
         let none_or = |count: usize, all: u64| count == 0 || count as u64 == all;
-        let sums_fit = |sums: &LightSums, poses: usize| {
-            none_or(sums.exposures.len(), self.views)
-                && none_or(sums.lenses.len(), lenses[0])
-                && none_or(poses, self.views)
+        let means_fit = |MeanState { light, .. }: &MeanState| {
+            none_or(light.exposures.len(), self.views) && none_or(light.lenses.len(), lenses[0])
         };
-        let sums = self.gradient_sums.as_ref();
-        let means = self.means.as_ref();
         let poses_fit = |poses: &PoseState| {
             poses.sets().iter().all(|rows| rows.len() as u64 == self.views)
                 && none_or(poses.depths.len(), self.views)
         };
         let of_gaussians = "of another number than the Gaussians";
         let of_views = "are of another number than the views";
-        let checks: [(bool, &str, String); 8] = [
+        let checks: [(bool, &str, String); 7] = [
             (
                 self.statistics.len() == gaussians && self.strategy.statistics.iter().all(rows),
                 "statistics",
@@ -447,12 +416,7 @@ impl Checkpoint {
                 format!("are not those of {exposures} photographs"),
             ),
             (lenses_fit, "lenses", format!("are not those of {most} photographs")),
-            (
-                sums.is_none_or(|sums| sums_fit(&sums.light, sums.poses.len())),
-                "gradient sums",
-                of_views.into(),
-            ),
-            (means.is_none_or(|means| sums_fit(&means.light, 0)), "means", of_views.into()),
+            (self.means.as_ref().is_none_or(means_fit), "means", of_views.into()),
             (self.poses.as_ref().is_none_or(poses_fit), "poses", of_views.into()),
             (
                 self.gaussians.sh_degree == self.settings.sh_degree,
@@ -513,9 +477,8 @@ impl Checkpoint {
 
     /// Keeps only these Gaussians, in this order, with their moments and statistics. The state of views and of the run stays.
     pub fn keep(&mut self, rows: &[usize]) {
-        let sums = self.gradient_sums.iter_mut().map(|sums| &mut sums.sums);
         let sets = [&mut self.gaussians, &mut self.first_moments, &mut self.second_moments];
-        sets.into_iter().chain(sums).for_each(|set| *set = set.select(rows));
+        sets.into_iter().for_each(|set| *set = set.select(rows));
         // Averaging starts again.
         self.means = None;
         self.statistics = rows.iter().map(|&row| self.statistics[row]).collect();
@@ -530,8 +493,7 @@ impl Checkpoint {
     /// Appends the Gaussians of another run with the same settings. The other run's state of views is dropped.
     ///
     /// # Errors
-    /// [`Error::Argument`] if settings differ, naming them, or if the gradient sums of the two cover different numbers of
-    /// views.
+    /// [`Error::Argument`] if settings differ, naming them.
     pub fn append(&mut self, other: &Self) -> Result<()> {
         let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
         if let Some(difference) = self.difference_of_settings(&other.settings) {
@@ -543,10 +505,6 @@ impl Checkpoint {
         if self.strategy.name != other.strategy.name || names(self) != names(other) {
             return refuse("was made with another strategy".into());
         }
-        let summed = |of: &Self| of.gradient_sums.as_ref().map_or(0, |sums| sums.views);
-        if summed(self) != summed(other) {
-            return refuse(format!("has gradients of {} views, not of {}", summed(other), summed(self)));
-        }
         self.means = None;
         self.gaussians.append(&other.gaussians);
         self.first_moments.append(&other.first_moments);
@@ -555,9 +513,6 @@ impl Checkpoint {
         self.filters.extend_from_slice(&other.filters);
         for (own, others) in self.strategy.statistics.iter_mut().zip(&other.strategy.statistics) {
             own.values.extend_from_slice(&others.values);
-        }
-        if let (Some(own), Some(others)) = (&mut self.gradient_sums, &other.gradient_sums) {
-            own.sums.append(&others.sums);
         }
         Ok(())
     }

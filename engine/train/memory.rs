@@ -138,8 +138,8 @@ impl RowMemory {
 pub(super) struct Model {
     pub scene: SceneBuffers,
     pub moments: Moments,
-    /// Fourth set of planes: the target of densification's gather. Between changes of the set it holds the gradient sums
-    /// ([`super::work::Work::sums_gradients`]).
+    /// Fourth set of planes: the target of densification's gather. Between changes of the set it holds the running means of the
+    /// parameters.
     pub spare: Vec<Buffer>,
     /// Per Gaussian: see [`super::strategy::StepInputs::statistics`].
     pub statistics: Vec<Buffer>,
@@ -173,7 +173,7 @@ impl Model {
         Ok(model)
     }
 
-    /// The scene with other planes: moments, or sums or means of parameters.
+    /// The scene with other planes: moments, or means of parameters.
     pub fn with_planes(&self, chunks: &[Buffer]) -> SceneBuffers {
         SceneBuffers { chunks: chunks.to_vec(), ..self.scene.clone() }
     }

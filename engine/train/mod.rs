@@ -28,7 +28,7 @@ pub mod verify;
 mod work;
 
 pub use block::{BlockState, SceneBlock, Surroundings};
-pub use checkpoint::{Capacities, Checkpoint, ExposureState, LightSums, MeanState, PoseState};
+pub use checkpoint::{Capacities, Checkpoint, ExposureState, LightMeans, MeanState, PoseState};
 pub use parts::{Forecast, TrainParts};
 pub use photos::{PhotoSize, TrainView};
 pub use population::{Growth, Population};

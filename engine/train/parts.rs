@@ -131,8 +131,6 @@ impl BuiltParts {
         photos: &[PhotoSize],
     ) -> Result<Self> {
         let TrainParts { mut strategy, terms, block: _ } = parts;
-        let sums = strategy.records().sums;
-        check_averaging(settings, sums)?;
         let any_masked = photos.iter().any(|photo| photo.masked);
         let mut all: Vec<Box<dyn LossTerm>> =
             vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
@@ -153,21 +151,9 @@ impl BuiltParts {
         check_depths(settings, &all)?;
         let parameter_gradients = StepRecorder::targets_of(&all).parameters;
         let rows = RowMemory::new(strategy.statistics(), parameter_gradients, context.planes_memory());
-        let recorder = StepRecorder::new(context, all, settings, sums, rows.absolute())?;
+        let recorder = StepRecorder::new(context, all, settings, rows.absolute())?;
         Ok(Self { strategy, recorder, rows })
     }
-}
-
-/// Refuses averaging together with steps of several views, because the means share the buffers of the gradient sums.
-fn check_averaging(settings: &TrainSettings, sums: bool) -> Result<()> {
-    if settings.average_last > 0.0 && sums {
-        let problem = format!(
-            "is {} (presets and few photos set it), which needs a step after each view; give 0, or multi_step = false",
-            settings.average_last
-        );
-        return Err(Error::argument("average_last", problem));
-    }
-    Ok(())
 }
 
 /// Refuses terms that need different kinds of depth in a frame, and a warm-up with depth terms, because their depths belong to

@@ -27,8 +27,6 @@ pub struct Population<'a> {
     pub(super) poses: Option<&'a Poses>,
     pub(super) peak: &'a mut PeakCounts,
     pub(super) iteration: u32,
-    /// See [`super::schedule::Progress::summed`].
-    pub(super) summed: &'a mut u32,
 }
 
 /// New planes for a set that exceeds its capacity; nothing for a set that fits.
@@ -245,8 +243,6 @@ impl Population<'_> {
             record_changes(r, (&new.scene, &new.moments), sources);
         })?;
         *self.model = new;
-        // The gradient sums are void: their planes are no longer the spare set, and their rows are in the old order.
-        *self.summed = 0;
         let of_frame = |rows: u32| rows.saturating_add(self.runner.frozen_capacity());
         *self.peak = self.peak.remembered(of_frame(before), of_frame(rows));
         Ok(())

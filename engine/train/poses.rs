@@ -31,14 +31,12 @@ pub(super) fn requests(settings: &TrainSettings, views: usize) -> Vec<(&'static 
 }
 
 impl Poses {
-    /// Starts with all cameras as given. None unless the settings optimise poses. `sums`: true if steps may follow several
-    /// views.
+    /// Starts with all cameras as given. None unless the settings optimise poses.
     pub fn new(
         context: &Context,
         settings: &TrainSettings,
         cameras: &[Camera],
         initial: &Gaussians,
-        sums: bool,
     ) -> Result<Option<Self>> {
         if !settings.pose_opt {
             return Ok(None);
@@ -53,13 +51,13 @@ impl Poses {
         let at = |view: usize| buffers.cameras.range(view as u64 * POSE_BYTES, POSE_BYTES);
         let poses = Self {
             gradient: PoseGradient::new(context)?,
-            optimizer: PoseOptimizer::new(context, sums)?,
+            optimizer: PoseOptimizer::new(context)?,
             cameras: (0..cameras.len()).map(at).collect(),
             buffers,
         };
         context.run_commands("clear poses", |r| {
-            let PoseBuffers { parameters, moments, gradient, sums, .. } = &poses.buffers;
-            [parameters, moments, gradient, sums].into_iter().for_each(|buffer| r.fill(buffer, 0));
+            let PoseBuffers { parameters, moments, gradient, .. } = &poses.buffers;
+            [parameters, moments, gradient].into_iter().for_each(|buffer| r.fill(buffer, 0));
         })?;
         poses.make_cameras(context)?;
         Ok(Some(poses))
@@ -82,8 +80,8 @@ impl Poses {
         &self.cameras[view]
     }
 
-    /// Records the gradient of a pose, and a step or an addition to the sums, after a backward pass with such a gradient. The
-    /// caller places barriers before and after.
+    /// Records the gradient of a pose, and a step, after a backward pass with such a gradient. The caller places barriers before
+    /// and after.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, view: usize, step: &PoseStep) {
         let view = view as u32;
         r.scope("poses", |r| {
@@ -103,16 +101,6 @@ impl Poses {
         let bytes = context.download(&self.buffers.cameras)?;
         let poses: Vec<[f32; 12]> = bytemuck::pod_collect_to_vec(&bytes);
         Ok(cameras.iter().zip(&poses).map(|(camera, pose)| camera_at(camera, pose)).collect())
-    }
-
-    /// Sums of the gradients since the last step.
-    pub fn sums(&self, context: &Context) -> Result<Vec<[f32; 6]>> {
-        Ok(bytemuck::pod_collect_to_vec(&context.download(&self.buffers.sums)?))
-    }
-
-    /// Restores [`Poses::sums`].
-    pub fn restore_sums(&self, context: &Context, sums: &[[f32; 6]]) -> Result<()> {
-        context.upload(&self.buffers.sums, bytemuck::cast_slice(sums))
     }
 
     pub fn state(&self, context: &Context) -> Result<PoseState> {

@@ -301,14 +301,13 @@ impl Trainer {
         let views = if every_view { 0..self.run.cameras.len() } else { plan.view..plan.view + 1 };
         if let Some(slot) = self.recorded.slots.first() {
             for view in views {
-                let sums: &[bool] = if self.strategy.records().sums { &[false, true] } else { &[false] };
                 let camera = self.run.cameras[view];
                 // One reduced size represents all: they have the same buffers.
                 let first = self.run.settings.warm_up_camera(2, &camera);
                 let cameras = if first == camera { vec![camera] } else { vec![first, camera] };
-                for (&sums, &camera) in sums.iter().flat_map(|sums| cameras.iter().map(move |c| (sums, c))) {
+                for camera in cameras {
                     let mut recorder = self.context.begin("rehearsal")?;
-                    let plan = plan.rehearsal(view, camera, sums);
+                    let plan = plan.rehearsal(view, camera);
                     self.record_plan(&mut recorder, &plan, slot)?;
                     recorder.check()?;
                 }
@@ -321,7 +320,7 @@ impl Trainer {
     /// Maximum number of dispatches in a step.
     fn step_dispatches(&self) -> usize {
         const PER_STEP: u32 = 64;
-        // Per chunk of parameters: culling, projection, its backward pass, the gradient sums, the optimiser. Chunks of frozen
+        // Per chunk of parameters: culling, projection, its backward pass, the optimiser, the strategy's update. Chunks of frozen
         // Gaussians have the first two, and share one dispatch for their ranges.
         let frozen = self.surroundings().map_or(0, |frozen| 2 * frozen.plan().chunks + 1);
         let frame = self.runner.store.capacity();

@@ -1,7 +1,7 @@
 //! Conversion of a trainer to a [`Checkpoint`], and back.
 
 use super::block::SceneBlock;
-use super::checkpoint::{Capacities, Checkpoint, GradientSums, StrategyState, StrategyStatistic, Wanted};
+use super::checkpoint::{Capacities, Checkpoint, StrategyState, StrategyStatistic, Wanted};
 use super::parts::TrainParts;
 use super::photos::{TrainView, fingerprint_of};
 use super::schedule::Progress;
@@ -64,18 +64,6 @@ impl Trainer {
                 terms: self.recorder.terms().map(str::to_owned).collect(),
                 statistics,
                 values: self.strategy.state(),
-            },
-            gradient_sums: match progress.summed {
-                0 => None,
-                views => Some(GradientSums {
-                    views,
-                    sums: planes_of(&model.spare)?,
-                    light: self.losses.appearance.sums(&self.context, self.run.lens_count())?,
-                    poses: match &self.poses {
-                        Some(poses) => poses.sums(&self.context)?,
-                        None => Vec::new(),
-                    },
-                }),
             },
             means: self.mean_state()?,
             exposures,
@@ -146,16 +134,11 @@ impl Trainer {
         }
         trainer.check_statistics(from)?;
         trainer.restore_rows(from)?;
-        let means = from.means.as_ref().map(|means| &means.light);
-        let sums = from.gradient_sums.as_ref().map(|sums| &sums.light).or(means).cloned().unwrap_or_default();
-        trainer.losses.appearance.restore(context, [&from.exposures, &from.lenses], &sums)?;
+        let means = from.means.as_ref().map(|means| means.light.clone()).unwrap_or_default();
+        trainer.losses.appearance.restore(context, [&from.exposures, &from.lenses], &means)?;
         if let Some(poses) = &trainer.poses {
             let lacks = || Error::argument("checkpoint", "lacks the poses of its views");
             poses.restore(context, from.poses.as_ref().ok_or_else(lacks)?)?;
-            let sums = from.gradient_sums.as_ref().map_or(&[][..], |sums| &sums.poses);
-            if !sums.is_empty() {
-                poses.restore_sums(context, sums)?;
-            }
         }
         // The shorter run omitted a reset that this run makes.
         let recovery = from.settings.reset_recovery();
@@ -168,7 +151,6 @@ impl Trainer {
             iteration: from.iteration,
             steps: from.optimizer_steps,
             opacity_steps: from.opacity_steps,
-            summed: from.gradient_sums.as_ref().map_or(0, |sums| sums.views),
             averaged: from.means.as_ref().map_or(0, |means| means.steps),
             due: from.due.and(Actions::RESET_OPACITY.when(made_up)),
         };
@@ -207,9 +189,8 @@ impl Trainer {
         }
         let moments =
             [(&model.moments.first, &from.first_moments), (&model.moments.second, &from.second_moments)];
-        let sums = from.gradient_sums.iter().map(|sums| (&model.spare, &sums.sums));
         let means = from.means.iter().map(|means| (&model.spare, &means.gaussians));
-        for (chunks, values) in moments.into_iter().chain(sums).chain(means) {
+        for (chunks, values) in moments.into_iter().chain(means) {
             planes::fill(context, &model.with_planes(chunks), values)?;
         }
         Ok(())

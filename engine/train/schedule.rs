@@ -4,7 +4,7 @@
 use super::settings::{OptimizerType, TrainSettings};
 use super::work::{Actions, Work};
 use crate::frame::{Dropout, RenderSettings};
-use crate::passes::adam::{MeanStep, Rates, Step, ViewSum};
+use crate::passes::adam::{MeanStep, Rates, Step};
 use crate::passes::exposure::LightStep;
 use crate::passes::poses::PoseStep;
 use crate::scene::{Camera, PicturePart};
@@ -308,8 +308,6 @@ pub(super) struct Progress {
     /// Number of optimiser steps. Skipped iterations make none, and the strategy can omit some.
     pub steps: u64,
     pub opacity_steps: u64,
-    /// Number of views whose gradients were added up since the last step.
-    pub summed: u32,
     /// Number of steps in the running mean of the parameters since the set of Gaussians last changed.
     pub averaged: u32,
     /// Work before the next iteration.
@@ -318,12 +316,11 @@ pub(super) struct Progress {
 
 impl Progress {
     pub fn after(&self, plan: &IterationPlan) -> Self {
-        let Work { optimizes, optimizes_opacity, sums_gradients, actions, .. } = plan.work;
+        let Work { optimizes, optimizes_opacity, actions, .. } = plan.work;
         Self {
             iteration: plan.iteration,
             steps: self.steps + u64::from(optimizes),
             opacity_steps: self.opacity_steps + u64::from(optimizes && optimizes_opacity),
-            summed: if optimizes { 0 } else { self.summed + u32::from(sums_gradients) },
             averaged: match plan.mean_step {
                 Some(MeanStep::Adds(steps)) => steps,
                 Some(MeanStep::Ends) => 0,
@@ -342,8 +339,6 @@ pub(super) struct IterationPlan {
     /// Camera that draws the view: its own, or one of a smaller picture.
     pub camera: Camera,
     pub work: Work,
-    /// Number of views in the gradient sums before this iteration.
-    pub summed: u32,
     pub sh_degree: u32,
     pub settings: RenderSettings,
     pub step: Step,
@@ -360,8 +355,8 @@ pub(super) struct IterationPlan {
 
 impl IterationPlan {
     /// Plan with the optimiser's step and the statistics for the given view, for a recording that never executes.
-    pub fn rehearsal(self, view: usize, camera: Camera, sums_gradients: bool) -> Self {
-        let work = Work { optimizes: true, accumulates: true, sums_gradients, ..self.work };
+    pub fn rehearsal(self, view: usize, camera: Camera) -> Self {
+        let work = Work { optimizes: true, accumulates: true, ..self.work };
         Self { view, camera, work, mean_step: Some(MeanStep::Adds(1)), ..self }
     }
 }
@@ -384,19 +379,11 @@ impl Schedule {
         let s = &run.settings;
         // The reference's last iteration only saves.
         work.optimizes &= iteration < s.iterations;
-        // A step must include the gradients added up before.
-        work.sums_gradients = (work.sums_gradients || progress.summed > 0) && iteration < s.iterations;
-        // Exposures and poses add up gradients whenever the Gaussians do.
-        let sum = match work.sums_gradients {
-            true => ViewSum { starts: progress.summed == 0, makes_step: work.optimizes },
-            false => ViewSum::ALONE,
-        };
         let mean_step = mean_step(s, iteration, progress, &work);
         let view = self.order.view(iteration);
         let exposure = LightStep {
             rate: s.exposure_lr(iteration),
             count: progress.steps + 1,
-            sum,
             decay: 2.0 * s.exposure_reg,
             sparsity: s.exposure_sparsity,
         };
@@ -405,7 +392,6 @@ impl Schedule {
             view,
             camera: s.warm_up_camera(iteration, &run.cameras[view]),
             work,
-            summed: progress.summed,
             sh_degree: s.sh_degree_at(iteration),
             settings: RenderSettings {
                 background: background(s, iteration),
@@ -425,7 +411,7 @@ impl Schedule {
                 ..exposure
             },
             // Poses make a step whenever the Gaussians do.
-            pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1, sum },
+            pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1 },
         }
     }
 }

@@ -342,7 +342,7 @@ options! {
         /// Iterations between opacity resets; none in the last 1000 of a run, from which it would not recover
         opacity_reset_interval: u32 = 3000, Bounds::AtLeast(1);
         /// Count what concerns the whole run in shares of 30,000 iterations: position_lr_max_steps, densify_from_iter,
-        /// densify_until_iter, the groups of multi_step and late prunings are multiplied by iterations / 30000
+        /// densify_until_iter and late prunings are multiplied by iterations / 30000
         scale_schedule: bool = false, Bounds::None;
         /// Larger learning rates in runs of fewer than 30,000 iterations: position_lr_init times 30000 / iterations, at most
         /// 10; those of scales, opacities and colours times its root, at most 2
@@ -366,10 +366,8 @@ options! {
         growth_curve: bool = false, Bounds::None;
         /// Prune what does not recover from opacity resets, which are milder
         recovery: bool = false, Bounds::None;
-        /// Add up the gradients of several views before a step in the last third of the run
-        multi_step: bool = false, Bounds::None;
         /// Share of the run, at its end, over whose steps parameters are averaged; the mean takes their place in the last iteration
-        /// (Polyak and Juditsky; stochastic weight averaging). Not together with multi_step
+        /// (Polyak and Juditsky; stochastic weight averaging)
         average_last: f64 = 0.0, Bounds::Share;
         /// Learn the exposure of each photo: a 3x4 matrix that changes the rendered colours before they are compared
         exposure: bool = false, Bounds::None;
@@ -486,7 +484,6 @@ impl TrainSettings {
                 split: SplitType::LongAxis,
                 growth_curve: true,
                 recovery: true,
-                multi_step: true,
                 ..usual
             },
             StrategyType::Mcmc => Self {
@@ -502,14 +499,13 @@ impl TrainSettings {
     }
 
     /// Returns the settings of a preset, by measurement (tools/strategies.md). All but the reference use the strategy budget,
-    /// antialiasing, and late prunings of faint Gaussians. They average parameters over the last steps of one view each, which
+    /// antialiasing, and late prunings of faint Gaussians. They average parameters over the last steps, which
     /// allows larger rates of scales, and of means at the end. They differ in the number of Gaussians and in the warm-up.
     /// [`exposure`](Self::exposure) is nearly a gain per channel.
     pub fn of_preset(preset: Preset) -> Self {
         let usual = Self {
             antialiasing: true,
             late_min_opacity: 0.1,
-            multi_step: false,
             average_last: AVERAGED_SHARE,
             position_lr_final: 4e-6,
             scaling_lr: 7.5e-3,
@@ -546,7 +542,6 @@ impl TrainSettings {
                 late_min_opacity: 0.1,
                 dropout: FEW_PHOTOS_DROPOUT,
                 scale_sh_degree: false,
-                multi_step: false,
                 average_last: FEW_PHOTOS_AVERAGED,
                 opacity_reg: FEW_PHOTOS_OPACITY_REG,
                 scale_reg: per_extent(FEW_PHOTOS_SCALE_REG, scene_extent),
@@ -569,7 +564,6 @@ impl TrainSettings {
             scale_sh_degree: few.scale_sh_degree,
             opacity_reg: few.opacity_reg,
             scale_reg: few.scale_reg,
-            multi_step: few.multi_step,
             average_last: few.average_last,
             scaling_lr: few.scaling_lr,
             position_lr_final: few.position_lr_final,

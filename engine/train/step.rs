@@ -12,7 +12,7 @@ use crate::error::Result;
 use crate::frame::{FrameInputs, LaunchSizes, RenderSettings, Strips, blocks};
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::pixels::photo_reduced;
-use crate::passes::adam::{Averaging, GradientSums, Optimizer};
+use crate::passes::adam::{Averaging, Optimizer};
 use crate::passes::backward::{Backward, BackwardVariant, Statistics};
 use crate::passes::filter_3d::Filter3d;
 use crate::passes::loss::{LossTerm, Targets, TermInputs, Windowing, photo_bytes};
@@ -101,13 +101,12 @@ impl<'a> StepParts<'a> {
 }
 
 impl StepRecorder {
-    /// The first term writes the picture's gradient. `sums`: true if gradients of several views may be added up. `absolute`:
-    /// index of [`ABSOLUTE_STATISTIC`](super::work::ABSOLUTE_STATISTIC) among all statistics.
+    /// The first term writes the picture's gradient. `absolute`: index of
+    /// [`ABSOLUTE_STATISTIC`](super::work::ABSOLUTE_STATISTIC) among all statistics.
     pub fn new(
         context: &Context,
         terms: Vec<Box<dyn LossTerm>>,
         settings: &TrainSettings,
-        sums: bool,
         absolute: Option<usize>,
     ) -> Result<Self> {
         let targets = Self::targets_of(&terms);
@@ -116,7 +115,6 @@ impl StepRecorder {
             true => Optimizer::with_parameter_gradients(context, sparse),
             false => Optimizer::new(context, sparse),
         };
-        let optimizer = if sums { optimizer.with_sums() } else { optimizer };
         let poses = settings.pose_opt;
         let optimizer = if poses { optimizer.with_moved_cameras() } else { optimizer };
         let averages = settings.average_last > 0.0;
@@ -124,7 +122,7 @@ impl StepRecorder {
             preparation: PhotoPreparation::new(context, settings)?,
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
-            appearance: Appearance::new(context, settings, sums)?,
+            appearance: Appearance::new(context, settings)?,
             backward: Backward::new(context),
             drawn: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
             absolute,
@@ -263,27 +261,14 @@ impl StepRecorder {
             r.barrier();
             parts.strategy.record_statistics(r, &step);
         }
-        let sums = &model.spare;
-        if plan.work.sums_gradients {
-            r.barrier();
-            let to = GradientSums { sums, starts: plan.summed == 0 };
-            self.optimizer.record_add(r, inputs, &model.parameter_gradients, to);
-        }
         if plan.work.optimizes {
             r.barrier();
-            match plan.work.sums_gradients {
-                true => self.optimizer.record_sums(r, inputs, &model.moments, sums, &plan.step),
-                false => {
-                    let direct = &model.parameter_gradients;
-                    self.optimizer.record(r, inputs, &model.moments, direct, &plan.step);
-                }
-            }
+            let direct = &model.parameter_gradients;
+            self.optimizer.record(r, inputs, &model.moments, direct, &plan.step);
             if hooks.update {
                 r.barrier();
                 parts.strategy.record_update(r, &step);
             }
-        }
-        if plan.work.optimizes || plan.work.sums_gradients {
             self.appearance.record_step(r, &self.appearance_inputs(inputs, parts));
             // The frame has its own copy of its camera.
             if let Some(poses) = parts.poses {

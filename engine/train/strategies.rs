@@ -44,13 +44,7 @@ impl Strategy for Fixed {
     }
 
     fn work(&self, _: &TrainSettings, _: u32) -> Work {
-        Work {
-            accumulates: false,
-            optimizes: true,
-            sums_gradients: false,
-            optimizes_opacity: true,
-            actions: Actions::NONE,
-        }
+        Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions: Actions::NONE }
     }
 
     fn between_steps(&mut self, _: &mut Population, _: Actions) -> Result<Changes> {

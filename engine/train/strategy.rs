@@ -21,8 +21,6 @@ pub struct Hooks {
     pub statistics: bool,
     /// True if [`Strategy::record_update`] is called, after steps of the optimiser.
     pub update: bool,
-    /// True if [`Work::sums_gradients`] may be set. The sums need kernels, but no memory of their own.
-    pub sums: bool,
 }
 
 /// Inputs of a step for a strategy's recordings.
@@ -121,16 +119,8 @@ pub trait Strategy: Send {
 }
 
 /// Options of densification by gradients, which other strategies refuse.
-pub(super) const NOT_IN_OTHERS: [&str; 8] = [
-    "cap_ratio",
-    "absgrad",
-    "split",
-    "importance",
-    "growth_curve",
-    "recovery",
-    "multi_step",
-    "late_min_opacity",
-];
+pub(super) const NOT_IN_OTHERS: [&str; 7] =
+    ["cap_ratio", "absgrad", "split", "importance", "growth_curve", "recovery", "late_min_opacity"];
 
 /// Error for a checkpoint with work that the strategy does not have.
 pub(super) fn unknown(strategy: &str, action: Actions) -> Error {

@@ -190,7 +190,7 @@ impl Trainer {
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let maps = DepthMaps::new(context, &views, &photo_sizes)?;
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-        let poses = Poses::new(context, &settings, &cameras, initial, strategy.records().sums)?;
+        let poses = Poses::new(context, &settings, &cameras, initial)?;
         let run = TrainingRun {
             lenses: lenses_of(&views),
             views_fingerprint: fingerprint_of(&views, settings.lens_effects),
@@ -488,7 +488,7 @@ impl Trainer {
             steps => Ok(Some(MeanState {
                 steps,
                 gaussians: planes::download(&self.context, &model.with_planes(&model.spare))?,
-                light: self.losses.appearance.sums(&self.context, self.run.lens_count())?,
+                light: self.losses.appearance.means(&self.context, self.run.lens_count())?,
             })),
         }
     }
@@ -543,7 +543,7 @@ impl Trainer {
         let progress = self.state.progress;
         let before = Progress { iteration: progress.iteration - 1, ..progress };
         let plan = self.plan_after(&before);
-        if !plan.work.optimizes && !plan.work.sums_gradients {
+        if !plan.work.optimizes {
             return Ok(());
         }
         let plan = IterationPlan { work: Work { accumulates: false, ..plan.work }, ..plan };
@@ -634,7 +634,6 @@ impl Trainer {
                 poses: self.poses.as_ref(),
                 peak: &mut self.state.peak,
                 iteration: self.state.progress.iteration,
-                summed: &mut self.state.progress.summed,
             };
             let changes = self.strategy.between_steps(&mut population, due.first())?;
             // The means belong to the previous set of Gaussians.

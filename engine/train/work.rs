@@ -59,9 +59,6 @@ pub struct Work {
     pub accumulates: bool,
     /// True if the optimiser makes a step.
     pub optimizes: bool,
-    /// True if this iteration's gradients add to those since the last step, and a step of this iteration takes the sum. A
-    /// change of the set of Gaussians drops the sum. See [`Hooks::sums`](super::strategy::Hooks::sums).
-    pub sums_gradients: bool,
     /// True if that step moves the opacities.
     pub optimizes_opacity: bool,
     /// Work before the next iteration.

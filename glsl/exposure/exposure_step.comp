@@ -3,9 +3,6 @@
 // not finite. All gradients include `decay` times the value. With CENTER, for exposures, the diagonal does not: it is a gain
 // per channel, and all else is pulled to 0.
 //
-// With SUMS a step follows several views. Without `makes_step` the gradient of the view's photograph is added to `sums`, and a
-// step adds the sums to its gradient. With `starts` the previous sums do not count.
-//
 // With SHARES all photographs share the second moments: their squared gradients add up, without the parts of `decay`. Otherwise
 // Adam moves photographs that fit as fast as those that do not.
 //
@@ -19,7 +16,7 @@
 //
 // invocation: every WORKGROUP_SIZE-th photograph; one workgroup in all
 // in: partials[3 * TERM_PARTIALS], state
-// in/out: exposures, moments_1, moments_2, and with SUMS sums: three rows per photograph
+// in/out: exposures, moments_1, moments_2: three rows per photograph
 // shared: three vec4 per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -32,7 +29,6 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool CENTER = true;
-layout(constant_id = 3) const bool SUMS = false;
 layout(constant_id = 4) const bool SHARES = false;
 layout(constant_id = 5) const bool SPARSE = false;
 layout(local_size_x_id = 0) in;
@@ -42,7 +38,6 @@ layout(set = 0, binding = 1, scalar) readonly buffer State { uint state[]; };
 layout(set = 0, binding = 2, scalar) buffer Exposures { vec4 exposures[]; };
 layout(set = 0, binding = 3, scalar) buffer Moments1 { vec4 moments_1[]; };
 layout(set = 0, binding = 4, scalar) buffer Moments2 { vec4 moments_2[]; };
-layout(set = 0, binding = 5, scalar) buffer Sums { vec4 sums[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint photographs;
@@ -57,8 +52,6 @@ layout(push_constant, scalar) uniform Push {
     float rate;
     // 1 / sqrt(1 - b2^t).
     float inverse_bias_2;
-    uint makes_step;
-    uint starts;
     // Factor of each value in its gradient.
     float decay;
     // With SPARSE: distance per rate.
@@ -75,10 +68,9 @@ bool finite(vec4 g) {
     return all(notEqual(exponent, uvec4(0x7F800000u)));
 }
 
-// Gradient of row k for the step, without the part of `decay`.
-vec4 gradient_of(uint photograph, uint k, vec4 of_view) {
-    vec4 g = photograph == view ? of_view : vec4(0.0);
-    return SUMS && starts == 0 ? g + sums[3 * photograph + k] : g;
+// Gradient of a row for the step, without the part of `decay`.
+vec4 gradient_of(uint photograph, vec4 of_view) {
+    return photograph == view ? of_view : vec4(0.0);
 }
 
 void main() {
@@ -98,7 +90,7 @@ void main() {
     if (SHARES) {
         for (uint photograph = gl_LocalInvocationID.x; photograph < end; photograph += WORKGROUP_SIZE) {
             for (uint k = 0; k < 3; ++k) {
-                vec4 g = gradient_of(photograph, k, gradient[k]);
+                vec4 g = gradient_of(photograph, gradient[k]);
                 squares[k] += g * g;
             }
         }
@@ -109,13 +101,7 @@ void main() {
         vec4 change[3] = vec4[3](vec4(0.0), vec4(0.0), vec4(0.0));
         for (uint k = 0; k < 3; ++k) {
             uint at = 3 * photograph + k;
-            vec4 g = gradient_of(photograph, k, gradient[k]);
-            if (SUMS) {
-                sums[at] = g;
-                if (makes_step == 0) {
-                    continue;
-                }
-            }
+            vec4 g = gradient_of(photograph, gradient[k]);
             vec4 e = exposures[at];
             vec4 pulled = e;
             pulled[k] *= CENTER ? 0.0 : 1.0;
@@ -133,9 +119,6 @@ void main() {
             e[k] -= 1.0;
             change[k] = e;
         }
-        if (SUMS && makes_step == 0) {
-            continue;
-        }
         float keeps = 1.0;
         if (SPARSE) {
             float distance = sqrt(dot(change[0], change[0]) + dot(change[1], change[1]) + dot(change[2], change[2]));
@@ -151,7 +134,7 @@ void main() {
             }
         }
     }
-    if (CENTER && (!SUMS || makes_step != 0)) {
+    if (CENTER) {
         add_over_workgroup(mean);
         for (uint photograph = gl_LocalInvocationID.x; photograph < end; photograph += WORKGROUP_SIZE) {
             for (uint k = 0; k < 3; ++k) {

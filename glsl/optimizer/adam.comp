@@ -4,9 +4,7 @@
 //
 // Without SPARSE, Gaussians out of view have a zero gradient, and their moments still decay. With SPARSE they do not change. SH
 // gradients are computed here from the colour's gradient. Planes above the active degree have neither gradient nor moments. A
-// Gaussian with a gradient that is not finite does not change, and is counted. If the frame overflowed, nothing changes. With
-// SUMS all gradients are sums over several views (add_gradients.comp), in the planes that otherwise have the parameters' own
-// gradients.
+// Gaussian with a gradient that is not finite does not change, and is counted. If the frame overflowed, nothing changes.
 //
 // invocation: one Gaussian
 // in: visible_index, gradients (PerVisible planes), parameter_gradients (PerGaussian planes), state, camera block
@@ -25,7 +23,6 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool SPARSE = false;
 layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
-layout(constant_id = 5) const bool SUMS = false;
 // True if the device has moved the camera: its position is then in the camera block, not in the push constants.
 layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(constant_id = 8) const bool SH_LOOPS = false;
@@ -92,8 +89,7 @@ void update_group(uint group, uint index, vec3 d_color, vec3 direction) {
         vec4 rate = plane == 0 ? vec4(vec3(rate_sh_dc), rate_sh_rest) : vec4(rate_sh_rest);
         uint at = plane_at(PLANE_SH + plane, index, chunk_gaussians);
         if (plane < SH_PLANES) {
-            vec4 g = SUMS ? VEC4_AT(parameter_gradients, at) : sh_plane_gradient(k, basis, d_color);
-            update(at, g, rate, vec4(inverse_bias_2));
+            update(at, sh_plane_gradient(k, basis, d_color), rate, vec4(inverse_bias_2));
         }
     }
 }
@@ -128,16 +124,7 @@ void main() {
     d_quat = seen ? d_quat : vec4(0.0);
     d_log_scale = seen ? d_log_scale : vec4(0.0);
     d_color = seen ? d_color : vec4(0.0);
-    if (SUMS) {
-        d_mean_opacity = VEC4_AT(parameter_gradients, geometry_at(PLANE_MEAN_OPACITY, index));
-        d_quat = VEC4_AT(parameter_gradients, geometry_at(PLANE_QUAT, index));
-        d_log_scale = VEC4_AT(parameter_gradients, geometry_at(PLANE_LOG_SCALE, index));
-        d_color = vec4(0.0);
-        [[unroll]] for (uint plane = 0; plane < SH_PLANES; ++plane) {
-            vec4 g = VEC4_AT(parameter_gradients, plane_at(PLANE_SH + plane, index, chunk_gaussians));
-            d_color = finite(g) ? d_color : g;
-        }
-    } else if (PARAMETER_GRADIENTS) {
+    if (PARAMETER_GRADIENTS) {
         d_mean_opacity += VEC4_AT(parameter_gradients, geometry_at(PLANE_MEAN_OPACITY, index));
         d_quat += VEC4_AT(parameter_gradients, geometry_at(PLANE_QUAT, index));
         d_log_scale.xyz += VEC4_AT(parameter_gradients, geometry_at(PLANE_LOG_SCALE, index)).xyz;

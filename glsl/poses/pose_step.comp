@@ -11,15 +11,13 @@
 // the centre a turn and a displacement look nearly the same, and Adam, which scales each parameter separately, cannot tell them
 // apart. Without a pivot (depth 0) P is the identity.
 //
-// With SUMS a step follows several views. With `adds` the gradient of the image `seen` is added to pose_view_sums, and a step
-// adds these to its gradient. With `starts` the previous sums do not count. With neither `adds` nor `makes_step` only the
-// cameras are computed. A gradient that is not finite counts as 0. If the frame overflowed, nothing changes.
+// Without `makes_step` only the cameras are computed. A gradient that is not finite counts as 0. If the frame overflowed, nothing
+// changes.
 //
 // invocation: one image
 // in: pose_gradient (pose_gradient.comp), pose_starts (four vec3 per image: the rows of R_0, t_0), pose_depths (one per image),
 //     state
-// in/out: pose_parameters (two vec3 per image: nu, omega), pose_moments (four: m of both, v of both), and with SUMS
-//     pose_view_sums (two vec3 per image)
+// in/out: pose_parameters (two vec3 per image: nu, omega), pose_moments (four: m of both, v of both)
 // out: pose_cameras (four vec3 per image: the rows of R, t)
 // shared: none; any subgroup size
 #version 460
@@ -29,7 +27,6 @@
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-layout(constant_id = 1) const bool SUMS = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer PoseGradient { vec3 pose_gradient[]; };
@@ -38,8 +35,7 @@ layout(set = 0, binding = 2, scalar) buffer PoseParameters { vec3 pose_parameter
 layout(set = 0, binding = 3, scalar) buffer PoseMoments { vec3 pose_moments[]; };
 layout(set = 0, binding = 4, scalar) writeonly buffer PoseCameras { vec3 pose_cameras[]; };
 layout(set = 0, binding = 5, scalar) readonly buffer State { uint state[]; };
-layout(set = 0, binding = 6, scalar) buffer PoseViewSums { vec3 pose_view_sums[]; };
-layout(set = 0, binding = 7, scalar) readonly buffer PoseDepths { float pose_depths[]; };
+layout(set = 0, binding = 6, scalar) readonly buffer PoseDepths { float pose_depths[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint images;
@@ -47,10 +43,6 @@ layout(push_constant, scalar) uniform Push {
     uint seen;
     // Nonzero to make a step.
     uint makes_step;
-    // Nonzero to add the gradient to the sums, without a step.
-    uint adds;
-    // Nonzero for the first view since the last step.
-    uint starts;
     float beta_1;
     float beta_2;
     // 1 - b, rounded once.
@@ -72,11 +64,7 @@ const uint TERMS = 14;
 vec3 gradient_of(uint image, uint part) {
     vec3 g = image == seen ? pose_gradient[2 + part] : vec3(0.0);
     uvec3 exponent = floatBitsToUint(g) & 0x7F800000u;
-    g = all(notEqual(exponent, uvec3(0x7F800000u))) ? g : vec3(0.0);
-    if (SUMS && starts == 0) {
-        g += pose_view_sums[2 * image + part];
-    }
-    return g;
+    return all(notEqual(exponent, uvec3(0x7F800000u))) ? g : vec3(0.0);
 }
 
 // Step of nu (part 0) or omega (part 1).
@@ -101,12 +89,6 @@ vec3 coefficients(float square) {
 void main() {
     uint image = linear_invocation();
     if (image >= images || state[STATE_OVERFLOW] != 0) {
-        return;
-    }
-    if (SUMS && adds != 0) {
-        for (uint part = 0; part < 2; ++part) {
-            pose_view_sums[2 * image + part] = gradient_of(image, part);
-        }
         return;
     }
     vec3 nu = pose_parameters[2 * image];

@@ -72,14 +72,11 @@ fn contradictions_are_refused_before_the_work() {
     let place = Place::new();
     for (given, words) in [
         ("--preset fast --strategy mcmc", ["a preset has the strategy budget", "leave out"]),
-        ("--average-last 0.1 --strategy budget", ["average_last: is 0.1", "multi_step = false"]),
-        ("--optimizer-type sparse_adam --strategy budget", ["multi_step", "sparse_adam"]),
         ("--strategy mcmc --cap-max 7", ["cap_max: 7 is less than the 400", "raise it"]),
         ("--strategy budget --cap-max 7", ["cap_max: 7 is less than the 400", "raise it"]),
         ("--strategy budget --cap-ratio 0.5", ["cap_ratio: is 0.5", "1 or more"]),
         ("--warm-up 5 --depth-points 0.1", ["warm_up: is 5 (preset fast sets it)", "depth_points"]),
         ("--strategy reference --recovery", ["recovery: is true", "strategy reference"]),
-        ("--strategy mcmc --multi-step", ["multi_step: is true", "strategy mcmc"]),
         ("--exposure --exposure-lr-init -1", ["exposure_lr_init: is -1", "above 0"]),
     ] {
         let train = format!("train -s @data -m @model --iterations 20 --few-photos off {given}");

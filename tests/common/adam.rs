@@ -77,7 +77,6 @@ impl<'a> AdamState<'a> {
             sh_degree,
             sparse,
             parameter_gradients: false,
-            sums: false,
             moved_camera: false,
             sh_loops: gpu.context.limits().tuning.sh_loops,
         };

@@ -3,7 +3,6 @@
 use super::gpu::Gpu;
 use ashsplat::kernels::constants::STATE_OVERFLOW;
 use ashsplat::kernels::poses::{pose_gradient, pose_step};
-use ashsplat::vk::Buffer;
 
 /// Runs `poses/pose_gradient`: returns g and dL/dξ.
 pub fn pose_gradient(gpu: &Gpu, sums: &[[f32; 6]], parameters: &[[f32; 6]], image: u32) -> [[f64; 6]; 2] {
@@ -40,21 +39,7 @@ pub type Step = (u32, [f32; 6], f64, u32);
 
 /// Runs `poses/pose_step`; without a step it updates only the cameras.
 pub fn pose_step(gpu: &Gpu, poses: &Poses, step: Option<Step>, overflow: u32) -> Poses {
-    let sums = gpu.untouched::<[f32; 6]>("pose_view_sums", poses.parameters.len());
-    pose_view(gpu, poses, step, overflow, (&sums, [true, step.is_some()]), false)
-}
-
-/// Adds one view of a step to `view_sums`. `starts`: it is the first view. `makes_step`: the step follows. `sums`
-/// selects the kernel's variant with sums.
-pub fn pose_view(
-    gpu: &Gpu,
-    poses: &Poses,
-    step: Option<Step>,
-    overflow: u32,
-    (view_sums, [starts, makes_step]): (&Buffer, [bool; 2]),
-    sums: bool,
-) -> Poses {
-    let spec = pose_step::Spec { workgroup_size: gpu.workgroup(64), sums };
+    let spec = pose_step::Spec { workgroup_size: gpu.workgroup(64) };
     let kernel = gpu.kernel::<pose_step::Interface>(&spec);
     let images = poses.parameters.len();
     let (seen, gradient, rate, count) = step.unwrap_or((0, [f32::NAN; 6], 1.0, 1));
@@ -69,16 +54,13 @@ pub fn pose_view(
         pose_moments: &moments,
         pose_cameras: &cameras,
         state: &gpu.frame_state(&[(STATE_OVERFLOW, overflow)]),
-        pose_view_sums: view_sums,
         pose_depths: &gpu.buffer("pose_depths", &poses.depths),
     };
     let correction = |beta: f64| 1.0 - beta.powi(count as i32);
     let push = pose_step::Push {
         images: images as u32,
         seen,
-        makes_step: makes_step.into(),
-        adds: (step.is_some() && !makes_step).into(),
-        starts: starts.into(),
+        makes_step: step.is_some().into(),
         beta_1: 0.9,
         beta_2: 0.999,
         one_minus_beta_1: 0.1,

@@ -140,14 +140,12 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         iterations: 500,
         ..settings()
     };
-    // Budgeted growth, which adds up gradients over several steps after 66 and 80, later than all other events.
     let budget = TrainSettings {
         strategy: StrategyType::Budget,
         scale_schedule: true,
         densify_until_iter: 19_500,
         absgrad: true,
         split: SplitType::LongAxis,
-        multi_step: true,
         ..settings()
     };
     // A user's preset, but with a longer mean: it prunes faint Gaussians after 300 and 308, and averages afterwards.
@@ -167,8 +165,7 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let exposed = TrainSettings { exposure: true, ..settings() };
     let few = TrainSettings { dropout: 0.3, depth_points: 0.1, ..settings() };
     let all = TrainSettings { lens_effects: true, pose_opt: true, pose_lr: 1e-3, ..exposed.clone() };
-    let lit = TrainSettings { lens_effects: true, pose_opt: true, exposure: true, ..budget.clone() };
-    let plain = [weighted, all, lit].map(|settings| (false, settings));
+    let plain = [weighted, all].map(|settings| (false, settings));
     let averaged = TrainSettings { iterations: 62, average_last: 0.4, ..exposed.clone() };
     let usual = [settings(), mcmc, filtered, exposed, averaged, budget, few, sparse, preset]
         .map(|settings| (true, settings));

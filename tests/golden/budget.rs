@@ -52,15 +52,10 @@ pub fn split_of_device(path: &Path) -> Outcome {
 fn compare_schedule(
     npz: &Npz,
     budget: impl Fn(u32) -> f64,
-    makes_step: impl Fn(u32) -> bool,
     quantile: impl Fn(&[f64], f64) -> f64,
 ) -> Outcome {
-    let at = |name: &str| npz.values(name).iter().map(|&i| i as u32).collect::<Vec<u32>>();
-    let budgets: Vec<f64> = at("budget_iteration").into_iter().map(budget).collect();
+    let budgets: Vec<f64> = npz.values("budget_iteration").iter().map(|&i| budget(i as u32)).collect();
     equal("budget", &budgets, npz.values("budget"))?;
-    let steps: Vec<f64> =
-        at("step_iteration").into_iter().map(|i| f64::from(u8::from(makes_step(i)))).collect();
-    equal("step", &steps, npz.values("step"))?;
     let opacities: Vec<f64> = npz.values("opacity_logits").iter().map(|&logit| sigmoid(logit)).collect();
     let threshold = quantile(&opacities, npz.scalar("quantile"));
     elementwise("threshold", &[threshold], npz.values("threshold"), 1e-6, 0.0)?;
@@ -72,7 +67,7 @@ pub fn schedule_of_twin(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let last = npz.scalar("budget_final");
     let budget = |i: u32| schedule::growth_budget(i.into(), last);
-    compare_schedule(&npz, budget, schedule::makes_step, schedule::quantile)
+    compare_schedule(&npz, budget, schedule::quantile)
 }
 
 pub fn schedule_of_engine(path: &Path) -> Outcome {
@@ -89,7 +84,7 @@ pub fn schedule_of_engine(path: &Path) -> Outcome {
         settings.scale_schedule = scale_schedule;
         let schedule = GrowthSchedule::of(&settings, 1);
         let budget = |i: u32| f64::from(schedule.budget(i));
-        compare_schedule(&npz, budget, |i| schedule.steps_at(i), of_engine)?;
+        compare_schedule(&npz, budget, of_engine)?;
     }
     Ok(())
 }

@@ -150,16 +150,9 @@ fn adam_of_device(gpu: &Gpu, npz: &Npz, tolerance: f64) -> Outcome {
     let exposures = gpu.buffer("exposures", &start);
     let moments = ["moments_1", "moments_2"].map(|name| gpu.zeros::<[[f32; 4]; 3]>(name, photographs));
     let state = gpu.zeros::<u32>("state", STATE_WORDS as usize);
-    let sums = gpu.zeros::<[[f32; 4]; 3]>("sums", photographs);
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
-    let spec = exposure_step::Spec {
-        workgroup_size,
-        subgroup_size,
-        center: false,
-        sums: false,
-        shares: false,
-        sparse: false,
-    };
+    let spec =
+        exposure_step::Spec { workgroup_size, subgroup_size, center: false, shares: false, sparse: false };
     let kernel = gpu.kernel::<exposure_step::Interface>(&spec);
     for (step, (view, gradient, rate, after)) in steps.iter().enumerate() {
         let mut parts = vec![[[0.0; 4]; 3]; TERM_PARTIALS as usize];
@@ -172,7 +165,6 @@ fn adam_of_device(gpu: &Gpu, npz: &Npz, tolerance: f64) -> Outcome {
             exposures: &exposures,
             moments_1: &moments[0],
             moments_2: &moments[1],
-            sums: &sums,
         };
         let push = exposure_step::Push {
             photographs: photographs as u32,
@@ -184,8 +176,6 @@ fn adam_of_device(gpu: &Gpu, npz: &Npz, tolerance: f64) -> Outcome {
             epsilon: 1e-8,
             rate: (rate / (1.0 - 0.9f64.powi(count))) as f32,
             inverse_bias_2: (1.0 - 0.999f64.powi(count)).sqrt().recip() as f32,
-            makes_step: 1,
-            starts: 1,
             decay: 0.0,
             sparsity: 0.0,
         };

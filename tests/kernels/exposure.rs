@@ -321,17 +321,16 @@ const DECAY: f32 = 0.125;
 /// Large enough that some matrices return to the identity, small enough that others do not.
 const SPARSITY: f32 = 0.5;
 
-/// Form of the step: exposures or lenses; steps after several views or one; second moments of all photographs or of
-/// each; with or without a pull to the identity.
+/// Form of the step: exposures or lenses; second moments of all photographs or of each; with or without a pull to
+/// the identity.
 #[derive(Clone, Copy, Debug)]
 struct Form {
     center: bool,
-    sums: bool,
     shares: bool,
     sparse: bool,
 }
 
-const USUAL: Form = Form { center: true, sums: false, shares: false, sparse: false };
+const USUAL: Form = Form { center: true, shares: false, sparse: false };
 
 impl Form {
     fn twin(self, photographs: usize) -> Exposures {
@@ -339,35 +338,24 @@ impl Form {
         Exposures { decay: DECAY.into(), shares: self.shares, sparsity, ..Exposures::new(photographs) }
     }
 
-    /// Runs steps of one view each on the device.
+    /// Runs steps on the device.
     fn run(self, gpu: &Gpu, photographs: usize, steps: &[Seen]) -> [Vec<Floats>; 3] {
-        let views: Vec<_> = steps.iter().cloned().map(|step| (step, [true, true])).collect();
-        self.run_views(gpu, photographs, &views)
-    }
-
-    /// Runs views on the device. Flags: the first view of a step, and the view that the step follows.
-    fn run_views(self, gpu: &Gpu, photographs: usize, views: &[(Seen, [bool; 2])]) -> [Vec<Floats>; 3] {
-        let Form { center, sums, shares, sparse } = self;
+        let Form { center, shares, sparse } = self;
         let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
-        let spec = exposure_step::Spec { workgroup_size, subgroup_size, center, sums, shares, sparse };
+        let spec = exposure_step::Spec { workgroup_size, subgroup_size, center, shares, sparse };
         let start: Vec<Floats> =
             Exposures::new(photographs).values.iter().map(|m| m.map(|row| row.map(|x| x as f32))).collect();
         let exposures = gpu.buffer("exposures", &start);
         let [moments_1, moments_2] =
             ["moments_1", "moments_2"].map(|name| gpu.zeros::<Floats>(name, photographs));
-        let gradient_sums = gpu.untouched::<Floats>("sums", photographs);
-        let mut count = 0;
-        for ((view, parts, overflow), [starts, makes_step]) in views {
+        for ((view, parts, overflow), count) in steps.iter().zip(1..) {
             let bind = exposure_step::Bind {
                 partials: &gpu.buffer("partials", parts),
                 state: &gpu.frame_state(&[(STATE_OVERFLOW, (*overflow).into())]),
                 exposures: &exposures,
                 moments_1: &moments_1,
                 moments_2: &moments_2,
-                sums: &gradient_sums,
             };
-            // All views of a step have its count.
-            count += i32::from(*starts);
             let push = exposure_step::Push {
                 photographs: photographs as u32,
                 view: *view,
@@ -378,8 +366,6 @@ impl Form {
                 epsilon: 1e-8,
                 rate: (0.01 / (1.0 - 0.9f64.powi(count))) as f32,
                 inverse_bias_2: (1.0 - 0.999f64.powi(count)).sqrt().recip() as f32,
-                makes_step: (*makes_step).into(),
-                starts: (*starts).into(),
                 decay: DECAY,
                 sparsity: SPARSITY,
             };
@@ -421,38 +407,6 @@ fn exposure_step_equals_its_twin() {
         compare(&format!("{case}: values"), &values, &expected.values, 2e-6);
         compare(&format!("{case}: first moments"), &first, &expected.first, 1e-5);
         compare(&format!("{case}: second moments"), &second, &expected.second, 1e-4);
-    }
-}
-
-/// Steps after several views: one step has some photographs twice, others never. A view that overflowed adds
-/// nothing.
-#[test]
-fn exposure_step_adds_up_views() {
-    let gpu = Gpu::new();
-    let many = gpu.workgroup(64) as usize + 3;
-    for (photographs, shares, sparse) in
-        [(2, false, false), (many, false, false), (2, true, false), (many, true, false), (many, true, true)]
-    {
-        let form = Form { sums: true, shares, sparse, ..USUAL };
-        let mut random = Random::new(photographs as u64);
-        let groups: [&[usize]; 4] = [&[0, 1, 0], &[1], &[photographs - 1, 0], &[0, 0]];
-        let mut views = vec![];
-        let mut expected = form.twin(photographs);
-        for (number, group) in groups.into_iter().enumerate() {
-            for (place, &view) in group.iter().enumerate() {
-                let own = parts(&mut random);
-                expected.add(view, &sum(&own), place == 0);
-                views.push(((view as u32, own, false), [place == 0, place + 1 == group.len()]));
-                if number == 0 && place == 0 {
-                    views.push(((view as u32, parts(&mut random), true), [false, false]));
-                }
-            }
-            expected.step_of_sums(0.01, number as i32 + 1, true);
-        }
-        let [actual, ..] = form.run_views(&gpu, photographs, &views);
-        // A thousandth of a step. Where the steps of two photographs cancel in the mean, only rounding remains. Its
-        // decay is the whole gradient of photographs without a view.
-        compare(&format!("{photographs}, {form:?}: values"), &actual, &expected.values, 1e-5);
     }
 }
 

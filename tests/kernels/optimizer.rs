@@ -1,10 +1,9 @@
-//! The kernels of `optimizer/` against their twins: `optimizer/adam`, `optimizer/add_gradients`,
-//! `optimizer/add_noise` and `optimizer/average`.
+//! The kernels of `optimizer/` against their twins: `optimizer/adam`, `optimizer/add_noise` and `optimizer/average`.
 
-use crate::common::adam::{AdamState, Rates, Step, VisibleGradient, camera_block};
+use crate::common::adam::{AdamState, Rates, Step, VisibleGradient};
 use crate::common::prelude::*;
 use crate::common::scenes::scalars as all_scalars;
-use crate::reference::adam::{Parameter, adam, adam_sparse, add, is_skipped};
+use crate::reference::adam::{Parameter, adam, adam_sparse, is_skipped};
 use crate::reference::add_noise::noise;
 use crate::reference::average::mean;
 use crate::reference::gather::random_normal;
@@ -265,98 +264,6 @@ impl GradientRows {
             [0, 1, 2, 3].map(|plane| self.row(gaussian, plane).map(f64::from));
         let sh = sh_gradient(direction(mean), [red, green, blue], degree, stored);
         Gaussian { mean: [x, y, z], quat, log_scale: [a, b, c], opacity_logit, sh }
-    }
-}
-
-/// Two views with different degrees, and one that overflowed.
-fn check_add_gradients(gpu: &Gpu, size: usize, degrees: [u32; 2], stored: u32, direct: bool) {
-    let coefficients = ((stored + 1) * (stored + 1)) as usize;
-    let mut random = Random::new(size as u64 + 7 * u64::from(stored));
-    let gaussians = mixed_scene(&mut random, size, coefficients);
-    let room = room(size);
-    let words = planes(coefficients) * room;
-    let parameters = gpu.gaussians("parameters", &gaussians);
-    let sums = gpu.untouched::<[f32; 4]>("sums", words);
-    let direct_gradients = mixed_scene(&mut random, size, coefficients);
-    let mut direct_planes = pack(&direct_gradients, room);
-    direct_planes.truncate(PLANE_SH as usize * room);
-    let direct_buffer = gpu.buffer("parameter_gradients", &direct_planes);
-    let mut expected: Vec<Gaussian> = gaussians.clone();
-    let views = [(degrees[0], true, 0), (degrees[1], false, 1), (degrees[1], false, 0)];
-    for (number, (sh_degree, starts, overflow)) in views.into_iter().enumerate() {
-        let mut view = GradientRows::random(&mut random, size);
-        let mut spoilt = 0;
-        if number != 1 && size > 9 && view.visible[9] != u32::MAX {
-            view.rows[view.stride + view.visible[9] as usize][2] = f32::NAN;
-            spoilt = 1;
-        }
-        let moved_camera = number == 1 || stored == 2;
-        let spec = add_gradients::Spec {
-            workgroup_size: gpu.workgroup(64),
-            sh_degree,
-            parameter_gradients: direct,
-            moved_camera,
-            sh_loops: number == 1,
-        };
-        let gradients = gpu.buffer("gradients", &view.rows);
-        let state = gpu.frame_state(&[(STATE_OVERFLOW, overflow)]);
-        let bind = add_gradients::Bind {
-            sums: &sums,
-            parameters: &parameters,
-            visible_index: &gpu.buffer("visible_index", &view.visible),
-            gradients: &gradients,
-            state: &state,
-            old_sums: &sums,
-            parameter_gradients: if direct { &direct_buffer } else { &gradients },
-            camera_block: &gpu.buffer("camera_block", &[camera_block(CAMERA, moved_camera)]),
-        };
-        let push = add_gradients::Push {
-            camera_position: CAMERA.map(|x| if moved_camera { f32::NAN } else { x as f32 }),
-            first: 0,
-            count: size as u32,
-            chunk_gaussians: room as u32,
-            gradient_stride: view.stride as u32,
-            planes: planes(coefficients) as u32,
-            starts: starts.into(),
-        };
-        gpu.dispatch_over::<add_gradients::Interface>(&spec, &bind, &push, size);
-        let skipped = gpu.read_state(&state, STATE_NON_FINITE);
-        assert_eq!(skipped, if overflow == 1 { 0 } else { spoilt }, "view {number}");
-        if overflow == 1 {
-            continue;
-        }
-        for (i, sum) in expected.iter_mut().enumerate() {
-            let mut gradient = view.gradient(i, gaussians[i].mean, sh_degree, coefficients);
-            if direct {
-                let mut own = Gaussian { sh: vec![], ..direct_gradients[i].clone() };
-                let pairs = all_scalars(&mut gradient).into_iter().zip(all_scalars(&mut own));
-                pairs.for_each(|(x, own)| *x += *own);
-            }
-            *sum = add(sum, &gradient, starts);
-        }
-    }
-    let mut actual = gpu.read_gaussians(&sums, size, coefficients);
-    for (i, (actual, expected)) in actual.iter_mut().zip(&mut expected).enumerate() {
-        let [actual, expected] =
-            [actual, expected].map(|g| all_scalars(g).into_iter().map(|x| *x).collect::<Vec<f64>>());
-        elementwise("sum", &actual, &expected, 6e-6, 2e-6).unwrap_or_else(|e| panic!("{i} of {size}: {e}"));
-    }
-}
-
-#[test]
-fn add_gradients_equals_its_twin() {
-    for gpu in [Gpu::new(), Gpu::without_texels()] {
-        for size in sizes(gpu.workgroup(64) as usize).into_iter().filter(|&size| size > 0) {
-            check_add_gradients(&gpu, size, [2, 3], 3, size % 2 == 1);
-        }
-    }
-}
-
-#[test]
-fn add_gradients_of_every_degree() {
-    let gpu = Gpu::new();
-    for (degrees, stored) in [([0, 0], 0), ([0, 1], 1), ([1, 1], 2), ([0, 3], 3), ([3, 3], 3)] {
-        check_add_gradients(&gpu, 100, degrees, stored, false);
     }
 }
 

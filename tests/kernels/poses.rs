@@ -1,6 +1,6 @@
 //! The kernels of `poses/` against their twins: `poses/pose_gradient` and `poses/pose_step`.
 
-use crate::common::poses::{Poses, Step, pose_gradient, pose_step, pose_view};
+use crate::common::poses::{Poses, Step, pose_gradient, pose_step};
 use crate::common::prelude::*;
 use crate::reference::adam::Parameter;
 use crate::reference::pose_gradient::{gradient_of_parameters, total};
@@ -128,38 +128,6 @@ fn pose_step_makes_cameras() {
         if size == 0.0 {
             assert_eq!(after.cameras, after.starts);
         }
-    }
-}
-
-/// A step after several views uses each image's sum of gradients. Views before it move nothing.
-#[test]
-fn pose_step_adds_up_views() {
-    let gpu = Gpu::new();
-    let images = gpu.workgroup(64) as usize + 5;
-    let mut random = Random::new(9);
-    let mut device = poses(&mut random, images, 0.1);
-    let mut twins = twins_of(&device);
-    let sums = gpu.untouched::<[f32; 6]>("pose_view_sums", images);
-    let groups: [&[usize]; 3] = [&[3, 7, 3], &[images - 1, 0], &[7]];
-    for (count, group) in (1..).zip(groups) {
-        let mut added = vec![[0.0; 6]; images];
-        for (place, &seen) in group.iter().enumerate() {
-            let gradient = six(&mut random, 1e-3);
-            added[seen].iter_mut().zip(gradient).for_each(|(sum, g)| *sum += f64::from(g));
-            let step: Step = (seen as u32, gradient, 1e-3, count);
-            let at = [place == 0, place + 1 == group.len()];
-            let before = device.clone();
-            // A view that overflowed adds nothing.
-            let spoilt = (seen as u32, [1.0; 6], 1e-3, count);
-            device = pose_view(&gpu, &device, Some(spoilt), 1, (&sums, [false, at[1]]), true);
-            assert!(device == before, "a view that overflowed has moved something");
-            device = pose_view(&gpu, &device, Some(step), 0, (&sums, at), true);
-            assert!(at[1] || device == before, "a view before the step has moved something");
-        }
-        for (image, twins) in twins.iter_mut().enumerate() {
-            step_about(f64::from(device.depths[image]), twins, added[image], 1e-3, count);
-        }
-        check(&device, &twins);
     }
 }
 

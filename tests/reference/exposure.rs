@@ -38,8 +38,6 @@ pub struct Exposures {
     pub values: Vec<Matrix>,
     pub first: Vec<Matrix>,
     pub second: Vec<Matrix>,
-    /// Gradients of the views since the last step.
-    pub sums: Vec<Matrix>,
     /// Weight decay: the gradient gains this factor times each value, except for the diagonal with `center`.
     pub decay: f64,
     /// True if second moments use the squares of all photographs' gradients, without `decay`.
@@ -54,8 +52,7 @@ impl Exposures {
         Exposures {
             values: vec![IDENTITY; photographs],
             first: none.clone(),
-            second: none.clone(),
-            sums: none,
+            second: none,
             decay: 0.0,
             shares: false,
             sparsity: 0.0,
@@ -65,30 +62,16 @@ impl Exposures {
     /// Makes the `count`-th step, from 1; one photograph has a gradient. With `center`, the mean over the
     /// photographs becomes the identity.
     pub fn step(&mut self, view: usize, gradient: &Matrix, rate: f64, count: i32, center: bool) {
-        self.add(view, gradient, true);
-        self.step_of_sums(rate, count, center);
-    }
-
-    pub fn add(&mut self, view: usize, gradient: &Matrix, starts: bool) {
-        if starts {
-            self.sums.fill([[0.0; 4]; 3]);
-        }
-        for (sum, g) in self.sums[view].as_flattened_mut().iter_mut().zip(gradient.as_flattened()) {
-            *sum += g;
-        }
-    }
-
-    /// Same as [`Exposures::step`], but with the gradients already added.
-    pub fn step_of_sums(&mut self, rate: f64, count: i32, center: bool) {
         let photographs = self.values.len();
         for photograph in 0..photographs {
             for (row, column) in (0..3).flat_map(|row| (0..4).map(move |column| (row, column))) {
                 let decay = if center && row == column { 0.0 } else { self.decay };
-                let g = self.sums[photograph][row][column] + decay * self.values[photograph][row][column];
+                let own = if photograph == view { gradient[row][column] } else { 0.0 };
+                let g = own + decay * self.values[photograph][row][column];
                 let m = &mut self.first[photograph][row][column];
                 *m = 0.9 * *m + 0.1 * g;
                 let square = match self.shares {
-                    true => self.sums.iter().map(|sum| sum[row][column].powi(2)).sum(),
+                    true => gradient[row][column].powi(2),
                     false => g * g,
                 };
                 let v = &mut self.second[photograph][row][column];

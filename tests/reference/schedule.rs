@@ -15,16 +15,6 @@ pub fn growth_budget(iteration: f64, last: f64) -> f64 {
     (((iteration - 500.0) / 14_000.0).clamp(0.0, 1.0).sqrt() * last).floor().max(1.0)
 }
 
-/// True if Improved-GS makes a step: at every, then every 5th, then every 20th iteration, not at the last.
-pub fn makes_step(iteration: u32) -> bool {
-    match iteration {
-        30_000 => false,
-        0..20_000 => true,
-        20_000..24_000 => iteration.is_multiple_of(5),
-        _ => iteration.is_multiple_of(20),
-    }
-}
-
 /// The quantile with linear interpolation between ranks.
 pub fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();

@@ -19,6 +19,7 @@ use ashsplat::train::{Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use block::BlockArguments;
 use clap::Args;
+use file::Purpose;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::Table;
@@ -124,7 +125,11 @@ pub struct Given {
 impl Given {
     /// Reads the file, and the job that it or the command line names.
     pub fn read(file: Option<&Path>, overrides: &Overrides) -> Result<Given> {
-        let of_file = file.map_or_else(|| Ok(Table::new()), file::table)?;
+        Self::read_for(Purpose::Training, file, overrides)
+    }
+
+    fn read_for(purpose: Purpose, file: Option<&Path>, overrides: &Overrides) -> Result<Given> {
+        let of_file = file.map_or_else(|| Ok(Table::new()), |file| file::table(file, purpose))?;
         let mut of_line =
             Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
         // A preset is a set of defaults, which settings in the file would override.
@@ -190,7 +195,8 @@ impl Settings {
     pub fn of_model(folder: &Path) -> Result<Settings> {
         let ours = folder.join(SETTINGS_FILE);
         if ours.is_file() {
-            return Settings::resolve(Some(&ours), &Overrides::default());
+            let given = Given::read_for(Purpose::Result, Some(&ours), &Overrides::default())?;
+            return given.settle(&Facts::default());
         }
         let reference = folder.join(CFG_ARGS_FILE);
         match reference.try_exists() {
@@ -346,6 +352,27 @@ mod tests {
         std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
         let read = Settings::resolve(Some(&path), &Overrides::default()).expect("read back");
         assert_eq!(read, settings);
+    }
+
+    /// Dumps of earlier versions name the switch `multi_step`. If it is on, the model can be used, but not trained again.
+    #[test]
+    fn dumps_of_earlier_versions_are_read() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join(SETTINGS_FILE);
+        let mut settings = Settings::default();
+        settings.train.seed = 17;
+        let dump = settings.to_toml().expect("a dump");
+        let training = || Settings::resolve(Some(&path), &Overrides::default());
+        std::fs::write(&path, format!("{dump}multi_step = false\n")).expect("written");
+        assert_eq!(training().expect("settings"), settings);
+        std::fs::write(&path, format!("{dump}multi_step = true\n")).expect("written");
+        assert_eq!(Settings::of_model(folder.path()).expect("settings"), settings);
+        let refused = training().expect_err("refused").to_string();
+        let said = ["settings.toml", "multi_step = true", "several views no longer exist", "leave it out"];
+        assert!(
+            said.iter().all(|words| refused.contains(words)) && refused.lines().count() == 1,
+            "{refused}"
+        );
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Budgeted growth (Improved-GS, 2026). It splits Gaussians along their long axis, first those that matter most for the edges
 //! of the photographs, up to a number that grows along a curve. Opacity resets are mild, and Gaussians that do not recover from
-//! them are pruned. Late steps add up the gradients of several views.
+//! them are pruned.
 
 use super::rebuild::{Decisions, check_cap, reset_opacity};
 use crate::error::{Error, Result};
@@ -10,8 +10,8 @@ use crate::passes::densify::{
 };
 use crate::train::population::Population;
 use crate::train::schedule::pool_views;
-use crate::train::settings::{ImportanceType, OptimizerType, SplitType, TrainSettings};
-use crate::train::strategy::{Hooks, Strategy, unknown};
+use crate::train::settings::{ImportanceType, SplitType, TrainSettings};
+use crate::train::strategy::{Strategy, unknown};
 use crate::train::work::{ABSOLUTE_STATISTIC, Actions, Changes, Densified, Statistic, Work};
 use crate::vk::{Buffer, Context};
 
@@ -38,14 +38,13 @@ enum Pruned {
 }
 
 /// Budgeted growth to [`TrainSettings::cap_max`]. Each part has a switch: [`TrainSettings::absgrad`], `split`, `importance`,
-/// `growth_curve`, `recovery`, `multi_step`, `late_min_opacity`.
+/// `growth_curve`, `recovery`, `late_min_opacity`.
 pub struct Budget {
     kernels: Densify,
     selection: Selection,
     /// Built by the first densification with [`ImportanceType::Edges`], because a resumed run may have none left.
     importance: Option<Importance>,
     absolute: bool,
-    sums: bool,
     /// Number of Gaussians before the first change of the set.
     start: Option<u32>,
 }
@@ -63,7 +62,6 @@ impl Budget {
             selection: Selection::new(context)?,
             importance: None,
             absolute: settings.absgrad,
-            sums: settings.multi_step,
             start: None,
         })
     }
@@ -84,11 +82,6 @@ impl Strategy for Budget {
             );
             return Err(Error::argument("cap_ratio", problem));
         }
-        if settings.multi_step && settings.optimizer_type == OptimizerType::SparseAdam {
-            let problem =
-                "adds up views, and sparse_adam steps for what one view has seen; leave one of them out";
-            return Err(Error::argument("multi_step", problem));
-        }
         Ok(())
     }
 
@@ -105,8 +98,7 @@ impl Strategy for Budget {
         Work {
             accumulates: settings.collects_statistics_at(iteration),
             // The step precedes densification, which splits the set that the step made.
-            optimizes: schedule.steps_at(iteration),
-            sums_gradients: schedule.group(iteration) > 1,
+            optimizes: true,
             optimizes_opacity: true,
             actions,
         }
@@ -114,10 +106,6 @@ impl Strategy for Budget {
 
     fn statistics(&self) -> Vec<Statistic> {
         if self.absolute { vec![ABSOLUTE_STATISTIC] } else { Vec::new() }
-    }
-
-    fn records(&self) -> Hooks {
-        Hooks { sums: self.sums, ..Hooks::default() }
     }
 
     fn between_steps(&mut self, population: &mut Population, action: Actions) -> Result<Changes> {
@@ -306,8 +294,6 @@ fn not_below(number: f64) -> f32 {
 
 /// Improved-GS ends its growth at 14,500 of the 15,000 iterations with densification.
 const CURVE_SHARE: f64 = 14_500.0 / 15_000.0;
-/// (first iteration of 30,000, number of views that share a step).
-const GROUPS: [(u32, u32); 2] = [(24_000, 20), (20_000, 5)];
 /// Iterations after the start and after a reset, until Gaussians that are still faint are pruned.
 const RECOVERY: u32 = 300;
 /// Number of resets that are followed by a pruning by rank.
@@ -352,21 +338,6 @@ impl<'a> GrowthSchedule<'a> {
         let end = f64::from(s.scaled(s.densify_until_iter)) * CURVE_SHARE;
         let t = ((f64::from(iteration) - start) / (end - start).max(1.0)).clamp(0.0, 1.0);
         ((t.sqrt() * f64::from(self.cap)).floor() as u32).max(1)
-    }
-
-    /// Number of views that share a step at an iteration (1-based): 1 without [`TrainSettings::multi_step`].
-    pub fn group(&self, iteration: u32) -> u32 {
-        let s = self.settings;
-        let late = GROUPS.iter().find(|(from, _)| iteration >= s.scaled(*from));
-        match late {
-            Some((_, views)) if s.multi_step && !s.collects_statistics_at(iteration) => *views,
-            _ => 1,
-        }
-    }
-
-    /// True if the optimiser makes a step at an iteration (1-based): at the last of each group, never at the last of the run.
-    pub fn steps_at(&self, iteration: u32) -> bool {
-        iteration < self.settings.iterations && iteration.is_multiple_of(self.group(iteration))
     }
 
     /// Opacity below which a densification prunes: 0 at the last one.
@@ -473,7 +444,6 @@ mod tests {
             [100, 600, 14_400, 14_500, 14_900].map(|i| schedule.budget(i)),
             [1, 5070, 59_785, 60_000, 60_000]
         );
-        assert_eq!([19_999, 20_000, 23_999, 24_000].map(|i| schedule.group(i)), [1, 5, 5, 20]);
         assert_eq!([14_800, 14_900].map(|i| schedule.min_opacity(i)), [0.005, 0.0]);
         assert_eq!(all(30_000, |s, i| s.prunes_faint_at(i)), [300]);
         assert_eq!(all(30_000, |s, i| s.prunes_ranks_at(i)), [3300, 6300]);
@@ -505,19 +475,13 @@ mod tests {
     fn schedule_of_short_runs() {
         assert_eq!(all(2000, |s, i| s.prunes_ranks_at(i)), [0; 0]);
         assert_eq!(all(7000, |s, i| s.prunes_ranks_at(i)), [3300]);
-        // A step at the end of every group, and none at the last iteration.
-        let late = all(2000, |s, i| s.steps_at(i) && i > 1320);
-        assert_eq!(
-            (&late[..14], late.last()),
-            (&[&(1321..=1332).collect::<Vec<_>>()[..], &[1335, 1340]].concat()[..], Some(&1980))
-        );
         let short = settings(2000);
         let schedule = GrowthSchedule::of(&short, 1);
         assert_eq!([33, 967, 1000].map(|i| schedule.budget(i)), [1, 60_000, 60_000]);
         for iterations in 1..20 {
             let settings = settings(iterations);
             let schedule = GrowthSchedule::of(&settings, 1);
-            (1..=iterations).for_each(|i| assert!(schedule.budget(i) >= 1 && schedule.group(i) >= 1));
+            (1..=iterations).for_each(|i| assert!(schedule.budget(i) >= 1));
         }
     }
 

@@ -42,7 +42,6 @@ impl Strategy for Mcmc {
         Work {
             accumulates: false,
             optimizes: true,
-            sums_gradients: false,
             optimizes_opacity: true,
             actions: Actions::DENSIFY.when(densifies),
         }

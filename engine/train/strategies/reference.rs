@@ -46,10 +46,8 @@ impl Strategy for Reference {
     }
 
     fn check(&self, settings: &TrainSettings, _: u32) -> Result<()> {
-        settings.refuse(
-            self.name(),
-            &["cap_ratio", "importance", "growth_curve", "recovery", "multi_step", "late_min_opacity"],
-        )
+        settings
+            .refuse(self.name(), &["cap_ratio", "importance", "growth_curve", "recovery", "late_min_opacity"])
     }
 
     fn work(&self, settings: &TrainSettings, iteration: u32) -> Work {
@@ -60,7 +58,6 @@ impl Strategy for Reference {
             // In the reference, densification replaces the parameters, so that they have no gradient. A reset does the same to
             // the opacities.
             optimizes: !densifies,
-            sums_gradients: false,
             optimizes_opacity: !resets,
             actions: Actions::DENSIFY.when(densifies).and(Actions::RESET_OPACITY.when(resets)),
         }

@@ -34,7 +34,6 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         second_moments: ones,
         statistics: vec![[0.0; 2]; count],
         gaussians,
-        gradient_sums: None,
         means: None,
         exposures: Default::default(),
         lenses: Default::default(),

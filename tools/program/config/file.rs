@@ -2,7 +2,7 @@
 
 use super::{Facts, SETTINGS_FILE, Settings};
 use ashsplat::{Error, Result};
-use ashsplat_files::regular_file;
+use ashsplat_files::{earlier_settings, regular_file};
 use std::path::Path;
 use toml::Table;
 
@@ -35,15 +35,29 @@ pub fn cfg_value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     fields.split(", ").find_map(|field| field.strip_prefix(key)?.strip_prefix('='))
 }
 
+/// Purpose of the settings in a file.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Purpose {
+    /// A training with these settings.
+    Training,
+    /// Use of the model that was trained with them.
+    Result,
+}
+
 /// Reads and checks the settings of a file.
-pub fn table(path: &Path) -> Result<Table> {
+pub fn table(path: &Path, purpose: Purpose) -> Result<Table> {
     let text = text(path)?;
     let remedy =
         "see `ashsplat train --help`; here names have underscores, and a line is such as `iterations = 7000`";
-    let table: Table = text.parse().map_err(|e: toml::de::Error| {
+    let mut table: Table = text.parse().map_err(|e: toml::de::Error| {
         let line = e.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
         Error::input(path, format!("line {line}: {}", e.message()), remedy)
     })?;
+    if let (Err(problem), Purpose::Training) =
+        (earlier_settings::remove_earlier(|name| table.remove(name)), purpose)
+    {
+        return Err(Error::input(path, problem, "leave it out"));
+    }
     Settings::from_table(table.clone(), &Facts::default())
         .map_err(|problem| Error::input(path, problem, remedy))?;
     Ok(table)
@@ -59,7 +73,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("settings.toml");
         std::fs::write(&path, b"\xef\xbb\xbfiterations = 5\n").expect("written");
-        assert_eq!(table(&path).expect("settings")["iterations"].as_integer(), Some(5));
+        assert_eq!(table(&path, Purpose::Training).expect("settings")["iterations"].as_integer(), Some(5));
         std::fs::write(&path, b"\xff\xfei\0t\0").expect("written");
         assert!(text(&path).expect_err("refused").to_string().contains("is text in UTF-16"));
     }
@@ -84,7 +98,7 @@ mod tests {
             let [small, large] = [1000, 4000].map(|count| {
                 let end = if kind == "a long list" { "]" } else { "" };
                 std::fs::write(&path, numbered(line, count) + end).expect("written");
-                allocation_counter::measure(|| drop(table(&path)))
+                allocation_counter::measure(|| drop(table(&path, Purpose::Training)))
             });
             // An empty file allocates some of it too.
             assert!(large.count_total <= 5 * small.count_total, "{kind}: {small:?} {large:?}");
@@ -108,9 +122,9 @@ mod tests {
         let path = folder.path().join("settings.toml");
         let fits = format!("#{}\n", " ".repeat(MOST_BYTES as usize - 2));
         std::fs::write(&path, &fits).expect("written");
-        assert!(table(&path).expect("settings").is_empty());
+        assert!(table(&path, Purpose::Training).expect("settings").is_empty());
         File::options().write(true).open(&path).and_then(|file| file.set_len(1 << 31)).expect("longer");
-        let problem = table(&path).expect_err("too long").to_string();
+        let problem = table(&path, Purpose::Training).expect_err("too long").to_string();
         assert!(problem.contains("settings.toml") && problem.contains("longer than"), "{problem}");
     }
 }
