@@ -359,7 +359,7 @@ mod tests {
     fn dumps_of_earlier_versions_are_read() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join(SETTINGS_FILE);
-        let mut settings = Settings::default();
+        let mut settings = Settings::reference();
         settings.train.seed = 17;
         let dump = settings.to_toml().expect("a dump");
         let training = || Settings::resolve(Some(&path), &Overrides::default());
