@@ -3,7 +3,7 @@
 use crate::common::engine::settings;
 use crate::common::prelude::*;
 use ashsplat::frame::{
-    Auxiliary, BlendVariant, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, POSE_BYTES,
+    Auxiliary, FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, POSE_BYTES,
     PictureCapacity, PlacedScene, SceneBuffers, Strips, frame_requests, planes,
 };
 use ashsplat::passes::adam::{Moments, Optimizer, Rates, Step};
@@ -104,7 +104,7 @@ impl Training {
             scene,
             context,
         };
-        let variant = BlendVariant { inverse_depth: true, backward: true, ..BlendVariant::default() };
+        let variant = FrameVariant { inverse_depth: true, backward: true, ..FrameVariant::default() };
         training.forward.prepare_variant(SH_DEGREE, variant).expect("kernels");
         let variant = BackwardVariant { inverse_depth: true, ..BackwardVariant::default() };
         training.backward.prepare(SH_DEGREE, variant).expect("kernels");

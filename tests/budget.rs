@@ -5,7 +5,7 @@ use crate::common::prelude::*;
 use crate::reference::linear::sigmoid;
 use crate::reference::schedule::quantile;
 use ashsplat::passes::densify::RESET_OPACITY;
-use ashsplat::train::{ImportanceType, OptimizerType, SplitType};
+use ashsplat::train::{ImportanceType, SplitType};
 
 const CAP: u32 = 260;
 

@@ -1,7 +1,7 @@
 //! Inputs of a frame: scenes with their transforms, a camera, settings.
 
 use super::{
-    BlendVariant, CAMERA_BLOCK_BYTES, FrameBuffers, FrameCapacity, GaussianRange, RenderSettings, ScenePlan,
+    CAMERA_BLOCK_BYTES, FrameBuffers, FrameCapacity, FrameVariant, GaussianRange, RenderSettings, ScenePlan,
     SceneSettings,
 };
 use crate::kernels::constants::NO_BATCH;
@@ -100,14 +100,14 @@ impl<'a> FrameInputs<'a> {
     }
 
     /// Returns the variant of blending for the frame.
-    pub fn blend_variant(&self) -> BlendVariant {
-        BlendVariant {
+    pub fn blend_variant(&self) -> FrameVariant {
+        FrameVariant {
             linear_depth: self.linear_depth,
             depth_limit: self.depth_limits.is_some(),
             pick: self.auxiliary.picks.is_some(),
             motion: self.auxiliary.motion.is_some(),
             shared_order: self.view.is_some(),
-            ..BlendVariant::of(self.settings, self.backward).of_camera(self.camera)
+            ..FrameVariant::of(self.settings, self.camera, self.backward)
         }
     }
 

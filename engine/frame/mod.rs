@@ -33,7 +33,7 @@ pub use plan::{
     max_trained_instances, parameter_planes, tile_bits, tile_grid, to_u32,
 };
 pub use settings::{
-    BlendVariant, Blending, Dropout, ELLIPSOID_SIGMAS, Extent, JacobianLimit, MAX_TINT, POINT_RADIUS_PX,
+    Blending, Dropout, ELLIPSOID_SIGMAS, Extent, FrameVariant, JacobianLimit, MAX_TINT, POINT_RADIUS_PX,
     RenderSettings, SceneSettings, Selection, Shape,
 };
 pub use strips::{STRIP_ROWS, Strips};

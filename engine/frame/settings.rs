@@ -396,7 +396,7 @@ impl Blending {
 
 /// Variant of a frame's kernels: additional outputs of blending, and properties of the Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BlendVariant {
+pub struct FrameVariant {
     /// Blends the sum of weights / z, or of weights * z with `linear_depth`.
     pub inverse_depth: bool,
     /// See `inverse_depth`.
@@ -432,10 +432,11 @@ pub struct BlendVariant {
     pub shared_order: bool,
 }
 
-impl BlendVariant {
-    /// Returns the variant of a pinhole's frame of one scene, in a buffer of its own.
-    pub fn of(settings: &RenderSettings, backward: bool) -> Self {
+impl FrameVariant {
+    /// Returns the variant of a camera's frame of one scene, in a buffer of its own.
+    pub fn of(settings: &RenderSettings, camera: &Camera, backward: bool) -> Self {
         Self {
+            projection: camera.projection,
             inverse_depth: settings.inverse_depth,
             backward,
             steep: settings.is_steep(),
@@ -450,11 +451,6 @@ impl BlendVariant {
     pub(crate) fn of_scene(self, scene: &SceneSettings) -> Self {
         let [tinted, cut_outs, selection] = scene.kinds();
         Self { tinted, cut_outs, selection, ..self }
-    }
-
-    /// Returns the variant with a camera.
-    pub(crate) fn of_camera(self, camera: &Camera) -> Self {
-        Self { projection: camera.projection, ..self }
     }
 
     /// True if batches support the variant.

@@ -22,15 +22,15 @@ const LANE_INSTANCES: u32 = 64;
 pub struct BackwardVariant {
     /// Gradients of the inverse depth.
     pub inverse_depth: bool,
-    /// Same as [`BlendVariant::steep`](crate::frame::BlendVariant::steep).
+    /// Same as [`FrameVariant::steep`](crate::frame::FrameVariant::steep).
     pub steep: bool,
     /// Gaussians have a 3D filter.
     pub filter_3d: bool,
     /// The low-pass filter differs from the reference's.
     pub own_dilation: bool,
-    /// Same as [`BlendVariant::dropout`](crate::frame::BlendVariant::dropout).
+    /// Same as [`FrameVariant::dropout`](crate::frame::FrameVariant::dropout).
     pub dropout: bool,
-    /// Same as [`BlendVariant::z_record`](crate::frame::BlendVariant::z_record).
+    /// Same as [`FrameVariant::z_record`](crate::frame::FrameVariant::z_record).
     pub z_record: bool,
 }
 

@@ -1,7 +1,7 @@
 //! Blending, in two forms.
 
 use crate::error::Result;
-use crate::frame::{BlendVariant, Blending, FrameInputs, LaunchSizes, tile_grid};
+use crate::frame::{Blending, FrameInputs, FrameVariant, LaunchSizes, tile_grid};
 use crate::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary};
 use crate::vk::{Context, KernelSet, Limits, Recorder};
 
@@ -65,8 +65,8 @@ impl Blend {
         }
     }
 
-    fn key(&self, sizes: &LaunchSizes, variant: BlendVariant) -> BlendKey {
-        let BlendVariant { inverse_depth, linear_depth, depth_limit, steep, pick, motion, .. } = variant;
+    fn key(&self, sizes: &LaunchSizes, variant: FrameVariant) -> BlendKey {
+        let FrameVariant { inverse_depth, linear_depth, depth_limit, steep, pick, motion, .. } = variant;
         let Self { broadcast, shared_splats, .. } = *self;
         let LaunchSizes { tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
         let (incremental_exp, strips) = (incremental_exp && !steep, variant.backward && sizes.strips);
@@ -118,7 +118,7 @@ impl Blend {
         }
     }
 
-    pub fn prepare(&mut self, context: &Context, sizes: &LaunchSizes, variant: BlendVariant) -> Result<()> {
+    pub fn prepare(&mut self, context: &Context, sizes: &LaunchSizes, variant: FrameVariant) -> Result<()> {
         match self.key(sizes, variant) {
             BlendKey::Regions(spec) => self.regions.prepare(context, spec),
             BlendKey::Shared(spec) => self.shared.prepare(context, spec),
@@ -127,7 +127,7 @@ impl Blend {
         }
     }
 
-    pub fn is_prepared(&self, sizes: &LaunchSizes, variant: BlendVariant) -> bool {
+    pub fn is_prepared(&self, sizes: &LaunchSizes, variant: FrameVariant) -> bool {
         match self.key(sizes, variant) {
             BlendKey::Regions(spec) => self.regions.contains(&spec),
             BlendKey::Shared(spec) => self.shared.contains(&spec),

@@ -3,7 +3,7 @@
 use super::arguments::{Counted, IndirectArguments};
 use super::scan::Scan;
 use crate::error::Result;
-use crate::frame::{BlendVariant, FrameInputs, GaussianRange, LaunchSizes, PlacedScene, blocks};
+use crate::frame::{FrameInputs, FrameVariant, GaussianRange, LaunchSizes, PlacedScene, blocks};
 use crate::kernels::constants as c;
 use crate::kernels::forward::{compact, cull, cull_scenes, write_visible_ranges};
 use crate::vk::{Context, Kernel, KernelSet, Recorder};
@@ -38,7 +38,7 @@ impl Cull {
     }
 
     /// Builds the missing kernels of a variant; `batches`: also that of batches.
-    pub fn prepare(&mut self, context: &Context, variant: BlendVariant, batches: bool) -> Result<()> {
+    pub fn prepare(&mut self, context: &Context, variant: FrameVariant, batches: bool) -> Result<()> {
         self.scene.prepare(context, self.spec(variant))?;
         if batches {
             self.batch.prepare(context, self.batch_spec(variant))?;
@@ -46,12 +46,12 @@ impl Cull {
         Ok(())
     }
 
-    pub fn is_prepared(&self, variant: BlendVariant) -> bool {
+    pub fn is_prepared(&self, variant: FrameVariant) -> bool {
         self.scene.contains(&self.spec(variant))
     }
 
-    fn spec(&self, variant: BlendVariant) -> cull::Spec {
-        let BlendVariant { filter_3d, dropout, tinted, cut_outs, projection, shared_order: adds, .. } =
+    fn spec(&self, variant: FrameVariant) -> cull::Spec {
+        let FrameVariant { filter_3d, dropout, tinted, cut_outs, projection, shared_order: adds, .. } =
             variant;
         let (workgroup_size, subgroup_size) = (self.sizes.elementwise_workgroup, self.subgroup_size);
         cull::Spec {
@@ -66,8 +66,8 @@ impl Cull {
         }
     }
 
-    fn batch_spec(&self, variant: BlendVariant) -> cull_scenes::Spec {
-        let BlendVariant { filter_3d, tinted, cut_outs, projection, shared_order: adds, .. } = variant;
+    fn batch_spec(&self, variant: FrameVariant) -> cull_scenes::Spec {
+        let FrameVariant { filter_3d, tinted, cut_outs, projection, shared_order: adds, .. } = variant;
         let (workgroup_size, subgroup_size) = (self.sizes.elementwise_workgroup, self.subgroup_size);
         cull_scenes::Spec {
             workgroup_size,
@@ -85,7 +85,7 @@ impl Cull {
     pub fn record_flags(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let [extent, antialias] = inputs.settings.modes();
-        let of_frame = BlendVariant { shared_order: inputs.view > Some(0), ..inputs.blend_variant() };
+        let of_frame = FrameVariant { shared_order: inputs.view > Some(0), ..inputs.blend_variant() };
         for (place, first) in inputs.batches() {
             r.barrier();
             self.record_batch_flags(r, inputs, place, first, of_frame.of_scene(first.settings));
@@ -125,7 +125,7 @@ impl Cull {
         inputs: &FrameInputs,
         place: u32,
         first: &PlacedScene<'_>,
-        variant: BlendVariant,
+        variant: FrameVariant,
     ) {
         let Some(kernel) = self.batch.get(r, &self.batch_spec(variant)) else { return };
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);

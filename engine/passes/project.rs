@@ -1,7 +1,7 @@
 //! Projection: screen-space attributes of the visible Gaussians (EWA splatting), and their motion if a host wants it.
 
 use crate::error::Result;
-use crate::frame::{BlendVariant, FrameInputs, LaunchSizes, MotionBuffers, Part, PlacedScene, SceneView};
+use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, MotionBuffers, Part, PlacedScene, SceneView};
 use crate::kernels::forward::{project, project_scenes, screen_motion};
 use crate::scene::Projection;
 use crate::vk::{Context, KernelSet, Recorder};
@@ -29,7 +29,7 @@ impl Project {
         &mut self,
         context: &Context,
         sh_degree: u32,
-        variant: BlendVariant,
+        variant: FrameVariant,
         batches: bool,
     ) -> Result<()> {
         self.scene.prepare(context, self.spec(sh_degree, variant))?;
@@ -37,17 +37,16 @@ impl Project {
             self.batch.prepare(context, self.batch_spec(sh_degree, variant))?;
         }
         motion_projections(variant)
-            .iter()
-            .try_for_each(|projections| self.motion.prepare(context, self.motion_spec(*projections)))
+            .try_for_each(|projections| self.motion.prepare(context, self.motion_spec(projections)))
     }
 
-    pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
+    pub fn is_prepared(&self, sh_degree: u32, variant: FrameVariant) -> bool {
         self.scene.contains(&self.spec(sh_degree, variant))
-            && motion_projections(variant).iter().all(|own| self.motion.contains(&self.motion_spec(*own)))
+            && motion_projections(variant).all(|own| self.motion.contains(&self.motion_spec(own)))
     }
 
-    fn spec(&self, sh_degree: u32, variant: BlendVariant) -> project::Spec {
-        let BlendVariant {
+    fn spec(&self, sh_degree: u32, variant: FrameVariant) -> project::Spec {
+        let FrameVariant {
             filter_3d, dropout, tinted, selection, z_record, projection, shared_order, ..
         } = variant;
         project::Spec {
@@ -64,8 +63,8 @@ impl Project {
         }
     }
 
-    fn batch_spec(&self, sh_degree: u32, variant: BlendVariant) -> project_scenes::Spec {
-        let BlendVariant { filter_3d, tinted, projection, shared_order, .. } = variant;
+    fn batch_spec(&self, sh_degree: u32, variant: FrameVariant) -> project_scenes::Spec {
+        let FrameVariant { filter_3d, tinted, projection, shared_order, .. } = variant;
         project_scenes::Spec {
             workgroup_size: self.sizes.elementwise_workgroup,
             sh_degree,
@@ -138,7 +137,7 @@ impl Project {
         inputs: &FrameInputs,
         place: u32,
         first: &PlacedScene<'_>,
-        variant: BlendVariant,
+        variant: FrameVariant,
     ) {
         let Some(kernel) = self.batch.get(r, &self.batch_spec(first.sh_degree, variant)) else { return };
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
@@ -201,17 +200,8 @@ impl Project {
 
 /// Current and previous projections for which frames of a variant may need a kernel of motion. A reservation without other
 /// projections has pinholes alone.
-fn motion_projections(variant: BlendVariant) -> &'static [[Projection; 2]] {
-    const PINHOLES: [[Projection; 2]; 1] = [[Projection::Perspective; 2]];
-    const ALL: [[Projection; 2]; 4] = [
-        [Projection::Perspective, Projection::Perspective],
-        [Projection::Orthographic, Projection::Perspective],
-        [Projection::Perspective, Projection::Orthographic],
-        [Projection::Orthographic, Projection::Orthographic],
-    ];
-    match (variant.motion, variant.projection) {
-        (false, _) => &[],
-        (true, Projection::Perspective) => &PINHOLES,
-        (true, Projection::Orthographic) => &ALL,
-    }
+fn motion_projections(variant: FrameVariant) -> impl Iterator<Item = [Projection; 2]> {
+    let pairs = Projection::ALL.into_iter().flat_map(|now| Projection::ALL.map(|before| [now, before]));
+    let others = variant.projection != Projection::Perspective;
+    pairs.filter(move |pair| variant.motion && (others || *pair == [Projection::Perspective; 2]))
 }

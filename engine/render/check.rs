@@ -7,7 +7,7 @@ use super::recorded_frame::{
 use super::renderer::Renderer;
 use super::reservation::{RESERVATION, Reservation, field_name};
 use crate::error::{Error, Result};
-use crate::frame::{BlendVariant, FrameCapacity, PictureCapacity, PlacedScene, RenderSettings};
+use crate::frame::{FrameCapacity, FrameVariant, PictureCapacity, PlacedScene, RenderSettings};
 use crate::kernels::constants as c;
 use crate::passes::compose::{Background, Compose};
 use crate::scene::{Camera, DepthMapping, Projection};
@@ -43,13 +43,13 @@ impl Renderer {
                 format!("{} of them, Reservation::scenes is {}", frame.scenes.len(), reserved.scenes);
             return Err(Error::argument("scenes", problem));
         }
-        let variant = BlendVariant {
+        let variant = FrameVariant {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
             linear_depth: frame.depth.is_some(),
             depth_limit: frame.occluder.is_some(),
             pick: frame.pick.is_some(),
             motion: frame.motion.is_some(),
-            ..BlendVariant::of(frame.settings, false).of_camera(frame.camera)
+            ..FrameVariant::of(frame.settings, frame.camera, false)
         };
         // One pass over the scenes, because there may be thousands. Most have the same kind as the previous one.
         let (mut gaussians, mut known, mut are_prepared) = (0, None, true);
@@ -75,7 +75,7 @@ impl Renderer {
         }
         let previous = frame.motion.map(|motion| motion.previous_camera.projection);
         let other = previous.filter(|projection| *projection != Projection::Perspective);
-        let needed = BlendVariant { projection: other.unwrap_or(variant.projection), ..variant };
+        let needed = FrameVariant { projection: other.unwrap_or(variant.projection), ..variant };
         if let Some(fields) = reserved.lacks(needed) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }

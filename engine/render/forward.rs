@@ -12,7 +12,7 @@
 
 use crate::error::Result;
 use crate::frame::{
-    BlendVariant, Blending, FrameInputs, LaunchSizes, record_blocks, record_cut_outs, record_scene_firsts,
+    Blending, FrameInputs, FrameVariant, LaunchSizes, record_blocks, record_cut_outs, record_scene_firsts,
 };
 use crate::kernels::constants as c;
 use crate::passes::arguments::IndirectArguments;
@@ -52,17 +52,17 @@ impl Forward {
 
     /// Builds the missing kernels for an SH degree, with or without inverse depth.
     pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
-        self.prepare_variant(sh_degree, BlendVariant { inverse_depth, ..BlendVariant::default() })
+        self.prepare_variant(sh_degree, FrameVariant { inverse_depth, ..FrameVariant::default() })
     }
 
     /// Builds the missing kernels for an SH degree and a variant.
-    pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
+    pub fn prepare_variant(&mut self, sh_degree: u32, variant: FrameVariant) -> Result<()> {
         self.prepare_scenes(sh_degree, variant, false)?;
         self.prepare_blend(variant)
     }
 
     /// Builds the missing kernels of blending for a variant.
-    pub(crate) fn prepare_blend(&mut self, variant: BlendVariant) -> Result<()> {
+    pub(crate) fn prepare_blend(&mut self, variant: FrameVariant) -> Result<()> {
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
 
@@ -71,7 +71,7 @@ impl Forward {
     pub(crate) fn prepare_scenes(
         &mut self,
         sh_degree: u32,
-        variant: BlendVariant,
+        variant: FrameVariant,
         batches: bool,
     ) -> Result<()> {
         let batches = batches && variant.may_be_batched();
@@ -80,7 +80,7 @@ impl Forward {
     }
 
     /// True if all kernels for an SH degree and a variant are built.
-    pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
+    pub fn is_prepared(&self, sh_degree: u32, variant: FrameVariant) -> bool {
         self.project.is_prepared(sh_degree, variant)
             && self.cull.is_prepared(variant)
             && self.blend.is_prepared(&self.sizes, variant)

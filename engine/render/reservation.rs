@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::frame::{
-    BlendVariant, FrameCapacity, LEAST_SCENES, LaunchSizes, PictureCapacity, ScenePlan, SceneSettings,
+    FrameCapacity, FrameVariant, LEAST_SCENES, LaunchSizes, PictureCapacity, ScenePlan, SceneSettings,
     check_grids, initial_instances,
 };
 use crate::scene::{MAX_CUT_OUTS, Projection};
@@ -162,9 +162,9 @@ impl Reservation {
     }
 
     /// Returns the variants of culling and projection that scenes may need.
-    pub(super) fn scene_variants(&self) -> Vec<BlendVariant> {
+    pub(super) fn scene_variants(&self) -> Vec<FrameVariant> {
         // Kernels of motion belong to the projection, and depend on nothing but the cameras.
-        let plain = BlendVariant { motion: self.motion, ..BlendVariant::default() };
+        let plain = FrameVariant { motion: self.motion, ..FrameVariant::default() };
         let features: [Feature; 6] = [
             (self.filter_3d, |v| v.filter_3d = true),
             (self.tint, |v| v.tinted = true),
@@ -177,10 +177,10 @@ impl Reservation {
     }
 
     /// Returns the variants of blending that frames may need.
-    pub(super) fn blend_variants(&self) -> Vec<BlendVariant> {
-        let plain = BlendVariant::default();
-        let inverse = BlendVariant { inverse_depth: true, ..plain };
-        let expected = BlendVariant { linear_depth: true, ..inverse };
+    pub(super) fn blend_variants(&self) -> Vec<FrameVariant> {
+        let plain = FrameVariant::default();
+        let inverse = FrameVariant { inverse_depth: true, ..plain };
+        let expected = FrameVariant { linear_depth: true, ..inverse };
         let depths = [(true, plain), (self.inverse_depth, inverse), (self.expected_depth, expected)];
         let features: [Feature; 4] = [
             (self.occlusion, |v| v.depth_limit = true),
@@ -193,7 +193,7 @@ impl Reservation {
     }
 
     /// Returns the fields that a frame of this variant needs and that are not set, with commas; None if there are none.
-    pub(super) fn lacks(&self, frame: BlendVariant) -> Option<String> {
+    pub(super) fn lacks(&self, frame: FrameVariant) -> Option<String> {
         let needs = [
             ("occlusion", frame.depth_limit, self.occlusion),
             ("expected_depth", frame.linear_depth, self.expected_depth),
@@ -271,10 +271,10 @@ impl Reservation {
 }
 
 /// True if a feature is reserved, and how a variant gets it.
-type Feature = (bool, fn(&mut BlendVariant));
+type Feature = (bool, fn(&mut FrameVariant));
 
 /// Returns the variants with every combination of the reserved features.
-fn combined(mut variants: Vec<BlendVariant>, features: &[Feature]) -> Vec<BlendVariant> {
+fn combined(mut variants: Vec<FrameVariant>, features: &[Feature]) -> Vec<FrameVariant> {
     for (_, set) in features.iter().filter(|(reserved, _)| *reserved) {
         let mut with = variants.clone();
         with.iter_mut().for_each(set);

@@ -5,7 +5,7 @@ use super::frame::{Frame, FrameStats};
 use super::frame_store::{FrameStore, State};
 use crate::error::{Error, Result};
 use crate::frame::{
-    BlendVariant, FrameBuffers, FrameCapacity, FrameInputs, PlacedScene, RenderSettings, SceneBuffers,
+    FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, PlacedScene, RenderSettings, SceneBuffers,
     first_frozen, gaussians_with,
 };
 use crate::scene::Camera;
@@ -133,7 +133,7 @@ impl FrameRunner {
         settings.check()?;
         let (gaussians, count) = (self.gaussians_with(scene.plan.capacity), self.scenes());
         let Self { context, forward, store, frozen } = self;
-        forward.prepare_variant(sh_degree, BlendVariant::of(settings, backward).of_camera(camera))?;
+        forward.prepare_variant(sh_degree, FrameVariant::of(settings, camera, backward))?;
         let alone = request.placed();
         let scenes = request.scenes(&alone, frozen);
         let mut retries = 0;
@@ -166,7 +166,7 @@ impl FrameRunner {
         sh_degree: u32,
         settings: &RenderSettings,
     ) -> Result<()> {
-        let variant = BlendVariant::of(settings, true);
+        let variant = FrameVariant::of(settings, camera, true);
         for degree in 0..=sh_degree {
             self.forward.prepare_variant(degree, variant)?;
         }

@@ -34,6 +34,11 @@ pub enum Projection {
     Orthographic,
 }
 
+impl Projection {
+    /// All projections.
+    pub const ALL: [Self; 2] = [Self::Perspective, Self::Orthographic];
+}
+
 /// A camera in COLMAP's and OpenCV's frame: x right, y down, z forward.
 ///
 /// `x_camera = camera_from_world * x_world + translation`. A point projects to `(fx·x/z + cx, fy·y/z + cy)` pixels, or to

@@ -7,7 +7,7 @@ use crate::passes::loss::{
     DepthPoint, DepthPointBuffers, Windowing, check_depth_points, photo_bytes, photo_on_device,
 };
 use crate::scene::stored_photo::TEXEL_BYTES;
-use crate::scene::{Camera, Fingerprint, PicturePart, StoredPhoto};
+use crate::scene::{Camera, Fingerprint, StoredPhoto};
 use crate::vk::{Buffer, Context, MemoryKind};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -573,15 +573,8 @@ impl TrainView {
 /// Hash of views, cameras and photographs in their order; `by_camera`: also of the ids of their cameras.
 pub(super) fn fingerprint_of(views: &[TrainView], by_camera: bool) -> u64 {
     let of_view = |view: &TrainView| {
-        let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, part, .. } = view.camera;
         let mut print = Fingerprint::new();
-        print.add(bytemuck::cast_slice(&camera_from_world.to_cols_array()));
-        print.add(bytemuck::cast_slice(&translation.to_array()));
-        print.add(bytemuck::cast_slice(&[fx, fy, cx, cy]));
-        print.add(bytemuck::cast_slice(&[width, height]));
-        if let Some(PicturePart { left, top, whole_width, whole_height }) = part {
-            print.add(bytemuck::cast_slice(&[left, top, whole_width, whole_height]));
-        }
+        print.add_camera(&view.camera);
         print.add(bytemuck::bytes_of(&view.photo.fingerprint()));
         view.inverse_depth.iter().for_each(|map| print.add(bytemuck::cast_slice(map)));
         if by_camera {

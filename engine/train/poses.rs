@@ -137,10 +137,9 @@ impl Poses {
 /// Harmonic mean of the depths of the means that a camera shows, world units; 0 if it shows none. Samples many means evenly.
 fn mean_depth(camera: &Camera, means: &[[f32; 3]]) -> f32 {
     let inverse = |&mean: &[f32; 3]| {
-        let p = camera.camera_from_world * Vec3::from_array(mean) + camera.translation;
-        let [x, y] = [camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy];
-        let inside = (0.0..camera.width as f32).contains(&x) && (0.0..camera.height as f32).contains(&y);
-        (inside && p.z > NEAR_PLANE).then(|| 1.0 / f64::from(p.z))
+        let mean = Vec3::from_array(mean);
+        let (_, _, depth) = camera.project(mean);
+        (camera.sees(mean) && depth > NEAR_PLANE).then(|| 1.0 / f64::from(depth))
     };
     let every = means.len().div_ceil(DEPTH_SAMPLES).max(1);
     let (seen, sum) = (means.iter().step_by(every).filter_map(inverse))

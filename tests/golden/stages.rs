@@ -5,7 +5,7 @@ use crate::common::engine::settings;
 use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use ashsplat::frame::{
-    Auxiliary, BlendVariant, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, PictureCapacity,
+    Auxiliary, FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, PictureCapacity,
     PlacedScene, SceneBuffers, frame_requests, planes,
 };
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
@@ -64,7 +64,9 @@ impl<'a> Stages<'a> {
         let frame = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
         let mut forward = Forward::new(context).expect("kernels");
         let drawn = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(&views[0]) };
-        forward.prepare_variant(sh_degree, BlendVariant::of(&drawn, true)).expect("kernels");
+        forward
+            .prepare_variant(sh_degree, FrameVariant::of(&drawn, &camera(&views[0]), true))
+            .expect("kernels");
         let (mut backward, variant) = (Backward::new(context), BackwardVariant::of(&drawn));
         backward.prepare(sh_degree, variant).expect("kernels");
         backward.prepare_absolute(sh_degree, variant).expect("kernels");

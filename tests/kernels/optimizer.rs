@@ -2,14 +2,13 @@
 
 use crate::common::adam::{AdamState, Rates, Step, VisibleGradient};
 use crate::common::prelude::*;
-use crate::common::scenes::scalars as all_scalars;
 use crate::reference::adam::{Parameter, adam, adam_sparse, is_skipped};
 use crate::reference::add_noise::noise;
 use crate::reference::average::mean;
 use crate::reference::gather::random_normal;
 use crate::reference::sh::sh_gradient;
-use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_OVERFLOW};
-use ashsplat::kernels::optimizer::{add_gradients, add_noise, average};
+use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW};
+use ashsplat::kernels::optimizer::{add_noise, average};
 
 const RATES: Rates =
     Rates { mean: 1e-3, opacity: 0.025, quat: 2e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1.25e-4 };

@@ -338,13 +338,7 @@ pub fn cameras_hash(cameras: &[NamedCamera]) -> String {
     let mut print = Fingerprint::new();
     for NamedCamera { name, camera } in cameras {
         print.add(name.as_bytes());
-        print.add(bytemuck::cast_slice(&camera.camera_from_world.to_cols_array()));
-        print.add(bytemuck::cast_slice(&camera.translation.to_array()));
-        print.add(bytemuck::cast_slice(&[camera.fx, camera.fy, camera.cx, camera.cy]));
-        print.add(bytemuck::cast_slice(&[camera.width, camera.height]));
-        if camera.is_orthographic() {
-            print.add(b"orthographic");
-        }
+        print.add_camera(camera);
     }
     format!("{:016x}", print.finish())
 }
