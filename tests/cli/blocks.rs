@@ -71,7 +71,7 @@ fn a_block_is_trained_on_parts_of_photos() {
     place.train("coarse", "--iterations 60 --opacity-lr 0.2");
     let begin = format!("train -s @data --init @{}", point_cloud("coarse", 60));
     let run = |model: &str, more: &str| {
-        let small = "--block=-inf,-inf,-inf,-0.4,inf,inf --few-photos off";
+        let small = "--block=-inf,-inf,-inf,-0.4,inf,inf --strategy reference";
         place.run(format!("{begin} {small} -m @{model} --iterations {more}"))
     };
     run("parts", "30 --photo-parts on").ok().warns(&["of the photos", "--photo-parts"]);

@@ -41,7 +41,7 @@ fn filters_go_from_training_into_files_and_pictures() {
     assert!(differ(&picture("@baked.ply --kernel-size 0.1")) <= 1);
     assert!(differ(&picture("@baked.ply --kernel-size 3")) > 8);
     // Without the filter, the file has neither the column nor the mark.
-    place.run("train -s @data -m @plain --quiet --iterations 2").ok();
+    place.run("train -s @data -m @plain --quiet --iterations 2 --preset reference").ok();
     let without = header(&point_cloud("plain", 2));
     assert!(!without.contains("filter_3D") && !without.contains("mip"), "{without}");
     place.run("train -s @data -m @none --kernel-size 0").refused(&["kernel_size", "0"]);

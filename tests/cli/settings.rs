@@ -71,7 +71,7 @@ fn a_strategy_begins_with_its_own_values() {
 fn contradictions_are_refused_before_the_work() {
     let place = Place::new();
     for (given, words) in [
-        ("--preset fast --strategy mcmc", ["a preset has the strategy budget", "leave out"]),
+        ("--preset fast --strategy mcmc", ["the strategy differs from the preset's", "leave out"]),
         ("--strategy mcmc --cap-max 7", ["cap_max: 7 is less than the 400", "raise it"]),
         ("--strategy budget --cap-max 7", ["cap_max: 7 is less than the 400", "raise it"]),
         ("--strategy budget --cap-ratio 0.5", ["cap_ratio: is 0.5", "1 or more"]),
@@ -111,7 +111,7 @@ fn few_photos_are_noticed_and_said() {
         line
     };
     let said = line_of(train(&place, "auto", "")).expect("a line");
-    let options = ["--strategy budget", "--dropout 0.2", "--opacity-reg 0.01", "--scale-reg "];
+    let options = ["--dropout 0.2", "--opacity-reg 0.01", "--scale-reg "];
     assert_has(&said, &options);
     assert_has(&said, &["only 9 photos", "--few-photos off"]);
     let kinds = |model: &str| ["strategy", "dropout"].map(|name| setting(model, name));
@@ -125,7 +125,7 @@ fn few_photos_are_noticed_and_said() {
     train(&place, "again", "--config @auto/settings.toml").ok();
     assert!(place.ply("again", 12) == place.ply("auto", 12));
     assert_eq!(line_of(train(&place, "off", "--few-photos off")), None);
-    assert_eq!(kinds("off"), ["\"reference\"", "0.0"]);
+    assert_eq!(kinds("off"), ["\"budget\"", "0.0"]);
     for strategy in ["mcmc", "fixed"] {
         let words = ["--few-photos", "no settings for --strategy", strategy];
         train(&place, "none", &format!("--few-photos on --strategy {strategy}")).refused(&words);
@@ -137,16 +137,13 @@ fn few_photos_are_noticed_and_said() {
     let given = format!("{reference} --densify-until-iter 9");
     assert_eq!(line_of(train(&place, "given", &given)), None);
     assert_eq!(setting("given", "densify_until_iter"), "9");
-    // Budget does not work with this optimiser.
-    let said = line_of(train(&place, "sparse", "--optimizer-type sparse_adam")).expect("a line");
-    assert_has(&said, &[": --densify-until-iter 1500,"]);
-    assert_eq!(setting("sparse", "strategy"), "\"reference\"");
+    assert_eq!(line_of(train(&place, "recipe", "--preset reference")), None);
     // A training that began as one with many photos resumes as such.
     let stop = "--few-photos off --checkpoint-iterations 5";
     assert_eq!(line_of(train(&place, "begun", stop)), None);
     let on = "train -s @data -m @begun --sh_degree 0 --start-checkpoint latest --iterations 14";
     assert_eq!(line_of(place.run(on)), None);
-    assert_eq!(setting("begun", "strategy"), "\"reference\"");
+    assert_eq!(setting("begun", "dropout"), "0.0");
     assert_eq!(line_of(train(&place, "quiet", "--quiet --scene-extent 10")), None);
     assert_eq!(setting("quiet", "scale_reg"), "0.0045");
     place.run("train -s @data -m x --few-photos maybe").refused(&["maybe", "few-photos"]);
@@ -180,10 +177,10 @@ fn settings_without_effect_are_refused() {
     place.write_scene("scene.ply", &wall(0));
     place.write("my.toml", "lens_lr = 0.5\n");
     for (options, words) in [
-        ("--cap-max 50000", ["cap_max: is 50000", "budget"]),
+        ("--strategy reference --cap-max 50000", ["cap_max: is 50000", "budget"]),
         ("--noise-lr 1e4 --strategy budget", ["noise_lr", "mcmc"]),
         ("--strategy=budget --cap-max=900 --cap-ratio=3", ["cap_ratio", "without --cap-max"]),
-        ("--antialiasing-detached", ["antialiasing_detached", "--antialiasing"]),
+        ("--antialiasing=false --antialiasing-detached", ["antialiasing_detached", "--antialiasing"]),
         ("--pose-lr 1e-3", ["pose_lr", "--pose-opt"]),
         ("--exposure-lr-final 0.1", ["exposure_lr_final", "--exposure"]),
         ("--exposure-reg 0.1", ["exposure_reg", "--exposure"]),

@@ -221,7 +221,9 @@ impl Settings {
         let strategy = strategy.map_err(message)?;
         let usual = facts.defaults(preset, strategy);
         if preset.is_some() && strategy.is_some_and(|strategy| strategy != usual.strategy) {
-            return Err("differs from the preset's: leave out the preset, or the strategy".into());
+            return Err(
+                "the strategy differs from the preset's: leave out the preset, or the strategy".into()
+            );
         }
         let data: DataSettings = data.try_into().map_err(message)?;
         if data.train_test_exp && train.get("exposure").and_then(toml::Value::as_bool) == Some(false) {
