@@ -187,6 +187,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if writes && job.is_none() && origin.is_complete(&settings) {
         return say_complete(&settings);
     }
+    // Photographs are read for the settings that the checkpoint brings, such as its background.
+    let settings = given.settle(&Facts::of_start(origin.checkpoint()))?;
     let mut options = session::options(&settings.data, settings.train.white_background, host)?;
     // Depth maps are used for training only.
     options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());

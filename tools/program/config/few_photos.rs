@@ -11,12 +11,17 @@ pub struct Facts<'a> {
     /// The scene's extent, for few photos.
     few_photos: Option<f32>,
     /// Settings of the checkpoint from which a training continues.
-    pub continued: Option<&'a TrainSettings>,
+    continued: Option<&'a TrainSettings>,
     /// SH degree that the start has already.
-    pub sh_degree: u32,
+    pub(super) sh_degree: u32,
 }
 
-impl Facts<'_> {
+impl<'a> Facts<'a> {
+    /// What is known before the data set is read.
+    pub fn of_start(start: Option<&'a Checkpoint>) -> Self {
+        Facts { continued: start.map(|start| &start.settings), ..Facts::default() }
+    }
+
     /// The settings that apply where none are given.
     pub(super) fn defaults(&self, preset: Option<Preset>, strategy: Option<StrategyType>) -> TrainSettings {
         if let (None, None, Some(settings)) = (preset, strategy, self.continued) {
