@@ -2,6 +2,7 @@
 
 mod companions;
 mod depths;
+mod exposures;
 mod gallery;
 mod inspect;
 mod mask;
@@ -35,7 +36,7 @@ use planned_view::PhotoUse;
 
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
-pub use options::DatasetOptions;
+pub use options::{DatasetOptions, EvalSplit};
 pub use view::View;
 
 /// A data set in memory.

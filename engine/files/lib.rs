@@ -37,7 +37,7 @@ pub mod tiles;
 pub mod transforms;
 
 pub use checkpoint::CheckpointFile;
-pub use dataset::{Dataset, DatasetOptions, DatasetReport, Gallery, View};
+pub use dataset::{Dataset, DatasetOptions, DatasetReport, EvalSplit, Gallery, View};
 pub use host_memory::HostMemory;
 pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use init::initial_gaussians;

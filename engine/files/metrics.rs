@@ -1,5 +1,6 @@
 //! PSNR and SSIM of pictures with values in [0, 1].
 
+use glam::{DMat4, DVec4};
 use rayon::prelude::*;
 
 use ashsplat::{Error, Result};
@@ -28,6 +29,33 @@ pub fn masked_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8]) -> R
     check_mask(image.len(), mask)?;
     let pixels = image.iter().zip(reference).zip(mask);
     Ok(decibels(pixels.filter(|(_, counts)| **counts != 0).map(|(pixel, _)| pixel)))
+}
+
+/// PSNR in dB after a fit of the image's colours to the reference's, over the pixels whose mask byte is not 0.
+///
+/// The fit is the affine map of (r, g, b) with the least squared error, one for the whole picture. It takes out exposure and white
+/// balance, which a held-out photograph has of its own and no scene can know.
+pub fn color_fitted_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: Option<&[u8]>) -> Result<f64> {
+    /// Weight of the identity per pixel, for pictures that do not determine the map.
+    const RIDGE: f64 = 1e-6;
+    check_sizes(image.len(), reference.len())?;
+    mask.map_or(Ok(()), |mask| check_mask(image.len(), mask))?;
+    let counts = |pixel: &usize| mask.is_none_or(|mask| mask[*pixel] != 0);
+    let pixels = || (0..image.len()).filter(counts).map(|pixel| (&image[pixel], &reference[pixel]));
+    let color = |rgb: &[f32; 3]| {
+        let [r, g, b] = rgb.map(clamped);
+        DVec4::new(r, g, b, 1.0)
+    };
+    let outer = |a: DVec4, b: DVec4| DMat4::from_cols(a * b.x, a * b.y, a * b.z, a * b.w);
+    let ridge = DMat4::IDENTITY * (RIDGE * pixels().count() as f64);
+    let (normal, product) = pixels().fold((ridge, ridge), |(normal, product), (a, b)| {
+        let a = color(a);
+        (normal + outer(a, a), product + outer(color(b), a))
+    });
+    let map = product * normal.inverse();
+    let fitted: Vec<[f32; 3]> =
+        image.iter().map(|rgb| (map * color(rgb)).truncate().as_vec3().to_array()).collect();
+    Ok(decibels(fitted.iter().zip(reference).enumerate().filter(|(at, _)| counts(at)).map(|(_, pair)| pair)))
 }
 
 fn decibels<'a>(pixels: impl Iterator<Item = (&'a [f32; 3], &'a [f32; 3])>) -> f64 {

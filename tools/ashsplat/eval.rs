@@ -21,8 +21,8 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-/// PSNR and SSIM of a trained scene on a data set, LPIPS where weights are given; its Gaussians, its bytes and the time of a
-/// frame. What masks hide does not count.
+/// PSNR and SSIM of a trained scene on a data set, PSNR after a fit of colours (for photos of other exposures), LPIPS where weights
+/// are given; its Gaussians, its bytes and the time of a frame. What masks hide does not count.
 ///
 /// Photos with an exposure in the model folder's exposure.json are compared under it: those that were trained on. Held-out
 /// ones have one after a training with --train-test-exp only, and then their right half counts.
@@ -192,11 +192,11 @@ fn print(json: bool, evaluation: &Evaluation, device: &str) {
         values.map(|(name, value)| format!(" {value:>0$}", name.len().max(8))).collect()
     };
     let heads = columns(&mut evaluation.measures.iter().map(|name| (*name, (*name).to_owned())));
-    say!("{:<28} {:>8} {:>8}{heads}", "view", "PSNR", "SSIM");
+    say!("{:<28} {:>8} {:>8} {:>8}{heads}", "view", "PSNR", "SSIM", "CC-PSNR");
     for view in &evaluation.views {
         let named = evaluation.measures.iter().zip(&view.lpips);
         let lpips = columns(&mut named.map(|(name, value)| (*name, format!("{value:.4}"))));
-        say!("{:<28} {:>8.3} {:>8.4}{lpips}", view.name, view.psnr, view.ssim);
+        say!("{:<28} {:>8.3} {:>8.4} {:>8.3}{lpips}", view.name, view.psnr, view.ssim, view.cc_psnr);
     }
     if evaluation.views.is_empty() {
         say!("no view was measured");
@@ -204,10 +204,14 @@ fn print(json: bool, evaluation: &Evaluation, device: &str) {
     }
     let mean = format!("mean of {}", evaluation.views.len());
     let lpips = columns(&mut evaluation.lpips().map(|(name, value)| (name, format!("{value:.4}"))));
-    say!("{mean:<28} {:>8.3} {:>8.4}{lpips}", evaluation.psnr(), evaluation.ssim());
+    let row = |name: &str, of: &Evaluation| {
+        format!("{name:<28} {:>8.3} {:>8.4} {:>8.3}", of.psnr(), of.ssim(), of.cc_psnr())
+    };
+    say!("{}{lpips}", row(&mean, evaluation));
     if let Some(aligned) = &evaluation.aligned {
-        say!("{:<28} {:>8.3} {:>8.4}", "  with cameras aligned", aligned.psnr(), aligned.ssim());
+        say!("{}", row("  with cameras aligned", aligned));
     }
+    say!("CC-PSNR: after an affine fit of each picture's colours to its photo");
     if let Some(SceneSize { gaussians, bytes }) = scene {
         let file = bytes.map_or_else(String::new, |bytes| format!(", {:.2} MB", bytes as f64 * 1e-6));
         let time = evaluation.frame_ms().unwrap_or(f64::NAN);
@@ -223,6 +227,7 @@ fn json_of(view: &ViewResult, measures: &[&str]) -> Value {
     value.insert("name".into(), json!(view.name));
     value.insert("PSNR".into(), json!(view.psnr));
     value.insert("SSIM".into(), json!(view.ssim));
+    value.insert("CC_PSNR".into(), json!(view.cc_psnr));
     measures
         .iter()
         .zip(&view.lpips)

@@ -19,7 +19,7 @@ use std::time::Instant;
 
 /// Train many scenes by several recipes: a table of held-out PSNR with mean, worst loss and largest fall along a run.
 ///
-/// FILE lists scenes and recipes (tools/bench.md). Each run is an `ashsplat train --eval`, whose model folder stays in the folder.
+/// FILE lists scenes and recipes (tools/bench.md); tools/datasets has those of the field's data sets. Each run is an `ashsplat train --eval`, whose model folder stays in the folder.
 /// After Ctrl-C the same command goes on with the run that was stopped. A run is made anew if its options, its scene or this
 /// program have changed.
 #[derive(Args)]
@@ -46,6 +46,9 @@ struct Suite {
     tests: Vec<u32>,
     #[serde(default = "one_seed")]
     seeds: Vec<u32>,
+    /// As `train --eval-split`, for all recipes.
+    #[serde(default = "inner")]
+    eval_split: String,
     /// Options of `train` for all runs.
     #[serde(default)]
     options: Vec<String>,
@@ -59,6 +62,10 @@ fn one_seed() -> Vec<u32> {
     vec![0]
 }
 
+fn inner() -> String {
+    "inner".into()
+}
+
 /// A data set, or some photographs of it.
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -68,6 +75,9 @@ struct Scene {
     /// As `train -r`.
     #[serde(default = "stored_size")]
     resolution: i32,
+    /// Further options of `train`.
+    #[serde(default)]
+    options: Vec<String>,
     /// Number of photographs; all if it is missing. Points stay that two of them frame.
     photographs: Option<usize>,
     /// Takes photographs at equal distances by name, from this place on.
@@ -96,9 +106,25 @@ struct Run {
     /// What the run depends on.
     setup: String,
     seconds: f64,
-    gaussians: u64,
     /// Held-out PSNR by iteration, dB.
     psnr: BTreeMap<u32, f64>,
+    /// Results of the last iteration.
+    last: Quality,
+}
+
+/// A run's entry in results.json.
+#[derive(Clone, Serialize, Deserialize)]
+struct Quality {
+    #[serde(rename = "PSNR")]
+    psnr: f64,
+    #[serde(rename = "SSIM")]
+    ssim: f64,
+    /// Of VGG16, where weights are given.
+    #[serde(rename = "LPIPS")]
+    lpips: Option<f64>,
+    #[serde(rename = "CC_PSNR")]
+    cc_psnr: f64,
+    gaussians: u64,
 }
 
 /// Runs the command.
@@ -160,13 +186,14 @@ impl Suite {
     fn command(&self, scene: &Scene, recipe: &Recipe, seed: u32, data: &Path) -> Vec<String> {
         let numbers = [self.iterations, seed].map(|number| number.to_string());
         let mut all: Vec<String> =
-            ["train", "--eval", "--quiet", "--eval-share", "0"].map(String::from).into();
+            ["train", "--eval", "--quiet", "--eval-share", "0", "--eval-split"].map(String::from).into();
+        all.push(self.eval_split.clone());
         all.extend(["-s".into(), data.display().to_string(), "-r".into(), scene.resolution.to_string()]);
         all.extend(["--iterations".into(), numbers[0].clone(), "--seed".into(), numbers[1].clone()]);
         all.push("--test-iterations".into());
         all.extend(self.tests.iter().chain([&self.iterations]).map(u32::to_string));
         all.extend(["--save-iterations".into(), "-1".into()]);
-        all.extend(self.options.iter().chain(&recipe.options).cloned());
+        all.extend(self.options.iter().chain(&scene.options).chain(&recipe.options).cloned());
         all
     }
 
@@ -201,8 +228,31 @@ impl Suite {
         add("largest loss", &|by| format!("{:+.2}", least(&|at| psnr(at, by) - psnr(at, 0)).min(0.0)));
         let rise = |run: &Run| last(run) - run.psnr.values().copied().fold(f64::NEG_INFINITY, f64::max);
         add("largest fall along a run", &|by| format!("{:+.2}", least(&|at| mean(&rise, at, by))));
-        add("Gaussians", &|by| format!("{:.0}", over(&|at| mean(&|run| run.gaussians as f64, at, by))));
-        add("seconds", &|by| format!("{:.0}", over(&|at| mean(&|run| run.seconds, at, by))));
+        for (by, recipe) in self.recipes.iter().enumerate() {
+            text += &format!("\nRecipe {}\n\n", recipe.name);
+            let heads = ["scene", "PSNR", "SSIM", "LPIPS (VGG)", "CC-PSNR", "Gaussians", "minutes"];
+            text += &row(heads.into_iter().map(String::from));
+            text += &row(heads.into_iter().map(|_| "---".to_owned()));
+            let values: [(&dyn Fn(&Run) -> f64, usize); 6] = [
+                (&last, 2),
+                (&|run| run.last.ssim, 4),
+                (&|run| run.last.lpips.unwrap_or(f64::NAN), 4),
+                (&|run| run.last.cc_psnr, 2),
+                (&|run| run.last.gaussians as f64, 0),
+                (&|run| run.seconds / 60.0, 1),
+            ];
+            let mut line = |name: &str, value: &dyn Fn(&dyn Fn(&Run) -> f64) -> f64| {
+                let cells = values.iter().map(|&(of, digits)| match value(of) {
+                    missing if missing.is_nan() => "–".to_owned(),
+                    value => format!("{value:.digits$}"),
+                });
+                text += &row(std::iter::once(name.to_owned()).chain(cells));
+            };
+            for (at, scene) in self.scenes.iter().enumerate() {
+                line(&scene.name, &|of| mean(of, at, by));
+            }
+            line("**mean**", &|of| over(&|at| mean(of, at, by)));
+        }
         text
     }
 }
@@ -300,22 +350,15 @@ fn finish(
 
 impl Run {
     fn read(folder: &Path, setup: String, iterations: u32, seconds: f64) -> Result<Run> {
-        #[derive(Deserialize)]
-        struct Entry {
-            #[serde(rename = "PSNR")]
-            psnr: f64,
-            gaussians: u64,
-        }
         let path = folder.join(RESULTS_FILE);
         let wrong = |problem: String| Error::input(&path, problem, "remove the folder and run again");
-        let entries: BTreeMap<String, Entry> =
+        let entries: BTreeMap<String, Quality> =
             serde_json::from_slice(&regular_file::read_json(&path)?).map_err(|e| wrong(e.to_string()))?;
         let number = |name: &str| name.strip_prefix("ours_").and_then(|number| number.parse::<u32>().ok());
         let psnr: BTreeMap<u32, f64> =
             entries.iter().filter_map(|(name, entry)| Some((number(name)?, entry.psnr))).collect();
-        let last = entries.get(&format!("ours_{iterations}"));
-        let gaussians =
-            last.ok_or_else(|| wrong(format!("has no entry of iteration {iterations}")))?.gaussians;
-        Ok(Run { setup, seconds, gaussians, psnr })
+        let last = entries.get(&format!("ours_{iterations}")).cloned();
+        let last = last.ok_or_else(|| wrong(format!("has no entry of iteration {iterations}")))?;
+        Ok(Run { setup, seconds, psnr, last })
     }
 }

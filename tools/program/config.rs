@@ -8,7 +8,7 @@ mod missing_points;
 mod train_overrides;
 mod unused;
 
-pub use data::{DataSettings, Outside, When};
+pub use data::{DataSettings, Outside, Split, When};
 pub use few_photos::Facts;
 pub use missing_points::MissingPoints;
 pub use train_overrides::{Recipe, TrainOverrides, strategies};
@@ -63,6 +63,10 @@ pub struct Overrides {
     /// Hold out every 8th view (by name) for tests
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     eval: Option<bool>,
+    /// Which views are held out, where the data set does not say so [default: inner; with the preset or strategy reference:
+    /// reference]
+    #[arg(long, value_name = "NAME")]
+    eval_split: Option<Split>,
     /// Train on the left half of the held-out views as well, and test on the right one under the exposure that was learned;
     /// sets --exposure (the reference's protocol)
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
@@ -208,7 +212,8 @@ impl Settings {
 
     /// The settings of the reference implementation, for scenes that do not say how they were trained.
     pub fn reference() -> Settings {
-        Settings { data: DataSettings::default(), train: TrainSettings::reference() }
+        let data = DataSettings { eval_split: Split::Reference, ..DataSettings::default() };
+        Settings { data, train: TrainSettings::reference() }
     }
 
     fn from_table(mut table: Table, facts: &Facts) -> Result<Settings, String> {
@@ -225,7 +230,11 @@ impl Settings {
                 "the strategy differs from the preset's: leave out the preset, or the strategy".into()
             );
         }
-        let data: DataSettings = data.try_into().map_err(message)?;
+        let splits = data.contains_key("eval_split");
+        let mut data: DataSettings = data.try_into().map_err(message)?;
+        if usual.strategy == StrategyType::Reference && !splits {
+            data.eval_split = Split::Reference;
+        }
         if data.train_test_exp && train.get("exposure").and_then(toml::Value::as_bool) == Some(false) {
             return Err("train_test_exp measures under exposures: leave out that, or exposure = false".into());
         }

@@ -27,6 +27,8 @@ pub struct ViewResult {
     pub name: String,
     pub psnr: f64,
     pub ssim: f64,
+    /// [`metrics::color_fitted_psnr`].
+    pub cc_psnr: f64,
     /// One for each of [`Evaluation::measures`].
     pub lpips: Vec<f64>,
     /// Time of a frame, if requested: device time if there are timestamps, else wall-clock time of the call.
@@ -74,6 +76,11 @@ impl Evaluation {
         self.mean(|view| view.ssim)
     }
 
+    /// Mean over the views of the PSNR after a colour fit, dB; NaN if none was measured.
+    pub fn cc_psnr(&self) -> f64 {
+        self.mean(|view| view.cc_psnr)
+    }
+
     /// Name and mean over the views of each measured LPIPS.
     pub fn lpips(&self) -> impl Iterator<Item = (&'static str, f64)> {
         self.measures.iter().enumerate().map(|(index, name)| (*name, self.mean(|view| view.lpips[index])))
@@ -104,6 +111,7 @@ impl Evaluation {
         let mut summary = Map::new();
         summary.insert("SSIM".into(), json!(self.ssim()));
         summary.insert("PSNR".into(), json!(self.psnr()));
+        summary.insert("CC_PSNR".into(), json!(self.cc_psnr()));
         if let Some(aligned) = &self.aligned {
             summary.insert("SSIM_aligned".into(), json!(aligned.ssim()));
             summary.insert("PSNR_aligned".into(), json!(aligned.psnr()));
@@ -131,6 +139,7 @@ impl Evaluation {
         let mut all = Map::new();
         all.insert("SSIM".into(), by_view(&|view| view.ssim));
         all.insert("PSNR".into(), by_view(&|view| view.psnr));
+        all.insert("CC_PSNR".into(), by_view(&|view| view.cc_psnr));
         for (index, name) in self.measures.iter().enumerate() {
             all.insert((*name).into(), by_view(&|view| view.lpips[index]));
         }
@@ -228,15 +237,17 @@ pub fn psnr(view: &View, frame: &Frame) -> Result<f64> {
     }
 }
 
-/// Same as [`psnr`], and SSIM.
+/// Same as [`psnr`], SSIM and the PSNR after a colour fit.
 fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
     let photo = view.photo.photo()?.to_f32();
-    let ssim = match view.photo.mask()? {
+    let mask = view.photo.mask()?;
+    let ssim = match &mask {
         None => metrics::ssim(&frame.color, &photo, frame.width)?,
-        Some(mask) => metrics::masked_ssim(&frame.color, &photo, &mask, frame.width)?,
+        Some(mask) => metrics::masked_ssim(&frame.color, &photo, mask, frame.width)?,
     };
+    let cc_psnr = metrics::color_fitted_psnr(&frame.color, &photo, mask.as_deref())?;
     let name = view.name.clone();
-    Ok(ViewResult { name, psnr: psnr(view, frame)?, ssim, lpips: Vec::new(), frame_ms: None })
+    Ok(ViewResult { name, psnr: psnr(view, frame)?, ssim, cc_psnr, lpips: Vec::new(), frame_ms: None })
 }
 
 /// Adds an iteration's results to a model folder's results.json and per_view.json. Other iterations' results stay.

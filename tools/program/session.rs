@@ -2,7 +2,7 @@
 
 use crate::args::HostArguments;
 use crate::blocks::job::Job;
-use crate::config::DataSettings;
+use crate::config::{DataSettings, Split};
 use crate::progress::counting;
 use ashsplat::scene::WorldFrame;
 use ashsplat::{Error, Result};
@@ -32,6 +32,9 @@ pub struct DataArguments {
     /// Hold out every 8th view (by name) [default: as in training]
     #[arg(long)]
     eval: bool,
+    /// Which views are held out [default: as in training]
+    #[arg(long, value_name = "NAME")]
+    eval_split: Option<Split>,
 }
 
 impl DataArguments {
@@ -59,11 +62,16 @@ impl DataArguments {
             data.orientation.clone_from(orientation);
         }
         data.eval |= self.eval;
+        data.eval_split = self.eval_split.unwrap_or(data.eval_split);
         if data.source_path.as_os_str().is_empty() {
             return Err(Error::argument(
                 "-s/--source-path",
                 "is missing, and the model does not say where its data set is",
             ));
+        }
+        if self.source_path.is_none() && data.source_path.is_relative() && !data.source_path.exists() {
+            let problem = "is the model's data set, as named in another folder, and not here";
+            return Err(Error::input(&data.source_path, problem, "name the data set with -s"));
         }
         Ok(data)
     }
@@ -76,6 +84,7 @@ pub fn options(data: &DataSettings, white_background: bool, host: &HostArguments
         images: data.images.clone(),
         orientation: data.orientation.parse()?,
         eval: data.eval,
+        eval_split: data.eval_split.into(),
         train_test_exp: data.train_test_exp,
         white_background,
         host_memory: host.memory(),

@@ -118,7 +118,7 @@ impl Gallery {
     }
 
     /// Indices of the views that are trained on, as a whole or as a half.
-    fn trained(&self) -> impl Iterator<Item = usize> {
+    pub(super) fn trained(&self) -> impl Iterator<Item = usize> {
         (0..self.views.len()).filter(|&index| !self.held_out[index] || self.options.train_test_exp)
     }
 
@@ -229,9 +229,15 @@ impl Gallery {
     /// over all views: 0 for `transforms.json` and for models without observations. A point's position alone does not
     /// tell if a photo shows it, because other surfaces may hide it.
     pub fn read_tracks(&mut self) -> Result<usize> {
+        self.tracks = self.shown_points()?;
+        Ok(self.tracks.iter().flatten().map(|track| track.len()).sum())
+    }
+
+    /// The points that each training view shows; empty for data sets that do not say so.
+    pub(super) fn shown_points(&self) -> Result<Vec<Option<Track>>> {
         let folder = self.unpacked.folder();
         if !colmap::exists(folder) || self.plan.source.extension().is_some_and(|ending| ending == "json") {
-            return Ok(0);
+            return Ok(Vec::new());
         }
         let read = || colmap::tracks(&Model::of_dataset(folder)?);
         let mut shown = read().map_err(|error| self.unpacked.name(error))?;
@@ -241,28 +247,29 @@ impl Gallery {
             let world = |point| self.plan.frame.world(DVec3::from_array(point));
             tracks[index] = points.map(|points| points.into_iter().map(world).collect::<Track>());
         }
-        self.tracks = tracks;
-        Ok(self.tracks.iter().flatten().map(|track| track.len()).sum())
+        Ok(tracks)
     }
 }
 
 /// The points of a track inside a view's picture, except those under its mask.
 pub(super) fn depth_points(view: &View, track: &[Vec3]) -> Result<Arc<[DepthPoint]>> {
     let mask = view.photo.mask()?;
+    Ok(track.iter().filter_map(|&position| depth_point(view, mask.as_deref(), position)).collect())
+}
+
+/// A point's place in a view's picture; `None` beyond its edges and under its mask.
+pub(super) fn depth_point(view: &View, mask: Option<&[u8]>, position: Vec3) -> Option<DepthPoint> {
     let (width, height) = (view.photo.width, view.photo.height);
     // Points lie at least half a pixel within the edges, so that their depth can be interpolated.
     let last = [width, height].map(|side| side as f32 - 1.0);
-    let point = |&position: &Vec3| {
-        let (x, y, z) = view.camera.project(position);
-        let position_px = [x - 0.5, y - 0.5];
-        let inside = (0..2).all(|axis| position_px[axis] >= 0.0 && position_px[axis] <= last[axis]);
-        let inverse_z = 1.0 / z;
-        if !(inside && inverse_z > 0.0 && inverse_z.is_finite()) {
-            return None;
-        }
-        let [column, row] = position_px.map(|p| p.round() as usize);
-        let counts = mask.as_ref().is_none_or(|mask| mask[row * width as usize + column] != 0);
-        counts.then_some(DepthPoint { position_px, inverse_z })
-    };
-    Ok(track.iter().filter_map(point).collect())
+    let (x, y, z) = view.camera.project(position);
+    let position_px = [x - 0.5, y - 0.5];
+    let inside = (0..2).all(|axis| position_px[axis] >= 0.0 && position_px[axis] <= last[axis]);
+    let inverse_z = 1.0 / z;
+    if !(inside && inverse_z > 0.0 && inverse_z.is_finite()) {
+        return None;
+    }
+    let [column, row] = position_px.map(|p| p.round() as usize);
+    let counts = mask.is_none_or(|mask| mask[row * width as usize + column] != 0);
+    counts.then_some(DepthPoint { position_px, inverse_z })
 }

@@ -6,6 +6,19 @@ use crate::host_memory::HostMemory;
 use crate::images::{PhotoMemory, PhotoOrientation, Resolution};
 use ashsplat::scene::WorldFrame;
 
+/// Which views are held out by [`DatasetOptions::eval`], where a data set does not say so.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum EvalSplit {
+    /// Every [`DatasetOptions::test_every`]-th by name, beginning with the first, as in the reference implementation.
+    #[default]
+    Reference,
+    /// As many. Of fewer than 24 views, which often lie along an arc, those at equal distances from each other and the ends.
+    Inner,
+}
+
+/// Number of views from which [`EvalSplit::Inner`] is the reference's.
+const MANY_VIEWS: usize = 24;
+
 /// How to load a data set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DatasetOptions {
@@ -21,8 +34,10 @@ pub struct DatasetOptions {
     pub orientation: PhotoOrientation,
     /// Frame of cameras and points, such as the frame of an existing scene. `None` chooses one that suits the data set.
     pub frame: Option<WorldFrame>,
-    /// True to hold out every `test_every`-th view by name.
+    /// True to hold out every `test_every`-th view.
     pub eval: bool,
+    /// Which ones.
+    pub eval_split: EvalSplit,
     /// True to train on the left half of held-out views too (columns below ⌊width / 2⌋). Their views are then in
     /// both lists, in [`Dataset::train`](super::Dataset::train) with a mask on the right half.
     pub train_test_exp: bool,
@@ -49,6 +64,7 @@ impl Default for DatasetOptions {
             orientation: PhotoOrientation::Auto,
             frame: None,
             eval: false,
+            eval_split: EvalSplit::Reference,
             train_test_exp: false,
             test_every: 8,
             white_background: false,
@@ -76,8 +92,15 @@ impl DatasetOptions {
         1 + u64::from(held_out && self.train_test_exp)
     }
 
-    pub(super) fn is_test(&self, index: usize) -> bool {
-        self.eval && index.is_multiple_of(self.test_every.max(1) as usize)
+    /// True for each held-out view of `views`, by name.
+    pub(super) fn held_out(&self, views: usize) -> Vec<bool> {
+        let every = self.test_every.max(1) as usize;
+        let held = views.div_ceil(every);
+        let is_inner = self.eval_split == EvalSplit::Inner && (2..MANY_VIEWS).contains(&views);
+        let place = |test: usize| if is_inner { (2 * test + 1) * views / (2 * held) } else { test * every };
+        let mut held_out = vec![false; views];
+        (0..held).filter(|_| self.eval).for_each(|test| held_out[place(test)] = true);
+        held_out
     }
 
     /// The photos' memory budget if `needed` bytes exceed it.

@@ -201,12 +201,10 @@ impl Plan {
     /// True for each view that is held out.
     pub(super) fn held_out(&self, options: &DatasetOptions) -> Vec<bool> {
         let says_so = |view: &Result<PlannedView>| view.as_ref().is_ok_and(|view| view.held_out);
-        let views = self.views.iter().enumerate();
-        let is_test = |(index, view)| match self.has_split {
-            true => options.eval && says_so(view),
-            false => options.is_test(index),
-        };
-        views.map(is_test).collect()
+        match self.has_split {
+            true => self.views.iter().map(|view| options.eval && says_so(view)).collect(),
+            false => options.held_out(self.views.len()),
+        }
     }
 
     /// Refuses a data set without views.

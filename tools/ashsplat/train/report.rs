@@ -203,6 +203,18 @@ fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> R
         (format!("{speed:.1} it/s"), "on average".into()),
         (format!("{peak:.0} MiB"), "device memory, peak".into()),
     ];
+    if let Some(&worst) = views::worst_first(&evaluation.views).first() {
+        let worst = &evaluation.views[worst];
+        let below = evaluation.psnr() - worst.psnr;
+        let label = format!("PSNR of the worst view, {}: {below:.2} dB below the mean", escape(&worst.name));
+        cards.push((format!("{:.2} dB", worst.psnr), label));
+    }
+    if run.settings.train.exposure {
+        cards.push((
+            measured(format!("{:.2} dB", evaluation.cc_psnr())),
+            format!("PSNR after a colour fit, {kind}"),
+        ));
+    }
     let lpips = evaluation.lpips().map(|(name, value)| (format!("{value:.4}"), format!("{name}, {kind}")));
     cards.extend(lpips.filter(|_| !evaluation.views.is_empty()));
     if let Some(bytes) = evaluation.scene.and_then(|scene| scene.bytes) {

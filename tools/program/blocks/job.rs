@@ -60,6 +60,7 @@ impl Job {
         table.insert("resolution".into(), i64::from(division.dataset.resolution).into());
         table.insert("orientation".into(), division.dataset.orientation.clone().into());
         table.insert("eval".into(), division.dataset.eval.into());
+        table.insert("eval_split".into(), "reference".into());
         // A block is part of a large scene and does not begin with points.
         table.insert("few_photos".into(), "off".into());
         table.insert("init".into(), absolute(&division.coarse.path).into());

@@ -18,7 +18,7 @@ pub struct BlockArguments {
         long,
         value_name = "BLOCKS.json:N",
         conflicts_with_all = [
-            "model_path", "images", "resolution", "orientation", "eval", "train_test_exp", "block", "margin", "scene_extent",
+            "model_path", "images", "resolution", "orientation", "eval", "eval_split", "train_test_exp", "block", "margin", "scene_extent",
         ]
     )]
     pub(super) job: Option<String>,

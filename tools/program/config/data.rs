@@ -1,6 +1,7 @@
 //! Settings of a run's data.
 
 use ashsplat::train::SceneBlock;
+use ashsplat_files::EvalSplit;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -22,6 +23,8 @@ pub struct DataSettings {
     pub orientation: String,
     /// Hold out every 8th view.
     pub eval: bool,
+    /// Which ones.
+    pub eval_split: Split,
     /// Train on the left half of the held-out views, and test on the right one.
     pub train_test_exp: bool,
     /// Use of the settings for few photos.
@@ -75,6 +78,7 @@ impl Default for DataSettings {
             resolution: -1,
             orientation: "auto".into(),
             eval: false,
+            eval_split: Split::Inner,
             train_test_exp: false,
             few_photos: When::Auto,
             random_points: false,
@@ -91,6 +95,25 @@ impl Default for DataSettings {
             save_iterations: vec![7000, 30_000],
             checkpoint_iterations: Vec::new(),
             checkpoint_every: 0,
+        }
+    }
+}
+
+/// Which views are held out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Split {
+    /// Every 8th by name, beginning with the first
+    Reference,
+    /// As many; of fewer than 24 views, those at equal distances from each other and the ends
+    Inner,
+}
+
+impl From<Split> for EvalSplit {
+    fn from(split: Split) -> EvalSplit {
+        match split {
+            Split::Reference => EvalSplit::Reference,
+            Split::Inner => EvalSplit::Inner,
         }
     }
 }

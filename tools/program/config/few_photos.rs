@@ -5,6 +5,9 @@ use ashsplat::train::{Checkpoint, Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 
+/// Spread of exposures from which presets learn them, stops (tools/strategies.md).
+const LEAST_SPREAD: f64 = 0.05;
+
 /// Facts of data set and start, on which settings depend that are not given.
 #[derive(Clone, Copy, Default)]
 pub struct Facts<'a> {
@@ -64,7 +67,7 @@ impl Given {
         let is_given = |name: &str| self.has(name);
         match start {
             Some(_) if !is_given("preset") && !is_given("strategy") => return Ok((usual, None)),
-            _ if !few => return Ok((usual, self.line_on_defaults())),
+            _ if !few => return self.with_exposures(usual, gallery, start, vec![self.line_on_defaults()]),
             _ => {}
         }
         let extent = usual.data.extent(gallery.scene_extent(), gallery.frame());
@@ -78,8 +81,30 @@ impl Given {
             let problem = format!("on has no settings for --strategy {strategy}; leave one of both out");
             return Err(Error::argument("--few-photos", problem));
         }
-        let lines = [self.line_on_defaults(), described(photos, is_given, (&usual.train, &settled.train))];
-        Ok((settled, lines.into_iter().flatten().reduce(|a, b| format!("{a}\n{b}"))))
+        let lines =
+            vec![self.line_on_defaults(), described(photos, is_given, (&usual.train, &settled.train))];
+        self.with_exposures(settled, gallery, start, lines)
+    }
+
+    /// Switches exposures on for a preset where the photographs differ in them, and joins the lines.
+    fn with_exposures(
+        &self,
+        mut settings: Settings,
+        gallery: &Gallery,
+        start: Option<&Checkpoint>,
+        mut lines: Vec<Option<String>>,
+    ) -> Result<(Settings, Option<String>)> {
+        let presets = settings.train.exposure_shared && !self.has("strategy");
+        let is_open = presets && !self.has("exposure") && start.is_none() && settings.data.job.is_empty();
+        if is_open && let Some(stops) = gallery.exposure_spread()? {
+            if stops >= LEAST_SPREAD {
+                settings.train.exposure = true;
+            }
+            lines.push(Some(format!(
+                "photos differ in exposure by {stops:.2} stops (standard deviation): --exposure (--exposure=false: as if they did not)"
+            )));
+        }
+        Ok((settings, lines.into_iter().flatten().reduce(|a, b| format!("{a}\n{b}"))))
     }
 
     /// Names the preset that applies because neither a preset nor a strategy is given.
