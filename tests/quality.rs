@@ -169,3 +169,43 @@ fn bench_quality_keeps_what_is_over_when_stopped() {
     assert!(runs >= 1 && files == runs, "{files} files of {runs} runs");
     assert!(!out.join(".quality.lock").exists());
 }
+
+#[test]
+fn bench_suite_trains_scenes_by_recipes_and_goes_on() {
+    let (folder, data, out) = folders();
+    let file = folder.path().join("suite.toml");
+    let suite = r#"
+        iterations = 6
+        tests = [3]
+        options = ["--sh-degree", "1"]
+        scene = [{ name = "all", dataset = "data" }, { name = "six", dataset = "data", photographs = 6, first = 1 }]
+        recipe = [{ name = "usual" }, { name = "reference", options = ["--preset", "reference"] }]
+    "#;
+    std::fs::write(&file, suite).expect("written");
+    let run = || succeed(&["bench", "suite", text(&file), "-o", text(&out)]);
+    let table = run();
+    assert!(data.is_dir() && out.join("suite.md").is_file());
+    for part in ["| PSNR, dB | usual | reference |", "| all |", "| six |", "| **mean** |", "Recipe reference"]
+    {
+        assert!(table.contains(part), "{part}: {table}");
+    }
+    let note = |scene: &str, recipe: &str| out.join(scene).join(format!("{recipe}-0.json"));
+    let kept = std::fs::read(note("all", "usual")).expect("a note");
+    let results = read(&out.join("all/usual-0/results.json"));
+    let (psnr, last) = (number(&results["ours_6"]["PSNR"]), &read(&note("all", "usual"))["last"]);
+    assert_eq!(number(&last["PSNR"]), psnr);
+    assert!(table.contains(&format!("| all | {psnr:.2} |")), "{table}");
+    // The same views are held out for all recipes: 9 views have two inner ones, 6 have one.
+    for (scene, names) in [("all", ["03.png", "07.png"].as_slice()), ("six", &["06.png"])] {
+        let folder = out.join(scene).join("reference-0");
+        let cameras = read(&folder.join("cameras.json"));
+        let listed =
+            cameras.as_array().expect("cameras").iter().map(|c| c["img_name"].as_str().expect("a name"));
+        assert_eq!(listed.take(names.len()).collect::<Vec<_>>(), names, "{scene}");
+    }
+    // A finished run stays, one without results is made again.
+    std::fs::remove_file(note("six", "usual")).expect("removed");
+    assert_eq!(run().lines().next(), table.lines().next());
+    assert_eq!(std::fs::read(note("all", "usual")).expect("a note"), kept);
+    assert!(note("six", "usual").is_file());
+}

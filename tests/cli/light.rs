@@ -16,13 +16,13 @@ fn exposures_are_learnt_saved_and_asked_for() {
     let exposures = exposure_json::read(place.at("model/exposure.json")).expect("the exposures");
     // Held-out photos have no exposure.
     let names: Vec<&str> = exposures.keys().map(String::as_str).collect();
-    assert_eq!(names, ["02.png", "03.png", "04.png", "05.png", "06.png", "07.png", "08.png"]);
+    assert_eq!(names, ["01.png", "02.png", "04.png", "05.png", "06.png", "08.png", "09.png"]);
     assert!(exposures.values().all(|exposure| *exposure != Default::default()));
     let page = place.read_text("model/report.html");
     let gain = exposures["04.png"].of([0.5; 3])[0] / 0.5;
     assert!(page.contains(&format!("04.png</td><td>{gain:.3}</td>")), "{page}");
     assert!(!page.contains("<h2>Lens effects"), "{page}");
-    let [plain, exposed] = ["", "--exposure-of 03.png"].map(|more| {
+    let [plain, exposed] = ["", "--exposure-of 04.png"].map(|more| {
         place.run(format!("render @model -o @out --quiet {more}")).ok();
         place.read("out/00000.png")
     });
@@ -30,7 +30,7 @@ fn exposures_are_learnt_saved_and_asked_for() {
     let refused = |photo: &str, words: &[&str]| {
         place.run(format!("render @model -o @none --exposure-of {photo}")).refused(words);
     };
-    refused("01.png", &["exposure.json", "01.png", "02.png"]);
+    refused("03.png", &["exposure.json", "03.png", "01.png"]);
     let ply = point_cloud("model", 40);
     let bare = format!("render @{ply} -o @none --orbit=1 --exposure-of 02.png");
     place.run(bare).refused(&["--exposure-of", "model folder"]);
@@ -50,7 +50,7 @@ fn lens_effects_are_learnt_saved_and_asked_for() {
     train(&place, "model", "--eval --lens-effects --lens-lr=0.05");
     let lenses = LensFile::read(place.at("model/lens.json")).expect("the lenses");
     assert_eq!((lenses.cameras.len(), lenses.photos.len()), (1, 9));
-    let learnt = lenses.of("01.png").expect("that of a held-out photo");
+    let learnt = lenses.of("03.png").expect("that of a held-out photo");
     assert!(learnt != Default::default() && lenses.of("none.png").is_none());
     assert!(!place.has("model/exposure.json"));
     let page = place.read_text("model/report.html");
@@ -66,25 +66,25 @@ fn lens_effects_are_learnt_saved_and_asked_for() {
     place.run("eval @model --quiet").ok();
     assert_ne!(trained, results());
     let render = |more: &str| place.run(format!("render @model -o @out --quiet {more}"));
-    render("--lens-of 01.png").refused(&["lens.json", "--lens-effects"]);
+    render("--lens-of 03.png").refused(&["lens.json", "--lens-effects"]);
     place.rename("aside.json", "model/lens.json");
     render("--lens-of 99.png").refused(&["lens.json", "99.png", "01.png"]);
-    let [plain, with_lens] = ["", "--lens-of 01.png"].map(|more| {
+    let [plain, with_lens] = ["", "--lens-of 03.png"].map(|more| {
         render(more).ok();
         place.read("out/00000.png")
     });
     assert_ne!(plain, with_lens);
     let good = place.read_text("model/lens.json");
-    let unknown = good.replace("\"01.png\": 1", "\"01.png\": 8");
+    let unknown = good.replace("\"03.png\": 1", "\"03.png\": 8");
     assert_ne!(good, unknown);
     for (spoilt, words) in [
         ("{}".into(), ["lens.json", "cameras"]),
-        (unknown, ["01.png", "camera 8"]),
+        (unknown, ["03.png", "camera 8"]),
         (good.replace("\"response\": [", "\"response\": [0.0,"), ["lens.json", "light"]),
         (good.replace("\"vignetting\"", "\"vignette\""), ["lens.json", "vignett"]),
     ] {
         place.write("model/lens.json", spoilt);
-        render("--lens-of 01.png").refused(&words);
+        render("--lens-of 03.png").refused(&words);
     }
     // A new training removes them.
     train(&place, "model", "--eval");
@@ -109,7 +109,7 @@ fn held_out_views_are_trained_on_their_left_half() {
     assert_eq!(trained, place.read_text("model/per_view.json"));
     assert_eq!(place.read_text("model/cameras.json").matches("img_name").count(), 9);
     // The right half's pixels do not matter.
-    let held_out = place.at("data/images/01.png");
+    let held_out = place.at("data/images/03.png");
     let mut photo = Photo::read(&held_out, [0.0; 3]).expect("a photo");
     for (pixel, rgb) in photo.rgb.chunks_mut(3).enumerate() {
         if pixel as u32 % SIZE[0] >= SIZE[0] / 2 {
@@ -239,7 +239,7 @@ fn depth_maps_that_lack_something_are_refused() {
 fn held_out_photos_need_no_depth_maps() {
     let mapped = Mapped::new();
     let scene_of = |model: &str| {
-        train(&mapped.0, model, "--eval -d depths");
+        train(&mapped.0, model, "--eval --eval-split reference -d depths");
         mapped.0.ply(model, 40)
     };
     let with_all = scene_of("all");
@@ -249,7 +249,10 @@ fn held_out_photos_need_no_depth_maps() {
     assert!(scene_of("given") != with_all);
     // Training uses halves of the held-out photographs.
     let words = ["01.png", "depth map", "missing"];
-    mapped.0.run("train -s @data -m @out -d depths --eval --train-test-exp").refused(&words);
+    mapped
+        .0
+        .run("train -s @data -m @out -d depths --eval --eval-split reference --train-test-exp")
+        .refused(&words);
     mapped.refuses("depths", &words);
 }
 

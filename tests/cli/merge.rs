@@ -244,7 +244,8 @@ fn check_quality(place: &Place) {
     assert!(place.read("again.ply") == place.read("new/scene.ply"), "other bytes");
     let results = place.read_json("quality/page.html.json");
     for (name, model) in [("merged", "again.ply"), ("against", "coarse")] {
-        let table = place.json_of(format!("eval @{model} -s @data --eval --quiet --json"));
+        let table =
+            place.json_of(format!("eval @{model} -s @data --eval --eval-split reference --quiet --json"));
         let part = |part: &str| real(&results[name], part);
         assert!((part("mean_psnr") - real(&table["mean"], "PSNR")).abs() < 0.01, "{results} {table}");
         // Every pixel lies either inside or along a seam.
@@ -322,7 +323,7 @@ fn two_merges_at_once_are_refused() {
     assert!(!place.has(".merge.lock"));
     // A single block is the whole scene, with all photos listed.
     let init = format!("--init @{}", point_cloud("coarse", 12));
-    place.train("whole", format!("{init} --eval --iterations 14 --few-photos off"));
+    place.train("whole", format!("{init} --eval --eval-split reference --iterations 14 --few-photos off"));
     let options = "--strategy reference --densify-from-iter 5 --densification-interval 10 \
                    --densify-until-iter 35 --opacity-reset-interval 22";
     place.job(1, options).ok();

@@ -3,7 +3,7 @@
 use super::files::{Folder, assert_one, assert_says, assert_some, cloud, named};
 use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use ashsplat_files::colmap::ColmapImage;
-use ashsplat_files::{Dataset, DatasetOptions, Gallery, Progress, Resolution, cameras_json};
+use ashsplat_files::{Dataset, DatasetOptions, EvalSplit, Gallery, Progress, Resolution, cameras_json};
 use glam::{DVec3, Vec3};
 use image::{GrayImage, ImageBuffer, Luma, RgbaImage};
 use serde_json::{Map, Value, json};
@@ -98,6 +98,41 @@ fn every_eighth_view_is_held_out() {
     let listed = cameras_json::read(&path, &WorldFrame::default()).unwrap();
     assert_eq!(listed.len(), 18);
     assert_eq!((listed[1].name.as_str(), listed[3].name.as_str()), ("008.png", "001.png"));
+}
+
+#[test]
+fn few_views_are_held_out_between_others() {
+    let inner = DatasetOptions { eval_split: EvalSplit::Inner, ..eval() };
+    for (views, expected) in [(1, &[0][..]), (2, &[1]), (9, &[2, 6]), (11, &[2, 8]), (23, &[3, 11, 19])] {
+        let folder = Folder::new();
+        folder.circle(views, 1);
+        let gallery = Gallery::open(folder.join(""), &inner, Progress::NONE).unwrap();
+        let held = gallery.held_out().iter().enumerate().filter(|(_, held)| **held).map(|(at, _)| at);
+        assert_eq!(held.collect::<Vec<_>>(), expected, "{views} views");
+    }
+    let folder = Folder::new();
+    folder.circle(24, 1);
+    assert_eq!(named(&folder.load_with(&inner).test), ["000.png", "008.png", "016.png"]);
+}
+
+#[test]
+fn exposures_differ_as_common_points_do() {
+    let spread = |greys: [u8; 2], points: usize| {
+        let folder = Folder::new();
+        folder.circle(8, points);
+        (0..8).for_each(|view| folder.photo(&format!("images/{view:03}.png"), greys[view % 2]));
+        let gallery = Gallery::open(folder.join(""), &DatasetOptions::default(), Progress::NONE).unwrap();
+        gallery.exposure_spread().unwrap()
+    };
+    let stops = spread([80, 160], 40).unwrap();
+    assert!((0.3..1.0).contains(&stops), "{stops}");
+    assert!(spread([80, 80], 40).unwrap() < 1e-9);
+    assert_eq!(spread([80, 160], 5), None, "too few points");
+    assert_eq!(
+        spread([255, 160], 40).map(|stops| stops < 1e-9),
+        Some(true),
+        "saturated photographs do not count"
+    );
 }
 
 #[test]

@@ -166,14 +166,14 @@ fn viewer_shows_views_as_they_were_photographed() {
     // The held-out photo was taken with the same lens.
     let all = page.greeting["cameras"].as_array().expect("cameras").clone();
     assert!(all.iter().all(|camera| camera["lit"] == true), "{all:?}");
-    let photo = place_of(&page, "03.png");
+    let photo = place_of(&page, "04.png");
     let (plain, lit) = (shown(&mut page, photo, None), shown(&mut page, photo, Some(photo)));
     assert!(mean_difference(&plain, &lit) > 2.0, "{}", mean_difference(&plain, &lit));
     // Equal to the picture of `render`.
-    place.run("render @model -o @out --quiet --exposure-of 03.png --lens-of 03.png").ok();
+    place.run("render @model -o @out --quiet --exposure-of 04.png --lens-of 04.png").ok();
     let cameras = cameras_json::read(place.at("model/cameras.json"), &WorldFrame::default());
     let cameras = cameras.expect("cameras");
-    let index = cameras.iter().position(|camera| camera.name == "03.png").expect("the photo");
+    let index = cameras.iter().position(|camera| camera.name == "04.png").expect("the photo");
     let rendered = place.picture(format!("out/{index:05}.png")).into_raw();
     let off = mean_difference(&rendered, &lit);
     assert!(off < 0.2 && mean_difference(&rendered, &plain) > 2.0, "{off}");
@@ -191,10 +191,14 @@ fn viewer_of_a_training_shows_its_exposures() {
         let more = if learns { "--exposure --exposure-lr-init=0.1" } else { "" };
         let training = Training::start(&format!("1000000 --view=0 {more}"), "viewer at ");
         let mut page = training.server.page();
-        let held_out = place_of(&page, "01.png");
-        let photo = place_of(&page, "03.png");
+        let held_out = place_of(&page, "03.png");
+        let photo = place_of(&page, "04.png");
         assert_eq!(page.greeting["cameras"][photo]["lit"], learns);
         assert_eq!(page.greeting["cameras"][held_out]["lit"], false);
+        assert_eq!(
+            [held_out, photo].map(|at| page.greeting["cameras"][at]["held_out"] == true),
+            [true, false]
+        );
         page.pass(29);
         page.act("pause");
         page.rest();

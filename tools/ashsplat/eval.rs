@@ -5,7 +5,7 @@ use ashsplat_files::cameras_json;
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::{Gallery, View};
 use ashsplat_program::args::DeviceArguments;
-use ashsplat_program::config::{CAMERAS_FILE, DataSettings};
+use ashsplat_program::config::{CAMERAS_FILE, DataSettings, Split};
 use ashsplat_program::eval::{
     Evaluation, More, Perceptual, Protocol, SceneSize, ViewResult, alignment_of, at_its_place, by_name,
     check_sizes, evaluate, read_weights, write_results,
@@ -70,7 +70,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let model = Model::locate(path, arguments.iteration)?;
     let mut data = arguments.data.applied_to(&model.settings.data)?;
     // A bare PLY does not record its split: use the default one.
+    let unknown_split = model.folder.is_none() && !arguments.data.has_eval_split();
     data.eval |= model.folder.is_none();
+    if unknown_split {
+        data.eval_split = Split::Inner;
+    }
     let weights = read_weights(&arguments.lpips_weights, &arguments.device.host)?;
     let bytes = std::fs::metadata(&model.ply).ok().map(|file| file.len());
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
@@ -82,6 +86,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gallery = session::open(&data, &options, &stop)?;
     session::warn(gallery.warnings());
     let chosen = chosen_views(&gallery, arguments.all, &data)?;
+    if unknown_split && !arguments.all && chosen.first() != Some(&0) {
+        tell!(
+            "warning: measured on inner views, as this program holds them out of few; were they trained on, give --eval-split reference"
+        );
+    }
     if data.eval && !arguments.all && model.folder.is_some() && !model.settings.data.eval {
         tell!("warning: the model was trained on all views, so also on those that are measured");
     }

@@ -95,15 +95,21 @@ impl Evaluation {
         self.views.iter().map(value).sum::<f64>() / self.views.len() as f64
     }
 
-    /// The means, for a message.
-    pub fn describe(&self) -> String {
+    /// The means, for a message. `fitted` adds the PSNR after a colour fit.
+    pub fn describe(&self, fitted: bool) -> String {
         if self.views.is_empty() {
             return "PSNR and SSIM not measured".into();
         }
         let lpips: String = self.lpips().map(|(name, value)| format!(", {name} {value:.4}")).collect();
         let aligned = self.aligned.as_ref().filter(|aligned| !aligned.views.is_empty());
-        let aligned = aligned.map(|aligned| format!(" (cameras aligned: {})", aligned.describe()));
-        format!("PSNR {:.2} dB, SSIM {:.4}{lpips}{}", self.psnr(), self.ssim(), aligned.unwrap_or_default())
+        let aligned = aligned.map(|aligned| format!(" (cameras aligned: {})", aligned.describe(fitted)));
+        let fit = if fitted { format!(" ({:.2} after a colour fit)", self.cc_psnr()) } else { String::new() };
+        format!(
+            "PSNR {:.2} dB{fit}, SSIM {:.4}{lpips}{}",
+            self.psnr(),
+            self.ssim(),
+            aligned.unwrap_or_default()
+        )
     }
 
     /// The reference's entry in results.json, with additional values. Its LPIPS is that of VGG16, unscaled.

@@ -38,6 +38,11 @@ pub struct DataArguments {
 }
 
 impl DataArguments {
+    /// True if it is given which views are held out.
+    pub fn has_eval_split(&self) -> bool {
+        self.eval_split.is_some()
+    }
+
     /// Same as [`DataArguments::applied_to`], but for a data set from another argument, and for the whole scene.
     pub fn applied_to_dataset(&self, dataset: Option<&Path>, trained: &DataSettings) -> Result<DataSettings> {
         let source_path = dataset.map_or_else(|| trained.source_path.clone(), Path::to_owned);

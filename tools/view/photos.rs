@@ -106,6 +106,11 @@ impl Photos {
         }
     }
 
+    /// True if a photo is held out from training.
+    pub fn is_held_out(&self, index: usize) -> bool {
+        self.gallery.held_out().get(index).is_some_and(|held_out| *held_out)
+    }
+
     /// Returns a photo once the asker's turn has come.
     pub async fn jpeg(self: &Arc<Photos>, index: usize, size: Size, asker: Asker) -> Result<Bytes, Refusal> {
         let cost = *self.costs.get(index).ok_or(Refusal::Unknown)?;

@@ -246,7 +246,9 @@ impl Subject {
         let names: Vec<&str> = self.cameras.iter().map(|named| named.name.as_str()).collect();
         let photo = |(index, (named, label)): (usize, (&NamedCamera, String))| {
             let camera = CameraMessage::of(&named.camera);
-            json!({ "name": named.name, "label": label, "camera": camera, "lit": self.lights.has(index) })
+            let held_out = self.photos.as_ref().is_some_and(|photos| photos.is_held_out(index));
+            let lit = self.lights.has(index);
+            json!({ "name": named.name, "label": label, "camera": camera, "lit": lit, "held_out": held_out })
         };
         let photos = self.cameras.iter().zip(labels(&names)).enumerate().map(photo);
         json!({

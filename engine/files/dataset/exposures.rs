@@ -10,7 +10,9 @@ use super::view::View;
 use ashsplat::Result;
 
 /// Most photographs that are looked at.
-const VIEWS: usize = 32;
+const VIEWS: usize = 64;
+/// Number of photographs, those with the most common points, that a photograph is compared with.
+const NEIGHBOURS: usize = 3;
 /// Most points that are looked for in each photograph, without observations.
 const POINTS: usize = 4000;
 /// Least common points of a photograph with others.
@@ -19,8 +21,9 @@ const LEAST_POINTS: usize = 30;
 const MEASURED: std::ops::Range<f32> = 0.04..0.96;
 
 impl Gallery {
-    /// Standard deviation of the training photographs' exposures, in stops of their stored values: 0.1 says that the same surface
-    /// is 7 % brighter or darker in a typical photograph than in the mean one.
+    /// Root mean square by which the training photographs' exposures differ from those of their neighbours, in stops of the stored
+    /// values: 0.1 says that the same surface is 7 % brighter or darker than in photographs from nearby. Light that changes slowly
+    /// along a path does not count: a scene without exposures reproduces it from the direction of view.
     ///
     /// Exposures are those by which the luminances at common sparse points differ least, in a sample of the photographs. Without
     /// observations, a photograph shows the points in its view that lie behind no others. `None` with too few common points.
@@ -90,7 +93,8 @@ fn luminances(view: &View, track: &[Vec3]) -> Result<Vec<(Vec3, f64)>> {
     Ok(track.iter().filter_map(around).collect())
 }
 
-/// Standard deviation of the photographs' offsets, where each value is a point's plus its photograph's.
+/// Root mean square of the photographs' offsets from those of their neighbours, where each value is a point's plus its
+/// photograph's.
 fn spread(measured: &[Vec<(Vec3, f64)>]) -> Option<f64> {
     /// Both kinds of unknowns are found in turn.
     const ROUNDS: usize = 20;
@@ -116,9 +120,21 @@ fn spread(measured: &[Vec<(Vec3, f64)>]) -> Option<f64> {
             counted[view] = true;
         }
     }
-    let found: Vec<f64> =
-        offsets.iter().zip(&counted).filter(|(_, counted)| **counted).map(|(offset, _)| *offset).collect();
-    let mean = found.iter().sum::<f64>() / found.len() as f64;
-    let variance = found.iter().map(|offset| (offset - mean).powi(2)).sum::<f64>() / found.len() as f64;
-    (found.len() > 1).then_some(variance.sqrt())
+    // Each photograph's offset beside that of those with the most common points.
+    let mut common = vec![vec![0u32; measured.len()]; measured.len()];
+    for values in observed.values() {
+        for (a, _) in values {
+            values.iter().filter(|(b, _)| a != b && counted[*b]).for_each(|(b, _)| common[*a][*b] += 1);
+        }
+    }
+    let beside = |view: usize| {
+        let mut others: Vec<usize> = (0..measured.len()).filter(|&other| common[view][other] > 0).collect();
+        others.sort_by_key(|&other| std::cmp::Reverse(common[view][other]));
+        others.truncate(NEIGHBOURS);
+        let mean = others.iter().map(|&other| offsets[other]).sum::<f64>() / others.len() as f64;
+        (counted[view] && !others.is_empty()).then(|| offsets[view] - mean)
+    };
+    let differences: Vec<f64> = (0..measured.len()).filter_map(beside).collect();
+    let squares: f64 = differences.iter().map(|difference| difference * difference).sum();
+    (!differences.is_empty()).then(|| (squares / differences.len() as f64).sqrt())
 }

@@ -153,7 +153,7 @@ impl Run {
         let kind = if self.views.held_out { "held-out" } else { "training" };
         format!(
             "iteration {iteration}: {} on {} {kind} views, {} Gaussians",
-            evaluation.describe(),
+            evaluation.describe(self.settings.train.exposure),
             evaluation.views.len(),
             thousands(u64::from(*gaussians)),
         )

@@ -6,7 +6,7 @@ use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 
 /// Spread of exposures from which presets learn them, stops (tools/strategies.md).
-const LEAST_SPREAD: f64 = 0.05;
+const LEAST_SPREAD: f64 = 0.12;
 
 /// Facts of data set and start, on which settings depend that are not given.
 #[derive(Clone, Copy, Default)]
@@ -96,12 +96,11 @@ impl Given {
     ) -> Result<(Settings, Option<String>)> {
         let presets = settings.train.exposure_shared && !self.has("strategy");
         let is_open = presets && !self.has("exposure") && start.is_none() && settings.data.job.is_empty();
-        if is_open && let Some(stops) = gallery.exposure_spread()? {
-            if stops >= LEAST_SPREAD {
-                settings.train.exposure = true;
-            }
+        let spread = if is_open { gallery.exposure_spread()? } else { None };
+        if let Some(stops) = spread.filter(|&stops| stops >= LEAST_SPREAD) {
+            settings.train.exposure = true;
             lines.push(Some(format!(
-                "photos differ in exposure by {stops:.2} stops (standard deviation): --exposure (--exposure=false: as if they did not)"
+                "photos differ in exposure from their neighbours by {stops:.2} stops (RMS): --exposure (--exposure=false: as if they did not)"
             )));
         }
         Ok((settings, lines.into_iter().flatten().reduce(|a, b| format!("{a}\n{b}"))))

@@ -165,6 +165,7 @@ frames.onShown = (header) => {
     panel.showFrame(header, frames.framesPerSecond);
     filter.showFrame(header);
     detail.showFrame(header);
+    photos.drawn(header);
     window.ashsplat.shown = header;
 };
 

@@ -4,7 +4,7 @@ const find = (id) => document.getElementById(id);
 
 export class Photos {
     constructor(camera, overlay, frames) {
-        Object.assign(this, { camera, overlay, frames, entries: [], page: 0, hasPhotos: false, share: 0.5, current: -1 });
+        Object.assign(this, { camera, overlay, frames, entries: [], page: 0, hasPhotos: false, share: 0.5, current: -1, loading: false, drawnBefore: Infinity });
         const wipe = find('wipe');
         wipe.onpointerdown = (e) => { wipe.setPointerCapture(e.pointerId); this.dragging = true; };
         wipe.onpointermove = (e) => {
@@ -17,6 +17,7 @@ export class Photos {
         find('photo-next').onclick = () => this.step(1);
         find('photo-close').onclick = () => this.close();
         find('photo-light').onchange = () => this.frames.leap();
+        find('photo').onload = find('photo').onerror = () => { this.loading = false; this.follow(); };
     }
 
     open({ cameras, has_photos: hasPhotos, run }) {
@@ -28,10 +29,11 @@ export class Photos {
         find('cameras').hidden = cameras.length === 0;
         find('photo-count').textContent = cameras.length;
         find('photo-lit').hidden = !cameras.some(({ lit }) => lit);
-        find('photo-list').replaceChildren(...cameras.map(({ name, label: text, lit }, index) => {
+        find('photo-list').replaceChildren(...cameras.map(({ name, label: text, lit, held_out: heldOut }, index) => {
             const button = document.createElement('button');
-            button.title = lit ? `${name}: its exposure is known` : name;
+            button.title = [name, heldOut && 'held out', lit && 'its exposure is known'].filter(Boolean).join(', ');
             button.classList.toggle('lit', lit);
+            button.classList.toggle('held-out', heldOut);
             button.onclick = () => this.jumpTo(index);
             const label = Object.assign(document.createElement('span'), { textContent: text });
             if (hasPhotos) button.append(Object.assign(new Image(), { loading: 'lazy', decoding: 'async', src: this.address('thumbnail', index), alt: '' }));
@@ -59,7 +61,9 @@ export class Photos {
         find('photo-list').children[index].scrollIntoView({ block: 'nearest' });
         if (this.hasPhotos) {
             find('photo').src = this.address('photo', index);
-            this.shown = true;
+            find('wipe-photo').textContent = entry.held_out ? 'photo, held out' : 'photo';
+            this.shown = this.loading = true;
+            this.drawnBefore = this.frames.seq;
         }
         this.follow();
     }
@@ -75,10 +79,19 @@ export class Photos {
         if (!find('photo-lit').hidden) find('photo-light').click();
     }
 
-    /** The photo is there as long as the view is exactly its own. */
+    /** A frame was shown: the first one since the jump has the photo's view. */
+    drawn({ seq }) {
+        if (seq > this.drawnBefore) this.drawnBefore = Infinity;
+        this.follow();
+    }
+
+    /** The photo is there as long as the view is exactly its own, and once both pictures have come. */
     follow() {
         const visible = this.shown && this.camera.lens !== null;
-        find('photo').hidden = find('wipe').hidden = !visible;
+        const waits = this.loading || this.drawnBefore < Infinity;
+        find('wipe').hidden = !visible;
+        find('photo').hidden = !visible || waits;
+        find('wipe').classList.toggle('waits', waits);
         if (visible) this.layOut();
     }
 
