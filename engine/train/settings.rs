@@ -440,23 +440,17 @@ const INITIAL_OPACITY: f64 = 0.1;
 const AVERAGED_SHARE: f64 = 0.05;
 /// End of the reference's densification, with few photographs.
 const FEW_PHOTOS_UNTIL: u32 = 1500;
-/// Share of Gaussians that the last step omits, with few photographs.
-const FEW_PHOTOS_DROPOUT: f64 = 0.2;
-/// Share of the run over which parameters are averaged, with few photographs. They need a longer mean than many.
+/// Share of Gaussians that the last step omits, with the fewest photographs.
+const FEW_PHOTOS_DROPOUT: f64 = 0.1;
+/// Share of the run over which parameters are averaged, with the fewest photographs. They need a longer mean than many.
 const FEW_PHOTOS_AVERAGED: f64 = 0.25;
-/// Weight of the mean opacity in the loss, with few photographs.
-const FEW_PHOTOS_OPACITY_REG: f64 = 0.01;
-/// Weight of the mean scale over extent in the loss, with few photographs.
-const FEW_PHOTOS_SCALE_REG: f64 = 0.045;
+/// Weight of the mean opacity in the loss, with the fewest photographs.
+const FEW_PHOTOS_OPACITY_REG: f64 = 0.003;
+/// Numbers of photographs between which the settings change from those of few to those of many.
+const FEW_PHOTOS: f64 = 12.0;
+const MANY_PHOTOS: f64 = 40.0;
 /// Maximum share of omitted Gaussians.
 const MOST_DROPOUT: f64 = 0.9;
-
-/// A weight divided by the scene's extent, rounded to three digits to be easily typed; 0 if the extent is not usable.
-fn per_extent(weight: f64, scene_extent: f32) -> f64 {
-    let weight = weight / f64::from(scene_extent);
-    let usable = scene_extent > 0.0 && weight.is_finite();
-    if usable { format!("{weight:.2e}").parse().unwrap_or(weight) } else { 0.0 }
-}
 
 impl Default for TrainSettings {
     fn default() -> Self {
@@ -524,50 +518,25 @@ impl TrainSettings {
         }
     }
 
-    /// Number of photographs below which `ashsplat train` uses [`TrainSettings::of_few_photos`].
-    pub const FEW_PHOTOS: usize = 24;
-
-    /// Returns a strategy's defaults for few photographs, by measurement (tools/strategies.md). Budget has fewer Gaussians and
-    /// random dropout (DropGaussian), so that no photograph is fitted by Gaussians that no other shows. The weight on opacities
-    /// clears haze that no photograph disproves. The weight on scales keeps Gaussians from outgrowing the scene. It is relative
-    /// to the scene's extent (world units), so that other units train alike, and 0 if the extent is 0. The mean of the last
-    /// quarter of the steps is stable where single steps are not. The reference's growth and its opacity resets end early. The
-    /// other strategies keep their defaults.
-    pub fn of_few_photos(strategy: StrategyType, scene_extent: f32) -> Self {
-        let usual = Self::of_strategy(strategy);
-        match strategy {
-            StrategyType::Reference => Self { densify_until_iter: FEW_PHOTOS_UNTIL, ..usual },
+    /// Adapts settings to few photographs, by measurement (tools/strategies.md): the more, the fewer there are between 40, where
+    /// nothing changes, and 12. Budget omits random Gaussians from steps (DropGaussian), so that no photograph is fitted by Gaussians
+    /// that no other shows. A weight on opacities clears haze that no photograph disproves. The mean of more steps is stable where
+    /// single steps are not. The reference's growth ends early. The other strategies stay as they are.
+    #[must_use]
+    pub fn for_photos(self, photos: usize) -> Self {
+        let share = ((MANY_PHOTOS - photos as f64) / (MANY_PHOTOS - FEW_PHOTOS)).clamp(0.0, 1.0);
+        // Rounded to be easily typed.
+        let towards = |from: f64, to: f64| ((from + share * (to - from)) * 1e4).round() / 1e4;
+        match self.strategy {
+            _ if share == 0.0 => self,
+            StrategyType::Reference => Self { densify_until_iter: FEW_PHOTOS_UNTIL, ..self },
             StrategyType::Budget => Self {
-                cap_ratio: 8.0,
-                late_min_opacity: 0.1,
-                dropout: FEW_PHOTOS_DROPOUT,
-                scale_sh_degree: false,
-                average_last: FEW_PHOTOS_AVERAGED,
-                opacity_reg: FEW_PHOTOS_OPACITY_REG,
-                scale_reg: per_extent(FEW_PHOTOS_SCALE_REG, scene_extent),
-                ..usual
+                dropout: towards(self.dropout, FEW_PHOTOS_DROPOUT),
+                opacity_reg: towards(self.opacity_reg, FEW_PHOTOS_OPACITY_REG),
+                average_last: towards(self.average_last, FEW_PHOTOS_AVERAGED),
+                ..self
             },
-            StrategyType::Fixed | StrategyType::Mcmc => usual,
-        }
-    }
-
-    /// Returns a preset's settings for few photographs. The preset decides the number of Gaussians. The settings against
-    /// overfitting stay, including the long mean.
-    pub fn of_preset_for_few_photos(preset: Preset, scene_extent: f32) -> Self {
-        let settings = Self::of_preset(preset);
-        let few = Self::of_few_photos(settings.strategy, scene_extent);
-        if preset == Preset::Reference {
-            return few;
-        }
-        Self {
-            dropout: few.dropout,
-            scale_sh_degree: few.scale_sh_degree,
-            opacity_reg: few.opacity_reg,
-            scale_reg: few.scale_reg,
-            average_last: few.average_last,
-            scaling_lr: few.scaling_lr,
-            position_lr_final: few.position_lr_final,
-            ..settings
+            StrategyType::Fixed | StrategyType::Mcmc => self,
         }
     }
 

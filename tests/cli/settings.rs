@@ -105,22 +105,17 @@ fn few_photos_are_noticed_and_said() {
     // The line about few photos, if any.
     let line_of = |run: Finished| -> Option<String> {
         let said = run.ok().stderr;
-        let mut lines = said.lines().filter(|line| line.starts_with("only ")).map(str::to_owned);
+        let mut lines = said.lines().filter(|line| line.contains("photos to train on: ")).map(str::to_owned);
         let line = lines.next();
         assert_eq!(lines.next(), None, "{said}");
         line
     };
     let said = line_of(train(&place, "auto", "")).expect("a line");
-    let options = ["--dropout 0.2", "--opacity-reg 0.01", "--scale-reg "];
-    assert_has(&said, &options);
-    assert_has(&said, &["only 9 photos", "--few-photos off"]);
+    assert_has(&said, &["--dropout 0.1", "--opacity-reg 0.003", "--average-last 0.25"]);
+    assert_has(&said, &["9 photos to train on", "--few-photos off"]);
     let kinds = |model: &str| ["strategy", "dropout"].map(|name| setting(model, name));
-    assert_eq!(kinds("auto"), ["\"budget\"", "0.2"]);
+    assert_eq!(kinds("auto"), ["\"budget\"", "0.1"]);
     assert_eq!(setting("auto", "few_photos"), "\"auto\"");
-    // The weight on scales depends on the scene extent.
-    let extent = ashsplat::scene::scene_extent((0..VIEWS).map(|index| view(index).position()));
-    let weight: f64 = setting("auto", "scale_reg").parse().expect("a number");
-    assert!((weight * f64::from(extent) / 0.045 - 1.0).abs() < 0.006, "{weight} {extent}");
     // A run with the dump's settings is identical, and prints no such line.
     train(&place, "again", "--config @auto/settings.toml").ok();
     assert!(place.ply("again", 12) == place.ply("auto", 12));
@@ -144,8 +139,8 @@ fn few_photos_are_noticed_and_said() {
     let on = "train -s @data -m @begun --sh_degree 0 --start-checkpoint latest --iterations 14";
     assert_eq!(line_of(place.run(on)), None);
     assert_eq!(setting("begun", "dropout"), "0.0");
-    assert_eq!(line_of(train(&place, "quiet", "--quiet --scene-extent 10")), None);
-    assert_eq!(setting("quiet", "scale_reg"), "0.0045");
+    assert_eq!(line_of(train(&place, "quiet", "--quiet")), None);
+    assert_eq!(setting("quiet", "dropout"), "0.1");
     place.run("train -s @data -m x --few-photos maybe").refused(&["maybe", "few-photos"]);
 }
 

@@ -247,8 +247,8 @@ unsafe fn give_rows(
 /// Uploads photographs and initial Gaussians, which are taken as they are: the settings initial_opacity and initial_scale are for
 /// ashsplat_trainer_new_from_points. The context needs a queue. `scene_extent` is 1.1 times the largest distance of a camera to their
 /// mean, or 0 to have it computed. `settings_json`: an object with the names of the reference implementation's settings,
-/// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"`, `"quality"` or `"reference"`, and `"few_photos": true`, whose
-/// settings the others change. Missing settings are those of the preset; without one, those of the strategy if it is given, else of
+/// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"`, `"quality"` or `"reference"`, and `"few_photos": true`, which adapts
+/// them to the number of views, if it is below 40. Missing settings are those of the preset; without one, those of the strategy if it is given, else of
 /// the preset default. NULL has all settings of the preset default.
 ///
 /// # Safety
@@ -350,7 +350,7 @@ unsafe fn give_trainer(
         let settings = match settings_json.is_null() {
             true => TrainSettings::default(),
             // SAFETY: as promised.
-            false => settings_of(unsafe { text(settings_json, "settings_json")? }, extent)?,
+            false => settings_of(unsafe { text(settings_json, "settings_json")? }, views.len())?,
         };
         make(views, settings, extent).map(AshsplatTrainer)
     };
@@ -358,7 +358,7 @@ unsafe fn give_trainer(
     unsafe { give(trainer, "trainer", made) }
 }
 
-fn settings_of(json: &str, extent: f32) -> Result<TrainSettings> {
+fn settings_of(json: &str, photos: usize) -> Result<TrainSettings> {
     let refused = |problem: String| Error::argument("settings_json", problem);
     let problem = |error: serde_json::Error| refused(error.to_string());
     let given: Value = serde_json::from_str(json).map_err(problem)?;
@@ -378,23 +378,21 @@ fn settings_of(json: &str, extent: f32) -> Result<TrainSettings> {
         },
         Some(other) => return Err(refused(format!("preset: {other} is no text"))),
     };
-    let few = match given.remove("few_photos") {
-        None => false,
-        Some(Value::Bool(few)) => few,
+    let photos = match given.remove("few_photos") {
+        None | Some(Value::Bool(false)) => usize::MAX,
+        Some(Value::Bool(true)) => photos,
         Some(other) => return Err(refused(format!("few_photos: {other} is neither true nor false"))),
     };
     let strategy =
         serde_json::from_value::<TrainSettings>(Value::Object(given.clone())).map_err(problem)?.strategy;
-    let usual = match (preset, few) {
-        (Some(preset), _) if given.contains_key("strategy") => {
+    let usual = match preset {
+        Some(preset) if given.contains_key("strategy") => {
             return Err(refused(format!("preset: {preset:?} has a strategy; leave one of both out")));
         }
-        (None, false) if given.contains_key("strategy") => TrainSettings::of_strategy(strategy),
-        (None, true) if given.contains_key("strategy") => TrainSettings::of_few_photos(strategy, extent),
-        (preset, false) => TrainSettings::of_preset(preset.unwrap_or_default()),
-        (preset, true) => TrainSettings::of_preset_for_few_photos(preset.unwrap_or_default(), extent),
+        None if given.contains_key("strategy") => TrainSettings::of_strategy(strategy),
+        preset => TrainSettings::of_preset(preset.unwrap_or_default()),
     };
-    let mut all = json!(usual);
+    let mut all = json!(usual.for_photos(photos));
     if let Value::Object(all) = &mut all {
         all.extend(given);
     }

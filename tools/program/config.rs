@@ -71,9 +71,9 @@ pub struct Overrides {
     /// sets --exposure (the reference's protocol)
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     train_test_exp: Option<bool>,
-    /// Settings for few photos: on, off, or on below 24 photos to train on (auto; not with the reference's strategy): steps leave
-    /// some Gaussians out, opacities and scales have weights, the latter by the scene's extent. What is given otherwise wins
-    /// [default: auto]
+    /// Settings for few photos: steps leave some Gaussians out, opacities have a weight, and more steps are averaged. auto: the more,
+    /// the fewer photos to train on there are between 40 and 12 (not with the reference's strategy); on: as with 12; off. What is
+    /// given otherwise wins [default: auto]
     #[arg(long, value_name = "WHEN")]
     few_photos: Option<When>,
     #[command(flatten)]

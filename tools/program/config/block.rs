@@ -40,8 +40,7 @@ pub struct BlockArguments {
     /// [default: auto]
     #[arg(long, value_enum)]
     photo_parts: Option<When>,
-    /// The extent that scales the means' learning rate and the thresholds of densification, and the weight on scales of few photos,
-    /// in the data set's units: of a block, that of the whole scene; 0 takes that of the training cameras [default: 0]
+    /// The extent that scales the means' learning rate and the thresholds of densification, in the data set's units: of a block, that of the whole scene; 0 takes that of the training cameras [default: 0]
     #[arg(long, value_name = "X", allow_hyphen_values = true)]
     scene_extent: Option<f64>,
 }

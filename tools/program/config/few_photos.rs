@@ -11,8 +11,8 @@ const LEAST_SPREAD: f64 = 0.12;
 /// Facts of data set and start, on which settings depend that are not given.
 #[derive(Clone, Copy, Default)]
 pub struct Facts<'a> {
-    /// The scene's extent, for few photos.
-    few_photos: Option<f32>,
+    /// Number of photos to which the settings are adapted, if they are.
+    photos: Option<usize>,
     /// Settings of the checkpoint from which a training continues.
     continued: Option<&'a TrainSettings>,
     /// SH degree that the start has already.
@@ -31,14 +31,11 @@ impl<'a> Facts<'a> {
             // The number of iterations may differ from the checkpoint's.
             return TrainSettings { iterations: TrainSettings::default().iterations, ..settings.clone() };
         }
-        match (preset, strategy, self.few_photos) {
-            (None, Some(strategy), None) => TrainSettings::of_strategy(strategy),
-            (None, Some(strategy), Some(extent)) => TrainSettings::of_few_photos(strategy, extent),
-            (preset, _, None) => TrainSettings::of_preset(preset.unwrap_or_default()),
-            (preset, _, Some(extent)) => {
-                TrainSettings::of_preset_for_few_photos(preset.unwrap_or_default(), extent)
-            }
-        }
+        let usual = match (preset, strategy) {
+            (None, Some(strategy)) => TrainSettings::of_strategy(strategy),
+            (preset, _) => TrainSettings::of_preset(preset.unwrap_or_default()),
+        };
+        self.photos.map_or_else(|| usual.clone(), |photos| usual.clone().for_photos(photos))
     }
 }
 
@@ -52,35 +49,32 @@ impl Given {
         sh_degree: u32,
     ) -> Result<(Settings, Option<String>)> {
         let continued = start.map(|start| &start.settings);
-        let usual = self.settle(&Facts { few_photos: None, continued, sh_degree })?;
+        let usual = self.settle(&Facts { photos: None, continued, sh_degree })?;
         if usual.train.depth_points > 0.0 && gallery.read_tracks()? == 0 {
             let problem = "does not say which photos show which points, whose depths --depth-points needs";
             let remedy = "give a COLMAP model with its observations, or leave --depth-points out";
             return Err(Error::input(&usual.data.source_path, problem, remedy));
         }
-        let photos = gallery.train_photos().len();
-        let few = match usual.data.few_photos {
-            When::Auto => photos < TrainSettings::FEW_PHOTOS && usual.train.strategy == StrategyType::Budget,
-            When::On => true,
-            When::Off => false,
-        };
-        let is_given = |name: &str| self.has(name);
-        match start {
-            Some(_) if !is_given("preset") && !is_given("strategy") => return Ok((usual, None)),
-            _ if !few => return self.with_exposures(usual, gallery, start, vec![self.line_on_defaults()]),
-            _ => {}
+        if start.is_some() && !self.has("preset") && !self.has("strategy") {
+            return Ok((usual, None));
         }
-        let extent = usual.data.extent(gallery.scene_extent(), gallery.frame());
-        let settled = self.settle(&Facts { few_photos: Some(extent), continued, sh_degree })?;
+        let photos = gallery.train_photos().len();
+        let adapted = match usual.data.few_photos {
+            When::Auto => Some(photos).filter(|_| usual.train.strategy == StrategyType::Budget),
+            When::On => Some(0),
+            When::Off => None,
+        };
+        let settled = self.settle(&Facts { photos: adapted, continued, sh_degree })?;
         let without = match settled.train.strategy {
             StrategyType::Fixed => Some("fixed"),
             StrategyType::Mcmc => Some("mcmc"),
             StrategyType::Reference | StrategyType::Budget => None,
         };
-        if let Some(strategy) = without {
+        if let Some(strategy) = without.filter(|_| usual.data.few_photos == When::On) {
             let problem = format!("on has no settings for --strategy {strategy}; leave one of both out");
             return Err(Error::argument("--few-photos", problem));
         }
+        let is_given = |name: &str| self.has(name);
         let lines =
             vec![self.line_on_defaults(), described(photos, is_given, (&usual.train, &settled.train))];
         self.with_exposures(settled, gallery, start, lines)
@@ -126,7 +120,7 @@ fn described(
         .collect();
     let changed = Some(changed.join(" ")).filter(|changed| !changed.is_empty())?;
     Some(format!(
-        "only {photos} photos to train on: {changed}, against fitting only these (--few-photos off: as with many)"
+        "{photos} photos to train on: {changed}, against fitting only these (--few-photos off: as with many)"
     ))
 }
 
@@ -136,22 +130,26 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    const EXTENT: f32 = 4.0;
-
     fn resolved(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
-        Given::read(file, overrides)?.settle(&Facts { few_photos: Some(EXTENT), ..Facts::default() })
+        Given::read(file, overrides)?.settle(&Facts { photos: Some(8), ..Facts::default() })
     }
 
-    /// A scene in other units is trained the same.
+    /// No number of photographs has settings far from those of one more.
     #[test]
-    fn the_weight_on_scales_goes_by_the_extent() {
-        let weight = |extent: f32| TrainSettings::of_few_photos(StrategyType::Budget, extent).scale_reg;
-        let weights = [0.045, 4.5, 45.0, 4.3277, 1e-3].map(weight);
-        assert_eq!(weights, [1.0, 0.01, 0.001, 0.0104, 45.0]);
-        // The trainer refuses an invalid extent, so the weight must stay valid here.
-        for extent in [0.0, -1.0, f32::NAN, f32::INFINITY] {
-            let settings = TrainSettings::of_few_photos(StrategyType::Budget, extent);
-            assert!(settings.scale_reg == 0.0 && settings.check().is_ok(), "{extent}");
+    fn settings_change_gradually_with_the_number_of_photos() {
+        let values = |photos: usize| {
+            let train = TrainSettings::default().for_photos(photos);
+            [train.dropout, 10.0 * train.opacity_reg, train.average_last]
+        };
+        assert_eq!(values(0), values(12));
+        assert_eq!(values(40), values(1000));
+        assert_eq!(TrainSettings::default().for_photos(40), TrainSettings::default());
+        for photos in 0..50 {
+            let [more, fewer] = [values(photos + 1), values(photos)];
+            assert!(
+                more.iter().zip(fewer).all(|(more, fewer)| (0.0..0.02).contains(&(fewer - more))),
+                "{photos}"
+            );
         }
     }
 
@@ -162,18 +160,18 @@ mod tests {
             overrides.train.0.extend(given.iter().map(|(key, value)| ((*key).to_owned(), value.clone())));
             resolved(None, &overrides).expect("settings").train
         };
-        let few = TrainSettings::of_preset_for_few_photos(Preset::Default, EXTENT);
+        let few = TrainSettings::default().for_photos(8);
         assert_eq!(settled(&[]), few);
         assert_eq!(settled(&[("dropout", 0.0.into())]), TrainSettings { dropout: 0.0, ..few.clone() });
-        let budget = TrainSettings::of_few_photos(StrategyType::Budget, EXTENT);
-        assert_eq!(settled(&[("strategy", "budget".into())]), budget);
-        let reference = TrainSettings::of_few_photos(StrategyType::Reference, EXTENT);
-        assert_eq!(settled(&[("strategy", "reference".into())]), reference);
+        for (name, strategy) in [("budget", StrategyType::Budget), ("reference", StrategyType::Reference)] {
+            let adapted = TrainSettings::of_strategy(strategy).for_photos(8);
+            assert_eq!(settled(&[("strategy", name.into())]), adapted);
+        }
 
         let many = TrainSettings::default();
         assert_eq!(described(8, |_| false, (&few, &few)), None);
         let said = described(8, |name| name == "dropout", (&many, &few)).expect("a line");
-        for part in ["only 8 photos", "--few-photos off", "--opacity-reg 0.01", "--scale-reg 0.0112"] {
+        for part in ["8 photos", "--few-photos off", "--opacity-reg 0.003", "--average-last 0.25"] {
             assert!(said.contains(part), "{said}");
         }
         assert!(!said.contains("--dropout"), "{said}");
@@ -198,7 +196,7 @@ mod tests {
     fn a_dump_settles_to_itself() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("settings.toml");
-        let few = |strategy| TrainSettings::of_few_photos(strategy, EXTENT);
+        let few = |strategy| TrainSettings::of_strategy(strategy).for_photos(8);
         for train in [few(StrategyType::Reference), few(StrategyType::Budget), TrainSettings::default()] {
             let settings = Settings { train, ..Settings::reference() };
             std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
