@@ -7,7 +7,7 @@ use ashsplat::frame::{
     PictureCapacity, PlacedScene, SceneBuffers, Strips, frame_requests, planes,
 };
 use ashsplat::passes::adam::{Moments, Optimizer, Rates, Step};
-use ashsplat::passes::backward::{Backward, BackwardVariant, Statistics};
+use ashsplat::passes::backward::{Backward, Statistics};
 use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::passes::poses::{PoseBuffers, PoseGradient, PoseOptimizer, PoseStep};
 use ashsplat::render::Forward;
@@ -106,7 +106,6 @@ impl Training {
         };
         let variant = FrameVariant { inverse_depth: true, backward: true, ..FrameVariant::default() };
         training.forward.prepare_variant(SH_DEGREE, variant).expect("kernels");
-        let variant = BackwardVariant { inverse_depth: true, ..BackwardVariant::default() };
         training.backward.prepare(SH_DEGREE, variant).expect("kernels");
         training.backward.prepare_expand(SH_DEGREE).expect("kernels");
         training.optimizer.prepare(SH_DEGREE).expect("kernels");

@@ -99,8 +99,8 @@ impl<'a> FrameInputs<'a> {
         }
     }
 
-    /// Returns the variant of blending for the frame.
-    pub fn blend_variant(&self) -> FrameVariant {
+    /// Returns the variant of the frame's kernels, without what only its scenes have.
+    pub fn variant(&self) -> FrameVariant {
         FrameVariant {
             linear_depth: self.linear_depth,
             depth_limit: self.depth_limits.is_some(),

@@ -148,7 +148,7 @@ impl Blend {
                 });
             }};
         }
-        match &self.key(sizes, inputs.blend_variant()) {
+        match &self.key(sizes, inputs.variant()) {
             BlendKey::Regions(spec) => passes!(regions, spec, blend),
             BlendKey::Shared(spec) => passes!(shared, spec, blend_shared),
             BlendKey::RegionsAuxiliary(spec) => passes!(regions_auxiliary, spec, blend_auxiliary, auxiliary),

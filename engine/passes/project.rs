@@ -93,10 +93,10 @@ impl Project {
             if !std::mem::take(&mut is_first) {
                 r.barrier();
             }
-            self.record_batch(r, inputs, place, first, inputs.blend_variant().of_scene(first.settings));
+            self.record_batch(r, inputs, place, first, inputs.variant().of_scene(first.settings));
         }
         for part in inputs.parts() {
-            let variant = inputs.blend_variant().of_scene(part.settings);
+            let variant = inputs.variant().of_scene(part.settings);
             let Some(kernel) = self.scene.get(r, &self.spec(part.sh_degree, variant)) else { return };
             let range = part.range;
             let push = project::Push {

@@ -45,6 +45,8 @@ layout(constant_id = 8) const bool DROPOUT = false;
 layout(constant_id = 9) const bool Z_RECORD = false;
 // True if loops over SH coefficients stay loops (see sh.glsl), and if cheap values are recomputed instead of kept in registers.
 layout(constant_id = 10) const bool SH_LOOPS = false;
+// Projection of the camera: see camera.glsl.
+layout(constant_id = 11) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -296,19 +298,14 @@ void main() {
     // The rows of M are J times the scaled axes.
     d_row_x *= p.scale;
     d_row_y *= p.scale;
-    vec2 j_diagonal = p.jacobian.diagonal;
-    vec2 j_depth = p.jacobian.depth;
-    mat3 axes_t = transpose(p.axes_camera);
-    vec2 d_j_diagonal = vec2(dot(d_row_x, axes_t[0]), dot(d_row_y, axes_t[1]));
-    vec2 d_j_depth = vec2(dot(d_row_x, axes_t[2]), dot(d_row_y, axes_t[2]));
-    mat3 d_axes = transpose(
-        mat3(j_diagonal.x * d_row_x, j_diagonal.y * d_row_y, j_depth.x * d_row_x + j_depth.y * d_row_y));
+    mat3 d_axes;
+    JacobianGradient d_jacobian = jacobian_rows_backward(p.jacobian, p.axes_camera, d_row_x, d_row_y, d_axes);
     vec4 d_quat;
     if (!SH_LOOPS) {
         d_quat = axes_backward(p, d_axes);
     }
 
-    vec3 d_camera = jacobian_backward(p.jacobian, p.mean_camera, d_mean2d, d_j_diagonal, d_j_depth);
+    vec3 d_camera = jacobian_backward(PROJECTION, p.jacobian, p.mean_camera, d_mean2d, d_jacobian);
     // The blended depth is 1/z or z. This is its gradient towards the camera.
     float inverse_z = 1.0 / p.mean_camera.z;
     d_camera.z -= Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z;

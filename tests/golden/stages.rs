@@ -9,7 +9,7 @@ use ashsplat::frame::{
     PlacedScene, SceneBuffers, frame_requests, planes,
 };
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
-use ashsplat::passes::backward::{Backward, BackwardVariant};
+use ashsplat::passes::backward::Backward;
 use ashsplat::render::Forward;
 use ashsplat::vk::Recorder;
 
@@ -64,10 +64,9 @@ impl<'a> Stages<'a> {
         let frame = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
         let mut forward = Forward::new(context).expect("kernels");
         let drawn = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(&views[0]) };
-        forward
-            .prepare_variant(sh_degree, FrameVariant::of(&drawn, &camera(&views[0]), true))
-            .expect("kernels");
-        let (mut backward, variant) = (Backward::new(context), BackwardVariant::of(&drawn));
+        let variant = FrameVariant::of(&drawn, &camera(&views[0]), true);
+        forward.prepare_variant(sh_degree, variant).expect("kernels");
+        let mut backward = Backward::new(context);
         backward.prepare(sh_degree, variant).expect("kernels");
         backward.prepare_absolute(sh_degree, variant).expect("kernels");
         backward.prepare_expand(sh_degree).expect("kernels");
