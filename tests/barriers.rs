@@ -125,7 +125,7 @@ impl Training {
             settings: &self.settings,
             depth_limits: None,
             cut_outs: None,
-            linear_depth: false,
+            expected_depth: false,
             backward: true,
             keeps_overflow: false,
             auxiliary: Auxiliary::default(),

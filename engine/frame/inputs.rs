@@ -62,7 +62,7 @@ pub struct FrameInputs<'a> {
     /// Buffer for the cut-outs of all scenes, 64 bytes each; may be `None` if there are none.
     pub cut_outs: Option<&'a Buffer>,
     /// Renders the sum of weights * z instead of weights / z.
-    pub linear_depth: bool,
+    pub expected_depth: bool,
     /// A backward pass follows: store the picture in its layout, see [`FrameBuffers::rendered`]. No scene has a tint, an opacity
     /// or a selection then.
     pub backward: bool,
@@ -91,7 +91,7 @@ impl<'a> FrameInputs<'a> {
             settings,
             depth_limits: None,
             cut_outs: None,
-            linear_depth: false,
+            expected_depth: false,
             backward: false,
             keeps_overflow: false,
             auxiliary: Auxiliary::default(),
@@ -102,7 +102,7 @@ impl<'a> FrameInputs<'a> {
     /// Returns the variant of the frame's kernels, without what only its scenes have.
     pub fn variant(&self) -> FrameVariant {
         FrameVariant {
-            linear_depth: self.linear_depth,
+            expected_depth: self.expected_depth,
             depth_limit: self.depth_limits.is_some(),
             pick: self.auxiliary.picks.is_some(),
             motion: self.auxiliary.motion.is_some(),

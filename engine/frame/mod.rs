@@ -33,8 +33,8 @@ pub use plan::{
     max_trained_instances, parameter_planes, tile_bits, tile_grid, to_u32,
 };
 pub use settings::{
-    Blending, Dropout, ELLIPSOID_SIGMAS, Extent, FrameVariant, JacobianLimit, MAX_TINT, POINT_RADIUS_PX,
-    RenderSettings, SceneSettings, Selection, Shape,
+    Blending, Dropout, ELLIPSOID_SIGMAS, Extent, FrameVariant, MAX_TINT, POINT_RADIUS_PX, RenderSettings,
+    SceneSettings, Selection, Shape,
 };
 pub use strips::{STRIP_ROWS, Strips};
 pub use tuning::SortMethod;

@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::kernels::constants::{DILATION_PX2, TINTED_COLOR_MAX};
-use crate::scene::{Camera, Cut, CutOut, MAX_CUT_OUTS, Projection};
+use crate::scene::{Camera, Cut, CutOut, JacobianLimit, MAX_CUT_OUTS, Projection};
 use crate::vk::Buffer;
 
 /// Pixels at which a Gaussian counts.
@@ -15,16 +15,6 @@ pub enum Extent {
     /// Pixels of the tiles that touch the reference implementation's square of three standard deviations, for parity with the
     /// reference.
     Reference,
-}
-
-/// Directions in which the projection is linearised at the Gaussian itself. Beyond, it is linearised at the limit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum JacobianLimit {
-    /// Up to 0.3 tan(fov/2) outside the image's edges.
-    #[default]
-    Edge,
-    /// ±1.3 tan(fov/2) around the optical axis. This is the reference's limit, also for off-centre cameras.
-    Symmetric,
 }
 
 /// Render settings of a frame.
@@ -397,10 +387,10 @@ impl Blending {
 /// Variant of a frame's kernels: additional outputs of blending, and properties of the Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameVariant {
-    /// Blends the sum of weights / z, or of weights * z with `linear_depth`.
+    /// Blends the sum of weights / z, or of weights * z with `expected_depth`.
     pub inverse_depth: bool,
     /// See `inverse_depth`.
-    pub linear_depth: bool,
+    pub expected_depth: bool,
     /// Splats beyond the frame's depth limits do not count.
     pub depth_limit: bool,
     /// The picture is stored in the layout of the backward pass.
@@ -421,7 +411,7 @@ pub struct FrameVariant {
     /// A scene has a selection. Affects projection.
     pub selection: bool,
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable, unlike with
-    /// `linear_depth`. Affects projection and its backward pass.
+    /// `expected_depth`. Affects projection and its backward pass.
     pub z_record: bool,
     /// Stores the Gaussian of the largest weight for each pixel.
     pub pick: bool,

@@ -66,7 +66,15 @@ impl Blend {
     }
 
     fn key(&self, sizes: &LaunchSizes, variant: FrameVariant) -> BlendKey {
-        let FrameVariant { inverse_depth, linear_depth, depth_limit, steep, pick, motion, .. } = variant;
+        let FrameVariant {
+            inverse_depth,
+            expected_depth: linear_depth,
+            depth_limit,
+            steep,
+            pick,
+            motion,
+            ..
+        } = variant;
         let Self { broadcast, shared_splats, .. } = *self;
         let LaunchSizes { tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
         let (incremental_exp, strips) = (incremental_exp && !steep, variant.backward && sizes.strips);

@@ -193,7 +193,7 @@ impl Compose {
         r.dispatch(&self.depth_limits[usize::from(linear)], &bind, &push, self.workgroups(size));
     }
 
-    /// Records the expected depth sum(w z) / sum(w) of a frame that was blended with `linear_depth`, into an r32f image that is
+    /// Records the expected depth sum(w z) / sum(w) of a frame that was blended with `expected_depth`, into an r32f image that is
     /// ready for kernels. Pixels with a sum of weights below `min_weight` receive `empty`.
     pub fn record_expected_depth(
         &self,

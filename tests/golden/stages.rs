@@ -87,7 +87,7 @@ impl<'a> Stages<'a> {
             settings: &settings,
             depth_limits: None,
             cut_outs: None,
-            linear_depth: false,
+            expected_depth: false,
             backward: true,
             keeps_overflow: false,
             auxiliary: Auxiliary::default(),

@@ -16,7 +16,7 @@
 #define SCREEN_DILATION_PX2 (OWN_DILATION ? shape_dilation_px2 : DILATION_PX2)
 #endif
 
-struct Projection {
+struct ProjectedGaussian {
     vec3 mean_camera;      // R mean + t
     mat3 axes_camera;      // R R(q), columns: the Gaussian's axes in camera space, of the length of the object's scale
     vec3 scale;            // exp(log_scale) times the scale modifier
@@ -39,8 +39,8 @@ mat3 rotation_of(vec4 q) {
         2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
 }
 
-Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
-    Projection p;
+ProjectedGaussian project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
+    ProjectedGaussian p;
     p.mean_camera = to_camera(mean) + camera_translation;
     float norm = length(quat);
     p.inverse_norm = norm > QUAT_NORM_MIN ? 1.0 / norm : 0.0;
@@ -100,7 +100,7 @@ struct Footprint {
     uvec4 tiles;           // first and one past the last tile, x then y: (x0, x1, y0, y1)
 };
 
-Footprint footprint_of(Projection p, float opacity_logit) {
+Footprint footprint_of(ProjectedGaussian p, float opacity_logit) {
     Footprint f;
     float ratio = p.det_raw / p.det;
     float opacity = opacity_of(opacity_logit);
