@@ -54,7 +54,7 @@ const _: () = assert!(BLOCKS_PER_UPDATE * size_of::<Block>() <= MAX_UPDATE_BYTES
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Block {
     values: CameraBlock,
-    unused: [u32; (constants::CAMERA_BLOCK_WORDS - constants::CAMERA_BLOCK_MEMBERS) as usize],
+    unused: [u32; constants::CAMERA_BLOCK_WORDS as usize - size_of::<CameraBlock>() / 4],
 }
 const _: () = assert!(size_of::<Block>() as u64 == CAMERA_BLOCK_BYTES);
 

@@ -1,5 +1,6 @@
 //! Render settings of a frame.
 
+use super::Outputs;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::kernels::constants::{DILATION_PX2, TINTED_COLOR_MAX};
@@ -413,10 +414,8 @@ pub struct FrameVariant {
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable, unlike with
     /// `expected_depth`. Affects projection and its backward pass.
     pub z_record: bool,
-    /// Stores the Gaussian of the largest weight for each pixel.
-    pub pick: bool,
-    /// Blends the sum of weights * motions.
-    pub motion: bool,
+    /// Outputs besides the picture. Motion also affects projection.
+    pub outputs: Outputs,
     /// Projection of the camera. Affects culling, projection and its backward pass.
     pub projection: Projection,
     /// Views share one order. Culling adds to the visible Gaussians of earlier views, and projection omits those that its view

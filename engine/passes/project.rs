@@ -203,5 +203,5 @@ impl Project {
 fn motion_projections(variant: FrameVariant) -> impl Iterator<Item = [Projection; 2]> {
     let pairs = Projection::ALL.into_iter().flat_map(|now| Projection::ALL.map(|before| [now, before]));
     let others = variant.projection != Projection::Perspective;
-    pairs.filter(move |pair| variant.motion && (others || *pair == [Projection::Perspective; 2]))
+    pairs.filter(move |pair| variant.outputs.motion && (others || *pair == [Projection::Perspective; 2]))
 }

@@ -47,8 +47,7 @@ impl Renderer {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
             expected_depth: frame.depth.is_some(),
             depth_limit: frame.occluder.is_some(),
-            pick: frame.pick.is_some(),
-            motion: frame.motion.is_some(),
+            outputs: frame.outputs(),
             ..FrameVariant::of(frame.settings, frame.camera, false)
         };
         // One pass over the scenes, because there may be thousands. Most have the same kind as the previous one.

@@ -224,7 +224,7 @@ impl Recording<'_> {
             FrameInputs {
                 depth_limits: frame.occluder.as_ref().and(memory.depth_limits.as_ref()),
                 expected_depth: frame.depth.is_some(),
-                auxiliary: memory.auxiliary(frame.pick.is_some(), frame.motion.is_some()),
+                auxiliary: memory.outputs.of(frame.outputs()),
                 view: (order.views > 1).then_some(number),
                 ..memory.inputs(own, &settings)
             }

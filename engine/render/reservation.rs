@@ -2,8 +2,8 @@
 
 use crate::error::{Error, Result};
 use crate::frame::{
-    FrameCapacity, FrameVariant, LEAST_SCENES, LaunchSizes, PictureCapacity, ScenePlan, SceneSettings,
-    check_grids, initial_instances,
+    FrameCapacity, FrameVariant, LEAST_SCENES, LaunchSizes, Outputs, PictureCapacity, ScenePlan,
+    SceneSettings, check_grids, initial_instances,
 };
 use crate::scene::{MAX_CUT_OUTS, Projection};
 use crate::vk::{Context, ScopeTime};
@@ -125,6 +125,11 @@ impl Reservation {
         grown
     }
 
+    /// Outputs of frames besides the picture and its depth.
+    pub(super) fn outputs(&self) -> Outputs {
+        Outputs { pick: self.pick, motion: self.motion }
+    }
+
     /// True if slots keep a depth beside their pixels.
     pub(super) fn keeps_depth(&self) -> bool {
         !self.images_only && (self.inverse_depth || self.expected_depth)
@@ -164,7 +169,8 @@ impl Reservation {
     /// Returns the variants of culling and projection that scenes may need.
     pub(super) fn scene_variants(&self) -> Vec<FrameVariant> {
         // Kernels of motion belong to the projection, and depend on nothing but the cameras.
-        let plain = |projection| FrameVariant { projection, motion: self.motion, ..FrameVariant::default() };
+        let outputs = self.outputs();
+        let plain = |projection| FrameVariant { projection, outputs, ..FrameVariant::default() };
         let features: [Feature; 5] = [
             (self.filter_3d, |v| v.filter_3d = true),
             (self.tint, |v| v.tinted = true),
@@ -191,8 +197,8 @@ impl Reservation {
         let depths = [(true, plain), (self.inverse_depth, inverse), (self.expected_depth, expected)];
         let features: [Feature; 4] = [
             (self.occlusion, |v| v.depth_limit = true),
-            (self.pick, |v| v.pick = true),
-            (self.motion, |v| v.motion = true),
+            (self.pick, |v| v.outputs.pick = true),
+            (self.motion, |v| v.outputs.motion = true),
             // Any frame may draw ellipsoids.
             (true, |v| v.steep = true),
         ];
@@ -208,8 +214,8 @@ impl Reservation {
             ("expected_depth", frame.expected_depth, self.expected_depth),
             ("inverse_depth", frame.inverse_depth && !frame.expected_depth, self.inverse_depth),
             ("filter_3d", frame.filter_3d, self.filter_3d),
-            ("pick", frame.pick, self.pick),
-            ("motion", frame.motion, self.motion),
+            ("pick", frame.outputs.pick, self.pick),
+            ("motion", frame.outputs.motion, self.motion),
             ("orthographic", has(Projection::Orthographic), self.orthographic),
         ];
         let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
@@ -270,8 +276,7 @@ impl Reservation {
             scenes: self.scenes * if self.shared_sort { self.views } else { 1 },
             pictures,
             blend_passes: self.passes(sizes),
-            backward: false,
-            absolute: false,
+            ..FrameCapacity::default()
         };
         check_grids(context.limits(), &capacity, sizes)
             .map_err(|error| error.of_field(field_name("width, height, gaussians, instances")))?;

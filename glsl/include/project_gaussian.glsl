@@ -6,6 +6,7 @@
 
 #include "opacity.glsl"
 #include "camera.glsl"
+#include "rotation.glsl"
 
 #ifdef DRAWS_SHAPES
 #define SCALE_MODIFIER shape_scale
@@ -30,14 +31,6 @@ struct ProjectedGaussian {
     float det_raw;         // determinant before the dilation
     float det;             // determinant after the dilation
 };
-
-mat3 rotation_of(vec4 q) {
-    float w = q.x, x = q.y, y = q.z, z = q.w;
-    return mat3(
-        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
-        2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
-        2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
-}
 
 ProjectedGaussian project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     ProjectedGaussian p;

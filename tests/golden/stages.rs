@@ -5,8 +5,8 @@ use crate::common::engine::settings;
 use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use ashsplat::frame::{
-    Auxiliary, FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, PictureCapacity,
-    PlacedScene, SceneBuffers, frame_requests, planes,
+    FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, PictureCapacity, PlacedScene,
+    SceneBuffers, frame_requests, planes,
 };
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::passes::backward::Backward;
@@ -54,11 +54,10 @@ impl<'a> Stages<'a> {
             gaussians: scene.plan.capacity,
             visible: scene.plan.capacity,
             instances: tiles * set.len() as u32 + 64,
-            scenes: 1,
             pictures,
-            blend_passes: 1,
             backward: true,
             absolute: true,
+            ..FrameCapacity::default()
         };
         let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
         let frame = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
@@ -78,20 +77,10 @@ impl<'a> Stages<'a> {
         let linear_depth = self.linear_depth;
         let settings = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(view) };
         let camera = camera(view);
+        let scenes = [PlacedScene::alone(&self.scene, &camera, view.sh_degree)];
         let inputs = FrameInputs {
-            scenes: &[PlacedScene::alone(&self.scene, &camera, view.sh_degree)],
-            frame: &self.frame,
-            capacity: &self.capacity,
-            camera: &camera,
-            pose: None,
-            settings: &settings,
-            depth_limits: None,
-            cut_outs: None,
-            expected_depth: false,
             backward: true,
-            keeps_overflow: false,
-            auxiliary: Auxiliary::default(),
-            view: None,
+            ..FrameInputs::new(&scenes, &self.frame, &self.capacity, &settings)
         };
         self.gpu.run(|r| {
             self.forward.record(r, &inputs);
