@@ -50,7 +50,7 @@ pub mod vk;
 /// The Vulkan bindings whose types the API shows.
 pub use ash;
 pub use error::{Error, Result};
-pub use frame::{Blending, Extent, JacobianLimit, RenderSettings, SceneSettings, Selection, Shape};
+pub use frame::{Blending, Extent, RenderSettings, SceneSettings, Selection, Shape};
 /// The vectors and matrices whose types the API shows.
 pub use glam;
 pub use passes::compose::Background;
@@ -59,5 +59,5 @@ pub use render::{
     Occluder, PickTarget, PixelReport, Placed, ProjectedSplat, RecordedFrame, Release, Renderer, Reservation,
     Sample, SlotReport, Target, TileLists, TileReport, Update,
 };
-pub use scene::{Camera, ColorEncoding, Gaussians};
+pub use scene::{Camera, ColorEncoding, Gaussians, JacobianLimit};
 pub use train::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

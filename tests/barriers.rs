@@ -3,11 +3,11 @@
 use crate::common::engine::settings;
 use crate::common::prelude::*;
 use ashsplat::frame::{
-    Auxiliary, FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, POSE_BYTES,
-    PictureCapacity, PlacedScene, SceneBuffers, Strips, frame_requests, planes,
+    FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, POSE_BYTES, PictureCapacity,
+    PlacedScene, SceneBuffers, Strips, frame_requests, planes,
 };
 use ashsplat::passes::adam::{Moments, Optimizer, Rates, Step};
-use ashsplat::passes::backward::{Backward, BackwardVariant, Statistics};
+use ashsplat::passes::backward::{Backward, Statistics};
 use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::passes::poses::{PoseBuffers, PoseGradient, PoseOptimizer, PoseStep};
 use ashsplat::render::Forward;
@@ -64,11 +64,10 @@ impl Training {
             gaussians: 1200,
             visible: 1200,
             instances: 6000,
-            scenes: 1,
             pictures: PictureCapacity::of(SIZE[0], SIZE[1]),
             blend_passes: 2,
             backward: true,
-            absolute: false,
+            ..FrameCapacity::default()
         };
         let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
         let frame = context.allocate("frame", &requests, MemoryKind::Device).expect("a frame");
@@ -106,7 +105,6 @@ impl Training {
         };
         let variant = FrameVariant { inverse_depth: true, backward: true, ..FrameVariant::default() };
         training.forward.prepare_variant(SH_DEGREE, variant).expect("kernels");
-        let variant = BackwardVariant { inverse_depth: true, ..BackwardVariant::default() };
         training.backward.prepare(SH_DEGREE, variant).expect("kernels");
         training.backward.prepare_expand(SH_DEGREE).expect("kernels");
         training.optimizer.prepare(SH_DEGREE).expect("kernels");
@@ -117,20 +115,11 @@ impl Training {
 
     fn record(&self, recorder: &mut Recorder, kind: Kind) {
         let first_pose = self.poses.cameras.range(0, POSE_BYTES);
+        let scenes = [PlacedScene::alone(&self.scene, &self.camera, SH_DEGREE)];
         let inputs = FrameInputs {
-            scenes: &[PlacedScene::alone(&self.scene, &self.camera, SH_DEGREE)],
-            frame: &self.frame,
-            capacity: &self.capacity,
-            camera: &self.camera,
             pose: (kind == Kind::Poses).then_some(&first_pose),
-            settings: &self.settings,
-            depth_limits: None,
-            cut_outs: None,
-            linear_depth: false,
             backward: true,
-            keeps_overflow: false,
-            auxiliary: Auxiliary::default(),
-            view: None,
+            ..FrameInputs::new(&scenes, &self.frame, &self.capacity, &self.settings)
         };
         let others = self.others.split_first_chunk().expect("as many as were asked for");
         let ([photo, losses, statistics, mean2d_gradients, image_gradient], scratch) = others;

@@ -114,11 +114,9 @@ fn limits_of_images_are_those_of_the_picture_in_training_too() {
             gaussians: 1000,
             visible: 1000,
             instances: 5000,
-            scenes: 1,
             pictures: PictureCapacity::of(width, height),
-            blend_passes: 1,
             backward: true,
-            absolute: false,
+            ..FrameCapacity::default()
         };
         for (name, bytes) in frame_requests(&capacity, &LaunchSizes::new(context.limits())) {
             assert!(bytes <= largest, "{width}x{height}: {name} has {bytes} bytes");

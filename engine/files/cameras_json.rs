@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::splats::FARTHEST;
 use super::{atomic, cost, text};
-use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
+use ashsplat::scene::{Camera, Intrinsics, Projection, WorldFrame};
 use ashsplat::{Error, Result};
 
 /// One camera with the name of its picture.
@@ -78,7 +78,10 @@ impl Entry {
             fx: per_unit * camera.fx,
             cx: Some(camera.cx),
             cy: Some(camera.cy),
-            projection: camera.is_orthographic().then_some(Rays::Orthographic),
+            projection: match camera.projection {
+                Projection::Perspective => None,
+                Projection::Orthographic => Some(Rays::Orthographic),
+            },
             origin: (frame.origin != DVec3::ZERO).then(|| frame.origin.to_array()),
             unit: (frame.unit != 1.0).then_some(frame.unit),
         }
@@ -86,7 +89,10 @@ impl Entry {
 
     fn camera(&self, frame: &WorldFrame) -> Camera {
         let camera_from_world = DMat3::from_cols_array_2d(&self.rotation);
-        let is_orthographic = matches!(self.projection, Some(Rays::Orthographic));
+        let is_orthographic = match self.projection {
+            None | Some(Rays::Perspective) => false,
+            Some(Rays::Orthographic) => true,
+        };
         let per_unit = if is_orthographic { frame.unit as f32 } else { 1.0 };
         let intrinsics = Intrinsics {
             fx: per_unit * self.fx,

@@ -7,7 +7,7 @@
 
 use super::CAMERA_BLOCK_BYTES;
 use super::inputs::{FrameInputs, PlacedScene};
-use super::settings::{DrawnShape, Dropout, JacobianLimit, RenderSettings};
+use super::settings::{DrawnShape, Dropout, RenderSettings};
 use crate::kernels::blocks::CameraBlock;
 use crate::kernels::{constants, constants as c};
 use crate::scene::cut_out::Compared;
@@ -54,7 +54,7 @@ const _: () = assert!(BLOCKS_PER_UPDATE * size_of::<Block>() <= MAX_UPDATE_BYTES
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Block {
     values: CameraBlock,
-    unused: [u32; (constants::CAMERA_BLOCK_WORDS - constants::CAMERA_BLOCK_MEMBERS) as usize],
+    unused: [u32; constants::CAMERA_BLOCK_WORDS as usize - size_of::<CameraBlock>() / 4],
 }
 const _: () = assert!(size_of::<Block>() as u64 == CAMERA_BLOCK_BYTES);
 
@@ -93,7 +93,7 @@ fn block_of_frame(camera: &Camera, settings: &RenderSettings) -> CameraBlock {
         focal_px: [camera.fx, camera.fy],
         // COLMAP puts the centre of the first pixel at 0.5, the shaders at 0.
         center_px: [camera.cx - 0.5, camera.cy - 0.5],
-        jacobian_limits: jacobian_limits(&whole, settings.jacobian_limit),
+        jacobian_limits: camera.jacobian_limits(settings.jacobian_limit),
         image_width: camera.width,
         image_height: camera.height,
         whole_width: whole.width,
@@ -134,23 +134,6 @@ fn set_scene(block: &mut CameraBlock, placed: &PlacedScene<'_>) {
     block.scene_parameters = placed.batch.parameters.begin;
     block.scene_first_cut_out = placed.first_cut_out;
     block.scene_cut_outs = scene.cut_out_count();
-}
-
-/// Limits of x/z and y/z (low, high, low, high) between which the projection is linearised.
-fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4] {
-    let axis = |focal: f32, center: f32, size: u32| {
-        let size = size as f32;
-        let half_tan = size / (2.0 * focal);
-        match limit {
-            JacobianLimit::Edge => {
-                [-center / focal - 0.3 * half_tan, (size - center) / focal + 0.3 * half_tan]
-            }
-            JacobianLimit::Symmetric => [-1.3 * half_tan, 1.3 * half_tan],
-        }
-    };
-    let [x_low, x_high] = axis(camera.fx, camera.cx, camera.width);
-    let [y_low, y_high] = axis(camera.fy, camera.cy, camera.height);
-    [x_low, x_high, y_low, y_high]
 }
 
 // Cut-outs of a frame's scenes in the layout that culling reads (cut_outs.glsl).

@@ -1,8 +1,8 @@
 //! Inputs of a frame: scenes with their transforms, a camera, settings.
 
 use super::{
-    CAMERA_BLOCK_BYTES, FrameBuffers, FrameCapacity, FrameVariant, GaussianRange, RenderSettings, ScenePlan,
-    SceneSettings,
+    Auxiliary, CAMERA_BLOCK_BYTES, FrameBuffers, FrameCapacity, FrameVariant, GaussianRange, RenderSettings,
+    ScenePlan, SceneSettings,
 };
 use crate::kernels::constants::NO_BATCH;
 use crate::scene::{Camera, Pose};
@@ -62,7 +62,7 @@ pub struct FrameInputs<'a> {
     /// Buffer for the cut-outs of all scenes, 64 bytes each; may be `None` if there are none.
     pub cut_outs: Option<&'a Buffer>,
     /// Renders the sum of weights * z instead of weights / z.
-    pub linear_depth: bool,
+    pub expected_depth: bool,
     /// A backward pass follows: store the picture in its layout, see [`FrameBuffers::rendered`]. No scene has a tint, an opacity
     /// or a selection then.
     pub backward: bool,
@@ -76,7 +76,7 @@ pub struct FrameInputs<'a> {
 
 impl<'a> FrameInputs<'a> {
     /// A frame of these scenes, without backward and without further inputs or outputs.
-    pub(crate) fn new(
+    pub fn new(
         scenes: &'a [PlacedScene<'a>],
         frame: &'a FrameBuffers,
         capacity: &'a FrameCapacity,
@@ -91,7 +91,7 @@ impl<'a> FrameInputs<'a> {
             settings,
             depth_limits: None,
             cut_outs: None,
-            linear_depth: false,
+            expected_depth: false,
             backward: false,
             keeps_overflow: false,
             auxiliary: Auxiliary::default(),
@@ -99,13 +99,12 @@ impl<'a> FrameInputs<'a> {
         }
     }
 
-    /// Returns the variant of blending for the frame.
-    pub fn blend_variant(&self) -> FrameVariant {
+    /// Returns the variant of the frame's kernels, without what only its scenes have.
+    pub fn variant(&self) -> FrameVariant {
         FrameVariant {
-            linear_depth: self.linear_depth,
+            expected_depth: self.expected_depth,
             depth_limit: self.depth_limits.is_some(),
-            pick: self.auxiliary.picks.is_some(),
-            motion: self.auxiliary.motion.is_some(),
+            outputs: self.auxiliary.kinds(),
             shared_order: self.view.is_some(),
             ..FrameVariant::of(self.settings, self.camera, self.backward)
         }
@@ -128,13 +127,12 @@ impl<'a> FrameInputs<'a> {
             return;
         }
         let colored = |own: &SceneSettings| own.is_tinted() || own.mask().is_some();
-        let Auxiliary { picks, motion } = self.auxiliary;
         let obstacles = [
             (
                 self.scenes.iter().any(|placed| colored(placed.settings)),
                 "a frame with a tint, an opacity or a selection",
             ),
-            (picks.is_some() || motion.is_some(), "a frame with picks or motion"),
+            (self.auxiliary.kinds().any(), "a frame with picks or motion"),
             (self.camera.is_orthographic(), "an orthographic camera's frame"),
         ];
         for (found, obstacle) in obstacles {
@@ -330,35 +328,6 @@ pub(crate) struct Part<'a> {
     pub previous: SceneView,
 }
 
-// Further outputs of blending on request: the Gaussian of the largest weight, and the mean motion.
-
-/// Further outputs of a frame besides the picture. By default there are none, and the kernels are those of a plain frame.
-#[derive(Clone, Copy, Default)]
-pub struct Auxiliary<'a> {
-    /// Gaussian of the largest weight per pixel.
-    pub picks: Option<PickBuffers<'a>>,
-    /// Mean motion per pixel.
-    pub motion: Option<MotionBuffers<'a>>,
-}
-
-/// Buffers of picking.
-#[derive(Clone, Copy)]
-pub struct PickBuffers<'a> {
-    /// Per pixel: 1 + index of the Gaussian in its tile's list, 0 for none; bits of its weight. 8 bytes.
-    pub picks: &'a Buffer,
-    /// Per scene: index of its first Gaussian in the frame, 4 bytes.
-    pub scene_firsts: &'a Buffer,
-}
-
-/// Buffers of motion.
-#[derive(Clone, Copy)]
-pub struct MotionBuffers<'a> {
-    /// Per visible Gaussian: motion on the screen, px, 8 bytes.
-    pub motions: &'a Buffer,
-    /// Per pixel: sum of weights * motions, px, 8 bytes.
-    pub sums: &'a Buffer,
-}
-
 /// View of a scene in its own axes.
 #[derive(Clone, Copy, Debug)]
 pub struct SceneView {
@@ -380,30 +349,5 @@ pub struct PreviousView<'a> {
 impl PreviousView<'_> {
     fn view(&self) -> SceneView {
         SceneView { camera: self.pose.camera_in_object(self.camera), scale: self.pose.scale }
-    }
-}
-
-/// Number of indices that one command writes. They are gathered on the stack: 4 KiB.
-const FIRSTS_AT_ONCE: usize = 1024;
-
-/// Records the indices of the scenes' first Gaussians, by which picks find the scene. The caller places a barrier after it.
-///
-/// # Panics
-/// If the buffer is too small.
-pub(crate) fn record_scene_firsts(r: &mut Recorder, inputs: &FrameInputs) {
-    let Some(PickBuffers { scene_firsts, .. }) = inputs.auxiliary.picks else { return };
-    let (mut placed, mut first, mut words) = (inputs.scenes.iter(), 0, [0u32; FIRSTS_AT_ONCE]);
-    loop {
-        let mut count = 0;
-        for (word, placed) in words.iter_mut().zip(&mut placed) {
-            *word = placed.first;
-            count += 1;
-        }
-        if count == 0 {
-            return;
-        }
-        let bytes = bytemuck::cast_slice(&words[..count]);
-        r.update(&scene_firsts.range(first, bytes.len() as u64), bytes);
-        first += bytes.len() as u64;
     }
 }

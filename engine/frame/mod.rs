@@ -6,6 +6,7 @@ mod buffers;
 mod camera_block;
 mod inputs;
 mod launch_sizes;
+mod outputs;
 mod plan;
 pub mod planes;
 mod settings;
@@ -20,12 +21,11 @@ pub use buffers::{
 pub(crate) use buffers::{POSE_SUM_BYTES, array_of, packed_bytes, sorted_side};
 pub(crate) use camera_block::{CUT_OUT_BYTES, record_blocks, record_cut_outs};
 pub use camera_block::{POSE_BYTES, pose_of};
-pub use inputs::{
-    Auxiliary, Batch, FrameInputs, MotionBuffers, PickBuffers, PlacedScene, PreviousView, SceneBuffers,
-    SceneView,
-};
-pub(crate) use inputs::{Parameters, Part, record_scene_firsts};
+pub use inputs::{Batch, FrameInputs, PlacedScene, PreviousView, SceneBuffers, SceneView};
+pub(crate) use inputs::{Parameters, Part};
 pub use launch_sizes::{BlendShape, LaunchSizes, blocks, region_height};
+pub use outputs::{Auxiliary, MotionBuffers, Outputs, PickBuffers};
+pub(crate) use outputs::{OutputMemory, record_scene_firsts};
 pub(crate) use plan::plane_group;
 pub use plan::{
     FrameCapacity, GaussianRange, LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, ScenePlan, first_frozen,
@@ -33,8 +33,8 @@ pub use plan::{
     max_trained_instances, parameter_planes, tile_bits, tile_grid, to_u32,
 };
 pub use settings::{
-    Blending, Dropout, ELLIPSOID_SIGMAS, Extent, FrameVariant, JacobianLimit, MAX_TINT, POINT_RADIUS_PX,
-    RenderSettings, SceneSettings, Selection, Shape,
+    Blending, Dropout, ELLIPSOID_SIGMAS, Extent, FrameVariant, MAX_TINT, POINT_RADIUS_PX, RenderSettings,
+    SceneSettings, Selection, Shape,
 };
 pub use strips::{STRIP_ROWS, Strips};
 pub use tuning::SortMethod;

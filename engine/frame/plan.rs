@@ -149,6 +149,22 @@ pub struct FrameCapacity {
     pub absolute: bool,
 }
 
+impl Default for FrameCapacity {
+    /// Capacity before the first frame: of one scene and one pass of blending, otherwise nothing.
+    fn default() -> Self {
+        Self {
+            gaussians: 0,
+            visible: 0,
+            instances: 0,
+            scenes: 1,
+            pictures: PictureCapacity::NONE,
+            blend_passes: 1,
+            backward: false,
+            absolute: false,
+        }
+    }
+}
+
 /// Returns the size of an image in tiles: (columns, rows).
 pub const fn tile_grid(width: u32, height: u32) -> (u32, u32) {
     (width.div_ceil(TILE_SIZE), height.div_ceil(TILE_SIZE))

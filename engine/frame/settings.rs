@@ -1,9 +1,10 @@
 //! Render settings of a frame.
 
+use super::Outputs;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
-use crate::kernels::constants::TINTED_COLOR_MAX;
-use crate::scene::{Camera, Cut, CutOut, MAX_CUT_OUTS, Projection};
+use crate::kernels::constants::{DILATION_PX2, TINTED_COLOR_MAX};
+use crate::scene::{Camera, Cut, CutOut, JacobianLimit, MAX_CUT_OUTS, Projection};
 use crate::vk::Buffer;
 
 /// Pixels at which a Gaussian counts.
@@ -15,16 +16,6 @@ pub enum Extent {
     /// Pixels of the tiles that touch the reference implementation's square of three standard deviations, for parity with the
     /// reference.
     Reference,
-}
-
-/// Directions in which the projection is linearised at the Gaussian itself. Beyond, it is linearised at the limit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum JacobianLimit {
-    /// Up to 0.3 tan(fov/2) outside the image's edges.
-    #[default]
-    Edge,
-    /// ±1.3 tan(fov/2) around the optical axis. This is the reference's limit, also for off-centre cameras.
-    Symmetric,
 }
 
 /// Render settings of a frame.
@@ -95,7 +86,7 @@ impl Default for RenderSettings {
             jacobian_limit: JacobianLimit::default(),
             antialias: false,
             antialias_detached: false,
-            dilation_px2: c::DILATION_PX2,
+            dilation_px2: DILATION_PX2,
             filter_3d: false,
             background: [0.0; 3],
             sh_degree: None,
@@ -145,7 +136,7 @@ impl RenderSettings {
 
     /// True if splats may be steeper than the reference's low-pass filter allows.
     pub(crate) fn is_steep(&self) -> bool {
-        self.shape == Shape::Ellipsoid || self.dilation_px2 < c::DILATION_PX2
+        self.shape == Shape::Ellipsoid || self.dilation_px2 < DILATION_PX2
     }
 
     /// True if the splats' records have z in place of 1/z.
@@ -397,10 +388,10 @@ impl Blending {
 /// Variant of a frame's kernels: additional outputs of blending, and properties of the Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameVariant {
-    /// Blends the sum of weights / z, or of weights * z with `linear_depth`.
+    /// Blends the sum of weights / z, or of weights * z with `expected_depth`.
     pub inverse_depth: bool,
     /// See `inverse_depth`.
-    pub linear_depth: bool,
+    pub expected_depth: bool,
     /// Splats beyond the frame's depth limits do not count.
     pub depth_limit: bool,
     /// The picture is stored in the layout of the backward pass.
@@ -408,9 +399,11 @@ pub struct FrameVariant {
     /// Splats may be steeper than [`DILATION_PX2`](crate::kernels::constants::DILATION_PX2) allows, like those of ellipsoids.
     /// The products of INCREMENTAL_EXP would underflow (glsl/include/blending.glsl).
     pub steep: bool,
-    /// Gaussians have a 3D filter. Affects culling and projection.
+    /// Gaussians have a 3D filter. Affects culling, projection and its backward pass.
     pub filter_3d: bool,
-    /// Random Gaussians are omitted. Affects culling and projection.
+    /// The low-pass filter differs from the reference's. Affects the backward pass.
+    pub own_dilation: bool,
+    /// Random Gaussians are omitted. Affects culling, projection and its backward pass.
     pub dropout: bool,
     /// A scene has a tint or an opacity ([`SceneSettings`]). Affects culling and projection.
     pub tinted: bool,
@@ -419,13 +412,11 @@ pub struct FrameVariant {
     /// A scene has a selection. Affects projection.
     pub selection: bool,
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable, unlike with
-    /// `linear_depth`. Affects projection.
+    /// `expected_depth`. Affects projection and its backward pass.
     pub z_record: bool,
-    /// Stores the Gaussian of the largest weight for each pixel.
-    pub pick: bool,
-    /// Blends the sum of weights * motions.
-    pub motion: bool,
-    /// Projection of the camera. Affects culling and projection.
+    /// Outputs besides the picture. Motion also affects projection.
+    pub outputs: Outputs,
+    /// Projection of the camera. Affects culling, projection and its backward pass.
     pub projection: Projection,
     /// Views share one order. Culling adds to the visible Gaussians of earlier views, and projection omits those that its view
     /// does not show.
@@ -441,10 +432,18 @@ impl FrameVariant {
             backward,
             steep: settings.is_steep(),
             filter_3d: settings.filter_3d,
+            own_dilation: settings.dilation_px2 != DILATION_PX2,
             dropout: settings.dropout.is_some(),
             z_record: settings.has_z_record(),
             ..Self::default()
         }
+    }
+
+    /// Returns the different variants of frames of these cameras.
+    pub(crate) fn of_cameras(settings: &RenderSettings, cameras: &[Camera], backward: bool) -> Vec<Self> {
+        let of = |projection| cameras.iter().find(|camera| camera.projection == projection);
+        let first = Projection::ALL.into_iter().filter_map(of);
+        first.map(|camera| Self::of(settings, camera, backward)).collect()
     }
 
     /// Returns the variant of one of a frame's scenes.

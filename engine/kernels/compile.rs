@@ -47,12 +47,27 @@ pub fn compile(
         messages: ShaderMessage::VULKAN_RULES | ShaderMessage::SPV_RULES | ShaderMessage::ENHANCED,
     };
     let mut includer = Includer { glsl, file: path };
-    let source = ShaderSource::from(with_prelude(source, if texels { TEXELS } else { "" }));
+    let macros = format!("{}{}", if texels { TEXELS } else { "" }, camera_block_members(glsl)?);
+    let source = ShaderSource::from(with_prelude(source, &macros));
     let none: Option<&[(&str, Option<&str>)]> = None;
     let input = ShaderInput::new(&source, stage_of(path), &options, none, Some(&mut includer))
         .map_err(|e| report(&e, display))?;
     let shader = glslang::Shader::new(compiler, input).parse().map_err(|e| report(&e, display))?;
     shader.compile().map_err(|e| report(&e, display))
+}
+
+/// Returns the macro of the number of words in camera_members.glsl, which GLSL itself cannot count.
+fn camera_block_members(glsl: &Path) -> Result<String, String> {
+    let source = fs::read_to_string(glsl.join("include/camera_members.glsl")).unwrap_or_default();
+    let members = source.lines().filter(|line| !line.starts_with("//"));
+    let words = members.map(|line| match line.split_once(' ').unwrap_or_default().0 {
+        "float" | "uint" => Ok(1),
+        "vec2" => Ok(2),
+        "vec3" => Ok(3),
+        "vec4" => Ok(4),
+        _ => Err(format!("glsl/include/camera_members.glsl: '{line}' is no float, uint or vec")),
+    });
+    Ok(format!("#define CAMERA_BLOCK_MEMBERS {}\n", words.sum::<Result<u32, _>>()?))
 }
 
 /// Returns Compute, except for the graphics shaders of the embedding example.

@@ -6,47 +6,15 @@
 //! the same bits.
 
 use crate::error::Result;
-use crate::frame::{BlendShape, FrameInputs, LaunchSizes, POSE_SUM_BYTES, RenderSettings};
+use crate::frame::{BlendShape, FrameInputs, FrameVariant, LaunchSizes, POSE_SUM_BYTES};
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
 };
-use crate::kernels::constants::DILATION_PX2;
 use crate::passes::blend::record_passes;
 use crate::vk::{Buffer, Context, KernelSet, Recorder};
 
 /// A Gaussian with more tiles has its instances added up by a whole subgroup.
 const LANE_INSTANCES: u32 = 64;
-
-/// Parts of a frame's backward pass besides the gradients of the colours.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BackwardVariant {
-    /// Gradients of the inverse depth.
-    pub inverse_depth: bool,
-    /// Same as [`FrameVariant::steep`](crate::frame::FrameVariant::steep).
-    pub steep: bool,
-    /// Gaussians have a 3D filter.
-    pub filter_3d: bool,
-    /// The low-pass filter differs from the reference's.
-    pub own_dilation: bool,
-    /// Same as [`FrameVariant::dropout`](crate::frame::FrameVariant::dropout).
-    pub dropout: bool,
-    /// Same as [`FrameVariant::z_record`](crate::frame::FrameVariant::z_record).
-    pub z_record: bool,
-}
-
-impl BackwardVariant {
-    /// Returns the variant of a frame with these settings.
-    pub fn of(settings: &RenderSettings) -> Self {
-        Self {
-            inverse_depth: settings.inverse_depth,
-            steep: settings.is_steep(),
-            filter_3d: settings.filter_3d,
-            own_dilation: settings.dilation_px2 != DILATION_PX2,
-            dropout: settings.dropout.is_some(),
-            z_record: settings.has_z_record(),
-        }
-    }
-}
 
 /// The kernels of the backward pass.
 pub struct Backward {
@@ -144,28 +112,28 @@ impl Backward {
     }
 
     /// Builds the missing kernels for an SH degree and a variant.
-    pub fn prepare(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
+    pub fn prepare(&mut self, sh_degree: u32, variant: FrameVariant) -> Result<()> {
         self.prepare_sums(sh_degree, variant, Sums::Gradients, false)
     }
 
     /// Same as [`Backward::prepare`], for [`Statistics::absolute`].
-    pub fn prepare_absolute(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
+    pub fn prepare_absolute(&mut self, sh_degree: u32, variant: FrameVariant) -> Result<()> {
         self.prepare_sums(sh_degree, variant, Sums::Absolute, false)
     }
 
     /// Builds the kernel of [`Backward::record_weights`] for a variant, if it is missing.
-    pub fn prepare_weights(&mut self, variant: BackwardVariant) -> Result<()> {
+    pub fn prepare_weights(&mut self, variant: FrameVariant) -> Result<()> {
         self.prepare_blend(Sums::Weights, variant)
     }
 
-    fn prepare_blend(&mut self, sums: Sums, variant: BackwardVariant) -> Result<()> {
+    fn prepare_blend(&mut self, sums: Sums, variant: FrameVariant) -> Result<()> {
         match self.sizes.blend_backward_subgroup_per_tile {
             true => self.blend_tiles.prepare(&self.context, self.blend_tiles_spec(sums, variant)),
             false => self.blend_regions.prepare(&self.context, self.blend_regions_spec(sums, variant)),
         }
     }
 
-    fn blend_regions_spec(&self, sums: Sums, variant: BackwardVariant) -> blend_backward::Spec {
+    fn blend_regions_spec(&self, sums: Sums, variant: FrameVariant) -> blend_backward::Spec {
         let BlendShape { lanes: subgroup_size, region_height, tile } = self.sizes.blend_backward;
         blend_backward::Spec {
             workgroup_size: tile,
@@ -181,11 +149,7 @@ impl Backward {
         }
     }
 
-    fn blend_tiles_spec(
-        &self,
-        sums: Sums,
-        variant: BackwardVariant,
-    ) -> blend_backward_subgroup_per_tile::Spec {
+    fn blend_tiles_spec(&self, sums: Sums, variant: FrameVariant) -> blend_backward_subgroup_per_tile::Spec {
         let subgroup_size = self.sizes.blend_backward.lanes;
         blend_backward_subgroup_per_tile::Spec {
             workgroup_size: subgroup_size,
@@ -200,23 +164,12 @@ impl Backward {
     }
 
     /// Same as [`Backward::prepare`], but for [`Backward::record_with_pose`], without or with [`Statistics::absolute`].
-    pub fn prepare_with_pose(
-        &mut self,
-        sh_degree: u32,
-        variant: BackwardVariant,
-        absolute: bool,
-    ) -> Result<()> {
+    pub fn prepare_with_pose(&mut self, sh_degree: u32, variant: FrameVariant, absolute: bool) -> Result<()> {
         let sums = if absolute { Sums::Absolute } else { Sums::Gradients };
         self.prepare_sums(sh_degree, variant, sums, true)
     }
 
-    fn prepare_sums(
-        &mut self,
-        sh_degree: u32,
-        variant: BackwardVariant,
-        sums: Sums,
-        pose: bool,
-    ) -> Result<()> {
+    fn prepare_sums(&mut self, sh_degree: u32, variant: FrameVariant, sums: Sums, pose: bool) -> Result<()> {
         self.prepare_blend(sums, variant)?;
         let spec = self.project_spec(sh_degree, variant, sums == Sums::Absolute, pose);
         self.project.prepare(&self.context, spec)
@@ -225,11 +178,11 @@ impl Backward {
     fn project_spec(
         &self,
         sh_degree: u32,
-        variant: BackwardVariant,
+        variant: FrameVariant,
         absolute: bool,
         pose_gradient: bool,
     ) -> project_backward::Spec {
-        let BackwardVariant { filter_3d, own_dilation, dropout, z_record, .. } = variant;
+        let FrameVariant { filter_3d, own_dilation, dropout, z_record, projection, .. } = variant;
         project_backward::Spec {
             // The indirect dispatch over the visible Gaussians counts blocks of the elementwise workgroup's size.
             workgroup_size: self.sizes.elementwise_workgroup,
@@ -242,6 +195,7 @@ impl Backward {
             z_record,
             absolute,
             pose_gradient,
+            projection: projection.word(),
             sh_loops: self.sizes.sh_loops,
         }
     }
@@ -314,7 +268,7 @@ impl Backward {
     }
 
     fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer, sums: Sums) {
-        let variant = BackwardVariant::of(inputs.settings);
+        let variant = inputs.variant();
         macro_rules! passes {
             ($kernels:ident, $spec:expr, $kernel:ident) => {{
                 let Some(kernel) = self.$kernels.get(r, $spec) else { return };
@@ -335,7 +289,7 @@ impl Backward {
 
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics, pose: bool) {
         let f = inputs.frame;
-        let (variant, scene) = (BackwardVariant::of(inputs.settings), inputs.scene());
+        let (variant, scene) = (inputs.variant(), inputs.scene());
         let spec = self.project_spec(inputs.sh_degree(), variant, statistics.absolute.is_some(), pose);
         let Some(kernel) = self.project.get(r, &spec) else { return };
         scene.record_chunks(r, |r, range, parameters| {

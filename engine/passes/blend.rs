@@ -1,7 +1,7 @@
 //! Blending, in two forms.
 
 use crate::error::Result;
-use crate::frame::{Blending, FrameInputs, FrameVariant, LaunchSizes, tile_grid};
+use crate::frame::{Blending, FrameInputs, FrameVariant, LaunchSizes, Outputs, tile_grid};
 use crate::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary};
 use crate::vk::{Context, KernelSet, Limits, Recorder};
 
@@ -17,7 +17,7 @@ pub(crate) struct Blend {
     shared_auxiliary: KernelSet<blend_shared_auxiliary::Interface>,
 }
 
-/// Key of a blending kernel. Kernels of frames with picks or motions have further outputs.
+/// Key of a blending kernel. Frames with outputs besides the picture have kernels of their own.
 enum BlendKey {
     Regions(blend::Spec),
     Shared(blend_shared::Spec),
@@ -66,10 +66,12 @@ impl Blend {
     }
 
     fn key(&self, sizes: &LaunchSizes, variant: FrameVariant) -> BlendKey {
-        let FrameVariant { inverse_depth, linear_depth, depth_limit, steep, pick, motion, .. } = variant;
+        let FrameVariant { inverse_depth, expected_depth: linear_depth, depth_limit, steep, outputs, .. } =
+            variant;
         let Self { broadcast, shared_splats, .. } = *self;
         let LaunchSizes { tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
         let (incremental_exp, strips) = (incremental_exp && !steep, variant.backward && sizes.strips);
+        let Outputs { pick, motion } = outputs;
         // Only the overrides of a context set it.
         let count_hits = false;
         macro_rules! regions {
@@ -106,7 +108,7 @@ impl Blend {
                 }
             };
         }
-        match (self.blending, pick || motion) {
+        match (self.blending, outputs.any()) {
             (Blending::Regions, false) => BlendKey::Regions(regions!(blend, sizes.blend)),
             (Blending::SharedMemory, false) => BlendKey::Shared(shared!(blend_shared)),
             (Blending::Regions, true) => {
@@ -148,7 +150,7 @@ impl Blend {
                 });
             }};
         }
-        match &self.key(sizes, inputs.blend_variant()) {
+        match &self.key(sizes, inputs.variant()) {
             BlendKey::Regions(spec) => passes!(regions, spec, blend),
             BlendKey::Shared(spec) => passes!(shared, spec, blend_shared),
             BlendKey::RegionsAuxiliary(spec) => passes!(regions_auxiliary, spec, blend_auxiliary, auxiliary),

@@ -2,7 +2,7 @@
 //! pixels into the host's images.
 
 use crate::error::{Error, Result};
-use crate::frame::{FrameBuffers, LaunchSizes, MotionBuffers, PickBuffers, tile_grid};
+use crate::frame::{FrameBuffers, LaunchSizes, MotionBuffers, Outputs, PickBuffers, tile_grid};
 use crate::kernels::compose::{
     compose_bgra8, compose_r11g11b10f, compose_rgb10a2, compose_rgba8, compose_rgba16f, compose_rgba32f,
     depth_limit, expected_depth, mean_motion, picks,
@@ -193,7 +193,7 @@ impl Compose {
         r.dispatch(&self.depth_limits[usize::from(linear)], &bind, &push, self.workgroups(size));
     }
 
-    /// Records the expected depth sum(w z) / sum(w) of a frame that was blended with `linear_depth`, into an r32f image that is
+    /// Records the expected depth sum(w z) / sum(w) of a frame that was blended with `expected_depth`, into an r32f image that is
     /// ready for kernels. Pixels with a sum of weights below `min_weight` receive `empty`.
     pub fn record_expected_depth(
         &self,
@@ -209,13 +209,13 @@ impl Compose {
         r.dispatch(&self.expected_depth, &bind, &push, self.workgroups(size));
     }
 
-    /// Builds the missing kernels of picking and of motion, if wanted.
-    pub fn prepare(&mut self, context: &Context, [pick, motion]: [bool; 2]) -> Result<()> {
+    /// Builds the missing kernels of outputs besides the picture.
+    pub fn prepare(&mut self, context: &Context, outputs: Outputs) -> Result<()> {
         let workgroup_size = self.workgroup;
-        if pick {
+        if outputs.pick {
             self.picks.prepare(context, picks::Spec { workgroup_size })?;
         }
-        if motion {
+        if outputs.motion {
             self.mean_motion.prepare(context, mean_motion::Spec { workgroup_size })?;
         }
         Ok(())

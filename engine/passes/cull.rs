@@ -85,7 +85,7 @@ impl Cull {
     pub fn record_flags(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let [extent, antialias] = inputs.settings.modes();
-        let of_frame = FrameVariant { shared_order: inputs.view > Some(0), ..inputs.blend_variant() };
+        let of_frame = FrameVariant { shared_order: inputs.view > Some(0), ..inputs.variant() };
         for (place, first) in inputs.batches() {
             r.barrier();
             self.record_batch_flags(r, inputs, place, first, of_frame.of_scene(first.settings));

@@ -9,10 +9,9 @@ use crate::frame::{LaunchSizes, POSE_BYTES, SceneBuffers, array_of, pose_of, to_
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::forward::{filter_sizes, nearest_depths};
 use crate::scene::Camera;
+use crate::scene::camera::EDGE_MARGIN;
 use crate::vk::{Buffer, Context, Kernel, MemoryKind, Recorder};
 
-/// Margin outside the picture in which a mean still counts as visible, as a share of the picture's size (compute_3D_filter).
-const MARGIN: f64 = 0.15;
 /// Variance of the filter, in squares of a pixel's size at the nearest depth.
 const VARIANCE_PX2: f64 = 0.2;
 
@@ -52,7 +51,9 @@ impl Filter3d {
         let [poses, bounds, farthest] = array_of(buffers);
         let places: Vec<[f32; 12]> = cameras.iter().map(pose_of).collect();
         context.upload(&poses, bytemuck::cast_slice(&places))?;
-        let slopes: Vec<[f32; 4]> = cameras.iter().map(bounds_of).collect();
+        // Limits of x/z and y/z between which a mean counts as visible.
+        let slopes = |camera: &Camera| camera.shown_slopes(EDGE_MARGIN).map(|range| range.map(|x| x as f32));
+        let slopes: Vec<[[f32; 2]; 2]> = cameras.iter().map(slopes).collect();
         context.upload(&bounds, bytemuck::cast_slice(&slopes))?;
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
@@ -117,16 +118,4 @@ impl Filter3d {
         });
         ran.map(drop)
     }
-}
-
-/// Limits of x/z and y/z between which a mean counts as visible.
-fn bounds_of(camera: &Camera) -> [f32; 4] {
-    let bounds = |focal: f32, center: f32, size: u32| {
-        let (focal, center, size) = (f64::from(focal), f64::from(center), f64::from(size));
-        [-MARGIN, 1.0 + MARGIN].map(|share| ((share * size - center) / focal) as f32)
-    };
-    let camera = camera.whole();
-    let [left, right] = bounds(camera.fx, camera.cx, camera.width);
-    let [top, bottom] = bounds(camera.fy, camera.cy, camera.height);
-    [left, right, top, bottom]
 }

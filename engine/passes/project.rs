@@ -93,10 +93,10 @@ impl Project {
             if !std::mem::take(&mut is_first) {
                 r.barrier();
             }
-            self.record_batch(r, inputs, place, first, inputs.blend_variant().of_scene(first.settings));
+            self.record_batch(r, inputs, place, first, inputs.variant().of_scene(first.settings));
         }
         for part in inputs.parts() {
-            let variant = inputs.blend_variant().of_scene(part.settings);
+            let variant = inputs.variant().of_scene(part.settings);
             let Some(kernel) = self.scene.get(r, &self.spec(part.sh_degree, variant)) else { return };
             let range = part.range;
             let push = project::Push {
@@ -203,5 +203,5 @@ impl Project {
 fn motion_projections(variant: FrameVariant) -> impl Iterator<Item = [Projection; 2]> {
     let pairs = Projection::ALL.into_iter().flat_map(|now| Projection::ALL.map(|before| [now, before]));
     let others = variant.projection != Projection::Perspective;
-    pairs.filter(move |pair| variant.motion && (others || *pair == [Projection::Perspective; 2]))
+    pairs.filter(move |pair| variant.outputs.motion && (others || *pair == [Projection::Perspective; 2]))
 }

@@ -2,9 +2,9 @@
 
 use super::runner::{Failed, FrameRunner, Request};
 use crate::error::{Error, Result};
-use crate::frame::{LaunchSizes, RenderSettings, SceneBuffers};
+use crate::frame::{FrameVariant, LaunchSizes, RenderSettings, SceneBuffers};
 use crate::passes::adam::{BETA_1, BETA_2};
-use crate::passes::backward::{Backward, BackwardVariant, Statistics};
+use crate::passes::backward::{Backward, Statistics};
 use crate::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes, photo_on_device};
 use crate::passes::poses::{EPSILON, GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
 use crate::scene::{Camera, StoredPhoto, Twist};
@@ -129,7 +129,8 @@ impl Aligner {
         check(request)?;
         let sh_degree = scene.active_degree(settings);
         let settings = &RenderSettings { inverse_depth: false, ..*settings };
-        self.backward.prepare_with_pose(sh_degree, BackwardVariant::of(settings), false)?;
+        let variant = FrameVariant::of(settings, camera, true);
+        self.backward.prepare_with_pose(sh_degree, variant, false)?;
         let masked = photo.is_masked();
         let format = if masked { PhotoFormat::MaskedRgba8 } else { PhotoFormat::Rgba8 };
         let loss = match &mut self.losses[usize::from(masked)] {

@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::frame::{FrameCapacity, FrameVariant, PictureCapacity, PlacedScene, RenderSettings};
 use crate::kernels::constants as c;
 use crate::passes::compose::{Background, Compose};
-use crate::scene::{Camera, DepthMapping, Projection};
+use crate::scene::{Camera, DepthMapping};
 use crate::vk::{Buffer, Context, ImageUse};
 use ash::vk;
 
@@ -45,10 +45,9 @@ impl Renderer {
         }
         let variant = FrameVariant {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
-            linear_depth: frame.depth.is_some(),
+            expected_depth: frame.depth.is_some(),
             depth_limit: frame.occluder.is_some(),
-            pick: frame.pick.is_some(),
-            motion: frame.motion.is_some(),
+            outputs: frame.outputs(),
             ..FrameVariant::of(frame.settings, frame.camera, false)
         };
         // One pass over the scenes, because there may be thousands. Most have the same kind as the previous one.
@@ -74,9 +73,7 @@ impl Renderer {
             return Err(Error::TooLarge { what, needed, unit, limit, limit_name });
         }
         let previous = frame.motion.map(|motion| motion.previous_camera.projection);
-        let other = previous.filter(|projection| *projection != Projection::Perspective);
-        let needed = FrameVariant { projection: other.unwrap_or(variant.projection), ..variant };
-        if let Some(fields) = reserved.lacks(needed) {
+        if let Some(fields) = reserved.lacks(variant, previous) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }
         let (dropout, z_record) = (frame.settings.dropout.is_some(), frame.settings.has_z_record());

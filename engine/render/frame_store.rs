@@ -73,18 +73,6 @@ impl State {
     }
 }
 
-/// Capacity before the first frame.
-const NOTHING: FrameCapacity = FrameCapacity {
-    gaussians: 0,
-    visible: 0,
-    instances: 0,
-    scenes: 1,
-    pictures: PictureCapacity::NONE,
-    blend_passes: 1,
-    backward: false,
-    absolute: false,
-};
-
 impl FrameStore {
     /// Buffer through which the counts are read back.
     pub const READBACK: [(&str, u64); 1] = [("state_readback", c::STATE_WORDS as u64 * 4)];
@@ -98,8 +86,8 @@ impl FrameStore {
             readback,
             expected: PictureCapacity::NONE,
             absolute: false,
-            asked: NOTHING,
-            capacity: NOTHING,
+            asked: FrameCapacity::default(),
+            capacity: FrameCapacity::default(),
             frame: None,
         })
     }
@@ -131,8 +119,16 @@ impl FrameStore {
         let visible = initial_visible(gaussians);
         let instances = initial_instances(self.context.limits(), visible, &pictures);
         let absolute = backward && self.absolute;
-        self.asked =
-            FrameCapacity { gaussians, visible, scenes, instances, pictures, backward, absolute, ..NOTHING };
+        self.asked = FrameCapacity {
+            gaussians,
+            visible,
+            scenes,
+            instances,
+            pictures,
+            backward,
+            absolute,
+            ..FrameCapacity::default()
+        };
         let needed = FrameCapacity {
             gaussians: gaussians.max(old.gaussians),
             scenes: scenes.max(old.scenes),
@@ -224,7 +220,7 @@ impl FrameStore {
     /// Frees the buffers and resets the capacity. The next frame allocates only what it needs.
     pub fn forget(&mut self) {
         self.frame = None;
-        self.capacity = NOTHING;
+        self.capacity = FrameCapacity::default();
     }
 
     /// Bytes of the frame's buffers with the current capacity.

@@ -3,8 +3,8 @@
 use super::renderer::{Renderer, check_one, no_scene};
 use super::runner::{Failed, Request};
 use crate::error::{Error, Result};
-use crate::frame::{RenderSettings, SceneBuffers, planes};
-use crate::passes::backward::{BackwardVariant, Statistics};
+use crate::frame::{FrameVariant, RenderSettings, SceneBuffers, planes};
+use crate::passes::backward::Statistics;
 use crate::passes::pixels::PixelBorder;
 use crate::passes::poses::{GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
 use crate::scene::{Camera, Gaussians};
@@ -82,7 +82,7 @@ impl Renderer {
         check_one(&self.runner, "gradients are")?;
         let scene = self.scene.clone().ok_or_else(no_scene)?;
         let sh_degree = scene.active_degree(settings);
-        let variant = BackwardVariant::of(settings);
+        let variant = FrameVariant::of(settings, camera, true);
         let pose_gradient = match with_pose {
             true => {
                 self.backward.prepare_with_pose(sh_degree, variant, false)?;

@@ -223,8 +223,8 @@ impl Recording<'_> {
             let own = &placed[(number - order.number) as usize * scenes..][..scenes];
             FrameInputs {
                 depth_limits: frame.occluder.as_ref().and(memory.depth_limits.as_ref()),
-                linear_depth: frame.depth.is_some(),
-                auxiliary: memory.auxiliary(frame.pick.is_some(), frame.motion.is_some()),
+                expected_depth: frame.depth.is_some(),
+                auxiliary: memory.outputs.of(frame.outputs()),
                 view: (order.views > 1).then_some(number),
                 ..memory.inputs(own, &settings)
             }

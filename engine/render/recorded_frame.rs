@@ -3,7 +3,7 @@
 use super::device_scene::DeviceScene;
 use crate::error::Result;
 use crate::frame::{
-    Batch, PlacedScene, PreviousView, RenderSettings, ScenePlan, SceneSettings, plane_group, planes,
+    Batch, Outputs, PlacedScene, PreviousView, RenderSettings, ScenePlan, SceneSettings, plane_group, planes,
 };
 use crate::kernels::constants::PLANE_ROW;
 use crate::passes::compose::{Background, Region};
@@ -252,6 +252,11 @@ impl<'a> HostImage<'a> {
 }
 
 impl<'a> RecordedFrame<'a> {
+    /// Returns the outputs besides the picture and its depth.
+    pub(super) fn outputs(&self) -> Outputs {
+        Outputs { pick: self.pick.is_some(), motion: self.motion.is_some() }
+    }
+
     /// Returns the host's images that the frame uses, by field.
     pub(super) fn images(&self) -> [(&'static str, Option<&HostImage<'a>>); 5] {
         let target = match &self.target {

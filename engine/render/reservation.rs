@@ -2,8 +2,8 @@
 
 use crate::error::{Error, Result};
 use crate::frame::{
-    FrameCapacity, FrameVariant, LEAST_SCENES, LaunchSizes, PictureCapacity, ScenePlan, SceneSettings,
-    check_grids, initial_instances,
+    FrameCapacity, FrameVariant, LEAST_SCENES, LaunchSizes, Outputs, PictureCapacity, ScenePlan,
+    SceneSettings, check_grids, initial_instances,
 };
 use crate::scene::{MAX_CUT_OUTS, Projection};
 use crate::vk::{Context, ScopeTime};
@@ -125,6 +125,11 @@ impl Reservation {
         grown
     }
 
+    /// Outputs of frames besides the picture and its depth.
+    pub(super) fn outputs(&self) -> Outputs {
+        Outputs { pick: self.pick, motion: self.motion }
+    }
+
     /// True if slots keep a depth beside their pixels.
     pub(super) fn keeps_depth(&self) -> bool {
         !self.images_only && (self.inverse_depth || self.expected_depth)
@@ -164,28 +169,36 @@ impl Reservation {
     /// Returns the variants of culling and projection that scenes may need.
     pub(super) fn scene_variants(&self) -> Vec<FrameVariant> {
         // Kernels of motion belong to the projection, and depend on nothing but the cameras.
-        let plain = FrameVariant { motion: self.motion, ..FrameVariant::default() };
-        let features: [Feature; 6] = [
+        let outputs = self.outputs();
+        let plain = |projection| FrameVariant { projection, outputs, ..FrameVariant::default() };
+        let features: [Feature; 5] = [
             (self.filter_3d, |v| v.filter_3d = true),
             (self.tint, |v| v.tinted = true),
             (self.cut_outs > 0, |v| v.cut_outs = true),
             (self.selection, |v| v.selection = true),
-            (self.orthographic, |v| v.projection = Projection::Orthographic),
             (self.shared_sort, |v| v.shared_order = true),
         ];
-        combined(vec![plain], &features)
+        combined(self.projections().map(plain).collect(), &features)
+    }
+
+    /// Returns the projections of the frames' cameras.
+    fn projections(&self) -> impl Iterator<Item = Projection> {
+        Projection::ALL.into_iter().filter(|projection| match projection {
+            Projection::Perspective => true,
+            Projection::Orthographic => self.orthographic,
+        })
     }
 
     /// Returns the variants of blending that frames may need.
     pub(super) fn blend_variants(&self) -> Vec<FrameVariant> {
         let plain = FrameVariant::default();
         let inverse = FrameVariant { inverse_depth: true, ..plain };
-        let expected = FrameVariant { linear_depth: true, ..inverse };
+        let expected = FrameVariant { expected_depth: true, ..inverse };
         let depths = [(true, plain), (self.inverse_depth, inverse), (self.expected_depth, expected)];
         let features: [Feature; 4] = [
             (self.occlusion, |v| v.depth_limit = true),
-            (self.pick, |v| v.pick = true),
-            (self.motion, |v| v.motion = true),
+            (self.pick, |v| v.outputs.pick = true),
+            (self.motion, |v| v.outputs.motion = true),
             // Any frame may draw ellipsoids.
             (true, |v| v.steep = true),
         ];
@@ -193,15 +206,17 @@ impl Reservation {
     }
 
     /// Returns the fields that a frame of this variant needs and that are not set, with commas; None if there are none.
-    pub(super) fn lacks(&self, frame: FrameVariant) -> Option<String> {
+    /// `previous`: projection of the previous camera, for motion.
+    pub(super) fn lacks(&self, frame: FrameVariant, previous: Option<Projection>) -> Option<String> {
+        let has = |projection| frame.projection == projection || previous == Some(projection);
         let needs = [
             ("occlusion", frame.depth_limit, self.occlusion),
-            ("expected_depth", frame.linear_depth, self.expected_depth),
-            ("inverse_depth", frame.inverse_depth && !frame.linear_depth, self.inverse_depth),
+            ("expected_depth", frame.expected_depth, self.expected_depth),
+            ("inverse_depth", frame.inverse_depth && !frame.expected_depth, self.inverse_depth),
             ("filter_3d", frame.filter_3d, self.filter_3d),
-            ("pick", frame.pick, self.pick),
-            ("motion", frame.motion, self.motion),
-            ("orthographic", frame.projection == Projection::Orthographic, self.orthographic),
+            ("pick", frame.outputs.pick, self.pick),
+            ("motion", frame.outputs.motion, self.motion),
+            ("orthographic", has(Projection::Orthographic), self.orthographic),
         ];
         let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
         // Allocates no list, so that the usual case costs nothing.
@@ -261,8 +276,7 @@ impl Reservation {
             scenes: self.scenes * if self.shared_sort { self.views } else { 1 },
             pictures,
             blend_passes: self.passes(sizes),
-            backward: false,
-            absolute: false,
+            ..FrameCapacity::default()
         };
         check_grids(context.limits(), &capacity, sizes)
             .map_err(|error| error.of_field(field_name("width, height, gaussians, instances")))?;

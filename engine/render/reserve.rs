@@ -92,7 +92,7 @@ impl Renderer {
         wanted.check()?;
         context.kernel_jobs(|context| {
             prepare_frames(&mut Forward::new(context)?, wanted)?;
-            Compose::new(context)?.prepare(context, [wanted.pick, wanted.motion])
+            Compose::new(context)?.prepare(context, wanted.outputs())
         })
     }
 
@@ -102,7 +102,7 @@ impl Renderer {
             Some(compose) => compose,
             none => none.insert(Compose::new(&self.context)?),
         };
-        compose.prepare(&self.context, [wanted.pick, wanted.motion])?;
+        compose.prepare(&self.context, wanted.outputs())?;
         prepare_frames(&mut self.runner.forward, wanted)
     }
 

@@ -157,20 +157,19 @@ impl FrameRunner {
         }
     }
 
-    /// Prepares for [`FrameRunner::record`]: allocates buffers with backward for a scene of this capacity, a camera and the
-    /// expected pictures. Also builds the kernels of these settings up to an SH degree.
+    /// Prepares for [`FrameRunner::record`]: allocates buffers with backward for a scene of this capacity, the first camera and
+    /// the expected pictures. Also builds the kernels of these settings and cameras up to an SH degree.
     pub fn reserve(
         &mut self,
         gaussians: u32,
-        camera: &Camera,
+        cameras: &[Camera],
         sh_degree: u32,
         settings: &RenderSettings,
     ) -> Result<()> {
-        let variant = FrameVariant::of(settings, camera, true);
-        for degree in 0..=sh_degree {
-            self.forward.prepare_variant(degree, variant)?;
+        for variant in FrameVariant::of_cameras(settings, cameras, true) {
+            (0..=sh_degree).try_for_each(|degree| self.forward.prepare_variant(degree, variant))?;
         }
-        self.store.ensure(self.gaussians_with(gaussians), self.scenes(), camera, true).map(drop)
+        self.store.ensure(self.gaussians_with(gaussians), self.scenes(), &cameras[0], true).map(drop)
     }
 
     /// Only records a frame, into the existing buffers, prepared by [`FrameRunner::reserve`]. Keeps the overflow flag of an

@@ -4,8 +4,8 @@ use super::frame_store::State;
 use super::reservation::{Reservation, SlotReport, field_name};
 use crate::error::{Error, Result};
 use crate::frame::{
-    Auxiliary, CUT_OUT_BYTES, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, MotionBuffers,
-    PickBuffers, PictureCapacity, PlacedScene, RenderSettings, frame_requests, packed_bytes,
+    CUT_OUT_BYTES, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, OutputMemory, PictureCapacity,
+    PlacedScene, RenderSettings, frame_requests, packed_bytes,
 };
 use crate::kernels::constants as c;
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, PLACEMENT_ALIGNMENT, RecordSlot, Recorder};
@@ -181,10 +181,7 @@ pub(super) struct SlotMemory {
     /// 1/z per pixel.
     pub depth_limits: Option<Buffer>,
     pub cut_outs: Option<Buffer>,
-    /// Per pixel, and per scene: see [`PickBuffers`].
-    picks: Option<[Buffer; 2]>,
-    /// Per visible Gaussian, and per pixel: see [`MotionBuffers`].
-    motion: Option<[Buffer; 2]>,
+    pub outputs: OutputMemory,
     pub staging: Option<Buffer>,
     /// True if the pixels of a frame stay until the slot is recorded again.
     pub keeps_pixels: bool,
@@ -193,16 +190,6 @@ pub(super) struct SlotMemory {
 }
 
 impl SlotMemory {
-    /// Returns the buffers of picks and of motion, if the frame writes them.
-    pub fn auxiliary(&self, pick: bool, motion: bool) -> Auxiliary<'_> {
-        let picks = self.picks.as_ref().filter(|_| pick);
-        let motion = self.motion.as_ref().filter(|_| motion);
-        Auxiliary {
-            picks: picks.map(|[picks, scene_firsts]| PickBuffers { picks, scene_firsts }),
-            motion: motion.map(|[motions, sums]| MotionBuffers { motions, sums }),
-        }
-    }
-
     /// Returns the inputs of a frame of some scenes in these buffers, without occluder and depth.
     pub fn inputs<'a>(
         &'a self,
@@ -361,8 +348,7 @@ impl<'a> Plan<'a> {
             capacity: self.capacity,
             depth_limits: next(wanted.occlusion),
             cut_outs: next(wanted.cut_outs > 0),
-            picks: next(wanted.pick).zip(next(wanted.pick)).map(<[_; 2]>::from),
-            motion: next(wanted.motion).zip(next(wanted.motion)).map(<[_; 2]>::from),
+            outputs: OutputMemory::from_allocated(wanted.outputs(), buffers),
             staging: None,
             keeps_pixels: !wanted.images_only,
             keeps_depth: wanted.keeps_depth(),
@@ -376,12 +362,7 @@ fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &Laun
     let mut scratch = frame_requests(capacity, sizes);
     scratch.extend(wanted.occlusion.then_some(("depth_limits", pixels * 4)));
     scratch.extend((wanted.cut_outs > 0).then_some(("cut_outs", u64::from(wanted.cut_outs) * CUT_OUT_BYTES)));
-    if wanted.pick {
-        scratch.extend([("picks", pixels * 8), ("scene_firsts", u64::from(capacity.scenes) * 4)]);
-    }
-    if wanted.motion {
-        scratch.extend([("motions", u64::from(capacity.visible) * 8), ("motion_sums", pixels * 8)]);
-    }
+    scratch.extend(wanted.outputs().requests(capacity));
     scratch
 }
 

@@ -1,7 +1,7 @@
 //! A camera: a pinhole, or parallel rays.
 
 use crate::error::{Error, Result};
-use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
+use glam::{DMat3, DQuat, DVec2, DVec3, Mat3, Vec3};
 
 use super::strays::without_strays;
 
@@ -37,6 +37,29 @@ pub enum Projection {
 impl Projection {
     /// All projections.
     pub const ALL: [Self; 2] = [Self::Perspective, Self::Orthographic];
+}
+
+/// Directions in which the projection is linearised at the Gaussian itself. Beyond, it is linearised at the limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum JacobianLimit {
+    /// Up to 0.3 tan(fov/2) outside the image's edges.
+    #[default]
+    Edge,
+    /// ±1.3 tan(fov/2) around the optical axis. This is the reference's limit, also for off-centre cameras.
+    Symmetric,
+}
+
+/// Margin of [`JacobianLimit::Edge`] and of the 3D filter (compute_3D_filter) outside the picture, as a share of its size.
+pub(crate) const EDGE_MARGIN: f64 = 0.15;
+
+/// Projection near a point: the rows of its Jacobian are `per_unit.x (1, 0, -slope.x)` and `per_unit.y (0, 1, -slope.y)`.
+pub(crate) struct Linearised {
+    /// Position on the screen, pixels (centre of the first pixel at 0.5).
+    pub pixel: DVec2,
+    /// Pixels per world unit across the axis.
+    pub per_unit: DVec2,
+    /// x/z and y/z; 0 for parallel rays.
+    pub slope: DVec2,
 }
 
 /// A camera in COLMAP's and OpenCV's frame: x right, y down, z forward.
@@ -145,9 +168,15 @@ impl Camera {
     /// The translation is computed from the rounded rotation, and is rounded once. Otherwise, far from the origin, the
     /// rotation's rounding would displace the camera.
     pub fn at(position: DVec3, camera_from_world: DMat3, intrinsics: Intrinsics) -> Self {
+        Self::with_pose(Mat3::IDENTITY, Vec3::ZERO, intrinsics).moved_to(position, camera_from_world)
+    }
+
+    /// Same as [`Camera::at`], for a camera like this one.
+    #[must_use]
+    pub fn moved_to(&self, position: DVec3, camera_from_world: DMat3) -> Self {
         let camera_from_world = camera_from_world.as_mat3();
         let translation = -(camera_from_world.as_dmat3() * position);
-        Self::with_pose(camera_from_world, translation.as_vec3(), intrinsics)
+        Self { camera_from_world, translation: translation.as_vec3(), ..*self }
     }
 
     /// Creates a pinhole from its world-to-camera pose.
@@ -240,8 +269,57 @@ impl Camera {
     /// Pixel position of a world point (first pixel's centre at 0.5) and its depth along z, world units.
     pub fn project(&self, world: Vec3) -> (f32, f32, f32) {
         let p = self.camera_from_world * world + self.translation;
-        let distance = if self.is_orthographic() { 1.0 } else { p.z };
+        let distance = self.distance_of(p.z.into()) as f32;
         (self.fx * p.x / distance + self.cx, self.fy * p.y / distance + self.cy, p.z)
+    }
+
+    /// Divisor of x and y in camera space, before the focal lengths: z, or 1 for parallel rays.
+    pub fn distance_of(&self, z: f64) -> f64 {
+        match self.projection {
+            Projection::Perspective => z,
+            Projection::Orthographic => 1.0,
+        }
+    }
+
+    /// Projection near a point in camera space.
+    pub(crate) fn linearised(&self, at: DVec3) -> Linearised {
+        let distance = self.distance_of(at.z);
+        let per_unit = DVec2::new(self.fx.into(), self.fy.into()) / distance;
+        let slope = match self.projection {
+            Projection::Perspective => at.truncate() / at.z,
+            Projection::Orthographic => DVec2::ZERO,
+        };
+        let pixel = per_unit * at.truncate() + DVec2::new(self.cx.into(), self.cy.into());
+        Linearised { pixel, per_unit, slope }
+    }
+
+    /// Range of x/z and range of y/z within the whole picture and a margin, a share of its size.
+    pub(crate) fn shown_slopes(&self, margin: f64) -> [[f64; 2]; 2] {
+        let whole = self.whole();
+        [(whole.fx, whole.cx, whole.width), (whole.fy, whole.cy, whole.height)].map(
+            |(focal, center, size)| {
+                let (focal, center, size) = (f64::from(focal), f64::from(center), f64::from(size));
+                [-margin, 1.0 + margin].map(|share| (share * size - center) / focal)
+            },
+        )
+    }
+
+    /// Limits of x/z and y/z (low, high, low, high) between which the projection is linearised.
+    pub(crate) fn jacobian_limits(&self, limit: JacobianLimit) -> [f32; 4] {
+        let whole = self.whole();
+        let axis = |focal: f32, center: f32, size: u32| {
+            let size = size as f32;
+            let half_tan = size / (2.0 * focal);
+            match limit {
+                JacobianLimit::Edge => {
+                    [-center / focal - 0.3 * half_tan, (size - center) / focal + 0.3 * half_tan]
+                }
+                JacobianLimit::Symmetric => [-1.3 * half_tan, 1.3 * half_tan],
+            }
+        };
+        let [x_low, x_high] = axis(whole.fx, whole.cx, whole.width);
+        let [y_low, y_high] = axis(whole.fy, whole.cy, whole.height);
+        [x_low, x_high, y_low, y_high]
     }
 
     /// True for a world point in front of the camera and within its picture.
@@ -256,9 +334,11 @@ impl Camera {
     /// # Errors
     /// [`Error::Argument`] for an orthographic camera.
     pub fn check_perspective(&self, what: &str) -> Result<()> {
-        match self.is_orthographic() {
-            true => Err(Error::argument("camera.projection", format!("is orthographic: {what}"))),
-            false => Ok(()),
+        match self.projection {
+            Projection::Perspective => Ok(()),
+            Projection::Orthographic => {
+                Err(Error::argument("camera.projection", format!("is orthographic: {what}")))
+            }
         }
     }
 

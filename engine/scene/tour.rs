@@ -113,17 +113,17 @@ fn between(keys: &[Camera], span: usize, t: f64, closed: bool) -> Camera {
             + (2.0 * p[0] - 5.0 * p[1] + 4.0 * p[2] - p[3]) * t * t
             + (3.0 * p[1] - p[0] - 3.0 * p[2] + p[3]) * t * t * t);
     let turned = rotation(key(0)).slerp(rotation(key(1)), t);
-    let (from, to) = (key(0).intrinsics(), key(1).intrinsics());
+    let (from, to) = (key(0), key(1));
     let mix = |a: f32, b: f32| a + t as f32 * (b - a);
-    let intrinsics = Intrinsics {
+    let between = Camera {
         fx: mix(from.fx, to.fx),
         fy: mix(from.fy, to.fy),
         cx: mix(from.cx, to.cx),
         cy: mix(from.cy, to.cy),
-        ..from
+        part: None,
+        ..*from
     };
-    let camera = Camera::at(position, DMat3::from_quat(turned), intrinsics);
-    Camera { projection: key(0).projection, ..camera }
+    between.moved_to(position, DMat3::from_quat(turned))
 }
 
 fn rotation(camera: &Camera) -> DQuat {

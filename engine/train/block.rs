@@ -7,10 +7,10 @@ use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 use crate::frame::{SceneBuffers, planes};
 use crate::passes::densify::MaskOutside;
-use crate::scene::camera::NEAR_PLANE;
+use crate::scene::camera::{EDGE_MARGIN, Linearised, NEAR_PLANE};
 use crate::scene::{Bounds, Camera, Fingerprint, Gaussians};
 use crate::vk::{Context, MemoryKind};
-use glam::{DMat3, DVec2, DVec3, Vec3};
+use glam::{DVec2, DVec3, Vec3};
 
 /// A block of a scene, with the frozen Gaussians around it.
 ///
@@ -182,71 +182,50 @@ const REACH: f64 = 4.0;
 const ROUNDING_PX: f64 = 1.0;
 /// Margin for rounding, as a share of the numbers from which a position is computed.
 const ROUNDING: f64 = 1e-6;
-/// Margin of the linearisation beyond the picture, as a share of its size.
-const BEYOND: f64 = 0.15;
-
-/// A camera in double precision, for a bound of what its picture shows: a Gaussian counts as visible if a ball of its largest axis
-/// may reach a pixel. So dropping the others changes no bit of any picture.
-struct Sight {
-    camera_from_world: DMat3,
-    translation: DVec3,
-    focal: DVec2,
-    center: DVec2,
-    size: DVec2,
+/// A camera, for a bound of what its picture shows, in double precision: a Gaussian counts as visible if a ball of its largest
+/// axis may reach a pixel. So dropping the others changes no bit of any picture.
+struct Sight<'a> {
+    camera: &'a Camera,
     /// Minimum absolute slopes with which Gaussians are linearised. Above 0 only if the optical axis lies far outside the whole
     /// picture.
     least_slope: DVec2,
-    is_orthographic: bool,
 }
 
-impl Sight {
-    fn of(camera: &Camera) -> Self {
-        let whole = camera.whole();
-        let least = |focal: f32, center: f32, side: u32| {
-            let [focal, center, side] = [focal.into(), center.into(), f64::from(side)];
-            let outside = f64::max(-center, center - side);
-            if outside > BEYOND * side { (outside + (1.0 + BEYOND) * side) / focal } else { 0.0 }
+impl<'a> Sight<'a> {
+    fn of(camera: &'a Camera) -> Self {
+        let least = |[low, high]: [f64; 2]| match () {
+            () if low > 0.0 => high,
+            () if high < 0.0 => -low,
+            () => 0.0,
         };
-        Self {
-            least_slope: DVec2::new(
-                least(whole.fx, whole.cx, whole.width),
-                least(whole.fy, whole.cy, whole.height),
-            ),
-            camera_from_world: camera.camera_from_world.as_dmat3(),
-            translation: camera.translation.as_dvec3(),
-            focal: DVec2::new(camera.fx.into(), camera.fy.into()),
-            center: DVec2::new(camera.cx.into(), camera.cy.into()),
-            size: DVec2::new(camera.width.into(), camera.height.into()),
-            is_orthographic: camera.is_orthographic(),
-        }
+        Self { camera, least_slope: DVec2::from_array(camera.shown_slopes(EDGE_MARGIN).map(least)) }
     }
 
     /// True if the picture may show a Gaussian with this mean and largest axis (a standard deviation), world units, under a
     /// low-pass filter of this variance. True if a number is NaN.
     fn may_show(&self, mean: DVec3, axis: f64, low_pass_px2: f64) -> bool {
-        let place = self.camera_from_world * mean + self.translation;
-        let rounding = ROUNDING * (mean.abs().max_element() + self.translation.abs().max_element());
+        let Camera { camera_from_world, translation, width, height, .. } = *self.camera;
+        let translation = translation.as_dvec3();
+        let place = camera_from_world.as_dmat3() * mean + translation;
+        let rounding = ROUNDING * (mean.abs().max_element() + translation.abs().max_element());
         if place.z < 0.999 * f64::from(NEAR_PLANE) - rounding {
             return false;
         }
-        let (slope, per_unit) = match self.is_orthographic {
-            true => (DVec2::ZERO, self.focal),
-            false => (place.truncate() / place.z, self.focal / place.z),
-        };
-        let pixel = per_unit * place.truncate() + self.center;
+        let Linearised { pixel, per_unit, slope } = self.camera.linearised(place);
         // |row of J W R S|² is at most |row of J W|² times the square of the largest axis.
         let slope = slope.abs().max(self.least_slope);
         let variance = per_unit * per_unit * (1.0 + slope * slope) * (axis * axis) + low_pass_px2;
         let rounding = ROUNDING_PX + ROUNDING * pixel.abs() + rounding * per_unit * (1.0 + slope);
         let half = REACH * DVec2::new(variance.x.sqrt(), variance.y.sqrt()) + rounding;
-        !((pixel + half).cmplt(DVec2::ZERO).any() || (pixel - half).cmpgt(self.size).any())
+        let size = DVec2::new(width.into(), height.into());
+        !((pixel + half).cmplt(DVec2::ZERO).any() || (pixel - half).cmpgt(size).any())
     }
 }
 
 /// Per Gaussian: true if any of the cameras may show it, under a low-pass filter of this variance on the screen (px²) and
 /// without the 3D filter.
 pub(super) fn seen(gaussians: &Gaussians, cameras: &[Camera], low_pass_px2: f64) -> Vec<bool> {
-    let sights: Vec<Sight> = cameras.iter().map(Sight::of).collect();
+    let sights: Vec<Sight<'_>> = cameras.iter().map(Sight::of).collect();
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let each = gaussians.len().div_ceil(threads).max(1);
     let mut seen = vec![false; gaussians.len()];

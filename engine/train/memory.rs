@@ -202,8 +202,17 @@ pub(super) struct FrameShape {
 impl FrameShape {
     fn with_counts(self, gaussians: u32, visible: u32, instances: u32) -> FrameCapacity {
         let Self { pictures, scenes, absolute } = self;
-        let (blend_passes, backward) = (1, true);
-        FrameCapacity { gaussians, visible, instances, scenes, pictures, blend_passes, backward, absolute }
+        let backward = true;
+        FrameCapacity {
+            gaussians,
+            visible,
+            instances,
+            scenes,
+            pictures,
+            backward,
+            absolute,
+            ..FrameCapacity::default()
+        }
     }
 }
 

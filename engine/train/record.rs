@@ -68,7 +68,7 @@ impl Trainer {
         self.recorded.frame_is_ready = false;
         self.runner.store.set_at_least(wanted.visible, wanted.instances);
         for sh_degree in 0..=self.run.settings.sh_degree {
-            self.recorder.prepare(sh_degree)?;
+            self.recorder.prepare(sh_degree, &self.run.cameras)?;
         }
         let dispatches = self.step_dispatches();
         let losses = self.recorder.readback_request();
@@ -287,7 +287,7 @@ impl Trainer {
     fn make_ready(&mut self, every_view: bool) -> Result<()> {
         let gaussians = self.state.model.scene.plan.capacity;
         let drawn = self.recorder.drawn();
-        self.runner.reserve(gaussians, &self.run.cameras[0], self.run.settings.sh_degree, &drawn)?;
+        self.runner.reserve(gaussians, &self.run.cameras, self.run.settings.sh_degree, &drawn)?;
         let frame = self.runner.store.current()?;
         self.context.run_commands("clear state", |r| r.fill(&frame.state, 0))?;
         let dispatches = self.step_dispatches();

@@ -9,11 +9,11 @@ use super::settings::{OptimizerType, TrainSettings};
 use super::strategy::{StepInputs, Strategy};
 use super::work::{StepOutcome, StepReport};
 use crate::error::Result;
-use crate::frame::{FrameInputs, LaunchSizes, RenderSettings, Strips, blocks};
+use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, RenderSettings, Strips, blocks};
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::pixels::photo_reduced;
 use crate::passes::adam::{Averaging, Optimizer};
-use crate::passes::backward::{Backward, BackwardVariant, Statistics};
+use crate::passes::backward::{Backward, Statistics};
 use crate::passes::filter_3d::Filter3d;
 use crate::passes::loss::{LossTerm, Targets, TermInputs, Windowing, photo_bytes};
 use crate::passes::pixels::PixelBorder;
@@ -156,22 +156,25 @@ impl StepRecorder {
     }
 
     /// Builds the missing kernels of any iteration at an SH degree.
-    pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        self.prepare_backward(sh_degree, false)?;
-        if self.absolute.is_some() {
-            self.prepare_backward(sh_degree, true)?;
+    pub fn prepare(&mut self, sh_degree: u32, cameras: &[Camera]) -> Result<()> {
+        for variant in FrameVariant::of_cameras(&self.drawn(), cameras, true) {
+            self.prepare_backward(sh_degree, variant, false)?;
+            if self.absolute.is_some() {
+                self.prepare_backward(sh_degree, variant, true)?;
+            }
         }
         self.optimizer.prepare(sh_degree)
     }
 
     /// Builds the missing kernels of this iteration: a short or resumed run needs few of them.
     pub fn prepare_for(&mut self, plan: &IterationPlan) -> Result<()> {
-        self.prepare_backward(plan.sh_degree, self.absolute.is_some() && plan.work.accumulates)?;
+        let variant = FrameVariant::of(&plan.settings, &plan.camera, true);
+        let absolute = self.absolute.is_some() && plan.work.accumulates;
+        self.prepare_backward(plan.sh_degree, variant, absolute)?;
         self.optimizer.prepare(plan.sh_degree)
     }
 
-    fn prepare_backward(&mut self, sh_degree: u32, absolute: bool) -> Result<()> {
-        let variant = BackwardVariant::of(&self.drawn());
+    fn prepare_backward(&mut self, sh_degree: u32, variant: FrameVariant, absolute: bool) -> Result<()> {
         match (self.poses, absolute) {
             (true, _) => self.backward.prepare_with_pose(sh_degree, variant, absolute),
             (false, true) => self.backward.prepare_absolute(sh_degree, variant),

@@ -35,7 +35,7 @@ layout(constant_id = 3) const uint LANE_INSTANCES = 64;
 layout(constant_id = 4) const bool ABSOLUTE = false;
 // True if the camera's pose has a gradient.
 layout(constant_id = 6) const bool POSE_GRADIENT = false;
-// True if Gaussians have a 3D filter: see projection.glsl.
+// True if Gaussians have a 3D filter: see project_gaussian.glsl.
 layout(constant_id = 5) const bool FILTER_3D = false;
 // True if the dilation differs from DILATION_PX2. That value is a constant, because a driver may compute with constants in
 // another order, and the bits of training would change.
@@ -45,6 +45,8 @@ layout(constant_id = 8) const bool DROPOUT = false;
 layout(constant_id = 9) const bool Z_RECORD = false;
 // True if loops over SH coefficients stay loops (see sh.glsl), and if cheap values are recomputed instead of kept in registers.
 layout(constant_id = 10) const bool SH_LOOPS = false;
+// Projection of the camera: see camera.glsl.
+layout(constant_id = 11) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -82,7 +84,7 @@ layout(push_constant, scalar) uniform Push {
 #include "splat_record.glsl"
 #include "subgroup.glsl"
 #include "filter_3d.glsl"
-#include "projection.glsl"
+#include "project_gaussian.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"
 
@@ -139,7 +141,7 @@ Sums sum_instances(uint begin, uint count, bool exists) {
 }
 
 // Gradient of the rows of M, from that of the dilated covariance.
-void covariance_backward(Projection p, vec3 d_conic, float d_opacity, float opacity_raw, out vec3 d_row_x,
+void covariance_backward(ProjectedGaussian p, vec3 d_conic, float d_opacity, float opacity_raw, out vec3 d_row_x,
     out vec3 d_row_y) {
     // The conic is (c, -b, a) / det for the covariance (a, b, c). The determinant's form does not cancel along the major axis
     // of an elongated Gaussian, unlike the equal form -conic d_conic conic.
@@ -175,7 +177,7 @@ vec4 quaternion_backward(vec4 q, float inverse_norm, mat3 d) {
 }
 
 // Gradient of the raw quaternion from that of the axes in camera space.
-vec4 axes_backward(Projection p, mat3 d_axes) {
+vec4 axes_backward(ProjectedGaussian p, mat3 d_axes) {
     mat3 d_rotation = mat3(from_camera(d_axes[0]), from_camera(d_axes[1]), from_camera(d_axes[2]));
     return quaternion_backward(p.quat, p.inverse_norm, d_rotation);
 }
@@ -255,7 +257,7 @@ void main() {
     vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
     vec4 conic = VEC4_AT(conic_opacity, splat_at(clamped_visible, SPLAT_CONIC_OPACITY));
     Filtered filtered = filter_3d(log_scale, mean_opacity.w);
-    Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
+    ProjectedGaussian p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
 
     // Converts moments to gradients of mean, conic and opacity.
     float m_1 = sums.a.x, m_x = sums.a.y, m_y = sums.a.z, m_xx = sums.a.w, m_xy = sums.b.x, m_yy = sums.b.y;
@@ -296,19 +298,14 @@ void main() {
     // The rows of M are J times the scaled axes.
     d_row_x *= p.scale;
     d_row_y *= p.scale;
-    vec2 j_diagonal = p.jacobian.diagonal;
-    vec2 j_depth = p.jacobian.depth;
-    mat3 axes_t = transpose(p.axes_camera);
-    vec2 d_j_diagonal = vec2(dot(d_row_x, axes_t[0]), dot(d_row_y, axes_t[1]));
-    vec2 d_j_depth = vec2(dot(d_row_x, axes_t[2]), dot(d_row_y, axes_t[2]));
-    mat3 d_axes = transpose(
-        mat3(j_diagonal.x * d_row_x, j_diagonal.y * d_row_y, j_depth.x * d_row_x + j_depth.y * d_row_y));
+    mat3 d_axes;
+    JacobianGradient d_jacobian = jacobian_rows_backward(p.jacobian, p.axes_camera, d_row_x, d_row_y, d_axes);
     vec4 d_quat;
     if (!SH_LOOPS) {
         d_quat = axes_backward(p, d_axes);
     }
 
-    vec3 d_camera = jacobian_backward(p.jacobian, p.mean_camera, d_mean2d, d_j_diagonal, d_j_depth);
+    vec3 d_camera = jacobian_backward(PROJECTION, p.jacobian, p.mean_camera, d_mean2d, d_jacobian);
     // The blended depth is 1/z or z. This is its gradient towards the camera.
     float inverse_z = 1.0 / p.mean_camera.z;
     d_camera.z -= Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z;

@@ -46,11 +46,6 @@ layout(constant_id = 9) const uint REGION_HEIGHT = 8;
 // See splat_shuffle.glsl.
 layout(constant_id = 10) const bool BROADCAST = false;
 layout(constant_id = 13) const bool SHARED_SPLATS = false;
-#ifdef AUXILIARY
-// See blend_auxiliary.glsl.
-layout(constant_id = 11) const bool PICK = false;
-layout(constant_id = 12) const bool MOTION = false;
-#endif
 layout(local_size_x_id = 0) in;
 
 #include "tile_region.glsl"
@@ -66,8 +61,8 @@ const uint MAX_PIXELS = 16;
 // With COUNT_HITS: number of Gaussians blended over a region.
 uint hit_count = 0;
 #ifdef AUXILIARY
-// With MOTION: motion of the lane's splat.
-vec2 own_motion = vec2(0.0);
+// Values of the lane's splat.
+SplatExtra own_extra;
 #endif
 
 // Tests each lane's splat against a region and blends the hits over it. The pixels are a parameter, because llvmpipe would keep
@@ -84,7 +79,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
             bits &= bits - 1;
             Splat splat = handed(own, lane);
 #ifdef AUXILIARY
-            vec2 motion = MOTION ? vec2(lane_value(own_motion.x, lane), lane_value(own_motion.y, lane)) : vec2(0.0);
+            SplatExtra extra = HANDED_EXTRA(own_extra, lane);
 #endif
             [[unroll]] for (uint column = 0; column < COLUMNS; ++column) {
                 float alphas[MAX_COLUMN_ROWS];
@@ -92,7 +87,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
                 [[unroll]] for (uint row = 0; row < ROWS; ++row) {
                     float weight = blend_splat(splat, alphas[row], batch + lane + 1, pixels[column * ROWS + row]);
 #ifdef AUXILIARY
-                    note_splat(weight, motion, batch + lane + 1, pixels[column * ROWS + row]);
+                    note_splat(weight, extra, batch + lane + 1, pixels[column * ROWS + row].extra);
 #endif
                 }
             }
@@ -165,7 +160,7 @@ void main() {
         Splat own = splat_of(mean2d.xy, conic, shade);
         hand_over(own);
 #ifdef AUXILIARY
-        own_motion = MOTION ? VEC2_AT(motions, visible) : vec2(0.0);
+        own_extra = splat_extra(visible);
 #endif
         EACH_REGION(REGIONS_PER_SUBGROUP, BLEND)
         batch += SUBGROUP_SIZE;

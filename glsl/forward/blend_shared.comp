@@ -38,11 +38,6 @@ layout(constant_id = 5) const bool INCREMENTAL_EXP = false;
 layout(constant_id = 7) const bool COUNT_HITS = false;
 // See blend_io.glsl. Only with INCREMENTAL_EXP.
 layout(constant_id = 8) const bool STRIPS = false;
-#ifdef AUXILIARY
-// See blend_auxiliary.glsl.
-layout(constant_id = 11) const bool PICK = false;
-layout(constant_id = 12) const bool MOTION = false;
-#endif
 layout(local_size_x_id = 0) in;
 
 const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;
@@ -62,7 +57,7 @@ shared vec2 means[WORKGROUP_SIZE];
 shared vec4 conics[WORKGROUP_SIZE];
 shared vec4 shades[WORKGROUP_SIZE];
 #ifdef AUXILIARY
-shared vec2 shared_motions[MOTION ? WORKGROUP_SIZE : 1];
+shared SplatExtra extras[HAS_SPLAT_EXTRA ? WORKGROUP_SIZE : 1];
 #endif
 shared uint alive;
 
@@ -117,8 +112,8 @@ void main() {
         conics[gl_LocalInvocationID.x] = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
         shades[gl_LocalInvocationID.x] = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
 #ifdef AUXILIARY
-        if (MOTION) {
-            shared_motions[gl_LocalInvocationID.x] = VEC2_AT(motions, visible);
+        if (HAS_SPLAT_EXTRA) {
+            extras[gl_LocalInvocationID.x] = splat_extra(visible);
         }
 #endif
         barrier();
@@ -127,7 +122,7 @@ void main() {
         for (uint k = 0; k < fetched; ++k) {
             Splat splat = splat_of(means[k], conics[k], shades[k]);
 #ifdef AUXILIARY
-            vec2 motion = MOTION ? shared_motions[k] : vec2(0.0);
+            SplatExtra extra = extras[HAS_SPLAT_EXTRA ? k : 0];
 #endif
             [[unroll]] for (uint column = 0; column < OWN_COLUMNS; ++column) {
                 float alphas[MAX_COLUMN_ROWS];
@@ -136,7 +131,7 @@ void main() {
                     float weight =
                         blend_splat(splat, alphas[row], batch + k + 1, pixels[column * COLUMN_ROWS + row]);
 #ifdef AUXILIARY
-                    note_splat(weight, motion, batch + k + 1, pixels[column * COLUMN_ROWS + row]);
+                    note_splat(weight, extra, batch + k + 1, pixels[column * COLUMN_ROWS + row].extra);
 #endif
                 }
             }

@@ -18,7 +18,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
-// True if Gaussians have a 3D filter: see projection.glsl.
+// True if Gaussians have a 3D filter: see project_gaussian.glsl.
 layout(constant_id = 3) const bool FILTER_3D = false;
 // True if random Gaussians are omitted: see dropout.glsl.
 layout(constant_id = 4) const bool DROPOUT = false;
@@ -59,7 +59,7 @@ layout(push_constant, scalar) uniform Push {
 #include "workgroup_scan.glsl"
 #include "tile_span.glsl"
 #include "filter_3d.glsl"
-#include "projection.glsl"
+#include "project_gaussian.glsl"
 #include "random.glsl"
 #include "dropout.glsl"
 #include "cut_outs.glsl"

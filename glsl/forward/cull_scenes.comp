@@ -51,7 +51,7 @@ layout(push_constant, scalar) uniform Push {
 #include "workgroup_scan.glsl"
 #include "tile_span.glsl"
 #include "filter_3d.glsl"
-#include "projection.glsl"
+#include "project_gaussian.glsl"
 #include "random.glsl"
 #include "dropout.glsl"
 #include "cut_outs.glsl"

@@ -18,7 +18,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
-// True if Gaussians have a 3D filter: see projection.glsl.
+// True if Gaussians have a 3D filter: see project_gaussian.glsl.
 layout(constant_id = 3) const bool FILTER_3D = false;
 // True if random Gaussians are omitted: see dropout.glsl.
 layout(constant_id = 4) const bool DROPOUT = false;
@@ -65,7 +65,7 @@ layout(push_constant, scalar) uniform Push {
 #include "splat_record.glsl"
 #include "tile_span.glsl"
 #include "filter_3d.glsl"
-#include "projection.glsl"
+#include "project_gaussian.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"
 

@@ -58,7 +58,7 @@ layout(push_constant, scalar) uniform Push {
 #include "splat_record.glsl"
 #include "tile_span.glsl"
 #include "filter_3d.glsl"
-#include "projection.glsl"
+#include "project_gaussian.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"
 

@@ -1,10 +1,15 @@
-// Further outputs of the blending kernels besides the picture, in separate kernels (blend_auxiliary.comp,
-// blend_shared_auxiliary.comp):
+// Outputs of the blending kernels besides the picture, in kernels of their own (blend_auxiliary.comp,
+// blend_shared_auxiliary.comp). Colours and depths have the bits of the kernels without them.
 //
 //   with PICK    the splat with the largest weight alpha T, the nearest among equals
 //   with MOTION  sum of alpha T m, where m is the splat's motion on the screen (screen_motion.comp)
 //
-// Needs blending.glsl with AUXILIARY, buffers.glsl, PICK, MOTION.
+// in, with MOTION: motions (PerVisible); out, PerPixel: with PICK picks, with MOTION motion_sums
+//
+// A new output is a constant, buffers, members of both structs, and its lines in the functions. Needs buffers.glsl.
+
+layout(constant_id = 11) const bool PICK = false;
+layout(constant_id = 12) const bool MOTION = false;
 
 // Per pixel: 1 + index of the splat in the tile's list, 0 for none; bits of its weight.
 layout(set = 0, binding = 11, scalar) buffer Picks { uvec2 picks[]; };
@@ -13,18 +18,45 @@ VEC2_READS(12, Motions, motions);
 // Sum of weighted motions per pixel, px.
 layout(set = 0, binding = 13, scalar) buffer MotionSums { vec2 motion_sums[]; };
 
-void note_splat(float weight, vec2 motion, uint place, inout Pixel pixel) {
+// Values of a splat besides those of its record, and true if there are any.
+struct SplatExtra {
+    vec2 motion;
+};
+#define HAS_SPLAT_EXTRA MOTION
+
+// State of a pixel besides its colour and depth.
+struct PixelExtra {
+    // Largest weight, and index of its splat.
+    float heaviest;
+    uint picked;
+    // Sum of weighted motions.
+    vec2 motion;
+};
+
+SplatExtra splat_extra(uint visible) {
+    return SplatExtra(MOTION ? VEC2_AT(motions, visible) : vec2(0.0));
+}
+
+// Values of another lane's splat. Needs splat_shuffle.glsl.
+#define HANDED_EXTRA(own, lane) \
+    SplatExtra(MOTION ? vec2(lane_value(own.motion.x, lane), lane_value(own.motion.y, lane)) : vec2(0.0))
+
+PixelExtra fresh_extra() {
+    return PixelExtra(0.0, 0, vec2(0.0));
+}
+
+void note_splat(float weight, SplatExtra splat, uint place, inout PixelExtra pixel) {
     if (PICK) {
         bool heavier = weight > pixel.heaviest;
         pixel.heaviest = heavier ? weight : pixel.heaviest;
         pixel.picked = heavier ? place : pixel.picked;
     }
     if (MOTION) {
-        pixel.motion += weight * motion;
+        pixel.motion += weight * splat.motion;
     }
 }
 
-void load_auxiliary(uint index, inout Pixel pixel) {
+void load_extra(uint index, inout PixelExtra pixel) {
     if (PICK) {
         uvec2 before = picks[index];
         pixel.picked = before.x;
@@ -35,7 +67,7 @@ void load_auxiliary(uint index, inout Pixel pixel) {
     }
 }
 
-void store_auxiliary(uint index, Pixel pixel) {
+void store_extra(uint index, PixelExtra pixel) {
     if (PICK) {
         picks[index] = uvec2(pixel.picked, floatBitsToUint(pixel.heaviest));
     }

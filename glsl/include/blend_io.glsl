@@ -44,9 +44,6 @@ layout(push_constant, scalar) uniform Push {
 #include "dispatch_range.glsl"
 #include "tile_order.glsl"
 #include "strips.glsl"
-#ifdef AUXILIARY
-#include "blend_auxiliary.glsl"
-#endif
 
 // Records the longest tile, and sets STATE_OVERFLOW for a tile that the last pass does not finish.
 void note_tile(uint entries, uint end) {
@@ -76,7 +73,7 @@ Pixel load_pixel(uvec2 at) {
             pixel.depth = inverse_depth[index];
         }
 #ifdef AUXILIARY
-        load_auxiliary(index, pixel);
+        load_extra(index, pixel.extra);
 #endif
     }
     return pixel;
@@ -95,7 +92,7 @@ void store_pixel(uvec2 at, Pixel pixel, bool more) {
             inverse_depth[index] = pixel.depth;
         }
 #ifdef AUXILIARY
-        store_auxiliary(index, pixel);
+        store_extra(index, pixel.extra);
 #endif
     }
 }

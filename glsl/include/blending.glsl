@@ -1,11 +1,16 @@
 // Blends one Gaussian over a column of pixels, front to back. Every variant of the kernel shares this arithmetic. A column is a
 // vertical run of COLUMN_ROWS pixels that belongs to one invocation.
 //
-// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, INCREMENTAL_EXP and COLUMN_ROWS.
+// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, INCREMENTAL_EXP and COLUMN_ROWS; with
+// AUXILIARY buffers.glsl.
 
 // Maximum number of rows in a column. A literal instead of COLUMN_ROWS: an array sized by a specialization constant has a
 // distinct type in every declaration. A function that returns such an array returns undefined values.
 const uint MAX_COLUMN_ROWS = 8;
+
+#ifdef AUXILIARY
+#include "blend_auxiliary.glsl"
+#endif
 
 const float LOG2_E = 1.4426950408889634;
 
@@ -33,10 +38,7 @@ struct Pixel {
     float least_inverse_z;
     uint last;
 #ifdef AUXILIARY
-    // Largest weight, index of its splat, and sum of weighted motions: blend_auxiliary.glsl.
-    float heaviest;
-    uint picked;
-    vec2 motion;
+    PixelExtra extra;
 #endif
 };
 
@@ -119,7 +121,7 @@ float blend_splat(Splat splat, float unclamped, uint place, inout Pixel pixel) {
 
 Pixel fresh_pixel(bool inside) {
 #ifdef AUXILIARY
-    return Pixel(inside ? 1.0 : -1.0, vec3(0.0), 0.0, 0.0, 0, 0.0, 0, vec2(0.0));
+    return Pixel(inside ? 1.0 : -1.0, vec3(0.0), 0.0, 0.0, 0, fresh_extra());
 #else
     return Pixel(inside ? 1.0 : -1.0, vec3(0.0), 0.0, 0.0, 0);
 #endif

@@ -1,5 +1,6 @@
 // Cameras: the only file that knows projections. A new one adds a PROJECTION_ constant, its cases in the functions below, and
-// the host's case (engine/scene/camera.rs, engine/frame/camera_block.rs).
+// the host's case (engine/scene/camera.rs, engine/frame/camera_block.rs). Other shaders hand on Jacobian and JacobianGradient
+// without reading them.
 // Needs constants.glsl and camera_block.glsl.
 
 vec3 to_camera(vec3 world) {
@@ -54,15 +55,40 @@ Jacobian jacobian_at(uint projection, vec3 at) {
     return j;
 }
 
-// Gradient of a point in camera space from those of its screen position and of the Jacobian's elements there. Perspective only.
-vec3 jacobian_backward(Jacobian j, vec3 at, vec2 d_screen, vec2 d_diagonal, vec2 d_depth) {
+// Rows of the Jacobian times three vectors in camera space, the columns of `axes`.
+void jacobian_rows(Jacobian j, mat3 axes, out vec3 row_x, out vec3 row_y) {
+    vec3 axes_x = vec3(axes[0].x, axes[1].x, axes[2].x);
+    vec3 axes_y = vec3(axes[0].y, axes[1].y, axes[2].y);
+    vec3 axes_z = vec3(axes[0].z, axes[1].z, axes[2].z);
+    row_x = j.diagonal.x * axes_x + j.depth.x * axes_z;
+    row_y = j.diagonal.y * axes_y + j.depth.y * axes_z;
+}
+
+// Gradient of the Jacobian's elements.
+struct JacobianGradient {
+    vec2 diagonal;
+    vec2 depth;
+};
+
+// Gradients of the Jacobian and of the vectors from those of jacobian_rows.
+JacobianGradient jacobian_rows_backward(Jacobian j, mat3 axes, vec3 d_row_x, vec3 d_row_y, out mat3 d_axes) {
+    mat3 axes_t = transpose(axes);
+    JacobianGradient d;
+    d.diagonal = vec2(dot(d_row_x, axes_t[0]), dot(d_row_y, axes_t[1]));
+    d.depth = vec2(dot(d_row_x, axes_t[2]), dot(d_row_y, axes_t[2]));
+    d_axes = transpose(mat3(j.diagonal.x * d_row_x, j.diagonal.y * d_row_y, j.depth.x * d_row_x + j.depth.y * d_row_y));
+    return d;
+}
+
+// Gradient of a point in camera space from those of its screen position and of the Jacobian there. Perspective only.
+vec3 jacobian_backward(uint projection, Jacobian j, vec3 at, vec2 d_screen, JacobianGradient d) {
     float inverse_z = 1.0 / at.z;
     // J = (f/z, -f slope / z). An unclamped slope is x/z; a clamped slope does not depend on the point.
     vec2 through_slope = vec2(j.clamped.x ? 0.0 : 1.0, j.clamped.y ? 0.0 : 1.0);
-    vec2 d_slope = -j.diagonal * d_depth * through_slope + d_screen * focal_px;
+    vec2 d_slope = -j.diagonal * d.depth * through_slope + d_screen * focal_px;
     vec3 d_at;
     d_at.xy = d_slope * inverse_z;
-    d_at.z = -inverse_z * inverse_z * (dot(d_diagonal, focal_px) - dot(d_depth, focal_px * j.slope))
+    d_at.z = -inverse_z * inverse_z * (dot(d.diagonal, focal_px) - dot(d.depth, focal_px * j.slope))
         - inverse_z * dot(d_slope, at.xy * inverse_z);
     return d_at;
 }

@@ -99,9 +99,8 @@ const uint ARGUMENTS_COUNT = 6;
 // Radix sort: maximum number of bins of one digit.
 const uint SORT_BINS = 256;
 
-// Words from one scene's camera block to the next (scene_blocks.glsl), and words of its members.
+// Words from one scene's camera block to the next (scene_blocks.glsl).
 const uint CAMERA_BLOCK_WORDS = 64;
-const uint CAMERA_BLOCK_MEMBERS = 55;
 // Marks a scene outside batches.
 const uint NO_BATCH = 0xFFFFFFFF;
 

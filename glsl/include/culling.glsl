@@ -1,5 +1,5 @@
 // Visibility of Gaussians and their number per block, for culling of one scene and of a batch. Needs the requirements of
-// projection.glsl with DRAWS_SHAPES, dropout.glsl and cut_outs.glsl; workgroup_scan.glsl; `chunk_gaussians`, `visible_flags`,
+// project_gaussian.glsl with DRAWS_SHAPES, dropout.glsl and cut_outs.glsl; workgroup_scan.glsl; `chunk_gaussians`, `visible_flags`,
 // `block_counts`; and ADDS: true if the flags already hold the visible Gaussians of an earlier view.
 
 // Same as CutLimits::keeps (engine/scene/cut.rs), bit for bit: comparisons and one subtraction.
@@ -15,7 +15,7 @@ bool is_shown(uint gaussian, uint index, uint first_cut_out, uint cut_out_count)
     vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
     vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
     Filtered filtered = filter_3d(log_scale, mean_opacity.w);
-    Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
+    ProjectedGaussian p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
     Footprint f = footprint_of(p, filtered.opacity_logit);
     bool visible = f.visible && kept(mean_opacity.xyz, log_scale.xyz, mean_opacity.w);
     if (DROPOUT) {

@@ -3,7 +3,8 @@
 
 struct SceneBlock {
 #include "camera_members.glsl"
-    // Padding to the device's alignment of uniform blocks.
+    // Padding to the device's alignment of uniform blocks. The compiler's caller counts CAMERA_BLOCK_MEMBERS
+    // (engine/kernels/compile.rs).
     uint unused[CAMERA_BLOCK_WORDS - CAMERA_BLOCK_MEMBERS];
 };
 

@@ -1,4 +1,4 @@
-// Attributes of a visible Gaussian, for projection of one scene and of a batch. Needs the requirements of projection.glsl with
+// Attributes of a visible Gaussian, for projection of one scene and of a batch. Needs the requirements of project_gaussian.glsl with
 // DRAWS_SHAPES; sh_planes.glsl, splat_record.glsl; the buffers of project.comp; Z_RECORD and MAY_BE_UNSEEN; and `highlighted`,
 // which gives a selected Gaussian its colour.
 
@@ -12,7 +12,7 @@ void write_splat(uint visible, uint index) {
     vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
     vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
     Filtered filtered = filter_3d(log_scale, mean_opacity.w);
-    Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
+    ProjectedGaussian p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
     Footprint f = footprint_of(p, filtered.opacity_logit);
 
     vec3 direction = direction_to(PROJECTION, mean_opacity.xyz);

@@ -5,8 +5,8 @@ use crate::reference::tiles::half_extent_px;
 use crate::reference::types::{Gaussian, Splat, View};
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{
-    ANTIALIAS_COMPENSATED, ANTIALIAS_DETACHED, CAMERA_BLOCK_MEMBERS, CAMERA_BLOCK_WORDS, PLANE_LOG_SCALE,
-    PLANE_MEAN_OPACITY, PLANE_QUAT, PLANE_SH,
+    ANTIALIAS_COMPENSATED, ANTIALIAS_DETACHED, CAMERA_BLOCK_WORDS, PLANE_LOG_SCALE, PLANE_MEAN_OPACITY,
+    PLANE_QUAT, PLANE_SH,
 };
 
 pub fn planes(coefficients: usize) -> usize {
@@ -126,8 +126,8 @@ pub fn camera_block(view: &View) -> CameraBlock {
 pub fn scene_blocks(blocks: &[CameraBlock]) -> Vec<[u32; CAMERA_BLOCK_WORDS as usize]> {
     let padded = |block: &CameraBlock| {
         let mut words = [0xDEAD_BEEF; CAMERA_BLOCK_WORDS as usize];
-        words[..CAMERA_BLOCK_MEMBERS as usize]
-            .copy_from_slice(bytemuck::cast_slice(bytemuck::bytes_of(block)));
+        let own = bytemuck::cast_slice(bytemuck::bytes_of(block));
+        words[..own.len()].copy_from_slice(own);
         words
     };
     blocks.iter().map(padded).collect()

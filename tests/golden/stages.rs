@@ -5,11 +5,11 @@ use crate::common::engine::settings;
 use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use ashsplat::frame::{
-    Auxiliary, FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, PictureCapacity,
-    PlacedScene, SceneBuffers, frame_requests, planes,
+    FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, PictureCapacity, PlacedScene,
+    SceneBuffers, frame_requests, planes,
 };
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
-use ashsplat::passes::backward::{Backward, BackwardVariant};
+use ashsplat::passes::backward::Backward;
 use ashsplat::render::Forward;
 use ashsplat::vk::Recorder;
 
@@ -54,20 +54,18 @@ impl<'a> Stages<'a> {
             gaussians: scene.plan.capacity,
             visible: scene.plan.capacity,
             instances: tiles * set.len() as u32 + 64,
-            scenes: 1,
             pictures,
-            blend_passes: 1,
             backward: true,
             absolute: true,
+            ..FrameCapacity::default()
         };
         let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
         let frame = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
         let mut forward = Forward::new(context).expect("kernels");
         let drawn = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(&views[0]) };
-        forward
-            .prepare_variant(sh_degree, FrameVariant::of(&drawn, &camera(&views[0]), true))
-            .expect("kernels");
-        let (mut backward, variant) = (Backward::new(context), BackwardVariant::of(&drawn));
+        let variant = FrameVariant::of(&drawn, &camera(&views[0]), true);
+        forward.prepare_variant(sh_degree, variant).expect("kernels");
+        let mut backward = Backward::new(context);
         backward.prepare(sh_degree, variant).expect("kernels");
         backward.prepare_absolute(sh_degree, variant).expect("kernels");
         backward.prepare_expand(sh_degree).expect("kernels");
@@ -79,20 +77,10 @@ impl<'a> Stages<'a> {
         let linear_depth = self.linear_depth;
         let settings = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(view) };
         let camera = camera(view);
+        let scenes = [PlacedScene::alone(&self.scene, &camera, view.sh_degree)];
         let inputs = FrameInputs {
-            scenes: &[PlacedScene::alone(&self.scene, &camera, view.sh_degree)],
-            frame: &self.frame,
-            capacity: &self.capacity,
-            camera: &camera,
-            pose: None,
-            settings: &settings,
-            depth_limits: None,
-            cut_outs: None,
-            linear_depth: false,
             backward: true,
-            keeps_overflow: false,
-            auxiliary: Auxiliary::default(),
-            view: None,
+            ..FrameInputs::new(&scenes, &self.frame, &self.capacity, &settings)
         };
         self.gpu.run(|r| {
             self.forward.record(r, &inputs);

@@ -9,7 +9,7 @@ use crate::reference::compose as twin;
 use ashsplat::ColorEncoding;
 use ashsplat::ColorEncoding::AsTrained;
 use ashsplat::ash::vk::Format;
-use ashsplat::frame::MotionBuffers;
+use ashsplat::frame::{MotionBuffers, Outputs};
 use ashsplat::kernels::compose::picks;
 use ashsplat::kernels::constants::NOT_PICKED;
 use ashsplat::passes::compose::{Background, Compose, Region};
@@ -453,7 +453,7 @@ fn expected_depth_equals_its_twin() {
 fn mean_motion_equals_its_twin() {
     let gpu = Gpu::new();
     let mut compose = Compose::new(gpu.context).expect("kernels");
-    compose.prepare(gpu.context, [false, true]).expect("a kernel");
+    compose.prepare(gpu.context, Outputs { motion: true, ..Outputs::default() }).expect("a kernel");
     let pixels = pixels();
     let sum = |i: usize, p: &[f32; 4]| {
         let large = if i.is_multiple_of(11) { 1e6 } else { 1.0 };

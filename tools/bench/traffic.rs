@@ -63,11 +63,9 @@ impl Traffic {
                 gaussians,
                 visible: gaussians,
                 instances,
-                scenes: 1,
                 pictures: PictureCapacity::of(counts.width, counts.height),
-                blend_passes: 1,
                 backward: true,
-                absolute: false,
+                ..FrameCapacity::default()
             };
             frame_requests(&capacity, &blocks).into_iter().collect::<HashMap<_, _>>()
         };

@@ -77,7 +77,10 @@ impl From<Camera> for AshsplatCamera {
         same_fields!(c => Self { fx, fy, cx, cy, width, height } with {
             camera_from_world: c.camera_from_world.transpose().to_cols_array(),
             translation: c.translation.to_array(),
-            projection: u32::from(c.is_orthographic()),
+            projection: match c.projection {
+                Projection::Perspective => AshsplatProjection::Perspective,
+                Projection::Orthographic => AshsplatProjection::Orthographic,
+            } as u32,
             ..Self::default()
         })
     }
@@ -86,11 +89,10 @@ impl From<Camera> for AshsplatCamera {
 impl AshsplatCamera {
     /// Converts to the engine's camera. Errors call it by this name.
     pub(super) fn known(&self, name: &str) -> Result<Camera> {
-        let kinds = [Projection::Perspective, Projection::Orthographic];
         Ok(same_fields!(self => Camera { fx, fy, cx, cy, width, height } with {
             camera_from_world: Mat3::from_cols_array(&self.camera_from_world).transpose(),
             translation: Vec3::from(self.translation),
-            projection: one_of(format_args!("{name}.projection"), self.projection, &kinds)?,
+            projection: one_of(format_args!("{name}.projection"), self.projection, &Projection::ALL)?,
             part: None,
         }))
     }

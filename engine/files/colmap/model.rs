@@ -12,7 +12,7 @@ use super::{binary, text};
 use crate::depth_fit::DepthPoint;
 use crate::ply;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
-use ashsplat::scene::lens::{Distortion, Lens};
+use ashsplat::scene::distortion::{Distortion, PhotoLens};
 use ashsplat::scene::{Camera, SourcePoints};
 use ashsplat::{Error, Result};
 
@@ -88,7 +88,7 @@ impl Model {
     }
 
     /// A camera and its lens at the size of its photos.
-    pub fn lens(&self, camera: &ColmapCamera) -> Result<Lens> {
+    pub fn lens(&self, camera: &ColmapCamera) -> Result<PhotoLens> {
         let file = self.file("cameras");
         let place = format!("camera {} ({})", camera.id, camera.model.name());
         let Some(([fx, fy, cx, cy], distortion)) = optics(camera) else {
@@ -100,7 +100,7 @@ impl Model {
             let problem = format!("{place} has images of {}x{} pixels", camera.width, camera.height);
             return Err(Error::input(file, problem, format!("1 to {MAX_IMAGE_SIDE} a side are possible")));
         };
-        let lens = Lens { focal_px: dvec2(fx, fy), center_px: dvec2(cx, cy), width, height, distortion };
+        let lens = PhotoLens { focal_px: dvec2(fx, fy), center_px: dvec2(cx, cy), width, height, distortion };
         let upright = Camera::with_pose(glam::Mat3::IDENTITY, glam::Vec3::ZERO, lens.intrinsics());
         let is_finite = camera.parameters.iter().all(|p| p.is_finite());
         let problem = match upright.problem() {

@@ -6,7 +6,7 @@ use super::planned_view::{PhotoUse, PlannedView};
 use crate::images::{AUTO_MAX_WIDTH, Resolution};
 use crate::init::RANDOM_POINTS;
 use ashsplat::scene::Intrinsics;
-use ashsplat::scene::lens::{Distortion, Lens};
+use ashsplat::scene::distortion::{Distortion, PhotoLens};
 
 /// A width below this may have been meant as a divisor.
 const SMALL_WIDTH: u32 = 100;
@@ -64,7 +64,7 @@ pub(super) fn scaling_note(sizes: &[(u32, u32)], resolution: Resolution) -> Opti
 /// Names the cameras with lens distortion, if any. Many data sets have one camera per photo.
 pub(super) fn distorted_lenses<'a>(
     file: &Path,
-    cameras: impl Iterator<Item = (&'a Lens, Option<Intrinsics>)>,
+    cameras: impl Iterator<Item = (&'a PhotoLens, Option<Intrinsics>)>,
 ) -> Option<String> {
     let (mut all, mut distorted) = (0, 0);
     for (lens, pinhole) in cameras {
@@ -104,7 +104,7 @@ const OFF_CENTER: f64 = 0.2;
 /// A warning about the named cameras if one is doubtful.
 pub(super) fn lens_warning<'a>(
     file: &Path,
-    lenses: impl Iterator<Item = (String, &'a Lens)>,
+    lenses: impl Iterator<Item = (String, &'a PhotoLens)>,
 ) -> Option<String> {
     let mut doubts = lenses.filter_map(|(name, lens)| Some((name, doubt(lens)?)));
     let (name, what) = doubts.next()?;
@@ -116,7 +116,7 @@ pub(super) fn lens_warning<'a>(
     Some(format!("{file}: {name} has {what}{others}: is it of photos of another size, or in other units?"))
 }
 
-fn doubt(lens: &Lens) -> Option<String> {
+fn doubt(lens: &PhotoLens) -> Option<String> {
     let (focal, center) = (lens.focal_px.to_array(), lens.center_px.to_array());
     let sides = [lens.width, lens.height].map(f64::from);
     for axis in 0..2 {

@@ -11,7 +11,7 @@ use crate::images::{Header, PhotoOrientation, header};
 use crate::names::{has_photos, photos_below, photos_beside};
 use crate::{colmap, regular_file};
 use ashsplat::scene::Intrinsics;
-use ashsplat::scene::lens::Lens;
+use ashsplat::scene::distortion::PhotoLens;
 use ashsplat::{Error, Result};
 
 /// The named folder, or the data set itself if it has no `images` and photos lie beside the model.
@@ -64,7 +64,7 @@ pub(super) fn fit_lenses(views: &mut [Result<PlannedView>], list: &Path, divisor
     let own_size = |view: &PlannedView| (view.lens.width, view.lens.height);
     let unscaled = views.iter().flatten().filter(|view| view.file_size == Some(own_size(view)));
     let unscaled: HashSet<String> = unscaled.map(key).collect();
-    let mut known: HashMap<String, (Lens, Intrinsics)> = HashMap::new();
+    let mut known: HashMap<String, (PhotoLens, Intrinsics)> = HashMap::new();
     let (mut first, mut count, mut as_named) = (None, 0, divisor > 1);
     for result in views {
         let Ok(view) = result else { continue };

@@ -10,7 +10,7 @@ use super::part::{UsedPart, cut_photo};
 use super::view::View;
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, read_as, undistort};
 use ashsplat::Result;
-use ashsplat::scene::lens::Lens;
+use ashsplat::scene::distortion::PhotoLens;
 use ashsplat::scene::{Camera, Intrinsics, PicturePart, WorldFrame};
 
 /// True if a photo is rotated by its metadata, and its size after that, if it can be read.
@@ -26,7 +26,7 @@ pub(crate) struct PlannedView {
     /// The frame of the view's cameras.
     pub(super) frame: WorldFrame,
     /// The camera at the photo's size, with its lens.
-    pub(super) lens: Lens,
+    pub(super) lens: PhotoLens,
     /// The pinhole that replaces the lens; the same without distortion.
     pub(super) pinhole: Intrinsics,
     pub(super) photo_path: PathBuf,
@@ -59,7 +59,7 @@ pub(super) struct PhotoUse {
 impl PlannedView {
     /// A view at the origin with its whole photo, and without a name.
     pub(super) fn of(
-        (lens, pinhole): (Lens, Intrinsics),
+        (lens, pinhole): (PhotoLens, Intrinsics),
         photo_path: PathBuf,
         (turned, file_size): FileSize,
     ) -> Self {

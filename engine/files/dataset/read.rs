@@ -15,12 +15,12 @@ use crate::colmap::{self, ColmapImage, Model};
 use crate::images::header;
 use crate::names::{Finder, ending, photos_below, plain, stays_inside};
 use crate::transforms::{self, Frame, Transforms};
-use ashsplat::scene::lens::Lens;
+use ashsplat::scene::distortion::PhotoLens;
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::{Error, Result};
 
 /// Lenses and their pinhole replacements by the lens's debug text, which differs whenever a number does.
-type Lenses = BTreeMap<String, (Lens, Option<Intrinsics>)>;
+type Lenses = BTreeMap<String, (PhotoLens, Option<Intrinsics>)>;
 
 /// The problem of a lens that no pinhole can replace.
 const NO_PINHOLE: &str =

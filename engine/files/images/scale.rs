@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::Photo;
 use crate::cost;
 use ashsplat::scene::camera::Intrinsics;
-use ashsplat::scene::lens::Lens;
+use ashsplat::scene::distortion::PhotoLens;
 
 /// Radius of the kernel, in units of the larger of both pixel sizes.
 const SUPPORT: f32 = 2.0;
@@ -133,7 +133,7 @@ impl RowScaler {
 /// Resamples the photo of a lens for a pinhole camera: bilinear, black outside the photo.
 ///
 /// `lens` has the photo's size. The rows are computed in parallel.
-pub fn undistort(photo: &Photo, lens: &Lens, pinhole: &Intrinsics) -> Photo {
+pub fn undistort(photo: &Photo, lens: &PhotoLens, pinhole: &Intrinsics) -> Photo {
     let (width, height) = (pinhole.width as usize, pinhole.height as usize);
     let focal = dvec2(f64::from(pinhole.fx), f64::from(pinhole.fy));
     let center = dvec2(f64::from(pinhole.cx), f64::from(pinhole.cy));

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use super::turned;
 use crate::regular_file;
 use crate::splats::{self, FARTHEST, ReadOptions, Scene};
-use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection, Similarity, WorldFrame};
+use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 
 /// Margin of a tile's box in a picture, pixels: the low-pass filter widens Gaussians.
@@ -240,11 +240,8 @@ impl Tree {
     fn pixels(&self, camera: &Camera, index: usize) -> f64 {
         let Tile { bounds, error, .. } = &self.tiles[index];
         let eye = camera.position();
-        let distance = match camera.projection {
-            Projection::Perspective => eye.distance(eye.clamp(bounds.min, bounds.max)).max(NEAR_PLANE),
-            Projection::Orthographic => 1.0,
-        };
-        error * f64::from(camera.fx.max(camera.fy)) / f64::from(distance)
+        let distance = eye.distance(eye.clamp(bounds.min, bounds.max)).max(NEAR_PLANE);
+        error * f64::from(camera.fx.max(camera.fy)) / camera.distance_of(distance.into())
     }
 }
 
@@ -279,10 +276,7 @@ fn sees(camera: &Camera, bounds: Bounds, border: f64) -> bool {
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let [across, down] = [width, height].map(|side| MARGIN + border * side);
     // Factor of the pixel coordinates.
-    let depth = |p: &DVec3| match camera.projection {
-        Projection::Perspective => p.z,
-        Projection::Orthographic => 1.0,
-    };
+    let depth = |p: &DVec3| camera.distance_of(p.z);
     // Functions that are positive inside each side of the view's pyramid or block.
     let inside: [&dyn Fn(&DVec3) -> f64; 5] = [
         &|p| p.z - f64::from(NEAR_PLANE),

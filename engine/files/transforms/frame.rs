@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::{Document, below, values};
 use crate::names::{Finder, MAX_PATH_BYTES, ending, has_photo_ending, plain, stays_inside};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
-use ashsplat::scene::lens::{Distortion, Lens};
+use ashsplat::scene::distortion::{Distortion, PhotoLens};
 use ashsplat::{Error, Result};
 
 /// Largest relative deviation of a pose's `R Rᵀ` from a multiple of the identity.
@@ -75,13 +75,19 @@ impl Optics {
     }
 
     /// The lens for photos of this size.
-    pub fn lens(&self, width: u32, height: u32) -> Lens {
+    pub fn lens(&self, width: u32, height: u32) -> PhotoLens {
         let sides = [f64::from(width), f64::from(height)];
         let pixels = |axis: usize| Some(self.focal[axis]?.pixels(sides[axis]));
         let [fx, fy] =
             [pixels(0).or(pixels(1)), pixels(1).or(pixels(0))].map(|focal| focal.unwrap_or(f64::NAN));
         let [cx, cy] = [0, 1].map(|axis| self.center[axis].unwrap_or(0.5 * sides[axis]));
-        Lens { focal_px: dvec2(fx, fy), center_px: dvec2(cx, cy), width, height, distortion: self.distortion }
+        PhotoLens {
+            focal_px: dvec2(fx, fy),
+            center_px: dvec2(cx, cy),
+            width,
+            height,
+            distortion: self.distortion,
+        }
     }
 }
 

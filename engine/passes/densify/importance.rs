@@ -6,9 +6,9 @@
 //! Gaussians) to 1 (largest), averaged over views.
 
 use crate::error::Result;
-use crate::frame::{FrameInputs, LaunchSizes, RenderSettings, array_of};
+use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, RenderSettings, array_of};
 use crate::kernels::densify::{add_importance, edge_gradient, edge_response, sum_weights};
-use crate::passes::backward::{Backward, BackwardVariant};
+use crate::passes::backward::Backward;
 use crate::passes::pixels::PixelBorder;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -77,8 +77,8 @@ impl Importance {
         let workgroup_size = sizes.elementwise_workgroup;
         let subgroup_size = context.limits().subgroup_size;
         let mut backward = Backward::new(context);
-        backward
-            .prepare_weights(BackwardVariant { inverse_depth: false, ..BackwardVariant::of(settings) })?;
+        // Weights depend on no other property of the frame.
+        backward.prepare_weights(FrameVariant { steep: settings.is_steep(), ..FrameVariant::default() })?;
         let sum = sum_weights::Spec { workgroup_size, subgroup_size, lane_instances: LANE_INSTANCES };
         let strips = sizes.strips;
         Ok(Self {

@@ -1,16 +1,16 @@
-//! Lens distortion: the models, their inverse, the undistorted pinhole. COLMAP's own tool is among the programs.
+//! PhotoLens distortion: the models, their inverse, the undistorted pinhole. COLMAP's own tool is among the programs.
 
 use super::files::Folder;
 use crate::common::lenses::write;
 use ashsplat::scene::Intrinsics;
-use ashsplat::scene::lens::{Distortion, Lens};
+use ashsplat::scene::distortion::{Distortion, PhotoLens};
 use ashsplat_files::colmap::Model;
 use ashsplat_files::images::undistort;
 use ashsplat_files::{DatasetOptions, Gallery, Photo, Progress};
 use glam::{DVec2, dvec2};
 use proptest::prelude::*;
 
-fn lenses() -> Vec<Lens> {
+fn lenses() -> Vec<PhotoLens> {
     let folder = Folder::new();
     write(&folder);
     let model = Model::of_dataset(&folder).unwrap();

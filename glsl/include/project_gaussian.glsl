@@ -1,12 +1,12 @@
 // EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and the backward pass.
 // Needs constants.glsl, camera_block.glsl and `parameters`.
-// Needs filter_3d.glsl, FILTER_3D, and the push constant `antialias` with ANTIALIAS_ bits.
+// Needs filter_3d.glsl, FILTER_3D, PROJECTION (see camera.glsl), and the push constant `antialias` with ANTIALIAS_ bits.
 // Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES and get footprint_of. They need
-// tile_span.glsl and the push constant `extent`, DROPOUT (dropout.glsl), TINTED (true if the scene has its own factors) and
-// PROJECTION (see camera.glsl).
+// tile_span.glsl and the push constant `extent`, DROPOUT (dropout.glsl) and TINTED (true if the scene has its own factors).
 
 #include "opacity.glsl"
 #include "camera.glsl"
+#include "rotation.glsl"
 
 #ifdef DRAWS_SHAPES
 #define SCALE_MODIFIER shape_scale
@@ -15,10 +15,9 @@
 // Only Gaussians themselves are differentiated. The backward pass has OWN_DILATION.
 #define SCALE_MODIFIER 1.0
 #define SCREEN_DILATION_PX2 (OWN_DILATION ? shape_dilation_px2 : DILATION_PX2)
-#define PROJECTION PROJECTION_PERSPECTIVE
 #endif
 
-struct Projection {
+struct ProjectedGaussian {
     vec3 mean_camera;      // R mean + t
     mat3 axes_camera;      // R R(q), columns: the Gaussian's axes in camera space, of the length of the object's scale
     vec3 scale;            // exp(log_scale) times the scale modifier
@@ -33,16 +32,8 @@ struct Projection {
     float det;             // determinant after the dilation
 };
 
-mat3 rotation_of(vec4 q) {
-    float w = q.x, x = q.y, y = q.z, z = q.w;
-    return mat3(
-        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
-        2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
-        2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
-}
-
-Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
-    Projection p;
+ProjectedGaussian project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
+    ProjectedGaussian p;
     p.mean_camera = to_camera(mean) + camera_translation;
     float norm = length(quat);
     p.inverse_norm = norm > QUAT_NORM_MIN ? 1.0 / norm : 0.0;
@@ -52,12 +43,9 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     p.axes_camera = mat3(to_camera(axes[0]), to_camera(axes[1]), to_camera(axes[2]));
 
     p.jacobian = jacobian_at(PROJECTION, p.mean_camera);
-
-    vec3 axes_x = vec3(p.axes_camera[0].x, p.axes_camera[1].x, p.axes_camera[2].x);
-    vec3 axes_y = vec3(p.axes_camera[0].y, p.axes_camera[1].y, p.axes_camera[2].y);
-    vec3 axes_z = vec3(p.axes_camera[0].z, p.axes_camera[1].z, p.axes_camera[2].z);
-    p.row_x = (p.jacobian.diagonal.x * axes_x + p.jacobian.depth.x * axes_z) * p.scale;
-    p.row_y = (p.jacobian.diagonal.y * axes_y + p.jacobian.depth.y * axes_z) * p.scale;
+    jacobian_rows(p.jacobian, p.axes_camera, p.row_x, p.row_y);
+    p.row_x *= p.scale;
+    p.row_y *= p.scale;
 
     // det(M M^T) = |row_x x row_y|^2 (Cauchy-Binet). The difference of products would cancel for a needle-shaped Gaussian.
     float xx = dot(p.row_x, p.row_x);
@@ -105,7 +93,7 @@ struct Footprint {
     uvec4 tiles;           // first and one past the last tile, x then y: (x0, x1, y0, y1)
 };
 
-Footprint footprint_of(Projection p, float opacity_logit) {
+Footprint footprint_of(ProjectedGaussian p, float opacity_logit) {
     Footprint f;
     float ratio = p.det_raw / p.det;
     float opacity = opacity_of(opacity_logit);

@@ -107,7 +107,7 @@ impl Distortion {
 
 /// A camera without its pose, but with its lens.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lens {
+pub struct PhotoLens {
     /// Focal lengths, pixels.
     pub focal_px: DVec2,
     /// Principal point, pixels (centre of the first pixel at 0.5).
@@ -123,7 +123,7 @@ pub struct Lens {
 /// Smallest and largest size of an undistorted image, as a share of the photograph's (COLMAP's defaults).
 const SCALE_LIMITS: [f64; 2] = [0.2, 2.0];
 
-impl Lens {
+impl PhotoLens {
     /// A pinhole without distortion.
     pub fn pinhole(intrinsics: Intrinsics) -> Self {
         let Intrinsics { fx, fy, cx, cy, width, height } = intrinsics;
