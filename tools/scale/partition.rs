@@ -14,7 +14,7 @@ use ashsplat_program::blocks::rounds::MAX_ROUNDS;
 use ashsplat_program::blocks::{
     Block, BlocksFile, Coarse, Core, DatasetOfBlocks, Division, MAX_BLOCKS, cameras_hash, stored,
 };
-use ashsplat_program::config::{CAMERAS_FILE, DataSettings, When};
+use ashsplat_program::config::{CAMERAS_FILE, DataSettings, Split, When};
 use ashsplat_program::lock::{FolderLock, Work};
 use ashsplat_program::look::look_of;
 use ashsplat_program::model::Model;
@@ -99,6 +99,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.check()?;
     let coarse = Model::locate(&arguments.coarse, None)?;
     let data = arguments.data.applied_to_dataset(arguments.dataset.as_deref(), &coarse.settings.data)?;
+    // Trainings of blocks and their reports hold out the same views.
+    let data = DataSettings { eval_split: Split::Reference, ..data };
     let host = &arguments.device.host;
     let mut scene = splats::read(&coarse.ply, &host.reading(false))?;
     if scene.gaussians.is_empty() {

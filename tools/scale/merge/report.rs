@@ -6,7 +6,7 @@ use ashsplat::vk::Context;
 use ashsplat::{Error, RenderSettings, Renderer, Result};
 use ashsplat_files::{Gallery, splats};
 use ashsplat_program::blocks::BlocksFile;
-use ashsplat_program::config::{DataSettings, Settings};
+use ashsplat_program::config::{DataSettings, Settings, Split};
 use ashsplat_program::html::{self, escape, section};
 use ashsplat_program::look::look_of;
 use ashsplat_program::model::Model;
@@ -95,6 +95,7 @@ impl Ready {
             resolution: dataset.resolution,
             orientation: dataset.orientation.clone(),
             eval: true,
+            eval_split: Split::Reference,
             ..DataSettings::default()
         };
         let stop = session::stop_on_ctrl_c()?;
