@@ -31,13 +31,16 @@ pub fn masked_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8]) -> R
     Ok(decibels(pixels.filter(|(_, counts)| **counts != 0).map(|(pixel, _)| pixel)))
 }
 
-/// PSNR in dB after a fit of the image's colours to the reference's, over the pixels whose mask byte is not 0.
+/// Colour-corrected PSNR (CC-PSNR) in dB, over the pixels whose mask byte is not 0: after the affine map of the image's (r, g, b)
+/// with the least squared error to the reference's, one for the whole picture.
 ///
-/// The fit is the affine map of (r, g, b) with the least squared error, one for the whole picture. It takes out exposure and white
-/// balance, which a held-out photograph has of its own and no scene can know.
-pub fn color_fitted_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: Option<&[u8]>) -> Result<f64> {
+/// That takes out exposure and white balance, which a held-out photograph has of its own and no scene can know. A reference of one
+/// colour would be met exactly, so that the image is left as it is.
+pub fn cc_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: Option<&[u8]>) -> Result<f64> {
     /// Weight of the identity per pixel, for pictures that do not determine the map.
     const RIDGE: f64 = 1e-6;
+    /// Least variance of a reference that is no single colour: two steps of 8 bits.
+    const LEAST_VARIANCE: f64 = (2.0 / 255.0) * (2.0 / 255.0);
     check_sizes(image.len(), reference.len())?;
     mask.map_or(Ok(()), |mask| check_mask(image.len(), mask))?;
     let counts = |pixel: &usize| mask.is_none_or(|mask| mask[*pixel] != 0);
@@ -47,7 +50,15 @@ pub fn color_fitted_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: Optio
         DVec4::new(r, g, b, 1.0)
     };
     let outer = |a: DVec4, b: DVec4| DMat4::from_cols(a * b.x, a * b.y, a * b.z, a * b.w);
-    let ridge = DMat4::IDENTITY * (RIDGE * pixels().count() as f64);
+    let count = pixels().count() as f64;
+    let (sum, squares) = pixels()
+        .map(|(_, b)| color(b))
+        .fold((DVec4::ZERO, DVec4::ZERO), |(sum, squares), b| (sum + b, squares + b * b));
+    let variance = (squares / count - (sum / count) * (sum / count)).truncate().max_element();
+    if variance < LEAST_VARIANCE {
+        return Ok(decibels(pixels()));
+    }
+    let ridge = DMat4::IDENTITY * (RIDGE * count);
     let (normal, product) = pixels().fold((ridge, ridge), |(normal, product), (a, b)| {
         let a = color(a);
         (normal + outer(a, a), product + outer(color(b), a))

@@ -446,8 +446,7 @@ const FEW_PHOTOS_DROPOUT: f64 = 0.1;
 const FEW_PHOTOS_AVERAGED: f64 = 0.25;
 /// Weight of the mean opacity in the loss, with the fewest photographs.
 const FEW_PHOTOS_OPACITY_REG: f64 = 0.003;
-/// Numbers of photographs between which the settings change from those of few to those of many.
-const FEW_PHOTOS: f64 = 12.0;
+/// Number of photographs from which nothing is adapted to few.
 const MANY_PHOTOS: f64 = 40.0;
 /// Maximum share of omitted Gaussians.
 const MOST_DROPOUT: f64 = 0.9;
@@ -518,13 +517,16 @@ impl TrainSettings {
         }
     }
 
-    /// Adapts settings to few photographs, by measurement (tools/strategies.md): the more, the fewer there are between 40, where
-    /// nothing changes, and 12. Budget omits random Gaussians from steps (DropGaussian), so that no photograph is fitted by Gaussians
+    /// Number of photographs below which settings do not change any more.
+    pub const FEW_PHOTOS: usize = 12;
+
+    /// Adapts settings to few photographs, by measurement (tools/strategies.md). From 40 photographs on nothing changes, from
+    /// [`FEW_PHOTOS`](Self::FEW_PHOTOS) down everything, and in between each value changes by a share. Budget omits random Gaussians from steps (DropGaussian), so that no photograph is fitted by Gaussians
     /// that no other shows. A weight on opacities clears haze that no photograph disproves. The mean of more steps is stable where
     /// single steps are not. The reference's growth ends early. The other strategies stay as they are.
     #[must_use]
     pub fn for_photos(self, photos: usize) -> Self {
-        let share = ((MANY_PHOTOS - photos as f64) / (MANY_PHOTOS - FEW_PHOTOS)).clamp(0.0, 1.0);
+        let share = ((MANY_PHOTOS - photos as f64) / (MANY_PHOTOS - Self::FEW_PHOTOS as f64)).clamp(0.0, 1.0);
         // Rounded to be easily typed.
         let towards = |from: f64, to: f64| ((from + share * (to - from)) * 1e4).round() / 1e4;
         match self.strategy {

@@ -139,7 +139,7 @@ fn photos_that_are_too_small_for_lpips_are_refused_before_the_work() {
         place.run(format!("{line} --lpips-weights @small_alex")).refused(&words);
     }
     let halves = format!("{train} --lpips-weights @small_alex --eval --train-test-exp");
-    let words = ["photo 03.png is 24x32 pixels", "right half", "AlexNet needs 31"];
+    let words = ["photo 01.png is 24x32 pixels", "right half", "AlexNet needs 31"];
     place.run(halves).refused(&words);
     assert!(!place.has("too_small"));
 }

@@ -1,6 +1,6 @@
 //! PSNR and SSIM against direct loops.
 
-use ashsplat_files::metrics::{color_fitted_psnr, masked_psnr, masked_ssim, psnr, ssim};
+use ashsplat_files::metrics::{cc_psnr, masked_psnr, masked_ssim, psnr, ssim};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -53,22 +53,23 @@ fn ssim_equals_the_direct_loop() {
 }
 
 #[test]
-fn colour_fits_take_out_gains_and_mixtures() {
+fn colour_correction_takes_out_gains_and_mixtures() {
     let image: Vec<_> = noise(400, 3).iter().map(|rgb| rgb.map(|value| 0.5 + 0.3 * (value - 0.5))).collect();
     let other = |[r, g, b]: [f32; 3]| [0.8 * r + 0.1 * g + 0.05, 0.9 * g, 0.1 * r + 0.7 * b + 0.1];
     let mut reference: Vec<_> = image.iter().copied().map(other).collect();
     assert!(psnr(&image, &reference).unwrap() < 30.0);
-    assert!(color_fitted_psnr(&image, &reference, None).unwrap() > 80.0);
+    assert!(cc_psnr(&image, &reference, None).unwrap() > 80.0);
     // A pixel that does not count has no say in the fit, and one that counts has.
     reference[7] = [1.0, 0.0, 1.0];
     let mut mask = vec![1; 400];
-    assert!(color_fitted_psnr(&image, &reference, Some(&mask)).unwrap() < 40.0);
+    assert!(cc_psnr(&image, &reference, Some(&mask)).unwrap() < 40.0);
     mask[7] = 0;
-    assert!(color_fitted_psnr(&image, &reference, Some(&mask)).unwrap() > 80.0);
-    // A picture of one colour has a fit too.
-    let fitted = color_fitted_psnr(&[[0.5; 3]; 9], &[[0.25; 3]; 9], None).unwrap();
-    assert!(fitted > 50.0, "{fitted}");
-    assert!(color_fitted_psnr(&image, &image[1..], None).is_err());
+    assert!(cc_psnr(&image, &reference, Some(&mask)).unwrap() > 80.0);
+    // A photograph of one colour would be met exactly by any picture.
+    assert_eq!(cc_psnr(&image, &[[0.25; 3]; 400], None).unwrap(), psnr(&image, &[[0.25; 3]; 400]).unwrap());
+    let flat = cc_psnr(&[[0.5; 3]; 400], &image, None).unwrap();
+    assert!(flat.is_finite() && flat >= psnr(&[[0.5; 3]; 400], &image).unwrap(), "{flat}");
+    assert!(cc_psnr(&image, &image[1..], None).is_err());
 }
 
 #[test]

@@ -21,7 +21,7 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-/// PSNR and SSIM of a trained scene on a data set, PSNR after a fit of colours (for photos of other exposures), LPIPS where weights
+/// PSNR and SSIM of a trained scene on a data set, colour-corrected PSNR (for photos of other exposures), LPIPS where weights
 /// are given; its Gaussians, its bytes and the time of a frame. What masks hide does not count.
 ///
 /// Photos with an exposure in the model folder's exposure.json are compared under it: those that were trained on. Held-out
@@ -42,6 +42,10 @@ pub struct Arguments {
     iteration: Option<u32>,
     #[command(flatten)]
     data: session::DataArguments,
+    /// Which views are held out, for a file of Gaussians: inner, as trainings here hold them out of few, or the reference's; those of
+    /// a model folder are those of its training [default: inner]
+    #[arg(long, value_name = "NAME")]
+    eval_split: Option<Split>,
     /// Measure all views, not only those held out
     #[arg(long)]
     all: bool,
@@ -69,11 +73,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
     let model = Model::locate(path, arguments.iteration)?;
     let mut data = arguments.data.applied_to(&model.settings.data)?;
-    // A bare PLY does not record its split: use the default one.
-    let unknown_split = model.folder.is_none() && !arguments.data.has_eval_split();
-    data.eval |= model.folder.is_none();
-    if unknown_split {
-        data.eval_split = Split::Inner;
+    if model.folder.is_none() {
+        // A bare PLY does not record its split.
+        data.eval = true;
+        data.eval_split = arguments.eval_split.unwrap_or(Split::Inner);
+    } else if arguments.eval_split.is_some_and(|split| split != data.eval_split) {
+        let problem =
+            "differs from that of the model's training, so that photos would count which it was trained on";
+        return Err(Error::argument("--eval-split", problem));
     }
     let weights = read_weights(&arguments.lpips_weights, &arguments.device.host)?;
     let bytes = std::fs::metadata(&model.ply).ok().map(|file| file.len());
@@ -86,7 +93,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gallery = session::open(&data, &options, &stop)?;
     session::warn(gallery.warnings());
     let chosen = chosen_views(&gallery, arguments.all, &data)?;
-    if unknown_split && !arguments.all && chosen.first() != Some(&0) {
+    let guessed = model.folder.is_none() && arguments.eval_split.is_none() && !gallery.has_split();
+    if guessed && !arguments.all && chosen.first() != Some(&0) {
         tell!(
             "warning: measured on inner views, as this program holds them out of few; were they trained on, give --eval-split reference"
         );
@@ -220,7 +228,7 @@ fn print(json: bool, evaluation: &Evaluation, device: &str) {
     if let Some(aligned) = &evaluation.aligned {
         say!("{}", row("  with cameras aligned", aligned));
     }
-    say!("CC-PSNR: after an affine fit of each picture's colours to its photo");
+    say!("CC-PSNR: colour-corrected, by an affine map of each picture's colours to its photo");
     if let Some(SceneSize { gaussians, bytes }) = scene {
         let file = bytes.map_or_else(String::new, |bytes| format!(", {:.2} MB", bytes as f64 * 1e-6));
         let time = evaluation.frame_ms().unwrap_or(f64::NAN);

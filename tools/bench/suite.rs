@@ -6,6 +6,7 @@ use ashsplat::{Error, Result};
 use ashsplat_files::colmap::{self, ColmapImage, Model};
 use ashsplat_files::{atomic, quoted, regular_file};
 use ashsplat_program::child::run_logged;
+use ashsplat_program::config::Split;
 use ashsplat_program::eval::RESULTS_FILE;
 use ashsplat_program::{output, session};
 use clap::Args;
@@ -46,9 +47,9 @@ struct Suite {
     tests: Vec<u32>,
     #[serde(default = "one_seed")]
     seeds: Vec<u32>,
-    /// As `train --eval-split`, for all recipes.
+    /// Held-out views of all recipes: `train --eval-split`.
     #[serde(default = "inner")]
-    eval_split: String,
+    eval_split: Split,
     /// Options of `train` for all runs.
     #[serde(default)]
     options: Vec<String>,
@@ -62,8 +63,8 @@ fn one_seed() -> Vec<u32> {
     vec![0]
 }
 
-fn inner() -> String {
-    "inner".into()
+fn inner() -> Split {
+    Split::Inner
 }
 
 /// A data set, or some photographs of it.
@@ -72,7 +73,7 @@ fn inner() -> String {
 struct Scene {
     name: String,
     dataset: PathBuf,
-    /// As `train -r`.
+    /// Value of `train -r`.
     #[serde(default = "stored_size")]
     resolution: i32,
     /// Further options of `train`.
@@ -187,7 +188,11 @@ impl Suite {
         let numbers = [self.iterations, seed].map(|number| number.to_string());
         let mut all: Vec<String> =
             ["train", "--eval", "--quiet", "--eval-share", "0", "--eval-split"].map(String::from).into();
-        all.push(self.eval_split.clone());
+        let split = match self.eval_split {
+            Split::Inner => "inner",
+            Split::Reference => "reference",
+        };
+        all.push(split.into());
         all.extend(["-s".into(), data.display().to_string(), "-r".into(), scene.resolution.to_string()]);
         all.extend(["--iterations".into(), numbers[0].clone(), "--seed".into(), numbers[1].clone()]);
         all.push("--test-iterations".into());
@@ -265,6 +270,11 @@ impl Scene {
     /// The folder to train on: the data set's, or a new one with the chosen photographs.
     fn data(&self, source: &Path, folder: &Path) -> Result<PathBuf> {
         let Some(count) = self.photographs else { return Ok(source.to_owned()) };
+        if self.options.iter().any(|option| option.starts_with("-i") || option.starts_with("--images")) {
+            let problem =
+                "takes some of the photographs in the folder images, and has an option for another folder";
+            return Err(Error::argument(format!("scene {}", self.name), problem));
+        }
         let model = Model::of_dataset(source)?;
         let chosen = self.choose(&model, count)?;
         let cameras = chosen.iter().map(|image| model.camera_of(image)).collect::<Result<Vec<_>>>()?;

@@ -63,17 +63,17 @@ pub struct Overrides {
     /// Hold out every 8th view (by name) for tests
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     eval: Option<bool>,
-    /// Which views are held out, where the data set does not say so [default: inner; with the preset or strategy reference:
-    /// reference]
+    /// Which views are held out, where the data set does not say so [default: inner; with the preset or strategy reference and with
+    /// --train-test-exp: reference]
     #[arg(long, value_name = "NAME")]
     eval_split: Option<Split>,
     /// Train on the left half of the held-out views as well, and test on the right one under the exposure that was learned;
     /// sets --exposure (the reference's protocol)
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     train_test_exp: Option<bool>,
-    /// Settings for few photos: steps leave some Gaussians out, opacities have a weight, and more steps are averaged. auto: the more,
-    /// the fewer photos to train on there are between 40 and 12 (not with the reference's strategy); on: as with 12; off. What is
-    /// given otherwise wins [default: auto]
+    /// Settings for few photos: steps leave some Gaussians out, opacities have a weight, and more steps are averaged. auto changes
+    /// nothing from 40 photos on, all from 12 down, and shares of it in between (not with the reference's strategy); on changes all.
+    /// What is given otherwise wins [default: auto]
     #[arg(long, value_name = "WHEN")]
     few_photos: Option<When>,
     #[command(flatten)]
@@ -232,7 +232,7 @@ impl Settings {
         }
         let splits = data.contains_key("eval_split");
         let mut data: DataSettings = data.try_into().map_err(message)?;
-        if usual.strategy == StrategyType::Reference && !splits {
+        if (usual.strategy == StrategyType::Reference || data.train_test_exp) && !splits {
             data.eval_split = Split::Reference;
         }
         if data.train_test_exp && train.get("exposure").and_then(toml::Value::as_bool) == Some(false) {

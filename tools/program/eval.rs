@@ -27,7 +27,7 @@ pub struct ViewResult {
     pub name: String,
     pub psnr: f64,
     pub ssim: f64,
-    /// [`metrics::color_fitted_psnr`].
+    /// [`metrics::cc_psnr`].
     pub cc_psnr: f64,
     /// One for each of [`Evaluation::measures`].
     pub lpips: Vec<f64>,
@@ -76,7 +76,7 @@ impl Evaluation {
         self.mean(|view| view.ssim)
     }
 
-    /// Mean over the views of the PSNR after a colour fit, dB; NaN if none was measured.
+    /// Mean over the views of the colour-corrected PSNR, dB; NaN if none was measured.
     pub fn cc_psnr(&self) -> f64 {
         self.mean(|view| view.cc_psnr)
     }
@@ -95,15 +95,16 @@ impl Evaluation {
         self.views.iter().map(value).sum::<f64>() / self.views.len() as f64
     }
 
-    /// The means, for a message. `fitted` adds the PSNR after a colour fit.
-    pub fn describe(&self, fitted: bool) -> String {
+    /// The means, for a message. `corrected` adds the CC-PSNR.
+    pub fn describe(&self, corrected: bool) -> String {
         if self.views.is_empty() {
             return "PSNR and SSIM not measured".into();
         }
         let lpips: String = self.lpips().map(|(name, value)| format!(", {name} {value:.4}")).collect();
         let aligned = self.aligned.as_ref().filter(|aligned| !aligned.views.is_empty());
-        let aligned = aligned.map(|aligned| format!(" (cameras aligned: {})", aligned.describe(fitted)));
-        let fit = if fitted { format!(" ({:.2} after a colour fit)", self.cc_psnr()) } else { String::new() };
+        let aligned = aligned.map(|aligned| format!(" (cameras aligned: {})", aligned.describe(corrected)));
+        let fit =
+            if corrected { format!(" (colour-corrected {:.2})", self.cc_psnr()) } else { String::new() };
         format!(
             "PSNR {:.2} dB{fit}, SSIM {:.4}{lpips}{}",
             self.psnr(),
@@ -243,7 +244,7 @@ pub fn psnr(view: &View, frame: &Frame) -> Result<f64> {
     }
 }
 
-/// Same as [`psnr`], SSIM and the PSNR after a colour fit.
+/// Same as [`psnr`], with SSIM and CC-PSNR.
 fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
     let photo = view.photo.photo()?.to_f32();
     let mask = view.photo.mask()?;
@@ -251,7 +252,7 @@ fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
         None => metrics::ssim(&frame.color, &photo, frame.width)?,
         Some(mask) => metrics::masked_ssim(&frame.color, &photo, mask, frame.width)?,
     };
-    let cc_psnr = metrics::color_fitted_psnr(&frame.color, &photo, mask.as_deref())?;
+    let cc_psnr = metrics::cc_psnr(&frame.color, &photo, mask.as_deref())?;
     let name = view.name.clone();
     Ok(ViewResult { name, psnr: psnr(view, frame)?, ssim, cc_psnr, lpips: Vec::new(), frame_ms: None })
 }

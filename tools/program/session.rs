@@ -2,7 +2,7 @@
 
 use crate::args::HostArguments;
 use crate::blocks::job::Job;
-use crate::config::{DataSettings, Split};
+use crate::config::DataSettings;
 use crate::progress::counting;
 use ashsplat::scene::WorldFrame;
 use ashsplat::{Error, Result};
@@ -32,17 +32,9 @@ pub struct DataArguments {
     /// Hold out every 8th view (by name) [default: as in training]
     #[arg(long)]
     eval: bool,
-    /// Which views are held out [default: as in training]
-    #[arg(long, value_name = "NAME")]
-    eval_split: Option<Split>,
 }
 
 impl DataArguments {
-    /// True if it is given which views are held out.
-    pub fn has_eval_split(&self) -> bool {
-        self.eval_split.is_some()
-    }
-
     /// Same as [`DataArguments::applied_to`], but for a data set from another argument, and for the whole scene.
     pub fn applied_to_dataset(&self, dataset: Option<&Path>, trained: &DataSettings) -> Result<DataSettings> {
         let source_path = dataset.map_or_else(|| trained.source_path.clone(), Path::to_owned);
@@ -67,7 +59,6 @@ impl DataArguments {
             data.orientation.clone_from(orientation);
         }
         data.eval |= self.eval;
-        data.eval_split = self.eval_split.unwrap_or(data.eval_split);
         if data.source_path.as_os_str().is_empty() {
             return Err(Error::argument(
                 "-s/--source-path",

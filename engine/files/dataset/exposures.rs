@@ -1,6 +1,7 @@
 //! How much photographs of one scene differ in exposure.
 
-use std::collections::HashMap;
+use std::cmp::Reverse;
+use std::collections::{BTreeSet, HashMap};
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -8,43 +9,108 @@ use rayon::prelude::*;
 use super::gallery::{Gallery, Track, depth_point};
 use super::view::View;
 use ashsplat::Result;
+use ashsplat::scene::Camera;
 
-/// Most photographs that are looked at.
-const VIEWS: usize = 64;
-/// Number of photographs, those with the most common points, that a photograph is compared with.
+/// Most photographs that are all compared. Of more, every so many-th is compared with those from nearby.
+const MOST_VIEWS: usize = 64;
+/// Number of photographs that a photograph is compared with.
 const NEIGHBOURS: usize = 3;
 /// Most points that are looked for in each photograph, without observations.
 const POINTS: usize = 4000;
-/// Least common points of a photograph with others.
+/// Least common points of two photographs that are compared.
 const LEAST_POINTS: usize = 30;
+/// Least cosine between the directions from a common point to both cameras. Farther apart, surfaces themselves look different.
+const LEAST_COSINE: f32 = 0.966;
 /// Luminances that are neither black nor saturated.
 const MEASURED: std::ops::Range<f32> = 0.04..0.96;
+/// Longest file of observations that is read; reading a longer one would delay the training.
+const MOST_BYTES: u64 = 256 << 20;
+
+/// The points that a photograph shows.
+struct Shown {
+    position: Vec3,
+    /// Logarithm (base 2) of the mean luminance around each point, by the bits of its position.
+    luminances: HashMap<[u32; 3], f64>,
+}
 
 impl Gallery {
-    /// Root mean square by which the training photographs' exposures differ from those of their neighbours, in stops of the stored
-    /// values: 0.1 says that the same surface is 7 % brighter or darker than in photographs from nearby. Light that changes slowly
-    /// along a path does not count: a scene without exposures reproduces it from the direction of view.
+    /// Root mean square by which the training photographs' exposures differ from those from nearby, in stops of the stored
+    /// values: 0.1 says that the same surface is 7 % brighter or darker. Light that changes slowly along a path does not count: a
+    /// scene without exposures reproduces it from the direction of view.
     ///
-    /// Exposures are those by which the luminances at common sparse points differ least, in a sample of the photographs. Without
-    /// observations, a photograph shows the points in its view that lie behind no others. `None` with too few common points.
+    /// The difference of two photographs is the median over their common sparse points that both show from about the same side.
+    /// Without observations, a photograph shows the points in its view that lie behind no others. `None` if too few photographs
+    /// have such points in common.
     pub fn exposure_spread(&self) -> Result<Option<f64>> {
-        let tracks = self.shown_points()?;
+        let tracks = self.shown_points(MOST_BYTES)?;
         let observed = tracks.iter().any(Option::is_some);
         let points = &self.points().positions;
         let sampled = points.iter().step_by(points.len().div_ceil(POINTS).max(1));
         let all: Track = sampled.copied().map(Vec3::from).collect();
         let trained: Vec<usize> = self.trained().collect();
-        let measured = |&index: &usize| {
-            let track = |view: &View| match observed {
-                true => tracks[index].clone(),
-                false => Some(in_front(view, &all)),
-            };
-            Some(self.view(index)?.and_then(|view| luminances(&view, &track(&view).unwrap_or_default())))
+        let cameras: Vec<Camera> = self.cameras().iter().map(|named| named.camera).collect();
+        let compared = match trained.len() {
+            0..=MOST_VIEWS => trained.clone(),
+            many => trained.iter().copied().step_by(many.div_ceil(MOST_VIEWS / (1 + NEIGHBOURS))).collect(),
         };
-        let sample: Vec<&usize> = trained.iter().step_by(trained.len().div_ceil(VIEWS).max(1)).collect();
-        let measured: Vec<_> = sample.into_par_iter().filter_map(measured).collect::<Result<_>>()?;
-        Ok(spread(&measured))
+        let needed: BTreeSet<usize> = match trained.len() {
+            0..=MOST_VIEWS => trained.into_iter().collect(),
+            _ => compared.iter().flat_map(|&view| nearest(view, &trained, &cameras)).collect(),
+        };
+        let shown = |&index: &usize| {
+            let view = self.view(index)?;
+            Some(view.and_then(|view| {
+                let track =
+                    if observed { tracks[index].clone().unwrap_or_default() } else { in_front(&view, &all) };
+                Ok((
+                    index,
+                    Shown { position: view.camera.position(), luminances: luminances(&view, &track)? },
+                ))
+            }))
+        };
+        let needed: Vec<usize> = needed.into_iter().collect();
+        let shown: HashMap<usize, Shown> = needed.par_iter().filter_map(shown).collect::<Result<_>>()?;
+        let differences: Vec<f64> =
+            compared.iter().filter_map(|view| difference_from_neighbours(*view, &shown)).collect();
+        let squares: f64 = differences.iter().map(|difference| difference * difference).sum();
+        let enough = 2 * differences.len() > compared.len();
+        Ok(enough.then(|| (squares / differences.len() as f64).sqrt()))
     }
+}
+
+/// A view and its neighbours by position and direction.
+fn nearest(view: usize, views: &[usize], cameras: &[Camera]) -> Vec<usize> {
+    let distances: Vec<f32> =
+        views.iter().map(|&other| cameras[other].position().distance(cameras[view].position())).collect();
+    let farthest = distances.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
+    let axis = |view: usize| cameras[view].camera_from_world.row(2);
+    let apart = |at: usize| distances[at] / farthest + 1.0 - axis(views[at]).dot(axis(view));
+    let mut order: Vec<usize> = (0..views.len()).collect();
+    order.sort_by(|&a, &b| apart(a).total_cmp(&apart(b)));
+    order.into_iter().take(1 + NEIGHBOURS).map(|at| views[at]).collect()
+}
+
+/// Mean by which a view is brighter than those with the most common points, stops; `None` if there are none.
+fn difference_from_neighbours(view: usize, shown: &HashMap<usize, Shown>) -> Option<f64> {
+    let own = shown.get(&view)?;
+    let mut compared: Vec<(usize, f64)> = Vec::new();
+    for (_, other) in shown.iter().filter(|(other, _)| **other != view) {
+        let towards = |from: Vec3, point: Vec3| (from - point).normalize_or_zero();
+        let difference = |(key, luminance): (&[u32; 3], &f64)| {
+            let point = Vec3::from_array(key.map(f32::from_bits));
+            let cosine = towards(own.position, point).dot(towards(other.position, point));
+            other.luminances.get(key).filter(|_| cosine >= LEAST_COSINE).map(|theirs| luminance - theirs)
+        };
+        let mut all: Vec<f64> = own.luminances.iter().filter_map(difference).collect();
+        if all.len() >= LEAST_POINTS {
+            let middle = all.len() / 2;
+            compared.push((all.len(), *all.select_nth_unstable_by(middle, f64::total_cmp).1));
+        }
+    }
+    compared.sort_by(|a, b| Reverse(a.0).cmp(&Reverse(b.0)).then(a.1.total_cmp(&b.1)));
+    compared.truncate(NEIGHBOURS);
+    let sum: f64 = compared.iter().map(|(_, difference)| difference).sum();
+    (!compared.is_empty()).then(|| sum / compared.len() as f64)
 }
 
 /// The points in a view, except those that lie behind others in a coarse grid over the picture.
@@ -64,15 +130,11 @@ fn in_front(view: &View, points: &[Vec3]) -> Track {
         let least = nearest.entry(*cell).or_default();
         *least = least.max(*inverse_z);
     }
-    placed
-        .into_iter()
-        .filter(|(cell, inverse_z, _)| inverse_z * BEHIND >= nearest[cell])
-        .map(|(.., point)| point)
-        .collect()
+    let in_front = placed.into_iter().filter(|(cell, inverse_z, _)| inverse_z * BEHIND >= nearest[cell]);
+    in_front.map(|(.., point)| point).collect()
 }
 
-/// Points of a view with the logarithm (base 2) of the mean luminance around them.
-fn luminances(view: &View, track: &[Vec3]) -> Result<Vec<(Vec3, f64)>> {
+fn luminances(view: &View, track: &[Vec3]) -> Result<HashMap<[u32; 3], f64>> {
     let photo = view.photo.photo()?;
     let (width, height) = (photo.width as usize, photo.height as usize);
     let rgb = photo.rgb.as_chunks::<3>().0;
@@ -88,53 +150,7 @@ fn luminances(view: &View, track: &[Vec3]) -> Result<Vec<(Vec3, f64)>> {
         let pixels = rows.flat_map(|y| columns().map(move |x| y * width + x));
         let values: Vec<f32> = pixels.map(|at| luminance(rgb[at])).collect();
         let mean = values.iter().sum::<f32>() / values.len() as f32;
-        MEASURED.contains(&mean).then_some((point, f64::from(mean).log2()))
+        MEASURED.contains(&mean).then_some((point.to_array().map(f32::to_bits), f64::from(mean).log2()))
     };
     Ok(track.iter().filter_map(around).collect())
-}
-
-/// Root mean square of the photographs' offsets from those of their neighbours, where each value is a point's plus its
-/// photograph's.
-fn spread(measured: &[Vec<(Vec3, f64)>]) -> Option<f64> {
-    /// Both kinds of unknowns are found in turn.
-    const ROUNDS: usize = 20;
-    let mut observed: HashMap<[u32; 3], Vec<(usize, f64)>> = HashMap::new();
-    for (view, points) in measured.iter().enumerate() {
-        for (point, value) in points {
-            observed.entry(point.to_array().map(f32::to_bits)).or_default().push((view, *value));
-        }
-    }
-    observed.retain(|_, values| values.len() > 1);
-    let mut offsets = vec![0.0; measured.len()];
-    let mut counted = vec![false; measured.len()];
-    for _ in 0..ROUNDS {
-        let mut rests = vec![Vec::new(); measured.len()];
-        for values in observed.values() {
-            let mean =
-                values.iter().map(|(view, value)| value - offsets[*view]).sum::<f64>() / values.len() as f64;
-            values.iter().for_each(|(view, value)| rests[*view].push(value - mean));
-        }
-        for (view, rests) in rests.iter_mut().enumerate().filter(|(_, rests)| rests.len() >= LEAST_POINTS) {
-            let middle = rests.len() / 2;
-            offsets[view] = *rests.select_nth_unstable_by(middle, f64::total_cmp).1;
-            counted[view] = true;
-        }
-    }
-    // Each photograph's offset beside that of those with the most common points.
-    let mut common = vec![vec![0u32; measured.len()]; measured.len()];
-    for values in observed.values() {
-        for (a, _) in values {
-            values.iter().filter(|(b, _)| a != b && counted[*b]).for_each(|(b, _)| common[*a][*b] += 1);
-        }
-    }
-    let beside = |view: usize| {
-        let mut others: Vec<usize> = (0..measured.len()).filter(|&other| common[view][other] > 0).collect();
-        others.sort_by_key(|&other| std::cmp::Reverse(common[view][other]));
-        others.truncate(NEIGHBOURS);
-        let mean = others.iter().map(|&other| offsets[other]).sum::<f64>() / others.len() as f64;
-        (counted[view] && !others.is_empty()).then(|| offsets[view] - mean)
-    };
-    let differences: Vec<f64> = (0..measured.len()).filter_map(beside).collect();
-    let squares: f64 = differences.iter().map(|difference| difference * difference).sum();
-    (!differences.is_empty()).then(|| (squares / differences.len() as f64).sqrt())
 }

@@ -188,6 +188,11 @@ impl Gallery {
         &self.held_out
     }
 
+    /// True if the data set says itself which views are held out.
+    pub fn has_split(&self) -> bool {
+        self.plan.has_split
+    }
+
     /// Warnings that do not prevent the use of the photos.
     pub fn warnings(&self) -> &[String] {
         &self.plan.warnings
@@ -229,18 +234,21 @@ impl Gallery {
     /// over all views: 0 for `transforms.json` and for models without observations. A point's position alone does not
     /// tell if a photo shows it, because other surfaces may hide it.
     pub fn read_tracks(&mut self) -> Result<usize> {
-        self.tracks = self.shown_points()?;
+        self.tracks = self.shown_points(u64::MAX)?;
         Ok(self.tracks.iter().flatten().map(|track| track.len()).sum())
     }
 
-    /// The points that each training view shows; empty for data sets that do not say so.
-    pub(super) fn shown_points(&self) -> Result<Vec<Option<Track>>> {
+    /// The points that each training view shows; empty for data sets that do not say so, and for longer files of observations.
+    pub(super) fn shown_points(&self, most_bytes: u64) -> Result<Vec<Option<Track>>> {
         let folder = self.unpacked.folder();
         if !colmap::exists(folder) || self.plan.source.extension().is_some_and(|ending| ending == "json") {
             return Ok(Vec::new());
         }
-        let read = || colmap::tracks(&Model::of_dataset(folder)?);
-        let mut shown = read().map_err(|error| self.unpacked.name(error))?;
+        let model = Model::of_dataset(folder).map_err(|error| self.unpacked.name(error))?;
+        if std::fs::metadata(model.file("images")).is_ok_and(|file| file.len() > most_bytes) {
+            return Ok(Vec::new());
+        }
+        let mut shown = colmap::tracks(&model).map_err(|error| self.unpacked.name(error))?;
         let mut tracks = vec![None; self.views.len()];
         for index in self.trained() {
             let points = shown.remove(&self.views[index].image_id).filter(|points| !points.is_empty());

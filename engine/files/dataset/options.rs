@@ -12,7 +12,8 @@ pub enum EvalSplit {
     /// Every [`DatasetOptions::test_every`]-th by name, beginning with the first, as in the reference implementation.
     #[default]
     Reference,
-    /// As many. Of fewer than 24 views, which often lie along an arc, those at equal distances from each other and the ends.
+    /// The reference's from 24 views on. Fewer often lie along an arc: as many are held out, at equal distances from each other and
+    /// the ends.
     Inner,
 }
 
@@ -36,7 +37,7 @@ pub struct DatasetOptions {
     pub frame: Option<WorldFrame>,
     /// True to hold out every `test_every`-th view.
     pub eval: bool,
-    /// Which ones.
+    /// Selects the held-out views.
     pub eval_split: EvalSplit,
     /// True to train on the left half of held-out views too (columns below ⌊width / 2⌋). Their views are then in
     /// both lists, in [`Dataset::train`](super::Dataset::train) with a mask on the right half.

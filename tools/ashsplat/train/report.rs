@@ -203,7 +203,7 @@ fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> R
         (format!("{speed:.1} it/s"), "on average".into()),
         (format!("{peak:.0} MiB"), "device memory, peak".into()),
     ];
-    if let Some(&worst) = views::worst_first(&evaluation.views).first() {
+    if let [worst, _, ..] = views::worst_first(&evaluation.views)[..] {
         let worst = &evaluation.views[worst];
         let below = evaluation.psnr() - worst.psnr;
         let label = format!("PSNR of the worst view, {}: {below:.2} dB below the mean", escape(&worst.name));
@@ -212,7 +212,7 @@ fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> R
     if run.settings.train.exposure {
         cards.push((
             measured(format!("{:.2} dB", evaluation.cc_psnr())),
-            format!("PSNR after a colour fit, {kind}"),
+            format!("CC-PSNR (colour-corrected), {kind}"),
         ));
     }
     let lpips = evaluation.lpips().map(|(name, value)| (format!("{value:.4}"), format!("{name}, {kind}")));

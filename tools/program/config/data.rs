@@ -23,7 +23,7 @@ pub struct DataSettings {
     pub orientation: String,
     /// Hold out every 8th view.
     pub eval: bool,
-    /// Which ones.
+    /// Selects the held-out views.
     pub eval_split: Split,
     /// Train on the left half of the held-out views, and test on the right one.
     pub train_test_exp: bool,
@@ -105,7 +105,7 @@ impl Default for DataSettings {
 pub enum Split {
     /// Every 8th by name, beginning with the first
     Reference,
-    /// As many; of fewer than 24 views, those at equal distances from each other and the ends
+    /// The reference's from 24 views on; of fewer, as many, at equal distances from each other and the ends
     Inner,
 }
 

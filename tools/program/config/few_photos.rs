@@ -61,7 +61,7 @@ impl Given {
         let photos = gallery.train_photos().len();
         let adapted = match usual.data.few_photos {
             When::Auto => Some(photos).filter(|_| usual.train.strategy == StrategyType::Budget),
-            When::On => Some(0),
+            When::On => Some(TrainSettings::FEW_PHOTOS),
             When::Off => None,
         };
         let settled = self.settle(&Facts { photos: adapted, continued, sh_degree })?;
@@ -88,9 +88,13 @@ impl Given {
         start: Option<&Checkpoint>,
         mut lines: Vec<Option<String>>,
     ) -> Result<(Settings, Option<String>)> {
-        let presets = settings.train.exposure_shared && !self.has("strategy");
-        let is_open = presets && !self.has("exposure") && start.is_none() && settings.data.job.is_empty();
-        let spread = if is_open { gallery.exposure_spread()? } else { None };
+        let presets = settings.train.exposure_shared && !self.has("strategy") && !settings.train.exposure;
+        let is_whole = settings.data.job.is_empty() && settings.data.block.is_empty();
+        let is_open = presets && is_whole && !self.has("exposure");
+        if let Some(start) = start.filter(|_| is_open) {
+            settings.train.exposure = start.settings.exposure;
+        }
+        let spread = if is_open && start.is_none() { gallery.exposure_spread()? } else { None };
         if let Some(stops) = spread.filter(|&stops| stops >= LEAST_SPREAD) {
             settings.train.exposure = true;
             lines.push(Some(format!(
@@ -120,7 +124,8 @@ fn described(
         .collect();
     let changed = Some(changed.join(" ")).filter(|changed| !changed.is_empty())?;
     Some(format!(
-        "{photos} photos to train on: {changed}, against fitting only these (--few-photos off: as with many)"
+        "{photos} photo{} to train on: {changed}, against fitting only these (--few-photos off: as with many)",
+        if photos == 1 { "" } else { "s" }
     ))
 }
 

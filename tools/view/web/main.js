@@ -158,7 +158,7 @@ link.on('scene', (message) => {
     if (photos.run !== message.run) photos.open(message);
     frames.leap();
 });
-link.on('problem', ({ message }) => say(message));
+link.on('problem', ({ message }) => { say(message); photos.drawn({ seq: Infinity }); });
 link.on('note', ({ message }) => say(message));
 frames.onShown = (header) => {
     stage.picture();

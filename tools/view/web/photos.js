@@ -17,7 +17,8 @@ export class Photos {
         find('photo-next').onclick = () => this.step(1);
         find('photo-close').onclick = () => this.close();
         find('photo-light').onchange = () => this.frames.leap();
-        find('photo').onload = find('photo').onerror = () => { this.loading = false; this.follow(); };
+        find('photo').onload = () => { this.loading = false; this.follow(); };
+        find('photo').onerror = () => { this.loading = false; find('wipe-photo').textContent = 'photo: cannot be read'; this.follow(); };
     }
 
     open({ cameras, has_photos: hasPhotos, run }) {
@@ -79,7 +80,7 @@ export class Photos {
         if (!find('photo-lit').hidden) find('photo-light').click();
     }
 
-    /** A frame was shown: the first one since the jump has the photo's view. */
+    /** A frame was shown, or none can be: the first one since the jump has the photo's view. */
     drawn({ seq }) {
         if (seq > this.drawnBefore) this.drawnBefore = Infinity;
         this.follow();
