@@ -447,7 +447,7 @@ const FEW_PHOTOS_AVERAGED: f64 = 0.25;
 /// Weight of the mean opacity in the loss, with the fewest photographs.
 const FEW_PHOTOS_OPACITY_REG: f64 = 0.003;
 /// Number of photographs from which nothing is adapted to few.
-const MANY_PHOTOS: f64 = 40.0;
+const MANY_PHOTOS: f64 = 32.0;
 /// Maximum share of omitted Gaussians.
 const MOST_DROPOUT: f64 = 0.9;
 
@@ -520,7 +520,7 @@ impl TrainSettings {
     /// Number of photographs below which settings do not change any more.
     pub const FEW_PHOTOS: usize = 12;
 
-    /// Adapts settings to few photographs, by measurement (tools/strategies.md). From 40 photographs on nothing changes, from
+    /// Adapts settings to few photographs, by measurement (tools/strategies.md). From 32 photographs on nothing changes, from
     /// [`FEW_PHOTOS`](Self::FEW_PHOTOS) down everything, and in between each value changes by a share. Budget omits random Gaussians from steps (DropGaussian), so that no photograph is fitted by Gaussians
     /// that no other shows. A weight on opacities clears haze that no photograph disproves. The mean of more steps is stable where
     /// single steps are not. The reference's growth ends early. The other strategies stay as they are.

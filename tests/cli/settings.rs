@@ -144,6 +144,29 @@ fn few_photos_are_noticed_and_said() {
     place.run("train -s @data -m x --few-photos maybe").refused(&["maybe", "few-photos"]);
 }
 
+/// Exposures are switched on where photos differ in them. The same command continues with them, and one photo does not matter.
+#[test]
+fn presets_learn_exposures_where_photos_differ_in_them() {
+    let place = Place::new();
+    let run = |model: &str, more: &str| {
+        place.run(format!("train -s @data -m @{model} --preset fast {SCHEDULE} {more}")).ok().stderr
+    };
+    assert!(!run("alike", "--iterations 6").contains("differ in exposure"));
+    assert_eq!(setting(&place, "alike", "exposure"), "false");
+    for index in (0..VIEWS).step_by(2) {
+        let path = place.at("data/images").join(photo_name(index));
+        let mut photo = Photo::read(&path, [0.0; 3]).expect("a photo");
+        photo.rgb.iter_mut().for_each(|value| *value = (0.6 * f32::from(*value)) as u8);
+        photo.write_png(&path).expect("written");
+    }
+    let begun = "--checkpoint-every 3 --start-checkpoint auto --iterations";
+    let said = run("dark", &format!("{begun} 6"));
+    assert_has(&said, &["photos differ in exposure", "--exposure=false"]);
+    assert!(!run("dark", &format!("{begun} 8")).contains("differ in exposure"));
+    assert_eq!(setting(&place, "dark", "exposure"), "true");
+    assert!(!run("off", "--iterations 6 --exposure=false").contains("differ in exposure"));
+}
+
 /// A model with observations gives depths for training. For a model without them, an error says so before the
 /// training.
 #[test]

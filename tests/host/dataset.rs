@@ -119,8 +119,14 @@ fn few_views_are_held_out_between_others() {
 fn exposures_differ_as_common_points_do() {
     let spread = |greys: [u8; 2], points: usize| {
         let folder = Folder::new();
-        folder.circle(8, points);
-        (0..8).for_each(|view| folder.photo(&format!("images/{view:03}.png"), greys[view % 2]));
+        let cameras = folder.circle(40, 1);
+        let names: Vec<String> = (0..40).map(|view| format!("{view:03}.png")).collect();
+        let images: Vec<_> =
+            (1..).zip(&names).zip(&cameras).map(|((id, name), camera)| (id, &**name, *camera)).collect();
+        let positions: Vec<_> =
+            (0..points).map(|at| [0.04 * (at % 9) as f32, 0.03 * (at / 9) as f32, 0.0]).collect();
+        folder.model(&images, &cloud(&positions, [10, 20, 30]));
+        (0..40).for_each(|view| folder.photo(&format!("images/{view:03}.png"), greys[view % 2]));
         let gallery = Gallery::open(folder.join(""), &DatasetOptions::default(), Progress::NONE).unwrap();
         gallery.exposure_spread().unwrap()
     };

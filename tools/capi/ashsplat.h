@@ -1406,7 +1406,7 @@ enum AshsplatStatus ashsplat_trainer_lens_effects(const struct AshsplatTrainer *
 // ashsplat_trainer_new_from_points. The context needs a queue. `scene_extent` is 1.1 times the largest distance of a camera to their
 // mean, or 0 to have it computed. `settings_json`: an object with the names of the reference implementation's settings,
 // `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"`, `"quality"` or `"reference"`, and `"few_photos": true`, which adapts
-// them to the number of views, if it is below 40. Missing settings are those of the preset; without one, those of the strategy if it is given, else of
+// them to the number of views, if it is below 32. Missing settings are those of the preset; without one, those of the strategy if it is given, else of
 // the preset default. NULL has all settings of the preset default.
 //
 // # Safety

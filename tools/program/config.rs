@@ -72,7 +72,7 @@ pub struct Overrides {
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     train_test_exp: Option<bool>,
     /// Settings for few photos: steps leave some Gaussians out, opacities have a weight, and more steps are averaged. auto changes
-    /// nothing from 40 photos on, all from 12 down, and shares of it in between (not with the reference's strategy); on changes all.
+    /// nothing from 32 photos on, all from 12 down, and shares of it in between (not with the reference's strategy); on changes all.
     /// What is given otherwise wins [default: auto]
     #[arg(long, value_name = "WHEN")]
     few_photos: Option<When>,
