@@ -114,7 +114,7 @@ struct Run {
 }
 
 /// A run's entry in results.json.
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone, Copy, Serialize, Deserialize)]
 struct Quality {
     #[serde(rename = "PSNR")]
     psnr: f64,
@@ -238,25 +238,22 @@ impl Suite {
             let heads = ["scene", "PSNR", "SSIM", "LPIPS (VGG)", "CC-PSNR", "Gaussians", "minutes"];
             text += &row(heads.into_iter().map(String::from));
             text += &row(heads.into_iter().map(|_| "---".to_owned()));
-            let values: [(&dyn Fn(&Run) -> f64, usize); 6] = [
-                (&last, 2),
-                (&|run| run.last.ssim, 4),
-                (&|run| run.last.lpips.unwrap_or(f64::NAN), 4),
-                (&|run| run.last.cc_psnr, 2),
-                (&|run| run.last.gaussians as f64, 0),
-                (&|run| run.seconds / 60.0, 1),
-            ];
-            let mut line = |name: &str, value: &dyn Fn(&dyn Fn(&Run) -> f64) -> f64| {
-                let cells = values.iter().map(|&(of, digits)| match value(of) {
-                    missing if missing.is_nan() => "–".to_owned(),
-                    value => format!("{value:.digits$}"),
-                });
-                text += &row(std::iter::once(name.to_owned()).chain(cells));
+            let line = |name: &str, scenes: std::ops::Range<usize>| {
+                let runs: Vec<[f64; 6]> = scenes
+                    .flat_map(|at| self.seeds.iter().map(move |&seed| (at, by, seed)))
+                    .map(|key| runs[&key].columns())
+                    .collect();
+                let cell = |(column, digits): (usize, usize)| {
+                    let mean = runs.iter().map(|columns| columns[column]).sum::<f64>() / runs.len() as f64;
+                    if mean.is_nan() { "–".to_owned() } else { format!("{mean:.digits$}") }
+                };
+                row(std::iter::once(name.to_owned())
+                    .chain([2, 4, 4, 2, 0, 1].into_iter().enumerate().map(cell)))
             };
             for (at, scene) in self.scenes.iter().enumerate() {
-                line(&scene.name, &|of| mean(of, at, by));
+                text += &line(&scene.name, at..at + 1);
             }
-            line("**mean**", &|of| over(&|at| mean(of, at, by)));
+            text += &line("**mean**", scenes());
         }
         text
     }
@@ -359,6 +356,12 @@ fn finish(
 }
 
 impl Run {
+    /// Values of a scene's row: PSNR, SSIM, LPIPS, CC-PSNR, Gaussians, minutes. NaN for what was not measured.
+    fn columns(&self) -> [f64; 6] {
+        let Quality { psnr, ssim, lpips, cc_psnr, gaussians } = self.last;
+        [psnr, ssim, lpips.unwrap_or(f64::NAN), cc_psnr, gaussians as f64, self.seconds / 60.0]
+    }
+
     fn read(folder: &Path, setup: String, iterations: u32, seconds: f64) -> Result<Run> {
         let path = folder.join(RESULTS_FILE);
         let wrong = |problem: String| Error::input(&path, problem, "remove the folder and run again");
@@ -367,7 +370,7 @@ impl Run {
         let number = |name: &str| name.strip_prefix("ours_").and_then(|number| number.parse::<u32>().ok());
         let psnr: BTreeMap<u32, f64> =
             entries.iter().filter_map(|(name, entry)| Some((number(name)?, entry.psnr))).collect();
-        let last = entries.get(&format!("ours_{iterations}")).cloned();
+        let last = entries.get(&format!("ours_{iterations}")).copied();
         let last = last.ok_or_else(|| wrong(format!("has no entry of iteration {iterations}")))?;
         Ok(Run { setup, seconds, psnr, last })
     }
