@@ -34,8 +34,8 @@ pub fn masked_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8]) -> R
 /// Colour-corrected PSNR (CC-PSNR) in dB, over the pixels whose mask byte is not 0: after the affine map of the image's (r, g, b)
 /// with the least squared error to the reference's, one for the whole picture.
 ///
-/// That takes out exposure and white balance, which a held-out photograph has of its own and no scene can know. A reference of one
-/// colour would be met exactly, so that the image is left as it is.
+/// The map removes the photograph's own exposure and white balance, which no scene can predict. It would turn any image into a
+/// reference of a single colour, so for such a reference the result is [`psnr`].
 pub fn cc_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: Option<&[u8]>) -> Result<f64> {
     /// Weight of the identity per pixel, for pictures that do not determine the map.
     const RIDGE: f64 = 1e-6;

@@ -120,7 +120,7 @@ struct Quality {
     psnr: f64,
     #[serde(rename = "SSIM")]
     ssim: f64,
-    /// Of VGG16, where weights are given.
+    /// LPIPS by VGG16; `None` without weights.
     #[serde(rename = "LPIPS")]
     lpips: Option<f64>,
     #[serde(rename = "CC_PSNR")]
@@ -145,7 +145,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
                 let folder = arguments.out.join(&scene.name).join(format!("{}-{seed}", recipe.name));
                 let command = suite.command(scene, recipe, seed, &data);
                 let run = finish(&program, command, &folder, suite.iterations, &stop)?;
-                let (name, psnr) = (folder.display(), run.psnr[&suite.iterations]);
+                let (name, psnr) = (folder.display(), run.last.psnr);
                 tell!("{}/{all}  {name}  {psnr:.2} dB  {:.0} s", runs.len() + 1, run.seconds);
                 runs.insert((at, by, seed), run);
             }
@@ -208,7 +208,7 @@ impl Suite {
             let values = self.seeds.iter().map(|&seed| of(&runs[&(at, by, seed)]));
             values.sum::<f64>() / self.seeds.len() as f64
         };
-        let last = |run: &Run| run.psnr[&self.iterations];
+        let last = |run: &Run| run.last.psnr;
         let psnr = |at: usize, by: usize| mean(&last, at, by);
         let recipes = 0..self.recipes.len();
         let names = self.recipes.iter().map(|recipe| recipe.name.as_str());

@@ -73,7 +73,7 @@ pub struct Overrides {
     train_test_exp: Option<bool>,
     /// Settings for few photos: steps leave some Gaussians out, opacities have a weight, and more steps are averaged. auto changes
     /// nothing from 32 photos on, all from 12 down, and shares of it in between (not with the reference's strategy); on changes all.
-    /// What is given otherwise wins [default: auto]
+    /// Options that set these values take precedence [default: auto]
     #[arg(long, value_name = "WHEN")]
     few_photos: Option<When>,
     #[command(flatten)]

@@ -11,7 +11,7 @@ use super::view::View;
 use ashsplat::Result;
 use ashsplat::scene::Camera;
 
-/// Most photographs that are all compared. Of more, every so many-th is compared with those from nearby.
+/// Number of photographs up to which each is compared. A larger set is sampled.
 const MOST_VIEWS: usize = 64;
 /// Number of photographs that a photograph is compared with.
 const NEIGHBOURS: usize = 3;
@@ -39,24 +39,15 @@ impl Gallery {
     /// scene without exposures reproduces it from the direction of view.
     ///
     /// The difference of two photographs is the median over their common sparse points that both show from about the same side.
-    /// Without observations, a photograph shows the points in its view that lie behind no others. `None` if too few photographs
-    /// have such points in common.
+    /// If the data set has no observations, a photograph shows the points in its view that lie behind no others. Returns `None` if
+    /// too few photographs have such points in common.
     pub fn exposure_spread(&self) -> Result<Option<f64>> {
         let tracks = self.shown_points(MOST_BYTES)?;
         let observed = tracks.iter().any(Option::is_some);
         let points = &self.points().positions;
         let sampled = points.iter().step_by(points.len().div_ceil(POINTS).max(1));
         let all: Track = sampled.copied().map(Vec3::from).collect();
-        let trained: Vec<usize> = self.trained().collect();
-        let cameras: Vec<Camera> = self.cameras().iter().map(|named| named.camera).collect();
-        let compared = match trained.len() {
-            0..=MOST_VIEWS => trained.clone(),
-            many => trained.iter().copied().step_by(many.div_ceil(MOST_VIEWS / (1 + NEIGHBOURS))).collect(),
-        };
-        let needed: BTreeSet<usize> = match trained.len() {
-            0..=MOST_VIEWS => trained.into_iter().collect(),
-            _ => compared.iter().flat_map(|&view| nearest(view, &trained, &cameras)).collect(),
-        };
+        let (compared, needed) = self.exposure_sample();
         let shown = |&index: &usize| {
             let view = self.view(index)?;
             Some(view.and_then(|view| {
@@ -68,13 +59,26 @@ impl Gallery {
                 ))
             }))
         };
-        let needed: Vec<usize> = needed.into_iter().collect();
         let shown: HashMap<usize, Shown> = needed.par_iter().filter_map(shown).collect::<Result<_>>()?;
         let differences: Vec<f64> =
             compared.iter().filter_map(|view| difference_from_neighbours(*view, &shown)).collect();
         let squares: f64 = differences.iter().map(|difference| difference * difference).sum();
         let enough = 2 * differences.len() > compared.len();
         Ok(enough.then(|| (squares / differences.len() as f64).sqrt()))
+    }
+
+    /// The training views to compare, and those and their neighbours.
+    fn exposure_sample(&self) -> (Vec<usize>, Vec<usize>) {
+        let trained: Vec<usize> = self.trained().collect();
+        if trained.len() <= MOST_VIEWS {
+            return (trained.clone(), trained);
+        }
+        let cameras: Vec<Camera> = self.cameras().iter().map(|named| named.camera).collect();
+        let step = trained.len().div_ceil(MOST_VIEWS / (1 + NEIGHBOURS));
+        let compared: Vec<usize> = trained.iter().copied().step_by(step).collect();
+        let needed: BTreeSet<usize> =
+            compared.iter().flat_map(|&view| nearest(view, &trained, &cameras)).collect();
+        (compared, needed.into_iter().collect())
     }
 }
 

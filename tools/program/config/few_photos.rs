@@ -1,4 +1,4 @@
-//! The settings for few photos.
+//! Settings that depend on the data set and the start: those for few photos, and exposures.
 
 use super::{Given, Settings, When};
 use ashsplat::train::{Checkpoint, Preset, StrategyType, TrainSettings};
@@ -20,7 +20,7 @@ pub struct Facts<'a> {
 }
 
 impl<'a> Facts<'a> {
-    /// What is known before the data set is read.
+    /// Returns the facts before the data set is read.
     pub fn of_start(start: Option<&'a Checkpoint>) -> Self {
         Facts { continued: start.map(|start| &start.settings), ..Facts::default() }
     }
@@ -35,7 +35,10 @@ impl<'a> Facts<'a> {
             (None, Some(strategy)) => TrainSettings::of_strategy(strategy),
             (preset, _) => TrainSettings::of_preset(preset.unwrap_or_default()),
         };
-        self.photos.map_or_else(|| usual.clone(), |photos| usual.clone().for_photos(photos))
+        match self.photos {
+            Some(photos) => usual.for_photos(photos),
+            None => usual,
+        }
     }
 }
 
@@ -64,7 +67,7 @@ impl Given {
             When::On => Some(TrainSettings::FEW_PHOTOS),
             When::Off => None,
         };
-        let settled = self.settle(&Facts { photos: adapted, continued, sh_degree })?;
+        let mut settled = self.settle(&Facts { photos: adapted, continued, sh_degree })?;
         let without = match settled.train.strategy {
             StrategyType::Fixed => Some("fixed"),
             StrategyType::Mcmc => Some("mcmc"),
@@ -75,35 +78,35 @@ impl Given {
             return Err(Error::argument("--few-photos", problem));
         }
         let is_given = |name: &str| self.has(name);
+        let adapted = described(photos, is_given, (&usual.train, &settled.train));
         let lines =
-            vec![self.line_on_defaults(), described(photos, is_given, (&usual.train, &settled.train))];
-        self.with_exposures(settled, gallery, start, lines)
+            [self.line_on_defaults(), adapted, self.settle_exposure(&mut settled, gallery, continued)];
+        Ok((settled, lines.into_iter().flatten().reduce(|a, b| format!("{a}\n{b}"))))
     }
 
-    /// Switches exposures on for a preset where the photographs differ in them, and joins the lines.
-    fn with_exposures(
+    /// Switches exposures on for a preset where the photographs differ in them, or as the checkpoint has them. Returns a line that
+    /// says why.
+    fn settle_exposure(
         &self,
-        mut settings: Settings,
+        settings: &mut Settings,
         gallery: &Gallery,
-        start: Option<&Checkpoint>,
-        mut lines: Vec<Option<String>>,
-    ) -> Result<(Settings, Option<String>)> {
-        let presets = settings.train.exposure_shared && !self.has("strategy") && !settings.train.exposure;
+        continued: Option<&TrainSettings>,
+    ) -> Option<String> {
+        let is_preset = settings.train.exposure_shared && !self.has("strategy");
         let is_whole = settings.data.job.is_empty() && settings.data.block.is_empty();
-        let is_open = presets && is_whole && !self.has("exposure");
-        if let Some(start) = start.filter(|_| is_open) {
-            settings.train.exposure = start.settings.exposure;
+        if settings.train.exposure || self.has("exposure") || !is_preset || !is_whole {
+            return None;
         }
-        // An error is told when all photos are read.
-        let spread = || gallery.exposure_spread().unwrap_or(None);
-        let spread = if is_open && start.is_none() { spread() } else { None };
-        if let Some(stops) = spread.filter(|&stops| stops >= LEAST_SPREAD) {
-            settings.train.exposure = true;
-            lines.push(Some(format!(
-                "photos differ in exposure from their neighbours by {stops:.2} stops (RMS): --exposure (--exposure=false: as if they did not)"
-            )));
+        if let Some(continued) = continued {
+            settings.train.exposure = continued.exposure;
+            return None;
         }
-        Ok((settings, lines.into_iter().flatten().reduce(|a, b| format!("{a}\n{b}"))))
+        // Reading all photos reports an unreadable one.
+        let stops = gallery.exposure_spread().ok().flatten().filter(|&stops| stops >= LEAST_SPREAD)?;
+        settings.train.exposure = true;
+        Some(format!(
+            "photos differ in exposure from their neighbours by {stops:.2} stops (RMS): --exposure (--exposure=false: as if they did not)"
+        ))
     }
 
     /// Names the preset that applies because neither a preset nor a strategy is given.
