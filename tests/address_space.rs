@@ -131,7 +131,7 @@ fn readers_without_address_space() {
     refused("cameras.txt", Model::of_dataset(place("text")));
     refused("transforms.json", load("frames", Resolution::Auto));
     refused("cameras.json", cameras_json::read(place("cameras.json"), &WorldFrame::default()));
-    refused("points.ply", ply::read_points(place("points.ply")));
+    refused("points.ply", ply::read_points(place("points.ply"), &mut Vec::new()));
     // A conversion by blocks fits; sorting and merging need all at once.
     let convert =
         |to: &str, options: &ConvertOptions| splats::convert(&place("many.ply"), &place(to), options);

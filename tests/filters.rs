@@ -2,7 +2,7 @@
 
 use crate::common::prelude::*;
 use ashsplat_files::ply;
-use ashsplat_files::splats::WriteOptions;
+use ashsplat_files::splats::{self, WriteOptions};
 
 /// Densifies after 15, 20, ... 35, resets opacities after 20, computes new filter sizes after 100 and 200.
 fn settings() -> TrainSettings {
@@ -114,7 +114,7 @@ fn filters_are_baked_when_they_are_read() {
     ply::write_filtered(&path, &gaussians, &sizes, &antialiased).expect("written");
     let text = String::from_utf8_lossy(&std::fs::read(&path).expect("a file")[..2000]).into_owned();
     assert_says(&text, &["property float filter_3D\nend_header", "comment SplatRenderMode: mip"]);
-    let read = ply::read(&path, &ply::PlyOptions::default()).expect("a scene").gaussians;
+    let read = splats::read(&path, &splats::ReadOptions::default()).expect("a scene").gaussians;
     gaussians.bake_filters(&sizes).expect("one each");
     assert!(read == gaussians);
     renderer.upload(&read).expect("uploaded");

@@ -7,7 +7,7 @@ use crate::absent_data;
 use crate::common::prelude::*;
 use ashsplat_files::colmap::Model;
 use ashsplat_files::dataset::{Dataset, DatasetOptions, View};
-use ashsplat_files::{Progress, ply, splats};
+use ashsplat_files::{Progress, splats};
 use libtest_mimic::{Failed, Trial};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
@@ -168,8 +168,9 @@ fn check_refused(path: &Path, case: &str, error: Option<&Error>) {
 }
 
 fn dropping(path: &Path) -> (usize, u64) {
-    let scene = ply::read(path, &ply::PlyOptions { drop_invalid: true }).unwrap();
-    assert!(scene.warning.is_some());
+    let options = splats::ReadOptions { drop_invalid: true, ..Default::default() };
+    let scene = splats::read(path, &options).unwrap();
+    assert!(!scene.warnings.is_empty());
     scene.gaussians.check_shapes().unwrap();
     (scene.gaussians.len(), scene.dropped)
 }
@@ -204,14 +205,14 @@ fn check_three_points(path: &Path) {
 }
 
 fn check_gaussians(path: &Path, name: &str) {
-    let scene = ply::read(path, &ply::PlyOptions::default()).unwrap();
+    let scene = splats::read(path, &splats::ReadOptions::default()).unwrap();
     let told = match name {
         "ok_extra_properties.ply" => "such properties are not used",
         "ok_trailing_bytes.ply" => "37 bytes behind the 16 Gaussians",
         _ => "",
     };
-    assert_eq!((scene.dropped, scene.warning.is_some()), (0, !told.is_empty()));
-    assert!(scene.warning.is_none_or(|warning| warning.contains(told)));
+    assert_eq!((scene.dropped, scene.warnings.is_empty()), (0, told.is_empty()));
+    assert!(scene.warnings.first().is_none_or(|warning| warning.contains(told)));
     let gaussians = scene.gaussians;
     gaussians.check_shapes().unwrap();
     if name == "zero_vertices.ply" {

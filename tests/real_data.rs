@@ -6,7 +6,7 @@
 use crate::absent_data;
 use ashsplat_files::colmap::{Model, find};
 use ashsplat_files::dataset::{Dataset, DatasetOptions};
-use ashsplat_files::{Progress, Resolution, ply, splats};
+use ashsplat_files::{Progress, Resolution, splats};
 use glam::Vec3;
 use libtest_mimic::Trial;
 use std::path::{Path, PathBuf};
@@ -117,17 +117,17 @@ fn fox_text(path: &Path) {
 }
 
 fn trained(path: &Path, count: usize, sh_degree: u32) {
-    let options = ply::PlyOptions::default();
-    let scene = ply::read(path, &options).unwrap();
+    let options = splats::ReadOptions::default();
+    let scene = splats::read(path, &options).unwrap();
     let gaussians = &scene.gaussians;
     assert_eq!((gaussians.len(), gaussians.sh_degree), (count, sh_degree));
     gaussians.check_shapes().unwrap();
     assert_eq!(scene.dropped, 0);
     let folder = tempfile::tempdir().unwrap();
     let copy = folder.path().join("copy.ply");
-    ply::write(&copy, gaussians).unwrap();
+    splats::write(&copy, gaussians, &splats::WriteOptions::default()).unwrap();
     // Not assert_eq, which would print a million numbers.
-    assert!(ply::read(&copy, &options).unwrap().gaussians == *gaussians, "the copy differs");
+    assert!(splats::read(&copy, &options).unwrap().gaussians == *gaussians, "the copy differs");
     let statistics = gaussians.statistics();
     let bounds = statistics.central_bounds.unwrap();
     assert!(bounds.size().min_element() > 0.0 && bounds.size().is_finite(), "{statistics:?}");

@@ -1,6 +1,7 @@
 //! Checkpoint files: safetensors, written whole or not at all.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::path::Path;
 
 use bytemuck::Pod;
@@ -11,7 +12,7 @@ use serde_json::{Map, Value, json};
 
 use crate::host_memory::HostMemory;
 use crate::splats::Format;
-use crate::{atomic, cost, earlier_settings, regular_file};
+use crate::{atomic, cost, regular_file};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Fingerprint, Gaussians, WorldFrame};
 use ashsplat::train::checkpoint::{
@@ -254,6 +255,21 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     Ok(checkpoint)
 }
 
+/// Removes settings of earlier versions that no longer exist from a table by `take`, which takes a name and returns the
+/// value. Files of these versions list all settings.
+///
+/// # Errors
+/// The problem, if the table switches one of them on: without it a training has other bits.
+pub fn remove_earlier<V: Display>(take: impl FnOnce(&str) -> Option<V>) -> Result<(), String> {
+    /// Switch for steps from the gradients of several views.
+    const MULTI_STEP: &str = "multi_step";
+    let value = take(MULTI_STEP).map(|value| value.to_string());
+    match value.filter(|value| value != "false") {
+        Some(value) => Err(format!("has {MULTI_STEP} = {value}, but steps of several views no longer exist")),
+        None => Ok(()),
+    }
+}
+
 struct Metadata(BTreeMap<String, String>);
 
 impl Metadata {
@@ -275,7 +291,7 @@ impl Metadata {
         let unknown = |e: serde_json::Error| format!("has settings that this version does not know: {e}");
         let mut settings: Map<String, Value> =
             serde_json::from_str(self.text("settings")?).map_err(unknown)?;
-        earlier_settings::remove_earlier(|name| settings.remove(name))?;
+        remove_earlier(|name| settings.remove(name))?;
         serde_json::from_value(Value::Object(settings)).map_err(unknown)
     }
 

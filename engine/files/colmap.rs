@@ -3,15 +3,15 @@
 //! Tracks are skipped; [`observations`] and [`tracks`] read the points that each photo shows. Format: COLMAP's
 //! documentation, "Output Format".
 
-mod binary;
 mod find;
 mod model;
+mod read;
 mod records;
-mod text;
+mod write;
 
-pub use binary::write;
 pub(crate) use find::is_data_set;
 pub use find::{ModelFolder, POSES_LOG, UNFINISHED_POSES, exists, find};
 pub(crate) use model::contradiction;
 pub use model::{Model, observations, tracks, undistort_command};
 pub use records::{CameraModel, ColmapCamera, ColmapImage};
+pub use write::write;

@@ -14,7 +14,6 @@ mod plan;
 mod planned_view;
 mod read;
 mod unpacked;
-pub(crate) mod view;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -25,11 +24,12 @@ use rayon::prelude::*;
 
 use crate::cameras_json::{self, NamedCamera};
 use crate::host_memory::HostMemory;
-use crate::images::PhotoFile;
+use crate::images::{PhotoFile, StoredPhoto};
 use crate::init::{RANDOM_POINTS, initial_gaussians, points_in_view, random_points, seen_box};
 use crate::photo_points::{PHOTO_POINTS, photo_points};
 use crate::progress::Progress;
 use ashsplat::Result;
+use ashsplat::passes::loss::DepthPoint;
 use ashsplat::scene::{Camera, Gaussians, PointCloud, WorldFrame};
 use notes::{may_lack_points, random_points_instead};
 use planned_view::PhotoUse;
@@ -37,7 +37,6 @@ use planned_view::PhotoUse;
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
 pub use options::{DatasetOptions, EvalSplit};
-pub use view::View;
 
 /// A data set in memory.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,6 +57,38 @@ pub struct Dataset {
     pub warnings: Vec<String>,
     /// Treatment of the photos in addition to [`Gallery::notes`], one line each.
     pub notes: Vec<String>,
+}
+
+/// One photograph and its camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// Path below the images folder.
+    pub name: String,
+    /// Id in the COLMAP model, or index in the order of names.
+    pub image_id: u32,
+    /// Id of the camera that took it, in the COLMAP model; 0 for all views of a transforms.json.
+    pub camera_id: u32,
+    /// The camera at the photo's size in memory.
+    pub camera: Camera,
+    /// The camera at the photo's size in its file.
+    pub original_camera: Camera,
+    /// The photo, undistorted and scaled by [`DatasetOptions::resolution`], and its mask.
+    pub photo: StoredPhoto,
+    /// Inverse depth of each pixel: [`TrainView::inverse_depth`](ashsplat::TrainView::inverse_depth). Present only with
+    /// [`DatasetOptions::depths`], for training views.
+    pub inverse_depth: Option<Arc<[f32]>>,
+    /// Sparse points that the photo shows: [`TrainView::depth_points`](ashsplat::TrainView::depth_points). Present only
+    /// after [`Gallery::read_tracks`], for training views.
+    pub depth_points: Option<Arc<[DepthPoint]>>,
+}
+
+impl View {
+    /// The view with a mask on its right half, the columns from ⌊width / 2⌋.
+    fn left_half(&self) -> Result<Self> {
+        let width = self.photo.width as usize;
+        let photo = self.photo.hiding(|pixel| pixel % width >= width / 2)?;
+        Ok(Self { photo, ..self.clone() })
+    }
 }
 
 impl Dataset {

@@ -18,7 +18,6 @@ mod cost;
 pub mod dataset;
 pub mod decimate;
 pub mod depth_fit;
-pub mod earlier_settings;
 pub mod exposure_json;
 pub mod host_memory;
 pub mod images;

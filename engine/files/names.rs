@@ -6,6 +6,7 @@ use std::fs::DirEntry;
 use std::path::{Component, Path, PathBuf};
 
 use unicode_normalization::UnicodeNormalization;
+use walkdir::WalkDir;
 
 use crate::{cost, text};
 
@@ -117,24 +118,13 @@ pub(super) fn photos_beside<'n>(folder: &Path, names: impl Iterator<Item = &'n s
 
 /// The pictures in a folder and its subfolders.
 pub(super) fn pictures_below(folder: &Path) -> Vec<PathBuf> {
-    let mut open = vec![folder.to_owned()];
-    let mut pictures = Vec::new();
-    while let Some(folder) = open.pop() {
-        for entry in entries(&folder) {
-            cost::step();
-            let path = entry.path();
-            if is_hidden(&entry.file_name()) {
-                continue;
-            }
-            // A symbolic link may lead back.
-            match path.is_dir() && !path.is_symlink() {
-                true => open.push(path),
-                false if has_photo_ending(&path) => pictures.push(path),
-                false => {}
-            }
-        }
-    }
-    pictures
+    let shown = |entry: &walkdir::DirEntry| {
+        cost::step();
+        entry.depth() == 0 || !is_hidden(entry.file_name())
+    };
+    let all = WalkDir::new(folder).into_iter().filter_entry(shown).flatten();
+    let pictures = all.filter(|entry| !entry.path().is_dir() && has_photo_ending(entry.path()));
+    pictures.map(walkdir::DirEntry::into_path).collect()
 }
 
 /// The photos in a folder and its subfolders, without their masks, depth maps and smaller copies.

@@ -12,7 +12,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::dataset::view::View;
+use crate::dataset::View;
 use crate::host_memory::HostMemory;
 use crate::images::{Photo, PhotoFileFormat};
 use crate::init::seen_box;

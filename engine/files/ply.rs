@@ -5,16 +5,14 @@
 //! quaternions w first. Read: by property name, in any order, encoding and scalar type.
 
 mod compressed;
-mod header;
+mod file;
 mod read;
-mod rows;
 mod write;
 
 pub(super) use compressed::{CompressedPly, typical_step, write_blocks as write_compressed_blocks};
-pub use header::Encoding;
-pub(crate) use header::Scalar;
-pub(super) use read::{GaussianRows, claimed_points, is_compressed, read_points_of};
-pub use read::{PlyOptions, PlyScene, read, read_points};
-pub(crate) use rows::decode;
+pub use file::Encoding;
+pub(crate) use file::{Scalar, decode};
+pub use read::read_points;
+pub(super) use read::{GaussianRows, claimed_points, is_compressed};
 pub(super) use write::write_blocks;
-pub use write::{write, write_filtered, write_points};
+pub use write::{write_filtered, write_points};

@@ -24,7 +24,7 @@ use convert::changed;
 use validation::PackingLoss;
 
 pub(super) use convert::OriginSample;
-pub use convert::{ConvertOptions, Converted, Input, Merged, Part, Target, convert, join, merge};
+pub use convert::{ConvertOptions, Converted, Input, Target, convert, join};
 pub(crate) use format::{FARTHEST, MAX_COMPRESSED_LOG_SCALE};
 pub use format::{Format, foreign};
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION};
@@ -35,9 +35,16 @@ pub use stream::{Header, ReadOptions, Scene, WriteOptions};
 
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.
 ///
+/// A PLY may have any property order, encoding and scalar type. Additional properties and elements are ignored, except
+/// `filter_3D`: Mip-Splatting's 3D filter becomes a part of scales and opacities. The number of `f_rest` properties
+/// gives the SH degree. Colours may be `red green blue` in place of `f_dc`. Without `scale_2` (2DGS) the Gaussians have
+/// no thickness.
+///
+/// A parameter is unusable if it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), if a coordinate (also of
+/// a quaternion) exceeds 1e18 or a log-scale 88 (both overflow in the projection), or if an SH coefficient exceeds 1e32.
+///
 /// # Errors
-/// [`ashsplat::Error::Input`] for unusable parameters too (see [`super::ply::read`]), without
-/// [`ReadOptions::drop_invalid`].
+/// [`ashsplat::Error::Input`] for unusable parameters too, without [`ReadOptions::drop_invalid`].
 pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
     open(path.as_ref(), options)?.collect()
 }
@@ -58,12 +65,8 @@ pub fn write(
     let path = path.as_ref();
     let format = Format::chosen(options.format, path)?;
     let outline = Outline::of(gaussians, options);
-    let to_source = Similarity { scale: options.frame.unit, ..Default::default() };
     write_blocks(path, (format, options.spz_version), &outline, &mut |sink| {
-        in_blocks(gaussians, &mut |mut block| {
-            block.transform(&to_source);
-            sink(block)
-        })
+        in_blocks(gaussians, options.frame.unit, sink)
     })
 }
 
@@ -92,7 +95,7 @@ pub fn write_cut(
     let bounds = in_source_units(bounds, &options.frame);
     let outline = Outline { count, sh_degree, bounds, ..Outline::of(gaussians, options) };
     let loss = write_readable(path, (format, options.spz_version), &outline, &mut |sink| {
-        in_blocks(gaussians, &mut |block| sink(changed(block, sh_degree, cut, &to_source)))
+        in_blocks(gaussians, 1.0, &mut |block| sink(changed(block, sh_degree, cut, &to_source)))
     })?;
     Ok((count, loss))
 }
@@ -111,7 +114,7 @@ pub fn cut_losses(
     if let Some(mut loss) = PackingLoss::of(format, options.spz_version) {
         let to_source = Similarity { scale: options.frame.unit, ..Default::default() };
         let mut outline = Outline { bounds: None, ..Outline::of(gaussians, options) };
-        in_blocks(gaussians, &mut |block| {
+        in_blocks(gaussians, 1.0, &mut |block| {
             let block = changed(block, sh_degree, cut, &to_source);
             outline.bounds = convert::around(outline.bounds, block.bounds());
             loss.add(&block);
@@ -167,7 +170,7 @@ fn write_blocks(
     let written = match format {
         Format::Spz if spz_version == Some(2) => spz::write_old(path, outline, produce),
         Format::Glb if spz_version == Some(2) => gltf_write::write_packed(path, outline, produce),
-        Format::Ply => ply::write_blocks(path, outline, produce),
+        Format::Ply => ply::write_blocks(path, outline, None, produce),
         Format::CompressedPly => ply::write_compressed_blocks(path, outline, produce),
         Format::Splat => dot_splat::write(path, outline, produce),
         Format::Spz => spz::write(path, outline, produce),

@@ -135,7 +135,7 @@ impl Transforms {
             clouds.extend(cloud(path, &document.values, &mut all.warnings)?);
         }
         if let Some((path, applied)) = clouds.into_iter().next() {
-            all.points = ply::read_points_of(&path, &mut all.warnings)?;
+            all.points = ply::read_points(&path, &mut all.warnings)?;
             all.place_points(&path, applied);
         }
         Ok(all)

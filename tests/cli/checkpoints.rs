@@ -212,9 +212,9 @@ fn killed_at_any_moment_training_goes_on() {
                 Checkpoint::read(&path).expect("whole");
                 whole_files += 1;
             } else if name == "input.ply" {
-                ply::read_points(&path).expect("whole");
+                ply::read_points(&path, &mut Vec::new()).expect("whole");
             } else if name.ends_with(".ply") {
-                ply::read(&path, &ply::PlyOptions::default()).expect(&name);
+                splats::read(&path, &splats::ReadOptions::default()).expect(&name);
             }
         }
         // A new run begins once the last one has reached the end.

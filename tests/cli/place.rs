@@ -116,7 +116,7 @@ impl Place {
     pub(crate) fn write_scene(&self, name: impl AsRef<Path>, gaussians: &Gaussians) {
         let path = self.at(name);
         std::fs::create_dir_all(path.parent().expect("a folder")).expect("created");
-        ashsplat_files::ply::write(path, gaussians).expect("written");
+        splats::write(path, gaussians, &WriteOptions::default()).expect("written");
     }
 
     pub(crate) fn picture(&self, name: impl AsRef<Path>) -> image::RgbImage {

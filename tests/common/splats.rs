@@ -1,8 +1,8 @@
 //! Gaussians for the tests of files, and the tolerance of each format.
 
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud};
-use ashsplat_files::splats::Format;
-use ashsplat_files::{initial_gaussians, ply};
+use ashsplat_files::initial_gaussians;
+use ashsplat_files::splats::{self, Format, WriteOptions};
 use glam::Vec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -135,5 +135,5 @@ pub fn ball(count: usize) -> Gaussians {
 pub fn write_points(path: &Path, positions: Vec<[f32; 3]>, sh_degree: u32) {
     let colors = vec![[230, 77, 26]; positions.len()];
     let gaussians = initial_gaussians(&PointCloud { positions, colors }, sh_degree).expect("Gaussians");
-    ply::write(path, &gaussians).expect("written");
+    splats::write(path, &gaussians, &WriteOptions::default()).expect("written");
 }

@@ -123,7 +123,7 @@ fn models_and_lists_of_cameras() {
         let model = Model::of_dataset(folder).unwrap();
         assert!(model.images.iter().all(|image| model.camera_of(image).is_ok()));
         cameras_json::read(folder.join("cameras.json"), &WorldFrame::default()).unwrap();
-        ply::read_points(folder.join("a.ply")).unwrap();
+        ply::read_points(folder.join("a.ply"), &mut Vec::new()).unwrap();
     });
 }
 

@@ -2,7 +2,8 @@
 
 use super::files::{Folder, assert_says, names, refusal};
 use ashsplat::scene::Gaussians;
-use ashsplat_files::{atomic, ply};
+use ashsplat_files::atomic;
+use ashsplat_files::splats::{self, Format, WriteOptions};
 use std::io::Error;
 
 #[test]
@@ -27,15 +28,20 @@ fn a_panicking_writer_leaves_nothing() {
     assert_eq!(names(&folder), [""; 0]);
 }
 
+fn write_scene(path: &std::path::Path) -> ashsplat::Result<Option<String>> {
+    let options = WriteOptions { format: Some(Format::Ply), ..Default::default() };
+    splats::write(path, &Gaussians::default(), &options)
+}
+
 #[test]
 fn missing_folders_and_folders_in_the_way_are_named() {
     let (folder, path) = Folder::with("no/such/scene.ply");
-    let message = refusal(&path, ply::write(&path, &Gaussians::default()));
+    let message = refusal(&path, write_scene(&path));
     assert_says(&message, &["scene.ply: cannot write: No such file"]);
     assert!(!message.contains(".tmp\""), "{message}");
-    refusal(&folder, ply::write(&folder, &Gaussians::default()));
+    refusal(&folder, write_scene(&folder));
     assert_eq!(names(&folder), [""; 0]);
-    assert!(ply::write("", &Gaussians::default()).is_err());
+    assert!(write_scene("".as_ref()).is_err());
 }
 
 #[test]
@@ -58,7 +64,7 @@ fn a_full_disk_is_named() {
     if !full.exists() {
         return eprintln!("skipped: no /dev/full");
     }
-    let message = ply::write(full, &Gaussians::default()).unwrap_err().to_string();
+    let message = write_scene(full).unwrap_err().to_string();
     assert!(message.starts_with("/dev/full: cannot write: No space left"), "{message}");
     assert!(std::fs::metadata(full).is_ok_and(|m| !m.is_file()));
 }

@@ -2,12 +2,13 @@
 
 use super::files::{Folder, assert_says, for_each_mutation, for_each_truncation, names, refusal};
 use ashsplat::scene::{Gaussians, PointCloud, WorldFrame};
-use ashsplat_files::ply::{self, PlyOptions};
+use ashsplat_files::ply;
+use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
 use proptest::prelude::*;
 use std::path::Path;
 
-const KEEP: PlyOptions = PlyOptions { drop_invalid: false };
-const DROP: PlyOptions = PlyOptions { drop_invalid: true };
+const KEEP: ReadOptions = ReadOptions { drop_invalid: false, max_host_memory: None };
+const DROP: ReadOptions = ReadOptions { drop_invalid: true, max_host_memory: None };
 
 /// Gaussians with distinct values everywhere.
 fn numbered(count: usize, sh_degree: u32) -> Gaussians {
@@ -44,8 +45,8 @@ fn named(gaussians: &Gaussians, index: usize) -> Vec<(String, f32)> {
     values
 }
 
-fn message(path: &Path, options: &PlyOptions) -> String {
-    refusal(path, ply::read(path, options))
+fn message(path: &Path, options: &ReadOptions) -> String {
+    refusal(path, splats::read(path, options))
 }
 
 #[test]
@@ -59,8 +60,8 @@ fn round_trips_are_bit_exact() {
                 gaussians.opacity_logits[count - 1] = f32::NEG_INFINITY;
                 gaussians.means[0] = [-0.0, f32::MIN_POSITIVE / 8.0, 1e17];
             }
-            ply::write(&path, &gaussians).unwrap();
-            let scene = ply::read(&path, &KEEP).unwrap();
+            splats::write(&path, &gaussians, &WriteOptions::default()).unwrap();
+            let scene = splats::read(&path, &KEEP).unwrap();
             assert_eq!(scene.dropped, 0);
             assert!(scene.gaussians == gaussians, "degree {degree}, {count} Gaussians");
             assert!(count == 0 || scene.gaussians.means[0][0].is_sign_negative());
@@ -72,7 +73,7 @@ fn round_trips_are_bit_exact() {
 #[test]
 fn the_written_layout_is_that_of_the_reference() {
     let (_folder, path) = Folder::with("a.ply");
-    ply::write(&path, &numbered(2, 1)).unwrap();
+    splats::write(&path, &numbered(2, 1), &WriteOptions::default()).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     let data = bytes.len() - 2 * 4 * (6 + 3 + 9 + 8);
     let mut expected = "ply\nformat binary_little_endian 1.0\nelement vertex 2\n".to_owned();
@@ -97,7 +98,7 @@ fn shapes_are_checked_before_writing() {
     let folder = Folder::new();
     let mut gaussians = numbered(3, 1);
     gaussians.sh.pop();
-    assert!(ply::write(folder.join("a.ply"), &gaussians).is_err());
+    assert!(splats::write(folder.join("a.ply"), &gaussians, &WriteOptions::default()).is_err());
     assert_eq!(names(&folder), [""; 0]);
 }
 
@@ -204,7 +205,7 @@ proptest! {
         gaussians.opacity_logits.iter_mut().for_each(whole);
         let (_folder, path) = Folder::with("a.ply");
         std::fs::write(&path, file_of(&gaussians, &shape)).unwrap();
-        prop_assert_eq!(ply::read(&path, &KEEP).unwrap().gaussians, gaussians);
+        prop_assert_eq!(splats::read(&path, &KEEP).unwrap().gaussians, gaussians);
     }
 
     #[test]
@@ -223,7 +224,7 @@ proptest! {
         if gaussians.quats[0].iter().map(|q| q * q).sum::<f32>().sqrt() <= 1e-12 {
             gaussians.quats[0] = [1.0, 0.0, 0.0, 0.0];
         }
-        prop_assert_eq!(ply::read(&path, &KEEP).unwrap().gaussians, gaussians);
+        prop_assert_eq!(splats::read(&path, &KEEP).unwrap().gaussians, gaussians);
     }
 }
 
@@ -231,7 +232,7 @@ proptest! {
 fn no_truncation_gives_a_scene_and_no_mutation_panics() {
     let (_folder, path) = Folder::with("a.ply");
     let check_points = || {
-        if let Ok(points) = ply::read_points(&path) {
+        if let Ok(points) = ply::read_points(&path, &mut Vec::new()) {
             assert_eq!(points.colors.len(), points.len());
         }
     };
@@ -239,13 +240,13 @@ fn no_truncation_gives_a_scene_and_no_mutation_panics() {
         let shape =
             Shape { order: (0..23).collect(), types: vec![0; 23], encoding, crlf: false, extra: true };
         let bytes = file_of(&numbered(2, 1), &shape);
-        for_each_truncation(&path, &bytes, |length| match ply::read(&path, &KEEP) {
+        for_each_truncation(&path, &bytes, |length| match splats::read(&path, &KEEP) {
             Err(e) => assert!(e.to_string().starts_with(path.to_str().unwrap()), "{e}"),
             // A truncated text may lose digits of its last number unnoticed, or its end of line.
             Ok(scene) => assert!(encoding == 0 && length + 30 > bytes.len() && scene.gaussians.len() == 2),
         });
         for_each_mutation(&path, &bytes, || {
-            if let Ok(scene) = ply::read(&path, &DROP) {
+            if let Ok(scene) = splats::read(&path, &DROP) {
                 scene.gaussians.check_shapes().unwrap();
                 assert!(scene.gaussians.means.as_flattened().iter().all(|v| v.is_finite()));
             }
@@ -265,11 +266,11 @@ fn unusable_values_are_counted_and_dropped_on_request() {
     gaussians.log_scales[3][1] = 89.0;
     gaussians.quats[5][0] = f32::INFINITY;
     gaussians.opacity_logits = vec![f32::INFINITY, 0.0, f32::NEG_INFINITY, 0.0, 1e30, 0.0];
-    ply::write(&path, &gaussians).unwrap();
+    splats::write(&path, &gaussians, &WriteOptions::default()).unwrap();
     let text = message(&path, &KEEP);
     assert_says(&text, &["3 of 6 Gaussians", "vertex 1: z = NaN"]);
     assert!(text.ends_with("--drop-invalid leaves them out"));
-    let scene = ply::read(&path, &DROP).unwrap();
+    let scene = splats::read(&path, &DROP).unwrap();
     assert_eq!((scene.dropped, scene.gaussians.len()), (3, 3));
     assert_eq!(scene.gaussians.opacity_logits, [f32::INFINITY, f32::NEG_INFINITY, 1e30]);
     assert_eq!(scene.gaussians.means[2], gaussians.means[4]);
@@ -289,7 +290,7 @@ fn points_round_trip_and_are_no_gaussians() {
     let (_folder, path) = Folder::with("input.ply");
     let points = PointCloud { positions: vec![[1.5, -2.0, 3e-8]; 100], colors: vec![[0, 127, 255]; 100] };
     ply::write_points(&path, &points, &WorldFrame::default()).unwrap();
-    let read = || ply::read_points(&path).unwrap().in_frame(&WorldFrame::default());
+    let read = || ply::read_points(&path, &mut Vec::new()).unwrap().in_frame(&WorldFrame::default());
     assert_eq!(read(), points);
     assert!(message(&path, &KEEP).contains("is a point cloud"));
     let integers = ["x", "y", "z"].map(|name| ("int", name));
@@ -306,10 +307,10 @@ fn points_without_a_place_are_left_out() {
         std::fs::write(&path, mark.to_owned() + &text_ply(&[], &columns, rows)).unwrap();
     };
     write("", "nan 0 0 1 2 3\n4 5 6 7 8 9\n");
-    let points = ply::read_points(&path).unwrap().in_frame(&WorldFrame::default());
+    let points = ply::read_points(&path, &mut Vec::new()).unwrap().in_frame(&WorldFrame::default());
     assert_eq!(points, PointCloud { positions: vec![[4.0, 5.0, 6.0]], colors: vec![[7, 8, 9]] });
     write("", "nan 0 0 1 2 3\n4 5 inf 7 8 9\n");
-    let refused = || refusal(&path, ply::read_points(&path));
+    let refused = || refusal(&path, ply::read_points(&path, &mut Vec::new()));
     assert_says(refused(), &["none of its 2 points has a finite position"]);
     write("\u{feff}", "1 2 3 1 2 3\n4 5 6 7 8 9\n");
     assert_says(refused(), &["begins with a byte-order mark"]);
@@ -321,7 +322,7 @@ fn points_have_the_colours_that_their_file_means() {
     let colors = |names: [&str; 3], kind: &str, rows: &str| {
         let columns = [PLACE, names.map(|name| (kind, name))].concat();
         std::fs::write(&path, text_ply(&[], &columns, rows)).unwrap();
-        ply::read_points(&path).unwrap().colors
+        ply::read_points(&path, &mut Vec::new()).unwrap().colors
     };
     let rgb = ["red", "green", "blue"];
     assert_eq!(colors(rgb, "float", "0 0 0 0 0.2 1\n0 0 0 1 0.5 0\n"), [[0, 51, 255], [255, 128, 0]]);
@@ -396,11 +397,11 @@ fn colours_are_read_in_place_of_f_dc() {
         ("double", ["r", "g", "b"], [255.0, 51.0, 0.0], 255),
     ] {
         std::fs::write(&path, ascii(&[], &with_colour(kind, names, values))).unwrap();
-        let scene = ply::read(&path, &KEEP).unwrap();
+        let scene = splats::read(&path, &KEEP).unwrap();
         let colour = scene.gaussians.sh[0].map(ashsplat::scene::sh::sh_dc_to_rgb);
         assert!((0..3).all(|i| (colour[i] - [1.0, 0.2, 0.0][i]).abs() < 1e-5), "{kind}: {colour:?}");
         let line = format!("has no f_dc: its {} (0 to {white}) are used as colours", names.join(" "));
-        assert_eq!(scene.warning, Some(line));
+        assert_eq!(scene.warnings.first(), Some(&line));
     }
     // With f_dc, colours are only an addition for other programs.
     let both: Vec<_> = with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.1, 0.2, 0.3])
@@ -408,8 +409,8 @@ fn colours_are_read_in_place_of_f_dc() {
         .chain([("uchar", "red", 9.0), ("uchar", "green", 9.0), ("uchar", "blue", 9.0)])
         .collect();
     std::fs::write(&path, ascii(&[], &both)).unwrap();
-    let scene = ply::read(&path, &KEEP).unwrap();
-    assert_eq!((scene.gaussians.sh[0], scene.warning), ([0.1, 0.2, 0.3], None));
+    let scene = splats::read(&path, &KEEP).unwrap();
+    assert_eq!((scene.gaussians.sh[0], scene.warnings.len()), ([0.1, 0.2, 0.3], 0));
 }
 
 #[test]
@@ -446,7 +447,7 @@ fn what_is_taken_otherwise_than_it_may_be_meant_is_named() {
         };
         let names: Vec<_> = properties.iter().map(|(kind, name, _)| (*kind, *name)).collect();
         std::fs::write(&path, text_ply(&[], &names, &(0..count).map(row).collect::<String>())).unwrap();
-        ply::read(&path, &KEEP).unwrap().warning.unwrap_or_default()
+        splats::read(&path, &KEEP).unwrap().warnings.first().cloned().unwrap_or_default()
     };
     let said = |opacities, count, property| said_of("opacity", opacities, count, property);
     assert!(said([0.1, 0.9], 20, "").contains("opacities all lie between 0 and 1, but are taken as logits"));
@@ -478,12 +479,12 @@ fn what_is_taken_otherwise_than_it_may_be_meant_is_named() {
 fn bytes_behind_the_gaussians_are_told() {
     let (_folder, path) = Folder::with("two.ply");
     let scene = numbered(5, 0);
-    ply::write(&path, &scene).unwrap();
+    splats::write(&path, &scene, &WriteOptions::default()).unwrap();
     let one = std::fs::read(&path).unwrap();
     std::fs::write(&path, [&one[..], &one].concat()).unwrap();
-    let read = ply::read(&path, &KEEP).unwrap();
+    let read = splats::read(&path, &KEEP).unwrap();
     let line = format!("{} bytes behind the 5 Gaussians of its header are not read", one.len());
-    assert!(read.warning.unwrap().contains(&line));
+    assert!(read.warnings[0].contains(&line));
 }
 
 /// Names and comments of other programs: each gives a warning.
@@ -492,7 +493,7 @@ fn names_and_comments_of_other_programs_are_used_or_named() {
     let (_folder, path) = Folder::with("a.ply");
     let line = |comments: &[&str], properties: &[_]| {
         std::fs::write(&path, ascii(comments, properties)).unwrap();
-        ply::read(&path, &KEEP).unwrap().warning.unwrap_or_default()
+        splats::read(&path, &KEEP).unwrap().warnings.first().cloned().unwrap_or_default()
     };
     let filtered = [&whole()[..], &[("float", "filter_3D", 0.1)]].concat();
     assert!(line(&[], &filtered).contains("needs `--antialiasing --kernel-size 0.1`"));
@@ -500,7 +501,7 @@ fn names_and_comments_of_other_programs_are_used_or_named() {
     assert!(line(&["Vertical Axis: z"], &whole()).contains("`--up 0,0,1`"));
     let of_cloud_compare = ascii(&[], &whole()).replace("float opacity", "float scalar_opacity");
     std::fs::write(&path, of_cloud_compare.replace("float scale_", "float scalar_scale_")).unwrap();
-    assert_eq!(ply::read(&path, &KEEP).unwrap().gaussians.log_scales[0], [-2.0, -3.0, -4.0]);
+    assert_eq!(splats::read(&path, &KEEP).unwrap().gaussians.log_scales[0], [-2.0, -3.0, -4.0]);
 }
 
 /// Two scales mean the disks of 2DGS.
@@ -512,8 +513,8 @@ fn a_scene_of_2dgs_is_read_flat_and_named() {
         [(&[][..], &flat), (&["SplatRenderMode: mip"][..], &flat), (&["SplatRenderMode: 2dgs"], &whole())]
     {
         std::fs::write(&path, ascii(comments, properties)).unwrap();
-        let scene = ply::read(&path, &KEEP).unwrap();
-        assert!(scene.warning.is_some_and(|line| line.contains("2DGS")));
+        let scene = splats::read(&path, &KEEP).unwrap();
+        assert!(scene.warnings[0].contains("2DGS"));
         let thickness = if properties.len() == flat.len() { f32::MIN_POSITIVE.ln() } else { -4.0 };
         assert_eq!(scene.gaussians.log_scales[0], [-2.0, -3.0, thickness]);
         assert_eq!(scene.gaussians.quats[0], [1.0, 0.0, 0.0, 0.0]);

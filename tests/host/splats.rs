@@ -4,7 +4,7 @@ use super::files::{Folder, assert_one, assert_says, for_each_mutation, for_each_
 use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, tolerance};
 use ashsplat::scene::{Bounds, Camera, Cells, Cut, Gaussians, Intrinsics, Similarity, WorldFrame};
 use ashsplat_files::splats::{
-    self, ConvertOptions, Converted, Format, ReadOptions, Scene, Target, WriteOptions,
+    self, ConvertOptions, Converted, Format, Input, ReadOptions, Scene, Target, WriteOptions,
 };
 use glam::{DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
@@ -205,11 +205,12 @@ fn merged_cells_are_the_scene() {
     let cells = Cells::divide(&original.means, 9_000).unwrap();
     let input = folder.join("in.ply");
     folder.write_with("in.ply", &original, &antialiased());
-    let part = |within: &Bounds| splats::Part { path: &input, within: *within };
-    let parts: Vec<splats::Part<'_>> = cells.bounds().iter().map(part).collect();
+    let part = |within: &Bounds| Input { within: Some(*within), ..Input::new(&input) };
+    let parts: Vec<Input<'_>> = cells.bounds().iter().map(part).collect();
     assert!(parts.len() > 4);
-    let merge = |parts: &[splats::Part<'_>], output: &Path, options: &ReadOptions| {
-        splats::merge(parts, output, options, &WriteOptions::default()).map_err(|error| error.to_string())
+    let merge = |parts: &[Input<'_>], output: &Path, read: &ReadOptions| {
+        let options = ConvertOptions { read: *read, ..Default::default() };
+        splats::join(parts, output, &options).map_err(|error| error.to_string())
     };
     let cell_of = |index: &usize| cells.at(Vec3::from_array(original.means[*index])).unwrap();
     let mut order: Vec<usize> = (0..original.len()).collect();
@@ -218,14 +219,14 @@ fn merged_cells_are_the_scene() {
     for format in Format::ALL {
         let [merged, written] = folder.alike(format);
         let done = merge(&parts, &merged, &KEEP).unwrap();
-        assert_eq!((done.format, done.written.iter().sum::<u64>()), (format, 40_000));
+        assert_eq!((done.format, done.written), (format, 40_000));
         splats::write_cut(&written, &expected, (&Cut::default(), 2), &antialiased()).unwrap();
         assert!(std::fs::read(&merged).unwrap() == std::fs::read(&written).unwrap(), "{format}");
     }
     // Many cells need no more memory than one.
     let [few, many] = [40_000, 500].map(|most| {
         let cells = Cells::divide(&original.means, most).unwrap();
-        let parts: Vec<splats::Part<'_>> = cells.bounds().iter().map(part).collect();
+        let parts: Vec<Input<'_>> = cells.bounds().iter().map(part).collect();
         let work = || drop(merge(&parts, &folder.join("memory.ply"), &KEEP).unwrap());
         (parts.len(), allocation_counter::measure(work).bytes_max)
     });
@@ -233,7 +234,7 @@ fn merged_cells_are_the_scene() {
     // Parts that do not fit together, and no parts.
     let (other, output) = (folder.join("other.ply"), folder.join("none.ply"));
     let refused = |words: &str| {
-        let parts = [parts[0], splats::Part { path: &other, within: Cells::EVERYTHING }];
+        let parts = [parts[0], Input { within: Some(Cells::EVERYTHING), ..Input::new(&other) }];
         let refused = merge(&parts, &output, &KEEP).unwrap_err();
         assert!(refused.starts_with(other.to_str().unwrap()) && !output.exists(), "{refused}");
         assert_says(refused, &[words]);
@@ -251,9 +252,9 @@ fn merged_cells_are_the_scene() {
     broken.log_scales[7][1] = f32::NAN;
     folder.write_with("other.ply", &broken, &antialiased());
     refused("--drop-invalid");
-    let all = [splats::Part { path: &other, within: Cells::EVERYTHING }];
+    let all = [Input { within: Some(Cells::EVERYTHING), ..Input::new(&other) }];
     let done = merge(&all, &output, &DROP).unwrap();
-    assert_eq!(done.written, [39_999]);
+    assert_eq!(done.taken, [39_999]);
     assert_one(&done.warnings, &["scale_1 = NaN is not finite"]);
 }
 
@@ -536,10 +537,7 @@ fn scenes_are_joined() {
     let moved = Similarity { rotation, scale: 2.0, translation };
     let everything = Similarity { scale: 0.5, ..Default::default() };
     let [a, b] = ["a.ply", "b.glb"].map(|name| folder.join(name));
-    let inputs = [
-        splats::Input { path: &a, similarity: Similarity::default() },
-        splats::Input { path: &b, similarity: moved },
-    ];
+    let inputs = [Input::new(&a), Input { similarity: moved, ..Input::new(&b) }];
     first = first.with_sh_degree(2);
     first.transform(&everything);
     second.transform(&moved);
@@ -565,7 +563,7 @@ fn scenes_are_joined() {
         }
     }
     let fewer = ConvertOptions { decimate: Some(Target::Count(200)), ..Default::default() };
-    let small = [splats::Input { path: &b, similarity: moved }; 2];
+    let small = [Input { similarity: moved, ..Input::new(&b) }; 2];
     assert_eq!(splats::join(&small, &folder.join("few.ply"), &fewer).unwrap().written, 200);
     // The files have marks that one file cannot have for both.
     folder.write_with("b.glb", &scene(300, 2), &antialiased());

@@ -3,7 +3,7 @@
 use super::files::{Folder, assert_one, assert_says, assert_some, cloud, left_half, named, refusal, with};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat_files::colmap;
-use ashsplat_files::{Dataset, DatasetOptions, Progress, Resolution, ply};
+use ashsplat_files::{Dataset, DatasetOptions, Progress, Resolution, splats};
 use glam::Vec3;
 use image::{GrayImage, Luma, Rgba, RgbaImage};
 use serde_json::{Value, json};
@@ -277,7 +277,8 @@ fn points_may_be_gaussians() {
     let folder = Folder::new();
     folder.transforms(3, &json!({ "ply_file_path": "a.ply" }));
     let points = cloud(&[[0.1, 0.2, 0.0]; 4], [10, 20, 30]);
-    ply::write(folder.join("a.ply"), &ashsplat_files::initial_gaussians(&points, 1).unwrap()).unwrap();
+    let gaussians = ashsplat_files::initial_gaussians(&points, 1).unwrap();
+    splats::write(folder.join("a.ply"), &gaussians, &Default::default()).unwrap();
     let dataset = folder.sound();
     assert_eq!(dataset.points, points);
     assert_says(&dataset.warnings[0], &["a.ply: holds Gaussians, taken as points"]);

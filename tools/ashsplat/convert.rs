@@ -200,7 +200,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let inputs: Vec<Input<'_>> = files
         .iter()
         .zip(&arguments.inputs.inputs)
-        .map(|(path, (_, similarity))| Input { path, similarity: *similarity })
+        .map(|(path, (_, similarity))| Input { similarity: *similarity, ..Input::new(path) })
         .collect();
     let done = splats::join(&inputs, output, &options)?;
     for warning in &done.warnings {

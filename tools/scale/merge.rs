@@ -5,7 +5,7 @@ mod seams;
 
 use ashsplat::Result;
 use ashsplat::scene::WorldFrame;
-use ashsplat_files::splats::{self, Format, Part, WriteOptions};
+use ashsplat_files::splats::{self, ConvertOptions, Format, Input};
 use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_MERGE};
 use ashsplat_program::blocks::BlocksFile;
 use ashsplat_program::blocks::result::{Missing, scene_of};
@@ -93,22 +93,19 @@ impl Arguments {
         // Positions in the blocks' files are in source units.
         let frame = WorldFrame { unit: 1.0, ..file.division.frame() };
         let parts = scenes.iter().zip(blocks);
-        let parts: Vec<Part<'_>> =
-            parts.map(|(path, block)| Part { path, within: block.core.bounds(&frame) }).collect();
-        let done = splats::merge(
-            &parts,
-            out,
-            &self.device.host.reading(self.drop_invalid),
-            &WriteOptions::default(),
-        )?;
+        let parts: Vec<Input<'_>> = parts
+            .map(|(path, block)| Input { within: Some(block.core.bounds(&frame)), ..Input::new(path) })
+            .collect();
+        let read = self.device.host.reading(self.drop_invalid);
+        let done = splats::join(&parts, out, &ConvertOptions { read, ..Default::default() })?;
         for warning in &done.warnings {
             tell!("warning: {warning}");
         }
         if !self.quiet {
-            for (block, written) in blocks.iter().zip(&done.written) {
+            for (block, written) in blocks.iter().zip(&done.taken) {
                 say!("block {}: {} Gaussians", block.number, thousands(*written));
             }
-            let (count, sum) = (blocks.len(), done.written.iter().sum());
+            let (count, sum) = (blocks.len(), done.written);
             let (out, format, degree) = (out.display(), done.format, done.sh_degree);
             say!("{count} blocks -> {out} ({format}, {} Gaussians, SH degree {degree})", thousands(sum));
         }

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::{binary, text};
+use super::read;
 use crate::names::{has_video_ending, holds_photos, quoted};
 use crate::transforms;
 use ashsplat::{Error, Result};
@@ -173,16 +173,12 @@ fn largest(candidates: &[PathBuf]) -> Result<ModelFolder> {
 
 /// Registered images and points by the counts in the model's files; 0 if they cannot be read.
 fn claimed_size(folder: &Path) -> (u64, u64) {
-    match describe(folder.to_owned(), None) {
-        Ok(found) if found.text => (
-            text::images(&found.folder.join("images.txt")).map_or(0, |images| images.len() as u64),
-            text::count_rows(&found.folder.join("points3D.txt")),
-        ),
-        Ok(found) => [PARTS[1], PARTS[2]]
-            .map(|part| binary::claimed_count(&found.folder.join(format!("{part}.bin"))))
-            .into(),
-        Err(_) => (0, 0),
-    }
+    let Ok(found) = describe(folder.to_owned(), None) else { return (0, 0) };
+    let images = match found.text {
+        true => read::images(&found.file(PARTS[1])).map_or(0, |images| images.len() as u64),
+        false => read::claimed_count(&found.file(PARTS[1])),
+    };
+    (images, read::claimed_count(&found.file(PARTS[2])))
 }
 
 fn has_model(folder: &Path) -> bool {

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DVec2, DVec3, dvec2};
 
 use super::find::{self, ModelFolder};
-use super::records::{ColmapCamera, ColmapImage, Observed};
-use super::{binary, text};
+use super::read::{self, Observed};
+use super::records::{ColmapCamera, ColmapImage};
 use crate::depth_fit::DepthPoint;
 use crate::ply;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
@@ -42,10 +42,7 @@ impl Model {
     /// A missing list of points gives no points and a warning. Points at NaN are dropped with a warning.
     pub fn read(source: &ModelFolder) -> Result<Self> {
         let [cameras, images] = ["cameras", "images"].map(|part| source.file(part));
-        let (all_cameras, all_images) = match source.text {
-            true => (text::cameras(&cameras)?, text::images(&images)?),
-            false => (binary::cameras(&cameras)?, binary::images(&images)?),
-        };
+        let (all_cameras, all_images) = (read::cameras(&cameras)?, read::images(&images)?);
         check_unique(&images, &all_images)?;
         let mut warnings: Vec<String> = source.warning.iter().cloned().collect();
         let points = points(source, &mut warnings)?;
@@ -167,14 +164,13 @@ fn points(source: &ModelFolder, warnings: &mut Vec<String>) -> Result<SourcePoin
         return Ok(SourcePoints::default());
     };
     let mut points = match file.extension().and_then(OsStr::to_str) {
-        Some("txt") => text::points(&file)?,
-        Some("ply") => ply::read_points_of(&file, warnings)?,
-        _ => binary::points(&file)?,
+        Some("ply") => ply::read_points(&file, warnings)?,
+        _ => read::points(&file)?,
     };
     // The reference implementation keeps a copy of the points in this PLY.
     let ply = file.with_extension("ply");
     if points.is_empty() && ply.is_file() {
-        points = ply::read_points_of(&ply, warnings)?;
+        points = ply::read_points(&ply, warnings)?;
     }
     let all = points.len();
     if ply.is_file() && ply::claimed_points(&ply).is_ok_and(|count| count != all as u64) {
@@ -221,23 +217,18 @@ fn check_unique(file: &Path, images: &[ColmapImage]) -> Result<()> {
 /// Positions of points by id, the file's coordinates.
 type Positions = HashMap<u64, [f64; 3]>;
 
-fn read(model: &Model) -> Result<(Vec<Observed>, Positions)> {
-    let (images, points) = (model.file("images"), points_file(&model.source));
-    let observed =
-        if model.source.text { text::observations(&images)? } else { binary::observations(&images)? };
-    let positions = match &points {
-        None => HashMap::new(),
-        Some(file) if file.extension().is_some_and(|ending| ending == "txt") => text::positions(file)?,
+fn observed(model: &Model) -> Result<(Vec<Observed>, Positions)> {
+    let positions = match points_file(&model.source) {
         // Points of a PLY have no ids.
-        Some(file) if file.extension().is_some_and(|ending| ending == "ply") => HashMap::new(),
-        Some(file) => binary::positions(file)?,
+        Some(file) if file.extension().is_none_or(|ending| ending != "ply") => read::positions(&file)?,
+        _ => HashMap::new(),
     };
-    Ok((observed, positions))
+    Ok((read::observations(&model.file("images"))?, positions))
 }
 
 /// The points that each image of a model shows, by image id.
 pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
-    let (observed, positions) = read(model)?;
+    let (observed, positions) = observed(model)?;
     let pose = |image: &ColmapImage| (image.id, (image.rotation(), DVec3::from_array(image.translation)));
     let poses: HashMap<u32, (DMat3, DVec3)> = model.images.iter().map(pose).collect();
     let of_image = |(id, places): Observed| {
@@ -256,7 +247,7 @@ pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
 /// Positions of the points that each image of a model shows, by image id, in the file's coordinates. Each point appears
 /// once, in the order of point ids.
 pub fn tracks(model: &Model) -> Result<HashMap<u32, Vec<[f64; 3]>>> {
-    let (observed, positions) = read(model)?;
+    let (observed, positions) = observed(model)?;
     let of_image = |(id, places): Observed| {
         let mut points: Vec<u64> = places.into_iter().filter_map(|(_, point)| point).collect();
         points.sort_unstable();
@@ -278,7 +269,7 @@ pub(crate) fn contradiction(model: &Model) -> Option<String> {
     if bytes(model.file("images")).saturating_add(bytes(points_file(&model.source)?)) > MOST_BYTES {
         return None;
     }
-    let (observed, positions) = read(model).ok()?;
+    let (observed, positions) = observed(model).ok()?;
     let images: HashMap<u32, &ColmapImage> = model.images.iter().map(|image| (image.id, image)).collect();
     let all: Vec<_> = observed
         .into_iter()

@@ -1,4 +1,4 @@
-//! The records of a sparse model: cameras, registered images and their observations.
+//! The records of a sparse model: cameras and registered images.
 
 use std::path::{Path, PathBuf};
 
@@ -140,6 +140,3 @@ impl ColmapImage {
         Err(Error::input(model_file, problem, "names must be paths below the images folder"))
     }
 }
-
-/// An image's id, and its observations: the place in the photo, and the id of the point there if there is one.
-pub(super) type Observed = (u32, Vec<([f64; 2], Option<u64>)>);

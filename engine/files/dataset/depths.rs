@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::View;
 use super::options::DatasetOptions;
 use super::part::cut;
 use super::planned_view::PlannedView;
-use super::view::View;
 use crate::colmap::{self, ColmapImage, Model};
 use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
 use crate::images::{DepthMap, header};
@@ -206,19 +206,5 @@ impl PlannedMap {
             hidden.for_each(|(value, _)| *value = f32::INFINITY);
         }
         Ok(values.into())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::stem;
-    use crate::growth::turn;
-
-    #[test]
-    fn names_lose_their_last_ending() {
-        let _turn = turn();
-        for (name, expected) in [("a.b.jpg", "a.b"), ("x\\y.png", "x/y"), ("a.d/b", "a.d/b"), ("c", "c")] {
-            assert_eq!(stem(name), expected);
-        }
     }
 }

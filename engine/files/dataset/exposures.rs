@@ -6,8 +6,8 @@ use std::collections::{BTreeSet, HashMap};
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::View;
 use super::gallery::{Gallery, Track, depth_point};
-use super::view::View;
 use ashsplat::Result;
 use ashsplat::scene::Camera;
 

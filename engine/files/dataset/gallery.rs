@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 
+use super::View;
 use super::depths::{self, PlannedMap};
 use super::mask::Mask;
 use super::options::DatasetOptions;
@@ -15,7 +16,6 @@ use super::plan::Plan;
 use super::planned_view::PlannedView;
 use super::read;
 use super::unpacked::Unpacked;
-use super::view::View;
 use crate::cameras_json::NamedCamera;
 use crate::colmap::{self, Model};
 use crate::progress::Progress;

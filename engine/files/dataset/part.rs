@@ -87,11 +87,4 @@ mod tests {
             assert!(part.is_err(), "{columns:?} {rows:?} is no part");
         }
     }
-
-    #[test]
-    fn values_are_cut_row_by_row() {
-        let _turn = turn();
-        let values: Vec<u32> = (0..24).collect();
-        assert_eq!(cut(&values, (4, 2), [1, 1], [2, 2]), [10, 11, 12, 13, 18, 19, 20, 21]);
-    }
 }

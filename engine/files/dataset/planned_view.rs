@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
 
+use super::View;
 use super::mask::{Mask, grey};
 use super::options::DatasetOptions;
 use super::part::{UsedPart, cut_photo};
-use super::view::View;
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, read_as, undistort};
 use ashsplat::Result;
 use ashsplat::scene::distortion::PhotoLens;

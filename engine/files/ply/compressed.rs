@@ -9,9 +9,8 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
-use super::header::{Element, Marks, PADDING};
+use super::file::{Element, Marks, PADDING, PlyFile};
 use super::read::restore_frame;
-use super::rows::PlyFile;
 use super::write::write_frame;
 use crate::regular_file::OnFile;
 use crate::splats::{

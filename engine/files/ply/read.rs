@@ -5,54 +5,13 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::header::{DISKS, Element, FILTER, Kind, Property, RenderMode, Scalar};
-use super::rows::PlyFile;
-use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Scene, Sink, Source};
+use super::file::{DISKS, Element, FILTER, Kind, PlyFile, Property, RenderMode, Scalar};
+use crate::splats::{BLOCK, Format, Header, Sink, Source};
 use crate::{cameras_json, host_memory};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
 use ashsplat::scene::{Gaussians, SourcePoints, WorldFrame, filtered, median_ball};
 use ashsplat::{Error, Result};
-
-/// Options for reading Gaussians.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PlyOptions {
-    /// Drop Gaussians with unusable parameters instead of refusing the file.
-    pub drop_invalid: bool,
-}
-
-/// Gaussians from a file, and the number of dropped ones.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PlyScene {
-    /// The usable Gaussians, in the file's order.
-    pub gaussians: Gaussians,
-    /// Frame of the Gaussians within the file's coordinates.
-    pub frame: WorldFrame,
-    /// Number of Gaussians that were dropped because of an unusable parameter.
-    pub dropped: u64,
-    /// Description of the dropped ones ("5 of 16 Gaussians have …, first vertex 0: x = NaN").
-    pub warning: Option<String>,
-}
-
-/// Reads Gaussians with any property order, encoding and scalar type. Additional properties and elements are
-/// ignored, except `filter_3D`: Mip-Splatting's 3D filter becomes a part of scales and opacities. The number of
-/// `f_rest` properties gives the SH degree. Colours may be `red green blue` in place of `f_dc`. Without `scale_2`
-/// (2DGS) the Gaussians have no thickness. [`splats::read`](crate::splats::read) reads the other formats too.
-///
-/// A parameter is unusable if it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), if a
-/// coordinate (also of a quaternion) exceeds 1e18 or a log-scale 88 (both overflow in the projection), or if an
-/// SH coefficient exceeds 1e32.
-///
-/// # Errors
-/// [`Error::Input`] for unusable parameters too, without [`PlyOptions::drop_invalid`].
-pub fn read(path: impl AsRef<Path>, options: &PlyOptions) -> Result<PlyScene> {
-    let path = path.as_ref();
-    let source = Box::new(GaussianRows::open(path)?);
-    let options = ReadOptions { drop_invalid: options.drop_invalid, ..ReadOptions::default() };
-    let scene = Reader::new(path, source, &options).collect()?;
-    let Scene { gaussians, frame, dropped, warnings, .. } = scene;
-    Ok(PlyScene { gaussians, frame, dropped, warning: warnings.into_iter().next() })
-}
 
 /// Number of vertices in a PLY's header.
 pub(crate) fn claimed_points(path: &Path) -> Result<u64> {
@@ -209,7 +168,7 @@ fn first_positions(path: &Path) -> Result<Vec<DVec3>> {
 /// a note if any was used.
 pub(super) fn restore_frame(
     path: &Path,
-    header: &mut super::header::Header,
+    header: &mut super::file::Header,
     positions: impl FnOnce() -> Result<Vec<DVec3>>,
 ) -> Result<Option<String>> {
     if header.origin != DVec3::ZERO || header.unit.is_some() {
@@ -268,13 +227,10 @@ const COLORS: [[&str; 3]; 4] = [
 
 /// Reads coloured points: x y z and a colour, by name; white if there are no colours. Colours are 0 to 255; floats of
 /// at most 1 are shares of 255, 16-bit values above 255 shares of 65,535. Gaussians get the colours of their constant
-/// SH coefficients. Points at positions that are not finite are dropped.
-pub fn read_points(path: impl AsRef<Path>) -> Result<SourcePoints> {
-    read_points_of(path.as_ref(), &mut Vec::new())
-}
-
-/// Same as [`read_points`], but adds warnings about Gaussians, and about points without colours or finite positions.
-pub(crate) fn read_points_of(path: &Path, warnings: &mut Vec<String>) -> Result<SourcePoints> {
+/// SH coefficients. Points at positions that are not finite are dropped. Adds warnings about Gaussians, and about points
+/// without colours or finite positions.
+pub fn read_points(path: impl AsRef<Path>, warnings: &mut Vec<String>) -> Result<SourcePoints> {
+    let path = path.as_ref();
     let mut file = PlyFile::open(path)?;
     let element = file.seek_element("vertex")?;
     if !element.has("x") {

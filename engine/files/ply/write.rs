@@ -5,25 +5,24 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::header::{FILTER, Marks, ORIGIN, UNIT};
+use super::file::{FILTER, Marks, ORIGIN, UNIT};
 use crate::atomic;
 use crate::regular_file::OnFile;
 use crate::splats::{Outline, Produce, WriteOptions, in_blocks};
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Gaussians, PointCloud, Similarity, WorldFrame};
+use ashsplat::scene::{Gaussians, PointCloud, WorldFrame};
 use ashsplat::{Error, Result};
 
-/// Writes Gaussians in the layout of the reference implementation, at their SH degree.
-///
-/// Values are stored unchanged, so that reading gives the same bits.
-pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
-    gaussians.check_shapes()?;
-    let outline = Outline::of(gaussians, &WriteOptions::default());
-    write_blocks(path.as_ref(), &outline, &mut |sink| in_blocks(gaussians, sink))
-}
-
-pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
-    let names = property_names(outline.sh_degree);
+/// Writes Gaussians in the layout of the reference implementation; `filters`: the sizes of Mip-Splatting's 3D filter,
+/// source units.
+pub(crate) fn write_blocks(
+    path: &Path,
+    outline: &Outline,
+    filters: Option<&[f32]>,
+    produce: &mut Produce<'_>,
+) -> Result<()> {
+    let mut names = property_names(outline.sh_degree);
+    names.extend(filters.map(|_| FILTER.to_owned()));
     let is_double = |name: &str| outline.double_positions && ["x", "y", "z"].contains(&name);
     // Positions in double precision need no origin.
     let doubles = outline.double_positions.then_some(outline.frame.origin);
@@ -33,10 +32,13 @@ pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce
         let scalars =
             names.iter().map(|name| (if is_double(name) { "double" } else { "float" }, name.as_str()));
         write_header(&mut writer, &Outline { frame, ..*outline }, scalars).writing(path)?;
-        let mut rows = Vec::new();
+        let (mut rows, mut filters) = (Vec::new(), filters.into_iter().flatten());
         produce(&mut |block| {
             rows.clear();
-            (0..block.len()).for_each(|index| gaussian_row(&block, index, doubles, &mut rows));
+            for index in 0..block.len() {
+                gaussian_row(&block, index, doubles, &mut rows);
+                rows.extend(filters.next().into_iter().flat_map(|size| size.to_le_bytes()));
+            }
             writer.write_all(&rows).writing(path)
         })
     })
@@ -55,25 +57,10 @@ pub fn write_filtered(
         let problem = format!("are {}, there are {} Gaussians", filters.len(), gaussians.len());
         return Err(Error::argument("filters", problem));
     }
-    let mut names = property_names(gaussians.sh_degree);
-    names.push(FILTER.to_owned());
-    let frame = &options.frame;
-    let to_source = Similarity { scale: frame.unit, ..Default::default() };
-    let path = path.as_ref();
-    atomic::write_seekable(path, |mut writer| {
-        let floats = names.iter().map(|name| ("float", name.as_str()));
-        write_header(&mut writer, &Outline::of(gaussians, options), floats).writing(path)?;
-        let (mut rows, mut sizes) = (Vec::new(), filters.iter());
-        in_blocks(gaussians, &mut |mut block| {
-            block.transform(&to_source);
-            rows.clear();
-            for (index, size) in (0..block.len()).zip(sizes.by_ref()) {
-                gaussian_row(&block, index, None, &mut rows);
-                rows.extend_from_slice(&((f64::from(*size) * frame.unit) as f32).to_le_bytes());
-            }
-            writer.write_all(&rows).writing(path)
-        })
-    })
+    let unit = options.frame.unit;
+    let filters: Vec<f32> = filters.iter().map(|&size| (f64::from(size) * unit) as f32).collect();
+    let outline = Outline::of(gaussians, options);
+    write_blocks(path.as_ref(), &outline, Some(&filters), &mut |sink| in_blocks(gaussians, unit, sink))
 }
 
 /// Writes coloured points like the reference implementation's `input.ply`: `x y z nx ny nz` (float, normals 0) `red

@@ -1,12 +1,10 @@
-//! Converts files of Gaussians to another format, joins whole files and merges parts, block by block.
+//! Converts files of Gaussians to another format, and joins files, block by block.
 
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
-use super::{
-    Format, Header, Outline, ReadOptions, Reader, Sink, WriteOptions, open, row_bytes, write_readable,
-};
+use super::{Format, Header, Outline, ReadOptions, open, row_bytes, write_readable};
 use crate::decimate::{self, decimate};
 use crate::host_memory;
 use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
@@ -54,6 +52,16 @@ pub struct Input<'a> {
     pub path: &'a Path,
     /// Similarity of this file before [`ConvertOptions::similarity`], source coordinates.
     pub similarity: Similarity,
+    /// Box that the means must lie in, for the parts of one scene: in the output's coordinates, relative to the first
+    /// input's origin, which the output keeps. See [`Bounds::contains`].
+    pub within: Option<Bounds>,
+}
+
+impl<'a> Input<'a> {
+    /// A whole file, as it is.
+    pub fn new(path: &'a Path) -> Self {
+        Self { path, similarity: Similarity::default(), within: None }
+    }
 }
 
 /// Result of a conversion.
@@ -65,6 +73,8 @@ pub struct Converted {
     pub format: Format,
     /// Number of Gaussians written.
     pub written: u64,
+    /// Number of Gaussians of each input, before decimation.
+    pub taken: Vec<u64>,
     /// SH degree written.
     pub sh_degree: u32,
     /// Losses and oddities.
@@ -75,13 +85,14 @@ pub struct Converted {
 ///
 /// The input is read twice if the output's header needs the number and box of the Gaussians.
 pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<Converted> {
-    join(&[Input { path: input, similarity: Similarity::default() }], output, options)
+    join(&[Input::new(input)], output, options)
 }
 
-/// Same as [`convert`], but joins several files in order. The highest SH degree is kept.
+/// Same as [`convert`], but joins several files in order, block by block. The highest SH degree is kept.
 ///
 /// # Errors
-/// [`Error::Input`] for inputs of which only some were trained with antialiasing, or with different kernel sizes.
+/// [`Error::Input`] for inputs of which only some were trained with antialiasing, or with different kernel sizes; for
+/// parts of a scene ([`Input::within`]) also with different SH degrees.
 pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Result<Converted> {
     let format = Format::chosen(options.format, output)?;
     options.cut.check()?;
@@ -90,8 +101,13 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     let (Some(first), Some(all)) = (headers.first(), inputs.first()) else {
         return Err(Error::argument("inputs", "there are none"));
     };
+    let are_parts = inputs.iter().any(|input| input.within.is_some());
+    let trained = |header: &Header| match are_parts {
+        true => format!("at SH degree {}, {}", header.sh_degree, header.marks_in_words()),
+        false => header.marks_in_words(),
+    };
     for (input, header) in inputs.iter().zip(&headers) {
-        let [own, there] = [header, first].map(Header::marks_in_words);
+        let [own, there] = [header, first].map(trained);
         if own != there {
             let all = all.path.display();
             let problem = format!("was trained {own}, {all} {there}: one file cannot say both");
@@ -126,41 +142,48 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
         (options.cut_of(header), Move { from: header.origin, similarity })
     };
     let changes: Vec<(Cut, Move)> = inputs.iter().zip(&headers).map(change).collect();
-    let read = |to: DVec3, sink: &mut Sink<'_>, told: &mut dyn FnMut(usize, String)| {
-        for (index, (cut, moved)) in changes.iter().enumerate() {
-            let mut reader = open(inputs[index].path, &options.read)?;
-            reader.blocks(&mut |block| sink(changed(block, sh_degree, cut, &moved.to(to))))?;
-            reader.warnings.drain(..).for_each(|warning| told(index, warning));
+    let read = |to: DVec3, sink: &mut dyn FnMut(usize, Gaussians) -> Result<()>| {
+        let mut told = Vec::new();
+        for (index, (input, (cut, moved))) in inputs.iter().zip(&changes).enumerate() {
+            let mut reader = open(input.path, &options.read)?;
+            reader.blocks(&mut |block| {
+                let mut block = changed(block, sh_degree, cut, &moved.to(to));
+                if let Some(within) = input.within {
+                    block.retain(|all, index| within.contains(Vec3::from_array(all.means[index])));
+                }
+                sink(index, block)
+            })?;
+            told.extend(reader.warnings.drain(..).map(|warning| named(input, warning)));
         }
-        Ok(())
+        Ok(told)
     };
     let moved = &changes[0].1;
     // A PLY without a similarity keeps its origin.
-    let stays = inputs.len() == 1 && format == Format::Ply && moved.similarity == Similarity::default();
+    let is_same = inputs.len() == 1 && format == Format::Ply && moved.similarity == Similarity::default();
     let mut to = if first.origin == DVec3::ZERO { DVec3::ZERO } else { moved.similarity.apply(first.origin) };
     let step = OriginSample::step(count);
-    let (mut count, mut bounds, mut kept, told) = loop {
+    let (taken, mut bounds, mut kept, told) = loop {
         let mut sample = OriginSample::default();
-        let (mut count, mut bounds, mut told) = (0, None, Vec::new());
+        let (mut taken, mut bounds) = (vec![0; inputs.len()], None);
         let mut kept = options.decimate.map(|_| Gaussians { sh_degree, ..Default::default() });
-        let mut take = |block: Gaussians| {
-            count += block.len() as u64;
+        let told = read(to, &mut |index, block| {
+            taken[index] += block.len() as u64;
             bounds = around(bounds, block.bounds());
             sample.add(&block, step);
             if let Some(kept) = &mut kept {
                 kept.append(&block);
             }
             Ok(())
-        };
-        read(to, &mut take, &mut |index, warning| told.push(named(&inputs[index], warning)))?;
-        let chosen = if stays { to } else { sample.origin(to) };
+        })?;
+        let chosen = if is_same || are_parts { to } else { sample.origin(to) };
         if chosen == to {
-            break (count, bounds, kept, told);
+            break (taken, bounds, kept, told);
         }
         // Reads again, for the box relative to the new origin.
         to = chosen;
     };
     warnings.extend(told);
+    let mut count = taken.iter().sum::<u64>();
     if let (Some(all), Some(target)) = (&mut kept, options.decimate) {
         let target = match target {
             Target::Count(target) => target,
@@ -182,10 +205,10 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     let loss =
         write_readable(output, (format, options.spz_version), &outline, &mut |sink| match kept.take() {
             Some(all) => sink(all),
-            None => read(to, sink, &mut |_, _| {}),
+            None => read(to, &mut |_, block| sink(block)).map(drop),
         })?;
     warnings.extend(loss);
-    Ok(Converted { inputs: headers, format, written: count, sh_degree, warnings })
+    Ok(Converted { inputs: headers, format, written: count, taken, sh_degree, warnings })
 }
 
 impl ConvertOptions {
@@ -264,112 +287,5 @@ pub(super) fn changed(mut block: Gaussians, sh_degree: u32, cut: &Cut, similarit
 }
 
 pub(super) fn around(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
-    match (a, b) {
-        (Some(a), Some(b)) => Some(Bounds { min: a.min.min(b.min), max: a.max.max(b.max) }),
-        (one, other) => one.or(other),
-    }
-}
-
-/// A file, and a box that selects its Gaussians.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Part<'a> {
-    /// A file of any format.
-    pub path: &'a Path,
-    /// Box that the means must lie in, source units, relative to the first part's origin: see [`Bounds::contains`].
-    pub within: Bounds,
-}
-
-/// Result of a merge.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Merged {
-    /// The output's format.
-    pub format: Format,
-    /// Number of Gaussians from each part, in order.
-    pub written: Vec<u64>,
-    /// SH degree written.
-    pub sh_degree: u32,
-    /// Losses and oddities.
-    pub warnings: Vec<String>,
-}
-
-/// Writes the Gaussians inside the parts' boxes into one file, part by part, in order. Each file is read twice, block
-/// by block, so memory does not grow with the files, except for compressed PLY, which is sorted in memory. The parts,
-/// not `options`, decide if the output is marked as trained with antialiasing.
-///
-/// # Errors
-/// [`Error::Input`] for a part whose SH degree or antialiasing differs from the first part's.
-pub fn merge(
-    parts: &[Part<'_>],
-    output: &Path,
-    read: &ReadOptions,
-    options: &WriteOptions,
-) -> Result<Merged> {
-    let format = Format::chosen(options.format, output)?;
-    let first = parts.first().ok_or_else(|| Error::argument("parts", "there are none to merge"))?;
-    let of_first = open(first.path, read)?.header().clone();
-    let sh_degree = of_first.sh_degree.min(format.max_sh_degree());
-    let Header { antialiased, kernel_size, is_2dgs, .. } = of_first;
-    let mut warnings = format.losses(of_first.sh_degree, (antialiased, kernel_size, is_2dgs));
-    let (mut written, mut bounds) = (Vec::new(), None);
-    for part in parts {
-        let mut reader = open(part.path, read)?;
-        let header = reader.header();
-        let (own, there) = (described(header), described(&of_first));
-        if own != there {
-            let problem = format!("has {own}, {} has {there}", first.path.display());
-            return Err(Error::input(part.path, problem, "train all parts with the same settings"));
-        }
-        warnings.extend(header.warnings.iter().cloned());
-        let mut count = 0;
-        let shift = shift(header, &of_first);
-        inside(&mut reader, (shift, part.within), &mut |block| {
-            count += block.len() as u64;
-            bounds = around(bounds, block.bounds());
-            Ok(())
-        })?;
-        written.push(count);
-        let own = reader.warnings.drain(..);
-        warnings.extend(own.map(|warning| format!("{}: {warning}", part.path.display())));
-    }
-    let count = written.iter().sum();
-    let frame = WorldFrame { origin: of_first.origin, unit: of_first.unit.unwrap_or(1.0) };
-    let double_positions = of_first.double_positions && format == Format::Ply;
-    let outline =
-        Outline { count, sh_degree, antialiased, kernel_size, is_2dgs, bounds, frame, double_positions };
-    warnings.extend(format.origin_note(output, &outline));
-    let loss = write_readable(output, (format, options.spz_version), &outline, &mut |sink| {
-        for part in parts {
-            let mut reader = open(part.path, read)?;
-            let shift = shift(reader.header(), &of_first);
-            inside(&mut reader, (shift, part.within), &mut |block| {
-                sink(if sh_degree == block.sh_degree { block } else { block.with_sh_degree(sh_degree) })
-            })?;
-        }
-        Ok(())
-    })?;
-    warnings.extend(loss);
-    Ok(Merged { format, written, sh_degree, warnings })
-}
-
-/// The properties that all parts must share, in words.
-fn described(header: &Header) -> String {
-    format!("SH degree {}, {}", header.sh_degree, header.marks_in_words())
-}
-
-/// Makes a part's positions relative to the first one's origin.
-fn shift(part: &Header, first: &Header) -> Similarity {
-    Similarity { translation: part.origin - first.origin, ..Default::default() }
-}
-
-/// Passes the Gaussians in a box to the sink, after a shift.
-fn inside(
-    reader: &mut Reader<'_>,
-    (shift, within): (Similarity, Bounds),
-    sink: &mut Sink<'_>,
-) -> Result<u64> {
-    reader.blocks(&mut |mut block| {
-        block.transform(&shift);
-        block.retain(|all, index| within.contains(Vec3::from_array(all.means[index])));
-        sink(block)
-    })
+    Bounds::of(a.into_iter().chain(b).flat_map(|bounds| [bounds.min, bounds.max]))
 }

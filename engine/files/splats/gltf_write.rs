@@ -5,6 +5,7 @@ use std::io::{self, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use glam::{BVec3, DVec3};
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
 use serde_json::{Value, json};
 
 use super::gltf::{EXTENSION, MIRRORED, PACKED_EXTENSION, mirrored};
@@ -54,7 +55,8 @@ pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mu
         // With a new name, an earlier scene stays whole until the .gltf is replaced.
         let (old, new) = (named_binary(path), free_binary(path));
         let name = new.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        document["buffers"] = json!([{ "uri": escaped(&name), "byteLength": binary_bytes }]);
+        document["buffers"] =
+            json!([{ "uri": utf8_percent_encode(&name, ESCAPED).to_string(), "byteLength": binary_bytes }]);
         atomic::write_seekable(&new, |writer| write_planes(&new, writer, 0, outline, &planes, produce))?;
         let written = atomic::write(path, |writer| writer.write_all(document.to_string().as_bytes()));
         if let Some(unused) = if written.is_ok() { old } else { Some(new) } {
@@ -89,7 +91,8 @@ fn named_binary(path: &Path) -> Option<PathBuf> {
     let document: Value = serde_json::from_slice(&text).ok()?;
     let is_own = document["asset"]["generator"].as_str()?.starts_with("ashsplat ");
     let stem = path.file_stem()?.to_str()?;
-    let rest = document["buffers"][0]["uri"].as_str()?.strip_prefix(&escaped(stem))?.strip_suffix(".bin")?;
+    let uri = percent_decode_str(document["buffers"][0]["uri"].as_str()?).decode_utf8_lossy();
+    let rest = uri.strip_prefix(stem)?.strip_suffix(".bin")?;
     let is_numbered = rest.is_empty() || rest.strip_prefix('.')?.parse::<u32>().is_ok();
     (is_own && is_numbered).then(|| path.with_file_name(format!("{stem}{rest}.bin")))
 }
@@ -239,13 +242,8 @@ fn mirrored_corners(bounds: Bounds) -> [[f64; 3]; 2] {
     [DVec3::select(swaps, b, a), DVec3::select(swaps, a, b)].map(|corner| corner.to_array())
 }
 
-/// A file's name as a relative URI reference.
-fn escaped(name: &str) -> String {
-    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte);
-    name.bytes()
-        .map(|byte| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") })
-        .collect()
-}
+/// Characters of a file's name that a relative URI reference escapes.
+const ESCAPED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
 
 /// Writes a GLB whose attributes are an SPZ of version 2: `KHR_gaussian_splatting_compression_spz_2`, a draft. Writes
 /// Gaussians block by block; temporary files hold them until they are packed.

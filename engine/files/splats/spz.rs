@@ -55,13 +55,6 @@ enum Layout {
     Zstd([Option<(u64, u64)>; PLANES]),
 }
 
-/// The fields that both headers share.
-struct Head {
-    packing: Packing,
-    count: u64,
-    flags: u8,
-}
-
 impl Spz {
     pub(super) fn open(path: &Path) -> Result<Self> {
         let (_, bytes) = regular_file::open(path)?;
@@ -229,8 +222,8 @@ impl SpzFile {
         Error::input(&self.path, problem, "the file is damaged or cut short: write or download it again")
     }
 
-    /// Checks the fields that both headers share.
-    fn head(&self, bytes: &[u8]) -> Result<Head> {
+    /// Reads the fields that both headers share. The last value is true if there are extensions.
+    fn head(&self, bytes: &[u8]) -> Result<(Packing, Header, bool)> {
         let (version, count) = (u32_at(bytes, 4), u64::from(u32_at(bytes, 8)));
         let (sh_degree, fractional_bits) = (u32::from(bytes[12]), u32::from(bytes[13]));
         if u32_at(bytes, 0) != MAGIC {
@@ -259,7 +252,13 @@ impl SpzFile {
             let problem = format!("the header says {count} Gaussians, which {bytes} bytes cannot hold");
             return Err(self.damaged(problem));
         }
-        Ok(Head { packing, count, flags: bytes[14] })
+        let mut header = Header::new(Format::Spz, count, sh_degree.min(3));
+        header.antialiased = bytes[14] & FLAG_ANTIALIASED != 0;
+        if sh_degree > 3 {
+            let path = self.path.display();
+            header.warnings.push(format!("{path}: SH of degree 4 are left out, 3 is the highest here"));
+        }
+        Ok((packing, header, bytes[14] & FLAG_EXTENSIONS != 0))
     }
 
     fn gzip(self, reader: Bytes) -> Result<Spz> {
@@ -267,20 +266,20 @@ impl SpzFile {
         let mut start = [0; OLD_HEADER_BYTES];
         let read = stream.read_exact(&mut start);
         read.map_err(|e| self.damaged(format!("header: it cannot be unpacked: {e}")))?;
-        let head = self.head(&start)?;
-        if head.packing.version == 4 {
+        let (packing, header, has_extensions) = self.head(&start)?;
+        if packing.version == 4 {
             return Err(self.damaged("is SPZ version 4 inside gzip, which the format does not have"));
         }
         let mut extensions = Vec::new();
         let mut limit = 0;
-        if head.flags & FLAG_EXTENSIONS != 0 {
+        if has_extensions {
             // The extensions follow all planes, but the first Gaussians need them.
             limit = MAX_EXTENSION_BYTES;
-            self.skip(&mut stream, head.count * head.packing.bytes(), "planes")?;
+            self.skip(&mut stream, header.count * packing.bytes(), "planes")?;
             let read = stream.take(limit + 1).read_to_end(&mut extensions);
             read.map_err(|e| self.damaged(format!("the gzip stream is damaged: {e}")))?;
         }
-        self.finish(head, Layout::Gzip { extensions: limit }, &extensions)
+        self.finish(packing, header, Layout::Gzip { extensions: limit }, &extensions)
     }
 
     /// Unpacks and discards `bytes`.
@@ -302,12 +301,12 @@ impl SpzFile {
         }
         let mut start = [0; HEADER_BYTES as usize];
         reader.read_exact(&mut start).reading(&self.path)?;
-        let head = self.head(&start)?;
-        if head.packing.version != 4 {
-            return Err(self.damaged(format!("is SPZ version {} without gzip", head.packing.version)));
+        let (packing, header, has_extensions) = self.head(&start)?;
+        if packing.version != 4 {
+            return Err(self.damaged(format!("is SPZ version {} without gzip", packing.version)));
         }
         let expected: Vec<usize> =
-            (0..PLANES).filter(|&plane| head.count * head.packing.row_bytes()[plane] as u64 > 0).collect();
+            (0..PLANES).filter(|&plane| header.count * packing.row_bytes()[plane] as u64 > 0).collect();
         let table = u64::from(u32_at(&start, 16));
         let streams = u64::from(start[15]);
         if streams != expected.len() as u64 {
@@ -325,7 +324,7 @@ impl SpzFile {
         let mut places = [None; PLANES];
         for (plane, size) in expected.into_iter().zip(sizes) {
             let [packed, unpacked] = bytemuck::cast::<[u8; 16], [[u8; 8]; 2]>(size).map(u64::from_le_bytes);
-            let needed = head.count * head.packing.row_bytes()[plane] as u64;
+            let needed = header.count * packing.row_bytes()[plane] as u64;
             let name = NAMES[plane];
             let Some(end) = at.checked_add(packed).filter(|&end| end <= self.bytes) else {
                 return Err(self.damaged(format!("{name}: the stream ends behind the file")));
@@ -339,28 +338,20 @@ impl SpzFile {
         if at != self.bytes {
             return Err(self.damaged(format!("has {} bytes after its last stream", self.bytes - at)));
         }
-        if head.flags & FLAG_EXTENSIONS == 0 {
+        if !has_extensions {
             extensions.clear();
         }
-        self.finish(head, Layout::Zstd(places), &extensions)
+        self.finish(packing, header, Layout::Zstd(places), &extensions)
     }
 
-    fn finish(self, head: Head, layout: Layout, extensions: &[u8]) -> Result<Spz> {
+    fn finish(self, packing: Packing, mut header: Header, layout: Layout, extensions: &[u8]) -> Result<Spz> {
         let (mirrored, unused) = axes(extensions).map_err(|problem| {
             Error::input(&self.path, problem, "write it again with the axes right, up, back")
         })?;
         let shown = self.path.display();
         let unused = unused.iter().map(|kind| format!("{shown}: the extension {kind:#010x} is not used"));
-        let mut warnings: Vec<String> = unused.collect();
-        if head.packing.sh_degree > 3 {
-            warnings.push(format!("{shown}: SH of degree 4 are left out, 3 is the highest here"));
-        }
-        let header = Header {
-            antialiased: head.flags & FLAG_ANTIALIASED != 0,
-            warnings,
-            ..Header::new(Format::Spz, head.count, head.packing.sh_degree.min(3))
-        };
-        Ok(Spz { file: self, packing: head.packing, layout, mirrored, header })
+        header.warnings.extend(unused);
+        Ok(Spz { file: self, packing, layout, mirrored, header })
     }
 }
 

@@ -188,19 +188,22 @@ pub(crate) fn row_bytes(sh_degree: u32) -> u64 {
     (size_of::<f32>() * (11 + 3 * sh_coefficients(sh_degree))) as u64
 }
 
-/// Passes Gaussians to a sink in blocks.
-pub(crate) fn in_blocks(gaussians: &Gaussians, sink: &mut Sink<'_>) -> Result<()> {
+/// Passes Gaussians to a sink in blocks, enlarged by a factor.
+pub(crate) fn in_blocks(gaussians: &Gaussians, scale: f64, sink: &mut Sink<'_>) -> Result<()> {
+    let similarity = Similarity { scale, ..Default::default() };
     let coefficients = sh_coefficients(gaussians.sh_degree);
     for start in (0..gaussians.len()).step_by(BLOCK) {
         let rows = start..(start + BLOCK).min(gaussians.len());
-        sink(Gaussians {
+        let mut block = Gaussians {
             sh_degree: gaussians.sh_degree,
             means: gaussians.means[rows.clone()].to_vec(),
             quats: gaussians.quats[rows.clone()].to_vec(),
             log_scales: gaussians.log_scales[rows.clone()].to_vec(),
             opacity_logits: gaussians.opacity_logits[rows.clone()].to_vec(),
             sh: gaussians.sh[rows.start * coefficients..rows.end * coefficients].to_vec(),
-        })?;
+        };
+        block.transform(&similarity);
+        sink(block)?;
     }
     Ok(())
 }

@@ -6,9 +6,9 @@ mod measures;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Frame, RenderSettings, Renderer};
+use ashsplat_files::Progress;
 use ashsplat_files::splats::{self, Format, ReadOptions, WriteOptions};
 use ashsplat_files::tiles::{self, Demand, TileOptions, Tree};
-use ashsplat_files::{Progress, ply};
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language};
 use glam::{DQuat, DVec3, Mat3, Vec3};
 use hosts::{MESSAGES, argument, compile, folder, host_in_c, host_said, host_with, library, run};
@@ -103,12 +103,12 @@ fn initialisers() -> String {
 fn scene_file() -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = folder.path().join("scene.ply");
-    ply::write(&scene, &cloud()).expect("a PLY");
+    splats::write(&scene, &cloud(), &Default::default()).expect("a PLY");
     (folder, scene)
 }
 
 fn read_ply(path: &Path) -> Gaussians {
-    ply::read(path, &ply::PlyOptions::default()).expect("a scene").gaussians
+    splats::read(path, &Default::default()).expect("a scene").gaussians
 }
 
 fn renderer_of(gaussians: &Gaussians) -> Renderer {

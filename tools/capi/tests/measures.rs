@@ -5,7 +5,7 @@ use ashsplat::passes::lpips::{Lpips, Network, Weights};
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Photo};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Alignment, RenderSettings, Renderer};
-use ashsplat_files::{ply, splats};
+use ashsplat_files::splats;
 use glam::Vec3;
 use safetensors::tensor::{Dtype, TensorView};
 use std::path::Path;
@@ -89,7 +89,7 @@ fn a_host_in_c_has_gradients_and_measures() {
     let folder = tempfile::tempdir().expect("a folder");
     let [scene, network, results] =
         ["scene.ply", "alex.safetensors", "results.bin"].map(|name| folder.path().join(name));
-    ply::write(&scene, &cloud()).expect("a PLY");
+    splats::write(&scene, &cloud(), &Default::default()).expect("a PLY");
     write(&network, &weights());
     let said = host_in_c("train", "measures", &[&scene, &network, &results]);
     assert!(said.contains("lpips_alex 0."), "{said}");

@@ -2,7 +2,8 @@
 
 use super::{Facts, SETTINGS_FILE, Settings};
 use ashsplat::{Error, Result};
-use ashsplat_files::{earlier_settings, regular_file};
+use ashsplat_files::checkpoint::remove_earlier;
+use ashsplat_files::regular_file;
 use std::path::Path;
 use toml::Table;
 
@@ -53,9 +54,7 @@ pub fn table(path: &Path, purpose: Purpose) -> Result<Table> {
         let line = e.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
         Error::input(path, format!("line {line}: {}", e.message()), remedy)
     })?;
-    if let (Err(problem), Purpose::Training) =
-        (earlier_settings::remove_earlier(|name| table.remove(name)), purpose)
-    {
+    if let (Err(problem), Purpose::Training) = (remove_earlier(|name| table.remove(name)), purpose) {
         return Err(Error::input(path, problem, "leave it out"));
     }
     if purpose == Purpose::Result || text.starts_with(dump_line().trim_end()) {

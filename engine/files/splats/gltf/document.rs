@@ -9,6 +9,7 @@ use std::path::{Component, Path, PathBuf};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use glam::{DMat4, DQuat, DVec3};
+use percent_encoding::percent_decode_str;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer};
 
@@ -296,7 +297,7 @@ fn open_uri(path: &Path, index: usize, uri: &str) -> Result<Buffer> {
         let data = STANDARD.decode(data).map_err(|e| damaged(path, format!("buffer {index}: {e}")))?;
         return Ok(Buffer::Memory(data));
     }
-    let name = unescaped(uri);
+    let name = percent_decode_str(uri).decode_utf8_lossy().into_owned();
     let inside = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
     if uri.contains("://") || name.contains(['\\', '\0']) || !Path::new(&name).components().all(inside) {
         let problem = format!("buffer {index}: {uri:?} leads out of the file's folder");
@@ -305,26 +306,6 @@ fn open_uri(path: &Path, index: usize, uri: &str) -> Result<Buffer> {
     let path = path.with_file_name(name);
     let (file, bytes) = regular_file::open(&path)?;
     Ok(Buffer::File { path, file, offset: 0, bytes })
-}
-
-/// Replaces `%20` and other escapes by their characters.
-fn unescaped(uri: &str) -> String {
-    let mut bytes = Vec::with_capacity(uri.len());
-    let mut rest = uri.as_bytes();
-    while let Some((&first, tail)) = rest.split_first() {
-        let code = tail.get(..2).and_then(|hex| u8::from_str_radix(std::str::from_utf8(hex).ok()?, 16).ok());
-        match (first, code) {
-            (b'%', Some(code)) => {
-                bytes.push(code);
-                rest = &tail[2..];
-            }
-            _ => {
-                bytes.push(first);
-                rest = tail;
-            }
-        }
-    }
-    String::from_utf8_lossy(&bytes).into_owned()
 }
 
 /// Largest stride in glTF, bytes.
