@@ -238,20 +238,14 @@ pub fn is_hidden(view: &View) -> Result<bool> {
 /// PSNR of a frame, clamped to [0, 1], against the visible pixels of the view's photo, dB.
 pub fn psnr(view: &View, frame: &Frame) -> Result<f64> {
     let photo = view.photo.photo()?.to_f32();
-    match view.photo.mask()? {
-        None => metrics::psnr(&frame.color, &photo),
-        Some(mask) => metrics::masked_psnr(&frame.color, &photo, &mask),
-    }
+    metrics::psnr(&frame.color, &photo, view.photo.mask()?.as_deref())
 }
 
 /// Same as [`psnr`], with SSIM and CC-PSNR.
 fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
     let photo = view.photo.photo()?.to_f32();
     let mask = view.photo.mask()?;
-    let ssim = match &mask {
-        None => metrics::ssim(&frame.color, &photo, frame.width)?,
-        Some(mask) => metrics::masked_ssim(&frame.color, &photo, mask, frame.width)?,
-    };
+    let ssim = metrics::ssim(&frame.color, &photo, mask.as_deref(), frame.width)?;
     let cc_psnr = metrics::cc_psnr(&frame.color, &photo, mask.as_deref())?;
     let name = view.name.clone();
     Ok(ViewResult { name, psnr: psnr(view, frame)?, ssim, cc_psnr, lpips: Vec::new(), frame_ms: None })

@@ -52,6 +52,7 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
         plan.tell_of_points(path);
     }
     plan.settle_frame(options.frame, points);
+    plan.settle_split(options);
     plan.tell_of_unused_files(path, options);
     plan.warn_of_strays();
     plan.warn_of_lenses();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
-use super::{Format, Header, Outline, ReadOptions, open, row_bytes, write_readable};
+use super::{Format, Header, Outline, ReadOptions, WriteOptions, open, row_bytes, write_readable};
 use crate::decimate::{self, decimate};
 use crate::host_memory;
 use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
@@ -199,14 +199,15 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     let unit = unit(0).filter(|own| (1..inputs.len()).all(|index| unit(index) == Some(*own)));
     let frame = WorldFrame { origin: to, unit: unit.unwrap_or(1.0) };
     let double_positions = headers.iter().any(|header| header.double_positions) && format == Format::Ply;
-    let outline =
-        Outline { count, sh_degree, antialiased, kernel_size, is_2dgs, bounds, frame, double_positions };
+    let spz_version = options.spz_version;
+    let options =
+        WriteOptions { format: Some(format), antialiased, kernel_size, is_2dgs, spz_version, frame };
+    let outline = Outline { count, sh_degree, options, bounds, double_positions };
     warnings.extend(format.origin_note(output, &outline));
-    let loss =
-        write_readable(output, (format, options.spz_version), &outline, &mut |sink| match kept.take() {
-            Some(all) => sink(all),
-            None => read(to, &mut |_, block| sink(block)).map(drop),
-        })?;
+    let loss = write_readable(output, format, &outline, &mut |sink| match kept.take() {
+        Some(all) => sink(all),
+        None => read(to, &mut |_, block| sink(block)).map(drop),
+    })?;
     warnings.extend(loss);
     Ok(Converted { inputs: headers, format, written: count, taken, sh_degree, warnings })
 }
