@@ -9,7 +9,7 @@ use ashsplat::scene::StoredPhoto;
 use ashsplat::vk::Context;
 use ashsplat::{Alignment, Camera, Error, Frame, Result, TrainSettings};
 use ashsplat_files::cameras_json::NamedCamera;
-use ashsplat_files::{Gallery, Photo, View, WeightsFile, metrics, regular_file};
+use ashsplat_files::{Gallery, Photo, View, lpips_weights, metrics, regular_file};
 use serde_json::{Map, Value, json};
 use std::borrow::{Borrow, Cow};
 use std::collections::{HashMap, HashSet};
@@ -333,7 +333,7 @@ fn right<T: Copy>(values: &[T], width: u32) -> Vec<T> {
 pub fn read_weights(files: &[PathBuf], host: &HostArguments) -> Result<Vec<Weights>> {
     let mut all: Vec<Weights> = Vec::new();
     for path in files {
-        let weights = Weights::read(path, &host.memory())?;
+        let weights = lpips_weights::read(path, &host.memory())?;
         if all.iter().any(|other| other.network == weights.network) {
             let problem = format!("has the weights of {} once more", weights.network.name());
             return Err(Error::input(path, problem, "give one file for each network"));
