@@ -38,10 +38,10 @@ impl Gallery {
     pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         let unpacked = Unpacked::open(path.as_ref(), progress)?;
         let open = || {
-            let mut plan = read::plan(unpacked.folder(), options)?;
+            let mut plan = read::plan(&unpacked.folder, options)?;
             plan.check_views()?;
             let mut views = std::mem::take(&mut plan.views).into_iter().collect::<Result<Vec<_>>>()?;
-            depths::plan(unpacked.folder(), (&mut views, plan.frame.unit), options, &mut plan.warnings)?;
+            depths::plan(&unpacked.folder, (&mut views, plan.frame.unit), options, &mut plan.warnings)?;
             Ok((plan, views))
         };
         let (mut plan, views) = open().map_err(|error| unpacked.name(error))?;
@@ -225,7 +225,7 @@ impl Gallery {
 
     /// The points that each training view shows; empty for data sets that do not say so, and for longer files of observations.
     pub(super) fn shown_points(&self, most_bytes: u64) -> Result<Vec<Option<Track>>> {
-        let folder = self.unpacked.folder();
+        let folder = &self.unpacked.folder;
         if !colmap::exists(folder) || self.plan.source.extension().is_some_and(|ending| ending == "json") {
             return Ok(Vec::new());
         }

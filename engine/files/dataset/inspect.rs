@@ -75,10 +75,10 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
         }
     };
     let named = |e: Error| unpacked.name(e).to_string();
-    let mut plan = match read::plan(unpacked.folder(), options) {
+    let mut plan = match read::plan(&unpacked.folder, options) {
         Ok(plan) => plan,
         Err(e) => {
-            report.model = colmap::find(unpacked.folder()).ok().map(|found| unpacked.named(&found.folder));
+            report.model = colmap::find(&unpacked.folder).ok().map(|found| unpacked.named(&found.folder));
             report.problem(named(e));
             return report;
         }

@@ -153,7 +153,7 @@ impl PlannedView {
         };
         let Decoded { mut photo, alpha, gamma, lease } = read_as(&self.photo_path, &request)?;
         let mut opacity = alpha.as_ref().filter(|_| keeps_opacity).map(|alpha| grey(own, alpha));
-        let alpha = alpha.map(|alpha| Mask::of_alpha(own.0, own.1, alpha));
+        let alpha = alpha.map(|values| Mask { width: own.0, height: own.1, values });
         let is_transparent = alpha.as_ref().is_some_and(Mask::hides);
         let mut mask = Mask::of_both(mask, alpha.filter(|_| self.alpha_is_mask));
         if lens.is_distorted() {

@@ -36,11 +36,6 @@ pub(crate) struct Header {
 }
 
 impl Header {
-    /// Header of a picture that is not rotated.
-    fn upright(stored: (u32, u32)) -> Self {
-        Self { stored, orientation: Orientation::NoTransforms }
-    }
-
     /// Not rotated if the metadata cannot be read.
     fn of(decoder: &mut impl ImageDecoder) -> Self {
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
@@ -356,7 +351,7 @@ fn read_png_rows(path: &Path, file: File, request: &Request<'_>) -> Result<Resul
     if interlaced || request.turned && header(path)?.has_orientation() {
         return Ok(Err(gamma));
     }
-    check_size(path, request, &Header::upright(size))?;
+    check_size(path, request, &Header { stored: size, orientation: Orientation::NoTransforms })?;
     if size.0.max(size.1) > MAX_IMAGE_SIDE {
         return Err(damaged(&format!("{}x{} pixels; {MAX_IMAGE_SIDE} a side are possible", size.0, size.1)));
     }
