@@ -1,10 +1,7 @@
 //! One picture of the scene in one of the modes, and its bytes.
 
-use super::cut;
-use super::lights::{self, PhotoLights, Places};
-use super::protocol::{Look, Mode, ViewRequest};
+use super::protocol::{Look, Mode};
 use ashsplat::kernels::constants::TILE_SIZE;
-use ashsplat::scene::WorldFrame;
 use ashsplat::{Camera, Error, Frame, Gaussians, PixelReport, RenderSettings, Result, TileReport, Trainer};
 use ashsplat_files::Photo;
 use ashsplat_program::light::Light;
@@ -13,7 +10,6 @@ use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use serde_json::{Value, json};
-use std::time::Instant;
 
 /// A page by its number, or its film.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -45,13 +41,9 @@ pub trait Painter {
     fn gaussians(&self) -> Result<Gaussians>;
     /// Frees the memory of pictures. The next picture allocates what it needs.
     fn shrink(&mut self);
-    /// Iterations of training so far.
-    fn iteration(&self) -> Option<u32> {
+    /// The training whose scene it is, if it is in training.
+    fn trainer(&self) -> Option<&Trainer> {
         None
-    }
-    /// Returns the current exposure and lens effects of a training view.
-    fn light(&self, _: Places) -> Result<Light> {
-        Ok(Light::default())
     }
     /// Sets the viewer of the next pictures.
     fn attend(&mut self, _: &Audience<'_>) {}
@@ -95,12 +87,8 @@ impl Painter for Trainer {
         self.shrink_pictures();
     }
 
-    fn iteration(&self) -> Option<u32> {
-        Some(Trainer::iteration(self))
-    }
-
-    fn light(&self, places: Places) -> Result<Light> {
-        lights::of_training(self, places)
+    fn trainer(&self) -> Option<&Trainer> {
+        Some(self)
     }
 }
 
@@ -164,34 +152,6 @@ pub fn draw(
         "gaussians": s.gaussians, "visible": s.visible, "instances": s.instances, "longest_tile": s.longest_tile,
     });
     Ok(Drawn { photo, legend, stats })
-}
-
-/// Answers a request for a frame: header and bytes.
-pub fn answer(
-    painter: &mut dyn Painter,
-    (base, lights, frame): (&RenderSettings, &PhotoLights, &WorldFrame),
-    request: &ViewRequest,
-) -> Result<(Value, Vec<u8>)> {
-    let camera = request.camera.camera()?;
-    let light = request.as_photo.map(|photo| lights.of(photo, painter)).transpose()?;
-    let start = Instant::now();
-    let drawn = draw(painter, &camera, base, &request.look, light)?;
-    let render_ms = start.elapsed().as_secs_f64() * 1e3;
-    let start = Instant::now();
-    let bytes = encode(&drawn.photo, request.look.quality)?;
-    let encode_ms = start.elapsed().as_secs_f64() * 1e3;
-    let settings = settings(base, &request.look);
-    let header = json!({
-        "seq": request.seq, "width": camera.width, "height": camera.height,
-        "format": if request.look.quality == 0 { "image/png" } else { "image/jpeg" },
-        "render_ms": render_ms, "encode_ms": encode_ms, "stats": drawn.stats, "legend": drawn.legend,
-        "iteration": painter.iteration(),
-        "tree": painter.tree(),
-        // Options and address that make the same cut of the file.
-        "convert": cut::options(&settings, frame),
-        "export": cut::query(&settings),
-    });
-    Ok((header, bytes))
 }
 
 /// Encodes a JPEG of quality 1 to 100, or a PNG for 0.
@@ -288,23 +248,4 @@ fn turbo(x: f32) -> [f32; 3] {
         polynomial([0.091_403, 2.194_188, 4.842_967, -14.185_034, 4.277_299, 2.829_566]),
         polynomial([0.106_673, 12.641_946, -60.582_05, 110.362_77, -89.903_11, 27.348_25]),
     ]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn colours_go_from_blue_to_red() {
-        let [low, middle, high] = [0.1, 0.5, 0.9].map(turbo);
-        assert!(low[2] > low[0] && middle[1] > middle[0] && high[0] > high[2], "{low:?} {middle:?} {high:?}");
-    }
-
-    #[test]
-    fn pictures_are_encoded() {
-        let photo = Photo { width: 5, height: 3, rgb: (0..45).collect() };
-        let png = encode(&photo, 0).expect("a PNG");
-        assert_eq!(image::load_from_memory(&png).expect("a picture").to_rgb8().into_raw(), photo.rgb);
-        assert_eq!(&encode(&photo, 80).expect("a JPEG")[..2], [0xFF, 0xD8]);
-    }
 }

@@ -50,7 +50,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Scope;
 use std::time::Duration;
-use streamed::Scenery;
+use streamed::{Onlooker, Scenery};
 use studio::Studio;
 use subject::Wanted;
 
@@ -148,7 +148,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     );
     std::thread::scope(|threads| {
         let stage = Stage { arguments, openings, hub: hub.clone(), site, stop: &stop };
-        let ended = stage.play(threads, name, out);
+        let ended = stage.play(threads, out);
         // Stops a scene that is still being read.
         stop.store(true, Ordering::Relaxed);
         if let Err(error) = &ended {
@@ -169,57 +169,42 @@ struct Stage<'a> {
 }
 
 impl<'a> Stage<'a> {
-    /// `name`: name of the first scene.
-    fn play<'scope>(
-        &self,
-        threads: &'scope Scope<'scope, 'a>,
-        name: Option<String>,
-        out: PathBuf,
-    ) -> Result<()>
+    fn play<'scope>(&self, threads: &'scope Scope<'scope, 'a>, out: PathBuf) -> Result<()>
     where
         'a: 'scope,
     {
         let (arguments, stop, hub) = (self.arguments, self.stop, &self.hub);
-        let mut loading = match (&arguments.path, name) {
-            (Some(path), Some(name)) => {
-                let read = move || arguments.load(path, None, stop);
-                Some(Loading::begin(threads, hub, name, read)?)
-            }
-            _ => None,
+        let begin = |wish: Wish| {
+            let (path, within) = (wish.path.clone(), wish.within.clone());
+            Loading::begin(threads, hub, wish, move || arguments.load(&path, within.as_deref(), stop))
         };
+        let wish =
+            |path: &PathBuf| Wish { path: path.clone(), name: path.display().to_string(), ..Wish::default() };
+        let mut loading = arguments.path.as_ref().map(wish).map(begin).transpose()?;
         // The device opens while the scene is read.
         let context = arguments.device.context()?;
         let mut scenery = Scenery::new(Renderer::new(&context)?);
         let mut studio = Studio::new(hub.clone(), RenderSettings::default(), out);
-        let first = match loading.take() {
-            Some(loading) => loading.finish()?,
-            None => Subject::nothing(),
-        };
+        let first = loading.take().map_or_else(|| Ok(Subject::nothing()), Loading::finish)?;
         self.show(first, &mut scenery, &mut studio)?;
         while !stop.load(Ordering::Relaxed) {
             if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
-                let (name, room) = (read.name().to_owned(), read.room());
-                let failed = match read.finish() {
-                    // The previous scene stays.
-                    Err(error) => Some(error),
-                    Ok(subject) => {
-                        // Commands name the file that the page has sent, not its copy here.
-                        let file = if room.is_some() { Some(PathBuf::from(&name)) } else { subject.file };
-                        let subject = Subject { name: name.clone(), file, ..subject };
-                        self.show(subject, &mut scenery, &mut studio).err()
-                    }
-                };
-                if let Some(error) = failed {
+                let (name, room) = (read.wish.name.clone(), read.wish.room());
+                let shown = read.finish().and_then(|subject| {
+                    // Commands name the file that the page has sent, not its copy here.
+                    let file = if room.is_some() { Some(PathBuf::from(&name)) } else { subject.file };
+                    let subject = Subject { name: name.clone(), file, ..subject };
+                    self.show(subject, &mut scenery, &mut studio)
+                });
+                // The previous scene stays.
+                if let Err(error) = shown {
                     hub.broadcast(&loading::failure(&name, &error, room.as_deref()));
                     studio::fatal(error)?;
                 }
             }
-            if loading.is_none()
-                && let Some(wish) = self.openings.as_ref().and_then(|openings| openings.take())
-            {
-                let Wish { path, name, within, upload, turn } = wish;
-                let read = move || arguments.load(&path, within.as_deref(), stop);
-                loading = Some(Loading::begin(threads, hub, name, read)?.keeping(turn, upload));
+            if loading.is_none() {
+                let wish = self.openings.as_ref().and_then(|openings| openings.take());
+                loading = wish.map(begin).transpose()?;
             }
             studio.serve(&mut scenery, REST)?;
         }
@@ -230,7 +215,12 @@ impl<'a> Stage<'a> {
     fn show(&self, subject: Subject, scenery: &mut Scenery, studio: &mut Studio) -> Result<()> {
         let mut greeting = subject.greeting(scenery.renderer.context().device_name(), None);
         greeting["open"] = self.openings.as_ref().map(|openings| openings.described()).into();
-        if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), self.hub.clone()) {
+        let hub = self.hub.clone();
+        let onlooker: Onlooker = Arc::new(move |problem: Option<String>| match problem {
+            None => hub.renew(),
+            Some(problem) => hub.broadcast(&ToPage::problem(&problem)),
+        });
+        if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), onlooker) {
             // The previous scene is already gone.
             self.show(Subject::nothing(), scenery, studio)?;
             return Err(error);

@@ -190,20 +190,3 @@ fn encode(photo: &Photo, size: Size) -> Result<Vec<u8>> {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_is_kept_is_bounded() {
-        let kept = Kept::new(1000);
-        let mut kept = kept.lock().expect("sound");
-        (0..50).for_each(|index| kept.add(index, Arc::new(vec![0; 300])));
-        assert_eq!(kept.photos.iter().map(|(index, _)| *index).collect::<Vec<_>>(), [47, 48, 49]);
-        assert!(kept.find(49).is_some() && kept.find(0).is_none());
-        // A photo larger than the limit is kept alone.
-        kept.add(50, Arc::new(vec![0; 5000]));
-        assert!(kept.find(50).is_some() && kept.photos.len() == 1);
-    }
-}

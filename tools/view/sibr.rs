@@ -218,28 +218,6 @@ fn read_until(mut stream: &TcpStream, mut buffer: &mut [u8], end: Instant) -> io
 mod tests {
     use super::*;
 
-    /// SIBR's form of a camera gives the same camera again.
-    #[test]
-    fn cameras_arrive() {
-        let intrinsics = Intrinsics::from_fov_x(0.9, 64, 48);
-        let camera = Camera::look_at(Vec3::new(1.0, -2.0, -3.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
-        let r = camera.camera_from_world;
-        let t = camera.translation;
-        let column = |j: usize| [r.col(j).x, -r.col(j).y, -r.col(j).z, 0.0];
-        let matrix = [column(0), column(1), column(2), [t.x, -t.y, -t.z, 1.0]].concat();
-        let fov_y = 2.0 * (0.5 * 48.0 / camera.fy).atan();
-        let text = serde_json::json!({
-            "resolution_x": 64, "resolution_y": 48, "fov_x": 0.9, "fov_y": fov_y, "z_near": 0.01, "z_far": 100.0,
-            "train": 1, "shs_python": false, "rot_scale_python": false, "keep_alive": 0, "scaling_modifier": 1.0,
-            "view_matrix": matrix, "view_projection_matrix": vec![0.0; 16],
-        });
-        let message: Message = serde_json::from_value(text).expect("a message");
-        assert!(message.train && !message.keep_alive);
-        let arrived = message.camera().expect("sound").expect("a camera");
-        assert!(arrived.camera_from_world.abs_diff_eq(r, 1e-6) && arrived.translation.abs_diff_eq(t, 1e-6));
-        assert!((arrived.fx - camera.fx).abs() < 1e-3 && (arrived.fy - camera.fy).abs() < 1e-3);
-    }
-
     /// A silent viewer that has paused the training is given up: training continues, and the next viewer is admitted.
     #[test]
     fn silent_viewers_are_given_up() {

@@ -63,8 +63,8 @@ async fn take_in(site: &Site, name: &str, headers: &HeaderMap, body: &mut Body) 
     let length = headers.get(header::CONTENT_LENGTH).and_then(|text| text.to_str().ok()?.parse().ok());
     let length =
         length.ok_or_else(|| refusal(StatusCode::LENGTH_REQUIRED, "the file's length is missing"))?;
-    if length > openings.most_bytes() {
-        let most = openings.most_bytes();
+    let most = openings.most_bytes;
+    if length > most {
         let problem = format!("{name}: has {length} bytes; reading may take {most} (--max-host-memory)");
         return Err(refusal(StatusCode::PAYLOAD_TOO_LARGE, &problem));
     }
@@ -73,7 +73,7 @@ async fn take_in(site: &Site, name: &str, headers: &HeaderMap, body: &mut Body) 
     let path = folder.path().join(plain(name, format));
     receive(body, &path, length).await?;
     let name = name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
-    openings.ask(Wish { path, name, within: None, upload: Some(folder), turn });
+    openings.ask(Wish { path, name, within: None, upload: Some(folder), turn: Some(turn) });
     Ok(())
 }
 
@@ -104,7 +104,7 @@ pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Result<Sta
     let (path, folder) = found.map_err(|problem| refusal(StatusCode::NOT_FOUND, &problem))?;
     let within = Some(folder.to_owned());
     let turn = openings.turn().ok_or_else(occupied)?;
-    openings.ask(Wish { path, name: name.to_owned(), within, upload: None, turn });
+    openings.ask(Wish { path, name: name.to_owned(), within, upload: None, turn: Some(turn) });
     Ok(StatusCode::ACCEPTED)
 }
 
@@ -202,21 +202,5 @@ mod tests {
         assert_eq!(got(&mut Body::from("ply"), 4), Err(StatusCode::BAD_REQUEST));
         // Draining does not wait for its end either.
         runtime.block_on(drain(&mut silent));
-    }
-
-    #[test]
-    fn names_stay_in_their_folder() {
-        for (name, expected) in [
-            ("a.PLY", "a.ply"),
-            ("my scene.compressed.ply", "my_scene.compressed.ply"),
-            ("../../etc/x.spz", "______etc_x.spz"),
-            ("\u{e4}\u{0}/.ply", "___.ply"),
-            (".ply", ".ply"),
-        ] {
-            let format = Format::of_extension(name).expect("a format");
-            assert_eq!(plain(name, format), expected, "{name}");
-        }
-        let long = plain(&format!("{}.glb", "x".repeat(5000)), Format::Glb);
-        assert_eq!(long.len(), LONGEST_STEM + 4);
     }
 }

@@ -4,7 +4,6 @@ use super::super::draw;
 use super::super::protocol::{self, CameraMessage, Look, Mode};
 use super::super::studio::fatal;
 use super::super::subject::Subject;
-use super::Bell;
 use super::comparison::Comparison;
 use super::keys::Action;
 use super::navigation::Navigation;
@@ -22,7 +21,6 @@ use glam::DVec3;
 use serde_json::Value;
 use std::collections::VecDeque;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
 /// Modes in the page's order; the processor colours the last three.
@@ -48,7 +46,6 @@ struct Pending {
 
 pub struct Stage {
     picture: Picture,
-    bell: Arc<Bell>,
     pub view: Navigation,
     pub pace: Pace,
     mode: usize,
@@ -82,12 +79,7 @@ pub struct Stage {
 }
 
 impl Stage {
-    pub fn new(
-        subject: Subject,
-        (picture, bell): (Picture, Arc<Bell>),
-        device: &str,
-        out: PathBuf,
-    ) -> Result<Stage> {
+    pub fn new(subject: Subject, picture: Picture, device: &str, out: PathBuf) -> Result<Stage> {
         let greeting = subject.greeting(device, None);
         let triple = |key: &str| {
             let values: Option<[f64; 3]> = serde_json::from_value(greeting[key].clone()).ok();
@@ -101,7 +93,6 @@ impl Stage {
         let view = Navigation::new(center, triple("up"), greeting["radius"].as_f64().unwrap_or(1.0));
         let mut stage = Stage {
             picture,
-            bell,
             view,
             pace: Pace::new(),
             mode: 0,
@@ -189,10 +180,10 @@ impl Stage {
     }
 
     /// Exposure and lens effects for the picture, if the view is exactly a photo's.
-    fn photo_light(&mut self) -> Result<Option<(Camera, Light)>> {
+    fn photo_light(&self) -> Result<Option<(Camera, Light)>> {
         let lit = self.lit && self.mode == 0 && self.view.is_photo();
         let photo = self.current.filter(|photo| lit && self.subject.lights.has(*photo));
-        photo.map(|photo| self.subject.lights.of(photo, self.picture.painter())).transpose()
+        photo.map(|photo| self.subject.lights.of(photo, None)).transpose()
     }
 
     /// Closes help, photo and list of Gaussians. True if any was open.
@@ -288,14 +279,6 @@ impl Stage {
             Err(error) => self.complain(error)?,
         }
         Ok(())
-    }
-
-    /// Handles the bell: a tile has arrived, or there is a message.
-    pub fn renew(&mut self, busy: bool) {
-        if let Some(problem) = self.bell.said() {
-            self.say(problem);
-        }
-        self.pace.renew(busy);
     }
 
     /// Returns the next frame to draw.
