@@ -150,11 +150,6 @@ pub fn changing_view(number: u32) -> Camera {
 }
 
 #[test]
-fn a_thousand_frames_of_changing_size_take_no_memory() {
-    with_guest(|host, context| draw_a_thousand(host, &context, |_| ()));
-}
-
-#[test]
 fn a_frame_without_room_says_what_it_needs() {
     with_guest(|host, context| {
         let (gaussians, camera) = (cloud(800, 9), camera(0.2, 96, 96));

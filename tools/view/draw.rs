@@ -2,14 +2,16 @@
 
 use super::protocol::{Look, Mode};
 use ashsplat::kernels::constants::TILE_SIZE;
-use ashsplat::{Camera, Error, Frame, Gaussians, PixelReport, RenderSettings, Result, TileReport, Trainer};
+use ashsplat::{
+    Camera, Error, Frame, FrameStats, Gaussians, PixelReport, RenderSettings, Result, TileReport, Trainer,
+};
 use ashsplat_files::Photo;
 use ashsplat_program::light::Light;
 use ashsplat_program::output::{self, Depth};
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
-use serde_json::{Value, json};
+use serde_json::Value;
 
 /// A page by its number, or its film.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -96,7 +98,7 @@ pub struct Drawn {
     pub photo: Photo,
     /// Values of the lowest and the highest colour, in the mode's unit.
     pub legend: Option<[f32; 2]>,
-    pub stats: Value,
+    pub stats: FrameStats,
 }
 
 /// Render settings for a look.
@@ -147,11 +149,7 @@ pub fn draw(
             (frame, photo, Some(legend))
         }
     };
-    let s = &frame.stats;
-    let stats = json!({
-        "gaussians": s.gaussians, "visible": s.visible, "instances": s.instances, "longest_tile": s.longest_tile,
-    });
-    Ok(Drawn { photo, legend, stats })
+    Ok(Drawn { photo, legend, stats: frame.stats })
 }
 
 /// Encodes a JPEG of quality 1 to 100, or a PNG for 0.

@@ -18,7 +18,6 @@ use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
-use viewers::Viewer;
 
 pub use viewers::Wishes;
 
@@ -147,25 +146,28 @@ pub fn serve(listener: TcpListener, hub: Arc<Hub>, source: String) -> Result<(So
 
 /// Serves a viewer on its own thread, so that it waits for no other.
 fn admit(stream: TcpStream, hub: &Arc<Hub>, source: &str, wishes: &Arc<Wishes>) -> io::Result<()> {
-    let Some(viewer) = wishes.admit(stream) else { return Ok(()) };
-    let (hub, source, shared, own) = (hub.clone(), source.to_owned(), wishes.clone(), viewer.clone());
+    let stream = Arc::new(stream);
+    if !wishes.admit(&stream) {
+        return Ok(());
+    }
+    let (hub, source, shared, own) = (hub.clone(), source.to_owned(), wishes.clone(), stream.clone());
     let serve = move || {
         // A closed or malformed connection ends itself only.
-        converse(&own, &hub, &source).ok();
+        converse(&own, &hub, &shared, &source).ok();
         shared.leave(&own);
     };
     let started = std::thread::Builder::new().name("network viewer".into()).spawn(serve);
-    started.map(drop).inspect_err(|_| wishes.leave(&viewer))
+    started.map(drop).inspect_err(|_| wishes.leave(&stream))
 }
 
-fn converse(viewer: &Viewer, hub: &Hub, source: &str) -> io::Result<()> {
-    let mut stream = viewer.stream();
+fn converse(own: &Arc<TcpStream>, hub: &Hub, wishes: &Wishes, source: &str) -> io::Result<()> {
+    let mut stream: &TcpStream = own;
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(SILENCE))?;
     let mut pace = Pace::new();
     loop {
         let message = read_message(stream)?;
-        viewer.speaks(message.train, message.keep_alive);
+        wishes.speaks(own, message.train, message.keep_alive);
         if let Some(camera) = message.camera()? {
             let (answer, picture) = mpsc::sync_channel(1);
             let scale = message.scaling_modifier.max(0.0);
@@ -178,7 +180,7 @@ fn converse(viewer: &Viewer, hub: &Hub, source: &str) -> io::Result<()> {
         let length = u32::try_from(source.len()).map_err(|_| bad("a path too long"))?;
         stream.write_all(&length.to_le_bytes())?;
         stream.write_all(source.as_bytes())?;
-        viewer.is_answered();
+        wishes.is_answered(own);
         pace.spend(source.len());
         std::thread::sleep(pace.wait());
     }

@@ -112,10 +112,14 @@ impl Studio {
         let bytes = draw::encode(&drawn.photo, request.look.quality)?;
         let encode_ms = start.elapsed().as_secs_f64() * 1e3;
         let settings = draw::settings(&self.base, &request.look);
+        let s = &drawn.stats;
+        let stats = json!({
+            "gaussians": s.gaussians, "visible": s.visible, "instances": s.instances, "longest_tile": s.longest_tile,
+        });
         let header = json!({
             "seq": request.seq, "width": camera.width, "height": camera.height,
             "format": if request.look.quality == 0 { "image/png" } else { "image/jpeg" },
-            "render_ms": render_ms, "encode_ms": encode_ms, "stats": drawn.stats, "legend": drawn.legend,
+            "render_ms": render_ms, "encode_ms": encode_ms, "stats": stats, "legend": drawn.legend,
             "iteration": painter.trainer().map(Trainer::iteration), "tree": painter.tree(),
             // Options and address that make the same cut of the file.
             "convert": cut::options(&settings, &self.frame),

@@ -227,22 +227,25 @@ impl Subject {
         })
     }
 
-    /// First message to a page.
-    pub fn greeting(&self, device: &str, training: Option<u32>) -> Value {
+    /// The orbit that shows the scene, and the camera of the first picture.
+    pub fn first_view(&self) -> (Orbit, Option<Camera>) {
         let [width, height] = START_SIZE;
         let intrinsics = Intrinsics::from_fov_x(1.0, width, height);
         let cameras: Vec<Camera> = self.cameras.iter().map(|named| named.camera).collect();
+        let middle = self.gaussians.statistics().central_bounds.map(|bounds| bounds.center());
+        let orbit = Orbit::around_scene(&cameras, middle, 1, intrinsics)
+            .unwrap_or_else(|| orbit_around(&self.gaussians, self.up.unwrap_or(Vec3::NEG_Y), 1, intrinsics));
+        let first = without_strays(&cameras, Camera::position).first().copied();
+        let start = first.or_else(|| orbit.cameras().first().copied());
+        (Orbit { up: self.up.unwrap_or(orbit.up), ..orbit }, start)
+    }
+
+    /// First message to a page.
+    pub fn greeting(&self, device: &str, training: Option<u32>) -> Value {
+        let (orbit, start) = self.first_view();
         let statistics = self.gaussians.statistics();
         let tree = self.tree.as_ref();
         let corners = |bounds: Bounds| json!([bounds.min.to_array(), bounds.max.to_array()]);
-        let middle = statistics.central_bounds.map(|bounds| bounds.center());
-        let orbit = Orbit::around_scene(&cameras, middle, 1, intrinsics);
-        let up = self.up.unwrap_or(Vec3::NEG_Y);
-        let orbit = orbit.unwrap_or_else(|| orbit_around(&self.gaussians, up, 1, intrinsics));
-        let start = without_strays(&cameras, Camera::position)
-            .first()
-            .copied()
-            .or_else(|| orbit.cameras().first().copied());
         let names: Vec<&str> = self.cameras.iter().map(|named| named.name.as_str()).collect();
         let photo = |(index, (named, label)): (usize, (&NamedCamera, String))| {
             let camera = CameraMessage::of(&named.camera);
@@ -261,7 +264,7 @@ impl Subject {
             "gaussians": tree.map_or(self.gaussians.len(), |tree| tree.tree.gaussians()),
             "tree": tree.map(|tree| json!({ "budget": tree.budget, "least": self.gaussians.len() })),
             "sh_degree": self.gaussians.sh_degree,
-            "bounds": tree.and_then(Streamed::bounds).or(statistics.bounds).map(corners),
+            "bounds": tree.and_then(|tree| Some(tree.tree.tiles().first()?.bounds)).or(statistics.bounds).map(corners),
             "central_bounds": statistics.central_bounds.map(corners),
             "densities": statistics.density_percentiles,
             "stem": self.stem(),
@@ -273,21 +276,12 @@ impl Subject {
             "has_photos": self.photos.is_some(),
             "start": start.map(|camera| CameraMessage::of(&camera)),
             "pivot": orbit.center.to_array(),
-            "up": self.up.unwrap_or(orbit.up).to_array(),
+            "up": orbit.up.to_array(),
             "radius": orbit.radius,
             "training": training,
         })
     }
-}
 
-impl Streamed {
-    /// Bounds of the whole tree.
-    fn bounds(&self) -> Option<Bounds> {
-        self.tree.tiles().first().map(|tile| tile.bounds)
-    }
-}
-
-impl Subject {
     /// The scene's name without its ending, for new files.
     fn stem(&self) -> String {
         let name = Path::new(&self.name).file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -57,7 +57,7 @@ pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result
     let onlooker = move |problem: Option<String>| drop(locked(&wake).send_event(problem));
     scenery.show(&subject.gaussians, subject.tree.as_ref(), Arc::new(onlooker))?;
     let picture = Picture::new(scenery, subject.gaussians.sh_degree)?;
-    let stage = Stage::new(subject, picture, context.device_name(), out)?;
+    let stage = Stage::new(subject, picture, context.device_name(), out);
     let mut app = App::new(stage, context.clone(), stop, !arguments.no_vsync);
     say!("window on {}; ? lists the keys", context.device_name());
     let ended = events.run_app(&mut app).map_err(|error| present::unfit(&error.to_string()));

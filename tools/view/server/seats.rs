@@ -205,14 +205,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn descriptors_are_kept_in_reserve() {
-        assert_eq!(Limits::within(usize::MAX).total, MOST);
-        assert_eq!(Limits::within(RESERVE + 20).total, 20);
-        assert_eq!(Limits::within(3).total, LEAST);
-        assert!(free_descriptors() > 0);
-    }
-
-    #[test]
     fn who_waits_for_the_program_stays() {
         let stall = Duration::from_millis(300);
         let seats = Seats::new(Limits { total: 2, per_peer: 2, headers: stall, stall });

@@ -1,7 +1,7 @@
 //! State of the window: view, mode, photo, text.
 
 use super::super::draw;
-use super::super::protocol::{self, CameraMessage, Look, Mode};
+use super::super::protocol::{self, Look, Mode};
 use super::super::studio::fatal;
 use super::super::subject::Subject;
 use super::comparison::Comparison;
@@ -13,12 +13,11 @@ use super::present::Present;
 use super::text::{Overlay, Text, text};
 use super::words::{self, Measured};
 use ashsplat::scene::Camera;
-use ashsplat::{Error, Gaussians, PixelReport, RenderSettings, Result};
+use ashsplat::{Error, FrameStats, Gaussians, PixelReport, RenderSettings, Result};
 use ashsplat_files::Photo;
 use ashsplat_program::light::Light;
 use ashsplat_program::output;
 use glam::DVec3;
-use serde_json::Value;
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
@@ -79,18 +78,10 @@ pub struct Stage {
 }
 
 impl Stage {
-    pub fn new(subject: Subject, picture: Picture, device: &str, out: PathBuf) -> Result<Stage> {
-        let greeting = subject.greeting(device, None);
-        let triple = |key: &str| {
-            let values: Option<[f64; 3]> = serde_json::from_value(greeting[key].clone()).ok();
-            values.map_or(DVec3::ZERO, DVec3::from_array)
-        };
-        let start = match &greeting["start"] {
-            Value::Null => None,
-            message => serde_json::from_value::<CameraMessage>(message.clone()).ok(),
-        };
-        let center = triple("pivot");
-        let view = Navigation::new(center, triple("up"), greeting["radius"].as_f64().unwrap_or(1.0));
+    pub fn new(subject: Subject, picture: Picture, device: &str, out: PathBuf) -> Stage {
+        let (orbit, start) = subject.first_view();
+        let center = orbit.center.as_dvec3();
+        let view = Navigation::new(center, orbit.up.as_dvec3(), f64::from(orbit.radius));
         let mut stage = Stage {
             picture,
             view,
@@ -98,7 +89,7 @@ impl Stage {
             mode: 0,
             lit: false,
             device: device.to_owned(),
-            start: start.map(|message| message.camera()).transpose()?,
+            start,
             center,
             unit: subject.frame.unit as f32,
             subject: Subject { gaussians: Gaussians::default(), ..subject },
@@ -119,7 +110,7 @@ impl Stage {
             message: None,
         };
         stage.home();
-        Ok(stage)
+        stage
     }
 
     /// The last part of the scene's name.
@@ -321,7 +312,13 @@ impl Stage {
                     if report.overflow {
                         self.pace.leap();
                     }
-                    self.measured.take(report);
+                    self.measured.stats = FrameStats {
+                        gaussians: report.gaussians,
+                        visible: report.visible,
+                        instances: report.instances_needed,
+                        scopes: report.scopes,
+                        ..FrameStats::default()
+                    };
                 }
                 Ok(None) => {}
                 Err(error) => self.complain(error)?,
@@ -397,7 +394,8 @@ impl Stage {
         let unit = if MODES[self.mode] == Mode::Depth { self.unit } else { 1.0 };
         let legend = drawn.legend.map(|ends| ends.map(|end| end * unit));
         let milliseconds = self.measured.milliseconds;
-        self.measured = Measured { milliseconds, legend, ..Measured::told(&drawn.stats) };
+        let stats = FrameStats { scopes: Vec::new(), ..drawn.stats };
+        self.measured = Measured { milliseconds, legend, stats, ..Measured::default() };
         Ok(Some(drawn.photo))
     }
 
