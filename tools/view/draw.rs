@@ -124,30 +124,21 @@ pub fn draw(
     light: Option<(Camera, Light)>,
 ) -> Result<Drawn> {
     let settings = settings(base, look);
-    let (frame, photo, legend) = match look.mode {
-        Mode::Splats | Mode::Centres => {
-            let mut frame = painter.render(camera, &settings)?;
-            if let (Mode::Splats, Some((taken, light))) = (look.mode, &light) {
-                light.apply_as_taken(taken, camera, &mut frame);
-            }
-            let photo = output::to_photo(&frame)?;
-            (frame, photo, None)
-        }
-        Mode::Ellipsoids => {
-            let frame = painter.render(camera, &settings)?;
-            let photo = outlined(&frame)?;
-            (frame, photo, None)
-        }
-        Mode::Depth => {
-            let frame = painter.render(camera, &settings)?;
-            let (photo, legend) = depth_picture(&frame)?;
-            (frame, photo, legend)
-        }
+    let (mut frame, tiles) = match look.mode {
         Mode::Tiles => {
             let (frame, tiles) = painter.render_with_tiles(camera, &settings)?;
-            let (photo, legend) = tile_picture(&frame, &tiles)?;
-            (frame, photo, Some(legend))
+            (frame, Some(tiles))
         }
+        _ => (painter.render(camera, &settings)?, None),
+    };
+    if let (Mode::Splats, Some((taken, light))) = (look.mode, &light) {
+        light.apply_as_taken(taken, camera, &mut frame);
+    }
+    let (photo, legend) = match (look.mode, tiles) {
+        (Mode::Ellipsoids, _) => (outlined(&frame)?, None),
+        (Mode::Depth, _) => depth_picture(&frame)?,
+        (_, Some(tiles)) => tile_picture(&frame, &tiles)?,
+        (_, None) => (output::to_photo(&frame)?, None),
     };
     Ok(Drawn { photo, legend, stats: frame.stats })
 }
@@ -155,18 +146,13 @@ pub fn draw(
 /// Encodes a JPEG of quality 1 to 100, or a PNG for 0.
 pub fn encode(photo: &Photo, quality: u8) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    let (width, height) = (photo.width, photo.height);
-    let written =
-        match quality {
-            0 => PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
-                .write_image(&photo.rgb, width, height, ExtendedColorType::Rgb8),
-            quality => JpegEncoder::new_with_quality(&mut bytes, quality.min(100)).write_image(
-                &photo.rgb,
-                width,
-                height,
-                ExtendedColorType::Rgb8,
-            ),
-        };
+    let (width, height, color) = (photo.width, photo.height, ExtendedColorType::Rgb8);
+    let written = match quality {
+        0 => PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
+            .write_image(&photo.rgb, width, height, color),
+        quality => JpegEncoder::new_with_quality(&mut bytes, quality.min(100))
+            .write_image(&photo.rgb, width, height, color),
+    };
     written.map_err(|e| Error::argument("picture", format!("cannot be encoded: {e}")))?;
     Ok(bytes)
 }
@@ -222,7 +208,7 @@ fn depth_picture(frame: &Frame) -> Result<(Photo, Option<[f32; 2]>)> {
 }
 
 /// Colours each tile by its number of entries (logarithmic), over a dark picture.
-fn tile_picture(frame: &Frame, tiles: &TileReport) -> Result<(Photo, [f32; 2])> {
+fn tile_picture(frame: &Frame, tiles: &TileReport) -> Result<(Photo, Option<[f32; 2]>)> {
     let most = tiles.entries.iter().copied().max().unwrap_or(0).max(1);
     let scale = 1.0 / (1.0 + most as f32).ln();
     let mut color = frame.color.clone();
@@ -234,7 +220,7 @@ fn tile_picture(frame: &Frame, tiles: &TileReport) -> Result<(Photo, [f32; 2])> 
         let line = if x.is_multiple_of(TILE_SIZE) || y.is_multiple_of(TILE_SIZE) { 0.7 } else { 1.0 };
         *pixel = heat.map(|channel| line * (0.62 * channel + 0.38 * gray));
     }
-    Ok((Photo::from_f32(frame.width, frame.height, &color)?, [0.0, most as f32]))
+    Ok((Photo::from_f32(frame.width, frame.height, &color)?, Some([0.0, most as f32])))
 }
 
 /// Turbo (Mikhailov 2019), polynomial approximation; 0 is dark blue, 1 dark red.

@@ -32,9 +32,8 @@ pub use photos::Photos;
 pub use subject::Subject;
 
 use ashsplat::{Error, RenderSettings, Renderer, Result};
-use ashsplat_files::splats::Target;
 use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_VIEWER};
-use ashsplat_program::look::{LookArguments, parse_direction, parse_target};
+use ashsplat_program::look::{LookArguments, parse_direction};
 use ashsplat_program::{output, session};
 use clap::Args;
 use glam::Vec3;
@@ -52,7 +51,7 @@ use std::thread::Scope;
 use std::time::Duration;
 use streamed::{Onlooker, Scenery};
 use studio::Studio;
-use subject::Wanted;
+use subject::SceneArguments;
 
 /// Look at a scene, a trained model, a tree of tiles or a data set in a browser, also on a machine without a screen; or in a window.
 ///
@@ -65,19 +64,8 @@ pub struct Arguments {
     /// page takes files that are dropped on it, and paths in this folder or below]
     #[arg(value_name = "PATH")]
     path: Option<PathBuf>,
-    /// Photos and cameras of this data set [default: that of the training]
-    #[arg(short, long, value_name = "DATASET")]
-    source_path: Option<PathBuf>,
-    /// Folder of the photos within the data set [default: as in training, else images]
-    #[arg(short, long, value_name = "NAME")]
-    images: Option<String>,
-    /// Iteration of the model folder's PLY [default: what was saved last]
-    #[arg(long, value_name = "N")]
-    iteration: Option<u32>,
-    /// Gaussians of a picture, at most, of a folder of tiles: the tiles whose error is largest in pixels are the finest
-    /// [default: 1000000; pages can change it]
-    #[arg(long, value_name = "N|N%", value_parser = parse_target)]
-    budget: Option<Target>,
+    #[command(flatten)]
+    scene: SceneArguments,
     /// Up in the pictures [default: as the cameras have it, without any 0,-1,0]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_direction)]
     up: Option<Vec3>,
@@ -242,10 +230,7 @@ impl Arguments {
     }
 
     fn load(&self, path: &Path, within: Option<&Path>, stop: &AtomicBool) -> Result<Subject> {
-        let source = self.source_path.as_deref();
-        let (images, budget) = (self.images.as_deref(), self.budget);
-        let wanted = Wanted { iteration: self.iteration, source, images, within, budget };
-        let subject = Subject::load(path, &wanted, &self.look, &self.device.host, stop)?;
+        let subject = Subject::load(path, within, &self.scene, &self.look, &self.device.host, stop)?;
         Ok(Subject { up: self.up, ..subject })
     }
 

@@ -8,7 +8,7 @@ use axum::extract::{Path as UrlPath, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use hyper::body::{Body as _, Frame};
-use serde::Deserialize;
+use serde_json::Value;
 use std::fs::File;
 use std::future::poll_fn;
 use std::io::Write;
@@ -84,12 +84,6 @@ fn plain(name: &str, format: Format) -> String {
     format!("{}{}", stem.chars().map(letter).take(LONGEST_STEM).collect::<String>(), format.extension())
 }
 
-/// A path that a page names.
-#[derive(Deserialize)]
-struct Named {
-    path: String,
-}
-
 /// `POST /open` with `{"path": "…"}`.
 pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Result<StatusCode, Response> {
     let openings = site.openings.as_ref().ok_or_else(not_here)?;
@@ -97,9 +91,9 @@ pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Result<Sta
         return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a path as application/json"));
     }
     let told = tokio::time::timeout(GRACE, to_bytes(request.into_body(), LONGEST_MESSAGE)).await;
-    let told = told.ok().and_then(Result::ok).and_then(|bytes| serde_json::from_slice::<Named>(&bytes).ok());
-    let told = told.ok_or_else(|| refusal(StatusCode::BAD_REQUEST, "expected {\"path\": \"…\"}"))?;
-    let name = told.path.trim();
+    let told = told.ok().and_then(Result::ok).and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok());
+    let name = told.as_ref().and_then(|told| told["path"].as_str()).map(str::trim);
+    let name = name.ok_or_else(|| refusal(StatusCode::BAD_REQUEST, "expected {\"path\": \"…\"}"))?;
     let found = openings.find(name);
     let (path, folder) = found.map_err(|problem| refusal(StatusCode::NOT_FOUND, &problem))?;
     let within = Some(folder.to_owned());

@@ -198,14 +198,10 @@ impl Stage {
         let named = &self.subject.cameras[index];
         self.view.take(&named.camera, true);
         let name = named.name.clone();
-        let photo = self.subject.photos.as_ref().map(|photos| photos.decoded_now(index));
-        let (photo, problem) = match photo {
-            Some(Ok(photo)) => (Some(photo), None),
-            Some(Err(error)) => (None, Some(error.to_string())),
-            None => (None, None),
-        };
+        let photo = self.subject.photos.as_ref().map(|photos| photos.decoded_now(index)).transpose();
+        let (photo, said) = photo.map_or_else(|error| (None, error.to_string()), |photo| (photo, name));
         self.comparison = photo.map(Comparison::new);
-        self.say(problem.unwrap_or(name));
+        self.say(said);
     }
 
     /// Border between photo and render, pixels from the left; none if no photo is shown.
