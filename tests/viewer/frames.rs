@@ -140,7 +140,7 @@ fn viewer_complains_of_nonsense_and_goes_on() {
         (film(1, 0, 1, 9), "keys"),
         (film(2, 1_000_000_000, 1, 9), "the most"),
         (film(2, 1, 0, 9), "frames per second"),
-        (film(2, 1, 1, 0), "width"),
+        (film(2, 1, 1, 0), "0x9"),
     ];
     for (message, word) in cases {
         page.send(&message);

@@ -94,7 +94,7 @@ pub struct AshsplatPose {
 }
 
 impl AshsplatPose {
-    fn pose(&self) -> Pose {
+    pub(super) fn pose(&self) -> Pose {
         pose_of(&self.world_from_object, self.translation, self.scale)
     }
 }
