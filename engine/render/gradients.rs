@@ -1,6 +1,6 @@
 //! Differentiable rendering: the gradient of any function of the image with respect to all parameters.
 
-use super::renderer::{Renderer, check_one, no_scene};
+use super::renderer::Renderer;
 use super::runner::{Failed, Request};
 use crate::error::{Error, Result};
 use crate::frame::{FrameVariant, RenderSettings, SceneBuffers, planes};
@@ -79,8 +79,7 @@ impl Renderer {
                 "gradients are those of the Gaussians as they are: no other shape, no scale modifier";
             return Err(Error::argument("settings", problem));
         }
-        check_one(&self.runner, "gradients are")?;
-        let scene = self.scene.clone().ok_or_else(no_scene)?;
+        let scene = self.only_scene("gradients are")?;
         let sh_degree = scene.active_degree(settings);
         let variant = FrameVariant::of(settings, camera, true);
         let pose_gradient = match with_pose {
@@ -94,10 +93,7 @@ impl Renderer {
             }
         };
         self.backward.prepare_expand(sh_degree)?;
-        let border = match &mut self.border {
-            Some(border) => border,
-            none => none.insert(PixelBorder::new(&self.context)?),
-        };
+        let border = PixelBorder::new(&self.context)?;
         let count = u64::from(scene.count);
         let planes = planes::allocate(&self.context, "gradients", &scene.plan)?;
         let target = (0..pixels).map(|i| {
@@ -121,7 +117,8 @@ impl Renderer {
             unreachable!("one buffer per request")
         };
         self.context.upload(target_rows, target)?;
-        let request = Request { scene: &scene, camera, pose: None, settings, sh_degree, backward: true };
+        let request =
+            Request { scene: &scene, frozen: &[], camera, pose: None, settings, sh_degree, backward: true };
         let backward = &self.backward;
         let ran = self.runner.run(&request, |r, inputs| {
             r.barrier();

@@ -6,10 +6,12 @@ use super::poses::Poses;
 use super::schedule::TrainingRun;
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
-use crate::frame::{FrameCapacity, PictureCapacity, RenderSettings, SceneBuffers, ScenePlan, planes};
+use crate::frame::{
+    FrameCapacity, PictureCapacity, RenderSettings, SceneBuffers, ScenePlan, gaussians_with, planes,
+};
 use crate::passes::adam::Moments;
 use crate::passes::densify::{Curve, Densify, EdgePhoto, Gather, Importance, ImportanceBuffers, RandomKey};
-use crate::render::{Failed, FrameRunner, FrameStore, Request};
+use crate::render::{Failed, FrameRunner, Renderer, Request, frozen_capacity};
 use crate::scene::Camera;
 use crate::scene::camera::middle;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
@@ -20,7 +22,8 @@ pub struct Population<'a> {
     pub(super) run: &'a TrainingRun,
     pub(super) rows: &'a RowMemory,
     pub(super) runner: &'a mut FrameRunner,
-    pub(super) pictures: &'a mut FrameStore,
+    pub(super) pictures: &'a mut Renderer,
+    pub(super) frozen: &'a [SceneBuffers],
     pub(super) model: &'a mut Model,
     pub(super) photos: &'a Photos,
     /// None unless poses are optimised.
@@ -124,6 +127,7 @@ impl Population<'_> {
             };
             let request = Request {
                 scene: &self.model.scene,
+                frozen: self.frozen,
                 camera,
                 pose: self.poses.map(|poses| poses.camera(view)),
                 settings: &settings,
@@ -164,7 +168,7 @@ impl Population<'_> {
         }
         let most = self.row_growth().most_with_room(rows)?;
         let worth_it = old + old / 16;
-        let reserved = grown_capacity(self.context, rows, self.runner.frozen_capacity());
+        let reserved = grown_capacity(self.context, rows, frozen_capacity(self.frozen));
         for capacity in [reserved, rows, most] {
             if capacity <= worth_it && capacity < rows {
                 continue;
@@ -243,7 +247,7 @@ impl Population<'_> {
             record_changes(r, (&new.scene, &new.moments), sources);
         })?;
         *self.model = new;
-        let of_frame = |rows: u32| rows.saturating_add(self.runner.frozen_capacity());
+        let of_frame = |rows: u32| rows.saturating_add(frozen_capacity(self.frozen));
         *self.peak = self.peak.remembered(of_frame(before), of_frame(rows));
         Ok(())
     }
@@ -302,7 +306,7 @@ impl Population<'_> {
             plan: &self.model.scene.plan,
             frame: FrameCapacity { pictures: frame.pictures.and(pictures), ..frame },
             frame_bytes: self.runner.store.bytes(),
-            frozen: self.runner.frozen_capacity(),
+            frozen: frozen_capacity(self.frozen),
         }
     }
 
@@ -316,7 +320,7 @@ impl Population<'_> {
         }
         let chunks = planes::allocate(self.context, ("scene", self.rows.planes), &plan)?;
         let fresh = Model::allocate(self.context, SceneBuffers { chunks, plan, count: 0 }, self.rows)?;
-        self.runner.store.make_room(self.runner.gaussians_with(capacity))?;
+        self.runner.store.make_room(gaussians_with(capacity, frozen_capacity(self.frozen)))?;
         Ok(fresh)
     }
 }

@@ -9,7 +9,7 @@ use super::settings::{OptimizerType, TrainSettings};
 use super::strategy::{StepInputs, Strategy};
 use super::work::{StepOutcome, StepReport};
 use crate::error::Result;
-use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, RenderSettings, Strips, blocks};
+use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, RenderSettings, SceneBuffers, Strips, blocks};
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::pixels::photo_reduced;
 use crate::passes::adam::{Averaging, Optimizer};
@@ -76,6 +76,7 @@ pub(super) struct LossValues {
 pub(super) struct StepParts<'a> {
     pub run: &'a TrainingRun,
     pub model: &'a Model,
+    pub frozen: &'a [SceneBuffers],
     pub photos: &'a Photos,
     pub maps: &'a DepthMaps,
     pub memory: &'a LossMemory,
@@ -91,6 +92,7 @@ impl<'a> StepParts<'a> {
     pub fn frame(&self) -> Request<'a> {
         Request {
             scene: &self.model.scene,
+            frozen: self.frozen,
             camera: &self.plan.camera,
             pose: self.poses.map(|poses| poses.camera(self.plan.view)),
             settings: &self.plan.settings,
