@@ -124,7 +124,7 @@ pub struct Gather<'a> {
     pub sources: &'a Buffer,
 }
 
-/// Inputs of [`Densify::record_classify_by`].
+/// Inputs of [`Densify::record_classify`].
 #[derive(Clone, Copy)]
 pub struct ClassifyInputs<'a> {
     /// vec2 per Gaussian: sum of gradient norms, number of views.
@@ -149,13 +149,8 @@ pub struct Densify {
 }
 
 impl Densify {
-    /// Builds the kernels of the reference's form.
-    pub fn new(context: &Context) -> Result<Self> {
-        Self::with_form(context, DensifyForm::default())
-    }
-
-    /// Builds the kernels of a form.
-    pub fn with_form(context: &Context, form: DensifyForm) -> Result<Self> {
+    /// Builds the kernels.
+    pub fn new(context: &Context, form: DensifyForm) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
         let long_axis = form.long_axis;
@@ -181,25 +176,12 @@ impl Densify {
         })
     }
 
-    /// Records the classification by the mean gradient norm: the decisions, and in `buffers.totals` the numbers of Gaussians
-    /// that stay, are cloned and are split.
-    pub fn record_classify(
-        &self,
-        r: &mut Recorder,
-        scene: &SceneBuffers,
-        statistics: &Buffer,
-        buffers: &DensifyBuffers,
-        settings: &DensifySettings,
-    ) {
-        let inputs = ClassifyInputs { statistics, criteria: None };
-        self.record_classify_by(r, scene, inputs, buffers, settings);
-    }
-
-    /// Same as [`Densify::record_classify`], but by the form's [`Criterion`].
+    /// Records the classification by the form's [`Criterion`]: the decisions, and in `buffers.totals` the numbers of Gaussians that
+    /// stay, are cloned and are split.
     ///
     /// # Panics
     /// If the values for the form's criterion are missing.
-    pub fn record_classify_by(
+    pub fn record_classify(
         &self,
         r: &mut Recorder,
         scene: &SceneBuffers,
@@ -304,13 +286,8 @@ impl Densify {
         }
     }
 
-    /// Records the opacity reset to [`RESET_OPACITY`].
-    pub fn record_reset(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments) {
-        self.record_reset_to(r, scene, moments, RESET_OPACITY);
-    }
-
     /// Records an opacity reset: opacities above `most` become `most`, between 0 and 1.
-    pub fn record_reset_to(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments, most: f64) {
+    pub fn record_reset(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments, most: f64) {
         let max_logit = (most / (1.0 - most)).ln() as f32;
         r.scope("reset opacity", |r| {
             for range in scene.plan.ranges(scene.count) {
@@ -369,21 +346,9 @@ impl OrderBuffers {
 }
 
 impl Densify {
-    /// Records the sort of `rows` sources of [`Densify::record_scatter_sources`] and returns the buffer with the result. A
+    /// Records the sort of `rows` sources and returns the buffer with the result. The fourth word of `totals` is scratch. A
     /// barrier must precede it; it ends with one. Rows in the same cell of the curve keep their order.
     pub fn record_order<'a>(
-        &self,
-        r: &mut Recorder,
-        set: (&SceneBuffers, u32),
-        buffers: &'a DensifyBuffers,
-        order: &'a OrderBuffers,
-        curve: &Curve,
-    ) -> &'a Buffer {
-        self.record_order_of(r, set, (&buffers.sources, &buffers.totals), order, curve)
-    }
-
-    /// Same as [`Densify::record_order`], but for sources that others have written. The fourth word of `totals` is scratch.
-    pub fn record_order_of<'a>(
         &self,
         r: &mut Recorder,
         (scene, rows): (&SceneBuffers, u32),

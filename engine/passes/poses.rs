@@ -42,7 +42,7 @@ impl PoseGradient {
         Ok(Self { kernel, sum_gaussians: context.limits().heavy_subgroup_size })
     }
 
-    /// Records the gradient after [`Backward::record_with_pose`](crate::passes::backward::Backward::record_with_pose). `parameters` has
+    /// Records the gradient after [`Backward::record`](crate::passes::backward::Backward::record) with a pose. `parameters` has
     /// ξ of all images, and `image` is the index of the frame's. `gradient` ([`GRADIENT_BYTES`]) receives g = dL/dδ of `exp(δ^)
     /// T` at δ = 0, then dL/dξ, each as (ν, ω). The caller places barriers before and after.
     pub fn record(
@@ -169,21 +169,5 @@ impl PoseOptimizer {
             pose_depths: &buffers.depths,
         };
         r.dispatch(&self.kernel, &bind, &push, buffers.images.div_ceil(self.workgroup).into());
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scene::Intrinsics;
-    use glam::Vec3;
-
-    #[test]
-    fn poses_keep_cameras() {
-        let intrinsics = Intrinsics { cx: 3.5, ..Intrinsics::from_fov_x(0.7, 20, 10) };
-        let camera = Camera::look_at(Vec3::new(1.0, 2.0, -3.0), Vec3::ZERO, Vec3::Y, intrinsics);
-        assert_eq!(camera_at(&camera, &pose_of(&camera)), camera);
-        let [x, y, z, ..] = pose_of(&camera);
-        assert_eq!(Vec3::new(x, y, z), camera.camera_from_world.row(0));
     }
 }

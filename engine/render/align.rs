@@ -5,7 +5,7 @@ use super::runner::{Failed, Request};
 use crate::error::{Error, Result};
 use crate::frame::{FrameVariant, RenderSettings};
 use crate::passes::adam::{BETA_1, BETA_2};
-use crate::passes::backward::Statistics;
+use crate::passes::backward::{BackwardForm, Statistics};
 use crate::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes, photo_on_device};
 use crate::passes::poses::{EPSILON, GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
 use crate::scene::{Camera, StoredPhoto, Twist};
@@ -113,7 +113,8 @@ impl Renderer {
         let sh_degree = scene.active_degree(settings);
         let mut adam = Adam::new(self.mean_depth(camera, settings)?);
         let settings = &RenderSettings { inverse_depth: false, ..*settings };
-        self.backward.prepare_with_pose(sh_degree, FrameVariant::of(settings, camera, true), false)?;
+        let form = BackwardForm { pose: true, ..BackwardForm::default() };
+        self.backward.prepare(sh_degree, FrameVariant::of(settings, camera, true), form)?;
         let pose_gradient = PoseGradient::new(&self.context)?;
         let masked = photo.is_masked();
         let format = if masked { PhotoFormat::MaskedRgba8 } else { PhotoFormat::Rgba8 };
@@ -158,7 +159,7 @@ impl Renderer {
                 loss.record(r, &loss_inputs);
                 r.barrier();
                 let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
-                backward.record_with_pose(r, inputs, &inputs.frame.image_gradient, statistics);
+                backward.record(r, inputs, &inputs.frame.image_gradient, statistics, true);
                 r.barrier();
                 pose_gradient.record(r, inputs, (parameters, 0), gradient);
                 Ok(())

@@ -176,9 +176,8 @@ impl FrameStore {
         let frame = FrameBuffers::from_allocated(buffers);
         if capacity.backward {
             // The fourth component of each pixel is never written and must be 0.
-            self.context.run("clear gradient", |r| {
+            self.context.run_commands("clear gradient", |r| {
                 r.fill(&frame.image_gradient, 0);
-                Ok(())
             })?;
         }
         self.capacity = capacity;

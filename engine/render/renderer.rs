@@ -12,7 +12,7 @@ use crate::passes::backward::Backward;
 use crate::passes::compose::Compose;
 use crate::passes::filter_3d::Filter3d;
 use crate::scene::{Camera, Gaussians};
-use crate::vk::{Buffer, Context};
+use crate::vk::{Buffer, Context, MemoryKind};
 
 /// Renders a scene of Gaussians.
 ///
@@ -79,7 +79,13 @@ impl Renderer {
     pub fn upload(&mut self, gaussians: &Gaussians) -> Result<()> {
         self.scenes.clear();
         let count = crate::frame::to_u32(gaussians.len() as u64)?;
-        self.scenes.push(planes::upload(&self.context, "scene", gaussians, count, gaussians.sh_degree)?);
+        self.scenes.push(planes::upload(
+            &self.context,
+            ("scene", MemoryKind::Device),
+            gaussians,
+            count,
+            gaussians.sh_degree,
+        )?);
         Ok(())
     }
 

@@ -260,8 +260,7 @@ impl<'a> Plan<'a> {
         let Self { wanted, capacity, .. } = self;
         let limit = self.context.limits().max_storage_buffer_range;
         let too_large = |what: String, needed| {
-            let (unit, limit_name) = ("bytes", "maxStorageBufferRange");
-            Err(Error::TooLarge { what, needed, unit, limit, limit_name })
+            Err(Error::too_large(what, (needed, "bytes"), (limit, "maxStorageBufferRange")))
         };
         if wanted.staging_bytes > limit {
             return too_large(field_name("staging_bytes"), wanted.staging_bytes);
@@ -381,8 +380,7 @@ fn check_block(context: &Context, block: &Buffer, needed: u64) -> Result<()> {
         return Err(Error::argument(what(), problem));
     }
     if block.bytes() < needed {
-        let (limit, limit_name) = (block.bytes(), "its size");
-        return Err(Error::TooLarge { what: what(), needed, unit: "bytes", limit, limit_name });
+        return Err(Error::too_large(what(), (needed, "bytes"), (block.bytes(), "its size")));
     }
     Ok(())
 }

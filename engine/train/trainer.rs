@@ -3,7 +3,7 @@
 use super::appearance::lenses_of;
 use super::block::{Block, SceneBlock};
 use super::checkpoint::{Capacities, Checkpoint, ExposureState, MeanState};
-use super::memory::{FrameShape, Model, PeakCounts, RowMemory};
+use super::memory::{Model, PeakCounts, RowMemory, frame_shape};
 use super::parts::{BuiltParts, Forecast, TrainParts, check_block};
 use super::photos::{self, DepthMaps, Photos, TrainView, fingerprint_of};
 use super::population::{Population, may_have_executed};
@@ -199,11 +199,8 @@ impl Trainer {
         let scene = planes::upload(context, ("scene", rows.planes), initial, capacity, sh_degree)?;
         let model = Model::new(context, scene, &rows)?;
         let mut runner = FrameRunner::new(context)?;
-        let shape = FrameShape {
-            pictures: PictureCapacity::of_cameras(&run.cameras),
-            scenes: 1 + u32::from(frozen > 0),
-            absolute: rows.absolute().is_some(),
-        };
+        let pictures = PictureCapacity::of_cameras(&run.cameras);
+        let shape = frame_shape(pictures, 1 + u32::from(frozen > 0), rows.absolute().is_some());
         runner.store.expect_pictures(shape.pictures);
         if shape.absolute {
             runner.store.expect_absolute();
@@ -392,11 +389,6 @@ impl Trainer {
             Some(_) => planes::download_filters(&self.context, &self.state.model.scene),
             None => Ok(Vec::new()),
         }
-    }
-
-    /// Bytes of device memory in use by all arenas of the context, without offloaded buffers.
-    pub fn memory_bytes(&self) -> u64 {
-        self.context.memory_total().bytes
     }
 
     /// Current and peak bytes of each arena of the context. The last entries are the offloaded bytes, if any, and the total of

@@ -9,7 +9,7 @@ use ashsplat::frame::{
     SceneBuffers, frame_requests, planes,
 };
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
-use ashsplat::passes::backward::Backward;
+use ashsplat::passes::backward::{Backward, BackwardForm};
 use ashsplat::render::Forward;
 use ashsplat::vk::Recorder;
 
@@ -46,7 +46,8 @@ impl<'a> Stages<'a> {
         let context = gpu.context;
         let sh_degree = views[0].sh_degree;
         let input = gaussians(set);
-        let scene = planes::upload(context, "test", &input, 0, input.sh_degree).expect("upload");
+        let scene = planes::upload(context, ("test", MemoryKind::Device), &input, 0, input.sh_degree)
+            .expect("upload");
         let cameras: Vec<_> = views.iter().map(camera).collect();
         let pictures = PictureCapacity::of_cameras(&cameras);
         let tiles = views.iter().map(|view| view.tiles()[0] * view.tiles()[1]).max().expect("a view");
@@ -66,8 +67,9 @@ impl<'a> Stages<'a> {
         let variant = FrameVariant::of(&drawn, &camera(&views[0]), true);
         forward.prepare_variant(sh_degree, variant).expect("kernels");
         let mut backward = Backward::new(context);
-        backward.prepare(sh_degree, variant).expect("kernels");
-        backward.prepare_absolute(sh_degree, variant).expect("kernels");
+        for absolute in [false, true] {
+            backward.prepare(sh_degree, variant, BackwardForm { absolute, pose: false }).expect("kernels");
+        }
         backward.prepare_expand(sh_degree).expect("kernels");
         let frame = FrameBuffers::from_allocated(frame);
         Stages { gpu, backward, scene, forward, frame, capacity, linear_depth }

@@ -58,7 +58,7 @@ impl Budget {
         let form =
             DensifyForm { long_axis: settings.split == SplitType::LongAxis, criterion: Criterion::Selected };
         Ok(Self {
-            kernels: Densify::with_form(context, form)?,
+            kernels: Densify::new(context, form)?,
             selection: Selection::new(context)?,
             importance: None,
             absolute: settings.absgrad,
