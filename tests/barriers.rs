@@ -4,7 +4,7 @@ use crate::common::engine::settings;
 use crate::common::prelude::*;
 use ashsplat::frame::{
     FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, POSE_BYTES, PictureCapacity,
-    PlacedScene, SceneBuffers, Strips, frame_requests, planes,
+    PlacedScene, SceneBuffers, Strips, planes,
 };
 use ashsplat::passes::adam::{Moments, Optimizer, OptimizerForm, Rates, Step};
 use ashsplat::passes::backward::{Backward, BackwardForm, Statistics};
@@ -72,7 +72,7 @@ impl Training {
             backward: true,
             ..FrameCapacity::default()
         };
-        let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
+        let requests = FrameBuffers::requests(&capacity, &LaunchSizes::new(context.limits()));
         let frame = context.allocate("frame", &requests, MemoryKind::Device).expect("a frame");
         let [width, height] = SIZE;
         let loss = Loss::new(&context, PhotoFormat::Rgba8).expect("kernels");
@@ -92,7 +92,7 @@ impl Training {
             backward: Backward::new(&context),
             sizes: LaunchSizes::new(context.limits()),
             optimizer: Optimizer::new(&context, OptimizerForm::default()),
-            poses: PoseBuffers::from_allocated(3, poses),
+            poses: PoseBuffers::from_allocated(poses),
             pose_gradient: PoseGradient::new(&context).expect("kernels"),
             pose_optimizer: PoseOptimizer::new(&context).expect("kernels"),
             moved_optimizer: Optimizer::new(

@@ -3,6 +3,7 @@
 
 use crate::common::prelude::*;
 use crate::photos::in_a_file;
+use ashsplat::frame::LaunchSizes;
 use ashsplat::passes::densify::{
     Candidates, Chances, Densify, DensifyForm, Importance, Selection, SelectionBuffers, SelectionDraw,
 };
@@ -427,7 +428,11 @@ impl Strategy for Watching {
         let each: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
         assert!(each.iter().all(|value| (0.0..=1.00001).contains(value)), "{each:?}");
         self.largest = each.iter().copied().fold(self.largest, f32::max);
-        let buffers = context.allocate("densify", &selection.requests(before), MemoryKind::Device)?;
+        let buffers = context.allocate(
+            "densify",
+            &SelectionBuffers::requests(&LaunchSizes::new(context.limits()), before),
+            MemoryKind::Device,
+        )?;
         let buffers = SelectionBuffers::from_allocated(buffers);
         let statistics = population.statistics();
         let draw = SelectionDraw {

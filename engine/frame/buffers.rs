@@ -18,34 +18,41 @@ const _: () = assert!(
         && CAMERA_BLOCK_BYTES.is_multiple_of(PLACEMENT_ALIGNMENT)
 );
 
-macro_rules! frame_requests {
+/// Declares buffers that are allocated together: a struct, its `requests` of names and bytes, and the assignment of the
+/// allocated buffers. Each line has a field, the buffer's name if it differs, and the bytes.
+macro_rules! buffer_set {
     (
-        |$capacity:ident, $launch:ident| { $($sizes:tt)* }
-        $($(#[$doc:meta])* $vis:vis $name:ident: $bytes:expr;)*
+        $(#[$about:meta])*
+        $set_vis:vis struct $set:ident($($argument:ident: $kind:ty),*) { $($sizes:tt)* }
+        $($(#[$doc:meta])* $vis:vis $field:ident $(as $name:literal)?: $bytes:expr;)*
     ) => {
-        /// Buffers of a frame. A buffer with one content is a field. A buffer that is reused within the frame has a method
-        /// for each content, which says when it is valid.
+        $(#[$about])*
         #[derive(Clone)]
-        pub struct FrameBuffers { $($(#[$doc])* $vis $name: Buffer,)* }
+        $set_vis struct $set { $($(#[$doc])* $vis $field: $crate::vk::Buffer,)* }
 
-        /// Returns names and bytes of [`FrameBuffers`], in order.
-        pub fn frame_requests($capacity: &FrameCapacity, $launch: &LaunchSizes) -> Vec<(&'static str, u64)> {
-            $($sizes)*
-            vec![$((stringify!($name), $bytes),)*]
-        }
+        impl $set {
+            /// Names and bytes of the buffers, in order.
+            $set_vis fn requests($($argument: $kind),*) -> Vec<(&'static str, u64)> {
+                $($sizes)*
+                vec![$(($crate::frame::buffer_set!(@name $field $($name)?), $bytes),)*]
+            }
 
-        impl FrameBuffers {
-            /// Assigns the buffers that were allocated for [`frame_requests`], in the same order.
-            pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
-                let [$($name),*] = array_of(buffers);
-                Self { $($name),* }
+            /// Assigns the buffers that were allocated for the requests, in the same order.
+            $set_vis fn from_allocated(buffers: Vec<$crate::vk::Buffer>) -> Self {
+                let [$($field),*] = $crate::frame::array_of(buffers);
+                Self { $($field),* }
             }
         }
     };
+    (@name $field:ident) => { stringify!($field) };
+    (@name $field:ident $name:literal) => { $name };
 }
+pub(crate) use buffer_set;
 
-frame_requests! {
-    |capacity, launch| {
+buffer_set! {
+    /// Buffers of a frame. A buffer with one content is a field. A buffer that is reused within the frame has a method
+    /// for each content, which says when it is valid.
+    pub struct FrameBuffers(capacity: &FrameCapacity, launch: &LaunchSizes) {
         let [gaussians, visible, instances] =
             [capacity.gaussians, capacity.visible, capacity.instances].map(u64::from);
         let PictureCapacity { pixels, tiles, strip_values, .. } = capacity.pictures;
@@ -164,7 +171,7 @@ pub(crate) const POSE_SUM_BYTES: u64 = 24;
 
 /// Returns the bytes of all buffers of a frame, including the padding between them.
 pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {
-    packed_bytes(&frame_requests(capacity, block))
+    packed_bytes(&FrameBuffers::requests(capacity, block))
 }
 
 /// Returns the bytes of requests in one block, including the padding between them.
@@ -343,7 +350,7 @@ pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSize
 pub fn frame_fits_device(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSizes) -> bool {
     let most = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
     check_grids(limits, capacity, block).is_ok()
-        && frame_requests(capacity, block).iter().all(|(_, bytes)| *bytes <= most)
+        && FrameBuffers::requests(capacity, block).iter().all(|(_, bytes)| *bytes <= most)
 }
 
 /// Index of the tile sort's buffer that holds its result, for an image of this size.

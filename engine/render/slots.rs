@@ -5,7 +5,7 @@ use super::reservation::{Reservation, SlotReport, field_name};
 use crate::error::{Error, Result};
 use crate::frame::{
     CUT_OUT_BYTES, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, OutputMemory, PictureCapacity,
-    PlacedScene, RenderSettings, frame_requests, packed_bytes,
+    PlacedScene, RenderSettings, packed_bytes,
 };
 use crate::kernels::constants as c;
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, PLACEMENT_ALIGNMENT, RecordSlot, Recorder};
@@ -246,7 +246,7 @@ impl<'a> Plan<'a> {
             dispatches: wanted.dispatches(context, &capacity)?,
             capacity,
             scratch: scratch_requests(wanted, &capacity, sizes),
-            frame_requests: frame_requests(&capacity, sizes).len(),
+            frame_requests: FrameBuffers::requests(&capacity, sizes).len(),
             pixels,
         };
         plan.check_bindings(sizes)?;
@@ -355,10 +355,10 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// Returns the scratch requests of a frame of this capacity; those of [`frame_requests`] come first.
+/// Returns the scratch requests of a frame of this capacity; those of [`FrameBuffers::requests`] come first.
 fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &LaunchSizes) -> Requests {
     let pixels = capacity.pictures.pixels;
-    let mut scratch = frame_requests(capacity, sizes);
+    let mut scratch = FrameBuffers::requests(capacity, sizes);
     scratch.extend(wanted.occlusion.then_some(("depth_limits", pixels * 4)));
     scratch.extend((wanted.cut_outs > 0).then_some(("cut_outs", u64::from(wanted.cut_outs) * CUT_OUT_BYTES)));
     scratch.extend(wanted.outputs().requests(capacity));

@@ -8,8 +8,8 @@ use super::schedule::{IterationPlan, TrainingRun, whole_instances};
 use super::work::{ABSOLUTE_STATISTIC, GRADIENT_STATISTIC, Statistic};
 use crate::error::{Error, Result};
 use crate::frame::{
-    FrameCapacity, LEAST_INSTANCES, LaunchSizes, PictureCapacity, SceneBuffers, ScenePlan, check_grids,
-    frame_fits_device, frame_requests, gaussians_with, initial_instances, initial_visible, max_trained_among,
+    FrameBuffers, FrameCapacity, LEAST_INSTANCES, LaunchSizes, PictureCapacity, SceneBuffers, ScenePlan,
+    check_grids, frame_fits_device, gaussians_with, initial_instances, initial_visible, max_trained_among,
     max_trained_gaussians, planes,
 };
 use crate::kernels::constants::PLANE_SH;
@@ -250,7 +250,8 @@ impl StartMemory<'_> {
         let bytes = |requests: &[Request]| context.allocation_bytes(requests);
         // Counts of training frames and of drawn frames.
         let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.parts.recorder.readback_request()]);
-        let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
+        let frame =
+            frame.map_or(0, |frame| bytes(&FrameBuffers::requests(&frame, &LaunchSizes::new(limits))));
         let poses = poses::requests(self.of.settings, self.of.photos.len());
         let device = bytes(&self.loss_requests(&self.sizes())) + readback + frame + bytes(&poses);
         // Frozen Gaussians have the plan's SH degree.
@@ -332,7 +333,7 @@ impl StartMemory<'_> {
         let named = |arena: &'static str, requests: Requests| {
             requests.into_iter().map(move |(name, bytes)| (arena, name, bytes))
         };
-        let requests = named("frame", frame_requests(&frame, &launches))
+        let requests = named("frame", FrameBuffers::requests(&frame, &launches))
             .chain(named("loss", self.loss_requests(&[size])));
         let most = [
             (limits.max_storage_buffer_range, "maxStorageBufferRange"),

@@ -42,6 +42,10 @@ impl Population<'_> {
         self.context
     }
 
+    pub(super) fn sizes(&self) -> LaunchSizes {
+        LaunchSizes::new(self.context.limits())
+    }
+
     /// The run's settings.
     pub fn settings(&self) -> &TrainSettings {
         &self.run.settings
@@ -310,7 +314,7 @@ impl Population<'_> {
             return false;
         }
         let Some((limit, _)) = context.memory_limit() else { return true };
-        let (sizes, frame) = (LaunchSizes::new(limits), self.frame_capacity());
+        let (sizes, frame) = (self.sizes(), self.frame_capacity());
         let of = |plan: &ScenePlan| gaussians_with(plan.capacity, frozen);
         let grown = FrameCapacity { gaussians: of(plan), ..frame };
         // The visible Gaussians and instances grow with the number of Gaussians.
@@ -348,7 +352,7 @@ impl Population<'_> {
         let visible = self.peak.visible.min(frame.gaussians).max(frame.visible);
         let full = FrameCapacity { visible, instances: self.peak.instances.max(frame.instances), ..frame };
         let beside = self.context.held_bytes().saturating_sub(self.runner.store.bytes());
-        full == frame || beside + frame_bytes(&full, &LaunchSizes::new(self.context.limits())) <= limit
+        full == frame || beside + frame_bytes(&full, &self.sizes()) <= limit
     }
 
     /// Allocates planes for parameters, both moments and the spare set with the given capacity, their statistics, and a frame.

@@ -280,8 +280,8 @@ pub(super) fn densified(
     let count = input.len() as u32;
     let scene = planes::upload(gpu.context, ("test", MemoryKind::Device), &input, count, input.sh_degree)?;
     let requests = DensifyBuffers::requests(&LaunchSizes::new(gpu.context.limits()), count, 2 * count);
-    let buffers = requests.map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize));
-    let buffers = DensifyBuffers::from_allocated(buffers.into());
+    let buffers = requests.into_iter().map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize));
+    let buffers = DensifyBuffers::from_allocated(buffers.collect());
     gpu.run(|r| densify.record_classify(r, &scene, inputs, &buffers, settings));
     let totals = gpu.read::<u32>(&buffers.totals, 3);
     let rows = totals[0] + totals[1] + 2 * totals[2];

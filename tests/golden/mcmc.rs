@@ -8,7 +8,7 @@ use crate::golden::npz::Npz;
 use crate::reference::add_noise::noise;
 use crate::reference::linear::sigmoid;
 use crate::reference::relocate::relocate;
-use ashsplat::frame::{SceneBuffers, planes};
+use ashsplat::frame::{LaunchSizes, SceneBuffers, planes};
 use ashsplat::kernels::constants::STATE_WORDS;
 use ashsplat::passes::adam::Moments;
 use ashsplat::passes::densify::{Densify, DensifyForm, Draw, DrawBuffers, Gather, RandomKey, Relocation};
@@ -137,7 +137,7 @@ pub fn relocation_of_device(path: &Path) -> Outcome {
     let key = RandomKey { seed: 0, iteration: 0, explicit: None };
     for (step, prefix) in steps(&npz).iter().zip(["mid", "out"]) {
         let count = sets[0].count;
-        let requests = relocation.requests(count, step.rows as u32);
+        let requests = DrawBuffers::requests(&LaunchSizes::new(context.limits()), count, step.rows as u32);
         let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
         let buffers = DrawBuffers::from_allocated(buffers);
         let uniforms = gpu.buffer("uniforms", &step.uniforms);

@@ -6,7 +6,7 @@ use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use ashsplat::frame::{
     FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, PictureCapacity, PlacedScene,
-    SceneBuffers, frame_requests, planes,
+    SceneBuffers, planes,
 };
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::passes::backward::{Backward, BackwardForm};
@@ -60,7 +60,7 @@ impl<'a> Stages<'a> {
             absolute: true,
             ..FrameCapacity::default()
         };
-        let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
+        let requests = FrameBuffers::requests(&capacity, &LaunchSizes::new(context.limits()));
         let frame = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
         let mut forward = Forward::new(context).expect("kernels");
         let drawn = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(&views[0]) };

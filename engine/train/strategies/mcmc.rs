@@ -92,7 +92,8 @@ impl Mcmc {
     /// memory is short; the set then stays.
     fn rebuild(&self, population: &mut Population, rows: u32, replaces_dead: bool) -> Result<bool> {
         let before = population.count();
-        let Some(buffers) = population.allocate(&self.relocation.requests(before, rows))? else {
+        let Some(buffers) = population.allocate(&DrawBuffers::requests(&population.sizes(), before, rows))?
+        else {
             return Ok(false);
         };
         let buffers = DrawBuffers::from_allocated(buffers);

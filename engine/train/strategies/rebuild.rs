@@ -1,7 +1,7 @@
 //! Shared parts of strategies: decisions per Gaussian, memory, and the new set that follows.
 
 use crate::error::{Error, Result};
-use crate::frame::{LaunchSizes, SceneBuffers};
+use crate::frame::SceneBuffers;
 use crate::passes::densify::{ClassifyInputs, Densify, DensifyBuffers, DensifySettings, OrderBuffers};
 use crate::train::population::{Growth, Population};
 use crate::train::work::{Changes, Densified};
@@ -23,9 +23,8 @@ impl<'a> Decisions<'a> {
         kernels: &'a Densify,
         settings: DensifySettings,
     ) -> Result<Option<Self>> {
-        let sizes = LaunchSizes::new(population.context().limits());
-        let buffers =
-            population.allocate(&DensifyBuffers::requests(&sizes, population.count(), most_rows))?;
+        let requests = DensifyBuffers::requests(&population.sizes(), population.count(), most_rows);
+        let buffers = population.allocate(&requests)?;
         let buffers = buffers.map(DensifyBuffers::from_allocated);
         Ok(buffers.map(|buffers| Self { kernels, settings, buffers, order: None }))
     }
@@ -96,8 +95,8 @@ impl<'a> Decisions<'a> {
 
 /// Buffers for sorting `rows` rows along the curve. None if memory is short.
 pub(super) fn order_buffers(population: &Population, rows: u32) -> Result<Option<OrderBuffers>> {
-    let sizes = LaunchSizes::new(population.context().limits());
-    Ok(population.allocate(&OrderBuffers::requests(&sizes, rows))?.map(OrderBuffers::from_allocated))
+    let buffers = population.allocate(&OrderBuffers::requests(&population.sizes(), rows))?;
+    Ok(buffers.map(OrderBuffers::from_allocated))
 }
 
 /// Lowers all opacities to at most this one.
