@@ -196,13 +196,7 @@ mod tests {
     fn messages_are_one_line() {
         let error = Error::input("a\nb.json", "unknown field `x\r\n`", "leave it out");
         assert_eq!(error.to_string(), "a b.json: unknown field `x  `; leave it out");
-        let large = Error::TooLarge {
-            what: "photo 'a\nb.jpg'".into(),
-            needed: 9,
-            unit: "bytes",
-            limit: 8,
-            limit_name: "--max-memory",
-        };
+        let large = Error::too_large("photo 'a\nb.jpg'", (9, "bytes"), (8, "--max-memory"));
         assert!(large.to_string().starts_with("photo 'a b.jpg' needs 9 bytes"), "{large}");
         assert_eq!(Error::argument("a\tb", "is\n0").to_string(), "a b: is 0");
         let failed = Error::io("c\n", "read", std::io::Error::other("d\ne"));

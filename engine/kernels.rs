@@ -14,7 +14,9 @@ include!(concat!(env!("OUT_DIR"), "/kernels.rs"));
 
 #[cfg(feature = "hot-reload")]
 pub mod compile;
+// Tests use only a part of it.
 #[cfg(test)]
+#[allow(dead_code)]
 mod generate;
 #[cfg(any(test, feature = "hot-reload"))]
 mod reflect;
@@ -23,67 +25,29 @@ pub mod reload;
 
 #[cfg(test)]
 mod tests {
-    use super::generate;
-    use super::reflect::{Binding, BindingKind, Field, SpecConstant, reflect};
+    use super::generate::{Kernel, kernels};
+    use super::reflect::{BindingKind, reflect};
     use crate::vk::KernelInterface;
 
-    #[test]
-    fn a_shader_is_reflected() {
-        let shader = reflect(super::scan::scan_reduce::Interface::SPIRV).expect("valid SPIR-V");
-        let buffer = |name: &str, binding, reads, writes| Binding {
-            name: name.into(),
-            binding,
-            reads,
-            writes,
-            aliased: false,
-            kind: BindingKind::Storage,
-        };
-        let buffers = [
-            buffer("counts", 0, true, false),
-            buffer("values", 1, true, false),
-            buffer("block_sums", 2, false, true),
-        ];
-        assert_eq!(shader.bindings, buffers);
-        let push = Field { name: "count_index".into(), offset: 0, rust_type: "u32".into(), bytes: 4 };
-        assert_eq!(shader.push, [push]);
-        let constant = |id, name: &str, default_bits| SpecConstant {
-            id,
-            name: name.into(),
-            rust_type: "u32",
-            default_bits,
-        };
-        let constants =
-            [constant(0, "WORKGROUP_SIZE", 256), constant(1, "SUBGROUP_SIZE", 32), constant(2, "ITEMS", 4)];
-        assert_eq!(shader.spec, constants);
-        assert_eq!(shader.workgroup_size, ["spec.workgroup_size", "1", "1"]);
-        assert!(shader.shared_bytes.contains("spec.subgroup_size"), "{}", shader.shared_bytes);
+    fn kernel<K: KernelInterface>() -> Kernel {
+        Kernel {
+            name: K::NAME.into(),
+            source: String::new(),
+            shader: reflect(K::SPIRV).expect("valid SPIR-V"),
+            spirv_file: "spirv.rs".into(),
+            texels: None,
+        }
     }
 
     #[test]
-    fn uniform_blocks_are_reflected_and_the_same_in_all_kernels() {
-        let kernel = |name: &str, spirv| generate::Kernel {
-            name: name.into(),
-            source: String::new(),
-            shader: reflect(spirv).expect("valid SPIR-V"),
-            spirv_file: "spirv.rs".into(),
-            texels: None,
-        };
-        let mut kernels = [
-            kernel("forward/cull", super::forward::cull::Interface::SPIRV),
-            kernel("forward/project", super::forward::project::Interface::SPIRV),
-        ];
-        let text = generate::kernels(&kernels, "").expect("valid");
-        for part in [
-            "pub camera_block: &'a Buffer,",
-            "pub struct CameraBlock {",
-            "assert!(std::mem::offset_of!(CameraBlock, camera_row_y) == 12);",
-        ] {
-            assert!(text.contains(part), "{part} is missing");
-        }
-        let binding = kernels[1].shader.bindings.last_mut().expect("buffers");
+    fn uniform_blocks_of_one_name_are_the_same_in_all_kernels() {
+        let mut all =
+            [kernel::<super::forward::cull::Interface>(), kernel::<super::forward::project::Interface>()];
+        assert!(kernels(&all, "").is_ok());
+        let binding = all[1].shader.bindings.last_mut().expect("buffers");
         let BindingKind::Uniform(block) = &mut binding.kind else { panic!("{binding:?}") };
         block.members.pop();
-        let error = generate::kernels(&kernels, "").expect_err("two blocks of one name");
+        let error = kernels(&all, "").expect_err("two blocks of one name");
         assert!(error.contains("'CameraBlock'") && error.contains("glsl/forward/project.comp"), "{error}");
     }
 
@@ -105,34 +69,10 @@ mod tests {
     }
 
     #[test]
-    fn constants_are_mirrored_with_their_comments() {
-        let source = "// A tile.\nconst uint TILE = 16u; // pixels\n\n// Near.\nconst float NEAR = 0.2;\nconst bool B = true;\n";
-        let text = generate::constants(source).expect("valid");
-        for part in [
-            "pub const TILE: u32 = 16;",
-            "\"pixels\"",
-            "pub const NEAR: f32 = 0.2;",
-            "\"Near.\"",
-            "B: bool = true",
-        ] {
-            assert!(text.contains(part), "{part} is missing:\n{text}");
-        }
-        let error = generate::constants("const uint A = 1;\nconst uint = 2\n").expect_err("malformed");
-        assert!(error.starts_with("glsl/include/constants.glsl:2:"), "{error}");
-    }
-
-    #[test]
     fn two_buffers_of_one_name_are_refused() {
-        let mut shader = reflect(super::scan::scan_reduce::Interface::SPIRV).expect("valid SPIR-V");
-        shader.bindings[1].name = "counts".into();
-        let kernel = generate::Kernel {
-            name: "scan/twice".into(),
-            source: String::new(),
-            shader,
-            spirv_file: "twice.spv.rs".into(),
-            texels: None,
-        };
-        let error = generate::kernels(&[kernel], "").expect_err("a duplicate");
-        assert!(error.contains("glsl/scan/twice.comp") && error.contains("'counts'"), "{error}");
+        let mut twice = kernel::<super::scan::scan_reduce::Interface>();
+        twice.shader.bindings[1].name = "counts".into();
+        let error = kernels(&[twice], "").expect_err("a duplicate");
+        assert!(error.contains("glsl/scan/scan_reduce.comp") && error.contains("'counts'"), "{error}");
     }
 }

@@ -4,10 +4,10 @@ use crate::common::engine::settings;
 use crate::common::prelude::*;
 use ashsplat::frame::{
     FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, POSE_BYTES, PictureCapacity,
-    PlacedScene, SceneBuffers, Strips, frame_requests, planes,
+    PlacedScene, SceneBuffers, Strips, planes,
 };
-use ashsplat::passes::adam::{Moments, Optimizer, Rates, Step};
-use ashsplat::passes::backward::{Backward, Statistics};
+use ashsplat::passes::adam::{Moments, Optimizer, OptimizerForm, Rates, Step};
+use ashsplat::passes::backward::{Backward, BackwardForm, Statistics};
 use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::passes::poses::{PoseBuffers, PoseGradient, PoseOptimizer, PoseStep};
 use ashsplat::render::Forward;
@@ -57,9 +57,12 @@ impl Training {
         let context = with_range(100_000);
         let view = small_view(SIZE);
         let start = gaussians(&small_scene(&mut Random::new(1), 1200, 4));
-        let scene = planes::upload(&context, "scene", &start, 1200, SH_DEGREE).expect("a scene");
+        let scene = planes::upload(&context, ("scene", MemoryKind::Device), &start, 1200, SH_DEGREE)
+            .expect("a scene");
         assert!(scene.plan.chunks > 1, "the parameters are to lie in several buffers");
-        let planes_of = |arena: &str| planes::allocate(&context, arena, &scene.plan).expect("planes");
+        let planes_of = |arena: &str| {
+            planes::allocate(&context, (arena, MemoryKind::Device), &scene.plan).expect("planes")
+        };
         let capacity = FrameCapacity {
             gaussians: 1200,
             visible: 1200,
@@ -69,7 +72,7 @@ impl Training {
             backward: true,
             ..FrameCapacity::default()
         };
-        let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
+        let requests = FrameBuffers::requests(&capacity, &LaunchSizes::new(context.limits()));
         let frame = context.allocate("frame", &requests, MemoryKind::Device).expect("a frame");
         let [width, height] = SIZE;
         let loss = Loss::new(&context, PhotoFormat::Rgba8).expect("kernels");
@@ -88,11 +91,14 @@ impl Training {
             loss,
             backward: Backward::new(&context),
             sizes: LaunchSizes::new(context.limits()),
-            optimizer: Optimizer::new(&context, false),
-            poses: PoseBuffers::from_allocated(3, poses),
+            optimizer: Optimizer::new(&context, OptimizerForm::default()),
+            poses: PoseBuffers::from_allocated(poses),
             pose_gradient: PoseGradient::new(&context).expect("kernels"),
             pose_optimizer: PoseOptimizer::new(&context).expect("kernels"),
-            moved_optimizer: Optimizer::new(&context, false).with_moved_cameras(),
+            moved_optimizer: Optimizer::new(
+                &context,
+                OptimizerForm { moved_cameras: true, ..OptimizerForm::default() },
+            ),
             moments: Moments { first: planes_of("moments"), second: planes_of("moments") },
             gradients: planes_of("gradients"),
             frame: FrameBuffers::from_allocated(frame),
@@ -105,10 +111,11 @@ impl Training {
         };
         let variant = FrameVariant { inverse_depth: true, backward: true, ..FrameVariant::default() };
         training.forward.prepare_variant(SH_DEGREE, variant).expect("kernels");
-        training.backward.prepare(SH_DEGREE, variant).expect("kernels");
+        training.backward.prepare(SH_DEGREE, variant, BackwardForm::default()).expect("kernels");
         training.backward.prepare_expand(SH_DEGREE).expect("kernels");
         training.optimizer.prepare(SH_DEGREE).expect("kernels");
-        training.backward.prepare_with_pose(SH_DEGREE, variant, false).expect("kernels");
+        let with_pose = BackwardForm { pose: true, ..BackwardForm::default() };
+        training.backward.prepare(SH_DEGREE, variant, with_pose).expect("kernels");
         training.moved_optimizer.prepare(SH_DEGREE).expect("kernels");
         training
     }
@@ -127,7 +134,7 @@ impl Training {
         self.forward.record(recorder, &inputs);
         recorder.barrier();
         if kind == Kind::Gradients {
-            self.backward.record(recorder, &inputs, image_gradient, statistics);
+            self.backward.record(recorder, &inputs, image_gradient, statistics, false);
             recorder.barrier();
             self.backward.record_expand_gradients(recorder, &inputs, &self.gradients, mean2d_gradients);
             return;
@@ -147,10 +154,7 @@ impl Training {
         };
         self.loss.record(recorder, &loss);
         recorder.barrier();
-        match kind {
-            Kind::Poses => self.backward.record_with_pose(recorder, &inputs, image_gradient, statistics),
-            _ => self.backward.record(recorder, &inputs, image_gradient, statistics),
-        }
+        self.backward.record(recorder, &inputs, image_gradient, statistics, kind == Kind::Poses);
         recorder.barrier();
         let rates =
             Rates { mean: 1e-4, opacity: 0.025, quat: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };

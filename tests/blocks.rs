@@ -247,8 +247,10 @@ fn senseless_blocks_are_refused() {
     refused(&mcmc, &alone, "'mcmc' adds Gaussians anywhere");
     let mut trainer = trainer(context(), &initial, Some(&block), &settings());
     let TrainView { camera, photo, .. } = views(1, 9).remove(0);
-    let aligned = trainer.align(&camera, &photo, &trainer.render_settings(), &Default::default());
-    assert_says(refusal(aligned), &["a block of one"]);
+    let render_settings = trainer.render_settings();
+    let align =
+        |renderer: &mut Renderer| renderer.align(&camera, &photo, &render_settings, &Default::default());
+    assert_says(refusal(trainer.draw(align)), &["an alignment is of one alone, and 2 are drawn"]);
 }
 
 /// The forecast suffices. It counts frozen Gaussians with parameters and frames, but no moments.

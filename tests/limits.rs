@@ -3,7 +3,7 @@
 use crate::common::device::{assert_uses_all, planned_peak};
 use crate::common::prelude::*;
 use ashsplat::frame::tuning::Backend;
-use ashsplat::frame::{FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, frame_requests};
+use ashsplat::frame::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan};
 use ashsplat::scene::Intrinsics;
 
 fn render(context: &Context) -> Result<Vec<[f32; 3]>> {
@@ -118,7 +118,7 @@ fn limits_of_images_are_those_of_the_picture_in_training_too() {
             backward: true,
             ..FrameCapacity::default()
         };
-        for (name, bytes) in frame_requests(&capacity, &LaunchSizes::new(context.limits())) {
+        for (name, bytes) in FrameBuffers::requests(&capacity, &LaunchSizes::new(context.limits())) {
             assert!(bytes <= largest, "{width}x{height}: {name} has {bytes} bytes");
         }
     }

@@ -3,8 +3,9 @@
 
 use crate::common::prelude::*;
 use crate::photos::in_a_file;
+use ashsplat::frame::LaunchSizes;
 use ashsplat::passes::densify::{
-    Candidates, Chances, Densify, Importance, Selection, SelectionBuffers, SelectionDraw,
+    Candidates, Chances, Densify, DensifyForm, Importance, Selection, SelectionBuffers, SelectionDraw,
 };
 use ashsplat::passes::loss::{LossTerm, PixelLayout, Targets, TermInputs};
 use ashsplat::scene::StoredPhoto;
@@ -24,7 +25,7 @@ struct RandomPrune {
 
 impl RandomPrune {
     fn parts(context: &Context) -> TrainParts {
-        let kernels = Densify::new(context).expect("kernels");
+        let kernels = Densify::new(context, DensifyForm::default()).expect("kernels");
         TrainParts { strategy: Box::new(Self { kernels, pruned: 0 }), terms: Vec::new(), block: None }
     }
 }
@@ -157,7 +158,7 @@ fn between(act: impl FnMut(&mut Population) -> Result<()> + Send + 'static) -> T
 #[test]
 fn a_strategy_cannot_keep_what_does_not_exist() {
     let parts = || {
-        let kernels = Densify::new(context()).expect("kernels");
+        let kernels = Densify::new(context(), DensifyForm::default()).expect("kernels");
         between(move |population| {
             let beyond = population.count();
             let wrong = [(vec![0, beyond], "there are"), (vec![], "must be 1 to"), (vec![2, 2], "twice")];
@@ -387,7 +388,7 @@ struct Watching {
 impl Watching {
     fn parts(context: &Context, absolute: bool, every: u32) -> TrainParts {
         let kernels = (
-            Densify::new(context).expect("kernels"),
+            Densify::new(context, DensifyForm::default()).expect("kernels"),
             Importance::new(context, &settings().render_settings()).expect("kernels"),
             Selection::new(context).expect("kernels"),
         );
@@ -427,7 +428,11 @@ impl Strategy for Watching {
         let each: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
         assert!(each.iter().all(|value| (0.0..=1.00001).contains(value)), "{each:?}");
         self.largest = each.iter().copied().fold(self.largest, f32::max);
-        let buffers = context.allocate("densify", &selection.requests(before), MemoryKind::Device)?;
+        let buffers = context.allocate(
+            "densify",
+            &SelectionBuffers::requests(&LaunchSizes::new(context.limits()), before),
+            MemoryKind::Device,
+        )?;
         let buffers = SelectionBuffers::from_allocated(buffers);
         let statistics = population.statistics();
         let draw = SelectionDraw {
@@ -529,7 +534,7 @@ fn importance_keeps_within_a_bounded_memory() {
         let (mut trainer, answers) = asking(&context, &[0, 1, 2]);
         trainer.steps(1);
         let staged = context.free_staging();
-        let before = trainer.memory_bytes();
+        let before = trainer.context().memory_total().bytes;
         trainer.steps(1);
         let there = answers.lock().expect("one thread")[0];
         (before, context.memory_total().peak_bytes, there, trainer.trained(), staged)

@@ -295,7 +295,10 @@ fn poses_of_held_out_views_are_aligned() {
         Trainer::new(gpu.context, views(&cameras), &scene(), extent(), fixed(10)).expect("a trainer");
     trainer.step().expect("a step");
     let before = trainer.state();
-    let align = |(camera, photo)| trainer.align(camera, photo, &settings, &alignment).expect("aligned");
+    let at_degree = trainer.at_current_degree(&settings);
+    let align = |(camera, photo)| {
+        trainer.draw(|renderer| renderer.align(camera, photo, &at_degree, &alignment)).expect("aligned")
+    };
     let aligned: Vec<Camera> = given.iter().zip(&photos).take(3).map(align).collect();
     let (degrees, share) = apart(&aligned, &cameras);
     assert!(degrees < 0.15 && share < 2e-3, "{degrees} degrees, {share} of the extent");

@@ -1,7 +1,6 @@
 //! The Vulkan layer on the present device.
 
 mod context;
-mod hazard;
 mod kernels;
 mod memory;
 mod overrides;

@@ -18,182 +18,144 @@ const _: () = assert!(
         && CAMERA_BLOCK_BYTES.is_multiple_of(PLACEMENT_ALIGNMENT)
 );
 
-macro_rules! frame_requests {
-    ($($(#[$doc:meta])* $vis:vis $name:ident: $bytes:expr;)*) => {
-        /// Buffers of a frame. A buffer with one content is a field. A buffer that is reused within the frame has a method
-        /// for each content, which says when it is valid.
+/// Declares buffers that are allocated together: a struct, its `requests` of names and bytes, and the assignment of the
+/// allocated buffers. Each line has a field, the buffer's name if it differs, and the bytes.
+macro_rules! buffer_set {
+    (
+        $(#[$about:meta])*
+        $set_vis:vis struct $set:ident($($argument:ident: $kind:ty),*) { $($sizes:tt)* }
+        $($(#[$doc:meta])* $vis:vis $field:ident $(as $name:literal)?: $bytes:expr;)*
+    ) => {
+        $(#[$about])*
         #[derive(Clone)]
-        pub struct FrameBuffers { $($(#[$doc])* $vis $name: Buffer,)* }
+        $set_vis struct $set { $($(#[$doc])* $vis $field: $crate::vk::Buffer,)* }
 
-        /// Returns names and bytes of [`FrameBuffers`], in order.
-        pub fn frame_requests(capacity: &FrameCapacity, block: &LaunchSizes) -> Vec<(&'static str, u64)> {
-            let sizes = FrameSizes::new(capacity, block);
-            vec![$((stringify!($name), { let f: fn(&FrameSizes) -> u64 = $bytes; f(&sizes) }),)*]
-        }
+        impl $set {
+            /// Names and bytes of the buffers, in order.
+            $set_vis fn requests($($argument: $kind),*) -> Vec<(&'static str, u64)> {
+                $($sizes)*
+                vec![$(($crate::frame::buffer_set!(@name $field $($name)?), $bytes),)*]
+            }
 
-        impl FrameBuffers {
-            /// Assigns the buffers that were allocated for [`frame_requests`], in the same order.
-            pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
-                let mut buffers = buffers.into_iter();
-                let mut next = || match buffers.next() {
-                    Some(buffer) => buffer,
-                    None => unreachable!("one buffer per request"),
-                };
-                Self { $($name: next(),)* }
+            /// Assigns the buffers that were allocated for the requests, in the same order.
+            $set_vis fn from_allocated(buffers: Vec<$crate::vk::Buffer>) -> Self {
+                let [$($field),*] = $crate::frame::array_of(buffers);
+                Self { $($field),* }
             }
         }
     };
+    (@name $field:ident) => { stringify!($field) };
+    (@name $field:ident $name:literal) => { $name };
 }
+pub(crate) use buffer_set;
 
-struct FrameSizes {
-    scenes: u64,
-    gaussians: u64,
-    visible: u64,
-    gaussian_blocks: u64,
-    scan_blocks: u64,
-    instances: u64,
-    histogram: u64,
-    digits: u64,
-    tiles: u64,
-    /// Distance, in vec4, between the attributes of successive visible Gaussians.
-    splat_stride: u64,
-    /// 1 if each attribute has a buffer of its own, otherwise 0.
-    apart: u64,
-    /// Capacity in instances of the buffers of the backward pass; 0 without it.
-    backward_instances: u64,
-    /// Capacity in instances of the absolute gradients; 0 without them.
-    absolute_instances: u64,
-    pixels: u64,
-    /// Values of one plane in strips; 0 without strips.
-    strips: u64,
-    /// 1 with backward, 0 without.
-    backward: u64,
-    /// 1 if very long tiles need several backward passes.
-    passes: u64,
-}
-
-impl FrameSizes {
-    fn new(capacity: &FrameCapacity, block: &LaunchSizes) -> Self {
-        let gaussians = u64::from(capacity.gaussians);
-        let visible = u64::from(capacity.visible);
-        let instances = u64::from(capacity.instances);
+buffer_set! {
+    /// Buffers of a frame. A buffer with one content is a field. A buffer that is reused within the frame has a method
+    /// for each content, which says when it is valid.
+    pub struct FrameBuffers(capacity: &FrameCapacity, launch: &LaunchSizes) {
+        let [gaussians, visible, instances] =
+            [capacity.gaussians, capacity.visible, capacity.instances].map(u64::from);
         let PictureCapacity { pixels, tiles, strip_values, .. } = capacity.pictures;
-        let backward = u64::from(capacity.backward);
-        let tile_bits = tile_bits(tiles.min(u32::MAX.into()) as u32);
-        let depth_sort = block.sort_histogram_words(visible, u32::BITS);
+        let gaussian_blocks = blocks(gaussians, launch.elementwise_workgroup.into());
+        let depth_sort = launch.sort_histogram_words(visible, u32::BITS);
         // A smaller image may use longer digits in fewer passes.
-        let tile_sort = (1..=tile_bits).map(|bits| block.sort_histogram_words(instances, bits)).max();
-        let record = 16 * u64::from(SPLAT_PLANES);
-        let together = visible * record <= block.max_binding_bytes;
-        Self {
-            scenes: capacity.scenes.into(),
-            gaussians,
-            visible,
-            gaussian_blocks: blocks(gaussians, block.elementwise_workgroup.into()),
-            scan_blocks: blocks(visible, block.scan.into()),
-            instances,
-            histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)),
-            digits: 1 << block.sort_digit_bits(),
-            tiles,
-            splat_stride: if together { SPLAT_PLANES.into() } else { 1 },
-            apart: u64::from(!together),
-            backward_instances: backward * instances,
-            absolute_instances: backward * u64::from(capacity.absolute) * instances,
-            pixels,
-            strips: backward * u64::from(block.strips) * strip_values,
-            backward,
-            passes: backward * u64::from(capacity.blend_passes > 1),
-        }
+        let tile_bits = tile_bits(tiles.min(u32::MAX.into()) as u32);
+        let tile_sort = (1..=tile_bits).map(|bits| launch.sort_histogram_words(instances, bits)).max();
+        // Visible Gaussians have records of all attributes, or a buffer for each attribute.
+        let record = u64::from(SPLAT_PLANES);
+        let apart = u64::from(visible * 16 * record > launch.max_binding_bytes);
+        let splat_stride = if apart == 0 { record } else { 1 };
+        // 1 with the buffers of the backward pass, otherwise 0.
+        let backward = u64::from(capacity.backward);
+        let backward_instances = backward * instances;
+        let strips = backward * u64::from(launch.strips) * strip_values;
     }
-}
-
-frame_requests! {
     /// Words named STATE_* in constants.glsl.
-    pub state: |_| u64::from(STATE_WORDS) * 4;
+    pub state: u64::from(STATE_WORDS) * 4;
     /// Indirect arguments, named ARGUMENTS_*.
-    pub arguments: |_| u64::from(ARGUMENTS_COUNT) * 16;
+    pub arguments: u64::from(ARGUMENTS_COUNT) * 16;
     /// Per scene: its camera and draw settings, see camera_block.glsl.
-    pub camera_blocks: |s| s.scenes * CAMERA_BLOCK_BYTES;
+    pub camera_blocks: u64::from(capacity.scenes) * CAMERA_BLOCK_BYTES;
     /// Per range of parameters: indirect arguments, and its range of visible Gaussians. There are fewer ranges than culling
     /// blocks.
-    pub visible_ranges: |s| s.gaussian_blocks.max(1) * 32;
+    pub visible_ranges: gaussian_blocks.max(1) * 32;
     /// Per Gaussian: 1 if visible.
-    pub visible_flags: |s| s.gaussians * 4;
+    pub visible_flags: gaussians * 4;
     /// [`Self::visible_counts`], then [`Self::visible_offsets`].
-    visible_blocks: |s| s.gaussian_blocks * 4;
+    visible_blocks: gaussian_blocks * 4;
     /// Per visible Gaussian: index of the Gaussian.
-    pub visible_list: |s| s.visible * 4;
+    pub visible_list: visible * 4;
     /// Per Gaussian: its index among the visible Gaussians.
-    pub visible_index: |s| s.gaussians * 4;
+    pub visible_index: gaussians * 4;
     /// Per visible Gaussian: mean and half extents, px. Or records of all four attributes, see [`FrameBuffers::splats`].
-    splats: |s| s.visible * 16 * s.splat_stride;
+    splats: visible * 16 * splat_stride;
     /// Per visible Gaussian: conic and opacity.
-    conic_opacity: |s| s.apart * s.visible * 16;
+    conic_opacity: apart * visible * 16;
     /// Per visible Gaussian: colour and 1/z.
-    color_inverse_depth: |s| s.apart * s.visible * 16;
+    color_inverse_depth: apart * visible * 16;
     /// Per visible Gaussian: shape of its rows of tiles, number of tiles (tile_span.glsl).
-    footprints: |s| s.apart * s.visible * 16;
+    footprints: apart * visible * 16;
     /// [`Self::tile_lists`], then [`Self::pose_sums`].
-    tile_lists: |s| (s.visible * 8).max(s.backward * s.gaussians.div_ceil(4) * POSE_SUM_BYTES);
+    tile_lists: (visible * 8).max(backward * gaussians.div_ceil(4) * POSE_SUM_BYTES);
     /// [`Self::depth_keys`], [`Self::depth_sort_keys`], then [`Self::list_heads`].
-    depth_keys_a: |s| s.visible * 4;
+    depth_keys_a: visible * 4;
     /// [`Self::depth_sort_keys`], then [`Self::list_rows`].
-    depth_keys_b: |s| s.visible * 4;
+    depth_keys_b: visible * 4;
     /// [`Self::depth_sort_values`], then [`Self::depth_order`].
-    order_a: |s| s.visible * 4;
+    order_a: visible * 4;
     /// [`Self::depth_sort_values`].
-    order_b: |s| s.visible * 4;
+    order_b: visible * 4;
     /// Per rank: number of tiles touched.
-    pub tiles_touched: |s| s.visible * 4;
+    pub tiles_touched: visible * 4;
     /// Per rank: first instance.
-    pub instance_offsets: |s| s.visible * 4;
+    pub instance_offsets: visible * 4;
     /// Sums and offsets of the scan's blocks.
-    pub scan_blocks: |s| s.scan_blocks * 4;
+    pub scan_blocks: blocks(visible, launch.scan.into()) * 4;
     /// Sorting scratch: counts per digit and block, and per digit and run.
-    pub histogram: |s| s.histogram * 4;
+    pub histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)) * 4;
     /// Sorting scratch: keys per digit.
-    pub digit_totals: |s| s.digits * 4;
+    pub digit_totals: (1 << launch.sort_digit_bits()) * 4;
     /// [`Self::instance_tiles`], [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
-    tiles_a: |s| s.instances * 4;
+    tiles_a: instances * 4;
     /// [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
-    tiles_b: |s| s.instances * 4;
+    tiles_b: instances * 4;
     /// Without backward, first [`Self::instance_visible`]. Then [`Self::tile_sort_values`], then perhaps
     /// [`Self::sorted_instances`].
-    sorted_a: |s| s.instances * 4;
+    sorted_a: instances * 4;
     /// [`Self::tile_sort_values`], then perhaps [`Self::sorted_instances`].
-    sorted_b: |s| s.instances * 4;
+    sorted_b: instances * 4;
     /// [`Self::instance_visible`] with backward.
-    instance_visible: |s| s.backward_instances * 4;
+    instance_visible: backward_instances * 4;
     /// [`Self::sorted_visible`] with backward, gathered by the kernel that finds the ranges.
-    pub gathered_visible: |s| s.backward_instances * 4;
+    pub gathered_visible: backward_instances * 4;
     /// Per visible Gaussian: its first instance.
-    pub first_instances: |s| s.backward * s.visible * 4;
+    pub first_instances: backward * visible * 4;
     /// Per tile: begin and end in the sorted instances.
-    pub tile_ranges: |s| s.tiles * 8;
+    pub tile_ranges: tiles * 8;
     /// Per pixel: premultiplied colour without background, transmittance. With backward in strips it is written only
     /// between passes, and with the inverse depth.
-    pub accumulated: |s| s.pixels * 16;
+    pub accumulated: pixels * 16;
     /// The composited picture as three planes in strips, if the backward pass reads strips.
-    pub composited: |s| 3 * s.strips * 4;
+    pub composited: 3 * strips * 4;
     /// Per pixel: sum of weights / z.
-    pub inverse_depth: |s| s.pixels * 4;
+    pub inverse_depth: pixels * 4;
     /// Per pixel: 1 + list index of the last blended entry of its tile.
-    pub last_entries: |s| s.pixels * 4;
+    pub last_entries: pixels * 4;
     /// Gradient of the loss. Per pixel: dL/d(r, g, b, inverse depth); with strips, three planes of dL/d(r, g,
     /// b).
-    pub image_gradient: |s| if s.strips > 0 { 3 * s.strips * 4 } else { s.backward * s.pixels * 16 };
+    pub image_gradient: if strips > 0 { 3 * strips * 4 } else { backward * pixels * 16 };
     /// Per pixel: state between passes of the backward blending.
-    pub backward_state: |s| s.passes * s.pixels * 8;
+    pub backward_state: backward * u64::from(capacity.blend_passes > 1) * pixels * 8;
     /// Per instance before the tile sort: moments 1, dx, dy, dx dx.
-    pub instance_gradients_a: |s| s.backward_instances * 16;
+    pub instance_gradients_a: backward_instances * 16;
     /// Per instance before the tile sort: moments dx dy, dy dy; d red, d green.
-    pub instance_gradients_b: |s| s.backward_instances * 16;
+    pub instance_gradients_b: backward_instances * 16;
     /// Per instance before the tile sort: d blue, d inverse depth.
-    pub instance_gradients_c: |s| s.backward_instances * 8;
+    pub instance_gradients_c: backward_instances * 8;
     /// [`Self::absolute_gradients`].
-    instance_gradients_d: |s| s.absolute_instances * 8;
+    instance_gradients_d: backward_instances * u64::from(capacity.absolute) * 8;
     /// Per visible Gaussian: planes named GRADIENT_*.
-    pub gradients: |s| s.backward * s.visible * 16 * u64::from(GRADIENT_PLANES);
+    pub gradients: backward * visible * 16 * u64::from(GRADIENT_PLANES);
 }
 
 /// Returns the buffers that were allocated for `N` requests.
@@ -209,7 +171,7 @@ pub(crate) const POSE_SUM_BYTES: u64 = 24;
 
 /// Returns the bytes of all buffers of a frame, including the padding between them.
 pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {
-    packed_bytes(&frame_requests(capacity, block))
+    packed_bytes(&FrameBuffers::requests(capacity, block))
 }
 
 /// Returns the bytes of requests in one block, including the padding between them.
@@ -376,16 +338,11 @@ pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSize
     ];
     match checks.iter().find(|(needed, limit)| needed > limit) {
         None => Ok(()),
-        Some(&(needed, limit)) => Err(Error::TooLarge {
-            what: format!(
-                "a frame of {pixels} pixels, {} Gaussians and {} instances",
-                capacity.gaussians, capacity.instances
-            ),
-            needed,
-            unit: "workgroups",
-            limit,
-            limit_name: "maxComputeWorkGroupCount",
-        }),
+        Some(&(needed, limit)) => {
+            let FrameCapacity { gaussians, instances, .. } = capacity;
+            let what = format!("a frame of {pixels} pixels, {gaussians} Gaussians and {instances} instances");
+            Err(Error::too_large(what, (needed, "workgroups"), (limit, "maxComputeWorkGroupCount")))
+        }
     }
 }
 
@@ -393,7 +350,7 @@ pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSize
 pub fn frame_fits_device(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSizes) -> bool {
     let most = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
     check_grids(limits, capacity, block).is_ok()
-        && frame_requests(capacity, block).iter().all(|(_, bytes)| *bytes <= most)
+        && FrameBuffers::requests(capacity, block).iter().all(|(_, bytes)| *bytes <= most)
 }
 
 /// Index of the tile sort's buffer that holds its result, for an image of this size.

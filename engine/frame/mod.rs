@@ -15,10 +15,8 @@ pub mod subgroups;
 pub mod tuning;
 
 pub(crate) use batches::{LEAST_SCENES, form_batches};
-pub use buffers::{
-    CAMERA_BLOCK_BYTES, FrameBuffers, Splats, check_grids, frame_bytes, frame_fits_device, frame_requests,
-};
-pub(crate) use buffers::{POSE_SUM_BYTES, array_of, packed_bytes, sorted_side};
+pub use buffers::{CAMERA_BLOCK_BYTES, FrameBuffers, Splats, check_grids, frame_bytes, frame_fits_device};
+pub(crate) use buffers::{POSE_SUM_BYTES, array_of, buffer_set, packed_bytes, sorted_side};
 pub(crate) use camera_block::{CUT_OUT_BYTES, record_blocks, record_cut_outs};
 pub use camera_block::{POSE_BYTES, pose_of};
 pub use inputs::{Batch, FrameInputs, PlacedScene, PreviousView, SceneBuffers, SceneView};

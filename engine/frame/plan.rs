@@ -76,13 +76,8 @@ impl ScenePlan {
     pub fn new(limits: &Limits, capacity: u32, sh_degree: u32) -> Result<Self> {
         const MAX_GAUSSIANS: u32 = 1 << 30;
         if capacity > MAX_GAUSSIANS {
-            return Err(Error::TooLarge {
-                what: "the scene".into(),
-                needed: capacity.into(),
-                unit: "Gaussians",
-                limit: MAX_GAUSSIANS.into(),
-                limit_name: "30-bit indices",
-            });
+            let limit = (MAX_GAUSSIANS.into(), "30-bit indices");
+            return Err(Error::too_large("the scene", (capacity.into(), "Gaussians"), limit));
         }
         let planes = parameter_planes(sh_degree);
         let align = u64::from(ELEMENTWISE_WORKGROUP);
@@ -238,13 +233,8 @@ pub fn max_trained_among(limits: &Limits, frozen: u32) -> u32 {
 /// # Errors
 /// [`Error::TooLarge`] when it does not fit.
 pub fn to_u32(n: u64) -> Result<u32> {
-    u32::try_from(n).map_err(|_| Error::TooLarge {
-        what: "a count".into(),
-        needed: n,
-        unit: "elements",
-        limit: u32::MAX.into(),
-        limit_name: "32-bit counts",
-    })
+    let limit = (u32::MAX.into(), "32-bit counts");
+    u32::try_from(n).map_err(|_| Error::too_large("a count", (n, "elements"), limit))
 }
 
 /// Sizes of the pictures that a frame's buffers hold. Each field is the largest over the pictures, so that no memory is
@@ -298,27 +288,5 @@ impl PictureCapacity {
             strip_values: self.strip_values.max(other.strip_values),
             side_tiles: self.side_tiles.max(other.side_tiles),
         }
-    }
-
-    /// True if the pictures of `other` fit.
-    pub fn holds(&self, other: &Self) -> bool {
-        self.and(*other) == *self
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn wide_and_high_pictures_need_the_larger_of_both() {
-        let (wide, high) = (PictureCapacity::of(6000, 600), PictureCapacity::of(600, 6000));
-        let both = wide.and(high);
-        assert_eq!((both.pixels, both.tiles, both.side_tiles), (3_600_000, 375 * 38, 375));
-        assert_eq!(both.strip_values, wide.strip_values.max(high.strip_values));
-        assert!(both.holds(&wide) && both.holds(&high) && !wide.holds(&PictureCapacity::of(601, 6000)));
-        // Fewer pixels may need more tiles.
-        let line = PictureCapacity::of(65_535, 1);
-        assert!(line.pixels < wide.pixels && !wide.and(high).holds(&line) && line.tiles == 4096);
     }
 }

@@ -12,27 +12,12 @@ pub(crate) fn requests(plan: &ScenePlan) -> Vec<(&'static str, u64)> {
     vec![("planes", plan.chunk_bytes()); plan.chunks as usize]
 }
 
-/// An arena and its memory kind; device memory by default.
-pub struct Place<'a> {
-    arena: &'a str,
-    kind: MemoryKind,
-}
-
-impl<'a> From<&'a str> for Place<'a> {
-    fn from(arena: &'a str) -> Self {
-        Self { arena, kind: MemoryKind::Device }
-    }
-}
-
-impl<'a> From<(&'a str, MemoryKind)> for Place<'a> {
-    fn from((arena, kind): (&'a str, MemoryKind)) -> Self {
-        Self { arena, kind }
-    }
-}
-
 /// Allocates planes for a plan, one buffer per chunk.
-pub fn allocate<'a>(context: &Context, place: impl Into<Place<'a>>, plan: &ScenePlan) -> Result<Vec<Buffer>> {
-    let Place { arena, kind } = place.into();
+pub fn allocate(
+    context: &Context,
+    (arena, kind): (&str, MemoryKind),
+    plan: &ScenePlan,
+) -> Result<Vec<Buffer>> {
     context.allocate(arena, &requests(plan), kind)
 }
 
@@ -42,9 +27,9 @@ pub fn allocate<'a>(context: &Context, place: impl Into<Place<'a>>, plan: &Scene
 /// # Errors
 /// [`TooLarge`](crate::Error::TooLarge) or an allocation's failure; [`Argument`](crate::Error::Argument) when
 /// the Gaussians' vectors differ in length.
-pub fn upload<'a>(
+pub fn upload(
     context: &Context,
-    place: impl Into<Place<'a>>,
+    place: (&str, MemoryKind),
     gaussians: &Gaussians,
     capacity: u32,
     sh_degree: u32,

@@ -57,11 +57,10 @@ fn probe(context: &Context, [size, workgroup_size]: [u32; 2]) -> Result<()> {
     let count = (SUBGROUPS * size).max(workgroup_size);
     let bytes = u64::from(16 * count);
     let found = context.allocate("subgroups", &[("found", bytes)], MemoryKind::Device)?.remove(0);
-    context.run("subgroup size", |recorder| {
+    context.run_commands("subgroup size", |recorder| {
         let bind = subgroup_probe::Bind { found: &found };
         let push = subgroup_probe::Push { count };
         recorder.dispatch(&kernel, &bind, &push, count.div_ceil(workgroup_size).into());
-        Ok(())
     })?;
     let found: Vec<[u32; 4]> = bytemuck::pod_collect_to_vec(&context.download(&found.range(0, bytes))?);
     let as_expected = |(index, found): &(usize, &[u32; 4])| {

@@ -1,6 +1,6 @@
 //! Writes the Rust side of each shader from its reflection ([`super::reflect`]). Used by build.rs.
 
-use super::reflect::{BindingKind, Block, Field, Shader};
+use super::reflect::{Binding, BindingKind, Block, Field, Shader};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
@@ -192,37 +192,28 @@ fn bind(kernel: &Kernel) -> Result<String, String> {
     let mut names = BTreeSet::new();
     let mut numbers = BTreeSet::new();
     let mut fields = String::new();
-    for b in &shader.bindings {
+    for b in shader.bindings.iter().chain(&shader.images) {
         check_identifier(&b.name)?;
         if !names.insert(&b.name) {
             return Err(format!(
-                "two buffers are named '{}', by a first member or a block: rename one",
+                "two bindings are named '{}', by a first member, a block or an image: rename one",
                 b.name
             ));
         }
         if !numbers.insert(b.binding) {
-            return Err(format!("two buffers have binding {}", b.binding));
+            return Err(format!("two bindings have number {}", b.binding));
         }
-        let access = match (b.reads, b.writes) {
-            (true, false) => "read",
-            (false, true) => "written",
-            _ => "read and written",
-        };
         let access = match b.kind {
-            BindingKind::Storage => access,
+            BindingKind::Storage if !b.writes => "read",
+            BindingKind::Storage if !b.reads => "written",
+            BindingKind::Storage => "read and written",
             BindingKind::Texels(_) => "read as texels",
             BindingKind::Uniform(_) => "a uniform block",
+            BindingKind::StorageImage | BindingKind::SampledImage => "an image",
         };
+        let resource = if is_image(b) { "Image" } else { "Buffer" };
         let about = format!("Binding {}, {access}.{}", b.binding, comment_of(&kernel.source, &b.name));
-        let _ = writeln!(fields, "#[doc = {about:?}]\npub {}: &'a Buffer,", b.name);
-    }
-    for b in shader.images.iter().map(|i| &i.binding) {
-        check_identifier(&b.name)?;
-        if !names.insert(&b.name) {
-            return Err(format!("two bindings are named '{}': rename one", b.name));
-        }
-        let about = format!("Binding {}, an image.{}", b.binding, comment_of(&kernel.source, &b.name));
-        let _ = writeln!(fields, "#[doc = {about:?}]\npub {}: &'a Image,", b.name);
+        let _ = writeln!(fields, "#[doc = {about:?}]\npub {}: &'a {resource},", b.name);
     }
     if fields.is_empty() {
         fields.push_str("#[doc(hidden)] pub none: std::marker::PhantomData<&'a Buffer>,\n");
@@ -291,32 +282,20 @@ fn for_device(shader: &Shader) -> String {
 
 fn interface(kernel: &Kernel) -> String {
     let shader = &kernel.shader;
-    let infos = binding_infos(shader);
-    let mut buffers = String::new();
-    for b in &shader.bindings {
-        let _ = write!(buffers, "bind.{}, ", b.name);
-    }
+    let (infos, image_infos) = (binding_infos(&shader.bindings), binding_infos(&shader.images));
+    let all =
+        |bindings: &[Binding]| bindings.iter().map(|b| format!("bind.{}, ", b.name)).collect::<String>();
+    let (buffers, images) = (all(&shader.bindings), all(&shader.images));
     let texels = match &kernel.texels {
         None => "None".to_owned(),
         Some((file, shader)) => {
             format!(
                 "Some(Form {{ spirv: &{}, bindings: &[\n{}], texels: true }})",
                 included(file),
-                binding_infos(shader)
+                binding_infos(&shader.bindings)
             )
         }
     };
-    let (mut image_infos, mut images) = (String::new(), String::new());
-    for i in &shader.images {
-        let (b, kind) = (&i.binding, if i.storage { "Storage" } else { "Sampled" });
-        let access = access_of(b.reads, b.writes);
-        let _ = writeln!(
-            image_infos,
-            "ImageInfo {{ name: {:?}, binding: {}, access: Access::{access}, kind: ImageKind::{kind} }},",
-            b.name, b.binding
-        );
-        let _ = write!(images, "bind.{}, ", b.name);
-    }
     let (mut constants, mut entries) = (String::new(), String::new());
     for c in &shader.spec {
         let kind = match c.rust_type {
@@ -379,30 +358,37 @@ fn included(file: &str) -> String {
     format!("include!(concat!(env!(\"OUT_DIR\"), \"/\", {file:?}))")
 }
 
-fn binding_infos(shader: &Shader) -> String {
+fn is_image(binding: &Binding) -> bool {
+    matches!(binding.kind, BindingKind::StorageImage | BindingKind::SampledImage)
+}
+
+fn binding_infos(bindings: &[Binding]) -> String {
     let mut infos = String::new();
-    for b in &shader.bindings {
-        let kind = match &b.kind {
-            BindingKind::Storage => "Storage".to_owned(),
-            BindingKind::Texels(format) => format!("Texels(TexelFormat::{format})"),
-            BindingKind::Uniform(block) => format!("Uniform {{ bytes: {} }}", end_of(&block.members)),
+    for b in bindings {
+        let access = match (b.reads, b.writes) {
+            (true, false) => "Read",
+            (false, true) => "Write",
+            _ => "ReadWrite",
         };
-        let access = access_of(b.reads, b.writes);
+        let (info, kind) = match &b.kind {
+            BindingKind::Storage => ("BindingInfo", "BindingKind::Storage".to_owned()),
+            BindingKind::Texels(format) => {
+                ("BindingInfo", format!("BindingKind::Texels(TexelFormat::{format})"))
+            }
+            BindingKind::Uniform(block) => {
+                ("BindingInfo", format!("BindingKind::Uniform {{ bytes: {} }}", end_of(&block.members)))
+            }
+            BindingKind::StorageImage => ("ImageInfo", "ImageKind::Storage".to_owned()),
+            BindingKind::SampledImage => ("ImageInfo", "ImageKind::Sampled".to_owned()),
+        };
+        let aliased = if is_image(b) { String::new() } else { format!("aliased: {}, ", b.aliased) };
         let _ = writeln!(
             infos,
-            "BindingInfo {{ name: {:?}, binding: {}, access: Access::{access}, aliased: {}, kind: BindingKind::{kind} }},",
-            b.name, b.binding, b.aliased
+            "{info} {{ name: {:?}, binding: {}, access: Access::{access}, {aliased}kind: {kind} }},",
+            b.name, b.binding
         );
     }
     infos
-}
-
-fn access_of(reads: bool, writes: bool) -> &'static str {
-    match (reads, writes) {
-        (true, false) => "Read",
-        (false, true) => "Write",
-        _ => "ReadWrite",
-    }
 }
 
 /// Returns the first block of `//` lines, before or after `#version` and extensions.

@@ -17,7 +17,7 @@ pub struct Shader {
     /// Buffers by binding.
     pub bindings: Vec<Binding>,
     /// Images by binding.
-    pub images: Vec<ImageBinding>,
+    pub images: Vec<Binding>,
     /// Members of the push constant block, in order.
     pub push: Vec<Field>,
     /// Specialization constants by id.
@@ -51,7 +51,7 @@ impl Shader {
     }
 }
 
-/// A buffer, or the common part of an image.
+/// A buffer or an image.
 #[derive(Debug, PartialEq)]
 pub struct Binding {
     /// First member of a storage buffer, name of a texel buffer or image, or name of a uniform block with underscores.
@@ -74,7 +74,7 @@ impl Binding {
     }
 }
 
-/// How a buffer is bound.
+/// How a buffer or an image is bound.
 #[derive(Debug, PartialEq)]
 pub enum BindingKind {
     /// Storage buffer.
@@ -83,6 +83,10 @@ pub enum BindingKind {
     Texels(&'static str),
     /// Uniform block.
     Uniform(Block),
+    /// Storage image.
+    StorageImage,
+    /// Sampled image without sampler.
+    SampledImage,
 }
 
 /// A uniform block.
@@ -92,15 +96,6 @@ pub struct Block {
     pub name: String,
     /// Its members, in order.
     pub members: Vec<Field>,
-}
-
-/// A storage image or a sampled image without sampler.
-#[derive(Debug, PartialEq)]
-pub struct ImageBinding {
-    /// Its name, number and use.
-    pub binding: Binding,
-    /// True for a storage image.
-    pub storage: bool,
 }
 
 /// A member of the push constant block or of a uniform block.
@@ -230,7 +225,7 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
         }
     }
     shader.bindings.sort_by_key(|b| b.binding);
-    shader.images.sort_by_key(|i| i.binding.binding);
+    shader.images.sort_by_key(|i| i.binding);
     shader.shared_bytes = total(shared).bytes;
     shader.workgroup_size = module.workgroup_size(&shader.spec)?;
     Ok(shader)
@@ -371,17 +366,19 @@ impl Module {
         Ok(Binding { name, binding, reads: true, writes: false, aliased, kind })
     }
 
-    fn image(&self, variable: u32, ty: u32) -> Result<ImageBinding, String> {
+    fn image(&self, variable: u32, ty: u32) -> Result<Binding, String> {
         let name = self.name(variable).to_owned();
         let storage = matches!(self.types.get(&ty), Some(Type::Image { storage: true }));
-        let wanted = if storage { STORAGE_IMAGE } else { SAMPLED_IMAGE };
+        let (binding, kind) = match storage {
+            true => (STORAGE_IMAGE, BindingKind::StorageImage),
+            false => (SAMPLED_IMAGE, BindingKind::SampledImage),
+        };
         let at = |decoration| self.decorations.get(&(variable, decoration)).copied();
-        if at(DESCRIPTOR_SET) != Some(0) || at(BINDING) != Some(wanted) {
-            return Err(format!("image '{name}': write set = 0, binding = {wanted}"));
+        if at(DESCRIPTOR_SET) != Some(0) || at(BINDING) != Some(binding) {
+            return Err(format!("image '{name}': write set = 0, binding = {binding}"));
         }
         let (reads, writes) = (at(NON_READABLE).is_none(), storage && at(NON_WRITABLE).is_none());
-        let (aliased, kind) = (self.is_aliased(variable), BindingKind::Storage);
-        Ok(ImageBinding { binding: Binding { name, binding: wanted, reads, writes, aliased, kind }, storage })
+        Ok(Binding { name, binding, reads, writes, aliased: self.is_aliased(variable), kind })
     }
 
     fn uniform_block(&self, variable: u32, block: u32) -> Result<Binding, String> {

@@ -50,40 +50,30 @@ pub struct Moments {
     pub second: Vec<Buffer>,
 }
 
+/// Form of the optimiser's kernel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OptimizerForm {
+    /// Sparse Adam: does not change Gaussians out of view, and corrects no bias.
+    pub sparse: bool,
+    /// The loss has terms that depend on the parameters directly. [`Optimizer::record`] receives their gradient.
+    pub parameter_gradients: bool,
+    /// The device moves the cameras of frames: [`FrameInputs::pose`].
+    pub moved_cameras: bool,
+}
+
 /// Kernels of the optimiser.
 pub struct Optimizer {
     context: Context,
     sizes: LaunchSizes,
-    sparse: bool,
-    parameter_gradients: bool,
-    moved_cameras: bool,
+    form: OptimizerForm,
     adam: KernelSet<adam::Interface>,
 }
 
 impl Optimizer {
-    /// Creates an instance without kernels. Sparse Adam does not change Gaussians out of view, and corrects no bias.
-    pub fn new(context: &Context, sparse: bool) -> Self {
+    /// Creates an instance without kernels.
+    pub fn new(context: &Context, form: OptimizerForm) -> Self {
         let sizes = LaunchSizes::new(context.limits());
-        Self {
-            context: context.clone(),
-            sizes,
-            sparse,
-            parameter_gradients: false,
-            moved_cameras: false,
-            adam: KernelSet::default(),
-        }
-    }
-
-    /// Same as [`Optimizer::new`], but for a loss with terms that depend on the parameters directly. [`Optimizer::record`]
-    /// receives their gradient.
-    pub fn with_parameter_gradients(context: &Context, sparse: bool) -> Self {
-        Self { parameter_gradients: true, ..Self::new(context, sparse) }
-    }
-
-    /// Supports frames whose cameras the device moves: [`FrameInputs::pose`].
-    #[must_use]
-    pub fn with_moved_cameras(self) -> Self {
-        Self { moved_cameras: true, ..self }
+        Self { context: context.clone(), sizes, form, adam: KernelSet::default() }
     }
 
     /// Builds the variant for an SH degree if it is missing.
@@ -92,13 +82,13 @@ impl Optimizer {
     }
 
     fn adam_spec(&self, sh_degree: u32) -> adam::Spec {
-        let Self { sparse, parameter_gradients, moved_cameras: moved_camera, .. } = *self;
+        let OptimizerForm { sparse, parameter_gradients, moved_cameras: moved_camera } = self.form;
         let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
         adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, moved_camera, sh_loops }
     }
 
     /// Records one step from `frame.gradients`, and from `parameter_gradients`
-    /// ([`TermInputs`](crate::passes::loss::TermInputs)) with [`Optimizer::with_parameter_gradients`]. The caller
+    /// ([`TermInputs`](crate::passes::loss::TermInputs)) with [`OptimizerForm::parameter_gradients`]. The caller
     /// places barriers before and after.
     pub fn record(
         &self,
@@ -124,7 +114,7 @@ impl Optimizer {
                     old_moments_1: moments_1,
                     old_moments_2: moments_2,
                     // Without such terms the kernel does not read this binding.
-                    parameter_gradients: match self.parameter_gradients {
+                    parameter_gradients: match self.form.parameter_gradients {
                         true => &parameter_gradients[range.chunk],
                         false => &f.gradients,
                     },

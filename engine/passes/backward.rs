@@ -39,9 +39,19 @@ enum Sums {
     Weights,
 }
 
-impl Sums {
-    fn of(statistics: &Statistics) -> Self {
-        if statistics.absolute.is_some() { Self::Absolute } else { Self::Gradients }
+/// What the backward pass writes besides the gradients of all parameters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BackwardForm {
+    /// Absolute gradients of the 2D means, for [`Statistics::absolute`].
+    pub absolute: bool,
+    /// Sums from which [`PoseGradient`](crate::passes::poses::PoseGradient) computes the gradient of the camera's pose. The scene
+    /// must have the scale 1.
+    pub pose: bool,
+}
+
+impl BackwardForm {
+    fn sums(self) -> Sums {
+        if self.absolute { Sums::Absolute } else { Sums::Gradients }
     }
 }
 
@@ -53,7 +63,7 @@ pub struct Statistics<'a> {
     /// True if the pass updates it.
     pub accumulate: bool,
     /// f32 per Gaussian: the sum of the norms of (W/2 Σ|g_x|, H/2 Σ|g_y|), with g = dL/d(2D mean in pixels) of
-    /// each pixel alone (AbsGS, Ye et al. 2024). Needs [`Backward::prepare_absolute`] and a frame with
+    /// each pixel alone (AbsGS, Ye et al. 2024). Needs [`BackwardForm::absolute`] and a frame with
     /// [`FrameCapacity::absolute`](crate::frame::FrameCapacity::absolute); is updated with `buffer`.
     pub absolute: Option<&'a Buffer>,
 }
@@ -111,14 +121,10 @@ impl Backward {
         }
     }
 
-    /// Builds the missing kernels for an SH degree and a variant.
-    pub fn prepare(&mut self, sh_degree: u32, variant: FrameVariant) -> Result<()> {
-        self.prepare_sums(sh_degree, variant, Sums::Gradients, false)
-    }
-
-    /// Same as [`Backward::prepare`], for [`Statistics::absolute`].
-    pub fn prepare_absolute(&mut self, sh_degree: u32, variant: FrameVariant) -> Result<()> {
-        self.prepare_sums(sh_degree, variant, Sums::Absolute, false)
+    /// Builds the missing kernels for an SH degree, a variant and a form.
+    pub fn prepare(&mut self, sh_degree: u32, variant: FrameVariant, form: BackwardForm) -> Result<()> {
+        self.prepare_blend(form.sums(), variant)?;
+        self.project.prepare(&self.context, self.project_spec(sh_degree, variant, form))
     }
 
     /// Builds the kernel of [`Backward::record_weights`] for a variant, if it is missing.
@@ -163,24 +169,11 @@ impl Backward {
         }
     }
 
-    /// Same as [`Backward::prepare`], but for [`Backward::record_with_pose`], without or with [`Statistics::absolute`].
-    pub fn prepare_with_pose(&mut self, sh_degree: u32, variant: FrameVariant, absolute: bool) -> Result<()> {
-        let sums = if absolute { Sums::Absolute } else { Sums::Gradients };
-        self.prepare_sums(sh_degree, variant, sums, true)
-    }
-
-    fn prepare_sums(&mut self, sh_degree: u32, variant: FrameVariant, sums: Sums, pose: bool) -> Result<()> {
-        self.prepare_blend(sums, variant)?;
-        let spec = self.project_spec(sh_degree, variant, sums == Sums::Absolute, pose);
-        self.project.prepare(&self.context, spec)
-    }
-
     fn project_spec(
         &self,
         sh_degree: u32,
         variant: FrameVariant,
-        absolute: bool,
-        pose_gradient: bool,
+        BackwardForm { absolute, pose: pose_gradient }: BackwardForm,
     ) -> project_backward::Spec {
         let FrameVariant { filter_3d, own_dilation, dropout, z_record, projection, .. } = variant;
         project_backward::Spec {
@@ -216,7 +209,7 @@ impl Backward {
     /// `image_gradient` has the device's native layout: per pixel dL/d(r, g, b, inverse depth), row by row. Devices that use
     /// [`Strips`] have three planes, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth).
     /// [`PixelBorder::record_gradient`](crate::passes::pixels::PixelBorder::record_gradient) converts it from rows, which are the same
-    /// on all devices. Without inverse depth, the caller may pass `frame.image_gradient`.
+    /// on all devices. Without inverse depth, the caller may pass `frame.image_gradient`. `pose`: see [`BackwardForm::pose`].
     ///
     /// [`Strips`]: crate::frame::Strips
     pub fn record(
@@ -225,38 +218,17 @@ impl Backward {
         inputs: &FrameInputs,
         image_gradient: &Buffer,
         statistics: Statistics,
-    ) {
-        self.record_all(r, inputs, image_gradient, statistics, false);
-    }
-
-    /// Same as [`Backward::record`], but also writes the sums from which [`PoseGradient`](crate::passes::poses::PoseGradient) computes
-    /// the gradient of the camera's pose. The scene must have the scale 1.
-    pub fn record_with_pose(
-        &self,
-        r: &mut Recorder,
-        inputs: &FrameInputs,
-        image_gradient: &Buffer,
-        statistics: Statistics,
-    ) {
-        // Subgroups without a visible Gaussian write no sum.
-        let sums = inputs.scene().count.div_ceil(self.context.limits().heavy_subgroup_size);
-        r.fill(&inputs.frame.pose_sums().range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
-        self.record_all(r, inputs, image_gradient, statistics, true);
-    }
-
-    fn record_all(
-        &self,
-        r: &mut Recorder,
-        inputs: &FrameInputs,
-        image_gradient: &Buffer,
-        statistics: Statistics,
         pose: bool,
     ) {
-        r.scope("blend backward", |r| {
-            self.record_blend(r, inputs, image_gradient, Sums::of(&statistics));
-        });
+        let form = BackwardForm { absolute: statistics.absolute.is_some(), pose };
+        if pose {
+            // Subgroups without a visible Gaussian write no sum.
+            let sums = inputs.scene().count.div_ceil(self.context.limits().heavy_subgroup_size);
+            r.fill(&inputs.frame.pose_sums().range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
+        }
+        r.scope("blend backward", |r| self.record_blend(r, inputs, image_gradient, form.sums()));
         r.barrier();
-        r.scope("project backward", |r| self.record_project(r, inputs, statistics, pose));
+        r.scope("project backward", |r| self.record_project(r, inputs, statistics, form));
     }
 
     /// Records the weights of the Gaussians in the frame of the same buffers. A weight is the sum over the tile's pixels of e α
@@ -287,10 +259,15 @@ impl Backward {
         }
     }
 
-    fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics, pose: bool) {
-        let f = inputs.frame;
-        let (variant, scene) = (inputs.variant(), inputs.scene());
-        let spec = self.project_spec(inputs.sh_degree(), variant, statistics.absolute.is_some(), pose);
+    fn record_project(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        statistics: Statistics,
+        form: BackwardForm,
+    ) {
+        let (f, scene) = (inputs.frame, inputs.scene());
+        let spec = self.project_spec(inputs.sh_degree(), inputs.variant(), form);
         let Some(kernel) = self.project.get(r, &spec) else { return };
         scene.record_chunks(r, |r, range, parameters| {
             let push = project_backward::Push {

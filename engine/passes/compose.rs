@@ -9,7 +9,6 @@ use crate::kernels::compose::{
 };
 use crate::kernels::constants as c;
 use crate::scene::{Camera, ColorEncoding, DepthMapping};
-use crate::vk as device;
 use crate::vk::{Buffer, Context, Image, ImageUse, Kernel, KernelSet, Recorder};
 use ash::vk;
 
@@ -73,17 +72,6 @@ fn encoding_word(encoding: ColorEncoding, format: vk::Format) -> (u32, f32) {
 }
 
 impl Compose {
-    /// Formats of colour images.
-    pub const COLOR_FORMATS: [vk::Format; 8] = device::COLOR_FORMATS;
-    /// Formats of a host's depth image, each read as one float.
-    pub const HOST_DEPTH_FORMATS: [vk::Format; 9] = device::HOST_DEPTH_FORMATS;
-    /// Format of an image of expected depth.
-    pub const DEPTH_FORMAT: vk::Format = device::DEPTH_FORMAT;
-    /// Format of an image of picks: Gaussian, scene, bits of the depth, bits of the weight.
-    pub const PICK_FORMAT: vk::Format = device::PICK_FORMAT;
-    /// Format of an image of motion, px.
-    pub const MOTION_FORMAT: vk::Format = device::MOTION_FORMAT;
-
     /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
         let workgroup_size = context.limits().workgroup_size(256);
@@ -221,7 +209,7 @@ impl Compose {
         Ok(())
     }
 
-    /// Records the picks of a frame without backward that was blended with picks, into an image of [`Compose::PICK_FORMAT`]
+    /// Records the picks of a frame without backward that was blended with picks, into an image of [`PICK_FORMAT`](crate::vk::PICK_FORMAT)
     /// that is ready for kernels. Each has the Gaussian, its scene, and the bits of its depth and of its weight.
     pub fn record_picks(
         &self,
@@ -256,7 +244,7 @@ impl Compose {
     }
 
     /// Records the mean motion sum(w m) / sum(w), px, of a frame that was blended with motion, into an image of
-    /// [`Compose::MOTION_FORMAT`] that is ready for kernels. Pixels with a sum of weights below `min_weight` receive `empty`,
+    /// [`MOTION_FORMAT`](crate::vk::MOTION_FORMAT) that is ready for kernels. Pixels with a sum of weights below `min_weight` receive `empty`,
     /// or stay without it.
     pub fn record_motion(
         &self,

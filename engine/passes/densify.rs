@@ -5,7 +5,7 @@
 //! by (seed, iteration, Gaussian, half), so the result does not depend on scheduling.
 
 use crate::error::Result;
-use crate::frame::{LaunchSizes, SceneBuffers, array_of};
+use crate::frame::{LaunchSizes, SceneBuffers, buffer_set};
 use crate::kernels::constants::{CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED, ZORDER_BITS};
 use crate::kernels::densify::{classify, gather, mask_outside, reset_opacity, scatter_sources, zorder};
 use crate::passes::adam::Moments;
@@ -59,38 +59,22 @@ pub struct DensifySettings {
     pub max_scale: f32,
 }
 
-/// Scratch of a densification.
-#[derive(Clone)]
-pub struct DensifyBuffers {
+buffer_set! {
+    /// Scratch of a densification of up to `gaussians` before and `rows` after.
+    pub struct DensifyBuffers(sizes: &LaunchSizes, gaussians: u32, rows: u32) {}
     /// Per Gaussian: decision bits.
-    pub decisions: Buffer,
+    pub decisions: u64::from(gaussians) * 4;
     /// Per block of Gaussians, three counts, then offsets.
-    pub blocks: Buffer,
+    pub blocks as "densify_blocks": sizes.groups(gaussians) * 12;
     /// Number of Gaussians that stay, are cloned, are split; number of sorted rows.
-    pub totals: Buffer,
+    pub totals as "densify_totals": 16;
     /// Per row of the new set: its source.
-    pub sources: Buffer,
+    pub sources: u64::from(rows) * 4;
 }
 
 impl DensifyBuffers {
     /// Index in `totals` of the number of sorted rows.
     const ROWS: u64 = 3;
-
-    /// Names and bytes, in the order of the fields, for up to `gaussians` before and `rows` after.
-    pub fn requests(sizes: &LaunchSizes, gaussians: u32, rows: u32) -> [(&'static str, u64); 4] {
-        [
-            ("decisions", u64::from(gaussians) * 4),
-            ("densify_blocks", sizes.groups(gaussians) * 12),
-            ("densify_totals", 16),
-            ("sources", u64::from(rows) * 4),
-        ]
-    }
-
-    /// Assigns the buffers that were allocated for [`DensifyBuffers::requests`].
-    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
-        let [decisions, blocks, totals, sources] = array_of(buffers);
-        Self { decisions, blocks, totals, sources }
-    }
 }
 
 /// Standard normal numbers from the caller, for comparisons with other implementations.
@@ -124,7 +108,7 @@ pub struct Gather<'a> {
     pub sources: &'a Buffer,
 }
 
-/// Inputs of [`Densify::record_classify_by`].
+/// Inputs of [`Densify::record_classify`].
 #[derive(Clone, Copy)]
 pub struct ClassifyInputs<'a> {
     /// vec2 per Gaussian: sum of gradient norms, number of views.
@@ -149,13 +133,8 @@ pub struct Densify {
 }
 
 impl Densify {
-    /// Builds the kernels of the reference's form.
-    pub fn new(context: &Context) -> Result<Self> {
-        Self::with_form(context, DensifyForm::default())
-    }
-
-    /// Builds the kernels of a form.
-    pub fn with_form(context: &Context, form: DensifyForm) -> Result<Self> {
+    /// Builds the kernels.
+    pub fn new(context: &Context, form: DensifyForm) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
         let long_axis = form.long_axis;
@@ -181,25 +160,12 @@ impl Densify {
         })
     }
 
-    /// Records the classification by the mean gradient norm: the decisions, and in `buffers.totals` the numbers of Gaussians
-    /// that stay, are cloned and are split.
-    pub fn record_classify(
-        &self,
-        r: &mut Recorder,
-        scene: &SceneBuffers,
-        statistics: &Buffer,
-        buffers: &DensifyBuffers,
-        settings: &DensifySettings,
-    ) {
-        let inputs = ClassifyInputs { statistics, criteria: None };
-        self.record_classify_by(r, scene, inputs, buffers, settings);
-    }
-
-    /// Same as [`Densify::record_classify`], but by the form's [`Criterion`].
+    /// Records the classification by the form's [`Criterion`]: the decisions, and in `buffers.totals` the numbers of Gaussians that
+    /// stay, are cloned and are split.
     ///
     /// # Panics
     /// If the values for the form's criterion are missing.
-    pub fn record_classify_by(
+    pub fn record_classify(
         &self,
         r: &mut Recorder,
         scene: &SceneBuffers,
@@ -304,13 +270,8 @@ impl Densify {
         }
     }
 
-    /// Records the opacity reset to [`RESET_OPACITY`].
-    pub fn record_reset(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments) {
-        self.record_reset_to(r, scene, moments, RESET_OPACITY);
-    }
-
     /// Records an opacity reset: opacities above `most` become `most`, between 0 and 1.
-    pub fn record_reset_to(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments, most: f64) {
+    pub fn record_reset(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments, most: f64) {
         let max_logit = (most / (1.0 - most)).ln() as f32;
         r.scope("reset opacity", |r| {
             for range in scene.plan.ranges(scene.count) {
@@ -335,55 +296,25 @@ pub struct Curve {
     pub extent: f32,
 }
 
-/// Scratch of the sort along a curve.
-#[derive(Clone)]
-pub struct OrderBuffers {
+buffer_set! {
+    /// Scratch of the sort of `rows` rows along a curve.
+    pub struct OrderBuffers(sizes: &LaunchSizes, rows: u32) {}
     /// Position of each row on the curve; sorting scratch.
-    pub keys: [Buffer; 2],
+    pub keys_a as "zorder_keys_a": u64::from(rows) * 4;
+    /// Sorting scratch: keys.
+    pub keys_b as "zorder_keys_b": u64::from(rows) * 4;
     /// Like [`DensifyBuffers::sources`].
-    pub sources: Buffer,
+    pub sources as "ordered_sources": u64::from(rows) * 4;
     /// Sorting scratch: counts per digit and block, and per digit and run.
-    pub histogram: Buffer,
+    pub histogram as "zorder_histogram": sizes.sort_histogram_words(rows.into(), ZORDER_BITS) * 4;
     /// Sorting scratch: keys per digit.
-    pub digit_totals: Buffer,
-}
-
-impl OrderBuffers {
-    /// Names and bytes, in the order of the fields, for `rows` rows.
-    pub fn requests(sizes: &LaunchSizes, rows: u32) -> [(&'static str, u64); 5] {
-        let words = u64::from(rows) * 4;
-        [
-            ("zorder_keys_a", words),
-            ("zorder_keys_b", words),
-            ("ordered_sources", words),
-            ("zorder_histogram", sizes.sort_histogram_words(rows.into(), ZORDER_BITS) * 4),
-            ("zorder_digit_totals", (1 << sizes.sort_digit_bits()) * 4),
-        ]
-    }
-
-    /// Assigns the buffers that were allocated for [`OrderBuffers::requests`].
-    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
-        let [a, b, sources, histogram, digit_totals] = array_of(buffers);
-        Self { keys: [a, b], sources, histogram, digit_totals }
-    }
+    pub digit_totals as "zorder_digit_totals": (1 << sizes.sort_digit_bits()) * 4;
 }
 
 impl Densify {
-    /// Records the sort of `rows` sources of [`Densify::record_scatter_sources`] and returns the buffer with the result. A
+    /// Records the sort of `rows` sources and returns the buffer with the result. The fourth word of `totals` is scratch. A
     /// barrier must precede it; it ends with one. Rows in the same cell of the curve keep their order.
     pub fn record_order<'a>(
-        &self,
-        r: &mut Recorder,
-        set: (&SceneBuffers, u32),
-        buffers: &'a DensifyBuffers,
-        order: &'a OrderBuffers,
-        curve: &Curve,
-    ) -> &'a Buffer {
-        self.record_order_of(r, set, (&buffers.sources, &buffers.totals), order, curve)
-    }
-
-    /// Same as [`Densify::record_order`], but for sources that others have written. The fourth word of `totals` is scratch.
-    pub fn record_order_of<'a>(
         &self,
         r: &mut Recorder,
         (scene, rows): (&SceneBuffers, u32),
@@ -395,7 +326,7 @@ impl Densify {
         r.scope("order", |r| {
             r.fill(&totals.range(DensifyBuffers::ROWS * 4, 4), rows);
             scene.record_chunks(r, |r, range, parameters| {
-                let bind = zorder::Bind { sources: sources[0], parameters, keys: &order.keys[0] };
+                let bind = zorder::Bind { sources: sources[0], parameters, keys: &order.keys_a };
                 let push = zorder::Push {
                     first: range.first,
                     count: range.count,
@@ -409,7 +340,7 @@ impl Densify {
             let pairs = SortBuffers {
                 counts: totals,
                 count_index: DensifyBuffers::ROWS as u32,
-                keys: [&order.keys[0], &order.keys[1]],
+                keys: [&order.keys_a, &order.keys_b],
                 values: sources,
                 histogram: &order.histogram,
                 digit_totals: &order.digit_totals,

@@ -210,9 +210,8 @@ impl Lpips {
         for rows in &bands.rows {
             let texels = input(&bands.maps[0], rows[0].end, pictures, range);
             self.context.upload(&maps[0], bytemuck::cast_slice(&texels))?;
-            self.context.run("lpips", |r| {
+            self.context.run_commands("lpips", |r| {
                 self.record(r, bands, rows, maps, differences);
-                Ok(())
             })?;
             for ((sum, &map), buffer) in sums.iter_mut().zip(&taps).zip(differences.iter()) {
                 let values = rows[map].len() as u64 * u64::from(bands.maps[map].width);
@@ -348,14 +347,10 @@ impl Lpips {
                 return self.allocate_bands(size, bands, &requests);
             }
             if band == 1 {
-                let (width, height) = size;
-                return Err(Error::TooLarge {
-                    what: format!("a row of LPIPS of {width}x{height} pixels with {}", self.network.name()),
-                    needed: bands.largest(),
-                    unit: "bytes",
-                    limit: binding,
-                    limit_name: "maxStorageBufferRange",
-                });
+                let ((width, height), network) = (size, self.network.name());
+                let what = format!("a row of LPIPS of {width}x{height} pixels with {network}");
+                let limit = (binding, "maxStorageBufferRange");
+                return Err(Error::too_large(what, (bands.largest(), "bytes"), limit));
             }
             band = if band > 128 { (band / 2).next_multiple_of(64) } else { band / 2 };
         }
@@ -379,9 +374,8 @@ impl Lpips {
     ) -> Result<Memory> {
         let mut maps = self.context.allocate("lpips", requests, MemoryKind::Device)?;
         let differences = maps.split_off(bands.maps.len());
-        self.context.run("lpips zeros", |r| {
+        self.context.run_commands("lpips zeros", |r| {
             maps.iter().for_each(|map| r.fill(map, 0));
-            Ok(())
         })?;
         Ok(Memory { size, bands, maps, differences })
     }

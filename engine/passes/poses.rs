@@ -11,7 +11,7 @@
 pub use crate::frame::pose_of;
 
 use crate::error::Result;
-use crate::frame::{FrameInputs, LaunchSizes, POSE_BYTES, array_of};
+use crate::frame::{FrameInputs, LaunchSizes, POSE_BYTES, buffer_set};
 use crate::kernels::poses::{pose_gradient, pose_step};
 use crate::passes::adam::{BETA_1, BETA_2};
 use crate::scene::Camera;
@@ -42,7 +42,7 @@ impl PoseGradient {
         Ok(Self { kernel, sum_gaussians: context.limits().heavy_subgroup_size })
     }
 
-    /// Records the gradient after [`Backward::record_with_pose`](crate::passes::backward::Backward::record_with_pose). `parameters` has
+    /// Records the gradient after [`Backward::record`](crate::passes::backward::Backward::record) with a pose. `parameters` has
     /// ξ of all images, and `image` is the index of the frame's. `gradient` ([`GRADIENT_BYTES`]) receives g = dL/dδ of `exp(δ^)
     /// T` at δ = 0, then dL/dξ, each as (ν, ω). The caller places barriers before and after.
     pub fn record(
@@ -72,44 +72,23 @@ pub struct PoseStep {
     pub count: u64,
 }
 
-/// Poses of all images on the device.
-#[derive(Clone)]
-pub struct PoseBuffers {
-    /// Number of images.
-    pub images: u32,
-    /// ξ per image: two vec3, ν and ω.
-    pub parameters: Buffer,
-    /// Four vec3 per image: Adam's first moment of ν and ω, then the second.
-    pub moments: Buffer,
-    /// Four vec3 per image: rows of the rotation of T₀, then its translation.
-    pub starts: Buffer,
-    /// Depth of the point about which each image turns in steps, world units; 0 for the camera's centre.
-    pub depths: Buffer,
-    /// Four vec3 per image: rows of the rotation of T(ξ), then its translation, for [`FrameInputs::pose`].
-    pub cameras: Buffer,
-    /// Gradient of a pose: see [`PoseGradient::record`].
-    pub gradient: Buffer,
-}
-
-impl PoseBuffers {
-    /// Names and bytes of the buffers.
-    pub fn requests(images: u32) -> [(&'static str, u64); 6] {
+buffer_set! {
+    /// Poses of all images on the device.
+    pub struct PoseBuffers(images: u32) {
         let images = u64::from(images);
-        [
-            ("pose_parameters", images * PARAMETER_BYTES),
-            ("pose_moments", images * 2 * PARAMETER_BYTES),
-            ("pose_starts", images * POSE_BYTES),
-            ("pose_depths", images * 4),
-            ("pose_cameras", images * POSE_BYTES),
-            ("pose_gradient", GRADIENT_BYTES),
-        ]
     }
-
-    /// Assigns the buffers that were allocated for [`PoseBuffers::requests`], in the same order.
-    pub fn from_allocated(images: u32, buffers: Vec<Buffer>) -> Self {
-        let [parameters, moments, starts, depths, cameras, gradient] = array_of(buffers);
-        Self { images, parameters, moments, starts, depths, cameras, gradient }
-    }
+    /// ξ per image: two vec3, ν and ω.
+    pub parameters as "pose_parameters": images * PARAMETER_BYTES;
+    /// Four vec3 per image: Adam's first moment of ν and ω, then the second.
+    pub moments as "pose_moments": images * 2 * PARAMETER_BYTES;
+    /// Four vec3 per image: rows of the rotation of T₀, then its translation.
+    pub starts as "pose_starts": images * POSE_BYTES;
+    /// Depth of the point about which each image turns in steps, world units; 0 for the camera's centre.
+    pub depths as "pose_depths": images * 4;
+    /// Four vec3 per image: rows of the rotation of T(ξ), then its translation, for [`FrameInputs::pose`].
+    pub cameras as "pose_cameras": images * POSE_BYTES;
+    /// Gradient of a pose: see [`PoseGradient::record`].
+    pub gradient as "pose_gradient": GRADIENT_BYTES;
 }
 
 /// Moves `camera` to a pose: the inverse of [`pose_of`].
@@ -146,8 +125,9 @@ impl PoseOptimizer {
     ) {
         let none = PoseStep { rate: 0.0, count: 1 };
         let (PoseStep { rate, count }, seen) = step.unwrap_or((none, 0));
+        let images = (buffers.parameters.bytes() / PARAMETER_BYTES) as u32;
         let push = pose_step::Push {
-            images: buffers.images,
+            images,
             seen,
             makes_step: step.is_some().into(),
             beta_1: BETA_1 as f32,
@@ -168,22 +148,6 @@ impl PoseOptimizer {
             state,
             pose_depths: &buffers.depths,
         };
-        r.dispatch(&self.kernel, &bind, &push, buffers.images.div_ceil(self.workgroup).into());
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scene::Intrinsics;
-    use glam::Vec3;
-
-    #[test]
-    fn poses_keep_cameras() {
-        let intrinsics = Intrinsics { cx: 3.5, ..Intrinsics::from_fov_x(0.7, 20, 10) };
-        let camera = Camera::look_at(Vec3::new(1.0, 2.0, -3.0), Vec3::ZERO, Vec3::Y, intrinsics);
-        assert_eq!(camera_at(&camera, &pose_of(&camera)), camera);
-        let [x, y, z, ..] = pose_of(&camera);
-        assert_eq!(Vec3::new(x, y, z), camera.camera_from_world.row(0));
+        r.dispatch(&self.kernel, &bind, &push, images.div_ceil(self.workgroup).into());
     }
 }

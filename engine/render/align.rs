@@ -1,14 +1,15 @@
 //! Moves a camera until the picture of a fixed scene agrees with a photograph.
 
-use super::runner::{Failed, FrameRunner, Request};
+use super::renderer::Renderer;
+use super::runner::{Failed, Request};
 use crate::error::{Error, Result};
-use crate::frame::{FrameVariant, LaunchSizes, RenderSettings, SceneBuffers};
+use crate::frame::{FrameVariant, RenderSettings};
 use crate::passes::adam::{BETA_1, BETA_2};
-use crate::passes::backward::{Backward, Statistics};
+use crate::passes::backward::{BackwardForm, Statistics};
 use crate::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes, photo_on_device};
 use crate::passes::poses::{EPSILON, GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
 use crate::scene::{Camera, StoredPhoto, Twist};
-use crate::vk::{Context, MemoryKind};
+use crate::vk::MemoryKind;
 use glam::DVec3;
 
 /// Settings of a camera alignment: photometric optimisation of its pose with the scene fixed. BARF (Lin et al. 2021,
@@ -92,51 +93,32 @@ impl Adam {
     }
 }
 
-/// Kernels of an alignment.
-pub(crate) struct Aligner {
-    context: Context,
-    sizes: LaunchSizes,
-    backward: Backward,
-    gradient: PoseGradient,
-    /// For photographs without a mask, and with one.
-    losses: [Option<Loss>; 2],
-}
-
-/// Inputs of an alignment.
-#[derive(Clone, Copy)]
-pub(crate) struct AlignRequest<'a> {
-    pub scene: &'a SceneBuffers,
-    pub camera: &'a Camera,
-    pub photo: &'a StoredPhoto,
-    pub settings: &'a RenderSettings,
-    pub alignment: &'a Alignment,
-}
-
-impl Aligner {
-    pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self {
-            sizes: LaunchSizes::new(context.limits()),
-            backward: Backward::new(context),
-            gradient: PoseGradient::new(context)?,
-            losses: [None, None],
-            context: context.clone(),
-        })
-    }
-
-    /// Returns the camera after all steps. Ignores a step whose gradient is not finite.
-    pub fn align(&mut self, runner: &mut FrameRunner, request: &AlignRequest) -> Result<Camera> {
-        let AlignRequest { scene, camera, photo, settings, alignment } = *request;
-        check(request)?;
+impl Renderer {
+    /// Aligns a camera to a photograph, so that the scene's picture agrees with it, and returns the moved camera. The scene
+    /// does not change. Ignores a step whose gradient is not finite.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] without a scene or with several, for a photograph of another size than the camera's, or for rates
+    /// that are not finite. Also for settings that are not [faithful](RenderSettings::is_faithful), and errors of
+    /// [`Renderer::render`].
+    pub fn align(
+        &mut self,
+        camera: &Camera,
+        photo: &StoredPhoto,
+        settings: &RenderSettings,
+        alignment: &Alignment,
+    ) -> Result<Camera> {
+        let scene = &self.only_scene("an alignment is")?;
+        check(camera, photo, settings, alignment)?;
         let sh_degree = scene.active_degree(settings);
+        let mut adam = Adam::new(self.mean_depth(camera, settings)?);
         let settings = &RenderSettings { inverse_depth: false, ..*settings };
-        let variant = FrameVariant::of(settings, camera, true);
-        self.backward.prepare_with_pose(sh_degree, variant, false)?;
+        let form = BackwardForm { pose: true, ..BackwardForm::default() };
+        self.backward.prepare(sh_degree, FrameVariant::of(settings, camera, true), form)?;
+        let pose_gradient = PoseGradient::new(&self.context)?;
         let masked = photo.is_masked();
         let format = if masked { PhotoFormat::MaskedRgba8 } else { PhotoFormat::Rgba8 };
-        let loss = match &mut self.losses[usize::from(masked)] {
-            Some(loss) => loss,
-            none => none.insert(Loss::new(&self.context, format)?),
-        };
+        let loss = Loss::new(&self.context, format)?;
         let (width, height) = (camera.width, camera.height);
         let windowing = Windowing::for_device(self.context.limits());
         let mut requests = vec![
@@ -153,13 +135,14 @@ impl Aligner {
         };
         let texels = photo_on_device(windowing, width, height, masked, photo.texels()?);
         self.context.upload(target, &texels)?;
-        let mut adam = Adam::new(mean_depth(runner, request)?);
-        let mut moved = *camera;
+        let (sizes, backward) = (self.runner.forward.sizes, &self.backward);
+        let (start, mut moved) = (camera, *camera);
         for _ in 0..alignment.steps {
-            let request = Request { scene, camera: &moved, pose: None, settings, sh_degree, backward: true };
-            let ran = runner.run(&request, |r, inputs| {
+            let (frozen, pose, camera) = (&[], None, &moved);
+            let request = Request { scene, frozen, camera, pose, settings, sh_degree, backward: true };
+            let ran = self.runner.run(&request, |r, inputs| {
                 let loss_inputs = LossInputs {
-                    rendered: inputs.frame.rendered(&self.sizes),
+                    rendered: inputs.frame.rendered(&sizes),
                     photo: target,
                     scratch,
                     losses,
@@ -176,9 +159,9 @@ impl Aligner {
                 loss.record(r, &loss_inputs);
                 r.barrier();
                 let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
-                self.backward.record_with_pose(r, inputs, &inputs.frame.image_gradient, statistics);
+                backward.record(r, inputs, &inputs.frame.image_gradient, statistics, true);
                 r.barrier();
-                self.gradient.record(r, inputs, (parameters, 0), gradient);
+                pose_gradient.record(r, inputs, (parameters, 0), gradient);
                 Ok(())
             });
             ran.map_err(Failed::error)?;
@@ -186,25 +169,28 @@ impl Aligner {
             let g: [f32; 6] = bytemuck::pod_read_unaligned(&bytes);
             if g.iter().all(|x| x.is_finite()) {
                 alignment.step(&mut adam, Twist::from_array(g.map(f64::from)));
-                moved = adam.applied_to(camera);
+                moved = adam.applied_to(start);
             }
         }
         Ok(moved)
     }
+
+    /// Returns the harmonic mean of the visible scene's depth, world units; 1 if nothing is visible.
+    fn mean_depth(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<f64> {
+        let frame = self.render(camera, &RenderSettings { inverse_depth: true, ..*settings })?;
+        let weight: f64 = frame.transmittance.iter().map(|&t| 1.0 - f64::from(t)).sum();
+        let inverse: f64 = frame.inverse_depth.iter().flatten().map(|&x| f64::from(x)).sum();
+        let depth = weight / inverse;
+        Ok(if depth.is_finite() && depth > 0.0 { depth } else { 1.0 })
+    }
 }
 
-/// Returns the harmonic mean of the visible scene's depth, world units; 1 if nothing is visible.
-fn mean_depth(runner: &mut FrameRunner, request: &AlignRequest) -> Result<f64> {
-    let settings = RenderSettings { inverse_depth: true, ..*request.settings };
-    let frame = runner.render(request.scene, request.camera, &settings)?;
-    let weight: f64 = frame.transmittance.iter().map(|&t| 1.0 - f64::from(t)).sum();
-    let inverse: f64 = frame.inverse_depth.iter().flatten().map(|&x| f64::from(x)).sum();
-    let depth = weight / inverse;
-    Ok(if depth.is_finite() && depth > 0.0 { depth } else { 1.0 })
-}
-
-fn check(request: &AlignRequest) -> Result<()> {
-    let AlignRequest { camera, photo, settings, alignment, .. } = *request;
+fn check(
+    camera: &Camera,
+    photo: &StoredPhoto,
+    settings: &RenderSettings,
+    alignment: &Alignment,
+) -> Result<()> {
     alignment.check()?;
     if (photo.width, photo.height) != (camera.width, camera.height) {
         let problem = format!(

@@ -68,9 +68,8 @@ impl Renderer {
         }
         self.check_images(frame, earlier)?;
         if placing.cut_outs > reserved.cut_outs {
-            let (what, unit, limit_name) = (THE_FRAME.into(), "cut-outs", "Reservation::cut_outs");
-            let (needed, limit) = (placing.cut_outs.into(), reserved.cut_outs.into());
-            return Err(Error::TooLarge { what, needed, unit, limit, limit_name });
+            let limit = (reserved.cut_outs.into(), "Reservation::cut_outs");
+            return Err(Error::too_large(THE_FRAME, (placing.cut_outs.into(), "cut-outs"), limit));
         }
         let previous = frame.motion.map(|motion| motion.previous_camera.projection);
         if let Some(fields) = reserved.lacks(variant, previous) {
@@ -259,9 +258,8 @@ fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservati
         bytes += count * u64::from(plan.planes) * 16;
     }
     if bytes > reserved.staging_bytes {
-        let (what, unit, limit_name) = ("updates: the frame".into(), "bytes", "Reservation::staging_bytes");
-        let limit = reserved.staging_bytes;
-        return Err(Error::TooLarge { what, needed: bytes, unit, limit, limit_name });
+        let limit = (reserved.staging_bytes, "Reservation::staging_bytes");
+        return Err(Error::too_large("updates: the frame", (bytes, "bytes"), limit));
     }
     Ok(())
 }
@@ -280,16 +278,15 @@ pub(super) fn check_capacity(
             let (Camera { width: w, height: h, .. }, Reservation { width, height, .. }) =
                 (frame.camera, reserved);
             let what = format!("camera: a picture of {w} x {h}, where {width} x {height} are reserved,");
-            let limit_name = "Reservation::width, height";
-            return Err(Error::TooLarge { what, needed, unit, limit, limit_name });
+            return Err(Error::too_large(what, (needed, unit), (limit, "Reservation::width, height")));
         }
     }
     // If the last scene ends within the reserved Gaussians, the gaps between scenes fit too.
     let end = placed.last().map_or(0, |last| u64::from(last.first) + u64::from(last.drawn()));
     if end > u64::from(capacity.gaussians) {
         let needed = frame.scenes.iter().map(|s| u64::from(s.drawn())).sum();
-        let (what, unit, limit_name) = (THE_FRAME.into(), "Gaussians", "Reservation::gaussians");
-        return Err(Error::TooLarge { what, needed, unit, limit: reserved.gaussians.into(), limit_name });
+        let limit = (reserved.gaussians.into(), "Reservation::gaussians");
+        return Err(Error::too_large(THE_FRAME, (needed, "Gaussians"), limit));
     }
     Ok(())
 }
@@ -365,7 +362,7 @@ pub(super) fn in_view(error: Error, index: usize, views: &[RecordedFrame<'_>]) -
             Error::argument(what, problem)
         }
         Error::TooLarge { what, needed, unit, limit, limit_name } => {
-            Error::TooLarge { what: format!("{view}.{what}"), needed, unit, limit, limit_name }
+            Error::too_large(format!("{view}.{what}"), (needed, unit), (limit, limit_name))
         }
         other => other.within(&view),
     }

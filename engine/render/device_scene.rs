@@ -35,7 +35,8 @@ impl DeviceScene {
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
     pub fn upload(context: &Context, gaussians: &Gaussians, capacity: u32) -> Result<Self> {
         gaussians.check_shapes().map_err(|error| error.within("gaussians"))?;
-        let buffers = planes::upload(context, "scene", gaussians, capacity, gaussians.sh_degree)?;
+        let buffers =
+            planes::upload(context, ("scene", MemoryKind::Device), gaussians, capacity, gaussians.sh_degree)?;
         Ok(Self::new(context, buffers))
     }
 
@@ -94,7 +95,7 @@ impl DeviceScene {
     /// [`Error::TooLarge`] or an allocation's failure.
     pub fn empty(context: &Context, capacity: u32, sh_degree: u32) -> Result<Self> {
         let plan = Self::plan_for(context, capacity, sh_degree)?;
-        let chunks = planes::allocate(context, "scene", &plan)?;
+        let chunks = planes::allocate(context, ("scene", MemoryKind::Device), &plan)?;
         Ok(Self::new(context, SceneBuffers { chunks, plan, count: 0 }))
     }
 

@@ -4,7 +4,7 @@ use super::frame::BlendSamples;
 use crate::error::{Error, Result};
 use crate::frame::{
     FrameBuffers, FrameCapacity, LEAST_INSTANCES, LEAST_VISIBLE, LaunchSizes, PictureCapacity, check_grids,
-    frame_bytes, frame_requests, initial_instances, initial_visible,
+    frame_bytes, initial_instances, initial_visible,
 };
 use crate::kernels::constants as c;
 use crate::scene::Camera;
@@ -171,14 +171,13 @@ impl FrameStore {
         check_grids(self.context.limits(), &capacity, &self.sizes)?;
         // The old buffers are freed first: both sets at once might not fit.
         self.frame = None;
-        let requests = frame_requests(&capacity, &self.sizes);
+        let requests = FrameBuffers::requests(&capacity, &self.sizes);
         let buffers = self.context.allocate("frame", &requests, MemoryKind::Device)?;
         let frame = FrameBuffers::from_allocated(buffers);
         if capacity.backward {
             // The fourth component of each pixel is never written and must be 0.
-            self.context.run("clear gradient", |r| {
+            self.context.run_commands("clear gradient", |r| {
                 r.fill(&frame.image_gradient, 0);
-                Ok(())
             })?;
         }
         self.capacity = capacity;

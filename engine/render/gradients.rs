@@ -1,10 +1,10 @@
 //! Differentiable rendering: the gradient of any function of the image with respect to all parameters.
 
-use super::renderer::{Renderer, check_one, no_scene};
+use super::renderer::Renderer;
 use super::runner::{Failed, Request};
 use crate::error::{Error, Result};
 use crate::frame::{FrameVariant, RenderSettings, SceneBuffers, planes};
-use crate::passes::backward::Statistics;
+use crate::passes::backward::{BackwardForm, Statistics};
 use crate::passes::pixels::PixelBorder;
 use crate::passes::poses::{GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
 use crate::scene::{Camera, Gaussians};
@@ -79,27 +79,16 @@ impl Renderer {
                 "gradients are those of the Gaussians as they are: no other shape, no scale modifier";
             return Err(Error::argument("settings", problem));
         }
-        check_one(&self.runner, "gradients are")?;
-        let scene = self.scene.clone().ok_or_else(no_scene)?;
+        let scene = self.only_scene("gradients are")?;
         let sh_degree = scene.active_degree(settings);
         let variant = FrameVariant::of(settings, camera, true);
-        let pose_gradient = match with_pose {
-            true => {
-                self.backward.prepare_with_pose(sh_degree, variant, false)?;
-                Some(PoseGradient::new(&self.context)?)
-            }
-            false => {
-                self.backward.prepare(sh_degree, variant)?;
-                None
-            }
-        };
+        let form = BackwardForm { pose: with_pose, ..BackwardForm::default() };
+        self.backward.prepare(sh_degree, variant, form)?;
+        let pose_gradient = with_pose.then(|| PoseGradient::new(&self.context)).transpose()?;
         self.backward.prepare_expand(sh_degree)?;
-        let border = match &mut self.border {
-            Some(border) => border,
-            none => none.insert(PixelBorder::new(&self.context)?),
-        };
+        let border = PixelBorder::new(&self.context)?;
         let count = u64::from(scene.count);
-        let planes = planes::allocate(&self.context, "gradients", &scene.plan)?;
+        let planes = planes::allocate(&self.context, ("gradients", MemoryKind::Device), &scene.plan)?;
         let target = (0..pixels).map(|i| {
             let [r, g, b] = image_gradient[i];
             [r, g, b, inverse_depth_gradient.map_or(0.0, |d| d[i])]
@@ -121,21 +110,19 @@ impl Renderer {
             unreachable!("one buffer per request")
         };
         self.context.upload(target_rows, target)?;
-        let request = Request { scene: &scene, camera, pose: None, settings, sh_degree, backward: true };
+        let request =
+            Request { scene: &scene, frozen: &[], camera, pose: None, settings, sh_degree, backward: true };
         let backward = &self.backward;
         let ran = self.runner.run(&request, |r, inputs| {
             r.barrier();
             border.record_gradient(r, inputs, target_rows, native, false);
             r.barrier();
             let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
-            match &pose_gradient {
-                None => backward.record(r, inputs, native, statistics),
-                Some(gradient) => {
-                    r.fill(&pose[0], 0);
-                    backward.record_with_pose(r, inputs, native, statistics);
-                    r.barrier();
-                    gradient.record(r, inputs, (&pose[0], 0), &pose[1]);
-                }
+            pose.iter().take(1).for_each(|parameters| r.fill(parameters, 0));
+            backward.record(r, inputs, native, statistics, with_pose);
+            if let Some(gradient) = &pose_gradient {
+                r.barrier();
+                gradient.record(r, inputs, (&pose[0], 0), &pose[1]);
             }
             r.barrier();
             backward.record_expand_gradients(r, inputs, &planes, mean2d);

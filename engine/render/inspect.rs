@@ -1,14 +1,13 @@
 //! Reads back what a frame blends: at a pixel, and per tile.
 
 use super::frame::Frame;
-use super::renderer::{Renderer, no_scene};
+use super::renderer::Renderer;
 use super::runner::FrameRunner;
 use crate::error::{Error, Result};
-use crate::frame::{RenderSettings, SceneBuffers, first_frozen, tile_grid};
+use crate::frame::{RenderSettings, first_frozen, tile_grid};
 use crate::kernels::constants as c;
 use crate::kernels::constants::TILE_SIZE;
 use crate::scene::Camera;
-use crate::vk::Buffer;
 
 /// One Gaussian blended at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,31 +52,17 @@ impl Renderer {
         settings: &RenderSettings,
         pixel: [u32; 2],
     ) -> Result<PixelReport> {
-        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
-        self.runner.inspect(scene, camera, settings, pixel)
-    }
-}
-
-impl FrameRunner {
-    /// See [`Renderer::inspect`].
-    pub(crate) fn inspect(
-        &mut self,
-        scene: &SceneBuffers,
-        camera: &Camera,
-        settings: &RenderSettings,
-        pixel: [u32; 2],
-    ) -> Result<PixelReport> {
         let [x, y] = pixel;
         if x >= camera.width || y >= camera.height {
             let problem = format!("({x}, {y}) lies outside the image of {}x{}", camera.width, camera.height);
             return Err(Error::argument("pixel", problem));
         }
-        let visible = self.render(scene, camera, settings)?.stats.visible;
+        let visible = self.draw(camera, settings)?.visible;
         let (columns, _) = tile_grid(camera.width, camera.height);
         let tile = u64::from(y / TILE_SIZE * columns + x / TILE_SIZE);
-        let range: Vec<u32> = self.read(&self.store.current()?.tile_ranges, tile * 8, 8)?;
+        let range: Vec<u32> = self.read(&self.runner.store.current()?.tile_ranges, tile * 8, 8)?;
         let entries = self.entries(camera, range[0], range[1])?;
-        let gaussians = self.gaussians(scene, visible)?;
+        let gaussians = self.visible_gaussians(visible)?;
         let [means, conics, shades] = self.attributes(visible)?;
         let mut report = PixelReport { transmittance: 1.0, ..PixelReport::default() };
         for entry in entries {
@@ -118,34 +103,36 @@ impl FrameRunner {
 
     /// Returns the visible Gaussians from `begin` to `end` in the sorted list of the last frame's instances.
     fn entries(&self, camera: &Camera, begin: u32, end: u32) -> Result<Vec<u32>> {
-        let backward = self.store.capacity().backward;
-        let sorted = self.store.current()?.sorted_visible(&self.forward.sizes, backward, camera);
+        let FrameRunner { store, forward, .. } = &self.runner;
+        let backward = store.capacity().backward;
+        let sorted = store.current()?.sorted_visible(&forward.sizes, backward, camera);
         self.read(sorted, u64::from(begin) * 4, u64::from(end - begin) * 4)
     }
 
     /// Returns the index in its scene of each visible Gaussian of the last frame, without the gaps between scenes.
-    fn gaussians(&self, scene: &SceneBuffers, visible: u32) -> Result<Vec<u32>> {
-        let of_frame: Vec<u32> = self.read(&self.store.current()?.visible_list, 0, u64::from(visible) * 4)?;
-        Ok(of_frame.into_iter().map(|gaussian| self.without_gaps(scene, gaussian)).collect())
+    fn visible_gaussians(&self, visible: u32) -> Result<Vec<u32>> {
+        let list = &self.runner.store.current()?.visible_list;
+        let of_frame: Vec<u32> = self.read(list, 0, u64::from(visible) * 4)?;
+        Ok(of_frame.into_iter().map(|gaussian| self.without_gaps(gaussian)).collect())
     }
 
     /// Converts a frame's Gaussian index to an index without the gaps between scenes.
-    fn without_gaps(&self, scene: &SceneBuffers, gaussian: u32) -> u32 {
-        let (mut first, mut end, mut before) = (0, scene.count, 0);
-        for next in &self.frozen {
-            if gaussian < end {
+    fn without_gaps(&self, gaussian: u32) -> u32 {
+        let (mut gaps, mut end) = (0, 0);
+        for scene in &self.scenes {
+            let first = first_frozen(end);
+            if gaussian < first {
                 break;
             }
-            before += end - first;
-            first = first_frozen(end);
-            end = first + next.count;
+            gaps += first - end;
+            end = first + scene.count;
         }
-        before + gaussian - first
+        gaussian - gaps
     }
 
     /// Returns per visible Gaussian of the last frame: mean and extent, conic and opacity, colour and 1/z.
     fn attributes(&self, visible: u32) -> Result<[Vec<[f32; 4]>; 3]> {
-        let splats = self.store.current()?.splats();
+        let splats = self.runner.store.current()?.splats();
         let stride = splats.stride as usize;
         let read = |buffer, plane: u32| -> Result<Vec<[f32; 4]>> {
             let plane = if stride == 1 { 0 } else { plane as usize };
@@ -157,14 +144,6 @@ impl FrameRunner {
             read(splats.conic_opacity, c::SPLAT_CONIC_OPACITY)?,
             read(splats.color_inverse_depth, c::SPLAT_COLOR_INVERSE_DEPTH)?,
         ])
-    }
-
-    /// Downloads a part of a buffer.
-    pub(super) fn read<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, bytes: u64) -> Result<Vec<T>> {
-        if bytes == 0 {
-            return Ok(Vec::new());
-        }
-        Ok(bytemuck::pod_collect_to_vec(&self.context.download(&buffer.range(offset, bytes))?))
     }
 }
 
@@ -203,12 +182,11 @@ impl Renderer {
     /// # Errors
     /// Same as [`Renderer::render`].
     pub fn tile_lists(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<TileLists> {
-        let (runner, scene) = (&mut self.runner, self.scene.as_ref().ok_or_else(no_scene)?);
-        let stats = runner.render(scene, camera, settings)?.stats;
+        let stats = self.draw(camera, settings)?;
         let (tiles_per_row, rows) = tile_grid(camera.width, camera.height);
         let tiles = u64::from(tiles_per_row * rows);
-        let [means, conics, shades] = runner.attributes(stats.visible)?;
-        let gaussians = runner.gaussians(scene, stats.visible)?;
+        let [means, conics, shades] = self.attributes(stats.visible)?;
+        let gaussians = self.visible_gaussians(stats.visible)?;
         let splats = (gaussians.into_iter().zip(means).zip(conics).zip(shades)).map(
             |(((gaussian, [x, y, ..]), [a, b, c, opacity]), [.., inverse_depth])| ProjectedSplat {
                 gaussian,
@@ -220,8 +198,8 @@ impl Renderer {
         );
         Ok(TileLists {
             tiles_per_row,
-            ranges: runner.read(&runner.store.current()?.tile_ranges, 0, tiles * 8)?,
-            entries: runner.entries(camera, 0, stats.instances)?,
+            ranges: self.read(&self.runner.store.current()?.tile_ranges, 0, tiles * 8)?,
+            entries: self.entries(camera, 0, stats.instances)?,
             splats: splats.collect(),
         })
     }
@@ -258,21 +236,8 @@ impl Renderer {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<(Frame, TileReport)> {
-        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
-        self.runner.render_with_tiles(scene, camera, settings)
-    }
-}
-
-impl FrameRunner {
-    /// Renders a frame and reads back the report of its tiles.
-    pub(crate) fn render_with_tiles(
-        &mut self,
-        scene: &SceneBuffers,
-        camera: &Camera,
-        settings: &RenderSettings,
-    ) -> Result<(Frame, TileReport)> {
-        let picture = self.render(scene, camera, settings)?;
-        let frame = self.store.current()?;
+        let picture = self.render(camera, settings)?;
+        let frame = self.runner.store.current()?;
         let (columns, rows) = tile_grid(camera.width, camera.height);
         let tiles = u64::from(columns) * u64::from(rows);
         let pixels = u64::from(camera.width) * u64::from(camera.height);

@@ -18,7 +18,6 @@ mod runner;
 mod slots;
 
 pub use align::Alignment;
-pub(crate) use align::{AlignRequest, Aligner};
 pub use device_scene::DeviceScene;
 pub use forward::Forward;
 pub use frame::{BlendSamples, Frame, FrameStats};
@@ -31,4 +30,4 @@ pub use recorded_frame::{
 };
 pub use renderer::Renderer;
 pub use reservation::{Reservation, SlotReport};
-pub(crate) use runner::{Failed, FrameRun, FrameRunner, Request};
+pub(crate) use runner::{Failed, FrameRun, FrameRunner, Request, frozen_capacity};

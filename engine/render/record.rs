@@ -360,11 +360,10 @@ impl Renderer {
         check_capacity(frame, &placed, &slot.upcoming().capacity, reserved)?;
         let settings = RenderSettings { inverse_depth: false, ..*frame.settings };
         let inputs = slot.memory.inputs(&placed, &settings);
-        self.context.run("count", |r| {
+        self.context.run_commands("count", |r| {
             forward.record(r, &inputs);
             r.barrier();
             slot.record_counts(r, 0);
-            Ok(())
         })?;
         slot.counts(&forward.sizes, 1)
     }

@@ -74,7 +74,7 @@ pub enum Target<'a> {
     /// the slot is recorded again. The next recording waits for compute and transfer commands that read the buffer. A host
     /// that reads it in other stages, in a later command buffer than the frame's, must wait for those stages first.
     Slot,
-    /// A storage image of a format of [`Compose::COLOR_FORMATS`](crate::passes::compose::Compose::COLOR_FORMATS).
+    /// A storage image of a format of [`COLOR_FORMATS`](crate::vk::COLOR_FORMATS).
     Image {
         /// The image.
         to: HostImage<'a>,
@@ -109,7 +109,7 @@ pub struct DepthTarget<'a> {
 /// nearest.
 #[derive(Clone, Copy)]
 pub struct PickTarget<'a> {
-    /// A storage image of format [`Compose::PICK_FORMAT`](crate::passes::compose::Compose::PICK_FORMAT), rgba32ui. A texel holds:
+    /// A storage image of format [`PICK_FORMAT`](crate::vk::PICK_FORMAT), rgba32ui. A texel holds:
     /// - the index of the Gaussian in its scene;
     /// - the index of the scene in [`RecordedFrame::scenes`];
     /// - the f32 bits of the Gaussian's depth z in the camera's frame, world units;
@@ -125,7 +125,7 @@ pub struct PickTarget<'a> {
 /// not included.
 #[derive(Clone, Copy)]
 pub struct MotionTarget<'a> {
-    /// A storage image of format [`Compose::MOTION_FORMAT`](crate::passes::compose::Compose::MOTION_FORMAT), rg16f: the current
+    /// A storage image of format [`MOTION_FORMAT`](crate::vk::MOTION_FORMAT), rg16f: the current
     /// position minus the previous one, in pixels, x right, y down. The content of pixel p was at p - motion.
     pub to: HostImage<'a>,
     /// Camera of the previous frame, of the same width and height; the frame's own camera if there is no previous frame.

@@ -1,19 +1,18 @@
 //! A renderer that owns its submissions.
 
-use super::align::{AlignRequest, Aligner, Alignment};
 use super::device_scene::{DeviceScene, ELSEWHERE};
 use super::frame::{Frame, FrameStats};
+use super::frame_store::State;
 use super::recorded_frame::Staged;
-use super::runner::FrameRunner;
+use super::runner::{Failed, FrameRun, FrameRunner, Request};
 use super::slots::Slots;
 use crate::error::{Error, Result};
 use crate::frame::{Blending, PlacedScene, RenderSettings, SceneBuffers, planes};
 use crate::passes::backward::Backward;
 use crate::passes::compose::Compose;
 use crate::passes::filter_3d::Filter3d;
-use crate::passes::pixels::PixelBorder;
-use crate::scene::{Camera, Gaussians, StoredPhoto};
-use crate::vk::Context;
+use crate::scene::{Camera, Gaussians};
+use crate::vk::{Buffer, Context, MemoryKind};
 
 /// Renders a scene of Gaussians.
 ///
@@ -35,13 +34,10 @@ pub struct Renderer {
     pub(super) context: Context,
     pub(super) runner: FrameRunner,
     pub(super) backward: Backward,
-    pub(super) scene: Option<SceneBuffers>,
+    /// Drawn together, in the same axes. Empty before the first upload.
+    pub(super) scenes: Vec<SceneBuffers>,
     /// Built by the first reservation.
     pub(super) compose: Option<Compose>,
-    /// Built by the first gradients.
-    pub(super) border: Option<PixelBorder>,
-    /// Built by the first alignment.
-    pub(super) aligner: Option<Aligner>,
     pub(super) slots: Slots,
     /// Reused list of a recording's scenes.
     pub(super) placed: Vec<PlacedScene<'static>>,
@@ -63,10 +59,8 @@ impl Renderer {
             context: context.clone(),
             runner: FrameRunner::new(context)?,
             backward: Backward::new(context),
-            scene: None,
+            scenes: Vec::new(),
             compose: None,
-            border: None,
-            aligner: None,
             slots: Slots::default(),
             placed: Vec::new(),
             staged: Staged::default(),
@@ -83,10 +77,15 @@ impl Renderer {
     /// # Errors
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
     pub fn upload(&mut self, gaussians: &Gaussians) -> Result<()> {
-        self.scene = None;
-        self.runner.frozen.clear();
+        self.scenes.clear();
         let count = crate::frame::to_u32(gaussians.len() as u64)?;
-        self.scene = Some(planes::upload(&self.context, "scene", gaussians, count, gaussians.sh_degree)?);
+        self.scenes.push(planes::upload(
+            &self.context,
+            ("scene", MemoryKind::Device),
+            gaussians,
+            count,
+            gaussians.sh_degree,
+        )?);
         Ok(())
     }
 
@@ -108,19 +107,22 @@ impl Renderer {
             return Err(Error::argument("scenes", problem));
         }
         let filled = scenes.iter().filter(|scene| scene.count() > 0);
-        let mut buffers: Vec<SceneBuffers> = filled.map(|scene| scene.buffers.clone()).collect();
-        if buffers.is_empty() {
+        self.scenes = filled.map(|scene| scene.buffers.clone()).collect();
+        if self.scenes.is_empty() {
             return self.upload(&Gaussians::default());
         }
-        self.scene = Some(buffers.remove(0));
-        self.runner.frozen = buffers;
         Ok(())
     }
 
-    /// Returns all scenes that are drawn.
-    fn scenes(&self) -> Result<impl Iterator<Item = &SceneBuffers>> {
-        let first = self.scene.as_ref().ok_or_else(no_scene)?;
-        Ok(std::iter::once(first).chain(&self.runner.frozen))
+    /// Returns the loaded scene, or an error if there are several. `what` names the operation.
+    pub(super) fn only_scene(&self, what: &str) -> Result<SceneBuffers> {
+        match loaded(&self.scenes)? {
+            (scene, []) => Ok(scene.clone()),
+            (_, others) => {
+                let problem = format!("{what} of one alone, and {} are drawn", others.len() + 1);
+                Err(Error::argument("scenes", problem))
+            }
+        }
     }
 
     /// Downloads the scene's Gaussians; several scenes are concatenated.
@@ -128,22 +130,21 @@ impl Renderer {
     /// # Errors
     /// [`Error::Argument`] without a scene; when the device is lost.
     pub fn gaussians(&self) -> Result<Gaussians> {
-        let mut all: Option<Gaussians> = None;
-        for scene in self.scenes()? {
-            let own = planes::download(&self.context, scene)?;
-            match &mut all {
-                Some(all) => all.append(&own),
-                None => all = Some(own),
-            }
+        let (first, others) = loaded(&self.scenes)?;
+        let mut all = planes::download(&self.context, first)?;
+        for scene in others {
+            all.append(&planes::download(&self.context, scene)?);
         }
-        Ok(all.unwrap_or_default())
+        Ok(all)
     }
 
     /// Returns the scene on the device, for [`Renderer::record`]. None before [`Renderer::upload`], or if there are several
     /// scenes.
     pub fn scene(&self) -> Option<DeviceScene> {
-        let scene = self.scene.as_ref().filter(|_| self.runner.frozen.is_empty())?;
-        Some(DeviceScene::new(&self.context, scene.clone()))
+        match &self.scenes[..] {
+            [scene] => Some(DeviceScene::new(&self.context, scene.clone())),
+            _ => None,
+        }
     }
 
     /// Sets the initial capacity in (tile, Gaussian) instances, instead of an estimate. Frames that need more are run again
@@ -157,6 +158,11 @@ impl Renderer {
     /// if a frame does not fit beside the needs of earlier ones. The slots of [`Renderer::reserve`] and the scene stay.
     pub fn shrink(&mut self) {
         self.runner.store.forget();
+    }
+
+    /// Frees the buffers of frames. The next frame allocates the same capacity again.
+    pub(crate) fn release(&mut self) {
+        self.runner.store.release();
     }
 
     /// Returns the bytes of the buffers of frames, without the slots of [`Renderer::reserve`].
@@ -182,7 +188,8 @@ impl Renderer {
     /// [`Error::Argument`] if there is no scene or no camera; memory or device failures.
     pub fn compute_filters(&mut self, cameras: &[Camera]) -> Result<()> {
         let filter = Filter3d::new(&self.context, cameras)?;
-        self.scenes()?.try_for_each(|scene| filter.run(&self.context, scene))
+        loaded(&self.scenes)?;
+        self.scenes.iter().try_for_each(|scene| filter.run(&self.context, scene))
     }
 
     /// Returns the sizes of the 3D filter, world units, one per Gaussian; 0 without a filter.
@@ -190,7 +197,8 @@ impl Renderer {
     /// # Errors
     /// Same as [`Renderer::gaussians`].
     pub fn filters(&self) -> Result<Vec<f32>> {
-        let of_scenes = self.scenes()?.map(|scene| planes::download_filters(&self.context, scene));
+        loaded(&self.scenes)?;
+        let of_scenes = self.scenes.iter().map(|scene| planes::download_filters(&self.context, scene));
         Ok(of_scenes.collect::<Result<Vec<_>>>()?.concat())
     }
 
@@ -199,8 +207,28 @@ impl Renderer {
     /// # Errors
     /// [`Error::Argument`] without a scene or with an invalid camera; memory or device failures.
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
-        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
-        self.runner.render(scene, camera, settings)
+        let stats = self.draw(camera, settings)?;
+        let pixels = u64::from(camera.width) * u64::from(camera.height);
+        let frame = self.runner.store.current()?;
+        let [r, g, b] = settings.background;
+        let mut color = Vec::with_capacity(pixels as usize);
+        let mut transmittance = Vec::with_capacity(pixels as usize);
+        self.context.download_chunks(&frame.accumulated.range(0, pixels * 16), |bytes| {
+            let texels = bytes.chunks_exact(16).map(bytemuck::pod_read_unaligned::<[f32; 4]>);
+            color.extend(texels.clone().map(|[x, y, z, t]| [x + t * r, y + t * g, z + t * b]));
+            transmittance.extend(texels.map(|[.., t]| t));
+        })?;
+        let depth = || self.read(&frame.inverse_depth, 0, pixels * 4);
+        let inverse_depth = settings.inverse_depth.then(depth).transpose()?;
+        Ok(Frame { width: camera.width, height: camera.height, color, transmittance, inverse_depth, stats })
+    }
+
+    /// Downloads a part of a buffer.
+    pub(super) fn read<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, bytes: u64) -> Result<Vec<T>> {
+        if bytes == 0 {
+            return Ok(Vec::new());
+        }
+        Ok(bytemuck::pod_collect_to_vec(&self.context.download(&buffer.range(offset, bytes))?))
     }
 
     /// Same as [`Renderer::render`], but does not read the picture back. For measurements of the device's work.
@@ -208,31 +236,15 @@ impl Renderer {
     /// # Errors
     /// Same as [`Renderer::render`].
     pub fn draw(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<FrameStats> {
-        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
-        self.runner.draw(scene, camera, settings)
-    }
-
-    /// Aligns a camera to a photograph, so that the scene's picture agrees with it, and returns the moved camera. The scene
-    /// does not change.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] without a scene, for a photograph of another size than the camera's, or for rates that are not
-    /// finite. Also for settings that are not [faithful](RenderSettings::is_faithful), and errors of [`Renderer::render`].
-    pub fn align(
-        &mut self,
-        camera: &Camera,
-        photo: &StoredPhoto,
-        settings: &RenderSettings,
-        alignment: &Alignment,
-    ) -> Result<Camera> {
-        check_one(&self.runner, "an alignment is")?;
-        let scene = self.scene.clone().ok_or_else(no_scene)?;
-        let request = AlignRequest { scene: &scene, camera, photo, settings, alignment };
-        let aligner = match &mut self.aligner {
-            Some(aligner) => aligner,
-            none => none.insert(Aligner::new(&self.context)?),
-        };
-        aligner.align(&mut self.runner, &request)
+        let (scene, frozen) = loaded(&self.scenes)?;
+        let sh_degree = scene.active_degree(settings);
+        let request = Request { scene, frozen, camera, pose: None, settings, sh_degree, backward: false };
+        let ran = self.runner.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
+        let FrameRun { state, report, retries } = ran;
+        let State { visible, instances, longest_tile, samples, .. } = state;
+        let gaussians = self.scenes.iter().map(|scene| scene.count).sum();
+        let scopes = report.scopes;
+        Ok(FrameStats { gaussians, visible, instances, longest_tile, samples, scopes, retries })
     }
 
     /// Renders this scene on the device, instead of the loaded ones.
@@ -262,9 +274,17 @@ impl Renderer {
         if !scene.belongs_to(&self.context) {
             return Err(Error::argument("scene", ELSEWHERE));
         }
-        let loaded = self.scene.replace(scene.buffers.clone());
-        let frozen = std::mem::take(&mut self.runner.frozen);
-        let aside = SetAside { renderer: self, loaded, frozen };
+        self.with_scenes(vec![scene.buffers.clone()], act)
+    }
+
+    /// Calls `act` with these scenes in place of the loaded ones, which are restored afterwards, even after a panic.
+    pub(crate) fn with_scenes<T>(
+        &mut self,
+        scenes: Vec<SceneBuffers>,
+        act: impl FnOnce(&mut Self) -> Result<T>,
+    ) -> Result<T> {
+        let loaded = std::mem::replace(&mut self.scenes, scenes);
+        let aside = SetAside { renderer: self, loaded };
         act(aside.renderer)
     }
 }
@@ -272,25 +292,16 @@ impl Renderer {
 /// Restores the renderer's scenes when dropped.
 struct SetAside<'a> {
     renderer: &'a mut Renderer,
-    loaded: Option<SceneBuffers>,
-    frozen: Vec<SceneBuffers>,
+    loaded: Vec<SceneBuffers>,
 }
 
 impl Drop for SetAside<'_> {
     fn drop(&mut self) {
-        self.renderer.scene = self.loaded.take();
-        self.renderer.runner.frozen = std::mem::take(&mut self.frozen);
+        self.renderer.scenes = std::mem::take(&mut self.loaded);
     }
 }
 
-/// Returns an error if several scenes are loaded.
-pub(super) fn check_one(runner: &FrameRunner, what: &str) -> Result<()> {
-    match runner.frozen.len() {
-        0 => Ok(()),
-        more => Err(Error::argument("scenes", format!("{what} of one alone, and {} are drawn", more + 1))),
-    }
-}
-
-pub(super) fn no_scene() -> Error {
-    Error::argument("scene", "none is loaded; call upload first")
+/// Returns the first scene and the others.
+fn loaded(scenes: &[SceneBuffers]) -> Result<(&SceneBuffers, &[SceneBuffers])> {
+    scenes.split_first().ok_or_else(|| Error::argument("scene", "none is loaded; call upload first"))
 }

@@ -5,7 +5,7 @@ use super::reservation::{Reservation, SlotReport, field_name};
 use crate::error::{Error, Result};
 use crate::frame::{
     CUT_OUT_BYTES, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, OutputMemory, PictureCapacity,
-    PlacedScene, RenderSettings, frame_requests, packed_bytes,
+    PlacedScene, RenderSettings, packed_bytes,
 };
 use crate::kernels::constants as c;
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, PLACEMENT_ALIGNMENT, RecordSlot, Recorder};
@@ -246,7 +246,7 @@ impl<'a> Plan<'a> {
             dispatches: wanted.dispatches(context, &capacity)?,
             capacity,
             scratch: scratch_requests(wanted, &capacity, sizes),
-            frame_requests: frame_requests(&capacity, sizes).len(),
+            frame_requests: FrameBuffers::requests(&capacity, sizes).len(),
             pixels,
         };
         plan.check_bindings(sizes)?;
@@ -260,8 +260,7 @@ impl<'a> Plan<'a> {
         let Self { wanted, capacity, .. } = self;
         let limit = self.context.limits().max_storage_buffer_range;
         let too_large = |what: String, needed| {
-            let (unit, limit_name) = ("bytes", "maxStorageBufferRange");
-            Err(Error::TooLarge { what, needed, unit, limit, limit_name })
+            Err(Error::too_large(what, (needed, "bytes"), (limit, "maxStorageBufferRange")))
         };
         if wanted.staging_bytes > limit {
             return too_large(field_name("staging_bytes"), wanted.staging_bytes);
@@ -356,10 +355,10 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// Returns the scratch requests of a frame of this capacity; those of [`frame_requests`] come first.
+/// Returns the scratch requests of a frame of this capacity; those of [`FrameBuffers::requests`] come first.
 fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &LaunchSizes) -> Requests {
     let pixels = capacity.pictures.pixels;
-    let mut scratch = frame_requests(capacity, sizes);
+    let mut scratch = FrameBuffers::requests(capacity, sizes);
     scratch.extend(wanted.occlusion.then_some(("depth_limits", pixels * 4)));
     scratch.extend((wanted.cut_outs > 0).then_some(("cut_outs", u64::from(wanted.cut_outs) * CUT_OUT_BYTES)));
     scratch.extend(wanted.outputs().requests(capacity));
@@ -381,8 +380,7 @@ fn check_block(context: &Context, block: &Buffer, needed: u64) -> Result<()> {
         return Err(Error::argument(what(), problem));
     }
     if block.bytes() < needed {
-        let (limit, limit_name) = (block.bytes(), "its size");
-        return Err(Error::TooLarge { what: what(), needed, unit: "bytes", limit, limit_name });
+        return Err(Error::too_large(what(), (needed, "bytes"), (block.bytes(), "its size")));
     }
     Ok(())
 }

@@ -7,23 +7,15 @@ use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 use crate::frame::FrameInputs;
 use crate::passes::adam::{Averaging, MeanStep};
-use crate::passes::exposure::{Exposing, LightBuffers, LightForm};
-use crate::passes::lens_effects::{self, LensInputs, Lenses};
-use crate::scene::Exposure;
+use crate::passes::light::{Light, LightBuffers, LightForm, LightInputs, LightStep, Matrix};
 use crate::vk::{Buffer, Context, Recorder};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Kernels of exposures and of lens effects; None if not learned.
-pub(super) struct Appearance {
-    exposing: Option<Exposing>,
-    lenses: Option<Lenses>,
-}
+/// Kernels of what is learned: of exposures, of lens effects, or of both in this order.
+pub(super) struct Appearance(Vec<Light>);
 
-/// Matrices and moments, which outlive an iteration, and scratch buffers.
-pub(super) struct AppearanceMemory {
-    exposures: Option<LightBuffers>,
-    lenses: Option<LightBuffers>,
-}
+/// Buffers of exposures and of lens effects; None if not learned.
+pub(super) struct AppearanceMemory([Option<LightBuffers>; 2]);
 
 /// Inputs of one iteration.
 #[derive(Clone, Copy)]
@@ -40,16 +32,14 @@ impl Appearance {
     pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let (shares, sparse) = (settings.exposure_shared, settings.exposure_sparsity > 0.0);
         let form = LightForm { center: true, shares, sparse };
-        Ok(Self {
-            exposing: settings.exposure.then(|| Exposing::new(context, form)).transpose()?,
-            lenses: settings.lens_effects.then(|| Lenses::new(context)).transpose()?,
-        })
+        let exposures = settings.exposure.then(|| Light::exposures(context, form));
+        let lenses = settings.lens_effects.then(|| Light::lenses(context));
+        Ok(Self(exposures.into_iter().chain(lenses).collect::<Result<_>>()?))
     }
 
     /// Names and bytes of the buffers, for photographs of these sizes.
     pub fn requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
-        let exposures = self.exposing.iter().flat_map(|_| LightBuffers::requests(sizes));
-        exposures.chain(self.lenses.iter().flat_map(|_| lens_effects::requests(sizes))).collect()
+        self.0.iter().flat_map(|light| light.requests(sizes)).collect()
     }
 
     /// Takes the buffers of [`Appearance::requests`] from the allocated ones and clears them.
@@ -58,76 +48,66 @@ impl Appearance {
         context: &Context,
         mut buffers: impl Iterator<Item = Buffer>,
     ) -> Result<AppearanceMemory> {
-        let mut next = |matrix| -> Result<Option<LightBuffers>> {
-            let all: Vec<Buffer> = buffers.by_ref().take(LightBuffers::COUNT).collect();
-            let Ok(all) = <[Buffer; LightBuffers::COUNT]>::try_from(all) else { return Ok(None) };
-            let buffers = LightBuffers::from_allocated(all);
-            buffers.reset(context, matrix)?;
-            Ok(Some(buffers))
-        };
-        Ok(AppearanceMemory {
-            exposures: if self.exposing.is_some() { next(Exposure::IDENTITY.rows)? } else { None },
-            lenses: if self.lenses.is_some() { next([[0.0; 4]; 3])? } else { None },
-        })
+        let mut memory = AppearanceMemory([None, None]);
+        for light in &self.0 {
+            let own = LightBuffers::from_allocated(buffers.by_ref().take(LightBuffers::COUNT).collect());
+            upload(context, &own.values, &vec![light.identity(); own.count()])?;
+            let none = vec![[[0.0; 4]; 3]; own.count()];
+            upload(context, &own.first_moments, &none)?;
+            upload(context, &own.second_moments, &none)?;
+            memory.0[usize::from(light.is_lens())] = Some(own);
+        }
+        Ok(memory)
     }
 
-    fn exposures<'a>(&self, inputs: &AppearanceInputs<'a>) -> Option<(&Exposing, &'a LightBuffers)> {
-        self.exposing.as_ref().zip(inputs.memory.exposures.as_ref())
-    }
-
-    fn lenses<'a>(&self, inputs: &AppearanceInputs<'a>) -> Option<(&Lenses, LensInputs<'a>)> {
+    /// The parts in order, each with the picture that it changes and its step.
+    fn parts<'a>(
+        &'a self,
+        inputs: &AppearanceInputs<'a>,
+    ) -> Vec<(&'a Light, LightInputs<'a>, &'a LightStep)> {
         let AppearanceInputs { frame, rendered, memory, plan, run } = *inputs;
-        let picture = memory.exposures.as_ref().map_or(rendered, |exposures| &exposures.picture);
-        let (lenses, buffers) = self.lenses.as_ref().zip(memory.lenses.as_ref())?;
-        Some((lenses, LensInputs { frame, picture, buffers, lens: run.lenses[plan.view] }))
+        let own = [(plan.view as u32, &plan.exposure), (run.lenses[plan.view], &plan.lens_step)];
+        let mut picture = rendered;
+        let part = |(light, buffers): (&'a Light, &'a LightBuffers)| {
+            let (index, step) = own[usize::from(light.is_lens())];
+            let inputs = LightInputs { frame, picture, buffers, index };
+            picture = &buffers.picture;
+            (light, inputs, step)
+        };
+        self.0.iter().zip(memory.all()).map(part).collect()
     }
 
     /// Records the exposure and lens effects, and returns the picture to compare with the photograph. None if nothing is
     /// learned: the rendered picture is compared. Ends with a barrier.
-    pub fn record<'a>(&self, r: &mut Recorder, inputs: &AppearanceInputs<'a>) -> Option<&'a Buffer> {
-        let mut picture = None;
-        if let Some((exposing, exposures)) = self.exposures(inputs) {
-            exposing.record(r, inputs.frame, exposures, inputs.plan.view as u32);
+    pub fn record<'a>(&'a self, r: &mut Recorder, inputs: &AppearanceInputs<'a>) -> Option<&'a Buffer> {
+        let parts = self.parts(inputs);
+        for (light, own, _) in &parts {
+            light.record(r, own);
             r.barrier();
-            picture = Some(&exposures.picture);
         }
-        if let Some((lenses, lens)) = self.lenses(inputs) {
-            lenses.record(r, &lens);
-            r.barrier();
-            picture = Some(&lens.buffers.picture);
-        }
-        picture
+        parts.last().map(|(_, own, _)| &own.buffers.picture)
     }
 
     /// Records the gradient's way back from that picture to the rendered one. Each part begins with a barrier.
     pub fn record_backward(&self, r: &mut Recorder, inputs: &AppearanceInputs, gradient: &Buffer) {
-        if let Some((lenses, lens)) = self.lenses(inputs) {
+        for (light, own, _) in self.parts(inputs).iter().rev() {
             r.barrier();
-            lenses.record_backward(r, &lens, gradient);
-        }
-        if let Some((exposing, exposures)) = self.exposures(inputs) {
-            r.barrier();
-            exposing.record_backward(r, inputs.frame, exposures, inputs.plan.view as u32, gradient);
+            light.record_backward(r, own, gradient);
         }
     }
 
     /// Records the steps. Each part begins with a barrier.
     pub fn record_step(&self, r: &mut Recorder, inputs: &AppearanceInputs) {
-        let (plan, state) = (inputs.plan, &inputs.frame.frame.state);
-        if let Some((exposing, exposures)) = self.exposures(inputs) {
+        for (light, own, step) in self.parts(inputs) {
             r.barrier();
-            exposing.record_step(r, (exposures, state), plan.view as u32, &plan.exposure);
-        }
-        if let Some((lenses, lens)) = self.lenses(inputs) {
-            r.barrier();
-            lenses.record_step(r, (lens.buffers, state), lens.lens, &plan.lens_step);
+            light.record_step(r, &own, step);
         }
     }
 }
 
 impl AppearanceMemory {
     fn all(&self) -> impl Iterator<Item = &LightBuffers> {
-        self.exposures.iter().chain(&self.lenses)
+        self.0.iter().flatten()
     }
 
     /// Records the running means.
@@ -142,56 +122,66 @@ impl AppearanceMemory {
 
     /// Exposures of all views, and the effects of the first `lenses` lenses.
     pub fn states(&self, context: &Context, lenses: usize) -> Result<[ExposureState; 2]> {
+        let [exposures, lens_effects] = &self.0;
         let state = |buffers: &Option<LightBuffers>, count: usize| -> Result<ExposureState> {
             let Some(buffers) = buffers else { return Ok(ExposureState::default()) };
-            let mut sets = buffers.download(context)?;
-            sets.iter_mut().for_each(|set| set.truncate(count));
-            let [values, first_moments, second_moments] = sets;
-            Ok(ExposureState { values, first_moments, second_moments })
+            Ok(ExposureState {
+                values: download(context, &buffers.values, count)?,
+                first_moments: download(context, &buffers.first_moments, count)?,
+                second_moments: download(context, &buffers.second_moments, count)?,
+            })
         };
-        Ok([state(&self.exposures, usize::MAX)?, state(&self.lenses, lenses)?])
+        Ok([state(exposures, usize::MAX)?, state(lens_effects, lenses)?])
     }
 
     /// Running means of the same matrices.
     pub fn means(&self, context: &Context, lenses: usize) -> Result<LightMeans> {
-        let means = |buffers: &Option<LightBuffers>| {
-            buffers.as_ref().map_or(Ok(Vec::new()), |buffers| buffers.download_means(context))
+        let [exposures, lens_effects] = &self.0;
+        let means = |buffers: &Option<LightBuffers>, count: usize| {
+            buffers.as_ref().map_or(Ok(Vec::new()), |buffers| download(context, &buffers.means, count))
         };
-        let mut of_lenses = means(&self.lenses)?;
-        of_lenses.truncate(lenses);
-        Ok(LightMeans { exposures: means(&self.exposures)?, lenses: of_lenses })
+        Ok(LightMeans { exposures: means(exposures, usize::MAX)?, lenses: means(lens_effects, lenses)? })
     }
 
     /// Restores [`AppearanceMemory::states`] and [`AppearanceMemory::means`].
     ///
     /// # Errors
     /// [`Error::Argument`] if there are more rows than views.
-    pub fn restore(
-        &self,
-        context: &Context,
-        [exposures, lenses]: [&ExposureState; 2],
-        means: &LightMeans,
-    ) -> Result<()> {
-        let parts = [(&self.exposures, exposures, &means.exposures), (&self.lenses, lenses, &means.lenses)];
-        for (buffers, state, means) in parts {
+    pub fn restore(&self, context: &Context, states: [&ExposureState; 2], means: &LightMeans) -> Result<()> {
+        let rows = states.into_iter().zip([&means.exposures, &means.lenses]);
+        for (buffers, (state, means)) in self.0.iter().zip(rows) {
             let Some(buffers) = buffers else { continue };
-            // Views that share a lens leave rows unused.
-            let padded = |rows: &Vec<[[f32; 4]; 3]>| -> Result<Vec<[[f32; 4]; 3]>> {
-                if rows.len() > buffers.photographs() {
-                    let problem = format!("has {} for {} views", rows.len(), buffers.photographs());
+            let LightBuffers { values, first_moments, second_moments, means: mean_buffer, .. } = buffers;
+            let sets = [
+                (values, &state.values),
+                (first_moments, &state.first_moments),
+                (second_moments, &state.second_moments),
+                (mean_buffer, means),
+            ];
+            for (buffer, rows) in sets {
+                if rows.len() > buffers.count() {
+                    let problem = format!("has {} for {} views", rows.len(), buffers.count());
                     return Err(Error::argument("checkpoint", problem));
                 }
+                // Views that share a lens leave rows unused.
                 let mut rows = rows.clone();
-                rows.resize(buffers.photographs(), [[0.0; 4]; 3]);
-                Ok(rows)
-            };
-            let ExposureState { values, first_moments, second_moments } = state;
-            let sets = [padded(values)?, padded(first_moments)?, padded(second_moments)?];
-            buffers.upload(context, [&sets[0], &sets[1], &sets[2]])?;
-            buffers.upload_means(context, &padded(means)?)?;
+                rows.resize(buffers.count(), [[0.0; 4]; 3]);
+                upload(context, buffer, &rows)?;
+            }
         }
         Ok(())
     }
+}
+
+fn upload(context: &Context, buffer: &Buffer, rows: &[Matrix]) -> Result<()> {
+    context.upload(buffer, bytemuck::cast_slice(rows))
+}
+
+/// Downloads the first `count` matrices, at most all.
+fn download(context: &Context, buffer: &Buffer, count: usize) -> Result<Vec<Matrix>> {
+    let mut rows: Vec<Matrix> = bytemuck::pod_collect_to_vec(&context.download(buffer)?);
+    rows.truncate(count);
+    Ok(rows)
 }
 
 /// Lens index of each view, counted from 0 in the order of the camera ids.

@@ -5,11 +5,10 @@
 
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
-use crate::frame::{SceneBuffers, planes};
 use crate::passes::densify::MaskOutside;
 use crate::scene::camera::{EDGE_MARGIN, Linearised, NEAR_PLANE};
 use crate::scene::{Bounds, Camera, Fingerprint, Gaussians};
-use crate::vk::{Context, MemoryKind};
+use crate::vk::Context;
 use glam::{DVec2, DVec3, Vec3};
 
 /// A block of a scene, with the frozen Gaussians around it.
@@ -258,28 +257,15 @@ pub(super) struct Block {
     pub state: BlockState,
     /// None if the core has no border.
     pub mask: Option<MaskOutside>,
-    /// Frozen Gaussians, drawn with every frame; None if there are none.
-    pub frozen: Option<SceneBuffers>,
 }
 
 impl Block {
-    /// Uploads the frozen Gaussians. None if the block is the whole scene. `planes`: memory kind of the Gaussians. `absolute`:
-    /// true if absolute gradients are masked too.
-    pub fn new(
-        context: &Context,
-        block: &SceneBlock,
-        planes: MemoryKind,
-        absolute: bool,
-        sh_degree: u32,
-    ) -> Result<Option<Self>> {
+    /// None if the block is the whole scene. `absolute`: true if absolute gradients are masked too.
+    pub fn new(context: &Context, block: &SceneBlock, absolute: bool) -> Result<Option<Self>> {
         let Some(state) = block.state() else { return Ok(None) };
         let bordered = !SceneBlock::is_everything(block.core);
         let mask = bordered.then(|| MaskOutside::new(context, block.core, absolute)).transpose()?;
-        let frozen = match block.frozen.len() {
-            0 => None,
-            _ => Some(planes::upload(context, ("surroundings", planes), &block.frozen, 0, sh_degree)?),
-        };
-        Ok(Some(Self { state, mask, frozen }))
+        Ok(Some(Self { state, mask }))
     }
 }
 

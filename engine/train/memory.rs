@@ -1,17 +1,20 @@
 //! Memory of a training run: its Gaussians, and what fits beside a frame, computed before anything is allocated.
 
 use super::checkpoint::Capacities;
+use super::parts::{BuiltParts, Forecast};
 use super::photos::{PhotoBytes, PhotoSize};
+use super::poses;
 use super::schedule::{IterationPlan, TrainingRun, whole_instances};
 use super::work::{ABSOLUTE_STATISTIC, GRADIENT_STATISTIC, Statistic};
 use crate::error::{Error, Result};
 use crate::frame::{
-    FrameCapacity, LEAST_INSTANCES, LaunchSizes, PictureCapacity, SceneBuffers, ScenePlan, check_grids,
-    frame_bytes, frame_fits_device, frame_requests, gaussians_with, initial_instances, initial_visible,
-    max_trained_among, max_trained_gaussians, max_trained_instances, planes,
+    FrameBuffers, FrameCapacity, LEAST_INSTANCES, LaunchSizes, PictureCapacity, SceneBuffers, ScenePlan,
+    check_grids, frame_fits_device, gaussians_with, initial_instances, initial_visible, max_trained_among,
+    max_trained_gaussians, planes,
 };
 use crate::kernels::constants::PLANE_SH;
 use crate::passes::adam::Moments;
+use crate::passes::filter_3d::Filter3d;
 use crate::render::{FrameStore, State};
 use crate::vk::{Buffer, Context, MemoryKind};
 use std::collections::HashMap;
@@ -188,32 +191,10 @@ impl Model {
     }
 }
 
-/// Properties of a training's frames that do not depend on the counts of Gaussians.
-#[derive(Clone, Copy)]
-pub(super) struct FrameShape {
-    /// Large enough for all views.
-    pub pictures: PictureCapacity,
-    /// 2 with frozen Gaussians.
-    pub scenes: u32,
-    /// True if the backward pass accumulates absolute gradients.
-    pub absolute: bool,
-}
-
-impl FrameShape {
-    fn with_counts(self, gaussians: u32, visible: u32, instances: u32) -> FrameCapacity {
-        let Self { pictures, scenes, absolute } = self;
-        let backward = true;
-        FrameCapacity {
-            gaussians,
-            visible,
-            instances,
-            scenes,
-            pictures,
-            backward,
-            absolute,
-            ..FrameCapacity::default()
-        }
-    }
+/// Returns the capacity of a training's frames, except for the counts. `scenes`: 2 with frozen Gaussians. `absolute`: the
+/// backward pass accumulates absolute gradients.
+pub(super) fn frame_shape(pictures: PictureCapacity, scenes: u32, absolute: bool) -> FrameCapacity {
+    FrameCapacity { pictures, scenes, absolute, backward: true, ..FrameCapacity::default() }
 }
 
 impl Capacities {
@@ -228,7 +209,7 @@ impl Capacities {
         &self,
         context: &Context,
         gaussians: u32,
-        shape: FrameShape,
+        shape: FrameCapacity,
     ) -> Option<FrameCapacity> {
         let visible = match self.frame_visible {
             0 => initial_visible(gaussians),
@@ -236,125 +217,30 @@ impl Capacities {
         };
         let usual = initial_instances(context.limits(), gaussians, &shape.pictures);
         let instances = self.most_instances.saturating_mul(2).max(LEAST_INSTANCES).min(usual);
-        (self.most_instances > 0).then(|| shape.with_counts(gaussians, visible, instances))
+        (self.most_instances > 0).then_some(FrameCapacity { gaussians, visible, instances, ..shape })
     }
 
     /// Frame capacity for a shape; None without a frame.
-    pub(super) fn frame(&self, shape: FrameShape) -> Option<FrameCapacity> {
+    pub(super) fn frame(&self, shape: FrameCapacity) -> Option<FrameCapacity> {
         let backward = self.backward != 0;
         (self.frame_width > 0).then(|| FrameCapacity {
+            gaussians: self.frame_gaussians,
+            visible: self.frame_visible,
+            instances: self.frame_instances,
             blend_passes: self.blend_passes.max(1),
             backward,
             absolute: shape.absolute && backward,
-            ..shape.with_counts(self.frame_gaussians, self.frame_visible, self.frame_instances)
+            ..shape
         })
     }
 }
 
-/// New capacity when `rows` do not fit: half more, up to the most that can be trained beside this many frozen
-/// Gaussians.
-pub(super) fn grown_capacity(context: &Context, rows: u32, frozen: u32) -> u32 {
-    let most = max_trained_among(context.limits(), frozen);
-    rows.saturating_add(rows / 2).min(most.max(rows))
-}
-
-/// Sizes of a training run whose Gaussians need more rows.
-pub(super) struct RowGrowth<'a> {
-    pub context: &'a Context,
-    pub rows: &'a RowMemory,
-    pub plan: &'a ScenePlan,
-    pub frame: FrameCapacity,
-    /// Current bytes of the frame buffers.
-    pub frame_bytes: u64,
-    /// Number of frozen Gaussians.
-    pub frozen: u32,
-}
-
-impl RowGrowth<'_> {
-    /// True if planes for `plan` and a frame of its capacity fit beside the current planes. Once those are freed, a frame with
-    /// proportionally more visible Gaussians and instances must fit too.
-    pub fn has_room(&self, plan: &ScenePlan) -> bool {
-        let Self { context, rows, plan: old, frame, frame_bytes: old_frame, frozen } = self;
-        let limits = context.limits();
-        if plan.capacity > max_trained_among(limits, *frozen) {
-            return false;
-        }
-        let (new, present) = (rows.bytes(plan), rows.bytes(old));
-        if !new.is_offloadable(context) {
-            return false;
-        }
-        let Some((limit, _)) = context.memory_limit() else { return true };
-        let sizes = LaunchSizes::new(limits);
-        let of = |plan: &ScenePlan| gaussians_with(plan.capacity, *frozen);
-        let grown = FrameCapacity { gaussians: of(plan), ..*frame };
-        // The visible Gaussians and instances grow with the number of Gaussians.
-        let grow = |n: u32, most: u32| {
-            let grown = u64::from(n) * u64::from(of(plan)) / u64::from(of(old).max(1));
-            grown.min(most.into()) as u32
-        };
-        let full = FrameCapacity {
-            visible: grow(frame.visible, of(plan)),
-            instances: grow(frame.instances, max_trained_instances(limits)),
-            ..grown
-        };
-        let beside = (context.held_bytes() + new.device).saturating_sub(*old_frame);
-        let during = beside + frame_bytes(&grown, &sizes);
-        let after = (beside + frame_bytes(&full, &sizes)).saturating_sub(present.device);
-        during.max(after) <= limit
-    }
-
-    /// Largest number of rows, up to `rows`, that fits; at least the current capacity.
-    pub fn most_with_room(&self, rows: u32) -> Result<u32> {
-        let (mut fits, mut beyond) = (self.plan.capacity, rows);
-        while beyond.saturating_sub(fits) > (self.plan.capacity / 64).max(1) {
-            let middle = fits + (beyond - fits) / 2;
-            let plan = ScenePlan::new(self.context.limits(), middle, self.plan.sh_degree)?;
-            if self.has_room(&plan) { fits = middle } else { beyond = middle }
-        }
-        Ok(fits)
-    }
-
-    /// Maximum number of rows after a densification of `before` Gaussians. Later frames should stay within three quarters of
-    /// the device's instance limit, because views differ. No row is added if memory cannot hold a frame with the peak counts so
-    /// far.
-    pub fn most_rows_by_frames(&self, before: u32, peak: PeakCounts) -> u32 {
-        if !self.holds(peak) {
-            return before;
-        }
-        let instances = u64::from(max_trained_instances(self.context.limits())) * 3 / 4;
-        let frozen = u64::from(self.frozen);
-        let all = (u64::from(before) + frozen) * instances / u64::from(peak.instances.max(1));
-        all.saturating_sub(frozen).clamp(before.into(), u32::MAX.into()) as u32
-    }
-
-    /// True if memory holds a frame with these peak counts.
-    fn holds(&self, peak: PeakCounts) -> bool {
-        let Some((limit, _)) = self.context.memory_limit() else { return true };
-        let visible = peak.visible.min(self.frame.gaussians).max(self.frame.visible);
-        let full =
-            FrameCapacity { visible, instances: peak.instances.max(self.frame.instances), ..self.frame };
-        let beside = self.context.held_bytes().saturating_sub(self.frame_bytes);
-        full == self.frame || beside + frame_bytes(&full, &LaunchSizes::new(self.context.limits())) <= limit
-    }
-}
-
-/// Sizes of a training run before its allocation.
+/// Memory of a training run before its allocation.
+#[derive(Clone, Copy)]
 pub(super) struct StartMemory<'a> {
-    /// One per view.
-    pub photos: &'a [PhotoSize],
+    pub of: Forecast<'a>,
+    pub parts: &'a BuiltParts,
     pub photo_bytes: PhotoBytes,
-    pub rows: &'a RowMemory,
-    /// Device buffers of the loss, for views of the given sizes.
-    pub loss: &'a dyn Fn(&[Size]) -> Requests,
-    /// Host-readable copy of the losses.
-    pub losses: Request,
-    /// Buffers of the poses; empty unless they are optimised.
-    pub poses: Requests,
-    /// Initial number of trained Gaussians.
-    pub count: u32,
-    /// Number of frozen Gaussians.
-    pub frozen: u32,
-    pub sh_degree: u32,
 }
 
 impl StartMemory<'_> {
@@ -363,43 +249,48 @@ impl StartMemory<'_> {
         let limits = context.limits();
         let bytes = |requests: &[Request]| context.allocation_bytes(requests);
         // Counts of training frames and of drawn frames.
-        let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.losses]);
-        let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
-        let device = bytes(&(self.loss)(&self.sizes())) + readback + frame + bytes(&self.poses);
+        let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.parts.recorder.readback_request()]);
+        let frame =
+            frame.map_or(0, |frame| bytes(&FrameBuffers::requests(&frame, &LaunchSizes::new(limits))));
+        let poses = poses::requests(self.of.settings, self.of.photos.len());
+        let device = bytes(&self.loss_requests(&self.sizes())) + readback + frame + bytes(&poses);
         // Frozen Gaussians have the plan's SH degree.
-        let frozen = match ScenePlan::new(limits, self.frozen, plan.sh_degree) {
-            Ok(plan) if self.frozen > 0 => bytes(&planes::requests(&plan)),
+        let frozen = match ScenePlan::new(limits, self.of.frozen, plan.sh_degree) {
+            Ok(plan) if self.of.frozen > 0 => bytes(&planes::requests(&plan)),
             _ => 0,
         };
         let others = RowBytes { device, offloaded: 0 };
-        self.rows.allocation_bytes(context, plan) + self.rows.placed(frozen, 0) + others
+        self.parts.rows.allocation_bytes(context, plan) + self.parts.rows.placed(frozen, 0) + others
+    }
+
+    /// Device buffers of the loss and of the 3D filter, for views of these sizes.
+    fn loss_requests(&self, sizes: &[Size]) -> Requests {
+        let filter = self.of.settings.filter_3d.then(|| Filter3d::requests(sizes.len()));
+        self.parts.recorder.device_requests(sizes).into_iter().chain(filter.into_iter().flatten()).collect()
     }
 
     fn sizes(&self) -> Vec<Size> {
-        self.photos.iter().map(PhotoSize::size).collect()
+        self.of.photos.iter().map(PhotoSize::size).collect()
     }
 
     /// Number of all initial Gaussians, trained and frozen.
     fn whole(&self) -> u32 {
-        gaussians_with(self.count, self.frozen)
+        gaussians_with(self.of.gaussians, self.of.frozen)
     }
 
     /// Shape of frames that are large enough for photographs of these sizes.
-    fn shape(&self, sizes: &[Size]) -> FrameShape {
+    fn shape(&self, sizes: &[Size]) -> FrameCapacity {
         let each = sizes.iter().map(|&(width, height)| PictureCapacity::of(width, height));
-        FrameShape {
-            pictures: each.fold(PictureCapacity::NONE, PictureCapacity::and),
-            scenes: 1 + u32::from(self.frozen > 0),
-            absolute: self.rows.absolute().is_some(),
-        }
+        let pictures = each.fold(PictureCapacity::NONE, PictureCapacity::and);
+        frame_shape(pictures, 1 + u32::from(self.of.frozen > 0), self.parts.rows.absolute().is_some())
     }
 
     /// A frame for `capacity` trained Gaussians, of which up to `visible` are visible.
-    fn frame(&self, context: &Context, capacity: u32, visible: u32, shape: FrameShape) -> FrameCapacity {
-        let gaussians = gaussians_with(capacity, self.frozen);
+    fn frame(&self, context: &Context, capacity: u32, visible: u32, shape: FrameCapacity) -> FrameCapacity {
+        let gaussians = gaussians_with(capacity, self.of.frozen);
         let visible = visible.min(gaussians);
         let instances = initial_instances(context.limits(), visible, &shape.pictures);
-        shape.with_counts(gaussians, visible, instances)
+        FrameCapacity { gaussians, visible, instances, ..shape }
     }
 
     /// Refuses photographs whose frames exceed a limit of the device, whatever the memory.
@@ -409,7 +300,7 @@ impl StartMemory<'_> {
     pub fn check_photos(&self, context: &Context) -> Result<()> {
         // The first photograph of each size, and the number of photographs with that size.
         let mut sizes: HashMap<Size, (&PhotoSize, usize)> = HashMap::new();
-        for photo in self.photos {
+        for photo in self.of.photos {
             sizes.entry(photo.size()).or_insert((photo, 0)).1 += 1;
         }
         let refused = |(size, (photo, count))| Some((photo, self.check_size(context, size).err()?, count));
@@ -435,15 +326,15 @@ impl StartMemory<'_> {
     /// Checks that the device supports the buffers and grids of a frame of this size.
     fn check_size(&self, context: &Context, size: Size) -> Result<()> {
         let limits = context.limits();
-        let count = self.count.min(max_trained_among(limits, self.frozen));
-        let visible = initial_visible(gaussians_with(count, self.frozen));
+        let count = self.of.gaussians.min(max_trained_among(limits, self.of.frozen));
+        let visible = initial_visible(gaussians_with(count, self.of.frozen));
         let frame = self.frame(context, count, visible, self.shape(&[size]));
         let launches = LaunchSizes::new(limits);
         let named = |arena: &'static str, requests: Requests| {
             requests.into_iter().map(move |(name, bytes)| (arena, name, bytes))
         };
-        let requests =
-            named("frame", frame_requests(&frame, &launches)).chain(named("loss", (self.loss)(&[size])));
+        let requests = named("frame", FrameBuffers::requests(&frame, &launches))
+            .chain(named("loss", self.loss_requests(&[size])));
         let most = [
             (limits.max_storage_buffer_range, "maxStorageBufferRange"),
             (limits.max_allocation_bytes, "maxMemoryAllocationSize"),
@@ -462,10 +353,11 @@ impl StartMemory<'_> {
     /// # Errors
     /// [`Error::TooLarge`] if even the initial Gaussians do not fit, with bytes that suffice if pictures show all of them.
     pub fn initial_capacity(&self, context: &Context) -> Result<u32> {
-        let Self { photos: all, ref photo_bytes, count, sh_degree, .. } = *self;
-        let most = max_trained_among(context.limits(), self.frozen);
+        let Self { of: Forecast { photos: all, gaussians: count, settings, .. }, photo_bytes, .. } = *self;
+        let sh_degree = settings.sh_degree;
+        let most = max_trained_among(context.limits(), self.of.frozen);
         if count > most {
-            let needed = u64::from(count) + u64::from(self.frozen);
+            let needed = u64::from(count) + u64::from(self.of.frozen);
             let limit = (max_trained_gaussians(context.limits()).into(), "what maxStorageBufferRange holds");
             return Err(Error::too_large("the gradients of the scene", (needed, "Gaussians"), limit));
         }
@@ -505,7 +397,7 @@ impl StartMemory<'_> {
         let largest = largest.map_or_else(String::new, |photo| {
             format!(", the largest '{}' of {}x{} pixels", photo.name, photo.width, photo.height)
         });
-        let among = match self.frozen {
+        let among = match self.of.frozen {
             0 => String::new(),
             frozen => format!(" among {frozen} others"),
         };
@@ -522,7 +414,9 @@ impl StartMemory<'_> {
     /// True if the capacities of an earlier run hold the Gaussians and fit here.
     pub fn holds(&self, context: &Context, earlier: &Capacities) -> bool {
         let limits = context.limits();
-        let Ok(plan) = ScenePlan::new(limits, earlier.gaussians, self.sh_degree) else { return false };
+        let Ok(plan) = ScenePlan::new(limits, earlier.gaussians, self.of.settings.sh_degree) else {
+            return false;
+        };
         let sizes = LaunchSizes::new(limits);
         let frame = earlier.frame(self.shape(&self.sizes()));
         // No tile has more entries than the frame has instances.
@@ -530,34 +424,14 @@ impl StartMemory<'_> {
         let fits = frame.is_none_or(|frame| {
             frame.blend_passes <= passes(&frame) && frame_fits_device(limits, &frame, &sizes)
         });
-        if !fits || !(self.count..=max_trained_among(limits, self.frozen)).contains(&earlier.gaussians) {
+        if !fits
+            || !(self.of.gaussians..=max_trained_among(limits, self.of.frozen)).contains(&earlier.gaussians)
+        {
             return false;
         }
         let buffers = self.buffer_bytes(context, &plan, frame);
         let needed = buffers.device + self.photo_bytes.held;
         let free = |(limit, _): (u64, _)| limit.saturating_sub(context.held_bytes());
         buffers.is_offloadable(context) && context.memory_limit().is_none_or(|limit| needed <= free(limit))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::PeakCounts;
-
-    #[test]
-    fn what_frames_needed_before_a_reset_is_remembered_for_a_while() {
-        // Five densifications while opacities recover lose a twentieth each: three quarters remain.
-        let (mut most, mut rows) = (PeakCounts { visible: 50_000, instances: 1_000_000 }, 100_000);
-        for _ in 0..5 {
-            most = most.remembered(rows, rows / 20 * 21);
-            rows = rows / 20 * 21;
-        }
-        for (most, range) in [(most.instances, 7.5..8.0), (most.visible, 0.375..0.4)] {
-            let per_gaussian = f64::from(most) / f64::from(rows);
-            assert!(range.contains(&per_gaussian), "{per_gaussian}");
-        }
-        let [least, largest] = [7, u32::MAX].map(|n| PeakCounts { visible: n, instances: n });
-        assert_eq!(largest.remembered(1, 2), largest);
-        assert_eq!(least.remembered(0, 0), PeakCounts::default());
     }
 }

@@ -6,11 +6,10 @@ use super::memory::{RowMemory, StartMemory};
 use super::photos::{self, PhotoBytes, PhotoSize};
 use super::settings::TrainSettings;
 use super::step::StepRecorder;
+use super::strategies;
 use super::strategy::Strategy;
 use super::terms::{self, InverseDepth, SparseDepth};
-use super::{poses, strategies};
 use crate::error::{Error, Result};
-use crate::passes::filter_3d::Filter3d;
 use crate::passes::loss::{LossTerm, Photometric};
 use crate::vk::Context;
 
@@ -76,32 +75,15 @@ impl Forecast<'_> {
     /// # Errors
     /// [`Error::TooLarge`](crate::Error::TooLarge), before anything is allocated.
     pub(super) fn capacity(&self, context: &Context, parts: &BuiltParts) -> Result<(u32, bool)> {
-        let Self { settings, photos, photo_memory, .. } = *self;
-        let photo_bytes = photos::device_bytes(context, photos, photo_memory);
-        let (photo_bytes, refused) = match photo_bytes {
+        let (photos, photo_memory) = (self.photos, self.photo_memory);
+        let (photo_bytes, refused) = match photos::device_bytes(context, photos, photo_memory) {
             Ok(bytes) => (bytes, None),
-            Err(Error::TooLarge { needed, .. }) => {
-                (PhotoBytes::reading_ahead(context, photos, needed, photo_memory), photo_bytes.err())
+            Err(error @ Error::TooLarge { needed, .. }) => {
+                (PhotoBytes::reading_ahead(context, photos, needed, photo_memory), Some(error))
             }
             Err(error) => return Err(error),
         };
-        let memory = StartMemory {
-            photos,
-            photo_bytes,
-            rows: &parts.rows,
-            loss: &|sizes| {
-                let mut requests = parts.recorder.device_requests(sizes);
-                if settings.filter_3d {
-                    requests.extend(Filter3d::requests(sizes.len()));
-                }
-                requests
-            },
-            losses: parts.recorder.readback_request(),
-            poses: poses::requests(settings, photos.len()),
-            count: self.gaussians,
-            frozen: self.frozen,
-            sh_degree: settings.sh_degree,
-        };
+        let memory = StartMemory { of: *self, parts, photo_bytes };
         memory.check_photos(context)?;
         if let Some(error) = refused {
             // If the whole training does not fit, that error matters more than the photographs'.

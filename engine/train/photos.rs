@@ -23,13 +23,10 @@ pub(super) struct Photos {
     masked: Vec<bool>,
     /// Per view: true if it can be composed over another background.
     transparent: Vec<bool>,
-    texels: Texels,
-}
-
-enum Texels {
-    /// One buffer per view.
-    Resident(Vec<Buffer>),
-    Streamed(Box<Stream>),
+    /// Texels: one buffer per view, or the places of the stream.
+    texels: Vec<Buffer>,
+    /// Present if the photographs lie in a file.
+    stream: Option<Stream>,
 }
 
 /// Places on the device that photographs share.
@@ -114,6 +111,7 @@ pub(super) fn sizes_of(views: &[TrainView], settings: &TrainSettings) -> Vec<Pho
 }
 
 /// Bytes of device memory for the photographs.
+#[derive(Clone, Copy)]
 pub(super) struct PhotoBytes {
     /// Photographs that stay on the device, inverse-depth maps and sparse points.
     pub held: u64,
@@ -205,72 +203,59 @@ impl Photos {
     /// Uploads the photographs of the views, which have these sizes, or allocates places for some of them. The seed determines
     /// the order of their use.
     pub fn new(context: &Context, views: &[TrainView], sizes: &[PhotoSize], seed: u32) -> Result<Self> {
-        let texels = match Places::of(windowing_of(context), sizes, memory_of_file(views))? {
+        let (texels, stream) = match Places::of(windowing_of(context), sizes, memory_of_file(views))? {
             Some(places) => {
-                let places = context.allocate("photos", &places.requests(), MemoryKind::Device)?;
                 let photos = views.iter().map(|view| view.photo.clone()).collect();
-                Texels::Streamed(Box::new(Stream { photos, places, seed, running: None }))
+                let places = context.allocate("photos", &places.requests(), MemoryKind::Device)?;
+                (places, Some(Stream { photos, seed, running: None }))
             }
-            None => Texels::Resident(upload_all(context, views, sizes)?),
+            None => (upload_all(context, views, sizes)?, None),
         };
         Ok(Self {
             masked: views.iter().map(|view| view.photo.is_masked()).collect(),
             transparent: views.iter().map(|view| view.photo.is_transparent()).collect(),
             texels,
+            stream,
         })
     }
 
     /// True if all photographs stay on the device.
     pub fn are_resident(&self) -> bool {
-        matches!(self.texels, Texels::Resident(_))
+        self.stream.is_none()
     }
 
     /// Loads the photograph of an iteration to the device if necessary. No submission that uses another photograph may be
     /// pending.
     pub fn prepare(&mut self, context: &Context, iteration: u32) -> Result<()> {
-        match &mut self.texels {
-            Texels::Resident(_) => Ok(()),
-            Texels::Streamed(stream) => stream.prepare(context, iteration),
-        }
+        self.stream.as_mut().map_or(Ok(()), |stream| stream.prepare(context, &self.texels, iteration))
     }
 
     /// Begins to load the next iteration's photograph beside the prepared one, if the device has a copy queue.
     pub fn prefetch(&mut self, context: &Context) -> Result<()> {
-        match &mut self.texels {
-            Texels::Resident(_) => Ok(()),
-            Texels::Streamed(stream) => stream.prefetch(context),
-        }
+        self.stream.as_mut().map_or(Ok(()), |stream| stream.prefetch(context, &self.texels))
     }
 
     /// Texels of a view after [`Photos::prepare`].
     pub fn of(&self, view: usize) -> &Buffer {
-        match &self.texels {
-            Texels::Resident(texels) => &texels[view],
-            Texels::Streamed(stream) => match &stream.running {
-                Some(running) if running.at.view == view => &stream.places[running.at.place],
-                _ => panic!("view {view} is not the one that was prepared"),
-            },
+        match self.stream.as_ref().map(|stream| &stream.running) {
+            None => &self.texels[view],
+            Some(Some(running)) if running.at.view == view => &self.texels[running.at.place],
+            Some(_) => panic!("view {view} is not the one that was prepared"),
         }
     }
 
     /// Bytes of the buffer that [`Photos::between_steps`] needs as `place`.
     pub fn place_bytes(&self) -> u64 {
-        match &self.texels {
-            Texels::Resident(_) => 0,
-            Texels::Streamed(stream) => stream.places.iter().map(Buffer::bytes).max().unwrap_or(0),
-        }
+        let places = if self.are_resident() { &[][..] } else { &self.texels };
+        places.iter().map(Buffer::bytes).max().unwrap_or(0)
     }
 
     /// Texels of any view, between steps: those on the device, or those of the file, uploaded to `place`.
     pub fn between_steps(&self, context: &Context, view: usize, place: &Buffer) -> Result<Buffer> {
-        match &self.texels {
-            Texels::Resident(texels) => Ok(texels[view].clone()),
-            Texels::Streamed(stream) => {
-                let texels = on_device(windowing_of(context), &stream.photos[view])?;
-                context.upload(&place.range(0, texels.len() as u64), &texels)?;
-                Ok(place.clone())
-            }
-        }
+        let Some(stream) = &self.stream else { return Ok(self.texels[view].clone()) };
+        let texels = on_device(windowing_of(context), &stream.photos[view])?;
+        context.upload(&place.range(0, texels.len() as u64), &texels)?;
+        Ok(place.clone())
     }
 
     /// True if a view has masked or transparent pixels.
@@ -303,9 +288,8 @@ fn upload_all(context: &Context, views: &[TrainView], sizes: &[PhotoSize]) -> Re
 
 /// Photographs that are read from a file during training. A thread reads them in the order of their loads. Both threads compute
 /// this order on their own.
-pub(super) struct Stream {
+struct Stream {
     photos: Vec<StoredPhoto>,
-    places: Vec<Buffer>,
     seed: u32,
     running: Option<Running>,
 }
@@ -330,14 +314,14 @@ impl Drop for Running {
 }
 
 impl Stream {
-    fn prepare(&mut self, context: &Context, iteration: u32) -> Result<()> {
+    fn prepare(&mut self, context: &Context, places: &[Buffer], iteration: u32) -> Result<()> {
         if self.running.as_ref().is_some_and(|running| running.iteration == iteration) {
             return Ok(());
         }
         // Restarts at the first iteration, after a checkpoint and after a failure.
         let mut running = match self.running.take() {
             Some(running) if running.iteration + 1 == iteration => running,
-            _ => self.start(context, iteration)?,
+            _ => self.start(context, places.len(), iteration)?,
         };
         running.iteration = iteration;
         let (at, begun) = running.ahead.take().unwrap_or_else(|| (running.schedule.advance(), false));
@@ -349,14 +333,14 @@ impl Stream {
                     "the thread that reads them has ended; go on from a checkpoint",
                 )
             })??;
-            context.begin_upload_beside(&self.places[at.place].range(0, texels.len() as u64), &texels)?;
+            context.begin_upload_beside(&places[at.place].range(0, texels.len() as u64), &texels)?;
         }
         context.take_over_uploads()?;
         self.running = Some(running);
         Ok(())
     }
 
-    fn prefetch(&mut self, context: &Context) -> Result<()> {
+    fn prefetch(&mut self, context: &Context, places: &[Buffer]) -> Result<()> {
         let Some(mut running) = self.running.take_if(|running| running.ahead.is_none()) else {
             return Ok(());
         };
@@ -365,21 +349,21 @@ impl Stream {
         let free = at.load && at.place != running.at.place && context.transfers().copy_queue;
         let texels = if free { running.texels.try_recv().ok().transpose()? } else { None };
         if let Some(texels) = &texels {
-            context.begin_upload_beside(&self.places[at.place].range(0, texels.len() as u64), texels)?;
+            context.begin_upload_beside(&places[at.place].range(0, texels.len() as u64), texels)?;
         }
         running.ahead = Some((at, texels.is_some()));
         self.running = Some(running);
         Ok(())
     }
 
-    fn start(&self, context: &Context, iteration: u32) -> Result<Running> {
+    fn start(&self, context: &Context, places: usize, iteration: u32) -> Result<Running> {
         let windowing = windowing_of(context);
         let order = ViewOrder::new(self.seed, self.photos.len());
-        let schedule = Residency::new(order, self.places.len(), iteration);
+        let schedule = Residency::new(order, places, iteration);
         let (mut ahead, photos) = (schedule.clone(), self.photos.clone());
         let (sender, texels) = sync_channel(AHEAD as usize);
         // If all photographs fit, each is read once.
-        let mut left = if self.places.len() < photos.len() { usize::MAX } else { photos.len() };
+        let mut left = if places < photos.len() { usize::MAX } else { photos.len() };
         let read = move || {
             while left > 0 {
                 let next = ahead.advance();

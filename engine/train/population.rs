@@ -1,15 +1,18 @@
 //! The set of Gaussians between two steps, for a strategy to read and change.
 
-use super::memory::{Model, PeakCounts, RowGrowth, RowMemory, grown_capacity};
+use super::memory::{Model, PeakCounts, RowMemory};
 use super::photos::Photos;
 use super::poses::Poses;
 use super::schedule::TrainingRun;
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
-use crate::frame::{FrameCapacity, PictureCapacity, RenderSettings, SceneBuffers, ScenePlan, planes};
+use crate::frame::{
+    FrameCapacity, LaunchSizes, PictureCapacity, RenderSettings, SceneBuffers, ScenePlan, frame_bytes,
+    gaussians_with, max_trained_among, max_trained_instances, planes,
+};
 use crate::passes::adam::Moments;
 use crate::passes::densify::{Curve, Densify, EdgePhoto, Gather, Importance, ImportanceBuffers, RandomKey};
-use crate::render::{Failed, FrameRunner, FrameStore, Request};
+use crate::render::{Failed, FrameRunner, Renderer, Request, frozen_capacity};
 use crate::scene::Camera;
 use crate::scene::camera::middle;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
@@ -20,7 +23,8 @@ pub struct Population<'a> {
     pub(super) run: &'a TrainingRun,
     pub(super) rows: &'a RowMemory,
     pub(super) runner: &'a mut FrameRunner,
-    pub(super) pictures: &'a mut FrameStore,
+    pub(super) pictures: &'a mut Renderer,
+    pub(super) frozen: &'a [SceneBuffers],
     pub(super) model: &'a mut Model,
     pub(super) photos: &'a Photos,
     /// None unless poses are optimised.
@@ -36,6 +40,10 @@ impl Population<'_> {
     /// Context of the device.
     pub fn context(&self) -> &Context {
         self.context
+    }
+
+    pub(super) fn sizes(&self) -> LaunchSizes {
+        LaunchSizes::new(self.context.limits())
     }
 
     /// The run's settings.
@@ -124,6 +132,7 @@ impl Population<'_> {
             };
             let request = Request {
                 scene: &self.model.scene,
+                frozen: self.frozen,
                 camera,
                 pose: self.poses.map(|poses| poses.camera(view)),
                 settings: &settings,
@@ -149,9 +158,18 @@ impl Population<'_> {
         Curve { center: middle.as_vec3(), extent: self.run.scene_extent }
     }
 
-    /// Maximum number of Gaussians for which frames stay within the limits of device and memory.
+    /// Maximum number of Gaussians for which frames stay within the limits of device and memory. Later frames should stay within
+    /// three quarters of the device's instance limit, because views differ. No Gaussian is added if memory cannot hold a frame
+    /// with the peak counts so far.
     pub fn most_rows(&self) -> u32 {
-        self.row_growth().most_rows_by_frames(self.count(), *self.peak)
+        let count = self.count();
+        if !self.holds_peak() {
+            return count;
+        }
+        let instances = u64::from(max_trained_instances(self.context.limits())) * 3 / 4;
+        let frozen = u64::from(frozen_capacity(self.frozen));
+        let all = (u64::from(count) + frozen) * instances / u64::from(self.peak.instances.max(1));
+        all.saturating_sub(frozen).clamp(count.into(), u32::MAX.into()) as u32
     }
 
     /// Allocates planes and a frame for `rows` rows, if they exceed the capacity. Tries a reserve of half, then no reserve,
@@ -162,9 +180,11 @@ impl Population<'_> {
         if rows <= old {
             return Ok(Growth(None));
         }
-        let most = self.row_growth().most_with_room(rows)?;
+        let most = self.most_with_room(rows)?;
         let worth_it = old + old / 16;
-        let reserved = grown_capacity(self.context, rows, self.runner.frozen_capacity());
+        // Half more, up to the most that can be trained beside the frozen Gaussians.
+        let trainable = max_trained_among(self.context.limits(), frozen_capacity(self.frozen));
+        let reserved = rows.saturating_add(rows / 2).min(trainable.max(rows));
         for capacity in [reserved, rows, most] {
             if capacity <= worth_it && capacity < rows {
                 continue;
@@ -184,27 +204,12 @@ impl Population<'_> {
     /// Replaces the set by `rows` rows in one submission: either all of it executes or the old set stays. `record_sources`
     /// records and returns the source of each row. That is a Gaussian, with the row's kind in the bits from `KIND_SHIFT` on:
     /// kept, clone, first or second half of a split. It ends with a barrier. Statistics are cleared after it. Kept Gaussians
-    /// keep their moments; those of new ones are zero.
+    /// keep their moments; those of new ones are zero. Then `record_changes` records changes to the new set, behind a barrier,
+    /// from the set and the sources of its rows.
     ///
     /// # Errors
     /// [`Error::Argument`] for more rows than the capacity; when the device is lost.
     pub fn rebuild<'b>(
-        &mut self,
-        rows: u32,
-        growth: Growth,
-        kernels: &Densify,
-        key: &RandomKey,
-        record_sources: impl FnOnce(&mut Recorder, &SceneBuffers) -> &'b Buffer,
-    ) -> Result<()> {
-        self.rebuild_and(rows, growth, kernels, key, record_sources, |_, _, _| {})
-    }
-
-    /// Same as [`Population::rebuild`], but `record_changes` also records changes to the new set, from the set and the sources
-    /// of its rows, in the same submission. A barrier precedes it.
-    ///
-    /// # Errors
-    /// Same as [`Population::rebuild`].
-    pub fn rebuild_and<'b>(
         &mut self,
         rows: u32,
         growth: Growth,
@@ -243,7 +248,7 @@ impl Population<'_> {
             record_changes(r, (&new.scene, &new.moments), sources);
         })?;
         *self.model = new;
-        let of_frame = |rows: u32| rows.saturating_add(self.runner.frozen_capacity());
+        let of_frame = |rows: u32| rows.saturating_add(frozen_capacity(self.frozen));
         *self.peak = self.peak.remembered(of_frame(before), of_frame(rows));
         Ok(())
     }
@@ -276,10 +281,11 @@ impl Population<'_> {
         let buffers = self.context.allocate("densify", &requests, MemoryKind::Device)?;
         self.context.upload(&buffers[0], bytemuck::cast_slice(kept))?;
         let key = self.random_key();
-        self.rebuild(kept.len() as u32, Growth(None), kernels, &key, |r, _| {
+        let sources = |r: &mut Recorder, _: &_| {
             r.barrier();
             &buffers[0]
-        })
+        };
+        self.rebuild(kept.len() as u32, Growth(None), kernels, &key, sources, |_, _, _| {})
     }
 
     /// Key of the random numbers after an iteration.
@@ -292,18 +298,61 @@ impl Population<'_> {
         or_none(self.context.allocate("densify", requests, MemoryKind::Device))
     }
 
-    fn row_growth(&self) -> RowGrowth<'_> {
-        let frame = self.runner.store.capacity();
-        // Covers all views, also those not used yet.
-        let pictures = PictureCapacity::of_cameras(&self.run.cameras);
-        RowGrowth {
-            context: self.context,
-            rows: self.rows,
-            plan: &self.model.scene.plan,
-            frame: FrameCapacity { pictures: frame.pictures.and(pictures), ..frame },
-            frame_bytes: self.runner.store.bytes(),
-            frozen: self.runner.frozen_capacity(),
+    /// Capacity of the frame for all views, also those not used yet.
+    fn frame_capacity(&self) -> FrameCapacity {
+        let (frame, all) = (self.runner.store.capacity(), PictureCapacity::of_cameras(&self.run.cameras));
+        FrameCapacity { pictures: frame.pictures.and(all), ..frame }
+    }
+
+    /// True if planes for `plan` and a frame of its capacity fit beside the current planes. Once those are freed, a frame with
+    /// proportionally more visible Gaussians and instances must fit too.
+    fn has_room(&self, plan: &ScenePlan) -> bool {
+        let (context, frozen, old) = (self.context, frozen_capacity(self.frozen), &self.model.scene.plan);
+        let limits = context.limits();
+        let (new, present) = (self.rows.bytes(plan), self.rows.bytes(old));
+        if plan.capacity > max_trained_among(limits, frozen) || !new.is_offloadable(context) {
+            return false;
         }
+        let Some((limit, _)) = context.memory_limit() else { return true };
+        let (sizes, frame) = (self.sizes(), self.frame_capacity());
+        let of = |plan: &ScenePlan| gaussians_with(plan.capacity, frozen);
+        let grown = FrameCapacity { gaussians: of(plan), ..frame };
+        // The visible Gaussians and instances grow with the number of Gaussians.
+        let grow = |n: u32, most: u32| {
+            let grown = u64::from(n) * u64::from(of(plan)) / u64::from(of(old).max(1));
+            grown.min(most.into()) as u32
+        };
+        let full = FrameCapacity {
+            visible: grow(frame.visible, of(plan)),
+            instances: grow(frame.instances, max_trained_instances(limits)),
+            ..grown
+        };
+        let beside = (context.held_bytes() + new.device).saturating_sub(self.runner.store.bytes());
+        let during = beside + frame_bytes(&grown, &sizes);
+        let after = (beside + frame_bytes(&full, &sizes)).saturating_sub(present.device);
+        during.max(after) <= limit
+    }
+
+    /// Largest number of rows, up to `rows`, that fits; at least the current capacity.
+    fn most_with_room(&self, rows: u32) -> Result<u32> {
+        let plan = self.model.scene.plan;
+        let (mut fits, mut beyond) = (plan.capacity, rows);
+        while beyond.saturating_sub(fits) > (plan.capacity / 64).max(1) {
+            let middle = fits + (beyond - fits) / 2;
+            let plan = ScenePlan::new(self.context.limits(), middle, plan.sh_degree)?;
+            if self.has_room(&plan) { fits = middle } else { beyond = middle }
+        }
+        Ok(fits)
+    }
+
+    /// True if memory holds a frame with the peak counts so far.
+    fn holds_peak(&self) -> bool {
+        let Some((limit, _)) = self.context.memory_limit() else { return true };
+        let frame = self.frame_capacity();
+        let visible = self.peak.visible.min(frame.gaussians).max(frame.visible);
+        let full = FrameCapacity { visible, instances: self.peak.instances.max(frame.instances), ..frame };
+        let beside = self.context.held_bytes().saturating_sub(self.runner.store.bytes());
+        full == frame || beside + frame_bytes(&full, &self.sizes()) <= limit
     }
 
     /// Allocates planes for parameters, both moments and the spare set with the given capacity, their statistics, and a frame.
@@ -311,12 +360,12 @@ impl Population<'_> {
     /// again.
     fn allocate_fresh(&mut self, capacity: u32) -> Result<Model> {
         let plan = ScenePlan::new(self.context.limits(), capacity, self.model.scene.plan.sh_degree)?;
-        if !self.row_growth().has_room(&plan) {
+        if !self.has_room(&plan) {
             return Err(Error::argument("densification", "the memory does not suffice"));
         }
         let chunks = planes::allocate(self.context, ("scene", self.rows.planes), &plan)?;
         let fresh = Model::allocate(self.context, SceneBuffers { chunks, plan, count: 0 }, self.rows)?;
-        self.runner.store.make_room(self.runner.gaussians_with(capacity))?;
+        self.runner.store.make_room(gaussians_with(capacity, frozen_capacity(self.frozen)))?;
         Ok(fresh)
     }
 }

@@ -25,7 +25,7 @@ pub(super) struct Poses {
 /// Names and bytes of the buffers; empty unless the run optimises poses.
 pub(super) fn requests(settings: &TrainSettings, views: usize) -> Vec<(&'static str, u64)> {
     match settings.pose_opt {
-        true => PoseBuffers::requests(views as u32).to_vec(),
+        true => PoseBuffers::requests(views as u32),
         false => Vec::new(),
     }
 }
@@ -41,9 +41,8 @@ impl Poses {
         if !settings.pose_opt {
             return Ok(None);
         }
-        let images = crate::frame::to_u32(cameras.len() as u64)?;
         let buffers = context.allocate("poses", &requests(settings, cameras.len()), MemoryKind::Device)?;
-        let buffers = PoseBuffers::from_allocated(images, buffers);
+        let buffers = PoseBuffers::from_allocated(buffers);
         let starts: Vec<[f32; 12]> = cameras.iter().map(pose_of).collect();
         context.upload(&buffers.starts, bytemuck::cast_slice(&starts))?;
         let depths: Vec<f32> = cameras.iter().map(|camera| mean_depth(camera, &initial.means)).collect();

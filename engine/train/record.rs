@@ -10,8 +10,10 @@ use super::step::{InFlight, RecordedSteps, StepParts, StepSlot};
 use super::trainer::Trainer;
 use super::work::{Maintenance, StepOutcome, StepReport};
 use crate::error::{Error, Result};
-use crate::frame::{FrameCapacity, LaunchSizes, ScenePlan, frame_bytes, frame_fits_device, planes};
-use crate::render::{DeviceScene, Release, State};
+use crate::frame::{
+    FrameCapacity, LaunchSizes, ScenePlan, frame_bytes, frame_fits_device, gaussians_with, planes,
+};
+use crate::render::{DeviceScene, Release, State, frozen_capacity};
 use crate::vk::{ForeignCommands, RecordSlot, Recorder, SlotRecording};
 use ash::vk;
 
@@ -135,8 +137,8 @@ impl Trainer {
     fn record_plan(&self, r: &mut Recorder, plan: &IterationPlan, slot: &StepSlot) -> Result<()> {
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
         let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
-        let (filter, poses) = (self.filter.as_ref(), self.poses.as_ref());
-        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, poses, plan };
+        let (filter, poses, frozen) = (self.filter.as_ref(), self.poses.as_ref(), &self.frozen);
+        let parts = StepParts { run, model, frozen, photos, maps, memory, strategy, filter, poses, plan };
         self.runner.record(r, &parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &slot.losses);
             r.barrier();
@@ -226,7 +228,7 @@ impl Trainer {
         self.settle()?;
         let recorded = &self.recorded;
         let due = recorded.in_flight.back().map_or(self.state.progress, |last| last.after).due;
-        let gaussians = self.runner.gaussians_with(self.state.model.scene.plan.capacity);
+        let gaussians = gaussians_with(self.state.model.scene.plan.capacity, frozen_capacity(&self.frozen));
         let fits = self.runner.store.capacity().gaussians >= gaussians;
         Ok(!due.is_empty() || recorded.overflow.is_some() || !recorded.frame_is_ready || !fits)
     }
@@ -285,9 +287,14 @@ impl Trainer {
     /// Allocates buffers for all views, clears the contents of earlier frames, and makes slots for the dispatches. Recordings
     /// that are never submitted create all objects that are otherwise made on first use.
     fn make_ready(&mut self, every_view: bool) -> Result<()> {
-        let gaussians = self.state.model.scene.plan.capacity;
+        let capacity = self.state.model.scene.plan.capacity;
         let drawn = self.recorder.drawn();
-        self.runner.reserve(gaussians, &self.run.cameras, self.run.settings.sh_degree, &drawn)?;
+        self.runner.reserve(
+            (capacity, &self.frozen),
+            &self.run.cameras,
+            self.run.settings.sh_degree,
+            &drawn,
+        )?;
         let frame = self.runner.store.current()?;
         self.context.run_commands("clear state", |r| r.fill(&frame.state, 0))?;
         let dispatches = self.step_dispatches();
@@ -412,7 +419,7 @@ impl Trainer {
         let Some((limit, _)) = context.memory_limit() else { return false };
         let sizes = LaunchSizes::new(context.limits());
         let frame = FrameCapacity {
-            gaussians: self.runner.gaussians_with(plan.capacity),
+            gaussians: gaussians_with(plan.capacity, frozen_capacity(&self.frozen)),
             visible: needed.visible_needed,
             instances: needed.all_instances(),
             blend_passes: needed.longest_tile.div_ceil(sizes.entries_per_pass).max(1),

@@ -5,7 +5,7 @@ use super::settings::{OptimizerType, TrainSettings};
 use super::work::{Actions, Work};
 use crate::frame::{Dropout, RenderSettings};
 use crate::passes::adam::{MeanStep, Rates, Step};
-use crate::passes::exposure::LightStep;
+use crate::passes::light::LightStep;
 use crate::passes::poses::PoseStep;
 use crate::scene::{Camera, PicturePart};
 use rand::seq::SliceRandom;
@@ -761,20 +761,5 @@ mod tests {
     fn short_runs_have_a_warm_up_of_their_half() {
         let end = |iterations| TrainSettings { warm_up: 500, ..run_of(iterations) }.warm_up_end();
         assert_eq!([0, 1, 2, 600, 1000, 2000].map(end), [0, 0, 1, 300, 500, 500]);
-    }
-
-    #[test]
-    fn whole_pictures_have_more_instances() {
-        let (whole, quarter) = (camera(400, 400), camera(100, 100));
-        for (drawn, instances, visible, expected) in [
-            // One tile each; two by two tiles, which become five by five; none.
-            (&quarter, 70, 70, 70),
-            (&quarter, 400, 100, 2500),
-            (&quarter, 0, 0, 0),
-            (&whole, 123, 70, 123),
-            (&quarter, u32::MAX, 1, u32::MAX),
-        ] {
-            assert_eq!(whole_instances(&whole, drawn, instances, visible), expected);
-        }
     }
 }

@@ -8,59 +8,75 @@ use crate::error::{Error, Result};
 use crate::scene::Gaussians;
 use crate::scene::gaussians::MAX_SH_DEGREE;
 
-/// Optimiser of the parameters.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
-pub enum OptimizerType {
-    /// Adam on every Gaussian in every iteration (the reference's `default`).
-    #[default]
-    Default,
-    /// Adam only on the Gaussians that are visible in the iteration's view, without bias correction (`sparse_adam`).
-    SparseAdam,
+/// Declares an enumeration that an option can have, with the names of its values.
+macro_rules! choices {
+    ($(
+        $(#[$about:meta])*
+        $kind:ident { $($(#[$value_about:meta])* $value:ident = $name:literal,)* }
+    )*) => {$(
+        $(#[$about])*
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+        pub enum $kind {
+            $($(#[$value_about])* #[cfg_attr(feature = "serde", serde(rename = $name))] $value,)*
+        }
+
+        impl IsOption for $kind {
+            const KIND: OptionKind = OptionKind::Choice(&[$($name),*]);
+            fn value(self) -> OptionValue {
+                OptionValue::Choice(match self { $(Self::$value => $name),* })
+            }
+        }
+    )*};
 }
 
-/// Strategy of density control. A host can supply its own: [`super::TrainParts`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
-pub enum StrategyType {
-    /// The reference implementation's: clone, split, prune, opacity reset. Settings files may also use `default`, its name in
-    /// earlier versions.
-    #[default]
-    #[cfg_attr(feature = "serde", serde(alias = "default"))]
-    Reference,
-    /// No density control: the initial Gaussians are optimised, and their number stays.
-    Fixed,
-    /// 3DGS-MCMC's: relocation, growth to `cap_max`, noise. [`TrainSettings::of_strategy`](super::TrainSettings::of_strategy)
-    /// has its values.
-    Mcmc,
-    /// Budgeted growth after Improved-GS: splits the Gaussians that matter most for the photographs' edges along their long
-    /// axis, up to a number that grows to `cap_max`. [`TrainSettings::of_strategy`](super::TrainSettings::of_strategy) has its
-    /// values.
-    Budget,
-}
+choices! {
+    /// Optimiser of the parameters.
+    OptimizerType {
+        /// Adam on every Gaussian in every iteration (the reference's `default`).
+        #[default]
+        Default = "default",
+        /// Adam only on the Gaussians that are visible in the iteration's view, without bias correction (`sparse_adam`).
+        SparseAdam = "sparse_adam",
+    }
 
-/// Method of splitting a Gaussian.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "kebab-case"))]
-pub enum SplitType {
-    /// Two means drawn from the Gaussian, scales divided by 1.6 (the reference's).
-    #[default]
-    Sample,
-    /// Two means on the longest axis, at ± 1.35 of its scale (Improved-GS).
-    LongAxis,
-}
+    /// Strategy of density control. A host can supply its own: [`super::TrainParts`].
+    StrategyType {
+        /// The reference implementation's: clone, split, prune, opacity reset. Settings files may also use `default`, its name in
+        /// earlier versions.
+        #[default]
+        #[cfg_attr(feature = "serde", serde(alias = "default"))]
+        Reference = "reference",
+        /// No density control: the initial Gaussians are optimised, and their number stays.
+        Fixed = "fixed",
+        /// 3DGS-MCMC's: relocation, growth to `cap_max`, noise. [`TrainSettings::of_strategy`](super::TrainSettings::of_strategy)
+        /// has its values.
+        Mcmc = "mcmc",
+        /// Budgeted growth after Improved-GS: splits the Gaussians that matter most for the photographs' edges along their long
+        /// axis, up to a number that grows to `cap_max`. [`TrainSettings::of_strategy`](super::TrainSettings::of_strategy) has its
+        /// values.
+        Budget = "budget",
+    }
 
-/// Weight of a candidate's chance to be split, in the strategy `budget`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
-pub enum ImportanceType {
-    /// Blending weights at the photographs' edges, over several views (Improved-GS).
-    #[default]
-    Edges,
-    /// The statistic that selected the candidates.
-    Statistic,
-    /// Equal weights.
-    None,
+    /// Method of splitting a Gaussian.
+    SplitType {
+        /// Two means drawn from the Gaussian, scales divided by 1.6 (the reference's).
+        #[default]
+        Sample = "sample",
+        /// Two means on the longest axis, at ± 1.35 of its scale (Improved-GS).
+        LongAxis = "long-axis",
+    }
+
+    /// Weight of a candidate's chance to be split, in the strategy `budget`.
+    ImportanceType {
+        /// Blending weights at the photographs' edges, over several views (Improved-GS).
+        #[default]
+        Edges = "edges",
+        /// The statistic that selected the candidates.
+        Statistic = "statistic",
+        /// Equal weights.
+        None = "none",
+    }
 }
 
 /// Goal of a training: [`TrainSettings::of_preset`](super::TrainSettings::of_preset).
@@ -215,34 +231,6 @@ impl IsOption for bool {
         OptionValue::Switch(self)
     }
 }
-
-/// Declares the names of an enumeration's values, in the order of the values.
-macro_rules! choice {
-    ($kind:ty, $($name:literal = $value:path),*) => {
-        impl IsOption for $kind {
-            const KIND: OptionKind = OptionKind::Choice(&[$($name),*]);
-            fn value(self) -> OptionValue {
-                OptionValue::Choice(match self { $($value => $name),* })
-            }
-        }
-    };
-}
-
-choice!(OptimizerType, "default" = OptimizerType::Default, "sparse_adam" = OptimizerType::SparseAdam);
-choice!(
-    StrategyType,
-    "reference" = StrategyType::Reference,
-    "fixed" = StrategyType::Fixed,
-    "mcmc" = StrategyType::Mcmc,
-    "budget" = StrategyType::Budget
-);
-choice!(SplitType, "sample" = SplitType::Sample, "long-axis" = SplitType::LongAxis);
-choice!(
-    ImportanceType,
-    "edges" = ImportanceType::Edges,
-    "statistic" = ImportanceType::Statistic,
-    "none" = ImportanceType::None
-);
 
 /// Declares the settings: a struct with documented fields, and a table of their types, defaults, bounds and descriptions.
 macro_rules! options {

@@ -9,11 +9,11 @@ use super::settings::{OptimizerType, TrainSettings};
 use super::strategy::{StepInputs, Strategy};
 use super::work::{StepOutcome, StepReport};
 use crate::error::Result;
-use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, RenderSettings, Strips, blocks};
+use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, RenderSettings, SceneBuffers, Strips, blocks};
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::pixels::photo_reduced;
-use crate::passes::adam::{Averaging, Optimizer};
-use crate::passes::backward::{Backward, Statistics};
+use crate::passes::adam::{Averaging, Optimizer, OptimizerForm};
+use crate::passes::backward::{Backward, BackwardForm, Statistics};
 use crate::passes::filter_3d::Filter3d;
 use crate::passes::loss::{LossTerm, Targets, TermInputs, Windowing, photo_bytes};
 use crate::passes::pixels::PixelBorder;
@@ -76,6 +76,7 @@ pub(super) struct LossValues {
 pub(super) struct StepParts<'a> {
     pub run: &'a TrainingRun,
     pub model: &'a Model,
+    pub frozen: &'a [SceneBuffers],
     pub photos: &'a Photos,
     pub maps: &'a DepthMaps,
     pub memory: &'a LossMemory,
@@ -91,6 +92,7 @@ impl<'a> StepParts<'a> {
     pub fn frame(&self) -> Request<'a> {
         Request {
             scene: &self.model.scene,
+            frozen: self.frozen,
             camera: &self.plan.camera,
             pose: self.poses.map(|poses| poses.camera(self.plan.view)),
             settings: &self.plan.settings,
@@ -111,12 +113,8 @@ impl StepRecorder {
     ) -> Result<Self> {
         let targets = Self::targets_of(&terms);
         let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
-        let optimizer = match targets.parameters {
-            true => Optimizer::with_parameter_gradients(context, sparse),
-            false => Optimizer::new(context, sparse),
-        };
         let poses = settings.pose_opt;
-        let optimizer = if poses { optimizer.with_moved_cameras() } else { optimizer };
+        let form = OptimizerForm { sparse, parameter_gradients: targets.parameters, moved_cameras: poses };
         let averages = settings.average_last > 0.0;
         Ok(Self {
             preparation: PhotoPreparation::new(context, settings)?,
@@ -128,7 +126,7 @@ impl StepRecorder {
             absolute,
             terms,
             targets,
-            optimizer,
+            optimizer: Optimizer::new(context, form),
             averaging: averages.then(|| Averaging::new(context)).transpose()?,
             poses,
         })
@@ -158,9 +156,10 @@ impl StepRecorder {
     /// Builds the missing kernels of any iteration at an SH degree.
     pub fn prepare(&mut self, sh_degree: u32, cameras: &[Camera]) -> Result<()> {
         for variant in FrameVariant::of_cameras(&self.drawn(), cameras, true) {
-            self.prepare_backward(sh_degree, variant, false)?;
+            let pose = self.poses;
+            self.backward.prepare(sh_degree, variant, BackwardForm { absolute: false, pose })?;
             if self.absolute.is_some() {
-                self.prepare_backward(sh_degree, variant, true)?;
+                self.backward.prepare(sh_degree, variant, BackwardForm { absolute: true, pose })?;
             }
         }
         self.optimizer.prepare(sh_degree)
@@ -170,16 +169,8 @@ impl StepRecorder {
     pub fn prepare_for(&mut self, plan: &IterationPlan) -> Result<()> {
         let variant = FrameVariant::of(&plan.settings, &plan.camera, true);
         let absolute = self.absolute.is_some() && plan.work.accumulates;
-        self.prepare_backward(plan.sh_degree, variant, absolute)?;
+        self.backward.prepare(plan.sh_degree, variant, BackwardForm { absolute, pose: self.poses })?;
         self.optimizer.prepare(plan.sh_degree)
-    }
-
-    fn prepare_backward(&mut self, sh_degree: u32, variant: FrameVariant, absolute: bool) -> Result<()> {
-        match (self.poses, absolute) {
-            (true, _) => self.backward.prepare_with_pose(sh_degree, variant, absolute),
-            (false, true) => self.backward.prepare_absolute(sh_degree, variant),
-            (false, false) => self.backward.prepare(sh_degree, variant),
-        }
     }
 
     /// Device buffers of the loss for views of these sizes, one per view: scratch of the terms, the losses, and the exposures.
@@ -247,10 +238,7 @@ impl StepRecorder {
         let absolute = self.absolute.filter(|_| accumulate).map(|place| &model.statistics[place]);
         let statistics = Statistics { buffer: &model.statistics[0], accumulate, absolute };
         let hooks = parts.strategy.records();
-        match parts.poses {
-            Some(_) => self.backward.record_with_pose(r, inputs, gradient, statistics),
-            None => self.backward.record(r, inputs, gradient, statistics),
-        }
+        self.backward.record(r, inputs, gradient, statistics, parts.poses.is_some());
         let step = StepInputs {
             frame: inputs,
             moments: &model.moments,

@@ -1,9 +1,9 @@
 //! The trainer: its state, its iterations, and what it can say and draw between two of them.
 
 use super::appearance::lenses_of;
-use super::block::Block;
+use super::block::{Block, SceneBlock};
 use super::checkpoint::{Capacities, Checkpoint, ExposureState, MeanState};
-use super::memory::{FrameShape, Model, PeakCounts, RowMemory};
+use super::memory::{Model, PeakCounts, RowMemory, frame_shape};
 use super::parts::{BuiltParts, Forecast, TrainParts, check_block};
 use super::photos::{self, DepthMaps, Photos, TrainView, fingerprint_of};
 use super::population::{Population, may_have_executed};
@@ -19,14 +19,10 @@ use crate::frame::{
 };
 use crate::passes::adam::MeanStep;
 use crate::passes::filter_3d::Filter3d;
-use crate::render::{
-    AlignRequest, Aligner, Alignment, DeviceScene, Failed, Frame, FrameRun, FrameRunner, FrameStore,
-    PixelReport, State, TileReport,
-};
-use crate::scene::{Camera, Exposure, Gaussians, LensEffects, StoredPhoto, Twist};
+use crate::render::{DeviceScene, Failed, Frame, FrameRun, FrameRunner, Renderer, State};
+use crate::scene::{Camera, Exposure, Gaussians, LensEffects, Twist};
 use crate::vk::{ArenaMemory, Context};
-use std::mem;
-use std::panic::{self, AssertUnwindSafe};
+use std::slice;
 
 /// Trains Gaussians on photographs.
 ///
@@ -57,16 +53,16 @@ pub struct Trainer {
     pub(super) losses: LossMemory,
     /// None unless poses are optimised.
     pub(super) poses: Option<Poses>,
-    /// Created by the first alignment.
-    pub(super) aligner: Option<Aligner>,
     pub(super) runner: FrameRunner,
-    /// Buffers of frames drawn between steps. The result of training does not depend on them.
-    pub(super) pictures: FrameStore,
+    /// Draws between steps. The result of training does not depend on it.
+    pub(super) pictures: Renderer,
     pub(super) rows: RowMemory,
     pub(super) state: RunState,
     /// The 3D filter, if the settings enable it.
     pub(super) filter: Option<Filter3d>,
     pub(super) block: Option<Block>,
+    /// Frozen Gaussians of the block, drawn with every frame; one scene at most.
+    pub(super) frozen: Vec<SceneBuffers>,
     pub(super) recorded: RecordedSteps,
 }
 
@@ -203,11 +199,8 @@ impl Trainer {
         let scene = planes::upload(context, ("scene", rows.planes), initial, capacity, sh_degree)?;
         let model = Model::new(context, scene, &rows)?;
         let mut runner = FrameRunner::new(context)?;
-        let shape = FrameShape {
-            pictures: PictureCapacity::of_cameras(&run.cameras),
-            scenes: 1 + u32::from(frozen > 0),
-            absolute: rows.absolute().is_some(),
-        };
+        let pictures = PictureCapacity::of_cameras(&run.cameras);
+        let shape = frame_shape(pictures, 1 + u32::from(frozen > 0), rows.absolute().is_some());
         runner.store.expect_pictures(shape.pictures);
         if shape.absolute {
             runner.store.expect_absolute();
@@ -223,23 +216,21 @@ impl Trainer {
             Some(poses) => filter.map(|filter| filter.with_poses(poses.all_cameras().clone())),
             None => filter,
         };
-        let block = match block {
-            Some(block) => Block::new(context, &block, rows.planes, shape.absolute, sh_degree)?,
-            None => None,
-        };
-        let frozen = block.as_ref().and_then(|block| block.frozen.clone());
-        if let Some((filter, frozen)) = filter.as_ref().zip(frozen.as_ref()) {
-            // Frozen Gaussians do not move, so once is enough.
-            filter.run(context, frozen)?;
+        let mut frozen = Vec::new();
+        if let Some(SceneBlock { frozen: around, .. }) = block.as_ref().filter(|own| !own.frozen.is_empty()) {
+            frozen.push(planes::upload(context, ("surroundings", rows.planes), around, 0, sh_degree)?);
         }
-        runner.frozen = frozen.into_iter().collect();
+        if let Some(filter) = &filter {
+            // Frozen Gaussians do not move, so once is enough.
+            frozen.iter().try_for_each(|scene| filter.run(context, scene))?;
+        }
+        let block = block.map(|block| Block::new(context, &block, shape.absolute)).transpose()?.flatten();
         let sizes: Vec<_> = run.cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let mut trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             poses,
-            aligner: None,
             schedule: Schedule::new(&run, &recorder.drawn()),
-            pictures: FrameStore::new(context)?,
+            pictures: Renderer::new(context)?,
             context: context.clone(),
             run,
             photos,
@@ -258,6 +249,7 @@ impl Trainer {
             },
             filter,
             block,
+            frozen,
             recorded: RecordedSteps::default(),
         };
         trainer.compute_filters()?;
@@ -284,6 +276,7 @@ impl Trainer {
     /// Sets the form of the blending kernel. Recorded steps keep their form. The next step can be recorded only after
     /// [`Trainer::maintain`].
     pub fn set_blending(&mut self, blending: Blending) {
+        self.pictures.set_blending(blending);
         if self.runner.forward.set_blending(blending) {
             self.recorded.frame_is_ready = false;
         }
@@ -319,77 +312,41 @@ impl Trainer {
     /// an unknown outcome; memory or device failures.
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
         let settings = self.at_current_degree(settings);
-        self.drawing(|runner, scene| runner.render(scene, camera, &settings))
+        self.draw(|renderer| renderer.render(camera, &settings))
     }
 
-    /// Same as [`Trainer::render`], and also returns the number of Gaussians in each tile of the frame.
+    /// Calls `draw` with a renderer of the current scene and its [surroundings](Trainer::surroundings). The renderer has its
+    /// own buffers, so that a viewer does not change the training's. With a memory limit they are freed afterwards. If they do
+    /// not fit beside the training frame, that frame is freed, `draw` is called again, and the next step allocates the frame.
     ///
     /// # Errors
-    /// Same as [`Trainer::render`].
-    pub fn render_with_tiles(
-        &mut self,
-        camera: &Camera,
-        settings: &RenderSettings,
-    ) -> Result<(Frame, TileReport)> {
-        let settings = self.at_current_degree(settings);
-        self.drawing(|runner, scene| runner.render_with_tiles(scene, camera, &settings))
-    }
-
-    /// Lists the Gaussians of the current scene that are blended at a pixel: see [`crate::Renderer::inspect`].
-    ///
-    /// # Errors
-    /// Same as [`crate::Renderer::inspect`].
-    pub fn inspect(
-        &mut self,
-        camera: &Camera,
-        settings: &RenderSettings,
-        pixel: [u32; 2],
-    ) -> Result<PixelReport> {
-        let settings = self.at_current_degree(settings);
-        self.drawing(|runner, scene| runner.inspect(scene, camera, &settings, pixel))
-    }
-
-    /// Draws between two steps with separate buffers, so that a viewer does not change the training's buffers. With a memory
-    /// limit they are freed afterwards. If they do not fit beside the training frame, that frame is freed and the next step
-    /// allocates it again.
-    pub(super) fn drawing<T>(
-        &mut self,
-        mut draw: impl FnMut(&mut FrameRunner, &SceneBuffers) -> Result<T>,
-    ) -> Result<T> {
+    /// [`Error::Argument`] while recorded steps are in flight, and after a step with an unknown outcome; errors of `draw`.
+    pub fn draw<T>(&mut self, mut draw: impl FnMut(&mut Renderer) -> Result<T>) -> Result<T> {
         self.check_readable()?;
-        let Self { runner, pictures, state, .. } = self;
-        let mut apart = |runner: &mut FrameRunner| {
-            mem::swap(&mut runner.store, pictures);
-            let drawn = panic::catch_unwind(AssertUnwindSafe(|| draw(runner, &state.model.scene)));
-            mem::swap(&mut runner.store, pictures);
-            // A caller that catches the panic can continue training with the training's buffers.
-            let drawn = drawn.unwrap_or_else(|panic| {
-                pictures.forget();
-                panic::resume_unwind(panic)
-            });
-            if drawn.is_err() {
-                pictures.forget();
-            } else if self.context.memory_limit().is_some() {
-                pictures.release();
-            }
-            drawn
-        };
-        match apart(runner) {
-            Err(Error::TooLarge { .. } | Error::Vulkan { call: "vkAllocateMemory", .. }) => {
-                runner.store.release();
-                self.recorded.frame_is_ready = false;
-                apart(runner)
-            }
-            drawn => drawn,
+        let scenes = [slice::from_ref(&self.state.model.scene), &self.frozen].concat();
+        let pictures = &mut self.pictures;
+        let mut drawn = pictures.with_scenes(scenes.clone(), &mut draw);
+        if let Err(Error::TooLarge { .. } | Error::Vulkan { call: "vkAllocateMemory", .. }) = drawn {
+            pictures.shrink();
+            self.runner.store.release();
+            self.recorded.frame_is_ready = false;
+            drawn = pictures.with_scenes(scenes, &mut draw);
         }
+        if drawn.is_err() {
+            pictures.shrink();
+        } else if self.context.memory_limit().is_some() {
+            pictures.release();
+        }
+        drawn
     }
 
-    /// Frees the buffers of frames drawn between steps: see [`crate::Renderer::shrink`].
+    /// Frees the buffers of [`Trainer::draw`]: see [`Renderer::shrink`].
     pub fn shrink_pictures(&mut self) {
-        self.pictures.forget();
+        self.pictures.shrink();
     }
 
-    pub(super) fn at_current_degree(&self, settings: &RenderSettings) -> RenderSettings {
+    /// Returns the settings with the SH degree of this iteration, unless they have one.
+    pub fn at_current_degree(&self, settings: &RenderSettings) -> RenderSettings {
         let sh_degree = settings.sh_degree.unwrap_or_else(|| self.sh_degree());
         RenderSettings { sh_degree: Some(sh_degree), ..*settings }
     }
@@ -434,11 +391,6 @@ impl Trainer {
         }
     }
 
-    /// Bytes of device memory in use by all arenas of the context, without offloaded buffers.
-    pub fn memory_bytes(&self) -> u64 {
-        self.context.memory_total().bytes
-    }
-
     /// Current and peak bytes of each arena of the context. The last entries are the offloaded bytes, if any, and the total of
     /// the rest.
     pub fn memory(&self) -> Vec<ArenaMemory> {
@@ -448,10 +400,9 @@ impl Trainer {
     }
 
     /// Frozen Gaussians around the [block](super::SceneBlock), which every picture of this trainer shows; None if there are none. In
-    /// [`Trainer::inspect`] their indices follow those of the trained Gaussians.
+    /// [`Renderer::inspect`] their indices follow those of the trained Gaussians.
     pub fn surroundings(&self) -> Option<DeviceScene> {
-        let frozen = self.block.as_ref()?.frozen.clone()?;
-        Some(DeviceScene::new(&self.context, frozen))
+        Some(DeviceScene::new(&self.context, self.frozen.first()?.clone()))
     }
 
     /// Hides the statistics of Gaussians outside the core from a densification.
@@ -629,6 +580,7 @@ impl Trainer {
                 rows: &self.rows,
                 runner: &mut self.runner,
                 pictures: &mut self.pictures,
+                frozen: &self.frozen,
                 model: &mut self.state.model,
                 photos: &self.photos,
                 poses: self.poses.as_ref(),
@@ -675,8 +627,8 @@ impl Trainer {
         self.recorder.prepare_for(plan)?;
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
         let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
-        let (filter, poses) = (self.filter.as_ref(), self.poses.as_ref());
-        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, poses, plan };
+        let (filter, poses, frozen) = (self.filter.as_ref(), self.poses.as_ref(), &self.frozen);
+        let parts = StepParts { run, model, frozen, photos, maps, memory, strategy, filter, poses, plan };
         self.runner.run(&parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
             Ok(())
@@ -712,35 +664,5 @@ impl Trainer {
     /// Extent of the scene as given to training, world units.
     pub fn scene_extent(&self) -> f32 {
         self.run.scene_extent
-    }
-
-    /// Same as [`Renderer::align`](crate::Renderer::align), with the current scene. If `settings.sh_degree` is None, it uses
-    /// the SH degree of this iteration. The result of training does not depend on alignments.
-    ///
-    /// # Errors
-    /// Same as [`Renderer::align`](crate::Renderer::align) and [`Trainer::render`]; [`Error::Argument`] if a
-    /// [block](super::SceneBlock) has frozen Gaussians.
-    pub fn align(
-        &mut self,
-        camera: &Camera,
-        photo: &StoredPhoto,
-        settings: &RenderSettings,
-        alignment: &Alignment,
-    ) -> Result<Camera> {
-        if self.runner.frozen_capacity() > 0 {
-            let problem = "cameras are aligned to whole scenes, and this is a block of one";
-            return Err(Error::argument("trainer", problem));
-        }
-        let settings = self.at_current_degree(settings);
-        let mut aligner = match self.aligner.take() {
-            Some(aligner) => aligner,
-            None => Aligner::new(&self.context)?,
-        };
-        let aligned = self.drawing(|runner, scene| {
-            let request = AlignRequest { scene, camera, photo, settings: &settings, alignment };
-            aligner.align(runner, &request)
-        });
-        self.aligner = Some(aligner);
-        aligned
     }
 }

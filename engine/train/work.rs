@@ -192,21 +192,3 @@ pub struct Maintenance {
     /// [`Trainer::step`](super::Trainer::step).
     pub skipped: Option<u32>,
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn actions_are_done_one_by_one_densification_first() {
-        let mut due = Actions::DENSIFY.and(Actions::RESET_OPACITY).and(Actions(1 << 31));
-        let mut order = Vec::new();
-        while !due.is_empty() {
-            order.push(due.first());
-            due = due.without(due.first());
-        }
-        assert_eq!(order, [Actions::DENSIFY, Actions::RESET_OPACITY, Actions(1 << 31)]);
-        assert_eq!(Actions::DENSIFY.when(false), Actions::NONE);
-        assert!(!Actions::DENSIFY.contains(Actions::RESET_OPACITY));
-    }
-}

@@ -2,6 +2,24 @@
 
 use ash::vk::{self, Format as F};
 
+/// How a shader accesses a buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Access {
+    /// `readonly`.
+    Read,
+    /// `writeonly`.
+    Write,
+    /// Neither.
+    ReadWrite,
+}
+
+impl Access {
+    /// True if it writes.
+    pub fn writes(self) -> bool {
+        self != Self::Read
+    }
+}
+
 /// Purpose of an image in a frame: one variant for each field of a recorded frame. Each has its own formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageUse {

@@ -3,110 +3,107 @@
 //! It keeps every range that was read or written since the last barrier, and the command. A hazard is a command that
 //! touches a range that an earlier one wrote, or writes a range that an earlier one read. One command may read and write
 //! its own buffers, by one binding or by two that are ALIASED.
-//!
-//! It does not use Vulkan: a block of memory is a number, so tests need no device.
 
-use std::fmt;
+use super::format::Access;
+use super::image::Image;
+use super::memory::Buffer;
 use std::ops::Range;
 
-/// One declared access of a command.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Use {
-    /// The block of memory.
-    pub block: u64,
-    /// The range of bytes in it.
-    pub bytes: Range<u64>,
-    /// The buffer's name.
-    pub buffer: &'static str,
+/// A declared access of a command.
+struct Use {
+    /// Id of the block of memory, or of the image.
+    block: u64,
+    bytes: Range<u64>,
+    buffer: &'static str,
     /// Role in the command: the binding's name, "destination", …
-    pub role: &'static str,
-    /// Read, written, or both.
-    pub access: Access,
+    role: &'static str,
+    access: Access,
     /// True if the command's other accesses may touch the same bytes.
-    pub aliased: bool,
+    aliased: bool,
 }
 
-/// Two commands that touch the same bytes without a barrier between them; at least one writes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Hazard {
-    /// The earlier command and its access.
-    pub first: (&'static str, Use),
-    /// The later command and its access.
-    pub second: (&'static str, Use),
-}
-
-impl Hazard {
-    /// "read after write", "write after read" or "write after write".
-    pub fn kind(&self) -> &'static str {
-        match (self.first.1.access, self.second.1.access) {
-            (Access::Read, _) => "write after read",
-            (_, Access::Read) => "read after write",
-            (Access::Write, Access::Write) => "write after write",
-            _ => "read and write after write",
-        }
-    }
-}
-
-impl fmt::Display for Hazard {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let verb = |access| match access {
-            Access::Read => "reads",
-            Access::Write => "writes",
-            Access::ReadWrite => "reads and writes",
-        };
-        let ((first, a), (second, b)) = (&self.first, &self.second);
-        let (start, end) = (a.bytes.start.max(b.bytes.start), a.bytes.end.min(b.bytes.end));
-        write!(
-            f,
-            "missing barrier ({}): '{second}' {} buffer '{}' as '{}' after '{first}' {} buffer '{}' as '{}' \
-             ({} bytes in common); call barrier() between them",
-            self.kind(),
-            verb(b.access),
-            b.buffer,
-            b.role,
-            verb(a.access),
-            a.buffer,
-            a.role,
-            end - start
-        )
-    }
-}
-
-/// Accesses since the last barrier.
-#[derive(Debug, Default)]
-pub struct HazardTracker {
+/// Accesses of the current command, and of earlier ones since the last barrier.
+#[derive(Default)]
+pub(super) struct Hazards {
+    uses: Vec<Use>,
     since_barrier: Vec<(&'static str, Use)>,
+    /// None: a hazard panics.
+    #[cfg(feature = "testing")]
+    pub(super) collected: Option<Vec<String>>,
 }
 
-impl HazardTracker {
-    /// No accesses yet.
-    pub fn new() -> Self {
-        Self::default()
+impl Hazards {
+    /// Collects mistakes, without panics.
+    #[cfg(feature = "testing")]
+    pub(super) fn collecting() -> Self {
+        Self { collected: Some(Vec::new()), ..Self::default() }
     }
 
-    /// Adds a command. Returns its hazards with earlier commands, the first for each of its accesses.
-    pub fn command(&mut self, name: &'static str, uses: &[Use]) -> Vec<Hazard> {
-        let mut hazards = Vec::new();
-        for later in uses {
+    pub(super) fn add(&mut self, buffer: &Buffer, role: &'static str, access: Access, aliased: bool) {
+        let bytes = buffer.offset()..buffer.offset() + buffer.bytes();
+        let (block, buffer) = (buffer.block().id, buffer.name());
+        self.uses.push(Use { block, bytes, buffer, role, access, aliased });
+    }
+
+    pub(super) fn add_image(&mut self, image: &Image, role: &'static str, access: Access) {
+        let (block, buffer) = (image.id(), image.name());
+        self.uses.push(Use { block, bytes: 0..1, buffer, role, access, aliased: false });
+    }
+
+    /// Ends the current command. Panics with its first mistake, unless hazards are collected.
+    pub(super) fn commit(&mut self, command: &'static str) {
+        let missing = self.uses.iter().filter_map(|later| {
             let earlier = self.since_barrier.iter().find(|(_, earlier)| conflict(earlier, later));
-            if let Some((first, earlier)) = earlier {
-                hazards.push(Hazard { first: (first, earlier.clone()), second: (name, later.clone()) });
-            }
+            earlier.map(|(first, earlier)| missing_barrier((first, earlier), (command, later)))
+        });
+        let found: Vec<String> = undeclared_alias(command, &self.uses).into_iter().chain(missing).collect();
+        self.since_barrier.extend(self.uses.drain(..).map(|own| (command, own)));
+        #[cfg(feature = "testing")]
+        if let Some(collected) = &mut self.collected {
+            return collected.extend(found);
         }
-        self.since_barrier.extend(uses.iter().map(|u| (name, u.clone())));
-        hazards
+        if let Some(mistake) = found.first() {
+            panic!("{mistake}");
+        }
     }
 
     /// Orders all earlier commands before all later ones.
-    pub fn barrier(&mut self) {
+    pub(super) fn barrier(&mut self) {
         self.since_barrier.clear();
     }
+}
+
+/// Describes two commands that touch the same bytes without a barrier between them; at least one writes.
+fn missing_barrier((first, a): (&str, &Use), (second, b): (&str, &Use)) -> String {
+    let kind = match (a.access, b.access) {
+        (Access::Read, _) => "write after read",
+        (_, Access::Read) => "read after write",
+        (Access::Write, Access::Write) => "write after write",
+        _ => "read and write after write",
+    };
+    let verb = |access| match access {
+        Access::Read => "reads",
+        Access::Write => "writes",
+        Access::ReadWrite => "reads and writes",
+    };
+    let (start, end) = (a.bytes.start.max(b.bytes.start), a.bytes.end.min(b.bytes.end));
+    format!(
+        "missing barrier ({kind}): '{second}' {} buffer '{}' as '{}' after '{first}' {} buffer '{}' as '{}' \
+         ({} bytes in common); call barrier() between them",
+        verb(b.access),
+        b.buffer,
+        b.role,
+        verb(a.access),
+        a.buffer,
+        a.role,
+        end - start
+    )
 }
 
 /// Describes the mistake of a command that reads bytes by one of its bindings and writes them by another. Compilers assume
 /// that two buffers of a shader are different memory unless both are decorated `Aliased` (SPIR-V, 2.18.2). Two bindings
 /// that both write are allowed: they write different places, or this variant of the kernel does not touch one of them.
-pub fn undeclared_alias(command: &str, uses: &[Use]) -> Option<String> {
+fn undeclared_alias(command: &str, uses: &[Use]) -> Option<String> {
     let mut pairs = uses.iter().enumerate().flat_map(|(k, a)| uses[k + 1..].iter().map(move |b| (a, b)));
     let is_alias =
         |a: &Use, b: &Use| (a.access == Access::Read) != (b.access == Access::Read) && conflict(a, b);
@@ -123,24 +120,4 @@ fn conflict(a: &Use, b: &Use) -> bool {
         && a.bytes.start < b.bytes.end
         && b.bytes.start < a.bytes.end
         && (a.access.writes() || b.access.writes())
-}
-
-// How a command accesses a buffer.
-
-/// How a shader accesses a buffer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Access {
-    /// `readonly`.
-    Read,
-    /// `writeonly`.
-    Write,
-    /// Neither.
-    ReadWrite,
-}
-
-impl Access {
-    /// True if it writes.
-    pub fn writes(self) -> bool {
-        self != Self::Read
-    }
 }

@@ -4,7 +4,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `binding_numbers`, `lock`, `format`, `hazard` | numbers of bindings; locks; formats; missing barriers |
+//! | `binding_numbers`, `lock`, `format` | numbers of bindings; locks; formats and accesses |
 //! | `limits`, `requirements` | [`Limits`], read once; features that a host enables |
 //! | `debug` | names, labels and validation messages |
 //! | `memory_types` | [`MemoryKind`] and its memory types; [`HostAllocator`]: memory from a host |
@@ -20,6 +20,7 @@
 //! | `context` | the open [`Context`]; [`Context::new`] and its options, [`Context::from_foreign`] |
 //! | `image` | [`Image`]: a host's or our own, and its owner |
 //! | `kernel` | [`Kernel`]: a pipeline with the typed interface that build.rs generated |
+//! | `hazard` | missing barriers of a recording |
 //! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
 //! | `submit` | [`Context::submit`], [`Pending`], [`RunReport`]; [`Context::upload`], [`Context::download`] |
 //! | `budget` | [`Context::allocate`], limits of memory, and [`Context::measure_memory`] |
@@ -58,7 +59,7 @@ mod device;
 mod faults;
 mod foreign;
 mod format;
-pub mod hazard;
+mod hazard;
 mod image;
 mod kernel;
 mod limits;
@@ -85,10 +86,9 @@ pub use device::{DeviceDescription, devices, validation_available};
 pub use faults::{Fault, Faults};
 pub use foreign::{ForeignCommands, RecordSlot, SlotRecording};
 pub use format::{
-    COLOR_FORMATS, DEPTH_FORMAT, HOST_DEPTH_FORMATS, ImageKind, ImageUse, MOTION_FORMAT, PICK_FORMAT,
+    Access, COLOR_FORMATS, DEPTH_FORMAT, HOST_DEPTH_FORMATS, ImageKind, ImageUse, MOTION_FORMAT, PICK_FORMAT,
     TexelFormat,
 };
-pub use hazard::Access;
 pub use image::{ForeignImage, Image, ImageState};
 pub(crate) use kernel::sealed::Generated;
 pub use kernel::{

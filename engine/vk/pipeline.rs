@@ -53,7 +53,7 @@ pub(super) fn check(d: &PipelineInfo, shared_bytes: u32, limits: &Limits) -> Res
     for (what, needed, unit, limit, limit_name) in bounds {
         if needed > u64::from(limit) {
             let what = format!("kernel {}: {what}", d.name);
-            return Err(Error::TooLarge { what, needed, unit, limit: limit.into(), limit_name });
+            return Err(Error::too_large(what, (needed, unit), (limit.into(), limit_name)));
         }
     }
     Ok(())

@@ -1,8 +1,7 @@
 //! What a device keeps to build pipelines only once: the pipelines themselves, and the VkPipelineCache between runs.
 
 use super::debug::vk_error;
-use super::format::{ImageKind, TexelFormat};
-use super::hazard::Access;
+use super::format::{Access, ImageKind, TexelFormat};
 use super::lock::lock;
 use super::raw_device::RawDevice;
 use crate::error::Result;

@@ -1,7 +1,7 @@
 //! Opt-in profile of a context: every command of every submission, with its resources and its time.
 
 use super::debug::vk_error;
-use super::hazard::Access;
+use super::format::Access;
 use super::lock::lock;
 use super::memory::Buffer;
 use super::memory_types::MemoryKind;

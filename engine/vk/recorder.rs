@@ -4,8 +4,8 @@ use super::audit;
 use super::binding_numbers::BUFFERS;
 use super::commands::Commands;
 use super::context::Context;
-use super::format::{ImageKind, TexelFormat};
-use super::hazard::{Access, HazardTracker, Use, undeclared_alias};
+use super::format::{Access, ImageKind, TexelFormat};
+use super::hazard::Hazards;
 use super::image::{Image, ImageState};
 use super::kernel::{Kernel, KernelInterface};
 use super::limits::Limits;
@@ -19,42 +19,6 @@ use crate::error::{Error, Result};
 use ash::vk;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
-
-/// Accesses of the current command, and earlier ones.
-#[derive(Default)]
-pub(super) struct Hazards {
-    tracker: HazardTracker,
-    uses: Vec<Use>,
-    /// None: a hazard panics.
-    #[cfg(feature = "testing")]
-    collected: Option<Vec<String>>,
-}
-
-impl Hazards {
-    fn add(&mut self, buffer: &Buffer, role: &'static str, access: Access, aliased: bool) {
-        let bytes = buffer.offset()..buffer.offset() + buffer.bytes();
-        let (block, buffer) = (buffer.block().id, buffer.name());
-        self.uses.push(Use { block, bytes, buffer, role, access, aliased });
-    }
-
-    fn commit(&mut self, command: &'static str) {
-        let found = self.tracker.command(command, &self.uses);
-        let alias = undeclared_alias(command, &self.uses);
-        self.uses.clear();
-        #[cfg(feature = "testing")]
-        if let Some(collected) = &mut self.collected {
-            collected.extend(found.iter().map(ToString::to_string));
-            collected.extend(alias);
-            return;
-        }
-        if let Some(alias) = alias {
-            panic!("{alias}");
-        }
-        if let Some(hazard) = found.first() {
-            panic!("{hazard}");
-        }
-    }
-}
 
 struct Bound<'a> {
     buffers: &'a [&'a Buffer],
@@ -359,8 +323,7 @@ impl Recorder {
             hazards.add(buffer, info.name, info.access, info.aliased);
         }
         for (info, image) in pipeline.info.images.iter().zip(bound.images) {
-            let (block, buffer, role, access) = (image.id(), image.name(), info.name, info.access);
-            hazards.uses.push(Use { block, bytes: 0..1, buffer, role, access, aliased: false });
+            hazards.add_image(image, info.name, info.access);
         }
         if let Grid::In(arguments) = grid {
             // Only the first three words are read.
@@ -445,7 +408,7 @@ impl Recorder {
         }
         self.barriers += 1;
         if let Some(hazards) = &mut self.hazards {
-            hazards.tracker.barrier();
+            hazards.barrier();
         }
         self.record_barrier();
     }
@@ -809,7 +772,7 @@ impl Recorder {
     /// Collects hazards from the next command on, without panics; see [`Recorder::hazards`]. Works even if the context does
     /// not check.
     pub fn collect_hazards(&mut self) {
-        self.hazards = Some(Hazards { collected: Some(Vec::new()), ..Hazards::default() });
+        self.hazards = Some(Hazards::collecting());
     }
 
     /// Returns the hazards found since [`Recorder::collect_hazards`].

@@ -3,7 +3,6 @@
 
 use crate::stage::*;
 use ashsplat::ash::vk::Format;
-use ashsplat::passes::compose::Compose;
 use ashsplat_reference::compose::{compose, compose_linear, decode, encode};
 
 const SIZE: [u32; 2] = [64, 48];
@@ -212,7 +211,7 @@ fn every_format_holds_the_picture() {
         let mut scene = Scene::new(host, &cloud(700, 3));
         let partly = scene.blended.iter().filter(|pixel| (0.1..0.9).contains(&pixel[3])).count();
         assert!(partly > PIXELS / 8, "{partly} pixels are partly covered");
-        for format in Compose::COLOR_FORMATS {
+        for format in ashsplat::vk::COLOR_FORMATS {
             for behind in [GREY, Background::Nothing, Background::Image] {
                 if behind == Background::Nothing && format == Format::B10G11R11_UFLOAT_PACK32 {
                     continue;

@@ -125,7 +125,7 @@ pub fn of_device(path: &Path) -> Outcome {
                     border.record_gradient(r, inputs, &rows, &native, false);
                     r.barrier();
                     let statistics = Statistics { buffer, accumulate: true, absolute: Some(absolute) };
-                    backward.record(r, inputs, &native, statistics);
+                    backward.record(r, inputs, &native, statistics, false);
                 });
             }
             let own = gpu.read::<[f32; 2]>(&own, set.len());

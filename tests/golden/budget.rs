@@ -37,7 +37,7 @@ pub fn split_of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let form = DensifyForm { long_axis: true, criterion: Criterion::Selected };
-    let densify = Densify::with_form(gpu.context, form)?;
+    let densify = Densify::new(gpu.context, form)?;
     let selected: Vec<u32> = npz.values("selected").iter().map(|&x| x as u32).collect();
     let statistics = gpu.zeros::<[f32; 2]>("statistics", selected.len());
     let selected = gpu.buffer("selected", &selected);

@@ -14,7 +14,8 @@ use crate::reference::{schedule, sh};
 use ashsplat::frame::{LaunchSizes, SceneBuffers, Strips, planes};
 use ashsplat::passes::adam::Moments;
 use ashsplat::passes::densify::{
-    ClassifyInputs, Densify, DensifyBuffers, DensifySettings, ExplicitNoise, Gather, RandomKey,
+    ClassifyInputs, Densify, DensifyBuffers, DensifyForm, DensifySettings, ExplicitNoise, Gather,
+    RESET_OPACITY, RandomKey,
 };
 use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing};
 use libtest_mimic::Failed;
@@ -238,7 +239,7 @@ pub fn densify(path: &Path) -> Outcome {
     let statistics: Vec<[f32; 2]> = sums.map(|(&sum, &views)| [sum as f32, views as f32]).collect();
     let statistics = gpu.buffer("statistics", &statistics);
     let inputs = ClassifyInputs { statistics: &statistics, criteria: None };
-    let densify = Densify::new(gpu.context).expect("the kernels of densification");
+    let densify = Densify::new(gpu.context, DensifyForm::default()).expect("the kernels of densification");
     let noise = noise_of_gaussians(&npz);
     let after = densified(&gpu, &npz, &densify, (inputs, &settings), Some(&noise))?;
     compare_parameters(&npz, &after, 2.0 * ROUNDING)
@@ -277,14 +278,20 @@ pub(super) fn densified(
 ) -> Result<Vec<Gaussian>, Failed> {
     let input = engine::gaussians(&gaussians(npz, "in_"));
     let count = input.len() as u32;
-    let scene = planes::upload(gpu.context, "test", &input, count, input.sh_degree)?;
+    let scene = planes::upload(gpu.context, ("test", MemoryKind::Device), &input, count, input.sh_degree)?;
     let requests = DensifyBuffers::requests(&LaunchSizes::new(gpu.context.limits()), count, 2 * count);
-    let buffers = requests.map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize));
-    let buffers = DensifyBuffers::from_allocated(buffers.into());
-    gpu.run(|r| densify.record_classify_by(r, &scene, inputs, &buffers, settings));
+    let buffers = requests.into_iter().map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize));
+    let buffers = DensifyBuffers::from_allocated(buffers.collect());
+    gpu.run(|r| densify.record_classify(r, &scene, inputs, &buffers, settings));
     let totals = gpu.read::<u32>(&buffers.totals, 3);
     let rows = totals[0] + totals[1] + 2 * totals[2];
-    let target = planes::upload(gpu.context, "test", &ashsplat::Gaussians::default(), rows, input.sh_degree)?;
+    let target = planes::upload(
+        gpu.context,
+        ("test", MemoryKind::Device),
+        &ashsplat::Gaussians::default(),
+        rows,
+        input.sh_degree,
+    )?;
     let target = SceneBuffers { count: rows, ..target };
     let noise = noise.map(|noise| gpu.buffer("noise", noise));
     let explicit = noise.as_ref().map(|buffer| ExplicitNoise { buffer, stride: count });
@@ -308,12 +315,12 @@ pub fn reset_opacity(path: &Path) -> Outcome {
     let gpu = Gpu::new();
     let before = as_gaussians("opacity", npz.values("logits"));
     let input = engine::gaussians(&before);
-    let upload = || planes::upload(gpu.context, "test", &input, 0, 1).expect("upload");
+    let upload = || planes::upload(gpu.context, ("test", MemoryKind::Device), &input, 0, 1).expect("upload");
     // Moments are planes as well; copies of the scene take their place.
     let (scene, first, second) = (upload(), upload(), upload());
     let moments = Moments { first: first.chunks.clone(), second: second.chunks.clone() };
-    let densify = Densify::new(gpu.context).expect("the kernels of densification");
-    gpu.run(|recorder| densify.record_reset(recorder, &scene, &moments));
+    let densify = Densify::new(gpu.context, DensifyForm::default()).expect("the kernels of densification");
+    gpu.run(|recorder| densify.record_reset(recorder, &scene, &moments, RESET_OPACITY));
     let [after, first, second] = [&scene, &first, &second]
         .map(|s| engine::twins(&planes::download(gpu.context, s).expect("download")));
     elementwise("logit", &of_gaussians("opacity", &after), npz.values("out"), ROUNDING, ROUNDING)?;

@@ -7,6 +7,7 @@ use crate::common::prelude::*;
 use crate::golden::npz::{Npz, rows};
 use crate::reference::draws::{edges, gray, importance, key, mark, responses};
 use crate::reference::pipeline::{backward, render};
+use ashsplat::frame::LaunchSizes;
 use ashsplat::passes::densify::{
     Candidates, Chances, EdgePhoto, Importance, ImportanceBuffers, Selection, SelectionBuffers, SelectionDraw,
 };
@@ -125,7 +126,8 @@ fn selection_of_device(gpu: &Gpu, npz: &Npz) -> Outcome {
     let selection = Selection::new(gpu.context).expect("kernels");
     let single = |name: &str| npz.values(name).iter().map(|&x| x as f32).collect::<Vec<f32>>();
     let count = npz.values("u").len();
-    let buffers = gpu.context.allocate("test", &selection.requests(count as u32), MemoryKind::Device);
+    let requests = SelectionBuffers::requests(&LaunchSizes::new(gpu.context.limits()), count as u32);
+    let buffers = gpu.context.allocate("test", &requests, MemoryKind::Device);
     let buffers = SelectionBuffers::from_allocated(buffers.expect("memory"));
     let statistics: Vec<[f32; 2]> =
         single("candidate").into_iter().map(|candidate| [candidate, 1.0]).collect();

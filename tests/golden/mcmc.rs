@@ -8,10 +8,10 @@ use crate::golden::npz::Npz;
 use crate::reference::add_noise::noise;
 use crate::reference::linear::sigmoid;
 use crate::reference::relocate::relocate;
-use ashsplat::frame::{SceneBuffers, planes};
+use ashsplat::frame::{LaunchSizes, SceneBuffers, planes};
 use ashsplat::kernels::constants::STATE_WORDS;
 use ashsplat::passes::adam::Moments;
-use ashsplat::passes::densify::{Densify, Draw, DrawBuffers, Gather, RandomKey, Relocation};
+use ashsplat::passes::densify::{Densify, DensifyForm, Draw, DrawBuffers, Gather, RandomKey, Relocation};
 use std::path::Path;
 
 /// Tolerances of logits and log-scales.
@@ -113,8 +113,10 @@ pub fn relocation_of_device(path: &Path) -> Outcome {
     let context = gpu.context;
     let start = gaussians(&npz, "in_");
     let degree = start[0].sh.len().isqrt() as u32 - 1;
-    let (densify, relocation) =
-        (Densify::new(context).expect("kernels"), Relocation::new(context).expect("kernels"));
+    let (densify, relocation) = (
+        Densify::new(context, DensifyForm::default()).expect("kernels"),
+        Relocation::new(context).expect("kernels"),
+    );
     let rows = npz.values("out_means").len() / 3;
     let ones: Vec<Gaussian> = start
         .iter()
@@ -127,14 +129,15 @@ pub fn relocation_of_device(path: &Path) -> Outcome {
         })
         .collect();
     let upload = |set: &[Gaussian]| {
-        planes::upload(context, "test", &engine::gaussians(set), rows as u32, degree).expect("upload")
+        planes::upload(context, ("test", MemoryKind::Device), &engine::gaussians(set), rows as u32, degree)
+            .expect("upload")
     };
     // Parameters and both moments.
     let mut sets = [upload(&start), upload(&ones), upload(&ones)];
     let key = RandomKey { seed: 0, iteration: 0, explicit: None };
     for (step, prefix) in steps(&npz).iter().zip(["mid", "out"]) {
         let count = sets[0].count;
-        let requests = relocation.requests(count, step.rows as u32);
+        let requests = DrawBuffers::requests(&LaunchSizes::new(context.limits()), count, step.rows as u32);
         let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
         let buffers = DrawBuffers::from_allocated(buffers);
         let uniforms = gpu.buffer("uniforms", &step.uniforms);
@@ -212,7 +215,8 @@ pub fn noise_of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let (set, normals, rate) = noise_set(&npz);
-    let scene = planes::upload(gpu.context, "test", &engine::gaussians(&set), 0, 0).expect("upload");
+    let scene = planes::upload(gpu.context, ("test", MemoryKind::Device), &engine::gaussians(&set), 0, 0)
+        .expect("upload");
     let normals: Vec<[f32; 3]> = normals.iter().map(|normal| normal.map(|x| x as f32)).collect();
     let (normals, state) = (gpu.buffer("noise", &normals), gpu.zeros::<u32>("state", STATE_WORDS as usize));
     let relocation = Relocation::new(gpu.context).expect("kernels");

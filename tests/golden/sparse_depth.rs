@@ -147,7 +147,7 @@ pub fn of_device(path: &Path) -> Outcome {
     let gradient = gpu.zeros::<u8>("image_gradient", PixelBorder::gradient_bytes(size.0, size.1) as usize);
     let statistics = gpu.zeros::<[f32; 2]>("statistics", set.len());
     let mean2d = gpu.zeros::<[f32; 2]>("mean2d_gradients", set.len());
-    let chunks = planes::allocate(context, "gradients", &stages.scene.plan)?;
+    let chunks = planes::allocate(context, ("gradients", MemoryKind::Device), &stages.scene.plan)?;
     let pixels = view.pixels();
     let [mut sums, mut transmittances] = [Vec::new(), Vec::new()];
     for records in [false, true] {
@@ -176,7 +176,7 @@ pub fn of_device(path: &Path) -> Outcome {
             );
             r.barrier();
             let statistics = Statistics { buffer: &statistics, accumulate: false, absolute: None };
-            backward.record(r, inputs, &gradient, statistics);
+            backward.record(r, inputs, &gradient, statistics, false);
             r.barrier();
             backward.record_expand_gradients(r, inputs, &chunks, &mean2d);
         });

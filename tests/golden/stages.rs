@@ -6,10 +6,10 @@ use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use ashsplat::frame::{
     FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, LaunchSizes, PictureCapacity, PlacedScene,
-    SceneBuffers, frame_requests, planes,
+    SceneBuffers, planes,
 };
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
-use ashsplat::passes::backward::Backward;
+use ashsplat::passes::backward::{Backward, BackwardForm};
 use ashsplat::render::Forward;
 use ashsplat::vk::Recorder;
 
@@ -46,7 +46,8 @@ impl<'a> Stages<'a> {
         let context = gpu.context;
         let sh_degree = views[0].sh_degree;
         let input = gaussians(set);
-        let scene = planes::upload(context, "test", &input, 0, input.sh_degree).expect("upload");
+        let scene = planes::upload(context, ("test", MemoryKind::Device), &input, 0, input.sh_degree)
+            .expect("upload");
         let cameras: Vec<_> = views.iter().map(camera).collect();
         let pictures = PictureCapacity::of_cameras(&cameras);
         let tiles = views.iter().map(|view| view.tiles()[0] * view.tiles()[1]).max().expect("a view");
@@ -59,15 +60,16 @@ impl<'a> Stages<'a> {
             absolute: true,
             ..FrameCapacity::default()
         };
-        let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
+        let requests = FrameBuffers::requests(&capacity, &LaunchSizes::new(context.limits()));
         let frame = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
         let mut forward = Forward::new(context).expect("kernels");
         let drawn = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(&views[0]) };
         let variant = FrameVariant::of(&drawn, &camera(&views[0]), true);
         forward.prepare_variant(sh_degree, variant).expect("kernels");
         let mut backward = Backward::new(context);
-        backward.prepare(sh_degree, variant).expect("kernels");
-        backward.prepare_absolute(sh_degree, variant).expect("kernels");
+        for absolute in [false, true] {
+            backward.prepare(sh_degree, variant, BackwardForm { absolute, pose: false }).expect("kernels");
+        }
         backward.prepare_expand(sh_degree).expect("kernels");
         let frame = FrameBuffers::from_allocated(frame);
         Stages { gpu, backward, scene, forward, frame, capacity, linear_depth }

@@ -437,7 +437,7 @@ fn expected_depth_equals_its_twin() {
     let sums: Vec<f32> = pixels.iter().enumerate().map(|(i, p)| (1.0 - p[3]) * (i + 1) as f32).collect();
     let (accumulated, depth_sums) = (gpu.buffer("accumulated", &pixels), gpu.buffer("depth_sums", &sums));
     for (min_weight, empty) in [(0.0, -1.0), (0.5, f32::INFINITY)] {
-        let after = over_image(&gpu, (Compose::DEPTH_FORMAT, ImageUse::Depth), -7.0_f32, |r, region| {
+        let after = over_image(&gpu, (ashsplat::vk::DEPTH_FORMAT, ImageUse::Depth), -7.0_f32, |r, region| {
             compose.record_expected_depth(r, [&accumulated, &depth_sums], SIZE, region, [min_weight, empty]);
         });
         for (pixel, actual) in after.into_iter().map(f64::from).enumerate() {
@@ -465,7 +465,7 @@ fn mean_motion_equals_its_twin() {
     let before = [0x3C00u16, 0xC000];
     let mut kinds = [0; 2];
     for (min_weight, empty) in [(0.0, Some([0.5, -8.0])), (0.5, Some([0.0; 2])), (0.5, None)] {
-        let after = over_image(&gpu, (Compose::MOTION_FORMAT, ImageUse::Motion), before, |r, region| {
+        let after = over_image(&gpu, (ashsplat::vk::MOTION_FORMAT, ImageUse::Motion), before, |r, region| {
             // The kernel does not read the visible Gaussians' motions here.
             let own = MotionBuffers { motions: &motion_sums, sums: &motion_sums };
             compose.record_motion(r, (&accumulated, own), SIZE, region, (min_weight, empty));
@@ -519,7 +519,7 @@ fn picks_equal_their_twin() {
         let (picks, tile_ranges) = (gpu.buffer("picks", &picked), gpu.buffer("tile_ranges", &ranges));
         let sorted_visible = gpu.buffer("sorted_visible", &sorted);
         let color_inverse_depth = gpu.buffer("color_inverse_depth", &shades);
-        let after = over_image(&gpu, (Compose::PICK_FORMAT, ImageUse::Pick), [7_u32; 4], |r, region| {
+        let after = over_image(&gpu, (ashsplat::vk::PICK_FORMAT, ImageUse::Pick), [7_u32; 4], |r, region| {
             let bind = picks::Bind {
                 picks: &picks,
                 tile_ranges: &tile_ranges,

@@ -20,7 +20,7 @@ use ashsplat::kernels::constants::{
 use ashsplat::kernels::densify::{
     classify, gather, mask_outside, relocate, reset_opacity, scatter_sources, zorder,
 };
-use ashsplat::passes::densify::{Curve, Densify, DensifyBuffers, OrderBuffers};
+use ashsplat::passes::densify::{Curve, Densify, DensifyBuffers, DensifyForm, OrderBuffers};
 
 const SCENE_EXTENT: f64 = 40.0;
 
@@ -603,7 +603,7 @@ fn zorder_puts_rows_into_the_curves_order() {
         let scene = inside_cells(count);
         let count = scene.len() as u32;
         let uploaded = uploaded(context, &scene);
-        let densify = Densify::new(context).expect("kernels");
+        let densify = Densify::new(context, DensifyForm::default()).expect("kernels");
         let sizes = LaunchSizes::new(context.limits());
         let allocate = |requests: &[(&'static str, u64)]| {
             context.allocate("densify", requests, MemoryKind::Device).expect("memory")
@@ -617,8 +617,8 @@ fn zorder_puts_rows_into_the_curves_order() {
         let curve = Curve { center: Vec3::from_array(CENTER.map(|x| x as f32)), extent: EXTENT as f32 };
         let mut sorted = None;
         let recorded = context.run("order", |recorder| {
-            let rows = (&uploaded, rows);
-            sorted = Some(densify.record_order(recorder, rows, &buffers, &order, &curve).clone());
+            let (rows, unordered) = ((&uploaded, rows), (&buffers.sources, &buffers.totals));
+            sorted = Some(densify.record_order(recorder, rows, unordered, &order, &curve).clone());
             Ok(())
         });
         recorded.expect("sorted");

@@ -7,7 +7,7 @@ use crate::common::prelude::*;
 use crate::reference::draws as twin;
 use crate::reference::gather::pcg4d;
 use crate::reference::linear::sigmoid;
-use ashsplat::frame::{SceneBuffers, Strips, planes};
+use ashsplat::frame::{LaunchSizes, SceneBuffers, Strips, planes};
 use ashsplat::kernels::constants::{
     CHANCE_EQUAL, CHANCE_IMPORTANCE, CHANCE_STATISTIC, NOT_DRAWN, NOT_VISIBLE, STATE_OVERFLOW,
 };
@@ -141,8 +141,9 @@ fn mark_drawn_equals_its_twin() {
     }
 }
 
-fn selection_buffers(context: &Context, selection: &Selection, count: u32) -> SelectionBuffers {
-    let buffers = context.allocate("test", &selection.requests(count), MemoryKind::Device);
+fn selection_buffers(context: &Context, count: u32) -> SelectionBuffers {
+    let requests = SelectionBuffers::requests(&LaunchSizes::new(context.limits()), count);
+    let buffers = context.allocate("test", &requests, MemoryKind::Device);
     SelectionBuffers::from_allocated(buffers.expect("memory"))
 }
 
@@ -159,7 +160,7 @@ fn selection_is_that_of_the_twins() {
         let statistics = gpu.buffer("statistics", &vec![[1.0_f32, 1.0]; size]);
         let importance = gpu.buffer("importance", &chances);
         for wanted in [0, size / 3, size] {
-            let buffers = selection_buffers(gpu.context, &selection, size as u32);
+            let buffers = selection_buffers(gpu.context, size as u32);
             let draw = SelectionDraw {
                 count: size as u32,
                 wanted: wanted as u32,
@@ -186,7 +187,7 @@ fn selection_is_that_of_the_twins() {
 fn selection_follows_the_chances() {
     let gpu = Gpu::new();
     let selection = Selection::new(gpu.context).expect("kernels");
-    let buffers = selection_buffers(gpu.context, &selection, 3);
+    let buffers = selection_buffers(gpu.context, 3);
     let statistics = gpu.buffer("statistics", &[[1.0_f32, 2.0], [2.0, 2.0], [3.0, 2.0]]);
     let mut counts = [0; 3];
     for iteration in 0..600 {
@@ -353,7 +354,8 @@ pub fn in_chunks() -> Context {
 /// Uploads a scene, in several chunks on a device of [`in_chunks`].
 pub fn uploaded(context: &Context, scene: &[Gaussian]) -> SceneBuffers {
     let stored = gaussians(scene);
-    let uploaded = planes::upload(context, "scene", &stored, scene.len() as u32, stored.sh_degree);
+    let uploaded =
+        planes::upload(context, ("scene", MemoryKind::Device), &stored, scene.len() as u32, stored.sh_degree);
     let uploaded = uploaded.expect("a scene");
     assert_eq!(uploaded.plan.chunks > 1, context.limits().max_storage_buffer_range == 1 << 20);
     uploaded
@@ -368,7 +370,7 @@ fn opacity_keys_put_opacities_into_their_order() {
         let scene = scene(count);
         let uploaded = uploaded(context, &scene);
         let selection = Selection::new(context).expect("kernels");
-        let buffers = selection_buffers(context, &selection, count as u32);
+        let buffers = selection_buffers(context, count as u32);
         let mut recorded = None;
         let ran = context.run("order opacities", |r| {
             recorded = Some(selection.record_opacities(r, &uploaded, &buffers).clone());

@@ -53,22 +53,6 @@ fn what_exceeds_the_device_is_refused_before_the_driver_sees_it() {
     common::assert_silent(common::context());
 }
 
-#[test]
-fn the_generated_interface_mirrors_the_shader() {
-    use ashsplat::vk::Access;
-    let access: Vec<_> =
-        scan_reduce::Interface::BINDINGS.iter().map(|b| (b.name, b.binding, b.access)).collect();
-    let expected =
-        [("counts", 0, Access::Read), ("values", 1, Access::Read), ("block_sums", 2, Access::Write)];
-    assert_eq!(access, expected);
-    let spec = scan_reduce::Spec { workgroup_size: 64, subgroup_size: 8, items: 3 };
-    assert_eq!(scan_reduce::Interface::spec_entries(&spec), [(0, 64), (1, 8), (2, 3)]);
-    assert_eq!(scan_reduce::Interface::workgroup_size(&spec), [64, 1, 1]);
-    assert_eq!(scan_reduce::Interface::subgroup_size(&spec), Some(8));
-    assert_eq!(scan_reduce::Interface::push_bytes(&scan_reduce::Push { count_index: 5 }), 5u32.to_ne_bytes());
-    assert_eq!(kernels::constants::TILE_SIZE, 16);
-}
-
 /// Kernels with two buffers in one memory, and the number of their variables that are declared so in each form.
 struct Aliases(Vec<(&'static str, Vec<&'static str>)>);
 

@@ -140,22 +140,73 @@ fn record(recorder: &mut Recorder, sums: &BlockSums) {
     recorder.fill(&sums.block_sums, 0);
 }
 
+/// Returns the hazards of a recording, which is never submitted.
+fn hazards(context: &Context, record: impl FnOnce(&mut Recorder)) -> Vec<String> {
+    let mut recorder = context.begin("never submitted").expect("a recorder");
+    recorder.collect_hazards();
+    record(&mut recorder);
+    recorder.hazards().to_vec()
+}
+
 #[test]
 fn each_omitted_barrier_is_found_without_submitting() {
     let context = common::context();
     let sums = BlockSums::new(context, 2_000);
     let hazards = |omitted: Option<u32>| {
-        let mut recorder = context.begin("never submitted").expect("a recorder");
-        recorder.collect_hazards();
-        omitted.into_iter().for_each(|k| recorder.omit_barrier(k));
-        record(&mut recorder, &sums);
-        assert_eq!(recorder.barriers(), 3);
-        recorder.hazards().to_vec()
+        hazards(context, |r| {
+            omitted.into_iter().for_each(|k| r.omit_barrier(k));
+            record(r, &sums);
+            assert_eq!(r.barriers(), 3);
+        })
     };
     assert_eq!(hazards(None), [""; 0]);
     assert!(hazards(Some(0))[0].contains("'indirect arguments'"), "{:?}", hazards(Some(0)));
     assert!(hazards(Some(1))[0].contains("read after write"), "{:?}", hazards(Some(1)));
     assert!(hazards(Some(2))[0].contains("write after read"), "{:?}", hazards(Some(2)));
+}
+
+/// A context without the validation layer, which would report mistakes of recordings as well.
+fn without_validation() -> Context {
+    Context::new(&ContextOptions { validation: false, ..common::options() }).expect("a context")
+}
+
+#[test]
+fn hazards_are_bytes_in_common_since_the_last_barrier() {
+    let context = &without_validation();
+    let [a, b, c] = allocate(context, [("a", 128), ("b", 64), ("c", 64)]);
+    let apart = hazards(context, |r| {
+        r.fill(&a.range(0, 64), 1);
+        r.fill(&a.range(64, 64), 2);
+        r.fill(&b, 3);
+        r.barrier();
+        r.copy(&a.range(0, 64), &b);
+        r.copy(&a.range(0, 32), &c);
+    });
+    assert_eq!(apart, [""; 0], "neighbours, and common reads");
+    let common = hazards(context, |r| {
+        r.fill(&a.range(0, 64), 1);
+        r.copy(&a.range(60, 4), &b);
+    });
+    assert!(common.len() == 1 && common[0].contains("(4 bytes in common)"), "{common:?}");
+    let read_since = hazards(context, |r| {
+        r.fill(&a, 1);
+        r.barrier();
+        r.copy(&a.range(0, 64), &b);
+        r.copy(&a.range(32, 32), &c);
+        r.fill(&a.range(48, 4), 2);
+    });
+    let both = "'fill' writes buffer 'a' as 'destination' after 'copy' reads buffer 'a' as 'source'";
+    assert!(read_since.len() == 1 && read_since[0].contains(both), "{read_since:?}");
+}
+
+/// Compilers assume that two buffers of a shader are different memory.
+#[test]
+fn one_memory_by_two_bindings_is_declared_in_the_shader() {
+    let context = &without_validation();
+    let sums = BlockSums::new(context, 2_000);
+    let bind = scan_reduce::Bind { block_sums: &sums.values, ..sums.bind() };
+    let found = hazards(context, |r| r.dispatch(&sums.kernel, &bind, &PUSH, sums.workgroups));
+    assert!(found.len() == 1 && found[0].contains("declare both ALIASED"), "{found:?}");
 }
 
 #[test]

@@ -4,7 +4,7 @@
 //! frame's own counts. A kernel that reads elements several times, such as blending, moves more than this through its caches. A
 //! kernel at 100 % of the device's copy bandwidth can become faster only by moving less.
 
-use ashsplat::frame::{FrameCapacity, LaunchSizes, PictureCapacity, frame_requests, parameter_planes};
+use ashsplat::frame::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, parameter_planes};
 use ashsplat::vk::{Access, BoundBuffer, CommandRecord, Limits, SMALLEST_BUFFER};
 use std::collections::HashMap;
 
@@ -67,7 +67,7 @@ impl Traffic {
                 backward: true,
                 ..FrameCapacity::default()
             };
-            frame_requests(&capacity, &blocks).into_iter().collect::<HashMap<_, _>>()
+            FrameBuffers::requests(&capacity, &blocks).into_iter().collect::<HashMap<_, _>>()
         };
         Self {
             counts: Some(counts),

@@ -69,7 +69,8 @@ impl Painter for Trainer {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<(Frame, TileReport)> {
-        Trainer::render_with_tiles(self, camera, settings)
+        let settings = self.at_current_degree(settings);
+        self.draw(|renderer| renderer.render_with_tiles(camera, &settings))
     }
 
     fn inspect(
@@ -78,7 +79,8 @@ impl Painter for Trainer {
         settings: &RenderSettings,
         pixel: [u32; 2],
     ) -> Result<PixelReport> {
-        Trainer::inspect(self, camera, settings, pixel)
+        let settings = self.at_current_degree(settings);
+        self.draw(|renderer| renderer.inspect(camera, &settings, pixel))
     }
 
     fn gaussians(&self) -> Result<Gaussians> {

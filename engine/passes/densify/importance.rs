@@ -6,7 +6,7 @@
 //! Gaussians) to 1 (largest), averaged over views.
 
 use crate::error::Result;
-use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, RenderSettings, array_of};
+use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, RenderSettings, buffer_set};
 use crate::kernels::densify::{add_importance, edge_gradient, edge_response, sum_weights};
 use crate::passes::backward::Backward;
 use crate::passes::pixels::PixelBorder;
@@ -15,35 +15,17 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 /// A Gaussian with more tiles has its weights added up by a whole subgroup.
 const LANE_INSTANCES: u32 = 64;
 
-/// Scratch for the importance of one view at a time.
-#[derive(Clone)]
-pub struct ImportanceBuffers {
+buffer_set! {
+    /// Scratch for the importance of one view at a time, for this number of Gaussians and pictures of up to `pixels` pixels.
+    pub struct ImportanceBuffers(gaussians: u32, pixels: u64) {}
     /// Per pixel: the photograph, see [`PixelBorder::record_photo`].
-    pub rows: Buffer,
+    pub rows as "photo_rows": 4 * pixels;
     /// Per pixel: response of the edge filter, 0 to 255.
-    pub responses: Buffer,
+    pub responses as "edge_responses": 4 * pixels;
     /// Smallest and largest response and weight: see edges.glsl.
-    pub ranges: Buffer,
+    pub ranges as "importance_ranges": 16;
     /// Per Gaussian: weight in the last view, f32.
-    pub weights: Buffer,
-}
-
-impl ImportanceBuffers {
-    /// Names and bytes, in the order of the fields, for this number of Gaussians and pictures of up to `pixels` pixels.
-    pub fn requests(gaussians: u32, pixels: u64) -> [(&'static str, u64); 4] {
-        [
-            ("photo_rows", 4 * pixels),
-            ("edge_responses", 4 * pixels),
-            ("importance_ranges", 16),
-            ("weights", 4 * u64::from(gaussians)),
-        ]
-    }
-
-    /// Assigns the buffers that were allocated for [`ImportanceBuffers::requests`].
-    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
-        let [rows, responses, ranges, weights] = array_of(buffers);
-        Self { rows, responses, ranges, weights }
-    }
+    pub weights: 4 * u64::from(gaussians);
 }
 
 /// A photograph on the device.

@@ -2,7 +2,7 @@
 //! and each shares its place with its copies.
 
 use crate::error::Result;
-use crate::frame::{LaunchSizes, SceneBuffers, array_of};
+use crate::frame::{LaunchSizes, SceneBuffers, blocks, buffer_set};
 use crate::kernels::constants::RELOCATION_LEAST_OPACITY;
 use crate::kernels::densify::{draw_sources, draw_weights, relocate};
 use crate::kernels::optimizer::add_noise;
@@ -13,32 +13,26 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 /// Largest weight of a Gaussian: the last integer up to which f32 counts in steps of one.
 const MOST_WEIGHT: u32 = 1 << 24;
 
-/// Scratch of a draw.
-#[derive(Clone)]
-pub struct DrawBuffers {
+buffer_set! {
+    /// Scratch of a draw, for up to `gaussians` before and `rows` after.
+    pub struct DrawBuffers(sizes: &LaunchSizes, gaussians: u32, rows: u32) {}
     /// Weight of each Gaussian.
-    pub weights: Buffer,
+    pub weights as "draw_weights": u64::from(gaussians) * 4;
     /// Sum of the weights before each Gaussian.
-    pub prefix: Buffer,
+    pub prefix as "draw_prefix": u64::from(gaussians) * 4;
     /// Number of draws of each Gaussian.
-    pub draws: Buffer,
+    pub draws: u64::from(gaussians) * 4;
     /// Number of Gaussians, sum of the weights, number of sorted rows.
-    pub totals: Buffer,
+    pub totals as "draw_totals": 16;
     /// Scratch of the prefix sum.
-    pub block_sums: Buffer,
+    pub block_sums as "draw_block_sums": blocks(gaussians.into(), sizes.scan.into()) * 4;
     /// Source of each row of the new set.
-    pub sources: Buffer,
+    pub sources: u64::from(rows) * 4;
 }
 
 impl DrawBuffers {
     const COUNT: u32 = 0;
     const TOTAL: u32 = 1;
-
-    /// Assigns the buffers that were allocated for [`Relocation::requests`].
-    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
-        let [weights, prefix, draws, totals, block_sums, sources] = array_of(buffers);
-        Self { weights, prefix, draws, totals, block_sums, sources }
-    }
 }
 
 /// A draw of the sources of a new set.
@@ -85,19 +79,6 @@ impl Relocation {
             noise: Kernel::new(context, &noise)?,
             noise_explicit: Kernel::new(context, &add_noise::Spec { explicit_noise: true, ..noise })?,
         })
-    }
-
-    /// Names and bytes of the fields of [`DrawBuffers`], for up to `gaussians` before and `rows` after.
-    pub fn requests(&self, gaussians: u32, rows: u32) -> [(&'static str, u64); 6] {
-        let words = u64::from(gaussians) * 4;
-        [
-            ("draw_weights", words),
-            ("draw_prefix", words),
-            ("draws", words),
-            ("draw_totals", 16),
-            ("draw_block_sums", self.scan.block_words(gaussians.into()) * 4),
-            ("sources", u64::from(rows) * 4),
-        ]
     }
 
     /// Records a draw into `buffers.sources` and `buffers.draws`. Ends with a barrier.

@@ -3,7 +3,7 @@
 //! depend on scheduling.
 
 use crate::error::Result;
-use crate::frame::{LaunchSizes, SceneBuffers, array_of};
+use crate::frame::{LaunchSizes, SceneBuffers, buffer_set};
 use crate::kernels::constants as c;
 use crate::kernels::densify::{draw_keys, mark_drawn, opacity_keys};
 use crate::passes::scan::Workgroups;
@@ -51,30 +51,30 @@ pub struct SelectionDraw<'a> {
     pub explicit: Option<&'a Buffer>,
 }
 
-/// Scratch and result of a draw.
-#[derive(Clone)]
-pub struct SelectionBuffers {
+buffer_set! {
+    /// Scratch and result of a draw among this number of Gaussians.
+    pub struct SelectionBuffers(sizes: &LaunchSizes, gaussians: u32) {
+        let words = u64::from(gaussians) * 4;
+    }
     /// Per Gaussian: 1 if it was drawn, otherwise 0.
-    pub selected: Buffer,
+    pub selected: words;
     /// Numbers of Gaussians, of candidates with a positive chance, and of drawn Gaussians: TOTAL_* of the constants.
-    pub totals: Buffer,
+    pub totals as "selection_totals": 16;
     /// Sorting scratch: keys.
-    pub keys: [Buffer; 2],
+    keys_a as "selection_keys_a": words;
+    /// As above.
+    keys_b as "selection_keys_b": words;
     /// Sorting scratch: Gaussians.
-    pub gaussians: [Buffer; 2],
+    gaussians_a as "selection_gaussians_a": words;
+    /// As above.
+    gaussians_b as "selection_gaussians_b": words;
     /// Sorting scratch: counts per digit and block, and per digit and run.
-    pub histogram: Buffer,
+    histogram as "selection_histogram": sizes.sort_histogram_words(gaussians.into(), u32::BITS) * 4;
     /// Sorting scratch: keys per digit.
-    pub digit_totals: Buffer,
+    digit_totals as "selection_digit_totals": (1 << sizes.sort_digit_bits()) * 4;
 }
 
 impl SelectionBuffers {
-    /// Assigns the buffers that were allocated for [`Selection::requests`].
-    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
-        let [selected, totals, keys_a, keys_b, a, b, histogram, digit_totals] = array_of(buffers);
-        Self { selected, totals, keys: [keys_a, keys_b], gaussians: [a, b], histogram, digit_totals }
-    }
-
     /// Returns one of the totals. Each can be filled in the same step as another.
     fn total(&self, word: u32) -> Buffer {
         self.totals.range(u64::from(word) * 4, 4)
@@ -85,8 +85,8 @@ impl SelectionBuffers {
         SortBuffers {
             counts: &self.totals,
             count_index: c::TOTAL_GAUSSIANS,
-            keys: [&self.keys[0], &self.keys[1]],
-            values: [&self.gaussians[0], &self.gaussians[1]],
+            keys: [&self.keys_a, &self.keys_b],
+            values: [&self.gaussians_a, &self.gaussians_b],
             histogram: &self.histogram,
             digit_totals: &self.digit_totals,
         }
@@ -121,21 +121,6 @@ impl Selection {
         })
     }
 
-    /// Names and bytes of the buffers of [`SelectionBuffers::from_allocated`], for this number of Gaussians.
-    pub fn requests(&self, gaussians: u32) -> Vec<(&'static str, u64)> {
-        let words = u64::from(gaussians) * 4;
-        vec![
-            ("selected", words),
-            ("selection_totals", 16),
-            ("selection_keys_a", words),
-            ("selection_keys_b", words),
-            ("selection_gaussians_a", words),
-            ("selection_gaussians_b", words),
-            ("selection_histogram", self.sort.histogram_words(gaussians.into(), u32::BITS) * 4),
-            ("selection_digit_totals", self.sort.digit_total_words() * 4),
-        ]
-    }
-
     /// Records a draw: the `wanted` largest ln(u) / chance. A barrier must precede it; it ends with one.
     pub fn record(&self, r: &mut Recorder, draw: &SelectionDraw, buffers: &SelectionBuffers) {
         let SelectionDraw { count, candidates, chances, .. } = *draw;
@@ -156,7 +141,7 @@ impl Selection {
                 absolute_statistics: candidates.absolute.unwrap_or(candidates.statistics),
                 importance,
                 uniforms: draw.explicit.unwrap_or(candidates.statistics),
-                keys: &buffers.keys[0],
+                keys: &buffers.keys_a,
                 selected: &buffers.selected,
                 totals: &buffers.totals,
             };
@@ -173,7 +158,7 @@ impl Selection {
             let end = self.sort.record(r, &buffers.pairs(), Values::Positions, u32::BITS, elements);
             r.barrier();
             let bind = mark_drawn::Bind {
-                sorted: &buffers.gaussians[end],
+                sorted: buffers.pairs().values[end],
                 totals: &buffers.totals,
                 selected: &buffers.selected,
             };
@@ -193,7 +178,7 @@ impl Selection {
         r.scope("order opacities", |r| {
             r.fill(&buffers.total(c::TOTAL_GAUSSIANS), scene.count);
             scene.record_chunks(r, |r, range, parameters| {
-                let bind = opacity_keys::Bind { parameters, keys: &buffers.keys[0] };
+                let bind = opacity_keys::Bind { parameters, keys: &buffers.keys_a };
                 let push = opacity_keys::Push { first: range.first, count: range.count };
                 r.dispatch(&self.opacity_keys, &bind, &push, self.sizes.groups(range.count));
             });
@@ -201,7 +186,7 @@ impl Selection {
             let elements = Workgroups::Elements(scene.count.into());
             let end = self.sort.record(r, &buffers.pairs(), Values::Positions, u32::BITS, elements);
             r.barrier();
-            &buffers.keys[end]
+            buffers.pairs().keys[end]
         })
     }
 }

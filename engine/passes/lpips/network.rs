@@ -192,20 +192,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn layers_follow_from_each_other() {
-        for network in Network::ALL {
-            for pair in network.layers().windows(2) {
-                assert_eq!(pair[0].outputs, pair[1].inputs, "{network:?}");
-                assert!(pair[0].index < pair[1].index);
-            }
-            assert_eq!(network.taps().count(), 5);
-        }
-        let taps = |network: Network| network.taps().map(|tap| tap.index + 1).collect::<Vec<_>>();
-        assert_eq!(taps(Network::AlexNet), [1, 4, 7, 9, 11]);
-        assert_eq!(taps(Network::Vgg16), [3, 8, 15, 22, 29]);
-    }
-
-    #[test]
     fn pictures_may_be_too_small() {
         assert!(Network::AlexNet.check_size(31, 500).is_ok() && Network::Vgg16.check_size(500, 16).is_ok());
         let message = |network: Network, side| network.check_size(side, 99).expect_err("small").to_string();

@@ -58,7 +58,7 @@ impl Budget {
         let form =
             DensifyForm { long_axis: settings.split == SplitType::LongAxis, criterion: Criterion::Selected };
         Ok(Self {
-            kernels: Densify::with_form(context, form)?,
+            kernels: Densify::new(context, form)?,
             selection: Selection::new(context)?,
             importance: None,
             absolute: settings.absgrad,
@@ -165,7 +165,8 @@ impl Budget {
                 None => return Ok(unchanged),
             },
         };
-        let Some(buffers) = population.allocate(&self.selection.requests(before))? else {
+        let Some(buffers) = population.allocate(&SelectionBuffers::requests(&population.sizes(), before))?
+        else {
             return Ok(unchanged);
         };
         let selection = SelectionBuffers::from_allocated(buffers);
@@ -265,7 +266,8 @@ impl Budget {
     /// Opacity below which a share of the Gaussians lies. None if memory for their order is short.
     fn opacity_of_share(&self, population: &Population, share: f64) -> Result<Option<f64>> {
         let context = population.context();
-        let buffers = population.allocate(&self.selection.requests(population.count()))?;
+        let buffers =
+            population.allocate(&SelectionBuffers::requests(&population.sizes(), population.count()))?;
         let Some(buffers) = buffers.map(SelectionBuffers::from_allocated) else { return Ok(None) };
         let mut sorted = None;
         context.run_commands("order opacities", |r| {

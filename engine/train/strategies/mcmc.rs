@@ -3,7 +3,7 @@
 
 use super::rebuild::{check_cap, order_buffers};
 use crate::error::Result;
-use crate::passes::densify::{Densify, Draw, DrawBuffers, Relocation};
+use crate::passes::densify::{Densify, DensifyForm, Draw, DrawBuffers, Relocation};
 use crate::train::population::Population;
 use crate::train::settings::TrainSettings;
 use crate::train::strategy::{Hooks, NOT_IN_OTHERS, StepInputs, Strategy};
@@ -23,7 +23,10 @@ pub struct Mcmc {
 impl Mcmc {
     /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { kernels: Densify::new(context)?, relocation: Relocation::new(context)? })
+        Ok(Self {
+            kernels: Densify::new(context, DensifyForm::default())?,
+            relocation: Relocation::new(context)?,
+        })
     }
 }
 
@@ -89,7 +92,8 @@ impl Mcmc {
     /// memory is short; the set then stays.
     fn rebuild(&self, population: &mut Population, rows: u32, replaces_dead: bool) -> Result<bool> {
         let before = population.count();
-        let Some(buffers) = population.allocate(&self.relocation.requests(before, rows))? else {
+        let Some(buffers) = population.allocate(&DrawBuffers::requests(&population.sizes(), before, rows))?
+        else {
             return Ok(false);
         };
         let buffers = DrawBuffers::from_allocated(buffers);
@@ -102,7 +106,7 @@ impl Mcmc {
         let (seed, iteration) = (population.settings().seed, population.iteration());
         let draw = Draw { rows, replaces_dead, seed, iteration, explicit: None };
         let (key, curve) = (population.random_key(), population.curve());
-        population.rebuild_and(
+        population.rebuild(
             rows,
             growth,
             &self.kernels,
@@ -113,7 +117,7 @@ impl Mcmc {
                     None => &buffers.sources,
                     Some(order) => {
                         let unordered = (&buffers.sources, &buffers.totals);
-                        self.kernels.record_order_of(r, (scene, rows), unordered, order, &curve)
+                        self.kernels.record_order(r, (scene, rows), unordered, order, &curve)
                     }
                 }
             },

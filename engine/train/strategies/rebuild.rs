@@ -1,7 +1,7 @@
 //! Shared parts of strategies: decisions per Gaussian, memory, and the new set that follows.
 
 use crate::error::{Error, Result};
-use crate::frame::LaunchSizes;
+use crate::frame::SceneBuffers;
 use crate::passes::densify::{ClassifyInputs, Densify, DensifyBuffers, DensifySettings, OrderBuffers};
 use crate::train::population::{Growth, Population};
 use crate::train::work::{Changes, Densified};
@@ -23,9 +23,8 @@ impl<'a> Decisions<'a> {
         kernels: &'a Densify,
         settings: DensifySettings,
     ) -> Result<Option<Self>> {
-        let sizes = LaunchSizes::new(population.context().limits());
-        let buffers =
-            population.allocate(&DensifyBuffers::requests(&sizes, population.count(), most_rows))?;
+        let requests = DensifyBuffers::requests(&population.sizes(), population.count(), most_rows);
+        let buffers = population.allocate(&requests)?;
         let buffers = buffers.map(DensifyBuffers::from_allocated);
         Ok(buffers.map(|buffers| Self { kernels, settings, buffers, order: None }))
     }
@@ -35,7 +34,7 @@ impl<'a> Decisions<'a> {
         let context = population.context();
         context.run_commands("densify: classify", |r| {
             let scene = population.scene();
-            self.kernels.record_classify_by(r, scene, inputs, &self.buffers, &self.settings);
+            self.kernels.record_classify(r, scene, inputs, &self.buffers, &self.settings);
         })?;
         let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&context.download(&self.buffers.totals)?);
         let before = population.count();
@@ -68,20 +67,23 @@ impl<'a> Decisions<'a> {
     pub fn rebuild(&self, population: &mut Population, densified: Densified, growth: Growth) -> Result<()> {
         let Some(order) = &self.order else { unreachable!("room was made") };
         let (rows, key, curve) = (densified.rows(), population.random_key(), population.curve());
-        population.rebuild(rows, growth, self.kernels, &key, |r, scene| {
+        let sources = |r: &mut Recorder, scene: &SceneBuffers| {
             self.record_sources(r, scene.count, rows);
-            self.kernels.record_order(r, (scene, rows), &self.buffers, order, &curve)
-        })
+            let unordered = (&self.buffers.sources, &self.buffers.totals);
+            self.kernels.record_order(r, (scene, rows), unordered, order, &curve)
+        };
+        population.rebuild(rows, growth, self.kernels, &key, sources, |_, _, _| {})
     }
 
     /// Removes the Gaussians that do not stay, without clones and splits. The others keep their order.
     pub fn prune(&self, population: &mut Population, densified: Densified) -> Result<()> {
         let rows = densified.rows();
         let (key, growth) = (population.random_key(), population.make_room(rows)?);
-        population.rebuild(rows, growth, self.kernels, &key, |r, scene| {
+        let sources = |r: &mut Recorder, scene: &SceneBuffers| {
             self.record_sources(r, scene.count, rows);
             &self.buffers.sources
-        })
+        };
+        population.rebuild(rows, growth, self.kernels, &key, sources, |_, _, _| {})
     }
 
     /// Records the source of each row of the new set, among `count` Gaussians. Ends with a barrier.
@@ -93,14 +95,14 @@ impl<'a> Decisions<'a> {
 
 /// Buffers for sorting `rows` rows along the curve. None if memory is short.
 pub(super) fn order_buffers(population: &Population, rows: u32) -> Result<Option<OrderBuffers>> {
-    let sizes = LaunchSizes::new(population.context().limits());
-    Ok(population.allocate(&OrderBuffers::requests(&sizes, rows))?.map(OrderBuffers::from_allocated))
+    let buffers = population.allocate(&OrderBuffers::requests(&population.sizes(), rows))?;
+    Ok(buffers.map(OrderBuffers::from_allocated))
 }
 
 /// Lowers all opacities to at most this one.
 pub(super) fn reset_opacity(population: &Population, kernels: &Densify, most: f64) -> Result<Changes> {
     population.context().run_commands("reset opacity", |r| {
-        kernels.record_reset_to(r, population.scene(), population.moments(), most)
+        kernels.record_reset(r, population.scene(), population.moments(), most)
     })?;
     Ok(Changes { opacities_reset: true, ..Changes::default() })
 }

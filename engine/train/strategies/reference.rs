@@ -36,7 +36,7 @@ impl Reference {
             long_axis: settings.split == SplitType::LongAxis,
             criterion: if absolute { Criterion::Absolute } else { Criterion::Gradient },
         };
-        Ok(Self { kernels: Densify::with_form(context, form)?, absolute })
+        Ok(Self { kernels: Densify::new(context, form)?, absolute })
     }
 }
 

@@ -74,7 +74,8 @@ impl Run {
         self.non_finite += u64::from(report.skipped_non_finite);
         if report.densified.is_some_and(|densified| densified.limited) && !self.limited {
             self.limited = true;
-            let (count, used) = (thousands(u64::from(report.gaussians)), self.trainer.memory_bytes() >> 20);
+            let (count, used) =
+                (thousands(u64::from(report.gaussians)), self.trainer.context().memory_total().bytes >> 20);
             self.progress.warn(&format!(
                 "warning: iteration {}: no room for all that densification would change of {count} Gaussians \
                  ({used} MiB in use, or the device's limits): those with the largest gradients are added, as far as \
@@ -103,7 +104,7 @@ impl Run {
             iteration: report.iteration,
             loss: report.loss,
             gaussians: report.gaussians,
-            memory_bytes: self.trainer.memory_bytes(),
+            memory_bytes: self.trainer.context().memory_total().bytes,
         });
         if let Some(seconds) = self.progress.first_estimate(report.iteration).filter(|s| *s > LONG_RUN) {
             self.progress.note(&self.propose_short_run(seconds));

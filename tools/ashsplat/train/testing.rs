@@ -5,7 +5,7 @@ use super::prepared::stand_ins;
 use super::saving::attempt;
 use ashsplat::passes::lpips::Weights;
 use ashsplat::scene::Camera;
-use ashsplat::{Error, Result};
+use ashsplat::{Error, Renderer, Result};
 use ashsplat_files::{Gallery, quoted};
 use ashsplat_program::args::HostArguments;
 use ashsplat_program::config::Settings;
@@ -127,8 +127,11 @@ impl Run {
         if self.settings.train.pose_opt && self.views.held_out {
             let alignment = eval::alignment_of(&self.settings.train);
             let mut aligned = self.views.test.clone();
+            let own = trainer.at_current_degree(&settings);
             for view in &mut aligned {
-                view.camera = trainer.align(&view.camera, &view.photo, &settings, &alignment)?;
+                let align =
+                    |renderer: &mut Renderer| renderer.align(&view.camera, &view.photo, &own, &alignment);
+                view.camera = trainer.draw(align)?;
             }
             let draw = |camera: &Camera| trainer.render(camera, &settings);
             let aligned = eval::evaluate(aligned.iter().map(Ok), &protocol, More::default(), draw)?;

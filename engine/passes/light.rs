@@ -1,0 +1,267 @@
+//! Exposures of the photographs and effects of the cameras' lenses, learned with the Gaussians: a 3×4 matrix for each
+//! photograph (the reference implementation's) or lens.
+//!
+//! The loss compares a photograph with the rendered picture under the photograph's [`Exposure`], and behind its lens
+//! ([`LensEffects`](crate::scene::LensEffects)). So the Gaussians do not absorb a camera's automatic exposure, white balance,
+//! vignetting and response. A separate Adam treats the matrices of all photographs, or lenses, as one tensor.
+
+use crate::error::Result;
+use crate::frame::{FrameInputs, LaunchSizes, Strips, array_of};
+use crate::kernels::constants::TERM_PARTIALS;
+use crate::kernels::exposure::{expose, expose_backward, exposure_step, lens_backward, lens_effects};
+use crate::passes::adam::{BETA_1, BETA_2};
+use crate::scene::{Exposure, LensPlane};
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// Three rows of an exposure, or of lens effects.
+pub(crate) type Matrix = [[f32; 4]; 3];
+
+/// Adam's ε in the reference (the default of PyTorch).
+const EPSILON: f64 = 1e-8;
+/// Bytes of a matrix.
+const MATRIX_BYTES: u64 = size_of::<Matrix>() as u64;
+
+/// Form of the optimiser.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct LightForm {
+    /// True if each step brings the mean of all matrices back to the identity. Otherwise scene and exposures could drift
+    /// against each other.
+    pub center: bool,
+    /// True if all photographs share the second moments.
+    pub shares: bool,
+    /// True if steps have a [`LightStep::sparsity`].
+    pub sparse: bool,
+}
+
+/// A step of the optimiser.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct LightStep {
+    /// Learning rate.
+    pub rate: f64,
+    /// Number of steps including this one, counted from 1.
+    pub count: u64,
+    /// Factor of each value that adds to its gradient and pulls it to 0. Spares the diagonal of centred exposures.
+    pub decay: f64,
+    /// Distance by which a step brings a matrix closer to the identity, as a share of the rate. It decreases with the matrix's
+    /// distance (root of the sum of squares) and is 0 from 0.05 on. Photographs without a clear change stay as they are: the
+    /// minimax concave penalty (Zhang 2010).
+    pub sparsity: f64,
+}
+
+/// Matrices, moments and scratch memory on the device.
+pub(crate) struct LightBuffers {
+    pub values: Buffer,
+    /// Adam's moments, laid out like the matrices.
+    pub first_moments: Buffer,
+    pub second_moments: Buffer,
+    /// Resulting picture, laid out like the rendered one.
+    pub picture: Buffer,
+    /// Partial sums of a matrix's gradient.
+    partials: Buffer,
+    /// Means of the matrices over several steps ([`Averaging`](crate::passes::adam::Averaging)).
+    pub means: Buffer,
+}
+
+impl LightBuffers {
+    /// Number of [`Light::requests`].
+    pub const COUNT: usize = 6;
+
+    /// Assigns the buffers that were allocated for [`Light::requests`].
+    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
+        let [values, first_moments, second_moments, picture, partials, means] = array_of(buffers);
+        Self { values, first_moments, second_moments, picture, partials, means }
+    }
+
+    /// Number of matrices.
+    pub fn count(&self) -> usize {
+        (self.values.bytes() / MATRIX_BYTES) as usize
+    }
+}
+
+/// A matrix, and the picture that it changes.
+#[derive(Clone, Copy)]
+pub(crate) struct LightInputs<'a> {
+    /// Frame with backward.
+    pub frame: &'a FrameInputs<'a>,
+    /// Rendered or exposed picture, in the native layout.
+    pub picture: &'a Buffer,
+    pub buffers: &'a LightBuffers,
+    /// Index of the matrix.
+    pub index: u32,
+}
+
+enum Kernels {
+    Exposure(Kernel<expose::Interface>, Kernel<expose_backward::Interface>),
+    Lens(Kernel<lens_effects::Interface>, Kernel<lens_backward::Interface>),
+}
+
+/// Kernels of exposures, or of lens effects.
+pub(crate) struct Light {
+    sizes: LaunchSizes,
+    kernels: Kernels,
+    step: Kernel<exposure_step::Interface>,
+}
+
+impl Light {
+    /// Builds the kernels of exposures.
+    pub fn exposures(context: &Context, form: LightForm) -> Result<Self> {
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
+        let subgroup_size = context.limits().subgroup_size;
+        let forward = Kernel::new(context, &expose::Spec { workgroup_size, strips })?;
+        let backward = expose_backward::Spec { workgroup_size, subgroup_size, strips };
+        Self::new(context, Kernels::Exposure(forward, Kernel::new(context, &backward)?), form)
+    }
+
+    /// Builds the kernels of lens effects.
+    pub fn lenses(context: &Context) -> Result<Self> {
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
+        let subgroup_size = context.limits().subgroup_size;
+        let forward = Kernel::new(context, &lens_effects::Spec { workgroup_size, strips })?;
+        let backward = lens_backward::Spec { workgroup_size, subgroup_size, strips };
+        let backward = Kernel::new(context, &backward)?;
+        Self::new(context, Kernels::Lens(forward, backward), LightForm::default())
+    }
+
+    fn new(context: &Context, kernels: Kernels, form: LightForm) -> Result<Self> {
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
+        let LightForm { center, shares, sparse } = form;
+        let step = exposure_step::Spec { workgroup_size, subgroup_size, center, shares, sparse };
+        Ok(Self { kernels, step: Kernel::new(context, &step)?, sizes })
+    }
+
+    /// True for lens effects.
+    pub fn is_lens(&self) -> bool {
+        matches!(self.kernels, Kernels::Lens(..))
+    }
+
+    /// The matrix that changes nothing.
+    pub fn identity(&self) -> Matrix {
+        if self.is_lens() { [[0.0; 4]; 3] } else { Exposure::IDENTITY.rows }
+    }
+
+    /// Names and bytes of the buffers, for photographs of these sizes (width, height). There is at most one lens per
+    /// photograph.
+    pub fn requests(&self, sizes: &[(u32, u32)]) -> [(&'static str, u64); LightBuffers::COUNT] {
+        let [values, moments_1, moments_2, picture_name, partials, means] = match self.is_lens() {
+            true => [
+                "lenses",
+                "lens_moments_1",
+                "lens_moments_2",
+                "shaded_picture",
+                "lens_partials",
+                "lens_means",
+            ],
+            false => [
+                "exposures",
+                "exposure_moments_1",
+                "exposure_moments_2",
+                "exposed_picture",
+                "exposure_partials",
+                "exposure_means",
+            ],
+        };
+        let matrices = MATRIX_BYTES * sizes.len() as u64;
+        // Strips have at least as many values as the picture has pixels.
+        let picture = |&(width, height): &(u32, u32)| 16 * Strips { width, height }.values();
+        [
+            (values, matrices),
+            (moments_1, matrices),
+            (moments_2, matrices),
+            (picture_name, sizes.iter().map(picture).max().unwrap_or(0)),
+            (partials, MATRIX_BYTES * u64::from(TERM_PARTIALS)),
+            (means, matrices),
+        ]
+    }
+
+    /// Records the changed picture, into [`LightBuffers::picture`]. The caller places barriers before and after.
+    pub fn record(&self, r: &mut Recorder, inputs: &LightInputs) {
+        let LightInputs { frame, picture: rendered, buffers, index } = *inputs;
+        let (image_width, image_height) = (frame.camera.width, frame.camera.height);
+        let (background, values) = (frame.settings.background, &buffers.values);
+        let groups = self.sizes.picture_groups(image_width, image_height);
+        match &self.kernels {
+            Kernels::Exposure(kernel, _) => r.scope("exposure", |r| {
+                let bind = expose::Bind { rendered, exposures: values, exposed: &buffers.picture };
+                let push = expose::Push { image_width, image_height, background, view: index };
+                r.dispatch(kernel, &bind, &push, groups);
+            }),
+            Kernels::Lens(kernel, _) => r.scope("lens effects", |r| {
+                let bind = lens_effects::Bind { rendered, lenses: values, shaded: &buffers.picture };
+                let LensPlane { center_px, inverse_square, .. } = LensPlane::of(frame.camera);
+                let lens = index;
+                let push = lens_effects::Push {
+                    image_width,
+                    image_height,
+                    background,
+                    lens,
+                    center_px,
+                    inverse_square,
+                };
+                r.dispatch(kernel, &bind, &push, groups);
+            }),
+        }
+    }
+
+    /// Records the backward pass. It converts `image_gradient`, in the native layout, from that of the changed picture to that
+    /// of the picture before. It also writes partial sums of the matrix's gradient. The caller places barriers before and
+    /// after.
+    pub fn record_backward(&self, r: &mut Recorder, inputs: &LightInputs, image_gradient: &Buffer) {
+        let LightInputs { frame, picture: rendered, buffers, index } = *inputs;
+        let (image_width, image_height) = (frame.camera.width, frame.camera.height);
+        let (background, values) = (frame.settings.background, &buffers.values);
+        let (partials, groups) = (&buffers.partials, TERM_PARTIALS.into());
+        match &self.kernels {
+            Kernels::Exposure(_, kernel) => r.scope("exposure backward", |r| {
+                let bind = expose_backward::Bind { rendered, exposures: values, image_gradient, partials };
+                let push = expose_backward::Push { image_width, image_height, background, view: index };
+                r.dispatch(kernel, &bind, &push, groups);
+            }),
+            Kernels::Lens(_, kernel) => r.scope("lens backward", |r| {
+                let bind = lens_backward::Bind { rendered, lenses: values, image_gradient, partials };
+                let LensPlane { center_px, inverse_square, .. } = LensPlane::of(frame.camera);
+                let lens = index;
+                let push = lens_backward::Push {
+                    image_width,
+                    image_height,
+                    background,
+                    lens,
+                    center_px,
+                    inverse_square,
+                };
+                r.dispatch(kernel, &bind, &push, groups);
+            }),
+        }
+    }
+
+    /// Records a step of the optimiser over all matrices. That of `inputs` has the gradient of [`Light::record_backward`]. If
+    /// the frame overflowed, nothing changes. The caller places barriers before and after.
+    pub fn record_step(&self, r: &mut Recorder, inputs: &LightInputs, step: &LightStep) {
+        let LightInputs { frame, buffers, index, .. } = *inputs;
+        let correction = |beta: f64| 1.0 - beta.powf(step.count as f64);
+        let bind = exposure_step::Bind {
+            partials: &buffers.partials,
+            state: &frame.frame.state,
+            exposures: &buffers.values,
+            moments_1: &buffers.first_moments,
+            moments_2: &buffers.second_moments,
+        };
+        let push = exposure_step::Push {
+            photographs: buffers.count() as u32,
+            view: index,
+            beta_1: BETA_1 as f32,
+            beta_2: BETA_2 as f32,
+            one_minus_beta_1: (1.0 - BETA_1) as f32,
+            one_minus_beta_2: (1.0 - BETA_2) as f32,
+            epsilon: EPSILON as f32,
+            rate: (step.rate / correction(BETA_1)) as f32,
+            inverse_bias_2: correction(BETA_2).sqrt().recip() as f32,
+            decay: step.decay as f32,
+            sparsity: step.sparsity as f32,
+        };
+        let scope = if self.is_lens() { "lens step" } else { "exposure step" };
+        r.scope(scope, |r| r.dispatch(&self.step, &bind, &push, 1));
+    }
+}
