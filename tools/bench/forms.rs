@@ -40,10 +40,6 @@ pub fn name(blending: Blending) -> &'static str {
     }
 }
 
-pub fn of_name(named: &str) -> Option<Blending> {
-    Blending::ALL.into_iter().find(|&form| name(form) == named)
-}
-
 /// Returns a run's forward blending kernel and its time, if it has one.
 fn kernel(run: &Run) -> Option<(&KernelResult, Spread)> {
     let own = |k: &&KernelResult| k.kernel.starts_with("forward/blend");
@@ -86,7 +82,7 @@ pub fn ratios(runs: &[Run]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{Blending, ratios};
+    use super::ratios;
     use crate::schema::{KernelResult, Run, Spread, Workload};
 
     fn run(name: &str, hash: &str, time: f64) -> Run {
@@ -123,13 +119,5 @@ mod tests {
         );
         assert!(lines[1].contains("takes 3.00 times"), "{text}");
         assert_eq!(ratios(&runs[..2]), "");
-    }
-
-    #[test]
-    fn forms_have_names_of_their_own() {
-        for form in Blending::ALL {
-            assert_eq!(super::of_name(super::name(form)), Some(form));
-        }
-        assert_eq!(super::of_name("tiles"), None);
     }
 }

@@ -15,8 +15,6 @@ pub struct Iterations {
     pub warmup: u32,
     /// True if every second iteration is timed command by command.
     pub timed: bool,
-    /// True if a frame's picture is read back.
-    pub reads_back: bool,
 }
 
 /// One timed iteration.
@@ -26,7 +24,25 @@ pub struct Iteration {
     pub submissions: Vec<Submission>,
 }
 
+impl Iteration {
+    /// Runs an iteration with every command timed.
+    pub fn timed(
+        context: &Context,
+        profile: &Profile,
+        iterate: impl FnOnce() -> Result<()>,
+    ) -> Result<Iteration> {
+        context.set_profile(Some(profile));
+        profile.take();
+        let begun = Instant::now();
+        iterate()?;
+        let wall = begun.elapsed();
+        context.set_profile(None);
+        Ok(Iteration { begun, wall, submissions: profile.take() })
+    }
+}
+
 /// Measurements of a workload.
+#[derive(Default)]
 pub struct Measured {
     /// Iterations with every command timed.
     pub iterations: Vec<Iteration>,
@@ -107,21 +123,21 @@ impl<'a> Measurement<'a> {
         iterate()?;
         let untimed = begun.elapsed();
         self.untimed_ms.push(untimed.as_secs_f64() * 1e3);
-        let spent = cpu_begun.zip(process_seconds()).map(spent_between);
+        let spent = cpu_begun.zip(process_seconds()).map(|(before, now)| now - before);
         self.cpu.push(spent);
         context.set_timestamps(self.timed);
         prepare()?;
-        context.set_profile(Some(&self.profile));
-        self.profile.take();
-        let (begun, cpu_begun) = (Instant::now(), process_seconds());
-        iterate()?;
-        let wall = begun.elapsed();
-        let timed = cpu_begun.zip(process_seconds()).map(spent_between);
-        context.set_profile(None);
+        let mut cpu = None;
+        let iteration = Iteration::timed(context, &self.profile, || {
+            let cpu_begun = process_seconds();
+            iterate()?;
+            cpu = cpu_begun.zip(process_seconds()).map(|(before, now)| now - before);
+            Ok(())
+        })?;
         context.set_timestamps(true);
-        self.cpu_ratios.push(timed.zip(spent).map(|(timed, untimed)| timed / untimed.max(1e-9)));
-        self.ratios.push(wall.as_secs_f64() / untimed.as_secs_f64().max(1e-9));
-        self.iterations.push(Iteration { begun, wall, submissions: self.profile.take() });
+        self.cpu_ratios.push(cpu.zip(spent).map(|(timed, untimed)| timed / untimed.max(1e-9)));
+        self.ratios.push(iteration.wall.as_secs_f64() / untimed.as_secs_f64().max(1e-9));
+        self.iterations.push(iteration);
         Ok(())
     }
 
@@ -137,11 +153,6 @@ impl<'a> Measurement<'a> {
             cost: Spread::of(ratios).map(|wall| Cost { wall, processor }),
         }
     }
-}
-
-/// The clock counts living threads only: it goes back when one ends.
-fn spent_between((before, now): (f64, f64)) -> f64 {
-    (now - before).max(0.0)
 }
 
 impl Measured {

@@ -22,7 +22,6 @@ pub struct Report {
     pub environment: BTreeMap<String, String>,
     pub settings: Settings,
     pub copy_bandwidth: Option<CopyBandwidth>,
-    #[serde(default)]
     pub arithmetic: Option<ArithmeticRate>,
     pub runs: Vec<Run>,
 }
@@ -54,10 +53,8 @@ pub struct Device {
     pub api_version: String,
     pub subgroup_size: u32,
     /// Subgroup size of the heaviest kernels; null in files written before it was added.
-    #[serde(default)]
     pub heavy_subgroup_size: Option<u32>,
     /// Form of the kernels that ran, "gpu" or "processor"; null in files written before it was added.
-    #[serde(default)]
     pub backend: Option<String>,
     pub limits: BTreeMap<String, f64>,
 }
@@ -124,7 +121,6 @@ pub struct Run {
     /// Host time between the end of a submission and the start of the next one on the device's queue.
     pub between_submissions_ms: Option<Spread>,
     /// Wall time of an iteration with nothing timed.
-    #[serde(default)]
     pub untimed_ms: Option<Spread>,
     /// Processor time of the whole process per untimed iteration: the true cost on a software device.
     pub cpu_seconds: Option<Spread>,
@@ -179,7 +175,6 @@ pub struct Workload {
     /// Entries of the fullest tile.
     pub longest_tile: Option<u32>,
     /// Form of blending, "regions" or "shared"; null if nothing is blended, and in files written before it was added.
-    #[serde(default)]
     pub blending: Option<String>,
 }
 
@@ -192,7 +187,6 @@ pub struct KernelResult {
     /// Dispatches per iteration.
     pub calls: u32,
     /// Dispatches that wait behind a barrier for earlier work; null in files written before it was added.
-    #[serde(default)]
     pub waits: Option<u32>,
     /// Workgroups per iteration, indirect dispatches included; null for transfers.
     pub workgroups: Option<u64>,
@@ -206,41 +200,14 @@ pub struct KernelResult {
     pub gigabytes_per_second: Option<f64>,
     /// Bandwidth over the device's own copy bandwidth.
     pub share_of_copy_bandwidth: Option<f64>,
-    /// Accesses to scattered addresses; null if none were counted.
-    #[serde(default)]
-    pub transactions: Option<Transactions>,
     /// Gaussian-pixel pairs that a blending kernel computes per iteration; null for others, and in files written before it was added.
-    #[serde(default)]
     pub samples: Option<u64>,
     /// Additions, multiplications and divisions of a blending kernel per iteration; null for others.
-    #[serde(default)]
     pub operations: Option<u64>,
     /// Operations over the median time.
-    #[serde(default)]
     pub gigaoperations_per_second: Option<f64>,
     /// Arithmetic rate over the device's own.
-    #[serde(default)]
     pub share_of_arithmetic: Option<f64>,
-}
-
-/// Memory that a kernel's subgroups touch at once where lanes access scattered addresses, per iteration.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Transactions {
-    /// Bytes of these accesses.
-    pub bytes: u64,
-    /// Bytes of the accessed arrays.
-    pub array_bytes: u64,
-    /// Counts for several subgroup sizes.
-    pub by_lanes: Vec<Segments>,
-}
-
-/// Aligned memory segments of 32, 64 and 128 bytes that subgroups touch. Each access of a subgroup counts a segment once.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Segments {
-    pub lanes: u32,
-    pub of_32: u64,
-    pub of_64: u64,
-    pub of_128: u64,
 }
 
 /// Device memory of one arena.
