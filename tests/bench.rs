@@ -49,7 +49,7 @@ pub fn number(value: &Value) -> f64 {
 fn bench_all_follows_its_schema() {
     let (_folder, [json]) = new_paths(["a.json"]);
     let table = measure("all", &["--json", text(&json), "--frames", "900@64x64"]);
-    assert_says(&table, &["copy bandwidth", "cost of measuring", "sort/sort_", "optimizer/adam"]);
+    assert_says(&table, &["copy bandwidth", "untimed", "sort/sort_", "optimizer/adam"]);
     assert_says(&table, &["workgroups", "std stable"]);
     let report = read(&json);
     assert_eq!(report["schema"], "ashsplat-bench/1");
@@ -402,23 +402,14 @@ fn a_full_standard_output_is_a_failure_and_a_closed_one_is_not() {
     }
 }
 
-/// A report names the device and the kernels that wait.
+/// A report names the device and the forms of its kernels.
 #[test]
-fn bench_counts_waits() {
+fn bench_names_the_device() {
     let (_folder, [path]) = new_paths(["gpu.json"]);
     measure("train-step", &["--backend", "gpu", "--json", text(&path)]);
-    let report = read(&path);
-    let device = &report["device"];
+    let device = &read(&path)["device"];
     assert_eq!(device["backend"], "gpu");
     assert!(number(&device["heavy_subgroup_size"]) >= 4.0);
-    let kernels = kernels(&runs(&report)[0]);
-    for kernel in kernels {
-        assert!(number(&kernel["waits"]) <= number(&kernel["calls"]), "{kernel}");
-    }
-    // Each pass of a sort waits for the previous one.
-    let is_scatter = |k: &&Value| k["scope"] == "depth sort" && k["kernel"] == "sort/sort_downsweep";
-    let scatter = kernels.iter().find(is_scatter).expect("a sort");
-    assert_eq!([number(&scatter["calls"]), number(&scatter["waits"])], [4.0, 4.0]);
 }
 
 const BLENDED: [&str; 8] = ["--gaussians", "400", "--width", "72", "--height", "48", "--iterations", "3"];

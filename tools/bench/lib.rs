@@ -140,14 +140,8 @@ fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
     let (a, b) = (compare::read(&files.a)?, compare::read(&files.b)?);
     let lines = compare::compare(&a, &b)?;
     for (name, report) in [("A", &a), ("B", &b)] {
-        let commit = report.program.commit.as_deref().unwrap_or("commit unknown");
-        say!(
-            "{name}: {}, {}, ashsplat {} ({commit}, {})",
-            report.device.name,
-            report.device.driver,
-            report.program.version,
-            report.program.build
-        );
+        let device = &report.device;
+        say!("{name}: {}, {}, {}", device.name, device.driver, report.program);
     }
     say!("{}", compare::table(&lines));
     let unpaired = compare::unpaired(&a, &b);

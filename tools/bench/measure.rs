@@ -1,6 +1,6 @@
 //! Runs a workload repeatedly and splits its time.
 
-use super::schema::{Arena, ArithmeticRate, CopyBandwidth, Cost, KernelResult, Run, Split, Spread, Workload};
+use super::schema::{Arena, ArithmeticRate, CopyBandwidth, KernelResult, Run, Split, Spread, Workload};
 use super::traffic::Traffic;
 use ashsplat::Result;
 use ashsplat::passes::arithmetic::Arithmetic;
@@ -50,8 +50,6 @@ pub struct Measured {
     pub untimed_ms: Option<Spread>,
     /// Processor seconds of untimed iterations.
     pub cpu_seconds: Option<Spread>,
-    /// Ratio of timed to untimed iterations.
-    pub cost: Option<Cost>,
 }
 
 /// Runs `iterate` with and without timestamps in turn, each after an uncounted `prepare`. Memory peaks start anew, so
@@ -78,8 +76,6 @@ pub struct Measurement<'a> {
     iterations: Vec<Iteration>,
     untimed_ms: Vec<f64>,
     cpu: Vec<Option<f64>>,
-    ratios: Vec<f64>,
-    cpu_ratios: Vec<Option<f64>>,
 }
 
 impl<'a> Measurement<'a> {
@@ -105,8 +101,6 @@ impl<'a> Measurement<'a> {
             iterations: Vec::new(),
             untimed_ms: Vec::new(),
             cpu: Vec::new(),
-            ratios: Vec::new(),
-            cpu_ratios: Vec::new(),
         })
     }
 
@@ -123,34 +117,21 @@ impl<'a> Measurement<'a> {
         iterate()?;
         let untimed = begun.elapsed();
         self.untimed_ms.push(untimed.as_secs_f64() * 1e3);
-        let spent = cpu_begun.zip(process_seconds()).map(|(before, now)| now - before);
-        self.cpu.push(spent);
+        self.cpu.push(cpu_begun.zip(process_seconds()).map(|(before, now)| now - before));
         context.set_timestamps(self.timed);
         prepare()?;
-        let mut cpu = None;
-        let iteration = Iteration::timed(context, &self.profile, || {
-            let cpu_begun = process_seconds();
-            iterate()?;
-            cpu = cpu_begun.zip(process_seconds()).map(|(before, now)| now - before);
-            Ok(())
-        })?;
+        let iteration = Iteration::timed(context, &self.profile, iterate)?;
         context.set_timestamps(true);
-        self.cpu_ratios.push(cpu.zip(spent).map(|(timed, untimed)| timed / untimed.max(1e-9)));
-        self.ratios.push(iteration.wall.as_secs_f64() / untimed.as_secs_f64().max(1e-9));
         self.iterations.push(iteration);
         Ok(())
     }
 
     /// Returns the measurements of all rounds.
     pub fn end(self) -> Measured {
-        let ratios = if self.timed { self.ratios } else { Vec::new() };
-        let of_all = |values: Vec<Option<f64>>| Spread::of(values.into_iter().collect::<Option<Vec<_>>>()?);
-        let processor = of_all(self.cpu_ratios);
         Measured {
             iterations: self.iterations,
             untimed_ms: Spread::of(self.untimed_ms),
-            cpu_seconds: of_all(self.cpu),
-            cost: Spread::of(ratios).map(|wall| Cost { wall, processor }),
+            cpu_seconds: self.cpu.into_iter().collect::<Option<Vec<_>>>().and_then(Spread::of),
         }
     }
 }
@@ -173,7 +154,6 @@ impl Measured {
             between_submissions_ms: self.between_submissions_ms(),
             untimed_ms: self.untimed_ms,
             cpu_seconds: self.cpu_seconds,
-            cost_of_measuring: self.cost,
             kernels: self.kernels(traffic, copy),
             memory: memory(context),
             cpu: Vec::new(),
@@ -241,7 +221,6 @@ impl Measured {
                 Some(place) => {
                     let kernel = &mut found[place];
                     kernel.calls += 1;
-                    kernel.waits = kernel.waits.map(|waits| waits + command.barriers.min(1));
                     kernel.workgroups = kernel.workgroups.zip(groups).map(|(sum, groups)| sum + groups);
                     kernel.bytes_read += read;
                     kernel.bytes_written += written;
@@ -250,7 +229,6 @@ impl Measured {
                     scope: command.scope.clone(),
                     kernel: command.name.to_owned(),
                     calls: 1,
-                    waits: Some(command.barriers.min(1)),
                     workgroups: groups,
                     bytes_read: read,
                     bytes_written: written,

@@ -5,6 +5,7 @@
 use ashsplat_program::measure::median;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::fmt;
 
 /// The schema's name and version, first field of every file. The version rises when a reader of old files would
 /// misunderstand new ones.
@@ -35,6 +36,13 @@ pub struct Program {
     pub commit: Option<String>,
     /// "release" or "debug".
     pub build: String,
+}
+
+impl fmt::Display for Program {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let commit = self.commit.as_deref().unwrap_or("commit unknown");
+        write!(f, "ashsplat {} ({commit}, {})", self.version, self.build)
+    }
 }
 
 /// The machine that holds the device.
@@ -124,7 +132,6 @@ pub struct Run {
     pub untimed_ms: Option<Spread>,
     /// Processor time of the whole process per untimed iteration: the true cost on a software device.
     pub cpu_seconds: Option<Spread>,
-    pub cost_of_measuring: Option<Cost>,
     pub kernels: Vec<KernelResult>,
     /// Device memory by arena.
     pub memory: Vec<Arena>,
@@ -147,14 +154,6 @@ pub struct Split {
     pub waiting_ms: f64,
     /// Other host work: reading back, composing pictures.
     pub host_ms: f64,
-}
-
-/// Times with every command timed over times without timestamps; the iterations take turns.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Cost {
-    pub wall: Spread,
-    /// Ratio of the process' processor time.
-    pub processor: Option<Spread>,
 }
 
 /// Inputs of a run.
@@ -186,8 +185,6 @@ pub struct KernelResult {
     pub kernel: String,
     /// Dispatches per iteration.
     pub calls: u32,
-    /// Dispatches that wait behind a barrier for earlier work; null in files written before it was added.
-    pub waits: Option<u32>,
     /// Workgroups per iteration, indirect dispatches included; null for transfers.
     pub workgroups: Option<u64>,
     /// Device time per iteration; null without timestamps.

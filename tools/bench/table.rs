@@ -39,8 +39,7 @@ pub fn render(report: &Report) -> String {
         "{} ({}), {}, Vulkan {}, subgroups of {}",
         d.name, d.kind, d.driver, d.api_version, d.subgroup_size
     );
-    let commit = report.program.commit.as_deref().unwrap_or("commit unknown");
-    let _ = writeln!(out, "ashsplat {} ({commit}, {})", report.program.version, report.program.build);
+    let _ = writeln!(out, "{}", report.program);
     if let Some(copy) = &report.copy_bandwidth {
         let _ = writeln!(
             out,
@@ -109,15 +108,6 @@ fn one_run(out: &mut String, run: &Run) {
             "  processor  {:.4} CPU-seconds per iteration (least {:.4}, p90 {:.4}, mean {:.4})",
             cpu.median, cpu.min, cpu.p90, cpu.mean
         );
-    }
-    if let Some(cost) = &run.cost_of_measuring {
-        let percent = |ratio: &Spread| {
-            let [median, least, most] = [ratio.median, ratio.min, ratio.p90].map(|r| 100.0 * (r - 1.0));
-            format!("{median:+.1} % (from {least:+.1} to {most:+.1})")
-        };
-        let processor =
-            cost.processor.as_ref().map_or_else(String::new, |p| format!(", processor {}", percent(p)));
-        let _ = writeln!(out, "  cost of measuring: wall {}{processor}", percent(&cost.wall));
     }
     kernels_table(out, run);
     for k in &run.kernels {

@@ -96,9 +96,7 @@ pub fn page(
         escape(&device.api_version),
         context.limits().subgroup_size
     );
-    let program = machine::program();
-    let commit = program.commit.as_deref().unwrap_or("commit unknown");
-    let _ = writeln!(out, "<p class=\"note\">ashsplat {} ({commit}, {})</p>", program.version, program.build);
+    let _ = writeln!(out, "<p class=\"note\">{}</p>", machine::program());
     if !constants.is_empty() {
         let _ = writeln!(out, "<p>with {}</p>", escape(&constants.join(", ")));
     }
