@@ -60,9 +60,9 @@ pub struct Device {
     pub driver: String,
     pub api_version: String,
     pub subgroup_size: u32,
-    /// Subgroup size of the heaviest kernels; null in files written before it was added.
+    /// Subgroup size of the heaviest kernels.
     pub heavy_subgroup_size: Option<u32>,
-    /// Form of the kernels that ran, "gpu" or "processor"; null in files written before it was added.
+    /// Form of the kernels that ran, "gpu" or "processor".
     pub backend: Option<String>,
     pub limits: BTreeMap<String, f64>,
 }
@@ -88,13 +88,7 @@ pub struct CopyBandwidth {
     pub gigabytes_per_second: f64,
     pub time_ms: Spread,
     /// "timestamps", or "host": from submission until the host knows, which is later.
-    #[serde(default = "timestamps")]
     pub clock: String,
-}
-
-/// Clock of files written before the field was added.
-fn timestamps() -> String {
-    "timestamps".to_owned()
 }
 
 /// Arithmetic rate of the device, measured in the same run by multiply-adds on registers.
@@ -106,7 +100,6 @@ pub struct ArithmeticRate {
     pub gigaoperations_per_second: f64,
     pub time_ms: Spread,
     /// Same as in [`CopyBandwidth`].
-    #[serde(default = "timestamps")]
     pub clock: String,
 }
 
@@ -117,8 +110,7 @@ pub struct Run {
     /// "render-shared" ("draw-…") if both forms of blending are measured.
     pub name: String,
     pub workload: Workload,
-    /// Measured iterations; 0 in files written before it was added.
-    #[serde(default)]
+    /// Measured iterations.
     pub iterations: u32,
     /// Wall time of an iteration, with every command timed.
     pub wall_ms: Spread,
@@ -173,7 +165,7 @@ pub struct Workload {
     pub instances: Option<u32>,
     /// Entries of the fullest tile.
     pub longest_tile: Option<u32>,
-    /// Form of blending, "regions" or "shared"; null if nothing is blended, and in files written before it was added.
+    /// Form of blending, "regions" or "shared"; null if nothing is blended.
     pub blending: Option<String>,
 }
 
@@ -197,7 +189,7 @@ pub struct KernelResult {
     pub gigabytes_per_second: Option<f64>,
     /// Bandwidth over the device's own copy bandwidth.
     pub share_of_copy_bandwidth: Option<f64>,
-    /// Gaussian-pixel pairs that a blending kernel computes per iteration; null for others, and in files written before it was added.
+    /// Gaussian-pixel pairs that a blending kernel computes per iteration; null for others.
     pub samples: Option<u64>,
     /// Additions, multiplications and divisions of a blending kernel per iteration; null for others.
     pub operations: Option<u64>,
@@ -228,8 +220,7 @@ pub struct Spread {
     pub min: f64,
     pub median: f64,
     pub p90: f64,
-    /// Basis of sums over many iterations; 0 in files written before it was added.
-    #[serde(default)]
+    /// Basis of sums over many iterations.
     pub mean: f64,
 }
 
