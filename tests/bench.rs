@@ -47,9 +47,9 @@ pub fn number(value: &Value) -> f64 {
 
 #[test]
 fn bench_all_follows_its_schema() {
-    let (_folder, [json, csv]) = new_paths(["a.json", "a.csv"]);
-    let table = measure("all", &["--json", text(&json), "--csv", text(&csv), "--frames", "900@64x64"]);
-    assert_says(&table, &["copy bandwidth", "cost of measuring", "sort/sort_", "optimizer/adam"]);
+    let (_folder, [json]) = new_paths(["a.json"]);
+    let table = measure("all", &["--json", text(&json), "--frames", "900@64x64"]);
+    assert_says(&table, &["copy bandwidth", "untimed", "sort/sort_", "optimizer/adam"]);
     assert_says(&table, &["workgroups", "std stable"]);
     let report = read(&json);
     assert_eq!(report["schema"], "ashsplat-bench/1");
@@ -75,12 +75,6 @@ fn bench_all_follows_its_schema() {
         let has_primitives = arenas.iter().any(|arena| arena["name"] == "primitive");
         assert_eq!(has_primitives, place < 3, "another run's memory: {arenas:?}");
     }
-    let csv = std::fs::read_to_string(&csv).expect("a file");
-    assert!(csv.starts_with("run,"));
-    assert_says(&csv, &["operations,gigaoperations_per_second,share_of_arithmetic"]);
-    assert!(csv.lines().all(|line| line.split(',').count() == 15), "{csv}");
-    let kernels: usize = runs(&report).iter().map(|run| run["kernels"].as_array().map_or(0, Vec::len)).sum();
-    assert_eq!(csv.lines().count(), 1 + kernels);
     let sorts = runs(&report)[1]["cpu"].as_array().expect("sorts of the processor");
     assert_eq!(sorts.len(), 4);
 }
@@ -333,9 +327,7 @@ fn bench_refuses_results_that_cannot_be_written_at_once() {
     std::fs::write(at("file"), "").expect("written");
     let (is_folder, below_file) = (at(""), at("file/result"));
     for bad in [is_folder.as_str(), &below_file, "/proc/result"] {
-        for option in ["--json", "--csv"] {
-            refuse(&[&["bench", "render", option, bad], &LARGE[..]].concat(), &["error: "]);
-        }
+        refuse(&[&["bench", "render", "--json", bad], &LARGE[..]].concat(), &["error: "]);
         refuse(&[&["bench", "scaling", "--plot", bad], &LARGE[..]].concat(), &["error: "]);
         for option in ["--html", "--trace"] {
             refuse(&["profile", option, bad, "--gaussians", "3000000", "--frames", "1000"], &["error: "]);
@@ -344,8 +336,7 @@ fn bench_refuses_results_that_cannot_be_written_at_once() {
     refuse(&["profile", "--dump", &below_file], &["is no folder"]);
     let (one, other) = (at("one"), at("./one"));
     let both = |a, b| [&["bench", "scaling", a, one.as_str(), b, &other], &LARGE[..]].concat();
-    refuse(&both("--json", "--csv"), &["--json and --csv: both name", "a file of its own"]);
-    refuse(&both("--plot", "--csv"), &["--csv and --plot: both name"]);
+    refuse(&both("--json", "--plot"), &["--json and --plot: both name", "a file of its own"]);
     refuse(&["profile", "--html", &one, "--trace", &other], &["--html and --trace: both name"]);
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1, "nothing is left behind");
     // A missing folder is created.
@@ -411,45 +402,14 @@ fn a_full_standard_output_is_a_failure_and_a_closed_one_is_not() {
     }
 }
 
-/// A report names the device, the kernels that wait, and the memory that gathers and scatters touch.
+/// A report names the device and the forms of its kernels.
 #[test]
-fn bench_counts_waits_and_transactions() {
+fn bench_names_the_device() {
     let (_folder, [path]) = new_paths(["gpu.json"]);
     measure("train-step", &["--backend", "gpu", "--json", text(&path)]);
-    let report = read(&path);
-    let device = &report["device"];
+    let device = &read(&path)["device"];
     assert_eq!(device["backend"], "gpu");
     assert!(number(&device["heavy_subgroup_size"]) >= 4.0);
-    let run = &runs(&report)[0];
-    let kernels = kernels(run);
-    for kernel in kernels {
-        assert!(number(&kernel["waits"]) <= number(&kernel["calls"]), "{kernel}");
-    }
-    let of = |scope: &str, name: &str| {
-        let found = kernels.iter().find(|kernel| kernel["scope"] == scope && kernel["kernel"] == name);
-        found.unwrap_or_else(|| panic!("no {name} in {scope}"))
-    };
-    // Each pass of a sort waits for the previous one.
-    let scatter = of("depth sort", "sort/sort_downsweep");
-    assert_eq!([number(&scatter["calls"]), number(&scatter["waits"])], [4.0, 4.0]);
-    let visible = number(&run["workload"]["visible"]);
-    assert_eq!(number(&scatter["transactions"]["bytes"]), 4.0 * 8.0 * visible);
-    let gathers = [
-        ("tile sort", "sort/sort_downsweep"),
-        ("count", "forward/count"),
-        ("blend", "forward/blend"),
-        ("blend backward", "backward/blend_backward"),
-    ];
-    for (scope, name) in gathers {
-        let counted = &of(scope, name)["transactions"];
-        assert!(number(&counted["array_bytes"]) > 0.0, "{name}");
-        for segments in counted["by_lanes"].as_array().expect("sizes of subgroups") {
-            let [a, b, c] = ["of_32", "of_64", "of_128"].map(|size| number(&segments[size]));
-            let is_enough = 32.0 * a >= number(&counted["bytes"]) / 4.0;
-            assert!(a >= b && b >= c && c > 0.0 && is_enough, "{name}: {segments}");
-        }
-    }
-    assert!(of("cull", "forward/cull")["transactions"].is_null());
 }
 
 const BLENDED: [&str; 8] = ["--gaussians", "400", "--width", "72", "--height", "48", "--iterations", "3"];

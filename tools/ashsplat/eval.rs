@@ -12,7 +12,7 @@ use ashsplat_program::eval::{
 };
 use ashsplat_program::light::Lights;
 use ashsplat_program::look::{LookArguments, NOTHING_SHOWN};
-use ashsplat_program::model::Model;
+use ashsplat_program::model::{Model, ModelArguments};
 use ashsplat_program::progress::{counting, thousands};
 use ashsplat_program::session;
 use clap::Args;
@@ -31,15 +31,8 @@ use std::path::PathBuf;
 /// to its results.json and per_view.json.
 #[derive(Args)]
 pub struct Arguments {
-    /// A model folder or a file of Gaussians
-    #[arg(value_name = "MODEL", required_unless_present = "model_path")]
-    model: Option<PathBuf>,
-    /// The same, under the reference's name
-    #[arg(short, long, value_name = "MODEL", conflicts_with = "model")]
-    model_path: Option<PathBuf>,
-    /// Iteration of the model folder's PLY [default: what was saved last]
-    #[arg(long, value_name = "N")]
-    iteration: Option<u32>,
+    #[command(flatten)]
+    model: ModelArguments,
     #[command(flatten)]
     data: session::DataArguments,
     /// Which views are held out, for a file of Gaussians: inner, as trainings here hold them out of few, or the reference's; those of
@@ -69,9 +62,7 @@ pub struct Arguments {
 const UNLIKE_DB: f64 = 10.0;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
-    let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
-    let model = Model::locate(path, arguments.iteration)?;
+    let model = Model::locate(arguments.model.path()?, arguments.model.iteration)?;
     let mut data = arguments.data.applied_to(&model.settings.data)?;
     if model.folder.is_none() {
         // A bare PLY does not record its split.
@@ -197,10 +188,8 @@ fn print(json: bool, evaluation: &Evaluation, device: &str) {
             "scene_bytes": scene.and_then(|scene| scene.bytes),
             "device": device,
             "mean": evaluation.summary(),
-            "aligned_views": evaluation.aligned.as_ref().map(|aligned| {
-                aligned.views.iter().map(|view| json_of(view, &aligned.measures)).collect::<Vec<_>>()
-            }),
-            "views": evaluation.views.iter().map(|view| json_of(view, &evaluation.measures)).collect::<Vec<_>>(),
+            "aligned_views": evaluation.aligned.as_deref().map(json_of),
+            "views": json_of(evaluation),
         });
         say!("{value:#}");
         return;
@@ -239,16 +228,14 @@ fn print(json: bool, evaluation: &Evaluation, device: &str) {
     }
 }
 
-fn json_of(view: &ViewResult, measures: &[&str]) -> Value {
-    let mut value = Map::new();
-    value.insert("name".into(), json!(view.name));
-    value.insert("PSNR".into(), json!(view.psnr));
-    value.insert("SSIM".into(), json!(view.ssim));
-    value.insert("CC_PSNR".into(), json!(view.cc_psnr));
-    measures
-        .iter()
-        .zip(&view.lpips)
-        .for_each(|(name, lpips)| drop(value.insert((*name).into(), json!(lpips))));
-    view.frame_ms.map(|time| value.insert("frame_ms".into(), json!(time)));
-    Value::Object(value)
+/// The views of an evaluation.
+fn json_of(evaluation: &Evaluation) -> Vec<Value> {
+    let view = |view: &ViewResult| {
+        let mut value: Map<String, Value> =
+            evaluation.values(view).map(|(name, value)| (name.to_owned(), json!(value))).collect();
+        value.insert("name".into(), json!(view.name));
+        view.frame_ms.map(|time| value.insert("frame_ms".into(), json!(time)));
+        Value::Object(value)
+    };
+    evaluation.views.iter().map(view).collect()
 }

@@ -261,16 +261,3 @@ impl Histogram {
         json!({ "edges": edges, "counts": self.counts })
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn histogram_counts_everything_once() {
-        let histogram = Histogram::between(0.0, 1.0, vec![0.0, 0.05, 0.1, 0.55, 1.0, 2.0, -1.0]);
-        assert_eq!(histogram.counts, [3, 1, 0, 0, 0, 1, 0, 0, 0, 2]);
-        assert_eq!(Histogram::spanning(vec![]).counts, [0; ROWS]);
-        assert_eq!(Histogram::spanning(vec![2.0, 2.0]).counts.iter().sum::<usize>(), 2);
-    }
-}

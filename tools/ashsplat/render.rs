@@ -12,7 +12,7 @@ use ashsplat_program::light::Light;
 use ashsplat_program::look::{
     Drawn, LookArguments, NOTHING_SHOWN, gaussians_of, parse_target, told, tree_of,
 };
-use ashsplat_program::model::{Model, folder_of_tiles};
+use ashsplat_program::model::{Model, ModelArguments, folder_of_tiles};
 use ashsplat_program::output::{self, Depth};
 use ashsplat_program::progress::counting;
 use clap::{Args, ValueEnum};
@@ -37,16 +37,10 @@ mod views;
 /// "height", "position": [x, y, z], "rotation": 3 rows of the rotation from camera (x right, y down, z forward) to
 /// world, "fx", "fy", and optionally "cx", "cy"}, ...], lengths in pixels, the first pixel's centre at 0.5.
 #[derive(Args)]
+#[command(mut_arg("model", |argument| argument.help(MODEL)))]
 pub struct Arguments {
-    /// A model folder, a file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), or a folder of `ashsplat tiles`
-    #[arg(value_name = "MODEL", required_unless_present = "model_path")]
-    model: Option<PathBuf>,
-    /// The same, under the reference's name
-    #[arg(short, long, value_name = "MODEL", conflicts_with = "model")]
-    model_path: Option<PathBuf>,
-    /// Iteration of the model folder's PLY [default: what was saved last]
-    #[arg(long, value_name = "N")]
-    iteration: Option<u32>,
+    #[command(flatten)]
+    model: ModelArguments,
     /// Gaussians of a picture, at most, of a folder of tiles: the tiles whose error is largest in pixels are the finest
     /// [default: all]
     #[arg(long, value_name = "N|N%", value_parser = parse_target)]
@@ -84,6 +78,8 @@ pub struct Arguments {
     quiet: bool,
 }
 
+const MODEL: &str = "A model folder, a file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), or a folder of `ashsplat tiles`";
+
 /// File formats of pictures.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Format {
@@ -99,14 +95,13 @@ enum Format {
 const FILM_RATE: u32 = 30;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
-    let path = folder_of_tiles(path.ok_or_else(|| Error::argument("MODEL", "is missing"))?);
+    let path = folder_of_tiles(arguments.model.path()?);
     arguments.views.check()?;
     let film = arguments.film()?;
     let picture = arguments.picture()?;
     let format = picture.or(arguments.format).unwrap_or(Format::Png);
     let tree = tree_of(path, arguments.budget.is_some())?;
-    let model = Model::locate(&scene_of(path, tree.as_ref()), arguments.iteration)?;
+    let model = Model::locate(&scene_of(path, tree.as_ref()), arguments.model.iteration)?;
     let light = arguments.light(&model)?;
     let host = &arguments.device.host;
     let scene = match &tree {

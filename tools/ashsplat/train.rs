@@ -24,6 +24,7 @@ mod verify;
 
 use accounting::Effect;
 use ashsplat::frame::to_u32;
+use ashsplat::passes::lpips::Weights;
 use ashsplat::train::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -33,6 +34,7 @@ use ashsplat_program::blocks::job::Job;
 use ashsplat_program::blocks::result;
 use ashsplat_program::blocks::rounds::Stage;
 use ashsplat_program::config::{Facts, Given, Overrides, Settings};
+use ashsplat_program::eval::read_weights;
 use ashsplat_program::lock::FolderLock;
 use ashsplat_program::measure::{Cost, Stopwatch};
 use ashsplat_program::progress::TrainProgress;
@@ -42,14 +44,14 @@ use checkpoints::StartFrom;
 use clap::{Arg, Args, value_parser};
 use glam::DVec3;
 use live::{Live, LiveArguments};
-use origin::{First, Origin};
-use prepared::{Prepared, Views, check_fits, photo_memory};
+use origin::Origin;
+use prepared::{Views, check_fits, photo_memory};
 pub use report::say_what_next;
 use report::{KernelTimes, say_complete};
 use saving::Unsaved;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use testing::{FinalLpips, Tested};
+use testing::Tested;
 use tracking::Tracking;
 
 /// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
@@ -175,7 +177,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Ok(());
     }
     let from = rounds::start(arguments.start_checkpoint.as_ref(), stage.as_ref(), model);
-    let lpips = FinalLpips::read(&settings.data.lpips_weights, &arguments.device.host)?;
+    let lpips = read_weights(&settings.data.lpips_weights, &arguments.device.host)?;
     let doors = if writes { arguments.live.open()? } else { None };
     // Open the device first, so that its absence is reported before the photos are loaded.
     let host = &arguments.device.host;
@@ -211,7 +213,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         (arguments.quiet, &stop),
     )?;
     let unseen = origin.divide(&settings, &gallery)?;
-    lpips.check(&gallery, &settings)?;
+    testing::check_sizes(&lpips, &gallery, &settings)?;
     check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
     let start = describe_start(&dataset, &context);
@@ -292,7 +294,8 @@ pub struct Run {
     tracking: Tracking,
     /// Number of evaluations in the results files.
     results: usize,
-    lpips: FinalLpips,
+    /// Weights of LPIPS for the last test.
+    lpips: Vec<Weights>,
     /// Number of Gaussians after the last iteration.
     pub gaussians: u32,
     non_finite: u64,
@@ -337,25 +340,27 @@ impl Run {
         origin: &Origin,
         quiet: bool,
     ) -> Result<Run> {
-        let First { trained, block, points } = origin.first(&dataset, &settings)?;
-        let Prepared { data, views } = Prepared::new(dataset, &settings);
-        let trainer = origin.trainer(context, data, (&trained, block), &settings.train)?;
+        let mut first = origin.first(&dataset, &settings)?;
+        let points = first.points.take();
+        let (data, views) = prepared::split(dataset, &settings);
+        let trainer = origin.trainer(context, data, first, &settings.train)?;
         let model = settings.data.model_path.clone();
-        let Some(start) = origin.start() else {
-            let cameras = (&views.cameras[..], &views.frame);
-            let lock = folder::begin(&settings, held, cameras, points.as_ref(), false)?;
-            let log = TrainLog::create(&model.join(LOG_FILE))?;
-            return Ok(Run::new(context, settings, trainer, (log, lock), views, quiet));
+        let start = origin.start();
+        let goes_on = start.is_some_and(|start| start.is_of(&model));
+        let cameras = (&views.cameras[..], &views.frame);
+        let lock = folder::begin(&settings, held, cameras, points.as_ref(), goes_on)?;
+        let log = match start {
+            None => TrainLog::create(&model.join(LOG_FILE))?,
+            Some(_) => TrainLog::go_on(&model.join(LOG_FILE), trainer.iteration())?,
         };
-        let goes_on = start.is_of(&model);
-        let lock = folder::begin(&settings, held, (&views.cameras, &views.frame), None, goes_on)?;
-        if goes_on {
-            start.keep(&model)?;
-        }
-        let log = TrainLog::go_on(&model.join(LOG_FILE), trainer.iteration())?;
         let mut run = Run::new(context, settings, trainer, (log, lock), views, quiet);
-        run.gaussians = to_u32(start.checkpoint().gaussians.len() as u64)?;
-        run.save_poses(run.started)?;
+        if let Some(start) = start {
+            if goes_on {
+                start.keep(&model)?;
+            }
+            run.gaussians = to_u32(start.checkpoint().gaussians.len() as u64)?;
+            run.save_poses(run.started)?;
+        }
         Ok(run)
     }
 
@@ -381,7 +386,7 @@ impl Run {
             total: None,
             evaluations: Vec::new(),
             results: 0,
-            lpips: FinalLpips::default(),
+            lpips: Vec::new(),
             gaussians: 0,
             non_finite: 0,
             effect: Effect::default(),

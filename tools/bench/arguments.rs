@@ -4,7 +4,6 @@ use super::forms::FormArguments;
 use super::measure::Iterations;
 use super::schema::Report;
 use super::sizes::{FrameSize, parse_size};
-use super::table;
 use super::workload::{SceneArguments, SyntheticArguments};
 use ashsplat::Result;
 use ashsplat::vk::Context;
@@ -30,7 +29,7 @@ pub struct IterationArguments {
 impl IterationArguments {
     /// Times every second iteration command by command.
     pub fn get(self) -> Iterations {
-        Iterations { measured: self.iterations, warmup: self.warmup, timed: true, reads_back: true }
+        Iterations { measured: self.iterations, warmup: self.warmup, timed: true }
     }
 }
 
@@ -41,9 +40,6 @@ pub struct OutputArguments {
     /// Write the result here (JSON)
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Write one line per kernel here (CSV)
-    #[arg(long, value_name = "FILE")]
-    csv: Option<PathBuf>,
     /// Time by the host's clock only, as on a device without timestamps: no time per kernel
     #[arg(long)]
     host_clock: bool,
@@ -62,19 +58,12 @@ impl OutputArguments {
 
     /// Refuses files that cannot be written, before anything is measured. `more`: the sub-command's further files.
     pub fn check(&self, more: &[(&'static str, Option<&Path>)]) -> Result<()> {
-        let own = [("--json", self.json.as_deref()), ("--csv", self.csv.as_deref())];
-        output::check(&[&own, more].concat())
+        output::check(&[&[("--json", self.json.as_deref())], more].concat())
     }
 
-    /// Writes the files.
+    /// Writes the file.
     pub fn write(&self, report: &Report) -> Result<()> {
-        if let Some(path) = &self.json {
-            output::write_json(path, report)?;
-        }
-        if let Some(path) = &self.csv {
-            output::write_text(path, &table::csv(report))?;
-        }
-        Ok(())
+        self.json.as_ref().map_or(Ok(()), |path| output::write_json(path, report))
     }
 }
 
@@ -102,33 +91,13 @@ pub struct ReadBackArguments {
     pub no_read_back: bool,
 }
 
-impl ReadBackArguments {
-    /// Applies the choice to these iterations.
-    pub fn of(self, iterations: Iterations) -> Iterations {
-        Iterations { reads_back: !self.no_read_back, ..iterations }
-    }
-}
-
-/// `render` and `train-step`.
+/// `render`, `blending` and `train-step`.
 #[derive(Args)]
 pub struct FrameArguments {
     #[command(flatten)]
     pub scene: SceneArguments,
     #[command(flatten)]
     pub form: FormArguments,
-    #[command(flatten)]
-    pub read_back: ReadBackArguments,
-    #[command(flatten)]
-    pub iterations: IterationArguments,
-    #[command(flatten)]
-    pub output: OutputArguments,
-}
-
-/// `blending`.
-#[derive(Args)]
-pub struct BlendingArguments {
-    #[command(flatten)]
-    pub scene: SceneArguments,
     #[command(flatten)]
     pub read_back: ReadBackArguments,
     #[command(flatten)]

@@ -83,15 +83,12 @@ pub fn read(path: &Path) -> Result<Report> {
 
 /// Names a spread of a run that no measurement can give; none if all are plausible.
 fn broken_spread(run: &Run) -> Option<String> {
-    let cost = run.cost_of_measuring;
     let whole = [
         ("wall_ms", Some(run.wall_ms)),
         ("device_ms", run.device_ms),
         ("between_submissions_ms", run.between_submissions_ms),
         ("untimed_ms", run.untimed_ms),
         ("cpu_seconds", run.cpu_seconds),
-        ("cost_of_measuring", cost.map(|cost| cost.wall)),
-        ("cost_of_measuring", cost.and_then(|cost| cost.processor)),
     ];
     let of_kernels = run.kernels.iter().map(|kernel| (kernel.kernel.as_str(), kernel.time_us));
     let of_processor = run.cpu.iter().map(|sort| (sort.name.as_str(), Some(sort.time_ms)));

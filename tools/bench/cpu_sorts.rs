@@ -76,14 +76,3 @@ impl RadixKey for Pair {
         (self.key >> (8 * level)) as u8
     }
 }
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn every_sort_and_the_scan_run() {
-        let keys: Vec<u32> = (0..1000u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
-        assert_eq!(super::sorts(&keys).len(), 4);
-        assert_eq!(super::scans(&keys).len(), 1);
-        assert_eq!(super::prefix_sums(&[3, 0, u32::MAX, 7]), [0, 3, 3, 2]);
-    }
-}

@@ -40,10 +40,6 @@ pub fn name(blending: Blending) -> &'static str {
     }
 }
 
-pub fn of_name(named: &str) -> Option<Blending> {
-    Blending::ALL.into_iter().find(|&form| name(form) == named)
-}
-
 /// Returns a run's forward blending kernel and its time, if it has one.
 fn kernel(run: &Run) -> Option<(&KernelResult, Spread)> {
     let own = |k: &&KernelResult| k.kernel.starts_with("forward/blend");
@@ -86,50 +82,34 @@ pub fn ratios(runs: &[Run]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{Blending, ratios};
+    use super::ratios;
     use crate::schema::{KernelResult, Run, Spread, Workload};
-
-    fn run(name: &str, hash: &str, time: f64) -> Run {
-        let spread = Spread { min: time, median: time, p90: time, mean: time };
-        let kernel = KernelResult {
-            kernel: "forward/blend".into(),
-            time_us: Some(spread),
-            samples: Some(time as u64),
-            ..KernelResult::default()
-        };
-        let workload = Workload { hash: hash.into(), gaussians: Some(time as u32), ..Workload::default() };
-        Run { name: name.into(), workload, kernels: vec![kernel], ..Run::default() }
-    }
 
     /// The same frame twice, because its size was given twice: each ratio is that of neighbouring runs.
     #[test]
     fn forms_are_paired_with_their_neighbours() {
+        let run = |name: &str, time: f64| {
+            let spread = Spread { min: time, median: time, p90: time, mean: time };
+            let kernel = KernelResult {
+                kernel: "forward/blend".into(),
+                time_us: Some(spread),
+                ..KernelResult::default()
+            };
+            let (name, workload) = (name.to_owned(), Workload::default());
+            Run { name, workload, kernels: vec![kernel], ..Run::default() }
+        };
         let runs = [
-            run("render", "a", 9.0),
-            run("render-regions", "a", 10.0),
-            run("render-shared", "a", 20.0),
-            run("render-10@9x9", "a", 9.0),
-            run("render-shared-10@9x9", "a", 90.0),
-            run("render-regions-10@9x9", "a", 30.0),
-            run("render-shared'", "b", 1.0),
-            run("train-step", "a", 7.0),
+            run("render", 9.0),
+            run("render-regions", 10.0),
+            run("render-shared", 20.0),
+            run("render-10@9x9", 9.0),
+            run("render-shared-10@9x9", 90.0),
+            run("render-regions-10@9x9", 30.0),
         ];
         let text = ratios(&runs);
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(lines.len(), 2, "{text}");
-        assert!(
-            lines[0].contains("takes 2.00 times") && lines[0].contains("for 2.00 times as many"),
-            "{text}"
-        );
+        assert!(lines.len() == 2 && lines[0].contains("takes 2.00 times"), "{text}");
         assert!(lines[1].contains("takes 3.00 times"), "{text}");
         assert_eq!(ratios(&runs[..2]), "");
-    }
-
-    #[test]
-    fn forms_have_names_of_their_own() {
-        for form in Blending::ALL {
-            assert_eq!(super::of_name(super::name(form)), Some(form));
-        }
-        assert_eq!(super::of_name("tiles"), None);
     }
 }

@@ -1,58 +1,230 @@
-//! `bench render` and `bench train-step`.
+//! A frame or a training step that is run again and again: `bench render`, `blending`, `train-step`, and `profile`.
 
-use super::measure::{Iterations, Measured, Measurement, measure};
+use super::measure::{Iteration, Iterations, Measured, Measurement};
 use super::schema::{CopyBandwidth, Run, Workload};
 use super::traffic::{Counts, Traffic};
 use super::workload::Scene;
 use super::{forms, synthetic};
 use ashsplat::frame::ScenePlan;
-use ashsplat::vk::Context;
+use ashsplat::vk::{Context, Profile};
 use ashsplat::{
-    Blending, FrameStats, Gaussians, RenderSettings, Renderer, Result, StepReport, TrainSettings, TrainView,
-    Trainer,
+    BlendSamples, Blending, FrameStats, RenderSettings, Renderer, Result, StepReport, TrainSettings,
+    TrainView, Trainer,
 };
 use ashsplat_files::Photo;
+use clap::ValueEnum;
+use std::rc::Rc;
 
-/// Parameters of both commands.
-#[derive(Clone, Copy)]
-pub struct Job<'a> {
-    pub context: &'a Context,
-    pub iterations: Iterations,
-    pub copy: Option<&'a CopyBandwidth>,
-    pub scene: &'a Scene,
-    /// None: the device's default.
-    pub blending: Option<Blending>,
+/// What is run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum What {
+    /// A frame
+    Render,
+    /// A training step
+    TrainStep,
+}
+
+impl What {
+    /// Name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Render => "render",
+            Self::TrainStep => "train-step",
+        }
+    }
+}
+
+/// A frame or a step of a scene.
+#[derive(Clone)]
+pub struct Plan {
+    pub what: What,
+    pub scene: Rc<Scene>,
+    /// Forms of blending that take turns; empty for the device's default alone.
+    pub forms: Vec<Blending>,
+    /// True if a frame's picture is read back.
+    pub reads_back: bool,
     pub seed: u64,
 }
 
-impl Job<'_> {
-    fn run(&self, name: &str, workload: Workload, measured: &Measured, counts: Counts) -> Run {
-        result(self.context, name, workload, measured, counts, self.copy)
+/// A plan on a device.
+pub struct Subject<'a> {
+    context: &'a Context,
+    plan: &'a Plan,
+    work: Work,
+    /// What the last iteration saw.
+    seen: Seen,
+}
+
+enum Work {
+    Frame(Box<Renderer>),
+    Step(Box<Trainer>),
+}
+
+#[derive(Clone, Copy, Default)]
+struct Seen {
+    gaussians: u32,
+    visible: u32,
+    instances: u32,
+    longest_tile: u32,
+    samples: BlendSamples,
+}
+
+impl<'a> Subject<'a> {
+    /// Builds the kernels and loads the scene.
+    pub fn new(context: &'a Context, plan: &'a Plan) -> Result<Self> {
+        let mut work = match plan.what {
+            What::Render => Work::Frame(Box::new(renderer(context, &plan.scene)?)),
+            What::TrainStep => Work::Step(Box::new(trainer(context, plan)?)),
+        };
+        match (plan.forms.first(), &mut work) {
+            (Some(&form), Work::Frame(renderer)) => renderer.set_blending(form),
+            (Some(&form), Work::Step(trainer)) => trainer.set_blending(form),
+            (None, _) => {}
+        }
+        Ok(Self { context, plan, work, seen: Seen::default() })
     }
 
-    fn rendered(
-        &self,
-        name: &str,
-        (stats, workload): (&FrameStats, Workload),
-        form: Blending,
-        measured: &Measured,
-    ) -> Result<Run> {
-        let (g, size) = (&self.scene.gaussians, (self.scene.camera.width, self.scene.camera.height));
-        let counts = counts(self.context, (g.len() as u32, stats.gaussians), g.sh_degree, size)?;
-        let counts = counts.seen(stats.visible, stats.instances);
+    fn blending(&self) -> Blending {
+        match &self.work {
+            Work::Frame(renderer) => renderer.blending(),
+            Work::Step(trainer) => trainer.blending(),
+        }
+    }
+
+    /// Runs one iteration in the current form of blending.
+    pub fn iterate(&mut self) -> Result<()> {
+        let (camera, settings) = (&self.plan.scene.camera, RenderSettings::default());
+        self.seen = match &mut self.work {
+            Work::Frame(renderer) => {
+                let stats = match self.plan.reads_back {
+                    true => renderer.render(camera, &settings)?.stats,
+                    false => renderer.draw(camera, &settings)?,
+                };
+                let FrameStats { gaussians, visible, instances, longest_tile, samples, .. } = stats;
+                Seen { gaussians, visible, instances, longest_tile, samples }
+            }
+            Work::Step(trainer) => {
+                let StepReport { gaussians, visible, instances, longest_tile, samples, .. } =
+                    trainer.step()?;
+                Seen { gaussians, visible, instances, longest_tile, samples }
+            }
+        };
+        Ok(())
+    }
+
+    fn iterate_in(&mut self, form: Blending) -> Result<()> {
+        if self.blending() != form {
+            match &mut self.work {
+                Work::Frame(renderer) => renderer.set_blending(form),
+                Work::Step(trainer) => trainer.set_blending(form),
+            }
+        }
+        self.iterate()
+    }
+
+    /// The forms that take turns.
+    fn forms(&self) -> Vec<Blending> {
+        if self.plan.forms.is_empty() { vec![self.blending()] } else { self.plan.forms.clone() }
+    }
+
+    /// Counts the samples of an iteration in each form; the context must have `COUNT_HITS`.
+    pub fn samples(mut self) -> Result<Vec<BlendSamples>> {
+        self.forms().into_iter().map(|form| self.iterate_in(form).map(|()| self.seen.samples)).collect()
+    }
+
+    /// Runs unmeasured iterations, in which buffers grow and caches fill.
+    pub fn warm_up(&mut self, iterations: u32) -> Result<()> {
+        (0..iterations).try_for_each(|_| self.iterate())
+    }
+
+    /// Runs one iteration between the marks of a capture.
+    pub fn captured(&mut self) -> Result<()> {
+        let context = self.context;
+        context.capture(|| self.iterate())
+    }
+
+    /// Runs one iteration with every command timed.
+    pub fn timed(&mut self, profile: &Profile) -> Result<Iteration> {
+        let context = self.context;
+        Iteration::timed(context, profile, || self.iterate())
+    }
+
+    /// The picture of the scene in its current state.
+    pub fn picture(&mut self) -> Result<Vec<[f32; 3]>> {
+        let (camera, settings) = (&self.plan.scene.camera, RenderSettings::default());
+        let frame = match &mut self.work {
+            Work::Frame(renderer) => renderer.render(camera, &settings)?,
+            Work::Step(trainer) => trainer.render(camera, &settings)?,
+        };
+        Ok(frame.color)
+    }
+
+    fn run(&self, form: Blending, measured: &Measured, copy: Option<&CopyBandwidth>) -> Result<Run> {
+        let Plan { scene, reads_back, seed, forms, .. } = self.plan;
+        let (g, camera, seen) = (&scene.gaussians, &scene.camera, self.seen);
+        let (name, workload, gaussians) = match &self.work {
+            Work::Frame(_) => {
+                let name = if *reads_back { "render" } else { "draw" };
+                (name, scene.workload(&RenderSettings::default()), [g.len() as u32, seen.gaussians])
+            }
+            Work::Step(trainer) => {
+                let workload = scene.training_workload(&trainer.render_settings(), *seed);
+                ("train-step", workload, trained(seen.gaussians))
+            }
+        };
+        let name = match forms.len() {
+            0 | 1 => name.to_owned(),
+            _ => format!("{name}-{}", forms::name(form)),
+        };
+        let counts = counts(self.context, gaussians, g.sh_degree, (camera.width, camera.height))?;
+        let counts = counts.seen(seen.visible, seen.instances);
         let workload = Workload {
-            longest_tile: Some(stats.longest_tile),
+            longest_tile: Some(seen.longest_tile),
             blending: Some(forms::name(form).to_owned()),
             ..workload
         };
-        Ok(self.run(name, workload, measured, counts))
+        Ok(result(self.context, &name, workload, measured, counts, copy))
     }
+}
+
+/// Measures a frame or a step, in its forms in turn.
+pub fn measure(
+    context: &Context,
+    plan: &Plan,
+    iterations: Iterations,
+    copy: Option<&CopyBandwidth>,
+) -> Result<Vec<(Run, Measured)>> {
+    let mut subject = Subject::new(context, plan)?;
+    context.reset_memory_peaks();
+    let mut measurements = Vec::new();
+    for form in subject.forms() {
+        let begun = Measurement::begin(context, iterations, || Ok(()), || subject.iterate_in(form))?;
+        measurements.push((form, begun));
+    }
+    let count = measurements.len();
+    for round in 0..iterations.measured.max(1) as usize {
+        // The forms take turns at being first.
+        for turn in 0..count {
+            let (form, measurement) = &mut measurements[(round + turn) % count];
+            measurement.round(|| Ok(()), || subject.iterate_in(*form))?;
+        }
+    }
+    let ended = measurements.into_iter().map(|(form, measurement)| {
+        let measured = measurement.end();
+        Ok((subject.run(form, &measured, copy)?, measured))
+    });
+    ended.collect()
+}
+
+/// Number and capacity of the Gaussians of a training.
+fn trained(gaussians: u32) -> [u32; 2] {
+    [gaussians, gaussians.saturating_add(gaussians / 2).max(1 << 12)]
 }
 
 /// Counts of a frame of this size, without its visible Gaussians and instances. `gaussians`: number and capacity.
 fn counts(
     context: &Context,
-    (gaussians, capacity): (u32, u32),
+    [gaussians, capacity]: [u32; 2],
     sh_degree: u32,
     (width, height): (u32, u32),
 ) -> Result<Counts> {
@@ -68,9 +240,8 @@ pub fn step_counts(
     sh_degree: u32,
     size: (u32, u32),
 ) -> Result<Counts> {
-    let count = report.gaussians;
-    let capacity = count.saturating_add(count / 2).max(1 << 12);
-    Ok(counts(context, (count, capacity), sh_degree, size)?.seen(report.visible, report.instances))
+    let counts = counts(context, trained(report.gaussians), sh_degree, size)?;
+    Ok(counts.seen(report.visible, report.instances))
 }
 
 pub fn result(
@@ -86,79 +257,15 @@ pub fn result(
     measured.run(context, name, workload, (&traffic, copy))
 }
 
-/// Name of a frame's run, by whether its picture is read back.
-fn frame_name(iterations: Iterations) -> &'static str {
-    if iterations.reads_back { "render" } else { "draw" }
-}
-
-fn frame(renderer: &mut Renderer, job: &Job, settings: &RenderSettings) -> Result<FrameStats> {
-    let camera = &job.scene.camera;
-    match job.iterations.reads_back {
-        true => renderer.render(camera, settings).map(|frame| frame.stats),
-        false => renderer.draw(camera, settings),
-    }
-}
-
-/// The renderer of a scene. `form`: None for the device's default.
-pub fn renderer(context: &Context, scene: &Scene, form: Option<Blending>) -> Result<Renderer> {
+/// The renderer of a scene.
+pub fn renderer(context: &Context, scene: &Scene) -> Result<Renderer> {
     let mut renderer = Renderer::new(context)?;
-    if let Some(form) = form {
-        renderer.set_blending(form);
-    }
     renderer.upload(&scene.gaussians)?;
     Ok(renderer)
 }
 
-/// Measures a frame. Returns the run and its measurement.
-pub fn render(job: &Job) -> Result<(Run, Measured)> {
-    let mut renderer = renderer(job.context, job.scene, job.blending)?;
-    let settings = RenderSettings::default();
-    let mut stats = FrameStats::default();
-    let iterate = || {
-        stats = frame(&mut renderer, job, &settings)?;
-        Ok(())
-    };
-    let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
-    let workload = job.scene.workload(&settings);
-    Ok((
-        job.rendered(frame_name(job.iterations), (&stats, workload), renderer.blending(), &measured)?,
-        measured,
-    ))
-}
-
-/// Measures a frame in both forms of blending, in turn.
-pub fn render_both(job: &Job) -> Result<Vec<Run>> {
-    let mut renderer = renderer(job.context, job.scene, None)?;
-    let settings = RenderSettings::default();
-    let mut stats = FrameStats::default();
-    let mut blended = |blending: Blending| {
-        renderer.set_blending(blending);
-        stats = frame(&mut renderer, job, &settings)?;
-        Ok(())
-    };
-    job.context.reset_memory_peaks();
-    let mut both = Vec::new();
-    for form in Blending::ALL {
-        let measurement = Measurement::begin(job.context, job.iterations, || Ok(()), || blended(form))?;
-        both.push((form, measurement));
-    }
-    for round in 0..job.iterations.measured.max(1) {
-        // The two forms take turns at being first.
-        for turn in [round, round + 1] {
-            let (form, measurement) = &mut both[turn as usize % 2];
-            measurement.round(|| Ok(()), || blended(*form))?;
-        }
-    }
-    let workload = job.scene.workload(&settings);
-    let run = |(form, measurement): (Blending, Measurement)| {
-        let name = format!("{}-{}", frame_name(job.iterations), forms::name(form));
-        job.rendered(&name, (&stats, workload.clone()), form, &measurement.end())
-    };
-    both.into_iter().map(run).collect()
-}
-
 /// Settings that make every step the same work: full SH degree, no densification.
-pub fn steady_settings(sh_degree: u32, seed: u64) -> TrainSettings {
+fn steady_settings(sh_degree: u32, seed: u64) -> TrainSettings {
     TrainSettings {
         sh_degree,
         sh_degree_interval: 1,
@@ -169,50 +276,22 @@ pub fn steady_settings(sh_degree: u32, seed: u64) -> TrainSettings {
     }
 }
 
-/// Gaussians that the training of a scene starts from.
-pub fn start(scene: &Scene, seed: u64) -> Gaussians {
-    match &scene.view {
-        Some(_) => scene.gaussians.clone(),
-        None => synthetic::disturbed(&scene.gaussians, seed),
-    }
-}
-
-/// The trainer of a scene, after steps that reach the full SH degree. A synthetic scene starts disturbed, and is trained on its own
-/// picture.
-pub fn trainer(context: &Context, scene: &Scene, form: Option<Blending>, seed: u64) -> Result<Trainer> {
-    let view = match &scene.view {
-        Some(view) => view.clone(),
+/// The trainer of a scene, after steps that reach the full SH degree. A scene without a photo starts disturbed, and is
+/// trained on its own picture.
+fn trainer(context: &Context, plan: &Plan) -> Result<Trainer> {
+    let Plan { scene, seed, .. } = plan;
+    let (start, view) = match &scene.view {
+        Some(view) => (scene.gaussians.clone(), view.clone()),
         None => {
-            let frame = renderer(context, scene, None)?.render(&scene.camera, &RenderSettings::default())?;
+            let frame = renderer(context, scene)?.render(&scene.camera, &RenderSettings::default())?;
             let photo = Photo::from_f32(frame.width, frame.height, &frame.color)?;
-            TrainView::new(scene.camera, photo)
+            (synthetic::disturbed(&scene.gaussians, *seed), TrainView::new(scene.camera, photo))
         }
     };
-    let settings = steady_settings(scene.gaussians.sh_degree, seed);
-    let mut trainer = Trainer::new(context, vec![view], &start(scene, seed), scene.scene_extent, settings)?;
-    if let Some(form) = form {
-        trainer.set_blending(form);
-    }
+    let settings = steady_settings(scene.gaussians.sh_degree, *seed);
+    let mut trainer = Trainer::new(context, vec![view], &start, scene.scene_extent, settings)?;
     for _ in 0..=scene.gaussians.sh_degree {
         trainer.step()?;
     }
     Ok(trainer)
-}
-
-/// Measures a training step (forward, loss, backward, Adam). Returns the run and its measurement.
-pub fn train_step(job: &Job) -> Result<(Run, Measured)> {
-    let mut trainer = trainer(job.context, job.scene, job.blending, job.seed)?;
-    let mut report = StepReport::default();
-    let iterate = || {
-        report = trainer.step()?;
-        Ok(())
-    };
-    let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
-    let camera = &job.scene.camera;
-    let degree = job.scene.gaussians.sh_degree;
-    let counts = step_counts(job.context, &report, degree, (camera.width, camera.height))?;
-    let workload = job.scene.training_workload(&trainer.render_settings(), job.seed);
-    let blending = Some(forms::name(trainer.blending()).to_owned());
-    let workload = Workload { longest_tile: Some(report.longest_tile), blending, ..workload };
-    Ok((job.run("train-step", workload, &measured, counts), measured))
 }

@@ -15,7 +15,6 @@ mod frames;
 mod kernels;
 mod machine;
 mod measure;
-mod plot;
 mod primitives;
 pub mod profile;
 mod quality;
@@ -29,12 +28,9 @@ mod table;
 mod tasks;
 mod traffic;
 mod training;
-mod transactions;
 mod workload;
 
-use arguments::{
-    AllArguments, BlendingArguments, FrameArguments, OutputArguments, PrimitiveArguments, TrainArguments,
-};
+use arguments::{AllArguments, FrameArguments, OutputArguments, PrimitiveArguments, TrainArguments};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use clap::{Args, Subcommand};
@@ -67,7 +63,7 @@ enum What {
     /// A frame
     Render(FrameArguments),
     /// A frame in both forms of blending, in turn
-    Blending(BlendingArguments),
+    Blending(FrameArguments),
     /// A training step
     TrainStep(FrameArguments),
     /// Training of a data set from its points, as `train` does it
@@ -101,24 +97,22 @@ struct CompareArguments {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+    let frames = |a: &FrameArguments, what, both| {
+        let plan = (a.iterations.get(), a.scene.synthetic.seed());
+        measure_all(&a.output, plan, |_| tasks::of_frames(a, what, both))
+    };
+    let primitive = |a: &PrimitiveArguments, task: fn(u32, Iterations) -> Task, usual| {
+        let iterations = a.iterations.get();
+        let task = task(a.elements.unwrap_or(usual), iterations);
+        measure_all(&a.output, (iterations, a.seed), |_| Ok(vec![task]))
+    };
     match &arguments.what {
-        What::Scan(a) => measure_all(&a.output, (a.iterations.get(), a.seed), |_| Ok(tasks::of_scan(a))),
-        What::Sort(a) => measure_all(&a.output, (a.iterations.get(), a.seed), |_| Ok(tasks::of_sort(a))),
-        What::Render(a) => measure_all(&a.output, (a.iterations.get(), a.scene.synthetic.seed()), |_| {
-            tasks::of_frames(a, false)
-        }),
-        What::Blending(a) => {
-            measure_all(&a.output, (a.iterations.get(), a.scene.synthetic.seed()), |_| tasks::of_blending(a))
-        }
-        What::TrainStep(a) => measure_all(&a.output, (a.iterations.get(), a.scene.synthetic.seed()), |_| {
-            tasks::of_frames(a, true)
-        }),
-        What::Train(a) => {
-            let host = &a.output.device.host;
-            measure_all(&a.output, (training::ITERATIONS, a.seed), |_| {
-                tasks::of_training(&a.dataset, &a.windows, a.sh_degree, host)
-            })
-        }
+        What::Scan(a) => primitive(a, Task::Scan, tasks::VALUES_PER_PAIR * tasks::PAIRS),
+        What::Sort(a) => primitive(a, Task::Sort, tasks::PAIRS),
+        What::Render(a) => frames(a, frames::What::Render, false),
+        What::Blending(a) => frames(a, frames::What::Render, true),
+        What::TrainStep(a) => frames(a, frames::What::TrainStep, false),
+        What::Train(a) => measure_all(&a.output, (training::ITERATIONS, a.seed), |_| tasks::of_training(a)),
         What::All(a) => {
             let plan = (a.iterations.get(), a.synthetic.seed());
             measure_all(&a.output, plan, |context| tasks::of_all(a, context.limits().tuning.is_slow))
@@ -146,14 +140,8 @@ fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
     let (a, b) = (compare::read(&files.a)?, compare::read(&files.b)?);
     let lines = compare::compare(&a, &b)?;
     for (name, report) in [("A", &a), ("B", &b)] {
-        let commit = report.program.commit.as_deref().unwrap_or("commit unknown");
-        say!(
-            "{name}: {}, {}, ashsplat {} ({commit}, {})",
-            report.device.name,
-            report.device.driver,
-            report.program.version,
-            report.program.build
-        );
+        let device = &report.device;
+        say!("{name}: {}, {}, {}", device.name, device.driver, report.program);
     }
     say!("{}", compare::table(&lines));
     let unpaired = compare::unpaired(&a, &b);
@@ -212,15 +200,13 @@ fn measure_all(
     let tasks = tasks(&context)?;
     let yardsticks = Yardsticks::measure(&context)?;
     let mut runs = Vec::new();
-    let mut counter = samples::Counter::new(&output.device, seed);
+    let mut counter = samples::Counter::new(&output.device);
     for task in tasks {
         let mut results = task.run(&context, seed, yardsticks.copy.as_ref())?;
-        let samples = counter.count(&task, &results)?;
+        let samples = counter.count(&task)?;
         for (run, samples) in results.iter_mut().zip(samples) {
             samples::enter(run, samples, context.limits(), yardsticks.arithmetic.as_ref());
         }
-        let counted = counter.transactions(&task, context.limits().tuning.backend)?;
-        results.iter_mut().for_each(|run| transactions::enter(run, &counted));
         runs.extend(results);
     }
     name_apart(&mut runs);

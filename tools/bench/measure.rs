@@ -1,6 +1,6 @@
 //! Runs a workload repeatedly and splits its time.
 
-use super::schema::{Arena, ArithmeticRate, CopyBandwidth, Cost, KernelResult, Run, Split, Spread, Workload};
+use super::schema::{Arena, ArithmeticRate, CopyBandwidth, KernelResult, Run, Split, Spread, Workload};
 use super::traffic::Traffic;
 use ashsplat::Result;
 use ashsplat::passes::arithmetic::Arithmetic;
@@ -15,8 +15,6 @@ pub struct Iterations {
     pub warmup: u32,
     /// True if every second iteration is timed command by command.
     pub timed: bool,
-    /// True if a frame's picture is read back.
-    pub reads_back: bool,
 }
 
 /// One timed iteration.
@@ -26,7 +24,25 @@ pub struct Iteration {
     pub submissions: Vec<Submission>,
 }
 
+impl Iteration {
+    /// Runs an iteration with every command timed.
+    pub fn timed(
+        context: &Context,
+        profile: &Profile,
+        iterate: impl FnOnce() -> Result<()>,
+    ) -> Result<Iteration> {
+        context.set_profile(Some(profile));
+        profile.take();
+        let begun = Instant::now();
+        iterate()?;
+        let wall = begun.elapsed();
+        context.set_profile(None);
+        Ok(Iteration { begun, wall, submissions: profile.take() })
+    }
+}
+
 /// Measurements of a workload.
+#[derive(Default)]
 pub struct Measured {
     /// Iterations with every command timed.
     pub iterations: Vec<Iteration>,
@@ -34,8 +50,6 @@ pub struct Measured {
     pub untimed_ms: Option<Spread>,
     /// Processor seconds of untimed iterations.
     pub cpu_seconds: Option<Spread>,
-    /// Ratio of timed to untimed iterations.
-    pub cost: Option<Cost>,
 }
 
 /// Runs `iterate` with and without timestamps in turn, each after an uncounted `prepare`. Memory peaks start anew, so
@@ -62,8 +76,6 @@ pub struct Measurement<'a> {
     iterations: Vec<Iteration>,
     untimed_ms: Vec<f64>,
     cpu: Vec<Option<f64>>,
-    ratios: Vec<f64>,
-    cpu_ratios: Vec<Option<f64>>,
 }
 
 impl<'a> Measurement<'a> {
@@ -89,8 +101,6 @@ impl<'a> Measurement<'a> {
             iterations: Vec::new(),
             untimed_ms: Vec::new(),
             cpu: Vec::new(),
-            ratios: Vec::new(),
-            cpu_ratios: Vec::new(),
         })
     }
 
@@ -107,41 +117,23 @@ impl<'a> Measurement<'a> {
         iterate()?;
         let untimed = begun.elapsed();
         self.untimed_ms.push(untimed.as_secs_f64() * 1e3);
-        let spent = cpu_begun.zip(process_seconds()).map(spent_between);
-        self.cpu.push(spent);
+        self.cpu.push(cpu_begun.zip(process_seconds()).map(|(before, now)| now - before));
         context.set_timestamps(self.timed);
         prepare()?;
-        context.set_profile(Some(&self.profile));
-        self.profile.take();
-        let (begun, cpu_begun) = (Instant::now(), process_seconds());
-        iterate()?;
-        let wall = begun.elapsed();
-        let timed = cpu_begun.zip(process_seconds()).map(spent_between);
-        context.set_profile(None);
+        let iteration = Iteration::timed(context, &self.profile, iterate)?;
         context.set_timestamps(true);
-        self.cpu_ratios.push(timed.zip(spent).map(|(timed, untimed)| timed / untimed.max(1e-9)));
-        self.ratios.push(wall.as_secs_f64() / untimed.as_secs_f64().max(1e-9));
-        self.iterations.push(Iteration { begun, wall, submissions: self.profile.take() });
+        self.iterations.push(iteration);
         Ok(())
     }
 
     /// Returns the measurements of all rounds.
     pub fn end(self) -> Measured {
-        let ratios = if self.timed { self.ratios } else { Vec::new() };
-        let of_all = |values: Vec<Option<f64>>| Spread::of(values.into_iter().collect::<Option<Vec<_>>>()?);
-        let processor = of_all(self.cpu_ratios);
         Measured {
             iterations: self.iterations,
             untimed_ms: Spread::of(self.untimed_ms),
-            cpu_seconds: of_all(self.cpu),
-            cost: Spread::of(ratios).map(|wall| Cost { wall, processor }),
+            cpu_seconds: self.cpu.into_iter().collect::<Option<Vec<_>>>().and_then(Spread::of),
         }
     }
-}
-
-/// The clock counts living threads only: it goes back when one ends.
-fn spent_between((before, now): (f64, f64)) -> f64 {
-    (now - before).max(0.0)
 }
 
 impl Measured {
@@ -162,7 +154,6 @@ impl Measured {
             between_submissions_ms: self.between_submissions_ms(),
             untimed_ms: self.untimed_ms,
             cpu_seconds: self.cpu_seconds,
-            cost_of_measuring: self.cost,
             kernels: self.kernels(traffic, copy),
             memory: memory(context),
             cpu: Vec::new(),
@@ -230,7 +221,6 @@ impl Measured {
                 Some(place) => {
                     let kernel = &mut found[place];
                     kernel.calls += 1;
-                    kernel.waits = kernel.waits.map(|waits| waits + command.barriers.min(1));
                     kernel.workgroups = kernel.workgroups.zip(groups).map(|(sum, groups)| sum + groups);
                     kernel.bytes_read += read;
                     kernel.bytes_written += written;
@@ -239,7 +229,6 @@ impl Measured {
                     scope: command.scope.clone(),
                     kernel: command.name.to_owned(),
                     calls: 1,
-                    waits: Some(command.barriers.min(1)),
                     workgroups: groups,
                     bytes_read: read,
                     bytes_written: written,

@@ -5,22 +5,22 @@ mod compiled;
 mod dump;
 mod page;
 mod spec;
-mod subject;
 mod trace;
 mod watch;
 
 use crate::forms::FormArguments;
+use crate::frames::{Plan, Subject, What};
 use crate::measure::{Iterations, Yardsticks};
 use crate::schema::KernelResult;
-use crate::workload::{self, SceneArguments};
+use crate::workload::SceneArguments;
 use crate::{assemble, frames, table};
-use ashsplat::vk::{Context, SpecOverride, is_kernel_of};
+use ashsplat::vk::{Context, Profile, SpecOverride, is_kernel_of};
 use ashsplat::{Error, Result};
 use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_MEASUREMENTS};
 use ashsplat_program::output;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use std::path::PathBuf;
-use subject::Subject;
+use std::rc::Rc;
 
 /// Options that conflict with --dump, besides those that run something.
 const NOT_WITH_DUMP: [&str; 12] = [
@@ -98,25 +98,6 @@ pub struct Arguments {
     device: DeviceArguments,
 }
 
-/// What is profiled.
-#[derive(Clone, Copy, PartialEq, ValueEnum)]
-pub enum What {
-    /// A frame
-    Render,
-    /// A training step
-    TrainStep,
-}
-
-impl What {
-    /// Name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Render => "render",
-            Self::TrainStep => "train-step",
-        }
-    }
-}
-
 impl Arguments {
     /// Default number of measured iterations.
     const FRAMES: u32 = 20;
@@ -135,8 +116,12 @@ impl Arguments {
         self.warmup.unwrap_or(Self::WARMUP)
     }
 
-    fn seed(&self) -> u64 {
-        self.scene.synthetic.seed()
+    /// Loads the scene.
+    fn plan(&self) -> Result<Plan> {
+        let what = self.what();
+        let scene = Rc::new(self.scene.load(what == What::TrainStep, &self.device.host)?);
+        let forms = self.form.get().into_iter().collect();
+        Ok(Plan { what, scene, forms, reads_back: true, seed: self.scene.synthetic.seed() })
     }
 
     fn overrides(&self) -> Result<Vec<SpecOverride>> {
@@ -168,44 +153,33 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return compiled::run(arguments);
     }
     output::check(&[("--html", arguments.html.as_deref()), ("--trace", arguments.trace.as_deref())])?;
-    let load = || arguments.scene.load(arguments.what() == What::TrainStep, &arguments.device.host);
     if let Some(settings) = &arguments.ab {
-        return ab::run(arguments, settings, &load()?);
+        return ab::run(arguments, settings, &arguments.plan()?);
     }
     let context = open(arguments, &overrides)?;
-    let scene = load()?;
+    let plan = arguments.plan()?;
     if arguments.watch {
-        return watch::run(arguments, &context, &scene);
+        return watch::run(arguments, &context, &plan);
     }
     if arguments.capture {
-        return capture(arguments, &context, &scene);
+        return capture(arguments, &context, &plan);
     }
     let yardsticks = Yardsticks::measure(&context)?;
-    let iterations = Iterations {
-        measured: arguments.frames(),
-        warmup: arguments.warmup(),
-        timed: true,
-        reads_back: true,
-    };
-    let seed = arguments.seed();
-    let (copy, blending) = (yardsticks.copy.as_ref(), arguments.form.get());
-    let job = frames::Job { context: &context, iterations, copy, scene: &scene, blending, seed };
-    let (mut run, measured) = match arguments.what() {
-        What::Render => frames::render(&job)?,
-        What::TrainStep => frames::train_step(&job)?,
-    };
+    let iterations = Iterations { measured: arguments.frames(), warmup: arguments.warmup(), timed: true };
+    let mut measured = frames::measure(&context, &plan, iterations, yardsticks.copy.as_ref())?;
+    let (mut run, measured) = measured.swap_remove(0);
     if let Some(path) = &arguments.trace {
         output::write_json(path, &trace::trace(context.device_name(), &measured.iterations))?;
     }
     if let Some(path) = &arguments.html {
-        let page = page::page(&context, &scene, (&run, &measured), &arguments.spec)?;
+        let page = page::page(&context, &plan.scene, (&run, &measured), &arguments.spec)?;
         output::write_text(path, &page)?;
     }
     only(arguments.kernel.as_deref(), &mut run.kernels)?;
     if !arguments.spec.is_empty() {
         say!("with {}", arguments.spec.join(", "));
     }
-    let report = assemble(&context, iterations, seed, (yardsticks, vec![run]));
+    let report = assemble(&context, iterations, plan.seed, (yardsticks, vec![run]));
     say!("{}", table::render(&report).trim_end());
     print_messages(&context);
     arguments.device.report_validation(&context);
@@ -213,14 +187,30 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 /// Marks one iteration for RenderDoc, which without a window finds no frames to capture.
-fn capture(arguments: &Arguments, context: &Context, scene: &workload::Scene) -> Result<()> {
-    let mut subject = Subject::new(context, scene, arguments)?;
+fn capture(arguments: &Arguments, context: &Context, plan: &Plan) -> Result<()> {
+    let mut subject = Subject::new(context, plan)?;
     subject.warm_up(arguments.warmup())?;
     subject.captured()?;
     say!("one {} was marked as a capture", arguments.what().name());
     print_messages(context);
     arguments.device.report_validation(context);
     Ok(())
+}
+
+/// A profile of a context that records nothing until it is set.
+fn silent_profile(context: &Context) -> Profile {
+    let profile = context.profile();
+    context.set_profile(None);
+    profile
+}
+
+/// Largest difference of any channel of any pixel; NaN counts as infinite.
+fn largest_difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> f32 {
+    let differences = a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| {
+        let difference = (a - b).abs();
+        if difference.is_nan() { f32::INFINITY } else { difference }
+    });
+    differences.fold(0.0, f32::max)
 }
 
 /// Keeps the requested kernels. Refuses a kernel that did not run.

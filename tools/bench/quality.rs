@@ -1,6 +1,5 @@
 //! `bench quality`: how good scenes become, and at what cost, in trainings with several strategies and seeds.
 
-mod plot;
 mod runs;
 mod summary;
 
@@ -12,12 +11,13 @@ use ashsplat::vk::Context;
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::{Dataset, Gallery, HostMemory, View, atomic};
 use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING};
-use ashsplat_program::config::{DataSettings, MissingPoints, Recipe, Settings, TrainOverrides};
+use ashsplat_program::config::{DataSettings, Recipe, Settings, TrainOverrides, When};
 use ashsplat_program::eval::{More, Protocol};
 use ashsplat_program::lock::{FolderLock, Work};
 use ashsplat_program::measure::Stopwatch;
 use ashsplat_program::progress::counting;
 use ashsplat_program::{config, eval, output, session};
+use clap::ArgAction::Set;
 use clap::Args;
 use runs::{Point, Run, SCHEMA, Setup};
 use serde::Serialize;
@@ -75,8 +75,12 @@ pub struct Arguments {
     /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider
     #[arg(short, long, value_name = "N", allow_negative_numbers = true, default_value_t = -1)]
     resolution: i32,
-    #[command(flatten)]
-    missing_points: MissingPoints,
+    /// As `train --random-points`
+    #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_value = "false", default_missing_value = "true", value_name = "BOOL")]
+    random_points: bool,
+    /// As `train --photo-points`
+    #[arg(long, num_args = 0..=1, require_equals = true, default_value = "auto", default_missing_value = "on", value_name = "WHEN")]
+    photo_points: When,
     #[command(flatten)]
     train: TrainOverrides,
     #[command(flatten)]
@@ -174,7 +178,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         };
         // From here on only the device or the disk can fail.
         atomic::create_folder(folder)?;
-        let _lock = FolderLock::take(folder, &MEASURING)?;
+        let _lock = FolderLock::take(folder, &MEASURING, None)?;
         for job in &jobs {
             if done.iter().any(|run| run.strategy == job.strategy && run.seed == job.seed) {
                 continue;
@@ -257,7 +261,7 @@ fn write(arguments: &Arguments, context: &Context, strategies: &[String], runs: 
     let name =
         arguments.dataset.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let title = format!("{name}, {} on {}", summary.iterations(), context.device_name());
-    output::write_text(&folder.join(PLOT_FILE), &plot::svg(&title, &summary, &arguments.until))?;
+    output::write_text(&folder.join(PLOT_FILE), &summary.plot(&title, &arguments.until))?;
     Ok(summary)
 }
 
@@ -299,8 +303,8 @@ impl Arguments {
             images: self.images.clone(),
             depths: self.depths.clone().unwrap_or_default(),
             resolution: self.resolution,
-            random_points: self.missing_points.random_points.unwrap_or_default(),
-            photo_points: self.missing_points.photo_points.unwrap_or_default(),
+            random_points: self.random_points,
+            photo_points: self.photo_points,
             eval: true,
             ..DataSettings::default()
         }
@@ -365,20 +369,4 @@ fn quality(trainer: &mut Trainer, views: &[View]) -> Result<(f64, f64)> {
         return Err(Error::argument("held-out views", "masks hide all of them"));
     }
     Ok((evaluation.psnr(), evaluation.ssim()))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn seeds_are_ranges_or_lists() {
-        let of = |text| seeds(text).map(|seeds| seeds.0);
-        assert_eq!(of("0..3"), Ok(vec![0, 1, 2]));
-        assert_eq!(of("5, 2,5"), Ok(vec![5, 2]));
-        assert_eq!(of("4..5"), Ok(vec![4]));
-        for bad in ["", "3..3", "a..b", "1..", "-1..2", "1,x"] {
-            assert!(of(bad).is_err(), "{bad}");
-        }
-    }
 }

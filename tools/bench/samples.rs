@@ -1,96 +1,44 @@
 //! Share of the device's arithmetic rate that the blending kernels reach. Their samples are counted in a separate run; the
 //! operations of a sample are known.
 
+use super::frames::Subject;
 use super::schema::{ArithmeticRate, Run};
 use super::tasks::Task;
-use super::transactions::Counted;
-use super::workload::Scene;
-use super::{forms, frames, synthetic, transactions};
 use ashsplat::frame::LaunchSizes;
-use ashsplat::frame::tuning::Backend;
 use ashsplat::vk::{Context, Limits, SpecOverride};
-use ashsplat::{BlendSamples, Blending, RenderSettings, Renderer, Result};
+use ashsplat::{BlendSamples, Result};
 use ashsplat_program::args::DeviceArguments;
 
 /// Counts on its own context, which opens when a task first needs it.
 pub struct Counter<'a> {
     device: &'a DeviceArguments,
-    seed: u64,
     context: Option<Context>,
 }
 
 impl<'a> Counter<'a> {
-    pub fn new(device: &'a DeviceArguments, seed: u64) -> Self {
-        Self { device, seed, context: None }
+    pub fn new(device: &'a DeviceArguments) -> Self {
+        Self { device, context: None }
     }
 
     /// Counts the samples of a task's frame, for each of its runs. None for tasks that blend nothing, and for training, which
     /// blends differently in each iteration.
-    pub fn count(&mut self, task: &Task, runs: &[Run]) -> Result<Vec<BlendSamples>> {
-        let form = |run: &Run| forms::of_name(run.workload.blending.as_deref()?);
-        let forms: Vec<Blending> = runs.iter().filter_map(form).collect();
-        match task {
-            Task::Render(scene, ..) | Task::RenderBoth(scene, _) => of_frame(self.context()?, scene, &forms),
-            Task::TrainStep(scene, ..) => {
-                let seed = self.seed;
-                let context = self.context()?;
-                forms.into_iter().map(|form| of_step(context, scene, form, seed)).collect()
-            }
-            Task::Scan(..) | Task::Sort(..) | Task::Train(_) => Ok(Vec::new()),
-        }
-    }
-
-    /// Counts the memory transactions of a task's runs, for GPU kernels. None for processors, whose lanes share a cache line anyway,
-    /// and for tasks that are measured elsewhere as well.
-    pub fn transactions(&mut self, task: &Task, backend: Backend) -> Result<Counted> {
-        if backend != Backend::Gpu {
-            return Ok(Counted::new());
-        }
-        let (seed, none) = (self.seed, Counted::new());
-        let block = LaunchSizes::new(self.context()?.limits()).sort;
-        let (scene, start) = match task {
-            Task::Sort(elements, _) => {
-                return Ok(transactions::of_sort(&synthetic::keys(seed, *elements as usize), block));
-            }
-            Task::Render(scene, ..) => (scene, None),
-            Task::TrainStep(scene, ..) => (scene, Some(frames::start(scene, seed))),
-            Task::Scan(..) | Task::RenderBoth(..) | Task::Train(_) => return Ok(none),
-        };
-        let mut renderer = Renderer::new(self.context()?)?;
-        renderer.upload(start.as_ref().unwrap_or(&scene.gaussians))?;
-        let lists = renderer.tile_lists(&scene.camera, &RenderSettings::default())?;
-        let size = (scene.camera.width, scene.camera.height);
-        Ok(transactions::of_frame(&lists, size, block, start.is_some()))
-    }
-
-    fn context(&mut self) -> Result<&Context> {
-        match &mut self.context {
-            Some(context) => Ok(context),
+    pub fn count(&mut self, task: &Task) -> Result<Vec<BlendSamples>> {
+        let Task::Frames(plan, _) = task else { return Ok(Vec::new()) };
+        let context = match &mut self.context {
+            Some(context) => context,
             none => {
                 let counts =
                     SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 };
-                Ok(none.insert(self.device.context_with(|options| options.overrides.push(counts))?))
+                none.insert(self.device.context_with(|options| options.overrides.push(counts))?)
             }
-        }
+        };
+        Subject::new(context, plan)?.samples()
     }
 
     /// Prints the messages of the validation layer during counting.
     pub fn report_validation(&self) {
         self.context.iter().for_each(|context| self.device.report_validation(context));
     }
-}
-
-fn of_frame(context: &Context, scene: &Scene, forms: &[Blending]) -> Result<Vec<BlendSamples>> {
-    let mut renderer = frames::renderer(context, scene, None)?;
-    let mut count = |form: &Blending| {
-        renderer.set_blending(*form);
-        Ok(renderer.render(&scene.camera, &RenderSettings::default())?.stats.samples)
-    };
-    forms.iter().map(&mut count).collect()
-}
-
-fn of_step(context: &Context, scene: &Scene, form: Blending, seed: u64) -> Result<BlendSamples> {
-    Ok(frames::trainer(context, scene, Some(form), seed)?.step()?.samples)
 }
 
 /// Additions, subtractions, multiplications and divisions of a sample in glsl/include/blending.glsl, for the opacity and all

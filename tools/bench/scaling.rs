@@ -1,18 +1,20 @@
 //! `bench scaling`: how the time of each stage and kernel grows with the Gaussians and with the pixels.
 
 use super::arguments::{IterationArguments, OutputArguments};
-use super::measure::{Iterations, Yardsticks};
-use super::plot::{Panel, Series};
+use super::frames::{Plan, What};
+use super::measure::Yardsticks;
 use super::schema::{KernelResult, Report, Run};
 use super::workload::{MOST_GAUSSIANS, SyntheticArguments};
-use super::{assemble, frames, plot, table};
+use super::{assemble, frames, table};
 use ashsplat::frame::max_trained_gaussians;
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
+use ashsplat_program::chart::{Axis, Line, Panel, figure};
 use ashsplat_program::output;
 use ashsplat_program::progress::thousands;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
+use std::rc::Rc;
 
 /// What is swept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -78,10 +80,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let pixels = |width: u32| f64::from(width) * f64::from(height_of(width));
         let by_pixels = arguments.widths.iter().map(|&w| Ok((pixels(w), measure((arguments.gaussians, w))?)));
         let by_pixels = by_pixels.collect::<Result<Sweep>>()?;
-        let growth = |fixed: String, axis: &str, sweep: &Sweep| Panel {
-            title: format!("{}, {fixed}", task.plural()),
-            axis: axis.to_owned(),
-            series: series(task, sweep),
+        let growth = |fixed: String, axis: &str, sweep: &Sweep| {
+            let lines = series(task, sweep);
+            let points = || lines.iter().flat_map(|line| line.points.iter().copied());
+            Panel {
+                title: format!("{}, {fixed}", task.plural()),
+                along: axis.to_owned(),
+                upwards: "milliseconds",
+                x: Axis::decades(points().map(|(x, _)| x)),
+                y: Axis::decades(points().map(|(_, y)| y)),
+                lines,
+                levels: Vec::new(),
+            }
         };
         panels.push(growth(format!("{width}x{} pixels", height_of(width)), "Gaussians", &by_count));
         panels.push(growth(format!("{fixed} Gaussians"), "pixels", &by_pixels));
@@ -90,8 +100,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if !arguments.output.quiet {
         for (panel, sweep) in panels.iter().zip(&sweeps) {
             let title =
-                format!("{}: milliseconds by {}, and the exponent of their growth", panel.title, panel.axis);
-            say!("\n{title}\n{}", exponents(&panel.axis, &[&panel.series[..], &kernel_series(sweep)]));
+                format!("{}: milliseconds by {}, and the exponent of their growth", panel.title, panel.along);
+            say!("\n{title}\n{}", exponents(&panel.along, &[&panel.lines[..], &kernel_series(sweep)]));
         }
     }
     let mut runs = sweeps.into_iter().flatten().map(|(_, run)| run).collect::<Vec<_>>();
@@ -99,8 +109,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let report: Report = assemble(&context, arguments.iterations.get(), arguments.seed, (yardsticks, runs));
     arguments.output.write(&report)?;
     if let Some(path) = &arguments.plot {
-        let subtitle = format!("{}, {}", report.device.name, report.device.driver);
-        output::write_text(path, &plot::svg(&subtitle, &panels))?;
+        let title = format!("Time of each stage on {}, {}", report.device.name, report.device.driver);
+        // Zero means that the stage does not run at this size.
+        let lines = panels.iter_mut().flat_map(|panel| &mut panel.lines);
+        lines.for_each(|line| line.points.retain(|&(x, y)| x > 0.0 && y > 0.0));
+        output::write_text(path, &figure(&title, &panels))?;
     }
     arguments.output.device.report_validation(&context);
     Ok(())
@@ -144,14 +157,14 @@ impl Arguments {
         yardsticks: &Yardsticks,
         (gaussians, width): (u32, u32),
     ) -> Result<Run> {
-        let scene = self.scene(gaussians, width).load()?;
-        let iterations: Iterations = self.iterations.get();
-        let (copy, seed) = (yardsticks.copy.as_ref(), self.seed);
-        let job = frames::Job { context, iterations, copy, scene: &scene, blending: None, seed };
-        let (run, _) = match task {
-            Task::Frames => frames::render(&job)?,
-            Task::Steps => frames::train_step(&job)?,
+        let what = match task {
+            Task::Frames => What::Render,
+            Task::Steps => What::TrainStep,
         };
+        let scene = Rc::new(self.scene(gaussians, width).load()?);
+        let plan = Plan { what, scene, forms: Vec::new(), reads_back: true, seed: self.seed };
+        let mut measured = frames::measure(context, &plan, self.iterations.get(), yardsticks.copy.as_ref())?;
+        let (run, _) = measured.swap_remove(0);
         tell!("{}, {}: {:.2} ms", task.singular(), table::describe(&run.workload), run.wall_ms.median);
         Ok(run)
     }
@@ -178,19 +191,19 @@ fn height_of(width: u32) -> u32 {
 }
 
 /// Device time of each stage, milliseconds; wall time first.
-fn series(task: Task, sweep: &Sweep) -> Vec<Series> {
-    let wall = sweep.iter().map(|(x, r)| (*x, r.wall_ms.median)).collect();
-    let whole = Series { name: task.singular().into(), points: wall };
+fn series(task: Task, sweep: &Sweep) -> Vec<Line> {
+    let points = sweep.iter().map(|(x, r)| (*x, r.wall_ms.median)).collect();
+    let whole = Line { name: task.singular().into(), points, band: Vec::new(), width: 3.0 };
     std::iter::once(whole).chain(grouped(sweep, |kernel| stage_of(&kernel.scope))).collect()
 }
 
 /// Device time of each kernel of each stage, milliseconds.
-fn kernel_series(sweep: &Sweep) -> Vec<Series> {
+fn kernel_series(sweep: &Sweep) -> Vec<Line> {
     grouped(sweep, |kernel| format!("{}: {}", stage_of(&kernel.scope), kernel.kernel))
 }
 
 /// Device time of kernels grouped by name, milliseconds, in order of first appearance.
-fn grouped(sweep: &Sweep, name_of: impl Fn(&KernelResult) -> String) -> Vec<Series> {
+fn grouped(sweep: &Sweep, name_of: impl Fn(&KernelResult) -> String) -> Vec<Line> {
     let mut names: Vec<String> = Vec::new();
     for name in sweep.iter().flat_map(|(_, run)| &run.kernels).map(&name_of) {
         if !names.contains(&name) {
@@ -201,9 +214,11 @@ fn grouped(sweep: &Sweep, name_of: impl Fn(&KernelResult) -> String) -> Vec<Seri
         let own = run.kernels.iter().filter(|k| name_of(k) == name);
         own.filter_map(|k| k.time_us).map(|time| time.median * 1e-3).sum()
     };
-    let of_name =
-        |name: String| Series { points: sweep.iter().map(|(x, run)| (*x, time(run, &name))).collect(), name };
-    let mut all: Vec<Series> = names.into_iter().map(of_name).collect();
+    let of_name = |name: String| {
+        let points = sweep.iter().map(|(x, run)| (*x, time(run, &name))).collect();
+        Line { name, points, band: Vec::new(), width: 1.5 }
+    };
+    let mut all: Vec<Line> = names.into_iter().map(of_name).collect();
     all.retain(|series| series.points.iter().any(|&(_, time)| time > 0.0));
     all
 }
@@ -213,7 +228,7 @@ fn stage_of(scope: &str) -> String {
 }
 
 /// Slope of the least-squares line through (ln x, ln y); none with fewer than two points.
-pub fn exponent(points: &[(f64, f64)]) -> Option<f64> {
+fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     let logs: Vec<(f64, f64)> =
         points.iter().filter(|(x, y)| *x > 0.0 && *y > 0.0).map(|(x, y)| (x.ln(), y.ln())).collect();
     let n = logs.len() as f64;
@@ -228,7 +243,7 @@ pub fn exponent(points: &[(f64, f64)]) -> Option<f64> {
 }
 
 /// A table of groups of series over the same x values.
-fn exponents(axis: &str, groups: &[&[Series]]) -> String {
+fn exponents(axis: &str, groups: &[&[Line]]) -> String {
     let width = groups.iter().flat_map(|group| group.iter()).map(|series| series.name.len()).max();
     let width = width.unwrap_or(0).max(axis.len());
     let mut out = format!("{axis:<width$}");
@@ -249,17 +264,4 @@ fn exponents(axis: &str, groups: &[&[Series]]) -> String {
         out.push('\n');
     }
     out.trim_end().to_owned()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::exponent;
-
-    #[test]
-    fn exponent_of_a_power_law() {
-        let points: Vec<(f64, f64)> = (1..6).map(|i| (f64::from(i), 3.0 * f64::from(i).powf(1.5))).collect();
-        assert!((exponent(&points).expect("points") - 1.5).abs() < 1e-9);
-        assert_eq!(exponent(&points[..1]), None);
-        assert_eq!(exponent(&[]), None);
-    }
 }

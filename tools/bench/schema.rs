@@ -5,6 +5,7 @@
 use ashsplat_program::measure::median;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::fmt;
 
 /// The schema's name and version, first field of every file. The version rises when a reader of old files would
 /// misunderstand new ones.
@@ -22,7 +23,6 @@ pub struct Report {
     pub environment: BTreeMap<String, String>,
     pub settings: Settings,
     pub copy_bandwidth: Option<CopyBandwidth>,
-    #[serde(default)]
     pub arithmetic: Option<ArithmeticRate>,
     pub runs: Vec<Run>,
 }
@@ -36,6 +36,13 @@ pub struct Program {
     pub commit: Option<String>,
     /// "release" or "debug".
     pub build: String,
+}
+
+impl fmt::Display for Program {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let commit = self.commit.as_deref().unwrap_or("commit unknown");
+        write!(f, "ashsplat {} ({commit}, {})", self.version, self.build)
+    }
 }
 
 /// The machine that holds the device.
@@ -53,11 +60,9 @@ pub struct Device {
     pub driver: String,
     pub api_version: String,
     pub subgroup_size: u32,
-    /// Subgroup size of the heaviest kernels; null in files written before it was added.
-    #[serde(default)]
+    /// Subgroup size of the heaviest kernels.
     pub heavy_subgroup_size: Option<u32>,
-    /// Form of the kernels that ran, "gpu" or "processor"; null in files written before it was added.
-    #[serde(default)]
+    /// Form of the kernels that ran, "gpu" or "processor".
     pub backend: Option<String>,
     pub limits: BTreeMap<String, f64>,
 }
@@ -83,13 +88,7 @@ pub struct CopyBandwidth {
     pub gigabytes_per_second: f64,
     pub time_ms: Spread,
     /// "timestamps", or "host": from submission until the host knows, which is later.
-    #[serde(default = "timestamps")]
     pub clock: String,
-}
-
-/// Clock of files written before the field was added.
-fn timestamps() -> String {
-    "timestamps".to_owned()
 }
 
 /// Arithmetic rate of the device, measured in the same run by multiply-adds on registers.
@@ -101,7 +100,6 @@ pub struct ArithmeticRate {
     pub gigaoperations_per_second: f64,
     pub time_ms: Spread,
     /// Same as in [`CopyBandwidth`].
-    #[serde(default = "timestamps")]
     pub clock: String,
 }
 
@@ -112,8 +110,7 @@ pub struct Run {
     /// "render-shared" ("draw-…") if both forms of blending are measured.
     pub name: String,
     pub workload: Workload,
-    /// Measured iterations; 0 in files written before it was added.
-    #[serde(default)]
+    /// Measured iterations.
     pub iterations: u32,
     /// Wall time of an iteration, with every command timed.
     pub wall_ms: Spread,
@@ -124,11 +121,9 @@ pub struct Run {
     /// Host time between the end of a submission and the start of the next one on the device's queue.
     pub between_submissions_ms: Option<Spread>,
     /// Wall time of an iteration with nothing timed.
-    #[serde(default)]
     pub untimed_ms: Option<Spread>,
     /// Processor time of the whole process per untimed iteration: the true cost on a software device.
     pub cpu_seconds: Option<Spread>,
-    pub cost_of_measuring: Option<Cost>,
     pub kernels: Vec<KernelResult>,
     /// Device memory by arena.
     pub memory: Vec<Arena>,
@@ -153,14 +148,6 @@ pub struct Split {
     pub host_ms: f64,
 }
 
-/// Times with every command timed over times without timestamps; the iterations take turns.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Cost {
-    pub wall: Spread,
-    /// Ratio of the process' processor time.
-    pub processor: Option<Spread>,
-}
-
 /// Inputs of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Workload {
@@ -178,8 +165,7 @@ pub struct Workload {
     pub instances: Option<u32>,
     /// Entries of the fullest tile.
     pub longest_tile: Option<u32>,
-    /// Form of blending, "regions" or "shared"; null if nothing is blended, and in files written before it was added.
-    #[serde(default)]
+    /// Form of blending, "regions" or "shared"; null if nothing is blended.
     pub blending: Option<String>,
 }
 
@@ -191,9 +177,6 @@ pub struct KernelResult {
     pub kernel: String,
     /// Dispatches per iteration.
     pub calls: u32,
-    /// Dispatches that wait behind a barrier for earlier work; null in files written before it was added.
-    #[serde(default)]
-    pub waits: Option<u32>,
     /// Workgroups per iteration, indirect dispatches included; null for transfers.
     pub workgroups: Option<u64>,
     /// Device time per iteration; null without timestamps.
@@ -206,41 +189,14 @@ pub struct KernelResult {
     pub gigabytes_per_second: Option<f64>,
     /// Bandwidth over the device's own copy bandwidth.
     pub share_of_copy_bandwidth: Option<f64>,
-    /// Accesses to scattered addresses; null if none were counted.
-    #[serde(default)]
-    pub transactions: Option<Transactions>,
-    /// Gaussian-pixel pairs that a blending kernel computes per iteration; null for others, and in files written before it was added.
-    #[serde(default)]
+    /// Gaussian-pixel pairs that a blending kernel computes per iteration; null for others.
     pub samples: Option<u64>,
     /// Additions, multiplications and divisions of a blending kernel per iteration; null for others.
-    #[serde(default)]
     pub operations: Option<u64>,
     /// Operations over the median time.
-    #[serde(default)]
     pub gigaoperations_per_second: Option<f64>,
     /// Arithmetic rate over the device's own.
-    #[serde(default)]
     pub share_of_arithmetic: Option<f64>,
-}
-
-/// Memory that a kernel's subgroups touch at once where lanes access scattered addresses, per iteration.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Transactions {
-    /// Bytes of these accesses.
-    pub bytes: u64,
-    /// Bytes of the accessed arrays.
-    pub array_bytes: u64,
-    /// Counts for several subgroup sizes.
-    pub by_lanes: Vec<Segments>,
-}
-
-/// Aligned memory segments of 32, 64 and 128 bytes that subgroups touch. Each access of a subgroup counts a segment once.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Segments {
-    pub lanes: u32,
-    pub of_32: u64,
-    pub of_64: u64,
-    pub of_128: u64,
 }
 
 /// Device memory of one arena.
@@ -264,8 +220,7 @@ pub struct Spread {
     pub min: f64,
     pub median: f64,
     pub p90: f64,
-    /// Basis of sums over many iterations; 0 in files written before it was added.
-    #[serde(default)]
+    /// Basis of sums over many iterations.
     pub mean: f64,
 }
 

@@ -1,4 +1,4 @@
-//! Results for people and for spreadsheets.
+//! Results for people.
 
 use super::schema::{Report, Run, Spread, Workload};
 use ashsplat_program::progress::thousands;
@@ -39,8 +39,7 @@ pub fn render(report: &Report) -> String {
         "{} ({}), {}, Vulkan {}, subgroups of {}",
         d.name, d.kind, d.driver, d.api_version, d.subgroup_size
     );
-    let commit = report.program.commit.as_deref().unwrap_or("commit unknown");
-    let _ = writeln!(out, "ashsplat {} ({commit}, {})", report.program.version, report.program.build);
+    let _ = writeln!(out, "{}", report.program);
     if let Some(copy) = &report.copy_bandwidth {
         let _ = writeln!(
             out,
@@ -110,15 +109,6 @@ fn one_run(out: &mut String, run: &Run) {
             cpu.median, cpu.min, cpu.p90, cpu.mean
         );
     }
-    if let Some(cost) = &run.cost_of_measuring {
-        let percent = |ratio: &Spread| {
-            let [median, least, most] = [ratio.median, ratio.min, ratio.p90].map(|r| 100.0 * (r - 1.0));
-            format!("{median:+.1} % (from {least:+.1} to {most:+.1})")
-        };
-        let processor =
-            cost.processor.as_ref().map_or_else(String::new, |p| format!(", processor {}", percent(p)));
-        let _ = writeln!(out, "  cost of measuring: wall {}{processor}", percent(&cost.wall));
-    }
     kernels_table(out, run);
     for k in &run.kernels {
         if let (Some(rate), Some(share)) = (k.gigaoperations_per_second, k.share_of_arithmetic) {
@@ -187,39 +177,4 @@ fn kernels_table(out: &mut String, run: &Run) {
             k.share_of_copy_bandwidth.map_or_else(|| "-".to_owned(), |s| format!("{:.0}%", 100.0 * s)),
         );
     }
-}
-
-/// One line per kernel of each run.
-pub fn csv(report: &Report) -> String {
-    let mut out = String::from(
-        "run,stage,kernel,calls,workgroups,time_us_min,time_us_median,time_us_p90,bytes_read,bytes_written,\
-         gigabytes_per_second,share_of_copy_bandwidth,operations,gigaoperations_per_second,\
-         share_of_arithmetic\n",
-    );
-    for run in &report.runs {
-        for k in &run.kernels {
-            let time = |of: fn(Spread) -> f64| k.time_us.map_or_else(String::new, |t| of(t).to_string());
-            let optional = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
-            let groups = k.workgroups.map_or_else(String::new, |n| n.to_string());
-            let _ = writeln!(
-                out,
-                "{},{},{},{},{groups},{},{},{},{},{},{},{},{},{},{}",
-                run.name,
-                k.scope,
-                k.kernel,
-                k.calls,
-                time(|t| t.min),
-                time(|t| t.median),
-                time(|t| t.p90),
-                k.bytes_read,
-                k.bytes_written,
-                optional(k.gigabytes_per_second),
-                optional(k.share_of_copy_bandwidth),
-                k.operations.map_or_else(String::new, |n| n.to_string()),
-                optional(k.gigaoperations_per_second),
-                optional(k.share_of_arithmetic)
-            );
-        }
-    }
-    out
 }

@@ -13,8 +13,7 @@ use std::path::Path;
 /// Iterations of a window. Every second one is timed kernel by kernel.
 const WINDOW: u32 = 100;
 /// One more step precedes them, in which the profile allocates its memory.
-pub const ITERATIONS: Iterations =
-    Iterations { measured: (WINDOW - 1) / 2, warmup: 0, timed: true, reads_back: true };
+pub const ITERATIONS: Iterations = Iterations { measured: (WINDOW - 1) / 2, warmup: 0, timed: true };
 
 /// A data set to train with the reference's settings; every eighth view is held out.
 pub struct Training {

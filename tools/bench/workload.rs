@@ -322,19 +322,3 @@ impl Fnv {
         format!("{:016x}", self.0)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::Fnv;
-
-    #[test]
-    fn hash_is_fnv_1a() {
-        let hash = |text: &str| {
-            let mut hash = Fnv::default();
-            hash.add(text.as_bytes());
-            hash.hex()
-        };
-        assert_eq!(hash(""), "cbf29ce484222325");
-        assert_eq!(hash("foobar"), "85944171f73967e8");
-    }
-}

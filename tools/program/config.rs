@@ -10,17 +10,16 @@ mod unused;
 
 pub use data::{DataSettings, Outside, Split, When};
 pub use few_photos::Facts;
-pub use missing_points::MissingPoints;
 pub use train_overrides::{Recipe, TrainOverrides, strategies};
 
 use crate::blocks::job::Job;
 use ashsplat::train::settings::TrainOption;
 use ashsplat::train::{Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
-use block::BlockArguments;
-use clap::Args;
+use clap::error::ErrorKind;
+use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 use file::Purpose;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use toml::Table;
 
@@ -32,83 +31,44 @@ pub const CFG_ARGS_FILE: &str = "cfg_args";
 /// Name of the list of a run's cameras, held-out ones first.
 pub const CAMERAS_FILE: &str = "cameras.json";
 
-/// The settings that can be given on the command line, under the reference's names. All are optional: what is
-/// not given comes from `--config`, or else is the default.
-#[derive(Args, Default, Serialize)]
-pub struct Overrides {
-    /// Data set: a folder with images/ and sparse/0/ as COLMAP writes them, or with transforms.json, or a ZIP of one
-    #[arg(short, long, value_name = "DATASET")]
-    source_path: Option<PathBuf>,
-    /// Folder for everything that the run writes
-    #[arg(short, long, value_name = "OUT")]
-    model_path: Option<PathBuf>,
-    /// Settings for a purpose: fast (fewer Gaussians, small pictures first), default, quality (more Gaussians), reference (the
-    /// article's recipe). What is given otherwise wins [default: default; with --strategy: the strategy's own settings]
-    #[arg(long, value_parser = PRESETS, value_name = "NAME")]
-    preset: Option<String>,
-    /// Folder of the photos within the data set [default: images]
-    #[arg(short, long, value_name = "NAME")]
-    images: Option<String>,
-    /// Folder of inverse-depth maps within the data set: a 16-bit PNG per photo, of its name; scale and offset are in
-    /// sparse/0/depth_params.json, or else are fitted to the sparse points
-    #[arg(short, long, value_name = "FOLDER")]
-    depths: Option<PathBuf>,
-    /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: -1]
-    #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
-    resolution: Option<i32>,
-    /// Photos as they are stored, or turned as their metadata (Exif) say; auto takes them as stored unless the sizes of
-    /// their cameras are those of the turned ones [default: auto]
-    #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME")]
-    orientation: Option<String>,
-    /// Hold out every 8th view (by name) for tests
-    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
-    eval: Option<bool>,
-    /// Which views are held out, where the data set does not say so [default: inner; with the preset or strategy reference and with
-    /// --train-test-exp: reference]
-    #[arg(long, value_name = "NAME")]
-    eval_split: Option<Split>,
-    /// Train on the left half of the held-out views as well, and test on the right one under the exposure that was learned;
-    /// sets --exposure (the reference's protocol)
-    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
-    train_test_exp: Option<bool>,
-    /// Settings for few photos: steps leave some Gaussians out, opacities have a weight, and more steps are averaged. auto changes
-    /// nothing from 32 photos on, all from 12 down, and shares of it in between (not with the reference's strategy); on changes all.
-    /// Options that set these values take precedence [default: auto]
-    #[arg(long, value_name = "WHEN")]
-    few_photos: Option<When>,
-    #[command(flatten)]
-    #[serde(flatten)]
-    missing_points: MissingPoints,
-    /// Begin with the Gaussians of this file, of any format that convert reads, in place of points
-    #[arg(long, value_name = "FILE")]
-    init: Option<PathBuf>,
-    #[command(flatten, next_help_heading = "Blocks")]
-    #[serde(flatten)]
-    block: BlockArguments,
-    /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
-    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
-    test_iterations: Option<Vec<u32>>,
-    /// Measure LPIPS too, in the last test, as `ashsplat eval` does: by the weights in this file; given twice, by both
-    #[arg(long, value_name = "FILE")]
-    lpips_weights: Option<Vec<PathBuf>>,
-    /// Save a PLY after these iterations, and after the last; -1 for the last only [default: 7000 30000]
-    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
-    save_iterations: Option<Vec<u32>>,
-    /// Write a checkpoint, from which training can go on, after these iterations
-    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
-    checkpoint_iterations: Option<Vec<u32>>,
-    /// Write a checkpoint after every so many iterations and after the last, of which only the newest stays; 0 for none
-    /// [default: 0]
-    #[arg(long, value_name = "N")]
-    checkpoint_every: Option<u32>,
-    #[command(flatten)]
-    #[serde(flatten)]
-    train: TrainOverrides,
+/// The settings that are given on the command line, by name. All are optional: what is not given comes from
+/// `--config`, or else is the default.
+#[derive(Default)]
+pub struct Overrides(Table);
+
+impl Args for Overrides {
+    fn augment_args(command: Command) -> Command {
+        let preset = Arg::new("preset").long("preset").value_name("NAME").value_parser(PRESETS);
+        let preset = preset.help(
+            "Settings for a purpose: fast (fewer Gaussians, small pictures first), default, quality (more Gaussians), reference \
+             (the article's recipe). What is given otherwise wins [default: default; with --strategy: the strategy's own settings]",
+        );
+        TrainOverrides::augment_args(DataSettings::augment_args_for_update(command).arg(preset))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
 }
 
-/// Parses an iteration. -1, which means "never" in scripts for the reference, becomes 0, which never comes.
-fn iteration(text: &str) -> Result<u32, std::num::ParseIntError> {
-    if text == "-1" { Ok(0) } else { text.parse() }
+impl FromArgMatches for Overrides {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let mut overrides = Self::default();
+        overrides.update_from_arg_matches(matches)?;
+        Ok(overrides)
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        let mut data = DataSettings::default();
+        data.update_from_arg_matches(matches)?;
+        let refused = |e: toml::ser::Error| clap::Error::raw(ErrorKind::ValueValidation, format!("{e}\n"));
+        let data = Table::try_from(data).map_err(refused)?;
+        self.0.extend(data.into_iter().filter(|(name, _)| matches.contains_id(name)));
+        let preset = matches.get_one::<String>("preset");
+        self.0.extend(preset.map(|name| ("preset".to_owned(), name.clone().into())));
+        self.0.extend(TrainOverrides::from_arg_matches(matches)?.0);
+        Ok(())
+    }
 }
 
 /// All settings of a run.
@@ -134,8 +94,7 @@ impl Given {
 
     fn read_for(purpose: Purpose, file: Option<&Path>, overrides: &Overrides) -> Result<Given> {
         let of_file = file.map_or_else(|| Ok(Table::new()), |file| file::table(file, purpose))?;
-        let mut of_line =
-            Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
+        let mut of_line = overrides.0.clone();
         // A preset is a set of defaults, which settings in the file would override.
         let chosen = set_by_presets().find(|&key| of_file.contains_key(key));
         if let (Some(path), Some(key), true) = (file, chosen, of_line.contains_key("preset")) {
@@ -143,10 +102,10 @@ impl Given {
             return Err(Error::input(path, problem, "leave out one of them, or --preset"));
         }
         // A job in a file counts only if the file lacks the settings that follow from it. A dump has all of them.
-        let job = of_file.get("job").filter(|_| !of_file.contains_key("source_path"));
-        let job = overrides.block.job.as_deref().or(job.and_then(toml::Value::as_str));
+        let of_files = of_file.get("job").filter(|_| !of_file.contains_key("source_path"));
+        let job = of_line.remove("job").or(of_files.cloned());
+        let job = job.as_ref().and_then(toml::Value::as_str);
         let of_job = job.map_or_else(|| Ok(Table::new()), |job| Ok(Job::find(job)?.settings()))?;
-        of_line.remove("job");
         Ok(Given { file: file.map(Path::to_owned), of_file, of_job, of_line })
     }
 
@@ -308,8 +267,11 @@ fn python_string(text: &str) -> String {
 mod tests {
     use super::*;
     use ashsplat::train::settings::OptionKind;
-    use clap::{Command, FromArgMatches};
     use toml::Value;
+
+    pub(super) fn given(text: &str) -> Overrides {
+        Overrides(text.parse().expect("TOML"))
+    }
 
     #[test]
     fn a_preset_sets_defaults_and_no_more() {
@@ -329,7 +291,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("a.toml");
         std::fs::write(&file, "iterations = 900\n").expect("written");
-        let fast = Overrides { preset: Some("fast".into()), ..Overrides::default() };
+        let fast = given("preset = 'fast'");
         let both = Settings::resolve(Some(&file), &fast).expect("settings").train;
         assert_eq!(both, TrainSettings { iterations: 900, ..TrainSettings::of_preset(Preset::Fast) });
         std::fs::write(&file, "strategy = 'budget'\n").expect("written");
@@ -337,9 +299,8 @@ mod tests {
         assert!(refused.contains("a.toml: sets strategy"), "{refused}");
         let refused = resolved("train_test_exp = true\nexposure = false").expect_err("contradictory");
         assert!(refused.contains("exposure = false"), "{refused}");
-        let given =
-            resolved("preset = 'fast'\nstrategy = 'budget'\ncap_ratio = 3.0").expect("settings").train;
-        assert_eq!(given, TrainSettings { cap_ratio: 3.0, ..TrainSettings::of_preset(Preset::Fast) });
+        let both = resolved("preset = 'fast'\nstrategy = 'budget'\ncap_ratio = 3.0").expect("settings").train;
+        assert_eq!(both, TrainSettings { cap_ratio: 3.0, ..TrainSettings::of_preset(Preset::Fast) });
         let refused = resolved("preset = 'fast'\nstrategy = 'mcmc'").expect_err("contradictory");
         assert!(refused.contains("leave out the preset"), "{refused}");
         assert!(resolved("preset = 'good'").expect_err("unknown").contains("good"));
@@ -391,23 +352,18 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("my.toml");
         std::fs::write(&path, "iterations = 10\nseed = 3\n").expect("written");
-        let mut overrides = Overrides::default();
-        overrides.train.0.insert("iterations".into(), 20.into());
-        let settings = Settings::resolve(Some(&path), &overrides).expect("settings");
+        let settings = Settings::resolve(Some(&path), &given("iterations = 20")).expect("settings");
         assert_eq!((settings.train.iterations, settings.train.seed), (20, 3));
     }
 
     #[test]
     fn a_strategy_brings_its_defaults() {
-        let mut overrides = Overrides::default();
-        overrides.train.0.insert("strategy".into(), "mcmc".into());
-        overrides.train.0.insert("opacity_lr".into(), 0.025.into());
+        let overrides = given("strategy = 'mcmc'\nopacity_lr = 0.025");
         let settings = Settings::resolve(None, &overrides).expect("settings").train;
         let expected = TrainSettings { opacity_lr: 0.025, ..TrainSettings::of_strategy(StrategyType::Mcmc) };
         assert_eq!(settings, expected);
         assert_eq!((settings.densify_until_iter, settings.initial_opacity), (25_000, 0.5));
-        overrides.train.0.insert("strategy".into(), "mcm".into());
-        let message = Settings::resolve(None, &overrides).expect_err("refused").to_string();
+        let message = Settings::resolve(None, &given("strategy = 'mcm'")).expect_err("refused").to_string();
         assert!(message.contains("mcm") && message.contains("mcmc"), "{message}");
     }
 

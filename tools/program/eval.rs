@@ -137,25 +137,26 @@ impl Evaluation {
         Value::Object(summary)
     }
 
+    /// Name and value of each measure of a view.
+    pub fn values(&self, view: &ViewResult) -> impl Iterator<Item = (&'static str, f64)> {
+        let own = [("SSIM", view.ssim), ("PSNR", view.psnr), ("CC_PSNR", view.cc_psnr)];
+        own.into_iter().chain(self.measures.iter().copied().zip(view.lpips.clone()))
+    }
+
     /// The reference's entry in per_view.json, whose views are named after their saved renders.
-    fn per_view(&self) -> Value {
-        let by_view = |value: &dyn Fn(&ViewResult) -> f64| -> Value {
-            let named = |(index, view): (usize, &ViewResult)| (format!("{index:05}.png"), json!(value(view)));
-            Value::Object(self.views.iter().enumerate().map(named).collect())
-        };
+    fn per_view(&self) -> Map<String, Value> {
         let mut all = Map::new();
-        all.insert("SSIM".into(), by_view(&|view| view.ssim));
-        all.insert("PSNR".into(), by_view(&|view| view.psnr));
-        all.insert("CC_PSNR".into(), by_view(&|view| view.cc_psnr));
-        for (index, name) in self.measures.iter().enumerate() {
-            all.insert((*name).into(), by_view(&|view| view.lpips[index]));
+        for (index, view) in self.views.iter().enumerate() {
+            for (name, value) in self.values(view) {
+                let of_name = all.entry(name).or_insert_with(|| json!({}));
+                of_name[format!("{index:05}.png")] = json!(value);
+            }
         }
-        if let Some(aligned) = &self.aligned
-            && let Value::Object(of_aligned) = aligned.per_view()
-        {
-            all.extend(of_aligned.into_iter().map(|(name, values)| (format!("{name}_aligned"), values)));
+        if let Some(aligned) = &self.aligned {
+            let of_aligned = aligned.per_view().into_iter();
+            all.extend(of_aligned.map(|(name, values)| (format!("{name}_aligned"), values)));
         }
-        Value::Object(all)
+        all
     }
 }
 
@@ -254,7 +255,8 @@ fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
 /// Adds an iteration's results to a model folder's results.json and per_view.json. Other iterations' results stay.
 pub fn write_results(folder: &Path, iteration: u32, evaluation: &Evaluation) -> Result<()> {
     let key = format!("ours_{iteration}");
-    for (file, entry) in [(RESULTS_FILE, evaluation.summary()), (PER_VIEW_FILE, evaluation.per_view())] {
+    for (file, entry) in [(RESULTS_FILE, evaluation.summary()), (PER_VIEW_FILE, evaluation.per_view().into())]
+    {
         let path = folder.join(file);
         let mut results = match regular_file::read_json(&path) {
             Ok(text) => serde_json::from_slice::<Map<String, Value>>(&text)

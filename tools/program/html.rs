@@ -25,12 +25,70 @@ p.note { color: var(--soft); margin: .2em 0 .6em; } svg { display: block; } svg 
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; font-size: 12px; }
 td, th { padding: 2px 7px; text-align: right; border-bottom: 1px solid var(--line); } td.name, th.name { text-align: left; }
 .key { display: inline-block; margin-right: 1em; } .key i { display: inline-block; width: .8em; height: .8em; margin-right: .35em; }
+.bar { width: 34%; } td.bar i { display: block; height: .75em; border-radius: 2px; background: #4e79a7; }
+tr.sum td { font-weight: 600; border-bottom: none; }
 .row { display: flex; flex-wrap: wrap; gap: 1.2em; } figure { margin: 0; } figcaption { color: var(--soft); font-size: 12px; }
 ";
 
 /// A heading with a note.
 pub fn section(out: &mut String, title: &str, note: &str) {
     let _ = writeln!(out, "<h2>{title}</h2><p class=\"note\">{note}</p>");
+}
+
+/// A cell of a table.
+pub enum Cell {
+    /// Text at the left.
+    Name(String),
+    /// Text at the right; HTML.
+    Number(String),
+    /// A bar, as a share of the column's width.
+    Bar(f64),
+}
+
+impl Cell {
+    /// A number with so many digits after the point; a dash for none.
+    pub fn number(value: impl Into<Option<f64>>, digits: usize) -> Cell {
+        Cell::Number(value.into().map_or_else(|| "–".to_owned(), |value| format!("{value:.digits$}")))
+    }
+
+    fn class(&self) -> &'static str {
+        match self {
+            Cell::Name(_) => " class=\"name\"",
+            Cell::Number(_) => "",
+            Cell::Bar(_) => " class=\"name bar\"",
+        }
+    }
+
+    fn html(&self) -> String {
+        match self {
+            Cell::Name(text) => escape(text),
+            Cell::Number(text) => text.clone(),
+            Cell::Bar(share) => format!("<i style=\"width:{:.1}%\"></i>", 100.0 * share),
+        }
+    }
+}
+
+/// A table. `sum` is its last row, set off from the others.
+pub fn table(heads: &[&str], rows: &[Vec<Cell>], sum: Option<Vec<Cell>>) -> String {
+    let first = rows.first().or(sum.as_ref()).map_or(&[][..], |row| row);
+    let class = |column: usize| first.get(column).map_or("", Cell::class);
+    let heads = heads.iter().enumerate().map(|(column, head)| format!("<th{}>{head}</th>", class(column)));
+    let mut out = format!("<table><tr>{}</tr>\n", heads.collect::<String>());
+    for (row, kind) in rows.iter().map(|row| (row, "")).chain(sum.iter().map(|row| (row, " class=\"sum\""))) {
+        let cells = row.iter().map(|cell| format!("<td{}>{}</td>", cell.class(), cell.html()));
+        let _ = writeln!(out, "<tr{kind}>{}</tr>", cells.collect::<String>());
+    }
+    out + "</table>\n"
+}
+
+/// A table of arenas and the most bytes that each ever held.
+pub fn memory(arenas: &[(&str, u64)]) -> String {
+    let most = arenas.iter().map(|(_, bytes)| *bytes).max().unwrap_or(1).max(1) as f64;
+    let row = |&(name, bytes): &(&str, u64)| {
+        let bytes = bytes as f64;
+        vec![Cell::Name(name.to_owned()), Cell::number(bytes / 1_048_576.0, 2), Cell::Bar(bytes / most)]
+    };
+    table(&["arena", "MiB", ""], &arenas.iter().map(row).collect::<Vec<_>>(), None)
 }
 
 /// A picture as a data URL, lossless.
@@ -120,22 +178,4 @@ pub fn escape(text: &str) -> String {
 /// Display name of a stage.
 pub fn shown(stage: &str) -> &str {
     if stage.is_empty() { "read-back" } else { stage }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn heat_rises_in_brightness() {
-        let brightness = |i: u32| heat(f64::from(i) / 20.0).iter().map(|&c| u32::from(c)).sum::<u32>();
-        assert!((0..20).all(|i| brightness(i) < brightness(i + 1)));
-    }
-
-    #[test]
-    fn pictures_are_addresses() {
-        let photo = Photo { width: 2, height: 1, rgb: vec![9; 6] };
-        assert!(jpeg(&photo).expect("a picture").starts_with("data:image/jpeg;base64,/9j/"));
-        assert!(png(2, 1, &photo.rgb).expect("a picture").starts_with("data:image/png;base64,iVBORw0KGgo"));
-    }
 }

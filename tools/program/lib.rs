@@ -17,8 +17,8 @@ macro_rules! tell {
 }
 
 pub mod args;
-pub mod axis;
 pub mod blocks;
+pub mod chart;
 pub mod child;
 pub mod config;
 pub mod eval;

@@ -17,7 +17,7 @@ const WAIT: Duration = Duration::from_millis(500);
 /// Number and interval of further tries before a folder counts as held.
 const GLANCES: u32 = 3;
 const GLANCE: Duration = Duration::from_millis(20);
-/// How often a folder that is waited for may vanish.
+/// How often a folder may vanish between its creation and its lock.
 const MOST_VANISHED: u32 = 20;
 
 /// Kind of work in a locked folder.
@@ -43,49 +43,13 @@ pub struct FolderLock {
 }
 
 impl FolderLock {
-    /// Locks an existing folder.
+    /// Locks a folder, which is created if needed. Dropping the lock removes new folders that are still empty. With
+    /// `waits`, waits while another process holds the folder, and reports which; several processes may create it at once.
     ///
     /// # Errors
-    /// [`Error::Input`] naming the process that holds it; [`Error::Io`].
-    pub fn take(folder: &Path, work: &Work) -> Result<Self> {
-        let mut glances = 0;
-        loop {
-            match Self::try_take(folder, work)? {
-                Try::Locked(lock) => return Ok(lock),
-                // Another process that only checks the lock holds it for a moment.
-                Try::Held(_) if glances < GLANCES => {
-                    glances += 1;
-                    std::thread::sleep(GLANCE);
-                }
-                Try::Held(by) => {
-                    let problem = format!("another {}{by} is writing into this folder", work.what);
-                    let remedy = format!("wait for its end, or choose another {}", work.option);
-                    return Err(Error::input(folder, problem, remedy));
-                }
-            }
-        }
-    }
-
-    /// Same as [`FolderLock::take`], but creates the folder if needed. Dropping the lock removes a new folder that is
-    /// still empty.
-    ///
-    /// # Errors
-    /// Same as [`FolderLock::take`]; [`Error::Io`] if the folder cannot be created.
-    pub fn make(folder: &Path, work: &Work) -> Result<Self> {
-        let made = missing(folder);
-        atomic::create_folder(folder)?;
-        let mut lock = Self::take(folder, work)?;
-        lock.made = made;
-        Ok(lock)
-    }
-
-    /// Same as [`FolderLock::take`], but waits while another process holds the folder, and reports which. It creates
-    /// the folder if needed, also for several processes at once. Dropping the lock removes new folders that are still
-    /// empty.
-    ///
-    /// # Errors
-    /// Same as [`FolderLock::make`]; [`Error::Interrupted`] if `stop` is set meanwhile.
-    pub fn wait(folder: &Path, work: &Work, stop: &AtomicBool) -> Result<Self> {
+    /// [`Error::Input`] naming the process that holds it, unless it `waits`; [`Error::Interrupted`] if `waits` is set
+    /// meanwhile; [`Error::Io`].
+    pub fn take(folder: &Path, work: &Work, waits: Option<&AtomicBool>) -> Result<Self> {
         let (mut glances, mut told) = (0, false);
         loop {
             let made = missing(folder);
@@ -94,17 +58,23 @@ impl FolderLock {
                     lock.made = made;
                     return Ok(lock);
                 }
-                Ok(Try::Held(by)) if glances >= GLANCES && !told => {
+                // Another process that only checks the lock holds it for a moment.
+                Ok(Try::Held(_)) if glances < GLANCES || told => {}
+                Ok(Try::Held(by)) if waits.is_some() => {
                     told = true;
                     tell!("waiting for another {}{by} that writes into {}", work.what, folder.display());
                 }
-                Ok(Try::Held(_)) => {}
+                Ok(Try::Held(by)) => {
+                    let problem = format!("another {}{by} is writing into this folder", work.what);
+                    let remedy = format!("wait for its end, or choose another {}", work.option);
+                    return Err(Error::input(folder, problem, remedy));
+                }
                 // The process that created the folder has removed it meanwhile.
                 Err(Error::Io { source, .. })
                     if source.kind() == ErrorKind::NotFound && glances < MOST_VANISHED => {}
                 Err(error) => return Err(error),
             }
-            session::check(stop)?;
+            waits.map_or(Ok(()), session::check)?;
             std::thread::sleep(if glances < GLANCES { GLANCE } else { WAIT });
             glances += 1;
         }
@@ -251,21 +221,21 @@ mod tests {
     #[test]
     fn one_holds_a_folder_until_the_end() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let first = FolderLock::take(folder.path(), &WORK).expect("free");
-        let refused = FolderLock::take(folder.path(), &WORK).err().map(|error| error.to_string());
+        let first = FolderLock::take(folder.path(), &WORK, None).expect("free");
+        let refused = FolderLock::take(folder.path(), &WORK, None).err().map(|error| error.to_string());
         let refused = refused.expect("refused");
         let holder = format!("another training ({})", own_name());
         assert!(refused.contains(&holder) && refused.contains("choose another -m"), "{refused}");
         assert_eq!(super::holder(folder.path(), &WORK), Some(own_name()));
         let asked_to_end = AtomicBool::new(true);
-        let ended = FolderLock::wait(folder.path(), &WORK, &asked_to_end).err();
+        let ended = FolderLock::take(folder.path(), &WORK, Some(&asked_to_end)).err();
         assert!(matches!(ended, Some(Error::Interrupted)), "it waits, and ends when it is asked to");
         drop(first);
         assert_eq!(super::holder(folder.path(), &WORK), None);
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is left");
         // The file of a killed process has no holder.
         fs::write(folder.path().join(WORK.file), "process 1").expect("written");
-        drop(FolderLock::take(folder.path(), &WORK).expect("free"));
+        drop(FolderLock::take(folder.path(), &WORK, None).expect("free"));
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0);
     }
 
@@ -274,14 +244,14 @@ mod tests {
     #[test]
     fn a_file_that_is_gone_locks_nothing() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let first = FolderLock::take(folder.path(), &WORK).expect("free");
+        let first = FolderLock::take(folder.path(), &WORK, None).expect("free");
         let open = || File::options().read(true).write(true).open(folder.path().join(WORK.file));
         let [early, late] = [open(), open()].map(|file| file.expect("it is there"));
         drop(first);
         assert!(FolderLock::try_open(folder.path(), early, &WORK).expect("no holder").is_none());
-        let third = FolderLock::take(folder.path(), &WORK).expect("free");
+        let third = FolderLock::take(folder.path(), &WORK, None).expect("free");
         assert!(FolderLock::try_open(folder.path(), late, &WORK).expect("no holder").is_none());
-        assert!(FolderLock::take(folder.path(), &WORK).is_err());
+        assert!(FolderLock::take(folder.path(), &WORK, None).is_err());
         drop(third);
     }
     /// Several threads wait for a missing folder at once: each holds it once, and none is refused.
@@ -294,7 +264,7 @@ mod tests {
         std::thread::scope(|scope| {
             for _ in 0..5 {
                 scope.spawn(|| {
-                    let lock = FolderLock::wait(&folder, &WORK, &never).expect("held");
+                    let lock = FolderLock::take(&folder, &WORK, Some(&never)).expect("held");
                     assert_eq!(inside.fetch_add(1, Ordering::SeqCst), 0, "two at once");
                     std::thread::sleep(GLANCE);
                     inside.fetch_sub(1, Ordering::SeqCst);
@@ -304,7 +274,7 @@ mod tests {
         });
         // Folders that were created for a lock are removed with it.
         let other = place.path().join("another/one");
-        drop(FolderLock::wait(&other, &WORK, &never).expect("held"));
+        drop(FolderLock::take(&other, &WORK, Some(&never)).expect("held"));
         assert!(!place.path().join("another").exists());
     }
 }

@@ -6,7 +6,29 @@ use ashsplat::{Error, Result};
 use ashsplat_files::Dataset;
 use ashsplat_files::splats;
 use ashsplat_files::tiles::{TILESET_FILE, Tree};
+use clap::Args;
 use std::path::{Path, PathBuf};
+
+/// Which trained scene a command takes.
+#[derive(Args)]
+pub struct ModelArguments {
+    /// A model folder or a file of Gaussians
+    #[arg(value_name = "MODEL", required_unless_present = "model_path")]
+    model: Option<PathBuf>,
+    /// The same, under the reference's name
+    #[arg(short, long, value_name = "MODEL", conflicts_with = "model")]
+    model_path: Option<PathBuf>,
+    /// Iteration of the model folder's PLY [default: what was saved last]
+    #[arg(long, value_name = "N")]
+    pub iteration: Option<u32>,
+}
+
+impl ModelArguments {
+    pub fn path(&self) -> Result<&Path> {
+        let path = self.model.as_deref().or(self.model_path.as_deref());
+        path.ok_or_else(|| Error::argument("MODEL", "is missing"))
+    }
+}
 
 /// A trained scene.
 pub struct Model {

@@ -1,7 +1,7 @@
 //! Progress on stderr: a bar on a terminal, plain lines elsewhere, nothing with `--quiet`.
 
 use ashsplat::train::TrainSettings;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanCount, ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
@@ -213,15 +213,7 @@ pub fn significant(number: f32) -> String {
 
 /// Formats 1234567 as "1,234,567".
 pub fn thousands(value: u64) -> String {
-    let digits = value.to_string();
-    let mut grouped = String::new();
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            grouped.push(',');
-        }
-        grouped.push(digit);
-    }
-    grouped
+    HumanCount(value).to_string()
 }
 
 /// Formats seconds as "1:02:03" or "2:03".
@@ -229,16 +221,4 @@ pub fn clock(seconds: f64) -> String {
     let total = seconds.clamp(0.0, 3.6e6).round() as u64;
     let (hours, minutes, seconds) = (total / 3600, total / 60 % 60, total % 60);
     if hours > 0 { format!("{hours}:{minutes:02}:{seconds:02}") } else { format!("{minutes}:{seconds:02}") }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_for_people() {
-        assert_eq!([0, 999, 1000, 1_234_567].map(thousands), ["0", "999", "1,000", "1,234,567"]);
-        assert_eq!([0.0, 0.562_386_3, 12.345, 1e-5].map(significant), ["0", "0.562", "12.3", "0.0000100"]);
-        assert_eq!([0.4, 59.6, 3723.0].map(clock), ["0:00", "1:00", "1:02:03"]);
-    }
 }

@@ -57,7 +57,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::argument("--round", problem + ": merge the blocks"));
     }
     let folder = file.path.with_extension("");
-    let _lock = FolderLock::make(&folder, &WORK)?;
+    let _lock = FolderLock::take(&folder, &WORK, None)?;
     if round <= file.exchanges() {
         if !arguments.quiet {
             say!("round {round} of {rounds} is exchanged already");

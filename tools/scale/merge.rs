@@ -80,7 +80,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let ready = arguments.report.as_ref().map(|page| Ready::new(page, arguments, &file)).transpose()?;
     output::in_folder(&arguments.out, |out| {
         let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
-        let _lock = FolderLock::take(folder.unwrap_or(Path::new(".")), &WORK)?;
+        let _lock = FolderLock::take(folder.unwrap_or(Path::new(".")), &WORK, None)?;
         output::remove_leftovers_of(out);
         arguments.merge(&file, &scenes, out)
     })?;

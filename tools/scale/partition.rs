@@ -162,7 +162,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     division.check_rounds().map_err(|problem| Error::argument("--rounds", problem))?;
     session::check(&stop)?;
     output::in_folder(&arguments.out, |path| {
-        let _lock = FolderLock::take(folder_of(path), &WORK)?;
+        let _lock = FolderLock::take(folder_of(path), &WORK, None)?;
         let old = BlocksFile::read(path).ok();
         old.as_ref().map_or(Ok(()), |old| old.check_replaced(&division))?;
         if let Some(plot) = &arguments.plot {

@@ -135,21 +135,20 @@ pub fn write(folder: &Path, choices: &Choices, seed: u64, quiet: bool) -> Result
         Points::None => PointCloud::default(),
     };
     let bar = counting("photographs", cameras.len() as u64, quiet);
+    let cut_out = |camera: &Camera| {
+        bar.inc(1);
+        raycast::photograph_cutout(&scene, camera)
+    };
+    let with_sky = |camera: &Camera| {
+        bar.inc(1);
+        raycast::photograph(&scene, camera)
+    };
     match choices.layout {
+        Layout::Colmap if sky => write_colmap(folder, &cameras, &points, with_sky)?,
         Layout::Colmap => {
-            let photograph = |camera: &Camera| match sky {
-                true => raycast::photograph(&scene, camera),
-                false => raycast::on_black(&raycast::photograph_cutout(&scene, camera)),
-            };
-            write_colmap(folder, &cameras, &points, |camera| {
-                bar.inc(1);
-                photograph(camera)
-            })?;
+            write_colmap(folder, &cameras, &points, |camera| raycast::on_black(&cut_out(camera)))?;
         }
-        Layout::NerfSynthetic => write_nerf_synthetic(folder, &cameras, &points, |camera| {
-            bar.inc(1);
-            raycast::photograph_cutout(&scene, camera)
-        })?,
+        Layout::NerfSynthetic => write_nerf_synthetic(folder, &cameras, &points, cut_out)?,
     }
     bar.finish_and_clear();
     Ok(())

@@ -1,6 +1,7 @@
 //! The contact sheet: one row per held-out view, photo | render | difference, with captions.
 
 use ashsplat_files::Photo;
+use font8x8::{BASIC_FONTS, UnicodeFonts};
 
 /// Differences are shown this many times brighter.
 pub const DIFFERENCE_GAIN: u32 = 4;
@@ -59,56 +60,14 @@ fn paste(sheet: &mut Photo, picture: &Photo, left: u32, top: u32) {
     }
 }
 
-/// Writes capitals, digits and points in a 3×5 font at twice its size; other characters are blank.
 fn write_text(sheet: &mut Photo, left: u32, top: u32, text: &str) {
-    for (index, character) in text.chars().enumerate() {
-        let bits = glyph(character);
-        for y in 0..10 {
-            for x in 0..6 {
-                if bits >> (14 - (y / 2 * 3 + x / 2)) & 1 == 1 {
-                    put(sheet, left + index as u32 * 8 + x, top + y);
-                }
+    for (left, character) in (left..).step_by(8).zip(text.chars()) {
+        let rows = BASIC_FONTS.get(character).unwrap_or_default();
+        for (y, row) in (top..).zip(rows) {
+            for x in (0..8).filter(|x| row >> x & 1 == 1).map(|x| left + x).filter(|x| *x < sheet.width) {
+                let at = (y as usize * sheet.width as usize + x as usize) * 3;
+                sheet.rgb[at..at + 3].copy_from_slice(&INK);
             }
         }
-    }
-}
-
-fn put(sheet: &mut Photo, x: u32, y: u32) {
-    if x < sheet.width && y < sheet.height {
-        let at = (y as usize * sheet.width as usize + x as usize) * 3;
-        sheet.rgb[at..at + 3].copy_from_slice(&INK);
-    }
-}
-
-/// Five rows of three bits, the top left one highest.
-fn glyph(character: char) -> u16 {
-    match character {
-        '0' => 0b111_101_101_101_111,
-        '1' => 0b010_110_010_010_111,
-        '2' => 0b111_001_111_100_111,
-        '3' => 0b111_001_111_001_111,
-        '4' => 0b101_101_111_001_001,
-        '5' => 0b111_100_111_001_111,
-        '6' => 0b111_100_111_101_111,
-        '7' => 0b111_001_010_010_010,
-        '8' => 0b111_101_111_101_111,
-        '9' => 0b111_101_111_001_111,
-        'B' => 0b110_101_110_101_110,
-        'C' => 0b011_100_100_100_011,
-        'D' => 0b110_101_101_101_110,
-        'E' => 0b111_100_110_100_111,
-        'F' => 0b111_100_110_100_100,
-        'H' => 0b101_101_111_101_101,
-        'I' => 0b111_010_010_010_111,
-        'M' => 0b101_111_111_101_101,
-        'N' => 0b110_101_101_101_101,
-        'O' => 0b010_101_101_101_010,
-        'P' => 0b110_101_110_100_100,
-        'R' => 0b110_101_110_101_101,
-        'S' => 0b011_100_010_001_110,
-        'T' => 0b111_010_010_010_010,
-        'X' => 0b101_101_010_101_101,
-        '.' => 0b000_000_000_000_010,
-        _ => 0,
     }
 }

@@ -63,13 +63,9 @@ impl Colmap {
         })
     }
 
-    fn command(&self, stage: &str) -> Vec<OsString> {
-        vec![stage.into()]
-    }
-
     /// Command that extracts features from the photographs of a list.
     pub fn features(&self, job: &Job, list: &Path, single_camera: bool) -> Vec<OsString> {
-        let mut words = self.command("feature_extractor");
+        let mut words = vec!["feature_extractor".into()];
         words.extend(job.database());
         words.extend(["--image_path".into(), job.photos.clone().into()]);
         words.extend(["--image_list_path".into(), list.into()]);
@@ -85,7 +81,7 @@ impl Colmap {
 
     /// Command that compares `photographs` photographs.
     pub fn matches(&self, job: &Job, matcher: Matcher, photographs: usize) -> Vec<OsString> {
-        let mut words = self.command(matcher.command());
+        let mut words = vec![matcher.command().into()];
         words.extend(job.database());
         if matcher == Matcher::Exhaustive {
             // COLMAP reports progress once per pair of blocks.
@@ -98,7 +94,7 @@ impl Colmap {
 
     /// Command that places the cameras; models go to `folder/0`, `folder/1`, …
     pub fn mapping(&self, job: &Job, folder: &Path) -> Vec<OsString> {
-        let mut words = self.command("mapper");
+        let mut words = vec!["mapper".into()];
         words.extend(job.database());
         words.extend(["--image_path".into(), job.photos.clone().into()]);
         words.extend(["--output_path".into(), folder.into()]);

@@ -85,7 +85,7 @@ impl Work {
         let new = folder.ancestors().filter(|path| !path.as_os_str().is_empty() && !path.exists());
         let new = new.map(Path::to_owned).collect();
         atomic::create_folder(&folder)?;
-        let lock = FolderLock::take(&folder, &POSES)?;
+        let lock = FolderLock::take(&folder, &POSES, None)?;
         let state = State::read(&folder);
         let work =
             Self { dataset: dataset.to_owned(), state: state.unwrap_or_default(), folder, new, _lock: lock };

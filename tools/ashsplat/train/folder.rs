@@ -28,11 +28,10 @@ const INPUT_FILE: &str = "input.ply";
 /// # Errors
 /// [`Error::Input`] if another training writes into the folder.
 pub fn hold(folder: &Path, wait: bool, stop: &AtomicBool) -> Result<Option<FolderLock>> {
-    match wait {
-        true => FolderLock::wait(folder, &TRAINING, stop).map(Some),
-        false if !folder.is_dir() => Ok(None),
-        false => FolderLock::take(folder, &TRAINING).map(Some),
+    if !wait && !folder.is_dir() {
+        return Ok(None);
     }
+    FolderLock::take(folder, &TRAINING, wait.then_some(stop)).map(Some)
 }
 
 /// Creates and locks the model folder if that is still to be done, and writes everything known before training. A run
@@ -50,7 +49,7 @@ pub fn begin(
     let folder = &settings.data.model_path;
     atomic::create_folder(folder)?;
     // Locked before anything is removed, which may be another training's.
-    let lock = held.map_or_else(|| FolderLock::take(folder, &TRAINING), Ok)?;
+    let lock = held.map_or_else(|| FolderLock::take(folder, &TRAINING, None), Ok)?;
     remove_leftovers(folder);
     if !goes_on {
         keep_earlier(folder)?;

@@ -31,6 +31,7 @@ pub struct Origin {
 }
 
 /// The first Gaussians of a training.
+#[derive(Clone)]
 pub struct First {
     /// The trained Gaussians; `None` if they come from a checkpoint.
     pub trained: Option<Gaussians>,
@@ -231,14 +232,13 @@ impl Origin {
         &self,
         context: &Context,
         data: Data,
-        first: (&Option<Gaussians>, Option<SceneBlock>),
+        first: First,
         settings: &TrainSettings,
     ) -> Result<Trainer> {
-        let (trained, block) = first;
         let Data { train, scene_extent } = data;
         settings.check()?;
-        let parts = TrainParts { block, ..TrainParts::of_settings(context, settings)? };
-        match (&self.start, trained) {
+        let parts = TrainParts { block: first.block, ..TrainParts::of_settings(context, settings)? };
+        match (&self.start, &first.trained) {
             (Some(start), _) => start.trainer(context, train, (settings, scene_extent), parts),
             (None, Some(initial)) => {
                 Trainer::with_parts(context, train, initial, scene_extent, settings.clone(), parts)

@@ -15,12 +15,6 @@ use std::path::Path;
 /// Number of training views that replace a test set if none is held out.
 const STAND_IN_VIEWS: usize = 5;
 
-/// A prepared data set.
-pub struct Prepared {
-    pub data: Data,
-    pub views: Views,
-}
-
 /// Input of the trainer.
 #[derive(Clone)]
 pub struct Data {
@@ -44,36 +38,30 @@ pub struct Views {
     pub held_out: bool,
 }
 
-impl Prepared {
-    pub fn new(dataset: Dataset, settings: &Settings) -> Prepared {
-        let Dataset { frame, train, test, scene_extent, .. } = dataset;
-        let scene_extent = settings.data.extent(scene_extent, &frame);
-        let own = |view: &View| (view.name.clone(), view.original_camera);
-        // A view may be trained on and held out, one half each.
-        let held_out: HashSet<&str> = test.iter().map(|view| view.name.as_str()).collect();
-        let others = train.iter().filter(|view| !held_out.contains(view.name.as_str()));
-        let cameras = test.iter().chain(others).map(own).collect();
-        let takers = test.iter().chain(&train).map(|view| (view.name.clone(), view.camera_id)).collect();
-        let trained = train.iter().map(|view| view.name.clone()).collect();
-        let held_out = !test.is_empty();
-        let test = if held_out { test } else { sample(&train) };
-        let train = train.into_iter().map(train_view).collect();
-        let views = Views { trained, test, cameras, frame, takers, held_out };
-        Prepared { data: Data { train, scene_extent }, views }
-    }
+/// Divides a data set into what the trainer needs and what the run keeps.
+pub fn split(dataset: Dataset, settings: &Settings) -> (Data, Views) {
+    let Dataset { frame, train, test, scene_extent, .. } = dataset;
+    let scene_extent = settings.data.extent(scene_extent, &frame);
+    let own = |view: &View| (view.name.clone(), view.original_camera);
+    // A view may be trained on and held out, one half each.
+    let held_out: HashSet<&str> = test.iter().map(|view| view.name.as_str()).collect();
+    let others = train.iter().filter(|view| !held_out.contains(view.name.as_str()));
+    let cameras = test.iter().chain(others).map(own).collect();
+    let takers = test.iter().chain(&train).map(|view| (view.name.clone(), view.camera_id)).collect();
+    let trained = train.iter().map(|view| view.name.clone()).collect();
+    let held_out = !test.is_empty();
+    let sample = || stand_ins(train.len()).map(|index| train[index].clone()).collect();
+    let test = if held_out { test } else { sample() };
+    let train = train.into_iter().map(train_view).collect();
+    (Data { train, scene_extent }, Views { trained, test, cameras, frame, takers, held_out })
 }
 
 /// Makes the training view of a view.
-pub fn train_view(view: View) -> TrainView {
+fn train_view(view: View) -> TrainView {
     TrainView::new(view.camera, view.photo)
         .taken_by(view.camera_id)
         .with_inverse_depth(view.inverse_depth)
         .with_depth_points(view.depth_points)
-}
-
-/// A few of the training views, evenly spread.
-fn sample(train: &[View]) -> Vec<View> {
-    stand_ins(train.len()).map(|index| train[index].clone()).collect()
 }
 
 /// Indices of the training views that replace held-out ones.

@@ -46,8 +46,8 @@ body { font-family: system-ui, sans-serif; margin-bottom: 4em; } h1 { font-size:
 .sheet { display: grid; grid-template-columns: repeat(auto-fit, minmax(480px, 1fr)); gap: 8px 18px; }
 .view { display: grid; align-content: start; grid-template-columns: repeat(3, 1fr); gap: 4px; margin-bottom: 14px; } .view p { grid-column: 1 / -1; margin: 0; font-size: 12px; }
 .view img { width: 100%; border-radius: 3px; display: block; } .scale { display: inline-block; width: 110px; height: .75em; border-radius: 2px; }
-.bar { width: 34%; } td.bar i { display: block; height: .75em; border-radius: 2px; background: var(--a); opacity: .75; }
-.settings td.name { white-space: nowrap; overflow-wrap: normal; } tr.sum td { font-weight: 600; border-bottom: none; } tr.own td { font-weight: 600; } td { overflow-wrap: anywhere; }
+td.bar i { background: var(--a); opacity: .75; }
+.settings td.name { white-space: nowrap; overflow-wrap: normal; } tr.own td { font-weight: 600; } td { overflow-wrap: anywhere; }
 .settings { display: grid; grid-template-columns: repeat(auto-fit, minmax(320px, 1fr)); gap: 0 28px; align-items: start; } code { font-size: .93em; }
 .histograms svg { background: var(--card); border: 1px solid var(--edge); border-radius: 8px; padding: 5px 0; }
 @media print { .chart, .view { break-inside: avoid; } }
@@ -294,19 +294,9 @@ fn memory(out: &mut String, run: &Run) {
     });
     section(out, "Device memory", &format!("most that each arena ever held{offloaded}"));
     arenas.sort_by_key(|arena| std::cmp::Reverse(arena.peak_bytes));
-    let most = arenas.first().map_or(1, |arena| arena.peak_bytes.max(1)) as f64;
-    out.push_str("<table><tr><th class=\"name\">arena</th><th>MiB</th><th class=\"name bar\"></th></tr>\n");
-    for arena in arenas.iter().filter(|arena| arena.peak_bytes > 0) {
-        let bytes = arena.peak_bytes as f64;
-        let _ = writeln!(
-            out,
-            "<tr><td class=\"name\">{}</td><td>{:.2}</td><td class=\"name bar\"><i style=\"width:{:.1}%\"></i></td></tr>",
-            escape(&arena.name),
-            bytes / 1_048_576.0,
-            100.0 * bytes / most
-        );
-    }
-    out.push_str("</table>\n");
+    let held = arenas.iter().filter(|arena| arena.peak_bytes > 0);
+    let held: Vec<(&str, u64)> = held.map(|arena| (arena.name.as_str(), arena.peak_bytes)).collect();
+    out.push_str(&html::memory(&held));
 }
 
 fn settings(settings: &Settings) -> Result<String> {

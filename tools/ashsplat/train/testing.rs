@@ -7,7 +7,6 @@ use ashsplat::passes::lpips::Weights;
 use ashsplat::scene::Camera;
 use ashsplat::{Error, Renderer, Result};
 use ashsplat_files::{Gallery, quoted};
-use ashsplat_program::args::HostArguments;
 use ashsplat_program::config::Settings;
 use ashsplat_program::eval;
 use ashsplat_program::eval::{Evaluation, More, Perceptual, Pictures, Protocol, SceneSize};
@@ -22,27 +21,14 @@ pub struct Tested {
     pub evaluation: Evaluation,
 }
 
-/// Weights of LPIPS for the last test.
-#[derive(Default)]
-pub(super) struct FinalLpips {
-    weights: Vec<Weights>,
-}
-
-impl FinalLpips {
-    /// Reads the weights.
-    pub fn read(files: &[PathBuf], host: &HostArguments) -> Result<FinalLpips> {
-        Ok(FinalLpips { weights: eval::read_weights(files, host)? })
+/// Refuses test photos that are too small for LPIPS's networks: they would fail after all the work.
+pub fn check_sizes(weights: &[Weights], gallery: &Gallery, settings: &Settings) -> Result<()> {
+    let held_out = gallery.held_out();
+    let mut tested: Vec<usize> = (0..held_out.len()).filter(|&index| held_out[index]).collect();
+    if tested.is_empty() {
+        tested = stand_ins(held_out.len()).collect();
     }
-
-    /// Refuses test photos that are too small for the networks: they would fail after all the work.
-    pub fn check(&self, gallery: &Gallery, settings: &Settings) -> Result<()> {
-        let held_out = gallery.held_out();
-        let mut tested: Vec<usize> = (0..held_out.len()).filter(|&index| held_out[index]).collect();
-        if tested.is_empty() {
-            tested = stand_ins(held_out.len()).collect();
-        }
-        eval::check_sizes(&self.weights, gallery, &tested, settings.data.train_test_exp)
-    }
+    eval::check_sizes(weights, gallery, &tested, settings.data.train_test_exp)
 }
 
 impl Run {
@@ -81,10 +67,10 @@ impl Run {
 
     /// Measures the views, after the last iteration also LPIPS. Also returns the result of saving the pictures.
     fn evaluate(&mut self, iteration: u32) -> Result<(Evaluation, Result<()>)> {
-        if iteration < self.settings.train.iterations || self.lpips.weights.is_empty() {
+        if iteration < self.settings.train.iterations || self.lpips.is_empty() {
             return self.evaluate_with(iteration, None);
         }
-        let lpips = Perceptual::new(self.trainer.context(), &self.lpips.weights);
+        let lpips = Perceptual::new(self.trainer.context(), &self.lpips);
         let measured = lpips.and_then(|mut lpips| self.evaluate_with(iteration, lpips.as_mut()));
         match measured {
             // Training holds the memory. Its results must not be lost.

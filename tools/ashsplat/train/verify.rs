@@ -1,8 +1,8 @@
 //! `ashsplat train --verify-determinism N`.
 
 use super::checkpoints::Start;
-use super::origin::{First, Origin};
-use super::prepared::Prepared;
+use super::origin::Origin;
+use super::prepared;
 use ashsplat::train::verify::{Verdict, verify_determinism};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -19,10 +19,9 @@ pub fn run(
     quiet: bool,
 ) -> Result<()> {
     let start = origin.start();
-    let First { trained, block, .. } = origin.first(&dataset, settings)?;
-    let data = Prepared::new(dataset, settings).data;
-    let new =
-        |context: &Context| origin.trainer(context, data.clone(), (&trained, block.clone()), &settings.train);
+    let first = origin.first(&dataset, settings)?;
+    let (data, _) = prepared::split(dataset, settings);
+    let new = |context: &Context| origin.trainer(context, data.clone(), first.clone(), &settings.train);
     let left = settings.train.iterations.saturating_sub(start.map_or(0, Start::iteration));
     if left == 0 {
         return Err(Error::argument("checkpoint", "is of the last iteration: there is none left to verify"));

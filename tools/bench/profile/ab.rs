@@ -1,15 +1,15 @@
 //! `--ab A B`: alternates two settings of specialization constants, on the same machine at the same time.
 
 use super::Arguments;
-use super::subject::{Subject, largest_difference, measured};
-use super::{open, spec};
+use super::{largest_difference, open, silent_profile, spec};
 use crate::compare::{self, Line};
+use crate::frames::{Plan, Subject};
+use crate::measure::Measured;
 use crate::traffic::Traffic;
-use crate::workload::Scene;
 use ashsplat::Result;
 
 /// Measures both and prints B's times over A's.
-pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<()> {
+pub fn run(arguments: &Arguments, settings: &[String], plan: &Plan) -> Result<()> {
     let [a, b] = settings else { return Ok(()) };
     let with = |more: &str| -> Result<_> {
         let mut overrides = arguments.overrides()?;
@@ -18,20 +18,20 @@ pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<
     };
     let (with_a, with_b) = (with(a)?, with(b)?);
     let contexts = [open(arguments, &with_a)?, open(arguments, &with_b)?];
-    let subject = |index: usize| Subject::new(&contexts[index], scene, arguments);
-    let mut subjects = [subject(0)?, subject(1)?];
+    let mut subjects = [Subject::new(&contexts[0], plan)?, Subject::new(&contexts[1], plan)?];
+    let profiles = contexts.each_ref().map(silent_profile);
     for subject in &mut subjects {
         subject.warm_up(arguments.warmup())?;
     }
     let mut iterations = [Vec::new(), Vec::new()];
     for _ in 0..arguments.frames() {
-        for (subject, iterations) in subjects.iter_mut().zip(&mut iterations) {
-            iterations.push(subject.timed()?);
+        for index in [0, 1] {
+            iterations[index].push(subjects[index].timed(&profiles[index])?);
         }
     }
     let [first, second] = &mut subjects;
     let difference = largest_difference(&first.picture()?, &second.picture()?);
-    let measured = iterations.map(measured);
+    let measured = iterations.map(|iterations| Measured { iterations, ..Measured::default() });
     let mut kernels = [0, 1].map(|i: usize| measured[i].kernels(&Traffic::bound(), None));
     kernels.iter_mut().try_for_each(|kernels| super::only(arguments.kernel.as_deref(), kernels))?;
     let name = arguments.what().name();

@@ -68,39 +68,3 @@ pub fn dump(folder: &Path, name: Option<&str>) -> Result<String> {
     output::write_text(&folder.join("instructions.txt"), &table)?;
     Ok(table)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn instructions_are_counted_by_class() {
-        let header = [0x0723_0203, 0x0001_0600, 0, 10, 0];
-        let one = |opcode: u32, length: u32| -> Vec<u32> {
-            let mut words = vec![length << 16 | opcode];
-            words.resize(length as usize, 0);
-            words
-        };
-        let exp = vec![6 << 16 | 12, 1, 2, 3, 27, 4];
-        let min = vec![6 << 16 | 12, 1, 2, 3, 37, 4];
-        let parts = [
-            one(61, 4),
-            one(62, 3),
-            one(234, 7),
-            one(349, 6),
-            exp,
-            min,
-            one(129, 5),
-            one(80, 5),
-            one(250, 4),
-            one(224, 4),
-        ];
-        let module: Vec<u32> = header.into_iter().chain(parts.into_iter().flatten()).collect();
-        let expected = CLASSES.map(|class| {
-            let several = ["memory", "arithmetic"].contains(&class);
-            (class, if several { 2 } else { 1 })
-        });
-        assert_eq!(count(&module), expected.into());
-        assert!(count(&[]).is_empty());
-    }
-}

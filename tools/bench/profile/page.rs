@@ -1,17 +1,17 @@
 //! `--html FILE`: one self-contained page.
 
-mod charts;
+mod history;
 mod tiles;
 mod timeline;
 
 use crate::measure::{Iteration, Measured, commands};
-use crate::schema::{Run, Split};
+use crate::schema::{KernelResult, Run, Split, Spread};
 use crate::table::describe;
 use crate::workload::Scene;
 use crate::{frames, machine};
 use ashsplat::vk::Context;
 use ashsplat::{RenderSettings, Result};
-use ashsplat_program::html::{self, escape, section, shown};
+use ashsplat_program::html::{self, Cell, escape, section, shown};
 use std::fmt::Write;
 
 const STYLE: &str = "
@@ -74,7 +74,7 @@ pub fn page(
     constants: &[String],
 ) -> Result<String> {
     let stages = Stages::new(run);
-    let mut renderer = frames::renderer(context, scene, None)?;
+    let mut renderer = frames::renderer(context, scene)?;
     let settings = RenderSettings::default();
     let picture = renderer.render(&scene.camera, &settings)?;
     let filled = renderer.tiles(&scene.camera, &settings)?;
@@ -96,9 +96,7 @@ pub fn page(
         escape(&device.api_version),
         context.limits().subgroup_size
     );
-    let program = machine::program();
-    let commit = program.commit.as_deref().unwrap_or("commit unknown");
-    let _ = writeln!(out, "<p class=\"note\">ashsplat {} ({commit}, {})</p>", program.version, program.build);
+    let _ = writeln!(out, "<p class=\"note\">{}</p>", machine::program());
     if !constants.is_empty() {
         let _ = writeln!(out, "<p>with {}</p>", escape(&constants.join(", ")));
     }
@@ -106,17 +104,18 @@ pub fn page(
     section(&mut out, "Timeline", "the last iteration; wheel zooms, the pointer shows names and times");
     out.push_str(&timeline::svg(&stages, measured.iterations.last()));
     section(&mut out, "Stages", "median of all iterations, with the 90th percentile");
-    out.push_str(&charts::stages(&stages, measured));
+    out.push_str(&stage_times(&stages, measured));
     section(
         &mut out,
         "Kernels",
         "bytes: inputs and outputs once; copy: share of this device's own copy bandwidth",
     );
-    out.push_str(&kernels(run, &stages));
+    out.push_str(&kernels(run));
     section(&mut out, "History", "device time of each iteration by stage; the line is the wall time");
-    out.push_str(&charts::history(&stages, measured));
+    out.push_str(&history::svg(&stages, measured));
     section(&mut out, "Memory", "most that each arena ever held");
-    out.push_str(&charts::memory(run));
+    let arenas = run.memory.iter().map(|arena| (arena.name.as_str(), arena.peak_bytes));
+    out.push_str(&html::memory(&arenas.collect::<Vec<_>>()));
     section(
         &mut out,
         "Tiles",
@@ -142,35 +141,52 @@ fn split(s: &Split) -> String {
     )
 }
 
-fn kernels(run: &Run, stages: &Stages) -> String {
-    let mut out = String::from(
-        "<table><tr><th class=\"name\">stage</th><th class=\"name\">kernel</th><th>calls</th><th>workgroups</th>\
-         <th>µs</th><th>least</th><th>p90</th><th>MB read</th><th>MB written</th><th>GB/s</th><th>copy</th></tr>\n",
-    );
-    for k in &run.kernels {
-        let number = |value: Option<f64>, digits: usize| {
-            value.map_or_else(|| "–".to_owned(), |value| format!("{value:.digits$}"))
-        };
+fn kernels(run: &Run) -> String {
+    let row = |k: &KernelResult| {
         let (time, groups) = (k.time_us, k.workgroups.map(|n| n as f64));
-        let _ = writeln!(
-            out,
-            "<tr><td class=\"name\"><span class=\"key\"><i style=\"background:{}\"></i>{}</span></td>\
-             <td class=\"name\">{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2}</td>\
-             <td>{:.2}</td><td>{}</td><td>{}</td></tr>",
-            stages.color(&k.scope),
-            escape(shown(&k.scope)),
-            escape(&k.kernel),
-            k.calls,
-            number(groups, 0),
-            number(time.map(|t| t.median), 1),
-            number(time.map(|t| t.min), 1),
-            number(time.map(|t| t.p90), 1),
-            k.bytes_read as f64 * 1e-6,
-            k.bytes_written as f64 * 1e-6,
-            number(k.gigabytes_per_second, 2),
-            k.share_of_copy_bandwidth.map_or_else(|| "–".to_owned(), |s| format!("{:.0} %", 100.0 * s)),
-        );
-    }
-    out.push_str("</table>\n");
-    out
+        let copy = k.share_of_copy_bandwidth.map(|share| format!("{:.0} %", 100.0 * share));
+        vec![
+            Cell::Name(shown(&k.scope).to_owned()),
+            Cell::Name(k.kernel.clone()),
+            Cell::Number(k.calls.to_string()),
+            Cell::number(groups, 0),
+            Cell::number(time.map(|t| t.median), 1),
+            Cell::number(time.map(|t| t.min), 1),
+            Cell::number(time.map(|t| t.p90), 1),
+            Cell::number(k.bytes_read as f64 * 1e-6, 2),
+            Cell::number(k.bytes_written as f64 * 1e-6, 2),
+            Cell::number(k.gigabytes_per_second, 2),
+            Cell::Number(copy.unwrap_or_else(|| "–".to_owned())),
+        ]
+    };
+    let heads = [
+        "stage",
+        "kernel",
+        "calls",
+        "workgroups",
+        "µs",
+        "least",
+        "p90",
+        "MB read",
+        "MB written",
+        "GB/s",
+        "copy",
+    ];
+    html::table(&heads, &run.kernels.iter().map(row).collect::<Vec<_>>(), None)
+}
+
+/// A table of the stages' times, milliseconds.
+fn stage_times(stages: &Stages, measured: &Measured) -> String {
+    let times = stages.iter().filter_map(|stage| {
+        let times = measured.iterations.iter().map(|iteration| stages.milliseconds(stage, iteration));
+        Some((stage, Spread::of(times.collect())?))
+    });
+    let times: Vec<(&str, Spread)> = times.collect();
+    let most = times.iter().map(|(_, time)| time.median).fold(1e-12, f64::max);
+    let row = |(stage, time): &(&str, Spread)| {
+        let numbers = [time.median, time.p90].map(|time| Cell::number(time, 3));
+        let first = std::iter::once(Cell::Name(shown(stage).to_owned()));
+        first.chain(numbers).chain([Cell::Bar(time.median / most)]).collect()
+    };
+    html::table(&["stage", "ms", "p90", ""], &times.iter().map(row).collect::<Vec<_>>(), None)
 }

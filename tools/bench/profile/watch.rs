@@ -6,7 +6,7 @@ pub use reloading::{run, take_over};
 #[cfg(not(feature = "hot-reload"))]
 mod missing {
     use super::super::Arguments;
-    use crate::workload::Scene;
+    use crate::frames::Plan;
     use ashsplat::vk::Context;
     use ashsplat::{Error, Result};
     use std::path::Path;
@@ -15,7 +15,7 @@ mod missing {
         "this program was built without it: cargo run --release --features hot-reload -- profile …";
 
     /// Refuses: this build cannot watch shaders.
-    pub fn run(_: &Arguments, _: &Context, _: &Scene) -> Result<()> {
+    pub fn run(_: &Arguments, _: &Context, _: &Plan) -> Result<()> {
         Err(Error::argument("--watch", PROBLEM))
     }
 
@@ -29,14 +29,13 @@ pub use missing::{run, take_over};
 
 #[cfg(feature = "hot-reload")]
 mod reloading {
-    use super::super::subject::{Subject, largest_difference, measured};
-    use super::super::{Arguments, print_messages, spec};
+    use super::super::{Arguments, largest_difference, print_messages, silent_profile, spec};
     use crate::compare::{self, Line};
+    use crate::frames::{Plan, Subject};
     use crate::kernels;
     use crate::measure::Measured;
     use crate::schema::KernelResult;
     use crate::traffic::Traffic;
-    use crate::workload::Scene;
     use ashsplat::kernels::reload;
     use ashsplat::vk::Context;
     use ashsplat::{Error, Result};
@@ -109,18 +108,18 @@ mod reloading {
         picture: Vec<[f32; 3]>,
     }
 
-    fn measure(arguments: &Arguments, context: &Context, scene: &Scene) -> Result<State> {
-        let mut subject = Subject::new(context, scene, arguments)?;
+    fn measure(arguments: &Arguments, context: &Context, plan: &Plan) -> Result<State> {
+        let mut subject = Subject::new(context, plan)?;
+        let profile = silent_profile(context);
         subject.warm_up(arguments.warmup.unwrap_or(WARMUP))?;
         let picture = subject.picture()?;
-        let iterations =
-            (0..arguments.frames.unwrap_or(FRAMES)).map(|_| subject.timed()).collect::<Result<Vec<_>>>()?;
-        let measured = measured(iterations);
+        let timed = (0..arguments.frames.unwrap_or(FRAMES)).map(|_| subject.timed(&profile));
+        let measured = Measured { iterations: timed.collect::<Result<_>>()?, ..Measured::default() };
         Ok(State { kernels: measured.kernels(&Traffic::bound(), None), measured, picture })
     }
 
     /// Runs until Ctrl-C.
-    pub fn run(arguments: &Arguments, context: &Context, scene: &Scene) -> Result<()> {
+    pub fn run(arguments: &Arguments, context: &Context, plan: &Plan) -> Result<()> {
         let glsl = arguments.glsl.clone().unwrap_or_else(own_glsl);
         if !glsl.is_dir() {
             return Err(Error::input(&glsl, "is no folder of shaders", "give it with --glsl"));
@@ -130,7 +129,7 @@ mod reloading {
         ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
             .map_err(|e| Error::argument("--watch", format!("cannot listen for Ctrl-C: {e}")))?;
         let mut watched = Watched::new(glsl);
-        let mut state = measure(arguments, context, scene)?;
+        let mut state = measure(arguments, context, plan)?;
         print_messages(context);
         arguments.device.report_validation(context);
         let wall = state.measured.wall_ms().median;
@@ -155,7 +154,7 @@ mod reloading {
             match recompile(context, &watched.glsl, &changed) {
                 Err(error) => say!("{error}\nthe old kernels stay"),
                 Ok(()) => {
-                    let new = measure(arguments, context, scene)?;
+                    let new = measure(arguments, context, plan)?;
                     report(arguments, &changed, &state, &new);
                     print_messages(context);
                     arguments.device.report_validation(context);

@@ -164,14 +164,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_end_at_the_end() {
-        assert_eq!(shares(1000, 4), [250, 500, 750, 1000]);
-        assert_eq!(shares(3, 20), [1, 2, 3]);
-        assert_eq!(shares(10, 3), [3, 6, 10]);
-        assert_eq!(shares(u32::MAX, 2), [u32::MAX / 2, u32::MAX]);
-    }
-
-    #[test]
     fn other_setups_are_named() {
         let setup = |iterations: u32| {
             let mut map = Map::new();

@@ -1,6 +1,7 @@
 //! Runs of the same strategy combined: means, and ranges over the seeds.
 
 use super::runs::{Point, Run};
+use ashsplat_program::chart::{Axis, Line, Panel, figure};
 use ashsplat_program::progress::thousands;
 use serde::Serialize;
 use std::fmt::Write;
@@ -123,6 +124,44 @@ impl Summary {
         }
         out
     }
+
+    /// Draws PSNR, SSIM and Gaussians by processor seconds, and PSNR by iteration: means over the seeds, with a band from the
+    /// least to the most. Uses seconds if the system does not report processor seconds.
+    pub fn plot(&self, title: &str, until: &[f64]) -> String {
+        type Value = fn(&Place) -> Option<Range>;
+        let mut places = self.curves.iter().flat_map(|curve| &curve.places);
+        let (along, cost): (_, Value) = match places.all(|place| place.cpu_seconds.is_some()) {
+            true => ("CPU-seconds of training", |place| place.cpu_seconds),
+            false => ("seconds of training", |place| Some(place.seconds)),
+        };
+        let iteration: Value = |place| Range::of(std::iter::once(f64::from(place.iteration)));
+        let panel = |upwards, along: &str, (x, y): (Value, Value), levels: &[f64]| {
+            let values = |curve: &Curve| -> Vec<(f64, Range)> {
+                curve.places.iter().filter_map(|place| Some((x(place)?.mean, y(place)?))).collect()
+            };
+            let line = |curve: &Curve| Line {
+                name: format!("{} ({} seeds)", curve.strategy, curve.seeds.len()),
+                points: values(curve).iter().map(|(x, y)| (*x, y.mean)).collect(),
+                band: values(curve).iter().map(|(x, y)| (*x, y.least, y.most)).collect(),
+                width: 2.0,
+            };
+            let lines: Vec<Line> = self.curves.iter().map(line).collect();
+            let band = || lines.iter().flat_map(|line| &line.band);
+            let (right, high) = band().fold((0.0, 0.0), |(x, y): (f64, f64), at| (x.max(at.0), y.max(at.2)));
+            let low = if upwards == "Gaussians" { 0.0 } else { band().map(|at| at.1).fold(high, f64::min) };
+            let (x, y) = (Axis::new(0.0, right), Axis::new(low, high));
+            let (title, along) = (String::new(), along.to_owned());
+            Panel { title, along, upwards, x, y, lines, levels: levels.to_vec() }
+        };
+        let psnr: Value = |place| Some(place.psnr);
+        let panels = [
+            panel("PSNR, dB", along, (cost, psnr), until),
+            panel("PSNR, dB", "iteration", (iteration, psnr), until),
+            panel("SSIM", along, (cost, |place| Some(place.ssim)), &[]),
+            panel("Gaussians", along, (cost, |place| Some(place.gaussians)), &[]),
+        ];
+        figure(title, &panels)
+    }
 }
 
 impl Curve {
@@ -175,12 +214,12 @@ fn cost_of(points: &[Point], psnr: f64) -> Option<(f64, Option<f64>)> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::super::runs::{SCHEMA, Setup};
     use super::*;
 
     /// A run whose PSNR rises by 5 dB a point, a point taking `pace` seconds on two cores.
-    pub(crate) fn run(strategy: &str, seed: u32, pace: f64) -> Run {
+    fn run(strategy: &str, seed: u32, pace: f64) -> Run {
         let point = |k: u32| Point {
             iteration: 100 * k,
             seconds: pace * f64::from(k),
@@ -217,5 +256,11 @@ pub(super) mod tests {
         for words in ["PSNR 30.00 dB", "22.5 dB: by 2 of 2, 10.0 (5.0 to 15.0) CPU-s", "40 dB: not reached"] {
             assert!(table.contains(words), "no '{words}' in {table}");
         }
+        let plot = summary.plot("T & U", &[20.0, 99.0]);
+        assert!(plot.contains("T &amp; U") && plot.contains("a (2 seeds)"));
+        // Each strategy is in each of four panels, and a level within the picture only.
+        let count = |word: &str| plot.matches(word).count();
+        assert_eq!((count("<polyline"), count("<polygon"), count("stroke-dasharray")), (8, 0, 2));
+        assert!(Summary { curves: vec![] }.plot("t", &[]).ends_with("</svg>\n"), "a plot of nothing");
     }
 }

@@ -4,46 +4,7 @@ use super::{DataSettings, Outside, When};
 use ashsplat::scene::{Bounds, WorldFrame};
 use ashsplat::train::SceneBlock;
 use ashsplat::{Error, Result};
-use clap::Args;
 use glam::DVec3;
-use serde::Serialize;
-
-/// A block of a scene, in place of the whole.
-#[derive(Args, Clone, Default, Serialize)]
-pub struct BlockArguments {
-    /// Train this block of a file that `ashsplat partition` wrote: data set, photos, start, block, margin, scene extent,
-    /// iterations and model folder are as it says; -s and --init name the same data set and coarse model where they are elsewhere on
-    /// this machine
-    #[arg(
-        long,
-        value_name = "BLOCKS.json:N",
-        conflicts_with_all = [
-            "model_path", "images", "resolution", "orientation", "eval", "eval_split", "train_test_exp", "block", "margin", "scene_extent",
-        ]
-    )]
-    pub(super) job: Option<String>,
-    /// Train the Gaussians of the start with centres in this box, least and greatest corner, in the data set's coordinates; the others are drawn and stay as they
-    /// are. Sides may be inf or -inf
-    #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
-    block: Option<Vec<f64>>,
-    /// Train those this far around the block too, in the data set's units; none are added there [default: 0]
-    #[arg(long, value_name = "X", allow_hyphen_values = true)]
-    margin: Option<f64>,
-    /// What becomes of the rest of the start's scene: masked leaves it out, and pixels of the photos that show it by its depths do not
-    /// count, which takes less memory than drawing it; after an exchange of blocks it is drawn, and pixels are masked still
-    /// [default: drawn]
-    #[arg(long, value_enum)]
-    outside: Option<Outside>,
-    /// Use of each photo only the part that shows the block and its margin: the rest of it is not drawn and not kept in memory. With
-    /// --job its file says which part, for auto and on. Of another block auto uses whole photos, and on finds parts by the depths of the
-    /// scene that training begins with (--init); go on with such a training on the same device, for another one may see other parts
-    /// [default: auto]
-    #[arg(long, value_enum)]
-    photo_parts: Option<When>,
-    /// The extent that scales the means' learning rate and the thresholds of densification, in the data set's units: of a block, that of the whole scene; 0 takes that of the training cameras [default: 0]
-    #[arg(long, value_name = "X", allow_hyphen_values = true)]
-    scene_extent: Option<f64>,
-}
 
 impl DataSettings {
     /// The block's core and margin in the world coordinates of a frame; `None` for the whole scene.

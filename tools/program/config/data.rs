@@ -2,61 +2,119 @@
 
 use ashsplat::train::SceneBlock;
 use ashsplat_files::EvalSplit;
+use clap::ArgAction::Set;
+use clap::Args;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// Settings of a run's data: source, results, and when to save and test.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Settings of a run's data: source, results, and when to save and test. Each is an option of `train`, under the
+/// reference's name where it has one; what is not given comes from `--config`, or else is the default.
+#[derive(Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataSettings {
-    /// The data set; empty if not given.
+    /// Data set: a folder with images/ and sparse/0/ as COLMAP writes them, or with transforms.json, or a ZIP of one
+    #[arg(short, long, value_name = "DATASET")]
     pub source_path: PathBuf,
-    /// Folder of the results; empty if not given.
+    /// Folder for everything that the run writes
+    #[arg(short, long, value_name = "OUT")]
     pub model_path: PathBuf,
-    /// Folder of the photos within the data set.
+    /// Folder of the photos within the data set [default: images]
+    #[arg(short, long, value_name = "NAME")]
     pub images: String,
-    /// Folder of inverse-depth maps within the data set; empty for none.
+    /// Folder of inverse-depth maps within the data set: a 16-bit PNG per photo, of its name; scale and offset are in
+    /// sparse/0/depth_params.json, or else are fitted to the sparse points
+    #[arg(short, long, value_name = "FOLDER")]
     pub depths: PathBuf,
-    /// The reference's `-r`.
+    /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: -1]
+    #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
     pub resolution: i32,
-    /// Rotation of photos by their metadata: auto, stored or upright.
+    /// Photos as they are stored, or turned as their metadata (Exif) say; auto takes them as stored unless the sizes of
+    /// their cameras are those of the turned ones [default: auto]
+    #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME")]
     pub orientation: String,
-    /// Hold out every 8th view.
+    /// Hold out every 8th view (by name) for tests
+    #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     pub eval: bool,
-    /// Selects the held-out views.
+    /// Which views are held out, where the data set does not say so [default: inner; with the preset or strategy reference and with
+    /// --train-test-exp: reference]
+    #[arg(long, value_name = "NAME")]
     pub eval_split: Split,
-    /// Train on the left half of the held-out views, and test on the right one.
+    /// Train on the left half of the held-out views as well, and test on the right one under the exposure that was learned;
+    /// sets --exposure (the reference's protocol)
+    #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     pub train_test_exp: bool,
-    /// Use of the settings for few photos.
+    /// Settings for few photos: steps leave some Gaussians out, opacities have a weight, and more steps are averaged. auto changes
+    /// nothing from 32 photos on, all from 12 down, and shares of it in between (not with the reference's strategy); on changes all.
+    /// Options that set these values take precedence [default: auto]
+    #[arg(long, value_name = "WHEN")]
     pub few_photos: When,
-    /// Start from random points if the data set has none.
+    /// Start from 100,000 random points where the data set has none, instead of refusing it; with --photo-points only
+    /// if the photos show too few
+    #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     pub random_points: bool,
-    /// Search for points in the photos if the data set has none.
+    /// Where the data set has no points, look for up to 20,000 at which the photos agree: on, off, or on with --strategy
+    /// budget and mcmc (auto) [default: auto]
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "on", value_name = "WHEN")]
     pub photo_points: When,
-    /// The block that is trained, such as blocks.json:3; empty for none.
+    /// Train this block of a file that `ashsplat partition` wrote: data set, photos, start, block, margin, scene extent,
+    /// iterations and model folder are as it says; -s and --init name the same data set and coarse model where they are elsewhere on
+    /// this machine
+    #[arg(long, value_name = "BLOCKS.json:N", help_heading = "Blocks", conflicts_with_all = [
+        "model_path", "images", "resolution", "orientation", "eval", "eval_split", "train_test_exp", "block", "margin", "scene_extent",
+    ])]
     pub job: String,
-    /// File of initial Gaussians in place of points; empty for none.
+    /// Begin with the Gaussians of this file, of any format that convert reads, in place of points
+    #[arg(long, value_name = "FILE")]
     pub init: PathBuf,
-    /// Corners of the trained block, source coordinates; empty for the whole scene.
+    /// Train the Gaussians of the start with centres in this box, least and greatest corner, in the data set's coordinates; the others
+    /// are drawn and stay as they are. Sides may be inf or -inf
+    #[arg(
+        long,
+        value_name = "X,Y,Z,X,Y,Z",
+        help_heading = "Blocks",
+        value_delimiter = ',',
+        allow_hyphen_values = true
+    )]
     pub block: Vec<f64>,
-    /// Margin around the block in which Gaussians are trained too, source units.
+    /// Train those this far around the block too, in the data set's units; none are added there [default: 0]
+    #[arg(long, value_name = "X", help_heading = "Blocks", allow_hyphen_values = true)]
     pub margin: f64,
-    /// Treatment of the scene beyond the margin.
+    /// What becomes of the rest of the start's scene: masked leaves it out, and pixels of the photos that show it by its depths do not
+    /// count, which takes less memory than drawing it; after an exchange of blocks it is drawn, and pixels are masked still
+    /// [default: drawn]
+    #[arg(long, help_heading = "Blocks")]
     pub outside: Outside,
-    /// Use of only those parts of photos that show the block.
+    /// Use of each photo only the part that shows the block and its margin: the rest of it is not drawn and not kept in memory. With
+    /// --job its file says which part, for auto and on. Of another block auto uses whole photos, and on finds parts by the depths of the
+    /// scene that training begins with (--init); go on with such a training on the same device, for another one may see other parts
+    /// [default: auto]
+    #[arg(long, help_heading = "Blocks")]
     pub photo_parts: When,
-    /// Extent of the scene, source units; 0 for that of the training cameras.
+    /// The extent that scales the means' learning rate and the thresholds of densification, in the data set's units: of a block, that
+    /// of the whole scene; 0 takes that of the training cameras [default: 0]
+    #[arg(long, value_name = "X", help_heading = "Blocks", allow_hyphen_values = true)]
     pub scene_extent: f64,
-    /// Iterations after which to test, besides the last.
+    /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
+    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     pub test_iterations: Vec<u32>,
-    /// Files of LPIPS weights for the last test.
+    /// Measure LPIPS too, in the last test, as `ashsplat eval` does: by the weights in this file; given twice, by both
+    #[arg(long, value_name = "FILE")]
     pub lpips_weights: Vec<PathBuf>,
-    /// Iterations after which to save, besides the last.
+    /// Save a PLY after these iterations, and after the last; -1 for the last only [default: 7000 30000]
+    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     pub save_iterations: Vec<u32>,
-    /// Iterations after which to write a checkpoint.
+    /// Write a checkpoint, from which training can go on, after these iterations
+    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     pub checkpoint_iterations: Vec<u32>,
-    /// Interval of checkpoints of which only the newest is kept; 0 for none.
+    /// Write a checkpoint after every so many iterations and after the last, of which only the newest stays; 0 for none
+    /// [default: 0]
+    #[arg(long, value_name = "N")]
     pub checkpoint_every: u32,
+}
+
+/// Parses an iteration. -1, which means "never" in scripts for the reference, becomes 0, which never comes.
+fn iteration(text: &str) -> Result<u32, std::num::ParseIntError> {
+    if text == "-1" { Ok(0) } else { text.parse() }
 }
 
 impl DataSettings {

@@ -137,6 +137,7 @@ fn described(
 #[cfg(test)]
 mod tests {
     use super::super::Overrides;
+    use super::super::tests::given;
     use super::*;
     use std::path::Path;
 
@@ -165,17 +166,13 @@ mod tests {
 
     #[test]
     fn what_is_given_wins_over_the_settings_for_few_photos() {
-        let settled = |given: &[(&str, toml::Value)]| {
-            let mut overrides = Overrides::default();
-            overrides.train.0.extend(given.iter().map(|(key, value)| ((*key).to_owned(), value.clone())));
-            resolved(None, &overrides).expect("settings").train
-        };
+        let settled = |text: &str| resolved(None, &given(text)).expect("settings").train;
         let few = TrainSettings::default().for_photos(8);
-        assert_eq!(settled(&[]), few);
-        assert_eq!(settled(&[("dropout", 0.0.into())]), TrainSettings { dropout: 0.0, ..few.clone() });
+        assert_eq!(settled(""), few);
+        assert_eq!(settled("dropout = 0.0"), TrainSettings { dropout: 0.0, ..few.clone() });
         for (name, strategy) in [("budget", StrategyType::Budget), ("reference", StrategyType::Reference)] {
             let adapted = TrainSettings::of_strategy(strategy).for_photos(8);
-            assert_eq!(settled(&[("strategy", name.into())]), adapted);
+            assert_eq!(settled(&format!("strategy = '{name}'")), adapted);
         }
 
         let many = TrainSettings::default();
@@ -197,8 +194,7 @@ mod tests {
         };
         let kept = TrainSettings { iterations: 30_000, ..settings.clone() };
         assert_eq!(settled(&Overrides::default()), kept);
-        let preset = Overrides { preset: Some("fast".into()), ..Overrides::default() };
-        assert_eq!(settled(&preset), TrainSettings::of_preset(Preset::Fast));
+        assert_eq!(settled(&given("preset = 'fast'")), TrainSettings::of_preset(Preset::Fast));
     }
 
     /// A dump of settings includes this decision.

@@ -8,22 +8,7 @@ use ashsplat::{Error, Result};
 use ashsplat_files::init::RANDOM_POINTS;
 use ashsplat_files::photo_points::PHOTO_POINTS;
 use ashsplat_files::{Dataset, HostMemory};
-use clap::Args;
-use serde::Serialize;
 use std::sync::atomic::AtomicBool;
-
-/// What stands in where a data set has no points.
-#[derive(Args, Clone, Copy, Default, Serialize)]
-pub struct MissingPoints {
-    /// Start from 100,000 random points where the data set has none, instead of refusing it; with --photo-points only
-    /// if the photos show too few
-    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
-    pub random_points: Option<bool>,
-    /// Where the data set has no points, look for up to 20,000 at which the photos agree: on, off, or on with --strategy
-    /// budget and mcmc (auto) [default: auto]
-    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "on", value_name = "WHEN")]
-    pub photo_points: Option<When>,
-}
 
 impl Settings {
     /// True if points are searched for in the photos when there are none. By default, reference does not, to match the

@@ -129,14 +129,11 @@ impl TrainOverrides {
     pub fn settings(&self, recipe: Recipe<'_>, seed: u32) -> Result<TrainSettings> {
         let mut train = self.clone();
         train.0.insert("seed".into(), i64::from(seed).into());
-        let preset = match recipe {
-            Recipe::Strategy(name) => {
-                train.0.insert("strategy".into(), name.into());
-                None
-            }
-            Recipe::Preset(name) => Some(name.to_owned()),
+        match recipe {
+            Recipe::Strategy(name) => train.0.insert("strategy".into(), name.into()),
+            Recipe::Preset(name) => train.0.insert("preset".into(), name.into()),
         };
-        Ok(Settings::resolve(None, &Overrides { preset, train, ..Overrides::default() })?.train)
+        Ok(Settings::resolve(None, &Overrides(train.0))?.train)
     }
 }
 

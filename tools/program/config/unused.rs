@@ -1,7 +1,8 @@
 //! Refuses given settings that the training would not use.
 
 use super::{Facts, Given, Settings, TrainOverrides, file};
-use ashsplat::train::{StrategyType, TrainSettings};
+use ashsplat::train::StrategyType::{Budget, Fixed, Mcmc, Reference};
+use ashsplat::train::TrainSettings;
 use ashsplat::{Error, Result};
 use toml::Table;
 
@@ -13,63 +14,49 @@ struct Use {
     by: &'static str,
 }
 
+const fn used(names: &'static [&'static str], by: &'static str, is_used: fn(&Settings) -> bool) -> Use {
+    Use { names, is_used, by }
+}
+
+const EXPOSURES: [&str; 6] = [
+    "exposure_lr_init",
+    "exposure_lr_final",
+    "exposure_lr_delay_steps",
+    "exposure_reg",
+    "exposure_shared",
+    "exposure_sparsity",
+];
+
 const USES: [Use; 13] = [
-    Use {
-        names: &["cap_max"],
-        is_used: |s| matches!(s.train.strategy, StrategyType::Mcmc | StrategyType::Budget),
-        by: "--strategy mcmc or budget",
-    },
-    Use {
-        names: &["cap_ratio"],
-        is_used: |s| s.train.strategy != StrategyType::Budget || s.train.cap_max == 0,
-        by: "--strategy budget without --cap-max",
-    },
-    Use { names: &["noise_lr"], is_used: |s| s.train.strategy == StrategyType::Mcmc, by: "--strategy mcmc" },
-    Use {
-        names: &["percent_dense"],
-        is_used: |s| s.train.strategy == StrategyType::Reference,
-        by: "--strategy reference",
-    },
-    Use {
-        names: &["densify_grad_threshold", "opacity_reset_interval", "min_opacity"],
-        is_used: |s| matches!(s.train.strategy, StrategyType::Reference | StrategyType::Budget),
-        by: "--strategy reference or budget",
-    },
-    Use {
-        names: &["densify_from_iter", "densify_until_iter", "densification_interval"],
-        is_used: |s| s.train.strategy != StrategyType::Fixed,
-        by: "a strategy other than fixed",
-    },
-    Use {
-        names: &["exposure_lr_delay_mult"],
-        is_used: |s| s.train.exposure && s.train.exposure_lr_delay_steps > 0,
-        by: "--exposure with --exposure-lr-delay-steps",
-    },
-    Use {
-        names: &["initial_opacity", "initial_scale"],
-        is_used: |s| s.data.init.as_os_str().is_empty(),
-        by: "a training from points, without --init",
-    },
-    Use { names: &["antialiasing_detached"], is_used: |s| s.train.antialiasing, by: "--antialiasing" },
-    Use { names: &["pose_lr"], is_used: |s| s.train.pose_opt, by: "--pose-opt" },
-    Use {
-        names: &[
-            "exposure_lr_init",
-            "exposure_lr_final",
-            "exposure_lr_delay_steps",
-            "exposure_reg",
-            "exposure_shared",
-            "exposure_sparsity",
-        ],
-        is_used: |s| s.train.exposure,
-        by: "--exposure",
-    },
-    Use { names: &["lens_lr", "lens_reg"], is_used: |s| s.train.lens_effects, by: "--lens-effects" },
-    Use {
-        names: &["depth_l1_weight_init", "depth_l1_weight_final"],
-        is_used: |s| !s.data.depths.as_os_str().is_empty(),
-        by: "depth maps (-d)",
-    },
+    used(&["cap_max"], "--strategy mcmc or budget", |s| matches!(s.train.strategy, Mcmc | Budget)),
+    used(&["cap_ratio"], "--strategy budget without --cap-max", |s| {
+        s.train.strategy != Budget || s.train.cap_max == 0
+    }),
+    used(&["noise_lr"], "--strategy mcmc", |s| s.train.strategy == Mcmc),
+    used(&["percent_dense"], "--strategy reference", |s| s.train.strategy == Reference),
+    used(
+        &["densify_grad_threshold", "opacity_reset_interval", "min_opacity"],
+        "--strategy reference or budget",
+        |s| matches!(s.train.strategy, Reference | Budget),
+    ),
+    used(
+        &["densify_from_iter", "densify_until_iter", "densification_interval"],
+        "a strategy other than fixed",
+        |s| s.train.strategy != Fixed,
+    ),
+    used(&["exposure_lr_delay_mult"], "--exposure with --exposure-lr-delay-steps", |s| {
+        s.train.exposure && s.train.exposure_lr_delay_steps > 0
+    }),
+    used(&["initial_opacity", "initial_scale"], "a training from points, without --init", |s| {
+        s.data.init.as_os_str().is_empty()
+    }),
+    used(&["antialiasing_detached"], "--antialiasing", |s| s.train.antialiasing),
+    used(&["pose_lr"], "--pose-opt", |s| s.train.pose_opt),
+    used(&EXPOSURES, "--exposure", |s| s.train.exposure),
+    used(&["lens_lr", "lens_reg"], "--lens-effects", |s| s.train.lens_effects),
+    used(&["depth_l1_weight_init", "depth_l1_weight_final"], "depth maps (-d)", |s| {
+        !s.data.depths.as_os_str().is_empty()
+    }),
 ];
 
 /// A given setting that none of the trainings uses, and whose value differs from the default in some of them; and its
@@ -98,9 +85,8 @@ fn refuse(first: Option<&Unused>, given: &Table) -> Result<()> {
 /// reference.
 fn refuse_no_growth(given: &Table, trainings: &[Settings]) -> Result<()> {
     let names = ["densify_from_iter", "densify_until_iter"];
-    let never = |s: &&Settings| {
-        s.train.strategy != StrategyType::Fixed && s.train.densify_from_iter >= s.train.densify_until_iter
-    };
+    let never =
+        |s: &&Settings| s.train.strategy != Fixed && s.train.densify_from_iter >= s.train.densify_until_iter;
     let is_given = names.iter().all(|name| given.contains_key(*name));
     let Some(Settings { train, .. }) = trainings.iter().find(never).filter(|_| is_given) else {
         return Ok(());

@@ -7,7 +7,7 @@ use ashsplat::{Error, RenderSettings, Renderer, Result};
 use ashsplat_files::{Gallery, splats};
 use ashsplat_program::blocks::BlocksFile;
 use ashsplat_program::config::{DataSettings, Settings, Split};
-use ashsplat_program::html::{self, escape, section};
+use ashsplat_program::html::{self, Cell, escape, section};
 use ashsplat_program::look::look_of;
 use ashsplat_program::model::Model;
 use ashsplat_program::progress::{counting, significant, thousands};
@@ -285,34 +285,31 @@ impl Results {
             100.0 * self.band_share
         );
         section(&mut page, "Quality", &note);
-        let head = |page: &mut String, names: &[&str]| {
-            let cells: String = names.iter().map(|name| format!("<th>{name}</th>")).collect();
-            let _ = write!(page, "<table><tr><th class=\"name\"></th>{cells}</tr>");
+        let quality = |(name, quality): (&str, &Quality)| {
+            let own =
+                [quality.psnr, quality.inside_psnr, quality.seam_psnr].map(|psnr| Cell::number(psnr, 2));
+            let first = [
+                Cell::Name(name.to_owned()),
+                Cell::Number(thousands(quality.gaussians)),
+                Cell::number(quality.mean_psnr, 2),
+            ];
+            first.into_iter().chain(own).collect()
         };
-        head(&mut page, &["Gaussians", "mean", "all pixels", "inside", "along seams"]);
-        for (name, quality) in self.scenes() {
-            let [whole, inside, seam] = [quality.psnr, quality.inside_psnr, quality.seam_psnr].map(decibels);
-            let _ = write!(
-                page,
-                "<tr><td class=\"name\">{name}</td><td>{}</td><td>{:.2}</td><td>{whole}</td><td>{inside}</td><td>{seam}</td></tr>",
-                thousands(quality.gaussians),
-                quality.mean_psnr
-            );
-        }
-        page.push_str("</table>\n");
+        let rows: Vec<Vec<Cell>> = self.scenes().map(quality).collect();
+        page += &html::table(&["", "Gaussians", "mean", "all pixels", "inside", "along seams"], &rows, None);
         section(&mut page, "Seams", "the worst first");
-        head(&mut page, &["across", "pixels", "merged", "against"]);
-        for seam in &self.seams {
-            let [own, other] = [seam.psnr, seam.against_psnr].map(decibels);
+        let seam = |seam: &SeamQuality| {
             let [first, second] = seam.blocks;
-            let _ = write!(
-                page,
-                "<tr><td class=\"name\">blocks {first} and {second}</td><td>{}</td><td>{}</td><td>{own}</td><td>{other}</td></tr>",
-                seam.axis,
-                thousands(seam.pixels)
-            );
-        }
-        page.push_str("</table>\n");
+            vec![
+                Cell::Name(format!("blocks {first} and {second}")),
+                Cell::Number(seam.axis.to_owned()),
+                Cell::Number(thousands(seam.pixels)),
+                Cell::number(seam.psnr, 2),
+                Cell::number(seam.against_psnr, 2),
+            ]
+        };
+        let rows: Vec<Vec<Cell>> = self.seams.iter().map(seam).collect();
+        page += &html::table(&["", "across", "pixels", "merged", "against"], &rows, None);
         page
     }
 }

@@ -13,10 +13,7 @@ const LOSS_WEIGHT: f64 = 0.05;
 const RATE_WINDOW: f64 = 0.5;
 
 /// One curve: (iteration, value).
-#[derive(Default)]
-struct Curve {
-    points: Vec<(u32, f64)>,
-}
+type Curve = Vec<(u32, f64)>;
 
 /// Curves of loss, PSNR, Gaussians and speed.
 pub struct Curves {
@@ -45,10 +42,10 @@ impl Curves {
             paused: false,
             stride: 1,
             thinned_at: 0,
-            loss: Curve::default(),
-            psnr: Curve::default(),
-            gaussians: Curve::default(),
-            rate: Curve::default(),
+            loss: Curve::new(),
+            psnr: Curve::new(),
+            gaussians: Curve::new(),
+            rate: Curve::new(),
             mean_loss: RunningMean::new(LOSS_WEIGHT),
             window: (Instant::now(), 0),
             last_rate: 0.0,
@@ -67,12 +64,12 @@ impl Curves {
         let seconds = self.window.0.elapsed().as_secs_f64();
         if seconds > RATE_WINDOW {
             self.last_rate = f64::from(report.iteration - self.window.1) / seconds;
-            self.rate.points.push((report.iteration, self.last_rate));
+            self.rate.push((report.iteration, self.last_rate));
             self.window = (Instant::now(), report.iteration);
         }
         if report.iteration.is_multiple_of(self.stride) {
-            self.loss.points.extend(self.mean_loss.value().map(|mean| (report.iteration, mean)));
-            self.gaussians.points.push((report.iteration, f64::from(report.gaussians)));
+            self.loss.extend(self.mean_loss.value().map(|mean| (report.iteration, mean)));
+            self.gaussians.push((report.iteration, f64::from(report.gaussians)));
         }
         self.thin();
     }
@@ -80,7 +77,7 @@ impl Curves {
     /// Adds a measured PSNR.
     pub fn psnr(&mut self, iteration: u32, psnr: f64) {
         if psnr.is_finite() {
-            self.psnr.points.push((iteration, psnr));
+            self.psnr.push((iteration, psnr));
         }
     }
 
@@ -94,15 +91,15 @@ impl Curves {
 
     fn thin(&mut self) {
         for curve in [&mut self.psnr, &mut self.rate] {
-            if curve.points.len() > MOST_POINTS {
-                curve.halve();
+            if curve.len() > MOST_POINTS {
+                halve(curve);
                 self.thinned_at = self.iteration;
             }
         }
-        if self.loss.points.len() > MOST_POINTS {
+        if self.loss.len() > MOST_POINTS {
             self.stride *= 2;
-            self.loss.halve();
-            self.gaussians.halve();
+            halve(&mut self.loss);
+            halve(&mut self.gaussians);
             self.thinned_at = self.iteration;
         }
     }
@@ -111,10 +108,10 @@ impl Curves {
     pub fn status(&self, since: u32) -> Value {
         let fresh = since < self.thinned_at || since > self.iteration;
         let after = |curve: &Curve| {
-            let news = curve.points.iter().filter(|(at, _)| fresh || *at > since);
+            let news = curve.iter().filter(|(at, _)| fresh || *at > since);
             news.map(|(at, value)| json!([at, value])).collect::<Vec<_>>()
         };
-        let psnr = self.psnr.points.last().map(|(_, psnr)| *psnr);
+        let psnr = self.psnr.last().map(|(_, psnr)| *psnr);
         json!({
             "type": "status", "iteration": self.iteration, "iterations": self.iterations, "paused": self.paused,
             "points": {
@@ -129,15 +126,13 @@ impl Curves {
     }
 }
 
-impl Curve {
-    /// Drops every second point.
-    fn halve(&mut self) {
-        let mut index = 0;
-        self.points.retain(|_| {
-            index += 1;
-            index % 2 == 0
-        });
-    }
+/// Drops every second point.
+fn halve(curve: &mut Curve) {
+    let mut index = 0;
+    curve.retain(|_| {
+        index += 1;
+        index % 2 == 0
+    });
 }
 
 #[cfg(test)]

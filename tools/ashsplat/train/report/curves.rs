@@ -1,16 +1,14 @@
 //! The log of a run as curves.
 
-use ashsplat_program::axis::Axis;
+use ashsplat_program::chart::{Axis, Chart};
 use ashsplat_program::html::escape;
 use ashsplat_program::train_log::Rows;
 use std::fmt::Write;
 
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 220.0;
-const LEFT: f64 = 56.0;
-const RIGHT: f64 = 14.0;
-const TOP: f64 = 12.0;
-const BOTTOM: f64 = 28.0;
+const ACROSS: [f64; 2] = [56.0, WIDTH - 14.0];
+const DOWN: [f64; 2] = [12.0, HEIGHT - 28.0];
 /// Largest number of points of a curve; more iterations are grouped.
 const POINTS: usize = 280;
 
@@ -123,35 +121,21 @@ fn svg(curve: &Curve, end: f64) -> String {
     let low = bins.iter().map(|b| b.low).fold(f64::INFINITY, f64::min);
     let y_axis = Axis::new(if curve.from_zero { low.min(0.0) } else { low }, high);
     let high = end.max(first.x + 1.0);
-    let x_axis = Axis { low: first.x.min(1.0), high, step: Axis::new(0.0, high).step };
-    let x = |value: f64| LEFT + (WIDTH - LEFT - RIGHT) * x_axis.share(value);
-    let y = |value: f64| HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * y_axis.share(value).clamp(0.0, 1.02);
-    grid(&mut out, &x_axis, &y_axis, (&x, &y));
-    let line = |value: &dyn Fn(&Bin) -> f64, bins: &mut dyn Iterator<Item = &Bin>| {
-        bins.map(|b| format!("{:.1},{:.1}", x(b.x), y(value(b)))).collect::<Vec<_>>().join(" ")
-    };
+    let x_axis = Axis { low: first.x.min(1.0), high, ..Axis::new(0.0, high) };
+    let chart = Chart { x: x_axis, y: y_axis, across: ACROSS, down: DOWN };
+    chart.grid(&mut out, "var(--line)");
     let color = curve.color;
-    if bins.iter().any(|b| b.high > b.low) {
-        let (above, below) = (line(&|b| b.high, &mut bins.iter()), line(&|b| b.low, &mut bins.iter().rev()));
-        let _ = writeln!(out, "<polygon points=\"{above} {below}\" fill=\"{color}\" opacity=\".18\"/>");
-    }
-    let points = line(&|b| b.mean, &mut bins.iter());
-    let _ = writeln!(
-        out,
-        "<polyline points=\"{points}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"1.8\"/>"
-    );
-    for b in bins.iter().filter(|_| curve.dots || bins.len() == 1) {
-        let _ = writeln!(
-            out,
-            "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3.2\" fill=\"{color}\"/>",
-            x(b.x),
-            y(b.mean)
-        );
-    }
-    let data: Vec<String> = bins
-        .iter()
-        .map(|b| format!("[{:.1},{:.1},{:.0},\"{}\"]", x(b.x), y(b.mean), b.x, number(b.mean, curve.digits)))
-        .collect();
+    let band: Vec<(f64, f64, f64)> = bins.iter().map(|b| (b.x, b.low, b.high)).collect();
+    chart.band(&mut out, &band, color);
+    let means: Vec<(f64, f64)> = bins.iter().map(|b| (b.x, b.mean)).collect();
+    chart.line(&mut out, &means, &format!("stroke=\"{color}\" stroke-width=\"1.8\""), curve.title);
+    let dots = means.iter().filter(|_| curve.dots || bins.len() == 1);
+    dots.for_each(|&mean| chart.dot(&mut out, mean, 3.2, color));
+    let point = |&(iteration, mean): &(f64, f64)| {
+        let [x, y] = chart.at((iteration, mean));
+        format!("[{x:.1},{y:.1},{iteration:.0},\"{}\"]", number(mean, curve.digits))
+    };
+    let data: Vec<String> = means.iter().map(point).collect();
     let _ = writeln!(
         out,
         "<path class=\"cursor\" d=\"\" stroke=\"currentColor\" opacity=\".5\"/><circle class=\"cursor\" r=\"0\" fill=\"{color}\"/>\
@@ -161,49 +145,11 @@ fn svg(curve: &Curve, end: f64) -> String {
     out
 }
 
-type Place<'a> = &'a dyn Fn(f64) -> f64;
-
-fn grid(out: &mut String, x_axis: &Axis, y_axis: &Axis, (x, y): (Place, Place)) {
-    let right = WIDTH - RIGHT;
-    for value in y_axis.marks() {
-        let at = y(value);
-        let _ = writeln!(
-            out,
-            "<path d=\"M{LEFT} {at:.1}H{right}\" stroke=\"var(--line)\"/><text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-            LEFT - 7.0,
-            at + 4.0,
-            y_axis.mark(value)
-        );
-    }
-    for value in x_axis.marks() {
-        let (at, bottom) = (x(value), HEIGHT - BOTTOM);
-        let anchor = if at > right - 20.0 { "end" } else { "middle" };
-        let _ = writeln!(
-            out,
-            "<path d=\"M{at:.1} {bottom}v4\" stroke=\"var(--line)\"/><text x=\"{at:.1}\" y=\"{}\" text-anchor=\"{anchor}\">{}</text>",
-            bottom + 18.0,
-            x_axis.mark(value)
-        );
-    }
-}
-
 /// A number with thousands separators, or with `digits` digits.
 fn number(value: f64, digits: usize) -> String {
     if digits == 0 {
         ashsplat_program::progress::thousands(value.round().max(0.0) as u64)
     } else {
         format!("{value:.digits$}")
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn many_iterations_become_few_points() {
-        let points: Vec<(f64, f64)> = (1..=30_000).map(|i| (f64::from(i), f64::from(i % 100))).collect();
-        let bins = bins(&points);
-        assert!(bins.len() <= POINTS && bins.iter().all(|b| b.low == 0.0 && b.high == 99.0));
     }
 }

@@ -1,9 +1,8 @@
 //! Times of all kernels in a few iterations.
 
 use ashsplat::vk::{Context, Profile};
-use ashsplat_program::html::{escape, shown};
+use ashsplat_program::html::{self, Cell, shown};
 use ashsplat_program::measure::median;
-use std::fmt::Write;
 
 /// Interval of the iterations that are timed command by command.
 const INTERVAL: u32 = 50;
@@ -101,29 +100,20 @@ impl KernelTimes {
         rows.sort_by(|a, b| b.1.total_cmp(&a.1));
         let all: f64 = rows.iter().map(|row| row.1).sum();
         let most = rows[0].1.max(1e-9);
-        let mut out = String::from(
-            "<table><tr><th class=\"name\">stage</th><th class=\"name\">kernel</th><th>calls</th><th>µs</th>\
-             <th>share</th><th class=\"name bar\"></th></tr>\n",
-        );
         let n = f64::from(self.timed.max(1));
-        for (kernel, us) in rows {
-            let _ = writeln!(
-                out,
-                "<tr><td class=\"name\">{}</td><td class=\"name\">{}</td><td>{:.1}</td><td>{:.1}</td><td>{:.1} %</td>\
-                 <td class=\"name bar\"><i style=\"width:{:.1}%\"></i></td></tr>",
-                escape(shown(&kernel.stage)),
-                escape(kernel.name),
-                f64::from(kernel.calls) / n,
-                us,
-                100.0 * us / all.max(1e-9),
-                100.0 * us / most
-            );
-        }
-        let _ = writeln!(
-            out,
-            "<tr class=\"sum\"><td class=\"name\">all</td><td></td><td></td><td>{:.1}</td><td></td><td></td></tr></table>",
-            all
-        );
-        out
+        let row = |(kernel, us): &(&Kernel, f64)| {
+            vec![
+                Cell::Name(shown(&kernel.stage).to_owned()),
+                Cell::Name(kernel.name.to_owned()),
+                Cell::number(f64::from(kernel.calls) / n, 1),
+                Cell::number(*us, 1),
+                Cell::Number(format!("{:.1} %", 100.0 * us / all.max(1e-9))),
+                Cell::Bar(us / most),
+            ]
+        };
+        let none = || Cell::Number(String::new());
+        let sum = vec![Cell::Name("all".into()), none(), none(), Cell::number(all, 1), none(), none()];
+        let rows: Vec<Vec<Cell>> = rows.iter().map(row).collect();
+        html::table(&["stage", "kernel", "calls", "µs", "share", ""], &rows, Some(sum))
     }
 }

@@ -1,9 +1,8 @@
 //! Learned exposures and lens effects of the photographs.
 
 use ashsplat::scene::{Exposure, LensEffects};
-use ashsplat_program::html::{escape, section};
+use ashsplat_program::html::{self, Cell, section};
 use ashsplat_program::light::Lights;
-use std::fmt::Write;
 
 /// A grey that no usual gain saturates.
 const GRAY: f32 = 0.5;
@@ -37,39 +36,27 @@ fn exposures(out: &mut String, lights: &Lights) {
     let mean = |gains: &[f32; 3]| gains.iter().sum::<f32>() / 3.0;
     all.sort_by(|(_, a), (_, b)| mean(a).total_cmp(&mean(b)));
     let most = all.iter().map(|(_, gains)| mean(gains)).fold(1.0, f32::max);
-    out.push_str(
-        "<table><tr><th class=\"name\">photo</th><th>red</th><th>green</th><th>blue</th><th>mean</th>\
-         <th class=\"name bar\"></th></tr>\n",
-    );
-    for (name, gains) in &all {
+    let row = |(name, gains): &(&str, [f32; 3])| {
         let mean = mean(gains);
-        let _ = writeln!(
-            out,
-            "<tr><td class=\"name\">{}</td>{}<td>{mean:.3}</td>\
-             <td class=\"name bar\"><i style=\"width:{:.1}%\"></i></td></tr>",
-            escape(name),
-            cells(gains),
-            100.0 * (mean / most).max(0.0)
-        );
-    }
-    out.push_str("</table>\n");
+        let mut cells = vec![Cell::Name((*name).to_owned())];
+        cells.extend(numbers(gains).chain(numbers(&[mean])));
+        cells.push(Cell::Bar((mean / most).max(0.0).into()));
+        cells
+    };
+    let rows: Vec<Vec<Cell>> = all.iter().map(row).collect();
+    out.push_str(&html::table(&["photo", "red", "green", "blue", "mean", ""], &rows, None));
 }
 
 fn lenses(out: &mut String, lights: &Lights) {
-    out.push_str(
-        "<table><tr><th class=\"name\">camera</th><th>photos</th><th>corner red</th><th>green</th><th>blue</th>\
-         <th>response red</th><th>green</th><th>blue</th></tr>\n",
-    );
-    for (camera, effects) in &lights.lenses.cameras {
+    let row = |(camera, effects): (&u32, &LensEffects)| {
         let photos = lights.lenses.photos.values().filter(|taker| *taker == camera).count();
-        let _ = writeln!(
-            out,
-            "<tr><td class=\"name\">{camera}</td><td>{photos}</td>{}{}</tr>",
-            cells(&corner(effects)),
-            cells(&effects.response())
-        );
-    }
-    out.push_str("</table>\n");
+        let mut cells = vec![Cell::Name(camera.to_string()), Cell::Number(photos.to_string())];
+        cells.extend(numbers(&corner(effects)).chain(numbers(&effects.response())));
+        cells
+    };
+    let rows: Vec<Vec<Cell>> = lights.lenses.cameras.iter().map(row).collect();
+    let heads = ["camera", "photos", "corner red", "green", "blue", "response red", "green", "blue"];
+    out.push_str(&html::table(&heads, &rows, None));
 }
 
 /// Vignetting of the channels in the corners.
@@ -77,8 +64,8 @@ fn corner(effects: &LensEffects) -> [f32; 3] {
     [0, 1, 2].map(|channel| effects.vignetting(channel, CORNER))
 }
 
-fn cells(channels: &[f32; 3]) -> String {
-    channels.iter().map(|value| format!("<td>{value:.3}</td>")).collect()
+fn numbers(values: &[f32]) -> impl Iterator<Item = Cell> {
+    values.iter().map(|&value| Cell::number(f64::from(value), 3))
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use ashsplat::{Frame, Result};
 use ashsplat_files::{Photo, PhotoFileFormat, View};
 use ashsplat_program::eval::{Evaluation, ViewResult};
-use ashsplat_program::html::{self, escape, heat};
+use ashsplat_program::html::{self, Cell, escape, heat};
 use ashsplat_program::output;
 use std::fmt::Write;
 
@@ -85,34 +85,26 @@ pub fn key() -> String {
 
 /// The table of views, the worst first.
 pub fn table(evaluation: &Evaluation) -> String {
-    let cells = |values: &mut dyn Iterator<Item = f64>| -> String {
-        values.map(|value| format!("<td>{value:.4}</td>")).collect()
-    };
-    let heads: String = evaluation.measures.iter().map(|name| format!("<th>{name}</th>")).collect();
-    let mut out = format!(
-        "<table><tr><th>#</th><th class=\"name\">view</th><th>PSNR</th><th class=\"name bar\"></th><th>SSIM</th>{heads}</tr>\n",
-    );
     let best = evaluation.views.iter().map(|v| v.psnr).filter(|p| p.is_finite()).fold(1.0, f64::max);
-    for (rank, place) in worst_first(&evaluation.views).into_iter().enumerate() {
+    let row = |(rank, place): (usize, usize)| {
         let view = &evaluation.views[place];
-        let _ = writeln!(
-            out,
-            "<tr><td>{}</td><td class=\"name\">{}</td><td>{:.2}</td><td class=\"name bar\"><i style=\"width:{:.1}%\"></i></td>{}</tr>",
-            rank + 1,
-            escape(&view.name),
-            view.psnr,
-            100.0 * view.psnr.clamp(0.0, best) / best,
-            cells(&mut std::iter::once(view.ssim).chain(view.lpips.iter().copied()))
-        );
-    }
-    if evaluation.views.is_empty() {
-        return out + "</table>\n";
-    }
-    let _ = writeln!(
-        out,
-        "<tr class=\"sum\"><td></td><td class=\"name\">mean</td><td>{:.2}</td><td></td>{}</tr></table>",
-        evaluation.psnr(),
-        cells(&mut std::iter::once(evaluation.ssim()).chain(evaluation.lpips().map(|(_, value)| value)))
-    );
-    out
+        let mut cells = vec![
+            Cell::Number((rank + 1).to_string()),
+            Cell::Name(view.name.clone()),
+            Cell::number(view.psnr, 2),
+            Cell::Bar(view.psnr.clamp(0.0, best) / best),
+        ];
+        cells.extend([view.ssim].iter().chain(&view.lpips).map(|&value| Cell::number(value, 4)));
+        cells
+    };
+    let rows: Vec<Vec<Cell>> = worst_first(&evaluation.views).into_iter().enumerate().map(row).collect();
+    let mean = (!rows.is_empty()).then(|| {
+        let none = || Cell::Number(String::new());
+        let mut cells = vec![none(), Cell::Name("mean".into()), Cell::number(evaluation.psnr(), 2), none()];
+        let lpips = evaluation.lpips().map(|(_, value)| value);
+        cells.extend(std::iter::once(evaluation.ssim()).chain(lpips).map(|value| Cell::number(value, 4)));
+        cells
+    });
+    let heads = [&["#", "view", "PSNR", "", "SSIM"], &evaluation.measures[..]].concat();
+    html::table(&heads, &rows, mean)
 }
