@@ -111,7 +111,7 @@ fn compare(name: &str, ours: &Photo, theirs: &Photo) -> f64 {
     let rows = ours.rgb.chunks(row).zip(theirs.rgb.chunks(row));
     let rgb = rows.flat_map(|(a, b)| [a, b].concat()).collect();
     Photo { width: 2 * ours.width, height: ours.height, rgb }.write_png(kept(name)).unwrap();
-    let psnr = metrics::psnr(&ours.to_f32(), &theirs.to_f32()).unwrap();
+    let psnr = metrics::psnr(&ours.to_f32(), &theirs.to_f32(), None).unwrap();
     println!("{name}: {psnr:.2} dB, {}", kept(name).display());
     psnr
 }

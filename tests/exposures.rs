@@ -259,7 +259,7 @@ fn train_lenses(gpu: &Gpu, taken: &[Photo], lens_effects: bool) -> (f64, Vec<Len
         if let Some(effects) = effects.get(view % 2) {
             effects.apply(&camera, &mut frame.color);
         }
-        metrics::psnr(&frame.color, &taken[view].to_f32()).expect("a number")
+        metrics::psnr(&frame.color, &taken[view].to_f32(), None).expect("a number")
     });
     (quality.iter().sum::<f64>() / quality.len() as f64, effects)
 }

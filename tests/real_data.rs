@@ -53,7 +53,7 @@ fn fox(path: &Path, width: u32, height: u32) {
     }
     assert!(dataset.scene_extent > 1.0 && dataset.scene_extent < 20.0, "{}", dataset.scene_extent);
     assert_points_are_seen(&dataset);
-    let gaussians = dataset.initial_gaussians(3, 0).unwrap();
+    let gaussians = ashsplat_files::initial_gaussians(&dataset.initial_points(0), 3).unwrap();
     gaussians.check_shapes().unwrap();
     assert!(Dataset::inspect(path, &options, Progress::NONE).is_sound());
 }

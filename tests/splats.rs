@@ -28,7 +28,7 @@ fn render(gaussians: &Gaussians, camera: &Camera) -> Vec<[f32; 3]> {
 }
 
 fn psnr(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
-    metrics::psnr(a, b).expect("one size")
+    metrics::psnr(a, b, None).expect("one size")
 }
 
 /// The camera that sees the moved scene as `camera` sees the original.

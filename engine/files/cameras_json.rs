@@ -46,15 +46,6 @@ struct Entry {
     unit: Option<f64>,
 }
 
-/// The frame of an [`Entry`].
-#[derive(Deserialize)]
-struct Named {
-    #[serde(default)]
-    origin: Option<[f64; 3]>,
-    #[serde(default)]
-    unit: Option<f64>,
-}
-
 #[derive(Clone, Copy, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Rays {
@@ -89,10 +80,7 @@ impl Entry {
 
     fn camera(&self, frame: &WorldFrame) -> Camera {
         let camera_from_world = DMat3::from_cols_array_2d(&self.rotation);
-        let is_orthographic = match self.projection {
-            None | Some(Rays::Perspective) => false,
-            Some(Rays::Orthographic) => true,
-        };
+        let is_orthographic = matches!(self.projection, Some(Rays::Orthographic));
         let per_unit = if is_orthographic { frame.unit as f32 } else { 1.0 };
         let intrinsics = Intrinsics {
             fx: per_unit * self.fx,
@@ -146,8 +134,8 @@ pub fn read(path: impl AsRef<Path>, frame: &WorldFrame) -> Result<Vec<NamedCamer
 
 /// Reads the frame from a list's first camera. `None` if it names none, or if the file is no list of cameras.
 pub(crate) fn frame_of(path: &Path) -> Option<WorldFrame> {
-    let entries: Vec<Named> = serde_json::from_str(&text::read(path).ok()?).ok()?;
-    let &Named { origin, unit } = entries.first()?;
+    let entries: Vec<Entry> = serde_json::from_str(&text::read(path).ok()?).ok()?;
+    let &Entry { origin, unit, .. } = entries.first()?;
     let frame = WorldFrame { origin: origin.unwrap_or_default().into(), unit: unit.unwrap_or(1.0) };
     let is_sound =
         frame.origin.abs().max_element() <= FARTHEST && (FARTHEST.recip()..=FARTHEST).contains(&frame.unit);

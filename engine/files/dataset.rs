@@ -15,24 +15,22 @@ mod planned_view;
 mod read;
 mod unpacked;
 
-use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use crate::cameras_json::{self, NamedCamera};
 use crate::host_memory::HostMemory;
 use crate::images::{PhotoFile, StoredPhoto};
-use crate::init::{RANDOM_POINTS, initial_gaussians, points_in_view, random_points, seen_box};
+use crate::init::{RANDOM_POINTS, points_in_view, random_points, seen_box};
 use crate::photo_points::{PHOTO_POINTS, photo_points};
 use crate::progress::Progress;
 use ashsplat::Result;
 use ashsplat::passes::loss::DepthPoint;
-use ashsplat::scene::{Camera, Gaussians, PointCloud, WorldFrame};
+use ashsplat::scene::{Camera, PointCloud, WorldFrame};
 use notes::{may_lack_points, random_points_instead};
-use planned_view::PhotoUse;
+use planned_view::{PhotoUse, PlannedView};
 
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
@@ -108,14 +106,9 @@ impl Dataset {
         Gallery::open(path, options, progress)?.load(progress)
     }
 
-    /// The cameras of all views by name, at the photos' original sizes. The photos are not decoded.
-    pub fn cameras(path: impl AsRef<Path>, options: &DatasetOptions) -> Result<Vec<NamedCamera>> {
-        Ok(Gallery::open(path, options, Progress::NONE)?.cameras())
-    }
-
     fn of(gallery: &Gallery, progress: Progress<'_>) -> Result<Self> {
-        let Gallery { options, views: planned, held_out, .. } = gallery;
-        plan::check_split(&gallery.plan.list, held_out)?;
+        let Gallery { options, views: planned, .. } = gallery;
+        plan::check_split(&gallery.plan.list, planned)?;
         let mut warnings = gallery.plan.warnings.clone();
         let needed = gallery.texel_bytes();
         let file = photo_file(needed, options, &mut warnings)?;
@@ -134,23 +127,22 @@ impl Dataset {
             }
             Ok(view)
         };
-        let load = |index: usize| {
+        let load = |planned: &PlannedView| {
             progress.check()?;
-            let (view, photo_use) = planned[index].load(options)?;
-            let map = gallery.maps[index].as_ref();
-            let track = gallery.tracks.get(index).and_then(Option::as_ref);
+            let (view, photo_use) = planned.load(options)?;
             let trained = |mut view: View| {
-                view.inverse_depth = map.map(|map| map.load(&view, options)).transpose()?;
+                view.inverse_depth = planned.map.as_ref().map(|map| map.load(&view, options)).transpose()?;
+                let track = planned.track.as_ref();
                 view.depth_points = track.map(|track| gallery::depth_points(&view, track)).transpose()?;
                 stored(view)
             };
-            let has_half = options.copies(held_out[index]) > 1;
+            let has_half = planned.held_out && options.train_test_exp;
             let half = has_half.then(|| trained(view.left_half()?)).transpose()?;
-            let view = if held_out[index] { stored(view)? } else { trained(view)? };
+            let view = if planned.held_out { stored(view)? } else { trained(view)? };
             progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
             Ok((view, half, photo_use))
         };
-        let views = (0..total).into_par_iter().map(load).collect::<Result<Vec<_>>>()?;
+        let views = planned.par_iter().map(load).collect::<Result<Vec<_>>>()?;
         Ok(Self::assemble(gallery, views, warnings))
     }
 
@@ -161,9 +153,9 @@ impl Dataset {
         mut warnings: Vec<String>,
     ) -> Self {
         let (mut train, mut test, mut uses) = (Vec::new(), Vec::new(), Vec::new());
-        for ((view, half, photo_use), held_out) in views.into_iter().zip(&gallery.held_out) {
+        for ((view, half, photo_use), planned) in views.into_iter().zip(&gallery.views) {
             uses.push(photo_use);
-            if *held_out { &mut test } else { &mut train }.push(view);
+            if planned.held_out { &mut test } else { &mut train }.push(view);
             train.extend(half);
         }
         let (notes, doubts) = notes::of_pixels(gallery.views.iter().zip(uses));
@@ -241,20 +233,6 @@ impl Dataset {
     pub fn set_points(&mut self, points: PointCloud) {
         self.points = points;
         self.needs_no_points();
-    }
-
-    /// The initial Gaussians of training.
-    pub fn initial_gaussians(&self, sh_degree: u32, seed: u64) -> Result<Gaussians> {
-        initial_gaussians(&self.initial_points(seed), sh_degree)
-    }
-
-    /// Writes `cameras.json` like the reference implementation: held-out views first, at the photos' original sizes.
-    pub fn write_cameras_json(&self, path: impl AsRef<Path>) -> Result<()> {
-        let held_out: HashSet<&str> = self.test.iter().map(|view| view.name.as_str()).collect();
-        let others = self.train.iter().filter(|view| !held_out.contains(view.name.as_str()));
-        let views = self.test.iter().chain(others);
-        let named = views.map(|view| (view.name.as_str(), &view.original_camera));
-        cameras_json::write(path, named, &self.frame)
     }
 
     /// Checks everything that training needs, without stopping at the first problem.

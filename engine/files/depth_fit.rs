@@ -40,12 +40,8 @@ pub struct DepthPoint {
 
 impl DepthFit {
     /// Fits a map to its photo's points: medians and mean absolute deviations agree. `camera_size`: of the photo's camera.
-    pub fn of(map: &DepthMap, camera_size: (u32, u32), points: &[DepthPoint]) -> Self {
-        Self::with_sense(map, camera_size, points).0
-    }
-
-    /// Does the same as [`DepthFit::of`], and returns true with it if the map falls where points come nearer: it holds depths then.
-    pub(crate) fn with_sense(map: &DepthMap, camera_size: (u32, u32), points: &[DepthPoint]) -> (Self, bool) {
+    /// Returns true with it if the map falls where points come nearer: it holds depths then.
+    pub fn of(map: &DepthMap, camera_size: (u32, u32), points: &[DepthPoint]) -> (Self, bool) {
         let ratio = f64::from(map.height) / f64::from(camera_size.1.max(1));
         let ends = [camera_size.0, camera_size.1].map(|side| f64::from(side) * ratio);
         let mut pairs = Vec::new();

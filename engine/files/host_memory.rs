@@ -204,26 +204,6 @@ mod tests {
     use crate::growth::turn;
 
     #[test]
-    fn what_the_system_tells_is_understood() {
-        let _turn = turn();
-        assert_eq!(kib_of("MemTotal: 9 kB\nMemAvailable:   12 kB\n", "MemAvailable:"), Some(12 << 10));
-        let limits =
-            |value: &str| address_space(&format!("Limit\nMax address space   {value}   {value}   bytes\n"));
-        assert_eq!((limits("4096"), limits("unlimited")), (Some(4096), None));
-        let version2 = ["memory.max", "memory.current"];
-        let version1 = ["memory.limit_in_bytes", "memory.usage_in_bytes"];
-        let folders = group_folders("5:cpu:/a\n4:memory:/b\n0::/c/d\n");
-        let expected = [
-            ("/sys/fs/cgroup/memory/b", version1),
-            ("/sys/fs/cgroup/memory", version1),
-            ("/sys/fs/cgroup/c/d", version2),
-            ("/sys/fs/cgroup/c", version2),
-            ("/sys/fs/cgroup", version2),
-        ];
-        assert_eq!(folders, expected.map(|(path, names)| (path.to_owned(), names)));
-    }
-
-    #[test]
     fn a_bound_is_shared_and_given_back() {
         let _turn = turn();
         let memory = HostMemory::new(100);

@@ -39,9 +39,6 @@ pub trait PhotoFileFormat: Sized {
     /// Same as [`PhotoFileFormat::read`], within a memory budget.
     fn read_within(path: impl AsRef<Path>, background: [f32; 3], memory: &HostMemory) -> Result<Self>;
 
-    /// Same as [`PhotoFileFormat::read`], but refuses a picture of another size before decoding it.
-    fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self>;
-
     /// Writes a PNG.
     fn write_png(&self, path: impl AsRef<Path>) -> Result<()>;
 
@@ -53,12 +50,6 @@ pub trait PhotoFileFormat: Sized {
 impl PhotoFileFormat for Photo {
     fn read_within(path: impl AsRef<Path>, background: [f32; 3], memory: &HostMemory) -> Result<Self> {
         Ok(decode::read(path.as_ref(), &Request::plain(background, memory))?.photo)
-    }
-
-    fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self> {
-        let memory = HostMemory::default();
-        let request = Request { size: Some((width, height)), ..Request::plain(background, &memory) };
-        Ok(decode::read(path.as_ref(), &request)?.photo)
     }
 
     fn write_png(&self, path: impl AsRef<Path>) -> Result<()> {

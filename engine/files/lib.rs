@@ -40,7 +40,6 @@ pub use dataset::{Dataset, DatasetOptions, DatasetReport, EvalSplit, Gallery, Vi
 pub use host_memory::HostMemory;
 pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use init::initial_gaussians;
-pub use lpips_weights::WeightsFile;
 pub use names::{has_photo_ending, has_video_ending, quoted};
 pub use progress::Progress;
 pub use regular_file::file_hash;

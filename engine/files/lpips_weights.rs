@@ -15,26 +15,19 @@ const REMEDY: &str =
 /// No weight of a trained network is as large. A damaged weight may be, and would make LPIPS 0 or NaN.
 const LARGEST: f32 = 1000.0;
 
-/// Reads [`Weights`] from a file.
-pub trait WeightsFile: Sized {
-    /// Reads the weights of a network and of the heads of LPIPS. The tensor shapes identify the network.
-    ///
-    /// All tensors are F32, in PyTorch's order. With N the index of a convolution in torchvision's `features`:
-    /// - `net.N.weight` `[outputs, inputs, size, size]` and `net.N.bias` `[outputs]`; `features.N` or lpips' `net.sliceK.N`
-    ///   may replace `net.N`,
-    /// - `linK.model.1.weight` [1, channels, 1, 1], K from 0 to 4.
-    ///
-    /// Other tensors are ignored.
-    fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self>;
-}
-
-impl WeightsFile for Weights {
-    fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self> {
-        let path = path.as_ref();
-        // Twice the file: its bytes, and the weights made of them.
-        let (bytes, _lease) = regular_file::read_within(path, 2, memory)?;
-        parse(&bytes).map_err(|problem| Error::input(path, problem, REMEDY))
-    }
+/// Reads the weights of a network and of the heads of LPIPS. The tensor shapes identify the network.
+///
+/// All tensors are F32, in PyTorch's order. With N the index of a convolution in torchvision's `features`:
+/// - `net.N.weight` `[outputs, inputs, size, size]` and `net.N.bias` `[outputs]`; `features.N` or lpips' `net.sliceK.N`
+///   may replace `net.N`,
+/// - `linK.model.1.weight` [1, channels, 1, 1], K from 0 to 4.
+///
+/// Other tensors are ignored.
+pub fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Weights> {
+    let path = path.as_ref();
+    // Twice the file: its bytes, and the weights made of them.
+    let (bytes, _lease) = regular_file::read_within(path, 2, memory)?;
+    parse(&bytes).map_err(|problem| Error::input(path, problem, REMEDY))
 }
 
 fn parse(bytes: &[u8]) -> Result<Weights, String> {

@@ -17,18 +17,12 @@ const C2: f64 = 9e-4;
 
 /// Peak signal-to-noise ratio in dB: −10 log₁₀ of the mean squared error over all pixels and channels.
 ///
-/// Both pictures are rgb, row-major, and clamped to [0, 1] first. Equal pictures give infinity.
-pub fn psnr(image: &[[f32; 3]], reference: &[[f32; 3]]) -> Result<f64> {
-    check_sizes(image.len(), reference.len())?;
-    Ok(decibels(image.iter().zip(reference)))
-}
-
-/// [`psnr`] over the pixels whose mask byte is not 0.
-pub fn masked_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8]) -> Result<f64> {
-    check_sizes(image.len(), reference.len())?;
-    check_mask(image.len(), mask)?;
-    let pixels = image.iter().zip(reference).zip(mask);
-    Ok(decibels(pixels.filter(|(_, counts)| **counts != 0).map(|(pixel, _)| pixel)))
+/// Both pictures are rgb, row-major, and clamped to [0, 1] first. Equal pictures give infinity. A mask has a byte per
+/// pixel; 0 hides it.
+pub fn psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: Option<&[u8]>) -> Result<f64> {
+    check_sizes(image.len(), reference.len(), mask)?;
+    let pixels = image.iter().zip(reference).enumerate();
+    Ok(decibels(pixels.filter(|(pixel, _)| mask.is_none_or(|mask| mask[*pixel] != 0)).map(|(_, pair)| pair)))
 }
 
 /// Colour-corrected PSNR (CC-PSNR) in dB, over the pixels whose mask byte is not 0: after the affine map of the image's (r, g, b)
@@ -41,8 +35,7 @@ pub fn cc_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: Option<&[u8]>) 
     const RIDGE: f64 = 1e-6;
     /// Least variance of a reference that is no single colour: two steps of 8 bits.
     const LEAST_VARIANCE: f64 = (2.0 / 255.0) * (2.0 / 255.0);
-    check_sizes(image.len(), reference.len())?;
-    mask.map_or(Ok(()), |mask| check_mask(image.len(), mask))?;
+    check_sizes(image.len(), reference.len(), mask)?;
     let counts = |pixel: &usize| mask.is_none_or(|mask| mask[*pixel] != 0);
     let pixels = || (0..image.len()).filter(counts).map(|pixel| (&image[pixel], &reference[pixel]));
     let color = |rgb: &[f32; 3]| {
@@ -81,17 +74,14 @@ fn decibels<'a>(pixels: impl Iterator<Item = (&'a [f32; 3], &'a [f32; 3])>) -> f
 /// Structural similarity (Wang et al. 2004): mean over all pixels and channels.
 ///
 /// 11×11 Gaussian window with σ = 1.5, zero padding, C1 = 1e-4, C2 = 9e-4, as in the reference implementation.
-/// Both pictures are rgb, row-major, `width` pixels wide, and clamped to [0, 1] first.
-pub fn ssim(image: &[[f32; 3]], reference: &[[f32; 3]], width: u32) -> Result<f64> {
-    check_sizes(image.len(), reference.len())?;
-    let map = ssim_rows(image, reference, width, &|_| true)?;
-    Ok(map / (3 * image.len()) as f64)
-}
-
-/// SSIM of both pictures times the mask (a byte per pixel; 0 hides it): mean over the visible pixels and all channels.
-pub fn masked_ssim(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8], width: u32) -> Result<f64> {
-    check_sizes(image.len(), reference.len())?;
-    check_mask(image.len(), mask)?;
+/// Both pictures are rgb, row-major, `width` pixels wide, and clamped to [0, 1] first. With a mask (a byte per pixel; 0
+/// hides it), both are multiplied by it, and the mean is over the visible pixels.
+pub fn ssim(image: &[[f32; 3]], reference: &[[f32; 3]], mask: Option<&[u8]>, width: u32) -> Result<f64> {
+    check_sizes(image.len(), reference.len(), mask)?;
+    let Some(mask) = mask else {
+        let map = ssim_rows(image, reference, width, &|_| true)?;
+        return Ok(map / (3 * image.len()) as f64);
+    };
     let times_mask = |picture: &[[f32; 3]]| -> Vec<[f32; 3]> {
         picture.iter().zip(mask).map(|(&rgb, &counts)| if counts == 0 { [0.0; 3] } else { rgb }).collect()
     };
@@ -174,7 +164,14 @@ fn clamped(value: f32) -> f64 {
     f64::from(value).clamp(0.0, 1.0)
 }
 
-fn check_mask(pixels: usize, mask: &[u8]) -> Result<()> {
+fn check_sizes(pixels: usize, reference: usize, mask: Option<&[u8]>) -> Result<()> {
+    if pixels != reference || pixels == 0 {
+        return Err(Error::argument(
+            "image",
+            format!("{pixels} pixels against {reference} in the reference"),
+        ));
+    }
+    let Some(mask) = mask else { return Ok(()) };
     if mask.len() != pixels {
         return Err(Error::argument("mask", format!("{} pixels, the image has {pixels}", mask.len())));
     }
@@ -182,11 +179,4 @@ fn check_mask(pixels: usize, mask: &[u8]) -> Result<()> {
         return Err(Error::argument("mask", "hides the whole photo: there is nothing to compare"));
     }
     Ok(())
-}
-
-fn check_sizes(image: usize, reference: usize) -> Result<()> {
-    if image == reference && image > 0 {
-        return Ok(());
-    }
-    Err(Error::argument("image", format!("{image} pixels against {reference} in the reference")))
 }

@@ -67,9 +67,7 @@ pub fn write(
     let path = path.as_ref();
     let format = Format::chosen(options.format, path)?;
     let outline = Outline::of(gaussians, options);
-    write_blocks(path, (format, options.spz_version), &outline, &mut |sink| {
-        in_blocks(gaussians, options.frame.unit, sink)
-    })
+    write_blocks(path, format, &outline, &mut |sink| in_blocks(gaussians, options.frame.unit, sink))
 }
 
 /// Same as [`write()`], but only for the Gaussians that a cut keeps, in their order, with spherical harmonics up to a
@@ -96,7 +94,7 @@ pub fn write_cut(
     }));
     let bounds = in_source_units(bounds, &options.frame);
     let outline = Outline { count, sh_degree, bounds, ..Outline::of(gaussians, options) };
-    let loss = write_readable(path, (format, options.spz_version), &outline, &mut |sink| {
+    let loss = write_readable(path, format, &outline, &mut |sink| {
         in_blocks(gaussians, 1.0, &mut |block| sink(changed(block, sh_degree, cut, &to_source)))
     })?;
     Ok((count, loss))
@@ -141,11 +139,11 @@ pub fn check_spz_version(format: Format, version: Option<u32>) -> Result<()> {
 /// Same as [`write_blocks`], but refuses Gaussians that could not be read again, since they were changed after reading.
 fn write_readable(
     path: &Path,
-    format: (Format, Option<u32>),
+    format: Format,
     outline: &Outline,
     produce: &mut Produce<'_>,
 ) -> Result<Option<String>> {
-    validation::check_origin(path, outline.frame.origin)?;
+    validation::check_origin(path, outline.options.frame.origin)?;
     write_blocks(path, format, outline, &mut |sink| {
         produce(&mut |block| {
             validation::check_readable(path, &block)?;
@@ -157,10 +155,11 @@ fn write_readable(
 /// Writes a file of any format. Returns a warning about the format's losses.
 fn write_blocks(
     path: &Path,
-    (format, spz_version): (Format, Option<u32>),
+    format: Format,
     outline: &Outline,
     produce: &mut Produce<'_>,
 ) -> Result<Option<String>> {
+    let spz_version = outline.options.spz_version;
     check_spz_version(format, spz_version)?;
     let mut loss = PackingLoss::of(format, spz_version);
     let produce: &mut Produce<'_> = &mut |sink| {
@@ -180,7 +179,7 @@ fn write_blocks(
         Format::Sog => sog::write(path, outline, produce),
     };
     match written {
-        Ok(()) if format.has_origin_file() => format::write_origin(path, outline.frame.origin),
+        Ok(()) if format.has_origin_file() => format::write_origin(path, outline.options.frame.origin),
         written => written,
     }?;
     Ok(loss.and_then(|loss| loss.line(format, outline)))

@@ -100,21 +100,14 @@ pub fn write(
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
     let unfinished = builder.prefix(".tiles").tempdir_in(beside);
     let unfinished = unfinished.on(beside, "write into")?;
-    let (rows, spill) = Spill::of(input, unfinished.path(), options.most, read, progress)?;
-    let mut writer = TileWriter {
-        spill,
-        input,
-        folder: unfinished.path(),
-        options,
-        measure,
-        progress,
-        done: Tiling::default(),
-        loss: None,
-    };
-    let steps = steps(&rows.means, &writer.spill.cells, options.most)?;
-    writer.done = Tiling { gaussians: rows.means.len() as u64, warnings: rows.warnings, ..Tiling::default() };
+    let spill = Spill::of(input, unfinished.path(), options.most, read, progress)?;
+    let done =
+        Tiling { gaussians: spill.means.len() as u64, warnings: spill.warnings.clone(), ..Tiling::default() };
+    let mut writer =
+        TileWriter { spill, input, folder: unfinished.path(), options, measure, progress, done, loss: None };
+    let steps = steps(&writer.spill.means, &writer.spill.cells, options.most)?;
     let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
-    write_tileset(&unfinished.path().join(TILESET_FILE), &root, rows.origin, options.packed)?;
+    write_tileset(&unfinished.path().join(TILESET_FILE), &root, writer.spill.origin, options.packed)?;
     let mut done = Tiling { levels: root.levels, ..writer.done };
     done.warnings.extend(writer.loss.map(|(line, others)| match others {
         0 => line,
@@ -133,21 +126,17 @@ pub fn write(
 /// Folder of the scene's rows until their tile is written.
 const ROWS: &str = "rows";
 
-/// The scene's rows on disk, by cells of the finest level.
+/// The scene's rows on disk, by cells of the finest level, and what stays in memory of them.
 struct Spill {
+    means: Vec<[f32; 3]>,
+    /// Origin of the means, source coordinates.
+    origin: DVec3,
+    warnings: Vec<String>,
     folder: PathBuf,
     cells: Cells,
     sh_degree: u32,
     antialiased: bool,
     kernel_size: Option<f32>,
-}
-
-/// Properties of the rows that stay in memory.
-struct Rows {
-    means: Vec<[f32; 3]>,
-    /// Origin of the means, source coordinates.
-    origin: DVec3,
-    warnings: Vec<String>,
 }
 
 impl Spill {
@@ -157,7 +146,7 @@ impl Spill {
         most: usize,
         read: &ReadOptions,
         progress: &Progress<'_>,
-    ) -> Result<(Rows, Spill)> {
+    ) -> Result<Spill> {
         let mut reader = splats::open(input, read)?;
         let header = reader.header().clone();
         let (mut means, mut sample) = (Vec::new(), OriginSample::default());
@@ -183,13 +172,13 @@ impl Spill {
         let folder = folder.join(ROWS);
         fs::create_dir(&folder).on(&folder, "create")?;
         let splats::Header { sh_degree, antialiased, kernel_size, .. } = header;
-        let spill = Spill { folder, cells, sh_degree, antialiased, kernel_size };
+        let spill = Spill { means, origin, warnings, folder, cells, sh_degree, antialiased, kernel_size };
         splats::open(input, read)?.blocks(&mut |mut block| {
             progress.check()?;
             block.transform(&shift);
             spill.add(&block)
         })?;
-        Ok((Rows { means, origin, warnings }, spill))
+        Ok(spill)
     }
 
     fn path(&self, cell: usize) -> PathBuf {

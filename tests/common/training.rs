@@ -46,7 +46,7 @@ pub fn psnr(trainer: &mut Trainer, shown: impl ExactSizeIterator<Item = (Camera,
     let (settings, count) = (trainer.render_settings(), shown.len());
     let each = shown.map(|(camera, photo)| {
         let frame = trainer.render(&camera, &settings).expect("a frame");
-        metrics::psnr(&frame.color, &photo.to_f32()).expect("equal sizes")
+        metrics::psnr(&frame.color, &photo.to_f32(), None).expect("equal sizes")
     });
     each.sum::<f64>() / count as f64
 }

@@ -140,7 +140,7 @@ fn of_host(path: &Path) -> Outcome {
         .enumerate()
         .map(|(image, map)| {
             let own = observed.iter().filter(|(of, _)| *of == image).map(|(_, point)| *point);
-            DepthFit::of(map, camera_size, &own.collect::<Vec<_>>())
+            DepthFit::of(map, camera_size, &own.collect::<Vec<_>>()).0
         })
         .collect();
     let column = |of: fn(&DepthFit) -> f64| fits.iter().map(of).collect::<Vec<f64>>();

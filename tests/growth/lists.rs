@@ -8,9 +8,8 @@ use crate::exposure_json;
 use crate::host_memory::HostMemory;
 use crate::images::{DepthMap, Photo, PhotoFileFormat};
 use crate::lens_json::LensFile;
-use crate::lpips_weights::WeightsFile;
+use crate::lpips_weights;
 use crate::progress::Progress;
-use ashsplat::passes::lpips::Weights;
 use ashsplat::scene::{Exposure, LensEffects};
 use image::{ImageBuffer, Luma};
 use serde_json::{Map, Value, json};
@@ -123,7 +122,7 @@ fn weights_among_many_tensors() {
         std::fs::write(folder.join("weights.safetensors"), file).unwrap();
     };
     assert_linear(2000, write, |folder| {
-        let read = Weights::read(folder.join("weights.safetensors"), &HostMemory::default());
+        let read = lpips_weights::read(folder.join("weights.safetensors"), &HostMemory::default());
         assert!(read.err().unwrap().to_string().contains("'net.0.bias'"));
     });
 }

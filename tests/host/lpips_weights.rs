@@ -5,11 +5,11 @@ use crate::common::lpips_files::{Tensor, alexnet, write};
 use crate::reference::lpips::{ALEXNET, formula};
 use ashsplat::passes::lpips::{Network, Weights};
 use ashsplat::train::Checkpoint;
-use ashsplat_files::{CheckpointFile, HostMemory, WeightsFile};
+use ashsplat_files::{CheckpointFile, HostMemory, lpips_weights};
 use std::path::{Path, PathBuf};
 
 fn read(path: &Path) -> Result<Weights, String> {
-    Weights::read(path, &HostMemory::default()).map_err(|e| e.to_string())
+    lpips_weights::read(path, &HostMemory::default()).map_err(|e| e.to_string())
 }
 
 fn file(folder: &Path, tensors: &[Tensor]) -> PathBuf {
@@ -95,7 +95,7 @@ fn lpips_weights_of_no_file_and_of_half_a_file() {
         assert!(message.contains("truncated"), "{length}: {message}");
     }
     std::fs::write(&path, &bytes).expect("written");
-    let few = Weights::read(&path, &HostMemory::new(1 << 20)).expect_err("too large").to_string();
+    let few = lpips_weights::read(&path, &HostMemory::new(1 << 20)).expect_err("too large").to_string();
     assert!(few.contains("--max-host-memory"), "{few}");
 }
 

@@ -172,7 +172,7 @@ fn protocol(model: &Model, gallery: &Gallery) -> Result<Protocol> {
         exposure_json::read(folder.join(EXPOSURE_FILE))?;
     }
     let cameras = gallery.cameras().into_iter().zip(gallery.held_out());
-    let held_out = cameras.filter(|(_, held_out)| halves && **held_out).map(|(named, _)| named.name);
+    let held_out = cameras.filter(|(_, held_out)| halves && *held_out).map(|(named, _)| named.name);
     Ok(Protocol { lights: Lights::read(folder)?, halves: held_out.collect() })
 }
 

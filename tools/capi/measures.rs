@@ -1,8 +1,8 @@
 //! Distance of two pictures, in C: LPIPS.
 
 use super::*;
-use ashsplat::passes::lpips::{Lpips, Weights};
-use ashsplat_files::{HostMemory, WeightsFile};
+use ashsplat::passes::lpips::Lpips;
+use ashsplat_files::{HostMemory, lpips_weights};
 
 /// A network of LPIPS with its weights on a device.
 pub struct AshsplatLpips(Lpips, CString);
@@ -21,7 +21,7 @@ pub unsafe extern "C" fn ashsplat_lpips_new(
     guarded!({
         let (context, path) = (borrowed(context, "context")?, text(weights, "weights")?);
         give(lpips, "lpips", || {
-            let weights = Weights::read(path, &HostMemory::default())?;
+            let weights = lpips_weights::read(path, &HostMemory::default())?;
             let name = CString::new(weights.network.measure()).unwrap_or_default();
             Ok(AshsplatLpips(Lpips::new(&context.0, &weights)?, name))
         })

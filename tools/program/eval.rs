@@ -9,7 +9,7 @@ use ashsplat::scene::StoredPhoto;
 use ashsplat::vk::Context;
 use ashsplat::{Alignment, Camera, Error, Frame, Result, TrainSettings};
 use ashsplat_files::cameras_json::NamedCamera;
-use ashsplat_files::{Gallery, Photo, View, WeightsFile, metrics, regular_file};
+use ashsplat_files::{Gallery, Photo, View, lpips_weights, metrics, regular_file};
 use serde_json::{Map, Value, json};
 use std::borrow::{Borrow, Cow};
 use std::collections::{HashMap, HashSet};
@@ -238,20 +238,14 @@ pub fn is_hidden(view: &View) -> Result<bool> {
 /// PSNR of a frame, clamped to [0, 1], against the visible pixels of the view's photo, dB.
 pub fn psnr(view: &View, frame: &Frame) -> Result<f64> {
     let photo = view.photo.photo()?.to_f32();
-    match view.photo.mask()? {
-        None => metrics::psnr(&frame.color, &photo),
-        Some(mask) => metrics::masked_psnr(&frame.color, &photo, &mask),
-    }
+    metrics::psnr(&frame.color, &photo, view.photo.mask()?.as_deref())
 }
 
 /// Same as [`psnr`], with SSIM and CC-PSNR.
 fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
     let photo = view.photo.photo()?.to_f32();
     let mask = view.photo.mask()?;
-    let ssim = match &mask {
-        None => metrics::ssim(&frame.color, &photo, frame.width)?,
-        Some(mask) => metrics::masked_ssim(&frame.color, &photo, mask, frame.width)?,
-    };
+    let ssim = metrics::ssim(&frame.color, &photo, mask.as_deref(), frame.width)?;
     let cc_psnr = metrics::cc_psnr(&frame.color, &photo, mask.as_deref())?;
     let name = view.name.clone();
     Ok(ViewResult { name, psnr: psnr(view, frame)?, ssim, cc_psnr, lpips: Vec::new(), frame_ms: None })
@@ -339,7 +333,7 @@ fn right<T: Copy>(values: &[T], width: u32) -> Vec<T> {
 pub fn read_weights(files: &[PathBuf], host: &HostArguments) -> Result<Vec<Weights>> {
     let mut all: Vec<Weights> = Vec::new();
     for path in files {
-        let weights = Weights::read(path, &host.memory())?;
+        let weights = lpips_weights::read(path, &host.memory())?;
         if all.iter().any(|other| other.network == weights.network) {
             let problem = format!("has the weights of {} once more", weights.network.name());
             return Err(Error::input(path, problem, "give one file for each network"));

@@ -270,7 +270,8 @@ impl Arguments {
     fn division(&self, found: &Found<'_>) -> Result<Division> {
         let &Found { coarse, gaussians, data, gallery, cells, margin, shares } = found;
         let cameras = gallery.cameras();
-        let is_trained = |index: usize| !gallery.held_out()[index];
+        let held_out = gallery.held_out();
+        let is_trained = |index: usize| !held_out[index];
         let trained = (0..cameras.len()).filter(|&index| is_trained(index));
         let extent = scene_extent(trained.clone().map(|index| cameras[index].camera.position()));
         let scene_extent = if extent > 0.0 { extent } else { 1.0 };

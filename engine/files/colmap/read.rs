@@ -142,15 +142,17 @@ impl<'a> Records<'a> {
     fn open(path: &'a Path, (name, record_bytes, room): Kind) -> Result<Self> {
         let (file, length) = regular_file::open(path)?;
         let is_text = path.extension().is_some_and(|ending| ending == "txt");
-        // Long lines hold observations and tracks, which are not kept.
-        host_memory::check_free(path, if is_text { length.saturating_mul(2) } else { 0 })?;
+        if is_text {
+            // Long lines hold observations and tracks, which are not kept.
+            host_memory::check_free(path, length.saturating_mul(2))?;
+        }
         let mut reader = BufReader::new(file);
         let start = reader.fill_buf().reading(path)?;
-        let start = &start[..start.len().min(512)];
         let one_line = is_text && start.contains(&b'\r') && !start.contains(&b'\n');
         let unusual = one_line.then_some(("ends its lines with CR alone", "save it with LF or CR LF"));
         // A count of 0 is valid, although its bytes are all zeros.
-        let foreign = regular_file::recognise(start).filter(|_| is_text || start != [0; 8]);
+        let foreign = regular_file::recognise(&start[..start.len().min(512)]);
+        let foreign = foreign.filter(|_| is_text || start != [0; 8]);
         if let Some((problem, remedy)) = foreign.or(unusual) {
             return Err(Error::input(path, problem, remedy));
         }
@@ -202,6 +204,7 @@ impl<'a> Records<'a> {
             if self.line == 1 && self.text.starts_with(text::MARK) {
                 self.text.remove(0);
             }
+            self.text.truncate(self.text.trim_end().len());
             self.at = self.text.len() - self.text.trim_start().len();
             if read == 0 || !self.rest().is_empty() && !self.rest().starts_with('#') {
                 return Ok(read > 0);
@@ -211,7 +214,7 @@ impl<'a> Records<'a> {
 
     /// The unread fields of the current line.
     fn rest(&self) -> &str {
-        self.text[self.at..].trim_end()
+        &self.text[self.at..]
     }
 
     /// Moves to the next line if it holds the observations of the image before: x, y and the id of a point, any number

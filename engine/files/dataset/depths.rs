@@ -15,7 +15,7 @@ use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
 use crate::images::{DepthMap, header};
 use crate::names::{Finder, plain, stays_inside};
 use crate::transforms;
-use ashsplat::scene::{PicturePart, WorldFrame};
+use ashsplat::scene::PicturePart;
 use ashsplat::{Error, Result};
 
 /// An inverse-depth map that is read with its photo.
@@ -26,24 +26,23 @@ pub(super) struct PlannedMap {
     fit: DepthFit,
 }
 
-/// Finds the maps of the views, in their order; none for views that are not trained on or whose map cannot be fitted.
+/// Finds the maps of the views that are trained on; none for those whose map cannot be fitted. `unit` is the frame's
+/// unit in source units.
 pub(super) fn plan(
     dataset: &Path,
-    (views, held_out, frame): (&[PlannedView], &[bool], &WorldFrame),
+    (views, unit): (&mut [PlannedView], f64),
     options: &DatasetOptions,
     warnings: &mut Vec<String>,
-) -> Result<Vec<Option<PlannedMap>>> {
-    let mut all = vec![None; views.len()];
-    let Some(folder) = &options.depths else { return Ok(all) };
-    let is_trained = |index: &usize| options.train_test_exp || !held_out[*index];
-    let trained: Vec<usize> = (0..views.len()).filter(is_trained).collect();
-    let of_trained_views: Vec<&PlannedView> = trained.iter().map(|&index| &views[index]).collect();
-    let maps = of_trained(dataset, folder, (&of_trained_views, frame.unit, options), warnings)?;
-    trained.into_iter().zip(maps).for_each(|(index, map)| all[index] = map);
-    Ok(all)
+) -> Result<()> {
+    let Some(folder) = &options.depths else { return Ok(()) };
+    let trained: Vec<&PlannedView> = views.iter().filter(|view| view.is_trained(options)).collect();
+    let maps = of_trained(dataset, folder, (&trained, unit, options), warnings)?;
+    let trained = views.iter_mut().filter(|view| view.is_trained(options));
+    trained.zip(maps).for_each(|(view, map)| view.map = map);
+    Ok(())
 }
 
-/// Finds the maps of training views, in their order. `unit` is the frame's unit in source units.
+/// Finds the maps of training views, in their order.
 fn of_trained(
     dataset: &Path,
     folder: &Path,
@@ -185,7 +184,7 @@ fn fitted(
         let (Some(points), Some(size)) = (observed.get(&id), sizes.get(&id)) else {
             return Ok((DepthFit::default(), false));
         };
-        Ok(DepthFit::with_sense(&DepthMap::read(path, &options.host_memory)?, *size, points))
+        Ok(DepthFit::of(&DepthMap::read(path, &options.host_memory)?, *size, points))
     };
     views.par_iter().zip(paths).map(fit).collect()
 }

@@ -69,7 +69,7 @@ impl Gallery {
 
     /// The training views to compare, and those and their neighbours.
     fn exposure_sample(&self) -> (Vec<usize>, Vec<usize>) {
-        let trained: Vec<usize> = self.trained().collect();
+        let trained: Vec<usize> = self.trained().map(|(index, _)| index).collect();
         if trained.len() <= MOST_VIEWS {
             return (trained.clone(), trained);
         }

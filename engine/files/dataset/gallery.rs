@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 
 use super::View;
-use super::depths::{self, PlannedMap};
+use super::depths;
 use super::mask::Mask;
 use super::options::DatasetOptions;
 use super::part::UsedPart;
@@ -29,10 +29,6 @@ pub struct Gallery {
     pub(super) unpacked: Unpacked,
     pub(super) options: DatasetOptions,
     pub(super) views: Vec<PlannedView>,
-    pub(super) held_out: Vec<bool>,
-    pub(super) maps: Vec<Option<PlannedMap>>,
-    /// One per view; empty before [`Gallery::read_tracks`].
-    pub(super) tracks: Vec<Option<Track>>,
     /// The plan without its views.
     pub(super) plan: Plan,
 }
@@ -42,17 +38,15 @@ impl Gallery {
     pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         let unpacked = Unpacked::open(path.as_ref(), progress)?;
         let open = || {
-            let mut plan = read::plan(unpacked.folder(), options)?;
-            let held_out = plan.held_out(options);
+            let mut plan = read::plan(&unpacked.folder, options)?;
             plan.check_views()?;
-            let views = std::mem::take(&mut plan.views).into_iter().collect::<Result<Vec<_>>>()?;
-            let known = (&views[..], &held_out[..], &plan.frame);
-            let maps = depths::plan(unpacked.folder(), known, options, &mut plan.warnings)?;
-            Ok((plan, views, held_out, maps))
+            let mut views = std::mem::take(&mut plan.views).into_iter().collect::<Result<Vec<_>>>()?;
+            depths::plan(&unpacked.folder, (&mut views, plan.frame.unit), options, &mut plan.warnings)?;
+            Ok((plan, views))
         };
-        let (mut plan, views, held_out, maps) = open().map_err(|error| unpacked.name(error))?;
+        let (mut plan, views) = open().map_err(|error| unpacked.name(error))?;
         plan.name_paths(&unpacked);
-        Ok(Self { unpacked, options: options.clone(), views, held_out, maps, tracks: Vec::new(), plan })
+        Ok(Self { unpacked, options: options.clone(), views, plan })
     }
 
     /// Removes all views except those with these names. The choice of held-out views stays as it was.
@@ -63,15 +57,7 @@ impl Gallery {
             let remedy = "give the data set that the list of photos was made for";
             return Err(self.unpacked.name(Error::input(&self.plan.list, problem, remedy)));
         }
-        let kept: Vec<bool> = self.views.iter().map(|view| names.contains(&view.name)).collect();
-        fn retain<T>(all: &mut Vec<T>, kept: &[bool]) {
-            let mut kept = kept.iter();
-            all.retain(|_| kept.next().is_none_or(|&kept| kept));
-        }
-        retain(&mut self.views, &kept);
-        retain(&mut self.held_out, &kept);
-        retain(&mut self.maps, &kept);
-        retain(&mut self.tracks, &kept);
+        self.views.retain(|view| names.contains(&view.name));
         Ok(())
     }
 
@@ -117,9 +103,9 @@ impl Gallery {
         self.views.iter().map(used).collect()
     }
 
-    /// Indices of the views that are trained on, as a whole or as a half.
-    pub(super) fn trained(&self) -> impl Iterator<Item = usize> {
-        (0..self.views.len()).filter(|&index| !self.held_out[index] || self.options.train_test_exp)
+    /// The views that are trained on, as a whole or as a half, with their indices.
+    pub(super) fn trained(&self) -> impl Iterator<Item = (usize, &PlannedView)> {
+        self.views.iter().enumerate().filter(|(_, view)| view.is_trained(&self.options))
     }
 
     fn planned(&mut self, index: usize) -> Result<&mut PlannedView> {
@@ -142,17 +128,16 @@ impl Gallery {
 
     /// The training photos with the sizes that they will have. Masks and transparency are known once they are read.
     pub fn train_photos(&self) -> Vec<PhotoSize> {
-        let size = |index: usize| {
-            let view = &self.views[index];
+        let size = |(_, view): (usize, &PlannedView)| {
             let (width, height) = view.size(&self.options);
-            let track = self.tracks.get(index).and_then(Option::as_ref);
+            let points = view.track.as_ref().map_or(0, |track| track.len());
             PhotoSize {
                 name: view.name.clone(),
                 width,
                 height,
-                masked: self.held_out[index] || view.coarse_mask.is_some(),
-                inverse_depth: self.maps[index].is_some(),
-                depth_points: track.map_or(0, |track| u32::try_from(track.len()).unwrap_or(u32::MAX)),
+                masked: view.held_out || view.coarse_mask.is_some(),
+                inverse_depth: view.map.is_some(),
+                depth_points: u32::try_from(points).unwrap_or(u32::MAX),
             }
         };
         self.trained().map(size).collect()
@@ -160,7 +145,7 @@ impl Gallery {
 
     /// 1.1 × the largest distance of a training camera to their mean, world units; 0 if all are at one place.
     pub fn scene_extent(&self) -> f32 {
-        scene_extent(self.trained().map(|index| self.views[index].camera().position()))
+        scene_extent(self.trained().map(|(_, view)| view.camera().position()))
     }
 
     /// The photos' memory budget, if they exceed it and will be kept in a file.
@@ -171,21 +156,19 @@ impl Gallery {
     /// Estimated bytes of the kept inverse-depth maps.
     pub(super) fn map_bytes(&self) -> u64 {
         // A map's float per pixel takes as much as a texel.
-        let kept = self.trained().filter(|&index| self.maps[index].is_some());
-        kept.map(|index| self.views[index].texel_bytes(&self.options)).sum()
+        let kept = self.trained().filter(|(_, view)| view.map.is_some());
+        kept.map(|(_, view)| view.texel_bytes(&self.options)).sum()
     }
 
     /// Estimated bytes of all kept photos.
     pub(super) fn texel_bytes(&self) -> u64 {
-        let bytes = |(view, held_out): (&PlannedView, &bool)| {
-            self.options.copies(*held_out) * view.texel_bytes(&self.options)
-        };
-        self.views.iter().zip(&self.held_out).map(bytes).sum()
+        let copies = |view: &PlannedView| if view.held_out && self.options.train_test_exp { 2 } else { 1 };
+        self.views.iter().map(|view| copies(view) * view.texel_bytes(&self.options)).sum()
     }
 
     /// True for each held-out view, by name; all false without [`DatasetOptions::eval`].
-    pub fn held_out(&self) -> &[bool] {
-        &self.held_out
+    pub fn held_out(&self) -> Vec<bool> {
+        self.views.iter().map(|view| view.held_out).collect()
     }
 
     /// True if the data set says itself which views are held out.
@@ -234,13 +217,15 @@ impl Gallery {
     /// over all views: 0 for `transforms.json` and for models without observations. A point's position alone does not
     /// tell if a photo shows it, because other surfaces may hide it.
     pub fn read_tracks(&mut self) -> Result<usize> {
-        self.tracks = self.shown_points(u64::MAX)?;
-        Ok(self.tracks.iter().flatten().map(|track| track.len()).sum())
+        let tracks = self.shown_points(u64::MAX)?;
+        let count = tracks.iter().flatten().map(|track| track.len()).sum();
+        self.views.iter_mut().zip(tracks).for_each(|(view, track)| view.track = track);
+        Ok(count)
     }
 
     /// The points that each training view shows; empty for data sets that do not say so, and for longer files of observations.
     pub(super) fn shown_points(&self, most_bytes: u64) -> Result<Vec<Option<Track>>> {
-        let folder = self.unpacked.folder();
+        let folder = &self.unpacked.folder;
         if !colmap::exists(folder) || self.plan.source.extension().is_some_and(|ending| ending == "json") {
             return Ok(Vec::new());
         }
@@ -250,8 +235,8 @@ impl Gallery {
         }
         let mut shown = colmap::tracks(&model).map_err(|error| self.unpacked.name(error))?;
         let mut tracks = vec![None; self.views.len()];
-        for index in self.trained() {
-            let points = shown.remove(&self.views[index].image_id).filter(|points| !points.is_empty());
+        for (index, view) in self.trained() {
+            let points = shown.remove(&view.image_id).filter(|points| !points.is_empty());
             let world = |point| self.plan.frame.world(DVec3::from_array(point));
             tracks[index] = points.map(|points| points.into_iter().map(world).collect::<Track>());
         }

@@ -75,25 +75,25 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
         }
     };
     let named = |e: Error| unpacked.name(e).to_string();
-    let mut plan = match read::plan(unpacked.folder(), options) {
+    let mut plan = match read::plan(&unpacked.folder, options) {
         Ok(plan) => plan,
         Err(e) => {
-            report.model = colmap::find(unpacked.folder()).ok().map(|found| unpacked.named(&found.folder));
+            report.model = colmap::find(&unpacked.folder).ok().map(|found| unpacked.named(&found.folder));
             report.problem(named(e));
             return report;
         }
     };
     plan.name_paths(&unpacked);
     report.describe(&plan);
-    let held_out = plan.held_out(options);
-    let split = plan.check_views().and_then(|()| check_split(&plan.list, &held_out));
+    let has_views = plan.check_views();
     let mut views = Vec::new();
-    for (view, held_out) in std::mem::take(&mut plan.views).into_iter().zip(held_out) {
+    for view in std::mem::take(&mut plan.views) {
         match view {
-            Ok(view) => views.push((view, held_out)),
+            Ok(view) => views.push(view),
             Err(e) => report.problem(named(e)),
         }
     }
+    let split = has_views.and_then(|()| check_split(&plan.list, &views));
     if report.problems.is_empty()
         && let Err(e) = split
     {
@@ -130,24 +130,23 @@ impl DatasetReport {
         }
     }
 
-    fn split(&mut self, views: &[(PlannedView, bool)]) {
-        self.test_views = views.iter().filter(|(_, held_out)| *held_out).count();
+    fn split(&mut self, views: &[PlannedView]) {
+        self.test_views = views.iter().filter(|view| view.held_out).count();
         self.train_views = views.len() - self.test_views;
         let position = |view: &PlannedView| view.camera().position();
-        self.camera_bounds = Bounds::of(views.iter().map(|(view, _)| position(view)));
-        let train = views.iter().filter(|(_, held_out)| !held_out);
-        self.scene_extent = scene_extent(train.map(|(view, _)| position(view)));
+        self.camera_bounds = Bounds::of(views.iter().map(position));
+        self.scene_extent = scene_extent(views.iter().filter(|view| !view.held_out).map(position));
     }
 
     fn check_photos(
         &mut self,
-        views: &[(PlannedView, bool)],
+        views: &[PlannedView],
         options: &DatasetOptions,
         progress: Progress<'_>,
         named: &dyn Fn(Error) -> String,
     ) {
         let done = AtomicUsize::new(0);
-        let check = |(view, _): &(PlannedView, bool)| -> Result<PhotoUse> {
+        let check = |view: &PlannedView| -> Result<PhotoUse> {
             progress.check()?;
             let result = view.load(options);
             progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, views.len());
@@ -156,7 +155,7 @@ impl DatasetReport {
         let results: Vec<_> = views.par_iter().map(check).collect();
         self.sound_photos = results.iter().filter(|result| result.is_ok()).count();
         let mut uses = Vec::new();
-        for ((view, _), result) in views.iter().zip(results) {
+        for (view, result) in views.iter().zip(results) {
             match result {
                 Ok(photo) => uses.push((view, photo)),
                 Err(e) => self.problem(named(e)),

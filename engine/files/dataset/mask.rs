@@ -12,19 +12,15 @@ use ashsplat::{Error, Result};
 /// One value per pixel, row-major. A pixel counts if its value is at least [`COUNTS`].
 #[derive(Clone)]
 pub(super) struct Mask {
-    width: u32,
-    height: u32,
-    values: Vec<u8>,
+    pub(super) width: u32,
+    pub(super) height: u32,
+    pub(super) values: Vec<u8>,
 }
 
 /// Least mask value of a pixel that counts.
 const COUNTS: u8 = 128;
 
 impl Mask {
-    pub(super) fn of_alpha(width: u32, height: u32, values: Vec<u8>) -> Self {
-        Self { width, height, values }
-    }
-
     /// A mask of any size, to be stretched to its photo: see [`Mask::stretched_to`].
     pub(super) fn coarse(width: u32, height: u32, counts: &[bool]) -> Result<Self> {
         if counts.is_empty() || counts.len() as u64 != u64::from(width) * u64::from(height) {
@@ -67,7 +63,7 @@ impl Mask {
         let cut_out = alpha.filter(|alpha| is_cut_out(&photo, alpha));
         let is_cut_out = cut_out.is_some();
         let mask = match cut_out {
-            Some(alpha) => Self::of_alpha(size.0, size.1, alpha),
+            Some(values) => Self { width: size.0, height: size.1, values },
             None => Self::of_grey(photo).of_bits(),
         };
         Ok((mask.scaled_to(width, height), is_cut_out))

@@ -88,11 +88,6 @@ impl DatasetOptions {
         ending.and_then(|(_, ending)| [2, 4, 8].into_iter().find(|by| ending == by.to_string())).unwrap_or(1)
     }
 
-    /// Number of copies of a view's photo that are kept.
-    pub(super) fn copies(&self, held_out: bool) -> u64 {
-        1 + u64::from(held_out && self.train_test_exp)
-    }
-
     /// True for each held-out view of `views`, by name.
     pub(super) fn held_out(&self, views: usize) -> Vec<bool> {
         let every = self.test_every.max(1) as usize;

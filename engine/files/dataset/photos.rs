@@ -106,57 +106,52 @@ fn of_another_size(view: &PlannedView, (width, height): (u32, u32)) -> Error {
     Error::input(&view.photo_path, problem, remedy)
 }
 
-/// The decision for all photos of a data set.
-pub(super) struct Turned {
-    pub(super) photos: Vec<FileSize>,
-    /// Number of photos that are used as stored although their metadata ask for a rotation: no size decides it.
-    pub(super) untold: usize,
-}
-
 /// Width and height of a camera, or values in proportion to them.
 pub(super) type Sides = [f64; 2];
 
-impl Turned {
-    /// Takes photos (if they exist) and the sides of their cameras (if they are known).
-    pub(super) fn of(photos: &[(Option<&Path>, Option<Sides>)], choice: PhotoOrientation) -> Self {
-        // A photo that cannot be read is reported when it is loaded.
-        let header_of = |&(path, _): &(Option<&Path>, _)| header(path?).ok();
-        let headers: Vec<Option<Header>> = photos.par_iter().map(header_of).collect();
-        // For a photo whose metadata ask for a rotation: what its size tells, if anything.
-        let told = |index: usize| -> Option<Option<bool>> {
-            let header = headers[index].filter(Header::has_orientation)?;
-            Some(photos[index].1.and_then(|sides| told_by(header, sides)))
-        };
-        let all = || (0..photos.len()).filter_map(told);
-        let [stored, turned] = [false, true].map(|turned| all().any(|told| told == Some(turned)));
-        let decides = stored != turned || choice != PhotoOrientation::Auto;
-        let untold = if decides { 0 } else { all().filter(Option::is_none).count() };
-        let is_turned = |index: usize| match choice {
-            PhotoOrientation::Stored => false,
-            PhotoOrientation::Upright => told(index).is_some(),
-            PhotoOrientation::Auto => told(index).is_some_and(|told| told.unwrap_or(turned && !stored)),
-        };
-        let photo = |(index, header): (usize, &Option<Header>)| {
-            let turned = is_turned(index);
-            (turned, header.map(|header| header.size(turned)))
-        };
-        Self { photos: headers.iter().enumerate().map(photo).collect(), untold }
-    }
+/// Decides the rotation of photos (if they exist) by the sides of their cameras (if they are known). The second value
+/// is the number of photos that are used as stored although their metadata ask for a rotation: no size decides it.
+pub(super) fn turned(
+    photos: &[(Option<&Path>, Option<Sides>)],
+    choice: PhotoOrientation,
+) -> (Vec<FileSize>, usize) {
+    // A photo that cannot be read is reported when it is loaded.
+    let header_of = |&(path, _): &(Option<&Path>, _)| header(path?).ok();
+    let headers: Vec<Option<Header>> = photos.par_iter().map(header_of).collect();
+    // For a photo whose metadata ask for a rotation: what its size tells, if anything.
+    let told = |index: usize| -> Option<Option<bool>> {
+        let header = headers[index].filter(Header::has_orientation)?;
+        Some(photos[index].1.and_then(|sides| told_by(header, sides)))
+    };
+    let all = || (0..photos.len()).filter_map(told);
+    let [stored, turned] = [false, true].map(|turned| all().any(|told| told == Some(turned)));
+    let decides = stored != turned || choice != PhotoOrientation::Auto;
+    let untold = if decides { 0 } else { all().filter(Option::is_none).count() };
+    let is_turned = |index: usize| match choice {
+        PhotoOrientation::Stored => false,
+        PhotoOrientation::Upright => told(index).is_some(),
+        PhotoOrientation::Auto => told(index).is_some_and(|told| told.unwrap_or(turned && !stored)),
+    };
+    let photo = |(index, header): (usize, &Option<Header>)| {
+        let turned = is_turned(index);
+        (turned, header.map(|header| header.size(turned)))
+    };
+    (headers.iter().enumerate().map(photo).collect(), untold)
+}
 
-    /// A warning if no size decides the rotation.
-    pub(super) fn warning(&self, list: &Path) -> Option<String> {
-        let list = list.display();
-        let photos = match self.untold {
-            0 => return None,
-            1 => "1 photo is".to_owned(),
-            untold => format!("{untold} photos are"),
-        };
-        Some(format!(
-            "{list}: {photos} to be turned by their metadata (Exif), and no size of a camera tells whether that was done \
+/// A warning if no size decides the rotation of some photos.
+pub(super) fn untold_rotation(list: &Path, untold: usize) -> Option<String> {
+    let list = list.display();
+    let photos = match untold {
+        0 => return None,
+        1 => "1 photo is".to_owned(),
+        untold => format!("{untold} photos are"),
+    };
+    Some(format!(
+        "{list}: {photos} to be turned by their metadata (Exif), and no size of a camera tells whether that was done \
              before the cameras were computed: taken as stored, as COLMAP, nerfstudio and instant-ngp take them; \
              --orientation upright turns them"
-        ))
-    }
+    ))
 }
 
 /// True if a camera has the size of the rotated photo; `None` if its sides fit both.

@@ -198,12 +198,12 @@ impl Plan {
         }
     }
 
-    /// True for each view that is held out.
-    pub(super) fn held_out(&self, options: &DatasetOptions) -> Vec<bool> {
-        let says_so = |view: &Result<PlannedView>| view.as_ref().is_ok_and(|view| view.held_out);
-        match self.has_split {
-            true => self.views.iter().map(|view| options.eval && says_so(view)).collect(),
-            false => options.held_out(self.views.len()),
+    /// Settles which views are held out: those that the data set names, or else some by their number.
+    pub(super) fn settle_split(&mut self, options: &DatasetOptions) {
+        let by_number = options.held_out(self.views.len());
+        for (view, by_number) in self.views.iter_mut().zip(by_number) {
+            let Ok(view) = view else { continue };
+            view.held_out = if self.has_split { options.eval && view.held_out } else { by_number };
         }
     }
 
@@ -218,11 +218,11 @@ impl Plan {
 }
 
 /// Refuses a split that leaves no views to train on.
-pub(super) fn check_split(list: &Path, held_out: &[bool]) -> Result<()> {
-    if held_out.contains(&false) {
+pub(super) fn check_split(list: &Path, views: &[PlannedView]) -> Result<()> {
+    if views.iter().any(|view| !view.held_out) {
         return Ok(());
     }
-    let problem = format!("all of its {} images are held out, none is left to train on", held_out.len());
+    let problem = format!("all of its {} images are held out, none is left to train on", views.len());
     Err(Error::input(list, problem, "train without --eval"))
 }
 

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use glam::{DMat3, DVec3};
 
 use super::View;
+use super::depths::PlannedMap;
+use super::gallery::Track;
 use super::mask::{Mask, grey};
 use super::options::DatasetOptions;
 use super::part::{UsedPart, cut_photo};
@@ -41,8 +43,12 @@ pub(crate) struct PlannedView {
     pub(super) part: Option<UsedPart>,
     /// True if transparent pixels of the photo do not count; otherwise they show the background.
     pub(super) alpha_is_mask: bool,
-    /// True if the data set specifies that the view is held out.
+    /// True if the view is held out.
     pub(super) held_out: bool,
+    /// The inverse-depth map that is read with the photo.
+    pub(super) map: Option<PlannedMap>,
+    /// The points that the photo shows, after [`Gallery::read_tracks`](super::Gallery::read_tracks).
+    pub(super) track: Option<Track>,
 }
 
 /// Findings in the pixels of a photo.
@@ -80,7 +86,14 @@ impl PlannedView {
             part: None,
             alpha_is_mask: false,
             held_out: false,
+            map: None,
+            track: None,
         }
+    }
+
+    /// True if the view is trained on, as a whole or as a half.
+    pub(super) fn is_trained(&self, options: &DatasetOptions) -> bool {
+        !self.held_out || options.train_test_exp
     }
 
     /// The view's pinhole camera at the size of its file.
@@ -140,7 +153,7 @@ impl PlannedView {
         };
         let Decoded { mut photo, alpha, gamma, lease } = read_as(&self.photo_path, &request)?;
         let mut opacity = alpha.as_ref().filter(|_| keeps_opacity).map(|alpha| grey(own, alpha));
-        let alpha = alpha.map(|alpha| Mask::of_alpha(own.0, own.1, alpha));
+        let alpha = alpha.map(|values| Mask { width: own.0, height: own.1, values });
         let is_transparent = alpha.as_ref().is_some_and(Mask::hides);
         let mut mask = Mask::of_both(mask, alpha.filter(|_| self.alpha_is_mask));
         if lens.is_distorted() {

@@ -8,7 +8,7 @@ use glam::DVec3;
 use super::companions::mask_in_folder;
 use super::notes;
 use super::options::DatasetOptions;
-use super::photos::{self, Turned};
+use super::photos;
 use super::plan::Plan;
 use super::planned_view::{FileSize, PlannedView};
 use crate::colmap::{self, ColmapImage, Model};
@@ -52,6 +52,7 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
         plan.tell_of_points(path);
     }
     plan.settle_frame(options.frame, points);
+    plan.settle_split(options);
     plan.tell_of_unused_files(path, options);
     plan.warn_of_strays();
     plan.warn_of_lenses();
@@ -99,7 +100,7 @@ impl Plan {
             (path.as_deref().ok(), camera.map(|camera| [camera.width as f64, camera.height as f64]))
         });
         // COLMAP itself never rotates photos, so no warning is needed if no size shows otherwise.
-        let Turned { photos, .. } = Turned::of(&asked.collect::<Vec<_>>(), options.orientation);
+        let (photos, _) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
         let view = |((image, photo_path), photo): ((&ColmapImage, Result<PathBuf>), FileSize)| {
             model.camera_of(image)?;
             let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
@@ -218,10 +219,10 @@ impl Plan {
             return Err(Error::argument("images", problem));
         }
         let asked = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
-        let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation);
-        plan.warnings.extend(turned.warning(&plan.list));
+        let (photos, untold) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
+        plan.warnings.extend(photos::untold_rotation(&plan.list, untold));
         let mut lenses = Lenses::new();
-        for (index, ((frame, photo_path), photo)) in frames.iter().zip(paths).zip(turned.photos).enumerate() {
+        for (index, ((frame, photo_path), photo)) in frames.iter().zip(paths).zip(photos).enumerate() {
             let view = plan.frame(frame, photo_path, photo, &mut lenses).map(|view| PlannedView {
                 image_id: index as u32,
                 mask_path: view.mask_path.map(|named| mask_in_folder(path, &options.images, &named)),

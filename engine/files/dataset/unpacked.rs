@@ -20,7 +20,7 @@ const PIECE_BYTES: usize = 1 << 20;
 
 /// The folder of a data set, or the temporary folder with the contents of its ZIP.
 pub(crate) struct Unpacked {
-    folder: PathBuf,
+    pub(super) folder: PathBuf,
     archive: Option<(PathBuf, tempfile::TempDir)>,
 }
 
@@ -34,10 +34,6 @@ impl Unpacked {
         extract(path, target.path(), progress)?;
         let folder = data_folder(path, target.path())?;
         Ok(Self { folder, archive: Some((path.to_owned(), target)) })
-    }
-
-    pub(crate) fn folder(&self) -> &Path {
-        &self.folder
     }
 
     /// Replaces temporary paths in an error by paths in the archive.

@@ -36,11 +36,6 @@ pub(crate) struct Header {
 }
 
 impl Header {
-    /// Header of a picture that is not rotated.
-    fn upright(stored: (u32, u32)) -> Self {
-        Self { stored, orientation: Orientation::NoTransforms }
-    }
-
     /// Not rotated if the metadata cannot be read.
     fn of(decoder: &mut impl ImageDecoder) -> Self {
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
@@ -184,12 +179,9 @@ pub(crate) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     let mut gamma = None;
     if is_png(&start) {
         file.rewind().reading(path)?;
-        gamma = checked_gamma(path, &file, request.memory)?;
-    }
-    if is_png(&start) && !(request.turned && header(path)?.has_orientation()) {
-        file.rewind().reading(path)?;
-        if let Some(decoded) = read_png_rows(path, file, (gamma, request))? {
-            return Ok(decoded);
+        match read_png_rows(path, file, request)? {
+            Ok(decoded) => return Ok(decoded),
+            Err(named) => gamma = named,
         }
     }
     let (bytes, _) = regular_file::read_within(path, 1, request.memory)?;
@@ -329,22 +321,9 @@ const DECODER_BYTES: u64 = 1 << 20;
 /// Rows that the decoder holds.
 const DECODER_ROWS: u64 = 8;
 
-/// The gamma exponent of a PNG, if it names one and is not marked as sRGB. Refuses a palette that is cut within an
-/// entry or has too many entries: the decoder does not check it.
-fn checked_gamma(path: &Path, file: &File, memory: &HostMemory) -> Result<Option<f32>> {
-    let reader = png_reader(file, memory).read_info().map_err(|e| damaged(path, &e))?;
-    let bytes = reader.info().palette.as_ref().map_or(0, |palette| palette.len());
-    if !bytes.is_multiple_of(3) || bytes > 3 * 256 {
-        let problem = format!("its palette has {bytes} bytes; up to 256 entries of 3 are possible");
-        return Err(damaged(path, &problem));
-    }
-    let gamma = reader.info().gama_chunk.filter(|_| reader.info().srgb.is_none());
-    Ok(gamma.map(png::ScaledFloat::into_value).filter(|gamma| *gamma > 0.0))
-}
-
-fn png_reader<R: Read + Seek>(file: R, memory: &HostMemory) -> png::Decoder<BufReader<cost::Counted<R>>> {
+fn png_reader(file: File, memory: &HostMemory) -> png::Decoder<BufReader<File>> {
     let limits = png::Limits { bytes: usize::try_from(memory.limit()).unwrap_or(usize::MAX) };
-    let reader = BufReader::with_capacity(BUFFER_BYTES, cost::Counted(file));
+    let reader = BufReader::with_capacity(BUFFER_BYTES, file);
     let mut decoder = png::Decoder::new_with_limits(reader, limits);
     // Keeps the depth, so that 16 bits are rounded here, not cut.
     decoder.set_transformations(png::Transformations::EXPAND);
@@ -354,20 +333,25 @@ fn png_reader<R: Read + Seek>(file: R, memory: &HostMemory) -> png::Decoder<BufR
     decoder
 }
 
-/// Reads a picture as `request` says. `None` for an interlaced one.
-fn read_png_rows(
-    path: &Path,
-    file: File,
-    (gamma, request): (Option<f32>, &Request<'_>),
-) -> Result<Option<Decoded>> {
+/// Reads a picture as `request` says; only its gamma if it is interlaced or rotated.
+fn read_png_rows(path: &Path, file: File, request: &Request<'_>) -> Result<Result<Decoded, Option<f32>>> {
     let damaged = |e: &dyn std::fmt::Display| damaged(path, e);
     let file_bytes = file.metadata().reading(path)?.len();
     let mut reader = png_reader(file, request.memory).read_info().map_err(|e| damaged(&e))?;
-    let size = reader.info().size();
-    if reader.info().interlaced {
-        return Ok(None);
+    let info = reader.info();
+    // The decoder does not check the palette.
+    let bytes = info.palette.as_ref().map_or(0, |palette| palette.len());
+    if !bytes.is_multiple_of(3) || bytes > 3 * 256 {
+        let problem = format!("its palette has {bytes} bytes; up to 256 entries of 3 are possible");
+        return Err(damaged(&problem));
     }
-    check_size(path, request, &Header::upright(size))?;
+    let gamma = info.gama_chunk.filter(|_| info.srgb.is_none()).map(png::ScaledFloat::into_value);
+    let gamma = gamma.filter(|gamma| *gamma > 0.0);
+    let (size, interlaced) = (info.size(), info.interlaced);
+    if interlaced || request.turned && header(path)?.has_orientation() {
+        return Ok(Err(gamma));
+    }
+    check_size(path, request, &Header { stored: size, orientation: Orientation::NoTransforms })?;
     if size.0.max(size.1) > MAX_IMAGE_SIDE {
         return Err(damaged(&format!("{}x{} pixels; {MAX_IMAGE_SIDE} a side are possible", size.0, size.1)));
     }
@@ -390,7 +374,7 @@ fn read_png_rows(
         };
         rows.push(values, color.samples());
     }
-    Ok(Some(rows.finish(gamma, lease)))
+    Ok(Ok(rows.finish(gamma, lease)))
 }
 
 /// Entropy-coded bytes of ones, appended to the data. No code consists of ones only, so a decoder that needs a code

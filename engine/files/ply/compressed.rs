@@ -235,11 +235,11 @@ fn write_sorted(writer: &mut impl Write, all: &Gaussians, rows: &Rows, outline: 
     write_header(writer, rows, higher, outline)?;
     let mut packed = Vec::with_capacity(rows.order.len());
     for indices in rows.order.chunks(CHUNK) {
-        let chunk = ChunkBox::around(all, indices);
-        for value in chunk.values().as_flattened() {
+        let boxes = boxes_around(all, indices);
+        for value in boxes.as_flattened().as_flattened() {
             writer.write_all(&value.to_le_bytes())?;
         }
-        packed.extend(indices.iter().map(|&index| chunk.pack(all, index)));
+        packed.extend(indices.iter().map(|&index| pack(all, index, &boxes)));
     }
     for row in rows.padding.iter().cloned().flatten() {
         let [.., color] = &mut packed[row];
@@ -324,7 +324,7 @@ fn write_header(writer: &mut impl Write, rows: &Rows, higher: usize, outline: &O
     let count = rows.order.len();
     writeln!(writer, "ply\nformat binary_little_endian 1.0")?;
     Marks::write(writer, outline)?;
-    write_frame(writer, &outline.frame)?;
+    write_frame(writer, &outline.options.frame)?;
     for rows in &rows.padding {
         writeln!(writer, "comment {PADDING} {} {}", rows.start, rows.len())?;
     }
@@ -339,40 +339,28 @@ fn write_header(writer: &mut impl Write, rows: &Rows, higher: usize, outline: &O
     writeln!(writer, "end_header")
 }
 
-/// The boxes around a chunk's means, log-scales and colours.
-struct ChunkBox {
-    mean: [[f32; 3]; 2],
-    log_scale: [[f32; 3]; 2],
-    color: [[f32; 3]; 2],
+/// The boxes around a chunk's means, log-scales and colours, in the order of [`CHUNK_PROPERTIES`].
+type Boxes = [[[f32; 3]; 2]; 3];
+
+fn boxes_around(all: &Gaussians, indices: &[usize]) -> Boxes {
+    let log_scales = extremes(indices.iter().map(|&i| all.log_scales[i]));
+    [
+        extremes(indices.iter().map(|&i| all.means[i])),
+        log_scales.map(|corner| corner.map(|v| v.clamp(-MAX_COMPRESSED_LOG_SCALE, MAX_COMPRESSED_LOG_SCALE))),
+        extremes(indices.iter().map(|&i| color(all, i))),
+    ]
 }
 
-impl ChunkBox {
-    fn around(all: &Gaussians, indices: &[usize]) -> Self {
-        Self {
-            mean: extremes(indices.iter().map(|&i| all.means[i])),
-            log_scale: extremes(indices.iter().map(|&i| all.log_scales[i]))
-                .map(|corner| corner.map(|v| v.clamp(-MAX_COMPRESSED_LOG_SCALE, MAX_COMPRESSED_LOG_SCALE))),
-            color: extremes(indices.iter().map(|&i| color(all, i))),
-        }
-    }
-
-    /// Values in the order of [`CHUNK_PROPERTIES`].
-    fn values(&self) -> [[f32; 3]; 6] {
-        let Self { mean: [m0, m1], log_scale: [s0, s1], color: [c0, c1] } = *self;
-        [m0, m1, s0, s1, c0, c1]
-    }
-
-    /// Packs a Gaussian in the order of [`VERTEX_PROPERTIES`].
-    fn pack(&self, all: &Gaussians, index: usize) -> [u32; 4] {
-        let [r, g, b] = within(color(all, index), &self.color).map(|t| pack_unorm(t, 8));
-        let opacity = pack_unorm(f64::from(all.opacity(index)), 8);
-        [
-            pack_11_10_11(within(all.means[index], &self.mean)),
-            pack_rotation(all.quats[index]),
-            pack_11_10_11(within(all.log_scales[index], &self.log_scale)),
-            r << 24 | g << 16 | b << 8 | opacity,
-        ]
-    }
+/// Packs a Gaussian in the order of [`VERTEX_PROPERTIES`].
+fn pack(all: &Gaussians, index: usize, [means, log_scales, colors]: &Boxes) -> [u32; 4] {
+    let [r, g, b] = within(color(all, index), colors).map(|t| pack_unorm(t, 8));
+    let opacity = pack_unorm(f64::from(all.opacity(index)), 8);
+    [
+        pack_11_10_11(within(all.means[index], means)),
+        pack_rotation(all.quats[index]),
+        pack_11_10_11(within(all.log_scales[index], log_scales)),
+        r << 24 | g << 16 | b << 8 | opacity,
+    ]
 }
 
 fn color(all: &Gaussians, index: usize) -> [f32; 3] {

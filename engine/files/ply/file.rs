@@ -199,12 +199,12 @@ impl Marks {
 
     /// Writes the marks in the notation of other programs.
     pub(super) fn write(writer: &mut impl Write, outline: &Outline) -> io::Result<()> {
-        if outline.antialiased {
+        if outline.options.antialiased {
             writeln!(writer, "comment SplatRenderMode: mip")?;
-        } else if outline.is_2dgs {
+        } else if outline.options.is_2dgs {
             writeln!(writer, "comment SplatRenderMode: 2dgs")?;
         }
-        match outline.kernel_size {
+        match outline.options.kernel_size {
             Some(size) => writeln!(writer, "comment kernel_size={size}"),
             None => Ok(()),
         }

@@ -25,13 +25,14 @@ pub(crate) fn write_blocks(
     names.extend(filters.map(|_| FILTER.to_owned()));
     let is_double = |name: &str| outline.double_positions && ["x", "y", "z"].contains(&name);
     // Positions in double precision need no origin.
-    let doubles = outline.double_positions.then_some(outline.frame.origin);
-    let origin = if outline.double_positions { DVec3::ZERO } else { outline.frame.origin };
-    let frame = WorldFrame { origin, ..outline.frame };
+    let doubles = outline.double_positions.then_some(outline.options.frame.origin);
+    let origin = if outline.double_positions { DVec3::ZERO } else { outline.options.frame.origin };
+    let frame = WorldFrame { origin, ..outline.options.frame };
+    let header = Outline { options: WriteOptions { frame, ..outline.options }, ..*outline };
     atomic::write_seekable(path, |mut writer| {
         let scalars =
             names.iter().map(|name| (if is_double(name) { "double" } else { "float" }, name.as_str()));
-        write_header(&mut writer, &Outline { frame, ..*outline }, scalars).writing(path)?;
+        write_header(&mut writer, &header, scalars).writing(path)?;
         let (mut rows, mut filters) = (Vec::new(), filters.into_iter().flatten());
         produce(&mut |block| {
             rows.clear();
@@ -91,7 +92,7 @@ fn write_header<'a>(
 ) -> io::Result<()> {
     write!(writer, "ply\nformat binary_little_endian 1.0\n")?;
     Marks::write(&mut writer, outline)?;
-    write_frame(&mut writer, &outline.frame)?;
+    write_frame(&mut writer, &outline.options.frame)?;
     writeln!(writer, "element vertex {}", outline.count)?;
     for (kind, name) in properties {
         writeln!(writer, "property {kind} {name}")?;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
-use super::{Format, Header, Outline, ReadOptions, open, row_bytes, write_readable};
+use super::{Format, Header, Outline, ReadOptions, WriteOptions, open, row_bytes, write_readable};
 use crate::decimate::{self, decimate};
 use crate::host_memory;
 use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
@@ -139,15 +139,16 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
             true => options.similarity,
             false => options.similarity.after(&input.similarity),
         };
-        (options.cut_of(header), Move { from: header.origin, similarity })
+        (options.cut_of(header), similarity)
     };
-    let changes: Vec<(Cut, Move)> = inputs.iter().zip(&headers).map(change).collect();
+    let changes: Vec<(Cut, Similarity)> = inputs.iter().zip(&headers).map(change).collect();
     let read = |to: DVec3, sink: &mut dyn FnMut(usize, Gaussians) -> Result<()>| {
         let mut told = Vec::new();
-        for (index, (input, (cut, moved))) in inputs.iter().zip(&changes).enumerate() {
+        for (index, (input, (cut, similarity))) in inputs.iter().zip(&changes).enumerate() {
             let mut reader = open(input.path, &options.read)?;
+            let similarity = relative(similarity, headers[index].origin, to);
             reader.blocks(&mut |block| {
-                let mut block = changed(block, sh_degree, cut, &moved.to(to));
+                let mut block = changed(block, sh_degree, cut, &similarity);
                 if let Some(within) = input.within {
                     block.retain(|all, index| within.contains(Vec3::from_array(all.means[index])));
                 }
@@ -157,10 +158,10 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
         }
         Ok(told)
     };
-    let moved = &changes[0].1;
+    let moved = changes[0].1;
     // A PLY without a similarity keeps its origin.
-    let is_same = inputs.len() == 1 && format == Format::Ply && moved.similarity == Similarity::default();
-    let mut to = if first.origin == DVec3::ZERO { DVec3::ZERO } else { moved.similarity.apply(first.origin) };
+    let is_same = inputs.len() == 1 && format == Format::Ply && moved == Similarity::default();
+    let mut to = if first.origin == DVec3::ZERO { DVec3::ZERO } else { moved.apply(first.origin) };
     let step = OriginSample::step(count);
     let (taken, mut bounds, mut kept, told) = loop {
         let mut sample = OriginSample::default();
@@ -195,18 +196,19 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     if count == 0 {
         warnings.push("no Gaussians are left".into());
     }
-    let unit = |index: usize| Some(headers[index].unit? * changes[index].1.similarity.scale);
+    let unit = |index: usize| Some(headers[index].unit? * changes[index].1.scale);
     let unit = unit(0).filter(|own| (1..inputs.len()).all(|index| unit(index) == Some(*own)));
     let frame = WorldFrame { origin: to, unit: unit.unwrap_or(1.0) };
     let double_positions = headers.iter().any(|header| header.double_positions) && format == Format::Ply;
-    let outline =
-        Outline { count, sh_degree, antialiased, kernel_size, is_2dgs, bounds, frame, double_positions };
+    let spz_version = options.spz_version;
+    let options =
+        WriteOptions { format: Some(format), antialiased, kernel_size, is_2dgs, spz_version, frame };
+    let outline = Outline { count, sh_degree, options, bounds, double_positions };
     warnings.extend(format.origin_note(output, &outline));
-    let loss =
-        write_readable(output, (format, options.spz_version), &outline, &mut |sink| match kept.take() {
-            Some(all) => sink(all),
-            None => read(to, &mut |_, block| sink(block)).map(drop),
-        })?;
+    let loss = write_readable(output, format, &outline, &mut |sink| match kept.take() {
+        Some(all) => sink(all),
+        None => read(to, &mut |_, block| sink(block)).map(drop),
+    })?;
     warnings.extend(loss);
     Ok(Converted { inputs: headers, format, written: count, taken, sh_degree, warnings })
 }
@@ -220,22 +222,11 @@ impl ConvertOptions {
     }
 }
 
-/// A similarity of source coordinates, for positions relative to the origin `from`.
-struct Move {
-    from: DVec3,
-    similarity: Similarity,
-}
-
-impl Move {
-    /// Similarity of the positions, with the result relative to `origin`.
-    fn to(&self, origin: DVec3) -> Similarity {
-        // Exact without an origin.
-        let translation = match self.from == DVec3::ZERO {
-            true => self.similarity.translation,
-            false => self.similarity.apply(self.from),
-        };
-        Similarity { translation: translation - origin, ..self.similarity }
-    }
+/// A similarity of source coordinates for positions relative to `from`, with the result relative to `to`.
+fn relative(similarity: &Similarity, from: DVec3, to: DVec3) -> Similarity {
+    // Exact without an origin.
+    let moved = if from == DVec3::ZERO { similarity.translation } else { similarity.apply(from) };
+    Similarity { translation: moved - to, ..*similarity }
 }
 
 /// A sample of the Gaussians, from which a scene's origin is chosen.

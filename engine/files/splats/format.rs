@@ -71,9 +71,9 @@ impl Format {
 
     /// A note on the origin of the positions, if programs that ignore it would place the scene elsewhere.
     pub(super) fn origin_note(self, path: &Path, outline: &Outline) -> Option<String> {
-        let DVec3 { x, y, z } = outline.frame.origin;
+        let DVec3 { x, y, z } = outline.options.frame.origin;
         let place = match self {
-            _ if outline.frame.origin == DVec3::ZERO => return None,
+            _ if outline.options.frame.origin == DVec3::ZERO => return None,
             Self::Ply if outline.double_positions => return None,
             Self::Glb | Self::Gltf => return None,
             Self::Ply | Self::CompressedPly => "a comment in its header".to_owned(),

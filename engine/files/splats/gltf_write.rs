@@ -212,16 +212,16 @@ fn scene(
     (attributes, mut extension): (Value, Value),
 ) -> Value {
     // The extension has no fields for these marks.
-    if outline.antialiased {
+    if outline.options.antialiased {
         extension["extras"]["antialiased"] = json!(true);
     }
-    if let Some(size) = outline.kernel_size {
+    if let Some(size) = outline.options.kernel_size {
         // The shortest decimal number with the same f32.
         extension["extras"]["kernel_size"] = json!(size.to_string().parse::<f64>().ok());
     }
     let mut node = json!({ "mesh": 0 });
-    if outline.frame.origin != DVec3::ZERO {
-        node["translation"] = json!(mirrored(outline.frame.origin).to_array());
+    if outline.options.frame.origin != DVec3::ZERO {
+        node["translation"] = json!(mirrored(outline.options.frame.origin).to_array());
     }
     json!({
         "asset": { "version": "2.0", "generator": concat!("ashsplat ", env!("CARGO_PKG_VERSION")) },

@@ -155,8 +155,7 @@ impl Source for Spz {
         for start in (0..count).step_by(BLOCK) {
             let rows = BLOCK.min(count - start);
             for ((plane, packed), row_bytes) in planes.iter_mut().zip(&mut packed).zip(row_bytes) {
-                packed.resize(rows * row_bytes, 0);
-                plane.fill(packed)?;
+                plane.fill(packed, rows * row_bytes)?;
             }
             let mut block = self.packing.unpack(&packed, 0..rows);
             block.mirror(self.mirrored);
@@ -178,24 +177,16 @@ struct Plane<'a> {
 }
 
 impl Plane<'_> {
-    fn fill(&mut self, packed: &mut [u8]) -> Result<()> {
-        let mut rest = packed;
-        while !rest.is_empty() {
-            match self.stream.read(rest) {
-                Ok(0) => {
-                    let Self { name, bytes, read, .. } = self;
-                    let problem = format!("{name}: {bytes} bytes are needed, the data end after {read}");
-                    return Err(self.file.damaged(problem));
-                }
-                Ok(read) => {
-                    self.read += read as u64;
-                    rest = &mut rest[read..];
-                }
-                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-                Err(e) => return Err(self.broken(&e)),
-            }
+    /// Reads the next `needed` bytes.
+    fn fill(&mut self, packed: &mut Vec<u8>, needed: usize) -> Result<()> {
+        packed.clear();
+        let read = (&mut self.stream).take(needed as u64).read_to_end(packed);
+        self.read += read.map_err(|e| self.broken(&e))? as u64;
+        if packed.len() == needed {
+            return Ok(());
         }
-        Ok(())
+        let Self { name, bytes, read, .. } = self;
+        Err(self.file.damaged(format!("{name}: {bytes} bytes are needed, the data end after {read}")))
     }
 
     fn broken(&self, e: &io::Error) -> Error {
@@ -584,7 +575,7 @@ pub(super) fn old(
 
 /// The header that all versions begin with. The last byte is the number of streams, 0 if there is only one.
 fn head(packing: Packing, outline: &Outline, streams: u8) -> [u8; 16] {
-    let flags = if outline.antialiased { FLAG_ANTIALIASED } else { 0 };
+    let flags = if outline.options.antialiased { FLAG_ANTIALIASED } else { 0 };
     let mut head = [0; 16];
     head[..12]
         .copy_from_slice([MAGIC, packing.version, outline.count as u32].map(u32::to_le_bytes).as_flattened());

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{DVec3, Vec3};
 
 use super::format::Format;
-use super::validation::{Doubtful, Unusable};
+use super::validation::Doubts;
 use crate::host_memory;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Bounds, Gaussians, Similarity, WorldFrame};
@@ -144,15 +144,10 @@ impl Scene {
 pub(crate) struct Outline {
     pub(crate) count: u64,
     pub(crate) sh_degree: u32,
-    pub(crate) antialiased: bool,
-    /// See [`Header::kernel_size`].
-    pub(crate) kernel_size: Option<f32>,
-    /// See [`Header::is_2dgs`].
-    pub(crate) is_2dgs: bool,
+    /// The Gaussians themselves are in source units, relative to the frame's origin.
+    pub(crate) options: WriteOptions,
     /// Box around the means; `None` without Gaussians.
     pub(crate) bounds: Option<Bounds>,
-    /// Origin of the means, source coordinates, and the training's unit; the Gaussians themselves are in source units.
-    pub(crate) frame: WorldFrame,
     /// True if positions are written in double precision, if the format can. They are absolute then.
     pub(crate) double_positions: bool,
 }
@@ -163,15 +158,11 @@ pub(crate) type Produce<'a> = dyn FnMut(&mut Sink<'_>) -> Result<()> + 'a;
 impl Outline {
     /// Outline of Gaussians in the options' frame; they are written in source units.
     pub(crate) fn of(gaussians: &Gaussians, options: &WriteOptions) -> Self {
-        let WriteOptions { antialiased, kernel_size, is_2dgs, frame, .. } = *options;
         Self {
             count: gaussians.len() as u64,
             sh_degree: gaussians.sh_degree,
-            antialiased,
-            kernel_size,
-            is_2dgs,
-            bounds: in_source_units(gaussians.bounds(), &frame),
-            frame,
+            options: *options,
+            bounds: in_source_units(gaussians.bounds(), &options.frame),
             double_positions: false,
         }
     }
@@ -243,16 +234,15 @@ impl<'a> Reader<'a> {
     pub(crate) fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<u64> {
         let (count, row_name) = (self.header().count, self.source.row_name());
         let drop_invalid = self.options.drop_invalid;
-        let (mut unusable, mut doubtful) = (Unusable::default(), Doubtful::default());
+        let mut doubts = Doubts::default();
         self.source.blocks(&mut |mut block| {
-            unusable.look_through(&mut block);
-            doubtful.look_through(&mut block);
+            doubts.look_through(&mut block);
             // If the file is refused, Gaussians after the first unusable one are only counted.
-            if unusable.count == 0 || drop_invalid { sink(block) } else { Ok(()) }
+            if doubts.unusable == 0 || drop_invalid { sink(block) } else { Ok(()) }
         })?;
-        let problem = unusable.describe(count, row_name);
+        let problem = doubts.describe_unusable(count, row_name);
         if let Some(problem) = &problem
-            && (!drop_invalid || unusable.count == count)
+            && (!drop_invalid || doubts.unusable == count)
         {
             let remedy = match drop_invalid {
                 true => "none is left without them: write the file again",
@@ -260,8 +250,8 @@ impl<'a> Reader<'a> {
             };
             return Err(Error::input(&self.path, problem, remedy));
         }
-        self.warnings = problem.into_iter().chain(doubtful.lines()).collect();
-        Ok(unusable.count)
+        self.warnings = problem.into_iter().chain(doubts.lines()).collect();
+        Ok(doubts.unusable)
     }
 
     pub(crate) fn collect(mut self) -> Result<Scene> {

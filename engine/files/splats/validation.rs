@@ -20,18 +20,24 @@ const MAX_SH: f32 = 1e32;
 /// Largest usable log-scale: the exponential of a larger one overflows.
 const MAX_LOG_SCALE: f32 = 88.0;
 
-/// Removes unusable Gaussians from the stream, and counts them.
+/// Counts the unusable Gaussians of a file, which it removes from the stream, and those with implausible values.
 #[derive(Default)]
-pub(super) struct Unusable {
+pub(super) struct Doubts {
     seen: u64,
     /// Number of unusable Gaussians so far.
-    pub(super) count: u64,
+    pub(super) unusable: u64,
     /// Row, parameter and value of the first one.
     first: Option<(u64, String, f32)>,
+    without_rotation: u64,
+    coarse: u64,
+    /// Logarithmic sums over the Gaussians with coarse positions.
+    log_steps: f64,
+    log_sizes: f64,
 }
 
-impl Unusable {
-    /// Removes the unusable Gaussians of the next block. A size of 0 (log-scale -∞) becomes the smallest normal number.
+impl Doubts {
+    /// Removes the unusable Gaussians of the next block, and counts implausible values of the others. A size of 0
+    /// (log-scale -∞) becomes the smallest normal number, a quaternion of zeros the identity, which can be rotated.
     pub(super) fn look_through(&mut self, block: &mut Gaussians) {
         let rows = block.len();
         for log_scale in block.log_scales.as_flattened_mut() {
@@ -42,102 +48,13 @@ impl Unusable {
         if (0..rows).any(|index| parameter(block, index).is_some()) {
             for index in 0..rows {
                 if let Some((name, value)) = parameter(block, index) {
-                    self.count += 1;
-                    self.first.get_or_insert_with(|| (self.seen + index as u64, shown(name), value));
+                    self.unusable += 1;
+                    self.first.get_or_insert((self.seen + index as u64, name, value));
                 }
             }
             block.retain(|all, index| parameter(all, index).is_none());
         }
         self.seen += rows as u64;
-    }
-
-    /// Describes the unusable Gaussians in one line; `None` if all are usable.
-    pub(super) fn describe(&self, all: u64, row_name: &str) -> Option<String> {
-        let (row, name, value) = self.first.as_ref()?;
-        let kind = if value.is_finite() { "too large" } else { "not finite" };
-        let bad = self.count;
-        let have = if bad == 1 { "Gaussian has" } else { "Gaussians have" };
-        Some(format!(
-            "{bad} of {all} {have} unusable parameters; the first, {row_name} {row}: {name} = {value} is {kind}"
-        ))
-    }
-}
-
-/// Refuses to write Gaussians that reading would refuse.
-pub(super) fn check_readable(path: &Path, block: &Gaussians) -> Result<()> {
-    match (0..block.len()).find_map(|index| parameter(block, index)) {
-        None => Ok(()),
-        Some((name, value)) => {
-            let (name, kind) = (shown(name), if value.is_finite() { "too large" } else { "not finite" });
-            let problem = format!("is not written: a Gaussian would have {name} = {value}, which is {kind}");
-            Err(Error::input(path, problem, "scale, move or merge less"))
-        }
-    }
-}
-
-/// Same as [`check_readable`], for the origin of the positions.
-pub(super) fn check_origin(path: &Path, origin: DVec3) -> Result<()> {
-    let farthest = origin.abs().max_element();
-    if farthest <= FARTHEST {
-        return Ok(());
-    }
-    let problem =
-        format!("is not written: its positions would lie {farthest:e} from zero, more than {FARTHEST:e}");
-    Err(Error::input(path, problem, "scale or move less"))
-}
-
-/// The first unusable parameter of a Gaussian: its name in a PLY, with a number if it is one of several, and its value.
-fn parameter(block: &Gaussians, index: usize) -> Option<(Name, f32)> {
-    let bad_coordinate = |v: &f32| !v.is_finite() || v.abs() > MAX_COORDINATE;
-    let bad_scale = |v: &f32| !v.is_finite() || *v > MAX_LOG_SCALE;
-    let bad_sh = |v: &f32| !v.is_finite() || v.abs() > MAX_SH;
-    let find = |values: &[f32], bad: &dyn Fn(&f32) -> bool, prefix: &'static str| {
-        let at = values.iter().position(bad)?;
-        Some(((prefix, Some(at)), values[at]))
-    };
-    let mean = &block.means[index];
-    if let Some(axis) = mean.iter().position(bad_coordinate) {
-        return Some(((["x", "y", "z"][axis], None), mean[axis]));
-    }
-    let opacity = block.opacity_logits[index];
-    if opacity.is_nan() {
-        return Some((("opacity", None), opacity));
-    }
-    let (dc, rest) = block.sh_of(index).split_at(1);
-    find(&block.log_scales[index], &bad_scale, "scale_")
-        .or_else(|| find(&block.quats[index], &bad_coordinate, "rot_"))
-        .or_else(|| find(dc.as_flattened(), &bad_sh, "f_dc_"))
-        .or_else(|| {
-            let at = rest.as_flattened().iter().position(bad_sh)?;
-            // PLY has the coefficients of red, then green, then blue.
-            let place = at % 3 * rest.len() + at / 3;
-            Some((("f_rest_", Some(place)), rest.as_flattened()[at]))
-        })
-}
-
-type Name = (&'static str, Option<usize>);
-
-fn shown((prefix, number): Name) -> String {
-    number.map_or(prefix.into(), |number| format!("{prefix}{number}"))
-}
-
-/// Share of a typical Gaussian's size at which steps of positions are coarse: pictures lose about 6 dB.
-pub(super) const COARSE: f64 = 0.2;
-
-/// Number of Gaussians with implausible values in a file.
-#[derive(Default)]
-pub(super) struct Doubtful {
-    count: u64,
-    without_rotation: u64,
-    coarse: u64,
-    /// Logarithmic sums over the Gaussians with coarse positions.
-    log_steps: f64,
-    log_sizes: f64,
-}
-
-impl Doubtful {
-    /// Counts the next block's implausible values. A quaternion of zeros becomes the identity, which can be rotated.
-    pub(super) fn look_through(&mut self, block: &mut Gaussians) {
         for quat in &mut block.quats {
             if quat.iter().map(|q| q * q).sum::<f32>().sqrt() <= QUAT_NORM_MIN {
                 *quat = [1.0, 0.0, 0.0, 0.0];
@@ -157,12 +74,22 @@ impl Doubtful {
                 self.log_sizes += f64::from(log_size);
             }
         }
-        self.count += block.len() as u64;
     }
 
-    /// One warning per kind.
+    /// Describes the unusable Gaussians in one line; `None` if all are usable.
+    pub(super) fn describe_unusable(&self, all: u64, row_name: &str) -> Option<String> {
+        let (row, name, value) = self.first.as_ref()?;
+        let kind = if value.is_finite() { "too large" } else { "not finite" };
+        let bad = self.unusable;
+        let have = if bad == 1 { "Gaussian has" } else { "Gaussians have" };
+        Some(format!(
+            "{bad} of {all} {have} unusable parameters; the first, {row_name} {row}: {name} = {value} is {kind}"
+        ))
+    }
+
+    /// One warning per kind of implausible value.
     pub(super) fn lines(&self) -> Vec<String> {
-        let (count, mut lines) = (self.count, Vec::new());
+        let (count, mut lines) = (self.seen - self.unusable, Vec::new());
         if self.without_rotation > 0 {
             let some = self.without_rotation;
             lines.push(format!(
@@ -180,6 +107,53 @@ impl Doubtful {
         lines
     }
 }
+
+/// Refuses to write Gaussians that reading would refuse.
+pub(super) fn check_readable(path: &Path, block: &Gaussians) -> Result<()> {
+    match (0..block.len()).find_map(|index| parameter(block, index)) {
+        None => Ok(()),
+        Some((name, value)) => {
+            let kind = if value.is_finite() { "too large" } else { "not finite" };
+            let problem = format!("is not written: a Gaussian would have {name} = {value}, which is {kind}");
+            Err(Error::input(path, problem, "scale, move or merge less"))
+        }
+    }
+}
+
+/// Same as [`check_readable`], for the origin of the positions.
+pub(super) fn check_origin(path: &Path, origin: DVec3) -> Result<()> {
+    let farthest = origin.abs().max_element();
+    if farthest <= FARTHEST {
+        return Ok(());
+    }
+    let problem =
+        format!("is not written: its positions would lie {farthest:e} from zero, more than {FARTHEST:e}");
+    Err(Error::input(path, problem, "scale or move less"))
+}
+
+/// The first unusable parameter of a Gaussian: its name in a PLY, and its value.
+fn parameter(block: &Gaussians, index: usize) -> Option<(String, f32)> {
+    let bad_coordinate = |v: &f32| !v.is_finite() || v.abs() > MAX_COORDINATE;
+    let bad_scale = |v: &f32| !v.is_finite() || *v > MAX_LOG_SCALE;
+    let bad_sh = |v: &f32| !v.is_finite() || v.abs() > MAX_SH;
+    let find = |values: &[f32], bad: &dyn Fn(&f32) -> bool, name: &dyn Fn(usize) -> String| {
+        let at = values.iter().position(bad)?;
+        Some((name(at), values[at]))
+    };
+    let opacity = block.opacity_logits[index];
+    let (dc, rest) = block.sh_of(index).split_at(1);
+    // PLY has the coefficients of red, then green, then blue.
+    let place = |at: usize| at % 3 * rest.len() + at / 3;
+    find(&block.means[index], &bad_coordinate, &|axis| ["x", "y", "z"][axis].into())
+        .or_else(|| opacity.is_nan().then(|| ("opacity".into(), opacity)))
+        .or_else(|| find(&block.log_scales[index], &bad_scale, &|axis| format!("scale_{axis}")))
+        .or_else(|| find(&block.quats[index], &bad_coordinate, &|at| format!("rot_{at}")))
+        .or_else(|| find(dc.as_flattened(), &bad_sh, &|at| format!("f_dc_{at}")))
+        .or_else(|| find(rest.as_flattened(), &bad_sh, &|at| format!("f_rest_{}", place(at))))
+}
+
+/// Share of a typical Gaussian's size at which steps of positions are coarse: pictures lose about 6 dB.
+pub(super) const COARSE: f64 = 0.2;
 
 /// A positive number with two significant digits, or with all digits before the decimal point.
 pub(super) fn short(value: f64) -> String {

@@ -1,7 +1,7 @@
 //! The frames of a `transforms.json`, and which of them are held out.
 
 use std::cell::RefCell;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3, dvec2};
@@ -118,7 +118,7 @@ pub(super) fn read_all(
     let (shown, document) = (path.display(), &document.values);
     let finder = RefCell::new(Finder::default());
     let split = Split::of(path, document)?;
-    let mut warnings = Vec::new();
+    let (mut warnings, mut met) = (Vec::new(), HashSet::new());
     let (count, mut elsewhere, mut unused, mut depth_maps) = (list.len(), 0, 0, 0);
     let mut lens_keys = BTreeSet::new();
     unused_lens_keys(document, &mut lens_keys);
@@ -150,7 +150,10 @@ pub(super) fn read_all(
                 ["p1", "p2"].into_iter().zip(p).filter(|(_, p)| *p != 0.0).map(|(key, _)| key.into()),
             );
         }
-        match split.is_held_out(value["file_path"].as_str().unwrap_or_default(), &frame.name) {
+        let names = [plain(value["file_path"].as_str().unwrap_or_default()), frame.name.clone()];
+        let held_out = split.is_held_out(&names);
+        met.extend(names);
+        match held_out {
             None => unused += 1,
             Some(held_out) => {
                 frame.test = held_out;
@@ -158,7 +161,7 @@ pub(super) fn read_all(
             }
         }
     }
-    split.check(path)?;
+    split.check(path, &met)?;
     if elsewhere > 0 {
         warnings.push(format!(
             "{shown}: {elsewhere} of {count} paths lead out of its folder: the photos in it whose paths end as theirs are taken"
@@ -449,53 +452,39 @@ impl Reader<'_> {
 /// Keys of the name lists. The first held-out list that exists is used; they come last.
 pub(super) const LISTS: [&str; 3] = ["train_filenames", "test_filenames", "val_filenames"];
 
-/// The names of each list, with true for each name that a frame has. `None` if the list is missing or empty.
-struct Split {
-    lists: [Option<RefCell<HashMap<String, bool>>>; 3],
-}
+/// The names of each list; empty for a list that is missing.
+struct Split([HashSet<String>; 3]);
 
 impl Split {
     fn of(path: &Path, document: &Value) -> Result<Self> {
-        let mut lists = [const { None }; 3];
+        let names = |key: &str| match &document[key] {
+            Value::Null => Some(HashSet::new()),
+            Value::Array(names) => names.iter().map(|name| Some(plain(name.as_str()?))).collect(),
+            _ => None,
+        };
+        let mut lists: [HashSet<String>; 3] = Default::default();
         for (list, key) in lists.iter_mut().zip(LISTS) {
-            let names: Option<Vec<&str>> = match &document[key] {
-                Value::Null => Some(Vec::new()),
-                Value::Array(names) => names.iter().map(Value::as_str).collect(),
-                _ => None,
-            };
             let wrong = || Error::input(path, format!("{key} is not a list of names"), "correct the file");
-            let names = names.ok_or_else(wrong)?;
-            *list = (!names.is_empty())
-                .then(|| RefCell::new(names.into_iter().map(|name| (plain(name), false)).collect()));
+            *list = names(key).ok_or_else(wrong)?;
         }
-        Ok(Self { lists })
+        Ok(Self(lists))
     }
 
-    /// True if the frame with this path or name is held out; `None` if it is not used. Without a training list, frames in no list are training frames.
-    fn is_held_out(&self, path: &str, name: &str) -> Option<bool> {
-        let path = plain(path);
-        let lists = |at: usize| {
-            let Some(list) = &self.lists[at] else { return false };
-            [path.as_str(), name]
-                .into_iter()
-                .any(|key| list.borrow_mut().get_mut(key).map(|met| *met = true).is_some())
-        };
-        let [train, test, val] = [0, 1, 2].map(lists);
-        match if self.lists[1].is_some() { test } else { val } {
+    /// True if the frame with this path or name is held out; `None` if it is not used. Without a training list, frames in
+    /// no list are training frames.
+    fn is_held_out(&self, names: &[String; 2]) -> Option<bool> {
+        let [train, test, val] = self.0.each_ref().map(|list| names.iter().any(|name| list.contains(name)));
+        match if self.0[1].is_empty() { val } else { test } {
             true => Some(true),
-            false if train || self.lists[0].is_none() && !val => Some(false),
+            false if train || self.0[0].is_empty() && !val => Some(false),
             false => None,
         }
     }
 
     /// Refuses a list with a name that no frame has.
-    fn check(&self, path: &Path) -> Result<()> {
-        for (list, key) in self.lists.iter().zip(LISTS) {
-            let unknown = list.iter().flat_map(|list| {
-                let missed = |(name, met): (&String, &bool)| (!met).then(|| name.clone());
-                list.borrow().iter().filter_map(missed).collect::<Vec<_>>()
-            });
-            if let Some(name) = unknown.min() {
+    fn check(&self, path: &Path, met: &HashSet<String>) -> Result<()> {
+        for (list, key) in self.0.iter().zip(LISTS) {
+            if let Some(name) = list.difference(met).min() {
                 let problem = format!("{key} names {name:?}, which no frame has as its file_path");
                 return Err(Error::input(path, problem, "correct the list or add the frame"));
             }
@@ -504,8 +493,8 @@ impl Split {
     }
 
     fn used_lists(&self) -> String {
-        let held_out = if self.lists[1].is_some() { 1 } else { 2 };
-        let used = [0, held_out].into_iter().filter(|&at| self.lists[at].is_some());
+        let held_out = if self.0[1].is_empty() { 2 } else { 1 };
+        let used = [0, held_out].into_iter().filter(|&at| !self.0[at].is_empty());
         used.map(|at| LISTS[at]).collect::<Vec<_>>().join(" and ")
     }
 }

@@ -30,7 +30,7 @@ pub fn look(
         renderer.upload(scene)?;
         let look = RenderSettings { inverse_depth: true, ..settings.train.render_settings() };
         let cameras = gallery.cameras();
-        let held_out = gallery.held_out().to_vec();
+        let held_out = gallery.held_out();
         let bar = counting("what photos show", cameras.len() as u64, quiet);
         let (mut kept, mut trained) = (BTreeSet::new(), 0_usize);
         for (index, (named, held_out)) in cameras.iter().zip(held_out).enumerate() {

@@ -30,7 +30,7 @@ pub fn run(scene: &Path, camera: &Camera, runs: usize, folder: &Path) -> Result<
     )?;
     let picture = theirs.picture(camera);
     let ours = [frame(&mut renderer, &settings)?, frame(&mut renderer, &sharp)?];
-    let psnr = |ours: &Photo| metrics::psnr(&ours.to_f32(), &picture.to_f32());
+    let psnr = |ours: &Photo| metrics::psnr(&ours.to_f32(), &picture.to_f32(), None);
     let likeness = format!("{:.1} dB, both without dilation {:.1} dB", psnr(&ours[0])?, psnr(&ours[1])?);
     ours[0].write_png(&folder.join("ours.png"))?;
     picture.write_png(&folder.join("wgpu_3dgs_viewer.png"))?;
@@ -55,7 +55,7 @@ pub fn ours(scene: &Path, camera: &Camera, runs: usize, folder: &Path) -> Result
 /// Prints the PSNR of two pictures.
 pub fn alike(a: &Path, b: &Path) -> Result<()> {
     let [a, b] = [Photo::read(a, [0.0; 3])?, Photo::read(b, [0.0; 3])?];
-    println!("{:.1} dB", metrics::psnr(&a.to_f32(), &b.to_f32())?);
+    println!("{:.1} dB", metrics::psnr(&a.to_f32(), &b.to_f32(), None)?);
     Ok(())
 }
 

@@ -43,7 +43,7 @@ impl Measurement<'_> {
                 let mut drawn = Drawn::new(self.tree.clone(), self.whole.len() * percent / 100, self.read);
                 let gaussians = drawn.wanted(camera)?.unwrap_or_default();
                 let (frame, budget_seconds) = self.drawn(renderer, &gaussians, camera)?;
-                row.psnr.push(metrics::psnr(&frame.color, &expected.color)?);
+                row.psnr.push(metrics::psnr(&frame.color, &expected.color, None)?);
                 row.gaussians += gaussians.len();
                 row.tiles += drawn.tiles();
                 row.seconds += budget_seconds;

@@ -2,7 +2,7 @@
 #![no_main]
 
 use arbitrary::Arbitrary;
-use ashsplat_files::{Dataset, DatasetOptions, HostMemory, Photo, PhotoFileFormat, Progress};
+use ashsplat_files::{Dataset, DatasetOptions, Gallery, HostMemory, Photo, PhotoFileFormat, Progress};
 use ashsplat_fuzz::hostile::{Change, Filling, MOST_BYTES, Number, Patch, patch, spoil};
 use ashsplat_fuzz::{folder, in_one_line, within};
 use libfuzzer_sys::fuzz_target;
@@ -133,7 +133,7 @@ fuzz_target!(|archive: Archive| {
     std::fs::write(&path, &bytes).expect("written");
     within(bytes.len(), |bound| {
         let options = DatasetOptions { host_memory: HostMemory::new(bound), ..DatasetOptions::default() };
-        in_one_line(Dataset::cameras(&path, &options));
+        in_one_line(Gallery::open(&path, &options, Progress::NONE));
         in_one_line(Dataset::load(&path, &options, Progress::default()));
     });
 });

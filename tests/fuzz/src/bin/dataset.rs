@@ -8,7 +8,7 @@ use ashsplat_files::lens_json::LensFile;
 use ashsplat_files::tiles::Tree;
 use ashsplat_files::transforms::{self, Transforms};
 use ashsplat_files::{
-    Dataset, DatasetOptions, HostMemory, Photo, PhotoFileFormat, Progress, cameras_json, exposure_json,
+    Dataset, DatasetOptions, Gallery, HostMemory, Photo, PhotoFileFormat, Progress, cameras_json, exposure_json,
 };
 use ashsplat_fuzz::{folder, in_one_line, leave_seed, within};
 use libfuzzer_sys::fuzz_target;
@@ -87,7 +87,7 @@ fuzz_target!(init: seeds(), |data: &[u8]| {
             "tileset.json" => drop(in_one_line(Tree::open(&*FOLDER))),
             "lens.json" => drop(in_one_line(LensFile::read(&path))),
             "depth_params.json" => drop(in_one_line(DepthFit::read_all(&path))),
-            "archive.zip" => drop(in_one_line(Dataset::cameras(&path, &options))),
+            "archive.zip" => drop(in_one_line(Gallery::open(&path, &options, Progress::NONE))),
             _ => {
                 let files = transforms::find(&FOLDER).expect("it is there");
                 if in_one_line(Transforms::read(&files)).is_some() {

@@ -2,8 +2,8 @@
 #![no_main]
 
 use arbitrary::Arbitrary;
-use ashsplat::passes::lpips::{Network, Weights};
-use ashsplat_files::{HostMemory, WeightsFile};
+use ashsplat::passes::lpips::Network;
+use ashsplat_files::{HostMemory, lpips_weights};
 use ashsplat_fuzz::hostile::{Change, Filling, MOST_BYTES, Number, Patch, safetensors};
 use ashsplat_fuzz::{folder, in_one_line, within};
 use libfuzzer_sys::fuzz_target;
@@ -70,6 +70,6 @@ fuzz_target!(|file: File| {
     std::fs::write(&*FILE, &bytes).expect("written");
     within(bytes.len(), |bound| {
         // None is complete: the smaller network has 10 MB.
-        assert!(in_one_line(Weights::read(&*FILE, &HostMemory::new(bound))).is_none());
+        assert!(in_one_line(lpips_weights::read(&*FILE, &HostMemory::new(bound))).is_none());
     });
 });
