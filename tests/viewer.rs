@@ -7,7 +7,6 @@ mod http;
 mod opening;
 mod shapes;
 mod sibr;
-mod siege;
 mod training;
 mod trees;
 #[allow(dead_code)]

@@ -1,6 +1,5 @@
 //! Picks and motion of a frame, compared with the host's own arithmetic.
 
-mod costs;
 pub mod flight;
 pub mod truth;
 

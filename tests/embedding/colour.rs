@@ -302,32 +302,6 @@ fn what_was_trained_is_washed_out_unless_it_is_linear() {
     });
 }
 
-#[test]
-#[ignore = "a measurement"]
-fn what_linear_light_costs() {
-    with_host(&HostOptions::default(), |host| {
-        let context = crate::cost::shipped(host, true);
-        let scene = uploaded(&context, &cloud(20_000, 3));
-        let mut renderer = reserved(&context, &Reservation::new(scene.count(), 1, 1280, 720));
-        let format = Format::R16G16B16A16_SFLOAT;
-        let target = Picture::new(host, &context, ("target", ImageUse::Target), format, [1280, 720]);
-        // Every frame leaves the image in this state.
-        let made = host.run(|commands| {
-            target.texture.barrier(host, commands, used(ImageState::UNDEFINED), used(WRITTEN));
-            Ok(())
-        });
-        made.expect("a layout");
-        let (camera, placed) = (camera(0.3, 1280, 720), [Placed::from(&scene)]);
-        let cases = [("as trained", ColorEncoding::AsTrained), ("linear", ColorEncoding::LINEAR)];
-        let cases = cases.map(|(name, encoding)| {
-            let to = host_image(&target.image, WRITTEN);
-            let target = Target::Image { to, behind: Background::Image, encoding };
-            (name, RecordedFrame { target, ..frame_of(&placed, &camera) })
-        });
-        crate::cost::print_stages(host, &mut renderer, &cases, &["compose"], 20);
-    });
-}
-
 fn panels(pictures: [image::RgbImage; 2]) -> image::RgbImage {
     let (width, height) = pictures[0].dimensions();
     let mut both = image::RgbImage::from_pixel(2 * width + 8, height, image::Rgb([255; 3]));

@@ -1,6 +1,6 @@
-//! Costs of frames for the host: memory of slots, time and heap allocations of `record`.
+//! Costs of frames for the host: time and heap allocations of `record`.
 //!
-//! Prints the guide's tables: `cargo test --release --test embedding -- --ignored --nocapture cost::`.
+//! `cargo test --release --test embedding -- --ignored --nocapture cost::` prints the guide's tables.
 
 use crate::auxiliary::truth::Screens;
 use crate::counting::allocations;
@@ -14,82 +14,23 @@ pub fn shipped(host: &Host, timestamps: bool) -> Context {
     unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context")
 }
 
-fn reserved_bytes(context: &Context, wanted: &Reservation) -> u64 {
-    let before = context.memory_total().bytes;
-    let mut renderer = Renderer::new(context).expect("kernels");
-    let empty = context.memory_total().bytes - before;
-    renderer.reserve(wanted).expect("memory");
-    context.memory_total().bytes - before - empty
-}
-
-/// Prints the median milliseconds of stages and of the whole, for frames measured in turn. In brackets: the median
-/// of the ratios to the first frame's. Ignores a first round.
-pub fn print_stages(
-    host: &Host,
-    renderer: &mut Renderer,
-    cases: &[(&str, RecordedFrame<'_>)],
-    stages: &[&str],
-    rounds: usize,
-) {
-    let commands = Commands::new(host);
-    // Of each frame, of each stage and of the whole, in each round.
-    let mut times = vec![vec![Vec::<f64>::new(); stages.len() + 1]; cases.len()];
-    for round in 0..=rounds {
-        for ((_, frame), times) in cases.iter().zip(&mut times) {
-            renderer.record(commands.begun(renderer.context()), 0, frame).expect("a recording");
-            commands.finish();
-            let scopes = report_of(renderer, 0).scopes;
-            for (stage, times) in times.iter_mut().enumerate().filter(|_| round > 0) {
-                let name = stages.get(stage);
-                let own = scopes.iter().filter(|s| name.map_or(s.depth == 0, |name| s.name == *name));
-                times.push(own.map(|scope| scope.nanoseconds / 1e6).sum());
-            }
-        }
-    }
-    println!("frame | {}, whole, ms (ratio of pairs)", stages.join(", "));
-    for ((name, _), own) in cases.iter().zip(&times) {
-        let figures = own
-            .iter()
-            .zip(&times[0])
-            .map(|(own, first)| format!("{:.2} ({:.3})", median(own.iter().copied()), ratio(own, first)));
-        println!("{name} | {}", figures.collect::<Vec<_>>().join(" | "));
-    }
-}
-
-fn median(values: impl IntoIterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.into_iter().collect();
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
-}
-
-pub fn ratio(own: &[f64], other: &[f64]) -> f64 {
-    median(own.iter().zip(other).map(|(own, other)| own / other))
-}
-
 #[test]
 #[ignore = "prints a table of the guide"]
 fn memory_table() {
-    with_host(&HostOptions::default(), print_memory);
-}
-
-fn print_memory(host: &Host) {
-    let context = shipped(host, false);
-    println!("Gaussians | picture | frames go into | one slot, MiB | two | three | three / one");
-    for gaussians in [100_000, 1_000_000, 2_000_000] {
-        for [width, height] in [[1280, 720], [1920, 1080], [3840, 2160]] {
-            for images_only in [true, false] {
-                let bytes = [1, 2, 3].map(|slots| {
+    with_host(&HostOptions::default(), |host| {
+        let renderer = Renderer::new(&shipped(host, false)).expect("kernels");
+        println!("Gaussians | picture | one slot, MiB | three slots, images only | three with pixels");
+        for gaussians in [100_000, 1_000_000, 2_000_000] {
+            for [width, height] in [[1280, 720], [1920, 1080], [3840, 2160]] {
+                let mib = [(1, true), (3, true), (3, false)].map(|(slots, images_only)| {
                     let wanted = Reservation::new(gaussians, 3, width, height);
-                    reserved_bytes(&context, &Reservation { slots, images_only, ..wanted })
+                    let wanted = Reservation { slots, images_only, ..wanted };
+                    renderer.reservation_bytes(&wanted).expect("bytes") as f64 / 1_048_576.0
                 });
-                let [one, two, three] = bytes.map(|bytes| bytes as f64 / f64::from(1 << 20));
-                let (target, ratio) = (if images_only { "images" } else { "slots" }, three / one);
-                println!(
-                    "{gaussians} | {width}x{height} | {target} | {one:.1} | {two:.1} | {three:.1} | {ratio:.2}"
-                );
+                println!("{gaussians} | {width}x{height} | {mib:.1?}");
             }
         }
-    }
+    });
 }
 
 /// Median and least time of `record`, microseconds, and the most heap allocations of one call, after the first

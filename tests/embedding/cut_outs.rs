@@ -2,7 +2,6 @@
 
 mod at_random;
 
-use crate::cost::print_stages;
 use crate::scene_settings::{HIDDEN, Stage, USUAL};
 use crate::scenes::appended;
 use crate::stage::*;
@@ -103,38 +102,6 @@ fn cut_outs_of_the_world_stay_where_they_are() {
                 assert!(pixels == apart.pixels(&[USUAL]), "{in_world:?}");
             }
         }
-    });
-}
-
-/// Prints the median milliseconds of culling, projection and whole frames that draw the same Gaussians, measured in
-/// turn.
-#[test]
-#[ignore = "prints a table of the guide"]
-fn costs() {
-    with_host(&HostOptions::default(), |host| {
-        let context = crate::cost::shipped(host, true);
-        let scene = uploaded(&context, &cloud(200_000, 1));
-        let wanted = Reservation::new(200_000, 1, 640, 480);
-        let wanted = Reservation { tint: true, cut_outs: 16, selection: true, ..wanted };
-        let mut renderer = reserved(&context, &wanted);
-        let volume = Volume::Box { half_size: Vec3::splat(9.0) };
-        let around = [CutOut { volume, pose: pose(0.3, Vec3::ZERO, 1.0), inside: Inside::Kept }; 16];
-        let bits = mask_of(&context, &[0x55; 25_000]);
-        let selection = Some(Selection { mask: &bits, color: [1.0, 0.5, 0.0], share: 0.5 });
-        let cases = [
-            ("as it is", USUAL),
-            ("tint and opacity", SceneSettings { tint: [1.0, 1.0, 0.99], opacity: 0.999, ..USUAL }),
-            ("SH degree 0", SceneSettings { sh_degree: Some(0), ..USUAL }),
-            ("a cut-out around all", SceneSettings { cut_outs: &around[..1], ..USUAL }),
-            ("16 of them", SceneSettings { cut_outs: &around, ..USUAL }),
-            ("a selection of half", SceneSettings { selection, ..USUAL }),
-            ("not visible", HIDDEN),
-        ];
-        let view = camera(0.7, 640, 480);
-        let placed = cases.map(|(_, settings)| [Placed { settings, ..Placed::from(&scene) }]);
-        let frames: Vec<_> =
-            cases.iter().zip(&placed).map(|((name, _), placed)| (*name, frame_of(placed, &view))).collect();
-        print_stages(host, &mut renderer, &frames, &["cull", "project"], 10);
     });
 }
 

@@ -122,9 +122,8 @@ fn refused_reservations_build_no_kernels() {
     with_host(&options(), |host| {
         let faults = Faults::new();
         let context = guest(host, &faults).expect("a context");
-        let mut renderer = Renderer::new(&context).expect("kernels");
         let own = Reservation::new(60, 1, 40, 30);
-        renderer.reserve(&own).expect("memory");
+        let mut renderer = reserved(&context, &own);
         let in_flight = Commands::new(host);
         let scene = uploaded(&context, &cloud(60, 1));
         let (scenes, camera) = ([(&scene).into()], camera(0.3, 40, 30));

@@ -150,18 +150,12 @@ pub fn changing_view(number: u32) -> Camera {
 }
 
 #[test]
-fn a_thousand_frames_of_changing_size_take_no_memory() {
-    with_guest(|host, context| draw_a_thousand(host, &context, |_| ()));
-}
-
-#[test]
 fn a_frame_without_room_says_what_it_needs() {
     with_guest(|host, context| {
         let (gaussians, camera) = (cloud(800, 9), camera(0.2, 96, 96));
         let scene = uploaded(&context, &gaussians);
-        let mut renderer = Renderer::new(&context).expect("kernels");
         let small = Reservation { instances: 100, ..Reservation::new(800, 1, 96, 96) };
-        renderer.reserve(&small).expect("memory");
+        let mut renderer = reserved(&context, &small);
         let scenes = [(&scene).into()];
         let frame = frame_of(&scenes, &camera);
         rendered(host, &mut renderer, &frame);
@@ -223,9 +217,8 @@ fn the_first_frame_that_is_reserved_for_is_whole() {
         let scenes = [(&scene).into()];
         let frame = frame_of(&scenes, &camera);
         let wanted = Reservation { slots: 2, ..Reservation::new(600, 1, 96, 96) };
-        let mut renderer = Renderer::new(&context).expect("kernels");
         // A plain reservation cuts the frame off.
-        renderer.reserve(&wanted).expect("memory");
+        let mut renderer = reserved(&context, &wanted);
         rendered(host, &mut renderer, &frame);
         assert!(report_of(&mut renderer, 0).overflow);
         let reserved = renderer.reserve_for(&wanted, &frame).expect("memory");

@@ -21,7 +21,6 @@ pub use std::ffi::{CStr, c_void};
 use ashsplat::train::StepReservation;
 use ashsplat::vk::validation_available;
 use std::ops::Deref;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 
 /// A host with validation if installed.
@@ -75,24 +74,36 @@ pub unsafe fn device_with(
     unsafe { ash::Device::load_with(load, host.device.handle()) }
 }
 
-/// A function that a test wraps: its name, the place of the device's own address, and the wrapper.
-pub type Wrapped<'a> = (&'a CStr, &'a AtomicUsize, *const c_void);
-
-/// The host's device with some functions wrapped. Their own addresses are stored.
-///
-/// # Safety
-/// Each wrapper is of its function's type, and calls the stored address.
-pub unsafe fn device_wrapping(host: &Host, functions: &[Wrapped<'_>]) -> ash::Device {
-    let replace = |name: &CStr, address: *const c_void| {
-        let Some((_, real, wrapper)) = functions.iter().find(|(own, ..)| *own == name) else {
-            return address;
-        };
-        real.store(address as usize, Ordering::SeqCst);
-        *wrapper
+/// Wrappers of a device's functions. Each tells `$note` its name, runs the block, which may return, and calls the device's
+/// own. Defines `wrapped`, which has the wrapper of a name and stores the own address.
+macro_rules! wrappers {
+    ($note:path; $($name:literal $wrapper:ident($($arg:ident: $ty:ty),*) -> $ret:ty $(, $first:block)?;)*) => {
+        mod real {
+            use std::sync::atomic::AtomicUsize;
+            $(#[allow(non_upper_case_globals)] pub static $wrapper: AtomicUsize = AtomicUsize::new(0);)*
+        }
+        $(unsafe extern "system" fn $wrapper($($arg: $ty),*) -> $ret {
+            $note($name);
+            $($first)?
+            // SAFETY: the address is that of the device's function of this type.
+            unsafe {
+                let own = real::$wrapper.load(std::sync::atomic::Ordering::SeqCst);
+                let own: unsafe extern "system" fn($($ty),*) -> $ret = std::mem::transmute(own);
+                own($($arg),*)
+            }
+        })*
+        fn wrapped(name: &CStr, own: *const c_void) -> Option<*const c_void> {
+            match name.to_str().expect("a name") {
+                $($name => {
+                    real::$wrapper.store(own as usize, std::sync::atomic::Ordering::SeqCst);
+                    Some($wrapper as *const c_void)
+                })*
+                _ => None,
+            }
+        }
     };
-    // SAFETY: every address is null, the device's own function, or a wrapper of its type.
-    unsafe { device_with(host, replace) }
 }
+pub(crate) use wrappers;
 
 pub fn guest(host: &Host) -> Context {
     guest_of(&host.foreign(), &ContextOptions { hazard_check: true, ..ContextOptions::default() })

@@ -7,9 +7,7 @@ use crate::stage::*;
 use ashsplat::ash::vk::Handle;
 use ashsplat::train::StepOutcome;
 use std::collections::BTreeSet;
-use std::mem::transmute;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 mod subgroup_features;
 
@@ -27,39 +25,11 @@ fn take_calls() -> Vec<(&'static str, usize)> {
     std::mem::take(&mut CALLS.lock().expect("no panic while held"))
 }
 
-/// Generates a wrapper for each counted function: a static with the real address, and a function that counts and
-/// forwards.
-macro_rules! counted {
-    ($($name:literal $wrapper:ident($($arg:ident: $ty:ty),*) -> $ret:ty;)*) => {
-        mod real {
-            use super::AtomicUsize;
-            $(#[allow(non_upper_case_globals)] pub static $wrapper: AtomicUsize = AtomicUsize::new(0);)*
-        }
-        $(unsafe extern "system" fn $wrapper($($arg: $ty),*) -> $ret {
-            count($name);
-            // SAFETY: the address is that of the device's function of this type.
-            unsafe {
-                let f: unsafe extern "system" fn($($ty),*) -> $ret = transmute(real::$wrapper.load(Ordering::Relaxed));
-                f($($arg),*)
-            }
-        })*
-        /// Returns the wrapper of a function and stores its real address.
-        fn wrapped(name: &str, address: usize) -> Option<*const c_void> {
-            match name {
-                $($name => {
-                    real::$wrapper.store(address, Ordering::Relaxed);
-                    Some($wrapper as *const c_void)
-                })*
-                _ => None,
-            }
-        }
-    };
-}
-
 type Callbacks = *const c_void;
 type Device = vk::Device;
 
-counted! {
+wrappers! {
+    count;
     "vkAllocateMemory" allocate_memory(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
     "vkFreeMemory" free_memory(d: Device, m: u64, c: Callbacks) -> ();
     "vkMapMemory" map_memory(d: Device, m: u64, o: u64, s: u64, f: u32, p: *mut *mut c_void) -> i32;
@@ -72,7 +42,7 @@ counted! {
     "vkDestroyBufferView" destroy_texels(d: Device, v: u64, c: Callbacks) -> ();
     "vkCreateImageView" create_view(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
     "vkDestroyImageView" destroy_view(d: Device, v: u64, c: Callbacks) -> ();
-    "vkCreateShaderModule" create_module(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkCreateShaderModule" create_module(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32, { subgroup_features::note(i) };
     "vkDestroyShaderModule" destroy_module(d: Device, m: u64, c: Callbacks) -> ();
     "vkCreateDescriptorSetLayout" create_set_layout(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
     "vkDestroyDescriptorSetLayout" destroy_set_layout(d: Device, l: u64, c: Callbacks) -> ();
@@ -81,7 +51,9 @@ counted! {
     "vkAllocateDescriptorSets" allocate_sets(d: Device, i: *const c_void, o: *mut u64) -> i32;
     "vkCreatePipelineLayout" create_layout(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
     "vkDestroyPipelineLayout" destroy_layout(d: Device, l: u64, c: Callbacks) -> ();
-    "vkCreateComputePipelines" create_pipelines(d: Device, p: u64, n: u32, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkCreateComputePipelines" create_pipelines(d: Device, p: u64, n: u32, i: *const c_void, c: Callbacks, o: *mut u64) -> i32, {
+        CACHES.lock().expect("no panic while held").insert(p);
+    };
     "vkDestroyPipeline" destroy_pipeline(d: Device, p: u64, c: Callbacks) -> ();
     "vkCreateEvent" create_event(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
     "vkDestroyEvent" destroy_event(d: Device, e: u64, c: Callbacks) -> ();
@@ -107,19 +79,6 @@ counted! {
 /// Pipeline caches used to build pipelines.
 static CACHES: Mutex<BTreeSet<u64>> = Mutex::new(BTreeSet::new());
 
-unsafe extern "system" fn create_pipelines_with(
-    device: Device,
-    cache: u64,
-    count: u32,
-    infos: *const c_void,
-    callbacks: Callbacks,
-    pipelines: *mut u64,
-) -> i32 {
-    CACHES.lock().expect("no panic while held").insert(cache);
-    // SAFETY: as the caller promises.
-    unsafe { create_pipelines(device, cache, count, infos, callbacks, pipelines) }
-}
-
 /// Functions besides `vkCmd*` that recording may call.
 const ALLOWED: [&str; 3] = ["vkGetEventStatus", "vkResetEvent", "vkUpdateDescriptorSets"];
 
@@ -130,14 +89,7 @@ fn instrumented(host: &Host) -> (ash::Device, BTreeSet<String>) {
         if address.is_null() || text.starts_with("vkCmd") || ALLOWED.contains(&text.as_str()) {
             return address;
         }
-        let wrapper = wrapped(&text, address as usize);
-        if text == "vkCreateComputePipelines" {
-            return create_pipelines_with as *const c_void;
-        }
-        if text == "vkCreateShaderModule" {
-            return subgroup_features::create_module_of as *const c_void;
-        }
-        wrapper.unwrap_or_else(|| {
+        wrapped(name, address).unwrap_or_else(|| {
             absent.insert(text);
             std::ptr::null()
         })

@@ -3,7 +3,6 @@
 
 mod at_random;
 mod commands;
-mod costs;
 mod split_screen;
 
 use crate::array_image::ArrayImage;

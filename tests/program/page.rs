@@ -75,15 +75,6 @@ impl Server {
         (self.child.wait().expect("it ends").code(), stderr)
     }
 
-    /// Peak resident memory, MiB.
-    #[cfg(target_os = "linux")]
-    pub fn peak_memory(&self) -> u64 {
-        let status =
-            std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("its status");
-        let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("its peak");
-        peak.trim().trim_end_matches(" kB").parse::<u64>().expect("a number") >> 10
-    }
-
     /// Returns status, headers and body of an answer.
     pub fn get(&self, path: &str, headers: &[(&str, &str)]) -> (u16, String, Vec<u8>) {
         self.request("GET", path, headers, &[])

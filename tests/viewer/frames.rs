@@ -4,6 +4,7 @@ use super::training::Training;
 use super::*;
 use ashsplat::Shape;
 use ashsplat::scene::Intrinsics;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 #[test]
 fn viewer_shows_what_the_library_renders() {
@@ -122,16 +123,24 @@ fn viewer_complains_of_nonsense_and_goes_on() {
     bad["width"] = json!(60_000);
     bad["height"] = json!(60_000);
     let outside = json!({ "type": "pick", "id": 1, "camera": message(&camera(0.0)), "pixel": [96, 0] });
+    let film = |keys: usize, seconds: u32, frames_per_second: u32, width: u32| {
+        let key =
+            json!({ "position": [0, 0, -3], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fov_y": 0.8 });
+        json!({
+            "type": "film", "keys": vec![key; keys], "seconds": seconds, "frames_per_second": frames_per_second,
+            "width": width, "height": 9,
+        })
+    };
     let cases = [
         (json!({ "type": "dance" }), "not understood"),
         (json!(7), "not understood"),
         (json!({ "type": "view", "seq": 1, "camera": bad }), "pixels"),
         (view(1, &camera(0.0), &json!({ "scale": -1 })), "scale_modifier: is -1"),
         (outside, "outside"),
-        (
-            json!({ "type": "film", "keys": [], "seconds": 1, "frames_per_second": 1, "width": 9, "height": 9 }),
-            "keys",
-        ),
+        (film(1, 0, 1, 9), "keys"),
+        (film(2, 1_000_000_000, 1, 9), "the most"),
+        (film(2, 1, 0, 9), "frames per second"),
+        (film(2, 1, 1, 0), "0x9"),
     ];
     for (message, word) in cases {
         page.send(&message);
@@ -139,6 +148,40 @@ fn viewer_complains_of_nonsense_and_goes_on() {
         assert!(problem.contains(word), "{message}: {problem}");
     }
     assert!(!page.look(&camera(0.0), &json!({})).picture.is_empty());
+}
+
+/// A page that sends as fast as possible is answered meanwhile.
+#[test]
+fn viewer_answers_while_messages_come() {
+    let (_place, server) = view_ball(50, &[]);
+    let page = server.page();
+    let stream = page.socket.get_ref().try_clone().expect("a stream");
+    let role = tungstenite::protocol::Role::Client;
+    let mut reader = tungstenite::WebSocket::from_raw_socket(stream, role, None);
+    let over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let over = &over;
+        scope.spawn(move || {
+            let mut page = page;
+            page.socket.get_ref().set_write_timeout(Some(Duration::from_millis(50))).expect("a timeout");
+            let mut sent = true;
+            while !over.load(Ordering::Relaxed) {
+                let nonsense = tungstenite::Message::text(r#"{"type":"nonsense"}"#);
+                sent = if sent { page.socket.send(nonsense) } else { page.socket.flush() }.is_ok();
+            }
+        });
+        let mut answers = 0;
+        while answers < 100 {
+            let answer = reader.read().expect("an answer");
+            // The server also sends pings.
+            if answer.is_ping() {
+                continue;
+            }
+            assert!(answer.to_text().is_ok_and(|text| text.contains("not understood")), "{answer:?}");
+            answers += 1;
+        }
+        over.store(true, Ordering::Relaxed);
+    });
 }
 
 /// The view of a scene's camera, with or without its photo's exposure and lens.

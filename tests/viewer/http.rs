@@ -88,18 +88,24 @@ fn viewer_refuses_foreign_pages() {
             ("Sec-Fetch-Site", "cross-site"),
             ("Sec-Fetch-Site", "same-site"),
             ("Origin", "http://elsewhere.example"),
+            ("Origin", "http://localhost:1"),
+            ("Origin", "http://"),
             ("Origin", ""),
             ("Origin", "http://\u{e4}.example"),
         ] {
             assert_eq!(server.get(path, &[foreign]).0, 403, "{path} {foreign:?}");
         }
-        assert_ne!(server.get(path, &[("Sec-Fetch-Site", "same-origin")]).0, 403, "{path}");
+        for site in ["same-origin", "none"] {
+            assert_ne!(server.get(path, &[("Sec-Fetch-Site", site)]).0, 403, "{path}");
+        }
     }
     // A link may open the page.
     let link =
         [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "navigate"), ("Sec-Fetch-Dest", "document")];
     assert_eq!((server.get("/", &link).0, server.get("/photo/0", &link).0), (200, 403));
+    assert_eq!(server.get("/", &[link[0], link[1], ("Sec-Fetch-Dest", "iframe")]).0, 403);
     let own = format!("http://{}", server.host);
+    assert_eq!(server.get("/", &[("Origin", &own), ("Origin", "http://elsewhere.example")]).0, 403);
     for (origin, expected) in [("http://elsewhere.example", 403), ("null", 403), (&own, 101)] {
         assert_eq!(handshake(&server, origin), expected, "{origin}");
     }
@@ -153,7 +159,7 @@ fn viewer_is_told_what_is_up() {
 }
 
 #[test]
-fn viewer_names_a_busy_port() {
+fn viewer_names_a_busy_port_and_the_options_of_its_command() {
     let place = Place::new();
     write_ball(&place.at(""), 50);
     let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
@@ -162,6 +168,7 @@ fn viewer_names_a_busy_port() {
     for (line, words) in [
         (format!("view @ball.ply --port {port}"), &[&port, "in use", "--port"][..]),
         (format!("{train} --view={port}"), &[&port, "in use", "--view=PORT"]),
+        (format!("{train} --view=0 --view-host 0.0.0.0"), &["--view-host", "--view-token WORD"]),
         (format!("{train} --port {port}"), &["--ip"]),
         (format!("{train} --ip 127.0.0.1 --port {port}"), &[&port, "in use"]),
     ] {

@@ -78,6 +78,10 @@ fn viewer_shows_files_that_are_dropped() {
         assert!(!page.look(&camera(0.0), &json!({})).picture.is_empty());
         assert_eq!(empty.left(), 0, "{ending}");
     }
+    // A name leads nowhere.
+    let (code, ..) = empty.server.post("/upload/..%2f..%2fa.ply", &[BINARY], &bytes_of(60, ".ply"));
+    assert_eq!((code, &page.opened().expect("a scene")["gaussians"]), (202, &json!(60)));
+    assert!(other.opened().is_ok() && !empty.place.has("a.ply") && !empty.place.has("../a.ply"));
     // The exported scene is the uploaded one.
     let (_, _, back) = empty.server.get("/export/back.compressed.ply", &[]);
     assert!(!back.is_empty());
@@ -93,7 +97,7 @@ fn viewer_shows_files_that_are_dropped() {
         assert!(other.opened().is_err());
     }
     assert!(page.look(&camera(0.0), &json!({ "quality": 0 })).rgb() == last && empty.left() == 0);
-    assert_eq!(empty.server.page().greeting["gaussians"], 70);
+    assert_eq!(empty.server.page().greeting["gaussians"], 60);
 }
 
 #[test]

@@ -17,22 +17,10 @@ impl Training {
 
     /// `more`: the number of iterations and other arguments. Waits for a line that begins with `last`.
     pub fn start(more: &str, last: &str) -> Training {
-        Training::run(Command::new(env!("CARGO_BIN_EXE_ashsplat")), more, last)
-    }
-
-    /// Same as [`Training::endless`], but with few descriptors.
-    pub fn start_within(descriptors: u32) -> Training {
-        let mut command = Command::new("sh");
-        command.args(["-c", &format!("ulimit -n {descriptors}; exec \"$0\" \"$@\"")]);
-        command.arg(env!("CARGO_BIN_EXE_ashsplat"));
-        Training::run(command, "1000000 --view=0", "viewer at ")
-    }
-
-    fn run(command: Command, more: &str, last: &str) -> Training {
         let place = Place::new();
         let words = place.words(format!("train -s @data -m @model --eval --quiet --iterations {more}"));
         let words: Vec<&str> = words.iter().map(String::as_str).collect();
-        let server = Server::run(command, &words, last);
+        let server = Server::run(Command::new(env!("CARGO_BIN_EXE_ashsplat")), &words, last);
         Training { place, server }
     }
 }

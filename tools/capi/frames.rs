@@ -1,10 +1,10 @@
 //! A frame to record, its outputs, its recording, and its report.
 
-use super::scenes::{Pointees, copied, pointees, settings_of, updates};
+use super::scenes::{keep, scenes, updates};
 use super::*;
 use crate::kept::{List, collected};
 use ashsplat::ash::{vk, vk::Handle};
-use ashsplat::scene::{Camera, Pose};
+use ashsplat::scene::Pose;
 use ashsplat::vk::ImageState;
 use ashsplat::{
     Background, ColorEncoding, DepthTarget, HostImage, MotionTarget, Occluder, PickTarget, Placed,
@@ -94,7 +94,7 @@ pub struct AshsplatPose {
 }
 
 impl AshsplatPose {
-    fn pose(&self) -> Pose {
+    pub(super) fn pose(&self) -> Pose {
         pose_of(&self.world_from_object, self.translation, self.scale)
     }
 }
@@ -265,102 +265,48 @@ impl From<SlotReport> for AshsplatSlotReport {
     }
 }
 
-/// A frame with copies of everything that it points to.
-struct Copied<'a> {
-    frame: &'a AshsplatRecordedFrame,
-    placed: List<'a, AshsplatPlaced>,
-    pointees: List<'a, Pointees<'a>>,
-    updates: List<'a, scenes::Copied<'a>>,
-    camera: Camera,
-    settings: RenderSettings,
-    /// Motion target, and the previous frame's camera.
-    motion: Option<(AshsplatMotionTarget, Camera)>,
-}
-
-impl<'a> Copied<'a> {
-    /// # Safety
-    /// The frame is valid with all that it points to.
-    unsafe fn of(
-        frame: &'a AshsplatRecordedFrame,
-        context: &Context,
-        (scratch, kept): (&'a Scratch, &'a Kept),
-    ) -> Result<Self> {
-        // SAFETY: as promised.
-        unsafe {
-            let placed = collected(read_all(frame.scenes, frame.scene_count, "scenes")?, scratch)?;
-            let pointees = pointees(&placed, context, (scratch, kept))?;
-            let given = collected(read_all(frame.updates, frame.update_count, "updates")?, scratch)?;
-            let settings = read_if(frame.settings, "settings")?;
-            let updates = copied(&given, (scratch, kept))?;
-            let camera = read(frame.camera, "camera")?.known("camera")?;
-            let settings = settings.map_or(Ok(RenderSettings::default()), |settings| settings.checked())?;
-            let motion = match read_if(frame.motion, "motion")? {
-                None => None,
-                Some(motion) => {
-                    let name = "motion.previous_camera";
-                    Some((motion, read(motion.previous_camera, name)?.known(name)?))
-                }
-            };
-            Ok(Self { frame, placed, pointees, updates, camera, settings, motion })
+/// Converts a frame.
+///
+/// # Safety
+/// The frame is valid with all that it points to.
+unsafe fn recorded<'b>(
+    f: &AshsplatRecordedFrame,
+    scenes: &'b [Placed<'b>],
+    updates: &'b [Update<'b>],
+    scratch: &'b Scratch,
+) -> Result<RecordedFrame<'b>> {
+    // SAFETY: as promised.
+    unsafe {
+        let camera = scratch.alloc(read(f.camera, "camera")?.known("camera")?);
+        let settings = read_if(f.settings, "settings")?.map(|settings| settings.checked()).transpose()?;
+        let settings = scratch.alloc(settings.unwrap_or_default());
+        let mut recorded = RecordedFrame { updates, ..RecordedFrame::new(scenes, camera, settings) };
+        if let Some(AshsplatTarget { to, behind, background, encoding, exposure, .. }) =
+            read_if(f.target, "target")?
+        {
+            let to = used(&to, "target.to.image")?;
+            let all = [Background::Color(background), Background::Nothing, Background::Image];
+            let behind = one_of("target.behind", behind, &all)?;
+            let all = [ColorEncoding::AsTrained, ColorEncoding::LinearSrgb { exposure }];
+            let encoding = one_of("target.encoding", encoding, &all)?;
+            recorded.target = Target::Image { to, behind, encoding };
         }
-    }
-
-    /// Converts the placed scenes. The promise is that of [`Copied::of`].
-    unsafe fn scenes<'b>(&'b self, scratch: &'b Scratch) -> Result<List<'b, Placed<'b>>> {
-        let mut scenes = List::with_capacity_in(self.placed.len(), scratch);
-        for (place, (placed, own)) in self.placed.iter().zip(&self.pointees).enumerate() {
-            // SAFETY: as promised.
-            unsafe {
-                let in_scene = |error| within(format_args!("scenes[{place}]"))(error);
-                let scene = &borrowed(placed.scene, "scene").map_err(in_scene)?.scene;
-                let previous_pose = read_if(placed.previous_pose, "previous_pose").map_err(in_scene)?;
-                scenes.push(Placed {
-                    settings: settings_of(own),
-                    previous_pose: previous_pose.as_ref().map(AshsplatPose::pose),
-                    ..Placed::at(scene, placed.pose())
-                });
-            }
+        if let Some(AshsplatOccluder { depth, mapping, .. }) = read_if(f.occluder, "occluder")? {
+            let depth = used(&depth, "occluder.depth.image")?;
+            recorded.occluder = Some(Occluder { depth, mapping: mapping.into() });
         }
-        Ok(scenes)
-    }
-
-    /// Converts the frame. The promise is that of [`Copied::of`].
-    unsafe fn recorded<'b>(
-        &'b self,
-        scenes: &'b [Placed<'b>],
-        updates: &'b [Update<'b>],
-    ) -> Result<RecordedFrame<'b>> {
-        let f = self.frame;
-        let mut recorded =
-            RecordedFrame { updates, ..RecordedFrame::new(scenes, &self.camera, &self.settings) };
-        // SAFETY: as promised.
-        unsafe {
-            if let Some(AshsplatTarget { to, behind, background, encoding, exposure, .. }) =
-                read_if(f.target, "target")?
-            {
-                let to = used(&to, "target.to.image")?;
-                let all = [Background::Color(background), Background::Nothing, Background::Image];
-                let behind = one_of("target.behind", behind, &all)?;
-                let all = [ColorEncoding::AsTrained, ColorEncoding::LinearSrgb { exposure }];
-                let encoding = one_of("target.encoding", encoding, &all)?;
-                recorded.target = Target::Image { to, behind, encoding };
-            }
-            if let Some(AshsplatOccluder { depth, mapping, .. }) = read_if(f.occluder, "occluder")? {
-                let depth = used(&depth, "occluder.depth.image")?;
-                recorded.occluder = Some(Occluder { depth, mapping: mapping.into() });
-            }
-            if let Some(AshsplatDepthTarget { to, min_weight, empty, .. }) = read_if(f.depth, "depth")? {
-                recorded.depth = Some(DepthTarget { to: used(&to, "depth.to.image")?, min_weight, empty });
-            }
-            if let Some(AshsplatPickTarget { to, .. }) = read_if(f.pick, "pick")? {
-                recorded.pick = Some(PickTarget { to: used(&to, "pick.to.image")? });
-            }
-            if let Some((AshsplatMotionTarget { to, min_weight, empty, keeps_empty, .. }, previous_camera)) =
-                &self.motion
-            {
-                let (to, empty) = (used(to, "motion.to.image")?, (!keeps_empty).then_some(*empty));
-                recorded.motion = Some(MotionTarget { to, previous_camera, min_weight: *min_weight, empty });
-            }
+        if let Some(AshsplatDepthTarget { to, min_weight, empty, .. }) = read_if(f.depth, "depth")? {
+            recorded.depth = Some(DepthTarget { to: used(&to, "depth.to.image")?, min_weight, empty });
+        }
+        if let Some(AshsplatPickTarget { to, .. }) = read_if(f.pick, "pick")? {
+            recorded.pick = Some(PickTarget { to: used(&to, "pick.to.image")? });
+        }
+        if let Some(motion) = read_if(f.motion, "motion")? {
+            let AshsplatMotionTarget { to, min_weight, empty, keeps_empty, previous_camera, .. } = motion;
+            let name = "motion.previous_camera";
+            let previous_camera = scratch.alloc(read(previous_camera, name)?.known(name)?);
+            let (to, empty) = (used(&to, "motion.to.image")?, (!keeps_empty).then_some(empty));
+            recorded.motion = Some(MotionTarget { to, previous_camera, min_weight, empty });
         }
         Ok(recorded)
     }
@@ -389,7 +335,7 @@ pub(super) unsafe fn record(
 ) -> Result<()> {
     scratch.reset();
     kept.begin();
-    let (scratch, kept) = (&*scratch, &*kept);
+    let scratch = &*scratch;
     let of_view = |index: usize| {
         move |error: Error| if count == 1 { error } else { within(format_args!("frames[{index}]"))(error) }
     };
@@ -397,21 +343,25 @@ pub(super) unsafe fn record(
     unsafe {
         let frames = collected(read_all(frames, count, "frames")?, scratch)?;
         let context = renderer.context();
-        let copy = |(index, frame)| Copied::of(frame, context, (scratch, kept)).map_err(of_view(index));
-        let copied = collected(frames.iter().enumerate().map(copy), scratch)?;
-        let scenes = copied.iter().enumerate();
-        let scenes = scenes.map(|(index, own)| own.scenes(scratch).map_err(of_view(index)));
-        let scenes = collected(scenes, scratch)?;
-        let copies = kept.copies();
-        let updates = copied.iter().map(|own| updates(&own.updates, &copies, scratch));
-        let updates = List::from_iter_in(updates, scratch);
-        let mut views = List::with_capacity_in(frames.len(), scratch);
-        for (index, own) in copied.iter().enumerate() {
+        for (index, frame) in frames.iter().enumerate() {
+            keep(frame, context, kept).map_err(of_view(index))?;
+        }
+        let kept = &*kept;
+        let mut copies = kept.copies();
+        let all = frames.iter().enumerate();
+        let convert = |(index, frame)| {
+            let both = scenes(frame, (scratch, kept))
+                .and_then(|scenes| Ok((scenes, updates(frame, &mut copies, scratch)?)));
+            both.map_err(of_view(index))
+        };
+        let lists = collected(all.clone().map(convert), scratch)?;
+        let view = |(index, frame): (usize, &AshsplatRecordedFrame)| {
             // Views with the same list share it here: the engine recognizes it by its address.
             let list = |f: &AshsplatRecordedFrame| (f.scenes, f.scene_count);
-            let first = frames.iter().position(|frame| list(frame) == list(own.frame)).unwrap_or(index);
-            views.push(own.recorded(&scenes[first], &updates[index]).map_err(of_view(index))?);
-        }
+            let first = frames.iter().position(|other| list(other) == list(frame)).unwrap_or(index);
+            recorded(frame, &lists[first].0, &lists[index].1, scratch).map_err(of_view(index))
+        };
+        let views = collected(all.map(view), scratch)?;
         let commands = context.adopt_commands(vk::CommandBuffer::from_raw(commands as u64))?;
         let mut left = List::from_iter_in(views.iter().map(|_| Release::default()), scratch);
         renderer.record_views(commands, slot, &views, &mut left).map_err(names::frame_in_c)?;

@@ -5,7 +5,6 @@ use ashsplat::Result;
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::Gaussians;
 use ashsplat::vk::{Buffer, Context};
-use std::cell::{Cell, Ref, RefCell};
 use std::collections::HashMap;
 
 /// Arena for the lists of a recording. Another recording of the same size allocates nothing on the heap.
@@ -32,60 +31,64 @@ const IDLE_RECORDINGS: u64 = 64;
 #[derive(Default)]
 pub(super) struct Kept {
     /// Arrays for updates, by the update's index within a recording, with the last recording that used them.
-    copies: RefCell<Vec<(Gaussians, u64)>>,
+    copies: Vec<(Gaussians, u64)>,
     /// Number of updates in this recording so far.
-    updates: Cell<usize>,
+    updates: usize,
     /// Adopted masks, with the last recording that used them.
-    masks: RefCell<HashMap<AshsplatHostBuffer, (Buffer, u64)>>,
-    recordings: Cell<u64>,
+    masks: HashMap<AshsplatHostBuffer, (Buffer, u64)>,
+    recordings: u64,
 }
 
 impl Kept {
     /// Begins a recording.
-    pub fn begin(&self) {
-        let now = self.recordings.get() + 1;
-        self.recordings.set(now);
-        self.updates.set(0);
+    pub fn begin(&mut self) {
+        self.recordings += 1;
+        self.updates = 0;
+        let now = self.recordings;
         if now.is_multiple_of(IDLE_RECORDINGS) {
             let is_used = |last_used: u64| now - last_used <= IDLE_RECORDINGS;
-            self.masks.borrow_mut().retain(|_, (_, last_used)| is_used(*last_used));
-            let mut copies = self.copies.borrow_mut();
-            copies.iter_mut().filter(|copy| !is_used(copy.1)).for_each(|copy| copy.0 = Gaussians::default());
+            self.masks.retain(|_, (_, last_used)| is_used(*last_used));
+            let idle = self.copies.iter_mut().filter(|copy| !is_used(copy.1));
+            idle.for_each(|copy| copy.0 = Gaussians::default());
         }
     }
 
-    /// Copies Gaussians into the arrays for the recording's next update. Returns their place among the copies.
-    pub fn copy(&self, copy: impl FnOnce(&mut Gaussians) -> Result<()>) -> Result<usize> {
-        let place = self.updates.replace(self.updates.get() + 1);
-        let mut copies = self.copies.borrow_mut();
-        if copies.len() <= place {
-            copies.resize(place + 1, Default::default());
+    /// Arrays for the Gaussians of the recording's next update.
+    pub fn next_copy(&mut self) -> &mut Gaussians {
+        let place = self.updates;
+        self.updates += 1;
+        if self.copies.len() <= place {
+            self.copies.resize(place + 1, Default::default());
         }
-        let (own, last_used) = &mut copies[place];
-        *last_used = self.recordings.get();
-        copy(own).map(|()| place)
+        let (own, last_used) = &mut self.copies[place];
+        *last_used = self.recordings;
+        own
     }
 
-    /// Copied Gaussians of all updates.
-    pub fn copies(&self) -> Ref<'_, Vec<(Gaussians, u64)>> {
-        self.copies.borrow()
+    /// Copied Gaussians of the recording's updates, in their order.
+    pub fn copies(&self) -> impl Iterator<Item = &Gaussians> {
+        self.copies.iter().map(|(own, _)| own)
     }
 
-    /// Returns an adopted mask; adopts it on first use.
+    /// Adopts a mask on first use.
     ///
     /// # Safety
     /// The buffer meets the requirements of [`Buffer::adopt`] as long as recordings use it. Afterwards only its handle is kept,
     /// and never used with the device: contexts in which views are made of buffers refuse adopted ones.
-    pub unsafe fn mask(&self, context: &Context, host: AshsplatHostBuffer) -> Result<Buffer> {
-        let (mut masks, now) = (self.masks.borrow_mut(), self.recordings.get());
-        if let Some((adopted, last_used)) = masks.get_mut(&host) {
-            *last_used = now;
-            return Ok(adopted.clone());
+    pub unsafe fn adopt(&mut self, context: &Context, host: AshsplatHostBuffer) -> Result<()> {
+        if let Some((_, last_used)) = self.masks.get_mut(&host) {
+            *last_used = self.recordings;
+            return Ok(());
         }
         let raw = vk::Buffer::from_raw(host.buffer);
         // SAFETY: as promised.
         let adopted = unsafe { Buffer::adopt(context, "selection", raw, host.offset, host.bytes) }?;
-        masks.insert(host, (adopted.clone(), now));
-        Ok(adopted)
+        self.masks.insert(host, (adopted, self.recordings));
+        Ok(())
+    }
+
+    /// Returns an adopted mask.
+    pub fn mask(&self, host: &AshsplatHostBuffer) -> Option<&Buffer> {
+        self.masks.get(host).map(|(adopted, _)| adopted)
     }
 }

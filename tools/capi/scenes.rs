@@ -5,7 +5,7 @@ use crate::kept::{List, collected};
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::{CutOut, Gaussians, Inside, MAX_CUT_OUTS, Volume};
 use ashsplat::vk::Buffer;
-use ashsplat::{Reservation, SceneSettings, Selection, Update};
+use ashsplat::{Placed, Reservation, SceneSettings, Selection, Update};
 use glam::Vec3;
 
 /// The shape of a volume.
@@ -73,13 +73,6 @@ pub struct AshsplatSceneSettings {
     pub selection_share: f32,
 }
 
-/// A scene's settings and the converted objects that they point to.
-pub(super) struct Pointees<'b> {
-    settings: Option<AshsplatSceneSettings>,
-    cut_outs: List<'b, CutOut>,
-    mask: Option<Buffer>,
-}
-
 impl AshsplatCutOut {
     fn checked(&self, name: impl std::fmt::Display) -> Result<CutOut> {
         let size = Vec3::from(self.size);
@@ -94,59 +87,109 @@ impl AshsplatCutOut {
     }
 }
 
-/// Converts the objects that each scene's settings point to.
+/// Takes the masks and the new Gaussians of a frame into the renderer's memory.
 ///
 /// # Safety
-/// The settings are NULL or valid with all that they point to; masks meet the requirements of [`Buffer::adopt`].
-pub(super) unsafe fn pointees<'b>(
-    placed: &[AshsplatPlaced],
-    context: &Context,
-    (scratch, kept): (&'b Scratch, &Kept),
-) -> Result<List<'b, Pointees<'b>>> {
-    let of = |(place, placed): (usize, &AshsplatPlaced)| {
-        // SAFETY: as promised.
-        let settings = unsafe { read_if(placed.settings, "settings") };
-        let Some(settings) = settings.map_err(within(format_args!("scenes[{place}]")))? else {
-            return Ok(Pointees { settings: None, cut_outs: List::new_in(scratch), mask: None });
-        };
-        let field = || format!("scenes[{place}].settings.cut_outs");
-        let count = settings.cut_out_count as usize;
-        // Checked before that many are read.
-        if count > MAX_CUT_OUTS {
-            return Err(Error::argument(field(), format!("{count} of them, there may be {MAX_CUT_OUTS}")));
+/// The frame is valid with all that it points to; masks meet the requirements of [`Buffer::adopt`].
+pub(super) unsafe fn keep(frame: &AshsplatRecordedFrame, context: &Context, kept: &mut Kept) -> Result<()> {
+    // SAFETY: as promised.
+    unsafe {
+        for (place, placed) in read_all(frame.scenes, frame.scene_count, "scenes")?.enumerate() {
+            let settings = settings_of(&placed?, place)?;
+            if let Some(mask) = settings.and_then(|settings| settings.selection.as_ref()) {
+                let name = format_args!("scenes[{place}].settings.selection");
+                kept.adopt(context, *mask).map_err(named(name))?;
+            }
         }
-        // SAFETY: as promised.
-        let own = unsafe { read_all(settings.cut_outs, settings.cut_out_count, "cut_outs") };
-        let own = own.and_then(|all| collected(all, scratch));
-        let own = own.map_err(within(format_args!("scenes[{place}].settings")))?;
-        let checked = |(index, cut_out): (usize, &AshsplatCutOut)| {
-            cut_out.checked(format_args!("scenes[{place}].settings.cut_outs[{index}]"))
-        };
-        let cut_outs = collected(own.iter().enumerate().map(checked), scratch)?;
-        // SAFETY: as promised.
-        let mask = unsafe { settings.selection.as_ref() }.map(|mask| {
-            // SAFETY: as promised.
-            let mask = unsafe { kept.mask(context, *mask) };
-            mask.map_err(named(format_args!("scenes[{place}].settings.selection")))
-        });
-        Ok(Pointees { settings: Some(settings), cut_outs, mask: mask.transpose()? })
-    };
-    collected(placed.iter().enumerate().map(of), scratch)
+        for (place, update) in read_all(frame.updates, frame.update_count, "updates")?.enumerate() {
+            let host = read(update?.gaussians, "gaussians");
+            let copied =
+                host.and_then(|host| copy_into(kept.next_copy(), &host).map_err(within("gaussians")));
+            copied.map_err(within(format_args!("updates[{place}]")))?;
+        }
+    }
+    Ok(())
 }
 
-/// Converts a scene's settings.
-pub(super) fn settings_of<'a>(own: &'a Pointees<'_>) -> SceneSettings<'a> {
-    own.settings.as_ref().map_or_else(SceneSettings::default, |settings| SceneSettings {
+/// # Safety
+/// The settings are NULL or valid.
+unsafe fn settings_of(placed: &AshsplatPlaced, place: usize) -> Result<Option<AshsplatSceneSettings>> {
+    // SAFETY: as promised.
+    unsafe { read_if(placed.settings, "settings") }.map_err(within(format_args!("scenes[{place}]")))
+}
+
+/// Converts the scenes of a frame. The promise is that of [`keep`], which has taken their masks.
+pub(super) unsafe fn scenes<'b>(
+    frame: &AshsplatRecordedFrame,
+    (scratch, kept): (&'b Scratch, &'b Kept),
+) -> Result<List<'b, Placed<'b>>> {
+    let convert = |(place, placed): (usize, Result<AshsplatPlaced>)| {
+        let (placed, in_scene) = (placed?, |error| within(format_args!("scenes[{place}]"))(error));
+        // SAFETY: as promised.
+        unsafe {
+            let scene = &borrowed(placed.scene, "scene").map_err(in_scene)?.scene;
+            let previous_pose = read_if(placed.previous_pose, "previous_pose").map_err(in_scene)?;
+            let settings = match settings_of(&placed, place)? {
+                Some(settings) => converted(&settings, place, (scratch, kept))?,
+                None => SceneSettings::default(),
+            };
+            let previous_pose = previous_pose.as_ref().map(AshsplatPose::pose);
+            Ok(Placed { settings, previous_pose, ..Placed::at(scene, placed.pose()) })
+        }
+    };
+    // SAFETY: as promised.
+    let all = unsafe { read_all(frame.scenes, frame.scene_count, "scenes")? };
+    collected(all.enumerate().map(convert), scratch)
+}
+
+/// Converts a scene's settings. The promise is that of [`scenes`].
+unsafe fn converted<'b>(
+    settings: &AshsplatSceneSettings,
+    place: usize,
+    (scratch, kept): (&'b Scratch, &'b Kept),
+) -> Result<SceneSettings<'b>> {
+    let count = settings.cut_out_count as usize;
+    // Checked before that many are read.
+    if count > MAX_CUT_OUTS {
+        let problem = format!("{count} of them, there may be {MAX_CUT_OUTS}");
+        return Err(Error::argument(format!("scenes[{place}].settings.cut_outs"), problem));
+    }
+    let in_settings = |error| within(format_args!("scenes[{place}].settings"))(error);
+    let checked = |(index, cut_out): (usize, Result<AshsplatCutOut>)| {
+        let name = format_args!("scenes[{place}].settings.cut_outs[{index}]");
+        cut_out.map_err(in_settings)?.checked(name)
+    };
+    // SAFETY: as promised.
+    let (cut_outs, mask) = unsafe {
+        let cut_outs = read_all(settings.cut_outs, settings.cut_out_count, "cut_outs");
+        (cut_outs.map_err(in_settings)?, settings.selection.as_ref().and_then(|mask| kept.mask(mask)))
+    };
+    let (color, share) = (settings.selection_color, settings.selection_share);
+    Ok(SceneSettings {
         visible: settings.visible,
         tint: settings.tint,
         opacity: settings.opacity,
         sh_degree: Some(settings.sh_degree),
-        cut_outs: &own.cut_outs,
-        selection: own.mask.as_ref().map(|mask| {
-            let (color, share) = (settings.selection_color, settings.selection_share);
-            Selection { mask, color, share }
-        }),
+        cut_outs: collected(cut_outs.enumerate().map(checked), scratch)?.into_bump_slice(),
+        selection: mask.map(|mask| Selection { mask, color, share }),
     })
+}
+
+/// Converts the updates of a frame, whose Gaussians [`keep`] has copied. The promise is that of [`keep`].
+pub(super) unsafe fn updates<'b>(
+    frame: &AshsplatRecordedFrame,
+    copies: &mut impl Iterator<Item = &'b Gaussians>,
+    scratch: &'b Scratch,
+) -> Result<List<'b, Update<'b>>> {
+    let convert = |((place, update), gaussians): ((usize, Result<AshsplatUpdate>), &'b Gaussians)| {
+        let AshsplatUpdate { scene, first, .. } = update?;
+        // SAFETY: as promised.
+        let scene = unsafe { borrowed(scene, "scene") }.map_err(within(format_args!("updates[{place}]")))?;
+        Ok(Update { scene: &scene.scene, first, gaussians })
+    };
+    // SAFETY: as promised.
+    let all = unsafe { read_all(frame.updates, frame.update_count, "updates")? };
+    collected(all.enumerate().zip(copies).map(convert), scratch)
 }
 
 /// A cut-out whose pose is one in the world, for a scene that is placed there: `placed` needs no scene.
@@ -208,41 +251,6 @@ unsafe fn copy_into(own: &mut Gaussians, host: &AshsplatGaussians) -> Result<()>
 fn replace<T: Clone>(own: &mut Vec<T>, values: &[T]) {
     own.clear();
     own.extend_from_slice(values);
-}
-
-/// An update: its scene, first Gaussian, and the place of its Gaussians among [`Kept::copies`].
-pub(super) type Copied<'a> = (&'a DeviceScene, u32, usize);
-
-/// Copies a frame's updates.
-///
-/// # Safety
-/// Same as for [`gaussians`], for each update; the scenes are alive.
-pub(super) unsafe fn copied<'a>(
-    updates: &[AshsplatUpdate],
-    (scratch, kept): (&'a Scratch, &Kept),
-) -> Result<List<'a, Copied<'a>>> {
-    let copy = |(place, u): (usize, &AshsplatUpdate)| {
-        // SAFETY: as promised.
-        let copied = unsafe {
-            borrowed(u.scene, "scene").and_then(|scene| {
-                let host = read(u.gaussians, "gaussians")?;
-                let copy = kept.copy(|own| copy_into(own, &host)).map_err(within("gaussians"))?;
-                Ok((&scene.scene, u.first, copy))
-            })
-        };
-        copied.map_err(within(format_args!("updates[{place}]")))
-    };
-    collected(updates.iter().enumerate().map(copy), scratch)
-}
-
-/// Converts copied updates.
-pub(super) fn updates<'a>(
-    copied: &[Copied<'a>],
-    copies: &'a [(Gaussians, u64)],
-    scratch: &'a Scratch,
-) -> List<'a, Update<'a>> {
-    let update = |&(scene, first, copy): &Copied<'a>| Update { scene, first, gaussians: &copies[copy].0 };
-    List::from_iter_in(copied.iter().map(update), scratch)
 }
 
 /// Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and

@@ -1,7 +1,6 @@
 //! Properties that the layer reports in the driver's place.
 
-use super::loader::{in_chain, slice};
-use super::state::{InstanceState, heap_usage};
+use super::state::{InstanceState, heap_usage, in_chain, slice};
 use ash::vk;
 use std::ffi::{CStr, c_char};
 
@@ -44,15 +43,6 @@ pub unsafe extern "system" fn properties2(
     }
 }
 
-/// Bytes of the machine's heaps, at most the driver's.
-pub fn heap_sizes(state: &InstanceState, physical: vk::PhysicalDevice) -> Vec<u64> {
-    let mut real = vk::PhysicalDeviceMemoryProperties::default();
-    // SAFETY: a plain query.
-    unsafe { (state.functions.get_physical_device_memory_properties)(physical, &raw mut real) };
-    let most = real.memory_heaps_as_slice().iter().map(|heap| heap.size).max().unwrap_or(0);
-    state.machine.heaps.iter().map(|(bytes, _)| most.min(*bytes)).collect()
-}
-
 fn write_memory(
     state: &InstanceState,
     physical: vk::PhysicalDevice,
@@ -65,7 +55,7 @@ fn write_memory(
     for (to, &(property_flags, heap_index)) in memory.memory_types.iter_mut().zip(machine.types) {
         *to = vk::MemoryType { property_flags, heap_index };
     }
-    let heaps = machine.heaps.iter().zip(heap_sizes(state, physical));
+    let heaps = machine.heaps.iter().zip(state.heap_sizes(physical));
     for (to, ((_, local), size)) in memory.memory_heaps.iter_mut().zip(heaps) {
         let flags = if *local { vk::MemoryHeapFlags::DEVICE_LOCAL } else { vk::MemoryHeapFlags::empty() };
         *to = vk::MemoryHeap { size, flags };

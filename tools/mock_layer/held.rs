@@ -37,9 +37,21 @@ pub struct Held {
     pub fence: vk::Fence,
 }
 
-/// Submissions that have not started, in order of submission, and the state of semaphores.
+/// A queue of the machine. Its handle is its address.
+#[repr(C)]
+pub struct Queue {
+    /// The loader's table, which the loader itself writes here.
+    pub table: usize,
+    pub place: Place,
+}
+
+/// The machine's queues and the submissions to them that have not started, in order, with the state of semaphores.
 #[derive(Default)]
-pub struct Order {
+pub struct Submissions {
+    /// The driver's queue.
+    pub queue: vk::Queue,
+    /// Boxes keep the addresses stable.
+    pub queues: HashMap<Place, Box<Queue>>,
     pub held: Vec<Held>,
     /// Timeline semaphores with the largest value that started submissions signal.
     pub timelines: HashMap<vk::Semaphore, u64>,
@@ -47,7 +59,10 @@ pub struct Order {
     pub wants: Vec<Want>,
 }
 
-impl Order {
+// SAFETY: handles and addresses are used only under the lock; no chains of structs are kept.
+unsafe impl Send for Submissions {}
+
+impl Submissions {
     /// Records a signal by the host.
     pub fn signalled(&mut self, (semaphore, value): Point) {
         if let Some(known) = self.timelines.get_mut(&semaphore) {
@@ -123,112 +138,5 @@ impl Order {
             open.extend(waits.filter_map(|wait| self.signaller(wait.semaphore, wait.value, at)));
         }
         needed
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use vk::Handle;
-
-    const MAIN: Place = (0, 0);
-    const COPIES: Place = (1, 0);
-
-    fn info(&(semaphore, value): &(u64, u64)) -> vk::SemaphoreSubmitInfo<'static> {
-        vk::SemaphoreSubmitInfo::default().semaphore(vk::Semaphore::from_raw(semaphore)).value(value)
-    }
-
-    /// A submission whose fence has this number.
-    fn submission(name: u64, place: Place, waits: &[(u64, u64)], signals: &[(u64, u64)]) -> Held {
-        Held {
-            place,
-            waits: waits.iter().map(info).collect(),
-            signals: signals.iter().map(info).collect(),
-            fence: vk::Fence::from_raw(name),
-            ..Held::default()
-        }
-    }
-
-    /// Semaphores 7 and 8 are timelines, 9 is binary.
-    fn order(late: Place) -> (Order, impl Fn(&mut Order, Held) -> Vec<u64>) {
-        let mut order = Order::default();
-        order.timelines.extend([7, 8].map(|semaphore| (vk::Semaphore::from_raw(semaphore), 0)));
-        (order, move |order, mut held| {
-            held.late = held.place == late;
-            order.held.push(held);
-            started(order)
-        })
-    }
-
-    fn started(order: &mut Order) -> Vec<u64> {
-        std::iter::from_fn(|| order.next()).map(|held| held.fence.as_raw()).collect()
-    }
-
-    fn wanted(order: &mut Order, want: Want) -> Vec<u64> {
-        order.wants.push(want);
-        let started = started(order);
-        order.wants.pop();
-        started
-    }
-
-    #[test]
-    fn either_queue_is_late_and_the_other_is_not() {
-        for (late, eager) in [(COPIES, MAIN), (MAIN, COPIES)] {
-            let (mut order, submit) = order(late);
-            assert_eq!(submit(&mut order, submission(1, late, &[], &[(7, 1)])), []);
-            assert_eq!(submit(&mut order, submission(2, late, &[], &[(7, 2)])), []);
-            assert_eq!(submit(&mut order, submission(3, late, &[], &[(7, 3)])), []);
-            assert_eq!(submit(&mut order, submission(4, eager, &[], &[(8, 1)])), [4]);
-            // A waiting submission starts those that it needs, and no more.
-            assert_eq!(submit(&mut order, submission(5, eager, &[(7, 2)], &[(8, 2)])), [1, 2, 5]);
-            assert_eq!(wanted(&mut order, Want::Fence(vk::Fence::from_raw(5))), []);
-            assert_eq!(wanted(&mut order, Want::Point((vk::Semaphore::from_raw(7), 3))), [3]);
-        }
-    }
-
-    #[test]
-    fn a_wait_before_its_signal_waits() {
-        for late in [COPIES, MAIN] {
-            let (mut order, submit) = order(late);
-            assert_eq!(submit(&mut order, submission(1, MAIN, &[(7, 1)], &[])), []);
-            // The rest of the queue waits too, and so does a submission that needs it.
-            assert_eq!(submit(&mut order, submission(2, MAIN, &[], &[(8, 1)])), []);
-            assert_eq!(wanted(&mut order, Want::All), []);
-            let after = submit(&mut order, submission(3, COPIES, &[], &[(7, 1)]));
-            let then = wanted(&mut order, Want::Fence(vk::Fence::from_raw(2)));
-            assert_eq!([after, then].concat(), [3, 1, 2]);
-            assert!(!order.has(None));
-        }
-    }
-
-    #[test]
-    fn the_host_signals_too() {
-        let (mut order, submit) = order(COPIES);
-        assert_eq!(submit(&mut order, submission(1, MAIN, &[(7, 4)], &[])), []);
-        order.signalled((vk::Semaphore::from_raw(7), 3));
-        assert_eq!(started(&mut order), []);
-        assert!(order.has(Some(MAIN)) && !order.has(Some(COPIES)));
-        order.signalled((vk::Semaphore::from_raw(7), 4));
-        assert_eq!(started(&mut order), [1]);
-    }
-
-    #[test]
-    fn binary_semaphores_pair_with_the_last_signal() {
-        let (mut order, submit) = order(COPIES);
-        // Signalled from outside the device's submissions.
-        assert_eq!(submit(&mut order, submission(1, MAIN, &[(9, 0)], &[])), [1]);
-        assert_eq!(submit(&mut order, submission(2, COPIES, &[], &[(9, 0)])), []);
-        assert_eq!(submit(&mut order, submission(3, COPIES, &[], &[])), []);
-        assert_eq!(submit(&mut order, submission(4, MAIN, &[(9, 0)], &[])), [2, 4]);
-        assert_eq!(submit(&mut order, submission(5, COPIES, &[], &[(9, 0)])), [] as [u64; 0]);
-        assert_eq!(wanted(&mut order, Want::Queue(COPIES)), [3, 5]);
-    }
-
-    #[test]
-    fn a_host_that_waits_gets_what_another_thread_submits() {
-        let (mut order, submit) = order(COPIES);
-        order.wants.push(Want::Point((vk::Semaphore::from_raw(7), 2)));
-        assert_eq!(submit(&mut order, submission(1, COPIES, &[], &[(7, 1)])), []);
-        assert_eq!(submit(&mut order, submission(2, COPIES, &[], &[(7, 2)])), [1, 2]);
     }
 }

@@ -8,17 +8,16 @@
 //! ```
 //!
 //! It changes properties and memory types (`answers`), allocation and mapping (`memory`), queues and their families (`queues`, `held`,
-//! `families`). New memory holds 0xFF in every byte, where drivers on processors give zeros. Everything else is the
+//! `commands`). New memory holds 0xFF in every byte, where drivers on processors give zeros. Everything else is the
 //! driver's.
 
 mod answers;
-mod families;
+mod commands;
 mod held;
 mod loader;
 mod machine;
 mod memory;
 mod queues;
 mod state;
-mod trace;
 
 pub use machine::{FORGETTING, MACHINES, Machine, VARIABLE};

@@ -1,8 +1,8 @@
 //! The interface between loader and layer (vk_layer.h), and the tables of functions.
 
 use super::held::Want;
-use super::state::{DeviceState, InstanceState};
-use super::{answers, families, memory, queues, trace};
+use super::state::{Callbacks, DeviceState, InstanceState, SetLoaderData};
+use super::{answers, commands, memory, queues};
 use ash::vk;
 use std::ffi::{CStr, c_char, c_void};
 use std::ptr::null_mut;
@@ -39,11 +39,6 @@ struct LayerInfo {
 const LINK: i32 = 0;
 const DATA: i32 = 1;
 
-pub type Callbacks<'a> = *const vk::AllocationCallbacks<'a>;
-
-/// Copies the loader's table into a dispatchable object of the driver.
-pub type SetLoaderData = unsafe extern "system" fn(vk::Device, *mut c_void) -> vk::Result;
-
 /// Finds the loader's struct of a kind and function in a chain.
 unsafe fn find(mut chain: *const c_void, kind: vk::StructureType, function: i32) -> *mut LayerInfo {
     while !chain.is_null() {
@@ -72,24 +67,6 @@ unsafe fn take_link(
         (*info).content = (*link).next.cast();
         Some(found)
     }
-}
-
-/// The caller's struct of this type in a chain, if any; null without one.
-pub unsafe fn in_chain<T: vk::TaggedStructure>(chain: *const c_void) -> *mut T {
-    let mut next = chain.cast_mut().cast::<vk::BaseOutStructure<'_>>();
-    // SAFETY: every struct of a chain begins with its kind and the next pointer.
-    while let Some(found) = unsafe { next.as_ref() } {
-        if found.s_type == T::STRUCTURE_TYPE {
-            break;
-        }
-        next = found.p_next;
-    }
-    next.cast()
-}
-
-pub unsafe fn slice<'a, T>(pointer: *const T, count: u32) -> &'a [T] {
-    // SAFETY: the caller's array has `count` elements; if there are none, the pointer may be null.
-    if count == 0 { &[] } else { unsafe { std::slice::from_raw_parts(pointer, count as usize) } }
 }
 
 /// Negotiates the interface version with the loader.
@@ -177,12 +154,13 @@ unsafe extern "system" fn destroy_device(device: vk::Device, callbacks: Callback
     }
 }
 
-/// Searches a list of `name | other name => function, type;`.
+/// Searches a list of `PFN_name => function;`. A name may have the ending of the extension from which the function came.
 macro_rules! functions {
-    ($asked:expr; $($($name:literal)|+ => $function:expr, $kind:ident;)*) => {{
-        let asked: &CStr = $asked;
+    ($asked:expr; $($kind:ident => $function:expr;)*) => {{
+        let asked = $asked.to_str().unwrap_or_default();
         $(
-            if $(asked == $name)||+ {
+            let name = stringify!($kind).trim_start_matches("PFN_");
+            if asked == name || asked.strip_suffix("KHR") == Some(name) {
                 let function: vk::$kind = $function;
                 // SAFETY: a function pointer becomes another; the caller casts it back, according to the name.
                 return Some(unsafe { std::mem::transmute::<vk::$kind, unsafe extern "system" fn()>(function) });
@@ -194,69 +172,69 @@ macro_rules! functions {
 
 fn of_instance(name: &CStr) -> vk::PFN_vkVoidFunction {
     functions! { name;
-        c"vkGetInstanceProcAddr" => get_instance_proc_addr, PFN_vkGetInstanceProcAddr;
-        c"vkCreateInstance" => create_instance, PFN_vkCreateInstance;
-        c"vkDestroyInstance" => destroy_instance, PFN_vkDestroyInstance;
-        c"vkCreateDevice" => create_device, PFN_vkCreateDevice;
-        c"vkEnumerateDeviceExtensionProperties" => answers::extensions, PFN_vkEnumerateDeviceExtensionProperties;
-        c"vkGetPhysicalDeviceProperties" => answers::properties, PFN_vkGetPhysicalDeviceProperties;
-        c"vkGetPhysicalDeviceProperties2" | c"vkGetPhysicalDeviceProperties2KHR" => answers::properties2, PFN_vkGetPhysicalDeviceProperties2;
-        c"vkGetPhysicalDeviceMemoryProperties" => answers::memory, PFN_vkGetPhysicalDeviceMemoryProperties;
-        c"vkGetPhysicalDeviceMemoryProperties2" | c"vkGetPhysicalDeviceMemoryProperties2KHR" => answers::memory2, PFN_vkGetPhysicalDeviceMemoryProperties2;
-        c"vkGetPhysicalDeviceQueueFamilyProperties" => answers::families, PFN_vkGetPhysicalDeviceQueueFamilyProperties;
-        c"vkGetPhysicalDeviceQueueFamilyProperties2" | c"vkGetPhysicalDeviceQueueFamilyProperties2KHR" => answers::families2, PFN_vkGetPhysicalDeviceQueueFamilyProperties2;
-        c"vkGetPhysicalDeviceSurfaceSupportKHR" => answers::surface_support, PFN_vkGetPhysicalDeviceSurfaceSupportKHR;
+        PFN_vkGetInstanceProcAddr => get_instance_proc_addr;
+        PFN_vkCreateInstance => create_instance;
+        PFN_vkDestroyInstance => destroy_instance;
+        PFN_vkCreateDevice => create_device;
+        PFN_vkEnumerateDeviceExtensionProperties => answers::extensions;
+        PFN_vkGetPhysicalDeviceProperties => answers::properties;
+        PFN_vkGetPhysicalDeviceProperties2 => answers::properties2;
+        PFN_vkGetPhysicalDeviceMemoryProperties => answers::memory;
+        PFN_vkGetPhysicalDeviceMemoryProperties2 => answers::memory2;
+        PFN_vkGetPhysicalDeviceQueueFamilyProperties => answers::families;
+        PFN_vkGetPhysicalDeviceQueueFamilyProperties2 => answers::families2;
+        PFN_vkGetPhysicalDeviceSurfaceSupportKHR => answers::surface_support;
     }
 }
 
 fn of_device(name: &CStr) -> vk::PFN_vkVoidFunction {
     functions! { name;
-        c"vkGetDeviceProcAddr" => get_device_proc_addr, PFN_vkGetDeviceProcAddr;
-        c"vkDestroyDevice" => destroy_device, PFN_vkDestroyDevice;
-        c"vkAllocateMemory" => memory::allocate, PFN_vkAllocateMemory;
-        c"vkFreeMemory" => memory::free, PFN_vkFreeMemory;
-        c"vkMapMemory" => memory::map, PFN_vkMapMemory;
-        c"vkGetBufferMemoryRequirements" => memory::of_buffer, PFN_vkGetBufferMemoryRequirements;
-        c"vkGetBufferMemoryRequirements2" | c"vkGetBufferMemoryRequirements2KHR" => memory::of_buffer2, PFN_vkGetBufferMemoryRequirements2;
-        c"vkGetImageMemoryRequirements" => memory::of_image, PFN_vkGetImageMemoryRequirements;
-        c"vkGetImageMemoryRequirements2" | c"vkGetImageMemoryRequirements2KHR" => memory::of_image2, PFN_vkGetImageMemoryRequirements2;
-        c"vkGetDeviceBufferMemoryRequirements" => memory::of_new_buffer, PFN_vkGetDeviceBufferMemoryRequirements;
-        c"vkGetDeviceImageMemoryRequirements" => memory::of_new_image, PFN_vkGetDeviceImageMemoryRequirements;
-        c"vkCreateBuffer" => families::create_buffer, PFN_vkCreateBuffer;
-        c"vkCreateImage" => families::create_image, PFN_vkCreateImage;
-        c"vkCreateCommandPool" => families::create_command_pool, PFN_vkCreateCommandPool;
-        c"vkCmdPipelineBarrier" => families::barrier, PFN_vkCmdPipelineBarrier;
-        c"vkCmdPipelineBarrier2" | c"vkCmdPipelineBarrier2KHR" => families::barrier2, PFN_vkCmdPipelineBarrier2;
-        c"vkCreateShaderModule" => trace::create_shader_module, PFN_vkCreateShaderModule;
-        c"vkCreateComputePipelines" => trace::create_compute_pipelines, PFN_vkCreateComputePipelines;
-        c"vkBeginCommandBuffer" => trace::begin, PFN_vkBeginCommandBuffer;
-        c"vkEndCommandBuffer" => trace::end, PFN_vkEndCommandBuffer;
-        c"vkCmdBindPipeline" => trace::bind_pipeline, PFN_vkCmdBindPipeline;
-        c"vkCmdPushConstants" => trace::push_constants, PFN_vkCmdPushConstants;
-        c"vkCmdDispatch" => trace::dispatch, PFN_vkCmdDispatch;
-        c"vkCmdDispatchIndirect" => trace::dispatch_indirect, PFN_vkCmdDispatchIndirect;
-        c"vkCmdCopyBuffer" => trace::copy_buffer, PFN_vkCmdCopyBuffer;
-        c"vkCmdFillBuffer" => trace::fill_buffer, PFN_vkCmdFillBuffer;
-        c"vkCmdUpdateBuffer" => trace::update_buffer, PFN_vkCmdUpdateBuffer;
-        c"vkGetDeviceQueue" => queues::get, PFN_vkGetDeviceQueue;
-        c"vkGetDeviceQueue2" => queues::get2, PFN_vkGetDeviceQueue2;
-        c"vkQueueSubmit" => queues::submit, PFN_vkQueueSubmit;
-        c"vkQueueSubmit2" | c"vkQueueSubmit2KHR" => queues::submit2, PFN_vkQueueSubmit2;
-        c"vkQueueWaitIdle" => queues::wait_idle, PFN_vkQueueWaitIdle;
-        c"vkDeviceWaitIdle" => queues::device_wait_idle, PFN_vkDeviceWaitIdle;
-        c"vkQueuePresentKHR" => queues::present, PFN_vkQueuePresentKHR;
-        c"vkWaitForFences" => queues::wait_for_fences, PFN_vkWaitForFences;
-        c"vkGetFenceStatus" => queues::fence_status, PFN_vkGetFenceStatus;
-        c"vkWaitSemaphores" | c"vkWaitSemaphoresKHR" => queues::wait_semaphores, PFN_vkWaitSemaphores;
-        c"vkGetSemaphoreCounterValue" | c"vkGetSemaphoreCounterValueKHR" => queues::semaphore_value, PFN_vkGetSemaphoreCounterValue;
-        c"vkCreateSemaphore" => queues::create_semaphore, PFN_vkCreateSemaphore;
-        c"vkDestroySemaphore" => queues::destroy_semaphore, PFN_vkDestroySemaphore;
-        c"vkSignalSemaphore" | c"vkSignalSemaphoreKHR" => queues::signal_semaphore, PFN_vkSignalSemaphore;
-        c"vkGetEventStatus" => queues::event_status, PFN_vkGetEventStatus;
-        c"vkQueueBeginDebugUtilsLabelEXT" => queues::begin_label, PFN_vkQueueBeginDebugUtilsLabelEXT;
-        c"vkQueueInsertDebugUtilsLabelEXT" => queues::insert_label, PFN_vkQueueInsertDebugUtilsLabelEXT;
-        c"vkQueueEndDebugUtilsLabelEXT" => queues::end_label, PFN_vkQueueEndDebugUtilsLabelEXT;
-        c"vkSetDebugUtilsObjectNameEXT" => queues::name_object, PFN_vkSetDebugUtilsObjectNameEXT;
+        PFN_vkGetDeviceProcAddr => get_device_proc_addr;
+        PFN_vkDestroyDevice => destroy_device;
+        PFN_vkAllocateMemory => memory::allocate;
+        PFN_vkFreeMemory => memory::free;
+        PFN_vkMapMemory => memory::map;
+        PFN_vkGetBufferMemoryRequirements => memory::of_buffer;
+        PFN_vkGetBufferMemoryRequirements2 => memory::of_buffer2;
+        PFN_vkGetImageMemoryRequirements => memory::of_image;
+        PFN_vkGetImageMemoryRequirements2 => memory::of_image2;
+        PFN_vkGetDeviceBufferMemoryRequirements => memory::of_new_buffer;
+        PFN_vkGetDeviceImageMemoryRequirements => memory::of_new_image;
+        PFN_vkCreateBuffer => memory::create_buffer;
+        PFN_vkCreateImage => memory::create_image;
+        PFN_vkCreateCommandPool => queues::create_command_pool;
+        PFN_vkCmdPipelineBarrier => commands::barrier;
+        PFN_vkCmdPipelineBarrier2 => commands::barrier2;
+        PFN_vkCreateShaderModule => commands::create_shader_module;
+        PFN_vkCreateComputePipelines => commands::create_compute_pipelines;
+        PFN_vkBeginCommandBuffer => commands::begin;
+        PFN_vkEndCommandBuffer => commands::end;
+        PFN_vkCmdBindPipeline => commands::bind_pipeline;
+        PFN_vkCmdPushConstants => commands::push_constants;
+        PFN_vkCmdDispatch => commands::dispatch;
+        PFN_vkCmdDispatchIndirect => commands::dispatch_indirect;
+        PFN_vkCmdCopyBuffer => commands::copy_buffer;
+        PFN_vkCmdFillBuffer => commands::fill_buffer;
+        PFN_vkCmdUpdateBuffer => commands::update_buffer;
+        PFN_vkGetDeviceQueue => queues::get;
+        PFN_vkGetDeviceQueue2 => queues::get2;
+        PFN_vkQueueSubmit => queues::submit;
+        PFN_vkQueueSubmit2 => queues::submit2;
+        PFN_vkQueueWaitIdle => queues::wait_idle;
+        PFN_vkDeviceWaitIdle => queues::device_wait_idle;
+        PFN_vkQueuePresentKHR => queues::present;
+        PFN_vkWaitForFences => queues::wait_for_fences;
+        PFN_vkGetFenceStatus => queues::fence_status;
+        PFN_vkWaitSemaphores => queues::wait_semaphores;
+        PFN_vkGetSemaphoreCounterValue => queues::semaphore_value;
+        PFN_vkCreateSemaphore => queues::create_semaphore;
+        PFN_vkDestroySemaphore => queues::destroy_semaphore;
+        PFN_vkSignalSemaphore => queues::signal_semaphore;
+        PFN_vkGetEventStatus => queues::event_status;
+        PFN_vkQueueBeginDebugUtilsLabelEXT => queues::begin_label;
+        PFN_vkQueueInsertDebugUtilsLabelEXT => queues::insert_label;
+        PFN_vkQueueEndDebugUtilsLabelEXT => queues::end_label;
+        PFN_vkSetDebugUtilsObjectNameEXT => queues::name_object;
     }
 }
 

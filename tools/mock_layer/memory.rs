@@ -1,10 +1,8 @@
-//! Memory: the machine's types over the driver's first, limited heaps, mappings of host-visible memory, garbage in new memory.
+//! Memory: the machine's types over the driver's first, limited heaps, mappings of host-visible memory, garbage in new memory; and
+//! buffers and images, which the driver's one family owns.
 
-use super::families;
-use super::loader::Callbacks;
-use super::state::{DeviceState, InstanceState};
+use super::state::{Callbacks, DeviceState, InstanceState, heap_usage, passed_on};
 use ash::vk::{self, Handle};
-use std::collections::HashMap;
 use std::ffi::c_void;
 use std::ptr::null;
 
@@ -12,16 +10,6 @@ use std::ptr::null;
 const GARBAGE: u8 = 0xFF;
 /// Most bytes of an allocation that are filled.
 const FILLED: u64 = 256 << 20;
-
-/// The allocations of a device: type, heap and bytes of each.
-#[derive(Default)]
-pub struct Memory(HashMap<u64, (u32, u32, u64)>);
-
-impl Memory {
-    pub fn used(&self, heap: u32) -> u64 {
-        self.0.values().filter(|(_, of, _)| *of == heap).map(|(_, _, bytes)| bytes).sum()
-    }
-}
 
 pub unsafe extern "system" fn allocate(
     device: vk::Device,
@@ -34,9 +22,9 @@ pub unsafe extern "system" fn allocate(
     let mut own = unsafe { *info };
     let kind = own.memory_type_index;
     let (_, heap) = state.machine.types[kind as usize];
-    let size = super::answers::heap_sizes(&InstanceState::of(state.physical), state.physical)[heap as usize];
+    let size = InstanceState::of(state.physical).heap_sizes(state.physical)[heap as usize];
     let bytes = own.allocation_size;
-    if super::state::heap_usage(state.physical, heap).saturating_add(bytes) > size {
+    if heap_usage(state.physical, heap).saturating_add(bytes) > size {
         return vk::Result::ERROR_OUT_OF_DEVICE_MEMORY;
     }
     own.memory_type_index = 0;
@@ -45,7 +33,7 @@ pub unsafe extern "system" fn allocate(
     if result == vk::Result::SUCCESS {
         // SAFETY: written by the call.
         let memory = unsafe { *memory };
-        state.memory().0.insert(memory.as_raw(), (kind, heap, bytes));
+        state.memory().insert(memory.as_raw(), (kind, heap, bytes));
         fill(&state, memory, bytes.min(FILLED));
     }
     result
@@ -65,11 +53,9 @@ fn fill(state: &DeviceState, memory: vk::DeviceMemory, bytes: u64) {
     }
 }
 
-pub unsafe extern "system" fn free(device: vk::Device, memory: vk::DeviceMemory, callbacks: Callbacks<'_>) {
-    let state = DeviceState::of(device);
-    state.memory().0.remove(&memory.as_raw());
-    // SAFETY: the caller's arguments.
-    unsafe { (state.v10.free_memory)(device, memory, callbacks) }
+passed_on! {
+    free(device: vk::Device, memory: vk::DeviceMemory, callbacks: Callbacks<'_>),
+        v10.free_memory, |state| state.memory().remove(&memory.as_raw());
 }
 
 pub unsafe extern "system" fn map(
@@ -81,7 +67,7 @@ pub unsafe extern "system" fn map(
     address: *mut *mut c_void,
 ) -> vk::Result {
     let state = DeviceState::of(device);
-    let kind = state.memory().0.get(&memory.as_raw()).map(|(kind, ..)| *kind as usize);
+    let kind = state.memory().get(&memory.as_raw()).map(|(kind, ..)| *kind as usize);
     let seen =
         kind.is_some_and(|kind| state.machine.types[kind].0.contains(vk::MemoryPropertyFlags::HOST_VISIBLE));
     if !seen {
@@ -122,11 +108,31 @@ requirements! {
         v11.get_image_memory_requirements2, memory_requirements;
 }
 
-/// Defines queries about objects that do not exist yet. A row has the function's name, the description, how it is changed, and the
-/// driver's function.
-macro_rules! requirements_of_new {
-    ($($name:ident($asked:ident), $changed:ident, $next:ident;)*) => {$(
-        pub unsafe extern "system" fn $name(
+/// Exclusive to one family at a time: the driver has only one.
+macro_rules! exclusive {
+    ($info:expr) => {
+        $info.sharing_mode(vk::SharingMode::EXCLUSIVE).queue_family_indices(&[])
+    };
+}
+
+/// Defines the creation of a resource, and the query about one that does not exist yet. A row has the two functions' names, the
+/// descriptions, and the driver's functions.
+macro_rules! resources {
+    ($($create:ident($info:ident) -> $object:ident, $query:ident($asked:ident), $next:ident;)*) => {$(
+        pub unsafe extern "system" fn $create(
+            device: vk::Device,
+            info: *const vk::$info<'_>,
+            callbacks: Callbacks<'_>,
+            object: *mut vk::$object,
+        ) -> vk::Result {
+            // SAFETY: the caller's arguments, passed on with another description.
+            unsafe {
+                let own = exclusive!(*info);
+                (DeviceState::of(device).v10.$create)(device, &raw const own, callbacks, object)
+            }
+        }
+
+        pub unsafe extern "system" fn $query(
             device: vk::Device,
             info: *const vk::$asked<'_>,
             requirements: *mut vk::MemoryRequirements2<'_>,
@@ -135,7 +141,7 @@ macro_rules! requirements_of_new {
             // SAFETY: the caller's arguments; the changed description outlives the call.
             unsafe {
                 let mut own = *info;
-                let create = own.p_create_info.as_ref().map(|create| families::$changed(create));
+                let create = own.p_create_info.as_ref().map(|create| exclusive!(create));
                 own.p_create_info = create.as_ref().map_or(null(), |create| create);
                 (state.v13.$next)(device, &raw const own, requirements);
                 allow(&state, &mut (*requirements).memory_requirements);
@@ -144,7 +150,9 @@ macro_rules! requirements_of_new {
     )*};
 }
 
-requirements_of_new! {
-    of_new_buffer(DeviceBufferMemoryRequirements), exclusive_buffer, get_device_buffer_memory_requirements;
-    of_new_image(DeviceImageMemoryRequirements), exclusive_image, get_device_image_memory_requirements;
+resources! {
+    create_buffer(BufferCreateInfo) -> Buffer,
+        of_new_buffer(DeviceBufferMemoryRequirements), get_device_buffer_memory_requirements;
+    create_image(ImageCreateInfo) -> Image,
+        of_new_image(DeviceImageMemoryRequirements), get_device_image_memory_requirements;
 }

@@ -3,39 +3,14 @@
 //! Some queues' submissions are held back until needed ([`super::held`]). This reveals missing semaphores, and memory that the
 //! host accesses too early, although the driver's queue runs everything in order.
 
-use super::held::{Held, Order, Place, Want};
-use super::loader::{Callbacks, in_chain, slice};
-use super::state::DeviceState;
+use super::held::{Held, Place, Queue, Submissions, Want};
+use super::state::{Callbacks, DeviceState, in_chain, passed_on, slice};
 use ash::vk::{self, Handle};
-use std::collections::HashMap;
-
-/// A queue of the machine. Its handle is its address.
-#[repr(C)]
-struct Queue {
-    /// The loader's table, which the loader itself writes here.
-    table: usize,
-    place: Place,
-}
-
-/// The driver's queue, the machine's queues, and their held submissions.
-pub struct Submissions {
-    queue: vk::Queue,
-    /// Boxes keep the addresses stable.
-    queues: HashMap<Place, Box<Queue>>,
-    pub order: Order,
-}
-
-// SAFETY: handles and addresses are used only under the lock; no chains of structs are kept.
-unsafe impl Send for Submissions {}
 
 impl Submissions {
-    pub fn new(queue: vk::Queue) -> Self {
-        Self { queue, queues: HashMap::new(), order: Order::default() }
-    }
-
     /// Submits all submissions that may start now.
     pub fn go_on(&mut self, state: &DeviceState) -> vk::Result {
-        while let Some(held) = self.order.next() {
+        while let Some(held) = self.next() {
             let info = [vk::SubmitInfo2::default()
                 .wait_semaphore_infos(&held.waits)
                 .command_buffer_infos(&held.commands)
@@ -52,16 +27,16 @@ impl Submissions {
 
     /// Same as [`Self::go_on`], but for a single wait of the host.
     fn go_on_for(&mut self, state: &DeviceState, want: Want) -> vk::Result {
-        self.order.wants.push(want);
+        self.wants.push(want);
         let result = self.go_on(state);
-        self.order.wants.pop();
+        self.wants.pop();
         result
     }
 
     /// Starts all submissions of a queue or of the device. Fails if one waits for a signal that was never submitted.
     fn finish(&mut self, state: &DeviceState, place: Option<Place>) -> vk::Result {
         let result = self.go_on_for(state, place.map_or(Want::All, Want::Queue));
-        if result == vk::Result::SUCCESS && self.order.has(place) {
+        if result == vk::Result::SUCCESS && self.has(place) {
             eprintln!(
                 "mock layer: the host waits for submissions that wait for a semaphore which nothing signals"
             );
@@ -78,9 +53,9 @@ impl Submissions {
         }
         // Values of binary semaphores have no meaning.
         for of in held.waits.iter_mut().chain(&mut held.signals) {
-            of.value = self.order.reached(of.semaphore).map_or(0, |_| of.value);
+            of.value = self.reached(of.semaphore).map_or(0, |_| of.value);
         }
-        self.order.held.push(held);
+        self.held.push(held);
     }
 }
 
@@ -88,16 +63,16 @@ impl DeviceState {
     /// Waits for the driver on a host thread. Submissions of other threads take its wait into account.
     pub fn wait(&self, wants: &[Want], wait: impl FnOnce() -> vk::Result) -> vk::Result {
         let mut submissions = self.submissions();
-        submissions.order.wants.extend(wants);
+        submissions.wants.extend(wants);
         let mut result = submissions.go_on(self);
         drop(submissions);
         if result == vk::Result::SUCCESS {
             result = wait();
         }
-        let order = &mut self.submissions().order;
+        let mut submissions = self.submissions();
         for want in wants {
-            if let Some(at) = order.wants.iter().position(|of| of == want) {
-                order.wants.swap_remove(at);
+            if let Some(at) = submissions.wants.iter().position(|of| of == want) {
+                submissions.wants.swap_remove(at);
             }
         }
         result
@@ -106,6 +81,12 @@ impl DeviceState {
     /// Submits what a query of the host needs.
     pub fn ask(&self, want: Want) {
         let _ = self.submissions().go_on_for(self, want);
+    }
+
+    /// Submits what the next value of a timeline semaphore needs.
+    fn ask_for_next(&self, semaphore: vk::Semaphore) {
+        let reached = self.submissions().reached(semaphore);
+        self.ask(Want::Point((semaphore, reached.unwrap_or_default() + 1)));
     }
 }
 
@@ -271,19 +252,31 @@ pub unsafe extern "system" fn wait_for_fences(
     state.wait(&wants, || unsafe { (state.v10.wait_for_fences)(device, count, fences, all, timeout) })
 }
 
-pub unsafe extern "system" fn fence_status(device: vk::Device, fence: vk::Fence) -> vk::Result {
-    let state = DeviceState::of(device);
-    state.ask(Want::Fence(fence));
-    // SAFETY: as above.
-    unsafe { (state.v10.get_fence_status)(device, fence) }
+passed_on! {
+    fence_status(device: vk::Device, fence: vk::Fence) -> vk::Result,
+        v10.get_fence_status, |state| state.ask(Want::Fence(fence));
+    // The layer does not know which submission sets the event.
+    event_status(device: vk::Device, event: vk::Event) -> vk::Result,
+        v10.get_event_status, |state| state.ask(Want::All);
+    destroy_semaphore(device: vk::Device, semaphore: vk::Semaphore, callbacks: Callbacks<'_>),
+        v10.destroy_semaphore, |state| state.submissions().timelines.remove(&semaphore);
+    // Each query starts what the next value needs, so that a polling host makes progress.
+    semaphore_value(device: vk::Device, semaphore: vk::Semaphore, value: *mut u64) -> vk::Result,
+        v12.get_semaphore_counter_value, |state| state.ask_for_next(semaphore);
 }
 
-pub unsafe extern "system" fn event_status(device: vk::Device, event: vk::Event) -> vk::Result {
-    let state = DeviceState::of(device);
-    // The layer does not know which submission sets the event.
-    state.ask(Want::All);
-    // SAFETY: as above.
-    unsafe { (state.v10.get_event_status)(device, event) }
+/// A pool of the driver's only family.
+pub unsafe extern "system" fn create_command_pool(
+    device: vk::Device,
+    info: *const vk::CommandPoolCreateInfo<'_>,
+    callbacks: Callbacks<'_>,
+    pool: *mut vk::CommandPool,
+) -> vk::Result {
+    // SAFETY: the caller's arguments, passed on with another description.
+    unsafe {
+        let own = (*info).queue_family_index(0);
+        (DeviceState::of(device).v10.create_command_pool)(device, &raw const own, callbacks, pool)
+    }
 }
 
 pub unsafe extern "system" fn create_semaphore(
@@ -300,21 +293,10 @@ pub unsafe extern "system" fn create_semaphore(
             && result == vk::Result::SUCCESS
             && kind.semaphore_type == vk::SemaphoreType::TIMELINE
         {
-            state.submissions().order.timelines.insert(*semaphore, kind.initial_value);
+            state.submissions().timelines.insert(*semaphore, kind.initial_value);
         }
         result
     }
-}
-
-pub unsafe extern "system" fn destroy_semaphore(
-    device: vk::Device,
-    semaphore: vk::Semaphore,
-    callbacks: Callbacks<'_>,
-) {
-    let state = DeviceState::of(device);
-    state.submissions().order.timelines.remove(&semaphore);
-    // SAFETY: the caller's arguments.
-    unsafe { (state.v10.destroy_semaphore)(device, semaphore, callbacks) }
 }
 
 pub unsafe extern "system" fn signal_semaphore(
@@ -329,7 +311,7 @@ pub unsafe extern "system" fn signal_semaphore(
         return result;
     }
     let mut submissions = state.submissions();
-    submissions.order.signalled(point);
+    submissions.signalled(point);
     submissions.go_on(&state)
 }
 
@@ -349,35 +331,21 @@ pub unsafe extern "system" fn wait_semaphores(
     state.wait(&wants, || unsafe { (state.v12.wait_semaphores)(device, info, timeout) })
 }
 
-pub unsafe extern "system" fn semaphore_value(
-    device: vk::Device,
-    semaphore: vk::Semaphore,
-    value: *mut u64,
-) -> vk::Result {
-    let state = DeviceState::of(device);
-    let reached = state.submissions().order.reached(semaphore);
-    // Each query starts what the next value needs, so that a polling host makes progress.
-    state.ask(Want::Point((semaphore, reached.unwrap_or_default() + 1)));
-    // SAFETY: as above.
-    unsafe { (state.v12.get_semaphore_counter_value)(device, semaphore, value) }
+/// Defines functions of a queue that the driver's queue gets in its place, under the lock.
+macro_rules! of_drivers_queue {
+    ($($name:ident($($argument:ident: $kind:ty)?), $next:ident;)*) => {$(
+        pub unsafe extern "system" fn $name(queue: vk::Queue $(, $argument: $kind)?) {
+            let state = DeviceState::of(queue);
+            // SAFETY: the caller's arguments; the lock gives the driver's queue to this thread.
+            unsafe { (state.debug.$next)(state.submissions().queue $(, $argument)?) }
+        }
+    )*};
 }
 
-pub unsafe extern "system" fn begin_label(queue: vk::Queue, label: *const vk::DebugUtilsLabelEXT<'_>) {
-    let state = DeviceState::of(queue);
-    // SAFETY: the caller's arguments; the lock gives the driver's queue to this thread.
-    unsafe { (state.debug.queue_begin_debug_utils_label_ext)(state.submissions().queue, label) }
-}
-
-pub unsafe extern "system" fn insert_label(queue: vk::Queue, label: *const vk::DebugUtilsLabelEXT<'_>) {
-    let state = DeviceState::of(queue);
-    // SAFETY: as above.
-    unsafe { (state.debug.queue_insert_debug_utils_label_ext)(state.submissions().queue, label) }
-}
-
-pub unsafe extern "system" fn end_label(queue: vk::Queue) {
-    let state = DeviceState::of(queue);
-    // SAFETY: as above.
-    unsafe { (state.debug.queue_end_debug_utils_label_ext)(state.submissions().queue) }
+of_drivers_queue! {
+    begin_label(label: *const vk::DebugUtilsLabelEXT<'_>), queue_begin_debug_utils_label_ext;
+    insert_label(label: *const vk::DebugUtilsLabelEXT<'_>), queue_insert_debug_utils_label_ext;
+    end_label(), queue_end_debug_utils_label_ext;
 }
 
 /// Drops names of the machine's queues: the driver has only one.

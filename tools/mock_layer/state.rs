@@ -1,13 +1,16 @@
-//! State of instances and devices.
+//! State of instances and devices, and what all functions of the layer need of their arguments.
 
-use super::loader::SetLoaderData;
+use super::held::Submissions;
 use super::machine::Machine;
-use super::memory::Memory;
-use super::queues::Submissions;
 use ash::vk::{self, Handle};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::ffi::c_void;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+
+pub type Callbacks<'a> = *const vk::AllocationCallbacks<'a>;
+
+/// Copies the loader's table into a dispatchable object of the driver.
+pub type SetLoaderData = unsafe extern "system" fn(vk::Device, *mut c_void) -> vk::Result;
 
 /// States keyed by the loader's table, with which all dispatchable objects of an instance or a device begin.
 struct Table<T>(RwLock<BTreeMap<usize, Arc<T>>>);
@@ -63,6 +66,15 @@ impl InstanceState {
         INSTANCES.add(instance, state);
     }
 
+    /// Bytes of the machine's heaps, at most the driver's.
+    pub fn heap_sizes(&self, physical: vk::PhysicalDevice) -> Vec<u64> {
+        let mut real = vk::PhysicalDeviceMemoryProperties::default();
+        // SAFETY: a plain query.
+        unsafe { (self.functions.get_physical_device_memory_properties)(physical, &raw mut real) };
+        let most = real.memory_heaps_as_slice().iter().map(|heap| heap.size).max().unwrap_or(0);
+        self.machine.heaps.iter().map(|(bytes, _)| most.min(*bytes)).collect()
+    }
+
     /// State of an instance or a physical device.
     pub fn of<H: Handle>(handle: H) -> Arc<Self> {
         INSTANCES.find(handle)
@@ -89,7 +101,8 @@ pub struct DeviceState {
     pub v13: ash::DeviceFnV1_3,
     pub debug: ash::ext::debug_utils::DeviceFn,
     pub swapchain: ash::khr::swapchain::DeviceFn,
-    pub memory: Mutex<Memory>,
+    /// Allocations: type, heap and bytes of each.
+    memory: Mutex<HashMap<u64, (u32, u32, u64)>>,
     submissions: Mutex<Submissions>,
 }
 
@@ -125,7 +138,7 @@ impl DeviceState {
             debug: ash::ext::debug_utils::DeviceFn::load(load),
             swapchain: ash::khr::swapchain::DeviceFn::load(load),
             memory: Mutex::default(),
-            submissions: Mutex::new(Submissions::new(queue)),
+            submissions: Mutex::new(Submissions { queue, ..Submissions::default() }),
         };
         DEVICES.add(device, state);
     }
@@ -143,7 +156,7 @@ impl DeviceState {
         self.submissions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub fn memory(&self) -> MutexGuard<'_, Memory> {
+    pub fn memory(&self) -> MutexGuard<'_, HashMap<u64, (u32, u32, u64)>> {
         self.memory.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -152,5 +165,42 @@ impl DeviceState {
 pub fn heap_usage(physical: vk::PhysicalDevice, heap: u32) -> u64 {
     let devices = DEVICES.0.read().unwrap_or_else(PoisonError::into_inner);
     let devices = devices.values().filter(|device| device.physical == physical);
-    devices.map(|device| device.memory().used(heap)).sum()
+    let used = |device: &Arc<DeviceState>| -> u64 {
+        device.memory().values().filter(|(_, of, _)| *of == heap).map(|(_, _, bytes)| bytes).sum()
+    };
+    devices.map(used).sum()
 }
+
+/// The caller's struct of this type in a chain, if any; null without one.
+pub unsafe fn in_chain<T: vk::TaggedStructure>(chain: *const c_void) -> *mut T {
+    let mut next = chain.cast_mut().cast::<vk::BaseOutStructure<'_>>();
+    // SAFETY: every struct of a chain begins with its kind and the next pointer.
+    while let Some(found) = unsafe { next.as_ref() } {
+        if found.s_type == T::STRUCTURE_TYPE {
+            break;
+        }
+        next = found.p_next;
+    }
+    next.cast()
+}
+
+pub unsafe fn slice<'a, T>(pointer: *const T, count: u32) -> &'a [T] {
+    // SAFETY: the caller's array has `count` elements; if there are none, the pointer may be null.
+    if count == 0 { &[] } else { unsafe { std::slice::from_raw_parts(pointer, count as usize) } }
+}
+
+/// Defines functions that do something and pass their arguments on. A row has the function's name and arguments, the driver's function,
+/// and what is done with the device's state.
+macro_rules! passed_on {
+    ($($name:ident($object:ident: $Object:ty $(, $argument:ident: $kind:ty)*) $(-> $result:ty)?, $version:ident.$next:ident, |$state:ident| $before:expr;)*) => {$(
+        pub unsafe extern "system" fn $name($object: $Object $(, $argument: $kind)*) $(-> $result)? {
+            let $state = DeviceState::of($object);
+            // SAFETY: the caller's arguments.
+            unsafe {
+                $before;
+                ($state.$version.$next)($object $(, $argument)*)
+            }
+        }
+    )*};
+}
+pub(super) use passed_on;

@@ -15,52 +15,45 @@ pub struct Page {
     socket: WebSocket<TcpStream>,
 }
 
-/// Connects within a time limit: without one, an attempt that is not accepted waits for minutes.
-pub fn reach(host: &str, longest: Duration) -> Result<TcpStream> {
+/// Connects within a time limit, which also holds for reading and writing: without one, an attempt that is not accepted waits for
+/// minutes.
+pub fn connect(host: &str, longest: Duration) -> Result<TcpStream> {
     let mut refused = format!("{host} has no address").into();
     for address in host.to_socket_addrs()? {
         match TcpStream::connect_timeout(&address, longest) {
-            Ok(stream) => return Ok(stream),
+            Ok(stream) => {
+                stream.set_read_timeout(Some(longest))?;
+                stream.set_write_timeout(Some(longest))?;
+                return Ok(stream);
+            }
             Err(error) => refused = error.into(),
         }
     }
     Err(refused)
 }
 
-/// A connection with a time limit for reading and writing.
-pub fn connect(host: &str, longest: Duration) -> Result<TcpStream> {
-    let stream = reach(host, longest)?;
-    stream.set_read_timeout(Some(longest))?;
-    stream.set_write_timeout(Some(longest))?;
-    Ok(stream)
-}
-
-/// Status and body of an answer.
-pub fn get(host: &str, path: &str, headers: &str, longest: Duration) -> Result<(u16, Vec<u8>)> {
-    let mut stream = connect(host, longest)?;
-    write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}Connection: close\r\n\r\n")?;
-    let mut answer = Vec::new();
-    stream.read_to_end(&mut answer)?;
-    let end = answer.windows(4).position(|four| four == b"\r\n\r\n").ok_or("the answer has no headers")?;
-    let head = String::from_utf8_lossy(&answer[..end]).into_owned();
-    let code = head.split(' ').nth(1).and_then(|code| code.parse().ok()).ok_or("the answer has no status")?;
-    Ok((code, answer.split_off(end + 4)))
+/// Status of an answer.
+pub fn get(host: &str, path: &str, headers: &str, longest: Duration) -> Result<u16> {
+    request(host, &format!("GET {path}"), headers, &[], longest)
 }
 
 /// Sends a file, which must be accepted.
 pub fn post(host: &str, path: &str, bytes: &[u8], longest: Duration) -> Result<()> {
-    let mut stream = connect(host, longest)?;
-    let length = bytes.len();
-    write!(
-        stream,
-        "POST {path} HTTP/1.1\r\nHost: {host}\r\nContent-Type: application/octet-stream\r\n\
-         Content-Length: {length}\r\nConnection: close\r\n\r\n"
-    )?;
-    stream.write_all(bytes)?;
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer)?;
-    ensure!(answer.starts_with("HTTP/1.1 202"), "{path} is not taken: {answer:.200}");
+    let headers = format!("Content-Type: application/octet-stream\r\nContent-Length: {}\r\n", bytes.len());
+    let code = request(host, &format!("POST {path}"), &headers, bytes, longest)?;
+    ensure!(code == 202, "{path} is not taken: {code}");
     Ok(())
+}
+
+fn request(host: &str, begin: &str, headers: &str, body: &[u8], longest: Duration) -> Result<u16> {
+    let mut stream = connect(host, longest)?;
+    write!(stream, "{begin} HTTP/1.1\r\nHost: {host}\r\n{headers}Connection: close\r\n\r\n")?;
+    stream.write_all(body)?;
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer)?;
+    let head = String::from_utf8_lossy(&answer);
+    let code = head.split(' ').nth(1).and_then(|code| code.parse().ok());
+    code.ok_or_else(|| "the answer has no status".into())
 }
 
 impl Page {

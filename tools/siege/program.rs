@@ -1,11 +1,13 @@
 //! The attacked program as a child: limited, watched, and always ended.
 
-use crate::siege::{Peak, Result, Siege, ensure};
+use crate::siege::{Result, Siege, ensure};
 use rustix::process::{Pid, Signal, kill_process};
 use std::fmt::Write;
 use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -202,10 +204,10 @@ impl Drop for Program {
 }
 
 /// Records a process's peak memory while it lives.
-fn watch(id: u32, peak: Peak) {
+fn watch(id: u32, peak: Arc<AtomicU64>) {
     std::thread::spawn(move || {
         while let Some(kib) = peak_of(id) {
-            peak.note(kib);
+            peak.fetch_max(kib, Ordering::Relaxed);
             std::thread::sleep(WATCH);
         }
     });

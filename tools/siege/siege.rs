@@ -10,13 +10,6 @@ use tempfile::TempDir;
 /// An error is a text for people.
 pub type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
 
-/// Result of an attack that did no harm.
-pub enum Outcome {
-    Withstood(String),
-    /// The attack is impossible here; says why.
-    Skipped(String),
-}
-
 /// Returns an error unless a condition holds.
 macro_rules! ensure {
     ($holds:expr, $($text:tt)*) => {
@@ -27,32 +20,13 @@ macro_rules! ensure {
 }
 pub(crate) use ensure;
 
-/// Peak memory of programs, KiB.
-#[derive(Clone, Default)]
-pub struct Peak(Arc<AtomicU64>);
-
-impl Peak {
-    /// Starts anew.
-    pub fn reset(&self) {
-        self.0.store(0, Ordering::Relaxed);
-    }
-
-    /// Records a program's memory.
-    pub fn note(&self, kib: u64) {
-        self.0.fetch_max(kib, Ordering::Relaxed);
-    }
-
-    pub fn mib(&self) -> u64 {
-        self.0.load(Ordering::Relaxed) >> 10
-    }
-}
-
 /// See the module.
 pub struct Siege {
     pub program: PathBuf,
     /// True if the siege should be short.
     pub short: bool,
-    pub peak: Peak,
+    /// Peak memory of its programs, KiB.
+    pub peak: Arc<AtomicU64>,
     folder: TempDir,
 }
 
@@ -63,7 +37,12 @@ impl Siege {
         let limit = getrlimit(Resource::Nofile);
         setrlimit(Resource::Nofile, Rlimit { current: limit.maximum, ..limit }).ok();
         let folder = tempfile::Builder::new().prefix("siege").tempdir()?;
-        Ok(Siege { program, short, peak: Peak::default(), folder })
+        Ok(Siege { program, short, peak: Arc::default(), folder })
+    }
+
+    /// Peak memory of the programs since it was set to 0, MiB.
+    pub fn peak_mib(&self) -> u64 {
+        self.peak.load(Ordering::Relaxed) >> 10
     }
 
     /// A path in the siege's folder.

@@ -1,39 +1,46 @@
 //! The page's files, compiled into the program: the page loads nothing from elsewhere.
 
 macro_rules! files {
-    ($($name:literal: $kind:literal),* $(,)?) => {
-        &[$((concat!("/", $name), $kind, include_str!(concat!("web/", $name)))),*]
+    ($($name:literal),* $(,)?) => {
+        &[$((concat!("/", $name), include_str!(concat!("web/", $name)))),*]
     };
 }
 
 const HTML: &str = "/index.html";
 
-/// Path, MIME type, contents.
-const FILES: &[(&str, &str, &str)] = files! {
-    "index.html": "text/html; charset=utf-8",
-    "style.css": "text/css; charset=utf-8",
-    "icon.svg": "image/svg+xml",
-    "main.js": "text/javascript; charset=utf-8",
-    "maths.js": "text/javascript; charset=utf-8",
-    "camera.js": "text/javascript; charset=utf-8",
-    "controls.js": "text/javascript; charset=utf-8",
-    "detail.js": "text/javascript; charset=utf-8",
-    "link.js": "text/javascript; charset=utf-8",
-    "frames.js": "text/javascript; charset=utf-8",
-    "overlay.js": "text/javascript; charset=utf-8",
-    "filter.js": "text/javascript; charset=utf-8",
-    "stage.js": "text/javascript; charset=utf-8",
-    "panel.js": "text/javascript; charset=utf-8",
-    "photos.js": "text/javascript; charset=utf-8",
-    "pick.js": "text/javascript; charset=utf-8",
-    "film.js": "text/javascript; charset=utf-8",
-    "training.js": "text/javascript; charset=utf-8",
-};
+/// Path, contents.
+const FILES: &[(&str, &str)] = files![
+    "index.html",
+    "style.css",
+    "icon.svg",
+    "main.js",
+    "maths.js",
+    "camera.js",
+    "controls.js",
+    "detail.js",
+    "link.js",
+    "frames.js",
+    "overlay.js",
+    "filter.js",
+    "stage.js",
+    "panel.js",
+    "photos.js",
+    "pick.js",
+    "film.js",
+    "training.js",
+];
 
 /// Returns the MIME type and contents of the file at a path.
 pub fn find(path: &str) -> Option<(&'static str, &'static str)> {
     let path = if path == "/" { HTML } else { path };
-    FILES.iter().find(|(name, ..)| *name == path).map(|&(_, kind, text)| (kind, text))
+    let (name, text) = FILES.iter().find(|(name, _)| *name == path)?;
+    let kind = match name.rsplit_once('.')?.1 {
+        "html" => "text/html; charset=utf-8",
+        "css" => "text/css; charset=utf-8",
+        "svg" => "image/svg+xml",
+        _ => "text/javascript; charset=utf-8",
+    };
+    Some((kind, text))
 }
 
 #[cfg(test)]
@@ -43,7 +50,7 @@ mod tests {
     /// Every file that a page names is an asset.
     #[test]
     fn nothing_is_loaded_from_elsewhere() {
-        for (name, _, text) in FILES {
+        for (name, text) in FILES {
             for start in ["from './", "import './", "href=\"", "src=\""] {
                 for rest in text.split(start).skip(1) {
                     let target = rest.split(['\'', '"']).next().unwrap_or_default();

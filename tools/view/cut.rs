@@ -6,7 +6,7 @@ use glam::Vec3;
 use serde::Deserialize;
 
 /// A page's cut as JSON: see [`Cut`].
-#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(default)]
 pub struct CutMessage {
     pub min_opacity: Option<f32>,
@@ -65,30 +65,4 @@ pub fn query(settings: &RenderSettings) -> String {
     }
     said.extend(settings.sh_degree.map(|degree| format!("sh_degree={degree}")));
     said.join("&")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_page_s_cut_is_a_command() {
-        let text = r#"{"min_opacity":0.05,"min_density":0.3,"low":[null,-1.5,null],"high":[null,2,null]}"#;
-        let message: CutMessage = serde_json::from_str(text).expect("a cut");
-        let settings = RenderSettings { cut: message.cut(), sh_degree: Some(1), ..Default::default() };
-        let expected =
-            "--sh-degree 1 --min-opacity 0.05 --min-density 0.3 --crop-box=-inf,-1.5,-inf,inf,2,inf";
-        let usual = WorldFrame::default();
-        assert_eq!(options(&settings, &usual), expected);
-        let frame = WorldFrame { origin: glam::DVec3::new(0.0, 4_600_000.0, 0.0), unit: 0.1 };
-        let far = "--sh-degree 1 --min-opacity 0.05 --min-density 3 --crop-box=-inf,4599999.85,-inf,inf,4600000.2,inf";
-        assert_eq!(options(&settings, &frame), far);
-        let address = "min_opacity=0.05&min_density=0.3&low=,-1.5,&high=,2,&sh_degree=1";
-        assert_eq!(query(&settings), address);
-        let none: CutMessage = serde_json::from_str("{}").expect("none");
-        assert_eq!(
-            (none.cut(), options(&RenderSettings::default(), &usual)),
-            (Cut::default(), String::new())
-        );
-    }
 }

@@ -1,19 +1,17 @@
 //! One picture of the scene in one of the modes, and its bytes.
 
-use super::cut;
-use super::lights::{self, PhotoLights, Places};
-use super::protocol::{Look, Mode, ViewRequest};
+use super::protocol::{Look, Mode};
 use ashsplat::kernels::constants::TILE_SIZE;
-use ashsplat::scene::WorldFrame;
-use ashsplat::{Camera, Error, Frame, Gaussians, PixelReport, RenderSettings, Result, TileReport, Trainer};
+use ashsplat::{
+    Camera, Error, Frame, FrameStats, Gaussians, PixelReport, RenderSettings, Result, TileReport, Trainer,
+};
 use ashsplat_files::Photo;
 use ashsplat_program::light::Light;
 use ashsplat_program::output::{self, Depth};
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
-use serde_json::{Value, json};
-use std::time::Instant;
+use serde_json::Value;
 
 /// A page by its number, or its film.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -45,13 +43,9 @@ pub trait Painter {
     fn gaussians(&self) -> Result<Gaussians>;
     /// Frees the memory of pictures. The next picture allocates what it needs.
     fn shrink(&mut self);
-    /// Iterations of training so far.
-    fn iteration(&self) -> Option<u32> {
+    /// The training whose scene it is, if it is in training.
+    fn trainer(&self) -> Option<&Trainer> {
         None
-    }
-    /// Returns the current exposure and lens effects of a training view.
-    fn light(&self, _: Places) -> Result<Light> {
-        Ok(Light::default())
     }
     /// Sets the viewer of the next pictures.
     fn attend(&mut self, _: &Audience<'_>) {}
@@ -95,12 +89,8 @@ impl Painter for Trainer {
         self.shrink_pictures();
     }
 
-    fn iteration(&self) -> Option<u32> {
-        Some(Trainer::iteration(self))
-    }
-
-    fn light(&self, places: Places) -> Result<Light> {
-        lights::of_training(self, places)
+    fn trainer(&self) -> Option<&Trainer> {
+        Some(self)
     }
 }
 
@@ -108,7 +98,7 @@ pub struct Drawn {
     pub photo: Photo,
     /// Values of the lowest and the highest colour, in the mode's unit.
     pub legend: Option<[f32; 2]>,
-    pub stats: Value,
+    pub stats: FrameStats,
 }
 
 /// Render settings for a look.
@@ -134,81 +124,35 @@ pub fn draw(
     light: Option<(Camera, Light)>,
 ) -> Result<Drawn> {
     let settings = settings(base, look);
-    let (frame, photo, legend) = match look.mode {
-        Mode::Splats | Mode::Centres => {
-            let mut frame = painter.render(camera, &settings)?;
-            if let (Mode::Splats, Some((taken, light))) = (look.mode, &light) {
-                light.apply_as_taken(taken, camera, &mut frame);
-            }
-            let photo = output::to_photo(&frame)?;
-            (frame, photo, None)
-        }
-        Mode::Ellipsoids => {
-            let frame = painter.render(camera, &settings)?;
-            let photo = outlined(&frame)?;
-            (frame, photo, None)
-        }
-        Mode::Depth => {
-            let frame = painter.render(camera, &settings)?;
-            let (photo, legend) = depth_picture(&frame)?;
-            (frame, photo, legend)
-        }
+    let (mut frame, tiles) = match look.mode {
         Mode::Tiles => {
             let (frame, tiles) = painter.render_with_tiles(camera, &settings)?;
-            let (photo, legend) = tile_picture(&frame, &tiles)?;
-            (frame, photo, Some(legend))
+            (frame, Some(tiles))
         }
+        _ => (painter.render(camera, &settings)?, None),
     };
-    let s = &frame.stats;
-    let stats = json!({
-        "gaussians": s.gaussians, "visible": s.visible, "instances": s.instances, "longest_tile": s.longest_tile,
-    });
-    Ok(Drawn { photo, legend, stats })
-}
-
-/// Answers a request for a frame: header and bytes.
-pub fn answer(
-    painter: &mut dyn Painter,
-    (base, lights, frame): (&RenderSettings, &PhotoLights, &WorldFrame),
-    request: &ViewRequest,
-) -> Result<(Value, Vec<u8>)> {
-    let camera = request.camera.camera()?;
-    let light = request.as_photo.map(|photo| lights.of(photo, painter)).transpose()?;
-    let start = Instant::now();
-    let drawn = draw(painter, &camera, base, &request.look, light)?;
-    let render_ms = start.elapsed().as_secs_f64() * 1e3;
-    let start = Instant::now();
-    let bytes = encode(&drawn.photo, request.look.quality)?;
-    let encode_ms = start.elapsed().as_secs_f64() * 1e3;
-    let settings = settings(base, &request.look);
-    let header = json!({
-        "seq": request.seq, "width": camera.width, "height": camera.height,
-        "format": if request.look.quality == 0 { "image/png" } else { "image/jpeg" },
-        "render_ms": render_ms, "encode_ms": encode_ms, "stats": drawn.stats, "legend": drawn.legend,
-        "iteration": painter.iteration(),
-        "tree": painter.tree(),
-        // Options and address that make the same cut of the file.
-        "convert": cut::options(&settings, frame),
-        "export": cut::query(&settings),
-    });
-    Ok((header, bytes))
+    if let (Mode::Splats, Some((taken, light))) = (look.mode, &light) {
+        light.apply_as_taken(taken, camera, &mut frame);
+    }
+    let (photo, legend) = match (look.mode, tiles) {
+        (Mode::Ellipsoids, _) => (outlined(&frame)?, None),
+        (Mode::Depth, _) => depth_picture(&frame)?,
+        (_, Some(tiles)) => tile_picture(&frame, &tiles)?,
+        (_, None) => (output::to_photo(&frame)?, None),
+    };
+    Ok(Drawn { photo, legend, stats: frame.stats })
 }
 
 /// Encodes a JPEG of quality 1 to 100, or a PNG for 0.
 pub fn encode(photo: &Photo, quality: u8) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    let (width, height) = (photo.width, photo.height);
-    let written =
-        match quality {
-            0 => PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
-                .write_image(&photo.rgb, width, height, ExtendedColorType::Rgb8),
-            quality => JpegEncoder::new_with_quality(&mut bytes, quality.min(100)).write_image(
-                &photo.rgb,
-                width,
-                height,
-                ExtendedColorType::Rgb8,
-            ),
-        };
+    let (width, height, color) = (photo.width, photo.height, ExtendedColorType::Rgb8);
+    let written = match quality {
+        0 => PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
+            .write_image(&photo.rgb, width, height, color),
+        quality => JpegEncoder::new_with_quality(&mut bytes, quality.min(100))
+            .write_image(&photo.rgb, width, height, color),
+    };
     written.map_err(|e| Error::argument("picture", format!("cannot be encoded: {e}")))?;
     Ok(bytes)
 }
@@ -264,7 +208,7 @@ fn depth_picture(frame: &Frame) -> Result<(Photo, Option<[f32; 2]>)> {
 }
 
 /// Colours each tile by its number of entries (logarithmic), over a dark picture.
-fn tile_picture(frame: &Frame, tiles: &TileReport) -> Result<(Photo, [f32; 2])> {
+fn tile_picture(frame: &Frame, tiles: &TileReport) -> Result<(Photo, Option<[f32; 2]>)> {
     let most = tiles.entries.iter().copied().max().unwrap_or(0).max(1);
     let scale = 1.0 / (1.0 + most as f32).ln();
     let mut color = frame.color.clone();
@@ -276,7 +220,7 @@ fn tile_picture(frame: &Frame, tiles: &TileReport) -> Result<(Photo, [f32; 2])> 
         let line = if x.is_multiple_of(TILE_SIZE) || y.is_multiple_of(TILE_SIZE) { 0.7 } else { 1.0 };
         *pixel = heat.map(|channel| line * (0.62 * channel + 0.38 * gray));
     }
-    Ok((Photo::from_f32(frame.width, frame.height, &color)?, [0.0, most as f32]))
+    Ok((Photo::from_f32(frame.width, frame.height, &color)?, Some([0.0, most as f32])))
 }
 
 /// Turbo (Mikhailov 2019), polynomial approximation; 0 is dark blue, 1 dark red.
@@ -288,23 +232,4 @@ fn turbo(x: f32) -> [f32; 3] {
         polynomial([0.091_403, 2.194_188, 4.842_967, -14.185_034, 4.277_299, 2.829_566]),
         polynomial([0.106_673, 12.641_946, -60.582_05, 110.362_77, -89.903_11, 27.348_25]),
     ]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn colours_go_from_blue_to_red() {
-        let [low, middle, high] = [0.1, 0.5, 0.9].map(turbo);
-        assert!(low[2] > low[0] && middle[1] > middle[0] && high[0] > high[2], "{low:?} {middle:?} {high:?}");
-    }
-
-    #[test]
-    fn pictures_are_encoded() {
-        let photo = Photo { width: 5, height: 3, rgb: (0..45).collect() };
-        let png = encode(&photo, 0).expect("a PNG");
-        assert_eq!(image::load_from_memory(&png).expect("a picture").to_rgb8().into_raw(), photo.rgb);
-        assert_eq!(&encode(&photo, 80).expect("a JPEG")[..2], [0xFF, 0xD8]);
-    }
 }

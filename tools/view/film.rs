@@ -1,4 +1,4 @@
-//! A camera path rendered to frames; [`Assembly`] makes the film of them.
+//! A camera path rendered to frames, and the film made of them.
 
 use super::draw::{self, Painter};
 use super::protocol::{CameraMessage, FilmRequest};
@@ -15,14 +15,17 @@ use std::sync::atomic::AtomicBool;
 
 /// Most frames of a film.
 const MOST_FRAMES: u32 = 3000;
+/// Widest GIF, pixels: 8 bits of colour look no better in a larger one.
+const GIF_WIDTH: u32 = 640;
 
 /// A film whose frames are being rendered.
 pub struct Film {
-    client: u64,
-    name: String,
-    folder: PathBuf,
+    /// Page that requested it.
+    pub client: u64,
+    pub request: FilmRequest,
+    /// Folder of the frames. The film's other files lie beside it, with endings.
+    frames: PathBuf,
     cameras: Vec<Camera>,
-    request: FilmRequest,
     /// Number of frames rendered.
     done: usize,
 }
@@ -32,47 +35,18 @@ impl Film {
     pub fn begin(client: u64, request: FilmRequest, (folder, frame): (&Path, &WorldFrame)) -> Result<Film> {
         let cameras = cameras(&request)?;
         // A number is free if no earlier film wrote files of that name.
-        let taken = |number: &u32| {
-            let name = film_name(*number);
-            folder.join(Film::path_name(&name)).exists() || folder.join(name).exists()
-        };
-        let name = film_name((1..).find(|number| !taken(number)).unwrap_or_default());
+        let is_free = |frames: &PathBuf| !frames.exists() && !frames.with_extension("json").exists();
+        let frames = (1_u32..).map(|number| folder.join(format!("film_{number:03}"))).find(is_free);
+        let frames = frames.unwrap_or_default();
         let names: Vec<String> = (0..cameras.len()).map(|index| format!("{index:05}")).collect();
         let named = names.iter().map(String::as_str).zip(&cameras);
-        output::in_folder(&folder.join(Film::path_name(&name)), |path| {
-            cameras_json::write(path, named, frame)
-        })?;
-        Ok(Film { client, name, folder: folder.to_owned(), cameras, request, done: 0 })
+        output::in_folder(&frames.with_extension("json"), |path| cameras_json::write(path, named, frame))?;
+        Ok(Film { client, request, frames, cameras, done: 0 })
     }
 
-    /// The file with a film's cameras.
-    fn path_name(name: &str) -> String {
-        format!("{name}.json")
-    }
-
-    /// Page that requested the film.
-    pub fn client(&self) -> u64 {
-        self.client
-    }
-
-    /// Returns the work that remains once all frames are rendered.
-    pub fn assembly(&self) -> Option<Assembly> {
-        (self.done == self.cameras.len()).then(|| Assembly {
-            name: self.name.clone(),
-            folder: self.folder.clone(),
-            frames: self.done,
-            frames_per_second: self.request.frames_per_second,
-        })
-    }
-
-    /// Width and height of a frame, pixels.
-    pub fn size(&self) -> [u32; 2] {
-        [self.request.width, self.request.height]
-    }
-
-    /// Most Gaussians of a frame of a tree of tiles.
-    pub fn budget(&self) -> Option<u64> {
-        self.request.look.budget
+    /// True once all frames are rendered.
+    pub fn is_rendered(&self) -> bool {
+        self.done == self.cameras.len()
     }
 
     /// Renders the next frame and returns the message for the page. None while a part of the scene that the frame needs is not loaded.
@@ -82,22 +56,52 @@ impl Film {
                 return Ok(None);
             }
             let photo = draw::draw(painter, camera, base, &self.request.look, None)?.photo;
-            let frames = self.folder.join(&self.name);
-            output::write_png(&output::numbered(&frames, self.done, "png"), &photo)?;
+            output::write_png(&output::numbered(&self.frames, self.done, "png"), &photo)?;
             self.done += 1;
         }
         Ok(Some(json!({ "type": "film", "done": self.done, "total": self.cameras.len() })))
     }
 
     /// Removes the files that this film wrote.
-    pub fn discard(self) {
-        std::fs::remove_dir_all(self.folder.join(&self.name)).ok();
-        std::fs::remove_file(self.folder.join(Film::path_name(&self.name))).ok();
+    pub fn discard(&self) {
+        std::fs::remove_dir_all(&self.frames).ok();
+        std::fs::remove_file(self.frames.with_extension("json")).ok();
     }
-}
 
-fn film_name(number: u32) -> String {
-    format!("film_{number:03}")
+    /// Makes films of the frames. Returns their names, and why there is no MP4. Stops early if `abandoned` is set.
+    pub fn assemble(&self, abandoned: &AtomicBool) -> Result<Value> {
+        let gif = self.write(Container::Gif, GIF_WIDTH, abandoned)?;
+        let (mp4, note) = match self.write(Container::Mp4, u32::MAX, abandoned) {
+            Ok(name) => (Some(name), None),
+            Err(reason) => (None, Some(format!("no MP4: {reason}"))),
+        };
+        let path = self.name("json");
+        Ok(json!({ "gif": gif, "mp4": mp4, "path": path, "frames": self.frames, "note": note }))
+    }
+
+    /// Name of the film's file with this ending.
+    fn name(&self, ending: &str) -> String {
+        self.frames.with_extension(ending).file_name().unwrap_or_default().to_string_lossy().into_owned()
+    }
+
+    /// Returns the file's name.
+    fn write(&self, container: Container, widest: u32, abandoned: &AtomicBool) -> Result<String> {
+        let ending = if container == Container::Gif { "gif" } else { "mp4" };
+        let mut frame = |index: usize| {
+            let path = output::numbered(&self.frames, index, "png");
+            let photo = Photo::read(path, [0.0; 3])?;
+            let width = photo.width.min(widest);
+            if width == photo.width {
+                return Ok(photo);
+            }
+            let height = (photo.height * width / photo.width).max(1);
+            photo.scaled_to(width, height)
+        };
+        let per_second = self.request.frames_per_second;
+        let frames = Frames { count: self.done, per_second, frame: &mut frame, abandoned };
+        film_file::write(&self.frames.with_extension(ending), container, frames)?;
+        Ok(self.name(ending))
+    }
 }
 
 /// The cameras of all frames.
@@ -129,51 +133,6 @@ fn from_fov_y(fov_y: f32, width: u32, height: u32) -> Intrinsics {
     Intrinsics { fx: focal, fy: focal, cx: 0.5 * width as f32, cy: 0.5 * height as f32, width, height }
 }
 
-/// Widest GIF, pixels: 8 bits of colour look no better in a larger one.
-const GIF_WIDTH: u32 = 640;
-
-/// Frames in a folder, to be made into a film.
-pub struct Assembly {
-    name: String,
-    folder: PathBuf,
-    frames: usize,
-    frames_per_second: u32,
-}
-
-impl Assembly {
-    /// Writes the films. Returns their names, and why there is no MP4. Stops early if `abandoned` is set.
-    pub fn run(&self, abandoned: &AtomicBool) -> Result<Value> {
-        let gif = self.write(Container::Gif, GIF_WIDTH, abandoned)?;
-        let (mp4, note) = match self.write(Container::Mp4, u32::MAX, abandoned) {
-            Ok(name) => (Some(name), None),
-            Err(reason) => (None, Some(format!("no MP4: {reason}"))),
-        };
-        let path = Film::path_name(&self.name);
-        Ok(
-            json!({ "gif": gif, "mp4": mp4, "path": path, "frames": self.folder.join(&self.name), "note": note }),
-        )
-    }
-
-    /// Returns the file's name.
-    fn write(&self, container: Container, widest: u32, abandoned: &AtomicBool) -> Result<String> {
-        let name = format!("{}.{}", self.name, if container == Container::Gif { "gif" } else { "mp4" });
-        let mut frame = |index: usize| {
-            let path = output::numbered(&self.folder.join(&self.name), index, "png");
-            let photo = Photo::read(path, [0.0; 3])?;
-            let width = photo.width.min(widest);
-            if width == photo.width {
-                return Ok(photo);
-            }
-            let height = (photo.height * width / photo.width).max(1);
-            photo.scaled_to(width, height)
-        };
-        let frames =
-            Frames { count: self.frames, per_second: self.frames_per_second, frame: &mut frame, abandoned };
-        film_file::write(&self.folder.join(&name), container, frames)?;
-        Ok(name)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -200,14 +159,5 @@ mod tests {
         let passes = [0, 3, 6].map(|frame| position(&closed[frame]));
         passes.iter().zip([0.0, 1.0, 3.0]).for_each(|(x, key)| assert!((x - key).abs() < 1e-4, "{passes:?}"));
         open.iter().chain(&closed).for_each(|camera| camera.check().expect("sound"));
-    }
-
-    #[test]
-    fn impossible_films_are_refused() {
-        let keys = vec![key(0.0, 0.0), key(1.0, 0.4)];
-        assert!(cameras(&request(keys[..1].to_vec(), false)).is_err());
-        assert!(cameras(&FilmRequest { seconds: 1e9, ..request(keys.clone(), false) }).is_err());
-        assert!(cameras(&FilmRequest { frames_per_second: 0, ..request(keys.clone(), false) }).is_err());
-        assert!(cameras(&FilmRequest { width: 0, ..request(keys, false) }).is_err());
     }
 }

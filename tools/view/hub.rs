@@ -4,21 +4,18 @@
 //! confirmed the last, so a slow page gets fewer frames, but never old ones. Pages, the film in progress and programs that
 //! speak the reference's protocol take turns.
 
-mod films;
 mod outbox;
-mod turns;
 
-use super::protocol::{Pick, ToPage, TrainAction, ViewRequest};
+use super::protocol::{FilmRequest, Pick, ToPage, TrainAction, ViewRequest};
 use ashsplat::Gaussians;
 use ashsplat_files::splats::WriteOptions;
 use ashsplat_program::session::locked;
 use outbox::Outbox;
 use serde_json::json;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
-use turns::{Client, State};
 
 /// Most pages; more are refused.
 const MOST_PAGES: usize = 24;
@@ -40,12 +37,8 @@ pub struct RemoteRequest {
     pub answer: std::sync::mpsc::SyncSender<Vec<u8>>,
 }
 
-/// A request for the current Gaussians, to write them to a file.
-#[derive(Debug)]
-pub struct SceneRequest {
-    /// An error says in words why there are none.
-    pub answer: oneshot::Sender<Result<CurrentScene, String>>,
-}
+/// Answer to a request for the current Gaussians, to write them to a file. An error says in words why there are none.
+pub type SceneAnswer = oneshot::Sender<Result<CurrentScene, String>>;
 
 /// The scene now.
 #[derive(Debug)]
@@ -69,7 +62,47 @@ pub enum Task {
     /// The next frame of the film in progress, or the first of a new film.
     Film,
     Remote(RemoteRequest),
-    Scene(SceneRequest),
+    Scene(SceneAnswer),
+}
+
+/// One page.
+#[derive(Default)]
+struct Client {
+    out: Arc<Outbox>,
+    /// The newest camera.
+    view: Option<ViewRequest>,
+    /// True if the camera or the scene has changed since the last frame.
+    stale: bool,
+    /// True if a frame is under way.
+    on_the_way: bool,
+    picks: VecDeque<Pick>,
+    /// Turn in which it was served last.
+    served: u64,
+}
+
+#[derive(Default)]
+struct State {
+    clients: BTreeMap<u64, Client>,
+    next_client: u64,
+    turn: u64,
+    remote: VecDeque<RemoteRequest>,
+    scenes: VecDeque<SceneAnswer>,
+    /// The turns in which a film and another program were served last.
+    film_served: u64,
+    remote_served: u64,
+    actions: VecDeque<TrainAction>,
+    /// Waiting films, at most one of each page.
+    films: VecDeque<(u64, FilmRequest)>,
+    /// Page whose film is in progress.
+    filming: Option<u64>,
+    /// True if the film in progress is cancelled.
+    called_off: bool,
+    /// Names of the files of finished films.
+    film_files: BTreeSet<String>,
+    /// First message to every page.
+    greeting: String,
+    /// Describes training's progress; see [`Hub::set_status`].
+    status: Option<Box<dyn Fn(u32) -> String + Send>>,
 }
 
 /// See the module.
@@ -116,14 +149,7 @@ impl Hub {
             // The page sends this number with its requests for photos.
             outbox.put(ToPage::json(&json!({ "type": "page", "page": state.next_client })));
             outbox.put(ToPage::Text(state.greeting.clone()));
-            let client = Client {
-                out: outbox.clone(),
-                view: None,
-                stale: false,
-                on_the_way: false,
-                picks: VecDeque::new(),
-                served: state.turn,
-            };
+            let client = Client { out: outbox.clone(), served: state.turn, ..Client::default() };
             state.clients.insert(state.next_client, client);
             Some((state.next_client, outbox))
         })
@@ -147,31 +173,24 @@ impl Hub {
         self.lock().clients.contains_key(&client)
     }
 
+    /// Changes a page's state, if it is still connected.
+    fn change_client<T>(&self, client: u64, change: impl FnOnce(&mut Client) -> T) -> Option<T> {
+        self.change(|state| state.clients.get_mut(&client).map(change))
+    }
+
     /// Sets the newest camera of a page.
     pub fn set_view(&self, client: u64, view: ViewRequest) {
-        self.change(|state| {
-            if let Some(client) = state.clients.get_mut(&client) {
-                client.view = Some(view);
-                client.stale = true;
-            }
-        });
+        self.change_client(client, |client| (client.view, client.stale) = (Some(view), true));
     }
 
     /// Confirms that a page's frame has arrived.
     pub fn acknowledge(&self, client: u64) {
-        self.change(|state| {
-            if let Some(client) = state.clients.get_mut(&client) {
-                client.on_the_way = false;
-            }
-        });
+        self.change_client(client, |client| client.on_the_way = false);
     }
 
     /// Queues a page's question about a pixel; false if too many of its picks wait.
     pub fn pick(&self, client: u64, pick: Pick) -> bool {
-        self.change(|state| {
-            let client = state.clients.get_mut(&client);
-            client.is_some_and(|client| queue(&mut client.picks, pick, MOST_PICKS))
-        })
+        self.change_client(client, |client| queue(&mut client.picks, pick, MOST_PICKS)).unwrap_or(false)
     }
 
     /// Queues another program's request for a picture; false if too many wait.
@@ -180,8 +199,8 @@ impl Hub {
     }
 
     /// Queues a request for the Gaussians; false if too many wait.
-    pub fn ask_for_scene(&self, request: SceneRequest) -> bool {
-        self.change(|state| queue(&mut state.scenes, request, MOST_SCENES))
+    pub fn ask_for_scene(&self, answer: SceneAnswer) -> bool {
+        self.change(|state| queue(&mut state.scenes, answer, MOST_SCENES))
     }
 
     /// Requests new frames for the pages that follow the scene's changes.
@@ -222,13 +241,63 @@ impl Hub {
         self.lock().status.as_ref().map(|status| status(since))
     }
 
-    /// True if any request is waiting.
+    /// Requests a film. Returns the number of films before it, or none if the page has one already.
+    pub fn film(&self, client: u64, request: FilmRequest) -> Option<usize> {
+        self.change(|state| {
+            let has = state.filming == Some(client) || state.films.iter().any(|(owner, _)| *owner == client);
+            if has || !state.clients.contains_key(&client) {
+                return None;
+            }
+            state.films.push_back((client, request));
+            Some(state.films.len() - 1 + usize::from(state.filming.is_some()))
+        })
+    }
+
+    /// Cancels a page's film. True if the film was still waiting. A film in progress ends once its maker calls
+    /// [`Hub::film_is_called_off`].
+    pub fn cancel_film(&self, client: u64) -> bool {
+        self.change(|state| state.call_off(client))
+    }
+
+    /// Takes the film that has waited longest; it is now in progress.
+    pub fn take_film(&self) -> Option<(u64, FilmRequest)> {
+        self.change(|state| {
+            let next = state.films.pop_front()?;
+            (state.filming, state.called_off) = (Some(next.0), false);
+            Some(next)
+        })
+    }
+
+    /// True if the film in progress is cancelled: by its page, or because the page has left.
+    pub fn film_is_called_off(&self) -> bool {
+        self.lock().called_off
+    }
+
+    /// Marks the film in progress as ended.
+    pub fn film_ended(&self) {
+        self.change(|state| (state.filming, state.called_off) = (None, false));
+    }
+
+    /// Lets pages fetch these files of a film.
+    pub fn publish_film(&self, files: impl IntoIterator<Item = String>) {
+        self.change(|state| state.film_files.extend(files));
+    }
+
+    /// True if the file belongs to a film of this run of the program.
+    pub fn has_film_file(&self, name: &str) -> bool {
+        self.lock().film_files.contains(name)
+    }
+
+    /// True if a film is in progress or waits.
+    pub fn has_films(&self) -> bool {
+        self.lock().has_films()
+    }
+
+    /// True if any request is waiting, or a film is in progress.
     pub fn is_wanted(&self) -> bool {
         let state = self.lock();
-        !state.remote.is_empty()
-            || !state.scenes.is_empty()
-            || !state.films.is_empty()
-            || state.clients.values().any(Client::waits)
+        let asked = !state.remote.is_empty() || !state.scenes.is_empty();
+        asked || state.has_films() || state.clients.values().any(Client::waits)
     }
 
     /// Returns the next task; waits at most this long.
@@ -251,6 +320,57 @@ impl Hub {
     }
 }
 
+impl Client {
+    fn waits(&self) -> bool {
+        !self.picks.is_empty() || self.stale && !self.on_the_way
+    }
+}
+
+impl State {
+    /// Cancels a page's film; true if it was still waiting.
+    fn call_off(&mut self, client: u64) -> bool {
+        self.called_off |= self.filming == Some(client);
+        let before = self.films.len();
+        self.films.retain(|(owner, _)| *owner != client);
+        self.films.len() < before
+    }
+
+    fn has_films(&self) -> bool {
+        self.filming.is_some() || !self.films.is_empty()
+    }
+
+    /// Takes the request of the page that has waited longest for a turn.
+    fn take_task(&mut self) -> Option<Task> {
+        // Scene requests are few: each is written and sent before its page asks again.
+        if let Some(request) = self.scenes.pop_front() {
+            return Some(Task::Scene(request));
+        }
+        self.turn += 1;
+        let films_turn = if self.has_films() { self.film_served } else { u64::MAX };
+        let page = self.clients.iter_mut().filter(|(_, client)| client.waits());
+        let page = page.min_by_key(|(_, client)| client.served);
+        let pages_turn = page.as_ref().map_or(u64::MAX, |(_, client)| client.served);
+        if self.remote_served <= pages_turn.min(films_turn)
+            && let Some(request) = self.remote.pop_front()
+        {
+            self.remote_served = self.turn;
+            return Some(Task::Remote(request));
+        }
+        if films_turn < pages_turn {
+            self.film_served = self.turn;
+            return Some(Task::Film);
+        }
+        let (&id, client) = page?;
+        client.served = self.turn;
+        if let Some(pick) = client.picks.pop_front() {
+            return Some(Task::Pick { client: id, pick });
+        }
+        client.stale = false;
+        client.on_the_way = true;
+        client.view.map(|request| Task::Frame { client: id, request })
+    }
+}
+
 /// Adds to a queue; false if it is full.
 fn queue<T>(queue: &mut VecDeque<T>, item: T, most: usize) -> bool {
     let has_room = queue.len() < most;
@@ -262,110 +382,70 @@ fn queue<T>(queue: &mut VecDeque<T>, item: T, most: usize) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::protocol::{CameraMessage, Look};
     use super::*;
+    use serde_json::from_value;
 
-    pub(super) fn view(seq: u64) -> ViewRequest {
-        let camera = CameraMessage {
-            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-            translation: [0.0; 3],
-            fx: 1.0,
-            fy: 1.0,
-            cx: 0.0,
-            cy: 0.0,
-            width: 1,
-            height: 1,
-        };
-        ViewRequest { seq, camera, look: Look::default(), follow: seq == 100, as_photo: None }
+    fn view() -> ViewRequest {
+        let lens = json!({
+            "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [0, 0, 0], "fx": 1, "fy": 1, "cx": 0, "cy": 0,
+            "width": 1, "height": 1,
+        });
+        from_value(json!({ "seq": 1, "camera": lens })).expect("a view")
     }
 
-    pub(super) fn join(hub: &Hub) -> u64 {
-        hub.join().expect("room").0
-    }
-
-    fn next(hub: &Hub) -> Option<(u64, u64)> {
-        match hub.next(Duration::ZERO) {
-            Some(Task::Frame { client, request }) => Some((client, request.seq)),
-            _ => None,
-        }
+    fn remote() -> RemoteRequest {
+        let camera = view().camera.camera().expect("a camera");
+        RemoteRequest { camera, scale: 1.0, answer: std::sync::mpsc::sync_channel(1).0 }
     }
 
     #[test]
-    fn the_newest_camera_wins_and_nothing_waits_behind_a_frame() {
+    fn pages_films_and_other_programs_take_turns() {
         let hub = Hub::default();
-        let client = join(&hub);
-        assert_eq!(next(&hub), None);
-        (1..=5).for_each(|seq| hub.set_view(client, view(seq)));
-        assert_eq!(next(&hub), Some((client, 5)));
-        hub.set_view(client, view(6));
-        hub.set_view(client, view(7));
-        assert_eq!(next(&hub), None, "the frame before has not come yet");
-        hub.acknowledge(client);
-        assert_eq!(next(&hub), Some((client, 7)));
-        hub.acknowledge(client);
-        assert_eq!(next(&hub), None, "nothing has changed");
-        hub.renew();
-        assert_eq!(next(&hub), None, "it does not follow");
-        hub.set_view(client, view(100));
-        assert!(next(&hub).is_some());
-        hub.acknowledge(client);
-        hub.renew();
-        assert_eq!(next(&hub), Some((client, 100)));
+        let [a, b] = [(); 2].map(|()| hub.join().expect("room").0);
+        let film = json!({ "keys": [], "seconds": 1, "frames_per_second": 1, "width": 1, "height": 1 });
+        let served: String = (0..12)
+            .map(|_| {
+                // Each always has a request.
+                [a, b].iter().for_each(|&page| hub.set_view(page, view()));
+                hub.film(b, from_value(film.clone()).expect("a film"));
+                if hub.lock().remote.is_empty() {
+                    hub.ask_remotely(remote());
+                }
+                match hub.next(Duration::ZERO).expect("a task") {
+                    Task::Frame { client, .. } => {
+                        hub.acknowledge(client);
+                        if client == a { 'a' } else { 'b' }
+                    }
+                    Task::Film => {
+                        hub.take_film();
+                        'f'
+                    }
+                    Task::Remote(_) => 'r',
+                    Task::Pick { .. } | Task::Scene(_) => '?',
+                }
+            })
+            .collect();
+        let (first, rest) = served.split_at(4);
+        assert!("abfr".chars().all(|who| first.contains(who)), "{served}");
+        assert_eq!(rest, first.repeat(2), "{served}");
     }
 
     #[test]
-    fn pages_take_turns() {
-        let hub = Hub::default();
-        let [a, b, c] = [(); 3].map(|()| join(&hub));
-        let mut served = Vec::new();
-        // Page a asks for ten frames; the others ask for two.
-        for round in 0..10 {
-            hub.set_view(a, view(round));
-            if round < 2 {
-                hub.set_view(b, view(round));
-                hub.set_view(c, view(round));
-            }
-            let (client, _) = next(&hub).expect("a frame");
-            served.push(client);
-            hub.acknowledge(client);
-        }
-        assert_eq!(served[..6], [a, b, c, a, a, a], "{served:?}");
-        hub.leave(a);
-        assert_eq!(next(&hub), None);
-    }
-
-    #[test]
-    fn picks_are_bounded() {
-        let hub = Hub::default();
-        let client = join(&hub);
-        let pick = Pick { id: 1, camera: view(1).camera, look: Look::default(), pixel: [0, 0] };
-        let taken = (0..10).filter(|_| hub.pick(client, pick)).count();
-        assert_eq!(taken, MOST_PICKS);
-    }
-
-    #[test]
-    fn pages_and_other_programs_are_bounded() {
-        let hub = Hub::default();
-        let pages: Vec<u64> = (0..100).filter_map(|_| hub.join()).map(|(client, _)| client).collect();
-        assert!(pages.len() == MOST_PAGES && !hub.has_room());
-        hub.leave(pages[0]);
-        assert!(hub.has_room() && hub.join().is_some());
-        let (answer, _answers) = std::sync::mpsc::sync_channel(1);
-        let camera = view(0).camera.camera().expect("a camera");
-        let ask = || hub.ask_remotely(RemoteRequest { camera, scale: 1.0, answer: answer.clone() });
-        assert_eq!((0..100).filter(|_| ask()).count(), MOST_REMOTE);
-        let scene = || hub.ask_for_scene(SceneRequest { answer: oneshot::channel().0 });
-        assert_eq!((0..100).filter(|_| scene()).count(), MOST_SCENES);
-    }
-
-    #[test]
-    fn training_hears_a_bounded_number_of_actions() {
+    fn requests_are_bounded() {
         let hub = Hub::default();
         // Without training, nothing would ever fetch the actions.
         assert!(!hub.act(TrainAction::Pause) && hub.actions().is_empty());
         hub.set_status(|_| String::new());
-        let taken = (0..1000).filter(|_| hub.act(TrainAction::Step)).count();
-        assert_eq!((taken, hub.actions().len()), (MOST_ACTIONS, MOST_ACTIONS));
-        assert!(hub.act(TrainAction::Stop) && hub.actions().len() == 1);
+        let pages: Vec<u64> = (0..100).filter_map(|_| hub.join()).map(|(client, _)| client).collect();
+        assert!(pages.len() == MOST_PAGES && !hub.has_room());
+        let pick = json!({ "id": 1, "camera": view().camera, "pixel": [0, 0] });
+        let pick: Pick = from_value(pick).expect("a pick");
+        let taken = |ask: &dyn Fn() -> bool| (0..100).filter(|_| ask()).count();
+        assert_eq!(taken(&|| hub.act(TrainAction::Step)), MOST_ACTIONS);
+        assert_eq!(taken(&|| hub.pick(pages[0], pick)), MOST_PICKS);
+        assert_eq!(taken(&|| hub.ask_remotely(remote())), MOST_REMOTE);
+        assert_eq!(taken(&|| hub.ask_for_scene(oneshot::channel().0)), MOST_SCENES);
+        hub.leave(pages[0]);
+        assert!(hub.has_room() && hub.join().is_some() && hub.actions().len() == MOST_ACTIONS);
     }
 }

@@ -32,9 +32,8 @@ pub use photos::Photos;
 pub use subject::Subject;
 
 use ashsplat::{Error, RenderSettings, Renderer, Result};
-use ashsplat_files::splats::Target;
 use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_VIEWER};
-use ashsplat_program::look::{LookArguments, parse_direction, parse_target};
+use ashsplat_program::look::{LookArguments, parse_direction};
 use ashsplat_program::{output, session};
 use clap::Args;
 use glam::Vec3;
@@ -50,9 +49,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Scope;
 use std::time::Duration;
-use streamed::Scenery;
+use streamed::{Onlooker, Scenery};
 use studio::Studio;
-use subject::Wanted;
+use subject::SceneArguments;
 
 /// Look at a scene, a trained model, a tree of tiles or a data set in a browser, also on a machine without a screen; or in a window.
 ///
@@ -65,19 +64,8 @@ pub struct Arguments {
     /// page takes files that are dropped on it, and paths in this folder or below]
     #[arg(value_name = "PATH")]
     path: Option<PathBuf>,
-    /// Photos and cameras of this data set [default: that of the training]
-    #[arg(short, long, value_name = "DATASET")]
-    source_path: Option<PathBuf>,
-    /// Folder of the photos within the data set [default: as in training, else images]
-    #[arg(short, long, value_name = "NAME")]
-    images: Option<String>,
-    /// Iteration of the model folder's PLY [default: what was saved last]
-    #[arg(long, value_name = "N")]
-    iteration: Option<u32>,
-    /// Gaussians of a picture, at most, of a folder of tiles: the tiles whose error is largest in pixels are the finest
-    /// [default: 1000000; pages can change it]
-    #[arg(long, value_name = "N|N%", value_parser = parse_target)]
-    budget: Option<Target>,
+    #[command(flatten)]
+    scene: SceneArguments,
     /// Up in the pictures [default: as the cameras have it, without any 0,-1,0]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_direction)]
     up: Option<Vec3>,
@@ -148,7 +136,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     );
     std::thread::scope(|threads| {
         let stage = Stage { arguments, openings, hub: hub.clone(), site, stop: &stop };
-        let ended = stage.play(threads, name, out);
+        let ended = stage.play(threads, out);
         // Stops a scene that is still being read.
         stop.store(true, Ordering::Relaxed);
         if let Err(error) = &ended {
@@ -169,57 +157,42 @@ struct Stage<'a> {
 }
 
 impl<'a> Stage<'a> {
-    /// `name`: name of the first scene.
-    fn play<'scope>(
-        &self,
-        threads: &'scope Scope<'scope, 'a>,
-        name: Option<String>,
-        out: PathBuf,
-    ) -> Result<()>
+    fn play<'scope>(&self, threads: &'scope Scope<'scope, 'a>, out: PathBuf) -> Result<()>
     where
         'a: 'scope,
     {
         let (arguments, stop, hub) = (self.arguments, self.stop, &self.hub);
-        let mut loading = match (&arguments.path, name) {
-            (Some(path), Some(name)) => {
-                let read = move || arguments.load(path, None, stop);
-                Some(Loading::begin(threads, hub, name, read)?)
-            }
-            _ => None,
+        let begin = |wish: Wish| {
+            let (path, within) = (wish.path.clone(), wish.within.clone());
+            Loading::begin(threads, hub, wish, move || arguments.load(&path, within.as_deref(), stop))
         };
+        let wish =
+            |path: &PathBuf| Wish { path: path.clone(), name: path.display().to_string(), ..Wish::default() };
+        let mut loading = arguments.path.as_ref().map(wish).map(begin).transpose()?;
         // The device opens while the scene is read.
         let context = arguments.device.context()?;
         let mut scenery = Scenery::new(Renderer::new(&context)?);
         let mut studio = Studio::new(hub.clone(), RenderSettings::default(), out);
-        let first = match loading.take() {
-            Some(loading) => loading.finish()?,
-            None => Subject::nothing(),
-        };
+        let first = loading.take().map_or_else(|| Ok(Subject::nothing()), Loading::finish)?;
         self.show(first, &mut scenery, &mut studio)?;
         while !stop.load(Ordering::Relaxed) {
             if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
-                let (name, room) = (read.name().to_owned(), read.room());
-                let failed = match read.finish() {
-                    // The previous scene stays.
-                    Err(error) => Some(error),
-                    Ok(subject) => {
-                        // Commands name the file that the page has sent, not its copy here.
-                        let file = if room.is_some() { Some(PathBuf::from(&name)) } else { subject.file };
-                        let subject = Subject { name: name.clone(), file, ..subject };
-                        self.show(subject, &mut scenery, &mut studio).err()
-                    }
-                };
-                if let Some(error) = failed {
+                let (name, room) = (read.wish.name.clone(), read.wish.room());
+                let shown = read.finish().and_then(|subject| {
+                    // Commands name the file that the page has sent, not its copy here.
+                    let file = if room.is_some() { Some(PathBuf::from(&name)) } else { subject.file };
+                    let subject = Subject { name: name.clone(), file, ..subject };
+                    self.show(subject, &mut scenery, &mut studio)
+                });
+                // The previous scene stays.
+                if let Err(error) = shown {
                     hub.broadcast(&loading::failure(&name, &error, room.as_deref()));
                     studio::fatal(error)?;
                 }
             }
-            if loading.is_none()
-                && let Some(wish) = self.openings.as_ref().and_then(|openings| openings.take())
-            {
-                let Wish { path, name, within, upload, turn } = wish;
-                let read = move || arguments.load(&path, within.as_deref(), stop);
-                loading = Some(Loading::begin(threads, hub, name, read)?.keeping(turn, upload));
+            if loading.is_none() {
+                let wish = self.openings.as_ref().and_then(|openings| openings.take());
+                loading = wish.map(begin).transpose()?;
             }
             studio.serve(&mut scenery, REST)?;
         }
@@ -230,7 +203,12 @@ impl<'a> Stage<'a> {
     fn show(&self, subject: Subject, scenery: &mut Scenery, studio: &mut Studio) -> Result<()> {
         let mut greeting = subject.greeting(scenery.renderer.context().device_name(), None);
         greeting["open"] = self.openings.as_ref().map(|openings| openings.described()).into();
-        if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), self.hub.clone()) {
+        let hub = self.hub.clone();
+        let onlooker: Onlooker = Arc::new(move |problem: Option<String>| match problem {
+            None => hub.renew(),
+            Some(problem) => hub.broadcast(&ToPage::problem(&problem)),
+        });
+        if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), onlooker) {
             // The previous scene is already gone.
             self.show(Subject::nothing(), scenery, studio)?;
             return Err(error);
@@ -252,10 +230,7 @@ impl Arguments {
     }
 
     fn load(&self, path: &Path, within: Option<&Path>, stop: &AtomicBool) -> Result<Subject> {
-        let source = self.source_path.as_deref();
-        let (images, budget) = (self.images.as_deref(), self.budget);
-        let wanted = Wanted { iteration: self.iteration, source, images, within, budget };
-        let subject = Subject::load(path, &wanted, &self.look, &self.device.host, stop)?;
+        let subject = Subject::load(path, within, &self.scene, &self.look, &self.device.host, stop)?;
         Ok(Subject { up: self.up, ..subject })
     }
 

@@ -1,6 +1,5 @@
 //! Exposure and lens effects of the photos: a view can be drawn as its photo was exposed, through the lens that took it.
 
-use super::draw::Painter;
 use ashsplat::scene::Camera;
 use ashsplat::{Error, Result, Trainer};
 use ashsplat_files::cameras_json::NamedCamera;
@@ -23,10 +22,10 @@ enum Source {
 }
 
 /// Indices of the training views that have a photo's exposure and its lens.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Places {
-    pub exposure: Option<usize>,
-    pub lens: Option<usize>,
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
+struct Places {
+    exposure: Option<usize>,
+    lens: Option<usize>,
 }
 
 impl PhotoLights {
@@ -60,31 +59,33 @@ impl PhotoLights {
         })
     }
 
-    /// Returns a photo's exposure and lens effects, and the camera at which it was taken.
+    /// Returns a photo's exposure and lens effects, and the camera at which it was taken. `trainer`: the running training, if any.
     ///
     /// # Errors
     /// [`Error::Argument`] for a photo that does not exist; when the device is lost.
-    pub fn of(&self, photo: usize, painter: &dyn Painter) -> Result<(Camera, Light)> {
+    pub fn of(&self, photo: usize, trainer: Option<&Trainer>) -> Result<(Camera, Light)> {
         let (camera, source) = self.photos.get(photo).ok_or_else(|| {
             let problem = format!("there is none of number {photo}: the scene has {}", self.photos.len());
             Error::argument("photo", problem)
         })?;
-        let light = match source {
-            Source::Kept(light) => *light,
-            Source::Training(places) => painter.light(*places)?,
+        let light = match (source, trainer) {
+            (Source::Kept(light), _) => *light,
+            (Source::Training(places), Some(trainer)) => places.light(trainer)?,
+            (Source::Training(_), None) => Light::default(),
         };
         Ok((*camera, light))
     }
 }
 
-/// Reads the current exposure and lens effects of a training view.
-pub fn of_training(trainer: &Trainer, places: Places) -> Result<Light> {
-    let Places { exposure, lens } = places;
-    Ok(Light {
-        exposure: exposure
-            .map(|_| trainer.exposures())
-            .transpose()?
-            .and_then(|all| all.get(exposure?).copied()),
-        lens: lens.map(|_| trainer.lens_effects()).transpose()?.and_then(|all| all.get(lens?).copied()),
-    })
+impl Places {
+    /// Reads the current exposure and lens effects of a running training.
+    fn light(self, trainer: &Trainer) -> Result<Light> {
+        let Self { exposure, lens } = self;
+        let exposures = exposure.map(|_| trainer.exposures()).transpose()?;
+        let lenses = lens.map(|_| trainer.lens_effects()).transpose()?;
+        Ok(Light {
+            exposure: exposures.and_then(|all| all.get(exposure?).copied()),
+            lens: lenses.and_then(|all| all.get(lens?).copied()),
+        })
+    }
 }

@@ -1,42 +1,30 @@
 //! Scenes are read on their own thread. Meanwhile pages are served, and get a message that something is read.
 
 use super::hub::Hub;
-use super::openings::Turn;
+use super::openings::Wish;
 use super::protocol::ToPage;
 use super::subject::Subject;
 use ashsplat::{Error, Result};
 use serde_json::{Value, json};
 use std::thread::{Scope, ScopedJoinHandle};
-use tempfile::TempDir;
 
 pub struct Loading<'scope> {
-    name: String,
+    /// Kept until the scene is read.
+    pub wish: Wish,
     thread: ScopedJoinHandle<'scope, Result<Subject>>,
-    /// A page's right to open a scene, and the file that it sent: kept until the scene is read.
-    opened: Option<(Turn, Option<TempDir>)>,
 }
 
 impl<'scope> Loading<'scope> {
     pub fn begin(
         threads: &'scope Scope<'scope, '_>,
         hub: &Hub,
-        name: String,
+        wish: Wish,
         read: impl FnOnce() -> Result<Subject> + Send + 'scope,
     ) -> Result<Loading<'scope>> {
-        hub.broadcast(&ToPage::json(&message(&name)));
+        hub.broadcast(&ToPage::json(&message(&wish.name)));
         let thread = std::thread::Builder::new().name("reader".into()).spawn_scoped(threads, read);
         let thread = thread.map_err(|e| Error::argument("viewer", format!("no thread to read with: {e}")))?;
-        Ok(Loading { name, thread, opened: None })
-    }
-
-    /// Keeps a page's right and its file until the scene is read.
-    pub fn keeping(self, turn: Turn, upload: Option<TempDir>) -> Loading<'scope> {
-        Loading { opened: Some((turn, upload)), ..self }
-    }
-
-    /// Name of the scene.
-    pub fn name(&self) -> &str {
-        &self.name
+        Ok(Loading { wish, thread })
     }
 
     /// True if [`Loading::finish`] would not wait.
@@ -45,14 +33,8 @@ impl<'scope> Loading<'scope> {
     }
 
     pub fn finish(self) -> Result<Subject> {
-        let read = self.thread.join();
-        read.unwrap_or_else(|_| Err(Error::argument("viewer", format!("reading {} has failed", self.name))))
-    }
-
-    /// Folder of a file that a page has sent: its path means nothing to people.
-    pub fn room(&self) -> Option<String> {
-        let (_, upload) = self.opened.as_ref()?;
-        Some(format!("{}{}", upload.as_ref()?.path().display(), std::path::MAIN_SEPARATOR))
+        let failed = |_| Err(Error::argument("viewer", format!("reading {} has failed", self.wish.name)));
+        self.thread.join().unwrap_or_else(failed)
     }
 }
 

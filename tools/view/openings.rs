@@ -21,15 +21,13 @@ pub struct Openings {
     /// Pages may name paths in this folder or below; none: no paths.
     folder: Option<PathBuf>,
     /// Largest file that a page may send, bytes.
-    most_bytes: u64,
+    pub most_bytes: u64,
     turn: Arc<Semaphore>,
     wish: Mutex<Option<Wish>>,
 }
 
-/// The exclusive right to open a scene, until it is dropped.
-pub struct Turn(#[allow(dead_code)] OwnedSemaphorePermit);
-
-/// A scene that a page wants opened.
+/// A scene to open: of the command line, or of a page.
+#[derive(Default)]
 pub struct Wish {
     pub path: PathBuf,
     /// Name for people.
@@ -38,7 +36,16 @@ pub struct Wish {
     pub within: Option<PathBuf>,
     /// Folder of an uploaded file, removed when this is dropped.
     pub upload: Option<TempDir>,
-    pub turn: Turn,
+    /// A page's exclusive right to open a scene, until it is dropped.
+    pub turn: Option<OwnedSemaphorePermit>,
+}
+
+impl Wish {
+    /// Folder of a file that a page has sent: its path means nothing to people.
+    pub fn room(&self) -> Option<String> {
+        let upload = self.upload.as_ref()?;
+        Some(format!("{}{}", upload.path().display(), std::path::MAIN_SEPARATOR))
+    }
 }
 
 impl Openings {
@@ -55,13 +62,9 @@ impl Openings {
         json!({ "folder": self.folder, "bytes": self.most_bytes, "formats": FORMATS.map(Format::extension) })
     }
 
-    pub fn most_bytes(&self) -> u64 {
-        self.most_bytes
-    }
-
     /// Takes the right to open a scene. None while another page has it.
-    pub fn turn(&self) -> Option<Turn> {
-        self.turn.clone().try_acquire_owned().ok().map(Turn)
+    pub fn turn(&self) -> Option<OwnedSemaphorePermit> {
+        self.turn.clone().try_acquire_owned().ok()
     }
 
     pub fn ask(&self, wish: Wish) {
@@ -93,58 +96,4 @@ const FORMATS: [Format; 5] = [Format::Ply, Format::CompressedPly, Format::Splat,
 /// The format that a file's name says, if it consists of one file.
 pub fn format_of(name: &str) -> Option<Format> {
     Format::of_extension(name).ok().filter(|format| FORMATS.contains(format))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn paths_lead_no_farther_than_the_folder() {
-        let outer = tempfile::tempdir().expect("a temporary folder");
-        let folder = outer.path().join("started");
-        std::fs::create_dir_all(folder.join("below")).expect("created");
-        for name in ["started/a.ply", "started/below/b.ply", "secret.ply", "started_too.ply"] {
-            std::fs::write(outer.path().join(name), "ply").expect("written");
-        }
-        let openings = Openings::new(Some(folder.clone()), Reach::ThisMachine, 1);
-        let found = |name: &str| openings.find(name).map(|(path, _)| path);
-        for good in ["a.ply", "below/b.ply", "below/../a.ply", ".", ""] {
-            assert!(found(good).is_ok(), "{good}");
-        }
-        let absolute = folder.canonicalize().expect("a folder").join("a.ply");
-        assert_eq!(found(absolute.to_str().expect("UTF-8")), Ok(absolute.clone()));
-        #[cfg(unix)]
-        std::os::unix::fs::symlink("../secret.ply", folder.join("link.ply")).expect("a link");
-        for bad in [
-            "../secret.ply",
-            "../started_too.ply",
-            "link.ply",
-            "/etc/passwd",
-            "../nothing.ply",
-            "nothing.ply",
-        ] {
-            let problem = found(bad).expect_err(bad);
-            assert!(problem.starts_with(&format!("{bad}: is not in ")), "{problem}");
-        }
-        let others = Openings::new(Some(folder), Reach::Others, 1);
-        assert!(others.find("a.ply").is_err() && others.described()["folder"].is_null());
-    }
-
-    #[test]
-    fn one_at_a_time() {
-        let openings = Openings::new(None, Reach::ThisMachine, 1);
-        let turn = openings.turn().expect("free");
-        assert!(openings.turn().is_none());
-        let wish = Wish { path: "a.ply".into(), name: "a.ply".into(), within: None, upload: None, turn };
-        openings.ask(wish);
-        let wish = openings.take().expect("asked for");
-        assert!(openings.take().is_none() && openings.turn().is_none());
-        drop(wish);
-        assert!(openings.turn().is_some());
-        assert_eq!(
-            (format_of("a.PLY"), format_of("a.gltf"), format_of("a.zip")),
-            (Some(Format::Ply), None, None)
-        );
-    }
 }

@@ -11,7 +11,7 @@ use ashsplat_program::session::locked;
 use axum::body::Bytes;
 use queue::{Queue, Turn};
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 pub use queue::Asker;
 
@@ -57,8 +57,8 @@ struct Kept {
 }
 
 impl Kept {
-    fn new(most_bytes: usize) -> Mutex<Kept> {
-        Mutex::new(Kept { most_bytes, photos: VecDeque::new() })
+    fn new(most_bytes: usize) -> Kept {
+        Kept { most_bytes, photos: VecDeque::new() }
     }
 
     fn find(&self, index: usize) -> Option<Arc<Vec<u8>>> {
@@ -81,8 +81,8 @@ pub struct Photos {
     gallery: Gallery,
     /// Memory that decoding each photo takes, MiB.
     costs: Vec<u32>,
-    full: Mutex<Kept>,
-    thumbnails: Mutex<Kept>,
+    /// By size.
+    kept: [Mutex<Kept>; 2],
     decoding: Queue,
     sending: Queue,
 }
@@ -98,8 +98,7 @@ impl Photos {
         Photos {
             costs: cameras.iter().map(|named| cost(named.camera.width, named.camera.height)).collect(),
             gallery,
-            full: Kept::new(KEPT_BYTES),
-            thumbnails: Kept::new(KEPT_THUMBNAIL_BYTES),
+            kept: [KEPT_BYTES, KEPT_THUMBNAIL_BYTES].map(|most| Mutex::new(Kept::new(most))),
             decoding: Queue::new(DECODING_MIB, DECODING_MIB),
             // An asker that does not read leaves half to the others.
             sending: Queue::new(SENDING_MIB, SENDING_MIB / 2),
@@ -114,12 +113,14 @@ impl Photos {
     /// Returns a photo once the asker's turn has come.
     pub async fn jpeg(self: &Arc<Photos>, index: usize, size: Size, asker: Asker) -> Result<Bytes, Refusal> {
         let cost = *self.costs.get(index).ok_or(Refusal::Unknown)?;
-        let bytes = match self.kept(index, size) {
+        let kept = self.kept(size).find(index);
+        let bytes = match kept {
             Some(bytes) => bytes,
             None => {
                 let turn = self.decoding.turn(asker, cost).await.ok_or(Refusal::Busy)?;
                 // Another request may have decoded the same photo meanwhile.
-                match self.kept(index, size) {
+                let kept = self.kept(size).find(index);
+                match kept {
                     Some(bytes) => bytes,
                     None => self.decoded(index, size, turn).await?,
                 }
@@ -137,15 +138,8 @@ impl Photos {
         Ok((*view?.photo.photo()?).clone())
     }
 
-    fn kept(&self, index: usize, size: Size) -> Option<Arc<Vec<u8>>> {
-        locked(self.shelf(size)).find(index)
-    }
-
-    fn shelf(&self, size: Size) -> &Mutex<Kept> {
-        match size {
-            Size::Full => &self.full,
-            Size::Thumbnail => &self.thumbnails,
-        }
+    fn kept(&self, size: Size) -> MutexGuard<'_, Kept> {
+        locked(&self.kept[size as usize])
     }
 
     async fn decoded(
@@ -161,7 +155,7 @@ impl Photos {
             let view = photos.gallery.view(index).ok_or(Refusal::Unknown)?;
             let encoded = view.and_then(|view| encode(&*view.photo.photo()?, size));
             let bytes = Arc::new(encoded.map_err(|error| Refusal::Problem(error.to_string()))?);
-            locked(photos.shelf(size)).add(index, bytes.clone());
+            photos.kept(size).add(index, bytes.clone());
             Ok(bytes)
         };
         tokio::task::spawn_blocking(work).await.unwrap_or(Err(Refusal::Unknown))
@@ -188,22 +182,5 @@ fn encode(photo: &Photo, size: Size) -> Result<Vec<u8>> {
             let height = (photo.height * width / photo.width).max(1);
             draw::encode(&photo.clone().scaled_to(width, height)?, THUMBNAIL_QUALITY)
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_is_kept_is_bounded() {
-        let kept = Kept::new(1000);
-        let mut kept = kept.lock().expect("sound");
-        (0..50).for_each(|index| kept.add(index, Arc::new(vec![0; 300])));
-        assert_eq!(kept.photos.iter().map(|(index, _)| *index).collect::<Vec<_>>(), [47, 48, 49]);
-        assert!(kept.find(49).is_some() && kept.find(0).is_none());
-        // A photo larger than the limit is kept alone.
-        kept.add(50, Arc::new(vec![0; 5000]));
-        assert!(kept.find(50).is_some() && kept.photos.len() == 1);
     }
 }

@@ -213,6 +213,11 @@ impl ToPage {
         Self::Binary([&length.to_le_bytes(), header.as_bytes(), picture].concat())
     }
 
+    /// Says that the page's film is given up.
+    pub fn film_is_cancelled() -> Self {
+        Self::json(&json!({ "type": "film", "cancelled": true }))
+    }
+
     /// An error message for people.
     pub fn problem(message: &str) -> Self {
         Self::json(&json!({ "type": "problem", "message": message }))
@@ -235,30 +240,4 @@ pub fn pivot_depth(report: &PixelReport) -> Option<f32> {
     }
     let half = 1.0 - 0.5 * blocked;
     report.samples.iter().find(|s| s.transmittance_after <= half).map(|s| s.depth)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn cameras_go_there_and_back() {
-        let intrinsics = Intrinsics::from_fov_x(0.9, 64, 48);
-        let camera = Camera::look_at(Vec3::new(1.0, -2.0, -3.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
-        let text = serde_json::to_string(&CameraMessage::of(&camera)).expect("JSON");
-        let message: CameraMessage = serde_json::from_str(&text).expect("a camera");
-        assert_eq!(message.camera().expect("sound"), camera);
-        let huge = CameraMessage { width: 60_000, height: 60_000, ..message };
-        assert!(huge.camera().is_err());
-        let crooked = CameraMessage { rotation: [[1.0; 3]; 3], ..message };
-        assert!(crooked.camera().is_err());
-    }
-
-    #[test]
-    fn frames_carry_their_header() {
-        let ToPage::Binary(bytes) = ToPage::frame(&json!({ "seq": 7 }), &[1, 2, 3]) else { panic!("binary") };
-        let length = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) as usize;
-        assert_eq!(&bytes[4..4 + length], br#"{"seq":7}"#);
-        assert_eq!(bytes[4 + length..], [1, 2, 3]);
-    }
 }

@@ -237,7 +237,7 @@ fn busy(problem: &str) -> Response {
     ([(header::RETRY_AFTER, "1")], refusal(StatusCode::SERVICE_UNAVAILABLE, problem)).into_response()
 }
 
-/// Answers with a photo of the data set as JPEG.
+/// Answers with a photo of the data set as JPEG. Pages send their number, so that one with many requests does not delay the others.
 async fn photo(
     size: Size,
     State(site): State<Arc<Site>>,
@@ -245,17 +245,8 @@ async fn photo(
     UrlPath(index): UrlPath<usize>,
     uri: Uri,
 ) -> Response {
-    let asker = asker(&site, &seat, &uri);
-    send_photo(site, index, size, asker).await
-}
-
-/// Identifies the asker of a photo. Pages send their number, so that one with many requests does not delay the others.
-fn asker(site: &Site, seat: &Seat, uri: &Uri) -> Asker {
-    let page = door::query_value(uri, "page").and_then(|page| page.parse().ok());
-    Asker { peer: seat.peer(), page: page.filter(|page| site.hub.has_page(*page)) }
-}
-
-async fn send_photo(site: Arc<Site>, index: usize, size: Size, asker: Asker) -> Response {
+    let page = door::query_value(&uri, "page").and_then(|page| page.parse().ok());
+    let asker = Asker { peer: seat.peer(), page: page.filter(|page| site.hub.has_page(*page)) };
     let Some(photos) = site.photos() else { return StatusCode::NOT_FOUND.into_response() };
     // Photo addresses carry the run's name, so another scene at this port has different ones.
     match photos.jpeg(index, size, asker).await {
@@ -292,16 +283,13 @@ mod tests {
     use super::*;
     use std::time::{Duration, Instant};
 
-    fn serving(host: &str, of_training: bool) -> ServeArguments {
-        ServeArguments { host: host.into(), port: 0, token: None, allow_origin: None, of_training }
-    }
-
     /// One page reads, and so answers pings. The other has gone without closing its connection.
     #[test]
     fn silent_pages_are_given_up() {
         let hub = Arc::new(Hub::default());
         hub.greet_with("{}".into());
-        let serve = serving("127.0.0.1", false);
+        let (host, of_training) = ("127.0.0.1".into(), false);
+        let serve = ServeArguments { host, port: 0, token: None, allow_origin: None, of_training };
         let site = Site::new(hub.clone(), PathBuf::new(), serve.clone());
         let server = start(open(&serve).expect("a port"), site).expect("a server");
         let address = server.address;
@@ -333,12 +321,5 @@ mod tests {
         pages(0);
         drop(server);
         assert!(std::net::TcpStream::connect(address).is_err() && Arc::strong_count(&hub) == 1);
-    }
-
-    #[test]
-    fn options_have_the_commands_names() {
-        let said =
-            |of_training| open(&serving("0.0.0.0", of_training)).expect_err("open to others").to_string();
-        assert!(said(true).contains("--view-token WORD") && said(false).contains(" --token WORD"));
     }
 }

@@ -18,7 +18,6 @@ use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
-use viewers::Viewer;
 
 pub use viewers::Wishes;
 
@@ -147,25 +146,28 @@ pub fn serve(listener: TcpListener, hub: Arc<Hub>, source: String) -> Result<(So
 
 /// Serves a viewer on its own thread, so that it waits for no other.
 fn admit(stream: TcpStream, hub: &Arc<Hub>, source: &str, wishes: &Arc<Wishes>) -> io::Result<()> {
-    let Some(viewer) = wishes.admit(stream) else { return Ok(()) };
-    let (hub, source, shared, own) = (hub.clone(), source.to_owned(), wishes.clone(), viewer.clone());
+    let stream = Arc::new(stream);
+    if !wishes.admit(&stream) {
+        return Ok(());
+    }
+    let (hub, source, shared, own) = (hub.clone(), source.to_owned(), wishes.clone(), stream.clone());
     let serve = move || {
         // A closed or malformed connection ends itself only.
-        converse(&own, &hub, &source).ok();
+        converse(&own, &hub, &shared, &source).ok();
         shared.leave(&own);
     };
     let started = std::thread::Builder::new().name("network viewer".into()).spawn(serve);
-    started.map(drop).inspect_err(|_| wishes.leave(&viewer))
+    started.map(drop).inspect_err(|_| wishes.leave(&stream))
 }
 
-fn converse(viewer: &Viewer, hub: &Hub, source: &str) -> io::Result<()> {
-    let mut stream = viewer.stream();
+fn converse(own: &Arc<TcpStream>, hub: &Hub, wishes: &Wishes, source: &str) -> io::Result<()> {
+    let mut stream: &TcpStream = own;
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(SILENCE))?;
     let mut pace = Pace::new();
     loop {
         let message = read_message(stream)?;
-        viewer.speaks(message.train, message.keep_alive);
+        wishes.speaks(own, message.train, message.keep_alive);
         if let Some(camera) = message.camera()? {
             let (answer, picture) = mpsc::sync_channel(1);
             let scale = message.scaling_modifier.max(0.0);
@@ -178,7 +180,7 @@ fn converse(viewer: &Viewer, hub: &Hub, source: &str) -> io::Result<()> {
         let length = u32::try_from(source.len()).map_err(|_| bad("a path too long"))?;
         stream.write_all(&length.to_le_bytes())?;
         stream.write_all(source.as_bytes())?;
-        viewer.is_answered();
+        wishes.is_answered(own);
         pace.spend(source.len());
         std::thread::sleep(pace.wait());
     }
@@ -217,28 +219,6 @@ fn read_until(mut stream: &TcpStream, mut buffer: &mut [u8], end: Instant) -> io
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// SIBR's form of a camera gives the same camera again.
-    #[test]
-    fn cameras_arrive() {
-        let intrinsics = Intrinsics::from_fov_x(0.9, 64, 48);
-        let camera = Camera::look_at(Vec3::new(1.0, -2.0, -3.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
-        let r = camera.camera_from_world;
-        let t = camera.translation;
-        let column = |j: usize| [r.col(j).x, -r.col(j).y, -r.col(j).z, 0.0];
-        let matrix = [column(0), column(1), column(2), [t.x, -t.y, -t.z, 1.0]].concat();
-        let fov_y = 2.0 * (0.5 * 48.0 / camera.fy).atan();
-        let text = serde_json::json!({
-            "resolution_x": 64, "resolution_y": 48, "fov_x": 0.9, "fov_y": fov_y, "z_near": 0.01, "z_far": 100.0,
-            "train": 1, "shs_python": false, "rot_scale_python": false, "keep_alive": 0, "scaling_modifier": 1.0,
-            "view_matrix": matrix, "view_projection_matrix": vec![0.0; 16],
-        });
-        let message: Message = serde_json::from_value(text).expect("a message");
-        assert!(message.train && !message.keep_alive);
-        let arrived = message.camera().expect("sound").expect("a camera");
-        assert!(arrived.camera_from_world.abs_diff_eq(r, 1e-6) && arrived.translation.abs_diff_eq(t, 1e-6));
-        assert!((arrived.fx - camera.fx).abs() < 1e-3 && (arrived.fy - camera.fy).abs() < 1e-3);
-    }
 
     /// A silent viewer that has paused the training is given up: training continues, and the next viewer is admitted.
     #[test]

@@ -4,8 +4,6 @@ mod loader;
 mod residency;
 
 use super::draw::{Audience, Painter, Viewer};
-use super::hub::Hub;
-use super::protocol::ToPage;
 use super::subject::Streamed;
 use ashsplat::scene::Gaussians;
 use ashsplat::{
@@ -23,30 +21,15 @@ pub struct Scenery {
     streaming: Option<Streaming>,
 }
 
-/// Receives events of a tree, on any thread.
-pub trait Onlooker: Send + Sync {
-    /// A tile was loaded or has failed: draw the picture again.
-    fn renew(&self);
-    /// Shows a message to people.
-    fn tell(&self, problem: &str);
-}
-
-impl Onlooker for Hub {
-    fn renew(&self) {
-        Hub::renew(self);
-    }
-
-    fn tell(&self, problem: &str) {
-        self.broadcast(&ToPage::problem(problem));
-    }
-}
+/// Called on any thread: with a message for people, or with none when a tile was loaded or has failed, so that the picture is drawn again.
+pub type Onlooker = Arc<dyn Fn(Option<String>) + Send + Sync>;
 
 /// The displayed tree.
 struct Streaming {
     tree: Arc<Tree>,
     residency: Residency<DeviceScene>,
     loader: Loader,
-    onlooker: Arc<dyn Onlooker>,
+    onlooker: Onlooker,
     /// The program's budget, Gaussians.
     budget: usize,
     /// The current viewer and its budget.
@@ -64,12 +47,7 @@ impl Scenery {
     }
 
     /// Shows a scene, or the tree whose coarsest tile it is.
-    pub fn show(
-        &mut self,
-        gaussians: &Gaussians,
-        tree: Option<&Streamed>,
-        onlooker: Arc<dyn Onlooker>,
-    ) -> Result<()> {
+    pub fn show(&mut self, gaussians: &Gaussians, tree: Option<&Streamed>, onlooker: Onlooker) -> Result<()> {
         self.streaming = None;
         if !gaussians.is_empty() {
             self.renderer.upload(gaussians)?;
@@ -80,7 +58,7 @@ impl Scenery {
         self.streaming = Some(Streaming {
             tree: streamed.tree.clone(),
             residency: Residency::new(streamed.tree.clone(), coarsest),
-            loader: Loader::start(context, streamed.clone(), gaussians.sh_degree, move || waiting.renew())?,
+            loader: Loader::start(context, streamed.clone(), gaussians.sh_degree, move || waiting(None))?,
             onlooker,
             budget: streamed.budget,
             current: (Viewer::default(), streamed.budget),
@@ -130,21 +108,10 @@ impl Scenery {
     /// Most Gaussians and tiles of a picture of the tree; none for a scene that is loaded whole.
     #[cfg(feature = "window")]
     pub fn reach(&self) -> Option<[usize; 2]> {
-        self.streaming.as_ref().map(Streaming::reach)
-    }
-}
-
-impl Streaming {
-    /// Prints a message, and shows it to the viewers.
-    fn say(&self, problem: &str) {
-        tell!("{problem}");
-        self.onlooker.tell(problem);
-    }
-
-    #[cfg(feature = "window")]
-    fn reach(&self) -> [usize; 2] {
-        let tiles = self.tree.tiles();
-        let most = self.budget.min(self.most).min(self.tree.gaussians()).max(tiles[0].gaussians);
+        let streaming = self.streaming.as_ref()?;
+        let tiles = streaming.tree.tiles();
+        let most =
+            streaming.budget.min(streaming.most).min(streaming.tree.gaussians()).max(tiles[0].gaussians);
         // No tile of a picture is an ancestor of another, so count the smallest tiles that fit.
         let mut smallest: Vec<usize> = tiles.iter().map(|tile| tile.gaussians).collect();
         smallest.sort_unstable();
@@ -154,7 +121,15 @@ impl Streaming {
             rest = left.unwrap_or(rest);
             left.is_some()
         };
-        [most, smallest.into_iter().take_while(fits).count().max(1)]
+        Some([most, smallest.into_iter().take_while(fits).count().max(1)])
+    }
+}
+
+impl Streaming {
+    /// Prints a message, and shows it to the viewers.
+    fn say(&self, problem: String) {
+        tell!("{problem}");
+        (self.onlooker)(Some(problem));
     }
 
     /// Frees memory for a picture whose allocation failed. True if anything was freed.
@@ -169,7 +144,7 @@ impl Streaming {
         }
         self.most = (budget / 2).max(least);
         let most = self.most;
-        self.say(&format!("no memory for {budget} Gaussians, at most {most} are drawn from now on: {error}"));
+        self.say(format!("no memory for {budget} Gaussians, at most {most} are drawn from now on: {error}"));
         true
     }
 
@@ -179,7 +154,7 @@ impl Streaming {
                 Ok(scene) => self.residency.add(tile, scene),
                 Err(error) => {
                     if let Some(problem) = self.residency.fail(tile, &error) {
-                        self.say(&problem);
+                        self.say(problem);
                     }
                 }
             }

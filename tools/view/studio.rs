@@ -1,13 +1,14 @@
 //! The rendering thread: serves the hub's tasks one by one.
 
+use super::cut;
 use super::draw::{self, Audience, Painter, Viewer};
-use super::film::{Assembly, Film};
-use super::hub::{CurrentScene, Hub, RemoteRequest, SceneRequest, Task};
+use super::film::Film;
+use super::hub::{CurrentScene, Hub, RemoteRequest, SceneAnswer, Task};
 use super::lights::PhotoLights;
-use super::protocol::{self, Look, ToPage};
+use super::protocol::{self, Look, ToPage, ViewRequest};
 use super::sizes::Sizes;
 use ashsplat::scene::WorldFrame;
-use ashsplat::{Error, RenderSettings, Result};
+use ashsplat::{Error, RenderSettings, Result, Trainer};
 use ashsplat_files::splats::WriteOptions;
 use ashsplat_program::output;
 use serde_json::{Value, json};
@@ -15,7 +16,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Most films that are encoded at once: each takes a processor, descriptors and a frame's memory.
 const MOST_ASSEMBLED: usize = 2;
@@ -64,16 +65,6 @@ impl Studio {
         (self.base, self.lights, self.frame) = (base, lights, frame);
     }
 
-    /// True if a film is in progress or waits.
-    pub fn has_films(&self) -> bool {
-        self.film.is_some() || self.hub.has_films()
-    }
-
-    /// True if any task is waiting.
-    pub fn is_wanted(&self) -> bool {
-        self.film.is_some() || self.hub.is_wanted()
-    }
-
     /// Does one task, if one arrives in time.
     ///
     /// # Errors
@@ -83,9 +74,9 @@ impl Studio {
         match task {
             Task::Frame { client, request } => {
                 self.attend(painter, client, &request.look);
-                let answer = draw::answer(painter, (&self.base, &self.lights, &self.frame), &request);
+                let answer = self.answer(painter, &request);
                 let failed = answer.is_err();
-                self.reply(client, answer.map(|(header, bytes)| ToPage::frame(&header, &bytes)))?;
+                self.reply(client, answer)?;
                 if failed {
                     // No frame was sent, so the page will not confirm one.
                     self.hub.acknowledge(client);
@@ -105,9 +96,36 @@ impl Studio {
             }
             Task::Film => self.go_on_filming(painter)?,
             Task::Remote(request) => self.answer_remotely(painter, &request)?,
-            Task::Scene(request) => self.hand_over(painter, request)?,
+            Task::Scene(answer) => self.hand_over(painter, answer)?,
         }
         Ok(())
+    }
+
+    /// Answers a request for a frame.
+    fn answer(&self, painter: &mut dyn Painter, request: &ViewRequest) -> Result<ToPage> {
+        let camera = request.camera.camera()?;
+        let light = request.as_photo.map(|photo| self.lights.of(photo, painter.trainer())).transpose()?;
+        let start = Instant::now();
+        let drawn = draw::draw(painter, &camera, &self.base, &request.look, light)?;
+        let render_ms = start.elapsed().as_secs_f64() * 1e3;
+        let start = Instant::now();
+        let bytes = draw::encode(&drawn.photo, request.look.quality)?;
+        let encode_ms = start.elapsed().as_secs_f64() * 1e3;
+        let settings = draw::settings(&self.base, &request.look);
+        let s = &drawn.stats;
+        let stats = json!({
+            "gaussians": s.gaussians, "visible": s.visible, "instances": s.instances, "longest_tile": s.longest_tile,
+        });
+        let header = json!({
+            "seq": request.seq, "width": camera.width, "height": camera.height,
+            "format": if request.look.quality == 0 { "image/png" } else { "image/jpeg" },
+            "render_ms": render_ms, "encode_ms": encode_ms, "stats": stats, "legend": drawn.legend,
+            "iteration": painter.trainer().map(Trainer::iteration), "tree": painter.tree(),
+            // Options and address that make the same cut of the file.
+            "convert": cut::options(&settings, &self.frame),
+            "export": cut::query(&settings),
+        });
+        Ok(ToPage::frame(&header, &bytes))
     }
 
     /// Frees memory if earlier pictures were much larger than this one and those before it.
@@ -161,16 +179,16 @@ impl Studio {
     }
 
     /// Sends the scene to the thread that writes it to a file.
-    fn hand_over(&self, painter: &dyn Painter, request: SceneRequest) -> Result<()> {
+    fn hand_over(&self, painter: &dyn Painter, answer: SceneAnswer) -> Result<()> {
         // The requester may have gone.
-        if request.answer.is_closed() {
+        if answer.is_closed() {
             return Ok(());
         }
         let marks = WriteOptions { frame: self.frame, ..WriteOptions::marking(&self.base) };
         match painter.gaussians() {
-            Ok(gaussians) => drop(request.answer.send(Ok(CurrentScene { gaussians, marks }))),
+            Ok(gaussians) => drop(answer.send(Ok(CurrentScene { gaussians, marks }))),
             Err(error) => {
-                drop(request.answer.send(Err(error.to_string())));
+                drop(answer.send(Err(error.to_string())));
                 fatal(error)?;
             }
         }
@@ -183,19 +201,16 @@ impl Studio {
             self.begin_film();
             return Ok(());
         };
-        let client = film.client();
         if self.hub.film_is_called_off() {
-            film.discard();
-            self.end_film(client, json!({ "type": "film", "cancelled": true }));
+            self.cancel(&film);
             return Ok(());
         }
-        let viewer = Viewer { page: client, films: true };
-        painter.attend(&Audience { viewer, budget: film.budget(), is_there: &|_| true });
+        let viewer = Viewer { page: film.client, films: true };
+        painter.attend(&Audience { viewer, budget: film.request.look.budget, is_there: &|_| true });
         match film.advance(painter, &self.base) {
             Err(error) => {
-                film.discard();
-                self.end_film(client, json!({ "type": "film", "cancelled": true }));
-                self.reply(client, Err(error))?;
+                self.cancel(&film);
+                self.reply(film.client, Err(error))?;
             }
             // The tiles of its next frame are still being read.
             Ok(None) => {
@@ -203,16 +218,13 @@ impl Studio {
                 self.film = Some(film);
             }
             Ok(Some(progress)) => {
-                self.drew(painter, film.size());
-                match film.assembly() {
-                    None => {
-                        self.hub.send(client, ToPage::json(&progress));
-                        self.film = Some(film);
-                    }
-                    Some(assembly) => {
-                        self.end_film(client, progress.clone());
-                        self.assemble(client, assembly, progress);
-                    }
+                self.drew(painter, [film.request.width, film.request.height]);
+                if film.is_rendered() {
+                    self.end_film(film.client, ToPage::json(&progress));
+                    self.assemble(film, progress);
+                } else {
+                    self.hub.send(film.client, ToPage::json(&progress));
+                    self.film = Some(film);
                 }
             }
         }
@@ -229,40 +241,38 @@ impl Studio {
         match begun {
             Ok(film) => self.film = Some(film),
             Err(error) => {
-                self.end_film(client, json!({ "type": "film", "cancelled": true }));
+                self.end_film(client, ToPage::film_is_cancelled());
                 self.hub.send(client, ToPage::problem(&error.to_string()));
             }
         }
     }
 
+    fn cancel(&self, film: &Film) {
+        film.discard();
+        self.end_film(film.client, ToPage::film_is_cancelled());
+    }
+
     /// Notifies the page and lets the next film begin.
-    fn end_film(&self, client: u64, message: Value) {
+    fn end_film(&self, client: u64, message: ToPage) {
         self.hub.film_ended();
-        self.hub.send(client, ToPage::json(&message));
+        self.hub.send(client, message);
     }
 
     /// Encodes a film on its own thread, then notifies the page.
-    fn assemble(&mut self, client: u64, film: Assembly, mut progress: Value) {
-        let (hub, abandoned) = (self.hub.clone(), self.abandoned.clone());
-        let work = move || {
-            let message = match film.run(&abandoned) {
-                Ok(files) => {
-                    let names = ["gif", "mp4", "path"].iter().filter_map(|kind| files[kind].as_str());
-                    hub.publish_film(names.map(str::to_owned));
-                    progress["files"] = files;
-                    progress
-                }
-                Err(error) => {
-                    hub.send(
-                        client,
-                        ToPage::problem(&format!(
-                            "the film's frames are there, but the film is not: {error}"
-                        )),
-                    );
-                    json!({ "type": "film", "cancelled": true })
-                }
-            };
-            hub.send(client, ToPage::json(&message));
+    fn assemble(&mut self, film: Film, mut progress: Value) {
+        let (client, hub, abandoned) = (film.client, self.hub.clone(), self.abandoned.clone());
+        let work = move || match film.assemble(&abandoned) {
+            Ok(files) => {
+                let names = ["gif", "mp4", "path"].iter().filter_map(|kind| files[kind].as_str());
+                hub.publish_film(names.map(str::to_owned));
+                progress["files"] = files;
+                hub.send(client, ToPage::json(&progress));
+            }
+            Err(error) => {
+                let problem = format!("the film's frames are there, but the film is not: {error}");
+                hub.send(client, ToPage::problem(&problem));
+                hub.send(client, ToPage::film_is_cancelled());
+            }
         };
         match std::thread::Builder::new().name("film".into()).spawn(work) {
             Ok(thread) => self.assembling.push(thread),

@@ -14,10 +14,11 @@ use ashsplat_files::{DatasetOptions, Gallery};
 use ashsplat_program::args::HostArguments;
 use ashsplat_program::config::{CAMERAS_FILE, DataSettings, Settings};
 use ashsplat_program::light::Lights;
-use ashsplat_program::look::{LookArguments, gaussians_of, orbit_around, tree_of};
+use ashsplat_program::look::{LookArguments, gaussians_of, orbit_around, parse_target, tree_of};
 use ashsplat_program::model::Model;
 use ashsplat_program::progress::thousands;
 use ashsplat_program::{model, session};
+use clap::Args;
 use glam::Vec3;
 use serde_json::{Value, json};
 use std::path::{Component, Path, PathBuf};
@@ -66,15 +67,21 @@ pub struct Streamed {
 }
 
 /// Options that select parts of a scene.
-pub struct Wanted<'a> {
-    /// Iteration of a model folder.
-    pub iteration: Option<u32>,
-    pub source: Option<&'a Path>,
-    pub images: Option<&'a str>,
-    /// Photos outside this folder are not read: a model may name any folder.
-    pub within: Option<&'a Path>,
-    /// Most Gaussians of a picture of a tree of tiles.
-    pub budget: Option<Target>,
+#[derive(Args)]
+pub struct SceneArguments {
+    /// Photos and cameras of this data set [default: that of the training]
+    #[arg(short, long, value_name = "DATASET")]
+    source_path: Option<PathBuf>,
+    /// Folder of the photos within the data set [default: as in training, else images]
+    #[arg(short, long, value_name = "NAME")]
+    images: Option<String>,
+    /// Iteration of the model folder's PLY [default: what was saved last]
+    #[arg(long, value_name = "N")]
+    iteration: Option<u32>,
+    /// Gaussians of a picture, at most, of a folder of tiles: the tiles whose error is largest in pixels are the finest
+    /// [default: 1000000; pages can change it]
+    #[arg(long, value_name = "N|N%", value_parser = parse_target)]
+    budget: Option<Target>,
 }
 
 /// Default budget of a tree, Gaussians.
@@ -92,17 +99,17 @@ impl Subject {
     fn of_tree(
         tree: Tree,
         path: &Path,
-        wanted: &Wanted<'_>,
+        (budget, within): (Option<Target>, Option<&Path>),
         (look, host): (&LookArguments, &HostArguments),
     ) -> Result<Subject> {
         let coarsest = tree.path(0).ok_or_else(|| Error::input(path, "has no tiles", "write it again"))?;
         let streamed = |tree: Tree| Streamed {
             read: host.reading(look.drop_invalid),
-            budget: wanted.budget.map_or(BUDGET, |budget| gaussians_of(budget, &tree)),
-            within: wanted.within.map(Path::to_owned),
+            budget: budget.map_or(BUDGET, |budget| gaussians_of(budget, &tree)),
+            within: within.map(Path::to_owned),
             tree: Arc::new(tree),
         };
-        if let Some(folder) = wanted.within
+        if let Some(folder) = within
             && !coarsest.canonicalize().is_ok_and(|real| real.starts_with(folder))
         {
             return Err(Error::input(
@@ -134,33 +141,35 @@ impl Subject {
         })
     }
 
-    /// Loads a file of Gaussians, a model folder, a tree of tiles, or the points of a data set.
+    /// Loads a file of Gaussians, a model folder, a tree of tiles, or the points of a data set. Photos outside the folder `within` are not
+    /// read: a model may name any folder.
     pub fn load(
         path: &Path,
-        wanted: &Wanted<'_>,
+        within: Option<&Path>,
+        wanted: &SceneArguments,
         look: &LookArguments,
         host: &HostArguments,
         stop: &AtomicBool,
     ) -> Result<Subject> {
         let folder = model::folder_of_tiles(path);
         if let Some(tree) = tree_of(folder, wanted.budget.is_some())? {
-            return Subject::of_tree(tree, path, wanted, (look, host));
+            return Subject::of_tree(tree, path, (wanted.budget, within), (look, host));
         }
         if model::is_dataset(path) {
-            return Subject::of_dataset(path, wanted.images, host, stop);
+            return Subject::of_dataset(path, wanted.images.as_deref(), host, stop);
         }
         let model = Model::locate(path, wanted.iteration)?;
         let scene = look.load(&model.ply, host)?;
         let mut data = model.settings.data.clone();
-        if let Some(source) = wanted.source {
-            data.source_path = source.to_owned();
+        if let Some(source) = &wanted.source_path {
+            data.source_path.clone_from(source);
         }
-        if let Some(images) = wanted.images {
-            data.images = images.to_owned();
+        if let Some(images) = &wanted.images {
+            data.images.clone_from(images);
         }
-        let asked = wanted.source.is_some() || wanted.images.is_some();
+        let asked = wanted.source_path.is_some() || wanted.images.is_some();
         let white = model.settings.train.white_background;
-        if wanted.within.is_some_and(|folder| !lies_within(&data, folder)) {
+        if within.is_some_and(|folder| !lies_within(&data, folder)) {
             data.source_path = PathBuf::new();
         }
         let gallery = match (asked, photos_of(&data, (white, &scene.frame), host, stop)) {
@@ -227,22 +236,25 @@ impl Subject {
         })
     }
 
-    /// First message to a page.
-    pub fn greeting(&self, device: &str, training: Option<u32>) -> Value {
+    /// The orbit that shows the scene, and the camera of the first picture.
+    pub fn first_view(&self) -> (Orbit, Option<Camera>) {
         let [width, height] = START_SIZE;
         let intrinsics = Intrinsics::from_fov_x(1.0, width, height);
         let cameras: Vec<Camera> = self.cameras.iter().map(|named| named.camera).collect();
+        let middle = self.gaussians.statistics().central_bounds.map(|bounds| bounds.center());
+        let orbit = Orbit::around_scene(&cameras, middle, 1, intrinsics)
+            .unwrap_or_else(|| orbit_around(&self.gaussians, self.up.unwrap_or(Vec3::NEG_Y), 1, intrinsics));
+        let first = without_strays(&cameras, Camera::position).first().copied();
+        let start = first.or_else(|| orbit.cameras().first().copied());
+        (Orbit { up: self.up.unwrap_or(orbit.up), ..orbit }, start)
+    }
+
+    /// First message to a page.
+    pub fn greeting(&self, device: &str, training: Option<u32>) -> Value {
+        let (orbit, start) = self.first_view();
         let statistics = self.gaussians.statistics();
         let tree = self.tree.as_ref();
         let corners = |bounds: Bounds| json!([bounds.min.to_array(), bounds.max.to_array()]);
-        let middle = statistics.central_bounds.map(|bounds| bounds.center());
-        let orbit = Orbit::around_scene(&cameras, middle, 1, intrinsics);
-        let up = self.up.unwrap_or(Vec3::NEG_Y);
-        let orbit = orbit.unwrap_or_else(|| orbit_around(&self.gaussians, up, 1, intrinsics));
-        let start = without_strays(&cameras, Camera::position)
-            .first()
-            .copied()
-            .or_else(|| orbit.cameras().first().copied());
         let names: Vec<&str> = self.cameras.iter().map(|named| named.name.as_str()).collect();
         let photo = |(index, (named, label)): (usize, (&NamedCamera, String))| {
             let camera = CameraMessage::of(&named.camera);
@@ -261,7 +273,7 @@ impl Subject {
             "gaussians": tree.map_or(self.gaussians.len(), |tree| tree.tree.gaussians()),
             "tree": tree.map(|tree| json!({ "budget": tree.budget, "least": self.gaussians.len() })),
             "sh_degree": self.gaussians.sh_degree,
-            "bounds": tree.and_then(Streamed::bounds).or(statistics.bounds).map(corners),
+            "bounds": tree.and_then(|tree| Some(tree.tree.tiles().first()?.bounds)).or(statistics.bounds).map(corners),
             "central_bounds": statistics.central_bounds.map(corners),
             "densities": statistics.density_percentiles,
             "stem": self.stem(),
@@ -273,21 +285,12 @@ impl Subject {
             "has_photos": self.photos.is_some(),
             "start": start.map(|camera| CameraMessage::of(&camera)),
             "pivot": orbit.center.to_array(),
-            "up": self.up.unwrap_or(orbit.up).to_array(),
+            "up": orbit.up.to_array(),
             "radius": orbit.radius,
             "training": training,
         })
     }
-}
 
-impl Streamed {
-    /// Bounds of the whole tree.
-    fn bounds(&self) -> Option<Bounds> {
-        self.tree.tiles().first().map(|tile| tile.bounds)
-    }
-}
-
-impl Subject {
     /// The scene's name without its ending, for new files.
     fn stem(&self) -> String {
         let name = Path::new(&self.name).file_name().unwrap_or_default().to_string_lossy().into_owned();

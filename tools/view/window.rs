@@ -17,7 +17,7 @@ mod text;
 mod words;
 
 use super::Arguments;
-use super::streamed::{Onlooker, Scenery};
+use super::streamed::Scenery;
 use app::App;
 use ashsplat::{Error, Renderer, Result};
 use ashsplat_program::session::locked;
@@ -28,7 +28,7 @@ use std::panic;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
-use winit::event_loop::{EventLoop, EventLoopProxy};
+use winit::event_loop::EventLoop;
 use words::no_display;
 
 /// Runs the command until its window is closed, or Ctrl-C.
@@ -52,11 +52,12 @@ pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result
         _ => error,
     })?;
     let mut scenery = Scenery::new(Renderer::new(&context)?);
-    let bell = Arc::new(Bell::new(events.create_proxy()));
-    let onlooker: Arc<dyn Onlooker> = bell.clone();
-    scenery.show(&subject.gaussians, subject.tree.as_ref(), onlooker)?;
+    let wake = Mutex::new(events.create_proxy());
+    // A loop that has ended needs no waking.
+    let onlooker = move |problem: Option<String>| drop(locked(&wake).send_event(problem));
+    scenery.show(&subject.gaussians, subject.tree.as_ref(), Arc::new(onlooker))?;
     let picture = Picture::new(scenery, subject.gaussians.sh_degree)?;
-    let stage = Stage::new(subject, (picture, bell), context.device_name(), out)?;
+    let stage = Stage::new(subject, picture, context.device_name(), out);
     let mut app = App::new(stage, context.clone(), stop, !arguments.no_vsync);
     say!("window on {}; ? lists the keys", context.device_name());
     let ended = events.run_app(&mut app).map_err(|error| present::unfit(&error.to_string()));
@@ -74,11 +75,11 @@ pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result
 ///
 /// # Errors
 /// One line, if there is no display.
-fn open() -> Result<EventLoop<()>> {
+fn open() -> Result<EventLoop<Option<String>>> {
     // winit panics if a display library or an extension of the server is missing.
     let before = panic::take_hook();
     panic::set_hook(Box::new(|_| {}));
-    let opened = panic::catch_unwind(|| EventLoop::builder().build());
+    let opened = panic::catch_unwind(|| EventLoop::with_user_event().build());
     panic::set_hook(before);
     match opened {
         Ok(Ok(events)) => Ok(events),
@@ -88,34 +89,5 @@ fn open() -> Result<EventLoop<()>> {
             let text = text.or_else(|| payload.downcast_ref::<&str>().map(|text| (*text).to_owned()));
             Err(unfit(&no_display(&text.unwrap_or_default())))
         }
-    }
-}
-
-/// Passes events of a tree of tiles from its reading thread to the window: wakes its loop, and keeps the latest message for it.
-pub struct Bell {
-    wake: Mutex<EventLoopProxy<()>>,
-    said: Mutex<Option<String>>,
-}
-
-impl Bell {
-    pub fn new(wake: EventLoopProxy<()>) -> Bell {
-        Bell { wake: Mutex::new(wake), said: Mutex::default() }
-    }
-
-    /// Takes the latest message, if any.
-    pub fn said(&self) -> Option<String> {
-        locked(&self.said).take()
-    }
-}
-
-impl Onlooker for Bell {
-    fn renew(&self) {
-        // A loop that has ended needs no waking.
-        locked(&self.wake).send_event(()).ok();
-    }
-
-    fn tell(&self, problem: &str) {
-        *locked(&self.said) = Some(problem.to_owned());
-        self.renew();
     }
 }

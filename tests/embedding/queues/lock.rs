@@ -3,8 +3,7 @@
 use super::SIZE;
 use crate::stage::*;
 use ashsplat::vk::QueueLock;
-use std::mem::transmute;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
@@ -35,24 +34,9 @@ unsafe impl QueueLock for Lock {
     }
 }
 
-/// The device's vkQueueSubmit2, and the numbers of calls without and with the lock held.
-static SUBMIT: AtomicUsize = AtomicUsize::new(0);
-static SUBMITTED: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
 static IN_USE: AtomicBool = AtomicBool::new(false);
-
-unsafe extern "system" fn submit(
-    queue: vk::Queue,
-    count: u32,
-    submits: *const vk::SubmitInfo2<'_>,
-    fence: vk::Fence,
-) -> vk::Result {
-    SUBMITTED[usize::from(IN_USE.load(Ordering::SeqCst))].fetch_add(1, Ordering::SeqCst);
-    // SAFETY: the address is that of the device's function.
-    unsafe {
-        let real: vk::PFN_vkQueueSubmit2 = transmute(SUBMIT.load(Ordering::SeqCst));
-        real(queue, count, submits, fence)
-    }
-}
+/// Calls of vkQueueSubmit2 without and with the lock held.
+static SUBMITTED: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
 
 /// Ends the host's thread even if the test fails.
 struct Stop<'a>(&'a AtomicBool);
@@ -68,11 +52,7 @@ impl Drop for Stop<'_> {
 fn a_hosts_lock_is_taken_around_submissions() {
     with_host(&options(), |host| {
         let gate = Arc::new(Lock::default());
-        // SAFETY: the wrapper is of its function's type.
-        let device =
-            unsafe { device_wrapping(host, &[(c"vkQueueSubmit2", &SUBMIT, submit as *const c_void)]) };
-        let foreign = ForeignDevice { device: &device, queue_lock: Some(gate.clone()), ..host.foreign() };
-        let context = guest_of(&foreign, &ContextOptions::default());
+        let context = guest_with(host, gate.clone(), &[c"vkQueueSubmit2"]);
         let gaussians = cloud(100, 3);
         let view = camera(0.3, SIZE[0], SIZE[1]);
         let mut renderer = Renderer::new(&context).expect("kernels");
@@ -134,52 +114,49 @@ unsafe impl QueueLock for Spin {
     }
 }
 
-/// The device's vkWaitForFences, the number of its next calls that fail, and the device's vkQueueWaitIdle.
-static WAIT: AtomicUsize = AtomicUsize::new(0);
+/// The number of the next calls of vkWaitForFences that fail.
 static FAILING: AtomicU32 = AtomicU32::new(0);
-static IDLE: AtomicUsize = AtomicUsize::new(0);
 /// Calls of vkQueueWaitIdle without the lock, and with it.
 static IDLES: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
 
-unsafe extern "system" fn wait(
-    device: vk::Device,
-    count: u32,
-    fences: *const vk::Fence,
-    all: vk::Bool32,
-    nanoseconds: u64,
-) -> vk::Result {
-    let fewer = |failing: u32| failing.checked_sub(1);
-    if FAILING.fetch_update(Ordering::SeqCst, Ordering::SeqCst, fewer).is_ok() {
-        return vk::Result::ERROR_OUT_OF_HOST_MEMORY;
-    }
-    // SAFETY: the address is that of the device's function.
-    unsafe {
-        let real: vk::PFN_vkWaitForFences = transmute(WAIT.load(Ordering::SeqCst));
-        real(device, count, fences, all, nanoseconds)
-    }
+fn note(name: &str) {
+    let (calls, held) = match name {
+        "vkQueueSubmit2" => (&SUBMITTED, &IN_USE),
+        "vkQueueWaitIdle" => (&IDLES, &HELD),
+        _ => return,
+    };
+    calls[usize::from(held.load(Ordering::SeqCst))].fetch_add(1, Ordering::SeqCst);
 }
 
-unsafe extern "system" fn idle(queue: vk::Queue) -> vk::Result {
-    IDLES[usize::from(HELD.load(Ordering::SeqCst))].fetch_add(1, Ordering::SeqCst);
-    // SAFETY: the address is that of the device's function.
-    unsafe {
-        let real: vk::PFN_vkQueueWaitIdle = transmute(IDLE.load(Ordering::SeqCst));
-        real(queue)
-    }
+wrappers! {
+    note;
+    "vkQueueSubmit2" submit(q: vk::Queue, n: u32, s: *const c_void, f: vk::Fence) -> vk::Result;
+    "vkQueueWaitIdle" idle(q: vk::Queue) -> vk::Result;
+    "vkWaitForFences" wait(d: vk::Device, n: u32, f: *const c_void, a: u32, t: u64) -> vk::Result, {
+        let fewer = |failing: u32| failing.checked_sub(1);
+        if FAILING.fetch_update(Ordering::SeqCst, Ordering::SeqCst, fewer).is_ok() {
+            return vk::Result::ERROR_OUT_OF_HOST_MEMORY;
+        }
+    };
+}
+
+/// A guest with a lock and wrappers of these functions.
+fn guest_with(host: &Host, lock: Arc<dyn QueueLock>, names: &[&CStr]) -> Context {
+    let replace = |name: &CStr, own| match names.contains(&name) {
+        true => wrapped(name, own).expect("it has a wrapper"),
+        false => own,
+    };
+    // SAFETY: every address is null, the device's own function, or a wrapper of its type.
+    let device = unsafe { device_with(host, replace) };
+    let foreign = ForeignDevice { device: &device, queue_lock: Some(lock), ..host.foreign() };
+    guest_of(&foreign, &ContextOptions::default())
 }
 
 /// A thread of the guest waits for the queue instead of the fence, and holds the lock meanwhile.
 #[test]
 fn a_wait_that_fails_is_made_up_for_within_a_hosts_lock() {
     with_host(&options(), |host| {
-        let functions: [Wrapped<'_>; 2] = [
-            (c"vkWaitForFences", &WAIT, wait as *const c_void),
-            (c"vkQueueWaitIdle", &IDLE, idle as *const c_void),
-        ];
-        // SAFETY: the wrappers are of their functions' types.
-        let device = unsafe { device_wrapping(host, &functions) };
-        let foreign = ForeignDevice { device: &device, queue_lock: Some(Arc::new(Spin)), ..host.foreign() };
-        let context = guest_of(&foreign, &ContextOptions::default());
+        let context = guest_with(host, Arc::new(Spin), &[c"vkWaitForFences", c"vkQueueWaitIdle"]);
         let gaussians = cloud(100, 3);
         let view = camera(0.3, SIZE[0], SIZE[1]);
         let mut renderer = Renderer::new(&context).expect("kernels");

@@ -1,24 +1,19 @@
 //! The subgroup features that a host has enabled reach the driver's compiler.
 
-use super::{Callbacks, Device, create_module, instrumented};
+use super::instrumented;
 use crate::stage::*;
 use std::sync::Mutex;
 
 static MODULES: Mutex<Vec<Vec<u32>>> = Mutex::new(Vec::new());
 
-pub unsafe extern "system" fn create_module_of(
-    device: Device,
-    info: *const c_void,
-    callbacks: Callbacks,
-    module: *mut u64,
-) -> i32 {
-    // SAFETY: a create info whose code outlives the call; then as the caller promises.
-    unsafe {
+/// Keeps the code of a module's create info.
+pub fn note(info: *const c_void) {
+    // SAFETY: a valid create info of the guest's, whose code outlives the call.
+    let words = unsafe {
         let it = &*info.cast::<vk::ShaderModuleCreateInfo<'_>>();
-        let words = std::slice::from_raw_parts(it.p_code, it.code_size / 4);
-        MODULES.lock().expect("no panic while held").push(words.to_vec());
-        create_module(device, info, callbacks, module)
-    }
+        std::slice::from_raw_parts(it.p_code, it.code_size / 4)
+    };
+    MODULES.lock().expect("no panic while held").push(words.to_vec());
 }
 
 /// Subgroup features appear in the driver's modules if and only if the host enables them.

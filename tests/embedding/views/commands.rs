@@ -3,92 +3,50 @@
 use super::{BLACK, SIZE, record_groups};
 use crate::array_image::ArrayImage;
 use crate::stage::*;
-use std::mem::transmute;
-use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
+use std::cell::RefCell;
 
-/// Generates a wrapper for each command: statics with the real address and the number of calls, and a function that
-/// counts and forwards.
-macro_rules! counted {
-    ($($name:literal $wrapper:ident($($arg:ident: $ty:ty),*);)*) => {
-        mod real {
-            use super::AtomicUsize;
-            $(#[allow(non_upper_case_globals)] pub static $wrapper: AtomicUsize = AtomicUsize::new(0);)*
-        }
-        mod calls {
-            use super::AtomicU32;
-            $(#[allow(non_upper_case_globals)] pub static $wrapper: AtomicU32 = AtomicU32::new(0);)*
-        }
-        $(unsafe extern "system" fn $wrapper($($arg: $ty),*) {
-            calls::$wrapper.fetch_add(1, Ordering::Relaxed);
-            // SAFETY: the address is that of the device's function of this type.
-            unsafe {
-                let f: unsafe extern "system" fn($($ty),*) = transmute(real::$wrapper.load(Ordering::Relaxed));
-                f($($arg),*)
-            }
-        })*
-        fn wrapped(name: &str, address: usize) -> Option<*const c_void> {
-            match name {
-                $($name => {
-                    real::$wrapper.store(address, Ordering::Relaxed);
-                    Some($wrapper as *const c_void)
-                })*
-                _ => None,
-            }
-        }
-        /// Calls of each command since the last call of this.
-        fn taken() -> [u32; 6] {
-            [$(calls::$wrapper.swap(0, Ordering::Relaxed)),*]
-        }
-    };
+thread_local! {
+    /// Names of the functions that this thread has called.
+    static CALLS: RefCell<Vec<&'static str>> = const { RefCell::new(Vec::new()) };
 }
 
-counted! {
-    "vkCmdDispatch" dispatch(c: vk::CommandBuffer, x: u32, y: u32, z: u32);
-    "vkCmdDispatchIndirect" dispatch_indirect(c: vk::CommandBuffer, b: u64, o: u64);
-    "vkCmdPipelineBarrier2" barrier(c: vk::CommandBuffer, d: *const c_void);
-    "vkCmdFillBuffer" fill(c: vk::CommandBuffer, b: u64, o: u64, s: u64, v: u32);
-    "vkCmdUpdateBuffer" update(c: vk::CommandBuffer, b: u64, o: u64, s: u64, d: *const c_void);
-    "vkCmdCopyBuffer" copy(c: vk::CommandBuffer, f: u64, t: u64, n: u32, r: *const c_void);
+fn note(name: &'static str) {
+    CALLS.with_borrow_mut(|calls| calls.push(name));
 }
 
-/// The device's vkCreateDescriptorPool, and the number of its calls.
-static CREATE_POOL: AtomicUsize = AtomicUsize::new(0);
-static POOLS: AtomicU32 = AtomicU32::new(0);
+/// Calls of dispatches, of barriers, and of new descriptor pools since the last call of this.
+fn taken() -> [usize; 3] {
+    let calls = CALLS.take();
+    let count = |names: &[&str]| calls.iter().filter(|call| names.contains(call)).count();
+    [
+        count(&["vkCmdDispatch", "vkCmdDispatchIndirect"]),
+        count(&["vkCmdPipelineBarrier2"]),
+        count(&["vkCreateDescriptorPool"]),
+    ]
+}
 
-unsafe extern "system" fn create_pool(
-    device: vk::Device,
-    info: *const vk::DescriptorPoolCreateInfo<'_>,
-    allocator: *const vk::AllocationCallbacks<'_>,
-    pool: *mut vk::DescriptorPool,
-) -> vk::Result {
-    POOLS.fetch_add(1, Ordering::Relaxed);
-    // SAFETY: the address is that of the device's function.
-    unsafe {
-        let f: vk::PFN_vkCreateDescriptorPool = transmute(CREATE_POOL.load(Ordering::Relaxed));
-        f(device, info, allocator, pool)
-    }
+wrappers! {
+    note;
+    "vkCmdDispatch" dispatch(c: vk::CommandBuffer, x: u32, y: u32, z: u32) -> ();
+    "vkCmdDispatchIndirect" dispatch_indirect(c: vk::CommandBuffer, b: u64, o: u64) -> ();
+    "vkCmdPipelineBarrier2" barrier(c: vk::CommandBuffer, d: *const c_void) -> ();
+    "vkCreateDescriptorPool" create_pool(d: vk::Device, i: *const c_void, a: *const c_void, p: *mut u64) -> i32;
 }
 
 fn counting(host: &Host) -> ash::Device {
-    let replace = |name: &CStr, address: *const c_void| {
-        if name == c"vkCreateDescriptorPool" {
-            CREATE_POOL.store(address as usize, Ordering::Relaxed);
-            return create_pool as *const c_void;
-        }
-        wrapped(&name.to_string_lossy(), address as usize).unwrap_or(address)
-    };
+    let replace = |name: &CStr, own| wrapped(name, own).unwrap_or(own);
     // SAFETY: every address is null, the device's own function, or a wrapper of its type.
     unsafe { device_with(host, replace) }
 }
 
-fn counts(host: &Host, renderer: &mut Renderer, groups: &[&[RecordedFrame<'_>]]) -> [u32; 3] {
+fn counts(host: &Host, renderer: &mut Renderer, groups: &[&[RecordedFrame<'_>]]) -> [usize; 2] {
     let in_flight = Commands::new(host);
     in_flight.begin();
     taken();
     record_groups(&in_flight, renderer, groups);
-    let [direct, indirect, barriers, fills, updates, copies] = taken();
+    let [dispatches, barriers, ..] = taken();
     in_flight.finish();
-    [direct + indirect, barriers, fills + updates + copies]
+    [dispatches, barriers]
 }
 
 /// Two eyes in two recordings, in one, and with one sort: fewer commands each time.
@@ -124,9 +82,7 @@ fn many_views_make_no_descriptor_pool() {
     with_host(&HostOptions { push_descriptors: false, ..HostOptions::default() }, |host| {
         let device = counting(host);
         let foreign = ForeignDevice { device: &device, ..host.foreign() };
-        // SAFETY: as in `guest`.
-        let context = unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) };
-        let context = context.expect("a context");
+        let context = guest_of(&foreign, &ContextOptions::default());
         let scene = uploaded(&context, &cloud(10, 1));
         let placed = [Placed::from(&scene)];
         let (eye, array) = (camera(0.3, SIZE[0], SIZE[1]), ArrayImage::new(host, &context, SIZE, 1));
@@ -137,14 +93,13 @@ fn many_views_make_no_descriptor_pool() {
         let mut renderer = Renderer::new(&context).expect("kernels");
         let wanted = Reservation::new(10, 1, SIZE[0], SIZE[1]);
         let wanted = Reservation { views: VIEWS as u32, images_only: true, ..wanted };
-        let before = POOLS.load(Ordering::Relaxed);
+        taken();
         renderer.reserve(&wanted).expect("memory");
-        let reserved = POOLS.load(Ordering::Relaxed);
-        assert!(reserved > before);
+        assert!(taken()[2] > 0);
         let in_flight = Commands::new(host);
         let commands = in_flight.begun(&context);
         renderer.record_views(commands, 0, &views, &mut [Release::default(); VIEWS]).expect("a recording");
-        assert_eq!(POOLS.load(Ordering::Relaxed), reserved, "pools are made while recording");
+        assert_eq!(taken()[2], 0, "pools are made while recording");
         in_flight.finish();
     });
 }

@@ -187,7 +187,7 @@ impl Live {
             self.renewed = Instant::now();
             self.hub.renew();
         }
-        if self.allowance.permits() && self.studio.is_wanted() {
+        if self.allowance.permits() && self.hub.is_wanted() {
             self.timed(|live| live.studio.serve(trainer, Duration::ZERO))?;
         }
         Ok(self.heed())
@@ -231,7 +231,7 @@ impl Live {
         let message = "training has ended; `ashsplat view MODEL` shows the result";
         self.hub.broadcast(&ToPage::json(&json!({ "type": "ended", "message": message })));
         let stays = |live: &Live| {
-            live.studio.has_films() || live.wishes.as_ref().is_some_and(|wishes| wishes.wants_to_stay())
+            live.hub.has_films() || live.wishes.as_ref().is_some_and(|wishes| wishes.wants_to_stay())
         };
         while stays(self) && !stop.load(Ordering::Relaxed) {
             // Discards requests: training is over, and pending ones would end each wait at once.

@@ -1,8 +1,9 @@
 //! Gradients, the 3D filter, alignment and LPIPS in C have the same bits as in Rust.
 
+use crate::cloud;
 use crate::hosts::host_in_c;
 use ashsplat::passes::lpips::{Lpips, Network, Weights};
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, Photo};
+use ashsplat::scene::{Camera, Intrinsics, Photo};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Alignment, RenderSettings, Renderer};
 use ashsplat_files::splats;
@@ -18,20 +19,6 @@ fn numbers(seed: u32) -> impl Iterator<Item = f32> {
         let mixed = (i ^ seed.wrapping_mul(0x9E37_79B9)).wrapping_mul(2_654_435_761);
         (mixed ^ mixed >> 15).wrapping_mul(0x85EB_CA6B) as i32 as f32 / 2_147_483_648.0
     })
-}
-
-fn cloud() -> Gaussians {
-    let mut cloud = Gaussians { sh_degree: 1, ..Gaussians::default() };
-    let mut random = numbers(1);
-    let mut next = || random.next().expect("a number");
-    for _ in 0..500 {
-        cloud.means.push([next(), next(), next()]);
-        cloud.quats.push([1.0, next(), next(), next()]);
-        cloud.log_scales.push([-2.8, -3.0 + 0.5 * next(), -2.5]);
-        cloud.opacity_logits.push(1.5 * next() + 1.0);
-        cloud.sh.extend([0; 4].map(|_| [next(), next(), next()]));
-    }
-    cloud
 }
 
 /// AlexNet with random weights, small enough that values stay near 1.

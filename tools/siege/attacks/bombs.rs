@@ -3,7 +3,7 @@
 use crate::data;
 use crate::page::{self, Page};
 use crate::program::Program;
-use crate::siege::{Outcome, Result, Siege, ensure, text};
+use crate::siege::{Result, Siege, ensure, text};
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::Path;
@@ -25,7 +25,7 @@ fn refuse(siege: &Siege, arguments: &[&str]) -> Result<String> {
 }
 
 /// Training on a data set must be refused and leave no files.
-fn refuse_to_train(siege: &Siege, data: &Path) -> Result<Outcome> {
+fn refuse_to_train(siege: &Siege, data: &Path) -> Result<String> {
     let model = siege.place("refused");
     refuse(siege, &["train", "-s", text(data)?, "-m", text(&model)?, "--iterations", "1", "--quiet"])?;
     ensure!(!model.exists(), "the model folder was made all the same");
@@ -33,13 +33,13 @@ fn refuse_to_train(siege: &Siege, data: &Path) -> Result<Outcome> {
 }
 
 /// The result of an attack that took less than `most` MiB.
-fn within(siege: &Siege, most: u64, said: &str) -> Result<Outcome> {
-    let peak = siege.peak.mib();
+fn within(siege: &Siege, most: u64, said: &str) -> Result<String> {
+    let peak = siege.peak_mib();
     ensure!(peak < most, "takes {peak} MiB");
-    Ok(Outcome::Withstood(said.into()))
+    Ok(said.into())
 }
 
-fn transforms(siege: &Siege, frame: Value) -> Result<Outcome> {
+fn transforms(siege: &Siege, frame: Value) -> Result<String> {
     let folder = siege.new_folder("deep")?;
     std::fs::create_dir(folder.join("images"))?;
     image::RgbImage::new(16, 16).save(folder.join("images/0.png"))?;
@@ -47,15 +47,15 @@ fn transforms(siege: &Siege, frame: Value) -> Result<Outcome> {
     refuse_to_train(siege, &folder)
 }
 
-pub fn photo_path(siege: &Siege) -> Result<Outcome> {
+pub fn photo_path(siege: &Siege) -> Result<String> {
     transforms(siege, json!({ "file_path": deep_name() }))
 }
 
-pub fn mask_path(siege: &Siege) -> Result<Outcome> {
+pub fn mask_path(siege: &Siege) -> Result<String> {
     transforms(siege, json!({ "file_path": "images/0.png", "mask_path": deep_name() }))
 }
 
-pub fn colmap_names(siege: &Siege) -> Result<Outcome> {
+pub fn colmap_names(siege: &Siege) -> Result<String> {
     let folder = siege.new_folder("deep")?;
     data::write_small(&folder)?;
     let images = folder.join("sparse/0/images.txt");
@@ -64,14 +64,14 @@ pub fn colmap_names(siege: &Siege) -> Result<Outcome> {
     refuse_to_train(siege, &folder)
 }
 
-pub fn deep_json(siege: &Siege) -> Result<Outcome> {
+pub fn deep_json(siege: &Siege) -> Result<String> {
     let folder = siege.new_folder("deep")?;
     std::fs::write(folder.join("transforms.json"), "[".repeat(100_000))?;
     refuse_to_train(siege, &folder)
 }
 
 /// Lists of millions of values that no reader uses.
-pub fn wide_json(siege: &Siege) -> Result<Outcome> {
+pub fn wide_json(siege: &Siege) -> Result<String> {
     const BYTES: usize = 16 << 20;
     let folder = siege.new_folder("wide")?;
     let list = |value: &str| format!("[{}{value}]", format!("{value},").repeat(BYTES / (value.len() + 1)));
@@ -92,7 +92,7 @@ pub fn wide_json(siege: &Siege) -> Result<Outcome> {
 }
 
 /// JSON files of 64 MiB beyond `--max-host-memory`.
-pub fn bounded_json(siege: &Siege) -> Result<Outcome> {
+pub fn bounded_json(siege: &Siege) -> Result<String> {
     /// MiB; the program alone takes two thirds of it.
     const MOST: u64 = 120;
     let folder = siege.new_folder("bounded")?;
@@ -126,7 +126,7 @@ pub fn bounded_json(siege: &Siege) -> Result<Outcome> {
 }
 
 /// A page sends a GLB whose JSON takes far more memory than its file.
-pub fn upload(siege: &Siege) -> Result<Outcome> {
+pub fn upload(siege: &Siege) -> Result<String> {
     const BYTES: usize = 60 << 20;
     const BOUND: u64 = 100;
     let list = "{},".repeat(BYTES / 3);
@@ -148,13 +148,13 @@ pub fn upload(siege: &Siege) -> Result<Outcome> {
     let loading = page.until_message("loading", |message| message["failed"].is_string())?;
     let failed = loading["failed"].as_str().unwrap_or_default();
     ensure!(failed.contains("--max-host-memory"), "{failed}");
-    let more = siege.peak.mib().saturating_sub(before);
+    let more = siege.peak_mib().saturating_sub(before);
     ensure!(more <= BOUND, "takes {more} MiB more, --max-host-memory {bound}");
-    Ok(Outcome::Withstood(format!("{more} MiB more of {BOUND}; the page is told the option")))
+    Ok(format!("{more} MiB more of {BOUND}; the page is told the option"))
 }
 
 /// A valid blocks.json in which one value at a time is replaced: each is read or refused.
-pub fn damaged_blocks(siege: &Siege) -> Result<Outcome> {
+pub fn damaged_blocks(siege: &Siege) -> Result<String> {
     let block = |number: u32, core: Value| {
         json!({
             "number": number, "core": core, "gaussians": 9, "trained": 9, "iterations": 9, "photos": ["0.png"],
@@ -207,7 +207,7 @@ pub fn damaged_blocks(siege: &Siege) -> Result<Outcome> {
 }
 
 /// A pipe without a writer and an endless device instead of files.
-pub fn no_files(siege: &Siege) -> Result<Outcome> {
+pub fn no_files(siege: &Siege) -> Result<String> {
     let folder = siege.new_folder("pipes")?;
     data::write_small(&folder)?;
     let (pipe, model) = (folder.join("pipe"), siege.place("refused"));
@@ -223,7 +223,7 @@ pub fn no_files(siege: &Siege) -> Result<Outcome> {
     within(siege, MOST_MEMORY, "each refused in one line")
 }
 
-pub fn claims(siege: &Siege) -> Result<Outcome> {
+pub fn claims(siege: &Siege) -> Result<String> {
     let folder = siege.new_folder("bombs")?;
     std::fs::create_dir(folder.join("images"))?;
     std::fs::write(folder.join("images/0.png"), data::png_bomb(60_000))?;

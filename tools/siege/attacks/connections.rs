@@ -2,29 +2,29 @@
 
 use crate::page::{self, Page};
 use crate::program::Limits;
-use crate::siege::{Outcome, Result, Siege, ensure};
+use crate::siege::{Result, Siege, ensure};
 use crate::training::{Door, Training};
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-pub fn silent(siege: &Siege) -> Result<Outcome> {
+pub fn silent(siege: &Siege) -> Result<String> {
     besiege(siege, Door::Page, b"", b"")
 }
 
 /// Headers without end, one at a time.
-pub fn unfinished(siege: &Siege) -> Result<Outcome> {
+pub fn unfinished(siege: &Siege) -> Result<String> {
     let begin = b"GET /socket HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n";
     besiege(siege, Door::Page, begin, b"X: y\r\n")
 }
 
 /// A message of a megabyte, byte by byte.
-pub fn network_viewer(siege: &Siege) -> Result<Outcome> {
+pub fn network_viewer(siege: &Siege) -> Result<String> {
     besiege(siege, Door::NetworkViewer, &[0, 0, 16, 0], b"{")
 }
 
 /// A training with too few descriptors for all connections. Meanwhile it answers its page, saves and finishes.
-fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<Outcome> {
+fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<String> {
     let (descriptors, count) = siege.choose((150, 300), (1024, 1060));
     let limits = Limits { descriptors: Some(descriptors), ..Limits::default() };
     let (mut training, host) = Training::with_door(siege, &limits, door)?;
@@ -35,7 +35,7 @@ fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<Outco
         if missing > 10 {
             break;
         }
-        let Ok(mut stream) = page::reach(&host, Duration::from_millis(300)) else {
+        let Ok(mut stream) = page::connect(&host, Duration::from_millis(300)) else {
             missing += 1;
             continue;
         };
@@ -62,9 +62,9 @@ fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<Outco
         ended
     })?;
     let longest = longest.as_millis();
-    Ok(Outcome::Withstood(format!(
+    Ok(format!(
         "{count} with {descriptors} descriptors: pages answered within {longest} ms, saved, same bits at the end"
-    )))
+    ))
 }
 
 /// The connected page, a new one and a request must be answered. Returns the longest time.
@@ -83,7 +83,7 @@ fn visit(host: &str, page: &mut Page) -> Result<Duration> {
     })?;
     timed(&mut || Page::open(host)?.look().map(drop))?;
     timed(&mut || {
-        let (code, _) = page::get(host, "/main.js", "", page::PATIENCE)?;
+        let code = page::get(host, "/main.js", "", page::PATIENCE)?;
         ensure!(code == 200, "a page's script is answered with {code}");
         Ok(())
     })?;

@@ -2,7 +2,7 @@
 
 use crate::page::{self, PATIENCE, Page};
 use crate::program::Limits;
-use crate::siege::{Outcome, Result, Siege, ensure};
+use crate::siege::{Result, Siege, ensure};
 use crate::training::{Door, Training};
 use serde_json::json;
 use std::io::{ErrorKind, Write};
@@ -37,7 +37,7 @@ fn flood(mut stream: &TcpStream, message: &[u8], over: &AtomicBool, sent: &Atomi
     }
 }
 
-pub fn pages(siege: &Siege) -> Result<Outcome> {
+pub fn pages(siege: &Siege) -> Result<String> {
     let messages = [
         json!({ "type": "nonsense" }),
         json!({ "type": "status", "since": 0 }),
@@ -49,7 +49,7 @@ pub fn pages(siege: &Siege) -> Result<Outcome> {
     besiege(siege, Door::Page, &messages, |host| Page::open(host)?.stream())
 }
 
-pub fn network_viewer(siege: &Siege) -> Result<Outcome> {
+pub fn network_viewer(siege: &Siege) -> Result<String> {
     let ask = json!({
         "resolution_x": 320, "resolution_y": 200, "train": true, "fov_x": 1.0, "fov_y": 0.7, "z_far": 100.0,
         "z_near": 0.01, "shs_python": false, "rot_scale_python": false, "keep_alive": false,
@@ -68,7 +68,7 @@ fn besiege(
     door: Door,
     messages: &[Vec<u8>],
     open: fn(&str) -> Result<TcpStream>,
-) -> Result<Outcome> {
+) -> Result<String> {
     let seconds = Duration::from_secs(siege.choose(2, 30));
     let (mut training, host) = Training::with_door(siege, &Limits::default(), door)?;
     let mut page = training.held()?;
@@ -103,14 +103,14 @@ fn besiege(
         over.store(true, Ordering::Relaxed);
         ended
     })?;
-    let more = siege.peak.mib().saturating_sub(before);
+    let more = siege.peak_mib().saturating_sub(before);
     let (frames, longest) = (looked.0, looked.1.as_millis());
     ensure!(more <= MOST_MEMORY, "takes {more} MiB more, {MOST_MEMORY} would be enough");
     let sent = sent.into_inner() >> 20;
-    Ok(Outcome::Withstood(format!(
+    Ok(format!(
         "{seconds:?}, {sent} MiB heard, {more} MiB more; another page got {frames} pictures, each within {longest} ms; \
          same bits at the end"
-    )))
+    ))
 }
 
 /// Another page's pictures: their number, and the longest time.

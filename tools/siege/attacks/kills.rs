@@ -2,7 +2,7 @@
 
 use crate::page::Page;
 use crate::program::Program;
-use crate::siege::{Outcome, Result, Siege, ensure, text};
+use crate::siege::{Result, Siege, ensure, text};
 use crate::training::{self, LONGEST};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -12,11 +12,11 @@ const INTERRUPTED: i32 = 130;
 /// Fraction of a run between two ends. The golden ratio spreads them, so that no two fall on the same moment.
 const GOLDEN: f64 = 0.618_033_988_75;
 
-pub fn killed(siege: &Siege) -> Result<Outcome> {
+pub fn killed(siege: &Siege) -> Result<String> {
     besiege(siege, true)
 }
 
-pub fn interrupted(siege: &Siege) -> Result<Outcome> {
+pub fn interrupted(siege: &Siege) -> Result<String> {
     besiege(siege, false)
 }
 
@@ -25,7 +25,7 @@ const LONG: Duration = Duration::from_secs(90);
 const FEWEST: u32 = 2;
 
 /// Ends trainings at moments spread over their duration. Each resumes from the last one's files, to the same bits.
-fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
+fn besiege(siege: &Siege, kills: bool) -> Result<String> {
     let wanted = siege.choose(2, 12);
     let begun = Instant::now();
     let data = training::data_of(siege)?;
@@ -80,9 +80,7 @@ fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
         "{ended} were ended, {resumed} of them had gone on, {whole_runs} came to their end"
     );
     let what = if kills { "killed" } else { "interrupted" };
-    Ok(Outcome::Withstood(format!(
-        "{ended} {what}, {resumed} of them had gone on from a checkpoint; same bits at each end"
-    )))
+    Ok(format!("{ended} {what}, {resumed} of them had gone on from a checkpoint; same bits at each end"))
 }
 
 /// The result has the same bits as without an attack, and no half-written file remains.

@@ -3,10 +3,10 @@
 use crate::data;
 use crate::page::Page;
 use crate::program::{Ending, Limits, Program, can_mount};
-use crate::siege::{Outcome, Result, Siege, ensure, text};
+use crate::siege::{Result, Siege, ensure, text};
 use crate::training::{self, LONGEST, Training};
 use std::fs::File;
-use std::io::Write;
+use std::io::{Error, ErrorKind, Write};
 use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
 
@@ -16,9 +16,9 @@ const DISK: u64 = 16 << 10;
 const ITERATIONS: u64 = 60;
 
 /// The disk is full after half of the iterations, and free again for the last ones.
-pub fn full(siege: &Siege) -> Result<Outcome> {
+pub fn full(siege: &Siege) -> Result<String> {
     if !can_mount() {
-        return Ok(Outcome::Skipped("no small disk can be mounted here".into()));
+        return Err(Error::new(ErrorKind::Unsupported, "no small disk can be mounted here").into());
     }
     let disk = siege.place("attacked");
     let limits = Limits { disk: Some((disk.clone(), DISK)), ..Limits::default() };
@@ -40,9 +40,9 @@ pub fn full(siege: &Siege) -> Result<Outcome> {
     training::check_result(siege, &model, &training::CHECKPOINTS[3..])?;
     let lines = std::fs::read_to_string(model.join("train_log.csv"))?.lines().count();
     ensure!(lines == 1 + training::ITERATIONS as usize, "the log has {lines} lines");
-    Ok(Outcome::Withstood(format!(
+    Ok(format!(
         "{ITERATIONS} iterations without room: {warnings} warnings; all saved and same bits at the end"
-    )))
+    ))
 }
 
 /// The page gets a message that saving failed, and training continues.
@@ -66,7 +66,7 @@ fn fill(path: &Path) -> Result<()> {
 }
 
 /// The final scene fits into a file; checkpoints do not.
-pub fn file_size(siege: &Siege) -> Result<Outcome> {
+pub fn file_size(siege: &Siege) -> Result<String> {
     let scene = training::undisturbed(siege)?;
     let most = (scene.len() as u64 >> 10) + 8;
     let limits = Limits { file: Some(most), ..Limits::default() };
@@ -75,20 +75,20 @@ pub fn file_size(siege: &Siege) -> Result<Outcome> {
     ending.check_refused()?;
     let result = std::fs::read(training::result_of(&training.model));
     ensure!(result.is_ok_and(|result| result == scene), "no last scene, or other bits");
-    Ok(Outcome::Withstood(format!("{most} KiB: the last scene is whole, and one error names the checkpoint")))
+    Ok(format!("{most} KiB: the last scene is whole, and one error names the checkpoint"))
 }
 
-pub fn descriptors(siege: &Siege) -> Result<Outcome> {
+pub fn descriptors(siege: &Siege) -> Result<String> {
     let limits = Limits { descriptors: Some(40), ..Limits::default() };
     let mut training = Training::start(siege, &limits, &[])?;
     let held = training.held().and_then(|mut page| page.act("resume").map(|()| page));
     let _page = training.explain(held)?;
     training.check_end(siege)?;
-    Ok(Outcome::Withstood("a page looks on; same bits at the end".into()))
+    Ok("a page looks on; same bits at the end".into())
 }
 
 /// A scene larger than the memory limit.
-pub fn memory(siege: &Siege) -> Result<Outcome> {
+pub fn memory(siege: &Siege) -> Result<String> {
     let refuse = |mib: u64, arguments: &[&str]| -> Result<Ending> {
         let limits = Limits { memory: Some(mib << 10), ..Limits::default() };
         let ending = Program::limited(siege, &limits, arguments)?.end(LONGEST)?;
@@ -102,5 +102,5 @@ pub fn memory(siege: &Siege) -> Result<Outcome> {
     ensure!(ending.errors.contains("bytes of host memory"), "{ending}");
     let limit = 400;
     refuse(limit, &["info", text(&large)?])?;
-    Ok(Outcome::Withstood(format!("a scene of {mib} MiB with {limit}: refused in one line")))
+    Ok(format!("a scene of {mib} MiB with {limit}: refused in one line"))
 }

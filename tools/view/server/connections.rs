@@ -154,25 +154,6 @@ mod tests {
         client
     }
 
-    fn ask(address: std::net::SocketAddr) -> String {
-        let mut client = connect(address);
-        client.write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").expect("sent");
-        let mut answer = String::new();
-        client.read_to_string(&mut answer).expect("an answer");
-        answer
-    }
-
-    #[test]
-    fn silent_connections_keep_none_away() {
-        let address = server(limits(60_000, 60_000));
-        let silent: Vec<Client> = (0..200).map(|_| connect(address)).collect();
-        assert!(ask(address).ends_with("here"));
-        // The first connections were closed to make way.
-        assert!(matches!((&silent[0]).read(&mut [0]), Ok(0) | Err(_)));
-        silent[199].set_read_timeout(Some(Duration::from_millis(100))).expect("a timeout");
-        assert!((&silent[199]).read(&mut [0]).is_err_and(|e| e.kind() == std::io::ErrorKind::WouldBlock));
-    }
-
     #[test]
     fn headers_must_come_in_time() {
         let address = server(limits(200, 60_000));

@@ -4,7 +4,7 @@ use super::door::query_value;
 use super::seats::Seat;
 use super::{Site, busy, files, refusal};
 use crate::cut::CutMessage;
-use crate::hub::{CurrentScene, SceneRequest};
+use crate::hub::CurrentScene;
 use crate::openings;
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::{self, Format, WriteOptions};
@@ -25,7 +25,7 @@ pub(super) const MOST_EXPORTS: usize = 2;
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// The cut and SH degree that a page wants.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy)]
 struct Export {
     cut: CutMessage,
     sh_degree: u32,
@@ -90,7 +90,7 @@ async fn scene_of(site: &Site, seat: &Seat) -> response::Result<(CurrentScene, O
     let busy = || busy("other exports are being made: ask again in a while");
     let turn = site.exports.clone().try_acquire_owned().map_err(|_| busy())?;
     let (answer, scene) = oneshot::channel();
-    if !site.hub.ask_for_scene(SceneRequest { answer }) {
+    if !site.hub.ask_for_scene(answer) {
         return Err(busy().into());
     }
     match seat.waits_for(tokio::time::timeout(PATIENCE, scene)).await {
@@ -136,34 +136,5 @@ impl Export {
         let options = WriteOptions { format: Some(format), ..scene.marks };
         splats::write_cut(&path, &scene.gaussians, (&self.cut.cut(), self.sh_degree), &options)?;
         Ok((folder, path))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn addresses_say_what_pages_say() {
-        let of =
-            |query: &str| Export::of_query(&format!("/export/a.ply?{query}").parse().expect("an address"));
-        let text = r#"{"min_opacity":0.05,"min_density":0.3,"low":[null,-1.5,null],"high":[null,2,null]}"#;
-        let cut: CutMessage = serde_json::from_str(text).expect("a cut");
-        let asked = of("run=1&min_opacity=0.05&min_density=0.3&low=,-1.5,&high=,2,&sh_degree=1");
-        assert_eq!(asked.expect("an export"), Export { cut, sh_degree: 1 });
-        let all = Export { cut: CutMessage::default(), sh_degree: 3 };
-        assert_eq!([of(""), of("min_opacity=&low=,,")].map(Result::ok), [Some(all); 2]);
-        for query in [
-            "min_opacity=2",
-            "min_opacity=x",
-            "min_density=-1",
-            "low=1,2",
-            "high=1,2,3,4",
-            "low=nan,,",
-            "high=inf,,",
-            "sh_degree=4",
-        ] {
-            assert!(of(query).is_err(), "{query}");
-        }
     }
 }

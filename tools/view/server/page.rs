@@ -143,7 +143,7 @@ fn heed(hub: &Hub, client: u64, text: &str) {
         },
         Ok(FromPage::Cancel) => {
             if hub.cancel_film(client) {
-                hub.send(client, ToPage::json(&json!({ "type": "film", "cancelled": true })));
+                hub.send(client, ToPage::film_is_cancelled());
             }
         }
         Err(error) => refuse(&format!("not understood: {error}")),

@@ -6,7 +6,6 @@
 use ashsplat_program::session::locked;
 use std::net::IpAddr;
 use std::pin::pin;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 use tokio::sync::Notify;
@@ -62,27 +61,29 @@ fn free_descriptors() -> usize {
 pub struct Seats {
     limits: Limits,
     taken: Mutex<Vec<Arc<Seat>>>,
-    start: Instant,
 }
 
 /// One connection.
 pub struct Seat {
     peer: IpAddr,
-    start: Instant,
-    /// Time of the last traffic, milliseconds since the start.
-    moved: AtomicU64,
-    /// Number of requests that are being answered.
-    requests: AtomicUsize,
-    /// True for a page's WebSocket, which is watched elsewhere.
-    page: AtomicBool,
-    /// True if it must make way.
-    goes: AtomicBool,
+    state: Mutex<State>,
     signal: Notify,
+}
+
+struct State {
+    /// Time of the last traffic.
+    moved: Instant,
+    /// Number of requests that are being answered.
+    requests: usize,
+    /// True for a page's WebSocket, which is watched elsewhere.
+    page: bool,
+    /// True if it must make way.
+    goes: bool,
 }
 
 impl Seats {
     pub fn new(limits: Limits) -> Seats {
-        Seats { limits, taken: Mutex::default(), start: Instant::now() }
+        Seats { limits, taken: Mutex::default() }
     }
 
     pub fn limits(&self) -> &Limits {
@@ -96,25 +97,19 @@ impl Seats {
     /// Takes a seat for a new connection. If none is free, the longest idle connection makes way. None if none is idle.
     pub fn take(&self, peer: IpAddr) -> Option<Arc<Seat>> {
         let mut taken = self.lock();
-        let staying = |seat: &&Arc<Seat>| !seat.goes.load(Ordering::Relaxed);
+        let staying = |seat: &&Arc<Seat>| !seat.lock().goes;
         let of_peer = taken.iter().filter(staying).filter(|seat| seat.peer == peer).count();
         let full = taken.iter().filter(staying).count() >= self.limits.total;
         if of_peer >= self.limits.per_peer || full {
             let idle = taken.iter().filter(staying).filter(|seat| seat.is_idle());
             // An address that has used up its share gives up one of its own.
             let idle = idle.filter(|seat| of_peer < self.limits.per_peer || seat.peer == peer);
-            idle.min_by_key(|seat| seat.moved.load(Ordering::Relaxed))?.dismiss();
+            let longest = idle.min_by_key(|seat| seat.lock().moved)?;
+            longest.lock().goes = true;
+            longest.signal.notify_one();
         }
-        let seat = Arc::new(Seat {
-            peer,
-            start: self.start,
-            moved: AtomicU64::new(0),
-            requests: AtomicUsize::new(0),
-            page: AtomicBool::new(false),
-            goes: AtomicBool::new(false),
-            signal: Notify::new(),
-        });
-        seat.has_moved();
+        let state = State { moved: Instant::now(), requests: 0, page: false, goes: false };
+        let seat = Arc::new(Seat { peer, state: Mutex::new(state), signal: Notify::new() });
         taken.push(seat.clone());
         Some(seat)
     }
@@ -135,10 +130,13 @@ impl Seat {
         self.peer
     }
 
+    fn lock(&self) -> MutexGuard<'_, State> {
+        locked(&self.state)
+    }
+
     /// Records traffic.
     pub fn has_moved(&self) {
-        let now = u64::try_from(self.start.elapsed().as_millis()).unwrap_or(u64::MAX);
-        self.moved.store(now, Ordering::Relaxed);
+        self.lock().moved = Instant::now();
     }
 
     /// Waits for the program's own work. Meanwhile the connection counts as active, since its peer is not at fault.
@@ -152,40 +150,29 @@ impl Seat {
         }
     }
 
-    fn still_for(&self) -> Duration {
-        self.start.elapsed().saturating_sub(Duration::from_millis(self.moved.load(Ordering::Relaxed)))
-    }
-
     /// Counts a request as being answered until the value is dropped.
     pub fn begin(self: &Arc<Seat>) -> Answering {
-        self.requests.fetch_add(1, Ordering::Relaxed);
+        self.lock().requests += 1;
         Answering(self.clone())
     }
 
     /// Marks the connection as a page's WebSocket.
     pub fn becomes_page(&self) {
-        self.page.store(true, Ordering::Relaxed);
+        self.lock().page = true;
     }
 
     fn is_idle(&self) -> bool {
-        !self.page.load(Ordering::Relaxed) && self.requests.load(Ordering::Relaxed) == 0
-    }
-
-    fn dismiss(&self) {
-        self.goes.store(true, Ordering::Relaxed);
-        self.signal.notify_one();
+        let state = self.lock();
+        !state.page && state.requests == 0
     }
 
     /// Waits until the connection must make way, or has stalled.
     pub async fn must_go(&self, stall: Duration) {
-        loop {
-            if self.goes.load(Ordering::Relaxed) {
-                return;
-            }
-            let page = self.page.load(Ordering::Relaxed);
-            if !page && self.still_for() >= stall {
-                return;
-            }
+        let must_go = || {
+            let state = self.lock();
+            state.goes || !state.page && state.moved.elapsed() >= stall
+        };
+        while !must_go() {
             tokio::time::timeout(stall / 8, self.signal.notified()).await.ok();
         }
     }
@@ -196,21 +183,13 @@ pub struct Answering(Arc<Seat>);
 
 impl Drop for Answering {
     fn drop(&mut self) {
-        self.0.requests.fetch_sub(1, Ordering::Relaxed);
+        self.0.lock().requests -= 1;
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn descriptors_are_kept_in_reserve() {
-        assert_eq!(Limits::within(usize::MAX).total, MOST);
-        assert_eq!(Limits::within(RESERVE + 20).total, 20);
-        assert_eq!(Limits::within(3).total, LEAST);
-        assert!(free_descriptors() > 0);
-    }
 
     #[test]
     fn who_waits_for_the_program_stays() {
@@ -235,13 +214,14 @@ mod tests {
         let limits = Limits { total: 5, per_peer: 3, ..Limits::within(usize::MAX) };
         let seats = Seats::new(limits);
         let [here, there] = ["127.0.0.1", "10.0.0.7"].map(|ip| ip.parse().expect("an address"));
-        let goes = |seat: &Seat| seat.goes.load(Ordering::Relaxed);
+        let (goes, start) = (|seat: &Seat| seat.lock().goes, Instant::now());
+        let moved = |seat: &Seat, after| seat.lock().moved = start + Duration::from_secs(after);
         let all: Vec<Arc<Seat>> = (0..3).map(|_| seats.take(here).expect("a seat")).collect();
         let answering = all[0].begin();
-        all[1].moved.store(7, Ordering::Relaxed);
-        all[2].moved.store(3, Ordering::Relaxed);
+        moved(&all[1], 7);
+        moved(&all[2], 3);
         let other = seats.take(there).expect("a seat");
-        other.moved.store(0, Ordering::Relaxed);
+        moved(&other, 0);
         // The address has used up its share: its own idle connection goes, not another address's.
         let next = seats.take(here).expect("a seat");
         assert!(goes(&all[2]) && !goes(&all[1]) && !goes(&other));

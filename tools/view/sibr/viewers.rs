@@ -2,26 +2,19 @@
 
 use ashsplat_program::session::locked;
 use std::net::{Shutdown, TcpStream};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 /// Most viewers at once. For one more, the longest silent viewer goes.
 const MOST: usize = 4;
 
-/// Requests of the connected viewers about the training.
+/// The connected viewers.
 #[derive(Debug, Default)]
-pub struct Wishes {
-    viewers: Mutex<Vec<Arc<Viewer>>>,
-}
+pub struct Wishes(Mutex<Vec<Viewer>>);
 
 #[derive(Debug)]
-pub struct Viewer {
-    stream: TcpStream,
-    said: Mutex<Said>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Said {
+struct Viewer {
+    stream: Arc<TcpStream>,
     /// Time of its last message or answer.
     at: Instant,
     /// True if it waits for an answer.
@@ -32,57 +25,51 @@ struct Said {
 }
 
 impl Wishes {
-    fn lock(&self) -> MutexGuard<'_, Vec<Arc<Viewer>>> {
-        locked(&self.viewers)
-    }
-
     /// True if training may continue. A viewer that has sent nothing yet does not pause it.
     pub fn may_train(&self) -> bool {
-        self.lock().iter().all(|viewer| viewer.said().train)
+        locked(&self.0).iter().all(|viewer| viewer.train)
     }
 
     /// True if a viewer wants to keep looking after training ends.
     pub fn wants_to_stay(&self) -> bool {
-        self.lock().iter().any(|viewer| viewer.said().keep_alive)
+        locked(&self.0).iter().any(|viewer| viewer.keep_alive)
     }
 
-    /// Adds a viewer; none if all others are being answered.
-    pub fn admit(&self, stream: TcpStream) -> Option<Arc<Viewer>> {
-        let mut viewers = self.lock();
+    /// Adds a viewer; false if all others are being answered.
+    pub fn admit(&self, stream: &Arc<TcpStream>) -> bool {
+        let mut viewers = locked(&self.0);
         if viewers.len() >= MOST {
-            let silent = viewers.iter().enumerate().filter(|(_, viewer)| !viewer.said().waits);
-            let (longest, _) = silent.min_by_key(|(_, viewer)| viewer.said().at)?;
+            let silent = viewers.iter().enumerate().filter(|(_, viewer)| !viewer.waits);
+            let Some((longest, _)) = silent.min_by_key(|(_, viewer)| viewer.at) else { return false };
             viewers.remove(longest).stream.shutdown(Shutdown::Both).ok();
         }
-        let said = Said { at: Instant::now(), waits: false, train: true, keep_alive: false };
-        let viewer = Arc::new(Viewer { stream, said: Mutex::new(said) });
-        viewers.push(viewer.clone());
-        Some(viewer)
+        let (stream, at) = (stream.clone(), Instant::now());
+        viewers.push(Viewer { stream, at, waits: false, train: true, keep_alive: false });
+        true
     }
 
     /// Removes a viewer.
-    pub fn leave(&self, viewer: &Arc<Viewer>) {
-        self.lock().retain(|other| !Arc::ptr_eq(other, viewer));
-    }
-}
-
-impl Viewer {
-    pub fn stream(&self) -> &TcpStream {
-        &self.stream
-    }
-
-    fn said(&self) -> Said {
-        *locked(&self.said)
+    pub fn leave(&self, stream: &Arc<TcpStream>) {
+        locked(&self.0).retain(|viewer| !Arc::ptr_eq(&viewer.stream, stream));
     }
 
     /// Records a message that waits for an answer.
-    pub fn speaks(&self, train: bool, keep_alive: bool) {
-        *locked(&self.said) = Said { at: Instant::now(), waits: true, train, keep_alive };
+    pub fn speaks(&self, stream: &Arc<TcpStream>, train: bool, keep_alive: bool) {
+        self.note(stream, |viewer| {
+            (viewer.waits, viewer.train, viewer.keep_alive) = (true, train, keep_alive);
+        });
     }
 
     /// Records that the answer was sent.
-    pub fn is_answered(&self) {
-        let mut said = locked(&self.said);
-        (said.at, said.waits) = (Instant::now(), false);
+    pub fn is_answered(&self, stream: &Arc<TcpStream>) {
+        self.note(stream, |viewer| viewer.waits = false);
+    }
+
+    fn note(&self, stream: &Arc<TcpStream>, change: impl FnOnce(&mut Viewer)) {
+        let mut viewers = locked(&self.0);
+        if let Some(viewer) = viewers.iter_mut().find(|viewer| Arc::ptr_eq(&viewer.stream, stream)) {
+            viewer.at = Instant::now();
+            change(viewer);
+        }
     }
 }

@@ -194,11 +194,6 @@ mod tests {
         residency.cut(viewer, &demand)
     }
 
-    fn memory() -> Error {
-        let (what, unit, limit_name) = ("a tile".into(), "bytes", "all that there is");
-        Error::TooLarge { what, needed: 2, unit, limit: 1, limit_name }
-    }
-
     #[test]
     fn memory_is_bounded_and_what_is_wanted_stays() {
         let tree = ring();
@@ -228,38 +223,5 @@ mod tests {
         residency.keep_viewers(|viewer| *viewer == PAGES[0]);
         residency.evict(0);
         assert!(!residency.cut(PAGES[1], &Demand::of(&both[1], BUDGET)).missing.is_empty());
-    }
-
-    #[test]
-    fn what_does_not_come_is_said_once_and_drawn_coarser() {
-        let tree = ring();
-        let mut residency = Residency::new(tree.clone(), ());
-        let camera = looking(0.0);
-        let demand = Demand::of(&camera, BUDGET);
-        let whole = loaded(&mut residency, PAGES[0], 0.0);
-        let lost = *whole.drawn.last().expect("a tile");
-        residency.there.remove(&lost);
-        let damaged = Error::input("7.glb", "ends early", "write it again");
-        assert!(residency.fail(lost, &damaged).is_some_and(|said| said.contains("7.glb")));
-        assert_eq!(residency.fail(lost, &damaged), None);
-        let cut = loaded(&mut residency, PAGES[0], 0.0);
-        assert!(cut.missing.is_empty() && !cut.drawn.contains(&lost), "{cut:?}");
-        assert_eq!(cut.drawn, tree.cut_among(&demand, |tile| tile != lost));
-        assert!(residency.problems().next().is_some_and(|problem| problem.contains("7.glb")));
-        // Without memory, unwanted tiles go first.
-        loaded(&mut residency, PAGES[0], 1.0);
-        let before = residency.resident().0;
-        let next = residency.cut(PAGES[0], &Demand::of(&looking(2.0), BUDGET)).missing[0];
-        assert_eq!(residency.fail(next, &memory()), None);
-        assert!(residency.resident().0 < before);
-        // If that is not enough, a message says so, and the tile is not requested until other tiles are wanted.
-        let asked = |residency: &mut Residency<()>, turn: f32| {
-            residency.cut(PAGES[0], &Demand::of(&looking(turn), BUDGET)).missing.contains(&next)
-        };
-        assert!(asked(&mut residency, 2.0));
-        assert!(residency.fail(next, &memory()).is_some_and(|said| said.contains("budget")));
-        assert!(!asked(&mut residency, 2.0) && residency.fail(next, &memory()).is_none());
-        asked(&mut residency, 1.0);
-        assert!(asked(&mut residency, 2.0));
     }
 }

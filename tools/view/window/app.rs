@@ -256,7 +256,7 @@ impl App {
     }
 }
 
-impl ApplicationHandler for App {
+impl ApplicationHandler<Option<String>> for App {
     fn resumed(&mut self, events: &ActiveEventLoop) {
         if self.window.is_none() {
             let opened = self.open(events);
@@ -271,11 +271,13 @@ impl ApplicationHandler for App {
         }
     }
 
-    /// The bell of a tree has rung.
-    fn user_event(&mut self, _: &ActiveEventLoop, (): ()) {
-        if let Some(stage) = &mut self.stage {
-            stage.renew(self.controls.is_busy());
+    /// A tile of a tree has arrived, or there is a message.
+    fn user_event(&mut self, _: &ActiveEventLoop, problem: Option<String>) {
+        let Some(stage) = &mut self.stage else { return };
+        if let Some(problem) = problem {
+            stage.say(problem);
         }
+        stage.pace.renew(self.controls.is_busy());
     }
 
     fn about_to_wait(&mut self, events: &ActiveEventLoop) {

@@ -1,10 +1,9 @@
 //! State of the window: view, mode, photo, text.
 
 use super::super::draw;
-use super::super::protocol::{self, CameraMessage, Look, Mode};
+use super::super::protocol::{self, Look, Mode};
 use super::super::studio::fatal;
 use super::super::subject::Subject;
-use super::Bell;
 use super::comparison::Comparison;
 use super::keys::Action;
 use super::navigation::Navigation;
@@ -14,15 +13,13 @@ use super::present::Present;
 use super::text::{Overlay, Text, text};
 use super::words::{self, Measured};
 use ashsplat::scene::Camera;
-use ashsplat::{Error, Gaussians, PixelReport, RenderSettings, Result};
+use ashsplat::{Error, FrameStats, Gaussians, PixelReport, RenderSettings, Result};
 use ashsplat_files::Photo;
 use ashsplat_program::light::Light;
 use ashsplat_program::output;
 use glam::DVec3;
-use serde_json::Value;
 use std::collections::VecDeque;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
 /// Modes in the page's order; the processor colours the last three.
@@ -48,7 +45,6 @@ struct Pending {
 
 pub struct Stage {
     picture: Picture,
-    bell: Arc<Bell>,
     pub view: Navigation,
     pub pace: Pace,
     mode: usize,
@@ -82,32 +78,18 @@ pub struct Stage {
 }
 
 impl Stage {
-    pub fn new(
-        subject: Subject,
-        (picture, bell): (Picture, Arc<Bell>),
-        device: &str,
-        out: PathBuf,
-    ) -> Result<Stage> {
-        let greeting = subject.greeting(device, None);
-        let triple = |key: &str| {
-            let values: Option<[f64; 3]> = serde_json::from_value(greeting[key].clone()).ok();
-            values.map_or(DVec3::ZERO, DVec3::from_array)
-        };
-        let start = match &greeting["start"] {
-            Value::Null => None,
-            message => serde_json::from_value::<CameraMessage>(message.clone()).ok(),
-        };
-        let center = triple("pivot");
-        let view = Navigation::new(center, triple("up"), greeting["radius"].as_f64().unwrap_or(1.0));
+    pub fn new(subject: Subject, picture: Picture, device: &str, out: PathBuf) -> Stage {
+        let (orbit, start) = subject.first_view();
+        let center = orbit.center.as_dvec3();
+        let view = Navigation::new(center, orbit.up.as_dvec3(), f64::from(orbit.radius));
         let mut stage = Stage {
             picture,
-            bell,
             view,
             pace: Pace::new(),
             mode: 0,
             lit: false,
             device: device.to_owned(),
-            start: start.map(|message| message.camera()).transpose()?,
+            start,
             center,
             unit: subject.frame.unit as f32,
             subject: Subject { gaussians: Gaussians::default(), ..subject },
@@ -128,7 +110,7 @@ impl Stage {
             message: None,
         };
         stage.home();
-        Ok(stage)
+        stage
     }
 
     /// The last part of the scene's name.
@@ -189,10 +171,10 @@ impl Stage {
     }
 
     /// Exposure and lens effects for the picture, if the view is exactly a photo's.
-    fn photo_light(&mut self) -> Result<Option<(Camera, Light)>> {
+    fn photo_light(&self) -> Result<Option<(Camera, Light)>> {
         let lit = self.lit && self.mode == 0 && self.view.is_photo();
         let photo = self.current.filter(|photo| lit && self.subject.lights.has(*photo));
-        photo.map(|photo| self.subject.lights.of(photo, self.picture.painter())).transpose()
+        photo.map(|photo| self.subject.lights.of(photo, None)).transpose()
     }
 
     /// Closes help, photo and list of Gaussians. True if any was open.
@@ -216,14 +198,10 @@ impl Stage {
         let named = &self.subject.cameras[index];
         self.view.take(&named.camera, true);
         let name = named.name.clone();
-        let photo = self.subject.photos.as_ref().map(|photos| photos.decoded_now(index));
-        let (photo, problem) = match photo {
-            Some(Ok(photo)) => (Some(photo), None),
-            Some(Err(error)) => (None, Some(error.to_string())),
-            None => (None, None),
-        };
+        let photo = self.subject.photos.as_ref().map(|photos| photos.decoded_now(index)).transpose();
+        let (photo, said) = photo.map_or_else(|error| (None, error.to_string()), |photo| (photo, name));
         self.comparison = photo.map(Comparison::new);
-        self.say(problem.unwrap_or(name));
+        self.say(said);
     }
 
     /// Border between photo and render, pixels from the left; none if no photo is shown.
@@ -290,14 +268,6 @@ impl Stage {
         Ok(())
     }
 
-    /// Handles the bell: a tile has arrived, or there is a message.
-    pub fn renew(&mut self, busy: bool) {
-        if let Some(problem) = self.bell.said() {
-            self.say(problem);
-        }
-        self.pace.renew(busy);
-    }
-
     /// Returns the next frame to draw.
     pub fn due(&mut self, now: Instant, busy: bool) -> Due {
         if self.message.as_ref().is_some_and(|(_, since)| now.duration_since(*since) > SAID) {
@@ -338,7 +308,13 @@ impl Stage {
                     if report.overflow {
                         self.pace.leap();
                     }
-                    self.measured.take(report);
+                    self.measured.stats = FrameStats {
+                        gaussians: report.gaussians,
+                        visible: report.visible,
+                        instances: report.instances_needed,
+                        scopes: report.scopes,
+                        ..FrameStats::default()
+                    };
                 }
                 Ok(None) => {}
                 Err(error) => self.complain(error)?,
@@ -414,7 +390,8 @@ impl Stage {
         let unit = if MODES[self.mode] == Mode::Depth { self.unit } else { 1.0 };
         let legend = drawn.legend.map(|ends| ends.map(|end| end * unit));
         let milliseconds = self.measured.milliseconds;
-        self.measured = Measured { milliseconds, legend, ..Measured::told(&drawn.stats) };
+        let stats = FrameStats { scopes: Vec::new(), ..drawn.stats };
+        self.measured = Measured { milliseconds, legend, stats, ..Measured::default() };
         Ok(Some(drawn.photo))
     }
 

@@ -1,8 +1,7 @@
 //! Texts of the window, line by line.
 
 use super::keys::{HELP, ONLY_PAGE};
-use ashsplat::vk::ScopeTime;
-use ashsplat::{PixelReport, SlotReport};
+use ashsplat::{FrameStats, PixelReport};
 use ashsplat_program::progress::thousands;
 use serde_json::Value;
 
@@ -21,27 +20,9 @@ pub struct Measured {
     pub size: [u32; 2],
     /// Time from its start, or from the end of the previous frame if later, to its end, ms.
     pub milliseconds: f64,
-    pub gaussians: u32,
-    pub visible: u32,
-    pub instances: u32,
-    /// Time of each stage on the device.
-    pub stages: Vec<ScopeTime>,
+    pub stats: FrameStats,
     /// Values of the lowest and the highest colour.
     pub legend: Option<[f32; 2]>,
-}
-
-impl Measured {
-    /// Reads the statistics of a picture that the processor coloured.
-    pub fn told(stats: &Value) -> Measured {
-        let number = |key: &str| stats[key].as_u64().and_then(|n| u32::try_from(n).ok()).unwrap_or(0);
-        let [gaussians, visible, instances] = ["gaussians", "visible", "instances"].map(number);
-        Measured { gaussians, visible, instances, ..Measured::default() }
-    }
-
-    pub fn take(&mut self, report: SlotReport) {
-        (self.gaussians, self.visible) = (report.gaussians, report.visible);
-        (self.instances, self.stages) = (report.instances_needed, report.scopes);
-    }
 }
 
 /// Permanent text: scene, frame, stages, device.
@@ -52,12 +33,13 @@ pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measure
         scene.to_owned(),
         format!("{width}×{height} · {:.1} ms{rate} · {}", frame.milliseconds, MODES[mode]),
     ];
-    if frame.gaussians > 0 {
+    let FrameStats { gaussians, visible, instances, scopes, .. } = &frame.stats;
+    if *gaussians > 0 {
         let [visible, all, instances] =
-            [frame.visible, frame.gaussians, frame.instances].map(|count| thousands(count.into()));
+            [visible, gaussians, instances].map(|count| thousands(u64::from(*count)));
         lines.push(format!("{visible} of {all} Gaussians visible, {instances} instances"));
     }
-    let stages: Vec<_> = frame.stages.iter().filter(|stage| stage.depth == 0).collect();
+    let stages: Vec<_> = scopes.iter().filter(|stage| stage.depth == 0).collect();
     if !stages.is_empty() {
         let sum: f64 = stages.iter().map(|stage| stage.nanoseconds).sum();
         lines.push(format!("{:16}{:8.2} ms", "device", sum * 1e-6));
@@ -147,15 +129,16 @@ pub fn picked([x, y]: [u32; 2], report: &PixelReport) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ashsplat::vk::ScopeTime;
 
     #[test]
     fn a_frame_is_told() {
         let stage =
             |name: &str, depth, ms: f64| ScopeTime { name: name.into(), depth, nanoseconds: ms * 1e6 };
         let mut frame = Measured { size: [640, 480], milliseconds: 12.34, ..Measured::default() };
-        frame.gaussians = 1_234_567;
-        frame.visible = 1000;
-        frame.stages = vec![stage("sort", 0, 2.0), stage("pass", 1, 1.5), stage("blend", 0, 3.25)];
+        frame.stats.gaussians = 1_234_567;
+        frame.stats.visible = 1000;
+        frame.stats.scopes = vec![stage("sort", 0, 2.0), stage("pass", 1, 1.5), stage("blend", 0, 3.25)];
         let lines = status("scene", "a device", 0, 59.94, &frame);
         assert_eq!(
             lines,
