@@ -474,7 +474,7 @@ fn members(path: &Path, all: &Gaussians, outline: &Outline) -> Result<Vec<(&'sta
     let meta = Meta {
         version: VERSION,
         count: count as u64,
-        antialias: outline.antialiased,
+        antialias: outline.options.antialiased,
         means: Attribute {
             mins: Numbers::Each(ranges.iter().map(|range| finite(range.0)).collect()),
             maxs: Numbers::Each(ranges.iter().map(|range| finite(range.1)).collect()),
