@@ -9,7 +9,9 @@ mod file;
 mod read;
 mod write;
 
-pub(super) use compressed::{CompressedPly, typical_step, write_blocks as write_compressed_blocks};
+pub(super) use compressed::{
+    CompressedPly, morton_order, typical_step, write_blocks as write_compressed_blocks,
+};
 pub use file::Encoding;
 pub(crate) use file::{Scalar, decode};
 pub use read::read_points;

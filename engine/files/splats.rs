@@ -1,14 +1,16 @@
-//! Gaussians in common file formats: PLY, compressed PLY, `.splat`, SPZ, glTF.
+//! Gaussians in common file formats: PLY, compressed PLY, `.splat`, SPZ, glTF, SOG.
 //!
 //! All are converted to and from the frame and the raw parameters of the reference implementation's PLY.
 //! Reading and writing proceed block by block, so that a conversion needs little memory if the formats allow
-//! it. Compressed PLY is sorted, so it is written from memory.
+//! it. Compressed PLY and SOG are sorted, so they are written from memory.
 
+mod codebook;
 mod convert;
 mod dot_splat;
 mod format;
 mod gltf;
 mod gltf_write;
+mod sog;
 mod spz;
 mod stream;
 mod validation;
@@ -26,7 +28,7 @@ use validation::PackingLoss;
 pub(super) use convert::OriginSample;
 pub use convert::{ConvertOptions, Converted, Input, Target, convert, join};
 pub(crate) use format::{FARTHEST, MAX_COMPRESSED_LOG_SCALE};
-pub use format::{Format, foreign};
+pub use format::{Format, foreign, is_sog};
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION};
 pub(super) use stream::{
     BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, is_kernel_size, row_bytes,
@@ -174,6 +176,7 @@ fn write_blocks(
         Format::Splat => dot_splat::write(path, outline, produce),
         Format::Spz => spz::write(path, outline, produce),
         Format::Glb | Format::Gltf => gltf_write::write(path, format, outline, produce),
+        Format::Sog => sog::write(path, outline, produce),
     };
     match written {
         Ok(()) if format.has_origin_file() => format::write_origin(path, outline.options.frame.origin),
@@ -183,12 +186,16 @@ fn write_blocks(
 }
 
 pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
+    if path.is_dir() && is_sog(path) {
+        return Ok(Reader::new(path, Box::new(sog::Sog::open(&path.join(sog::META))?), options));
+    }
     let source: Box<dyn Source + 'a> = match Format::of_file(path)? {
         Format::Ply => Box::new(ply::GaussianRows::open(path)?),
         Format::CompressedPly => Box::new(ply::CompressedPly::open(path)?),
         Format::Splat => Box::new(dot_splat::DotSplat::open(path)?),
         Format::Spz => Box::new(spz::Spz::open(path)?),
         format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format, options)?),
+        Format::Sog => Box::new(sog::Sog::open(path)?),
     };
     Ok(Reader::new(path, source, options))
 }

@@ -109,11 +109,10 @@ fn scenes_of_other_programs_are_named() {
     let pack = |name: &str, files: &[(&str, &[u8])]| {
         data_sets::pack(&place.at(name), files.iter().map(|(name, bytes)| ((*name).to_owned(), *bytes)));
     };
-    pack("scene.sog", &[("meta.json", meta), ("means_l.webp", b"RIFF")]);
     pack("capture.zip", &[("notes.txt", b""), ("a/point_cloud.ply", &ply)]);
     pack("model.ckpt", &[("archive/data.pkl", b"")]);
     pack("set.zip", &[("points.ply", &ply), ("images/a.jpg", b"")]);
-    place.write("sog/meta.json", meta);
+    place.write("sog/scene.json", meta);
     place.write("streamed/lod-meta.json", br#"{"lodLevels":4}"#);
     place.write("foreign/tileset.json", br#"{"asset":{"version":"1.1"},"geometricError":9,"root":{}}"#);
     place.write("scene.ply.gz", &gzip);
@@ -122,12 +121,9 @@ fn scenes_of_other_programs_are_named() {
     place.write("scene.ksplat", [0_u8; 4096]);
     place.write("scene.spx", b"spx\x01....");
     let named = |name: &str| text(&place.at(name)).to_owned();
-    let transform = format!("`splat-transform {} {}`", named("scene.sog"), named("scene.ply"));
     let unpack = format!("`gzip -dc {} > {}`", named("scene.ply.gz"), named("scene.ply"));
     for (name, words) in [
-        ("scene.sog", &["is a SOG", &transform][..]),
-        ("sog", &["is a SOG", "sog/meta.json", "splat-transform"]),
-        ("sog/meta.json", &["is a SOG", "sog/meta.json", "splat-transform"]),
+        ("sog/scene.json", &["describes a SOG under another name", "name it meta.json"][..]),
         ("streamed", &["is a streamed SOG", "splat-transform --select-lod 0"]),
         ("foreign", &["is no tree of Gaussians", "one .glb of it"]),
         ("foreign/tileset.json", &["is no tree of Gaussians", "one .glb of it"]),

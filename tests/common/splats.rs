@@ -73,6 +73,15 @@ pub fn tolerance(format: Format) -> Tolerance {
             color: 0.5 / 255.0 / 0.15 + float,
             sh: 8.5 / 128.0 + float,
         },
+        // Few Gaussians: the palette holds all spherical harmonics.
+        Format::Sog => Tolerance {
+            mean: 1e-3,
+            log_scale: 0.03,
+            opacity: 0.5 / 255.0 + float,
+            rotation: 6e-5,
+            color: 0.02,
+            sh: 0.05,
+        },
         Format::Glb | Format::Gltf => {
             Tolerance { mean: 0.0, log_scale: float, opacity: float, rotation: 1e-6, color: 0.0, sh: 0.0 }
         }

@@ -47,7 +47,7 @@ impl Model {
         if let Some(error) = splats::foreign(path) {
             return Err(error);
         }
-        if !path.is_dir() {
+        if !path.is_dir() || splats::is_sog(path) {
             std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
             if iteration.is_some() {
                 let problem = format!("is for model folders; {} is a file", path.display());
@@ -107,7 +107,7 @@ pub fn is_dataset(path: &Path) -> bool {
     let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"))
         || Dataset::is_archive(path);
     let may_be = is_archive || path.is_dir() && !path.join(POINT_CLOUDS).is_dir() && !is_tiles(path);
-    may_be && splats::foreign(path).is_none()
+    may_be && splats::foreign(path).is_none() && !splats::is_sog(path)
 }
 
 /// The model folder to propose for a data set: `out/NAME`.

@@ -412,7 +412,7 @@ const MORTON_BITS: u32 = 21;
 
 /// Indices of points along the Z-order (Morton) curve through the cube around them; coincident points keep their order. Its cells
 /// are cubes: those of a long, flat scene would otherwise be as long as the scene.
-fn morton_order(points: &[[f32; 3]]) -> Vec<usize> {
+pub(crate) fn morton_order(points: &[[f32; 3]]) -> Vec<usize> {
     let [min, max] = extremes(points.iter().copied());
     let size = (0..3).map(|axis| f64::from(max[axis]) - f64::from(min[axis])).fold(0.0, f64::max);
     let code = |point: &[f32; 3]| {

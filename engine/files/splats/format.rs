@@ -8,7 +8,7 @@ use flate2::read::GzDecoder;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::Outline;
+use super::{Outline, sog};
 use crate::names::{has_photo_ending, quoted};
 use crate::regular_file::{self, OnFile};
 use crate::{atomic, ply};
@@ -33,12 +33,14 @@ pub enum Format {
     Glb,
     /// glTF as JSON, with `KHR_gaussian_splatting` and a `.bin` beside it.
     Gltf,
+    /// PlayCanvas' SOG: attributes as WebP pictures, in a ZIP (`.sog`) or beside their `meta.json`.
+    Sog,
 }
 
 impl Format {
     /// All formats.
-    pub const ALL: [Self; 6] =
-        [Self::Ply, Self::CompressedPly, Self::Splat, Self::Spz, Self::Glb, Self::Gltf];
+    pub const ALL: [Self; 7] =
+        [Self::Ply, Self::CompressedPly, Self::Splat, Self::Spz, Self::Glb, Self::Gltf, Self::Sog];
 
     /// Names what Gaussians of this SH degree and with these header marks lose in the format.
     pub(super) fn losses(
@@ -53,7 +55,7 @@ impl Format {
         if antialiased && !self.keeps_antialiased() {
             losses.push(format!("{self} cannot say that the Gaussians want antialiasing"));
         }
-        if let (Some(size), Self::Splat | Self::Spz) = (kernel_size, self) {
+        if let (Some(size), Self::Splat | Self::Spz | Self::Sog) = (kernel_size, self) {
             losses.push(format!("{self} cannot hold the kernel size: draw it with --kernel-size {size}"));
         }
         if is_2dgs && !matches!(self, Self::Ply | Self::CompressedPly) {
@@ -64,7 +66,7 @@ impl Format {
 
     /// True if a file beside it holds the origin of the positions, because the format has no field for it.
     pub(super) fn has_origin_file(self) -> bool {
-        matches!(self, Self::Splat | Self::Spz)
+        matches!(self, Self::Splat | Self::Spz | Self::Sog)
     }
 
     /// A note on the origin of the positions, if programs that ignore it would place the scene elsewhere.
@@ -75,7 +77,7 @@ impl Format {
             Self::Ply if outline.double_positions => return None,
             Self::Glb | Self::Gltf => return None,
             Self::Ply | Self::CompressedPly => "a comment in its header".to_owned(),
-            Self::Splat | Self::Spz => origin_path(path).display().to_string(),
+            Self::Splat | Self::Spz | Self::Sog => origin_path(path).display().to_string(),
         };
         Some(format!("positions are relative to {x},{y},{z}, which {place} names"))
     }
@@ -94,6 +96,7 @@ impl Format {
             Self::Spz => (".spz", "SPZ"),
             Self::Glb => (".glb", "GLB"),
             Self::Gltf => (".gltf", "glTF"),
+            Self::Sog => (".sog", "SOG"),
         }
     }
 
@@ -123,6 +126,9 @@ impl Format {
 
     fn by_name(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+        if name == sog::META {
+            return Some(Self::Sog);
+        }
         // The longest of several matching extensions counts.
         Self::ALL.into_iter().filter(|f| name.ends_with(f.extension())).max_by_key(|f| f.extension().len())
     }
@@ -150,6 +156,7 @@ impl Format {
             [b'N', b'G', b'S', b'P', ..] => Some(Self::Spz),
             [b'g', b'l', b'T', b'F', ..] => Some(Self::Glb),
             [0x1f, 0x8b, ..] if by_name.is_none() => Some(Self::Spz),
+            _ if is_sog(path) => Some(Self::Sog),
             _ => None,
         };
         by_content.or(by_name).ok_or_else(|| {
@@ -231,8 +238,7 @@ const ARCHIVERS: [(usize, &[u8], &str, &str); 3] = [
 ];
 
 /// Extensions of scenes that other programs can convert.
-const CONVERTED: [(&str, &str, &str); 6] = [
-    ("sog", "is a SOG", "splat-transform"),
+const CONVERTED: [(&str, &str, &str); 5] = [
     ("ksplat", "is a .ksplat of GaussianSplats3D", "splat-transform"),
     ("lcc", "is an LCC scene of XGRIDS", "splat-transform --select-lod 0"),
     ("lcc2", "is an LCC scene of XGRIDS", "splat-transform --select-lod 0"),
@@ -251,7 +257,7 @@ fn first_bytes(path: &Path) -> Result<Vec<u8>> {
 /// The error for a file or folder with a scene in an unread format; `None` for anything else.
 pub fn foreign(path: &Path) -> Option<Error> {
     if path.is_dir() {
-        return ["meta.json", "lod-meta.json"].iter().find_map(|name| json(&path.join(name)));
+        return json(&path.join("lod-meta.json"));
     }
     let start = first_bytes(path).ok()?;
     if start.starts_with(b"PK\x03\x04") {
@@ -301,35 +307,56 @@ fn converted(path: &Path, ending: &str) -> Option<Error> {
     Some(Error::input(path, format!("{problem}, which is not read"), remedy))
 }
 
-/// The error for the JSON of a SOG without its ZIP.
+/// The error for the description of a streamed SOG, or of a SOG under another name.
 fn json(path: &Path) -> Option<Error> {
+    let text = start_of_text(path)?;
+    let has = |word: &str| text.contains(word);
+    let is_streamed = path.file_name().is_some_and(|name| name == "lod-meta.json") && has("\"lodLevels\"");
+    if is_streamed {
+        let out = path.with_file_name("scene.ply");
+        let remedy =
+            format!("make a PLY of it: `splat-transform --select-lod 0 {} {}`", shell(path), shell(&out));
+        return Some(Error::input(path, "is a streamed SOG, which is not read", remedy));
+    }
+    let describes_sog = has("\"means\"") && has(".webp\"");
+    describes_sog.then(|| Error::input(path, "describes a SOG under another name", "name it meta.json"))
+}
+
+fn start_of_text(path: &Path) -> Option<String> {
     let mut text = Vec::new();
     regular_file::open(path).ok()?.0.take(SEARCHED_BYTES).read_to_end(&mut text).ok()?;
-    let text = String::from_utf8_lossy(&text);
-    let out = path.with_file_name("scene.ply");
-    let is_streamed = path.file_name().is_some_and(|name| name == "lod-meta.json");
-    let (what, level) = match is_streamed {
-        true => ("a streamed SOG", "--select-lod 0 "),
-        false => ("a SOG without its ZIP", ""),
-    };
-    let has = |word: &str| text.contains(word);
-    let is_sog = is_streamed && has("\"lodLevels\"") || has("\"means\"") && has(".webp\"");
-    is_sog.then(|| {
-        let remedy = format!("make a PLY of it: `splat-transform {level}{} {}`", shell(path), shell(&out));
-        Error::input(path, format!("is {what}, which is not read"), remedy)
+    Some(String::from_utf8_lossy(&text).into_owned())
+}
+
+/// True for a SOG: its ZIP, its `meta.json`, or the folder of that.
+pub fn is_sog(path: &Path) -> bool {
+    if path.is_dir() {
+        return is_sog(&path.join(sog::META));
+    }
+    if path.file_name().is_some_and(|name| name == sog::META) {
+        return start_of_text(path)
+            .is_some_and(|text| text.contains("\"means\"") && text.contains(".webp\""));
+    }
+    names_in_zip(path).is_some_and(|names| {
+        let has = |file: &str| names.iter().any(|name| name.rsplit('/').next() == Some(file));
+        has(sog::META) && (has("means_l.webp") || Format::by_name(path) == Some(Format::Sog))
     })
+}
+
+fn names_in_zip(path: &Path) -> Option<Vec<String>> {
+    let archive = zip::ZipArchive::new(std::io::BufReader::new(regular_file::open(path).ok()?.0)).ok()?;
+    Some(archive.file_names().flatten().map(|name| name.into_owned()).collect())
 }
 
 /// The error for a ZIP that does not hold a data set.
 fn zip(path: &Path) -> Option<Error> {
-    let archive = zip::ZipArchive::new(std::io::BufReader::new(regular_file::open(path).ok()?.0)).ok()?;
-    let names: Vec<String> = archive.file_names().flatten().map(|name| name.into_owned()).collect();
+    let names = names_in_zip(path)?;
     let with = |endings: &[&str]| {
         let fits = |name: &&String| endings.iter().any(|ending| name.to_ascii_lowercase().ends_with(ending));
         names.iter().find(fits)
     };
-    if by_ending(path).is_some() || with(&["means_l.webp"]).is_some() {
-        return by_ending(path).or_else(|| converted(path, "sog"));
+    if by_ending(path).is_some() || is_sog(path) {
+        return by_ending(path);
     }
     let export = "export a PLY with the program that wrote it";
     if with(&["data.pkl"]).is_some() {

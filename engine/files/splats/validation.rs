@@ -4,6 +4,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
+use super::sog;
 use super::spz::{MAX_FRACTIONAL_BITS, farthest, fractional_bits};
 use super::{FARTHEST, Format, MAX_COMPRESSED_LOG_SCALE, Outline};
 use crate::ply;
@@ -177,6 +178,8 @@ pub(super) struct PackingLoss {
     count: u64,
     /// Sum of each Gaussian's largest log-scale.
     log_sizes: f64,
+    /// Sum of the logarithms of 1 + each Gaussian's largest coordinate.
+    log_reach: f64,
     cut_scales: u64,
     cut_colors: u64,
     cut_sh: u64,
@@ -193,6 +196,7 @@ impl PackingLoss {
             (Format::CompressedPly, _) => ([-MAX_COMPRESSED_LOG_SCALE, MAX_COMPRESSED_LOG_SCALE], any, 4.0),
             // Without view dependence, colours below 0 are drawn as 0.
             (Format::Splat, _) => (any, [f32::NEG_INFINITY, rgb_to_sh_dc(1.0)], f32::INFINITY),
+            (Format::Sog, _) => (any, any, f32::INFINITY),
             _ => return None,
         };
         let chunked = (format == Format::CompressedPly).then(Gaussians::default);
@@ -204,6 +208,8 @@ impl PackingLoss {
         for (index, [x, y, z]) in block.log_scales.iter().enumerate() {
             let (smallest, largest) = (x.min(*y).min(*z), x.max(*y).max(*z));
             self.log_sizes += f64::from(largest.max(-100.0));
+            let [x, y, z] = block.means[index].map(|v| f64::from(v).abs());
+            self.log_reach += x.max(y).max(z).ln_1p();
             let is_cut = largest > most || (smallest < least && largest < least + THIN);
             self.cut_scales += u64::from(is_cut);
             let (dc, higher) = block.sh_of(index).split_at(1);
@@ -237,6 +243,14 @@ impl PackingLoss {
             let crop = format!("because one lies at {farthest}: crop the scene for finer steps");
             let finest_of_spz = "the finest that SPZ has: scale the scene up";
             coarse(step, if step == finest { finest_of_spz } else { &crop });
+        }
+        if let (Format::Sog, Some(bounds)) = (format, outline.bounds) {
+            // Positions are stored as logarithms, so that steps grow with the distance.
+            let reach = (self.log_reach / self.count.max(1) as f64).exp();
+            coarse(
+                reach * sog::log_step(bounds),
+                "because the scene is large: crop it, or move its middle to 0",
+            );
         }
         let step = self.chunked.as_ref().map_or(0.0, ply::typical_step);
         coarse(step, "because 256 Gaussians share a box and lie far apart");

@@ -10,7 +10,8 @@ use std::path::PathBuf;
 use std::sync::LazyLock;
 
 /// The first byte of an input chooses the name. For the last one, the rest is the unpacked content of an SPZ.
-const NAMES: [&str; 7] = ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf", "packed.spz"];
+const NAMES: [&str; 8] =
+    ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf", "a.sog", "packed.spz"];
 
 static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| folder("splats"));
 
