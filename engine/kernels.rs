@@ -66,7 +66,7 @@ mod tests {
             source: String::new(),
             shader: reflect(spirv).expect("valid SPIR-V"),
             spirv_file: "spirv.rs".into(),
-            texels: None,
+            forms: Vec::new(),
         };
         let mut kernels = [
             kernel("forward/cull", super::forward::cull::Interface::SPIRV),
@@ -130,7 +130,7 @@ mod tests {
             source: String::new(),
             shader,
             spirv_file: "twice.spv.rs".into(),
-            texels: None,
+            forms: Vec::new(),
         };
         let error = generate::kernels(&[kernel], "").expect_err("a duplicate");
         assert!(error.contains("glsl/scan/twice.comp") && error.contains("'counts'"), "{error}");

@@ -93,6 +93,7 @@ macro_rules! blend_backward_arguments {
             tile_row_interleave: $pass.tile_row_interleave,
             background: $inputs.settings.background,
             splat_stride: $pass.splat_stride,
+            whole_width: $pass.whole_width,
         };
         (bind, push)
     }};
@@ -146,6 +147,7 @@ impl Backward {
             weights: sums == Sums::Weights,
             region_height,
             broadcast: self.context.limits().broadcasts,
+            lenses: variant.projection.has_seam(),
         }
     }
 
@@ -160,6 +162,7 @@ impl Backward {
             strips: self.sizes.strips,
             absolute: sums == Sums::Absolute,
             weights: sums == Sums::Weights,
+            lenses: variant.projection.has_seam(),
         }
     }
 
@@ -195,7 +198,8 @@ impl Backward {
             z_record,
             absolute,
             pose_gradient,
-            projection: projection.word(),
+            projection: projection as u32,
+            lenses: projection.is_lens(),
             sh_loops: self.sizes.sh_loops,
         }
     }

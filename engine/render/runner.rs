@@ -128,7 +128,7 @@ impl FrameRunner {
         let Request { scene, camera, settings, sh_degree, backward, .. } = *request;
         camera.check()?;
         if backward {
-            camera.check_perspective("gradients are of pinholes alone")?;
+            camera.check_differentiable()?;
         }
         settings.check()?;
         let (gaussians, count) = (self.gaussians_with(scene.plan.capacity), self.scenes());

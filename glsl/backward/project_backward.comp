@@ -45,7 +45,7 @@ layout(constant_id = 8) const bool DROPOUT = false;
 layout(constant_id = 9) const bool Z_RECORD = false;
 // True if loops over SH coefficients stay loops (see sh.glsl), and if cheap values are recomputed instead of kept in registers.
 layout(constant_id = 10) const bool SH_LOOPS = false;
-// Projection of the camera: see camera.glsl.
+// Projection of the camera: see pinhole.glsl.
 layout(constant_id = 11) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(local_size_x_id = 0) in;
 
@@ -307,8 +307,8 @@ void main() {
 
     vec3 d_camera = jacobian_backward(PROJECTION, p.jacobian, p.mean_camera, d_mean2d, d_jacobian);
     // The blended depth is 1/z or z. This is its gradient towards the camera.
-    float inverse_z = 1.0 / p.mean_camera.z;
-    d_camera.z -= Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z;
+    float inverse_z = 1.0 / DEPTH_OF(p.mean_camera);
+    SUBTRACT_DEPTH_GRADIENT(d_camera, p.mean_camera, Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z);
     vec3 d_mean = from_camera(d_camera);
 
     d_mean += d_towards;

@@ -109,6 +109,10 @@ void main() {
         uint entry = batch + gl_LocalInvocationID.x;
         uint visible = UINT_AT(sorted_visible, range.x + (entry < end ? entry : begin));
         means[gl_LocalInvocationID.x] = VEC4_AT(mean2d_extent, splat_at(visible, SPLAT_MEAN2D_EXTENT)).xy;
+#ifdef LENSES
+        float x = means[gl_LocalInvocationID.x].x;
+        means[gl_LocalInvocationID.x].x = nearest_turn(x, tile % tiles_per_row);
+#endif
         conics[gl_LocalInvocationID.x] = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
         shades[gl_LocalInvocationID.x] = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
 #ifdef AUXILIARY

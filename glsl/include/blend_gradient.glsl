@@ -43,7 +43,16 @@ layout(push_constant, scalar) uniform Push {
     uint tile_row_interleave;
     vec3 background;
     uint splat_stride;
+#ifdef LENSES
+    // Panoramas: see seam.glsl.
+    uint whole_width;
+#endif
 };
+
+#ifdef LENSES
+#define PROJECTION PROJECTION_EQUIRECTANGULAR
+#include "seam.glsl"
+#endif
 
 #include "splat_record.glsl"
 #include "dispatch_range.glsl"

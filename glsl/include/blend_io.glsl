@@ -38,7 +38,16 @@ layout(push_constant, scalar) uniform Push {
     uint splat_stride;
     // Only read with STRIPS.
     vec3 background;
+#ifdef LENSES
+    // Panoramas: see seam.glsl.
+    uint whole_width;
+#endif
 };
+
+#ifdef LENSES
+#define PROJECTION PROJECTION_EQUIRECTANGULAR
+#include "seam.glsl"
+#endif
 
 #include "splat_record.glsl"
 #include "dispatch_range.glsl"

@@ -1,11 +1,16 @@
 // EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and the backward pass.
 // Needs constants.glsl, camera_block.glsl and `parameters`.
-// Needs filter_3d.glsl, FILTER_3D, PROJECTION (see camera.glsl), and the push constant `antialias` with ANTIALIAS_ bits.
+// Needs filter_3d.glsl, FILTER_3D, PROJECTION (see pinhole.glsl, lens.glsl), and the push constant `antialias` with ANTIALIAS_ bits.
 // Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES and get footprint_of. They need
 // tile_span.glsl and the push constant `extent`, DROPOUT (dropout.glsl) and TINTED (true if the scene has its own factors).
 
 #include "opacity.glsl"
 #include "camera.glsl"
+#ifdef LENSES
+#include "lens.glsl"
+#else
+#include "pinhole.glsl"
+#endif
 #include "rotation.glsl"
 
 #ifdef DRAWS_SHAPES
@@ -111,7 +116,7 @@ Footprint footprint_of(ProjectedGaussian p, float opacity_logit) {
         f.opacity *= dropout_factor;
     }
     f.mean2d_px = screen_of(PROJECTION, p.mean_camera, focal_px, center_px);
-    bool valid = p.mean_camera.z > NEAR_PLANE && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
+    bool valid = IS_SHOWN(p.mean_camera) && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
         && is_finite(p.cov2d.z) && is_finite(f.mean2d_px.x) && is_finite(f.mean2d_px.y) && is_finite(f.opacity);
 
     // Extent at which opacity * exp(-q/2) = 1/255, widened by more than the float32 error. The excess only costs time.
@@ -129,6 +134,13 @@ Footprint footprint_of(ProjectedGaussian p, float opacity_logit) {
         vec2 high = trunc((f.mean2d_px + radius + float(TILE_SIZE - 1)) / float(TILE_SIZE));
         uvec2 tile_low = uvec2(clamp(low, vec2(0.0), vec2(grid)));
         uvec2 tile_high = uvec2(clamp(high, vec2(0.0), vec2(grid)));
+#ifdef LENSES
+        if (SPHERICAL) {
+            uvec2 columns = turned_columns(f.mean2d_px.x - radius, f.mean2d_px.x + radius, grid.x);
+            tile_low.x = columns.x;
+            tile_high.x = columns.y;
+        }
+#endif
         f.tiles = uvec4(tile_low.x, tile_high.x, tile_low.y, tile_high.y);
     } else {
         f.radius_px = 0;
