@@ -95,7 +95,7 @@ impl SetFile {
             None if self.has("jac w_cov") => {
                 vec![trial("host", "lens", lenses::of_host), trial("gpu", "lens", lenses::of_device)]
             }
-            None if self.has("j_image params") => vec![trial("gpu", "picture", lenses::picture_of_device)],
+            None if self.has("u_image params") => vec![trial("gpu", "picture", lenses::picture_of_device)],
             None if self.has("dist2") => {
                 vec![trial("host", "start", |path| Ok(check_host(&Npz::read(path))?))]
             }

@@ -119,6 +119,9 @@ void store_sums(uint base, Sums s) {
 }
 
 void main() {
+#ifdef LENSES
+    seam_period = float(whole_width);
+#endif
     uint tile = tile_of(linear_workgroup());
     bool tile_exists = tile < tile_count;
     uvec2 range = tile_exists ? tile_ranges[tile_exists ? tile : 0] : uvec2(0);
@@ -149,9 +152,6 @@ void main() {
             bool exists = entry < end && entry < own_last;
             uint visible = UINT_AT(sorted_visible, range.x + (exists ? entry : begin));
             vec4 mean2d = VEC4_AT(mean2d_extent, splat_at(visible, SPLAT_MEAN2D_EXTENT));
-#ifdef LENSES
-            mean2d.x = nearest_turn(mean2d.x, tile % tiles_per_row);
-#endif
             vec4 conic = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
             vec4 shade = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
             Splat own = splat_of(mean2d.xy, conic, shade);

@@ -105,6 +105,9 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
 #define STORE(K) store_pixels(origin_##K + lane_offset(), true, K * PIXELS);
 
 void main() {
+#ifdef LENSES
+    seam_period = float(whole_width);
+#endif
     uint tile = tile_of(linear_workgroup());
     if (tile >= tile_count) {
         return;
@@ -128,9 +131,6 @@ void main() {
         bool exists = entry < end;
         uint visible = UINT_AT(sorted_visible, range.x + (exists ? entry : begin));
         vec4 mean2d = VEC4_AT(mean2d_extent, splat_at(visible, SPLAT_MEAN2D_EXTENT));
-#ifdef LENSES
-        mean2d.x = nearest_turn(mean2d.x, tile % tiles_per_row);
-#endif
         vec4 conic = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
         vec4 shade = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
         Splat own = splat_of(mean2d.xy, conic, shade);

@@ -49,6 +49,10 @@ const uint COLUMN_ROWS = INCREMENTAL_EXP ? ROWS : 1;
 const uint OWN_COLUMNS = TILE_SIZE * TILE_SIZE / COLUMN_ROWS / WORKGROUP_SIZE;
 const uint PIXELS = OWN_COLUMNS * COLUMN_ROWS;
 
+#ifdef LENSES
+#define PROJECTION PROJECTION_EQUIRECTANGULAR
+#include "seam.glsl"
+#endif
 #include "blending.glsl"
 #include "blend_io.glsl"
 #include "dispatch.glsl"
@@ -73,6 +77,9 @@ uvec2 pixel_of(uint k) {
 }
 
 void main() {
+#ifdef LENSES
+    seam_period = float(whole_width);
+#endif
     uint tile = tile_of(linear_workgroup());
     bool tile_exists = tile < tile_count;
     uvec2 range = tile_exists ? tile_ranges[tile_exists ? tile : 0] : uvec2(0);
@@ -109,10 +116,6 @@ void main() {
         uint entry = batch + gl_LocalInvocationID.x;
         uint visible = UINT_AT(sorted_visible, range.x + (entry < end ? entry : begin));
         means[gl_LocalInvocationID.x] = VEC4_AT(mean2d_extent, splat_at(visible, SPLAT_MEAN2D_EXTENT)).xy;
-#ifdef LENSES
-        float x = means[gl_LocalInvocationID.x].x;
-        means[gl_LocalInvocationID.x].x = nearest_turn(x, tile % tiles_per_row);
-#endif
         conics[gl_LocalInvocationID.x] = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
         shades[gl_LocalInvocationID.x] = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
 #ifdef AUXILIARY

@@ -226,6 +226,9 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, uint first) {
     vec2 sum_absolute = vec2(0.0);
     [[unroll]] for (uint column = 0; column < COLUMNS; ++column) {
         float dx = d0.x - float(column * LANES_X);
+#ifdef LENSES
+        dx = to_nearest_turn(dx);
+#endif
         float alphas[MAX_COLUMN_ROWS];
         column_alphas(splat, corner_px + vec2(column * LANES_X, 0), alphas);
         float column_1 = 0.0, column_y = 0.0, column_yy = 0.0;

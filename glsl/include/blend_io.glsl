@@ -44,11 +44,6 @@ layout(push_constant, scalar) uniform Push {
 #endif
 };
 
-#ifdef LENSES
-#define PROJECTION PROJECTION_EQUIRECTANGULAR
-#include "seam.glsl"
-#endif
-
 #include "splat_record.glsl"
 #include "dispatch_range.glsl"
 #include "tile_order.glsl"

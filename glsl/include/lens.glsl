@@ -3,7 +3,8 @@
 //   A: (x, y)/z, or for ANGULAR lenses (x, y) theta / rho, with theta the angle from the axis and rho = |(x, y)|
 //   D: g(s) m, s = m . m, and with BENDS tangential and thin-prism terms
 //
-// The covariance is that of the lens's Jacobian at the mean. A family of lenses is a PROJECTION_ constant, a file below lens/
+// Means and covariances on the screen are those of the unscented transform, or where one of its points is not shown, of the
+// lens's Jacobian at the mean. A family of lenses is a PROJECTION_ constant, a file below lens/
 // with its g and two derivatives, its case in radial_at, and the host's file below engine/scene/lens/.
 // Matrices are stored by rows: M v is `v * M`, and A B is `B * A`.
 // Needs constants.glsl, camera.glsl, camera_block.glsl, PROJECTION.
@@ -273,4 +274,86 @@ vec3 jacobian_backward(uint projection, Jacobian j, vec3 at, vec2 d_screen, Jaco
         d_place.xy = LENS_HOLD * at.z / length(at.xy) * (d_place.xy - direction * outward);
     }
     return d_at + d_place;
+}
+
+// Unscented transform (Julier and Uhlmann 1997, with alpha, beta, kappa = 1, 2, 0): mean and covariance of the positions of seven
+// points, the mean and those sqrt(3) standard deviations from it along the axes. With a and b half the difference and half the
+// sum of the positions of opposite points, from that of the mean, and m = sum(b) / 3, the mean moves by m and
+//   cov = sum(a a^T + b b^T) / 3 + m m^T.
+struct Spread {
+    // True if all points are shown.
+    bool valid;
+    // a / sqrt(3) and b / sqrt(3), one component per axis.
+    vec3 row_x;
+    vec3 row_y;
+    vec3 bend_x;
+    vec3 bend_y;
+    // m
+    vec2 shift;
+};
+
+const float SPREAD = 1.7320508;
+
+// Position relative to that of the mean; of a panorama's turns the nearest.
+vec2 offset_of(vec3 at, vec2 center) {
+    vec2 offset = screen_of(PROJECTION, at, focal_px, center_px) - center;
+    float period = float(whole_width);
+    offset.x -= SPHERICAL ? period * round(offset.x / period) : 0.0;
+    return offset;
+}
+
+// Behind a fisheye, a point beyond the axis would land on the other side of the picture.
+bool is_point_shown(vec3 at, vec3 mean) {
+    return IS_SHOWN(at) && !(ANGULAR && at.z < 0.0 && dot(at.xy, mean.xy) < 0.0);
+}
+
+Spread spread_at(vec3 mean, mat3 axes, vec3 scale) {
+    Spread s = Spread(true, vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0), vec2(0.0));
+    vec2 center = screen_of(PROJECTION, mean, focal_px, center_px);
+    [[unroll]] for (uint k = 0; k < 3; ++k) {
+        vec3 step = SPREAD * scale[k] * axes[k];
+        vec2 one = offset_of(mean + step, center);
+        vec2 other = offset_of(mean - step, center);
+        s.valid = s.valid && is_point_shown(mean + step, mean) && is_point_shown(mean - step, mean);
+        vec2 row = (one - other) * (0.5 / SPREAD);
+        vec2 bend = (one + other) * (0.5 / SPREAD);
+        s.row_x[k] = row.x;
+        s.row_y[k] = row.y;
+        s.bend_x[k] = bend.x;
+        s.bend_y[k] = bend.y;
+        s.shift += (one + other) / 6.0;
+    }
+    return s;
+}
+
+struct SpreadGradient {
+    vec3 point;
+    mat3 axes;
+    vec3 log_scale;
+};
+
+// Gradient of a point in camera space from that of its screen position.
+vec3 screen_backward(vec3 at, vec2 d_screen) {
+    Jacobian j = jacobian_of(at, 0.0);
+    return d_screen.x * j.row_x + d_screen.y * j.row_y;
+}
+
+// Gradients of the mean, the axes and the log-scales from those of the position and of a spread's members.
+SpreadGradient spread_backward(vec3 mean, mat3 axes, vec3 scale, vec2 d_screen, Spread d) {
+    SpreadGradient sum = SpreadGradient(vec3(0.0), mat3(0.0), vec3(0.0));
+    vec2 d_center = d_screen;
+    vec2 d_both = (d_screen + d.shift) / 6.0;
+    [[unroll]] for (uint k = 0; k < 3; ++k) {
+        vec3 step = SPREAD * scale[k] * axes[k];
+        vec2 d_row = vec2(d.row_x[k], d.row_y[k]) * (0.5 / SPREAD);
+        vec2 d_bend = vec2(d.bend_x[k], d.bend_y[k]) * (0.5 / SPREAD) + d_both;
+        vec3 d_one = screen_backward(mean + step, d_bend + d_row);
+        vec3 d_other = screen_backward(mean - step, d_bend - d_row);
+        sum.point += d_one + d_other;
+        sum.axes[k] = SPREAD * scale[k] * (d_one - d_other);
+        sum.log_scale[k] = dot(sum.axes[k], axes[k]);
+        d_center -= 2.0 * d_bend;
+    }
+    sum.point += screen_backward(mean, d_center);
+    return sum;
 }

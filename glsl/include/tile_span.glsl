@@ -21,7 +21,7 @@ uvec4 tile_box(vec4 mean2d_extent_px, uvec2 grid) {
     if (SPHERICAL) {
         precise float left = mean2d_extent_px.x - mean2d_extent_px.z;
         precise float right = mean2d_extent_px.x + mean2d_extent_px.z;
-        uvec2 columns = turned_columns(left, right, grid.x);
+        uvec2 columns = turned_columns(left, right, grid.x, image_width, whole_width);
         // Rows of a Gaussian that reaches around may begin at any column, and end up to a turn later.
         uint end = columns.y == columns.x + grid.x ? 2 * grid.x : columns.y;
         return uvec4(columns.x, end, first.y, last.y);
@@ -77,7 +77,7 @@ uvec2 tile_span(uint row, vec4 mean2d_extent_px, uvec3 shape, uvec2 tiles_x) {
         precise float row_low = mean2d_extent_px.x + left;
         precise float row_high = mean2d_extent_px.x + right;
         uint columns = (image_width + TILE_SIZE - 1) / TILE_SIZE;
-        uvec2 span = turned_columns(row_low, row_high, columns);
+        uvec2 span = turned_columns(row_low, row_high, columns, image_width, whole_width);
         span += span.x < tiles_x.x ? columns : 0;
         return clamp(span, uvec2(tiles_x.x), uvec2(tiles_x.y));
     }

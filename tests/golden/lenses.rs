@@ -157,21 +157,21 @@ pub fn of_device(path: &Path) -> Outcome {
     let of = |name: &str| npz.rows::<3>(name);
     for (place, &i) in shown.iter().enumerate() {
         let [x, y, ..] = places[place].map(f64::from);
-        let expected = npz.rows::<2>("j_xy")[i];
+        let expected = npz.rows::<2>("u_xy")[i];
         let tolerance = 2e-4 * (1.0 + expected[0].abs().max(expected[1].abs()) / 100.0);
         let actual = [wrapped(&camera, x, expected[0]), y];
         elementwise(&format!("position {i}"), &actual, &expected, tolerance, 0.0)?;
         let [a, b, c, _] = conics[place].map(f64::from);
         let determinant = a * c - b * b;
         let covariance = [c, -b, a].map(|x| x / determinant);
-        relative(&format!("covariance {i}"), &covariance, &of("j_cov2d")[i], 3e-5)?;
+        relative(&format!("covariance {i}"), &covariance, &of("u_cov2d")[i], 1e-4)?;
         elementwise(&format!("depth {i}"), &[depths[place]], &[npz.values("depth")[i]], 0.0, 1e-6)?;
     }
 
     // Sums of instances whose gradients are those of the set's weights of positions and covariances.
     let mut sums = [vec![], vec![]];
     for (place, &i) in shown.iter().enumerate() {
-        let [xx, xy, yy] = of("j_cov2d")[i];
+        let [xx, xy, yy] = of("u_cov2d")[i];
         let ([wx, wy], [wa, wb, wc]) = (npz.rows::<2>("w_xy")[i], of("w_cov")[i]);
         let covariance = dmat2(glam::dvec2(xx, xy), glam::dvec2(xy, yy));
         let weights = dmat2(glam::dvec2(wa, 0.5 * wb), glam::dvec2(0.5 * wb, wc));
@@ -233,16 +233,16 @@ pub fn of_device(path: &Path) -> Outcome {
         shown.iter().flat_map(|&i| npz.values(name)[words * i..][..words].to_vec()).collect::<Vec<f64>>()
     };
     let compared = [
-        ("j_dx_means", c::GRADIENT_MEAN_OPACITY, 3, SINGLE.gradient),
-        ("j_dx_quats", c::GRADIENT_QUAT, 4, SINGLE.quats),
-        ("j_dx_log_scales", c::GRADIENT_LOG_SCALE, 3, SINGLE.gradient),
+        ("u_dx_means", c::GRADIENT_MEAN_OPACITY, 3, SINGLE.gradient),
+        ("u_dx_quats", c::GRADIENT_QUAT, 4, SINGLE.quats),
+        ("u_dx_log_scales", c::GRADIENT_LOG_SCALE, 3, SINGLE.gradient),
     ];
     for (name, number, words, tolerance) in compared {
         gradient(name, &plane(number, words), &expected(name, words), &vec![false; count], tolerance)?;
     }
     let sums = gpu.read::<[f32; 6]>(&pose_sums, count.div_ceil(gpu.subgroup() as usize));
     let pose: Vec<f64> = (0..6).map(|k| sums.iter().map(|sum| f64::from(sum[k])).sum()).collect();
-    relative("j_d_pose", &pose, npz.values("j_d_pose"), 2e-4)?;
+    relative("u_d_pose", &pose, npz.values("u_d_pose"), 2e-4)?;
     Ok(())
 }
 
@@ -260,8 +260,8 @@ pub fn picture_of_device(path: &Path) -> Outcome {
     let frame = renderer.render(&camera, &settings)?;
     let unstable = npz.flags("pix_unstable");
     let transmittance: Vec<f64> = frame.transmittance.iter().map(|&t| t.into()).collect();
-    pixels("image", &widen(&frame.color), npz.values("j_image"), &unstable, SINGLE.image)?;
-    pixels("transmittance", &transmittance, npz.values("j_final_T"), &unstable, SINGLE.transmittance)?;
+    pixels("image", &widen(&frame.color), npz.values("u_image"), &unstable, SINGLE.image)?;
+    pixels("transmittance", &transmittance, npz.values("u_final_T"), &unstable, SINGLE.transmittance)?;
     let weights: Vec<[f32; 3]> =
         pixel_gradients(npz.rows::<3>("G")).iter().map(|pixel| pixel.color.map(|x| x as f32)).collect();
     let derivatives = renderer.gradients_with_pose(&camera, &settings, &weights, None)?;
@@ -271,10 +271,10 @@ pub fn picture_of_device(path: &Path) -> Outcome {
     for (name, own) in fields.iter().zip(engine::derivatives(&derivatives)) {
         let own: Vec<f64> = own.iter().map(|&x| x.into()).collect();
         let tolerance = if *name == "quats" { SINGLE.quats } else { SINGLE.gradient };
-        gradient(name, &own, npz.values(&format!("j_dx_{name}")), &none, tolerance)?;
+        gradient(name, &own, npz.values(&format!("u_dx_{name}")), &none, tolerance)?;
     }
     let pose = derivatives.pose.expect("the pose's gradient").map(f64::from);
-    relative("pose", &pose, npz.values("j_d_pose"), 2e-4)?;
+    relative("pose", &pose, npz.values("u_d_pose"), 2e-4)?;
     assert_silent(context());
     Ok(())
 }
