@@ -17,6 +17,10 @@ use std::f64::consts::{FRAC_PI_2, PI};
 /// With p = (x, y, z) in camera space, a picture position is `(fx a' + cx, fy b' + cy)`. Lenses distort (a, b), which is (x, y)/z,
 /// or for fisheyes (x, y) θ/ρ with θ the angle from the axis and ρ = |(x, y)|. s = a² + b², and T(a, b) = (2 p1 a b + p2 (s + 2
 /// a²), 2 p2 a b + p1 (s + 2 b²)). [`Camera::coefficients`] are in the order of this list, which is COLMAP's.
+///
+/// Fisheyes and panoramas see behind the camera. Their depths, also those of pictures and of a host's surfaces, are distances
+/// from the camera's centre. Means and covariances on the screen come from the unscented transform, not from the lens's
+/// Jacobian at the mean, which is worse for large Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[repr(u32)]
 pub enum Projection {
