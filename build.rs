@@ -11,7 +11,7 @@ mod generate;
 #[path = "engine/kernels/reflect.rs"]
 mod reflect;
 
-use compile::{EXTENSIONS, compile, files_with_includes, has_texel_form};
+use compile::{EXTENSIONS, LENSES, TEXELS, compile, files_with_includes, has_lens_form, has_texel_form};
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
@@ -102,7 +102,7 @@ fn embed(root: &Path, glsl: &Path, out: &Path) -> Result<(), String> {
         let path = root.join("tools/embed").join(name);
         let display = format!("tools/embed/{name}");
         let source = fs::read_to_string(&path).map_err(|e| format!("{display}: cannot read: {e}"))?;
-        let spirv = compile(glsl, &path, &display, &source, false)?;
+        let spirv = compile(glsl, &path, &display, &source, "")?;
         let bytes: Vec<u8> = spirv.iter().flat_map(|w| w.to_le_bytes()).collect();
         fs::write(out.join(format!("embed_{name}.spv")), bytes).unwrap();
     }
@@ -162,9 +162,19 @@ fn kernel(glsl: &Path, out: &Path, path: &Path, display: &str, validator: bool) 
     }
     let shader = Source { glsl, out, path, display, text: &source, hash: hasher.finish(), validator };
     let flat = name.replace('/', "__");
-    let (spirv_file, plain) = shader.form(&flat, false)?;
-    let texels = has_texel_form(&files).then(|| shader.form(&format!("{flat}__texels"), true)).transpose()?;
-    Ok(generate::Kernel { name, source, shader: plain, spirv_file, texels })
+    let (spirv_file, plain) = shader.form(&flat, "")?;
+    let (texels, lenses) = (has_texel_form(&files), has_lens_form(&files));
+    let others = [(texels, false), (false, lenses), (texels && lenses, lenses)];
+    let mut forms = Vec::new();
+    for (texels, lenses) in others.into_iter().filter(|(texels, lenses)| *texels || *lenses) {
+        let [(texel_name, texel_macro), (lens_name, lens_macro)] =
+            [(texels, ("__texels", TEXELS)), (lenses, ("__lenses", LENSES))]
+                .map(|(has, form)| if has { form } else { ("", "") });
+        let name = format!("{flat}{texel_name}{lens_name}");
+        let (spirv_file, shader) = shader.form(&name, &format!("{texel_macro}{lens_macro}"))?;
+        forms.push(generate::Form { texels, lenses, spirv_file, shader });
+    }
+    Ok(generate::Kernel { name, source, shader: plain, spirv_file, forms })
 }
 
 /// Source of a shader.
@@ -181,13 +191,13 @@ struct Source<'a> {
 
 impl Source<'_> {
     /// Compiles one form (or takes it from the cache), reflects it, and writes the module as a Rust array.
-    fn form(&self, flat: &str, texels: bool) -> Result<(String, reflect::Shader), String> {
+    fn form(&self, flat: &str, macros: &str) -> Result<(String, reflect::Shader), String> {
         let Self { out, display, .. } = self;
         let cached = out.join(format!("{flat}.{:016x}.spv", self.hash));
         let spirv = match fs::read(&cached) {
             Ok(bytes) => bytes.chunks_exact(4).map(|c| u32::from_le_bytes(c.try_into().unwrap())).collect(),
             Err(_) => {
-                let spirv = compile(self.glsl, self.path, display, self.text, texels)?;
+                let spirv = compile(self.glsl, self.path, display, self.text, macros)?;
                 let bytes: Vec<u8> = spirv.iter().flat_map(|w| w.to_le_bytes()).collect();
                 if self.validator {
                     validate(&bytes, &out.join(format!("{flat}.unchecked.spv")), display)?;

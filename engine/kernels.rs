@@ -35,7 +35,7 @@ mod tests {
             source: String::new(),
             shader: reflect(K::SPIRV).expect("valid SPIR-V"),
             spirv_file: "spirv.rs".into(),
-            texels: None,
+            forms: Vec::new(),
         }
     }
 

@@ -212,7 +212,7 @@ fn backends_with_lanes_in_another_order_are_refused() {
     let reversed = probe.replace("+ gl_SubgroupInvocationID,", "+ size - 1 - gl_SubgroupInvocationID,");
     assert_ne!(probe, reversed);
     let compile = ashsplat::kernels::compile::compile;
-    let spirv = compile(&glsl, &path, PROBE, &reversed, false).expect("a shader");
+    let spirv = compile(&glsl, &path, PROBE, &reversed, "").expect("a shader");
     context.replace_shader(PROBE, Some(spirv));
     let size = context.limits().subgroup_size;
     let place = format!("invocation 0 was at {} of its workgroup, in a subgroup that begins at 0", size - 1);

@@ -23,6 +23,7 @@ mod hard_cases;
 mod interpreted;
 mod invariants;
 mod kernels;
+mod lenses;
 mod limits;
 mod lpips;
 mod mcmc;

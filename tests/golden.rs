@@ -8,6 +8,7 @@ mod exposure;
 mod gpu;
 mod gpu_training;
 mod importance;
+mod lenses;
 mod lpips;
 mod mcmc;
 mod npz;
@@ -89,6 +90,12 @@ impl SetFile {
             None if self.has("means cam_K image") => {
                 twin::trials(self).into_iter().chain(gpu::trials(self)).collect()
             }
+            // Rolling shutters and other programs' conventions.
+            None if self.has("shutter") || self.has("metashape_frame_xy") => Vec::new(),
+            None if self.has("jac w_cov") => {
+                vec![trial("host", "lens", lenses::of_host), trial("gpu", "lens", lenses::of_device)]
+            }
+            None if self.has("u_image params") => vec![trial("gpu", "picture", lenses::picture_of_device)],
             None if self.has("dist2") => {
                 vec![trial("host", "start", |path| Ok(check_host(&Npz::read(path))?))]
             }
@@ -97,7 +104,7 @@ impl SetFile {
     }
 }
 
-const FOLDERS: [&str; 3] = ["golden", "golden/needles", "golden/training"];
+const FOLDERS: [&str; 4] = ["golden", "golden/needles", "golden/training", "golden/cameras"];
 
 /// One trial per set and implementation, for the project's own sets and those of the shared folder. If that folder
 /// is missing, an extra trial says so.

@@ -228,15 +228,20 @@ fn orthographic_and_perspective_coefficients_invert_the_mapping() {
 
 /// `cameras.json` keeps the projection, and omits it for pinholes.
 #[test]
-fn orthographic_cameras_come_back_from_their_file() {
+fn cameras_of_all_projections_come_back_from_their_file() {
     let (_folder, [path]) = new_paths(["cameras.json"]);
     let pinhole = Camera { projection: Projection::Perspective, ..along_z() };
-    let (world, both) = (WorldFrame::default(), [("parallel", &along_z()), ("pinhole", &pinhole)]);
-    cameras_json::write(&path, both, &world).expect("written");
+    let fisheye = pinhole.with_lens(Projection::Fisheye, &[-0.02, 0.003, 0.001]);
+    let all = [("parallel", &along_z()), ("pinhole", &pinhole), ("fisheye", &fisheye)];
+    let world = WorldFrame::default();
+    cameras_json::write(&path, all, &world).expect("written");
     let read = cameras_json::read(&path, &world).expect("cameras");
-    assert_eq!([read[0].camera, read[1].camera], [along_z(), pinhole]);
+    assert_eq!([0, 1, 2].map(|index: usize| read[index].camera), [along_z(), pinhole, fisheye]);
     let text = std::fs::read_to_string(&path).expect("text");
-    assert_eq!(text.matches("projection").count(), 1);
-    std::fs::write(&path, text.replace("orthographic", "fisheye")).expect("written");
-    assert_says(refusal(cameras_json::read(&path, &world)), &["cameras.json", "fisheye"]);
+    assert_eq!(text.matches("projection").count(), 2);
+    std::fs::write(&path, text.replace("orthographic", "conic")).expect("written");
+    assert_says(
+        refusal(cameras_json::read(&path, &world)),
+        &["cameras.json", "camera 0", "'conic'", "fisheye"],
+    );
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::splats::FARTHEST;
 use super::{atomic, cost, text};
-use ashsplat::scene::{Camera, Intrinsics, Projection, WorldFrame};
+use ashsplat::scene::{Camera, Coefficients, Intrinsics, Projection, WorldFrame};
 use ashsplat::{Error, Result};
 
 /// One camera with the name of its picture.
@@ -35,22 +35,18 @@ struct Entry {
     cx: Option<f32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     cy: Option<f32>,
-    /// Present only for an orthographic camera, whose fx and fy are pixels per unit.
+    /// Absent for pinholes. An orthographic camera's fx and fy are pixels per unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    projection: Option<Rays>,
+    projection: Option<String>,
+    /// Coefficients of a lens.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    coefficients: Option<Coefficients>,
     /// Origin of the position, source coordinates; absent if zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     origin: Option<[f64; 3]>,
     /// World unit of the training, source units; absent if 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     unit: Option<f64>,
-}
-
-#[derive(Clone, Copy, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum Rays {
-    Perspective,
-    Orthographic,
 }
 
 impl Entry {
@@ -69,19 +65,24 @@ impl Entry {
             fx: per_unit * camera.fx,
             cx: Some(camera.cx),
             cy: Some(camera.cy),
-            projection: match camera.projection {
-                Projection::Perspective => None,
-                Projection::Orthographic => Some(Rays::Orthographic),
-            },
+            projection: (camera.projection != Projection::Perspective)
+                .then(|| camera.projection.name().to_owned()),
+            coefficients: camera.projection.is_lens().then_some(camera.coefficients),
             origin: (frame.origin != DVec3::ZERO).then(|| frame.origin.to_array()),
             unit: (frame.unit != 1.0).then_some(frame.unit),
         }
     }
 
-    fn camera(&self, frame: &WorldFrame) -> Camera {
+    /// Returns the camera, or what is wrong with its projection.
+    fn camera(&self, frame: &WorldFrame) -> Result<Camera, String> {
         let camera_from_world = DMat3::from_cols_array_2d(&self.rotation);
-        let is_orthographic = matches!(self.projection, Some(Rays::Orthographic));
-        let per_unit = if is_orthographic { frame.unit as f32 } else { 1.0 };
+        let name = self.projection.as_deref().unwrap_or(Projection::Perspective.name());
+        let Some(projection) = Projection::ALL.into_iter().find(|projection| projection.name() == name)
+        else {
+            let names = Projection::ALL.map(Projection::name).join(", ");
+            return Err(format!("no projection is named '{name}': {names}"));
+        };
+        let per_unit = if projection == Projection::Orthographic { frame.unit as f32 } else { 1.0 };
         let intrinsics = Intrinsics {
             fx: per_unit * self.fx,
             fy: per_unit * self.fy,
@@ -93,16 +94,16 @@ impl Entry {
         // Subtracts the origins first, so that positions near the frame's origin keep their bits.
         let from_frame = DVec3::from_array(self.origin.unwrap_or_default()) - frame.origin;
         let position = (DVec3::from_array(self.position) + from_frame) / frame.unit;
-        let camera = Camera::at(position, camera_from_world, intrinsics);
-        if is_orthographic { camera.orthographic() } else { camera }
+        let coefficients = self.coefficients.unwrap_or_default();
+        Ok(Camera { projection, coefficients, ..Camera::at(position, camera_from_world, intrinsics) })
     }
 }
 
 /// Writes cameras in the reference implementation's form: id, img_name, width, height, position and rotation
-/// (camera to world, rows), fy, fx. It adds cx and cy, which the reference's readers ignore, and for
-/// orthographic cameras `"projection": "orthographic"`. The cameras are in the world coordinates of `frame`. Positions
-/// are written in source units from the frame's origin, as in the PLY beside. `"origin"` and `"unit"` name a frame
-/// other than the default.
+/// (camera to world, rows), fy, fx. It adds cx and cy, which the reference's readers ignore, and for other cameras than
+/// pinholes `"projection"` ([`Projection::name`]) and a lens's `"coefficients"`. The cameras are in the world coordinates
+/// of `frame`. Positions are written in source units from the frame's origin, as in the PLY beside. `"origin"` and
+/// `"unit"` name a frame other than the default.
 pub fn write<'a>(
     path: impl AsRef<Path>,
     cameras: impl IntoIterator<Item = (&'a str, &'a Camera)>,
@@ -122,12 +123,13 @@ pub fn read(path: impl AsRef<Path>, frame: &WorldFrame) -> Result<Vec<NamedCamer
     let entries: Vec<Entry> = text::json(path, "a list of cameras", remedy)?;
     let check = |entry: &Entry| {
         cost::step();
-        let camera = entry.camera(frame);
-        if let Some(problem) = camera.problem() {
-            let problem = format!("camera {}: {problem}", entry.id);
-            return Err(Error::input(path, problem, "correct it in the file"));
-        }
-        Ok(NamedCamera { name: entry.img_name.clone(), camera })
+        let camera = entry.camera(frame).and_then(|camera| match camera.problem() {
+            Some(problem) => Err(problem),
+            None => Ok(NamedCamera { name: entry.img_name.clone(), camera }),
+        });
+        camera.map_err(|problem| {
+            Error::input(path, format!("camera {}: {problem}", entry.id), "correct it in the file")
+        })
     };
     entries.iter().map(check).collect()
 }

@@ -25,16 +25,10 @@ const _: () = assert!(
 );
 
 const _: () = assert!(crate::scene::camera::NEAR_PLANE == constants::NEAR_PLANE);
-
-impl Projection {
-    /// The projection as kernels know it (PROJECTION_*).
-    pub(crate) const fn word(self) -> u32 {
-        match self {
-            Self::Perspective => constants::PROJECTION_PERSPECTIVE,
-            Self::Orthographic => constants::PROJECTION_ORTHOGRAPHIC,
-        }
-    }
-}
+const _: () = assert!(
+    Projection::Orthographic as u32 == constants::PROJECTION_ORTHOGRAPHIC
+        && Projection::Equirectangular as u32 == constants::PROJECTION_EQUIRECTANGULAR
+);
 
 /// Pose of a camera in device layout: rows of the rotation from world to camera, then the translation.
 pub fn pose_of(camera: &Camera) -> [f32; 12] {
@@ -49,12 +43,12 @@ pub fn pose_of(camera: &Camera) -> [f32; 12] {
 const BLOCKS_PER_UPDATE: usize = 64;
 const _: () = assert!(BLOCKS_PER_UPDATE * size_of::<Block>() <= MAX_UPDATE_BYTES);
 
-/// A block with its padding.
+/// A block with the words of the lens (glsl/include/lens_members.glsl).
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Block {
     values: CameraBlock,
-    unused: [u32; constants::CAMERA_BLOCK_WORDS as usize - size_of::<CameraBlock>() / 4],
+    lens: [f32; constants::CAMERA_BLOCK_WORDS as usize - size_of::<CameraBlock>() / 4],
 }
 const _: () = assert!(size_of::<Block>() as u64 == CAMERA_BLOCK_BYTES);
 
@@ -62,7 +56,10 @@ const _: () = assert!(size_of::<Block>() as u64 == CAMERA_BLOCK_BYTES);
 pub(crate) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
     let all = inputs.camera_blocks();
     // Most members are the same for all scenes, so they are computed once.
-    let of_frame = Block { values: block_of_frame(inputs.camera, inputs.settings), ..Block::zeroed() };
+    let mut of_frame = Block { values: block_of_frame(inputs.camera, inputs.settings), ..Block::zeroed() };
+    if let Some(words) = inputs.camera.lens_words() {
+        (of_frame.values.jacobian_limits, of_frame.lens) = words;
+    }
     let mut blocks = [of_frame; BLOCKS_PER_UPDATE];
     let (mut scenes, mut written) = (inputs.scenes.iter(), 0);
     if let Some(pose) = inputs.pose {

@@ -23,21 +23,29 @@ pub const EXTENSIONS: &str = "\
 ";
 
 /// Macro that selects the texel form of a shader: see [`has_texel_form`].
-const TEXELS: &str = "#define TEXELS\n";
+pub const TEXELS: &str = "#define TEXELS\n";
+
+/// Macro that selects the form of a shader for cameras with a lens: see [`has_lens_form`].
+pub const LENSES: &str = "#define LENSES\n";
 
 /// True if a shader with these files has two forms: one reads storage buffers, the other reads texels.
 pub fn has_texel_form(files: &[PathBuf]) -> bool {
     files.iter().any(|file| file.ends_with("include/buffers.glsl"))
 }
 
-/// Compiles a shader for Vulkan 1.3, in its texel form if `texels` is set. The file's extension selects the stage.
-/// `display` is the file's name in errors. The error has one line "error: path:line: message" for each mistake.
+/// True if a shader with these files has two forms: one for pinholes and parallel rays, the other for cameras with a lens.
+pub fn has_lens_form(files: &[PathBuf]) -> bool {
+    files.iter().any(|file| file.ends_with("include/lens.glsl") || file.ends_with("include/seam.glsl"))
+}
+
+/// Compiles a shader for Vulkan 1.3. `form` holds the macros of its form. The file's extension selects the stage. `display` is
+/// the file's name in errors. The error has one line "error: path:line: message" for each mistake.
 pub fn compile(
     glsl: &Path,
     path: &Path,
     display: &str,
     source: &str,
-    texels: bool,
+    form: &str,
 ) -> Result<Vec<u32>, String> {
     let compiler = Compiler::acquire().ok_or("glslang does not start")?;
     let options = CompilerOptions {
@@ -47,7 +55,7 @@ pub fn compile(
         messages: ShaderMessage::VULKAN_RULES | ShaderMessage::SPV_RULES | ShaderMessage::ENHANCED,
     };
     let mut includer = Includer { glsl, file: path };
-    let macros = format!("{}{}", if texels { TEXELS } else { "" }, camera_block_members(glsl)?);
+    let macros = format!("{form}{}", camera_block_members(glsl)?);
     let source = ShaderSource::from(with_prelude(source, &macros));
     let none: Option<&[(&str, Option<&str>)]> = None;
     let input = ShaderInput::new(&source, stage_of(path), &options, none, Some(&mut includer))

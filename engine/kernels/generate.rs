@@ -14,8 +14,27 @@ pub struct Kernel {
     pub shader: Shader,
     /// File with its SPIR-V as a Rust array.
     pub spirv_file: String,
-    /// SPIR-V file and interface of its texel form.
-    pub texels: Option<(String, Shader)>,
+    /// Its other forms.
+    pub forms: Vec<Form>,
+}
+
+/// Another form of a shader: one that reads texels, or draws through a lens, or both.
+pub struct Form {
+    /// True if it reads texels.
+    pub texels: bool,
+    /// True if it is for cameras with a lens.
+    pub lenses: bool,
+    /// Its interface.
+    pub shader: Shader,
+    /// File with its SPIR-V as a Rust array.
+    pub spirv_file: String,
+}
+
+impl Kernel {
+    /// Interface of the form with the most push constants.
+    fn widest(&self) -> &Shader {
+        self.forms.iter().find(|form| form.lenses).map_or(&self.shader, |form| &form.shader)
+    }
 }
 
 /// Returns the text of `kernels.rs`: modules that mirror the folders of glsl/.
@@ -163,9 +182,9 @@ fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
     let mut out = String::new();
     check_identifier(stem)?;
     if let Some(difference) =
-        kernel.texels.as_ref().and_then(|(_, texels)| kernel.shader.difference(texels, true))
+        kernel.forms.iter().find_map(|form| kernel.shader.difference(&form.shader, true))
     {
-        return Err(format!("its form that reads texels has other {difference}"));
+        return Err(format!("one of its forms has other {difference}"));
     }
     let _ = writeln!(out, "#[doc = \"`glsl/{}.comp`\"]\n#[doc = \"\"]\n#[doc = \"```text\"]", kernel.name);
     for line in leading_comment(&kernel.source) {
@@ -223,11 +242,12 @@ fn bind(kernel: &Kernel) -> Result<String, String> {
 
 fn push(kernel: &Kernel) -> Result<String, String> {
     let about = "/// The push constants of one dispatch.\n";
-    if kernel.shader.push.is_empty() {
+    let push = &kernel.widest().push;
+    if push.is_empty() {
         let derives = "#[derive(Clone, Copy, Debug, Default, PartialEq)]";
         return Ok(format!("{about}#[repr(C)]\n{derives}\npub struct Push {{}}\n"));
     }
-    Ok(format!("{about}{}", host_struct("Push", &kernel.shader.push, &kernel.source)?))
+    Ok(format!("{about}{}", host_struct("Push", push, &kernel.source)?))
 }
 
 fn spec(kernel: &Kernel) -> Result<String, String> {
@@ -246,6 +266,12 @@ fn spec(kernel: &Kernel) -> Result<String, String> {
             _ => c.default_bits.to_string(),
         };
         let _ = writeln!(defaults, "{name}: {value},");
+    }
+    if kernel.forms.iter().any(|form| form.lenses) {
+        fields.push_str(
+            "/// True for cameras with a lens: a form of the shader, no constant.\npub lenses: bool,\n",
+        );
+        defaults.push_str("lenses: false,\n");
     }
     Ok(format!(
         "/// The specialization constants of a pipeline; the shader's own values by default.\n\
@@ -286,16 +312,16 @@ fn interface(kernel: &Kernel) -> String {
     let all =
         |bindings: &[Binding]| bindings.iter().map(|b| format!("bind.{}, ", b.name)).collect::<String>();
     let (buffers, images) = (all(&shader.bindings), all(&shader.images));
-    let texels = match &kernel.texels {
-        None => "None".to_owned(),
-        Some((file, shader)) => {
-            format!(
-                "Some(Form {{ spirv: &{}, bindings: &[\n{}], texels: true }})",
-                included(file),
-                binding_infos(&shader.bindings)
-            )
-        }
-    };
+    let mut forms = String::new();
+    for Form { texels, lenses, shader, spirv_file } in &kernel.forms {
+        let (spirv, push) = (included(spirv_file), end_of(&shader.push));
+        let infos = binding_infos(&shader.bindings);
+        let _ = writeln!(
+            forms,
+            "Form {{ spirv: &{spirv}, bindings: &[\n{infos}], push_bytes: {push}, texels: {texels}, lenses: {lenses} }},"
+        );
+    }
+    let lenses = if kernel.forms.iter().any(|form| form.lenses) { "spec.lenses" } else { "false" };
     let (mut constants, mut entries) = (String::new(), String::new());
     for c in &shader.spec {
         let kind = match c.rust_type {
@@ -322,7 +348,7 @@ fn interface(kernel: &Kernel) -> String {
     } else {
         "None"
     };
-    let push_bytes = if shader.push.is_empty() { "&[]" } else { "bytemuck::bytes_of(push)" };
+    let push_bytes = if kernel.widest().push.is_empty() { "&[]" } else { "bytemuck::bytes_of(push)" };
     let [x, y, z] = &shader.workgroup_size;
     format!(
         "/// What the kernel is, for [`crate::vk::Kernel`].\npub struct Interface;\n\
@@ -331,7 +357,7 @@ fn interface(kernel: &Kernel) -> String {
          const NAME: &'static str = {name:?};\n\
          const SPIRV: &'static [u32] = &{spirv};\n\
          const BINDINGS: &'static [BindingInfo] = &[\n{infos}];\n\
-         const TEXELS: Option<Form> = {texels};\n\
+         const FORMS: &'static [Form] = &[\n{forms}];\n\
          const IMAGES: &'static [ImageInfo] = &[\n{image_infos}];\n\
          const CONSTANTS: &'static [ConstantInfo] = &[\n{constants}];\n\
          const PUSH_BYTES: u32 = {push_size};\n\
@@ -340,6 +366,7 @@ fn interface(kernel: &Kernel) -> String {
          fn images<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Image]> {{ let all: [&'a Image; {image_count}] = [{images}]; all }}\n\
          fn push_bytes(push: &Push) -> &[u8] {{ {push_bytes} }}\n\
          fn spec_entries(spec: &Spec) -> Vec<(u32, u32)> {{ vec![{entries}] }}\n\
+         fn lenses(spec: &Spec) -> bool {{ {lenses} }}\n\
          fn subgroup_size(spec: &Spec) -> Option<u32> {{ {subgroup} }}\n\
          fn spec_for(limits: &Limits) -> Spec {{ Spec::for_device(limits) }}\n\
          fn workgroup_size(spec: &Spec) -> [u32; 3] {{ [{x}, {y}, {z}] }}\n\

@@ -30,19 +30,19 @@ pub struct Shader {
 
 impl Shader {
     /// Returns the first part of the interface that differs from another shader's. With `forms`, the two may be forms of
-    /// one shader, which read the same buffers in different ways.
+    /// one shader: they read the same buffers in different ways, and the other one may have more members in blocks.
     pub fn difference(&self, other: &Self, forms: bool) -> Option<&'static str> {
         let same = |(a, b): (&Binding, &Binding)| {
             let access = |binding: &Binding| (binding.reads, binding.writes, binding.aliased);
             (&a.name, a.binding, access(a)) == (&b.name, b.binding, access(b))
-                && (a.kind == b.kind || forms && !a.is_uniform() && !b.is_uniform())
+                && (a.kind == b.kind || forms && are_forms(&a.kind, &b.kind))
         };
         let buffers = self.bindings.len() == other.bindings.len()
             && self.bindings.iter().zip(&other.bindings).all(same);
         let parts = [
             (buffers, "buffers"),
             (self.images == other.images, "images"),
-            (self.push == other.push, "push constants"),
+            (self.push == other.push || forms && other.push.starts_with(&self.push), "push constants"),
             (self.spec == other.spec, "specialization constants"),
             (self.workgroup_size == other.workgroup_size, "workgroup"),
             (self.shared_bytes == other.shared_bytes, "shared memory"),
@@ -68,9 +68,12 @@ pub struct Binding {
     pub kind: BindingKind,
 }
 
-impl Binding {
-    fn is_uniform(&self) -> bool {
-        matches!(self.kind, BindingKind::Uniform(_))
+/// True if a binding of one form of a shader may be the other in another form.
+fn are_forms(kind: &BindingKind, other: &BindingKind) -> bool {
+    match (kind, other) {
+        (BindingKind::Uniform(own), BindingKind::Uniform(other)) => other.members.starts_with(&own.members),
+        (BindingKind::Uniform(_), _) | (_, BindingKind::Uniform(_)) => false,
+        _ => true,
     }
 }
 

@@ -28,8 +28,8 @@ pub fn compile(glsl: &Path, kernel: &str, limits: &Limits) -> Result<Vec<u32>> {
     let failed = |problem: String| Error::input(&path, problem, "");
     let mut built = Built { kernel, limits, form: None };
     super::visit_all(&mut built);
-    let texels = built.form.is_some_and(|form| form.texels);
-    let spirv = compile::compile(glsl, &path, &shown, &text, texels)
+    let form = if built.form.is_some_and(|form| form.texels) { compile::TEXELS } else { "" };
+    let spirv = compile::compile(glsl, &path, &shown, &text, form)
         .map_err(|log| failed(log.replace("error: ", "")))?;
     let new = reflect(&spirv).map_err(failed)?;
     let Some(old) = built.form.and_then(|form| reflect(form.spirv).ok()) else {
@@ -51,7 +51,7 @@ struct Built<'a> {
 impl KernelVisitor for Built<'_> {
     fn visit<K: KernelInterface>(&mut self) {
         if K::NAME == self.kernel {
-            self.form = Some(K::form(self.limits));
+            self.form = Some(K::form(self.limits, &K::spec_for(self.limits)));
         }
     }
 }

@@ -103,6 +103,7 @@ macro_rules! blend_backward_arguments {
             tile_row_interleave: $pass.tile_row_interleave,
             background: $inputs.settings.background,
             splat_stride: $pass.splat_stride,
+            whole_width: $pass.whole_width,
         };
         (bind, push)
     }};
@@ -152,6 +153,7 @@ impl Backward {
             weights: sums == Sums::Weights,
             region_height,
             broadcast: self.context.limits().broadcasts,
+            lenses: variant.projection.has_seam(),
         }
     }
 
@@ -166,6 +168,7 @@ impl Backward {
             strips: self.sizes.strips,
             absolute: sums == Sums::Absolute,
             weights: sums == Sums::Weights,
+            lenses: variant.projection.has_seam(),
         }
     }
 
@@ -188,7 +191,8 @@ impl Backward {
             z_record,
             absolute,
             pose_gradient,
-            projection: projection.word(),
+            projection: projection as u32,
+            lenses: projection.is_lens(),
             sh_loops: self.sizes.sh_loops,
         }
     }

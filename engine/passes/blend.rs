@@ -72,6 +72,7 @@ impl Blend {
         let LaunchSizes { tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
         let (incremental_exp, strips) = (incremental_exp && !steep, variant.backward && sizes.strips);
         let Outputs { pick, motion } = outputs;
+        let lenses = variant.projection.has_seam();
         // Only the overrides of a context set it.
         let count_hits = false;
         macro_rules! regions {
@@ -89,6 +90,7 @@ impl Blend {
                     region_height: $shape.region_height,
                     broadcast,
                     shared_splats,
+                    lenses,
                     $($auxiliary,)*
                 }
             };
@@ -104,6 +106,7 @@ impl Blend {
                     incremental_exp,
                     count_hits,
                     strips,
+                    lenses,
                     $($auxiliary,)*
                 }
             };
@@ -197,6 +200,7 @@ pub(crate) fn record_passes(
             last_pass: (pass + 1 == passes).into(),
             splat_stride: inputs.frame.splats().stride,
             background: inputs.settings.background,
+            whole_width: inputs.camera.whole().width,
         };
         dispatch(r, push, u64::from(columns) * u64::from(rows));
     }

@@ -61,7 +61,8 @@ impl Cull {
             dropout,
             tinted,
             cut_outs,
-            projection: projection.word(),
+            projection: projection as u32,
+            lenses: projection.is_lens(),
             adds,
         }
     }
@@ -75,7 +76,8 @@ impl Cull {
             filter_3d,
             tinted,
             cut_outs,
-            projection: projection.word(),
+            projection: projection as u32,
+            lenses: projection.is_lens(),
             adds,
         }
     }

@@ -11,15 +11,18 @@ use crate::error::Result;
 use crate::frame::{FrameBuffers, FrameInputs, LaunchSizes, sorted_side, tile_bits, tile_grid};
 use crate::kernels::constants as c;
 use crate::kernels::forward::{count, duplicate_with_tiles, ranges};
-use crate::vk::{Context, Kernel, Recorder};
+use crate::scene::Projection;
+use crate::vk::{Context, Kernel, KernelSet, Recorder};
 
 /// Kernels of instances.
 pub(crate) struct Instances {
     sizes: LaunchSizes,
     sort: RadixSort,
     count: Kernel<count::Interface>,
+    duplicate: KernelSet<duplicate_with_tiles::Interface>,
+    /// Constants of `duplicate` that all frames have.
+    duplicate_spec: duplicate_with_tiles::Spec,
     /// For frames without and with backward.
-    duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
     ranges: [Kernel<ranges::Interface>; 2],
 }
 
@@ -28,21 +31,34 @@ impl Instances {
         let limits = context.limits();
         let sizes = LaunchSizes::new(limits);
         let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, limits.subgroup_size);
-        let duplicate = |for_backward| {
-            let items = sizes.duplicate_items;
-            let spec = duplicate_with_tiles::Spec { workgroup_size, subgroup_size, items, for_backward };
-            Kernel::new(context, &spec)
-        };
         let ranges = |for_backward| Kernel::new(context, &ranges::Spec { workgroup_size, for_backward });
         let count =
             count::Spec { workgroup_size: sizes.scan_workgroup, subgroup_size, items: sizes.scan_items };
-        Ok(Self {
+        let mut instances = Self {
             sizes,
             sort: RadixSort::new(context)?,
             count: Kernel::new(context, &count)?,
-            duplicate: [duplicate(false)?, duplicate(true)?],
+            duplicate: KernelSet::default(),
+            duplicate_spec: duplicate_with_tiles::Spec {
+                workgroup_size,
+                subgroup_size,
+                items: sizes.duplicate_items,
+                ..duplicate_with_tiles::Spec::default()
+            },
             ranges: [ranges(false)?, ranges(true)?],
-        })
+        };
+        instances.prepare(context, Projection::Perspective)?;
+        Ok(instances)
+    }
+
+    /// Builds the missing kernels for frames of a projection.
+    pub fn prepare(&mut self, context: &Context, projection: Projection) -> Result<()> {
+        let specs = [false, true].map(|for_backward| self.duplicate_spec(for_backward, projection));
+        specs.into_iter().try_for_each(|spec| self.duplicate.prepare(context, spec))
+    }
+
+    fn duplicate_spec(&self, for_backward: bool, projection: Projection) -> duplicate_with_tiles::Spec {
+        duplicate_with_tiles::Spec { for_backward, lenses: projection.has_seam(), ..self.duplicate_spec }
     }
 
     /// Records the sort of the visible Gaussians from near to far. Equal depths keep the order of the Gaussians.
@@ -120,9 +136,18 @@ impl Instances {
         };
         let (tiles_per_row, tile_rows) = tile_grid(inputs.camera.width, inputs.camera.height);
         let (extent, splat_stride) = (inputs.settings.extent_word(), splats.stride);
-        let push = duplicate_with_tiles::Push { extent, tiles_per_row, tile_rows, splat_stride };
-        let at = f.arguments_at(c::ARGUMENTS_INSTANCES_EXPAND);
-        r.dispatch_indirect(&self.duplicate[usize::from(for_backward)], &bind, &push, &at);
+        let (image_width, whole_width) = (inputs.camera.width, inputs.camera.whole().width);
+        let push = duplicate_with_tiles::Push {
+            extent,
+            tiles_per_row,
+            tile_rows,
+            splat_stride,
+            image_width,
+            whole_width,
+        };
+        let spec = self.duplicate_spec(for_backward, inputs.camera.projection);
+        let Some(kernel) = self.duplicate.get(r, &spec) else { return };
+        r.dispatch_indirect(kernel, &bind, &push, &f.arguments_at(c::ARGUMENTS_INSTANCES_EXPAND));
         r.barrier();
     }
 

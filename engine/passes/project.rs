@@ -57,7 +57,8 @@ impl Project {
             tinted,
             selection,
             z_record,
-            projection: projection.word(),
+            projection: projection as u32,
+            lenses: projection.is_lens(),
             sh_loops: self.sizes.sh_loops,
             may_be_unseen: shared_order,
         }
@@ -70,7 +71,8 @@ impl Project {
             sh_degree,
             filter_3d,
             tinted,
-            projection: projection.word(),
+            projection: projection as u32,
+            lenses: projection.is_lens(),
             sh_loops: self.sizes.sh_loops,
             may_be_unseen: shared_order,
         }
@@ -79,8 +81,8 @@ impl Project {
     fn motion_spec(&self, [now, previous]: [Projection; 2]) -> screen_motion::Spec {
         screen_motion::Spec {
             workgroup_size: self.sizes.elementwise_workgroup,
-            projection: now.word(),
-            previous_projection: previous.word(),
+            projection: now as u32,
+            previous_projection: previous as u32,
         }
     }
 
@@ -201,7 +203,8 @@ impl Project {
 /// Current and previous projections for which frames of a variant may need a kernel of motion. A reservation without other
 /// projections has pinholes alone.
 fn motion_projections(variant: FrameVariant) -> impl Iterator<Item = [Projection; 2]> {
-    let pairs = Projection::ALL.into_iter().flat_map(|now| Projection::ALL.map(|before| [now, before]));
+    let known = [Projection::Perspective, Projection::Orthographic];
+    let pairs = known.into_iter().flat_map(move |now| known.map(|before| [now, before]));
     let others = variant.projection != Projection::Perspective;
     pairs.filter(move |pair| variant.outputs.motion && (others || *pair == [Projection::Perspective; 2]))
 }

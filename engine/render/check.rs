@@ -72,6 +72,9 @@ impl Renderer {
             return Err(Error::too_large(THE_FRAME, (placing.cut_outs.into(), "cut-outs"), limit));
         }
         let previous = frame.motion.map(|motion| motion.previous_camera.projection);
+        if previous.is_some_and(|previous| previous.is_lens() || frame.camera.projection.is_lens()) {
+            return Err(Error::argument("motion", "takes pinholes or orthographic cameras, without a lens"));
+        }
         if let Some(fields) = reserved.lacks(variant, previous) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }

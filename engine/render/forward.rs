@@ -63,6 +63,7 @@ impl Forward {
 
     /// Builds the missing kernels of blending for a variant.
     pub(crate) fn prepare_blend(&mut self, variant: FrameVariant) -> Result<()> {
+        self.instances.prepare(&self.context, variant.projection)?;
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
 

@@ -68,7 +68,11 @@ impl Renderer {
         for entry in entries {
             let at = entry as usize;
             let (mean, conic, shade) = (means[at], conics[at], shades[at]);
-            let (dx, dy) = (mean[0] - x as f32, mean[1] - y as f32);
+            let (mut dx, dy) = (mean[0] - x as f32, mean[1] - y as f32);
+            if camera.projection.has_seam() {
+                let around = camera.whole().width as f32;
+                dx -= around * (dx / around).round();
+            }
             let power = -0.5 * (conic[0] * dx * dx + conic[2] * dy * dy) - conic[1] * dx * dy;
             let alpha = (conic[3] * power.exp()).min(c::ALPHA_MAX);
             if power > 0.0 || alpha < c::ALPHA_MIN {

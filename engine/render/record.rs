@@ -166,6 +166,7 @@ fn with_one_order(views: &[RecordedFrame<'_>], placed: &[PlacedScene<'_>]) -> us
         std::ptr::eq(frame.scenes, first.scenes)
             && frame.settings == first.settings
             && frame.camera.projection == first.camera.projection
+            && !first.camera.projection.orders_by_distance()
             && own.iter().zip(placed).all(|(own, first)| depth_bits(own) == depth_bits(first))
     };
     // Views before the first that differs have as many scenes.

@@ -63,6 +63,8 @@ pub struct Reservation {
     /// ([`Projection::Orthographic`](crate::scene::Projection::Orthographic)), beside pinholes. Includes previous cameras
     /// ([`MotionTarget::previous_camera`](super::MotionTarget::previous_camera)).
     pub orthographic: bool,
+    /// Lens that cameras of frames may have, beside pinholes.
+    pub lens: Option<Projection>,
     /// True if all frames render into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then
     /// have no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
     pub images_only: bool,
@@ -98,6 +100,7 @@ impl Reservation {
             pick: false,
             motion: false,
             orthographic: false,
+            lens: None,
             images_only: false,
             staging_bytes: 0,
         }
@@ -186,6 +189,7 @@ impl Reservation {
         Projection::ALL.into_iter().filter(|projection| match projection {
             Projection::Perspective => true,
             Projection::Orthographic => self.orthographic,
+            lens => self.lens == Some(*lens),
         })
     }
 
@@ -195,7 +199,8 @@ impl Reservation {
         let inverse = FrameVariant { inverse_depth: true, ..plain };
         let expected = FrameVariant { expected_depth: true, ..inverse };
         let depths = [(true, plain), (self.inverse_depth, inverse), (self.expected_depth, expected)];
-        let features: [Feature; 4] = [
+        let features: [Feature; 5] = [
+            (self.lens.is_some_and(Projection::has_seam), |v| v.projection = Projection::Equirectangular),
             (self.occlusion, |v| v.depth_limit = true),
             (self.pick, |v| v.outputs.pick = true),
             (self.motion, |v| v.outputs.motion = true),
@@ -217,6 +222,7 @@ impl Reservation {
             ("pick", frame.outputs.pick, self.pick),
             ("motion", frame.outputs.motion, self.motion),
             ("orthographic", has(Projection::Orthographic), self.orthographic),
+            ("lens", frame.projection.is_lens(), self.lens == Some(frame.projection)),
         ];
         let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
         // Allocates no list, so that the usual case costs nothing.

@@ -103,7 +103,7 @@ impl FrameRunner {
         let Request { scene, frozen, camera, settings, sh_degree, backward, .. } = *request;
         camera.check()?;
         if backward {
-            camera.check_perspective("gradients are of pinholes alone")?;
+            camera.check_differentiable()?;
         }
         settings.check()?;
         let gaussians = gaussians_with(scene.plan.capacity, frozen_capacity(frozen));

@@ -1,8 +1,9 @@
-//! A camera: a pinhole, or parallel rays.
+//! A camera: its pose, projection and picture.
 
 use crate::error::{Error, Result};
-use glam::{DMat3, DQuat, DVec2, DVec3, Mat3, Vec3};
+use glam::{DMat3, DQuat, DVec2, DVec3, Mat3, Vec2, Vec3};
 
+use super::lens::{Coefficients, Projection};
 use super::strays::without_strays;
 
 /// Largest accepted width or height of an image, pixels: JPEG's own limit. A larger value means a damaged file.
@@ -22,22 +23,6 @@ const FARTHEST: f32 = 1e9;
 
 /// Largest deviation of `R Rᵀ` from the identity per element, for a camera's rotation.
 const ORTHONORMAL_TOLERANCE: f32 = 1e-3;
-
-/// Direction of a camera's rays.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Projection {
-    /// Through one point, the camera's centre: a pinhole.
-    #[default]
-    Perspective,
-    /// Parallel, along the camera's z axis, so that all Gaussians are seen from one direction. Only for rendered pictures:
-    /// training photographs and gradients need pinholes.
-    Orthographic,
-}
-
-impl Projection {
-    /// All projections.
-    pub const ALL: [Self; 2] = [Self::Perspective, Self::Orthographic];
-}
 
 /// Directions in which the projection is linearised at the Gaussian itself. Beyond, it is linearised at the limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -66,7 +51,7 @@ pub(crate) struct Linearised {
 ///
 /// `x_camera = camera_from_world * x_world + translation`. A point projects to `(fx·x/z + cx, fy·y/z + cy)` pixels, or to
 /// `(fx·x + cx, fy·y + cy)` if the camera is [orthographic](Projection::Orthographic). The centre of the first pixel is (0.5,
-/// 0.5). Both kinds only draw Gaussians beyond z = [`NEAR_PLANE`].
+/// 0.5). Both kinds only draw Gaussians beyond z = [`NEAR_PLANE`]. [`Projection`] lists the lenses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Rotation from world to camera axes.
@@ -85,8 +70,10 @@ pub struct Camera {
     pub width: u32,
     /// Height of the image, pixels.
     pub height: u32,
-    /// Direction of the rays.
+    /// How directions reach the picture.
     pub projection: Projection,
+    /// Coefficients of the projection's lens; zeros for other projections.
+    pub coefficients: Coefficients,
     /// Place of the picture in a larger one: see [`Camera::part()`]. None for a whole picture.
     pub part: Option<PicturePart>,
 }
@@ -182,13 +169,24 @@ impl Camera {
     /// Creates a pinhole from its world-to-camera pose.
     pub fn with_pose(camera_from_world: Mat3, translation: Vec3, intrinsics: Intrinsics) -> Self {
         let Intrinsics { fx, fy, cx, cy, width, height } = intrinsics;
-        let projection = Projection::Perspective;
-        Self { camera_from_world, translation, fx, fy, cx, cy, width, height, projection, part: None }
+        Self {
+            camera_from_world,
+            translation,
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+            projection: Projection::Perspective,
+            coefficients: Coefficients::default(),
+            part: None,
+        }
     }
 
     /// Returns the camera with parallel rays. Its focal lengths then are pixels per world unit.
     pub fn orthographic(self) -> Self {
-        Self { projection: Projection::Orthographic, ..self }
+        Self { projection: Projection::Orthographic, coefficients: Coefficients::default(), ..self }
     }
 
     /// True if the rays are parallel.
@@ -266,9 +264,14 @@ impl Camera {
         Self { translation: self.translation - Vec3::new(x, y, 0.0), ..*self }
     }
 
-    /// Pixel position of a world point (first pixel's centre at 0.5) and its depth along z, world units.
+    /// Pixel position of a world point (first pixel's centre at 0.5) and its [depth](Self::depth_of), world units. NaN where a
+    /// lens shows nothing.
     pub fn project(&self, world: Vec3) -> (f32, f32, f32) {
         let p = self.camera_from_world * world + self.translation;
+        if self.projection.is_lens() {
+            let place = self.through_lens(p.as_dvec3()).map_or(Vec2::NAN, |place| place.as_vec2());
+            return (place.x, place.y, self.depth_of(p.into()) as f32);
+        }
         let distance = self.distance_of(p.z.into()) as f32;
         (self.fx * p.x / distance + self.cx, self.fy * p.y / distance + self.cy, p.z)
     }
@@ -276,8 +279,8 @@ impl Camera {
     /// Divisor of x and y in camera space, before the focal lengths: z, or 1 for parallel rays.
     pub fn distance_of(&self, z: f64) -> f64 {
         match self.projection {
-            Projection::Perspective => z,
             Projection::Orthographic => 1.0,
+            _ => z,
         }
     }
 
@@ -286,8 +289,8 @@ impl Camera {
         let distance = self.distance_of(at.z);
         let per_unit = DVec2::new(self.fx.into(), self.fy.into()) / distance;
         let slope = match self.projection {
-            Projection::Perspective => at.truncate() / at.z,
             Projection::Orthographic => DVec2::ZERO,
+            _ => at.truncate() / at.z,
         };
         let pixel = per_unit * at.truncate() + DVec2::new(self.cx.into(), self.cy.into());
         Linearised { pixel, per_unit, slope }
@@ -332,13 +335,22 @@ impl Camera {
     /// Checks that the camera is a pinhole; `what` names the operation that needs one.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an orthographic camera.
+    /// [`Error::Argument`] for another projection.
     pub fn check_perspective(&self, what: &str) -> Result<()> {
         match self.projection {
             Projection::Perspective => Ok(()),
-            Projection::Orthographic => {
-                Err(Error::argument("camera.projection", format!("is orthographic: {what}")))
-            }
+            other => Err(Error::argument("camera.projection", format!("is {}: {what}", other.name()))),
+        }
+    }
+
+    /// Checks that pictures of the camera have gradients.
+    pub(crate) fn check_differentiable(&self) -> Result<()> {
+        match self.projection {
+            Projection::Orthographic => Err(Error::argument(
+                "camera.projection",
+                "is orthographic: gradients take rays through a point",
+            )),
+            _ => Ok(()),
         }
     }
 
@@ -346,7 +358,7 @@ impl Camera {
     ///
     /// # Errors
     /// [`Error::Argument`] for a number that is NaN or infinite, an image of no or absurd size, a focal length
-    /// that is not positive, or a `camera_from_world` that is not a rotation.
+    /// that is not positive, a `camera_from_world` that is not a rotation, or a lens whose distortion folds the picture.
     pub fn check(&self) -> Result<()> {
         match self.problem() {
             None => Ok(()),
@@ -380,7 +392,7 @@ impl Camera {
         if !is_rotation(r) {
             return Some("camera_from_world is not a rotation (orthonormal, determinant 1)".into());
         }
-        None
+        self.lens_problem()
     }
 }
 

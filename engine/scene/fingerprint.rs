@@ -1,6 +1,7 @@
 //! A 64-bit hash that distinguishes data. It gives no protection against forgery.
 
-use super::camera::{Camera, PicturePart, Projection};
+use super::camera::{Camera, PicturePart};
+use super::lens::Projection;
 
 /// Odd, so that the multiplication is invertible and a change of a single word always changes the hash.
 const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
@@ -39,18 +40,19 @@ impl Fingerprint {
 
     /// Adds all fields of a camera. A pinhole's whole picture adds no more than older versions did.
     pub fn add_camera(&mut self, camera: &Camera) {
-        let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, projection, part } =
-            *camera;
+        let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, .. } = *camera;
         self.add(bytemuck::cast_slice(&camera_from_world.to_cols_array()));
         self.add(bytemuck::cast_slice(&translation.to_array()));
         self.add(bytemuck::cast_slice(&[fx, fy, cx, cy]));
         self.add(bytemuck::cast_slice(&[width, height]));
-        if let Some(PicturePart { left, top, whole_width, whole_height }) = part {
+        if let Some(PicturePart { left, top, whole_width, whole_height }) = camera.part {
             self.add(bytemuck::cast_slice(&[left, top, whole_width, whole_height]));
         }
-        match projection {
-            Projection::Perspective => {}
-            Projection::Orthographic => self.add(b"orthographic"),
+        if camera.projection != Projection::Perspective {
+            self.add(camera.projection.name().as_bytes());
+        }
+        if camera.projection.is_lens() {
+            self.add(bytemuck::cast_slice(&camera.coefficients));
         }
     }
 

@@ -50,13 +50,13 @@ pub trait KernelInterface: sealed::Generated {
     const SPIRV: &'static [u32];
     /// Its buffers.
     const BINDINGS: &'static [BindingInfo];
-    /// Its texel form, if any, with bit-identical results.
-    const TEXELS: Option<Form>;
+    /// Its other forms. Those that read texels have bit-identical results.
+    const FORMS: &'static [Form];
     /// Its images.
     const IMAGES: &'static [ImageInfo];
     /// Its specialization constants.
     const CONSTANTS: &'static [ConstantInfo];
-    /// Size of `Push`.
+    /// Bytes of push constants of the plain form.
     const PUSH_BYTES: u32;
     /// Buffers and images of a dispatch.
     type Bind<'a>;
@@ -72,6 +72,8 @@ pub trait KernelInterface: sealed::Generated {
     fn push_bytes(push: &Self::Push) -> &[u8];
     /// Returns (constant_id, bits) of each specialization constant.
     fn spec_entries(spec: &Self::Spec) -> Vec<(u32, u32)>;
+    /// True if the pipeline is of a form for cameras with a lens.
+    fn lenses(spec: &Self::Spec) -> bool;
     /// Returns the subgroup size that the kernel is built for, if it uses subgroups.
     fn subgroup_size(spec: &Self::Spec) -> Option<u32>;
     /// Returns the invocations of a workgroup on each axis.
@@ -81,21 +83,31 @@ pub trait KernelInterface: sealed::Generated {
     /// Returns the shader's default constants, with subgroup and workgroup size for a device.
     fn spec_for(limits: &Limits) -> Self::Spec;
     /// Returns the form for a device: see [`Limits::prefers_texels`].
-    fn form(limits: &Limits) -> Form {
-        let plain = Form { spirv: Self::SPIRV, bindings: Self::BINDINGS, texels: false };
-        Self::TEXELS.filter(|_| limits.prefers_texels()).unwrap_or(plain)
+    fn form(limits: &Limits, spec: &Self::Spec) -> Form {
+        let (spirv, bindings, push_bytes) = (Self::SPIRV, Self::BINDINGS, Self::PUSH_BYTES);
+        let plain = Form { spirv, bindings, push_bytes, texels: false, lenses: false };
+        let of = |texels: bool| {
+            let wanted = (texels, Self::lenses(spec));
+            Self::FORMS.iter().find(|form| (form.texels, form.lenses) == wanted)
+        };
+        let texels = limits.prefers_texels().then(|| of(true)).flatten();
+        texels.or_else(|| of(false)).copied().unwrap_or(plain)
     }
 }
 
-/// One of the forms of a shader, which differ in how they read buffers.
+/// One of the forms of a shader, which differ in how they read buffers and in the cameras that they draw.
 #[derive(Clone, Copy, Debug)]
 pub struct Form {
     /// Its SPIR-V.
     pub spirv: &'static [u32],
     /// Its buffers. Names, numbers and accesses are the same in all forms.
     pub bindings: &'static [BindingInfo],
+    /// Bytes of push constants: the first of `Push`.
+    pub push_bytes: u32,
     /// True if it reads texels instead of storage buffers.
     pub texels: bool,
+    /// True if it is for cameras with a lens.
+    pub lenses: bool,
 }
 
 /// Visitor of all kernels: see [`crate::kernels::visit_all`].
@@ -125,15 +137,15 @@ impl<K: KernelInterface> Kernel<K> {
     /// (drivers accept such pipelines and fail later). [`crate::Error::Argument`] for an unsupported subgroup size.
     /// [`crate::Error::Vulkan`] if the driver refuses.
     pub fn new(context: &Context, spec: &K::Spec) -> Result<Self> {
-        let form = K::form(context.limits());
-        let replaced = context.replaced_shader(K::NAME);
+        let form = K::form(context.limits(), spec);
+        let replaced = context.replaced_shader(K::NAME).filter(|_| !form.lenses);
         let mut info = PipelineInfo {
             name: K::NAME,
             texels: form.texels,
             replaced: None,
             subgroup_size: K::subgroup_size(spec),
             workgroup_size: K::workgroup_size(spec),
-            push_bytes: K::PUSH_BYTES,
+            push_bytes: form.push_bytes,
             bindings: form.bindings,
             images: K::IMAGES,
             constants: overridden::<K>(context.limits(), K::spec_entries(spec)),

@@ -248,7 +248,8 @@ impl Recorder {
         if matches!(grid, Grid::Of(grid) if grid.contains(&0)) {
             return;
         }
-        if !self.prepare(&kernel.pipeline, &bound, K::push_bytes(push)) {
+        let push = &K::push_bytes(push)[..kernel.pipeline.info.push_bytes as usize];
+        if !self.prepare(&kernel.pipeline, &bound, push) {
             return;
         }
         match grid {

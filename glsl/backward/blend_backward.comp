@@ -119,6 +119,9 @@ void store_sums(uint base, Sums s) {
 }
 
 void main() {
+#ifdef LENSES
+    seam_period = float(whole_width);
+#endif
     uint tile = tile_of(linear_workgroup());
     bool tile_exists = tile < tile_count;
     uvec2 range = tile_exists ? tile_ranges[tile_exists ? tile : 0] : uvec2(0);

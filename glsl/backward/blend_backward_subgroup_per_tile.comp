@@ -105,6 +105,9 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
 #define STORE(K) store_pixels(origin_##K + lane_offset(), true, K * PIXELS);
 
 void main() {
+#ifdef LENSES
+    seam_period = float(whole_width);
+#endif
     uint tile = tile_of(linear_workgroup());
     if (tile >= tile_count) {
         return;

@@ -45,7 +45,7 @@ layout(constant_id = 8) const bool DROPOUT = false;
 layout(constant_id = 9) const bool Z_RECORD = false;
 // True if loops over SH coefficients stay loops (see sh.glsl), and if cheap values are recomputed instead of kept in registers.
 layout(constant_id = 10) const bool SH_LOOPS = false;
-// Projection of the camera: see camera.glsl.
+// Projection of the camera: see pinhole.glsl.
 layout(constant_id = 11) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(local_size_x_id = 0) in;
 
@@ -279,6 +279,25 @@ void main() {
     vec3 d_row_y;
     covariance_backward(p, d_conic, d_opacity, opacity_raw, d_row_x, d_row_y);
     vec3 d_log_scale = d_row_x * p.row_x + d_row_y * p.row_y;
+#ifdef LENSES
+    SpreadGradient d_points = SpreadGradient(vec3(0.0), mat3(0.0), vec3(0.0));
+    if (p.spread.valid) {
+        // The other members enter the covariance like the rows.
+        Spread d = Spread(true, d_row_x, d_row_y, vec3(0.0), vec3(0.0), vec2(0.0));
+        ProjectedGaussian other = p;
+        other.row_x = p.spread.bend_x;
+        other.row_y = p.spread.bend_y;
+        covariance_backward(other, d_conic, d_opacity, opacity_raw, d.bend_x, d.bend_y);
+        other.row_x = vec3(p.spread.shift.x, 0.0, 0.0);
+        other.row_y = vec3(p.spread.shift.y, 0.0, 0.0);
+        vec3 d_shift_x;
+        vec3 d_shift_y;
+        covariance_backward(other, d_conic, d_opacity, opacity_raw, d_shift_x, d_shift_y);
+        d.shift = vec2(d_shift_x.x, d_shift_y.x);
+        d_points = spread_backward(p.mean_camera, p.axes_camera, p.scale, d_mean2d, d);
+        d_log_scale = d_points.log_scale;
+    }
+#endif
     if (FILTER_3D && log_scale.w > 0.0) {
         // Converts from the filtered parameters to the stored ones. The filter's size is constant.
         vec3 ratio = filter_ratio(log_scale);
@@ -300,15 +319,25 @@ void main() {
     d_row_y *= p.scale;
     mat3 d_axes;
     JacobianGradient d_jacobian = jacobian_rows_backward(p.jacobian, p.axes_camera, d_row_x, d_row_y, d_axes);
+#ifdef LENSES
+    if (p.spread.valid) {
+        d_axes = d_points.axes;
+    }
+#endif
     vec4 d_quat;
     if (!SH_LOOPS) {
         d_quat = axes_backward(p, d_axes);
     }
 
     vec3 d_camera = jacobian_backward(PROJECTION, p.jacobian, p.mean_camera, d_mean2d, d_jacobian);
+#ifdef LENSES
+    if (p.spread.valid) {
+        d_camera = d_points.point;
+    }
+#endif
     // The blended depth is 1/z or z. This is its gradient towards the camera.
-    float inverse_z = 1.0 / p.mean_camera.z;
-    d_camera.z -= Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z;
+    float inverse_z = 1.0 / DEPTH_OF(p.mean_camera);
+    SUBTRACT_DEPTH_GRADIENT(d_camera, p.mean_camera, Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z);
     vec3 d_mean = from_camera(d_camera);
 
     d_mean += d_towards;

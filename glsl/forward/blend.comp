@@ -48,6 +48,10 @@ layout(constant_id = 10) const bool BROADCAST = false;
 layout(constant_id = 13) const bool SHARED_SPLATS = false;
 layout(local_size_x_id = 0) in;
 
+#ifdef LENSES
+#define PROJECTION PROJECTION_EQUIRECTANGULAR
+#include "seam.glsl"
+#endif
 #include "tile_region.glsl"
 #include "blending.glsl"
 #include "splat_shuffle.glsl"
@@ -130,6 +134,9 @@ void store_region(uvec2 corner, Pixel pixels[MAX_PIXELS], bool more) {
 #define STORE(K) store_region(origin_##K + lane_offset(), pixels_##K, entries > end);
 
 void main() {
+#ifdef LENSES
+    seam_period = float(whole_width);
+#endif
     uint tile = tile_of(linear_workgroup());
     if (tile >= tile_count) {
         return;

@@ -49,6 +49,10 @@ const uint COLUMN_ROWS = INCREMENTAL_EXP ? ROWS : 1;
 const uint OWN_COLUMNS = TILE_SIZE * TILE_SIZE / COLUMN_ROWS / WORKGROUP_SIZE;
 const uint PIXELS = OWN_COLUMNS * COLUMN_ROWS;
 
+#ifdef LENSES
+#define PROJECTION PROJECTION_EQUIRECTANGULAR
+#include "seam.glsl"
+#endif
 #include "blending.glsl"
 #include "blend_io.glsl"
 #include "dispatch.glsl"
@@ -73,6 +77,9 @@ uvec2 pixel_of(uint k) {
 }
 
 void main() {
+#ifdef LENSES
+    seam_period = float(whole_width);
+#endif
     uint tile = tile_of(linear_workgroup());
     bool tile_exists = tile < tile_count;
     uvec2 range = tile_exists ? tile_ranges[tile_exists ? tile : 0] : uvec2(0);

@@ -26,7 +26,7 @@ layout(constant_id = 4) const bool DROPOUT = false;
 layout(constant_id = 5) const bool TINTED = false;
 // True if volumes keep or remove Gaussians: see cut_outs.glsl.
 layout(constant_id = 6) const bool CUT_OUTS = false;
-// Projection of the camera: see camera.glsl.
+// Projection of the camera: see pinhole.glsl.
 layout(constant_id = 7) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 // True if the flags already hold the visible Gaussians of an earlier view.
 layout(constant_id = 8) const bool ADDS = false;

@@ -48,7 +48,16 @@ layout(push_constant, scalar) uniform Push {
     uint tiles_per_row;
     uint tile_rows;
     uint splat_stride;
+#ifdef LENSES
+    // Panoramas: see seam.glsl.
+    uint image_width;
+    uint whole_width;
+#endif
 };
+
+#ifdef LENSES
+#define PROJECTION PROJECTION_EQUIRECTANGULAR
+#endif
 
 #include "dispatch.glsl"
 #include "splat_record.glsl"
@@ -123,6 +132,9 @@ void put_unlisted(uint rank, uint visible_count, uint run_begin, uint run_end) {
                 uint from = min(owner_of(instance, row_begin), last_lane);
                 uint column = subgroupShuffle(span.x, from) + instance - subgroupShuffle(row_begin, from);
                 column = min(column, box.y - 1);
+#ifdef LENSES
+                column %= tiles_per_row;
+#endif
                 if (instance < rows_end) {
                     instance_tiles[instance] = (first_row + from) * tiles_per_row + column;
                     instance_visible[instance] = visible;

@@ -28,7 +28,7 @@ layout(constant_id = 5) const bool Z_RECORD = false;
 layout(constant_id = 6) const bool TINTED = false;
 // True if some Gaussians have another colour: those with a set bit in `selection`.
 layout(constant_id = 7) const bool SELECTION = false;
-// Projection of the camera: see camera.glsl.
+// Projection of the camera: see pinhole.glsl.
 layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 // True if the list has Gaussians of other views.

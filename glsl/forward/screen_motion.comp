@@ -18,7 +18,7 @@
 #include "buffers.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-// Projections of the current and of the previous camera: see camera.glsl.
+// Projections of the current and of the previous camera: see pinhole.glsl.
 layout(constant_id = 2) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 3) const uint PREVIOUS_PROJECTION = PROJECTION_PERSPECTIVE;
 layout(local_size_x_id = 0) in;
@@ -43,6 +43,7 @@ layout(push_constant, scalar) uniform Push {
 #include "camera_block.glsl"
 #define PRECISE_SCREEN
 #include "camera.glsl"
+#include "pinhole.glsl"
 #include "dispatch.glsl"
 #include "finite.glsl"
 #include "planes.glsl"

@@ -8,6 +8,9 @@
 
 #include "scene_blocks.glsl"
 #include "camera_members.glsl"
+#ifdef LENSES
+#include "lens_members.glsl"
+#endif
 
 // Addresses of parameters count from the batch's buffer: see planes.glsl.
 #define PARAMETERS_BEGIN scene_parameters
@@ -62,6 +65,11 @@ void load_block(uint scene) {
     scene_parameters = scene_blocks[scene].scene_parameters;
     scene_first_cut_out = scene_blocks[scene].scene_first_cut_out;
     scene_cut_outs = scene_blocks[scene].scene_cut_outs;
+#ifdef LENSES
+    lens_a = scene_blocks[scene].lens_a;
+    lens_b = scene_blocks[scene].lens_b;
+    lens_c = scene_blocks[scene].lens_c;
+#endif
 }
 
 // Loads the values of a culling block's scene. Returns true if the batch draws it; addresses are valid in any case. It has a

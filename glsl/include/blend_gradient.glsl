@@ -43,7 +43,16 @@ layout(push_constant, scalar) uniform Push {
     uint tile_row_interleave;
     vec3 background;
     uint splat_stride;
+#ifdef LENSES
+    // Panoramas: see seam.glsl.
+    uint whole_width;
+#endif
 };
+
+#ifdef LENSES
+#define PROJECTION PROJECTION_EQUIRECTANGULAR
+#include "seam.glsl"
+#endif
 
 #include "splat_record.glsl"
 #include "dispatch_range.glsl"
@@ -217,6 +226,9 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, uint first) {
     vec2 sum_absolute = vec2(0.0);
     [[unroll]] for (uint column = 0; column < COLUMNS; ++column) {
         float dx = d0.x - float(column * LANES_X);
+#ifdef LENSES
+        dx = to_nearest_turn(dx);
+#endif
         float alphas[MAX_COLUMN_ROWS];
         column_alphas(splat, corner_px + vec2(column * LANES_X, 0), alphas);
         float column_1 = 0.0, column_y = 0.0, column_yy = 0.0;

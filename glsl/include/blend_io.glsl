@@ -38,6 +38,10 @@ layout(push_constant, scalar) uniform Push {
     uint splat_stride;
     // Only read with STRIPS.
     vec3 background;
+#ifdef LENSES
+    // Panoramas: see seam.glsl.
+    uint whole_width;
+#endif
 };
 
 #include "splat_record.glsl"

@@ -65,6 +65,9 @@ float counted(float alpha, float opacity) {
 void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]) {
     const uint middle = COLUMN_ROWS / 2;
     float dx = splat.mean.x - first_px.x;
+#ifdef LENSES
+    dx = to_nearest_turn(dx);
+#endif
     precise float b_dx = splat.form.y * dx;
     precise float a_dx_dx = splat.form.x * dx * dx;
     // The power is at most 0 except for rounding of the products.

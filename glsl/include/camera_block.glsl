@@ -5,4 +5,7 @@
 // Frame: x_camera = R x_world + t, x right, y down, z forward; pixel centres are the integers.
 layout(set = 0, binding = 18, scalar) uniform CameraBlock {
 #include "camera_members.glsl"
+#ifdef LENSES
+#include "lens_members.glsl"
+#endif
 };

@@ -34,9 +34,18 @@ const uint CUT_OUT_PLANES = 4;
 const uint ANTIALIAS_COMPENSATED = 1;
 const uint ANTIALIAS_DETACHED = 2;
 
-// Projections of a camera: through its centre, or along parallel rays.
+// Projections of a camera: through its centre, along parallel rays, or through a lens (lens.glsl).
 const uint PROJECTION_PERSPECTIVE = 0;
 const uint PROJECTION_ORTHOGRAPHIC = 1;
+#ifdef LENSES
+const uint PROJECTION_BROWN = 2;
+const uint PROJECTION_FOV = 3;
+const uint PROJECTION_DIVISION = 4;
+const uint PROJECTION_EUCM = 5;
+const uint PROJECTION_FISHEYE = 6;
+const uint PROJECTION_THIN_PRISM_FISHEYE = 7;
+const uint PROJECTION_EQUIRECTANGULAR = 8;
+#endif
 
 // Extent modes: methods of finding a Gaussian's tiles.
 const uint EXTENT_EXACT = 0;

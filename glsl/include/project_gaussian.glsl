@@ -1,11 +1,16 @@
 // EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and the backward pass.
 // Needs constants.glsl, camera_block.glsl and `parameters`.
-// Needs filter_3d.glsl, FILTER_3D, PROJECTION (see camera.glsl), and the push constant `antialias` with ANTIALIAS_ bits.
+// Needs filter_3d.glsl, FILTER_3D, PROJECTION (see pinhole.glsl, lens.glsl), and the push constant `antialias` with ANTIALIAS_ bits.
 // Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES and get footprint_of. They need
 // tile_span.glsl and the push constant `extent`, DROPOUT (dropout.glsl) and TINTED (true if the scene has its own factors).
 
 #include "opacity.glsl"
 #include "camera.glsl"
+#ifdef LENSES
+#include "lens.glsl"
+#else
+#include "pinhole.glsl"
+#endif
 #include "rotation.glsl"
 
 #ifdef DRAWS_SHAPES
@@ -30,6 +35,9 @@ struct ProjectedGaussian {
     vec3 cov2d;            // (xx, xy, yy) with the dilation, px^2
     float det_raw;         // determinant before the dilation
     float det;             // determinant after the dilation
+#ifdef LENSES
+    Spread spread;         // its rows replace those of the Jacobian if it is valid
+#endif
 };
 
 ProjectedGaussian project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
@@ -54,6 +62,25 @@ ProjectedGaussian project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     p.det_raw = dot(minors, minors);
     p.cov2d = vec3(xx + SCREEN_DILATION_PX2, dot(p.row_x, p.row_y), yy + SCREEN_DILATION_PX2);
     p.det = p.det_raw + SCREEN_DILATION_PX2 * (xx + yy + SCREEN_DILATION_PX2);
+#ifdef LENSES
+    p.spread = spread_at(p.mean_camera, p.axes_camera, p.scale);
+    if (p.spread.valid) {
+        Spread s = p.spread;
+        p.row_x = s.row_x;
+        p.row_y = s.row_y;
+        xx = dot(s.row_x, s.row_x) + dot(s.bend_x, s.bend_x) + s.shift.x * s.shift.x;
+        yy = dot(s.row_y, s.row_y) + dot(s.bend_y, s.bend_y) + s.shift.y * s.shift.y;
+        float xy = dot(s.row_x, s.row_y) + dot(s.bend_x, s.bend_y) + s.shift.x * s.shift.y;
+        // xx times the square of y's part across x, which does not cancel either.
+        float along = xx > 0.0 ? xy / xx : 0.0;
+        vec3 row = s.row_y - along * s.row_x;
+        vec3 bend = s.bend_y - along * s.bend_x;
+        float shift = s.shift.y - along * s.shift.x;
+        p.det_raw = xx * (dot(row, row) + dot(bend, bend) + shift * shift);
+        p.cov2d = vec3(xx + SCREEN_DILATION_PX2, xy, yy + SCREEN_DILATION_PX2);
+        p.det = p.det_raw + SCREEN_DILATION_PX2 * (xx + yy + SCREEN_DILATION_PX2);
+    }
+#endif
     return p;
 }
 
@@ -111,7 +138,10 @@ Footprint footprint_of(ProjectedGaussian p, float opacity_logit) {
         f.opacity *= dropout_factor;
     }
     f.mean2d_px = screen_of(PROJECTION, p.mean_camera, focal_px, center_px);
-    bool valid = p.mean_camera.z > NEAR_PLANE && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
+#ifdef LENSES
+    f.mean2d_px += p.spread.valid ? p.spread.shift : vec2(0.0);
+#endif
+    bool valid = IS_SHOWN(p.mean_camera) && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
         && is_finite(p.cov2d.z) && is_finite(f.mean2d_px.x) && is_finite(f.mean2d_px.y) && is_finite(f.opacity);
 
     // Extent at which opacity * exp(-q/2) = 1/255, widened by more than the float32 error. The excess only costs time.
@@ -129,6 +159,14 @@ Footprint footprint_of(ProjectedGaussian p, float opacity_logit) {
         vec2 high = trunc((f.mean2d_px + radius + float(TILE_SIZE - 1)) / float(TILE_SIZE));
         uvec2 tile_low = uvec2(clamp(low, vec2(0.0), vec2(grid)));
         uvec2 tile_high = uvec2(clamp(high, vec2(0.0), vec2(grid)));
+#ifdef LENSES
+        if (SPHERICAL) {
+            float x = f.mean2d_px.x;
+            uvec2 columns = turned_columns(x - radius, x + radius, grid.x, image_width, whole_width);
+            tile_low.x = columns.x;
+            tile_high.x = columns.y;
+        }
+#endif
         f.tiles = uvec4(tile_low.x, tile_high.x, tile_low.y, tile_high.y);
     } else {
         f.radius_px = 0;

@@ -3,9 +3,13 @@
 
 struct SceneBlock {
 #include "camera_members.glsl"
+#ifdef LENSES
+#include "lens_members.glsl"
+#else
     // Padding to the device's alignment of uniform blocks. The compiler's caller counts CAMERA_BLOCK_MEMBERS
     // (engine/kernels/compile.rs).
     uint unused[CAMERA_BLOCK_WORDS - CAMERA_BLOCK_MEMBERS];
+#endif
 };
 
 layout(set = 0, binding = SCENE_BLOCKS, scalar) readonly buffer SceneBlocks { SceneBlock scene_blocks[]; };

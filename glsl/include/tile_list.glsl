@@ -33,5 +33,10 @@ uint listed_tile(uvec2 list, uint left, uint tiles_per_row) {
     }
     uint column = row == 0 ? list.x >> LIST_COLUMN_SHIFT : list.y >> LIST_COLUMNS_SHIFT + LIST_COLUMN_BITS * (row - 1);
     uint first_tile = list.x & (1u << LIST_COLUMN_SHIFT) - 1;
+#ifdef LENSES
+    // Beyond the seam of a panorama.
+    uint last_column = first_tile % tiles_per_row + (column & LISTED_COLUMNS - 1) + left - before;
+    first_tile -= last_column / tiles_per_row * tiles_per_row;
+#endif
     return first_tile + row * tiles_per_row + (column & LISTED_COLUMNS - 1) + left - before;
 }

@@ -34,6 +34,14 @@ uvec2 pixel_step(uint k) {
 // The test is conservative by more than the float32 error: a false hit only costs time.
 bool meets_region(vec4 mean2d_extent_px, vec3 form, float opacity, uvec2 origin) {
     vec2 low = vec2(origin) - mean2d_extent_px.xy;
+#ifdef LENSES
+    float to_middle = 0.5 * float(REGION_WIDTH - 1);
+    low.x = to_nearest_turn(low.x + to_middle) - to_middle;
+    // Pixels of a region may have different nearest turns.
+    if (mean2d_extent_px.z > 0.5 * seam_period - float(REGION_WIDTH)) {
+        return true;
+    }
+#endif
     vec2 high = low + vec2(REGION_WIDTH - 1, REGION_HEIGHT - 1);
     vec2 half_extent = mean2d_extent_px.zw;
     bool boxes_meet = all(lessThanEqual(low, half_extent)) && all(greaterThanEqual(high, -half_extent));

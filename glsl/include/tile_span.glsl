@@ -6,6 +6,9 @@
 // and y0 | y1 << 16 in tiles, the radius in px, number of tiles.
 
 #include "tile_list.glsl"
+#ifdef LENSES
+#include "seam.glsl"
+#endif
 
 // Tiles with pixel centres of the box: (x0, x1, y0, y1), where x1 and y1 are one past the last. Tile t has the pixel centres 16
 // t .. 16 t + 15.
@@ -14,6 +17,16 @@ uvec4 tile_box(vec4 mean2d_extent_px, uvec2 grid) {
     precise vec2 high = floor((mean2d_extent_px.xy + mean2d_extent_px.zw) / float(TILE_SIZE)) + 1.0;
     uvec2 first = uvec2(clamp(low, vec2(0.0), vec2(grid)));
     uvec2 last = uvec2(clamp(high, vec2(0.0), vec2(grid)));
+#ifdef LENSES
+    if (SPHERICAL) {
+        precise float left = mean2d_extent_px.x - mean2d_extent_px.z;
+        precise float right = mean2d_extent_px.x + mean2d_extent_px.z;
+        uvec2 columns = turned_columns(left, right, grid.x, image_width, whole_width);
+        // Rows of a Gaussian that reaches around may begin at any column, and end up to a turn later.
+        uint end = columns.y == columns.x + grid.x ? 2 * grid.x : columns.y;
+        return uvec4(columns.x, end, first.y, last.y);
+    }
+#endif
     return uvec4(first.x, last.x, first.y, last.y);
 }
 
@@ -59,6 +72,16 @@ uvec2 tile_span(uint row, vec4 mean2d_extent_px, uvec3 shape, uvec2 tiles_x) {
     precise float margin = 0.02 + 1e-5 * (half_x + half_y);
     right = min(right + margin, half_x);
     left = max(left - margin, -half_x);
+#ifdef LENSES
+    if (SPHERICAL) {
+        precise float row_low = mean2d_extent_px.x + left;
+        precise float row_high = mean2d_extent_px.x + right;
+        uint columns = (image_width + TILE_SIZE - 1) / TILE_SIZE;
+        uvec2 span = turned_columns(row_low, row_high, columns, image_width, whole_width);
+        span += span.x < tiles_x.x ? columns : 0;
+        return clamp(span, uvec2(tiles_x.x), uvec2(tiles_x.y));
+    }
+#endif
     precise float first = ceil((mean2d_extent_px.x + left - float(TILE_SIZE - 1)) / float(TILE_SIZE));
     precise float last = floor((mean2d_extent_px.x + right) / float(TILE_SIZE)) + 1.0;
     uint x0 = uint(clamp(first, float(tiles_x.x), float(tiles_x.y)));

@@ -31,8 +31,8 @@ void write_splat(uint visible, uint index) {
     mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)] = mean2d;
     conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)] = conic;
     color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] =
-        vec4(highlighted(tinted(max(color, vec3(0.0))), index), Z_RECORD ? p.mean_camera.z : 1.0 / p.mean_camera.z);
-    depth_keys[visible] = floatBitsToUint(p.mean_camera.z);
+        vec4(highlighted(tinted(max(color, vec3(0.0))), index), Z_RECORD ? DEPTH_OF(p.mean_camera) : 1.0 / DEPTH_OF(p.mean_camera));
+    depth_keys[visible] = floatBitsToUint(DEPTH_OF(p.mean_camera));
     footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles_met(list));
     tile_lists[visible] = list;
 }

@@ -81,6 +81,7 @@ macro_rules! run_passes {
             tile_row_interleave: ROW_STRANDS,
             splat_stride: 1,
             background: lists.view.background.map(|x| x as f32),
+            whole_width: 0,
             $($more: $value,)*
         });
         let workgroups = u64::from(tiles_per_row * rows) + 1;
@@ -206,6 +207,7 @@ pub fn forward_limited(
             incremental_exp,
             count_hits,
             strips,
+            lenses: false,
         };
         return blend_lists!(gpu, lists, blend_shared, spec, how, limits);
     }
@@ -222,6 +224,7 @@ pub fn forward_limited(
         region_height: region_height(gpu, how),
         broadcast: how.low_regions,
         shared_splats: how.shares,
+        lenses: false,
     };
     blend_lists!(gpu, lists, blend, spec, how, limits)
 }
@@ -306,6 +309,7 @@ macro_rules! backward_of_lists {
             strips,
             absolute: sums == OtherSums::Absolute,
             weights: sums == OtherSums::Weights,
+            lenses: false,
             $($region_height: region_height(gpu, $how), broadcast: $how.low_regions,)?
         };
         let (pixels, instances) = (lists.view.pixels(), lists.instances.len());

@@ -53,6 +53,7 @@ pub fn camera(view: &View) -> Camera {
             true => Projection::Orthographic,
             false => Projection::Perspective,
         },
+        coefficients: Default::default(),
         part: None,
     }
 }

@@ -64,6 +64,7 @@ impl Projected {
             selection: view.drawn.selection.is_some(),
             z_record: view.drawn.z_record,
             projection: view.drawn.projection(),
+            lenses: false,
             sh_loops: gpu.limits().tuning.sh_loops,
             may_be_unseen,
         };

@@ -34,6 +34,7 @@ mod cut_outs;
 mod faults;
 mod frames;
 mod guides_guest;
+mod lenses;
 mod lifetimes;
 mod memory_of_hosts;
 mod orthographic;

@@ -47,6 +47,7 @@ fn culled_behind(gpu: &Gpu, view: &View, gaussians: &[Gaussian], earlier: Option
         tinted: view.drawn.tint.is_some(),
         cut_outs: cut_out_count > 0,
         projection: view.drawn.projection(),
+        lenses: false,
         adds: earlier.is_some(),
     };
     let (size, block) = (gaussians.len(), spec.workgroup_size as usize);
@@ -416,6 +417,7 @@ fn check_scenes(gpu: &Gpu, adds: bool, view: impl Fn(usize) -> View) {
         tinted: settings.drawn.tint.is_some(),
         cut_outs: settings.drawn.cut_outs.iter().flatten().count() > 0,
         projection: settings.drawn.projection(),
+        lenses: false,
         adds,
     };
     let count = batch.index_count();

@@ -205,7 +205,13 @@ struct Expanded {
 fn expanded(gpu: &Gpu, frame: &Projected, order: &[u32], view: &View) -> Expanded {
     let size = order.len();
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
-    let spec = duplicate_with_tiles::Spec { workgroup_size, subgroup_size, items: 4, for_backward: true };
+    let spec = duplicate_with_tiles::Spec {
+        workgroup_size,
+        subgroup_size,
+        items: 4,
+        for_backward: true,
+        lenses: false,
+    };
     let lists = gpu.read::<[u32; 2]>(&frame.tile_lists, frame.expected.len());
     let (counts, [heads, rows]) = in_order(order, &lists);
     let mut offsets = counts.clone();
@@ -226,8 +232,14 @@ fn expanded(gpu: &Gpu, frame: &Projected, order: &[u32], view: &View) -> Expande
         first_instances: &first_instances,
     };
     let [tiles_per_row, tile_rows] = view.tiles();
-    let push =
-        duplicate_with_tiles::Push { extent: extent_word(view), tiles_per_row, tile_rows, splat_stride: 1 };
+    let push = duplicate_with_tiles::Push {
+        extent: extent_word(view),
+        tiles_per_row,
+        tile_rows,
+        splat_stride: 1,
+        image_width: 0,
+        whole_width: 0,
+    };
     let block = u64::from(workgroup_size * spec.items);
     gpu.dispatch::<duplicate_with_tiles::Interface>(&spec, &bind, &push, instances as u64 / block + 1);
     let [tiles, visible] = [tiles, visible].map(|buffer| {

@@ -257,6 +257,7 @@ fn check_scenes(gpu: &Gpu, [all, unseen]: [bool; 2], too_few: usize, view: impl 
         filter_3d: settings.filter_3d > 0.0,
         tinted: settings.drawn.tint.is_some(),
         projection: settings.drawn.projection(),
+        lenses: false,
         sh_loops: gpu.limits().tuning.sh_loops,
         may_be_unseen: unseen,
     };

@@ -63,7 +63,7 @@ impl KernelVisitor for Aliases {
         };
         let all = names(K::BINDINGS);
         let mut forms = vec![(K::SPIRV, K::BINDINGS)];
-        forms.extend(K::TEXELS.map(|form| (form.spirv, form.bindings)));
+        forms.extend(K::FORMS.iter().map(|form| (form.spirv, form.bindings)));
         for (spirv, bindings) in forms {
             assert_eq!(names(bindings), all, "{}", K::NAME);
             // OpDecorate, a variable, Aliased; Restrict means the opposite.

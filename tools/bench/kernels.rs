@@ -8,15 +8,16 @@ pub struct Kernel {
     pub name: &'static str,
     pub constants: &'static [ConstantInfo],
     pub spirv: &'static [u32],
-    /// The form that reads texels, if there is one.
-    pub texels: Option<Form>,
+    /// Its other forms.
+    pub forms: &'static [Form],
 }
 
 impl Kernel {
-    /// Returns the SPIR-V of the form for a device.
+    /// Returns the SPIR-V of the form for a device and cameras without a lens.
     #[cfg(feature = "hot-reload")]
     pub fn spirv_for(&self, limits: &ashsplat::vk::Limits) -> &'static [u32] {
-        self.texels.filter(|_| limits.prefers_texels()).map_or(self.spirv, |form| form.spirv)
+        let texels = self.forms.iter().find(|form| form.texels && !form.lenses);
+        texels.filter(|_| limits.prefers_texels()).map_or(self.spirv, |form| form.spirv)
     }
 }
 
@@ -25,8 +26,8 @@ pub fn all() -> Vec<Kernel> {
     struct All(Vec<Kernel>);
     impl KernelVisitor for All {
         fn visit<K: KernelInterface>(&mut self) {
-            let (constants, texels) = (K::CONSTANTS, K::TEXELS);
-            self.0.push(Kernel { name: K::NAME, constants, spirv: K::SPIRV, texels });
+            let (constants, forms) = (K::CONSTANTS, K::FORMS);
+            self.0.push(Kernel { name: K::NAME, constants, spirv: K::SPIRV, forms });
         }
     }
     let mut all = All(Vec::new());

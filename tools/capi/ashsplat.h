@@ -94,12 +94,27 @@ typedef enum AshsplatJacobianLimit {
   AshsplatJacobianLimit_Symmetric = 1,
 } AshsplatJacobianLimit;
 
-// How the rays of a camera run.
+// How the directions of a camera reach its picture. Frames of cameras with a lens are reserved: AshsplatReservation.lens. (a, b)
+// is (x, y)/z, or for fisheyes (x, y) theta/rho, s = a^2 + b^2, and T the tangential term of p1, p2.
 typedef enum AshsplatProjection {
   // Through one point: a pinhole.
   AshsplatProjection_Perspective = 0,
   // In parallel, along the camera's z axis. Frames of such cameras are reserved: AshsplatReservation.orthographic.
   AshsplatProjection_Orthographic = 1,
+  // (a, b) (1 + k1 s + k2 s^2 + k3 s^3 + n4 s^4) / (1 + k4 s + k5 s^2 + k6 s^3) + T: k1 k2 p1 p2 k3 k4 k5 k6 n4.
+  AshsplatProjection_Brown = 2,
+  // (a, b) atan(2 r tan(omega/2)) / (r omega), r = sqrt(s): omega.
+  AshsplatProjection_Fov = 3,
+  // (a, b) 2 / (1 + sqrt(1 - 4 k s)): k.
+  AshsplatProjection_Division = 4,
+  // (a, b) / (alpha sqrt(beta s + 1) + 1 - alpha): alpha beta.
+  AshsplatProjection_Eucm = 5,
+  // (a, b) (1 + k1 s + k2 s^2 + k3 s^3 + k4 s^4) + T + (sx1, sy1) s: k1 k2 p1 p2 k3 k4 sx1 sy1.
+  AshsplatProjection_Fisheye = 6,
+  // COLMAP's RAD_TAN_THIN_PRISM_FISHEYE: k0 to k5 p0 p1 s0 s1 s2 s3.
+  AshsplatProjection_ThinPrismFisheye = 7,
+  // Longitude and latitude: a panorama. fx is width/2pi, fy height/pi.
+  AshsplatProjection_Equirectangular = 8,
 } AshsplatProjection;
 
 // How each Gaussian is drawn.
@@ -172,6 +187,8 @@ typedef struct AshsplatCamera {
   uint32_t height;
   // An AshsplatProjection.
   uint32_t projection;
+  // Coefficients of the projection's lens, in COLMAP's order; zeros after the last, and for other projections.
+  float coefficients[12];
 } AshsplatCamera;
 
 // How a frame is rendered; by default as scenes are trained and shown.
@@ -687,6 +704,8 @@ typedef struct AshsplatReservation {
   uint32_t shared_sort;
   // Not 0: frames will draw scenes with a 3D filter (AshsplatRenderSettings.filter_3d).
   uint64_t filter_3d;
+  // AshsplatProjection of a lens that cameras of frames may have, beside pinholes; 0 for none.
+  uint64_t lens;
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the

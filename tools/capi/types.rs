@@ -60,9 +60,12 @@ pub struct AshsplatCamera {
     pub height: u32,
     /// An AshsplatProjection.
     pub projection: u32,
+    /// Coefficients of the projection's lens, in COLMAP's order; zeros after the last, and for other projections.
+    pub coefficients: [f32; 12],
 }
 
-/// How the rays of a camera run.
+/// How the directions of a camera reach its picture. Frames of cameras with a lens are reserved: AshsplatReservation.lens. (a, b)
+/// is (x, y)/z, or for fisheyes (x, y) theta/rho, s = a^2 + b^2, and T the tangential term of p1, p2.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatProjection {
@@ -70,17 +73,28 @@ pub enum AshsplatProjection {
     Perspective = 0,
     /// In parallel, along the camera's z axis. Frames of such cameras are reserved: AshsplatReservation.orthographic.
     Orthographic = 1,
+    /// (a, b) (1 + k1 s + k2 s^2 + k3 s^3 + n4 s^4) / (1 + k4 s + k5 s^2 + k6 s^3) + T: k1 k2 p1 p2 k3 k4 k5 k6 n4.
+    Brown = 2,
+    /// (a, b) atan(2 r tan(omega/2)) / (r omega), r = sqrt(s): omega.
+    Fov = 3,
+    /// (a, b) 2 / (1 + sqrt(1 - 4 k s)): k.
+    Division = 4,
+    /// (a, b) / (alpha sqrt(beta s + 1) + 1 - alpha): alpha beta.
+    Eucm = 5,
+    /// (a, b) (1 + k1 s + k2 s^2 + k3 s^3 + k4 s^4) + T + (sx1, sy1) s: k1 k2 p1 p2 k3 k4 sx1 sy1.
+    Fisheye = 6,
+    /// COLMAP's RAD_TAN_THIN_PRISM_FISHEYE: k0 to k5 p0 p1 s0 s1 s2 s3.
+    ThinPrismFisheye = 7,
+    /// Longitude and latitude: a panorama. fx is width/2pi, fy height/pi.
+    Equirectangular = 8,
 }
 
 impl From<Camera> for AshsplatCamera {
     fn from(c: Camera) -> Self {
-        same_fields!(c => Self { fx, fy, cx, cy, width, height } with {
+        same_fields!(c => Self { fx, fy, cx, cy, width, height, coefficients } with {
             camera_from_world: c.camera_from_world.transpose().to_cols_array(),
             translation: c.translation.to_array(),
-            projection: match c.projection {
-                Projection::Perspective => AshsplatProjection::Perspective,
-                Projection::Orthographic => AshsplatProjection::Orthographic,
-            } as u32,
+            projection: c.projection as u32,
             ..Self::default()
         })
     }
@@ -89,7 +103,7 @@ impl From<Camera> for AshsplatCamera {
 impl AshsplatCamera {
     /// Converts to the engine's camera. Errors call it by this name.
     pub(super) fn known(&self, name: &str) -> Result<Camera> {
-        Ok(same_fields!(self => Camera { fx, fy, cx, cy, width, height } with {
+        Ok(same_fields!(self => Camera { fx, fy, cx, cy, width, height, coefficients } with {
             camera_from_world: Mat3::from_cols_array(&self.camera_from_world).transpose(),
             translation: Vec3::from(self.translation),
             projection: one_of(format_args!("{name}.projection"), self.projection, &Projection::ALL)?,
@@ -313,6 +327,8 @@ pub struct AshsplatReservation {
     pub shared_sort: u32,
     /// Not 0: frames will draw scenes with a 3D filter (AshsplatRenderSettings.filter_3d).
     pub filter_3d: u64,
+    /// AshsplatProjection of a lens that cameras of frames may have, beside pinholes; 0 for none.
+    pub lens: u64,
 }
 
 /// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference

@@ -43,7 +43,7 @@ fn count(spirv: &[u32]) -> BTreeMap<&'static str, u32> {
     counts
 }
 
-/// Writes DIR/sort/sort_upsweep.spv and so on, DIR/forward/blend.texels.spv for a form that reads texels, and
+/// Writes DIR/sort/sort_upsweep.spv and so on, DIR/forward/blend.texels.spv for another form, and
 /// DIR/instructions.txt. Returns that table. `name` selects a kernel or folder.
 pub fn dump(folder: &Path, name: Option<&str>) -> Result<String> {
     output::check_folder(folder)?;
@@ -53,8 +53,12 @@ pub fn dump(folder: &Path, name: Option<&str>) -> Result<String> {
     let chosen =
         kernels::all().into_iter().filter(|kernel| name.is_none_or(|name| is_kernel_of(kernel.name, name)));
     let modules = chosen.flat_map(|kernel| {
-        let texels = kernel.texels.map(|form| (format!("{}.texels", kernel.name), form.spirv));
-        std::iter::once((kernel.name.to_owned(), kernel.spirv)).chain(texels)
+        let others = kernel.forms.iter().map(move |form| {
+            let [texels, lenses] = [(form.texels, ".texels"), (form.lenses, ".lenses")]
+                .map(|(has, name)| if has { name } else { "" });
+            (format!("{}{texels}{lenses}", kernel.name), form.spirv)
+        });
+        std::iter::once((kernel.name.to_owned(), kernel.spirv)).chain(others)
     });
     for (name, spirv) in modules {
         let path = folder.join(format!("{name}.spv"));

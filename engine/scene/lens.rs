@@ -1,0 +1,362 @@
+//! Lenses: how the directions of a camera reach its picture. One file per family, here and in glsl/include/lens/.
+
+mod brown;
+mod division;
+mod equirectangular;
+mod eucm;
+mod fisheye;
+mod fov;
+mod thin_prism_fisheye;
+
+use super::camera::{Camera, Intrinsics};
+use glam::{DVec2, DVec3, dvec2};
+use std::f64::consts::{FRAC_PI_2, PI};
+
+/// How the directions of a camera reach its picture: a pinhole, parallel rays, or a family of lenses.
+///
+/// With p = (x, y, z) in camera space, a picture position is `(fx a' + cx, fy b' + cy)`. Lenses distort (a, b), which is (x, y)/z,
+/// or for fisheyes (x, y) θ/ρ with θ the angle from the axis and ρ = |(x, y)|. s = a² + b², and T(a, b) = (2 p1 a b + p2 (s + 2
+/// a²), 2 p2 a b + p1 (s + 2 b²)). [`Camera::coefficients`] are in the order of this list, which is COLMAP's.
+///
+/// Fisheyes and panoramas see behind the camera. Their depths, also those of pictures and of a host's surfaces, are distances
+/// from the camera's centre. Means and covariances on the screen come from the unscented transform, not from the lens's
+/// Jacobian at the mean, which is worse for large Gaussians.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(u32)]
+pub enum Projection {
+    /// Through one point, the camera's centre: a pinhole.
+    #[default]
+    Perspective,
+    /// Parallel, along the camera's z axis, so that all Gaussians are seen from one direction. Only for rendered pictures:
+    /// training photographs and gradients need another projection.
+    Orthographic,
+    /// (a, b) (1 + k1 s + k2 s² + k3 s³ + n4 s⁴) / (1 + k4 s + k5 s² + k6 s³) + T: k1 k2 p1 p2 k3 k4 k5 k6 n4. COLMAP's
+    /// SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV; nerfstudio's and Metashape's k4 is n4.
+    Brown,
+    /// (a, b) atan(2 r tan(ω/2)) / (r ω), r = √s: ω. COLMAP's FOV.
+    Fov,
+    /// (a, b) 2 / (1 + √(1 - 4 k s)): k. COLMAP's SIMPLE_DIVISION, DIVISION.
+    Division,
+    /// (a, b) / (α √(β s + 1) + 1 - α): α β. COLMAP's EUCM.
+    Eucm,
+    /// For fisheyes' (a, b): (a, b) (1 + k1 s + k2 s² + k3 s³ + k4 s⁴) + T + (sx1, sy1) s: k1 k2 p1 p2 k3 k4 sx1 sy1. COLMAP's
+    /// OPENCV_FISHEYE, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE, THIN_PRISM_FISHEYE, SIMPLE_FISHEYE, FISHEYE.
+    Fisheye,
+    /// For fisheyes' (a, b): n + T(n; p1, p0) + (s0 S + s1 S², s2 S + s3 S²), n = (a, b) (1 + Σ ki s^(i+1)), S = n·n: k0 to k5 p0
+    /// p1 s0 s1 s2 s3. COLMAP's RAD_TAN_THIN_PRISM_FISHEYE.
+    ThinPrismFisheye,
+    /// (a', b') are the longitude atan2(x, z) and the latitude atan2(y, √(x² + z²)): no coefficients. COLMAP's EQUIRECTANGULAR.
+    Equirectangular,
+}
+
+/// Coefficients of a lens, in the order that [`Projection`] lists; zeros after the last.
+pub type Coefficients = [f32; 12];
+
+/// A family of lenses.
+struct Family {
+    /// Name in files and errors.
+    name: &'static str,
+    /// Surface on which (a, b) lies.
+    surface: Surface,
+    /// Number of coefficients.
+    coefficients: usize,
+    /// Radial factor g(s) and its derivative. Not finite or not positive where the lens is not defined.
+    radial: fn(&[f64; 12], f64) -> [f64; 2],
+    /// Terms beside the radial one, of (a, b) and of its radially distorted position.
+    bend: fn(&[f64; 12], DVec2, DVec2) -> DVec2,
+    /// Coefficients as the shader reads them.
+    words: fn(&[f64; 12]) -> [f64; 12],
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Surface {
+    /// (x, y)/z.
+    Plane,
+    /// (x, y) θ/ρ.
+    Angle,
+    /// Longitude and latitude.
+    Sphere,
+}
+
+/// A lens without terms beside its radial one, and with coefficients that the shader reads as they are.
+const RADIAL: Family = Family {
+    name: "",
+    surface: Surface::Plane,
+    coefficients: 0,
+    radial: |_, _| [1.0, 0.0],
+    bend: |_, _, _| DVec2::ZERO,
+    words: |c| *c,
+};
+
+impl Projection {
+    /// All projections.
+    pub const ALL: [Self; 9] = [
+        Self::Perspective,
+        Self::Orthographic,
+        Self::Brown,
+        Self::Fov,
+        Self::Division,
+        Self::Eucm,
+        Self::Fisheye,
+        Self::ThinPrismFisheye,
+        Self::Equirectangular,
+    ];
+
+    fn family(self) -> Option<&'static Family> {
+        match self {
+            Self::Perspective | Self::Orthographic => None,
+            Self::Brown => Some(&brown::FAMILY),
+            Self::Fov => Some(&fov::FAMILY),
+            Self::Division => Some(&division::FAMILY),
+            Self::Eucm => Some(&eucm::FAMILY),
+            Self::Fisheye => Some(&fisheye::FAMILY),
+            Self::ThinPrismFisheye => Some(&thin_prism_fisheye::FAMILY),
+            Self::Equirectangular => Some(&equirectangular::FAMILY),
+        }
+    }
+
+    /// Name in files and errors.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Perspective => "perspective",
+            Self::Orthographic => "orthographic",
+            lens => lens.family().map_or("", |family| family.name),
+        }
+    }
+
+    /// True if the picture continues from its right side to its left.
+    pub(crate) fn has_seam(self) -> bool {
+        self.surface() == Some(Surface::Sphere)
+    }
+
+    /// True if Gaussians are ordered by their distance instead of z.
+    pub(crate) fn orders_by_distance(self) -> bool {
+        matches!(self.surface(), Some(Surface::Angle | Surface::Sphere))
+    }
+
+    fn surface(self) -> Option<Surface> {
+        self.family().map(|family| family.surface)
+    }
+
+    /// True for lenses: all projections but pinholes and parallel rays.
+    pub fn is_lens(self) -> bool {
+        self.family().is_some()
+    }
+}
+
+/// Tangential term T(m; p1, p2).
+fn tangential(m: DVec2, p1: f64, p2: f64) -> DVec2 {
+    let s = m.length_squared();
+    2.0 * m.x * m.y * dvec2(p1, p2) + dvec2(p2 * (s + 2.0 * m.x * m.x), p1 * (s + 2.0 * m.y * m.y))
+}
+
+/// Value and derivative of the polynomial 1 + k0 s + k1 s² + …
+fn polynomial(k: &[f64], s: f64) -> [f64; 2] {
+    let rise = |[value, slope]: [f64; 2], k: &f64| [value * s + k, slope * s + value];
+    let [value, slope] = k.iter().rev().fold([0.0; 2], rise);
+    [1.0 + s * value, value + s * slope]
+}
+
+/// Steps in which a fold is searched.
+const FOLD_STEPS: u32 = 1024;
+
+/// Share of the Jacobian's limit beyond the picture's corners (the reference's 1.3 tan(fov/2)).
+const HOLD_MARGIN: f64 = 1.3;
+
+impl Family {
+    /// Distance of a distorted point from the middle, by the radial term alone.
+    fn radius(&self, c: &[f64; 12], r: f64) -> f64 {
+        r * (self.radial)(c, r * r)[0]
+    }
+
+    /// Smallest r > 0 at which the radial term folds the picture or is not defined; infinite, or for angles π, without one.
+    fn fold(&self, c: &[f64; 12]) -> f64 {
+        let is_sound = |r: f64| {
+            let [g, slope] = (self.radial)(c, r * r);
+            g > 0.0 && g + 2.0 * r * r * slope > 0.0 && g.is_finite()
+        };
+        let [at, end]: [fn(f64) -> f64; 2] = match self.surface {
+            Surface::Plane => [|share| (share * FRAC_PI_2).tan(), |_| f64::INFINITY],
+            _ => [|share| share * PI, |_| PI],
+        };
+        let share = |step: u32| f64::from(step) / f64::from(FOLD_STEPS);
+        let Some(step) = (1..FOLD_STEPS).find(|&step| !is_sound(at(share(step)))) else { return end(1.0) };
+        bisected([at(share(step - 1)), at(share(step))], is_sound)
+    }
+
+    /// Largest r at which the Jacobian is taken, for pictures with corners at this distance from the middle.
+    fn hold(&self, c: &[f64; 12], corner: f64, fold: f64) -> f64 {
+        // A lens without a fold may bring all directions closer to the middle than the corner.
+        let end = fold.min(1e9);
+        match self.radius(c, end) > corner {
+            true => HOLD_MARGIN * bisected([0.0, end], |r| self.radius(c, r) < corner),
+            false => HOLD_MARGIN * fold,
+        }
+    }
+}
+
+/// Place between a place where a condition holds and one where it does not.
+fn bisected([mut low, mut high]: [f64; 2], holds: impl Fn(f64) -> bool) -> f64 {
+    for _ in 0..80 {
+        let middle = 0.5 * (low + high);
+        *(if holds(middle) { &mut low } else { &mut high }) = middle;
+    }
+    0.5 * (low + high)
+}
+
+impl Intrinsics {
+    /// A panorama of all directions: pixels per radian, and the middle.
+    pub fn panorama(width: u32, height: u32) -> Self {
+        let [w, h] = [width, height].map(f64::from);
+        let (fx, fy) = ((w / (2.0 * PI)) as f32, (h / PI) as f32);
+        Self { fx, fy, cx: (0.5 * w) as f32, cy: (0.5 * h) as f32, width, height }
+    }
+}
+
+impl Camera {
+    /// Returns the camera with a lens and its coefficients, in the order that [`Projection`] lists. [`Camera::check`] refuses
+    /// coefficients that the lens does not have. Without distortion, a lens on the plane becomes a pinhole.
+    #[must_use]
+    pub fn with_lens(self, projection: Projection, coefficients: &[f32]) -> Self {
+        let mut all = Coefficients::default();
+        all.iter_mut().zip(coefficients).for_each(|(word, own)| *word = *own);
+        // Eucm distorts by α, the others by any coefficient.
+        let distorts = if projection == Projection::Eucm { all[0] != 0.0 } else { all != [0.0; 12] };
+        let on_plane = projection.surface() == Some(Surface::Plane);
+        match on_plane && !distorts {
+            true => Self { projection: Projection::Perspective, coefficients: [0.0; 12], ..self },
+            false => Self { projection, coefficients: all, ..self },
+        }
+    }
+
+    /// Returns the camera with the lens of one of COLMAP's cameras, by the number and the parameters of its model. The pose and
+    /// the size stay. None for an unknown number, or another number of parameters.
+    pub fn with_colmap_lens(self, model: u32, parameters: &[f64]) -> Option<Self> {
+        use Projection::{Brown, Division, Eucm, Fisheye, Fov, ThinPrismFisheye};
+        // Number of focal lengths, and places of the other parameters among the coefficients.
+        let (focals, projection, places): (usize, Projection, &[usize]) = match model {
+            0 => (1, Projection::Perspective, &[]),
+            1 => (2, Projection::Perspective, &[]),
+            2 => (1, Brown, &[0]),
+            3 => (1, Brown, &[0, 1]),
+            4 => (2, Brown, &[0, 1, 2, 3]),
+            5 => (2, Fisheye, &[0, 1, 4, 5]),
+            6 => (2, Brown, &[0, 1, 2, 3, 4, 5, 6, 7]),
+            7 => (2, Fov, &[0]),
+            8 => (1, Fisheye, &[0]),
+            9 => (1, Fisheye, &[0, 1]),
+            10 => (2, Fisheye, &[0, 1, 2, 3, 4, 5, 6, 7]),
+            11 => (2, ThinPrismFisheye, &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]),
+            12 => (1, Division, &[0]),
+            13 => (2, Division, &[0]),
+            14 => (1, Fisheye, &[]),
+            15 => (2, Fisheye, &[]),
+            16 => (2, Eucm, &[0, 1]),
+            17 => {
+                let Intrinsics { fx, fy, cx, cy, .. } = Intrinsics::panorama(self.width, self.height);
+                let panorama = Self { fx, fy, cx, cy, ..self }.with_lens(Projection::Equirectangular, &[]);
+                return (parameters.len() == 2).then_some(panorama);
+            }
+            _ => return None,
+        };
+        let (optics, lens) = parameters.split_at_checked(focals + 2)?;
+        let [fx, fy, cx, cy] = [0, focals - 1, focals, focals + 1].map(|index| optics[index] as f32);
+        let mut coefficients = Coefficients::default();
+        places.iter().zip(lens).for_each(|(&place, own)| coefficients[place] = *own as f32);
+        let camera = Self { fx, fy, cx, cy, ..self }.with_lens(projection, &coefficients);
+        (lens.len() == places.len()).then_some(camera)
+    }
+
+    fn lens(&self) -> Option<(&'static Family, [f64; 12])> {
+        Some((self.projection.family()?, self.coefficients.map(f64::from)))
+    }
+
+    /// Depth by which Gaussians are ordered, world units: z, or for fisheyes and panoramas the distance from the camera.
+    pub fn depth_of(&self, at: DVec3) -> f64 {
+        if self.projection.orders_by_distance() { at.length() } else { at.z }
+    }
+
+    /// Picture position of a point in camera space, pixels (first pixel's centre at 0.5), through the camera's lens. None where
+    /// the lens shows nothing.
+    pub(super) fn through_lens(&self, at: DVec3) -> Option<DVec2> {
+        let (family, c) = self.lens()?;
+        let (rho, h, fold) = (at.truncate().length(), at.x.hypot(at.z), family.fold(&c));
+        let (shown, place) = match family.surface {
+            Surface::Plane => (at.z > 0.0 && rho / at.z < fold, at.truncate() / at.z),
+            Surface::Angle => {
+                let angle = rho.atan2(at.z);
+                let ratio = if rho > 0.0 { angle / rho } else { 1.0 / at.z };
+                (at != DVec3::ZERO && angle < fold, at.truncate() * ratio)
+            }
+            Surface::Sphere => (h > 1e-6 * at.length(), dvec2(at.x.atan2(at.z), at.y.atan2(h))),
+        };
+        let radial = place * (family.radial)(&c, place.length_squared())[0];
+        let distorted = radial + (family.bend)(&c, place, radial);
+        let [focal, center] = [[self.fx, self.fy], [self.cx, self.cy]].map(|v| DVec2::from(v.map(f64::from)));
+        shown.then(|| focal * distorted + center)
+    }
+
+    /// Largest distance of the whole picture's corners from the middle, in focal lengths.
+    fn corner(&self) -> f64 {
+        let whole = self.whole();
+        let far = |center: f32, side: u32, focal: f32| {
+            f64::from(center).abs().max((f64::from(side) - f64::from(center)).abs()) / f64::from(focal)
+        };
+        far(whole.cx, whole.width, whole.fx).hypot(far(whole.cy, whole.height, whole.fy))
+    }
+
+    /// Words of the lens in a camera block: those in place of the Jacobian's limits, and those behind the members
+    /// (glsl/include/lens_members.glsl). None for pinholes and parallel rays.
+    pub fn lens_words(&self) -> Option<([f32; 4], [f32; 9])> {
+        let (family, c) = self.lens()?;
+        let fold = family.fold(&c);
+        let word = |limit: f64| if limit.is_finite() { limit as f32 } else { 0.0 };
+        let all = match family.surface {
+            Surface::Sphere => [(PI / (2.0 * f64::from(self.whole().height))).sin(); 12],
+            _ => (family.words)(&c),
+        };
+        let all = all.map(|word| word as f32);
+        let hold = || word(family.hold(&c, self.corner(), fold));
+        // Only fisheyes have more than nine coefficients. They have no second limit.
+        let second = if family.surface == Surface::Plane { hold() } else { all[9] };
+        let mut words = [0.0; 9];
+        words.copy_from_slice(&all[..9]);
+        Some(([word(fold), second, all[10], all[11]], words))
+    }
+
+    /// Describes what is wrong with the lens, if anything.
+    pub(super) fn lens_problem(&self) -> Option<String> {
+        let used = self.projection.family().map_or(0, |family| family.coefficients);
+        if !self.coefficients.iter().all(|c| c.is_finite())
+            || self.coefficients[used..].iter().any(|&c| c != 0.0)
+        {
+            let (name, own) = (self.projection.name(), self.coefficients);
+            return Some(format!("coefficients {own:?}: {name} has {used} that are finite, then zeros"));
+        }
+        let (family, c) = self.lens()?;
+        let (whole, fold) = (self.whole(), family.fold(&c));
+        match family.surface {
+            Surface::Sphere => {
+                let around = Intrinsics::panorama(whole.width, whole.height);
+                let differs = |own: f32, full: f32| (own - full).abs() > 1e-4 * full;
+                (whole.width != 2 * whole.height
+                    || differs(self.fx, around.fx)
+                    || differs(self.fy, around.fy))
+                .then(|| {
+                    let (w, h) = (whole.width, whole.height);
+                    format!(
+                        "panorama of {w}x{h} with the focal lengths {}, {} is not 2:1 and all around",
+                        self.fx, self.fy
+                    )
+                })
+            }
+            Surface::Plane if fold.is_finite() && family.radius(&c, fold) < self.corner() => Some(format!(
+                "distortion {:?} folds the picture within the image",
+                &self.coefficients[..used]
+            )),
+            _ => {
+                (fold < 0.05).then(|| format!("distortion {:?} shows no picture", &self.coefficients[..used]))
+            }
+        }
+    }
+}

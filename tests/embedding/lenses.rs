@@ -1,0 +1,45 @@
+//! Hosts whose cameras have a lens.
+
+use crate::stage::*;
+use ashsplat::scene::{Intrinsics, Projection};
+
+const SIZE: [u32; 2] = [112, 56];
+
+/// Frames equal [`Renderer::render`] to the bit, beside pinholes in the same reservation, alone and as a batch of scenes. A lens
+/// must be reserved.
+#[test]
+fn a_hosts_lens_draws_what_the_owned_path_draws() {
+    with_guest(|host, context| {
+        let gaussians = cloud(600, 11);
+        let scene = uploaded(&context, &gaussians);
+        let [width, height] = SIZE;
+        let pinhole = Camera {
+            translation: Vec3::new(0.2, -0.1, 0.4),
+            ..Camera::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y, Intrinsics::from_fov_x(1.2, width, height))
+        };
+        let wide = Camera { fx: 30.0, fy: 31.0, ..pinhole };
+        let cameras = [
+            pinhole.with_lens(Projection::Brown, &[-0.15, 0.02, 0.002, -0.001]),
+            wide.with_lens(Projection::Fisheye, &[-0.02, 0.003]),
+            pinhole.with_colmap_lens(17, &[112.0, 56.0]).expect("a panorama"),
+        ];
+        let plain = Reservation { scenes: 2, ..Reservation::new(1200, 1, width, height) };
+        for camera in cameras {
+            let wanted = Reservation { lens: Some(camera.projection), ..plain };
+            let mut renderer = reserved(&context, &wanted);
+            let placed = [Placed::from(&scene)];
+            let frame = frame_of(&placed, &camera);
+            assert_drawn(host, &mut renderer, &frame, &gaussians);
+            assert_drawn(host, &mut renderer, &frame_of(&placed, &pinhole), &gaussians);
+            let apart = Pose { translation: Vec3::new(0.0, 0.0, 90.0), ..Pose::IDENTITY };
+            let two = [Placed::from(&scene), Placed::at(&scene, apart)];
+            rendered(host, &mut renderer, &frame_of(&two, &camera));
+            renderer.reserve(&plain).expect("memory");
+            let commands = Commands::new(host);
+            let recorded = renderer.record(commands.begun(renderer.context()), 0, &frame);
+            let error = recorded.expect_err("no lens is reserved").to_string();
+            assert!(error.contains("lens") && error.contains("not reserved"), "{error}");
+            commands.finish();
+        }
+    });
+}

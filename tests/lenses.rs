@@ -1,0 +1,98 @@
+//! Cameras with a lens: parts of pictures, what surrounds a camera, and what is refused. Their pictures and gradients are judged
+//! by the golden vectors (tests/golden/lenses.rs).
+
+use crate::common::prelude::*;
+use crate::common::splats::{ball, camera};
+use ashsplat::passes::filter_3d::Filter3d;
+use ashsplat::scene::{Intrinsics, Projection};
+
+/// Cameras of each family, in the middle of [`ball`].
+fn cameras() -> Vec<Camera> {
+    let inside = |camera: Camera| Camera { translation: Vec3::new(0.1, -0.2, 0.3), ..camera };
+    let [wide, around] = [(96, 64), (128, 64)].map(|(width, height)| {
+        inside(Camera { width, height, cx: 0.5 * width as f32, cy: 0.5 * height as f32, ..camera(0.3) })
+    });
+    let lenses: [(Projection, f32, &[f32]); 6] = [
+        (Projection::Brown, 70.0, &[-0.2, 0.03, 0.004, -0.003]),
+        (Projection::Fov, 60.0, &[0.9]),
+        (Projection::Division, 60.0, &[-0.2]),
+        (Projection::Eucm, 60.0, &[0.6, 1.1]),
+        (Projection::Fisheye, 24.0, &[-0.02, 0.004]),
+        (Projection::ThinPrismFisheye, 30.0, &[-0.02, 0.003, 0.0, 0.0, 0.0, 0.0, 0.002, -0.003, 0.004]),
+    ];
+    let with = |(projection, focal, coefficients): (Projection, f32, &[f32])| {
+        Camera { fx: focal, fy: focal, ..wide }.with_lens(projection, coefficients)
+    };
+    let panorama = around.with_colmap_lens(17, &[128.0, 64.0]).expect("a panorama");
+    lenses.into_iter().map(with).chain([panorama]).collect()
+}
+
+/// Tiles of parts lie elsewhere in the whole, and a panorama's seam between or beside them.
+#[test]
+fn a_part_of_a_lenss_picture_has_the_pixels_of_the_whole() {
+    let mut renderer = renderer();
+    renderer.upload(&ball(500)).expect("uploaded");
+    let settings = RenderSettings { inverse_depth: true, ..RenderSettings::default() };
+    for camera in cameras() {
+        let whole = renderer.render(&camera, &settings).expect("a frame");
+        assert!(whole.color.as_flattened().iter().all(|c| c.is_finite()), "{:?}", camera.projection);
+        assert!(whole.transmittance.iter().any(|&t| t < 0.1), "{:?} shows nothing", camera.projection);
+        let right = camera.width - 21;
+        for ([left, top], [width, height]) in
+            [([0, 0], [37, 64]), ([right, 3], [21, 50]), ([19, 17], [60, 40])]
+        {
+            let part = camera.part([left, top], [width, height]).expect("a part");
+            let frame = renderer.render(&part, &settings).expect("a frame");
+            for (pixel, color) in frame.color.iter().enumerate() {
+                let [x, y] = [left + pixel as u32 % width, top + pixel as u32 / width];
+                let expected = whole.color[(y * camera.width + x) as usize];
+                let off = (Vec3::from(*color) - Vec3::from(expected)).abs().max_element();
+                assert!(off < 2e-4, "{:?}: ({x}, {y}) is off by {off}", camera.projection);
+            }
+        }
+    }
+}
+
+/// The picture of a panorama turned about the vertical axis is the same picture moved aside, through its seam.
+#[test]
+fn a_turned_panorama_is_moved_through_its_seam() {
+    let panorama = *cameras().last().expect("a panorama");
+    let mut renderer = renderer();
+    renderer.upload(&ball(400).with_sh_degree(0)).expect("uploaded");
+    let [straight, turned] = [0.0, std::f32::consts::PI / 2.0].map(|angle| {
+        let turn = glam::Mat3::from_rotation_y(angle);
+        let camera = Camera {
+            camera_from_world: turn * panorama.camera_from_world,
+            translation: turn * panorama.translation,
+            ..panorama
+        };
+        renderer.render(&camera, &RenderSettings::default()).expect("a frame").color
+    });
+    let (width, quarter) = (panorama.width as usize, panorama.width as usize / 4);
+    let mut far = 0;
+    for (pixel, color) in turned.iter().enumerate() {
+        let (x, y) = (pixel % width, pixel / width);
+        let before = straight[y * width + (x + width - quarter) % width];
+        far += usize::from((Vec3::from(*color) - Vec3::from(before)).abs().max_element() > 1e-3);
+    }
+    // A Gaussian ends half a picture away from its middle, at another pixel in each picture.
+    assert!(far < turned.len() / 200, "{far} of {} pixels differ", turned.len());
+}
+
+#[test]
+fn lenses_without_a_picture_are_refused() {
+    let all = cameras();
+    let (brown, panorama) = (all[0], all[6]);
+    let says = |camera: Camera, words: &[&str]| assert_says(refusal(camera.check()), words);
+    says(brown.with_lens(Projection::Brown, &[-2.0]), &["folds the picture within the image"]);
+    says(brown.with_lens(Projection::Brown, &[f32::NAN]), &["coefficients", "brown has 9"]);
+    says(brown.with_lens(Projection::Fov, &[0.9, 1.0]), &["fov has 1"]);
+    says(Camera { projection: Projection::Perspective, ..brown }, &["perspective has 0"]);
+    says(Camera { height: 60, ..panorama }, &["128x60", "2:1"]);
+    says(Camera { fx: 30.0, ..panorama }, &["all around"]);
+    assert_says(refusal(Filter3d::new(context(), &[brown])), &["camera.projection", "brown"]);
+    assert!(brown.with_colmap_lens(4, &[1.0; 7]).is_none() && brown.with_colmap_lens(18, &[]).is_none());
+    let undistorted = brown.with_lens(Projection::Brown, &[0.0; 8]);
+    assert_eq!(undistorted.projection, Projection::Perspective);
+    assert_eq!(Intrinsics::panorama(128, 64), panorama.intrinsics());
+}
