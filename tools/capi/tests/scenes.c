@@ -312,7 +312,8 @@ static void own(char **arguments) {
                  "pick (image 'motion'): it was adopted for AshsplatImageUse_Motion, not for AshsplatImageUse_Pick");
     REFUSED_WITH(motion.to.image, NULL, stage_record(&stage), "motion.to.image: the pointer is null");
     REFUSED_WITH(motion.previous_camera, NULL, stage_record(&stage), "motion.previous_camera: the pointer is null");
-    REFUSED_WITH(before.projection, 2, stage_record(&stage), "motion.previous_camera.projection: 2, there are 0 to 1");
+    REFUSED_WITH(before.projection, 9, stage_record(&stage), "motion.previous_camera.projection: 9, there are 0 to 8");
+    REFUSED_WITH(before.projection, AshsplatProjection_Brown, stage_record(&stage), "motion: takes pinholes");
     REFUSED_WITH(before.width, 1, stage_record(&stage), "motion.previous_camera: is of 1 x 120");
     REFUSED_WITH(lower.scale, 0, stage_record(&stage), "scenes[3].previous_pose: a scale of 0");
     check(stage_record(&stage), "recording");
