@@ -467,7 +467,7 @@ static void other_cameras(Stage *stage) {
     for (int i = 0; i < 8; ++i) {
         camera.struct_size = senseless[i];
         REFUSED(ashsplat_render(renderer, scene, &camera, NULL, background, again),
-                "AshsplatCamera has 80: begin with ASHSPLAT_INIT(AshsplatCamera)");
+                "AshsplatCamera has 128: begin with ASHSPLAT_INIT(AshsplatCamera)");
     }
 }
 
