@@ -187,7 +187,7 @@ fn write_blocks(
 
 pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
     if path.is_dir() && is_sog(path) {
-        return Ok(Reader::new(path, Box::new(sog::Sog::open(&path.join(sog::META))?), options));
+        return Ok(Reader::new(path, Box::new(sog::Sog::open(&path.join(sog::META), options)?), options));
     }
     let source: Box<dyn Source + 'a> = match Format::of_file(path)? {
         Format::Ply => Box::new(ply::GaussianRows::open(path)?),
@@ -195,7 +195,7 @@ pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'
         Format::Splat => Box::new(dot_splat::DotSplat::open(path)?),
         Format::Spz => Box::new(spz::Spz::open(path)?),
         format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format, options)?),
-        Format::Sog => Box::new(sog::Sog::open(path)?),
+        Format::Sog => Box::new(sog::Sog::open(path, options)?),
     };
     Ok(Reader::new(path, source, options))
 }

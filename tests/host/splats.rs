@@ -905,3 +905,75 @@ fn scenes_are_written_in_source_units_and_drawn_in_their_frame() {
         assert_close(&drawn.gaussians, &moved, &tolerance);
     }
 }
+
+/// The files of a SOG in a folder, its description as JSON.
+fn unpacked_sog(folder: &Folder, gaussians: &Gaussians) -> Value {
+    folder.write("scene.sog", gaussians);
+    let file = std::fs::File::open(folder.join("scene.sog")).unwrap();
+    zip::ZipArchive::new(file).unwrap().extract(folder.join("sog")).unwrap();
+    serde_json::from_slice(&folder.bytes("sog/meta.json")).unwrap()
+}
+
+#[test]
+fn a_folder_of_sog_is_read_and_version_1_by_its_ranges() {
+    let folder = Folder::new();
+    let mut meta = unpacked_sog(&folder, &scene(900, 2));
+    assert!(folder.read("sog").gaussians == folder.read("scene.sog").gaussians);
+    assert!(folder.read("sog/meta.json").gaussians == folder.read("scene.sog").gaussians);
+    // Codebooks of equal steps are version 1's ranges.
+    let book: Vec<f32> = (0..256).map(|i| i as f32 / 100.0).collect();
+    for name in ["scales", "sh0", "shN"] {
+        meta[name]["codebook"] = json!(book);
+    }
+    folder.put("sog/meta.json", meta.to_string());
+    let second = folder.read("sog").gaussians;
+    let ends = |least: f32, most: f32| (json!([0.0, 0.0, 0.0, least]), json!([2.55, 2.55, 2.55, most]));
+    let mut first = json!({"means": meta["means"], "quats": meta["quats"]});
+    first["means"]["shape"] = json!([900, 3]);
+    for name in ["scales", "sh0"] {
+        let (mins, maxs) = ends(-5.0, 5.0);
+        first[name] = json!({"mins": mins, "maxs": maxs, "files": meta[name]["files"]});
+    }
+    first["shN"] = json!({"mins": 0.0, "maxs": 2.55, "files": meta["shN"]["files"]});
+    folder.put("sog/meta.json", first.to_string());
+    let mut first = folder.read("sog").gaussians;
+    // Opacities of version 1 are logits.
+    for (logit, index) in first.opacity_logits.iter_mut().zip(0..) {
+        let opacity = (f64::from(*logit) + 5.0) / 10.0;
+        assert!((opacity - f64::from(second.opacity(index))).abs() < 1e-5, "{index}: {opacity}");
+        *logit = second.opacity_logits[index];
+    }
+    let float = Tolerance { mean: 0.0, log_scale: 1e-6, opacity: 0.0, rotation: 0.0, color: 1e-6, sh: 1e-6 };
+    assert_close(&first, &second, &Tolerance { rotation: 1e-6, ..float });
+}
+
+#[test]
+fn what_a_sog_leaves_out_or_contradicts_is_named() {
+    let folder = Folder::new();
+    let whole = unpacked_sog(&folder, &scene(900, 1));
+    let expected = folder.read("sog").gaussians;
+    let with = |change: &dyn Fn(&mut Value)| {
+        let mut meta = whole.clone();
+        change(&mut meta);
+        folder.put("sog/meta.json", meta.to_string());
+    };
+    // Some writers left the first value out; PlayCanvas' reader extrapolates it.
+    with(&|meta| meta["scales"]["codebook"][0] = Value::Null);
+    let repaired = folder.read("sog").gaussians;
+    assert_close(&repaired, &expected, &Tolerance { log_scale: 0.1, ..tolerance(Format::Ply) });
+    type Change<'a> = (&'a dyn Fn(&mut Value), &'a str);
+    let changes: [Change<'_>; 8] = [
+        (&|meta| meta["count"] = Value::Null, "number of Gaussians is missing"),
+        (&|meta| meta["count"] = json!(1_u64 << 40), "number of Gaussians is missing or above"),
+        (&|meta| meta["count"] = json!(1 << 20), "pixels, where 1048576 are needed"),
+        (&|meta| meta["scales"]["codebook"][9] = Value::Null, "scales has no whole codebook"),
+        (&|meta| meta["shN"]["bands"] = json!(4), "shN has no SH degree"),
+        (&|meta| meta["shN"]["bands"] = json!(2), "columns instead of 512"),
+        (&|meta| meta["shN"]["count"] = json!(70_000), "more than 65536 vectors"),
+        (&|meta| meta["quats"]["files"] = json!(["means_l.webp"]), "does not say what it omits"),
+    ];
+    for (change, words) in changes {
+        with(change);
+        assert_says(folder.refused("sog"), &[words]);
+    }
+}

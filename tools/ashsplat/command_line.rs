@@ -38,7 +38,7 @@ pub enum Command {
     Eval(eval::Arguments),
     /// What is in a file of Gaussians, a model folder or a data set, and whether it can be used
     Info(info::Arguments),
-    /// Convert Gaussians between PLY, compressed PLY, .splat, SPZ and glTF; crop, move, thin out
+    /// Convert Gaussians between PLY, compressed PLY, .splat, SPZ, glTF and SOG; crop, move, thin out
     Convert(convert::Arguments),
     /// Divide a scene into blocks that are trained one by one, on any machines
     #[cfg(feature = "scale")]

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 /// Convert Gaussians between formats, change them on the way, and join several files into one.
 ///
 /// The formats are those of the extensions .ply (the reference's), .compressed.ply (PlayCanvas), .splat, .spz
-/// (version 4, or 2; 3 is read too), .glb and .gltf (KHR_gaussian_splatting). Changes are made in this order:
+/// (version 4, or 2; 3 is read too), .glb and .gltf (KHR_gaussian_splatting), .sog (PlayCanvas). Changes are made in this order:
 /// --sh-degree, --min-opacity, --min-density, --crop-box, --rotate, --scale, --translate, --decimate. With several inputs --rotate,
 /// --scale and --translate move the input before them, or everything where they come after OUT.
 #[derive(Args)]

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 /// size of its camera. All problems are listed, and the exit code is 2 if there are any.
 #[derive(Args)]
 pub struct Arguments {
-    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), a model folder or a data set
+    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF, SOG), a model folder or a data set
     #[arg(value_name = "PATH")]
     path: PathBuf,
     /// Folder of a data set's photos

@@ -78,7 +78,7 @@ pub struct Arguments {
     quiet: bool,
 }
 
-const MODEL: &str = "A model folder, a file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), or a folder of `ashsplat tiles`";
+const MODEL: &str = "A model folder, a file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF, SOG), or a folder of `ashsplat tiles`";
 
 /// File formats of pictures.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]

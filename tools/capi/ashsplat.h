@@ -883,7 +883,7 @@ enum AshsplatStatus ashsplat_context_new(const char *device, struct AshsplatCont
 // `context` is NULL or of this library and not used afterwards.
 void ashsplat_context_free(struct AshsplatContext *context);
 
-// Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
+// Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, SOG, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
 // its name's ending select the format. ashsplat_scene_told has what the file says besides.
 //
 // # Safety
@@ -1378,7 +1378,7 @@ enum AshsplatStatus ashsplat_slot_release(struct AshsplatRenderer *renderer, uin
 enum AshsplatStatus ashsplat_slot_discard(struct AshsplatRenderer *renderer, uint32_t slot);
 
 // Reads the Gaussians back and writes them, in the format that the name's ending says: PLY in the reference implementation's layout,
-// .compressed.ply, .splat, SPZ, or GLB. The sizes of the 3D filter are in PLY only; in other formats they are a part of scales and
+// .compressed.ply, .splat, SPZ, SOG or GLB. The sizes of the 3D filter are in PLY only; in other formats they are a part of scales and
 // opacities. ashsplat_last_loss says what the format does not hold. Submits and waits.
 //
 // # Safety

@@ -194,7 +194,7 @@ pub unsafe extern "C" fn ashsplat_context_free(context: *mut AshsplatContext) {
     unsafe { take(context) }
 }
 
-/// Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
+/// Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, SOG, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
 /// its name's ending select the format. ashsplat_scene_told has what the file says besides.
 ///
 /// # Safety

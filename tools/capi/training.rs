@@ -116,7 +116,7 @@ impl From<Maintenance> for AshsplatMaintenance {
 }
 
 /// Reads the Gaussians back and writes them, in the format that the name's ending says: PLY in the reference implementation's layout,
-/// .compressed.ply, .splat, SPZ, or GLB. The sizes of the 3D filter are in PLY only; in other formats they are a part of scales and
+/// .compressed.ply, .splat, SPZ, SOG or GLB. The sizes of the 3D filter are in PLY only; in other formats they are a part of scales and
 /// opacities. ashsplat_last_loss says what the format does not hold. Submits and waits.
 ///
 /// # Safety

@@ -91,7 +91,8 @@ impl Openings {
 }
 
 /// Formats that consist of one file.
-const FORMATS: [Format; 5] = [Format::Ply, Format::CompressedPly, Format::Splat, Format::Spz, Format::Glb];
+const FORMATS: [Format; 6] =
+    [Format::Ply, Format::CompressedPly, Format::Splat, Format::Spz, Format::Glb, Format::Sog];
 
 /// The format that a file's name says, if it consists of one file.
 pub fn format_of(name: &str) -> Option<Format> {

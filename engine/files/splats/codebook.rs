@@ -43,12 +43,6 @@ fn nearest(book: &[f32; LEVELS], number: f32) -> u8 {
 }
 
 fn lloyd(sorted: &[f32]) -> Vec<f32> {
-    let sums: Vec<f64> = std::iter::once(0.0)
-        .chain(sorted.iter().scan(0.0, |sum, &value| {
-            *sum += f64::from(value);
-            Some(*sum)
-        }))
-        .collect();
     let mut book = first_values(sorted);
     for _ in 0..SCALAR_ROUNDS {
         let mut first = 0;
@@ -57,7 +51,8 @@ fn lloyd(sorted: &[f32]) -> Vec<f32> {
                 Some(next) => sorted.partition_point(|&v| f64::from(v) < (book[i] + next) / 2.0).max(first),
                 None => sorted.len(),
             };
-            let mean = if end > first { (sums[end] - sums[first]) / (end - first) as f64 } else { book[i] };
+            let sum: f64 = sorted[first..end].iter().copied().map(f64::from).sum();
+            let mean = if end > first { sum / (end - first) as f64 } else { book[i] };
             first = end;
             mean
         });
@@ -66,26 +61,27 @@ fn lloyd(sorted: &[f32]) -> Vec<f32> {
     book.into_iter().map(|value| value as f32).collect()
 }
 
-/// Values whose density is the cube root of the numbers' density, which is best for many values (Panter and Dite).
+/// Values whose density is the cube root of the numbers' density, which is best for many values (Panter and Dite). Within a
+/// bin they have equal numbers between them, because a far outlier leaves all others in one bin.
 fn first_values(sorted: &[f32]) -> Vec<f64> {
     let [min, max] = [sorted[0], sorted[sorted.len() - 1]].map(f64::from);
-    let edge = |bin: usize| min + (max - min) * bin as f64 / BINS as f64;
-    let mut begin = 0;
-    let mut sum = 0.0;
-    let cumulated: Vec<f64> = (1..=BINS)
-        .map(|bin| {
-            let end = sorted.partition_point(|&v| f64::from(v) < edge(bin)).max(begin);
-            sum += ((end - begin) as f64).cbrt();
-            begin = end;
-            sum
-        })
-        .collect();
-    (0..LEVELS)
-        .map(|i| {
-            let wanted = sum * (i as f64 + 0.5) / LEVELS as f64;
-            edge(cumulated.partition_point(|&c| c < wanted)) + (max - min) / (2 * BINS) as f64
-        })
-        .collect()
+    let mut ends = vec![0];
+    ends.extend((1..=BINS).map(|bin| {
+        let edge = min + (max - min) * bin as f64 / BINS as f64;
+        if bin == BINS { sorted.len() } else { sorted.partition_point(|&v| f64::from(v) < edge) }
+    }));
+    let mut cumulated = vec![0.0];
+    for bin in ends.windows(2) {
+        cumulated.push(cumulated[cumulated.len() - 1] + ((bin[1] - bin[0]) as f64).cbrt());
+    }
+    let value = |i: usize| {
+        let wanted = cumulated[BINS] * (i as f64 + 0.5) / LEVELS as f64;
+        let bin = cumulated.partition_point(|&c| c <= wanted).clamp(1, BINS) - 1;
+        let share = (wanted - cumulated[bin]) / (cumulated[bin + 1] - cumulated[bin]);
+        let rank = ends[bin] + (share * (ends[bin + 1] - ends[bin]) as f64) as usize;
+        f64::from(sorted[rank.min(sorted.len() - 1)])
+    };
+    (0..LEVELS).map(value).collect()
 }
 
 /// A palette of vectors, with 256 different values in all.
@@ -330,7 +326,8 @@ mod tests {
         let few: Vec<f32> = numbers(200).repeat(3);
         let (book, indices) = scalar_codebook(&few);
         assert!(few.iter().zip(&indices).all(|(&number, &i)| book[usize::from(i)] == number));
-        let many = numbers(20_000);
+        let mut many = numbers(20_000);
+        many[7] = 1e30;
         let (book, indices) = scalar_codebook(&many);
         let error = |book: &[f32; LEVELS], i: usize| f64::from(book[i]);
         let squares =

@@ -126,9 +126,6 @@ impl Format {
 
     fn by_name(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
-        if name == sog::META {
-            return Some(Self::Sog);
-        }
         // The longest of several matching extensions counts.
         Self::ALL.into_iter().filter(|f| name.ends_with(f.extension())).max_by_key(|f| f.extension().len())
     }
@@ -319,7 +316,8 @@ fn json(path: &Path) -> Option<Error> {
         return Some(Error::input(path, "is a streamed SOG, which is not read", remedy));
     }
     let describes_sog = has("\"means\"") && has(".webp\"");
-    describes_sog.then(|| Error::input(path, "describes a SOG under another name", "name it meta.json"))
+    (describes_sog && !sog::is_meta(path))
+        .then(|| Error::input(path, "describes a SOG under another name", "name it meta.json"))
 }
 
 fn start_of_text(path: &Path) -> Option<String> {
@@ -331,9 +329,11 @@ fn start_of_text(path: &Path) -> Option<String> {
 /// True for a SOG: its ZIP, its `meta.json`, or the folder of that.
 pub fn is_sog(path: &Path) -> bool {
     if path.is_dir() {
-        return is_sog(&path.join(sog::META));
+        // A model folder or a data set may hold one besides.
+        let others = ["point_cloud", "sparse", "transforms.json", "transforms_train.json"];
+        return !others.iter().any(|name| path.join(name).exists()) && is_sog(&path.join(sog::META));
     }
-    if path.file_name().is_some_and(|name| name == sog::META) {
+    if sog::is_meta(path) {
         return start_of_text(path)
             .is_some_and(|text| text.contains("\"means\"") && text.contains(".webp\""));
     }

@@ -1,5 +1,5 @@
 //! SOG (PlayCanvas): attributes as the bytes of lossless WebP pictures, with codebooks. Reads versions 1 and 2, bundled in a
-//! ZIP (`.sog`) or beside their `meta.json`; writes version 2.
+//! ZIP (`.sog`) or beside their `meta.json`; writes version 2 in a ZIP.
 //!
 //! Format: developer.playcanvas.com, "The SOG Format". Pixel `i` of each picture, row by row, belongs to Gaussian `i`.
 
@@ -14,7 +14,7 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::codebook::{LEVELS, Palette, scalar_codebook};
 use super::format::read_origin;
-use super::{BLOCK, Format, Header, Outline, Produce, Sink, Source, row_bytes, spz};
+use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, row_bytes, spz};
 use crate::ply::morton_order;
 use crate::regular_file::{self, OnFile};
 use crate::{atomic, cost, host_memory};
@@ -36,6 +36,8 @@ const MOST_VECTORS: usize = 1 << 16;
 const OMITS_W: u8 = 252;
 /// Least distance of a stored opacity from 0 and 1, whose logits are infinite.
 const OPACITY_MARGIN: f64 = 1e-6;
+/// Largest side of a WebP picture.
+const MOST_SIDE: usize = 16_383;
 const VERSION: u32 = 2;
 
 /// `meta.json` of both versions.
@@ -44,8 +46,9 @@ struct Meta {
     /// Version 1 has no number.
     #[serde(default = "first_version")]
     version: u32,
+    /// Version 1 has it in the shape of the means.
     #[serde(default)]
-    count: u64,
+    count: Option<u64>,
     #[serde(default)]
     antialias: bool,
     means: Attribute,
@@ -75,14 +78,15 @@ struct Attribute {
     mins: Numbers,
     #[serde(default, skip_serializing_if = "Numbers::is_empty")]
     maxs: Numbers,
+    /// Some writers left the first value out.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    codebook: Vec<f32>,
+    codebook: Vec<Option<f32>>,
     files: Vec<String>,
 }
 
 /// Version 1 has a single number for all higher SH coefficients.
 #[derive(Deserialize, Serialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected a number or a list of numbers")]
 enum Numbers {
     One(f64),
     Each(Vec<f64>),
@@ -112,6 +116,8 @@ pub(super) struct Sog {
     path: PathBuf,
     meta: Meta,
     header: Header,
+    /// See [`ReadOptions::max_host_memory`].
+    max_host_memory: Option<u64>,
 }
 
 /// A decoded picture.
@@ -122,45 +128,50 @@ struct Decoded {
 }
 
 impl Sog {
-    pub(super) fn open(path: &Path) -> Result<Self> {
-        let text = member(path, META, MOST_META_BYTES)?;
-        regular_file::check_json(path, &text, None)?;
+    pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self> {
+        let text = member(path, META, (MOST_META_BYTES, options.max_host_memory))?;
+        regular_file::check_json(path, &text, options.max_host_memory)?;
         let meta: Meta = serde_json::from_slice(&text).map_err(|e| damaged(path, format!("{META}: {e}")))?;
         if !(1..=VERSION).contains(&meta.version) {
             let problem = format!("is SOG version {}; 1 and 2 are known", meta.version);
             return Err(Error::input(path, problem, "write it again as version 2"));
         }
-        let count =
-            if meta.version == 1 { meta.means.shape.first().copied().unwrap_or(0) } else { meta.count };
-        let sh_degree = meta.higher.as_ref().map_or(Ok(0), |palette| degree(path, palette))?;
-        let mut header = Header::new(Format::Sog, count, sh_degree);
+        let count = if meta.version == 1 { meta.means.shape.first().copied() } else { meta.count };
+        let most = (MOST_SIDE * MOST_SIDE) as u64;
+        let count = count.filter(|count| *count <= most).ok_or_else(|| {
+            damaged(path, format!("{META}: the number of Gaussians is missing or above {most}"))
+        })?;
+        let mut header = Header::new(Format::Sog, count, 0);
         header.antialiased = meta.antialias;
         header.origin = read_origin(path)?;
-        let mut sog = Self { path: path.to_owned(), meta, header };
-        sog.header.warnings = sog.lossy()?;
+        let mut sog = Self { path: path.to_owned(), meta, header, max_host_memory: options.max_host_memory };
+        sog.header.sh_degree = sog.degree()?;
         Ok(sog)
     }
 
-    /// Warns about pictures whose bytes are not those that were written.
-    fn lossy(&self) -> Result<Vec<String>> {
-        let Meta { means, scales, quats, sh0, higher, .. } = &self.meta;
-        let mut lossy = Vec::new();
-        for name in
-            [means, scales, quats, sh0].into_iter().chain(higher).flat_map(|attribute| &attribute.files)
-        {
-            let picture = member(&self.path, name, self.most_bytes())?;
-            if picture.starts_with(b"\xff\xd8\xff") || picture.get(12..16) == Some(b"VP8 ") {
-                lossy.push(format!(
-                    "{name} was packed with losses, so that its values are wrong: write the SOG again"
-                ));
-            }
+    /// SH degree of the palette. Version 1 tells it by the width of the picture alone.
+    fn degree(&self) -> Result<u32> {
+        let Some(palette) = &self.meta.higher else { return Ok(0) };
+        if palette.count.is_some_and(|count| count > MOST_VECTORS) {
+            return Err(self.damaged(format!("{META}: shN has more than {MOST_VECTORS} vectors")));
         }
-        Ok(lossy)
+        if let Some(bands) = palette.bands.filter(|bands| (1..=3).contains(bands)) {
+            return Ok(bands);
+        }
+        let (name, packed) = self.packed(palette, 0)?;
+        let reader = ImageReader::new(Cursor::new(packed)).with_guessed_format();
+        let size = reader.ok().and_then(|reader| reader.into_dimensions().ok());
+        let fits = |degree: &u32| size.is_some_and(|(width, _)| width as usize == palette_width(*degree));
+        let degree = (1..=3).find(fits).filter(|_| palette.bands.is_none());
+        degree.ok_or_else(|| self.damaged(format!("{META}: shN has no SH degree from 1 to 3 for {name}")))
     }
 
-    /// Largest packed picture. Bytes that do not compress take as much as pixels.
-    fn most_bytes(&self) -> u64 {
-        8 * (self.header.count + SPARE_PIXELS) + 4 * (MOST_VECTORS * 16) as u64
+    /// Name and packed bytes of a picture. Pixels that do not compress take as much as they are.
+    fn packed<'a>(&self, attribute: &'a Attribute, index: usize) -> Result<(&'a str, Vec<u8>)> {
+        let name =
+            attribute.files.get(index).ok_or_else(|| self.damaged(format!("{META} names too few files")))?;
+        let most = 8 * (self.header.count + SPARE_PIXELS) + 4 * (MOST_VECTORS * 16) as u64;
+        Ok((name, member(&self.path, name, (most, self.max_host_memory))?))
     }
 
     fn damaged(&self, problem: impl Into<String>) -> Error {
@@ -169,10 +180,12 @@ impl Sog {
 
     /// Decodes a picture with a number of pixels in `fitting`.
     fn pixels(&self, attribute: &Attribute, index: usize, fitting: RangeInclusive<u64>) -> Result<Decoded> {
-        let name =
-            attribute.files.get(index).ok_or_else(|| self.damaged(format!("{META} names too few files")))?;
+        let (name, packed) = self.packed(attribute, index)?;
         let bad = |e: &dyn std::fmt::Display| self.damaged(format!("{name}: {e}"));
-        let packed = member(&self.path, name, self.most_bytes())?;
+        if is_lossy(&packed) {
+            let problem = format!("{name} was packed with losses, so that its values are wrong");
+            return Err(Error::input(&self.path, problem, "write the SOG again, with lossless WebP"));
+        }
         let reader = || ImageReader::new(Cursor::new(&packed)).with_guessed_format().map_err(|e| bad(&e));
         if !matches!(reader()?.format(), Some(ImageFormat::WebP | ImageFormat::Png)) {
             return Err(bad(&"is no WebP"));
@@ -183,7 +196,8 @@ impl Sog {
             let least = fitting.start();
             return Err(bad(&format!("has {columns}x{rows} pixels, where {least} are needed")));
         }
-        host_memory::check(&self.path, 16 * pixels, None)?;
+        // The decoder's pixels, and ours.
+        host_memory::check(&self.path, 16 * pixels, self.max_host_memory)?;
         let mut reader = reader()?;
         let mut limits = Limits::default();
         limits.max_alloc = Some(64 * pixels + (1 << 20));
@@ -200,9 +214,14 @@ impl Sog {
             let (min, max) = self.range((name, attribute), channel)?;
             return Ok(std::array::from_fn(|i| (min + (max - min) * i as f64 / 255.0) as f32));
         }
-        // Writers that find fewer values may end the list there; an index beyond it stands for the last one.
-        let last = book.last().ok_or_else(|| self.damaged(format!("{META}: {name} has no codebook")))?;
-        Ok(std::array::from_fn(|i| *book.get(i).unwrap_or(last)))
+        // A writer that finds fewer values may end the list there.
+        let at = |i: usize| book.get(i.min(book.len().saturating_sub(1))).copied().flatten();
+        // PlayCanvas' own reader repairs a first value that is missing in this way.
+        let first = || at(0).or_else(|| Some(at(1)? + (at(1)? - at(255)?) / 255.0));
+        let value = |i: usize| if i == 0 { first() } else { at(i) };
+        let bad = || self.damaged(format!("{META}: {name} has no whole codebook"));
+        (0..LEVELS).all(|i| value(i).is_some()).then_some(()).ok_or_else(bad)?;
+        Ok(std::array::from_fn(|i| value(i).unwrap_or_default()))
     }
 
     fn range(&self, (name, attribute): (&str, &Attribute), channel: usize) -> Result<(f64, f64)> {
@@ -220,6 +239,8 @@ impl Source for Sog {
         let Meta { version, means, scales, quats, sh0, higher, .. } = &self.meta;
         let (count, sh_degree) = (self.header.count, self.header.sh_degree);
         let each = || count..=2 * count + SPARE_PIXELS;
+        // Six pictures beside the one that is decoded.
+        host_memory::check(&self.path, 24 * count, self.max_host_memory)?;
         let mean_ranges = [0, 1, 2].map(|axis| self.range(("means", means), axis));
         let [x, y, z] = mean_ranges;
         let ranges = [x?, y?, z?];
@@ -240,22 +261,26 @@ impl Source for Sog {
         };
         let sh0 = self.pixels(sh0, 0, each())?.pixels;
         let coefficients = sh_coefficients(sh_degree) - 1;
-        let (palette, columns, labels) = match higher {
-            None => (Vec::new(), 0, Vec::new()),
+        let (palette, labels) = match higher {
+            None => (Vec::new(), Vec::new()),
             Some(higher) => {
                 let levels = self.levels(("shN", higher), 0)?;
-                let row = (PALETTE_COLUMNS * coefficients) as u64;
+                let width = palette_width(sh_degree);
                 // Version 1 does not say how many there are. A label beyond them is found below.
-                let least = higher.count.unwrap_or(1).div_ceil(PALETTE_COLUMNS) as u64 * row;
-                let most = (MOST_VECTORS * coefficients) as u64;
-                let Decoded { columns, pixels } = self.pixels(higher, 0, least..=most)?;
+                let least = higher.count.unwrap_or(1).div_ceil(PALETTE_COLUMNS) * width;
+                let fitting = least as u64..=(MOST_VECTORS * coefficients) as u64;
+                let Decoded { columns, pixels } = self.pixels(higher, 0, fitting)?;
+                if columns != width {
+                    return Err(
+                        self.damaged(format!("the palette of shN has {columns} columns instead of {width}"))
+                    );
+                }
                 let value = |[r, g, b, _]: [u8; 4]| [r, g, b].map(|byte| levels[usize::from(byte)]);
-                (pixels.into_iter().map(value).collect(), columns, self.pixels(higher, 1, each())?.pixels)
+                (pixels.into_iter().map(value).collect(), self.pixels(higher, 1, each())?.pixels)
             }
         };
         let sh_of = |label: [u8; 4]| {
-            let vector = usize::from(u16::from_le_bytes([label[0], label[1]]));
-            let first = vector / PALETTE_COLUMNS * columns + vector % PALETTE_COLUMNS * coefficients;
+            let first = usize::from(u16::from_le_bytes([label[0], label[1]])) * coefficients;
             let found: Option<&[[f32; 3]]> = palette.get(first..first + coefficients);
             found.ok_or_else(|| self.damaged("an index lies beyond the palette of spherical harmonics"))
         };
@@ -272,7 +297,9 @@ impl Source for Sog {
                 block
                     .log_scales
                     .push(std::array::from_fn(|axis| scale_levels[axis][usize::from(scales[i][axis])]));
-                block.quats.push(unpack_rotation(quats[i]));
+                let no_index =
+                    || self.damaged(format!("the quaternion of Gaussian {i} does not say what it omits"));
+                block.quats.push(unpack_rotation(quats[i]).ok_or_else(no_index)?);
                 block.opacity_logits.push(logits[usize::from(sh0[i][3])]);
                 block
                     .sh
@@ -287,37 +314,41 @@ impl Source for Sog {
     }
 }
 
-/// SH degree of a palette; version 1 tells it by the width of the picture alone.
-fn degree(path: &Path, palette: &Attribute) -> Result<u32> {
-    let degree = match palette.bands {
-        Some(bands) => Some(bands),
-        None => {
-            let name =
-                palette.files.first().ok_or_else(|| damaged(path, format!("{META}: shN names no files")))?;
-            let picture = member(path, name, 4 * (MOST_VECTORS * 16) as u64)?;
-            let reader = ImageReader::new(Cursor::new(picture)).with_guessed_format();
-            let size = reader.ok().and_then(|reader| reader.into_dimensions().ok());
-            size.and_then(|(width, _)| {
-                (1..=3).find(|&d| width as usize == PALETTE_COLUMNS * (sh_coefficients(d) - 1))
-            })
+/// Columns of the palette's picture.
+fn palette_width(sh_degree: u32) -> usize {
+    PALETTE_COLUMNS * (sh_coefficients(sh_degree) - 1)
+}
+
+/// True for a WebP with a lossy chunk, also behind others.
+fn is_lossy(packed: &[u8]) -> bool {
+    let mut at = 12;
+    while let Some(chunk) = packed.get(at..at + 8).filter(|_| packed.starts_with(b"RIFF")) {
+        if chunk.starts_with(b"VP8 ") {
+            return true;
         }
-    };
-    degree
-        .filter(|degree| (1..=3).contains(degree))
-        .ok_or_else(|| damaged(path, format!("{META}: the SH degree is {degree:?}, and may be 1 to 3")))
+        at = at.saturating_add(8).saturating_add(regular_file::u32_at(chunk, 4).next_multiple_of(2) as usize);
+    }
+    false
 }
 
 fn damaged(path: &Path, problem: impl Into<String>) -> Error {
     Error::input(path, problem, "the file is damaged or cut short: write or download it again")
 }
 
-/// Reads a file of the ZIP, or of the folder.
-fn member(path: &Path, name: &str, most: u64) -> Result<Vec<u8>> {
-    if path.file_name().is_some_and(|own| own == META) {
+/// True for the name of a description.
+pub(super) fn is_meta(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.eq_ignore_ascii_case(META))
+}
+
+/// Reads a file of the ZIP, or of the folder, of at most these bytes, within a memory budget.
+fn member(path: &Path, name: &str, (most, max_host_memory): (u64, Option<u64>)) -> Result<Vec<u8>> {
+    if is_meta(path) {
         let place = match Path::new(name).components().count() {
+            _ if name == META => path.to_owned(),
             1 => path.with_file_name(name),
             _ => return Err(damaged(path, format!("{name:?} does not lie beside it"))),
         };
+        host_memory::check(&place, regular_file::open(&place)?.1.min(most), max_host_memory)?;
         return regular_file::read_at_most(&place, most)?
             .ok_or_else(|| damaged(&place, format!("has more than {most} bytes")));
     }
@@ -326,31 +357,31 @@ fn member(path: &Path, name: &str, most: u64) -> Result<Vec<u8>> {
         ZipArchive::new(BufReader::new(file)).map_err(|e| damaged(path, format!("is no whole ZIP: {e}")))?;
     let found = (0..archive.len()).find(|&index| {
         // Some programs pack the folder itself.
-        archive
-            .name_for_index(index)
-            .and_then(|inside| inside.ok())
-            .is_some_and(|inside| inside.rsplit('/').next() == Some(name))
+        let inside = archive.name_for_index(index).and_then(|inside| inside.ok());
+        inside.is_some_and(|inside| inside.rsplit('/').next() == Some(name))
     });
     let missing = || damaged(path, format!("holds no {name}"));
     let mut entry = archive.by_index(found.ok_or_else(missing)?).map_err(|e| damaged(path, e.to_string()))?;
     if entry.size() > most {
         return Err(damaged(path, format!("{name} unpacks to {} bytes", entry.size())));
     }
+    host_memory::check(path, entry.size(), max_host_memory)?;
     let mut bytes = host_memory::reserved(path, entry.size())?;
     entry.by_ref().take(most).read_to_end(&mut bytes).map_err(|e| damaged(path, format!("{name}: {e}")))?;
     Ok(bytes)
 }
 
 /// The three smaller components of (w, x, y, z) around 127.5, and the index of the omitted one in alpha.
-fn unpack_rotation([a, b, c, omitted]: [u8; 4]) -> [f32; 4] {
+/// `None` for another alpha.
+fn unpack_rotation([a, b, c, omitted]: [u8; 4]) -> Option<[f32; 4]> {
+    let omitted = usize::from(omitted.checked_sub(OMITS_W)?);
     let small = [a, b, c].map(|byte| (f64::from(byte) / 255.0 - 0.5) * std::f64::consts::SQRT_2);
     let largest = (1.0 - small.iter().map(|v| v * v).sum::<f64>()).max(0.0).sqrt();
     let mut small = small.into_iter();
-    std::array::from_fn(|i| {
-        let component =
-            if i == usize::from(omitted.wrapping_sub(OMITS_W)) { Some(largest) } else { small.next() };
+    Some(std::array::from_fn(|i| {
+        let component = if i == omitted { Some(largest) } else { small.next() };
         component.unwrap_or(0.0) as f32
-    })
+    }))
 }
 
 fn pack_rotation(quat: [f32; 4]) -> [u8; 4] {
@@ -387,12 +418,6 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
         Ok(())
     })?;
     let members = members(path, &all, outline)?;
-    if path.file_name().is_some_and(|name| name == META) {
-        // The description comes last, so that it names no file that is missing.
-        return members.into_iter().try_for_each(|(name, bytes)| {
-            atomic::write(path.with_file_name(name), |writer| writer.write_all(&bytes))
-        });
-    }
     atomic::write_seekable(path, |writer| {
         let mut archive = ZipWriter::new(writer);
         let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
@@ -406,11 +431,18 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
 
 /// Names and contents of the files, the description last.
 fn members(path: &Path, all: &Gaussians, outline: &Outline) -> Result<Vec<(&'static str, Vec<u8>)>> {
-    let means: Vec<[f32; 3]> = all.means.clone();
-    let order = morton_order(&means);
+    let order = morton_order(&all.means);
     let count = order.len();
     let width = ((count as f64).sqrt() / 4.0).ceil().max(1.0) as usize * 4;
     let size = (width, count.div_ceil(width).max(1).next_multiple_of(4));
+    if width > MOST_SIDE {
+        let limit = ((MOST_SIDE * MOST_SIDE) as u64, "the side of a WebP picture");
+        return Err(Error::too_large(
+            format!("{}: a SOG", path.display()),
+            (count as u64, "Gaussians"),
+            limit,
+        ));
+    }
     let logs: Vec<[f64; 3]> = order.iter().map(|&i| all.means[i].map(logarithm)).collect();
     let ends = |axis: usize| {
         logs.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(min, max), log| {
@@ -437,13 +469,12 @@ fn members(path: &Path, all: &Gaussians, outline: &Outline) -> Result<Vec<(&'sta
     let opacity = |&i: &usize| (255.0 * all.opacity(i)).round() as u8;
     let colors = colors.as_chunks::<3>().0.iter().zip(&order).map(|(&[r, g, b], i)| [r, g, b, opacity(i)]);
     let quats = order.iter().map(|&i| pack_rotation(all.quats[i]));
-    let webp = |name: &str, picture: Picture| picture.packed(path, name);
     let mut files = vec![
-        ("means_l.webp", webp("means_l.webp", Picture::rgb(&half(0), size))?),
-        ("means_u.webp", webp("means_u.webp", Picture::rgb(&half(1), size))?),
-        ("scales.webp", webp("scales.webp", Picture::rgb(scales.as_chunks::<3>().0, size))?),
-        ("quats.webp", webp("quats.webp", Picture::rgba(quats, size))?),
-        ("sh0.webp", webp("sh0.webp", Picture::rgba(colors, size))?),
+        ("means_l.webp", Picture::rgb(&half(0), size).packed()),
+        ("means_u.webp", Picture::rgb(&half(1), size).packed()),
+        ("scales.webp", Picture::rgb(scales.as_chunks::<3>().0, size).packed()),
+        ("quats.webp", Picture::rgba(quats, size).packed()),
+        ("sh0.webp", Picture::rgba(colors, size).packed()),
     ];
     let mut higher = None;
     if coefficients > 1 {
@@ -454,26 +485,26 @@ fn members(path: &Path, all: &Gaussians, outline: &Outline) -> Result<Vec<(&'sta
         let palette = Picture::rgb(vectors.as_chunks::<3>().0, (PALETTE_COLUMNS * (coefficients - 1), rows));
         let labels: Vec<[u8; 3]> =
             labels.iter().map(|label| label.to_le_bytes()).map(|[l, h]| [l, h, 0]).collect();
-        files.push(("shN_centroids.webp", webp("shN_centroids.webp", palette)?));
-        files.push(("shN_labels.webp", webp("shN_labels.webp", Picture::rgb(&labels, size))?));
+        files.push(("shN_centroids.webp", palette.packed()));
+        files.push(("shN_labels.webp", Picture::rgb(&labels, size).packed()));
         higher = Some(Attribute {
             count: Some(found),
             bands: Some(all.sh_degree),
-            codebook: book.to_vec(),
+            codebook: book.map(Some).to_vec(),
             files: vec!["shN_centroids.webp".into(), "shN_labels.webp".into()],
             ..Default::default()
         });
     }
     let names = |names: &[&str]| names.iter().map(|&name| name.into()).collect::<Vec<String>>();
     let book = |book: [f32; LEVELS], name| Attribute {
-        codebook: book.to_vec(),
+        codebook: book.map(Some).to_vec(),
         files: names(&[name]),
         ..Default::default()
     };
     let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
     let meta = Meta {
         version: VERSION,
-        count: count as u64,
+        count: Some(count as u64),
         antialias: outline.options.antialiased,
         means: Attribute {
             mins: Numbers::Each(ranges.iter().map(|range| finite(range.0)).collect()),
@@ -510,24 +541,13 @@ impl Picture {
         Self { bytes, size, channels: 4 }
     }
 
-    fn packed(self, path: &Path, name: &str) -> Result<Vec<u8>> {
+    fn packed(self) -> Vec<u8> {
         let Self { bytes, size: (width, height), channels } = self;
-        if width.max(height) > MOST_SIDE {
-            let limit = ((MOST_SIDE * MOST_SIDE) as u64, "the side of a WebP picture");
-            return Err(Error::too_large(
-                format!("{}: {name}", path.display()),
-                ((width * height) as u64, "pixels"),
-                limit,
-            ));
-        }
         let (width, height) = (width as u32, height as u32);
         let encoder = match channels {
             3 => webp::Encoder::from_rgb(&bytes, width, height),
             _ => webp::Encoder::from_rgba(&bytes, width, height),
         };
-        Ok(encoder.encode_lossless().to_vec())
+        encoder.encode_lossless().to_vec()
     }
 }
-
-/// Largest side of a WebP picture.
-const MOST_SIDE: usize = 16_383;

@@ -84,7 +84,7 @@ pub struct WriteOptions {
     /// `KHR_gaussian_splatting_compression_spz_2`; `None` does not pack. Other formats have no version.
     pub spz_version: Option<u32>,
     /// Frame of the Gaussians within the file's coordinates. They are written in source units, relative to the frame's
-    /// origin, which the file names: PLY in a comment, glTF in the node's translation, .splat and SPZ in a file
+    /// origin, which the file names: PLY in a comment, glTF in the node's translation, .splat, SPZ and SOG in a file
     /// `NAME.origin.json` beside it.
     pub frame: WorldFrame,
 }
