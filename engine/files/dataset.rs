@@ -21,10 +21,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use crate::host_memory::HostMemory;
 use crate::images::{PhotoFile, StoredPhoto};
 use crate::init::{RANDOM_POINTS, points_in_view, random_points, seen_box};
-use crate::photo_points::{PHOTO_POINTS, photo_points};
 use crate::progress::Progress;
 use ashsplat::Result;
 use ashsplat::passes::loss::DepthPoint;
@@ -205,25 +203,6 @@ impl Dataset {
         }
     }
 
-    /// Up to 20,000 points at which the training photographs agree: [`photo_points`]. The inner error is their number
-    /// if it is below 1000: random points are the better start then.
-    ///
-    /// `memory` is the budget with which the data set was loaded: [`DatasetOptions::host_memory`].
-    pub fn points_in_photos(
-        &self,
-        seed: u64,
-        memory: &HostMemory,
-        progress: Progress<'_>,
-    ) -> Result<Result<PointCloud, usize>> {
-        let kept = |view: &View| {
-            let photo = view.photo.file().map_or(view.photo.bytes(), |_| 0);
-            photo + view.inverse_depth.as_ref().map_or(0, |map| size_of_val(&**map) as u64)
-        };
-        let memory = memory.beside_photos(self.train.iter().chain(&self.test).map(kept).sum());
-        let found = photo_points(&self.train, self.scene_extent, PHOTO_POINTS, seed, &memory, progress)?;
-        Ok(if found.len() < MIN_PHOTO_POINTS { Err(found.len()) } else { Ok(found) })
-    }
-
     /// Removes the warning about missing points, because training continues from existing Gaussians.
     pub fn needs_no_points(&mut self) {
         self.warnings.retain(|warning| !warning.starts_with(&random_points_instead()));
@@ -266,6 +245,3 @@ fn photo_file(
     ));
     memory.create_file().map(Some)
 }
-
-/// Least number of points in the photographs; with fewer, random points are the better start.
-const MIN_PHOTO_POINTS: usize = 1000;

@@ -12,7 +12,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::dataset::View;
+use crate::dataset::{Dataset, View};
 use crate::host_memory::HostMemory;
 use crate::images::{Photo, PhotoFileFormat};
 use crate::init::seen_box;
@@ -21,6 +21,29 @@ use ashsplat::Result;
 use ashsplat::scene::Camera;
 use ashsplat::scene::points::PointCloud;
 
+impl Dataset {
+    /// Up to 20,000 points at which the training photographs agree: [`photo_points`]. The inner error is their number
+    /// if it is below 1000: random points are the better start then.
+    ///
+    /// `memory` is the budget with which the data set was loaded: [`DatasetOptions::host_memory`](crate::DatasetOptions::host_memory).
+    pub fn points_in_photos(
+        &self,
+        seed: u64,
+        memory: &HostMemory,
+        progress: Progress<'_>,
+    ) -> Result<Result<PointCloud, usize>> {
+        let kept = |view: &View| {
+            let photo = view.photo.file().map_or(view.photo.bytes(), |_| 0);
+            photo + view.inverse_depth.as_ref().map_or(0, |map| size_of_val(&**map) as u64)
+        };
+        let memory = memory.beside_photos(self.train.iter().chain(&self.test).map(kept).sum());
+        let found = photo_points(&self.train, self.scene_extent, PHOTO_POINTS, seed, &memory, progress)?;
+        Ok(if found.len() < MIN_PHOTO_POINTS { Err(found.len()) } else { Ok(found) })
+    }
+}
+
+/// Least number of points in the photographs; with fewer, random points are the better start.
+const MIN_PHOTO_POINTS: usize = 1000;
 /// Largest number of kept points.
 pub const PHOTO_POINTS: usize = 20_000;
 

@@ -187,7 +187,7 @@ fn write_blocks(
 
 pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
     if path.is_dir() && is_sog(path) {
-        return Ok(Reader::new(path, Box::new(sog::Sog::open(&path.join(sog::META), options)?), options));
+        return Ok(Reader::new(path, Box::new(sog::Sog::open(&path.join(format::META), options)?), options));
     }
     let source: Box<dyn Source + 'a> = match Format::of_file(path)? {
         Format::Ply => Box::new(ply::GaussianRows::open(path)?),

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::View;
 use super::options::DatasetOptions;
 use super::part::cut;
-use super::planned_view::PlannedView;
+use super::planned_view::{PlannedMap, PlannedView};
 use crate::colmap::{self, ColmapImage, Model};
 use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
 use crate::images::{DepthMap, header};
@@ -17,14 +17,6 @@ use crate::names::{Finder, plain, stays_inside};
 use crate::transforms;
 use ashsplat::scene::PicturePart;
 use ashsplat::{Error, Result};
-
-/// An inverse-depth map that is read with its photo.
-#[derive(Clone, Debug)]
-pub(super) struct PlannedMap {
-    path: PathBuf,
-    /// Maps the values to inverse depths, 1 / world units.
-    fit: DepthFit,
-}
 
 /// Finds the maps of the views that are trained on; none for those whose map cannot be fitted. `unit` is the frame's
 /// unit in source units.

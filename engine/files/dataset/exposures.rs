@@ -7,7 +7,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::View;
-use super::gallery::{Gallery, Track, depth_point};
+use super::gallery::{Gallery, depth_point};
+use super::planned_view::Track;
 use ashsplat::Result;
 use ashsplat::scene::Camera;
 

@@ -13,7 +13,7 @@ use super::mask::Mask;
 use super::options::DatasetOptions;
 use super::part::UsedPart;
 use super::plan::Plan;
-use super::planned_view::PlannedView;
+use super::planned_view::{PlannedView, Track};
 use super::read;
 use super::unpacked::Unpacked;
 use crate::cameras_json::NamedCamera;
@@ -208,9 +208,6 @@ impl Gallery {
         Some(loaded.map(|(view, _)| view))
     }
 }
-
-/// Positions of points, world.
-pub(super) type Track = Arc<[Vec3]>;
 
 impl Gallery {
     /// Reads the points that each photo shows, for [`View::depth_points`] of the training views. Returns their number

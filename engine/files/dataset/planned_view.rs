@@ -1,15 +1,15 @@
 //! A view before its photo is read.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec3, Vec3};
 
 use super::View;
-use super::depths::PlannedMap;
-use super::gallery::Track;
 use super::mask::{Mask, grey};
 use super::options::DatasetOptions;
 use super::part::{UsedPart, cut_photo};
+use crate::depth_fit::DepthFit;
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, read_as, undistort};
 use ashsplat::Result;
 use ashsplat::scene::distortion::PhotoLens;
@@ -50,6 +50,17 @@ pub(crate) struct PlannedView {
     /// The points that the photo shows, after [`Gallery::read_tracks`](super::Gallery::read_tracks).
     pub(super) track: Option<Track>,
 }
+
+/// An inverse-depth map that is read with its photo.
+#[derive(Clone, Debug)]
+pub(super) struct PlannedMap {
+    pub(super) path: PathBuf,
+    /// Maps the values to inverse depths, 1 / world units.
+    pub(super) fit: DepthFit,
+}
+
+/// Positions of points, world.
+pub(super) type Track = Arc<[Vec3]>;
 
 /// Findings in the pixels of a photo.
 pub(super) struct PhotoUse {

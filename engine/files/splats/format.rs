@@ -8,7 +8,7 @@ use flate2::read::GzDecoder;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::{Outline, sog};
+use super::Outline;
 use crate::names::{has_photo_ending, quoted};
 use crate::regular_file::{self, OnFile};
 use crate::{atomic, ply};
@@ -316,7 +316,7 @@ fn json(path: &Path) -> Option<Error> {
         return Some(Error::input(path, "is a streamed SOG, which is not read", remedy));
     }
     let describes_sog = has("\"means\"") && has(".webp\"");
-    (describes_sog && !sog::is_meta(path))
+    (describes_sog && !is_meta(path))
         .then(|| Error::input(path, "describes a SOG under another name", "name it meta.json"))
 }
 
@@ -326,20 +326,28 @@ fn start_of_text(path: &Path) -> Option<String> {
     Some(String::from_utf8_lossy(&text).into_owned())
 }
 
+/// Name of the description of a SOG, in the ZIP or in the folder.
+pub(super) const META: &str = "meta.json";
+
+/// True for the name of a description.
+pub(super) fn is_meta(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.eq_ignore_ascii_case(META))
+}
+
 /// True for a SOG: its ZIP, its `meta.json`, or the folder of that.
 pub fn is_sog(path: &Path) -> bool {
     if path.is_dir() {
         // A model folder or a data set may hold one besides.
         let others = ["point_cloud", "sparse", "transforms.json", "transforms_train.json"];
-        return !others.iter().any(|name| path.join(name).exists()) && is_sog(&path.join(sog::META));
+        return !others.iter().any(|name| path.join(name).exists()) && is_sog(&path.join(META));
     }
-    if sog::is_meta(path) {
+    if is_meta(path) {
         return start_of_text(path)
             .is_some_and(|text| text.contains("\"means\"") && text.contains(".webp\""));
     }
     names_in_zip(path).is_some_and(|names| {
         let has = |file: &str| names.iter().any(|name| name.rsplit('/').next() == Some(file));
-        has(sog::META) && (has("means_l.webp") || Format::by_name(path) == Some(Format::Sog))
+        has(META) && (has("means_l.webp") || Format::by_name(path) == Some(Format::Sog))
     })
 }
 

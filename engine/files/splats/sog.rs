@@ -13,7 +13,7 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::codebook::{LEVELS, Palette, scalar_codebook};
-use super::format::read_origin;
+use super::format::{META, is_meta, read_origin};
 use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, row_bytes, spz};
 use crate::ply::morton_order;
 use crate::regular_file::{self, OnFile};
@@ -22,8 +22,6 @@ use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::{Error, Result};
 
-/// Name of the description, in the ZIP or in the folder.
-pub(super) const META: &str = "meta.json";
 /// Largest description, bytes: three codebooks of 256 numbers take 16 KB.
 const MOST_META_BYTES: u64 = 1 << 20;
 /// Largest number of pixels of a picture beyond those of its Gaussians.
@@ -333,11 +331,6 @@ fn is_lossy(packed: &[u8]) -> bool {
 
 fn damaged(path: &Path, problem: impl Into<String>) -> Error {
     Error::input(path, problem, "the file is damaged or cut short: write or download it again")
-}
-
-/// True for the name of a description.
-pub(super) fn is_meta(path: &Path) -> bool {
-    path.file_name().is_some_and(|name| name.eq_ignore_ascii_case(META))
 }
 
 /// Reads a file of the ZIP, or of the folder, of at most these bytes, within a memory budget.

@@ -2,8 +2,9 @@
 
 use super::checkpoints::{Start, StartFrom};
 use super::prepared::Data;
+use ashsplat::frame::to_u32;
 use ashsplat::scene::{Gaussians, PointCloud, WorldFrame};
-use ashsplat::train::{Checkpoint, SceneBlock, TrainParts, TrainSettings, Trainer};
+use ashsplat::train::{Checkpoint, Forecast, SceneBlock, TrainParts, TrainSettings, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::Scene;
@@ -266,4 +267,18 @@ fn scene_of(path: &Path, settings: &Settings, host: &HostArguments) -> Result<Sc
         tell!("warning: {warning}");
     }
     Ok(scene)
+}
+
+/// Refuses a training that does not fit, by the sizes of the photos, before they are read.
+pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, origin: &Origin) -> Result<()> {
+    let [gaussians, frozen] = origin.counts(settings, (gallery.points(), gallery.frame()))?;
+    Forecast {
+        settings: &settings.train,
+        photos: &gallery.train_photos(),
+        photo_memory: gallery.file_memory(),
+        gaussians: to_u32(gaussians as u64)?,
+        frozen: to_u32(frozen as u64)?,
+        capacities: origin.checkpoint().map(|checkpoint| &checkpoint.capacities),
+    }
+    .check(context)
 }

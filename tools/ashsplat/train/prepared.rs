@@ -1,13 +1,10 @@
 //! Prepares a data set for a run.
 
-use super::origin::Origin;
-use ashsplat::Result;
-use ashsplat::frame::to_u32;
 use ashsplat::scene::{Camera, WorldFrame};
-use ashsplat::train::{Forecast, TrainView};
+use ashsplat::train::TrainView;
 use ashsplat::vk::Context;
 use ashsplat_files::images::existing_folder;
-use ashsplat_files::{Dataset, Gallery, PhotoMemory, View};
+use ashsplat_files::{Dataset, PhotoMemory, View};
 use ashsplat_program::config::Settings;
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
@@ -67,20 +64,6 @@ fn train_view(view: View) -> TrainView {
 /// Indices of the training views that replace held-out ones.
 pub fn stand_ins(views: usize) -> impl Iterator<Item = usize> {
     (0..views).step_by(views.div_ceil(STAND_IN_VIEWS).max(1))
-}
-
-/// Refuses a training that does not fit, by the sizes of the photos, before they are read.
-pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, origin: &Origin) -> Result<()> {
-    let [gaussians, frozen] = origin.counts(settings, (gallery.points(), gallery.frame()))?;
-    Forecast {
-        settings: &settings.train,
-        photos: &gallery.train_photos(),
-        photo_memory: gallery.file_memory(),
-        gaussians: to_u32(gaussians as u64)?,
-        frozen: to_u32(frozen as u64)?,
-        capacities: origin.checkpoint().map(|checkpoint| &checkpoint.capacities),
-    }
-    .check(context)
 }
 
 /// Memory budget of photos: the requested one, or half of the known limit.
