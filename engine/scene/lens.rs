@@ -49,6 +49,28 @@ pub enum Projection {
     Equirectangular,
 }
 
+/// Names of COLMAP's camera models, by number: see [`Camera::with_colmap_lens`].
+pub const COLMAP_MODELS: [&str; 18] = [
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "OPENCV_FISHEYE",
+    "FULL_OPENCV",
+    "FOV",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "THIN_PRISM_FISHEYE",
+    "RAD_TAN_THIN_PRISM_FISHEYE",
+    "SIMPLE_DIVISION",
+    "DIVISION",
+    "SIMPLE_FISHEYE",
+    "FISHEYE",
+    "EUCM",
+    "EQUIRECTANGULAR",
+];
+
 /// Coefficients of a lens, in the order that [`Projection`] lists; zeros after the last.
 pub type Coefficients = [f32; 12];
 

@@ -179,6 +179,35 @@ fn pictures_of_another_shape_show_more_and_stretch_nothing() {
     }
 }
 
+/// Balls to the right of the camera and behind it lie a quarter and half a turn from the middle of a panorama.
+#[test]
+fn pictures_through_a_lens_show_what_lies_beside_and_behind() {
+    let place = Place::empty();
+    write_balls(&place, "balls.ply", &[([4.0, 0.0, 0.0], 5.0, 0.2), ([-0.5, 0.0, -4.0], 5.0, 0.2)]);
+    write_cameras(&place, "path.json", &[camera("a", [160, 120], [0.0; 2], 150)]);
+    let run = |options: &str| {
+        place.run(format!("render @balls.ply --path @path.json -o @out.png --quiet --camera-model {options}"))
+    };
+    let drawn = |options: &str| {
+        run(options).ok();
+        image::open(place.at("out.png")).expect("a PNG").to_luma8()
+    };
+    let panorama = drawn("EQUIRECTANGULAR --height 100");
+    assert_eq!(panorama.dimensions(), (200, 100));
+    assert!(panorama[(150, 50)][0] > 200 && panorama[(196, 50)][0] > 100 && panorama[(100, 50)][0] == 0);
+    // 240 degrees over 120 pixels: 90 degrees are 45 pixels.
+    let fisheye = drawn("opencv_fisheye --width 120 --height 120 --fov 240");
+    assert!(fisheye[(105, 60)][0] > 200 && fisheye[(60, 60)][0] == 0);
+    let own = drawn("OPENCV_FISHEYE --width 120 --height 120 --camera-params 20,20,60,60,0,0,0,0");
+    assert!(own[(91, 60)][0] > 200 && own[(105, 60)][0] == 0);
+    run("EQUIRECTANGULAR --width 100 --height 80").refused(&["panorama of 100x80", "2:1"]);
+    run("EQUIRECTANGULAR --fov 90").refused(&["--fov", "all directions"]);
+    run("OPENCV").refused(&["--camera-params", "0 numbers are not the parameters of OPENCV"]);
+    run("FOV --camera-params 1,2").refused(&["--camera-params", "FOV"]);
+    run("PINHOLE --fov 200").refused(&["--fov", "OPENCV_FISHEYE"]);
+    run("OPENCV --camera-params 150,150,80,60,-9,0,0,0").refused(&["folds the picture"]);
+}
+
 /// Cameras that look elsewhere give black pictures: a warning says so, in `eval` too.
 #[test]
 fn pictures_that_show_nothing_are_told() {

@@ -112,6 +112,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         None => arguments.look.load(&model.ply, host)?,
     };
     let views = arguments.views.choose(&model, &scene, film)?;
+    if tree.is_some() && views.cameras.iter().any(|named| named.camera.projection.is_lens()) {
+        let remedy = "render the scene that the tiles were made of, or through a pinhole";
+        return Err(Error::input(path, "is a folder of tiles, which lenses do not choose from", remedy));
+    }
     if let (Some(_), several @ 2..) = (picture, views.cameras.len()) {
         let problem = format!("is one picture, and there are {several} views");
         return Err(Error::input(&arguments.out, problem, "name a folder, or a film (.mp4, .webm, .gif)"));

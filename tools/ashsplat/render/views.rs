@@ -1,6 +1,6 @@
 //! Chooses the views that `ashsplat render` renders.
 
-use ashsplat::scene::{Camera, Intrinsics, Motion, Orbit, WorldFrame, tour};
+use ashsplat::scene::{COLMAP_MODELS, Camera, Intrinsics, Motion, Orbit, WorldFrame, tour};
 use ashsplat::{Error, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::splats::Scene;
@@ -47,9 +47,20 @@ pub struct Arguments {
 
 fn parse_fov(text: &str) -> Result<f32, String> {
     match text.parse() {
-        Ok(degrees) if (0.01..=179.0).contains(&degrees) => Ok(degrees),
-        _ => Err("expected degrees, 0.01 to 179".into()),
+        Ok(degrees) if (0.01..=360.0).contains(&degrees) => Ok(degrees),
+        _ => Err("expected degrees, 0.01 to 179, with a fisheye to 360".into()),
     }
+}
+
+/// Widest field of view of a pinhole, degrees.
+const WIDEST: f32 = 179.0;
+/// Numbers of COLMAP's camera models that are fisheyes, and of panoramas.
+const FISHEYES: [u32; 7] = [5, 8, 9, 10, 11, 14, 15];
+const PANORAMA: u32 = 17;
+
+fn parse_camera_model(name: &str) -> Result<u32, String> {
+    let found = COLMAP_MODELS.iter().position(|model| model.eq_ignore_ascii_case(name));
+    found.map(|number| number as u32).ok_or_else(|| format!("expected one of {}", COLMAP_MODELS.join(", ")))
 }
 
 /// [`Motion`] on the command line.
@@ -87,6 +98,20 @@ pub struct SizeArguments {
     /// Horizontal field of view, degrees [default: the cameras'; for an orbit as much as they show, at most 60]
     #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, value_parser = parse_fov)]
     fov: Option<f32>,
+    /// Lens of the pictures, by COLMAP's name of a camera model: EQUIRECTANGULAR for a panorama of all directions, OPENCV_FISHEYE,
+    /// OPENCV and others [default: the cameras' own]
+    #[arg(long, value_name = "MODEL", value_parser = parse_camera_model)]
+    camera_model: Option<u32>,
+    /// Parameters of --camera-model in COLMAP's order, pixels of these pictures, such as fx,fy,cx,cy,k1,k2,k3,k4 [default: a
+    /// fisheye without distortion that shows --fov, 180, from left to right]
+    #[arg(
+        long,
+        value_name = "P,…",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        requires = "camera_model"
+    )]
+    camera_params: Vec<f64>,
 }
 
 /// The views to render.
@@ -160,7 +185,7 @@ impl Arguments {
         let wider = u64::from(width) * u64::from(h) > u64::from(height) * u64::from(w);
         let sides = if wider { "at the left and right" } else { "above and below" };
         // --fov determines how much a picture shows, so there is nothing to note.
-        self.size.fov.is_none().then(|| {
+        (self.size.fov.is_none() && self.size.camera_model.is_none()).then(|| {
             format!("{width}x{height} shows more {sides} than {w}x{h} ({name}): pixels keep their shape")
         })
     }
@@ -202,7 +227,7 @@ impl Arguments {
             }
             None => Vec::new(),
         };
-        let intrinsics = self.size.of_orbit(&seen, film);
+        let intrinsics = self.size.of_orbit(&seen, film)?;
         if seen.is_empty() && self.motion.is_some_and(|motion| Motion::from(motion) != Motion::Orbit) {
             return Err(Error::argument(
                 "--motion",
@@ -238,6 +263,7 @@ impl Arguments {
         };
         // A requested motion needs no reason.
         let note = note.filter(|_| self.motion.is_none()).map(str::to_owned);
+        let cameras = cameras.iter().map(|camera| self.size.through_lens(*camera)).collect::<Result<_>>()?;
         Ok(Views { cameras: named(cameras, "orbit")?, note })
     }
 }
@@ -282,11 +308,15 @@ const WIDEST_ORBIT: f32 = 60.0;
 
 impl SizeArguments {
     /// Size and field of view of an orbit, which shows no more than the training's cameras.
-    fn of_orbit(&self, seen: &[Camera], film: Option<Container>) -> Intrinsics {
+    fn of_orbit(&self, seen: &[Camera], film: Option<Container>) -> Result<Intrinsics> {
         // Upright if most photographs are.
         let upright = 2 * seen.iter().filter(|c| c.height > c.width).count() > seen.len();
         let long = if film == Some(Container::Gif) { 640 } else { 1280 };
-        let [wide, high] = if upright { [9, 16] } else { [16, 9] };
+        let [wide, high] = match self.camera_model {
+            Some(PANORAMA) => [2, 1],
+            _ if upright => [9, 16],
+            _ => [16, 9],
+        };
         let of = |side: u32, [to, from]: [u64; 2]| {
             u32::try_from(u64::from(side) * to / from).unwrap_or(u32::MAX).max(1)
         };
@@ -294,7 +324,7 @@ impl SizeArguments {
             (Some(width), Some(height)) => (width, height),
             (Some(width), None) => (width, of(width, [high, wide])),
             (None, Some(height)) => (of(height, [wide, high]), height),
-            (None, None) if upright => (of(long, [wide, high]), long),
+            (None, None) if wide < high => (of(long, [wide, high]), long),
             (None, None) => (long, of(long, [high, wide])),
         };
         // The same solid angle as a photograph, in another shape.
@@ -303,7 +333,53 @@ impl SizeArguments {
         let mut angles: Vec<f32> = seen.iter().map(|c| 2.0 * reach(c).atan().to_degrees()).collect();
         angles.sort_by(f32::total_cmp);
         let usual = angles.get(angles.len() / 2).map_or(WIDEST_ORBIT, |angle| angle.min(WIDEST_ORBIT));
-        Intrinsics::from_fov_x(self.fov.unwrap_or(usual).to_radians(), width, height)
+        let fov = self.pinhole_fov()?.unwrap_or(usual);
+        Ok(Intrinsics::from_fov_x(fov.to_radians(), width, height))
+    }
+
+    /// The requested field of view, unless it is a fisheye's.
+    fn pinhole_fov(&self) -> Result<Option<f32>> {
+        match self.fov {
+            _ if self.camera_model.is_some_and(|model| FISHEYES.contains(&model)) => Ok(None),
+            Some(_) if self.camera_model == Some(PANORAMA) => {
+                Err(Error::argument("--fov", "is not for panoramas, which show all directions"))
+            }
+            Some(fov) if fov > WIDEST => {
+                let problem =
+                    format!("more than {WIDEST} degrees need a fisheye: --camera-model OPENCV_FISHEYE");
+                Err(Error::argument("--fov", problem))
+            }
+            fov => Ok(fov),
+        }
+    }
+
+    /// The camera with the requested lens.
+    fn through_lens(&self, camera: Camera) -> Result<Camera> {
+        let Some(model) = self.camera_model else { return Ok(camera) };
+        let name = COLMAP_MODELS[model as usize];
+        if camera.is_orthographic() {
+            return Err(Error::argument("--camera-model", "is not for orthographic cameras"));
+        }
+        let [width, height] = [camera.width, camera.height].map(f64::from);
+        let mut all = self.camera_params.clone();
+        if all.is_empty() && model == PANORAMA {
+            all = vec![width, height];
+        } else if all.is_empty() && FISHEYES.contains(&model) {
+            let focal = width / f64::from(self.fov.unwrap_or(180.0)).to_radians();
+            let both = vec![focal, focal, 0.5 * width, 0.5 * height];
+            // A fisheye's other parameters are distortion.
+            let with = |focals: usize, zeros| [&both[2 - focals..], &vec![0.0; zeros]].concat();
+            let fits = |parameters: &Vec<f64>| camera.with_colmap_lens(model, parameters).is_some();
+            let possible = [1, 2].into_iter().flat_map(|focals| (0..=12).map(move |zeros| (focals, zeros)));
+            all = possible.map(|(focals, zeros)| with(focals, zeros)).find(fits).unwrap_or_default();
+        }
+        let camera = camera.with_colmap_lens(model, &all).ok_or_else(|| {
+            let problem =
+                format!("{} numbers are not the parameters of {name}, in COLMAP's order", all.len());
+            Error::argument("--camera-params", problem)
+        })?;
+        camera.check()?;
+        Ok(camera)
     }
 
     /// Width and height of a camera's picture. If only one is given, the aspect is kept.
@@ -312,6 +388,11 @@ impl SizeArguments {
             ((f64::from(size) * f64::from(by) / f64::from(of)).round() as u32).max(1)
         };
         match (self.width, self.height) {
+            (Some(width), None) if self.camera_model == Some(PANORAMA) => [width, (width / 2).max(1)],
+            (None, height) if self.camera_model == Some(PANORAMA) => {
+                let height = height.unwrap_or(camera.height);
+                [height.saturating_mul(2), height]
+            }
             (Some(width), Some(height)) => [width, height],
             (Some(width), None) => [width, scaled(camera.height, width, camera.width)],
             (None, Some(height)) => [scaled(camera.width, height, camera.height), height],
@@ -323,7 +404,7 @@ impl SizeArguments {
     fn applied_to(&self, camera: &Camera) -> Result<Camera> {
         let [width, height] = self.of(camera);
         let mut camera = camera.fitted_to(width, height);
-        if let Some(fov) = self.fov {
+        if let Some(fov) = self.pinhole_fov()? {
             if camera.is_orthographic() {
                 return Err(Error::argument(
                     "--fov",
@@ -335,7 +416,7 @@ impl SizeArguments {
             camera.fx = focal;
         }
         camera.check()?;
-        Ok(camera)
+        self.through_lens(camera)
     }
 }
 
