@@ -968,9 +968,9 @@ fn what_a_sog_leaves_out_or_contradicts_is_named() {
         (&|meta| meta["count"] = json!(1 << 20), "pixels, where 1048576 are needed"),
         (&|meta| meta["scales"]["codebook"][9] = Value::Null, "scales has no whole codebook"),
         (&|meta| meta["shN"]["bands"] = json!(4), "shN has no SH degree"),
-        (&|meta| meta["shN"]["bands"] = json!(2), "columns instead of 512"),
+        (&|meta| meta["shN"]["bands"] = json!(2), "192x15 pixels, where 7680 are needed"),
         (&|meta| meta["shN"]["count"] = json!(70_000), "more than 65536 vectors"),
-        (&|meta| meta["quats"]["files"] = json!(["means_l.webp"]), "does not say what it omits"),
+        (&|meta| meta["quats"]["files"] = json!(["sh0.webp"]), "does not say what it omits"),
     ];
     for (change, words) in changes {
         with(change);

@@ -57,6 +57,8 @@ const WIDEST: f32 = 179.0;
 /// Numbers of COLMAP's camera models that are fisheyes, and of panoramas.
 const FISHEYES: [u32; 7] = [5, 8, 9, 10, 11, 14, 15];
 const PANORAMA: u32 = 17;
+/// Numbers of fisheyes with one focal length.
+const ONE_FOCAL: [u32; 3] = [8, 9, 14];
 
 fn parse_camera_model(name: &str) -> Result<u32, String> {
     let found = COLMAP_MODELS.iter().position(|model| model.eq_ignore_ascii_case(name));
@@ -366,12 +368,15 @@ impl SizeArguments {
             all = vec![width, height];
         } else if all.is_empty() && FISHEYES.contains(&model) {
             let focal = width / f64::from(self.fov.unwrap_or(180.0)).to_radians();
-            let both = vec![focal, focal, 0.5 * width, 0.5 * height];
+            let middle = [0.5 * width, 0.5 * height];
+            let optics = match ONE_FOCAL.contains(&model) {
+                true => [&[focal][..], &middle].concat(),
+                false => [&[focal; 2][..], &middle].concat(),
+            };
             // A fisheye's other parameters are distortion.
-            let with = |focals: usize, zeros| [&both[2 - focals..], &vec![0.0; zeros]].concat();
-            let fits = |parameters: &Vec<f64>| camera.with_colmap_lens(model, parameters).is_some();
-            let possible = [1, 2].into_iter().flat_map(|focals| (0..=12).map(move |zeros| (focals, zeros)));
-            all = possible.map(|(focals, zeros)| with(focals, zeros)).find(fits).unwrap_or_default();
+            let undistorted = (0..=12).map(|zeros| [&optics[..], &vec![0.0; zeros]].concat());
+            let mut fitting = undistorted.filter(|all| camera.with_colmap_lens(model, all).is_some());
+            all = fitting.next().unwrap_or_default();
         }
         let camera = camera.with_colmap_lens(model, &all).ok_or_else(|| {
             let problem =
