@@ -194,12 +194,12 @@ fn limits_of_files_and_memory_are_told() {
         // A discrete GPU trains on photographs in a file: half of the memory holds those that are read ahead.
         let read_ahead = [
             "reading ahead (5 of",
-            "more than 12288 (--photo-memory, or half of --max-memory or --max-host-memory)",
+            "more than 13312 (--photo-memory, or half of --max-memory or --max-host-memory)",
         ];
-        let kept = [word, "more than 24576 (--max-host-memory)"];
+        let kept = [word, "more than 26624 (--max-host-memory)"];
         let is_card = crate::common::context().description().kind != "CPU";
         let words = if is_card { read_ahead } else { kept };
-        place.run(format!("{command} --max-host-memory 24K")).refused(&words);
+        place.run(format!("{command} --max-host-memory 26K")).refused(&words);
     }
     assert!(!place.has("model"));
 }
