@@ -5,28 +5,11 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DQuat};
 
 use crate::names::{MAX_PATH_BYTES, ending, plain, stays_inside};
-use ashsplat::scene::Camera;
+use ashsplat::scene::{COLMAP_MODELS, Camera};
 use ashsplat::{Error, Result};
 
-/// COLMAP's camera models by number: name and number of parameters.
-const MODELS: [(&str, usize); 16] = [
-    ("SIMPLE_PINHOLE", 3),
-    ("PINHOLE", 4),
-    ("SIMPLE_RADIAL", 4),
-    ("RADIAL", 5),
-    ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8),
-    ("FULL_OPENCV", 12),
-    ("FOV", 5),
-    ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5),
-    ("THIN_PRISM_FISHEYE", 12),
-    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
-    ("SIMPLE_DIVISION", 4),
-    ("DIVISION", 5),
-    ("SIMPLE_FISHEYE", 3),
-    ("FISHEYE", 4),
-];
+/// Number of parameters of COLMAP's camera models that are read, by number.
+const PARAMETERS: [usize; 16] = [3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4];
 
 /// One of COLMAP's camera models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,17 +23,17 @@ impl CameraModel {
 
     /// Model with COLMAP's number.
     pub fn from_number(number: i64) -> Option<Self> {
-        usize::try_from(number).ok().filter(|&n| n < MODELS.len()).map(Self)
+        usize::try_from(number).ok().filter(|&n| n < PARAMETERS.len()).map(Self)
     }
 
     /// Model with COLMAP's name.
     pub fn from_name(name: &str) -> Option<Self> {
-        MODELS.iter().position(|(model, _)| *model == name).map(Self)
+        COLMAP_MODELS[..PARAMETERS.len()].iter().position(|model| *model == name).map(Self)
     }
 
     /// COLMAP's name.
     pub fn name(self) -> &'static str {
-        MODELS[self.0].0
+        COLMAP_MODELS[self.0]
     }
 
     /// COLMAP's number.
@@ -60,7 +43,7 @@ impl CameraModel {
 
     /// Number of its parameters.
     pub fn parameters(self) -> usize {
-        MODELS[self.0].1
+        PARAMETERS[self.0]
     }
 }
 

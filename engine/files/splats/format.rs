@@ -351,7 +351,9 @@ pub fn is_sog(path: &Path) -> bool {
     })
 }
 
+/// `None` for no ZIP: without its first bytes, the file is not searched for a directory.
 fn names_in_zip(path: &Path) -> Option<Vec<String>> {
+    first_bytes(path).ok().filter(|start| start.starts_with(b"PK\x03\x04"))?;
     let archive = zip::ZipArchive::new(std::io::BufReader::new(regular_file::open(path).ok()?.0)).ok()?;
     Some(archive.file_names().flatten().map(|name| name.into_owned()).collect())
 }

@@ -3,6 +3,7 @@
 use ashsplat::scene::{COLMAP_MODELS, Camera, Intrinsics, Motion, Orbit, WorldFrame, tour};
 use ashsplat::{Error, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
+use ashsplat_files::colmap::CameraModel;
 use ashsplat_files::splats::Scene;
 use ashsplat_program::config::CAMERAS_FILE;
 use ashsplat_program::film_file::Container;
@@ -374,9 +375,9 @@ impl SizeArguments {
                 false => [&[focal; 2][..], &middle].concat(),
             };
             // A fisheye's other parameters are distortion.
-            let undistorted = (0..=12).map(|zeros| [&optics[..], &vec![0.0; zeros]].concat());
-            let mut fitting = undistorted.filter(|all| camera.with_colmap_lens(model, all).is_some());
-            all = fitting.next().unwrap_or_default();
+            let parameters = CameraModel::from_number(model.into()).map_or(0, CameraModel::parameters);
+            all = optics;
+            all.resize(parameters, 0.0);
         }
         let camera = camera.with_colmap_lens(model, &all).ok_or_else(|| {
             let problem =
