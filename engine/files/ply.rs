@@ -10,7 +10,8 @@ mod read;
 mod write;
 
 pub(super) use compressed::{
-    CompressedPly, morton_order, typical_step, write_blocks as write_compressed_blocks,
+    CompressedPly, morton_order, pack_unorm, rotation_of_shares, shares_of_rotation, typical_step,
+    write_blocks as write_compressed_blocks,
 };
 pub use file::Encoding;
 pub(crate) use file::{Scalar, decode};

@@ -13,9 +13,7 @@ use super::file::{Element, Marks, PADDING, PlyFile};
 use super::read::restore_frame;
 use super::write::write_frame;
 use crate::regular_file::OnFile;
-use crate::splats::{
-    BLOCK, Format, Header, MAX_COMPRESSED_LOG_SCALE, Outline, Produce, Sink, Source, row_bytes,
-};
+use crate::splats::{BLOCK, Format, Header, MAX_COMPRESSED_LOG_SCALE, Outline, Produce, Sink, Source};
 use crate::{atomic, host_memory};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::sh::C0;
@@ -187,13 +185,19 @@ fn unpack_11_10_11(value: u32) -> [f64; 3] {
     [unorm(value >> 21, 11), unorm(value >> 11, 10), unorm(value, 11)]
 }
 
-/// The three smaller components in 10 bits each, and the index of the omitted one, in the order w, x, y, z.
+/// The three smaller components in 10 bits each, and the index of the omitted one.
 fn unpack_rotation(value: u32) -> [f32; 4] {
-    let small = [20, 10, 0].map(|shift| (unorm(value >> shift, 10) - 0.5) * std::f64::consts::SQRT_2);
+    rotation_of_shares((value >> 30) as usize, [20, 10, 0].map(|shift| unorm(value >> shift, 10)))
+}
+
+/// Quaternion (w, x, y, z) whose component `omitted` is positive and the largest. The others are shares of the range from
+/// -√½ to √½.
+pub(crate) fn rotation_of_shares(omitted: usize, shares: [f64; 3]) -> [f32; 4] {
+    let small = shares.map(|share| (share - 0.5) * std::f64::consts::SQRT_2);
     let largest = (1.0 - small.iter().map(|v| v * v).sum::<f64>()).max(0.0).sqrt();
     let mut small = small.into_iter();
     std::array::from_fn(|i| {
-        let component = if i as u32 == value >> 30 { Some(largest) } else { small.next() };
+        let component = if i == omitted { Some(largest) } else { small.next() };
         component.unwrap_or(0.0) as f32
     })
 }
@@ -220,12 +224,7 @@ const OPACITY: u32 = 0xff;
 /// Writes Gaussians along a space-filling curve, so that the 256 Gaussians of a chunk lie close together.
 pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     // Beside the Gaussians, their order and their packed form.
-    host_memory::check_writing(path, outline.count.saturating_mul(row_bytes(outline.sh_degree) + 132))?;
-    let mut all = Gaussians { sh_degree: outline.sh_degree, ..Default::default() };
-    produce(&mut |block| {
-        all.append(&block);
-        Ok(())
-    })?;
+    let all = outline.in_memory(path, 132, produce)?;
     let rows = Rows::of(&all);
     atomic::write_seekable(path, |mut writer| write_sorted(&mut writer, &all, &rows, outline).writing(path))
 }
@@ -381,7 +380,7 @@ fn within(value: [f32; 3], [min, max]: &[[f32; 3]; 2]) -> [f64; 3] {
     })
 }
 
-fn pack_unorm(value: f64, bits: u32) -> u32 {
+pub(crate) fn pack_unorm(value: f64, bits: u32) -> u32 {
     let largest = (1 << bits) - 1;
     ((value * f64::from(largest) + 0.5).floor().max(0.0) as u32).min(largest)
 }
@@ -391,16 +390,20 @@ fn pack_11_10_11([x, y, z]: [f64; 3]) -> u32 {
 }
 
 fn pack_rotation(quat: [f32; 4]) -> u32 {
+    let (omitted, shares) = shares_of_rotation(quat);
+    shares.into_iter().fold(omitted as u32, |packed, share| packed << 10 | pack_unorm(share, 10))
+}
+
+/// Index of the largest component of a quaternion, and the others as [`rotation_of_shares`] takes them.
+pub(crate) fn shares_of_rotation(quat: [f32; 4]) -> (usize, [f64; 3]) {
     let quat = quat.map(f64::from);
     let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
     let quat = if length > 0.0 { quat.map(|q| q / length) } else { [1.0, 0.0, 0.0, 0.0] };
     let largest = (1..4).fold(0, |best, i| if quat[i].abs() > quat[best].abs() { i } else { best });
     // The omitted component must be positive.
     let sign = if quat[largest] < 0.0 { -1.0 } else { 1.0 };
-    let others = (0..4).filter(|&i| i != largest);
-    others.fold(largest as u32, |packed, i| {
-        packed << 10 | pack_unorm(sign * quat[i] * std::f64::consts::FRAC_1_SQRT_2 + 0.5, 10)
-    })
+    let other = |at: usize| quat[if at < largest { at } else { at + 1 }];
+    (largest, [0, 1, 2].map(|at| sign * other(at) * std::f64::consts::FRAC_1_SQRT_2 + 0.5))
 }
 
 fn pack_sh(value: f32) -> u8 {

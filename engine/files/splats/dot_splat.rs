@@ -64,6 +64,12 @@ impl Source for DotSplat {
     }
 }
 
+/// Logit of an opacity in 255ths.
+pub(super) fn opacity_logit(byte: u8) -> f32 {
+    let opacity = (f64::from(byte) / 255.0).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
+    (opacity / (1.0 - opacity)).ln() as f32
+}
+
 fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
     cost::step();
     let float = |at: usize| f32::from_bits(u32_at(row, at));
@@ -71,8 +77,7 @@ fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
     // The logarithm of a negative size is NaN, which is unusable.
     block.log_scales.push([float(12), float(16), float(20)].map(f32::ln));
     block.sh.push([24, 25, 26].map(|at| rgb_to_sh_dc(f32::from(row[at]) / 255.0)));
-    let opacity = (f64::from(row[27]) / 255.0).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
-    block.opacity_logits.push((opacity / (1.0 - opacity)).ln() as f32);
+    block.opacity_logits.push(opacity_logit(row[27]));
     let quat = [28, 29, 30, 31].map(|at| (f32::from(row[at]) - 128.0) / 128.0);
     let length = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
     block.quats.push(if length > 0.0 { quat.map(|q| q / length) } else { quat });

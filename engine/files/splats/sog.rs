@@ -3,6 +3,8 @@
 //!
 //! Format: developer.playcanvas.com, "The SOG Format". Pixel `i` of each picture, row by row, belongs to Gaussian `i`.
 
+use std::cell::RefCell;
+use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Write};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -13,9 +15,10 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::codebook::{LEVELS, Palette, scalar_codebook};
+use super::dot_splat::opacity_logit;
 use super::format::{META, is_meta, read_origin};
-use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, row_bytes, spz};
-use crate::ply::morton_order;
+use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, row_bytes};
+use crate::ply::{morton_order, pack_unorm, rotation_of_shares, shares_of_rotation};
 use crate::regular_file::{self, OnFile};
 use crate::{atomic, cost, host_memory};
 use ashsplat::scene::gaussians::sh_coefficients;
@@ -32,8 +35,6 @@ const PALETTE_COLUMNS: usize = 64;
 const MOST_VECTORS: usize = 1 << 16;
 /// Alpha of a quaternion whose w is omitted; x, y and z follow.
 const OMITS_W: u8 = 252;
-/// Least distance of a stored opacity from 0 and 1, whose logits are infinite.
-const OPACITY_MARGIN: f64 = 1e-6;
 /// Largest side of a WebP picture.
 const MOST_SIDE: usize = 16_383;
 const VERSION: u32 = 2;
@@ -111,23 +112,18 @@ impl Numbers {
 
 /// An open SOG. Its pictures are decoded when the Gaussians are read.
 pub(super) struct Sog {
-    path: PathBuf,
+    members: Members,
     meta: Meta,
     header: Header,
-    /// See [`ReadOptions::max_host_memory`].
-    max_host_memory: Option<u64>,
 }
 
-/// A decoded picture.
-struct Decoded {
-    columns: usize,
-    /// RGBA of each pixel, row by row.
-    pixels: Vec<[u8; 4]>,
-}
+/// RGBA of each pixel of a decoded picture, row by row.
+type Pixels = Vec<[u8; 4]>;
 
 impl Sog {
     pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self> {
-        let text = member(path, META, (MOST_META_BYTES, options.max_host_memory))?;
+        let members = Members::open(path, options)?;
+        let text = members.read(META, MOST_META_BYTES)?;
         regular_file::check_json(path, &text, options.max_host_memory)?;
         let meta: Meta = serde_json::from_slice(&text).map_err(|e| damaged(path, format!("{META}: {e}")))?;
         if !(1..=VERSION).contains(&meta.version) {
@@ -142,7 +138,7 @@ impl Sog {
         let mut header = Header::new(Format::Sog, count, 0);
         header.antialiased = meta.antialias;
         header.origin = read_origin(path)?;
-        let mut sog = Self { path: path.to_owned(), meta, header, max_host_memory: options.max_host_memory };
+        let mut sog = Self { members, meta, header };
         sog.header.sh_degree = sog.degree()?;
         Ok(sog)
     }
@@ -169,20 +165,25 @@ impl Sog {
         let name =
             attribute.files.get(index).ok_or_else(|| self.damaged(format!("{META} names too few files")))?;
         let most = 8 * (self.header.count + SPARE_PIXELS) + 4 * (MOST_VECTORS * 16) as u64;
-        Ok((name, member(&self.path, name, (most, self.max_host_memory))?))
+        Ok((name, self.members.read(name, most)?))
     }
 
     fn damaged(&self, problem: impl Into<String>) -> Error {
-        damaged(&self.path, problem)
+        damaged(&self.members.path, problem)
     }
 
-    /// Decodes a picture with a number of pixels in `fitting`.
-    fn pixels(&self, attribute: &Attribute, index: usize, fitting: RangeInclusive<u64>) -> Result<Decoded> {
+    /// Decodes a picture with a number of pixels in `fitting`, and its number of columns.
+    fn decoded(
+        &self,
+        attribute: &Attribute,
+        index: usize,
+        fitting: RangeInclusive<u64>,
+    ) -> Result<(usize, Pixels)> {
         let (name, packed) = self.packed(attribute, index)?;
         let bad = |e: &dyn std::fmt::Display| self.damaged(format!("{name}: {e}"));
         if is_lossy(&packed) {
             let problem = format!("{name} was packed with losses, so that its values are wrong");
-            return Err(Error::input(&self.path, problem, "write the SOG again, with lossless WebP"));
+            return Err(Error::input(&self.members.path, problem, "write the SOG again, with lossless WebP"));
         }
         let reader = || ImageReader::new(Cursor::new(&packed)).with_guessed_format().map_err(|e| bad(&e));
         if !matches!(reader()?.format(), Some(ImageFormat::WebP | ImageFormat::Png)) {
@@ -195,14 +196,14 @@ impl Sog {
             return Err(bad(&format!("has {columns}x{rows} pixels, where {least} are needed")));
         }
         // The decoder's pixels, and ours.
-        host_memory::check(&self.path, 16 * pixels, self.max_host_memory)?;
+        self.members.check_memory(16 * pixels)?;
         let mut reader = reader()?;
         let mut limits = Limits::default();
         limits.max_alloc = Some(64 * pixels + (1 << 20));
         reader.limits(limits);
         let decoded = reader.decode().map_err(|e| bad(&e))?.into_rgba8();
         cost::steps(pixels as usize);
-        Ok(Decoded { columns: columns as usize, pixels: decoded.into_raw().as_chunks().0.to_vec() })
+        Ok((columns as usize, decoded.into_raw().as_chunks().0.to_vec()))
     }
 
     /// The 256 values of one channel: a codebook, or equal steps of version 1.
@@ -236,28 +237,22 @@ impl Source for Sog {
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
         let Meta { version, means, scales, quats, sh0, higher, .. } = &self.meta;
         let (count, sh_degree) = (self.header.count, self.header.sh_degree);
-        let each = || count..=2 * count + SPARE_PIXELS;
+        let pixels = |attribute, index| {
+            Ok::<_, Error>(self.decoded(attribute, index, count..=2 * count + SPARE_PIXELS)?.1)
+        };
         // Six pictures beside the one that is decoded.
-        host_memory::check(&self.path, 24 * count, self.max_host_memory)?;
-        let mean_ranges = [0, 1, 2].map(|axis| self.range(("means", means), axis));
-        let [x, y, z] = mean_ranges;
-        let ranges = [x?, y?, z?];
-        let [low, high] = [self.pixels(means, 0, each())?.pixels, self.pixels(means, 1, each())?.pixels];
-        let scale_levels = [0, 1, 2].map(|axis| self.levels(("scales", scales), axis));
-        let [x, y, z] = scale_levels;
-        let scale_levels = [x?, y?, z?];
-        let scales = self.pixels(scales, 0, each())?.pixels;
-        let quats = self.pixels(quats, 0, each())?.pixels;
-        let [r, g, b] = [0, 1, 2].map(|channel| self.levels(("sh0", sh0), channel));
-        let color_levels = [r?, g?, b?];
+        self.members.check_memory(24 * count)?;
+        let ranges = each_channel(|axis| self.range(("means", means), axis))?;
+        let [low, high] = [pixels(means, 0)?, pixels(means, 1)?];
+        let scale_levels = each_channel(|axis| self.levels(("scales", scales), axis))?;
+        let scales = pixels(scales, 0)?;
+        let quats = pixels(quats, 0)?;
+        let color_levels = each_channel(|channel| self.levels(("sh0", sh0), channel))?;
         let logits = match version {
             1 => self.levels(("sh0", sh0), 3)?,
-            _ => std::array::from_fn(|i| {
-                let opacity = (i as f64 / 255.0).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
-                (opacity / (1.0 - opacity)).ln() as f32
-            }),
+            _ => std::array::from_fn(|i| opacity_logit(i as u8)),
         };
-        let sh0 = self.pixels(sh0, 0, each())?.pixels;
+        let sh0 = pixels(sh0, 0)?;
         let coefficients = sh_coefficients(sh_degree) - 1;
         let (palette, labels) = match higher {
             None => (Vec::new(), Vec::new()),
@@ -267,14 +262,14 @@ impl Source for Sog {
                 // Version 1 does not say how many there are. A label beyond them is found below.
                 let least = higher.count.unwrap_or(1).div_ceil(PALETTE_COLUMNS) * width;
                 let fitting = least as u64..=(MOST_VECTORS * coefficients) as u64;
-                let Decoded { columns, pixels } = self.pixels(higher, 0, fitting)?;
+                let (columns, vectors) = self.decoded(higher, 0, fitting)?;
                 if columns != width {
                     return Err(
                         self.damaged(format!("the palette of shN has {columns} columns instead of {width}"))
                     );
                 }
                 let value = |[r, g, b, _]: [u8; 4]| [r, g, b].map(|byte| levels[usize::from(byte)]);
-                (pixels.into_iter().map(value).collect(), self.pixels(higher, 1, each())?.pixels)
+                (vectors.into_iter().map(value).collect(), pixels(higher, 1)?)
             }
         };
         let sh_of = |label: [u8; 4]| {
@@ -312,6 +307,10 @@ impl Source for Sog {
     }
 }
 
+fn each_channel<T>(value: impl Fn(usize) -> Result<T>) -> Result<[T; 3]> {
+    Ok([value(0)?, value(1)?, value(2)?])
+}
+
 /// Columns of the palette's picture.
 fn palette_width(sh_degree: u32) -> usize {
     PALETTE_COLUMNS * (sh_coefficients(sh_degree) - 1)
@@ -333,60 +332,72 @@ fn damaged(path: &Path, problem: impl Into<String>) -> Error {
     Error::input(path, problem, "the file is damaged or cut short: write or download it again")
 }
 
-/// Reads a file of the ZIP, or of the folder, of at most these bytes, within a memory budget.
-fn member(path: &Path, name: &str, (most, max_host_memory): (u64, Option<u64>)) -> Result<Vec<u8>> {
-    if is_meta(path) {
-        let place = match Path::new(name).components().count() {
-            _ if name == META => path.to_owned(),
-            1 => path.with_file_name(name),
-            _ => return Err(damaged(path, format!("{name:?} does not lie beside it"))),
-        };
-        host_memory::check(&place, regular_file::open(&place)?.1.min(most), max_host_memory)?;
-        return regular_file::read_at_most(&place, most)?
-            .ok_or_else(|| damaged(&place, format!("has more than {most} bytes")));
-    }
-    let (file, _) = regular_file::open(path)?;
-    let mut archive =
-        ZipArchive::new(BufReader::new(file)).map_err(|e| damaged(path, format!("is no whole ZIP: {e}")))?;
-    let found = (0..archive.len()).find(|&index| {
-        // Some programs pack the folder itself.
-        let inside = archive.name_for_index(index).and_then(|inside| inside.ok());
-        inside.is_some_and(|inside| inside.rsplit('/').next() == Some(name))
-    });
-    let missing = || damaged(path, format!("holds no {name}"));
-    let mut entry = archive.by_index(found.ok_or_else(missing)?).map_err(|e| damaged(path, e.to_string()))?;
-    if entry.size() > most {
-        return Err(damaged(path, format!("{name} unpacks to {} bytes", entry.size())));
-    }
-    host_memory::check(path, entry.size(), max_host_memory)?;
-    let mut bytes = host_memory::reserved(path, entry.size())?;
-    entry.by_ref().take(most).read_to_end(&mut bytes).map_err(|e| damaged(path, format!("{name}: {e}")))?;
-    Ok(bytes)
+/// Files of a SOG: those of its ZIP, or those beside its description.
+struct Members {
+    path: PathBuf,
+    archive: Option<RefCell<ZipArchive<BufReader<File>>>>,
+    /// See [`ReadOptions::max_host_memory`].
+    max_host_memory: Option<u64>,
 }
 
-/// The three smaller components of (w, x, y, z) around 127.5, and the index of the omitted one in alpha.
-/// `None` for another alpha.
+impl Members {
+    fn open(path: &Path, options: &ReadOptions) -> Result<Self> {
+        let archive = match is_meta(path) {
+            true => None,
+            false => {
+                let archive = ZipArchive::new(BufReader::new(regular_file::open(path)?.0));
+                let archive = archive.map_err(|e| damaged(path, format!("is no whole ZIP: {e}")))?;
+                Some(RefCell::new(archive))
+            }
+        };
+        Ok(Self { path: path.to_owned(), archive, max_host_memory: options.max_host_memory })
+    }
+
+    fn check_memory(&self, bytes: u64) -> Result<()> {
+        host_memory::check(&self.path, bytes, self.max_host_memory)
+    }
+
+    /// Reads a file of at most these bytes, within the memory budget.
+    fn read(&self, name: &str, most: u64) -> Result<Vec<u8>> {
+        let path = &self.path;
+        let Some(archive) = &self.archive else {
+            let place = match Path::new(name).components().count() {
+                _ if name == META => path.to_owned(),
+                1 => path.with_file_name(name),
+                _ => return Err(damaged(path, format!("{name:?} does not lie beside it"))),
+            };
+            host_memory::check(&place, regular_file::open(&place)?.1.min(most), self.max_host_memory)?;
+            return regular_file::read_at_most(&place, most)?
+                .ok_or_else(|| damaged(&place, format!("has more than {most} bytes")));
+        };
+        let mut archive = archive.borrow_mut();
+        let found = (0..archive.len()).find(|&index| {
+            // Some programs pack the folder itself.
+            let inside = archive.name_for_index(index).and_then(|inside| inside.ok());
+            inside.is_some_and(|inside| inside.rsplit('/').next() == Some(name))
+        });
+        let missing = || damaged(path, format!("holds no {name}"));
+        let entry = archive.by_index(found.ok_or_else(missing)?).map_err(|e| damaged(path, e.to_string()))?;
+        if entry.size() > most {
+            return Err(damaged(path, format!("{name} unpacks to {} bytes", entry.size())));
+        }
+        self.check_memory(entry.size())?;
+        let mut bytes = host_memory::reserved(path, entry.size())?;
+        entry.take(most).read_to_end(&mut bytes).map_err(|e| damaged(path, format!("{name}: {e}")))?;
+        Ok(bytes)
+    }
+}
+
+/// The three smaller components of (w, x, y, z), and the index of the omitted one in alpha. `None` for another alpha.
 fn unpack_rotation([a, b, c, omitted]: [u8; 4]) -> Option<[f32; 4]> {
     let omitted = usize::from(omitted.checked_sub(OMITS_W)?);
-    let small = [a, b, c].map(|byte| (f64::from(byte) / 255.0 - 0.5) * std::f64::consts::SQRT_2);
-    let largest = (1.0 - small.iter().map(|v| v * v).sum::<f64>()).max(0.0).sqrt();
-    let mut small = small.into_iter();
-    Some(std::array::from_fn(|i| {
-        let component = if i == omitted { Some(largest) } else { small.next() };
-        component.unwrap_or(0.0) as f32
-    }))
+    Some(rotation_of_shares(omitted, [a, b, c].map(|byte| f64::from(byte) / 255.0)))
 }
 
 fn pack_rotation(quat: [f32; 4]) -> [u8; 4] {
-    let quat = spz::unit(quat);
-    let largest = (1..4).fold(0, |best, i| if quat[i].abs() > quat[best].abs() { i } else { best });
-    let sign = quat[largest].signum();
-    let mut others = (0..4).filter(|&i| i != largest).map(|i| {
-        let share = f64::from(sign * quat[i]) * std::f64::consts::FRAC_1_SQRT_2 + 0.5;
-        (255.0 * share).round().clamp(0.0, 255.0) as u8
-    });
-    let mut next = || others.next().unwrap_or(0);
-    [next(), next(), next(), OMITS_W + largest as u8]
+    let (omitted, shares) = shares_of_rotation(quat);
+    let [a, b, c] = shares.map(|share| pack_unorm(share, 8) as u8);
+    [a, b, c, OMITS_W + omitted as u8]
 }
 
 /// The logarithm that positions are stored as.
@@ -403,13 +414,7 @@ pub(super) fn log_step(Bounds { min, max }: Bounds) -> f64 {
 /// Writes Gaussians along a space-filling curve, so that their pictures compress well.
 pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     // Beside the Gaussians: the pictures, sorted values, SH vectors.
-    let row = 2 * row_bytes(outline.sh_degree) + 64;
-    host_memory::check_writing(path, outline.count.saturating_mul(row))?;
-    let mut all = Gaussians { sh_degree: outline.sh_degree, ..Default::default() };
-    produce(&mut |block| {
-        all.append(&block);
-        Ok(())
-    })?;
+    let all = outline.in_memory(path, row_bytes(outline.sh_degree) + 64, produce)?;
     let members = members(path, &all, outline)?;
     atomic::write_seekable(path, |writer| {
         let mut archive = ZipWriter::new(writer);

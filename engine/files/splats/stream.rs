@@ -166,6 +166,17 @@ impl Outline {
             double_positions: false,
         }
     }
+
+    /// All Gaussians, if the machine has the memory for them and `beside` bytes more for each.
+    pub(crate) fn in_memory(&self, path: &Path, beside: u64, produce: &mut Produce<'_>) -> Result<Gaussians> {
+        host_memory::check_writing(path, self.count.saturating_mul(row_bytes(self.sh_degree) + beside))?;
+        let mut all = Gaussians { sh_degree: self.sh_degree, ..Default::default() };
+        produce(&mut |block| {
+            all.append(&block);
+            Ok(())
+        })?;
+        Ok(all)
+    }
 }
 
 /// Scales a box from world to source units; it stays relative to the origin.
