@@ -39,7 +39,7 @@ enum Sums {
     Weights,
 }
 
-/// What the backward pass writes besides the gradients of all parameters.
+/// Outputs of the backward pass besides the gradients of all parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BackwardForm {
     /// Absolute gradients of the 2D means, for [`Statistics::absolute`].

@@ -15,7 +15,7 @@ use ashsplat_files::Photo;
 use clap::ValueEnum;
 use std::rc::Rc;
 
-/// What is run.
+/// Unit of work of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum What {
     /// A frame
@@ -51,7 +51,7 @@ pub struct Subject<'a> {
     context: &'a Context,
     plan: &'a Plan,
     work: Work,
-    /// What the last iteration saw.
+    /// Statistics of the last iteration.
     seen: Seen,
 }
 

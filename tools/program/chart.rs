@@ -86,7 +86,7 @@ impl Chart {
     /// Place of a point on the paper.
     pub fn at(&self, (x, y): (f64, f64)) -> [f64; 2] {
         let ([left, right], [top, bottom]) = (self.across, self.down);
-        // What lies above the axis is cut off, so that the rest stays readable.
+        // The part of a curve above the axis is cut off, so that the rest stays readable.
         let height = self.y.share(y).clamp(0.0, 1.02);
         [left + (right - left) * self.x.share(x), bottom - (bottom - top) * height]
     }

@@ -46,7 +46,7 @@ pub enum Cell {
 }
 
 impl Cell {
-    /// A number with so many digits after the point; a dash for none.
+    /// A number with this number of digits after the point; a dash for none.
     pub fn number(value: impl Into<Option<f64>>, digits: usize) -> Cell {
         Cell::Number(value.into().map_or_else(|| "–".to_owned(), |value| format!("{value:.digits$}")))
     }

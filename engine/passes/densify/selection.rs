@@ -62,11 +62,11 @@ buffer_set! {
     pub totals as "selection_totals": 16;
     /// Sorting scratch: keys.
     keys_a as "selection_keys_a": words;
-    /// As above.
+    /// Sorting scratch: keys, in turn with the above.
     keys_b as "selection_keys_b": words;
     /// Sorting scratch: Gaussians.
     gaussians_a as "selection_gaussians_a": words;
-    /// As above.
+    /// Sorting scratch: Gaussians, in turn with the above.
     gaussians_b as "selection_gaussians_b": words;
     /// Sorting scratch: counts per digit and block, and per digit and run.
     histogram as "selection_histogram": sizes.sort_histogram_words(gaussians.into(), u32::BITS) * 4;
