@@ -3,8 +3,8 @@
 
 use crate::common::prelude::*;
 use crate::common::splats::{ball, camera};
-use ashsplat::passes::filter_3d::Filter3d;
-use ashsplat::scene::{Intrinsics, Projection};
+use crate::common::training::psnr;
+use ashsplat::scene::{PhotoLens, Projection};
 
 /// Cameras of each family, in the middle of [`ball`].
 fn cameras() -> Vec<Camera> {
@@ -90,9 +90,63 @@ fn lenses_without_a_picture_are_refused() {
     says(Camera { projection: Projection::Perspective, ..brown }, &["perspective has 0"]);
     says(Camera { height: 60, ..panorama }, &["128x60", "2:1"]);
     says(Camera { fx: 30.0, ..panorama }, &["all around"]);
-    assert_says(refusal(Filter3d::new(context(), &[brown])), &["camera.projection", "brown"]);
     assert!(brown.with_colmap_lens(4, &[1.0; 7]).is_none() && brown.with_colmap_lens(18, &[]).is_none());
     let undistorted = brown.with_lens(Projection::Brown, &[0.0; 8]);
     assert_eq!(undistorted.projection, Projection::Perspective);
-    assert_eq!(Intrinsics::panorama(128, 64), panorama.intrinsics());
+    assert_eq!(PhotoLens::panorama(128, 64).intrinsics(), panorama.intrinsics());
+}
+
+/// Photographs of each family in one training, with both filters and moved poses: each view's picture comes closer to its
+/// photograph, and resumed and recorded steps give the same bits.
+#[test]
+fn photographs_are_learned_through_their_lenses() {
+    let truth = ball(120).with_sh_degree(0);
+    let photo = |frame: &Frame| {
+        let byte = |value: &f32| (255.0 * value.clamp(0.0, 1.0)).round() as u8;
+        let rgb = frame.color.as_flattened().iter().map(byte).collect();
+        Photo { width: frame.width, height: frame.height, rgb }
+    };
+    let views: Vec<TrainView> = {
+        let mut renderer = loaded(context(), &truth);
+        let take = |camera: Camera| {
+            let frame = renderer.render(&camera, &RenderSettings::default()).expect("a frame");
+            TrainView::new(camera, photo(&frame))
+        };
+        cameras().into_iter().map(take).collect()
+    };
+    let mut start = truth.clone();
+    start.sh.iter_mut().for_each(|color| *color = color.map(|c| 0.3 * c + 0.1));
+    let settings = TrainSettings {
+        iterations: 70,
+        feature_lr: 0.02,
+        opacity_reset_interval: 3000,
+        antialiasing: true,
+        filter_3d: true,
+        pose_opt: true,
+        random_background: false,
+        ..crate::common::training::settings()
+    };
+    let run = Run::shared(views.clone(), settings).starting_at(&start);
+    let mut trainer = run.begin();
+    let likeness = |trainer: &mut Trainer| -> Vec<f64> {
+        let each = |view: &TrainView| {
+            let shown = [(view.camera, photo_of(view))];
+            psnr(trainer, shown.into_iter())
+        };
+        views.iter().map(each).collect()
+    };
+    let before = likeness(&mut trainer);
+    trainer.finish();
+    let after = likeness(&mut trainer);
+    for ((view, before), after) in views.iter().zip(before).zip(after) {
+        assert!(after > before + 2.0, "{:?}: {before} dB, then {after} dB", view.camera.projection);
+    }
+    drop(trainer);
+    run.check_stops(&[&[33]]);
+}
+
+fn photo_of(view: &TrainView) -> Photo {
+    let texels = view.photo.texels().expect("texels");
+    let rgb = texels.as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
+    Photo { width: view.photo.width, height: view.photo.height, rgb }
 }

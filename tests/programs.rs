@@ -59,7 +59,8 @@ fn colmap_undistorts_the_same() {
     colmap.arg("--input_path").arg(path("sparse/0")).arg("--output_path").arg(path("theirs"));
     let run = colmap.output().unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    let ours = Dataset::load(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap();
+    let undistorted = DatasetOptions { undistort: true, ..Default::default() };
+    let ours = Dataset::load(folder.path(), &undistorted, Progress::NONE).unwrap();
     let theirs = Dataset::load(path("theirs"), &DatasetOptions::default(), Progress::NONE).unwrap();
     // There are no warnings.
     assert!(ours.warnings.is_empty(), "{:?}", ours.warnings);

@@ -12,6 +12,6 @@ mod write;
 pub(crate) use find::is_data_set;
 pub use find::{ModelFolder, POSES_LOG, UNFINISHED_POSES, exists, find};
 pub(crate) use model::contradiction;
-pub use model::{Model, observations, tracks, undistort_command};
+pub use model::{Model, observations, tracks};
 pub use records::{CameraModel, ColmapCamera, ColmapImage};
 pub use write::write;

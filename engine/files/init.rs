@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DMat3, DVec3};
 use kdtree::KdTree;
 use kdtree::distance::squared_euclidean;
 use rand::{RngExt, SeedableRng};
@@ -107,9 +107,8 @@ pub fn points_in_view(count: usize, cameras: &[Camera], spread: f32, seed: u64) 
     let positions = cameras.iter().cycle().take(count).map(|camera| {
         let [u, v, t] = std::array::from_fn(|_| random.random::<f32>());
         let depth = (near + (far - near) * t).exp();
-        let x = (u * camera.width as f32 - camera.cx) / camera.fx;
-        let y = (v * camera.height as f32 - camera.cy) / camera.fy;
-        let there = depth * Vec3::new(x, y, 1.0) - camera.translation;
+        let there =
+            depth * camera.ray([u * camera.width as f32, v * camera.height as f32]) - camera.translation;
         (camera.camera_from_world.transpose() * there).to_array()
     });
     let positions: Vec<[f32; 3]> = positions.collect();
@@ -141,6 +140,8 @@ pub fn seen_box(cameras: &[Camera]) -> Option<Bounds> {
     let half_edge = |camera: &Camera| {
         let depth = camera.forward().dot(center - camera.position());
         let half = (0.5 * camera.width as f32 / camera.fx).min(0.5 * camera.height as f32 / camera.fy);
+        // What a fisheye or a panorama sees beyond 45 degrees lies around the cameras, not between them.
+        let half = if camera.projection.orders_by_distance() { half.min(1.0) } else { half };
         (depth > 0.0).then_some(depth * half)
     };
     let mut half_edges: Vec<f32> = cameras.iter().filter_map(half_edge).collect();

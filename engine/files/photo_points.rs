@@ -4,6 +4,7 @@
 //! photographs: a pixel gets the depth at which its surroundings look most alike in the neighbouring views. Depths that
 //! two other views confirm are kept. World coordinates, as in the cameras.
 
+use std::f32::consts::FRAC_PI_2;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -14,12 +15,12 @@ use rayon::prelude::*;
 
 use crate::dataset::{Dataset, View};
 use crate::host_memory::HostMemory;
-use crate::images::{Photo, PhotoFileFormat};
+use crate::images::{Photo, PhotoFileFormat, undistort};
 use crate::init::seen_box;
 use crate::progress::Progress;
 use ashsplat::Result;
-use ashsplat::scene::Camera;
 use ashsplat::scene::points::PointCloud;
+use ashsplat::scene::{Camera, Intrinsics, PhotoLens};
 
 impl Dataset {
     /// Up to 20,000 points at which the training photographs agree: [`photo_points`]. The inner error is their number
@@ -199,6 +200,14 @@ struct Small {
     counts: Vec<bool>,
 }
 
+/// A pinhole that sees what a lens sees best, without blank pixels: all that a pinhole can see of it, or a right angle ahead.
+fn straight(camera: &Camera) -> PhotoLens {
+    let lens = camera.photo_lens();
+    let side = (camera.width.min(camera.height) / 2).max(1);
+    let ahead = || Intrinsics::from_fov_x(FRAC_PI_2, side, side);
+    PhotoLens::pinhole(lens.inscribed_pinhole().unwrap_or_else(ahead))
+}
+
 /// The best depth of each pixel, world units, and its correlation, -1 to 1.
 struct Depths {
     depth: Vec<f32>,
@@ -219,29 +228,38 @@ impl Small {
         // Hidden pixels must not influence points: they may be held out.
         let rgb = texels.iter().flat_map(|&[r, g, b, seen]| if seen == 0 { [128; 3] } else { [r, g, b] });
         let photo = Photo { width: full_width, height: full_height, rgb: rgb.collect() };
-        let photo = photo.scaled_to(width, height)?;
+        let mut photo = photo.scaled_to(width, height)?;
+        let mut camera = view.camera.scaled_to(width, height);
         let [w, h] = [width, height].map(|side| side as usize);
         let counts = |at: usize| {
             let across = |i: usize, small: usize, full: u32| (2 * i + 1) * full as usize / (2 * small);
             let (x, y) = (across(at % w, w, full_width), across(at / w, h, full_height));
             texels.get(y * full_width as usize + x).is_some_and(|texel| texel[3] != 0)
         };
+        let mut counts: Vec<bool> = (0..w * h).map(counts).collect();
+        if camera.projection.is_lens() {
+            let (lens, pinhole) = (camera.photo_lens(), straight(&camera));
+            let grey = counts.iter().flat_map(|&counts| if counts { [255; 3] } else { [0; 3] }).collect();
+            let shown = undistort(&Photo { width, height, rgb: grey }, &lens, &pinhole);
+            counts = shown.rgb.iter().step_by(3).map(|&value| value == 255).collect();
+            photo = undistort(&photo, &lens, &pinhole);
+            camera = pinhole.camera(camera.camera_from_world, camera.translation);
+        }
         let colors = photo.rgb.as_chunks::<3>().0.to_vec();
         let gray = colors.iter().map(|c| c.iter().map(|&v| f32::from(v)).sum::<f32>() / 765.0).collect();
         Ok(Self {
-            camera: view.camera.scaled_to(width, height),
-            width: w,
-            height: h,
+            width: camera.width as usize,
+            height: camera.height as usize,
+            camera,
             colors,
             gray,
-            counts: (0..w * h).map(counts).collect(),
+            counts,
         })
     }
 
     /// Direction of a pixel's centre in the camera's frame, scaled to depth 1.
     fn ray(&self, at: usize) -> Vec3 {
-        let (x, y) = ((at % self.width) as f32 + 0.5, (at / self.width) as f32 + 0.5);
-        Vec3::new((x - self.camera.cx) / self.camera.fx, (y - self.camera.cy) / self.camera.fy, 1.0)
+        self.camera.ray([(at % self.width) as f32 + 0.5, (at / self.width) as f32 + 0.5])
     }
 
     fn pixel_at(&self, x: f32, y: f32) -> Option<usize> {

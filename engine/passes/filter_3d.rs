@@ -43,17 +43,13 @@ impl Filter3d {
         if longest <= 0.0 {
             return Err(Error::argument("cameras", "there are none, and the 3D filter follows from them"));
         }
-        cameras
-            .iter()
-            .try_for_each(|camera| camera.check_perspective("the 3D filter follows from pinholes"))?;
+        cameras.iter().try_for_each(Camera::check_differentiable)?;
         let requests = Self::requests(cameras.len());
         let buffers = context.allocate("filter", &requests, MemoryKind::Device)?;
         let [poses, bounds, farthest] = array_of(buffers);
         let places: Vec<[f32; 12]> = cameras.iter().map(pose_of).collect();
         context.upload(&poses, bytemuck::cast_slice(&places))?;
-        // Limits of x/z and y/z between which a mean counts as visible.
-        let slopes = |camera: &Camera| camera.shown_slopes(EDGE_MARGIN).map(|range| range.map(|x| x as f32));
-        let slopes: Vec<[[f32; 2]; 2]> = cameras.iter().map(slopes).collect();
+        let slopes: Vec<[[f32; 2]; 2]> = cameras.iter().map(shown).collect();
         context.upload(&bounds, bytemuck::cast_slice(&slopes))?;
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
@@ -117,4 +113,18 @@ impl Filter3d {
         });
         ran.map(drop)
     }
+}
+
+/// Limits within which a mean counts as visible: of x/z and y/z, or for fisheyes and panoramas, behind limits that exclude each
+/// other, the cosine of the widest angle from the axis.
+fn shown(camera: &Camera) -> [[f32; 2]; 2] {
+    if let Some(slopes) = camera.shown_slopes(EDGE_MARGIN) {
+        return slopes.map(|range| range.map(|slope| slope as f32));
+    }
+    let (lens, [width, height]) = (camera.photo_lens(), [camera.width, camera.height].map(f64::from));
+    let corners = [[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]];
+    let least = corners.map(|corner| lens.ray(corner.into()).map_or(-1.0, |ray| ray.z));
+    // A panorama's corners are its poles.
+    let cosine = if camera.projection.has_seam() { -1.0 } else { least.into_iter().fold(1.0, f64::min) };
+    [[1.0, -1.0], [cosine as f32, 0.0]]
 }

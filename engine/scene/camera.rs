@@ -269,11 +269,21 @@ impl Camera {
     pub fn project(&self, world: Vec3) -> (f32, f32, f32) {
         let p = self.camera_from_world * world + self.translation;
         if self.projection.is_lens() {
-            let place = self.through_lens(p.as_dvec3()).map_or(Vec2::NAN, |place| place.as_vec2());
+            let place = self.photo_lens().project(p.as_dvec3()).map_or(Vec2::NAN, |place| place.as_vec2());
             return (place.x, place.y, self.depth_of(p.into()) as f32);
         }
         let distance = self.distance_of(p.z.into()) as f32;
         (self.fx * p.x / distance + self.cx, self.fy * p.y / distance + self.cy, p.z)
+    }
+
+    /// Direction of a picture position (first pixel's centre at 0.5) in camera space, scaled to [depth](Self::depth_of) 1. Straight
+    /// ahead where a lens shows no direction.
+    pub fn ray(&self, [x, y]: [f32; 2]) -> Vec3 {
+        if self.projection.is_lens() {
+            let ray = self.photo_lens().ray(DVec2::new(x.into(), y.into())).unwrap_or(DVec3::Z);
+            return (ray / self.depth_of(ray)).as_vec3();
+        }
+        Vec3::new((x - self.cx) / self.fx, (y - self.cy) / self.fy, 1.0)
     }
 
     /// Divisor of x and y in camera space, before the focal lengths: z, or 1 for parallel rays.
@@ -296,15 +306,29 @@ impl Camera {
         Linearised { pixel, per_unit, slope }
     }
 
-    /// Range of x/z and range of y/z within the whole picture and a margin, a share of its size.
-    pub(crate) fn shown_slopes(&self, margin: f64) -> [[f64; 2]; 2] {
+    /// Range of x/z and range of y/z within the whole picture and a margin, a share of its size. Fisheyes and panoramas have none.
+    pub(crate) fn shown_slopes(&self, margin: f64) -> Option<[[f64; 2]; 2]> {
         let whole = self.whole();
-        [(whole.fx, whole.cx, whole.width), (whole.fy, whole.cy, whole.height)].map(
-            |(focal, center, size)| {
-                let (focal, center, size) = (f64::from(focal), f64::from(center), f64::from(size));
-                [-margin, 1.0 + margin].map(|share| (share * size - center) / focal)
-            },
-        )
+        if self.projection.orders_by_distance() {
+            return None;
+        }
+        if self.projection.is_lens() {
+            // Straight lines bend: the middles of the sides count beside the corners.
+            let (lens, size) =
+                (self.whole().photo_lens(), DVec2::new(whole.width.into(), whole.height.into()));
+            let places = [0.0, 0.5, 1.0].map(|x| [0.0, 0.5, 1.0].map(|y| lens.ray(size * DVec2::new(x, y))));
+            let slopes = places.into_iter().flatten().flatten().map(|ray| ray.truncate() / ray.z);
+            let none = [DVec2::INFINITY, DVec2::NEG_INFINITY];
+            let [low, high] = slopes.fold(none, |[low, high], slope| [low.min(slope), high.max(slope)]);
+            let more = margin * (high - low);
+            let (low, high) = (low - more, high + more);
+            return Some([[low.x, high.x], [low.y, high.y]]);
+        }
+        let axis = |focal: f32, center: f32, size: u32| {
+            let (focal, center, size) = (f64::from(focal), f64::from(center), f64::from(size));
+            [-margin, 1.0 + margin].map(|share| (share * size - center) / focal)
+        };
+        Some([axis(whole.fx, whole.cx, whole.width), axis(whole.fy, whole.cy, whole.height)])
     }
 
     /// Limits of x/z and y/z (low, high, low, high) between which the projection is linearised.
@@ -327,6 +351,9 @@ impl Camera {
 
     /// True for a world point in front of the camera and within its picture.
     pub fn sees(&self, world: Vec3) -> bool {
+        if self.projection.is_lens() {
+            return self.photo_lens().shows((self.camera_from_world * world + self.translation).as_dvec3());
+        }
         let (x, y, z) = self.project(world);
         let inside = |at: f32, side: u32| (0.0..side as f32).contains(&at);
         z > 0.0 && inside(x, self.width) && inside(y, self.height)

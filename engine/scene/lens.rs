@@ -8,7 +8,8 @@ mod fisheye;
 mod fov;
 mod thin_prism_fisheye;
 
-use super::camera::{Camera, Intrinsics};
+use super::camera::Camera;
+use super::photo_lens::PhotoLens;
 use glam::{DVec2, DVec3, dvec2};
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -75,23 +76,23 @@ pub const COLMAP_MODELS: [&str; 18] = [
 pub type Coefficients = [f32; 12];
 
 /// A family of lenses.
-struct Family {
+pub(super) struct Family {
     /// Name in files and errors.
     name: &'static str,
     /// Surface on which (a, b) lies.
-    surface: Surface,
+    pub(super) surface: Surface,
     /// Number of coefficients.
     coefficients: usize,
     /// Radial factor g(s) and its derivative. Not finite or not positive where the lens is not defined.
-    radial: fn(&[f64; 12], f64) -> [f64; 2],
+    pub(super) radial: fn(&[f64; 12], f64) -> [f64; 2],
     /// Terms beside the radial one, of (a, b) and of its radially distorted position.
-    bend: fn(&[f64; 12], DVec2, DVec2) -> DVec2,
+    pub(super) bend: fn(&[f64; 12], DVec2, DVec2) -> DVec2,
     /// Coefficients as the shader reads them.
     words: fn(&[f64; 12]) -> [f64; 12],
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Surface {
+pub(super) enum Surface {
     /// (x, y)/z.
     Plane,
     /// (x, y) θ/ρ.
@@ -124,7 +125,7 @@ impl Projection {
         Self::Equirectangular,
     ];
 
-    fn family(self) -> Option<&'static Family> {
+    pub(super) fn family(self) -> Option<&'static Family> {
         match self {
             Self::Perspective | Self::Orthographic => None,
             Self::Brown => Some(&brown::FAMILY),
@@ -152,11 +153,11 @@ impl Projection {
     }
 
     /// True if Gaussians are ordered by their distance instead of z.
-    pub(crate) fn orders_by_distance(self) -> bool {
+    pub fn orders_by_distance(self) -> bool {
         matches!(self.surface(), Some(Surface::Angle | Surface::Sphere))
     }
 
-    fn surface(self) -> Option<Surface> {
+    pub(super) fn surface(self) -> Option<Surface> {
         self.family().map(|family| family.surface)
     }
 
@@ -187,16 +188,19 @@ const HOLD_MARGIN: f64 = 1.3;
 
 impl Family {
     /// Distance of a distorted point from the middle, by the radial term alone.
-    fn radius(&self, c: &[f64; 12], r: f64) -> f64 {
+    pub(super) fn radius(&self, c: &[f64; 12], r: f64) -> f64 {
         r * (self.radial)(c, r * r)[0]
     }
 
+    /// True if the radial term is defined and rises at a distance from the middle.
+    pub(super) fn is_sound(&self, c: &[f64; 12], r: f64) -> bool {
+        let [g, slope] = (self.radial)(c, r * r);
+        g > 0.0 && g + 2.0 * r * r * slope > 0.0 && g.is_finite()
+    }
+
     /// Smallest r > 0 at which the radial term folds the picture or is not defined; infinite, or for angles π, without one.
-    fn fold(&self, c: &[f64; 12]) -> f64 {
-        let is_sound = |r: f64| {
-            let [g, slope] = (self.radial)(c, r * r);
-            g > 0.0 && g + 2.0 * r * r * slope > 0.0 && g.is_finite()
-        };
+    pub(super) fn fold(&self, c: &[f64; 12]) -> f64 {
+        let is_sound = |r: f64| self.is_sound(c, r);
         let [at, end]: [fn(f64) -> f64; 2] = match self.surface {
             Surface::Plane => [|share| (share * FRAC_PI_2).tan(), |_| f64::INFINITY],
             _ => [|share| share * PI, |_| PI],
@@ -218,21 +222,12 @@ impl Family {
 }
 
 /// Place between a place where a condition holds and one where it does not.
-fn bisected([mut low, mut high]: [f64; 2], holds: impl Fn(f64) -> bool) -> f64 {
+pub(super) fn bisected([mut low, mut high]: [f64; 2], holds: impl Fn(f64) -> bool) -> f64 {
     for _ in 0..80 {
         let middle = 0.5 * (low + high);
         *(if holds(middle) { &mut low } else { &mut high }) = middle;
     }
     0.5 * (low + high)
-}
-
-impl Intrinsics {
-    /// A panorama of all directions: pixels per radian, and the middle.
-    pub fn panorama(width: u32, height: u32) -> Self {
-        let [w, h] = [width, height].map(f64::from);
-        let (fx, fy) = ((w / (2.0 * PI)) as f32, (h / PI) as f32);
-        Self { fx, fy, cx: (0.5 * w) as f32, cy: (0.5 * h) as f32, width, height }
-    }
 }
 
 impl Camera {
@@ -242,51 +237,20 @@ impl Camera {
     pub fn with_lens(self, projection: Projection, coefficients: &[f32]) -> Self {
         let mut all = Coefficients::default();
         all.iter_mut().zip(coefficients).for_each(|(word, own)| *word = *own);
-        // Eucm distorts by α, the others by any coefficient.
-        let distorts = if projection == Projection::Eucm { all[0] != 0.0 } else { all != [0.0; 12] };
-        let on_plane = projection.surface() == Some(Surface::Plane);
-        match on_plane && !distorts {
-            true => Self { projection: Projection::Perspective, coefficients: [0.0; 12], ..self },
-            false => Self { projection, coefficients: all, ..self },
-        }
+        let lens = Self { projection, coefficients: all, ..self }.photo_lens().without_zeros();
+        Self { projection: lens.projection, coefficients: lens.coefficients.map(|c| c as f32), ..self }
     }
 
-    /// Returns the camera with the lens of one of COLMAP's cameras, by the number and the parameters of its model. The pose and
-    /// the size stay. None for an unknown number, or another number of parameters.
+    /// Returns the camera with the lens of one of COLMAP's cameras: see [`PhotoLens::of_colmap`]. The pose and the size stay.
     pub fn with_colmap_lens(self, model: u32, parameters: &[f64]) -> Option<Self> {
-        use Projection::{Brown, Division, Eucm, Fisheye, Fov, ThinPrismFisheye};
-        // Number of focal lengths, and places of the other parameters among the coefficients.
-        let (focals, projection, places): (usize, Projection, &[usize]) = match model {
-            0 => (1, Projection::Perspective, &[]),
-            1 => (2, Projection::Perspective, &[]),
-            2 => (1, Brown, &[0]),
-            3 => (1, Brown, &[0, 1]),
-            4 => (2, Brown, &[0, 1, 2, 3]),
-            5 => (2, Fisheye, &[0, 1, 4, 5]),
-            6 => (2, Brown, &[0, 1, 2, 3, 4, 5, 6, 7]),
-            7 => (2, Fov, &[0]),
-            8 => (1, Fisheye, &[0]),
-            9 => (1, Fisheye, &[0, 1]),
-            10 => (2, Fisheye, &[0, 1, 2, 3, 4, 5, 6, 7]),
-            11 => (2, ThinPrismFisheye, &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]),
-            12 => (1, Division, &[0]),
-            13 => (2, Division, &[0]),
-            14 => (1, Fisheye, &[]),
-            15 => (2, Fisheye, &[]),
-            16 => (2, Eucm, &[0, 1]),
-            17 => {
-                let Intrinsics { fx, fy, cx, cy, .. } = Intrinsics::panorama(self.width, self.height);
-                let panorama = Self { fx, fy, cx, cy, ..self }.with_lens(Projection::Equirectangular, &[]);
-                return (parameters.len() == 2).then_some(panorama);
-            }
-            _ => return None,
-        };
-        let (optics, lens) = parameters.split_at_checked(focals + 2)?;
-        let [fx, fy, cx, cy] = [0, focals - 1, focals, focals + 1].map(|index| optics[index] as f32);
-        let mut coefficients = Coefficients::default();
-        places.iter().zip(lens).for_each(|(&place, own)| coefficients[place] = *own as f32);
-        let camera = Self { fx, fy, cx, cy, ..self }.with_lens(projection, &coefficients);
-        (lens.len() == places.len()).then_some(camera)
+        let lens = PhotoLens::of_colmap(model, parameters, [self.width, self.height])?;
+        Some(Self { part: self.part, ..lens.camera(self.camera_from_world, self.translation) })
+    }
+
+    /// Returns the camera without its pose.
+    pub fn photo_lens(&self) -> PhotoLens {
+        let (projection, coefficients) = (self.projection, self.coefficients.map(f64::from));
+        PhotoLens { projection, coefficients, ..PhotoLens::pinhole(self.intrinsics()) }
     }
 
     fn lens(&self) -> Option<(&'static Family, [f64; 12])> {
@@ -296,26 +260,6 @@ impl Camera {
     /// Depth by which Gaussians are ordered, world units: z, or for fisheyes and panoramas the distance from the camera.
     pub fn depth_of(&self, at: DVec3) -> f64 {
         if self.projection.orders_by_distance() { at.length() } else { at.z }
-    }
-
-    /// Picture position of a point in camera space, pixels (first pixel's centre at 0.5), through the camera's lens. None where
-    /// the lens shows nothing.
-    pub(super) fn through_lens(&self, at: DVec3) -> Option<DVec2> {
-        let (family, c) = self.lens()?;
-        let (rho, h, fold) = (at.truncate().length(), at.x.hypot(at.z), family.fold(&c));
-        let (shown, place) = match family.surface {
-            Surface::Plane => (at.z > 0.0 && rho / at.z < fold, at.truncate() / at.z),
-            Surface::Angle => {
-                let angle = rho.atan2(at.z);
-                let ratio = if rho > 0.0 { angle / rho } else { 1.0 / at.z };
-                (at != DVec3::ZERO && angle < fold, at.truncate() * ratio)
-            }
-            Surface::Sphere => (h > 1e-6 * at.length(), dvec2(at.x.atan2(at.z), at.y.atan2(h))),
-        };
-        let radial = place * (family.radial)(&c, place.length_squared())[0];
-        let distorted = radial + (family.bend)(&c, place, radial);
-        let [focal, center] = [[self.fx, self.fy], [self.cx, self.cy]].map(|v| DVec2::from(v.map(f64::from)));
-        shown.then(|| focal * distorted + center)
     }
 
     /// Largest distance of the whole picture's corners from the middle, in focal lengths.
@@ -359,9 +303,10 @@ impl Camera {
         let (whole, fold) = (self.whole(), family.fold(&c));
         match family.surface {
             Surface::Sphere => {
-                let around = Intrinsics::panorama(whole.width, whole.height);
+                let around = PhotoLens::panorama(whole.width, whole.height).intrinsics();
                 let differs = |own: f32, full: f32| (own - full).abs() > 1e-4 * full;
-                (whole.width != 2 * whole.height
+                // Scaled photographs may have rounded sides.
+                (whole.width.abs_diff(2 * whole.height) > 1
                     || differs(self.fx, around.fx)
                     || differs(self.fy, around.fy))
                 .then(|| {

@@ -197,13 +197,18 @@ impl<'a> Sight<'a> {
             () if high < 0.0 => -low,
             () => 0.0,
         };
-        Self { camera, least_slope: DVec2::from_array(camera.shown_slopes(EDGE_MARGIN).map(least)) }
+        let slopes = camera.shown_slopes(EDGE_MARGIN).unwrap_or_default();
+        Self { camera, least_slope: DVec2::from_array(slopes.map(least)) }
     }
 
     /// True if the picture may show a Gaussian with this mean and largest axis (a standard deviation), world units, under a
     /// low-pass filter of this variance. True if a number is NaN.
     fn may_show(&self, mean: DVec3, axis: f64, low_pass_px2: f64) -> bool {
         let Camera { camera_from_world, translation, width, height, .. } = *self.camera;
+        if self.camera.projection.is_lens() {
+            // What the unscented transform may draw has no bound as simple as below.
+            return true;
+        }
         let translation = translation.as_dvec3();
         let place = camera_from_world.as_dmat3() * mean + translation;
         let rounding = ROUNDING * (mean.abs().max_element() + translation.abs().max_element());

@@ -177,7 +177,7 @@ pub(super) fn check(views: &[TrainView]) -> Result<()> {
         let name = format!("view {index}");
         camera
             .check()
-            .and_then(|()| camera.check_perspective("photographs are of pinholes"))
+            .and_then(|()| camera.check_differentiable())
             .map_err(|error| error.within(format_args!("{name}")))?;
         if (photo.width, photo.height) != (camera.width, camera.height) {
             let problem = format!(

@@ -225,7 +225,11 @@ impl TrainSettings {
             _ if iteration > end / 2 => WARM_UP_FACTORS[1],
             _ => WARM_UP_FACTORS[0],
         };
-        let fits = |&factor: &u32| factor <= wanted && camera.width.min(camera.height) / factor >= LEAST_SIDE;
+        let fits = |&factor: &u32| {
+            // A panorama must stay whole.
+            let is_whole = !camera.projection.has_seam() || camera.width % factor == 0;
+            factor <= wanted && camera.width.min(camera.height) / factor >= LEAST_SIDE && is_whole
+        };
         WARM_UP_FACTORS.into_iter().find(fits).map_or(*camera, |factor| reduced(camera, factor))
     }
 

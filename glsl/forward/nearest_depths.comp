@@ -3,7 +3,8 @@
 //
 // invocation: one Gaussian of a chunk
 // in: poses, four vec3 per camera: the rows of R, then t, camera from world (layout of pose_step.comp); bounds, a vec4 per
-//     camera: least and largest x/z, least and largest y/z
+//     camera: least and largest x/z, least and largest y/z; for fisheyes and panoramas 1, -1, the cosine of the widest angle
+//     from the axis, and their depths are distances
 // in/out: parameters (PerGaussian planes): log_scale.w is the depth, or 0 if no camera shows the mean; farthest is the bits of
 //     the largest depth. Nothing changes if the frame overflowed.
 // shared: none; any subgroup size
@@ -48,9 +49,11 @@ void main() {
             dot(vec4(poses[4 * camera + 2], t.z), mean));
         vec4 slopes = VEC4_AT(bounds, camera);
         vec2 slope = position.xy / position.z;
-        bool seen = position.z > NEAR_PLANE && slope.x >= slopes.x && slope.x <= slopes.y && slope.y >= slopes.z
-            && slope.y <= slopes.w;
-        nearest = seen ? min(nearest, position.z) : nearest;
+        bool by_distance = slopes.x > slopes.y;
+        float depth = by_distance ? length(position) : position.z;
+        bool inside = by_distance ? position.z >= slopes.z * depth
+            : slope.x >= slopes.x && slope.x <= slopes.y && slope.y >= slopes.z && slope.y <= slopes.w;
+        nearest = depth > NEAR_PLANE && inside ? min(nearest, depth) : nearest;
     }
     nearest = exists && nearest < NONE ? nearest : 0.0;
     // Positive floats sort like their bits, and a maximum does not depend on the order.

@@ -10,7 +10,7 @@ use ashsplat::kernels::backward::project_backward;
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants as c;
 use ashsplat::kernels::forward::project;
-use ashsplat::scene::{Intrinsics, Projection};
+use ashsplat::scene::{PhotoLens, Projection};
 use glam::{Mat3, dmat2};
 use std::path::Path;
 
@@ -24,7 +24,7 @@ fn lens_camera(npz: &Npz) -> Camera {
     let [x, y, z] = [x, y, z].map(|row: [f64; 3]| Vec3::from_array(row.map(f)));
     let rotation = Mat3::from_cols(x, y, z).transpose();
     let translation = Vec3::from_array(npz.rows::<3>("cam_t")[0].map(f));
-    let any = Camera::with_pose(rotation, translation, Intrinsics::panorama(width, height));
+    let any = Camera::with_pose(rotation, translation, PhotoLens::panorama(width, height).intrinsics());
     let camera = any.with_colmap_lens(npz.scalar("model") as u32, npz.values("params"));
     let camera = camera.expect("a model of COLMAP");
     camera.check().expect("a camera");

@@ -229,7 +229,10 @@ fn distortion_params_are_used() {
         dataset.train.iter().map(|view| (view.camera, view.photo.clone())).collect::<Vec<_>>()
     };
     let by_list = sizes(json!({ "distortion_params": [-0.2, 0, 0, 0, 0.01, 0] }));
-    assert!(by_list == sizes(json!({ "k1": -0.2, "p1": 0.01 })) && by_list[0].0.width < 20);
+    assert!(
+        by_list == sizes(json!({ "k1": -0.2, "p1": 0.01 }))
+            && by_list[0].0.projection == ashsplat::scene::Projection::Brown
+    );
 }
 
 #[test]
@@ -324,13 +327,19 @@ fn json_with_decimal_commas_or_in_utf_16_is_named() {
 }
 
 #[test]
-fn distorted_frames_are_undistorted() {
+fn distorted_frames_are_used_as_they_are_or_undistorted() {
     let folder = Folder::new();
     let lens = json!({ "fl_x": 21.0, "cx": 10.0, "cy": 6.0, "w": 20, "h": 12, "k1": -0.2, "p1": 0.01 });
     let frames = folder.frames("images", 0..2, ".png");
     folder.json("transforms.json", &with(lens, &json!({ "frames": frames })));
-    let dataset = folder.sound();
-    assert_says(&folder.inspect(&DatasetOptions::default()).notes[0], &["distortion", "19x11"]);
+    let as_taken = folder.sound().train[0].camera;
+    assert_eq!(
+        (as_taken.width, as_taken.height, as_taken.coefficients[..3].to_vec()),
+        (20, 12, vec![-0.2, 0.0, 0.01])
+    );
+    let options = DatasetOptions { undistort: true, ..Default::default() };
+    assert_says(&folder.inspect(&options).notes[0], &["distortion", "19x11"]);
+    let dataset = Dataset::load(&folder, &options, Progress::NONE).unwrap();
     let camera = dataset.train[0].camera;
     // The image loses half a pixel at each side, and keeps its scale.
     assert_eq!((camera.width, camera.height, camera.fx, camera.fy), (19, 11, 21.0, 21.0));

@@ -28,6 +28,9 @@ pub struct Arguments {
     /// A data set's photos as they are stored, or turned as their metadata (Exif) say
     #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME", default_value = "auto")]
     orientation: String,
+    /// Replace a data set's photos of lenses by those of pinholes
+    #[arg(long)]
+    undistort: bool,
     /// Count a data set's views as with --eval
     #[arg(long)]
     eval: bool,
@@ -79,6 +82,7 @@ fn dataset(arguments: &Arguments) -> Result<()> {
     let data = DataSettings {
         images: arguments.images.clone(),
         orientation: arguments.orientation.clone(),
+        undistort: arguments.undistort,
         eval: arguments.eval,
         ..Default::default()
     };
@@ -111,6 +115,9 @@ fn dataset(arguments: &Arguments) -> Result<()> {
                 }
                 if arguments.orientation != "auto" {
                     command += &format!(" --orientation {}", quoted(&arguments.orientation));
+                }
+                if arguments.undistort {
+                    command += " --undistort";
                 }
                 say!("next      it can be trained on: {command}");
             }

@@ -71,6 +71,8 @@ pub struct DatasetOfBlocks {
     pub images: String,
     pub resolution: i32,
     pub orientation: String,
+    #[serde(default)]
+    pub undistort: bool,
     pub eval: bool,
 }
 

@@ -29,6 +29,9 @@ pub struct DataArguments {
     /// Photos as they are stored, or turned as their metadata (Exif) say [default: as in training, else auto]
     #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME")]
     orientation: Option<String>,
+    /// Replace photos of lenses by those of pinholes [default: as in training]
+    #[arg(long)]
+    undistort: bool,
     /// Hold out every 8th view (by name) [default: as in training]
     #[arg(long)]
     eval: bool,
@@ -58,6 +61,7 @@ impl DataArguments {
         if let Some(orientation) = &self.orientation {
             data.orientation.clone_from(orientation);
         }
+        data.undistort |= self.undistort;
         data.eval |= self.eval;
         if data.source_path.as_os_str().is_empty() {
             return Err(Error::argument(
@@ -79,6 +83,7 @@ pub fn options(data: &DataSettings, white_background: bool, host: &HostArguments
         resolution: data.resolution.to_string().parse()?,
         images: data.images.clone(),
         orientation: data.orientation.parse()?,
+        undistort: data.undistort,
         eval: data.eval,
         eval_split: data.eval_split.into(),
         train_test_exp: data.train_test_exp,

@@ -227,6 +227,7 @@ mod tests {
             images: String::new(),
             resolution: 1,
             orientation: String::new(),
+            undistort: false,
             eval: false,
         };
         let division = Division {

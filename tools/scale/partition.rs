@@ -334,6 +334,7 @@ impl Arguments {
                 images: data.images.clone(),
                 resolution: data.resolution,
                 orientation: data.orientation.clone(),
+                undistort: data.undistort,
                 eval: data.eval,
             },
             coarse: Coarse {

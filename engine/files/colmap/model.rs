@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DVec2, DVec3, dvec2};
+use glam::{DMat3, DVec2, DVec3, Mat3, Vec3};
 
 use super::find::{self, ModelFolder};
 use super::read::{self, Observed};
@@ -12,8 +12,7 @@ use super::records::{ColmapCamera, ColmapImage};
 use crate::depth_fit::DepthPoint;
 use crate::ply;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
-use ashsplat::scene::distortion::{Distortion, PhotoLens};
-use ashsplat::scene::{Camera, SourcePoints};
+use ashsplat::scene::{Camera, PhotoLens, SourcePoints};
 use ashsplat::{Error, Result};
 
 /// A sparse model.
@@ -55,10 +54,10 @@ impl Model {
         self.source.file(part)
     }
 
-    /// Camera and pose of an image at the photo's size, without lens distortion, in the file's coordinates.
+    /// Camera and pose of an image at the photo's size, with its lens, in the file's coordinates.
     ///
     /// # Errors
-    /// [`Error::Input`] naming file and id when the camera does not exist, has an unsupported lens, no usable
+    /// [`Error::Input`] naming file and id when the camera does not exist, has a lens that folds the picture, no usable
     /// size or focal length, or the pose is not finite or a zero quaternion.
     pub fn camera_of(&self, image: &ColmapImage) -> Result<Camera> {
         let file = self.file("images");
@@ -67,10 +66,11 @@ impl Model {
             let problem = format!("image {id} ({name}) has camera {camera_id}, which cameras does not list");
             return Err(Error::input(file, problem, "copy the whole model"));
         };
-        let intrinsics = self.lens(camera)?.intrinsics();
+        let lens = self.lens(camera)?;
         let length = image.quat.iter().map(|q| q * q).sum::<f64>().sqrt();
         let finite = length.is_finite() && image.translation.iter().all(|t| t.is_finite());
-        let result = Camera::from_colmap(image.quat, image.translation, intrinsics);
+        let pose = Camera::from_colmap(image.quat, image.translation, lens.intrinsics());
+        let result = lens.camera(pose.camera_from_world, pose.translation);
         let problem = match result.problem() {
             _ if length == 0.0 => Some("its pose is a zero quaternion".into()),
             None if finite => result.absurdity(),
@@ -88,17 +88,18 @@ impl Model {
     pub fn lens(&self, camera: &ColmapCamera) -> Result<PhotoLens> {
         let file = self.file("cameras");
         let place = format!("camera {} ({})", camera.id, camera.model.name());
-        let Some(([fx, fy, cx, cy], distortion)) = optics(camera) else {
-            let remedy = format!("run: {}", undistort_command(&self.source.folder));
-            return Err(Error::input(file, format!("{place} has a lens that is not modelled"), remedy));
-        };
         let side = |pixels: u64| u32::try_from(pixels).ok().filter(|s| (1..=MAX_IMAGE_SIDE).contains(s));
         let (Some(width), Some(height)) = (side(camera.width), side(camera.height)) else {
             let problem = format!("{place} has images of {}x{} pixels", camera.width, camera.height);
             return Err(Error::input(file, problem, format!("1 to {MAX_IMAGE_SIDE} a side are possible")));
         };
-        let lens = PhotoLens { focal_px: dvec2(fx, fy), center_px: dvec2(cx, cy), width, height, distortion };
-        let upright = Camera::with_pose(glam::Mat3::IDENTITY, glam::Vec3::ZERO, lens.intrinsics());
+        let Some(lens) =
+            PhotoLens::of_colmap(camera.model.number() as u32, &camera.parameters, [width, height])
+        else {
+            let problem = format!("{place} has {} parameters", camera.parameters.len());
+            return Err(Error::input(file, problem, "run COLMAP again"));
+        };
+        let upright = lens.camera(Mat3::IDENTITY, Vec3::ZERO);
         let is_finite = camera.parameters.iter().all(|p| p.is_finite());
         let problem = match upright.problem() {
             _ if !is_finite => Some("a parameter is not finite".into()),
@@ -109,46 +110,6 @@ impl Model {
         }
         Ok(lens)
     }
-}
-
-/// Focal lengths, principal point and distortion; `None` for unsupported lenses.
-fn optics(camera: &ColmapCamera) -> Option<([f64; 4], Distortion)> {
-    let brown =
-        |k: [f64; 3], d: [f64; 3], p: [f64; 2]| Distortion::Brown { k: [k[0], k[1], k[2], 0.0], d, p };
-    let radial = |k1: f64, k2: f64| brown([k1, k2, 0.0], [0.0; 3], [0.0; 2]);
-    let fisheye = |k: [f64; 4]| Distortion::Fisheye { k };
-    Some(match (camera.model.name(), camera.parameters.as_slice()) {
-        ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f, cx, cy], Distortion::None),
-        ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy, cx, cy], Distortion::None),
-        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f, cx, cy], radial(k, 0.0)),
-        ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f, cx, cy], radial(k1, k2)),
-        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
-            ([fx, fy, cx, cy], brown([k1, k2, 0.0], [0.0; 3], [p1, p2]))
-        }
-        ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
-            ([fx, fy, cx, cy], brown([k1, k2, k3], [k4, k5, k6], [p1, p2]))
-        }
-        ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
-            ([fx, fy, cx, cy], fisheye([k1, k2, k3, k4]))
-        }
-        ("SIMPLE_RADIAL_FISHEYE", &[f, cx, cy, k]) => ([f, f, cx, cy], fisheye([k, 0.0, 0.0, 0.0])),
-        ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => ([f, f, cx, cy], fisheye([k1, k2, 0.0, 0.0])),
-        ("SIMPLE_FISHEYE", &[f, cx, cy]) => ([f, f, cx, cy], fisheye([0.0; 4])),
-        ("FISHEYE", &[fx, fy, cx, cy]) => ([fx, fy, cx, cy], fisheye([0.0; 4])),
-        _ => return None,
-    })
-}
-
-/// The command that converts a distorted model to pinhole images and a pinhole model.
-pub fn undistort_command(model: &Path) -> String {
-    let dataset =
-        model.ancestors().find(|a| a.file_name().is_some_and(|n| n == "sparse")).and_then(Path::parent);
-    let dataset = dataset.unwrap_or(model).display().to_string();
-    let model = model.display();
-    format!(
-        "colmap image_undistorter --image_path {dataset}/images --input_path {model} --output_path {dataset}/undistorted, \
-         and train on {dataset}/undistorted"
-    )
 }
 
 fn points_file(source: &ModelFolder) -> Option<PathBuf> {
@@ -263,7 +224,7 @@ pub(crate) fn contradiction(model: &Model) -> Option<String> {
     const MOST_BYTES: u64 = 32 << 20;
     const SAMPLE: usize = 1000;
     const LEAST: usize = 100;
-    /// Share of the photo's larger side. The projection ignores distortion, whose median effect is smaller.
+    /// Share of the photo's larger side.
     const FAR: f64 = 0.05;
     let bytes = |file: PathBuf| std::fs::metadata(file).map_or(u64::MAX, |file| file.len());
     if bytes(model.file("images")).saturating_add(bytes(points_file(&model.source)?)) > MOST_BYTES {
@@ -278,12 +239,10 @@ pub(crate) fn contradiction(model: &Model) -> Option<String> {
     let error = |&(id, at, point): &(u32, [f64; 2], u64)| -> Option<f64> {
         let image = images.get(&id)?;
         let lens = model.lens(model.cameras.get(&image.camera_id)?).ok()?;
-        let is_plane = !matches!(lens.distortion, Distortion::Fisheye { .. });
         let position = DVec3::from_array(*positions.get(&point)?);
         let p = image.rotation() * position + DVec3::from_array(image.translation);
-        let there = lens.focal_px * (p.truncate() / p.z) + lens.center_px;
         let side = f64::from(lens.width.max(lens.height));
-        is_plane.then(|| if p.z > 0.0 { there.distance(DVec2::from_array(at)) / side } else { f64::INFINITY })
+        Some(lens.project(p).map_or(f64::INFINITY, |there| there.distance(DVec2::from_array(at)) / side))
     };
     let mut errors: Vec<f64> =
         all.iter().step_by(all.len().div_ceil(SAMPLE).max(1)).filter_map(error).collect();

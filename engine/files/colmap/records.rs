@@ -5,11 +5,8 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DQuat};
 
 use crate::names::{MAX_PATH_BYTES, ending, plain, stays_inside};
-use ashsplat::scene::{COLMAP_MODELS, Camera};
+use ashsplat::scene::{COLMAP_MODELS, Camera, colmap_parameters};
 use ashsplat::{Error, Result};
-
-/// Number of parameters of COLMAP's camera models that are read, by number.
-const PARAMETERS: [usize; 16] = [3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4];
 
 /// One of COLMAP's camera models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,12 +20,12 @@ impl CameraModel {
 
     /// Model with COLMAP's number.
     pub fn from_number(number: i64) -> Option<Self> {
-        usize::try_from(number).ok().filter(|&n| n < PARAMETERS.len()).map(Self)
+        usize::try_from(number).ok().filter(|&n| n < COLMAP_MODELS.len()).map(Self)
     }
 
     /// Model with COLMAP's name.
     pub fn from_name(name: &str) -> Option<Self> {
-        COLMAP_MODELS[..PARAMETERS.len()].iter().position(|model| *model == name).map(Self)
+        COLMAP_MODELS.iter().position(|model| *model == name).map(Self)
     }
 
     /// COLMAP's name.
@@ -43,7 +40,7 @@ impl CameraModel {
 
     /// Number of its parameters.
     pub fn parameters(self) -> usize {
-        PARAMETERS[self.0]
+        colmap_parameters(self.0 as u32).unwrap_or(0)
     }
 }
 

@@ -136,9 +136,14 @@ fn checked_map_of(folder: &Path, view: &PlannedView, finder: &mut Finder) -> Res
         let path = folder.join(format!("{}.png", stem(name)));
         return Err(Error::input(path, problem, "compute it, or train without -d"));
     };
-    if view.lens.is_distorted() {
-        let problem = format!("photo {} has lens distortion, which depth maps do not follow", view.name);
-        return Err(Error::input(path, problem, "undistort the photos first: colmap image_undistorter"));
+    if view.is_undistorted() {
+        let problem = format!("photo {} is undistorted, which depth maps do not follow", view.name);
+        return Err(Error::input(path, problem, "train without --undistort"));
+    }
+    if view.lens.projection.orders_by_distance() {
+        let problem =
+            format!("photo {} is of a fisheye or a panorama, whose depths may be of two kinds", view.name);
+        return Err(Error::input(path, problem, "train without -d"));
     }
     header(&path)?;
     Ok(path)

@@ -5,8 +5,7 @@ use std::path::Path;
 use super::part::cut;
 use crate::host_memory::HostMemory;
 use crate::images::{Decoded, Photo, Request, header, read_as, undistort};
-use ashsplat::scene::camera::Intrinsics;
-use ashsplat::scene::distortion::PhotoLens;
+use ashsplat::scene::PhotoLens;
 use ashsplat::{Error, Result};
 
 /// One value per pixel, row-major. A pixel counts if its value is at least [`COUNTS`].
@@ -93,7 +92,7 @@ impl Mask {
     }
 
     /// The mask for the pinhole camera that replaces a lens.
-    pub(super) fn undistorted(&self, lens: &PhotoLens, pinhole: &Intrinsics) -> Self {
+    pub(super) fn undistorted(&self, lens: &PhotoLens, pinhole: &PhotoLens) -> Self {
         Self::of_grey(undistort(&grey((self.width, self.height), &self.values), lens, pinhole))
     }
 

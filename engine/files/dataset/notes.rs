@@ -5,8 +5,7 @@ use std::path::Path;
 use super::planned_view::{PhotoUse, PlannedView};
 use crate::images::{AUTO_MAX_WIDTH, Resolution};
 use crate::init::RANDOM_POINTS;
-use ashsplat::scene::Intrinsics;
-use ashsplat::scene::distortion::{Distortion, PhotoLens};
+use ashsplat::scene::{PhotoLens, Projection};
 
 /// A width below this may have been meant as a divisor.
 const SMALL_WIDTH: u32 = 100;
@@ -64,12 +63,12 @@ pub(super) fn scaling_note(sizes: &[(u32, u32)], resolution: Resolution) -> Opti
 /// Names the cameras with lens distortion, if any. Many data sets have one camera per photo.
 pub(super) fn distorted_lenses<'a>(
     file: &Path,
-    cameras: impl Iterator<Item = (&'a PhotoLens, Option<Intrinsics>)>,
+    cameras: impl Iterator<Item = &'a PhotoLens>,
 ) -> Option<String> {
     let (mut all, mut distorted) = (0, 0);
-    for (lens, pinhole) in cameras {
+    for lens in cameras {
         all += 1;
-        distorted += u32::from(pinhole.is_some() && lens.is_distorted());
+        distorted += u32::from(lens.projection != Projection::Perspective);
     }
     let which = match (distorted, all) {
         (0, _) => return None,
@@ -81,17 +80,19 @@ pub(super) fn distorted_lenses<'a>(
 }
 
 /// Note on the treatment of their photos, which have these sizes in pixels.
-pub(super) fn undistorted_photos(
+pub(super) fn distorted_photos(
     which: Option<&str>,
     sizes: &[(u32, u32)],
-    resolution: Resolution,
+    (resolution, undistort): (Resolution, bool),
 ) -> Option<String> {
     let (which, ((width, height), up_to)) = (which?, largest(sizes)?);
     let (width, height) = resolution.apply(width, height);
     let scaled = divisor(resolution).map_or_else(String::new, |by| format!(" (-r {by})"));
-    Some(format!(
-        "{which}: photos are undistorted as they are read, and used at {up_to}{width}x{height} pixels{scaled}"
-    ))
+    let how = match undistort {
+        true => "photos are undistorted as they are read, and used",
+        false => "photos are used as they were taken,",
+    };
+    Some(format!("{which}: {how} at {up_to}{width}x{height} pixels{scaled}"))
 }
 
 /// Plausible angles of view from edge to edge, degrees: from long telephoto lenses to the widest pinhole.
@@ -121,8 +122,7 @@ fn doubt(lens: &PhotoLens) -> Option<String> {
     let sides = [lens.width, lens.height].map(f64::from);
     for axis in 0..2 {
         let angle = 2.0 * (0.5 * sides[axis] / focal[axis]).atan().to_degrees();
-        let plane = !matches!(lens.distortion, Distortion::Fisheye { .. });
-        if plane && !ANGLES.contains(&angle) {
+        if !lens.projection.orders_by_distance() && !ANGLES.contains(&angle) {
             return Some(format!(
                 "a field of view of {angle:.1} degrees (focal length {} for {} pixels)",
                 focal[axis], sides[axis]

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::host_memory::HostMemory;
 use crate::images::{PhotoMemory, PhotoOrientation, Resolution};
-use ashsplat::scene::WorldFrame;
+use ashsplat::scene::{PhotoLens, Projection, WorldFrame};
 
 /// Which views are held out by [`DatasetOptions::eval`], where a data set does not say so.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,6 +31,9 @@ pub struct DatasetOptions {
     /// Folder of inverse-depth maps, absolute or within the data set: a 16-bit PNG per photo, with the photo's name.
     /// Scale and offset are in the model's `depth_params.json`, or else are fitted to the sparse points.
     pub depths: Option<PathBuf>,
+    /// True to replace photos of lenses by the largest photos of pinholes without blank pixels, as COLMAP's image_undistorter
+    /// does. Otherwise they are used as they were taken.
+    pub undistort: bool,
     /// Rotation of photos by their metadata.
     pub orientation: PhotoOrientation,
     /// Frame of cameras and points, such as the frame of an existing scene. `None` chooses one that suits the data set.
@@ -62,6 +65,7 @@ impl Default for DatasetOptions {
             resolution: Resolution::Auto,
             images: "images".into(),
             depths: None,
+            undistort: false,
             orientation: PhotoOrientation::Auto,
             frame: None,
             eval: false,
@@ -80,6 +84,14 @@ impl DatasetOptions {
     /// The colour under transparent pixels, (r, g, b) in [0, 1].
     pub fn background(&self) -> [f32; 3] {
         [if self.white_background { 1.0 } else { 0.0 }; 3]
+    }
+
+    /// The lens of the pictures that are made of the photos of a lens: the same, or the pinhole that replaces it. None if none can.
+    pub(super) fn used_lens(&self, lens: &PhotoLens) -> Option<PhotoLens> {
+        match self.undistort && lens.projection != Projection::Perspective {
+            true => lens.inscribed_pinhole().map(PhotoLens::pinhole),
+            false => Some(*lens),
+        }
     }
 
     /// Ratio of the model's camera size to the size of the photos in the folder.

@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::mask::is_scaled;
+use super::options::DatasetOptions;
 use super::planned_view::{FileSize, PlannedView};
 use crate::images::{Header, PhotoOrientation, header};
 use crate::names::{has_photos, photos_below, photos_beside};
 use crate::{colmap, regular_file};
-use ashsplat::scene::Intrinsics;
-use ashsplat::scene::distortion::PhotoLens;
+use ashsplat::scene::PhotoLens;
 use ashsplat::{Error, Result};
 
 /// The named folder, or the data set itself if it has no `images` and photos lie beside the model.
@@ -59,12 +59,17 @@ pub(super) fn advice_for_more(dataset: &Path) -> &'static str {
 
 /// Scales the cameras of views to their photos. Photos of other proportions, or of another size than other photos of
 /// the same camera, become errors. Returns a warning, unless the photos' folder is named after the ratio (`divisor`).
-pub(super) fn fit_lenses(views: &mut [Result<PlannedView>], list: &Path, divisor: u32) -> Option<String> {
+pub(super) fn fit_lenses(
+    views: &mut [Result<PlannedView>],
+    list: &Path,
+    options: &DatasetOptions,
+) -> Option<String> {
+    let divisor = options.divisor();
     let key = |view: &PlannedView| format!("{} {:?}", view.camera_id, view.lens);
     let own_size = |view: &PlannedView| (view.lens.width, view.lens.height);
     let unscaled = views.iter().flatten().filter(|view| view.file_size == Some(own_size(view)));
     let unscaled: HashSet<String> = unscaled.map(key).collect();
-    let mut known: HashMap<String, (PhotoLens, Intrinsics)> = HashMap::new();
+    let mut known: HashMap<String, PhotoLens> = HashMap::new();
     let (mut first, mut count, mut as_named) = (None, 0, divisor > 1);
     for result in views {
         let Ok(view) = result else { continue };
@@ -81,8 +86,8 @@ pub(super) fn fit_lenses(views: &mut [Result<PlannedView>], list: &Path, divisor
         as_named &= divided(width, own.0) && divided(height, own.1);
         let lens = view.lens.scaled_to(width, height);
         // A lens that can be undistorted at one size can be at another.
-        let fitted = || (lens, lens.inscribed_pinhole().unwrap_or(lens.intrinsics()));
-        (view.lens, view.pinhole) = *known.entry(format!("{lens:?}")).or_insert_with(fitted);
+        let fitted = || options.used_lens(&lens).unwrap_or(lens);
+        (view.lens, view.used) = (lens, *known.entry(format!("{lens:?}")).or_insert_with(fitted));
     }
     let ((w, h), (width, height)) = first.filter(|_| !as_named)?;
     let list = list.display();

@@ -12,8 +12,7 @@ use super::part::{UsedPart, cut_photo};
 use crate::depth_fit::DepthFit;
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, read_as, undistort};
 use ashsplat::Result;
-use ashsplat::scene::distortion::PhotoLens;
-use ashsplat::scene::{Camera, Intrinsics, PicturePart, WorldFrame};
+use ashsplat::scene::{Camera, PhotoLens, PicturePart, WorldFrame};
 
 /// True if a photo is rotated by its metadata, and its size after that, if it can be read.
 pub(super) type FileSize = (bool, Option<(u32, u32)>);
@@ -27,10 +26,10 @@ pub(crate) struct PlannedView {
     pub(super) translation: DVec3,
     /// The frame of the view's cameras.
     pub(super) frame: WorldFrame,
-    /// The camera at the photo's size, with its lens.
+    /// The lens at the photo's size.
     pub(super) lens: PhotoLens,
-    /// The pinhole that replaces the lens; the same without distortion.
-    pub(super) pinhole: Intrinsics,
+    /// The lens of the picture that is used: the same, or the pinhole that replaces it.
+    pub(super) used: PhotoLens,
     pub(super) photo_path: PathBuf,
     /// True if the photo is rotated by its metadata.
     pub(super) turned: bool,
@@ -76,7 +75,7 @@ pub(super) struct PhotoUse {
 impl PlannedView {
     /// A view at the origin with its whole photo, and without a name.
     pub(super) fn of(
-        (lens, pinhole): (PhotoLens, Intrinsics),
+        (lens, used): (PhotoLens, PhotoLens),
         photo_path: PathBuf,
         (turned, file_size): FileSize,
     ) -> Self {
@@ -88,7 +87,7 @@ impl PlannedView {
             translation: DVec3::ZERO,
             frame: WorldFrame::default(),
             lens,
-            pinhole,
+            used,
             photo_path,
             turned,
             file_size,
@@ -107,7 +106,12 @@ impl PlannedView {
         !self.held_out || options.train_test_exp
     }
 
-    /// The view's pinhole camera at the size of its file.
+    /// True if the photo is replaced by a pinhole's.
+    pub(super) fn is_undistorted(&self) -> bool {
+        self.used.projection != self.lens.projection
+    }
+
+    /// The view's camera at the size of its file.
     pub(crate) fn camera(&self) -> Camera {
         self.camera_in(&self.frame)
     }
@@ -115,7 +119,7 @@ impl PlannedView {
     /// The camera in another frame.
     pub(super) fn camera_in(&self, frame: &WorldFrame) -> Camera {
         let translation = frame.translation(self.camera_from_source, self.translation);
-        Camera::with_pose(self.camera_from_source.as_mat3(), translation, self.pinhole)
+        self.used.camera(self.camera_from_source.as_mat3(), translation)
     }
 
     /// The camera's centre, source coordinates.
@@ -125,31 +129,27 @@ impl PlannedView {
 
     /// Depth of a point in source coordinates, source units; `None` if the point is out of view.
     pub(super) fn depth_of(&self, point: DVec3) -> Option<f64> {
-        let Intrinsics { fx, fy, cx, cy, width, height } = self.pinhole;
         let p = self.camera_from_source * point + self.translation;
-        let inside = |pixel: f64, side: u32| (0.0..f64::from(side)).contains(&pixel);
-        let x = f64::from(fx) * p.x / p.z + f64::from(cx);
-        let y = f64::from(fy) * p.y / p.z + f64::from(cy);
-        (p.z > 0.0 && inside(x, width) && inside(y, height)).then_some(p.z)
+        self.used.shows(p).then(|| if self.used.projection.orders_by_distance() { p.length() } else { p.z })
     }
 
-    /// Reads the photo, undistorted and scaled, with its mask.
+    /// Reads the photo, scaled and, if wanted, undistorted, with its mask.
     pub(super) fn load(&self, options: &DatasetOptions) -> Result<(View, PhotoUse)> {
-        let (lens, pinhole) = (self.lens, self.pinhole);
+        let (lens, used, is_undistorted) = (self.lens, self.used, self.is_undistorted());
         let memory = &options.host_memory;
         let own = (lens.width, lens.height);
         // Reads one file at a time: a thread that waits for memory must hold none.
         let mask =
             self.mask_path.as_ref().map(|path| Mask::read(path, self.turned, own, memory)).transpose()?;
         let (mask, mask_is_cut_out) = mask.map_or((None, false), |(mask, cut_out)| (Some(mask), cut_out));
-        let scaled = options.resolution.apply(pinhole.width, pinhole.height);
+        let scaled = options.resolution.apply(used.width, used.height);
         let bytes = |width: u32, height: u32| u64::from(width) * u64::from(height);
-        let (before, after) = (bytes(lens.width, lens.height), bytes(pinhole.width, pinhole.height));
+        let (before, after) = (bytes(lens.width, lens.height), bytes(used.width, used.height));
         let masks = if mask.is_some() { 2 * before } else { 0 };
         let keeps_opacity = options.keep_opacity && !self.alpha_is_mask;
         let opacity = if keeps_opacity { 3 * (before + after + bytes(scaled.0, scaled.1)) } else { 0 };
         let besides = opacity
-            + match lens.is_distorted() {
+            + match is_undistorted {
                 false => masks,
                 true => masks + 3 * after + 3 * bytes(scaled.0, scaled.1) + 2 * masks,
             };
@@ -157,8 +157,8 @@ impl PlannedView {
             background: options.background(),
             turned: self.turned,
             size: Some(own),
-            // Distorted photos are scaled after they are undistorted.
-            scaled: (!lens.is_distorted()).then_some(scaled),
+            // Photos are scaled after they are undistorted.
+            scaled: (!is_undistorted).then_some(scaled),
             besides,
             memory,
         };
@@ -167,10 +167,10 @@ impl PlannedView {
         let alpha = alpha.map(|values| Mask { width: own.0, height: own.1, values });
         let is_transparent = alpha.as_ref().is_some_and(Mask::hides);
         let mut mask = Mask::of_both(mask, alpha.filter(|_| self.alpha_is_mask));
-        if lens.is_distorted() {
-            mask = mask.map(|mask| mask.undistorted(&lens, &pinhole));
-            opacity = opacity.map(|opacity| undistort(&opacity, &lens, &pinhole));
-            photo = undistort(&photo, &lens, &pinhole).scaled_to(scaled.0, scaled.1)?;
+        if is_undistorted {
+            mask = mask.map(|mask| mask.undistorted(&lens, &used));
+            opacity = opacity.map(|opacity| undistort(&opacity, &lens, &used));
+            photo = undistort(&photo, &lens, &used).scaled_to(scaled.0, scaled.1)?;
         }
         let opacity = opacity.map(|opacity| opacity.scaled_to(scaled.0, scaled.1)).transpose()?;
         drop(lease);
@@ -181,12 +181,12 @@ impl PlannedView {
 
     /// Size at which the photo or its part will be used.
     pub(super) fn size(&self, options: &DatasetOptions) -> (u32, u32) {
-        self.used_of(options.resolution.apply(self.pinhole.width, self.pinhole.height))
+        self.used_of(options.resolution.apply(self.used.width, self.used.height))
     }
 
     /// Camera of the used part of the photo, at the size at which it is used.
     pub(super) fn used_camera(&self, options: &DatasetOptions) -> Result<Camera> {
-        let (width, height) = options.resolution.apply(self.pinhole.width, self.pinhole.height);
+        let (width, height) = options.resolution.apply(self.used.width, self.used.height);
         self.part_of(self.camera().scaled_to(width, height))
     }
 
@@ -201,7 +201,7 @@ impl PlannedView {
     /// Share of the photo that is used, at the camera's own size.
     pub(super) fn share_used(&self) -> f64 {
         let pixels = |(width, height): (u32, u32)| f64::from(width) * f64::from(height);
-        let whole = (self.pinhole.width, self.pinhole.height);
+        let whole = (self.used.width, self.used.height);
         pixels(self.used_of(whole)) / pixels(whole)
     }
 

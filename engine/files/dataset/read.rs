@@ -15,18 +15,16 @@ use crate::colmap::{self, ColmapImage, Model};
 use crate::images::header;
 use crate::names::{Finder, ending, photos_below, plain, stays_inside};
 use crate::transforms::{self, Frame, Transforms};
-use ashsplat::scene::distortion::PhotoLens;
-use ashsplat::scene::{Camera, Intrinsics};
+use ashsplat::scene::{PhotoLens, Projection};
 use ashsplat::{Error, Result};
 
-/// Lenses and their pinhole replacements by the lens's debug text, which differs whenever a number does.
-type Lenses = BTreeMap<String, (PhotoLens, Option<Intrinsics>)>;
+/// Lenses and those of the pictures that are used, by the lens's debug text, which differs whenever a number does.
+type Lenses = BTreeMap<String, (PhotoLens, Option<PhotoLens>)>;
 
 /// The problem of a lens that no pinhole can replace.
 const NO_PINHOLE: &str =
     "sees too much for a pinhole, or its distortion folds the photo over, so that one place appears twice";
-const NO_PINHOLE_REMEDY: &str =
-    "crop the photos, or compute the camera again with fewer coefficients of distortion";
+const NO_PINHOLE_REMEDY: &str = "train without --undistort";
 
 /// Reads the contents of a data set. Finds the photos without decoding them; opens those of unknown size.
 pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
@@ -45,7 +43,7 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
             (Plan::of_model(path, &model, options)?, points)
         }
     };
-    plan.warnings.extend(photos::fit_lenses(&mut plan.views, &plan.list, options.divisor()));
+    plan.warnings.extend(photos::fit_lenses(&mut plan.views, &plan.list, options));
     plan.warnings.extend(unused);
     plan.find_companions(path, options);
     if points.is_empty() {
@@ -57,12 +55,14 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
     plan.warn_of_strays();
     plan.warn_of_lenses();
     plan.warn_of_points_out_of_view();
-    let size = |view: &PlannedView| (view.pinhole.width, view.pinhole.height);
+    let size = |view: &PlannedView| (view.used.width, view.used.height);
     let sizes: Vec<(u32, u32)> = plan.views.iter().flatten().map(size).collect();
     plan.warnings.extend(notes::scaling_warning(&sizes, options.resolution));
-    let distorted = plan.views.iter().flatten().filter(|view| view.lens.is_distorted());
+    let distorted =
+        plan.views.iter().flatten().filter(|view| view.lens.projection != Projection::Perspective);
     let distorted: Vec<_> = distorted.map(size).collect();
-    let note = notes::undistorted_photos(plan.distorted.as_deref(), &distorted, options.resolution);
+    let how = (options.resolution, options.undistort);
+    let note = notes::distorted_photos(plan.distorted.as_deref(), &distorted, how);
     plan.notes.extend(note.or_else(|| notes::scaling_note(&sizes, options.resolution)));
     Ok(plan)
 }
@@ -84,11 +84,11 @@ impl Plan {
             *plan.cameras.entry(kind).or_default() += 1;
             // A problem of a camera is reported for the images that use it.
             if let Ok(lens) = model.lens(camera) {
-                lenses.insert(camera.id, (lens, lens.inscribed_pinhole()));
+                lenses.insert(camera.id, (lens, options.used_lens(&lens)));
             }
         }
-        let known = lenses.values().map(|(lens, pinhole)| (lens, *pinhole));
-        plan.distorted = notes::distorted_lenses(&model.file("cameras"), known);
+        plan.distorted =
+            notes::distorted_lenses(&model.file("cameras"), lenses.values().map(|(lens, _)| lens));
         let folder = match photos::find_folder(path, &options.images) {
             Ok(folder) => folder,
             Err(e) => return Ok(Self { views: vec![Err(e)], ..plan }),
@@ -103,7 +103,7 @@ impl Plan {
         let (photos, _) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
         let view = |((image, photo_path), photo): ((&ColmapImage, Result<PathBuf>), FileSize)| {
             model.camera_of(image)?;
-            let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
+            let Some(&(lens, Some(used))) = lenses.get(&image.camera_id) else {
                 let problem = format!("camera {}: {NO_PINHOLE}", image.camera_id);
                 return Err(Error::input(model.file("cameras"), problem, NO_PINHOLE_REMEDY));
             };
@@ -124,7 +124,7 @@ impl Plan {
                 camera_from_source: image.rotation(),
                 translation: DVec3::from_array(image.translation),
                 alpha_is_mask: true,
-                ..PlannedView::of((lens, pinhole), photo_path, photo)
+                ..PlannedView::of((lens, used), photo_path, photo)
             })
         };
         let names = images.iter().map(|image| image.name.as_str());
@@ -223,7 +223,7 @@ impl Plan {
         plan.warnings.extend(photos::untold_rotation(&plan.list, untold));
         let mut lenses = Lenses::new();
         for (index, ((frame, photo_path), photo)) in frames.iter().zip(paths).zip(photos).enumerate() {
-            let view = plan.frame(frame, photo_path, photo, &mut lenses).map(|view| PlannedView {
+            let view = plan.frame(frame, photo_path, photo, (&mut lenses, options)).map(|view| PlannedView {
                 image_id: index as u32,
                 mask_path: view.mask_path.map(|named| mask_in_folder(path, &options.images, &named)),
                 ..view
@@ -234,8 +234,7 @@ impl Plan {
         if frames.iter().any(|frame| frame.optics.size.is_none()) && sizes.len() > 1 {
             plan.warn(format!("the photos have several sizes, each its own camera: {}", sizes.join(", ")));
         }
-        let known = lenses.values().map(|(lens, pinhole)| (lens, *pinhole));
-        plan.distorted = notes::distorted_lenses(&plan.list, known);
+        plan.distorted = notes::distorted_lenses(&plan.list, lenses.values().map(|(lens, _)| lens));
         if !plan.has_split && frames.iter().all(|frame| frame.name.starts_with("images/")) {
             let folder = path.join(&options.images);
             plan.tell_of_photos_without_camera(photos_below(&folder), path, &folder);
@@ -248,7 +247,7 @@ impl Plan {
         frame: &Frame,
         photo_path: PathBuf,
         (turned, size): FileSize,
-        lenses: &mut Lenses,
+        (lenses, options): (&mut Lenses, &DatasetOptions),
     ) -> Result<PlannedView> {
         if !photo_path.is_file() {
             let problem = format!("the photo of frame {} is missing", frame.name);
@@ -270,14 +269,14 @@ impl Plan {
         if let Some(what) = lens.intrinsics().absurdity() {
             return Err(problem(what));
         }
-        // Frames share a few lenses, and fitting a distorted one is expensive.
+        // Frames share a few lenses, and undistorting is expensive to prepare.
         let known = lenses.entry(format!("{lens:?}"));
-        let pinhole = known.or_insert_with(|| (lens, lens.inscribed_pinhole())).1;
-        let kind = if lens.is_distorted() { "distorted" } else { "PINHOLE" };
+        let used = known.or_insert_with(|| (lens, options.used_lens(&lens))).1;
+        let kind =
+            if lens.projection == Projection::Perspective { "PINHOLE" } else { lens.projection.name() };
         *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
-        let pinhole = pinhole.ok_or_else(|| problem(format!("the camera {NO_PINHOLE}")))?;
-        let camera =
-            Camera::with_pose(frame.camera_from_source.as_mat3(), frame.translation.as_vec3(), pinhole);
+        let used = used.ok_or_else(|| problem(format!("the camera {NO_PINHOLE}")))?;
+        let camera = used.camera(frame.camera_from_source.as_mat3(), frame.translation.as_vec3());
         if let Some(what) = camera.problem().or_else(|| camera.absurdity()) {
             return Err(problem(what));
         }
@@ -287,7 +286,7 @@ impl Plan {
             translation: frame.translation,
             mask_path: frame.mask_path.clone(),
             held_out: frame.test,
-            ..PlannedView::of((lens, pinhole), photo_path, (turned, size))
+            ..PlannedView::of((lens, used), photo_path, (turned, size))
         })
     }
 }

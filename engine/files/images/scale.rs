@@ -7,13 +7,12 @@
 
 use std::collections::VecDeque;
 
-use glam::dvec2;
+use glam::{DVec2, dvec2};
 use rayon::prelude::*;
 
 use super::Photo;
 use crate::cost;
-use ashsplat::scene::camera::Intrinsics;
-use ashsplat::scene::distortion::PhotoLens;
+use ashsplat::scene::PhotoLens;
 
 /// Radius of the kernel, in units of the larger of both pixel sizes.
 const SUPPORT: f32 = 2.0;
@@ -133,15 +132,13 @@ impl RowScaler {
 /// Resamples the photo of a lens for a pinhole camera: bilinear, black outside the photo.
 ///
 /// `lens` has the photo's size. The rows are computed in parallel.
-pub fn undistort(photo: &Photo, lens: &PhotoLens, pinhole: &Intrinsics) -> Photo {
+pub fn undistort(photo: &Photo, lens: &PhotoLens, pinhole: &PhotoLens) -> Photo {
     let (width, height) = (pinhole.width as usize, pinhole.height as usize);
-    let focal = dvec2(f64::from(pinhole.fx), f64::from(pinhole.fy));
-    let center = dvec2(f64::from(pinhole.cx), f64::from(pinhole.cy));
     let mut rgb = vec![0; 3 * width * height];
     rgb.par_chunks_exact_mut(3 * width).enumerate().for_each(|(y, row)| {
         for (x, pixel) in row.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-            let point = (dvec2(x as f64 + 0.5, y as f64 + 0.5) - center) / focal;
-            let place = lens.project(point) - 0.5;
+            let point = (dvec2(x as f64 + 0.5, y as f64 + 0.5) - pinhole.center_px) / pinhole.focal_px;
+            let place = lens.position(point.extend(1.0)).unwrap_or(DVec2::NAN) - 0.5;
             *pixel = bilinear(photo, place.x, place.y).unwrap_or([0; 3]);
         }
     });

@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::{Document, below, values};
 use crate::names::{Finder, MAX_PATH_BYTES, ending, has_photo_ending, plain, stays_inside};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
-use ashsplat::scene::distortion::{Distortion, PhotoLens};
+use ashsplat::scene::{PhotoLens, Projection};
 use ashsplat::{Error, Result};
 
 /// Largest relative deviation of a pose's `R Rᵀ` from a multiple of the identity.
@@ -46,7 +46,9 @@ pub struct Optics {
     focal: [Option<Focal>; 2],
     /// Principal point, pixels; the image's centre by default.
     center: [Option<f64>; 2],
-    distortion: Distortion,
+    projection: Projection,
+    /// In the order that [`Projection`] lists.
+    coefficients: [f64; 12],
 }
 
 /// A focal length, or the angle that determines it.
@@ -81,13 +83,12 @@ impl Optics {
         let [fx, fy] =
             [pixels(0).or(pixels(1)), pixels(1).or(pixels(0))].map(|focal| focal.unwrap_or(f64::NAN));
         let [cx, cy] = [0, 1].map(|axis| self.center[axis].unwrap_or(0.5 * sides[axis]));
-        PhotoLens {
-            focal_px: dvec2(fx, fy),
-            center_px: dvec2(cx, cy),
-            width,
-            height,
-            distortion: self.distortion,
+        let Self { projection, coefficients, .. } = *self;
+        if projection == Projection::Equirectangular {
+            return PhotoLens::panorama(width, height);
         }
+        let (focal_px, center_px) = (dvec2(fx, fy), dvec2(cx, cy));
+        PhotoLens { focal_px, center_px, width, height, projection, coefficients }.without_zeros()
     }
 }
 
@@ -144,7 +145,7 @@ pub(super) fn read_all(
             let names_file = value.is_string() && (key.contains("mask") || key.contains("depth"));
             (names_file && !is_known || key == "is_bad" && *value == true).then(|| key.clone())
         }));
-        if matches!(frame.optics.distortion, Distortion::Fisheye { .. }) {
+        if frame.optics.projection == Projection::Fisheye {
             let (_, p) = reader.coefficients()?;
             lens_keys.extend(
                 ["p1", "p2"].into_iter().zip(p).filter(|(_, p)| *p != 0.0).map(|(key, _)| key.into()),
@@ -370,11 +371,13 @@ impl Reader<'_> {
         }
         let size = (size[0] > 0 && size[1] > 0).then_some(size);
         let focal = [self.focal("fl_x", "camera_angle_x")?, self.focal("fl_y", "camera_angle_y")?];
-        if focal == [None; 2] {
+        let (projection, coefficients) = self.lens()?;
+        // The size of a panorama says all.
+        if focal == [None; 2] && projection != Projection::Equirectangular {
             return Err(self.error("has no camera: neither fl_x nor camera_angle_x, nor has the file"));
         }
         let center = [self.number("cx")?, self.number("cy")?];
-        Ok(Optics { size, focal, center, distortion: self.distortion()? })
+        Ok(Optics { size, focal, center, projection, coefficients })
     }
 
     /// A warning if a focal length and an angle contradict each other, both of the frame or both of the document.
@@ -424,28 +427,31 @@ impl Reader<'_> {
         Ok((k, [self.number("p1")?.unwrap_or(0.0), self.number("p2")?.unwrap_or(0.0)]))
     }
 
-    fn distortion(&self) -> Result<Distortion> {
-        let (k, p) = self.coefficients()?;
+    /// Family and coefficients of the lens.
+    fn lens(&self) -> Result<(Projection, [f64; 12])> {
+        let ([k1, k2, k3, k4], [p1, p2]) = self.coefficients()?;
         let model =
             [&self.frame["camera_model"], &self.document["camera_model"]].into_iter().find_map(Value::as_str);
-        let fisheye = self.frame["is_fisheye"] == true || self.document["is_fisheye"] == true;
-        match model {
-            Some("OPENCV_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE") => Ok(Distortion::Fisheye { k }),
+        let is_fisheye = self.frame["is_fisheye"] == true || self.document["is_fisheye"] == true;
+        let mut coefficients = [0.0; 12];
+        let projection = match model {
+            Some("OPENCV_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE") => Projection::Fisheye,
             Some("OPENCV" | "RADIAL" | "SIMPLE_RADIAL" | "PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE")
-            | None => {
-                let may_be_plain = !matches!(model, Some("OPENCV" | "RADIAL" | "SIMPLE_RADIAL"));
-                Ok(match fisheye {
-                    true => Distortion::Fisheye { k },
-                    false if may_be_plain && k == [0.0; 4] && p == [0.0; 2] => Distortion::None,
-                    false => Distortion::Brown { k, d: [0.0; 3], p },
-                })
+            | None => match is_fisheye {
+                true => Projection::Fisheye,
+                false => Projection::Brown,
+            },
+            Some("EQUIRECTANGULAR") => return Ok((Projection::Equirectangular, coefficients)),
+            Some(other) => return Err(self.error(format!("camera_model {other:?} is not known"))),
+        };
+        match projection {
+            Projection::Fisheye => {
+                [coefficients[0], coefficients[1], coefficients[4], coefficients[5]] = [k1, k2, k3, k4]
             }
-            Some("EQUIRECTANGULAR") => {
-                let remedy = "cut them into views of pinhole cameras (`ns-process-data images --camera-type equirectangular` does)";
-                Err(Error::input(self.path, format!("frame {}: is a panorama", self.index), remedy))
-            }
-            Some(other) => Err(self.error(format!("camera_model {other:?} is not known"))),
+            // Their k4 is a fourth coefficient of the numerator, unlike COLMAP's.
+            _ => coefficients[..9].copy_from_slice(&[k1, k2, p1, p2, k3, 0.0, 0.0, 0.0, k4]),
         }
+        Ok((projection, coefficients))
     }
 }
 

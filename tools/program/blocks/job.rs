@@ -59,6 +59,7 @@ impl Job {
         table.insert("images".into(), division.dataset.images.clone().into());
         table.insert("resolution".into(), i64::from(division.dataset.resolution).into());
         table.insert("orientation".into(), division.dataset.orientation.clone().into());
+        table.insert("undistort".into(), division.dataset.undistort.into());
         table.insert("eval".into(), division.dataset.eval.into());
         table.insert("eval_split".into(), "reference".into());
         // A block is part of a large scene and does not begin with points.

@@ -4,7 +4,7 @@ use crate::output::Depth;
 use ashsplat::Frame;
 use ashsplat::scene::{Bounds, Camera};
 use ashsplat::train::SceneBlock;
-use glam::{Vec3, vec3};
+use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// Least opacity of a pixel that can be excluded; fainter ones may show anything.
@@ -103,8 +103,7 @@ pub fn places(camera: &Camera, frame: &Frame) -> Vec<Option<Vec3>> {
     let world_from_camera = camera.camera_from_world.transpose();
     let place = |(pixel, z): (usize, f32)| {
         let [x, y] = [pixel % frame.width as usize, pixel / frame.width as usize].map(|p| p as f32 + 0.5);
-        let ray = vec3((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0);
-        z.is_finite().then(|| world_from_camera * (z * ray - camera.translation))
+        z.is_finite().then(|| world_from_camera * (z * camera.ray([x, y]) - camera.translation))
     };
     Depth::Harmonic.of(frame).into_iter().enumerate().map(place).collect()
 }

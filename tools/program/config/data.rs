@@ -32,6 +32,10 @@ pub struct DataSettings {
     /// their cameras are those of the turned ones [default: auto]
     #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME")]
     pub orientation: String,
+    /// Replace photos of fisheyes and other lenses by those of pinholes, as COLMAP's image_undistorter does; panoramas and lenses of
+    /// half a circle or more cannot be. Otherwise each is trained on as its lens drew it
+    #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
+    pub undistort: bool,
     /// Hold out every 8th view (by name) for tests
     #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     pub eval: bool,
@@ -60,7 +64,7 @@ pub struct DataSettings {
     /// iterations and model folder are as it says; -s and --init name the same data set and coarse model where they are elsewhere on
     /// this machine
     #[arg(long, value_name = "BLOCKS.json:N", help_heading = "Blocks", conflicts_with_all = [
-        "model_path", "images", "resolution", "orientation", "eval", "eval_split", "train_test_exp", "block", "margin", "scene_extent",
+        "model_path", "images", "resolution", "orientation", "undistort", "eval", "eval_split", "train_test_exp", "block", "margin", "scene_extent",
     ])]
     pub job: String,
     /// Begin with the Gaussians of this file, of any format that convert reads, in place of points
@@ -135,6 +139,7 @@ impl Default for DataSettings {
             depths: PathBuf::new(),
             resolution: -1,
             orientation: "auto".into(),
+            undistort: false,
             eval: false,
             eval_split: Split::Inner,
             train_test_exp: false,

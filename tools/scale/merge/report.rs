@@ -94,6 +94,7 @@ impl Ready {
             images: dataset.images.clone(),
             resolution: dataset.resolution,
             orientation: dataset.orientation.clone(),
+            undistort: dataset.undistort,
             eval: true,
             eval_split: Split::Reference,
             ..DataSettings::default()
