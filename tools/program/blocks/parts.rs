@@ -112,6 +112,7 @@ pub fn places(camera: &Camera, frame: &Frame) -> Vec<Option<Vec3>> {
 mod tests {
     use super::*;
     use ashsplat::scene::Intrinsics;
+    use glam::vec3;
 
     #[test]
     fn a_part_has_its_share_of_a_photos_pixels() {
