@@ -9,7 +9,7 @@ mod fov;
 mod thin_prism_fisheye;
 
 use super::camera::{Camera, Intrinsics};
-use glam::{DVec2, DVec3, dvec2};
+use glam::{DMat2, DVec2, DVec3, dvec2};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// How the directions of a camera reach its picture: a pinhole, parallel rays, or a family of lenses.
@@ -208,22 +208,52 @@ impl Family {
 
     /// Largest r at which the Jacobian is taken, for pictures with corners at this distance from the middle.
     fn hold(&self, c: &[f64; 12], corner: f64, fold: f64) -> f64 {
-        // A lens without a fold may bring all directions closer to the middle than the corner.
+        HOLD_MARGIN * self.undistorted_radius(c, corner, fold).unwrap_or(fold)
+    }
+
+    /// Inverse of [`Family::radius`] within the fold. None if no direction comes so far from the middle.
+    fn undistorted_radius(&self, c: &[f64; 12], radius: f64, fold: f64) -> Option<f64> {
+        // A lens without a fold may bring all directions closer to the middle.
         let end = fold.min(1e9);
-        match self.radius(c, end) > corner {
-            true => HOLD_MARGIN * bisected([0.0, end], |r| self.radius(c, r) < corner),
-            false => HOLD_MARGIN * fold,
+        (self.radius(c, end) > radius).then(|| bisected([0.0, end], |r| self.radius(c, r) < radius))
+    }
+
+    /// Place of (a, b) in the picture, in focal lengths from the middle.
+    fn distorted(&self, c: &[f64; 12], place: DVec2) -> DVec2 {
+        let radial = place * (self.radial)(c, place.length_squared())[0];
+        radial + (self.bend)(c, place, radial)
+    }
+
+    /// Inverse of [`Family::distorted`] within the fold: (a, b). None if no direction reaches the place.
+    fn undistorted(&self, c: &[f64; 12], distorted: DVec2, fold: f64) -> Option<DVec2> {
+        const STEPS: u32 = 50;
+        let radius = distorted.length();
+        let error = |place: DVec2| self.distorted(c, place) - distorted;
+        let is_within = |place: DVec2, tolerance: f64| error(place).length() <= tolerance * (1.0 + radius);
+        // The radial inverse. Newton's steps add the other terms.
+        let start = self.undistorted_radius(c, radius, fold).unwrap_or(fold.min(1e9));
+        let mut place = distorted.normalize_or_zero() * start;
+        for _ in 0..STEPS {
+            if is_within(place, 1e-13) {
+                break;
+            }
+            let h = 1e-6 * place.length().max(1.0);
+            let slope = |axis: DVec2| (error(place + h * axis) - error(place - h * axis)) / (2.0 * h);
+            let step = DMat2::from_cols(slope(DVec2::X), slope(DVec2::Y)).inverse() * error(place);
+            // A longer step could cross a fold.
+            place -= step.clamp_length_max(0.5 * place.length().max(0.5));
         }
+        (is_within(place, 1e-9) && place.length() < fold).then_some(place)
     }
 }
 
-/// Place between a place where a condition holds and one where it does not.
+/// Last place at which a condition holds, between one where it does and one where it does not.
 fn bisected([mut low, mut high]: [f64; 2], holds: impl Fn(f64) -> bool) -> f64 {
     for _ in 0..80 {
         let middle = 0.5 * (low + high);
         *(if holds(middle) { &mut low } else { &mut high }) = middle;
     }
-    0.5 * (low + high)
+    low
 }
 
 impl Intrinsics {
@@ -312,10 +342,44 @@ impl Camera {
             }
             Surface::Sphere => (h > 1e-6 * at.length(), dvec2(at.x.atan2(at.z), at.y.atan2(h))),
         };
-        let radial = place * (family.radial)(&c, place.length_squared())[0];
-        let distorted = radial + (family.bend)(&c, place, radial);
-        let [focal, center] = [[self.fx, self.fy], [self.cx, self.cy]].map(|v| DVec2::from(v.map(f64::from)));
-        shown.then(|| focal * distorted + center)
+        let [focal, center] = self.focal_and_center();
+        shown.then(|| focal * family.distorted(&c, place) + center)
+    }
+
+    /// Focal lengths and principal point, pixels.
+    fn focal_and_center(&self) -> [DVec2; 2] {
+        [[self.fx, self.fy], [self.cx, self.cy]].map(|v| DVec2::from(v.map(f64::from)))
+    }
+
+    /// The inverse of [`Camera::project`]: maps picture positions, in pixels (first pixel's centre at 0.5), to unit directions in
+    /// camera space. It gives None where no direction reaches the picture, such as beyond the rim of a fisheye, and +z for
+    /// parallel rays. A panorama continues through its seam.
+    ///
+    /// The lens's fold is searched once, for all positions.
+    pub fn rays(&self) -> impl Fn(DVec2) -> Option<DVec3> + use<> {
+        let [focal, center] = self.focal_and_center();
+        let projection = self.projection;
+        let lens = self.lens().map(|(family, c)| (family, c, family.fold(&c)));
+        move |pixel| {
+            let distorted = (pixel - center) / focal;
+            let Some((family, c, fold)) = lens else {
+                let through_center = distorted.extend(1.0).normalize();
+                return Some(if projection == Projection::Orthographic { DVec3::Z } else { through_center });
+            };
+            match family.surface {
+                Surface::Plane => Some(family.undistorted(&c, distorted, fold)?.extend(1.0).normalize()),
+                Surface::Angle => {
+                    let place = family.undistorted(&c, distorted, fold)?;
+                    let angle = place.length();
+                    Some((place.normalize_or_zero() * angle.sin()).extend(angle.cos()))
+                }
+                Surface::Sphere => {
+                    let [[sin_x, cos_x], [sin_y, cos_y]] =
+                        distorted.to_array().map(|angle| <[f64; 2]>::from(angle.sin_cos()));
+                    (distorted.y.abs() <= FRAC_PI_2).then(|| DVec3::new(cos_y * sin_x, sin_y, cos_y * cos_x))
+                }
+            }
+        }
     }
 
     /// Largest distance of the whole picture's corners from the middle, in focal lengths.

@@ -11,7 +11,7 @@ use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants as c;
 use ashsplat::kernels::forward::project;
 use ashsplat::scene::{Intrinsics, Projection};
-use glam::{Mat3, dmat2};
+use glam::{DVec2, DVec3, Mat3, dmat2};
 use std::path::Path;
 
 /// Opacity of Gaussians in sets that have none.
@@ -46,11 +46,17 @@ pub fn of_host(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let camera = lens_camera(&npz);
     let upright = Camera { camera_from_world: Mat3::IDENTITY, translation: Vec3::ZERO, ..camera };
+    let ray = upright.rays();
     let valid = npz.flags("valid");
     let (points, expected) = (npz.rows::<3>("points"), npz.rows::<2>("xy"));
     for (index, (point, expected)) in
         points.iter().zip(expected).enumerate().filter(|(index, _)| valid[*index])
     {
+        let direction = ray(DVec2::from(expected) + 0.5).expect("a direction");
+        let off = direction.angle_between(DVec3::from(*point));
+        if off > 1e-5 {
+            return Err(format!("the ray of point {index} is off by {off} radians").into());
+        }
         let (x, y, _) = upright.project(Vec3::from_array(point.map(|x| x as f32)));
         let (x, y) = (wrapped(&camera, f64::from(x) - 0.5, expected[0]), f64::from(y) - 0.5);
         let tolerance = 4e-6 * (50.0 + x.abs().max(y.abs()));
