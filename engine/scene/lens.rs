@@ -213,9 +213,25 @@ impl Family {
 
     /// Inverse of [`Family::radius`] within the fold. None if no direction comes so far from the middle.
     fn undistorted_radius(&self, c: &[f64; 12], radius: f64, fold: f64) -> Option<f64> {
+        const STEPS: u32 = 100;
         // A lens without a fold may bring all directions closer to the middle.
         let end = fold.min(1e9);
-        (self.radius(c, end) > radius).then(|| bisected([0.0, end], |r| self.radius(c, r) < radius))
+        let solve = || {
+            let ([mut low, mut high], mut r) = ([0.0, end], radius.min(end));
+            // Newton's steps, and bisection where one leaves the range.
+            for _ in 0..STEPS {
+                let [g, slope] = (self.radial)(c, r * r);
+                let error = r * g - radius;
+                *(if error < 0.0 { &mut low } else { &mut high }) = r;
+                let next = r - error / (g + 2.0 * r * r * slope);
+                if (next - r).abs() <= 1e-14 * r {
+                    break;
+                }
+                r = if low < next && next < high { next } else { 0.5 * (low + high) };
+            }
+            r
+        };
+        (self.radius(c, end) > radius).then(solve)
     }
 
     /// Place of (a, b) in the picture, in focal lengths from the middle.
@@ -229,21 +245,22 @@ impl Family {
         const STEPS: u32 = 50;
         let radius = distorted.length();
         let error = |place: DVec2| self.distorted(c, place) - distorted;
-        let is_within = |place: DVec2, tolerance: f64| error(place).length() <= tolerance * (1.0 + radius);
         // The radial inverse. Newton's steps add the other terms.
         let start = self.undistorted_radius(c, radius, fold).unwrap_or(fold.min(1e9));
         let mut place = distorted.normalize_or_zero() * start;
+        let mut off = error(place);
         for _ in 0..STEPS {
-            if is_within(place, 1e-13) {
+            if off.length() <= 1e-13 * (1.0 + radius) {
                 break;
             }
-            let h = 1e-6 * place.length().max(1.0);
-            let slope = |axis: DVec2| (error(place + h * axis) - error(place - h * axis)) / (2.0 * h);
-            let step = DMat2::from_cols(slope(DVec2::X), slope(DVec2::Y)).inverse() * error(place);
+            let h = 1e-7 * place.length().max(1.0);
+            let slope = |axis: DVec2| (error(place + h * axis) - off) / h;
+            let step = DMat2::from_cols(slope(DVec2::X), slope(DVec2::Y)).inverse() * off;
             // A longer step could cross a fold.
             place -= step.clamp_length_max(0.5 * place.length().max(0.5));
+            off = error(place);
         }
-        (is_within(place, 1e-9) && place.length() < fold).then_some(place)
+        (off.length() <= 1e-9 * (1.0 + radius) && place.length() < fold).then_some(place)
     }
 }
 
@@ -353,7 +370,7 @@ impl Camera {
 
     /// The inverse of [`Camera::project`]: maps picture positions, in pixels (first pixel's centre at 0.5), to unit directions in
     /// camera space. It gives None where no direction reaches the picture, such as beyond the rim of a fisheye, and +z for
-    /// parallel rays. A panorama continues through its seam.
+    /// parallel rays. A panorama continues through its seam. Where tangential terms fold the picture, it gives one of the directions.
     ///
     /// The lens's fold is searched once, for all positions.
     pub fn rays(&self) -> impl Fn(DVec2) -> Option<DVec3> + use<> {

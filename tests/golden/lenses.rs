@@ -52,15 +52,18 @@ pub fn of_host(path: &Path) -> Outcome {
     for (index, (point, expected)) in
         points.iter().zip(expected).enumerate().filter(|(index, _)| valid[*index])
     {
-        let direction = ray(DVec2::from(expected) + 0.5).expect("a direction");
-        let off = direction.angle_between(DVec3::from(*point));
-        if off > 1e-5 {
+        let back = ray(DVec2::from(expected) + 0.5).expect("a direction");
+        // The tangential terms of lens_04_opencv fold the picture before point 54, whose place has another direction nearby.
+        let off = back.angle_between(DVec3::from(*point));
+        if off > 0.05 {
             return Err(format!("the ray of point {index} is off by {off} radians").into());
         }
-        let (x, y, _) = upright.project(Vec3::from_array(point.map(|x| x as f32)));
-        let (x, y) = (wrapped(&camera, f64::from(x) - 0.5, expected[0]), f64::from(y) - 0.5);
-        let tolerance = 4e-6 * (50.0 + x.abs().max(y.abs()));
-        elementwise(&format!("point {index}"), &[x, y], &expected, tolerance, 0.0)?;
+        for (what, direction) in [("point", DVec3::from(*point)), ("ray of point", back)] {
+            let (x, y, _) = upright.project(direction.as_vec3());
+            let (x, y) = (wrapped(&camera, f64::from(x) - 0.5, expected[0]), f64::from(y) - 0.5);
+            let tolerance = 4e-6 * (50.0 + x.abs().max(y.abs()));
+            elementwise(&format!("{what} {index}"), &[x, y], &expected, tolerance, 0.0)?;
+        }
     }
     if let Some((limits, _)) =
         camera.lens_words().filter(|_| npz.scalar("r_max") > 0.0 || npz.scalar("r_limit") > 0.0)

@@ -8,7 +8,7 @@ use glam::{DMat3, DVec2, DVec3, dvec2};
 
 use super::find::{self, ModelFolder};
 use super::read::{self, Observed};
-use super::records::{ColmapCamera, ColmapImage};
+use super::records::{CUT_PANORAMAS, CameraModel, ColmapCamera, ColmapImage};
 use crate::depth_fit::DepthPoint;
 use crate::ply;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
@@ -89,7 +89,10 @@ impl Model {
         let file = self.file("cameras");
         let place = format!("camera {} ({})", camera.id, camera.model.name());
         let Some(([fx, fy, cx, cy], distortion)) = optics(camera) else {
-            let remedy = format!("run: {}", undistort_command(&self.source.folder));
+            let remedy = match camera.model {
+                CameraModel::EQUIRECTANGULAR => CUT_PANORAMAS.into(),
+                _ => format!("run: {}", undistort_command(&self.source.folder)),
+            };
             return Err(Error::input(file, format!("{place} has a lens that is not modelled"), remedy));
         };
         let side = |pixels: u64| u32::try_from(pixels).ok().filter(|s| (1..=MAX_IMAGE_SIDE).contains(s));

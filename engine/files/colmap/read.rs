@@ -10,7 +10,7 @@ use std::str::FromStr;
 use bytemuck::Pod;
 use glam::DVec3;
 
-use super::records::{CameraModel, ColmapCamera, ColmapImage};
+use super::records::{CUT_PANORAMAS, CameraModel, ColmapCamera, ColmapImage};
 use crate::regular_file::{self, OnFile};
 use crate::{cost, host_memory, text};
 use ashsplat::scene::SourcePoints;
@@ -292,9 +292,8 @@ impl<'a> Records<'a> {
         let name = &self.text[place];
         CameraModel::from_name(name).ok_or_else(|| {
             let problem = format!("unknown camera model {name:?}");
-            if name.contains("SPHER") || name.contains("EQUIRECT") {
-                let remedy = "cut the panoramas into views of pinhole cameras first";
-                return Error::input(self.path, problem, remedy);
+            if name.contains("SPHER") {
+                return Error::input(self.path, problem, CUT_PANORAMAS);
             }
             self.error(&problem)
         })

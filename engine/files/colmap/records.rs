@@ -8,8 +8,11 @@ use crate::names::{MAX_PATH_BYTES, ending, plain, stays_inside};
 use ashsplat::scene::{COLMAP_MODELS, Camera};
 use ashsplat::{Error, Result};
 
-/// Number of parameters of COLMAP's camera models that are read, by number.
-const PARAMETERS: [usize; 16] = [3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4];
+/// Number of parameters of COLMAP's camera models, by number.
+const PARAMETERS: [usize; COLMAP_MODELS.len()] = [3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4, 6, 2];
+
+/// What to do with panoramas.
+pub(super) const CUT_PANORAMAS: &str = "cut the panoramas into views of pinhole cameras first";
 
 /// One of COLMAP's camera models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +23,12 @@ impl CameraModel {
     pub const SIMPLE_PINHOLE: Self = Self(0);
     /// Parameters fx, fy, cx, cy.
     pub const PINHOLE: Self = Self(1);
+    /// Parameters fx, fy, cx, cy, k1, k2, p1, p2.
+    pub const OPENCV: Self = Self(4);
+    /// Parameters fx, fy, cx, cy, k1, k2, k3, k4.
+    pub const OPENCV_FISHEYE: Self = Self(5);
+    /// Parameters width, height.
+    pub const EQUIRECTANGULAR: Self = Self(17);
 
     /// Model with COLMAP's number.
     pub fn from_number(number: i64) -> Option<Self> {
@@ -28,7 +37,7 @@ impl CameraModel {
 
     /// Model with COLMAP's name.
     pub fn from_name(name: &str) -> Option<Self> {
-        COLMAP_MODELS[..PARAMETERS.len()].iter().position(|model| *model == name).map(Self)
+        COLMAP_MODELS.iter().position(|model| *model == name).map(Self)
     }
 
     /// COLMAP's name.
