@@ -108,7 +108,7 @@ pub fn points_in_view(count: usize, cameras: &[Camera], spread: f32, seed: u64) 
         let [u, v, t] = std::array::from_fn(|_| random.random::<f32>());
         let depth = (near + (far - near) * t).exp();
         let there =
-            depth * camera.ray([u * camera.width as f32, v * camera.height as f32]) - camera.translation;
+            depth * camera.rays()([u * camera.width as f32, v * camera.height as f32]) - camera.translation;
         (camera.camera_from_world.transpose() * there).to_array()
     });
     let positions: Vec<[f32; 3]> = positions.collect();

@@ -259,7 +259,7 @@ impl Small {
 
     /// Direction of a pixel's centre in the camera's frame, scaled to depth 1.
     fn ray(&self, at: usize) -> Vec3 {
-        self.camera.ray([(at % self.width) as f32 + 0.5, (at / self.width) as f32 + 0.5])
+        self.camera.rays()([(at % self.width) as f32 + 0.5, (at / self.width) as f32 + 0.5])
     }
 
     fn pixel_at(&self, x: f32, y: f32) -> Option<usize> {

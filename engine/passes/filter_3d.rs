@@ -121,9 +121,9 @@ fn shown(camera: &Camera) -> [[f32; 2]; 2] {
     if let Some(slopes) = camera.shown_slopes(EDGE_MARGIN) {
         return slopes.map(|range| range.map(|slope| slope as f32));
     }
-    let (lens, [width, height]) = (camera.photo_lens(), [camera.width, camera.height].map(f64::from));
+    let (rays, [width, height]) = (camera.photo_lens().rays(), [camera.width, camera.height].map(f64::from));
     let corners = [[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]];
-    let least = corners.map(|corner| lens.ray(corner.into()).map_or(-1.0, |ray| ray.z));
+    let least = corners.map(|corner| rays(corner.into()).map_or(-1.0, |ray| ray.z));
     // A panorama's corners are its poles.
     let cosine = if camera.projection.has_seam() { -1.0 } else { least.into_iter().fold(1.0, f64::min) };
     [[1.0, -1.0], [cosine as f32, 0.0]]

@@ -276,14 +276,17 @@ impl Camera {
         (self.fx * p.x / distance + self.cx, self.fy * p.y / distance + self.cy, p.z)
     }
 
-    /// Direction of a picture position (first pixel's centre at 0.5) in camera space, scaled to [depth](Self::depth_of) 1. Straight
-    /// ahead where a lens shows no direction.
-    pub fn ray(&self, [x, y]: [f32; 2]) -> Vec3 {
-        if self.projection.is_lens() {
-            let ray = self.photo_lens().ray(DVec2::new(x.into(), y.into())).unwrap_or(DVec3::Z);
-            return (ray / self.depth_of(ray)).as_vec3();
+    /// Gives directions of picture positions (first pixel's centre at 0.5) in camera space, scaled to [depth](Self::depth_of) 1.
+    /// Straight ahead where a lens shows no direction.
+    pub fn rays(&self) -> impl Fn([f32; 2]) -> Vec3 + use<> {
+        let (camera, lens) = (*self, self.projection.is_lens().then(|| self.photo_lens().rays()));
+        move |[x, y]| match &lens {
+            Some(rays) => {
+                let ray = rays(DVec2::new(x.into(), y.into())).unwrap_or(DVec3::Z);
+                (ray / camera.depth_of(ray)).as_vec3()
+            }
+            None => Vec3::new((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0),
         }
-        Vec3::new((x - self.cx) / self.fx, (y - self.cy) / self.fy, 1.0)
     }
 
     /// Divisor of x and y in camera space, before the focal lengths: z, or 1 for parallel rays.
@@ -314,9 +317,9 @@ impl Camera {
         }
         if self.projection.is_lens() {
             // Straight lines bend: the middles of the sides count beside the corners.
-            let (lens, size) =
-                (self.whole().photo_lens(), DVec2::new(whole.width.into(), whole.height.into()));
-            let places = [0.0, 0.5, 1.0].map(|x| [0.0, 0.5, 1.0].map(|y| lens.ray(size * DVec2::new(x, y))));
+            let (rays, size) =
+                (whole.photo_lens().rays(), DVec2::new(whole.width.into(), whole.height.into()));
+            let places = [0.0, 0.5, 1.0].map(|x| [0.0, 0.5, 1.0].map(|y| rays(size * DVec2::new(x, y))));
             let slopes = places.into_iter().flatten().flatten().map(|ray| ray.truncate() / ray.z);
             let none = [DVec2::INFINITY, DVec2::NEG_INFINITY];
             let [low, high] = slopes.fold(none, |[low, high], slope| [low.min(slope), high.max(slope)]);

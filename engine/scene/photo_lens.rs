@@ -208,22 +208,39 @@ impl PhotoLens {
         (1..=FOLD_SAMPLES).all(|sample| family.is_sound(&self.coefficients, f64::from(sample) * part))
     }
 
-    /// Direction in camera space that a picture position shows, of length 1. None if the lens shows none there.
+    /// Direction in camera space that a picture position shows, of length 1. None if the lens shows none there. See
+    /// [`PhotoLens::rays`] for many.
     pub fn ray(&self, pixel: DVec2) -> Option<DVec3> {
+        self.rays()(pixel)
+    }
+
+    /// The function of [`PhotoLens::ray`], which looks for the lens's fold only once.
+    pub fn rays(&self) -> impl Fn(DVec2) -> Option<DVec3> + Send + Sync + use<> {
+        let lens = *self;
+        let family = lens.projection.family();
+        let reach = family.map_or([0.0; 2], |family| {
+            let end = family.fold(&lens.coefficients).min(1e9);
+            [end, family.radius(&lens.coefficients, end)]
+        });
+        move |pixel| {
+            let distorted = (pixel - lens.center_px) / lens.focal_px;
+            match family {
+                None => Some(lens.direction(distorted)),
+                Some(family) if family.surface == Surface::Sphere => {
+                    let shown = distorted.x.abs() <= PI && distorted.y.abs() <= FRAC_PI_2;
+                    shown.then(|| lens.direction(distorted))
+                }
+                Some(family) => lens.undistorted(family, distorted, reach).map(|place| lens.direction(place)),
+            }
+        }
+    }
+
+    /// Point that the lens distorts to another one. `end` is the distance from the middle at which the radial term ends, and `reach`
+    /// where it brings that.
+    fn undistorted(&self, family: &Family, distorted: DVec2, [end, reach]: [f64; 2]) -> Option<DVec2> {
         /// The tangential and prism terms are small: Newton's steps converge in a few.
         const STEPS: usize = 50;
-        let distorted = (pixel - self.center_px) / self.focal_px;
-        let Some(family) = self.projection.family() else { return Some(self.direction(distorted)) };
-        if family.surface == Surface::Sphere {
-            let shown = distorted.x.abs() <= PI && distorted.y.abs() <= FRAC_PI_2;
-            return shown.then(|| self.direction(distorted));
-        }
         let (far, c) = (distorted.length(), &self.coefficients);
-        if far == 0.0 && (family.bend)(c, DVec2::ZERO, DVec2::ZERO) == DVec2::ZERO {
-            return Some(DVec3::Z);
-        }
-        let end = family.fold(c).min(1e9);
-        let reach = family.radius(c, end);
         // A tangential term may bring a place within reach.
         let start =
             if reach > far { bisected([0.0, end], |r| family.radius(c, r) < far) } else { 0.999 * end };
@@ -246,7 +263,7 @@ impl PhotoLens {
             }
         }
         let is_met = self.distorted(family, place).distance(distorted) < 1e-9 * far.max(1.0);
-        (is_met && place.length() < end).then(|| self.direction(place))
+        (is_met && place.length() < end).then_some(place)
     }
 
     /// Largest pinhole camera whose image has no blank pixels: the same focal lengths, a smaller or larger image around the
@@ -258,8 +275,9 @@ impl PhotoLens {
         }
         let (width, height) = (f64::from(self.width), f64::from(self.height));
         let [columns, rows] = [self.width, self.height].map(|n| (0..n).map(|i| f64::from(i) + 0.5));
+        let rays = self.rays();
         let ideal = |x: f64, y: f64| {
-            let ray = self.ray(dvec2(x, y)).filter(|ray| ray.z > 0.0)?;
+            let ray = rays(dvec2(x, y)).filter(|ray| ray.z > 0.0)?;
             Some(self.focal_px * (ray.truncate() / ray.z) + self.center_px)
         };
         // Innermost positions of the photograph's four borders.

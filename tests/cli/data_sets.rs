@@ -3,7 +3,12 @@
 
 use super::*;
 use crate::program::page::Server;
+use ashsplat::scene::linear_from_srgb;
+use ashsplat_demo_scene::View as DemoView;
+use ashsplat_demo_scene::city::{self, City};
+use ashsplat_demo_scene::raycast;
 use ashsplat_files::{Dataset, DatasetOptions, Progress, View};
+use glam::{DMat3, DQuat, DVec3};
 use std::io::Write;
 use zip::write::SimpleFileOptions;
 
@@ -88,6 +93,123 @@ fn the_city_is_a_data_set_of_many_photos() {
         place.run(format!("demo --out @none {option} {value}")).refused(&[option, "city"]);
         assert!(!place.has("none"));
     }
+}
+
+/// Writes the city through a lens.
+fn write_city(place: &Place, lens: &str) -> PathBuf {
+    let city = "--scene city --photo-width 64 --dataset-only --quiet";
+    place.run(format!("demo --out @{lens} --lens {lens} {city}")).ok();
+    place.at(lens).join("dataset")
+}
+
+/// The city from this pose, through a pinhole.
+fn city_from(pose: &Camera, width: u32) -> (Camera, Photo) {
+    let intrinsics = Intrinsics::from_fov_x(0.96, width, width * 3 / 4);
+    let camera = Camera::with_pose(pose.camera_from_world, pose.translation, intrinsics);
+    (camera, raycast::photograph(&city::scene(City::default()), &DemoView::new(camera)))
+}
+
+/// Pixels of photographs through a lens show the light that a pinhole with the same pose sees in their directions.
+#[test]
+fn the_city_through_a_lens_is_the_city() {
+    const PHOTO: usize = 5;
+    let place = Place::empty();
+    for (lens, model, size) in
+        [("opencv", 4, [64, 48]), ("opencv-fisheye", 5, [56, 56]), ("equirectangular", 17, [80, 40])]
+    {
+        let folder = write_city(&place, lens);
+        let found = colmap::Model::of_dataset(&folder).expect("a model");
+        let (own, image) = (&found.cameras[&1], &found.images[PHOTO]);
+        assert_eq!((own.model.number(), found.images.len()), (model, 162));
+        let camera = found.camera_of(image).expect("a camera");
+        let photo = image::open(folder.join("images").join(&image.name)).expect("a photograph").to_rgb8();
+        assert_eq!([photo.width(), photo.height()], size);
+
+        // The light of a finer photograph through a pinhole, collected where the lens shows it.
+        let (pinhole, truth) = city_from(&camera, 256);
+        let linear = |rgb: [u8; 3]| Vec3::from(rgb.map(|c| linear_from_srgb(f32::from(c) / 255.0)));
+        let rays = pinhole.rays();
+        let mut light = std::collections::BTreeMap::new();
+        for (index, &rgb) in (0..).zip(truth.rgb.as_chunks::<3>().0) {
+            let direction = rays([(index % 256) as f32 + 0.5, (index / 256) as f32 + 0.5]);
+            let seen = pinhole.position() + pinhole.camera_from_world.transpose() * direction;
+            let (x, y, _) = camera.project(seen);
+            let (sum, count) = light.entry((x as u32, y as u32)).or_insert((Vec3::ZERO, 0.0));
+            *sum += linear(rgb);
+            *count += 1.0;
+        }
+        let most = light.values().map(|(_, count)| *count).fold(0.0, f32::max);
+        light.retain(|_, (_, count)| *count > 0.7 * most);
+        let difference = |shift: u32| {
+            let off = light.iter().map(|(&(x, y), &(sum, count))| {
+                let shown = linear(photo.get_pixel((x + shift).min(size[0] - 1), y).0);
+                (sum / count - shown).abs().element_sum()
+            });
+            off.sum::<f32>() / (3 * light.len()) as f32
+        };
+        let (own, beside) = (difference(0), difference(1));
+        assert!(light.len() > 50 && own < 0.3 * beside, "{lens}: {own}, with the pixels beside {beside}");
+
+        // Only the fisheye has a rim, and a mask for what lies beyond.
+        let mask = folder.join("masks").join(format!("{}.png", image.name));
+        assert_eq!(mask.is_file(), lens == "opencv-fisheye");
+        if mask.is_file() {
+            let mask = image::open(mask).expect("a mask").to_luma8();
+            assert_eq!([(0, 0), (28, 1), (28, 28)].map(|(x, y)| mask.get_pixel(x, y).0[0]), [0, 255, 255]);
+            assert_eq!(photo.get_pixel(0, 0).0, [0; 3]);
+        }
+    }
+}
+
+/// Rows of a rolling shutter show what a pinhole sees from the pose of their time.
+#[test]
+fn rows_of_a_rolling_shutter_have_poses_of_their_own() {
+    const PHOTO: usize = 5;
+    let place = Place::empty();
+    let folder = write_city(&place, "rolling-shutter");
+    let file = place.read_json(folder.join("transforms.json"));
+    assert_eq!(
+        (file["shutter"].as_str(), file["frames"].as_array().map(Vec::len)),
+        (Some("down"), Some(162))
+    );
+    let frame = &file["frames"][PHOTO];
+    let [first, last] = ["transform_matrix", "transform_matrix_end"].map(|key| {
+        let number = |row: usize, column: usize| frame[key][row][column].as_f64().expect("a number");
+        let column = |column: usize| DVec3::from([0, 1, 2].map(|row| number(row, column)));
+        // From y up and z backward.
+        let axes = DMat3::from_cols(column(0), -column(1), -column(2));
+        (DQuat::from_mat3(&axes), column(3))
+    });
+    let photo = image::open(folder.join(frame["file_path"].as_str().expect("a path")))
+        .expect("a photograph")
+        .to_rgb8();
+    let intrinsics = Intrinsics::from_fov_x(0.96, 64, 48);
+    let off = |row: u32, share: f64| {
+        let turned = DMat3::from_quat(first.0.slerp(last.0, share)).transpose();
+        let pose = Camera::at(first.1.lerp(last.1, share), turned, intrinsics);
+        let (_, truth) = city_from(&pose, 64);
+        let row = 3 * 64 * row as usize..3 * 64 * (row as usize + 1);
+        let pairs = truth.rgb[row.clone()].iter().zip(&photo.as_raw()[row]);
+        pairs.map(|(a, b)| f32::from(a.abs_diff(*b))).sum::<f32>() / (3.0 * 64.0)
+    };
+    for row in [0, 15, 47] {
+        let own = off(row, f64::from(row) / 47.0);
+        assert!(own < 1.0, "row {row} differs by {own} of 255");
+    }
+    assert!(off(47, 0.0) > 5.0 && off(0, 1.0) > 5.0, "nothing moves");
+    place.run(format!("info {}", folder.display())).ok().says(&["transform_matrix_end", "not used"]);
+}
+
+#[test]
+fn lenses_that_do_not_fit_are_refused() {
+    let place = Place::empty();
+    let refused = |line: &str, words: &[&str]| {
+        place.run(format!("demo --out @none {line}")).refused(words);
+        assert!(!place.has("none"));
+    };
+    refused("--lens opencv --layout nerf-synthetic --dataset-only", &["--lens", "nerf-synthetic"]);
+    refused("--lens equirectangular", &["--lens", "--dataset-only"]);
+    refused("--lens fov", &["--lens", "opencv-fisheye"]);
 }
 
 /// Fails unless both layouts load identically, to the bit.

@@ -216,7 +216,11 @@ fn text_errors_name_the_line() {
         ("cameras", "1 PINHOLE 64 48 1 2 3", "cameras.txt: line 1: the parameter is missing"),
         ("cameras", "# x\n1 PINHOLE 64 48 1 2 3 4 5", "line 2: has more values than its camera model"),
         ("cameras", "1 BALL 64 48 1", "line 1: unknown camera model \"BALL\""),
-        ("cameras", "1 SPHERE 64 48 1", "unknown camera model \"SPHERE\"; cut the panoramas"),
+        (
+            "cameras",
+            "1 SPHERE 64 48 1",
+            "unknown camera model \"SPHERE\"; COLMAP calls panoramas EQUIRECTANGULAR",
+        ),
         ("cameras", "1 PINHOLE -64 48 1 2 3 4", "\"-64\" is no valid width"),
         ("images", "1 1 0 0 0 0 0 0 7 a.png\n1 2 3 4\n", "line 2: the quaternion is missing"),
         ("images", "1 1 0 0 0 0 0 0 7 a.png\n1 2 3\n4 5 6\n", "line 3: the quaternion is missing"),

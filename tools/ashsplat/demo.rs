@@ -1,6 +1,7 @@
 //! `ashsplat demo`: from nothing to a trained scene in one command.
 
 mod dataset;
+mod lens;
 mod sheet;
 
 use crate::train::{Run, describe_start, say_what_next};
@@ -50,7 +51,7 @@ pub struct Arguments {
 const ITERATIONS: u32 = 1200;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    arguments.choices.check()?;
+    arguments.choices.check(arguments.dataset_only)?;
     let start = Instant::now();
     let folder = &arguments.out;
     let data = folder.join("dataset");

@@ -121,7 +121,8 @@ pub fn cameras(city: City) -> Vec<Camera> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::raycast::{Ray, first_hit};
+    use crate::raycast::first_hit;
+    use crate::view::View;
 
     #[test]
     fn no_photograph_shows_more_than_a_part_of_it() {
@@ -131,9 +132,9 @@ mod tests {
         assert!(cameras.len() == 162 && scene.objects.len() > 120, "{}", scene.objects.len());
         let mut seen = [[false; SIDE]; SIDE];
         for camera in &cameras {
-            let mut own = Vec::new();
+            let (view, mut own) = (View::new(*camera), Vec::new());
             for (x, y) in (4..128).step_by(8).flat_map(|x| (4..96).step_by(8).map(move |y| (x, y))) {
-                let ray = Ray::through_pixel(camera, x as f32, y as f32);
+                let ray = view.ray(x as f32, y as f32).expect("a pinhole's ray");
                 let Some(hit) = first_hit(&scene, &ray) else { continue };
                 let lot = (ray.at(hit.distance) / LOT + 0.5 * LOTS as f32).floor();
                 let inside = |index: f32| (0.0..LOTS as f32).contains(&index);

@@ -5,5 +5,7 @@
 pub mod city;
 pub mod raycast;
 mod scene;
+mod view;
 
 pub use scene::Scene;
+pub use view::View;

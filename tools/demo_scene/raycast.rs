@@ -1,7 +1,8 @@
 //! A small ray-caster: analytic intersections (sphere tracing for the torus), one jittered sun, Phong highlights.
 
 use crate::scene::{Object, SHININESS, SKY_RADIUS, Scene, Shape};
-use ashsplat::scene::{Camera, srgb_from_linear};
+use crate::view::View;
+use ashsplat::scene::srgb_from_linear;
 use ashsplat_files::Photo;
 use glam::{Mat3, Vec3, vec3};
 use image::{Rgba, RgbaImage};
@@ -17,8 +18,8 @@ const SKIN: f32 = 1e-3;
 /// A ray in world coordinates; the direction is of unit length.
 #[derive(Clone, Copy)]
 pub struct Ray {
-    origin: Vec3,
-    direction: Vec3,
+    pub(crate) origin: Vec3,
+    pub(crate) direction: Vec3,
 }
 
 /// Where a ray first meets the scene.
@@ -31,13 +32,6 @@ pub struct Hit<'a> {
 }
 
 impl Ray {
-    /// The ray through a point of the image; pixels, the centre of the first pixel at (0.5, 0.5).
-    pub fn through_pixel(camera: &Camera, x: f32, y: f32) -> Ray {
-        let in_camera = vec3((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0);
-        let direction = (camera.camera_from_world.transpose() * in_camera).normalize();
-        Ray { origin: camera.position(), direction }
-    }
-
     /// The point at a distance.
     pub fn at(&self, distance: f32) -> Vec3 {
         self.origin + self.direction * distance
@@ -52,20 +46,21 @@ impl Ray {
 }
 
 /// Photographs the scene: 8-bit sRGB, row-major.
-pub fn photograph(scene: &Scene, camera: &Camera) -> Photo {
-    let (width, height) = (camera.width, camera.height);
-    let row = |y: u32| (0..width).flat_map(move |x| encode(pixel_light(scene, camera, x, y)));
+pub fn photograph(scene: &Scene, view: &View) -> Photo {
+    let (width, height) = (view.camera.width, view.camera.height);
+    let row = |y: u32| (0..width).flat_map(move |x| encode(pixel_light(scene, view, x, y)));
     let rgb = (0..height).into_par_iter().flat_map_iter(row).collect();
     Photo { width, height, rgb }
 }
 
 /// Photographs without the sky: 8-bit sRGB, with the share of each pixel that is not sky as its opacity. Colours are those of
 /// that share, as renderers of transparent pictures store them.
-pub fn photograph_cutout(scene: &Scene, camera: &Camera) -> RgbaImage {
-    let pixels = (0..camera.height).into_par_iter().flat_map_iter(|y| (0..camera.width).map(move |x| (x, y)));
+pub fn photograph_cutout(scene: &Scene, view: &View) -> RgbaImage {
+    let (width, height) = (view.camera.width, view.camera.height);
+    let pixels = (0..height).into_par_iter().flat_map_iter(|y| (0..width).map(move |x| (x, y)));
     let rgba = pixels.flat_map_iter(|(x, y)| {
         let (mut sum, mut hits) = (Vec3::ZERO, 0.0);
-        for (sample, ray) in rays(camera, x, y) {
+        for (sample, ray) in rays(view, x, y) {
             if first_hit(scene, &ray).is_some() {
                 sum += light(scene, &ray, sun_sample(sample, x, y));
                 hits += 1.0;
@@ -74,7 +69,7 @@ pub fn photograph_cutout(scene: &Scene, camera: &Camera) -> RgbaImage {
         let [r, g, b] = encode(sum / f32::max(hits, 1.0));
         [r, g, b, (255.0 * hits / (GRID * GRID) as f32).round() as u8]
     });
-    RgbaImage::from_raw(camera.width, camera.height, rgba.collect()).unwrap_or_default()
+    RgbaImage::from_raw(width, height, rgba.collect()).unwrap_or_default()
 }
 
 /// A cutout on black, as readers of data sets convert it.
@@ -86,12 +81,21 @@ pub fn on_black(cutout: &RgbaImage) -> Photo {
     Photo { width: cutout.width(), height: cutout.height(), rgb: cutout.pixels().flat_map(shown).collect() }
 }
 
-/// The rays of a pixel with their indices.
-fn rays(camera: &Camera, x: u32, y: u32) -> impl Iterator<Item = (u32, Ray)> {
-    (0..GRID * GRID).map(move |sample| {
+/// The mask of a view's photographs: white where the lens shows all of a pixel, black elsewhere. None if it shows all pixels.
+pub fn mask(view: &View) -> Option<Photo> {
+    let (width, height) = (view.camera.width, view.camera.height);
+    let is_shown = |x: u32, y: u32| rays(view, x, y).count() == (GRID * GRID) as usize;
+    let row = |y: u32| (0..width).flat_map(move |x| [if is_shown(x, y) { 255 } else { 0 }; 3]);
+    let rgb: Vec<u8> = (0..height).into_par_iter().flat_map_iter(row).collect();
+    rgb.contains(&0).then_some(Photo { width, height, rgb })
+}
+
+/// The rays of a pixel with their indices, as far as the lens shows it.
+fn rays(view: &View, x: u32, y: u32) -> impl Iterator<Item = (u32, Ray)> {
+    (0..GRID * GRID).filter_map(move |sample| {
         let offset = |index: u32| (index as f32 + 0.5) / GRID as f32;
         let place = (x as f32 + offset(sample % GRID), y as f32 + offset(sample / GRID));
-        (sample, Ray::through_pixel(camera, place.0, place.1))
+        Some((sample, view.ray(place.0, place.1)?))
     })
 }
 
@@ -101,8 +105,8 @@ fn sun_sample(sample: u32, x: u32, y: u32) -> u32 {
 }
 
 /// Light that arrives at a pixel, linear: the mean of a grid of rays.
-pub fn pixel_light(scene: &Scene, camera: &Camera, x: u32, y: u32) -> Vec3 {
-    let lights = rays(camera, x, y).map(|(sample, ray)| light(scene, &ray, sun_sample(sample, x, y)));
+pub fn pixel_light(scene: &Scene, view: &View, x: u32, y: u32) -> Vec3 {
+    let lights = rays(view, x, y).map(|(sample, ray)| light(scene, &ray, sun_sample(sample, x, y)));
     lights.sum::<Vec3>() / (GRID * GRID) as f32
 }
 

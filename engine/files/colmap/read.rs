@@ -292,9 +292,8 @@ impl<'a> Records<'a> {
         let name = &self.text[place];
         CameraModel::from_name(name).ok_or_else(|| {
             let problem = format!("unknown camera model {name:?}");
-            if name.contains("SPHER") || name.contains("EQUIRECT") {
-                let remedy = "cut the panoramas into views of pinhole cameras first";
-                return Error::input(self.path, problem, remedy);
+            if name.contains("SPHER") {
+                return Error::input(self.path, problem, "COLMAP calls panoramas EQUIRECTANGULAR");
             }
             self.error(&problem)
         })

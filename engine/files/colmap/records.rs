@@ -17,6 +17,12 @@ impl CameraModel {
     pub const SIMPLE_PINHOLE: Self = Self(0);
     /// Parameters fx, fy, cx, cy.
     pub const PINHOLE: Self = Self(1);
+    /// Parameters fx, fy, cx, cy, k1, k2, p1, p2.
+    pub const OPENCV: Self = Self(4);
+    /// Parameters fx, fy, cx, cy, k1, k2, k3, k4.
+    pub const OPENCV_FISHEYE: Self = Self(5);
+    /// Parameters width, height.
+    pub const EQUIRECTANGULAR: Self = Self(17);
 
     /// Model with COLMAP's number.
     pub fn from_number(number: i64) -> Option<Self> {

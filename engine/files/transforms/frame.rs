@@ -15,6 +15,8 @@ use ashsplat::{Error, Result};
 
 /// Largest relative deviation of a pose's `R Rᵀ` from a multiple of the identity.
 const ROTATION_TOLERANCE: f64 = 1e-3;
+/// Pose at the last row of a rolling shutter.
+const END_KEY: &str = "transform_matrix_end";
 /// Largest difference from 1 of a scale that is taken as 1.
 const SCALE_ROUNDING: f64 = 1e-12;
 
@@ -143,7 +145,8 @@ pub(super) fn read_all(
         unused_keys.extend(value.as_object().into_iter().flatten().filter_map(|(key, value)| {
             let is_known = MASK_KEYS.contains(&key.as_str()) || DEPTH_KEYS.contains(&key.as_str());
             let names_file = value.is_string() && (key.contains("mask") || key.contains("depth"));
-            (names_file && !is_known || key == "is_bad" && *value == true).then(|| key.clone())
+            (names_file && !is_known || key == END_KEY || key == "is_bad" && *value == true)
+                .then(|| key.clone())
         }));
         if frame.optics.projection == Projection::Fisheye {
             let (_, p) = reader.coefficients()?;

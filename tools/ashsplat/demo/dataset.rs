@@ -1,12 +1,13 @@
-//! The demo's data set: photographs from two circles, with a sparse, noisy point cloud, as a COLMAP folder or in the
-//! layout of the NeRF paper's synthetic scenes.
+//! The demo's data set: photographs from two circles, with a sparse, noisy point cloud, as a COLMAP folder, in the
+//! layout of the NeRF paper's synthetic scenes, or with a rolling shutter as nerfstudio's `transforms.json`.
 
+use super::lens::{Lens, colmap_camera};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::{Error, Result};
-use ashsplat_demo_scene::Scene;
 use ashsplat_demo_scene::city::{self, City};
-use ashsplat_demo_scene::raycast::{self, Ray};
-use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat_demo_scene::raycast;
+use ashsplat_demo_scene::{Scene, View};
+use ashsplat_files::colmap::{self, ColmapImage};
 use ashsplat_files::{Photo, ply};
 use ashsplat_program::output;
 use ashsplat_program::progress::counting;
@@ -80,6 +81,9 @@ pub struct Choices {
     /// Width of the city's photographs, 64 to 1024 pixels; their height is three quarters of it [default: 128]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=1024))]
     photo_width: Option<u32>,
+    /// Lens or shutter of the photographs. With a rolling shutter only with --dataset-only
+    #[arg(long, value_enum, default_value_t)]
+    lens: Lens,
     /// How the data set lies on disk
     #[arg(long, value_enum, default_value_t)]
     layout: Layout,
@@ -92,8 +96,16 @@ pub struct Choices {
 }
 
 impl Choices {
-    /// Refuses choices that contradict each other.
-    pub fn check(&self) -> Result<()> {
+    /// Refuses choices that contradict each other, or that training does not take.
+    pub fn check(&self, dataset_only: bool) -> Result<()> {
+        if self.lens != Lens::Pinhole && self.layout == Layout::NerfSynthetic {
+            let problem = "is not for --layout nerf-synthetic, which has angles of view only";
+            return Err(Error::argument("--lens", problem));
+        }
+        if !dataset_only && self.lens == Lens::RollingShutter {
+            let problem = "rolling-shutter is not trained on yet: give --dataset-only as well";
+            return Err(Error::argument("--lens", problem));
+        }
         for (name, is_given) in
             [("--lots", self.lots.is_some()), ("--photo-width", self.photo_width.is_some())]
         {
@@ -118,7 +130,7 @@ impl Choices {
 }
 
 /// Photographs the scene and writes it; the same seed gives the same files. With the same points and without the sky,
-/// both layouts hold the same cameras, photographs and points, to the bit.
+/// COLMAP's and the synthetic scenes' layouts hold the same cameras, photographs and points, to the bit.
 pub fn write(folder: &Path, choices: &Choices, seed: u64, quiet: bool) -> Result<()> {
     let (scene, cameras, count) = match choices.scene {
         Subject::Terrace => (Scene::demo(), cameras(), POINTS),
@@ -129,60 +141,80 @@ pub fn write(folder: &Path, choices: &Choices, seed: u64, quiet: bool) -> Result
             (city::scene(city), city::cameras(city), points)
         }
     };
+    let views: Vec<View> = (0..)
+        .zip(&cameras)
+        .map(|(index, camera)| choices.lens.view(index, camera, DISTANCE.into()))
+        .collect();
     let sky = choices.layout == Layout::Colmap && !choices.without_sky;
     let points = match choices.points() {
-        Points::Sparse => sparse_points((&scene, &cameras), count, sky, seed),
+        Points::Sparse => sparse_points((&scene, &views), count, sky, seed),
         Points::None => PointCloud::default(),
     };
-    let bar = counting("photographs", cameras.len() as u64, quiet);
-    let cut_out = |camera: &Camera| {
+    let bar = counting("photographs", views.len() as u64, quiet);
+    let cut_out = |view: &View| {
         bar.inc(1);
-        raycast::photograph_cutout(&scene, camera)
+        raycast::photograph_cutout(&scene, view)
     };
-    let with_sky = |camera: &Camera| {
-        bar.inc(1);
-        raycast::photograph(&scene, camera)
+    let opaque = |view: &View| match sky {
+        true => {
+            bar.inc(1);
+            raycast::photograph(&scene, view)
+        }
+        false => raycast::on_black(&cut_out(view)),
     };
     match choices.layout {
-        Layout::Colmap if sky => write_colmap(folder, &cameras, &points, with_sky)?,
+        Layout::NerfSynthetic => write_nerf_synthetic(folder, &views, &points, cut_out)?,
         Layout::Colmap => {
-            write_colmap(folder, &cameras, &points, |camera| raycast::on_black(&cut_out(camera)))?;
+            let images = write_photographs(folder, &views, opaque)?;
+            match choices.lens {
+                Lens::RollingShutter => write_rolling(folder, &views, &images, &points)?,
+                _ => {
+                    let lens = colmap_camera(&views[0].camera);
+                    let images: Vec<ColmapImage> = images.into_iter().map(|pose| pose.image).collect();
+                    colmap::write(folder.join("sparse").join("0"), &[lens], &images, &points)?;
+                }
+            }
         }
-        Layout::NerfSynthetic => write_nerf_synthetic(folder, &cameras, &points, cut_out)?,
     }
     bar.finish_and_clear();
     Ok(())
 }
 
+/// File of the points beside a `transforms.json`.
+const POINTS_FILE: &str = "points3d.ply";
 /// Interval of the held-out views, as in the COLMAP folder.
 const TEST_EVERY: u32 = 8;
 
 /// Writes cameras as angles of view and camera-to-world matrices, with the camera's y up and z backward.
 fn write_nerf_synthetic(
     folder: &Path,
-    cameras: &[Camera],
+    views: &[View],
     points: &PointCloud,
-    photograph: impl Fn(&Camera) -> RgbaImage,
+    photograph: impl Fn(&View) -> RgbaImage,
 ) -> Result<()> {
     let (mut train, mut test) = (Vec::new(), Vec::new());
-    for (index, camera) in (0u32..).zip(cameras) {
+    for (index, view) in (0u32..).zip(views) {
         let (part, frames) =
             if index.is_multiple_of(TEST_EVERY) { ("test", &mut test) } else { ("train", &mut train) };
         let name = format!("{part}/r_{index:03}");
-        output::write_rgba_png(&folder.join(format!("{name}.png")), &photograph(camera))?;
-        let rows = Pose::new(index, String::new(), camera).opengl_rows();
+        output::write_rgba_png(&folder.join(format!("{name}.png")), &photograph(view))?;
+        let rows = Pose::new(index, String::new(), &view.camera).opengl_rows();
         frames.push(json!({ "file_path": format!("./{name}"), "rotation": 0.0, "transform_matrix": rows }));
     }
-    let angle = 2.0 * (0.5 * f64::from(cameras[0].width) / f64::from(cameras[0].fx)).atan();
+    let angle = 2.0 * (0.5 * f64::from(views[0].camera.width) / f64::from(views[0].camera.fx)).atan();
     for (part, frames) in [("train", &train), ("val", &test), ("test", &test)] {
         let document = json!({ "camera_angle_x": angle, "frames": frames });
         output::write_json(&folder.join(format!("transforms_{part}.json")), &document)?;
     }
-    if points.is_empty() {
-        return Ok(());
+    write_points(folder, points)
+}
+
+/// Writes the points of a `transforms.json`. The reference implementation reads those of synthetic scenes from this file.
+fn write_points(folder: &Path, points: &PointCloud) -> Result<()> {
+    match points.is_empty() {
+        true => Ok(()),
+        false => ply::write_points(folder.join(POINTS_FILE), points, &WorldFrame::default()),
     }
-    // The reference implementation reads the points of such scenes from this file.
-    ply::write_points(folder.join("points3d.ply"), points, &WorldFrame::default())
 }
 
 /// Rotation and position of a camera in double precision. Both layouts are written from it, so that their readers
@@ -212,20 +244,49 @@ impl Pose {
     }
 }
 
-fn write_colmap(
+/// Writes the photographs, and masks of a lens that does not show all pixels. Returns their poses.
+fn write_photographs(
     folder: &Path,
-    cameras: &[Camera],
-    points: &PointCloud,
-    photograph: impl Fn(&Camera) -> Photo,
-) -> Result<()> {
-    let mut images = Vec::with_capacity(cameras.len());
-    for (index, camera) in (0..).zip(cameras) {
+    views: &[View],
+    photograph: impl Fn(&View) -> Photo,
+) -> Result<Vec<Pose>> {
+    // All views have the same lens.
+    let mask = raycast::mask(&views[0]);
+    let write = |(index, view): (u32, &View)| {
         let name = format!("view_{index:03}.png");
-        output::write_png(&folder.join("images").join(&name), &photograph(camera))?;
-        images.push(Pose::new(index, name, camera).image);
+        output::write_png(&folder.join("images").join(&name), &photograph(view))?;
+        if let Some(mask) = &mask {
+            output::write_png(&folder.join("masks").join(format!("{name}.png")), mask)?;
+        }
+        Ok(Pose::new(index, name, &view.camera))
+    };
+    (0..).zip(views).map(write).collect()
+}
+
+/// Writes nerfstudio's `transforms.json`, whose pose is that of the first row. It has no keys for a rolling shutter: here,
+/// `transform_matrix_end` is the pose at the last row, and `shutter` is the direction in which rows are read.
+fn write_rolling(folder: &Path, views: &[View], poses: &[Pose], points: &PointCloud) -> Result<()> {
+    let frames = poses.iter().zip(views).map(|(pose, view)| {
+        let mut frame = json!({
+            "file_path": format!("images/{}", pose.image.name),
+            "transform_matrix": pose.opengl_rows(),
+        });
+        if let Some(last) = &view.last_row {
+            frame["transform_matrix_end"] = json!(Pose::new(0, String::new(), last).opengl_rows());
+        }
+        frame
+    });
+    let Camera { fx, fy, cx, cy, width, height, .. } = views[0].camera;
+    let mut document = json!({
+        "camera_model": "PINHOLE", "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": width, "h": height,
+        "shutter": "down",
+        "frames": frames.collect::<Vec<_>>(),
+    });
+    if !points.is_empty() {
+        document["ply_file_path"] = json!(POINTS_FILE);
     }
-    let lens = ColmapCamera::pinhole(1, &cameras[0]);
-    colmap::write(folder.join("sparse").join("0"), &[lens], &images, points)
+    output::write_json(&folder.join("transforms.json"), &document)?;
+    write_points(folder, points)
 }
 
 /// Two circles of cameras, the upper one turned by half a step.
@@ -245,13 +306,14 @@ fn cameras() -> Vec<Camera> {
 }
 
 /// Points on visible surfaces, through random pixels, with an error and the pixel's colour.
-fn sparse_points((scene, cameras): (&Scene, &[Camera]), count: usize, sky: bool, seed: u64) -> PointCloud {
+fn sparse_points((scene, views): (&Scene, &[View]), count: usize, sky: bool, seed: u64) -> PointCloud {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut points = PointCloud::default();
     while points.len() < count {
-        let camera = &cameras[random.random_range(0..cameras.len())];
-        let (x, y) = (random.random_range(0..camera.width), random.random_range(0..camera.height));
-        let ray = Ray::through_pixel(camera, x as f32 + 0.5, y as f32 + 0.5);
+        let view = &views[random.random_range(0..views.len())];
+        let (width, height) = (view.camera.width, view.camera.height);
+        let (x, y) = (random.random_range(0..width), random.random_range(0..height));
+        let Some(ray) = view.ray(x as f32 + 0.5, y as f32 + 0.5) else { continue };
         let hit = raycast::first_hit(scene, &ray);
         if hit.is_none() && (!sky || random.random_range(0..SKY_SHARE) != 0) {
             continue;
@@ -259,7 +321,7 @@ fn sparse_points((scene, cameras): (&Scene, &[Camera]), count: usize, sky: bool,
         let distance = hit.map_or_else(|| ray.sky_distance(), |hit| hit.distance);
         let error = NOISE * distance * vec3(normal(&mut random), normal(&mut random), normal(&mut random));
         points.positions.push((ray.at(distance) + error).to_array());
-        points.colors.push(raycast::encode(raycast::pixel_light(scene, camera, x, y)));
+        points.colors.push(raycast::encode(raycast::pixel_light(scene, view, x, y)));
     }
     points
 }
