@@ -30,8 +30,8 @@ pub struct DataArguments {
     #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME")]
     orientation: Option<String>,
     /// Replace photos of lenses by those of pinholes [default: as in training]
-    #[arg(long)]
-    undistort: bool,
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
+    undistort: Option<bool>,
     /// Hold out every 8th view (by name) [default: as in training]
     #[arg(long)]
     eval: bool,
@@ -61,7 +61,7 @@ impl DataArguments {
         if let Some(orientation) = &self.orientation {
             data.orientation.clone_from(orientation);
         }
-        data.undistort |= self.undistort;
+        data.undistort = self.undistort.unwrap_or(data.undistort);
         data.eval |= self.eval;
         if data.source_path.as_os_str().is_empty() {
             return Err(Error::argument(
