@@ -196,9 +196,14 @@ struct JacobianGradient {
     vec3 row_y;
 };
 
+// True for points farther outside the picture than `times` the limit of the Jacobian.
+bool is_outside(vec3 at, float times) {
+    return !(ANGULAR || SPHERICAL) && LENS_HOLD > 0.0 && length(at.xy) > times * LENS_HOLD * at.z;
+}
+
 // True for points at which the Jacobian would be taken too far outside the picture.
 bool is_held(vec3 at) {
-    return !(ANGULAR || SPHERICAL) && LENS_HOLD > 0.0 && length(at.xy) > LENS_HOLD * at.z;
+    return is_outside(at, 1.0);
 }
 
 // Point at which the Jacobian is taken.
@@ -302,9 +307,10 @@ vec2 offset_of(vec3 at, vec2 center) {
     return offset;
 }
 
-// Behind a fisheye, a point beyond the axis would land on the other side of the picture.
+// Behind a fisheye, a point beyond the axis would land on the other side of the picture. Polynomials without a fold grow so fast
+// far outside the picture that a spread with such a point would cover all of it.
 bool is_point_shown(vec3 at, vec3 mean) {
-    return IS_SHOWN(at) && !(ANGULAR && at.z < 0.0 && dot(at.xy, mean.xy) < 0.0);
+    return IS_SHOWN(at) && !(ANGULAR && at.z < 0.0 && dot(at.xy, mean.xy) < 0.0) && !is_outside(at, 4.0);
 }
 
 Spread spread_at(vec3 mean, mat3 axes, vec3 scale) {

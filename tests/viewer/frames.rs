@@ -110,6 +110,9 @@ fn viewer_picks_what_inspect_lists() {
     assert!(ids(&picked).len() > 3, "{picked}");
     let depth = picked["depth"].as_f64().expect("a depth");
     assert!((2.0..6.5).contains(&depth), "{depth}");
+    let number = |axis: usize| picked["point"][axis].as_f64().expect("a number") as f32;
+    let (x, y, z) = camera.project(Vec3::new(number(0), number(1), number(2)));
+    assert!((x - 48.5).abs() < 0.01 && (y - 32.5).abs() < 0.01 && (f64::from(z) - depth).abs() < 1e-3);
     // A pick beside the ball has no depth.
     page.send(&json!({ "type": "pick", "id": 6, "camera": message(&camera), "pixel": [0, 0] }));
     assert_eq!(page.wait_for("picked")["depth"], Value::Null);

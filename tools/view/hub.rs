@@ -207,7 +207,7 @@ impl Hub {
     pub fn renew(&self) {
         self.change(|state| {
             for client in state.clients.values_mut() {
-                client.stale |= client.view.is_some_and(|view| view.follow);
+                client.stale |= client.view.as_ref().is_some_and(|view| view.follow);
             }
         });
     }
@@ -367,7 +367,7 @@ impl State {
         }
         client.stale = false;
         client.on_the_way = true;
-        client.view.map(|request| Task::Frame { client: id, request })
+        client.view.clone().map(|request| Task::Frame { client: id, request })
     }
 }
 
@@ -442,7 +442,7 @@ mod tests {
         let pick: Pick = from_value(pick).expect("a pick");
         let taken = |ask: &dyn Fn() -> bool| (0..100).filter(|_| ask()).count();
         assert_eq!(taken(&|| hub.act(TrainAction::Step)), MOST_ACTIONS);
-        assert_eq!(taken(&|| hub.pick(pages[0], pick)), MOST_PICKS);
+        assert_eq!(taken(&|| hub.pick(pages[0], pick.clone())), MOST_PICKS);
         assert_eq!(taken(&|| hub.ask_remotely(remote())), MOST_REMOTE);
         assert_eq!(taken(&|| hub.ask_for_scene(oneshot::channel().0)), MOST_SCENES);
         hub.leave(pages[0]);

@@ -2,7 +2,7 @@
 //! (u32, little-endian), the header, the encoded picture.
 
 use super::cut::CutMessage;
-use ashsplat::scene::{Camera, Intrinsics};
+use ashsplat::scene::{Camera, Coefficients, Intrinsics, Projection};
 use ashsplat::{Error, PixelReport, Result, Shape};
 use ashsplat_program::output::samples;
 use glam::{Mat3, Vec3};
@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 pub const MOST_PIXELS: u64 = 3840 * 2400;
 
 /// The page's camera: x right, y down, z forward.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct CameraMessage {
     /// Rows of the rotation from world to camera.
     pub rotation: [[f32; 3]; 3],
@@ -27,6 +27,16 @@ pub struct CameraMessage {
     /// Size of the picture, pixels.
     pub width: u32,
     pub height: u32,
+    /// Lens of the photo that the view is exactly of; none for pinholes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lens: Option<LensMessage>,
+}
+
+/// A lens: see [`Projection`].
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub struct LensMessage {
+    pub projection: String,
+    pub coefficients: Coefficients,
 }
 
 impl CameraMessage {
@@ -34,7 +44,14 @@ impl CameraMessage {
         let Self { fx, fy, cx, cy, width, height, .. } = *self;
         let intrinsics = Intrinsics { fx, fy, cx, cy, width, height };
         let rotation = Mat3::from_cols_array_2d(&self.rotation).transpose();
-        let camera = Camera::with_pose(rotation, Vec3::from_array(self.translation), intrinsics);
+        let mut camera = Camera::with_pose(rotation, Vec3::from_array(self.translation), intrinsics);
+        if let Some(LensMessage { projection, coefficients }) = &self.lens {
+            let named =
+                Projection::ALL.into_iter().find(|known| known.is_lens() && known.name() == projection);
+            let unknown =
+                || Error::argument("camera.lens.projection", format!("{projection:?} is not known"));
+            camera = camera.with_lens(named.ok_or_else(unknown)?, coefficients);
+        }
         camera.check()?;
         if u64::from(width) * u64::from(height) > MOST_PIXELS {
             let problem = format!("{width}x{height} pixels are more than {MOST_PIXELS}");
@@ -46,7 +63,21 @@ impl CameraMessage {
     pub fn of(camera: &Camera) -> Self {
         let rows = camera.camera_from_world.transpose().to_cols_array_2d();
         let Intrinsics { fx, fy, cx, cy, width, height } = camera.intrinsics();
-        Self { rotation: rows, translation: camera.translation.to_array(), fx, fy, cx, cy, width, height }
+        let lens = camera.projection.is_lens().then(|| LensMessage {
+            projection: camera.projection.name().into(),
+            coefficients: camera.coefficients,
+        });
+        Self {
+            rotation: rows,
+            translation: camera.translation.to_array(),
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+            lens,
+        }
     }
 }
 
@@ -107,7 +138,7 @@ impl Default for Look {
     }
 }
 
-#[derive(Clone, Copy, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 pub struct ViewRequest {
     /// Returned with the frame.
     pub seq: u64,
@@ -123,7 +154,7 @@ pub struct ViewRequest {
 }
 
 /// Asks which Gaussians make up a pixel of a picture.
-#[derive(Clone, Copy, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 pub struct Pick {
     /// Returned with the answer.
     pub id: u64,
@@ -224,12 +255,20 @@ impl ToPage {
     }
 }
 
-/// Answers a pick. `depth` is where half of the light is blocked, or none if too little is.
-pub fn picked(id: u64, pixel: [u32; 2], report: &PixelReport) -> Value {
+/// Answers a pick. `depth` is where half of the light is blocked, and `point` the place there, or none if too little is.
+pub fn picked(id: u64, pixel: [u32; 2], camera: &Camera, report: &PixelReport) -> Value {
+    let depth = pivot_depth(report);
     json!({
         "type": "picked", "id": id, "pixel": pixel, "samples": samples(report), "color": report.color,
-        "transmittance": report.transmittance, "depth": pivot_depth(report),
+        "transmittance": report.transmittance, "depth": depth,
+        "point": depth.map(|depth| place(camera, pixel, depth).to_array()),
     })
+}
+
+/// World position at a depth under a pixel's centre.
+pub fn place(camera: &Camera, pixel: [u32; 2], depth: f32) -> Vec3 {
+    let there = depth * camera.rays()(pixel.map(|at| at as f32 + 0.5)) - camera.translation;
+    camera.camera_from_world.transpose() * there
 }
 
 /// Depth at which half of the blocked light is blocked. None if less than a tenth is blocked in all.

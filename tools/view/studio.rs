@@ -87,11 +87,15 @@ impl Studio {
             Task::Pick { client, pick } => {
                 self.attend(painter, client, &pick.look);
                 let settings = draw::settings(&self.base, &pick.look);
-                let report = pick.camera.camera().and_then(|c| painter.inspect(&c, &settings, pick.pixel));
+                let report = pick
+                    .camera
+                    .camera()
+                    .and_then(|camera| Ok((camera, painter.inspect(&camera, &settings, pick.pixel)?)));
                 if report.is_ok() {
                     self.drew(painter, [pick.camera.width, pick.camera.height]);
                 }
-                let answer = report.map(|r| ToPage::json(&protocol::picked(pick.id, pick.pixel, &r)));
+                let answer = report
+                    .map(|(camera, r)| ToPage::json(&protocol::picked(pick.id, pick.pixel, &camera, &r)));
                 self.reply(client, answer)?;
             }
             Task::Film => self.go_on_filming(painter)?,

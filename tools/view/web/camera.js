@@ -4,6 +4,8 @@ import { add, clamp, dot, length, looking, normalize, orthonormal, quaternion, r
 
 /** How near the poles an orbit may come, radians. */
 const POLE = 0.02;
+/** Widest angle of view that is taken over from a lens, radians. */
+const WIDEST = 1.4;
 
 export class Camera {
     constructor() {
@@ -35,10 +37,13 @@ export class Camera {
         this.rotation = camera.rotation;
         this.position = times(this.toWorld(camera.translation), -1);
         this.fovY = 2 * Math.atan(0.5 * camera.height / camera.fy);
+        // Fisheyes and panoramas show more than a pinhole should.
+        if (camera.lens) this.fovY = Math.min(this.fovY, WIDEST);
         // Turning goes on around what the axis passes nearest to.
         const ahead = dot(sub(this.pivot, this.position), this.forward);
         this.pivot = add(this.position, times(this.forward, ahead > 0.05 * this.radius ? ahead : this.radius));
-        this.lens = photo ? camera : null;
+        // A panorama cannot lie within a picture of another shape.
+        this.lens = photo && camera.lens?.projection !== 'equirectangular' ? camera : null;
         this.changed();
     }
 
@@ -128,24 +133,19 @@ export class Camera {
         if (this.lens) {
             const { scale, x, y } = this.frame(width, height);
             const { fx, fy, cx, cy } = this.lens;
-            return { ...common, fx: fx * scale, fy: fy * scale, cx: x + cx * scale, cy: y + cy * scale };
+            return { ...common, fx: fx * scale, fy: fy * scale, cx: x + cx * scale, cy: y + cy * scale, lens: this.lens.lens };
         }
         const f = 0.5 * height / Math.tan(0.5 * this.fovY);
         return { ...common, fx: f, fy: f, cx: 0.5 * width, cy: 0.5 * height };
     }
 
-    /** Pixel of a point; null behind the camera. */
+    /** Pixel of a point; null behind the camera, and while the view is that of a lens that bends lines. */
     project(world, width, height) {
+        if (this.lens?.lens) return null;
         const [x, y, z] = this.toCamera(world);
         if (z < 1e-3) return null;
         const { fx, fy, cx, cy } = this.message(width, height);
         return [fx * x / z + cx, fy * y / z + cy];
-    }
-
-    /** The point at a depth (z) under a pixel. */
-    unproject(px, py, depth, width, height) {
-        const { fx, fy, cx, cy } = this.message(width, height);
-        return add(this.position, this.toWorld([(px - cx) / fx * depth, (py - cy) / fy * depth, depth]));
     }
 }
 

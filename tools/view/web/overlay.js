@@ -1,6 +1,6 @@
 // What lies over the picture: where the photos were taken, the pivot, the axes, the pixel that was picked.
 
-import { add, times } from './maths.js';
+import { add, clamp, times } from './maths.js';
 
 const AXES = [['x', '#ff6b6b'], ['y', '#69db7c'], ['z', '#74a9ff']];
 /** A photo's size in the scene, share of the scene's radius. */
@@ -38,7 +38,9 @@ export class Overlay {
             const d = v.map((value, i) => value - photo.translation[i]);
             return add(add(times(x, d[0]), times(y, d[1])), times(z, d[2]));
         };
-        const corner = (px, py) => world([(px - photo.cx) / photo.fx * size, (py - photo.cy) / photo.fy * size, size]);
+        // Fisheyes and panoramas are shown as wide as others.
+        const slope = (p, c, f) => clamp((p - c) / f, -1, 1) * size;
+        const corner = (px, py) => world([slope(px, photo.cx, photo.fx), slope(py, photo.cy, photo.fy), size]);
         const points = [world([0, 0, 0]), corner(0, 0), corner(photo.width, 0), corner(photo.width, photo.height), corner(0, photo.height)]
             .map((p) => camera.project(p, width, height));
         if (points.some((p) => p === null)) return;

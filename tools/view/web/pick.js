@@ -34,9 +34,9 @@ export class Picker {
     /** Turns around what is at a place. */
     pivot(x, y) {
         const { camera } = this;
-        this.ask(x, y, ({ depth }) => {
-            if (depth === null) return;
-            camera.pivot = camera.unproject(x, y, depth, innerWidth, innerHeight);
+        this.ask(x, y, ({ point }) => {
+            if (point === null) return;
+            camera.pivot = point;
             this.overlay.flash = performance.now();
             this.overlay.draw();
         });

@@ -1,6 +1,6 @@
 //! The moving camera: the same as `web/camera.js` on the page. Axes are the engine's: x right, y down, z forward.
 
-use ashsplat::scene::{Camera, Intrinsics};
+use ashsplat::scene::{Camera, Intrinsics, Projection};
 use glam::{DVec3, Mat3};
 
 /// Smallest angle between view and pole, radians.
@@ -8,6 +8,8 @@ const POLE: f64 = 0.02;
 /// Least distance to the pivot, world units; also a share of the scene's size.
 const NEAREST: f64 = 1e-4;
 const NEAREST_SHARE: f64 = 1e-3;
+/// Widest angle of view that is taken over from a lens, radians.
+const WIDEST: f64 = 1.4;
 
 /// Camera pose, and the pivot that it turns around.
 #[derive(Clone, Copy, Debug)]
@@ -63,11 +65,16 @@ impl Navigation {
         self.rotation = [rows.x_axis, rows.y_axis, rows.z_axis].map(|row| row.as_dvec3());
         self.position = -self.to_world(camera.translation.as_dvec3());
         self.fov_y = 2.0 * (0.5 * f64::from(camera.height) / f64::from(camera.fy)).atan();
+        if camera.projection.is_lens() {
+            // Fisheyes and panoramas show more than a pinhole should.
+            self.fov_y = self.fov_y.min(WIDEST);
+        }
         // Turning continues around the axis' nearest point to the old pivot.
         let ahead = (self.pivot - self.position).dot(self.forward());
         let ahead = if ahead > 0.05 * self.radius { ahead } else { self.radius };
         self.pivot = self.position + self.forward() * ahead;
-        self.lens = photo.then_some(*camera);
+        // A panorama cannot lie within a picture of another shape.
+        self.lens = Some(*camera).filter(|_| photo && camera.projection != Projection::Equirectangular);
     }
 
     fn to_world(self, v: DVec3) -> DVec3 {
@@ -160,14 +167,8 @@ impl Navigation {
                 Intrinsics { fx: f, fy: f, cx, cy, width, height }
             }
         };
-        Camera::with_pose(rotation, translation, intrinsics)
-    }
-
-    /// Returns the point at a depth (z) under a pixel.
-    pub fn unproject(&self, [x, y]: [f64; 2], depth: f64, size: [u32; 2]) -> DVec3 {
-        let camera = self.camera(size);
-        let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(f64::from);
-        self.position + self.to_world(DVec3::new((x - cx) / fx * depth, (y - cy) / fy * depth, depth))
+        let camera = Camera::with_pose(rotation, translation, intrinsics);
+        self.lens.as_ref().map_or(camera, |lens| camera.with_lens(lens.projection, &lens.coefficients))
     }
 }
 

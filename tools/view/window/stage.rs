@@ -244,9 +244,10 @@ impl Stage {
 
     /// Moves the pivot to the point at a pixel.
     pub fn set_pivot(&mut self, at: [f64; 2]) -> Result<()> {
-        let depth = self.report(at)?.and_then(|(_, report)| protocol::pivot_depth(&report));
-        if let Some(depth) = depth {
-            self.view.pivot = self.view.unproject(at, depth.into(), self.size);
+        let found = self.report(at)?;
+        let found = found.and_then(|(pixel, report)| Some((pixel, protocol::pivot_depth(&report)?)));
+        if let Some((pixel, depth)) = found {
+            self.view.pivot = protocol::place(&self.view.camera(self.size), pixel, depth).as_dvec3();
             self.say("turning around this point".into());
         }
         Ok(())
