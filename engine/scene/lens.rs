@@ -282,12 +282,19 @@ impl Camera {
             _ => (family.words)(&c),
         };
         let all = all.map(|word| word as f32);
-        let hold = || word(family.hold(&c, self.corner(), fold));
-        // Only fisheyes have more than nine coefficients. They have no second limit.
-        let second = if family.surface == Surface::Plane { hold() } else { all[9] };
+        // Only fisheyes have more than nine coefficients. They have no other limits.
+        let others = match family.surface {
+            Surface::Plane => {
+                let hold = family.hold(&c, self.corner(), fold);
+                let g = (family.radial)(&c, hold * hold)[0];
+                [word(hold), if g > 1.0 { word(g) } else { 1.0 }, 0.0]
+            }
+            _ => [all[9], all[10], all[11]],
+        };
         let mut words = [0.0; 9];
         words.copy_from_slice(&all[..9]);
-        Some(([word(fold), second, all[10], all[11]], words))
+        let [second, third, fourth] = others;
+        Some(([word(fold), second, third, fourth], words))
     }
 
     /// Describes what is wrong with the lens, if anything.

@@ -16,9 +16,11 @@ const bool BENDS_RADIAL = PROJECTION == PROJECTION_THIN_PRISM_FISHEYE;
 const bool BENDS = PROJECTION == PROJECTION_BROWN || PROJECTION == PROJECTION_FISHEYE || BENDS_RADIAL;
 
 // Largest |m|, where the picture folds, and largest |m| at which the Jacobian is taken; 0 without a limit. Lenses with more than
-// nine coefficients have no second limit, and store the last three in its place.
+// nine coefficients have no other limit, and store the last three in its place.
 #define LENS_FOLD jacobian_limits.x
 #define LENS_HOLD jacobian_limits.y
+// Largest g of a lens on the plane, up to LENS_HOLD, and at least 1.
+#define LENS_MAGNIFICATION jacobian_limits.z
 
 #include "lens/arctan.glsl"
 #include "lens/brown.glsl"
@@ -196,14 +198,9 @@ struct JacobianGradient {
     vec3 row_y;
 };
 
-// True for points farther outside the picture than `times` the limit of the Jacobian.
-bool is_outside(vec3 at, float times) {
-    return !(ANGULAR || SPHERICAL) && LENS_HOLD > 0.0 && length(at.xy) > times * LENS_HOLD * at.z;
-}
-
 // True for points at which the Jacobian would be taken too far outside the picture.
 bool is_held(vec3 at) {
-    return is_outside(at, 1.0);
+    return !(ANGULAR || SPHERICAL) && LENS_HOLD > 0.0 && length(at.xy) > LENS_HOLD * at.z;
 }
 
 // Point at which the Jacobian is taken.
@@ -307,10 +304,14 @@ vec2 offset_of(vec3 at, vec2 center) {
     return offset;
 }
 
-// Behind a fisheye, a point beyond the axis would land on the other side of the picture. Polynomials without a fold grow so fast
-// far outside the picture that a spread with such a point would cover all of it.
+// True for a point far outside the picture, where the polynomial of a lens grows as no lens does.
+bool is_magnified(vec3 at) {
+    return PROJECTION == PROJECTION_BROWN && is_held(at) && radial_at(dot(at.xy, at.xy) / (at.z * at.z)).x > LENS_MAGNIFICATION;
+}
+
+// Behind a fisheye, a point beyond the axis would land on the other side of the picture.
 bool is_point_shown(vec3 at, vec3 mean) {
-    return IS_SHOWN(at) && !(ANGULAR && at.z < 0.0 && dot(at.xy, mean.xy) < 0.0) && !is_outside(at, 4.0);
+    return IS_SHOWN(at) && !(ANGULAR && at.z < 0.0 && dot(at.xy, mean.xy) < 0.0) && !is_magnified(at);
 }
 
 Spread spread_at(vec3 mean, mat3 axes, vec3 scale) {
