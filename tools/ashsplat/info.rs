@@ -28,6 +28,9 @@ pub struct Arguments {
     /// A data set's photos as they are stored, or turned as their metadata (Exif) say
     #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME", default_value = "auto")]
     orientation: String,
+    /// Transparent pixels of a data set's photos as with train's --alpha
+    #[arg(long, value_parser = ["target", "mask", "ignore"], value_name = "USE", default_value = "target")]
+    alpha: String,
     /// Count a data set's views as with --eval
     #[arg(long)]
     eval: bool,
@@ -79,6 +82,7 @@ fn dataset(arguments: &Arguments) -> Result<()> {
     let data = DataSettings {
         images: arguments.images.clone(),
         orientation: arguments.orientation.clone(),
+        alpha: arguments.alpha.clone(),
         eval: arguments.eval,
         ..Default::default()
     };
@@ -111,6 +115,9 @@ fn dataset(arguments: &Arguments) -> Result<()> {
                 }
                 if arguments.orientation != "auto" {
                     command += &format!(" --orientation {}", quoted(&arguments.orientation));
+                }
+                if arguments.alpha != "target" {
+                    command += &format!(" --alpha {}", arguments.alpha);
                 }
                 say!("next      it can be trained on: {command}");
             }

@@ -53,6 +53,14 @@ fn one<T: From<u8>>() -> T {
     T::from(1)
 }
 
+fn target() -> String {
+    "target".into()
+}
+
+fn off() -> String {
+    "off".into()
+}
+
 fn is_one<T: From<u8> + PartialEq>(value: &T) -> bool {
     *value == one()
 }
@@ -71,6 +79,12 @@ pub struct DatasetOfBlocks {
     pub images: String,
     pub resolution: i32,
     pub orientation: String,
+    /// Use of the photos' alpha channels; `target` in older files.
+    #[serde(default = "target")]
+    pub alpha: String,
+    /// The turn of the coarse model's data set; `off` in older files.
+    #[serde(default = "off")]
+    pub level: String,
     pub eval: bool,
 }
 

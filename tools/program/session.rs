@@ -29,6 +29,9 @@ pub struct DataArguments {
     /// Photos as they are stored, or turned as their metadata (Exif) say [default: as in training, else auto]
     #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME")]
     orientation: Option<String>,
+    /// Transparent pixels show the background (target), do not count (mask), or have their stored colours (ignore) [default: as in training, else target]
+    #[arg(long, value_parser = ["target", "mask", "ignore"], value_name = "USE")]
+    alpha: Option<String>,
     /// Hold out every 8th view (by name) [default: as in training]
     #[arg(long)]
     eval: bool,
@@ -58,6 +61,9 @@ impl DataArguments {
         if let Some(orientation) = &self.orientation {
             data.orientation.clone_from(orientation);
         }
+        if let Some(alpha) = &self.alpha {
+            data.alpha.clone_from(alpha);
+        }
         data.eval |= self.eval;
         if data.source_path.as_os_str().is_empty() {
             return Err(Error::argument(
@@ -79,6 +85,8 @@ pub fn options(data: &DataSettings, white_background: bool, host: &HostArguments
         resolution: data.resolution.to_string().parse()?,
         images: data.images.clone(),
         orientation: data.orientation.parse()?,
+        alpha: data.alpha.parse()?,
+        level: data.level.parse()?,
         eval: data.eval,
         eval_split: data.eval_split.into(),
         train_test_exp: data.train_test_exp,
@@ -130,12 +138,13 @@ pub fn warn(warnings: &[String]) {
     }
 }
 
-/// The cameras of a data set by name, in a frame, at the photos' own sizes; photos are not read. Ctrl-C stops the call,
+/// The cameras of a data set by name, at the photos' own sizes, in a frame of coordinates that are turned as in a training with
+/// these settings; photos are not read. Ctrl-C stops the call,
 /// so that nothing of an unpacked ZIP is left. Afterwards, Ctrl-C ends the program at once.
-pub fn cameras(dataset: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
+pub fn cameras(dataset: &Path, trained: &DataSettings, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let stop = stop_on_ctrl_c()?;
     let progress = Progress { report: None, interrupted: Some(&stop) };
-    let options = DatasetOptions { frame: Some(*frame), ..Default::default() };
+    let options = DatasetOptions { frame: Some(*frame), level: trained.level.parse()?, ..Default::default() };
     let cameras = Gallery::open(dataset, &options, progress)?.cameras();
     end_at_once(&stop)?;
     Ok(cameras)

@@ -227,6 +227,8 @@ mod tests {
             images: String::new(),
             resolution: 1,
             orientation: String::new(),
+            alpha: String::new(),
+            level: String::new(),
             eval: false,
         };
         let division = Division {

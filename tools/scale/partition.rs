@@ -334,6 +334,8 @@ impl Arguments {
                 images: data.images.clone(),
                 resolution: data.resolution,
                 orientation: data.orientation.clone(),
+                alpha: data.alpha.clone(),
+                level: gallery.level().to_string(),
                 eval: data.eval,
             },
             coarse: Coarse {

@@ -32,7 +32,7 @@ const NO_PINHOLE_REMEDY: &str =
 pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
     let files = transforms::find(path);
     let unused = transforms::unused(path, if colmap::exists(path) { None } else { files.as_deref() });
-    let (mut plan, points) = match files {
+    let (mut plan, mut points) = match files {
         Some(files) if !colmap::exists(path) => {
             let mut transforms = Transforms::read(&files)?;
             let points = std::mem::take(&mut transforms.points);
@@ -51,6 +51,7 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
     if points.is_empty() {
         plan.tell_of_points(path);
     }
+    plan.turn_upright(options.level, &mut points);
     plan.settle_frame(options.frame, points);
     plan.settle_split(options);
     plan.tell_of_unused_files(path, options);
@@ -123,7 +124,6 @@ impl Plan {
                 camera_id: image.camera_id,
                 camera_from_source: image.rotation(),
                 translation: DVec3::from_array(image.translation),
-                alpha_is_mask: true,
                 ..PlannedView::of((lens, pinhole), photo_path, photo)
             })
         };

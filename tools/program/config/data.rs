@@ -32,6 +32,14 @@ pub struct DataSettings {
     /// their cameras are those of the turned ones [default: auto]
     #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME")]
     pub orientation: String,
+    /// Transparent pixels of the photos show the background (target), do not count (mask), or have their stored colours
+    /// (ignore) [default: target]
+    #[arg(long, value_parser = ["target", "mask", "ignore"], value_name = "USE")]
+    pub alpha: String,
+    /// Turn the scene upright about the middle of the cameras: the direction across their horizontal axes becomes -y in all that is
+    /// written. settings.toml has the turn itself, up direction and fixed point, which on is replaced by [default: off]
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "on", value_name = "off|on|X,Y,Z,X,Y,Z")]
+    pub level: String,
     /// Hold out every 8th view (by name) for tests
     #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     pub eval: bool,
@@ -60,7 +68,7 @@ pub struct DataSettings {
     /// iterations and model folder are as it says; -s and --init name the same data set and coarse model where they are elsewhere on
     /// this machine
     #[arg(long, value_name = "BLOCKS.json:N", help_heading = "Blocks", conflicts_with_all = [
-        "model_path", "images", "resolution", "orientation", "eval", "eval_split", "train_test_exp", "block", "margin", "scene_extent",
+        "model_path", "images", "resolution", "orientation", "alpha", "level", "eval", "eval_split", "train_test_exp", "block", "margin", "scene_extent",
     ])]
     pub job: String,
     /// Begin with the Gaussians of this file, of any format that convert reads, in place of points
@@ -135,6 +143,8 @@ impl Default for DataSettings {
             depths: PathBuf::new(),
             resolution: -1,
             orientation: "auto".into(),
+            alpha: "target".into(),
+            level: "off".into(),
             eval: false,
             eval_split: Split::Inner,
             train_test_exp: false,

@@ -94,6 +94,8 @@ impl Ready {
             images: dataset.images.clone(),
             resolution: dataset.resolution,
             orientation: dataset.orientation.clone(),
+            alpha: dataset.alpha.clone(),
+            level: dataset.level.clone(),
             eval: true,
             eval_split: Split::Reference,
             ..DataSettings::default()
