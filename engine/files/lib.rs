@@ -27,6 +27,7 @@ pub mod lpips_weights;
 pub mod metrics;
 mod names;
 pub mod photo_points;
+pub mod photogrammetry;
 pub mod ply;
 mod progress;
 pub mod regular_file;

@@ -330,14 +330,14 @@ fn what_is_no_data_set_says_what_to_do() {
     let refused = |name: &str, images: &str, words: &[&str]| {
         assert_says(load(name, images).unwrap_err(), words);
     };
-    ["phone/images/a.jpg", "loose/a.JPG", "metashape/a.jpg"].iter().for_each(|name| folder.photo(name, 1));
+    ["phone/images/a.jpg", "loose/a.JPG", "openmvg/a.jpg"].iter().for_each(|name| folder.photo(name, 1));
     std::fs::create_dir_all(folder.join("polycam/keyframes/images")).unwrap();
-    folder.put("metashape/cameras.xml", "<document/>");
+    folder.put("openmvg/sfm_data.json", "{}");
     for (name, words) in [
         ("phone", "phone` finds their cameras"),
         ("loose", "photos alone are not enough: `ashsplat poses "),
         ("polycam", "`ns-process-data polycam --data "),
-        ("metashape", "cameras.xml has the cameras of Metashape, which is not read"),
+        ("openmvg", "sfm_data.json has the cameras of OpenMVG, which is not read"),
     ] {
         refused(name, "images", &[words]);
     }

@@ -89,7 +89,10 @@ impl Model {
         let file = self.file("cameras");
         let place = format!("camera {} ({})", camera.id, camera.model.name());
         let Some(([fx, fy, cx, cy], distortion)) = optics(camera) else {
-            let remedy = format!("run: {}", undistort_command(&self.source.folder));
+            let remedy = match &self.source.list {
+                None => format!("run: {}", undistort_command(&self.source.folder)),
+                Some(_) => "export undistorted photos and their cameras".into(),
+            };
             return Err(Error::input(file, format!("{place} has a lens that is not modelled"), remedy));
         };
         let side = |pixels: u64| u32::try_from(pixels).ok().filter(|s| (1..=MAX_IMAGE_SIDE).contains(s));
@@ -127,6 +130,10 @@ fn optics(camera: &ColmapCamera) -> Option<([f64; 4], Distortion)> {
         }
         ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
             ([fx, fy, cx, cy], brown([k1, k2, k3], [k4, k5, k6], [p1, p2]))
+        }
+        ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6, n4]) => {
+            let (k, d) = ([k1, k2, k3, n4], [k4, k5, k6]);
+            ([fx, fy, cx, cy], Distortion::Brown { k, d, p: [p1, p2] })
         }
         ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
             ([fx, fy, cx, cy], fisheye([k1, k2, k3, k4]))

@@ -6,6 +6,7 @@ use super::options::AlphaUse;
 use super::planned_view::{PhotoUse, PlannedView};
 use crate::images::{AUTO_MAX_WIDTH, Resolution};
 use crate::init::RANDOM_POINTS;
+use crate::names::has_one_of;
 use ashsplat::scene::Intrinsics;
 use ashsplat::scene::distortion::{Distortion, PhotoLens};
 
@@ -199,9 +200,9 @@ pub(super) fn of_pixels<'v>(
     (notes, hidden.into_iter().chain(unusual).collect())
 }
 
-/// True if the source may have no points: a JSON file with cameras.
+/// True if the source may have no points: a file with cameras alone.
 pub(super) fn may_lack_points(source: &Path) -> bool {
-    source.extension().is_some_and(|ending| ending == "json")
+    has_one_of(source, &["json", "xml", "csv"])
 }
 
 pub(super) fn random_points_instead() -> String {

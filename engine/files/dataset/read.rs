@@ -14,6 +14,7 @@ use super::planned_view::{FileSize, PlannedView};
 use crate::colmap::{self, ColmapImage, Model};
 use crate::images::header;
 use crate::names::{Finder, ending, photos_below, plain, stays_inside};
+use crate::photogrammetry;
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::distortion::PhotoLens;
 use ashsplat::scene::{Camera, Intrinsics};
@@ -39,10 +40,31 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
             (Plan::of_transforms(path, transforms, options)?, points)
         }
         _ => {
-            let mut model = Model::of_dataset(path)?;
+            let sources =
+                if colmap::exists(path) { Vec::new() } else { photogrammetry::find(path, &options.images) };
+            let (mut model, note) = match sources.as_slice() {
+                [] => (Model::of_dataset(path)?, None),
+                [source] => {
+                    let (folder, mut finder) =
+                        (photos::find_folder(path, &options.images)?, Finder::default());
+                    let mut size_of = |name: &str| photos::size(&folder, name, &mut finder);
+                    let (model, note) = photogrammetry::read(source, path, &mut size_of)?;
+                    (model, Some(note))
+                }
+                several => {
+                    let files: Vec<String> =
+                        several.iter().map(|source| source.path().display().to_string()).collect();
+                    let problem = format!("several files have cameras: {}", files.join(", "));
+                    return Err(Error::input(path, problem, "leave one of them there"));
+                }
+            };
             let points = std::mem::take(&mut model.points);
-            model.warnings.extend(colmap::contradiction(&model));
-            (Plan::of_model(path, &model, options)?, points)
+            if sources.is_empty() {
+                model.warnings.extend(colmap::contradiction(&model));
+            }
+            let mut plan = Plan::of_model(path, &model, options)?;
+            plan.notes.extend(note);
+            (plan, points)
         }
     };
     plan.warnings.extend(photos::fit_lenses(&mut plan.views, &plan.list, options.divisor()));
@@ -114,10 +136,10 @@ impl Plan {
                 let remedy = "copy it there, or remove the image from the model";
                 return Err(Error::input(photo_path, problem, remedy));
             }
-            // The name is shown and written. A path outside the photos' folder is replaced.
+            // The name is shown and written. A path outside the photos' folder and a name without extension are replaced.
             let found = photo_path.strip_prefix(&folder).unwrap_or(&photo_path).to_string_lossy();
-            let name =
-                if stays_inside(&plain(&image.name)) { image.name.clone() } else { found.into_owned() };
+            let is_whole = stays_inside(&plain(&image.name)) && Path::new(&image.name).extension().is_some();
+            let name = if is_whole { image.name.clone() } else { found.into_owned() };
             Ok(PlannedView {
                 name,
                 image_id: image.id,

@@ -12,7 +12,8 @@ use std::path::PathBuf;
 #[derive(Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataSettings {
-    /// Data set: a folder with images/ and sparse/0/ as COLMAP writes them, or with transforms.json, or a ZIP of one
+    /// Data set: a folder with images/ and sparse/0/ as COLMAP writes them, or with transforms.json or the cameras of Metashape (XML)
+    /// or RealityScan (CSV, XMP), or a ZIP of one
     #[arg(short, long, value_name = "DATASET")]
     pub source_path: PathBuf,
     /// Folder for everything that the run writes
