@@ -3,6 +3,7 @@
 mod absgrad;
 mod antialias;
 mod budget;
+mod conventions;
 mod depth;
 mod exposure;
 mod gpu;
@@ -90,8 +91,8 @@ impl SetFile {
             None if self.has("means cam_K image") => {
                 twin::trials(self).into_iter().chain(gpu::trials(self)).collect()
             }
-            // Rolling shutters and other programs' conventions.
-            None if self.has("shutter") || self.has("metashape_frame_xy") => Vec::new(),
+            None if self.has("shutter") => Vec::new(),
+            None if self.has("metashape_frame_xy") => vec![trial("host", "files", conventions::of_files)],
             None if self.has("jac w_cov") => {
                 vec![trial("host", "lens", lenses::of_host), trial("gpu", "lens", lenses::of_device)]
             }

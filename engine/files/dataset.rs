@@ -5,6 +5,7 @@ mod depths;
 mod exposures;
 mod gallery;
 mod inspect;
+mod level;
 mod mask;
 mod notes;
 mod options;
@@ -32,7 +33,8 @@ use planned_view::{PhotoUse, PlannedView};
 
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
-pub use options::{DatasetOptions, EvalSplit};
+pub use level::Level;
+pub use options::{AlphaUse, DatasetOptions, EvalSplit};
 
 /// A data set in memory.
 #[derive(Clone, Debug, PartialEq)]
@@ -156,7 +158,7 @@ impl Dataset {
             if planned.held_out { &mut test } else { &mut train }.push(view);
             train.extend(half);
         }
-        let (notes, doubts) = notes::of_pixels(gallery.views.iter().zip(uses));
+        let (notes, doubts) = notes::of_pixels(gallery.views.iter().zip(uses), gallery.options.alpha);
         warnings.extend(doubts);
         let mut extent = gallery.scene_extent();
         if extent == 0.0 {

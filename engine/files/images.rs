@@ -49,7 +49,7 @@ pub trait PhotoFileFormat: Sized {
 
 impl PhotoFileFormat for Photo {
     fn read_within(path: impl AsRef<Path>, background: [f32; 3], memory: &HostMemory) -> Result<Self> {
-        Ok(decode::read(path.as_ref(), &Request::plain(background, memory))?.photo)
+        Ok(decode::read(path.as_ref(), &Request::plain(Some(background), memory))?.photo)
     }
 
     fn write_png(&self, path: impl AsRef<Path>) -> Result<()> {

@@ -27,6 +27,7 @@ pub mod lpips_weights;
 pub mod metrics;
 mod names;
 pub mod photo_points;
+pub mod photogrammetry;
 pub mod ply;
 mod progress;
 pub mod regular_file;
@@ -36,7 +37,7 @@ pub mod tiles;
 pub mod transforms;
 
 pub use checkpoint::CheckpointFile;
-pub use dataset::{Dataset, DatasetOptions, DatasetReport, EvalSplit, Gallery, View};
+pub use dataset::{AlphaUse, Dataset, DatasetOptions, DatasetReport, EvalSplit, Gallery, Level, View};
 pub use host_memory::HostMemory;
 pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use init::initial_gaussians;

@@ -240,26 +240,28 @@ fn named_cloud(path: &Path, named: &str, warnings: &mut Vec<String>) -> Result<P
 }
 
 /// Finds a point cloud with a usual name beside a file that names none.
-fn cloud_beside(path: &Path, warnings: &mut Vec<String>) -> Option<PathBuf> {
+pub(crate) fn cloud_beside(path: &Path, warnings: &mut Vec<String>) -> Option<PathBuf> {
     /// The reference implementation uses the first name for the synthetic scenes.
     const USUAL: [&str; 8] =
         ["points3d", "sparse_pc", "pointcloud", "point_cloud", "points", "sparse", "input", "pcd"];
     let folder = path.parent().unwrap_or(Path::new(""));
+    let (lacks, remedy) = match path.extension().is_some_and(|ending| ending == "json") {
+        true => ("has no ply_file_path", "name it there"),
+        false => ("names no points", "call it points3d.ply"),
+    };
     let mut finder = Finder::default();
     let mut found = USUAL.into_iter().filter_map(|name| finder.file(folder, &format!("{name}.ply")));
     if let Some(file) = found.next() {
         let others: String = found.map(|other| format!(", {} is not", other.display())).collect();
         if !file.ends_with("points3d.ply") || !others.is_empty() {
             let (path, file) = (path.display(), file.display());
-            warnings.push(format!("{path}: has no ply_file_path: the points of {file} are used{others}"));
+            warnings.push(format!("{path}: {lacks}: the points of {file} are used{others}"));
         }
         return Some(file);
     }
     if let Some(other) = first_with(folder, &["ply"]) {
         let (path, other) = (path.display(), other.display());
-        let line =
-            format!("{path}: has no ply_file_path: {other} is not used; name it there if it has the points");
-        warnings.push(line);
+        warnings.push(format!("{path}: {lacks}: {other} is not used; {remedy} if it has the points"));
     }
     let of_colmap = ["colmap/sparse/0", "sparse/0"].map(|place| folder.join(place));
     if let Some(model) = of_colmap.iter().find(|model| model.join("points3D.bin").is_file()) {

@@ -37,7 +37,7 @@ pub use gaussians::{GaussianStatistics, Gaussians};
 pub use lens::{COLMAP_MODELS, Coefficients, Projection};
 pub use lens_effects::LensEffects;
 pub(crate) use lens_effects::LensPlane;
-pub use orbit::Orbit;
+pub use orbit::{Orbit, level_up};
 pub use photo::Photo;
 pub use photo_lens::{PhotoLens, colmap_parameters};
 pub use points::{Bounds, PointCloud, SourcePoints};

@@ -52,6 +52,8 @@ const COLMAP_PARAMETERS: [(usize, Projection, &[usize]); 17] = {
     ]
 };
 
+/// Number of COLMAP's FULL_OPENCV.
+const FULL_OPENCV: u32 = 6;
 /// Number of COLMAP's EQUIRECTANGULAR, whose parameters are the width and the height.
 const PANORAMA: u32 = 17;
 
@@ -87,14 +89,16 @@ impl PhotoLens {
         Self { focal_px, center_px, width, height, projection, coefficients: [0.0; 12] }
     }
 
-    /// The lens of one of COLMAP's cameras, by the number and the parameters of its model. None for an unknown number, or
-    /// another number of parameters.
+    /// The lens of one of COLMAP's cameras, by the number and the parameters of its model. FULL_OPENCV may have a 13th parameter, n4
+    /// of [`Projection::Brown`]. None for an unknown number, or another number of parameters.
     pub fn of_colmap(model: u32, parameters: &[f64], [width, height]: [u32; 2]) -> Option<Self> {
         if model == PANORAMA {
             return (parameters.len() == 2).then(|| Self::panorama(width, height));
         }
         let &(focals, projection, places) = COLMAP_PARAMETERS.get(model as usize)?;
         let (optics, own) = parameters.split_at_checked(focals + 2)?;
+        let places =
+            if model == FULL_OPENCV && own.len() == 9 { &[0, 1, 2, 3, 4, 5, 6, 7, 8] } else { places };
         let mut coefficients = [0.0; 12];
         places.iter().zip(own).for_each(|(&place, own)| coefficients[place] = *own);
         let [fx, fy, cx, cy] = [0, focals - 1, focals, focals + 1].map(|index| optics[index]);

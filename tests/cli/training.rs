@@ -3,6 +3,7 @@
 use super::*;
 use crate::common::gpu::Gpu;
 use ashsplat::passes::loss::Windowing;
+use glam::{Mat3, Quat};
 use std::sync::OnceLock;
 
 /// A folder with a data set, a model trained on it for a few iterations, and the training's stdout; created once.
@@ -154,6 +155,50 @@ fn renders_its_own_cameras_and_those_of_a_data_set() {
     assert_eq!(place.picture("from_data/00008.png").dimensions(), (24, 16));
     // The first of the model's cameras is the first held-out one; training has saved the same picture.
     assert!(own == place.picture("model/test/ours_30/renders/00000.png"));
+}
+
+/// A scene on its side is trained upright. The turn is in settings.toml, so that `eval`, `render` and a resumed training, which read
+/// the data set again, turn it the same way.
+#[test]
+fn level_is_kept_in_what_is_written() {
+    let place = Place::new();
+    let turn = Quat::from_rotation_z(1.2) * Quat::from_rotation_x(0.4);
+    let tilted = |camera: Camera| {
+        let rotation = camera.camera_from_world * Mat3::from_quat(turn.inverse());
+        Camera { camera_from_world: rotation, ..camera }
+    };
+    let image = |index: u32| ColmapImage::posed(index + 1, 1, photo_name(index), &tilted(view(index)));
+    let mut points = wall_points();
+    for position in &mut points.positions {
+        *position = (turn * Vec3::from_array(*position)).to_array();
+    }
+    write_model(&place.at("data"), &(0..VIEWS).map(image).collect::<Vec<_>>(), &points);
+    let train = "train -s @data -m @model --eval --sh-degree 1 --checkpoint-iterations 20 --iterations";
+    place
+        .run(format!("{train} 20 --level"))
+        .ok()
+        .warns(&["the scene is turned by", "so that up is -y (--level)"]);
+    let level = place.read_text("model/settings.toml");
+    let level = level.lines().find(|line| line.starts_with("level = ")).expect("a level").to_owned();
+    assert_eq!(level.split(',').count(), 6, "{level}");
+    let cameras = place.read_json("model/cameras.json");
+    for camera in cameras.as_array().expect("cameras") {
+        // The second row of the rotation from the camera: y of its right, down and forward axes.
+        let y = |axis: usize| camera["rotation"][1][axis].as_f64().expect("a number");
+        assert!(y(0).abs() < 1e-4 && y(1) > 0.9, "{camera}");
+    }
+    place.run("render -m @model -o @own").ok();
+    place.run("render @model -s @data -o @from_data").ok();
+    // The first of the model's cameras is the first held-out one, 03.png, but for the rounding of its file.
+    let [own, from_data] = ["own/00000.png", "from_data/00002.png"].map(|name| place.picture(name));
+    assert!(own.iter().zip(from_data.iter()).all(|(a, b)| a.abs_diff(*b) <= 2));
+    let during = &place.read_json("model/results.json")["ours_20"];
+    assert_near(during, &place.json_of("eval @model --json --quiet")["mean"], &["PSNR", "SSIM"]);
+    place
+        .run(format!("{train} 24 --start-checkpoint latest"))
+        .refused(&["made with other photographs or cameras"]);
+    place.run(format!("{train} 24 --level --start-checkpoint latest")).ok();
+    place.run("train -s @data -m @other --level=up").refused(&["level: 'up' is not off, on"]);
 }
 
 #[test]

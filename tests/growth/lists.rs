@@ -9,6 +9,7 @@ use crate::host_memory::HostMemory;
 use crate::images::{DepthMap, Photo, PhotoFileFormat};
 use crate::lens_json::LensFile;
 use crate::lpips_weights;
+use crate::photogrammetry;
 use crate::progress::Progress;
 use ashsplat::scene::{Exposure, LensEffects};
 use image::{ImageBuffer, Luma};
@@ -45,6 +46,36 @@ fn values_of_many_photographs() {
     };
     assert_linear(2000, depths, |folder| {
         assert!(DepthFit::read_all(folder.join(DEPTH_PARAMS_FILE)).unwrap().len() >= 2000);
+    });
+}
+
+/// Cameras of many photographs in the files of Metashape and RealityScan.
+#[test]
+fn cameras_of_photogrammetry_programs() {
+    let xml = |index: usize| {
+        format!(
+            "<camera sensor_id='0' label='{index}'><transform>1 0 0 {index} 0 1 0 0 0 0 1 0 0 0 0 1</transform></camera>"
+        )
+    };
+    let csv = |index: usize| format!("{index}.png,{index},2,3,0,0,0,36\n");
+    let write = |folder: &Path, size: usize| {
+        let cameras: String = (0..size).map(xml).collect();
+        let text = format!(
+            "<document><chunk><sensors><sensor id='0'><resolution width='4' height='3'/><calibration><f>4</f></calibration></sensor>\
+             </sensors><cameras>{cameras}</cameras></chunk></document>"
+        );
+        std::fs::write(folder.join("cameras.xml"), text).unwrap();
+        let rows: String = (0..size).map(csv).collect();
+        std::fs::write(folder.join("cameras.csv"), format!("#name,x,y,alt,heading,pitch,roll,f\n{rows}"))
+            .unwrap();
+    };
+    assert_linear(2000, write, |folder| {
+        let sources = photogrammetry::find(folder, "images");
+        assert_eq!(sources.len(), 2);
+        for source in sources {
+            let (model, _) = photogrammetry::read(&source, folder, &mut |_| Ok((4, 3))).unwrap();
+            assert!(model.images.len() >= 2000);
+        }
     });
 }
 

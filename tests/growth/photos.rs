@@ -39,7 +39,7 @@ fn rows_have_the_bits_of_whole_photos() {
     ];
     for (index, (kind, image)) in kinds.into_iter().enumerate() {
         image.save_with_format(&path, image::ImageFormat::from_extension(kind).unwrap()).unwrap();
-        let plain = Request::plain([0.3, 0.6, 1.0], &memory);
+        let plain = Request::plain(Some([0.3, 0.6, 1.0]), &memory);
         let whole = read_as(&path, &plain).unwrap();
         if kind == "png" && !image.color().has_alpha() {
             assert_eq!(whole.photo.rgb, image.to_rgb8().into_raw(), "kind {index}");
@@ -62,7 +62,7 @@ fn large_photos_that_are_scaled_down_take_little_memory() {
     let rgb = (0..width * height).flat_map(|i| [(i % width / 24) as u8, (i / width / 16) as u8, 9]).collect();
     Photo { width, height, rgb }.write_png(&path).unwrap();
     let memory = HostMemory::new(6 << 20);
-    let plain = Request::plain([0.0; 3], &memory);
+    let plain = Request::plain(Some([0.0; 3]), &memory);
     assert!(read_as(&path, &plain).is_err());
     let read = |scaled| read_as(&path, &Request { scaled: Some(scaled), ..plain }).unwrap().photo;
     read((60, 40));
@@ -117,7 +117,7 @@ fn photos_of_every_form() {
             };
             let memory = HostMemory::default();
             assert_linear(200, write, |folder| {
-                let request = Request { scaled, ..Request::plain([0.0; 3], &memory) };
+                let request = Request { scaled, ..Request::plain(Some([0.0; 3]), &memory) };
                 read_as(&folder.join("a"), &request).unwrap();
             });
         }

@@ -3,9 +3,11 @@
 use super::files::{Folder, assert_one, assert_says, assert_some, cloud, named};
 use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use ashsplat_files::colmap::ColmapImage;
-use ashsplat_files::{Dataset, DatasetOptions, EvalSplit, Gallery, Progress, Resolution, initial_gaussians};
-use glam::{DVec3, Vec3};
-use image::{GrayImage, ImageBuffer, Luma, RgbaImage};
+use ashsplat_files::{
+    Dataset, DatasetOptions, EvalSplit, Gallery, Level, Progress, Resolution, initial_gaussians,
+};
+use glam::{DVec3, Quat, Vec3};
+use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
 use serde_json::{Map, Value, json};
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
@@ -158,16 +160,84 @@ fn another_images_folder_and_background() {
     }
     let message = folder.refusal();
     assert_says(&message, &["images: there is no folder with photos"]);
-    // Beside a COLMAP model, alpha is a mask, and a note says so.
-    options.keep_opacity = true;
-    let dataset = folder.load_with(&options);
-    assert!(!dataset.train[0].photo.is_transparent());
-    for notes in [dataset.notes, folder.inspect(&options).notes] {
-        assert_some(&notes, &["alpha channel of 1 photos"]);
-    }
     // Without photographs the images still have cameras.
     let report = folder.inspect(&DatasetOptions::default());
     assert_eq!((report.images, report.sound_photos, report.problems), (2, 0, vec![message]));
+}
+
+/// Cameras that look down on a tilted scene give it back its up direction; points stay where their photos show them. The turn
+/// can be repeated for another data set.
+#[test]
+fn level_turns_cameras_and_points_upright() {
+    let tilt = Quat::from_axis_angle(Vec3::new(1.0, 2.0, -0.5).normalize(), 0.7);
+    let middle = Vec3::new(5.0, 6.0, 7.0);
+    let camera = |i: u32| {
+        let (sin, cos) = (i as f32 * 0.9).sin_cos();
+        let eye = Vec3::new(3.0 * cos, -2.0, 3.0 * sin);
+        Camera::look_at(middle + tilt * eye, middle, tilt * Vec3::NEG_Y, INTRINSICS)
+    };
+    let folder = Folder::new();
+    folder.cameras(&(0..7).map(camera).collect::<Vec<_>>(), 1);
+    let with = |level: Level| folder.load_with(&DatasetOptions { level, ..Default::default() });
+    let (tilted, upright) = (with(Level::Off), with(Level::On));
+    let shown = |dataset: &Dataset, view: usize| {
+        let (x, y, z) = dataset.train[view].camera.project(Vec3::from_array(dataset.points.positions[0]));
+        Vec3::new(x, y, z)
+    };
+    for view in 0..7 {
+        let camera = upright.train[view].camera;
+        assert!(camera.camera_from_world.row(0).y.abs() < 1e-5, "{camera:?}");
+        assert!(camera.camera_from_world.row(1).y > 0.5, "down is +y: {camera:?}");
+        assert!(shown(&tilted, view).distance(shown(&upright, view)) < 1e-3);
+    }
+    let angle = (tilt * Vec3::NEG_Y).angle_between(Vec3::NEG_Y).to_degrees();
+    let options = DatasetOptions { level: Level::On, ..Default::default() };
+    let gallery = Gallery::open(&*folder, &options, Progress::NONE).unwrap();
+    assert_some(gallery.notes(), &[&format!("turned by {angle:.1} degrees"), "--level"]);
+    let again: Level = gallery.level().to_string().parse().unwrap();
+    assert_eq!(again, gallery.level());
+    folder.cameras(&(0..2).map(camera).collect::<Vec<_>>(), 1);
+    assert_eq!(with(again).train[1].camera, upright.train[1].camera);
+    for wrong in ["up", "0,0,0,1,2,3", "0,1,0,1,2", "0,1,0,1,2,nan"] {
+        assert!(wrong.parse::<Level>().unwrap_err().to_string().contains(wrong));
+    }
+}
+
+/// In both layouts transparent pixels show the background, do not count, or have their stored colours. A note says which.
+#[test]
+fn alpha_is_a_target_a_mask_or_ignored() {
+    for of_colmap in [true, false] {
+        let folder = Folder::new();
+        if of_colmap {
+            folder.circle(2, 1);
+        } else {
+            let frame = |index: u32| {
+                let pose = json!([[1, 0, 0, index], [0, 1, 0, 0], [0, 0, 1, 0]]);
+                json!({ "file_path": format!("images/{index:03}.png"), "transform_matrix": pose })
+            };
+            folder.photo("images/001.png", 9);
+            folder.json("transforms.json", &json!({ "camera_angle_x": 1.0, "frames": [frame(0), frame(1)] }));
+        }
+        folder.save("images/000.png", RgbaImage::from_pixel(20, 12, Rgba([200, 100, 0, 51])));
+        let first = |alpha: &str, line: &str| {
+            let (alpha, white_background) = (alpha.parse().unwrap(), true);
+            let options =
+                DatasetOptions { alpha, white_background, keep_opacity: true, ..Default::default() };
+            let mut dataset = folder.load_with(&options);
+            for notes in [&dataset.notes, &folder.inspect(&options).notes] {
+                assert_some(notes, &[line]);
+            }
+            let photo = dataset.train.remove(0).photo;
+            let hidden = photo.mask().unwrap().is_some_and(|mask| mask.iter().all(|&value| value == 0));
+            (photo.photo().unwrap().rgb[..3].to_vec(), photo.is_transparent(), hidden)
+        };
+        assert_eq!(first("target", "1 photos have transparent pixels"), (vec![244, 224, 204], true, false));
+        assert!(first("mask", "alpha channel of 1 photos is taken as").2);
+        assert_eq!(
+            first("ignore", "alpha channel of 1 photos is ignored"),
+            (vec![200, 100, 0], false, false)
+        );
+    }
 }
 
 #[test]

@@ -18,6 +18,7 @@ mod metrics;
 mod names;
 mod packed;
 mod photo_points;
+mod photogrammetry;
 mod ply;
 mod sh;
 mod splats;

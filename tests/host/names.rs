@@ -3,7 +3,7 @@
 use super::files::{Folder, assert_one, assert_says, assert_some, cloud, greys, left_half, named, with};
 use super::images::png_chunk;
 use ashsplat::scene::{Camera, Intrinsics};
-use ashsplat_files::{Dataset, DatasetOptions, Progress};
+use ashsplat_files::{AlphaUse, Dataset, DatasetOptions, Progress};
 use glam::Vec3;
 use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
 use serde_json::{Value, json};
@@ -168,9 +168,10 @@ fn masks_that_hide_everything_are_told() {
 #[test]
 fn alpha_beside_a_mask_is_told() {
     let folder = Folder::new();
-    let notes = || {
-        let report = folder.inspect(&DatasetOptions::default());
-        let mut lines = folder.load().notes;
+    let notes = |alpha| {
+        let options = DatasetOptions { alpha, ..DatasetOptions::default() };
+        let report = folder.inspect(&options);
+        let mut lines = folder.load_with(&options).notes;
         lines.retain(|line| line.contains("alpha"));
         assert!(lines.iter().all(|line| report.notes.contains(line)), "{lines:?} {report}");
         lines
@@ -182,14 +183,17 @@ fn alpha_beside_a_mask_is_told() {
         folder.save("images/a.png", RgbaImage::from_fn(20, 12, |_, y| alpha(y)));
     };
     transparent_below(12);
-    assert_eq!(notes(), [""; 0]);
+    assert_eq!(notes(AlphaUse::Mask), [""; 0]);
     transparent_below(6);
-    assert_eq!(notes(), ["1 photos have a mask and an alpha channel: what either hides does not count"]);
-    let counting = folder.load().train[0].photo.mask().unwrap().unwrap();
-    assert_eq!(counting.iter().filter(|&&value| value > 0).count(), 60);
-    std::fs::remove_dir_all(folder.join("sparse")).unwrap();
-    folder.json("transforms.json", &transforms(&["images/a.png"]));
-    assert_one(&notes(), &["what is transparent shows the background"]);
+    for (alpha, words, counting) in [
+        (AlphaUse::Mask, "what either hides does not count", 60),
+        (AlphaUse::Target, "what is transparent shows the background", 120),
+    ] {
+        assert_one(&notes(alpha), &["1 photos have a mask and an alpha channel", words]);
+        let options = DatasetOptions { alpha, ..DatasetOptions::default() };
+        let mask = folder.load_with(&options).train[0].photo.mask().unwrap().unwrap();
+        assert_eq!(mask.iter().filter(|&&value| value > 0).count(), counting);
+    }
 }
 
 /// A PNG of linear light gives a warning; its values are used unchanged.
@@ -326,14 +330,14 @@ fn what_is_no_data_set_says_what_to_do() {
     let refused = |name: &str, images: &str, words: &[&str]| {
         assert_says(load(name, images).unwrap_err(), words);
     };
-    ["phone/images/a.jpg", "loose/a.JPG", "metashape/a.jpg"].iter().for_each(|name| folder.photo(name, 1));
+    ["phone/images/a.jpg", "loose/a.JPG", "openmvg/a.jpg"].iter().for_each(|name| folder.photo(name, 1));
     std::fs::create_dir_all(folder.join("polycam/keyframes/images")).unwrap();
-    folder.put("metashape/cameras.xml", "<document/>");
+    folder.put("openmvg/sfm_data.json", "{}");
     for (name, words) in [
         ("phone", "phone` finds their cameras"),
         ("loose", "photos alone are not enough: `ashsplat poses "),
         ("polycam", "`ns-process-data polycam --data "),
-        ("metashape", "cameras.xml has the cameras of Metashape, which is not read"),
+        ("openmvg", "sfm_data.json has the cameras of OpenMVG, which is not read"),
     ] {
         refused(name, "images", &[words]);
     }

@@ -3,7 +3,7 @@
 use super::files::{Folder, assert_one, assert_says, assert_some, cloud, left_half, named, refusal, with};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat_files::colmap;
-use ashsplat_files::{Dataset, DatasetOptions, Progress, Resolution, splats};
+use ashsplat_files::{AlphaUse, Dataset, DatasetOptions, Progress, Resolution, splats};
 use glam::Vec3;
 use image::{GrayImage, Luma, Rgba, RgbaImage};
 use serde_json::{Value, json};
@@ -359,7 +359,7 @@ fn masks_and_alpha_say_what_counts() {
     let alpha = |x, y| Rgba([50, 50, 50, top_half.get_pixel(x, y).0[0]]);
     folder.save("images/1.png", RgbaImage::from_fn(20, 12, alpha));
     folder.save("masks/2.png.png", GrayImage::from_pixel(20, 12, Luma([255])));
-    let dataset = folder.sound();
+    let dataset = load(&folder, &DatasetOptions { alpha: AlphaUse::Mask, ..Default::default() });
     let masks: Vec<_> = dataset.train.iter().map(|view| view.photo.mask().unwrap()).collect();
     let shown = |i: usize| masks[i].as_ref().unwrap().to_vec();
     assert!(shown(0) == *left_half().as_raw() && shown(1) == *top_half.as_raw());

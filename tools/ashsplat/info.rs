@@ -31,6 +31,9 @@ pub struct Arguments {
     /// Replace a data set's photos of lenses by those of pinholes
     #[arg(long)]
     undistort: bool,
+    /// Transparent pixels of a data set's photos as with train's --alpha
+    #[arg(long, value_parser = ["target", "mask", "ignore"], value_name = "USE", default_value = "target")]
+    alpha: String,
     /// Count a data set's views as with --eval
     #[arg(long)]
     eval: bool,
@@ -83,6 +86,7 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         images: arguments.images.clone(),
         orientation: arguments.orientation.clone(),
         undistort: arguments.undistort,
+        alpha: arguments.alpha.clone(),
         eval: arguments.eval,
         ..Default::default()
     };
@@ -118,6 +122,9 @@ fn dataset(arguments: &Arguments) -> Result<()> {
                 }
                 if arguments.undistort {
                     command += " --undistort";
+                }
+                if arguments.alpha != "target" {
+                    command += &format!(" --alpha {}", arguments.alpha);
                 }
                 say!("next      it can be trained on: {command}");
             }

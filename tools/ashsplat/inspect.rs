@@ -98,7 +98,7 @@ impl Arguments {
         let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
         let own = own.filter(|path| self.fx.is_none() && path.is_file());
         let cameras = match (&self.source_path, self.path.as_ref().or(own.as_ref())) {
-            (Some(dataset), _) => session::cameras(dataset, frame)?,
+            (Some(dataset), _) => session::cameras(dataset, &model.settings.data, frame)?,
             (None, Some(path)) => cameras_json::read(path, frame)?,
             (None, None) => return self.camera_at_origin(frame),
         };

@@ -200,7 +200,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let mut gallery = session::open(&settings.data, &options, &stop)?;
     origin.express_in(gallery.frame());
-    let (settings, defaults) = given.settle_for(&mut gallery, origin.checkpoint(), origin.sh_degree())?;
+    let (mut settings, defaults) = given.settle_for(&mut gallery, origin.checkpoint(), origin.sh_degree())?;
+    settings.data.level = gallery.level().to_string();
     // A continued training keeps its settings, used or not.
     if origin.start().is_none() {
         given.refuse_unused(&settings)?;

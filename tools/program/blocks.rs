@@ -53,6 +53,14 @@ fn one<T: From<u8>>() -> T {
     T::from(1)
 }
 
+fn target() -> String {
+    "target".into()
+}
+
+fn off() -> String {
+    "off".into()
+}
+
 fn is_one<T: From<u8> + PartialEq>(value: &T) -> bool {
     *value == one()
 }
@@ -73,6 +81,12 @@ pub struct DatasetOfBlocks {
     pub orientation: String,
     #[serde(default)]
     pub undistort: bool,
+    /// Use of the photos' alpha channels; `target` in older files.
+    #[serde(default = "target")]
+    pub alpha: String,
+    /// The turn of the coarse model's data set; `off` in older files.
+    #[serde(default = "off")]
+    pub level: String,
     pub eval: bool,
 }
 

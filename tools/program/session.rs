@@ -32,6 +32,9 @@ pub struct DataArguments {
     /// Replace photos of lenses by those of pinholes [default: as in training]
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     undistort: Option<bool>,
+    /// Transparent pixels show the background (target), do not count (mask), or have their stored colours (ignore) [default: as in training, else target]
+    #[arg(long, value_parser = ["target", "mask", "ignore"], value_name = "USE")]
+    alpha: Option<String>,
     /// Hold out every 8th view (by name) [default: as in training]
     #[arg(long)]
     eval: bool,
@@ -62,6 +65,9 @@ impl DataArguments {
             data.orientation.clone_from(orientation);
         }
         data.undistort = self.undistort.unwrap_or(data.undistort);
+        if let Some(alpha) = &self.alpha {
+            data.alpha.clone_from(alpha);
+        }
         data.eval |= self.eval;
         if data.source_path.as_os_str().is_empty() {
             return Err(Error::argument(
@@ -84,6 +90,8 @@ pub fn options(data: &DataSettings, white_background: bool, host: &HostArguments
         images: data.images.clone(),
         orientation: data.orientation.parse()?,
         undistort: data.undistort,
+        alpha: data.alpha.parse()?,
+        level: data.level.parse()?,
         eval: data.eval,
         eval_split: data.eval_split.into(),
         train_test_exp: data.train_test_exp,
@@ -135,12 +143,13 @@ pub fn warn(warnings: &[String]) {
     }
 }
 
-/// The cameras of a data set by name, in a frame, at the photos' own sizes; photos are not read. Ctrl-C stops the call,
+/// The cameras of a data set by name, at the photos' own sizes, in a frame of coordinates that are turned as in a training with
+/// these settings; photos are not read. Ctrl-C stops the call,
 /// so that nothing of an unpacked ZIP is left. Afterwards, Ctrl-C ends the program at once.
-pub fn cameras(dataset: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
+pub fn cameras(dataset: &Path, trained: &DataSettings, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let stop = stop_on_ctrl_c()?;
     let progress = Progress { report: None, interrupted: Some(&stop) };
-    let options = DatasetOptions { frame: Some(*frame), ..Default::default() };
+    let options = DatasetOptions { frame: Some(*frame), level: trained.level.parse()?, ..Default::default() };
     let cameras = Gallery::open(dataset, &options, progress)?.cameras();
     end_at_once(&stop)?;
     Ok(cameras)

@@ -228,6 +228,8 @@ mod tests {
             resolution: 1,
             orientation: String::new(),
             undistort: false,
+            alpha: String::new(),
+            level: String::new(),
             eval: false,
         };
         let division = Division {

@@ -335,6 +335,8 @@ impl Arguments {
                 resolution: data.resolution,
                 orientation: data.orientation.clone(),
                 undistort: data.undistort,
+                alpha: data.alpha.clone(),
+                level: gallery.level().to_string(),
                 eval: data.eval,
             },
             coarse: Coarse {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::read;
 use crate::names::{has_video_ending, holds_photos, quoted};
-use crate::transforms;
+use crate::{photogrammetry, transforms};
 use ashsplat::{Error, Result};
 
 /// A folder with a sparse model.
@@ -14,6 +14,8 @@ use ashsplat::{Error, Result};
 pub struct ModelFolder {
     /// The folder that holds cameras, images and points3D.
     pub folder: PathBuf,
+    /// The file of another program that has the cameras instead; its path is also `folder`.
+    pub list: Option<PathBuf>,
     /// True for text files, false for binary ones.
     pub text: bool,
     /// A message if the choice was not obvious.
@@ -23,7 +25,8 @@ pub struct ModelFolder {
 impl ModelFolder {
     /// Path of the file for "cameras", "images" or "points3D".
     pub(super) fn file(&self, part: &str) -> PathBuf {
-        self.folder.join(format!("{part}.{}", if self.text { "txt" } else { "bin" }))
+        let of_colmap = || self.folder.join(format!("{part}.{}", if self.text { "txt" } else { "bin" }));
+        self.list.clone().unwrap_or_else(of_colmap)
     }
 }
 
@@ -74,17 +77,16 @@ pub fn exists(dataset: impl AsRef<Path>) -> bool {
     below.iter().chain([&sparse, &dataset.to_owned()]).any(|folder| has_model(folder))
 }
 
-/// True if a folder has a model or the cameras of a transforms.json.
+/// True if a folder has a model, or the cameras of a transforms.json or of a photogrammetry program.
 pub(crate) fn is_data_set(folder: &Path) -> bool {
-    exists(folder) || transforms::find(folder).is_some()
+    exists(folder) || transforms::find(folder).is_some() || !photogrammetry::find(folder, "images").is_empty()
 }
 
 /// Largest age difference between two forms of a model that one program wrote.
 const CONVERSION: Duration = Duration::from_secs(5);
 
 /// Camera files of other programs, and these programs' names.
-const FOREIGN_CAMERAS: [(&str, &str); 7] = [
-    ("cameras.xml", "Metashape"),
+const FOREIGN_CAMERAS: [(&str, &str); 6] = [
     ("reconstruction.json", "OpenSfM"),
     ("opensfm/reconstruction.json", "OpenSfM"),
     ("sfm_data.json", "OpenMVG"),
@@ -157,7 +159,7 @@ fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {
         Some(format!("{}: {part}.txt is newer than {part}.bin, which is used", folder.display()))
     };
     let warning = warning.or_else(unused);
-    Ok(ModelFolder { folder, text, warning })
+    Ok(ModelFolder { folder, list: None, text, warning })
 }
 
 fn largest(candidates: &[PathBuf]) -> Result<ModelFolder> {

@@ -23,6 +23,8 @@ impl CameraModel {
     pub const OPENCV_FISHEYE: Self = Self(5);
     /// Parameters width, height.
     pub const EQUIRECTANGULAR: Self = Self(17);
+    /// Parameters fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6.
+    pub const FULL_OPENCV: Self = Self(6);
 
     /// Model with COLMAP's number.
     pub fn from_number(number: i64) -> Option<Self> {
@@ -61,7 +63,8 @@ pub struct ColmapCamera {
     pub width: u64,
     /// Height of its images, pixels.
     pub height: u64,
-    /// Focal lengths, principal point, distortion, in the model's order.
+    /// Focal lengths, principal point, distortion, in the model's order. FULL_OPENCV's may end with n4 (see
+    /// [`Projection::Brown`](ashsplat::scene::Projection::Brown)), which COLMAP's files do not have.
     pub parameters: Vec<f64>,
 }
 

@@ -9,6 +9,7 @@ use glam::{DVec3, Vec3};
 
 use super::View;
 use super::depths;
+use super::level::Level;
 use super::mask::Mask;
 use super::options::DatasetOptions;
 use super::part::UsedPart;
@@ -191,6 +192,11 @@ impl Gallery {
         &self.plan.frame
     }
 
+    /// The rotation with which the data set was read; never [`Level::On`].
+    pub fn level(&self) -> Level {
+        self.plan.level
+    }
+
     /// The data set's points. There may be none.
     pub fn points(&self) -> &PointCloud {
         &self.plan.points
@@ -234,7 +240,7 @@ impl Gallery {
         let mut tracks = vec![None; self.views.len()];
         for (index, view) in self.trained() {
             let points = shown.remove(&view.image_id).filter(|points| !points.is_empty());
-            let world = |point| self.plan.frame.world(DVec3::from_array(point));
+            let world = |point| self.plan.frame.world(self.plan.level.turned(DVec3::from_array(point)));
             tracks[index] = points.map(|points| points.into_iter().map(world).collect::<Track>());
         }
         Ok(tracks)

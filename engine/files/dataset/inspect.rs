@@ -161,7 +161,7 @@ impl DatasetReport {
                 Err(e) => self.problem(named(e)),
             }
         }
-        let (notes, warnings) = notes::of_pixels(uses.into_iter());
+        let (notes, warnings) = notes::of_pixels(uses.into_iter(), options.alpha);
         self.notes.extend(notes);
         self.warnings.extend(warnings);
     }

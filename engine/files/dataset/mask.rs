@@ -57,7 +57,7 @@ impl Mask {
         }
         // The mask's own values, and the scaled ones.
         let besides = 2 * u64::from(size.0) * u64::from(size.1);
-        let request = Request { turned, size: Some(size), besides, ..Request::plain([0.0; 3], memory) };
+        let request = Request { turned, size: Some(size), besides, ..Request::plain(Some([0.0; 3]), memory) };
         let Decoded { photo, alpha, .. } = read_as(path, &request)?;
         let cut_out = alpha.filter(|alpha| is_cut_out(&photo, alpha));
         let is_cut_out = cut_out.is_some();

@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
+use super::options::AlphaUse;
 use super::planned_view::{PhotoUse, PlannedView};
 use crate::images::{AUTO_MAX_WIDTH, Resolution};
 use crate::init::RANDOM_POINTS;
+use crate::names::has_one_of;
 use ashsplat::scene::{PhotoLens, Projection};
 
 /// A width below this may have been meant as a divisor.
@@ -140,10 +142,11 @@ fn doubt(lens: &PhotoLens) -> Option<String> {
 /// Returns the notes and the warnings about photos.
 pub(super) fn of_pixels<'v>(
     photos: impl Iterator<Item = (&'v PlannedView, PhotoUse)>,
+    alpha: AlphaUse,
 ) -> (Vec<String>, Vec<String>) {
     /// 1 / 2.2 and the values of older screens, which look like sRGB.
     const USUAL_GAMMA: std::ops::RangeInclusive<f32> = 0.4..=0.6;
-    let (mut all, mut cut_outs, mut by_alpha, mut by_both, mut beside_mask) = (0, 0, 0, 0, 0);
+    let (mut all, mut cut_outs, mut transparent, mut beside_mask) = (0, 0, 0, 0);
     let mut hidden: Vec<&PlannedView> = Vec::new();
     let mut unusual: Vec<(&PlannedView, f32)> = Vec::new();
     for (view, photo) in photos {
@@ -155,27 +158,28 @@ pub(super) fn of_pixels<'v>(
         }
         // A block's own mask says nothing about the photo.
         if photo.is_transparent && view.coarse_mask.is_none() {
-            *match (view.mask_path.is_some(), view.alpha_is_mask) {
-                (true, true) => &mut by_both,
-                (true, false) => &mut beside_mask,
-                (false, true) => &mut by_alpha,
-                (false, false) => continue,
-            } += 1;
+            *if view.mask_path.is_some() { &mut beside_mask } else { &mut transparent } += 1;
         }
     }
-    let notes = [
-        (cut_outs, "the masks of {} photos are cut-outs of pictures: their alpha channels are the masks"),
-        (
-            by_alpha,
-            "the alpha channel of {} photos is taken as their mask: what is transparent there does not count (with a \
-             transforms.json it shows the background)",
-        ),
-        (by_both, "{} photos have a mask and an alpha channel: what either hides does not count"),
-        (
-            beside_mask,
+    let (alone, beside) = match alpha {
+        AlphaUse::Target => (
+            "{} photos have transparent pixels, which show the background (--alpha mask leaves them out)",
             "{} photos have a mask and an alpha channel: the mask says what counts, and what is transparent shows the \
              background",
         ),
+        AlphaUse::Mask => (
+            "the alpha channel of {} photos is taken as their mask: what is transparent there does not count",
+            "{} photos have a mask and an alpha channel: what either hides does not count",
+        ),
+        AlphaUse::Ignore => {
+            let ignored = "the alpha channel of {} photos is ignored: their colours count as stored";
+            (ignored, ignored)
+        }
+    };
+    let notes = [
+        (cut_outs, "the masks of {} photos are cut-outs of pictures: their alpha channels are the masks"),
+        (transparent, alone),
+        (beside_mask, beside),
     ];
     let notes = notes.into_iter().filter(|(count, _)| *count > 0);
     let notes = notes.map(|(count, line)| line.replace("{}", &count.to_string())).collect();
@@ -196,9 +200,9 @@ pub(super) fn of_pixels<'v>(
     (notes, hidden.into_iter().chain(unusual).collect())
 }
 
-/// True if the source may have no points: a JSON file with cameras.
+/// True if the source may have no points: a file with cameras alone.
 pub(super) fn may_lack_points(source: &Path) -> bool {
-    source.extension().is_some_and(|ending| ending == "json")
+    has_one_of(source, &["json", "xml", "csv"])
 }
 
 pub(super) fn random_points_instead() -> String {

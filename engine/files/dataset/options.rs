@@ -1,10 +1,13 @@
 //! How a data set is loaded.
 
 use std::path::PathBuf;
+use std::str::FromStr;
 
+use super::level::Level;
 use crate::host_memory::HostMemory;
 use crate::images::{PhotoMemory, PhotoOrientation, Resolution};
 use ashsplat::scene::{PhotoLens, Projection, WorldFrame};
+use ashsplat::{Error, Result};
 
 /// Which views are held out by [`DatasetOptions::eval`], where a data set does not say so.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -15,6 +18,36 @@ pub enum EvalSplit {
     /// The reference's from 24 views on. Fewer often lie along an arc: as many are held out, at equal distances from each other and
     /// the ends.
     Inner,
+}
+
+/// Use of the photos' alpha channels.
+///
+/// The default is Brush's. Its README says of "images with transparency" that "this will force the final splat to match the
+/// transparency of the input", and of masks in files that "this ignores parts of the image that are masked out". Beside such
+/// a mask Brush drops the alpha channel, which is used here.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum AlphaUse {
+    /// Transparent pixels show the background.
+    #[default]
+    Target,
+    /// Pixels that are more transparent than opaque do not count.
+    Mask,
+    /// Colours count as stored.
+    Ignore,
+}
+
+impl FromStr for AlphaUse {
+    type Err = Error;
+
+    /// `target`, `mask` or `ignore`.
+    fn from_str(text: &str) -> Result<Self> {
+        match text {
+            "target" => Ok(Self::Target),
+            "mask" => Ok(Self::Mask),
+            "ignore" => Ok(Self::Ignore),
+            _ => Err(Error::argument("alpha", format!("'{text}' is not target, mask or ignore"))),
+        }
+    }
 }
 
 /// Number of views from which [`EvalSplit::Inner`] is the reference's.
@@ -36,6 +69,8 @@ pub struct DatasetOptions {
     pub undistort: bool,
     /// Rotation of photos by their metadata.
     pub orientation: PhotoOrientation,
+    /// Rotation that turns cameras and points upright.
+    pub level: Level,
     /// Frame of cameras and points, such as the frame of an existing scene. `None` chooses one that suits the data set.
     pub frame: Option<WorldFrame>,
     /// True to hold out every `test_every`-th view.
@@ -47,9 +82,11 @@ pub struct DatasetOptions {
     pub train_test_exp: bool,
     /// Interval of the held-out views; 8 in the reference implementation and the literature.
     pub test_every: u32,
+    /// Use of the photos' alpha channels.
+    pub alpha: AlphaUse,
     /// True if transparent pixels of a photo become white, false for black.
     pub white_background: bool,
-    /// True if transparent photos keep their opacity, so that training can compose them over random backgrounds:
+    /// True if transparent photos keep their opacity with [`AlphaUse::Target`], so that training can compose them over random backgrounds:
     /// [`StoredPhoto::with_opacity`](crate::StoredPhoto::with_opacity).
     pub keep_opacity: bool,
     /// Memory budget of the photos; photos beyond it stay in a file. `None` holds all photos in memory.
@@ -67,11 +104,13 @@ impl Default for DatasetOptions {
             depths: None,
             undistort: false,
             orientation: PhotoOrientation::Auto,
+            level: Level::Off,
             frame: None,
             eval: false,
             eval_split: EvalSplit::Reference,
             train_test_exp: false,
             test_every: 8,
+            alpha: AlphaUse::Target,
             white_background: false,
             keep_opacity: false,
             photo_memory: None,

@@ -9,7 +9,7 @@ use super::mask::is_scaled;
 use super::options::DatasetOptions;
 use super::planned_view::{FileSize, PlannedView};
 use crate::images::{Header, PhotoOrientation, header};
-use crate::names::{has_photos, photos_below, photos_beside};
+use crate::names::{Finder, ending, has_photos, photos_below, photos_beside, plain, stays_inside};
 use crate::{colmap, regular_file};
 use ashsplat::scene::PhotoLens;
 use ashsplat::{Error, Result};
@@ -29,6 +29,20 @@ pub(super) fn find_folder(dataset: &Path, images: &str) -> Result<PathBuf> {
         None => "put the photos there, or name their folder with --images".into(),
     };
     Err(Error::input(folder, "there is no folder with photos", remedy))
+}
+
+/// Width and height of the photo with this name or path, as stored, pixels.
+pub(super) fn size(folder: &Path, name: &str, finder: &mut Finder) -> Result<(u32, u32)> {
+    let name = plain(name);
+    let found = match stays_inside(&name) {
+        true => finder.photo(folder, &name),
+        false => finder.photo_by_end(folder, &name).ok().flatten(),
+    };
+    let missing = || {
+        let problem = format!("has no photo {:?}, or several", ending(&name));
+        Error::input(folder, problem, "copy it there, or remove its camera")
+    };
+    Ok(header(&found.ok_or_else(missing)?)?.size(false))
 }
 
 /// All photos of the folder, in the model or not. The data set's own folder may hold other pictures, such as masks:

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 
+use super::level::Level;
 use super::notes;
 use super::options::DatasetOptions;
 use super::planned_view::PlannedView;
@@ -26,6 +27,8 @@ pub(super) struct Plan {
     pub(super) registered: usize,
     /// True if the data set itself specifies the held-out views.
     pub(super) has_split: bool,
+    /// The rotation of views and points to the source coordinates.
+    pub(super) level: Level,
     /// The frame of views and points.
     pub(super) frame: WorldFrame,
     pub(super) points: PointCloud,
@@ -270,7 +273,7 @@ fn sample(points: &SourcePoints) -> impl Iterator<Item = DVec3> {
     points.positions.iter().copied().step_by(points.len().div_ceil(SAMPLE).max(1))
 }
 
-fn centers(views: &[&PlannedView]) -> Vec<DVec3> {
+pub(super) fn centers(views: &[&PlannedView]) -> Vec<DVec3> {
     views.iter().map(|view| view.source_position()).collect()
 }
 

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3, Vec3};
 
 use super::View;
 use super::mask::{Mask, grey};
-use super::options::DatasetOptions;
+use super::options::{AlphaUse, DatasetOptions};
 use super::part::{UsedPart, cut_photo};
 use crate::depth_fit::DepthFit;
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, read_as, undistort};
@@ -40,8 +40,6 @@ pub(crate) struct PlannedView {
     pub(super) coarse_mask: Option<Mask>,
     /// The used part of the photo; `None` for the whole.
     pub(super) part: Option<UsedPart>,
-    /// True if transparent pixels of the photo do not count; otherwise they show the background.
-    pub(super) alpha_is_mask: bool,
     /// True if the view is held out.
     pub(super) held_out: bool,
     /// The inverse-depth map that is read with the photo.
@@ -94,7 +92,6 @@ impl PlannedView {
             mask_path: None,
             coarse_mask: None,
             part: None,
-            alpha_is_mask: false,
             held_out: false,
             map: None,
             track: None,
@@ -146,7 +143,7 @@ impl PlannedView {
         let bytes = |width: u32, height: u32| u64::from(width) * u64::from(height);
         let (before, after) = (bytes(lens.width, lens.height), bytes(used.width, used.height));
         let masks = if mask.is_some() { 2 * before } else { 0 };
-        let keeps_opacity = options.keep_opacity && !self.alpha_is_mask;
+        let keeps_opacity = options.keep_opacity && options.alpha == AlphaUse::Target;
         let opacity = if keeps_opacity { 3 * (before + after + bytes(scaled.0, scaled.1)) } else { 0 };
         let besides = opacity
             + match is_undistorted {
@@ -154,7 +151,7 @@ impl PlannedView {
                 true => masks + 3 * after + 3 * bytes(scaled.0, scaled.1) + 2 * masks,
             };
         let request = Request {
-            background: options.background(),
+            background: (options.alpha != AlphaUse::Ignore).then(|| options.background()),
             turned: self.turned,
             size: Some(own),
             // Photos are scaled after they are undistorted.
@@ -166,7 +163,7 @@ impl PlannedView {
         let mut opacity = alpha.as_ref().filter(|_| keeps_opacity).map(|alpha| grey(own, alpha));
         let alpha = alpha.map(|values| Mask { width: own.0, height: own.1, values });
         let is_transparent = alpha.as_ref().is_some_and(Mask::hides);
-        let mut mask = Mask::of_both(mask, alpha.filter(|_| self.alpha_is_mask));
+        let mut mask = Mask::of_both(mask, alpha.filter(|_| options.alpha == AlphaUse::Mask));
         if is_undistorted {
             mask = mask.map(|mask| mask.undistorted(&lens, &used));
             opacity = opacity.map(|opacity| undistort(&opacity, &lens, &used));

@@ -14,6 +14,7 @@ use super::planned_view::{FileSize, PlannedView};
 use crate::colmap::{self, ColmapImage, Model};
 use crate::images::header;
 use crate::names::{Finder, ending, photos_below, plain, stays_inside};
+use crate::photogrammetry;
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::{PhotoLens, Projection};
 use ashsplat::{Error, Result};
@@ -30,17 +31,38 @@ const NO_PINHOLE_REMEDY: &str = "train without --undistort";
 pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
     let files = transforms::find(path);
     let unused = transforms::unused(path, if colmap::exists(path) { None } else { files.as_deref() });
-    let (mut plan, points) = match files {
+    let (mut plan, mut points) = match files {
         Some(files) if !colmap::exists(path) => {
             let mut transforms = Transforms::read(&files)?;
             let points = std::mem::take(&mut transforms.points);
             (Plan::of_transforms(path, transforms, options)?, points)
         }
         _ => {
-            let mut model = Model::of_dataset(path)?;
+            let sources =
+                if colmap::exists(path) { Vec::new() } else { photogrammetry::find(path, &options.images) };
+            let (mut model, note) = match sources.as_slice() {
+                [] => (Model::of_dataset(path)?, None),
+                [source] => {
+                    let (folder, mut finder) =
+                        (photos::find_folder(path, &options.images)?, Finder::default());
+                    let mut size_of = |name: &str| photos::size(&folder, name, &mut finder);
+                    let (model, note) = photogrammetry::read(source, path, &mut size_of)?;
+                    (model, Some(note))
+                }
+                several => {
+                    let files: Vec<String> =
+                        several.iter().map(|source| source.path().display().to_string()).collect();
+                    let problem = format!("several files have cameras: {}", files.join(", "));
+                    return Err(Error::input(path, problem, "leave one of them there"));
+                }
+            };
             let points = std::mem::take(&mut model.points);
-            model.warnings.extend(colmap::contradiction(&model));
-            (Plan::of_model(path, &model, options)?, points)
+            if sources.is_empty() {
+                model.warnings.extend(colmap::contradiction(&model));
+            }
+            let mut plan = Plan::of_model(path, &model, options)?;
+            plan.notes.extend(note);
+            (plan, points)
         }
     };
     plan.warnings.extend(photos::fit_lenses(&mut plan.views, &plan.list, options));
@@ -49,6 +71,7 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
     if points.is_empty() {
         plan.tell_of_points(path);
     }
+    plan.turn_upright(options.level, &mut points);
     plan.settle_frame(options.frame, points);
     plan.settle_split(options);
     plan.tell_of_unused_files(path, options);
@@ -113,17 +136,16 @@ impl Plan {
                 let remedy = "copy it there, or remove the image from the model";
                 return Err(Error::input(photo_path, problem, remedy));
             }
-            // The name is shown and written. A path outside the photos' folder is replaced.
+            // The name is shown and written. A path outside the photos' folder and a name without extension are replaced.
             let found = photo_path.strip_prefix(&folder).unwrap_or(&photo_path).to_string_lossy();
-            let name =
-                if stays_inside(&plain(&image.name)) { image.name.clone() } else { found.into_owned() };
+            let is_whole = stays_inside(&plain(&image.name)) && Path::new(&image.name).extension().is_some();
+            let name = if is_whole { image.name.clone() } else { found.into_owned() };
             Ok(PlannedView {
                 name,
                 image_id: image.id,
                 camera_id: image.camera_id,
                 camera_from_source: image.rotation(),
                 translation: DVec3::from_array(image.translation),
-                alpha_is_mask: true,
                 ..PlannedView::of((lens, used), photo_path, photo)
             })
         };

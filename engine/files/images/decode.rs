@@ -79,8 +79,8 @@ pub fn photo_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
 
 #[derive(Clone, Copy)]
 pub(crate) struct Request<'a> {
-    /// Colour (r, g, b in [0, 1]) where the picture is transparent.
-    pub(crate) background: [f32; 3],
+    /// Colour (r, g, b in [0, 1]) where the picture is transparent. `None` keeps the colours as stored.
+    pub(crate) background: Option<[f32; 3]>,
     /// True if it is rotated by its metadata.
     pub(crate) turned: bool,
     /// Required size after the rotation, checked before decoding. `None` for any size.
@@ -94,7 +94,7 @@ pub(crate) struct Request<'a> {
 
 impl<'a> Request<'a> {
     /// Reads the picture unchanged.
-    pub(crate) fn plain(background: [f32; 3], memory: &'a HostMemory) -> Self {
+    pub(crate) fn plain(background: Option<[f32; 3]>, memory: &'a HostMemory) -> Self {
         Self { background, turned: false, size: None, scaled: None, besides: 0, memory }
     }
 
@@ -117,7 +117,7 @@ pub(crate) struct Decoded {
 
 /// Blends a picture over the background and scales it, row by row.
 struct Rows {
-    background: [f32; 3],
+    background: Option<[f32; 3]>,
     width: u32,
     /// Width and height of the result.
     to: (u32, u32),
@@ -293,22 +293,23 @@ fn is_png(bytes: &[u8]) -> bool {
 
 /// Colours of 1 to 4 channels (grey, grey and alpha, r g b, r g b and alpha), blended over the background, and their alpha
 /// channel.
-fn composite(values: Vec<u8>, channels: usize, background: [f32; 3]) -> (Vec<u8>, Option<Vec<u8>>) {
+fn composite(values: Vec<u8>, channels: usize, background: Option<[f32; 3]>) -> (Vec<u8>, Option<Vec<u8>>) {
     match channels {
         1 => return (values.iter().flat_map(|&grey| [grey; 3]).collect(), None),
         3 => return (values, None),
         _ => {}
     }
-    let background = background.map(|c| 255.0 * c.clamp(0.0, 1.0));
+    let background = background.map(|color| color.map(|c| 255.0 * c.clamp(0.0, 1.0)));
     let pixels = values.len() / channels;
     let (mut rgb, mut alphas) = (Vec::with_capacity(3 * pixels), Vec::with_capacity(pixels));
     for pixel in values.chunks_exact(channels) {
         let alpha = pixel[channels - 1];
         alphas.push(alpha);
         let opacity = f32::from(alpha) / 255.0;
-        for (channel, behind) in background.into_iter().enumerate() {
-            let color = f32::from(pixel[if channels == 2 { 0 } else { channel }]);
-            rgb.push((color * opacity + behind * (1.0 - opacity)).round() as u8);
+        for channel in 0..3 {
+            let color = pixel[if channels == 2 { 0 } else { channel }];
+            let over = |behind: [f32; 3]| f32::from(color) * opacity + behind[channel] * (1.0 - opacity);
+            rgb.push(background.map_or(color, |behind| over(behind).round() as u8));
         }
     }
     (rgb, Some(alphas))

@@ -150,7 +150,7 @@ impl Arguments {
             return Err(Error::argument("--up", "is for orbits (--orbit N): these cameras have their own"));
         }
         let mut cameras = match (&self.source_path, &self.path, own) {
-            (Some(dataset), _, _) => session::cameras(dataset, &scene.frame)?,
+            (Some(dataset), _, _) => session::cameras(dataset, &model.settings.data, &scene.frame)?,
             (None, Some(path), _) => self.along(path, &scene.frame)?,
             (None, None, Some(path)) => cameras_json::read(path, &scene.frame)?,
             (None, None, None) => {

@@ -60,6 +60,8 @@ impl Job {
         table.insert("resolution".into(), i64::from(division.dataset.resolution).into());
         table.insert("orientation".into(), division.dataset.orientation.clone().into());
         table.insert("undistort".into(), division.dataset.undistort.into());
+        table.insert("alpha".into(), division.dataset.alpha.clone().into());
+        table.insert("level".into(), division.dataset.level.clone().into());
         table.insert("eval".into(), division.dataset.eval.into());
         table.insert("eval_split".into(), "reference".into());
         // A block is part of a large scene and does not begin with points.

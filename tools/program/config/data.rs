@@ -12,7 +12,8 @@ use std::path::PathBuf;
 #[derive(Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataSettings {
-    /// Data set: a folder with images/ and sparse/0/ as COLMAP writes them, or with transforms.json, or a ZIP of one
+    /// Data set: a folder with images/ and sparse/0/ as COLMAP writes them, or with transforms.json or the cameras of Metashape (XML)
+    /// or RealityScan (CSV, XMP), or a ZIP of one
     #[arg(short, long, value_name = "DATASET")]
     pub source_path: PathBuf,
     /// Folder for everything that the run writes
@@ -36,6 +37,14 @@ pub struct DataSettings {
     /// half a circle or more cannot be. Otherwise each is trained on as its lens drew it
     #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     pub undistort: bool,
+    /// Transparent pixels of the photos show the background (target), do not count (mask), or have their stored colours
+    /// (ignore) [default: target]
+    #[arg(long, value_parser = ["target", "mask", "ignore"], value_name = "USE")]
+    pub alpha: String,
+    /// Turn the scene upright about the middle of the cameras: the direction across their horizontal axes becomes -y in all that is
+    /// written. settings.toml has the turn itself, up direction and fixed point, which on is replaced by [default: off]
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "on", value_name = "off|on|X,Y,Z,X,Y,Z")]
+    pub level: String,
     /// Hold out every 8th view (by name) for tests
     #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     pub eval: bool,
@@ -64,7 +73,8 @@ pub struct DataSettings {
     /// iterations and model folder are as it says; -s and --init name the same data set and coarse model where they are elsewhere on
     /// this machine
     #[arg(long, value_name = "BLOCKS.json:N", help_heading = "Blocks", conflicts_with_all = [
-        "model_path", "images", "resolution", "orientation", "undistort", "eval", "eval_split", "train_test_exp", "block", "margin", "scene_extent",
+        "model_path", "images", "resolution", "orientation", "undistort", "alpha", "level", "eval", "eval_split", "train_test_exp", "block",
+        "margin", "scene_extent",
     ])]
     pub job: String,
     /// Begin with the Gaussians of this file, of any format that convert reads, in place of points
@@ -140,6 +150,8 @@ impl Default for DataSettings {
             resolution: -1,
             orientation: "auto".into(),
             undistort: false,
+            alpha: "target".into(),
+            level: "off".into(),
             eval: false,
             eval_split: Split::Inner,
             train_test_exp: false,

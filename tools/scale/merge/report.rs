@@ -95,6 +95,8 @@ impl Ready {
             resolution: dataset.resolution,
             orientation: dataset.orientation.clone(),
             undistort: dataset.undistort,
+            alpha: dataset.alpha.clone(),
+            level: dataset.level.clone(),
             eval: true,
             eval_split: Split::Reference,
             ..DataSettings::default()
