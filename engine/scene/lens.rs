@@ -310,19 +310,18 @@ impl Camera {
         let (whole, fold) = (self.whole(), family.fold(&c));
         match family.surface {
             Surface::Sphere => {
-                let around = PhotoLens::panorama(whole.width, whole.height).intrinsics();
+                let (w, h) = (whole.width, whole.height);
+                let around = PhotoLens::panorama(w, h).intrinsics();
                 let differs = |own: f32, full: f32| (own - full).abs() > 1e-4 * full;
                 // Scaled photographs may have rounded sides.
-                (whole.width.abs_diff(2 * whole.height) > 1
-                    || differs(self.fx, around.fx)
-                    || differs(self.fy, around.fy))
-                .then(|| {
-                    let (w, h) = (whole.width, whole.height);
-                    format!(
-                        "panorama of {w}x{h} with the focal lengths {}, {} is not 2:1 and all around",
-                        self.fx, self.fy
-                    )
-                })
+                if w.abs_diff(2 * h) > 1 {
+                    Some(format!("panorama of {w}x{h} is not 2:1"))
+                } else if differs(self.fx, around.fx) || differs(self.fy, around.fy) {
+                    let (fx, fy) = (self.fx, self.fy);
+                    Some(format!("panorama of {w}x{h} with the focal lengths {fx}, {fy} is not all around"))
+                } else {
+                    None
+                }
             }
             Surface::Plane if fold.is_finite() && family.radius(&c, fold) < self.corner() => Some(format!(
                 "distortion {:?} folds the picture within the image",

@@ -94,6 +94,6 @@ fn lenses_that_fold_the_photo_over_are_refused() {
         ["\"k1\": -0.5", "\"k1\": -1.0, \"k2\": 0.4", "\"k1\": -3.0, \"k2\": 2.0", "\"k1\": 0.1, \"p1\": 0.6"]
     {
         let message = load(lens).unwrap_err();
-        assert!(message.contains("frame a.png") && message.contains("folds the photo over"), "{message}");
+        assert!(message.contains("frame a.png") && message.contains("folds the picture"), "{message}");
     }
 }

@@ -351,7 +351,7 @@ fn what_is_no_data_set_says_what_to_do() {
     assert_eq!(load("outer/scene", "images").unwrap().train.len(), 1);
     let panorama = json!({ "fl_x": 9, "camera_model": "EQUIRECTANGULAR", "frames": frames });
     folder.json("outer/scene/transforms.json", &panorama);
-    refused("outer/scene", "images", &["frame 0: ", "2:1"]);
+    refused("outer/scene", "images", &["frame train/a.png: ", "panorama of 20x12 is not 2:1"]);
 }
 
 /// A folder may hold several data sets: one is used, and a warning names the others.

@@ -163,7 +163,7 @@ fn unusable_files_have_one_clear_line() {
         (unposed.replace("component_id", "master_id"), "(4 are of rigs, placed by a master)"),
         (calibrated("<b2>0.5</b2>"), "sensor \"lens\" has b2"),
         (calibrated("<k1>much</k1>"), "sensor \"lens\" has a k1 that is not a number"),
-        (calibrated("<k1>-3</k1>"), "folds the photo over"),
+        (calibrated("<k1>-3</k1>"), "folds the picture"),
         (of_kind("equisolid_fisheye"), "sensor \"lens\" is of type equisolid_fisheye"),
         (of_kind("spherical"), "is a panorama of 20x12 pixels, which is not 2:1"),
         (metashape().replace("sensor_id='5'", "sensor_id='6'"), "camera \"000\" has no sensor"),

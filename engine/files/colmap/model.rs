@@ -106,7 +106,7 @@ impl Model {
             problem => problem.or_else(|| lens.intrinsics().absurdity()),
         };
         if let Some(problem) = problem {
-            return Err(Error::input(file, format!("{place}: {problem}"), "run COLMAP again"));
+            return Err(Error::input(file, format!("{place}: {problem}"), "compute the cameras again"));
         }
         Ok(lens)
     }
