@@ -70,7 +70,7 @@ pub struct View {
     pub camera: Camera,
     /// The camera at the photo's size in its file.
     pub original_camera: Camera,
-    /// The photo, undistorted and scaled by [`DatasetOptions::resolution`], and its mask.
+    /// The photo as [`DatasetOptions::undistort`] and [`DatasetOptions::resolution`] say, and its mask.
     pub photo: StoredPhoto,
     /// Inverse depth of each pixel: [`TrainView::inverse_depth`](ashsplat::TrainView::inverse_depth). Present only with
     /// [`DatasetOptions::depths`], for training views.
@@ -96,7 +96,7 @@ impl Dataset {
     }
 
     /// Loads a data set: a folder with a COLMAP model or with `transforms.json` (or `transforms_train.json`),
-    /// or a ZIP of one. The photos are decoded and, if the lens distorts, undistorted in parallel.
+    /// or a ZIP of one. The photos are decoded in parallel.
     ///
     /// # Errors
     /// [`Error::Input`](ashsplat::Error::Input) for the first problem of cameras or photos, for no registered images and

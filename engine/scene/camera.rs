@@ -362,17 +362,6 @@ impl Camera {
         z > 0.0 && inside(x, self.width) && inside(y, self.height)
     }
 
-    /// Checks that the camera is a pinhole; `what` names the operation that needs one.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for another projection.
-    pub fn check_perspective(&self, what: &str) -> Result<()> {
-        match self.projection {
-            Projection::Perspective => Ok(()),
-            other => Err(Error::argument("camera.projection", format!("is {}: {what}", other.name()))),
-        }
-    }
-
     /// Checks that pictures of the camera have gradients.
     pub(crate) fn check_differentiable(&self) -> Result<()> {
         match self.projection {

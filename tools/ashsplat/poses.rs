@@ -7,6 +7,7 @@ mod source;
 mod video;
 mod work;
 
+use ashsplat::scene::COLMAP_MODELS;
 use ashsplat::{Error, Result};
 use ashsplat_files::images::photo_size;
 use ashsplat_files::{Photo, PhotoFileFormat, quoted};
@@ -49,7 +50,7 @@ pub struct Arguments {
     #[arg(long, value_parser = ["auto", "exhaustive", "sequential"], value_name = "NAME", default_value = "auto")]
     matcher: String,
     /// COLMAP's model of the lens; with more parameters for wide angles (OPENCV) and fisheyes (OPENCV_FISHEYE)
-    #[arg(long, value_parser = CAMERA_MODELS, value_name = "NAME", default_value = "SIMPLE_RADIAL")]
+    #[arg(long, value_parser = COLMAP_MODELS, value_name = "NAME", default_value = "SIMPLE_RADIAL")]
     camera_model: String,
     /// Which photographs share a camera: auto those of one size, camera and focal length (Exif), one all, each none
     #[arg(long, value_parser = ["auto", "one", "each"], value_name = "NAME", default_value = "auto")]
@@ -73,18 +74,6 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// The models whose distortion can be undone.
-const CAMERA_MODELS: [&str; 9] = [
-    "SIMPLE_PINHOLE",
-    "PINHOLE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-    "FULL_OPENCV",
-    "OPENCV_FISHEYE",
-    "SIMPLE_RADIAL_FISHEYE",
-    "RADIAL_FISHEYE",
-];
 /// Least number of photographs for a scene.
 const LEAST_PHOTOS: usize = 3;
 /// Largest number of damaged photographs that are named.

@@ -181,7 +181,7 @@ impl Subject {
         let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
         let cameras = match (&gallery, own.filter(|own| own.is_file())) {
             (Some(gallery), _) => gallery.cameras(),
-            (None, Some(own)) => pinholes(&own, &scene.frame)?,
+            (None, Some(own)) => cameras_of(&own, &scene.frame)?,
             (None, None) => Vec::new(),
         };
         let lights = match &model.folder {
@@ -313,17 +313,13 @@ fn run_name() -> String {
     format!("{:x}", now.as_nanos())
 }
 
-/// The pinhole cameras of a model; the viewer shows no others.
-fn pinholes(file: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
+/// The cameras of a model, without the orthographic ones: the viewer shows none of these.
+fn cameras_of(file: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let mut cameras = cameras_json::read(file, frame)?;
     let all = cameras.len();
     cameras.retain(|named| !named.camera.is_orthographic());
     if cameras.len() < all {
-        tell!(
-            "{}: {} orthographic cameras are left out: views are pinholes",
-            file.display(),
-            all - cameras.len()
-        );
+        tell!("{}: {} orthographic cameras are left out", file.display(), all - cameras.len());
     }
     Ok(cameras)
 }

@@ -207,7 +207,7 @@ impl Gallery {
         Some(self.views.get(index)?.size(&self.options))
     }
 
-    /// Reads a photo, undistorted and scaled as the options say; `None` for an index out of range.
+    /// Reads a photo as the options say; `None` for an index out of range.
     pub fn view(&self, index: usize) -> Option<Result<View>> {
         let view = self.views.get(index)?;
         let loaded = view.load(&self.options).map_err(|error| self.unpacked.name(error));
