@@ -186,6 +186,19 @@ fn points_in_the_older_frame_are_moved() {
     }
 }
 
+/// nerfstudio's radius of a fisheye's picture is of the camera's size; masks hold besides.
+#[test]
+fn a_fisheyes_rim_hides_what_lies_beyond() {
+    let folder = Folder::new();
+    let lens = json!({ "camera_model": "OPENCV_FISHEYE", "fl_x": 5.0, "w": 40, "h": 24, "fisheye_crop_radius": 12.0 });
+    let frames = folder.frames("images", 0..2, ".png");
+    folder.json("transforms.json", &with(lens, &json!({ "frames": frames })));
+    let texels = folder.load().train[0].photo.texels().unwrap().to_vec();
+    let counts = |x: usize, y: usize| texels[4 * (20 * y + x) + 3] != 0;
+    assert!(counts(10, 0) && counts(4, 6) && counts(15, 6));
+    assert!(!counts(3, 6) && !counts(16, 6) && !counts(4, 0) && !counts(19, 11));
+}
+
 /// Warnings name keys without effect, unless they are 0.
 #[test]
 fn keys_that_are_not_used_are_named() {

@@ -81,6 +81,14 @@ impl Mask {
         self
     }
 
+    /// A mask of the pixels whose centres lie within a radius (pixels) around the picture's middle.
+    pub(super) fn disc((width, height): (u32, u32), radius: f64) -> Self {
+        let off = |at: u32, side: u32| f64::from(at) + 0.5 - 0.5 * f64::from(side);
+        let value = |x: u32, y: u32| if off(x, width).hypot(off(y, height)) <= radius { 255 } else { 0 };
+        let values = (0..height).flat_map(|y| (0..width).map(move |x| value(x, y))).collect();
+        Self { width, height, values }
+    }
+
     /// A mask of the pixels that count in both masks, which have the same size. A missing mask hides nothing.
     pub(super) fn of_both(one: Option<Self>, other: Option<Self>) -> Option<Self> {
         let (mut both, other) = match (one, other) {

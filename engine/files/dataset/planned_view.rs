@@ -37,6 +37,8 @@ pub(crate) struct PlannedView {
     pub(super) file_size: Option<(u32, u32)>,
     /// The photo's mask file. `coarse_mask` hides further pixels.
     pub(super) mask_path: Option<PathBuf>,
+    /// Radius around the middle beyond which the photo shows nothing, as a share of its width.
+    pub(super) rim: Option<f64>,
     pub(super) coarse_mask: Option<Mask>,
     /// The used part of the photo; `None` for the whole.
     pub(super) part: Option<UsedPart>,
@@ -90,6 +92,7 @@ impl PlannedView {
             turned,
             file_size,
             mask_path: None,
+            rim: None,
             coarse_mask: None,
             part: None,
             held_out: false,
@@ -139,6 +142,7 @@ impl PlannedView {
         let mask =
             self.mask_path.as_ref().map(|path| Mask::read(path, self.turned, own, memory)).transpose()?;
         let (mask, mask_is_cut_out) = mask.map_or((None, false), |(mask, cut_out)| (Some(mask), cut_out));
+        let mask = Mask::of_both(mask, self.rim.map(|rim| Mask::disc(own, rim * f64::from(own.0))));
         let scaled = options.resolution.apply(used.width, used.height);
         let bytes = |width: u32, height: u32| u64::from(width) * u64::from(height);
         let (before, after) = (bytes(lens.width, lens.height), bytes(used.width, used.height));

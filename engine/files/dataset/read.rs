@@ -307,6 +307,7 @@ impl Plan {
             camera_from_source: frame.camera_from_source,
             translation: frame.translation,
             mask_path: frame.mask_path.clone(),
+            rim: frame.rim_px.map(|radius| radius / f64::from(width)),
             held_out: frame.test,
             ..PlannedView::of((lens, used), photo_path, (turned, size))
         })

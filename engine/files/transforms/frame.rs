@@ -35,6 +35,8 @@ pub struct Frame {
     pub translation: DVec3,
     /// The frame's intrinsics.
     pub optics: Optics,
+    /// Radius around the picture's middle beyond which a fisheye shows nothing (`fisheye_crop_radius`), pixels.
+    pub rim_px: Option<f64>,
     /// True if the frame is held out.
     pub test: bool,
 }
@@ -203,7 +205,7 @@ fn unused_lens_keys(holder: &Value, keys: &mut BTreeSet<String>) {
     /// Skew and affinity of Metashape, further coefficients of OpenCV, and keys of nerfstudio and instant-ngp.
     const SHORT_KEYS: [&str; 13] =
         ["b1", "b2", "k5", "k6", "p3", "p4", "s1", "s2", "s3", "s4", "skew", "sk_x", "sk_y"];
-    const KEYS: [&str; 4] = ["distortion", DISTORTION_PARAMS, "fisheye_crop_radius", "rolling_shutter"];
+    const KEYS: [&str; 3] = ["distortion", DISTORTION_PARAMS, "rolling_shutter"];
     fn is_set(value: &Value) -> bool {
         match value {
             Value::Number(number) => number.as_f64() != Some(0.0),
@@ -256,8 +258,17 @@ impl Reader<'_> {
         let mask_path = mask.map(|(key, name)| self.mask(key, name)).transpose()?;
         let (camera_from_source, translation) = self.pose()?;
         let optics = self.optics()?;
-        let frame =
-            Frame { name, photo_path, mask_path, camera_from_source, translation, optics, test: false };
+        let rim_px = self.number("fisheye_crop_radius")?.filter(|radius| *radius > 0.0);
+        let frame = Frame {
+            name,
+            photo_path,
+            mask_path,
+            camera_from_source,
+            translation,
+            optics,
+            rim_px,
+            test: false,
+        };
         Ok((frame, led_out))
     }
 
