@@ -61,7 +61,8 @@ pub fn find(dataset: &Path, images: &str) -> Vec<Source> {
     found.extend(csv.map(Source::RealityScanCsv));
     let folders = [dataset.join(images), dataset.to_owned()];
     let has_xmp = |folder: &&PathBuf| {
-        files(folder, "xmp").next().is_some_and(|path| start_of(&path).contains(reality_scan::NAMESPACE))
+        // Other programs leave such files as well.
+        files(folder, "xmp").take(100).any(|path| start_of(&path).contains(reality_scan::NAMESPACE))
     };
     found.extend(folders.iter().find(has_xmp).cloned().map(Source::RealityScanXmp));
     found

@@ -297,6 +297,22 @@ impl Camera {
         Some(([word(fold), second, third, fourth], words))
     }
 
+    /// True if directions reach the whole picture, or of a fisheye, whose corners may be black, the middles of its sides.
+    fn shows_its_picture(&self, whole: &Camera) -> bool {
+        let rays = whole.photo_lens().rays();
+        let [w, h] = [whole.width, whole.height].map(f64::from);
+        let [cx, cy] = [whole.cx, whole.cy].map(f64::from);
+        let middles = [[0.0, cy], [w, cy], [cx, 0.0], [cx, h]];
+        let corners = [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]];
+        let is_plane = whole.projection.surface() == Some(Surface::Plane);
+        // A circular fisheye may lie within the picture: then directions reach beyond a quarter turn.
+        let shown = |place: [f64; 2]| rays(place.into()).is_some();
+        match is_plane {
+            true => middles.into_iter().chain(corners).all(shown),
+            false => middles.into_iter().all(shown) || self.photo_lens().widest() > FRAC_PI_2,
+        }
+    }
+
     /// Describes what is wrong with the lens, if anything.
     pub(super) fn lens_problem(&self) -> Option<String> {
         let used = self.projection.family().map_or(0, |family| family.coefficients);
@@ -306,8 +322,8 @@ impl Camera {
             let (name, own) = (self.projection.name(), self.coefficients);
             return Some(format!("coefficients {own:?}: {name} has {used} that are finite, then zeros"));
         }
-        let (family, c) = self.lens()?;
-        let (whole, fold) = (self.whole(), family.fold(&c));
+        let (family, _) = self.lens()?;
+        let whole = self.whole();
         match family.surface {
             Surface::Sphere => {
                 let (w, h) = (whole.width, whole.height);
@@ -323,12 +339,12 @@ impl Camera {
                     None
                 }
             }
-            Surface::Plane if fold.is_finite() && family.radius(&c, fold) < self.corner() => Some(format!(
-                "distortion {:?} folds the picture within the image",
-                &self.coefficients[..used]
-            )),
             _ => {
-                (fold < 0.05).then(|| format!("distortion {:?} shows no picture", &self.coefficients[..used]))
+                let last = self.coefficients.iter().rposition(|&c| c != 0.0).map_or(0, |last| last + 1);
+                let distortion = &self.coefficients[..last];
+                (!self.shows_its_picture(&whole)).then(|| {
+                    format!("distortion {distortion:?} folds the picture within the image, or shows none")
+                })
             }
         }
     }

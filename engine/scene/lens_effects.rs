@@ -48,9 +48,17 @@ impl LensEffects {
         let most = plane.corner();
         let scale = [taken.fx / camera.fx, taken.fy / camera.fy];
         let width = camera.width.max(1) as usize;
+        let is_other = camera.projection != taken.projection || camera.coefficients != taken.coefficients;
+        let other = is_other.then(|| (camera.rays(), taken.photo_lens()));
         for (index, color) in picture.iter_mut().enumerate() {
-            let x = ((index % width) as f32 + 0.5 - camera.cx) * scale[0];
-            let y = ((index / width) as f32 + 0.5 - camera.cy) * scale[1];
+            let [px, py] = [(index % width) as f32 + 0.5, (index / width) as f32 + 0.5];
+            let [x, y] = match &other {
+                None => [(px - camera.cx) * scale[0], (py - camera.cy) * scale[1]],
+                Some((rays, lens)) => match lens.position(rays([px, py]).as_dvec3()) {
+                    Some(place) => (place - lens.center_px).as_vec2().to_array(),
+                    None => [f32::MAX; 2],
+                },
+            };
             let r2 = (x * x + y * y) * plane.inverse_square;
             *color = self.of(*color, r2.min(most));
         }

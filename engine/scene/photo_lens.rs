@@ -270,6 +270,11 @@ impl PhotoLens {
         (is_met && place.length() < end).then_some(place)
     }
 
+    /// Largest distance from the middle that the radial term brings into a picture: an angle for fisheyes.
+    pub(super) fn widest(&self) -> f64 {
+        self.projection.family().map_or(f64::INFINITY, |family| family.fold(&self.coefficients))
+    }
+
     /// Largest pinhole camera whose image has no blank pixels: the same focal lengths, a smaller or larger image around the
     /// same direction. Equals `UndistortCamera` of COLMAP with its default. None if the lens shows more than a plane can, or
     /// folds the picture within the photograph or the pinhole's image.

@@ -120,6 +120,7 @@ fn between(keys: &[Camera], span: usize, t: f64, closed: bool) -> Camera {
         fy: mix(from.fy, to.fy),
         cx: mix(from.cx, to.cx),
         cy: mix(from.cy, to.cy),
+        coefficients: std::array::from_fn(|index| mix(from.coefficients[index], to.coefficients[index])),
         part: None,
         ..*from
     };

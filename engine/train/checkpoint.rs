@@ -462,7 +462,7 @@ impl Checkpoint {
         if self.views_fingerprint != wanted.views_fingerprint {
             return refuse(
                 "was made with other photographs or cameras (of another data set, resolution, background, split, or parts of \
-                 photographs)"
+                 photographs; with another undistort, alpha or level; before photographs kept their lenses)"
                     .into(),
             );
         }

@@ -227,7 +227,9 @@ impl TrainSettings {
         };
         let fits = |&factor: &u32| {
             // A panorama must stay whole.
-            let is_whole = !camera.projection.has_seam() || camera.width % factor == 0;
+            let whole = camera.whole();
+            let divides = [whole.width, whole.height].iter().all(|side| side.is_multiple_of(factor));
+            let is_whole = divides || !camera.projection.has_seam();
             factor <= wanted && camera.width.min(camera.height) / factor >= LEAST_SIDE && is_whole
         };
         WARM_UP_FACTORS.into_iter().find(fits).map_or(*camera, |factor| reduced(camera, factor))

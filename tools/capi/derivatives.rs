@@ -159,7 +159,7 @@ pub unsafe extern "C" fn ashsplat_compute_filters(
             let name = format!("cameras[{index}]");
             let camera = camera.known(&name)?;
             if camera.is_orthographic() {
-                let problem = "is orthographic: the 3D filter follows from pinholes";
+                let problem = "is orthographic: the 3D filter takes rays through a point";
                 return Err(Error::argument(format!("{name}.projection"), problem));
             }
             camera.check().map_err(named(name))?;

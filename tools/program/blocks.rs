@@ -61,6 +61,10 @@ fn off() -> String {
     "off".into()
 }
 
+fn yes() -> bool {
+    true
+}
+
 fn is_one<T: From<u8> + PartialEq>(value: &T) -> bool {
     *value == one()
 }
@@ -79,7 +83,8 @@ pub struct DatasetOfBlocks {
     pub images: String,
     pub resolution: i32,
     pub orientation: String,
-    #[serde(default)]
+    /// True in older files.
+    #[serde(default = "yes")]
     pub undistort: bool,
     /// Use of the photos' alpha channels; `target` in older files.
     #[serde(default = "target")]

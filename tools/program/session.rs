@@ -149,7 +149,8 @@ pub fn warn(warnings: &[String]) {
 pub fn cameras(dataset: &Path, trained: &DataSettings, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let stop = stop_on_ctrl_c()?;
     let progress = Progress { report: None, interrupted: Some(&stop) };
-    let options = DatasetOptions { frame: Some(*frame), level: trained.level.parse()?, ..Default::default() };
+    let (level, undistort) = (trained.level.parse()?, trained.undistort);
+    let options = DatasetOptions { frame: Some(*frame), level, undistort, ..Default::default() };
     let cameras = Gallery::open(dataset, &options, progress)?.cameras();
     end_at_once(&stop)?;
     Ok(cameras)

@@ -62,7 +62,7 @@ pub(super) fn scaling_note(sizes: &[(u32, u32)], resolution: Resolution) -> Opti
     ))
 }
 
-/// Names the cameras with lens distortion, if any. Many data sets have one camera per photo.
+/// Names the cameras with a lens, if any. Many data sets have one camera per photo.
 pub(super) fn distorted_lenses<'a>(
     file: &Path,
     cameras: impl Iterator<Item = &'a PhotoLens>,
@@ -78,7 +78,7 @@ pub(super) fn distorted_lenses<'a>(
         (some, all) if some == all => format!("all {all} cameras have"),
         (some, all) => format!("{some} of {all} cameras have"),
     };
-    Some(format!("{}: {which} lens distortion", file.display()))
+    Some(format!("{}: {which} a lens", file.display()))
 }
 
 /// Note on the treatment of their photos, which have these sizes in pixels.
@@ -149,12 +149,16 @@ pub(super) fn of_pixels<'v>(
     let (mut all, mut cut_outs, mut transparent, mut beside_mask) = (0, 0, 0, 0);
     let mut hidden: Vec<&PlannedView> = Vec::new();
     let mut unusual: Vec<(&PlannedView, f32)> = Vec::new();
+    let mut round: Vec<&PlannedView> = Vec::new();
     for (view, photo) in photos {
         all += 1;
         cut_outs += usize::from(photo.mask_is_cut_out);
         unusual.extend(photo.gamma.filter(|gamma| !USUAL_GAMMA.contains(gamma)).map(|gamma| (view, gamma)));
         if photo.is_hidden {
             hidden.push(view);
+        }
+        if photo.is_round {
+            round.push(view);
         }
         // A block's own mask says nothing about the photo.
         if photo.is_transparent && view.coarse_mask.is_none() {
@@ -197,7 +201,13 @@ pub(super) fn of_pixels<'v>(
              values are used as sRGB; convert them if they look too dark"
         )
     });
-    (notes, hidden.into_iter().chain(unusual).collect())
+    let round = round.first().map(|PlannedView { name, .. }| {
+        let count = round.len();
+        format!(
+            "{count} photos of fisheyes, {name} for example, have black corners and no masks: black is trained there; masks hide it"
+        )
+    });
+    (notes, hidden.into_iter().chain(unusual).chain(round).collect())
 }
 
 /// True if the source may have no points: a file with cameras alone.

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::mask::is_scaled;
 use super::options::DatasetOptions;
 use super::planned_view::{FileSize, PlannedView};
+use super::read::{NO_PINHOLE, NO_PINHOLE_REMEDY};
 use crate::images::{Header, PhotoOrientation, header};
 use crate::names::{Finder, ending, has_photos, photos_below, photos_beside, plain, stays_inside};
 use crate::{colmap, regular_file};
@@ -83,7 +84,7 @@ pub(super) fn fit_lenses(
     let own_size = |view: &PlannedView| (view.lens.width, view.lens.height);
     let unscaled = views.iter().flatten().filter(|view| view.file_size == Some(own_size(view)));
     let unscaled: HashSet<String> = unscaled.map(key).collect();
-    let mut known: HashMap<String, PhotoLens> = HashMap::new();
+    let mut known: HashMap<String, Option<PhotoLens>> = HashMap::new();
     let (mut first, mut count, mut as_named) = (None, 0, divisor > 1);
     for result in views {
         let Ok(view) = result else { continue };
@@ -99,9 +100,13 @@ pub(super) fn fit_lenses(
         let divided = |side: u32, own: u32| side == own / divisor || side == own.div_ceil(divisor);
         as_named &= divided(width, own.0) && divided(height, own.1);
         let lens = view.lens.scaled_to(width, height);
-        // A lens that can be undistorted at one size can be at another.
-        let fitted = || options.used_lens(&lens).unwrap_or(lens);
-        (view.lens, view.used) = (lens, *known.entry(format!("{lens:?}")).or_insert_with(fitted));
+        match known.entry(format!("{lens:?}")).or_insert_with(|| options.used_lens(&lens)) {
+            Some(used) => (view.lens, view.used) = (lens, *used),
+            None => {
+                let problem = format!("its camera at the photo's size {NO_PINHOLE}");
+                *result = Err(Error::input(&view.photo_path, problem, NO_PINHOLE_REMEDY));
+            }
+        }
     }
     let ((w, h), (width, height)) = first.filter(|_| !as_named)?;
     let list = list.display();

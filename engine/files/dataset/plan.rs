@@ -39,7 +39,7 @@ pub(super) struct Plan {
     pub(super) notes: Vec<String>,
     /// Number of depth maps that a transforms.json names.
     pub(super) named_depth_maps: usize,
-    /// Names the cameras that have lens distortion.
+    /// Names the cameras that have a lens.
     pub(super) distorted: Option<String>,
 }
 

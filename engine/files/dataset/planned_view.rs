@@ -12,7 +12,7 @@ use super::part::{UsedPart, cut_photo};
 use crate::depth_fit::DepthFit;
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, read_as, undistort};
 use ashsplat::Result;
-use ashsplat::scene::{Camera, PhotoLens, PicturePart, WorldFrame};
+use ashsplat::scene::{Camera, PhotoLens, PicturePart, Projection, WorldFrame};
 
 /// True if a photo is rotated by its metadata, and its size after that, if it can be read.
 pub(super) type FileSize = (bool, Option<(u32, u32)>);
@@ -70,6 +70,8 @@ pub(super) struct PhotoUse {
     pub(super) is_transparent: bool,
     /// See [`Decoded::gamma`].
     pub(super) gamma: Option<f32>,
+    /// True for a fisheye's photo whose corners are black and count.
+    pub(super) is_round: bool,
 }
 
 impl PlannedView {
@@ -168,6 +170,9 @@ impl PlannedView {
         let alpha = alpha.map(|values| Mask { width: own.0, height: own.1, values });
         let is_transparent = alpha.as_ref().is_some_and(Mask::hides);
         let mut mask = Mask::of_both(mask, alpha.filter(|_| options.alpha == AlphaUse::Mask));
+        let is_fisheye =
+            used.projection.orders_by_distance() && used.projection != Projection::Equirectangular;
+        let is_round = is_fisheye && mask.is_none() && has_black_corners(&photo);
         if is_undistorted {
             mask = mask.map(|mask| mask.undistorted(&lens, &used));
             opacity = opacity.map(|opacity| undistort(&opacity, &lens, &used));
@@ -176,7 +181,7 @@ impl PlannedView {
         let opacity = opacity.map(|opacity| opacity.scaled_to(scaled.0, scaled.1)).transpose()?;
         drop(lease);
         let is_hidden = mask.as_ref().is_some_and(Mask::hides_all);
-        let photo_use = PhotoUse { is_hidden, mask_is_cut_out, is_transparent, gamma };
+        let photo_use = PhotoUse { is_hidden, mask_is_cut_out, is_transparent, gamma, is_round };
         Ok((self.view_of(photo, opacity, mask)?, photo_use))
     }
 
@@ -249,4 +254,14 @@ impl PlannedView {
             depth_points: None,
         })
     }
+}
+
+fn has_black_corners(photo: &Photo) -> bool {
+    const BLACK: u8 = 8;
+    let pixels = photo.rgb.as_chunks::<3>().0;
+    let (width, count) = (photo.width as usize, pixels.len());
+    let corners = [0, width.saturating_sub(1), count.saturating_sub(width), count.saturating_sub(1)];
+    corners
+        .iter()
+        .all(|&corner| pixels.get(corner).is_some_and(|rgb| rgb.iter().all(|&value| value <= BLACK)))
 }

@@ -23,9 +23,9 @@ use ashsplat::{Error, Result};
 type Lenses = BTreeMap<String, (PhotoLens, Option<PhotoLens>)>;
 
 /// The problem of a lens that no pinhole can replace.
-const NO_PINHOLE: &str =
+pub(super) const NO_PINHOLE: &str =
     "sees too much for a pinhole, or its distortion folds the photo over, so that one place appears twice";
-const NO_PINHOLE_REMEDY: &str = "train without --undistort";
+pub(super) const NO_PINHOLE_REMEDY: &str = "train without --undistort";
 
 /// Reads the contents of a data set. Finds the photos without decoding them; opens those of unknown size.
 pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
@@ -86,6 +86,9 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
     let distorted: Vec<_> = distorted.map(size).collect();
     let how = (options.resolution, options.undistort);
     let note = notes::distorted_photos(plan.distorted.as_deref(), &distorted, how);
+    if options.undistort && plan.distorted.is_none() {
+        plan.notes.push("all cameras are pinholes: --undistort changes nothing".into());
+    }
     plan.notes.extend(note.or_else(|| notes::scaling_note(&sizes, options.resolution)));
     Ok(plan)
 }
@@ -297,7 +300,10 @@ impl Plan {
         let kind =
             if lens.projection == Projection::Perspective { "PINHOLE" } else { lens.projection.name() };
         *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
-        let used = used.ok_or_else(|| problem(format!("the camera {NO_PINHOLE}")))?;
+        let Some(used) = used else {
+            let problem = format!("frame {}: the camera {NO_PINHOLE}", frame.name);
+            return Err(Error::input(&self.list, problem, NO_PINHOLE_REMEDY));
+        };
         let camera = used.camera(frame.camera_from_source.as_mat3(), frame.translation.as_vec3());
         if let Some(what) = camera.problem().or_else(|| camera.absurdity()) {
             return Err(problem(what));

@@ -266,6 +266,10 @@ impl<'a> Demand<'a> {
 
 /// True if part of a box may lie in a picture or in its border, in picture sizes. Never false if it does.
 fn sees(camera: &Camera, bounds: Bounds, border: f64) -> bool {
+    if camera.projection.is_lens() {
+        // The sides of its view are no planes.
+        return true;
+    }
     let corners = (0..8).map(|corner: u32| {
         let side = |axis: u32| if corner >> axis & 1 == 0 { bounds.min } else { bounds.max };
         let place = vec3(side(0).x, side(1).y, side(2).z);

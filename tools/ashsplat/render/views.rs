@@ -205,8 +205,11 @@ impl Arguments {
             keys.windows(2).find(|pair| pair[0].camera.projection != pair[1].camera.projection)
         {
             let problem = format!(
-                "one of {} and {} is orthographic: nothing lies between them",
-                pair[0].name, pair[1].name
+                "{} is {} and {} {}: nothing lies between them",
+                pair[0].name,
+                pair[0].camera.projection.name(),
+                pair[1].name,
+                pair[1].camera.projection.name()
             );
             return Err(Error::input(path, problem, "leave out --frames, or give keys of one kind"));
         }
@@ -417,11 +420,19 @@ impl SizeArguments {
                     "an orthographic camera has none: change fx and fy in its file",
                 ));
             }
+            if camera.projection.is_lens() && self.camera_model.is_none() {
+                let problem =
+                    format!("the cameras are {}: give --camera-model as well", camera.projection.name());
+                return Err(Error::argument("--fov", problem));
+            }
             let focal = Intrinsics::from_fov_x(fov.to_radians(), width, height).fx;
             camera.fy *= focal / camera.fx;
             camera.fx = focal;
         }
-        camera.check()?;
+        // Another lens replaces the camera's own.
+        if self.camera_model.is_none() {
+            camera.check()?;
+        }
         self.through_lens(camera)
     }
 }

@@ -58,8 +58,9 @@ pub fn table(path: &Path, purpose: Purpose) -> Result<Table> {
         return Err(Error::input(path, problem, "leave it out"));
     }
     if purpose == Purpose::Result || text.starts_with(dump_line().trim_end()) {
-        // Earlier versions had no other split.
+        // Earlier versions had no other split, and undistorted all photos.
         table.entry("eval_split").or_insert("reference".into());
+        table.entry("undistort").or_insert(true.into());
     }
     Settings::from_table(table.clone(), &Facts::default())
         .map_err(|problem| Error::input(path, problem, remedy))?;
