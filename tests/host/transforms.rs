@@ -351,7 +351,7 @@ fn distorted_frames_are_used_as_they_are_or_undistorted() {
         (20, 12, vec![-0.2, 0.0, 0.01])
     );
     let options = DatasetOptions { undistort: true, ..Default::default() };
-    assert_says(&folder.inspect(&options).notes[0], &["distortion", "19x11"]);
+    assert_says(&folder.inspect(&options).notes[0], &["the camera has a lens", "19x11"]);
     let dataset = Dataset::load(&folder, &options, Progress::NONE).unwrap();
     let camera = dataset.train[0].camera;
     // The image loses half a pixel at each side, and keeps its scale.

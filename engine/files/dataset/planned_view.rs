@@ -256,12 +256,12 @@ impl PlannedView {
     }
 }
 
+/// True if the corners are black and the middle is not.
 fn has_black_corners(photo: &Photo) -> bool {
     const BLACK: u8 = 8;
     let pixels = photo.rgb.as_chunks::<3>().0;
     let (width, count) = (photo.width as usize, pixels.len());
+    let is_black = |at: usize| pixels.get(at).is_some_and(|rgb| rgb.iter().all(|&value| value <= BLACK));
     let corners = [0, width.saturating_sub(1), count.saturating_sub(width), count.saturating_sub(1)];
-    corners
-        .iter()
-        .all(|&corner| pixels.get(corner).is_some_and(|rgb| rgb.iter().all(|&value| value <= BLACK)))
+    corners.into_iter().all(is_black) && !is_black(count / 2 + width / 2)
 }
