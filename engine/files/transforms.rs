@@ -16,7 +16,7 @@ use serde_json::error::Category;
 use serde_json::value::RawValue;
 use serde_json::{Map, Value};
 
-use crate::names::{Finder, ending, entries, first_with, plain, stays_inside};
+use crate::names::{Finder, MAX_PATH_BYTES, ending, entries, first_with, plain, stays_inside};
 use crate::{cost, ply, regular_file, text};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
@@ -321,7 +321,12 @@ type RawObject<'a> = BTreeMap<String, &'a RawValue>;
 fn values(path: &Path, raw: RawObject<'_>) -> Result<Value> {
     let mut values = Map::new();
     for (key, value) in raw {
-        let is_used = value.get().len() <= MOST_BYTES || frame::LISTS.contains(&key.as_str());
+        let bytes = value.get().len();
+        if bytes > MOST_BYTES && (key == "file_path" || frame::MASK_KEYS.contains(&key.as_str())) {
+            let problem = format!("{key} has {bytes} bytes; {MAX_PATH_BYTES} are possible for a path");
+            return Err(Error::input(path, problem, DAMAGED));
+        }
+        let is_used = bytes <= MOST_BYTES || frame::LISTS.contains(&key.as_str());
         if is_used && key != "frames" {
             let parsed = serde_json::from_str(value.get());
             let problem = |e| Error::input(path, format!("{key} is not JSON: {e}"), DAMAGED);

@@ -223,7 +223,7 @@ fn unused_lens_keys(holder: &Value, keys: &mut BTreeSet<String>) {
 }
 
 /// Keys of the path of a frame's mask; the first is nerfstudio's.
-const MASK_KEYS: [&str; 3] = ["mask_path", "mask_file_path", "mask_filename"];
+pub(super) const MASK_KEYS: [&str; 3] = ["mask_path", "mask_file_path", "mask_filename"];
 /// Keys of the path of a frame's depth map, of nerfstudio and instant-ngp.
 const DEPTH_KEYS: [&str; 2] = ["depth_file_path", "depth_path"];
 /// nerfstudio's list of k1, k2, k3, k4, p1 and p2, which takes precedence over single keys.
