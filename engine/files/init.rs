@@ -140,7 +140,7 @@ pub fn seen_box(cameras: &[Camera]) -> Option<Bounds> {
     let half_edge = |camera: &Camera| {
         let depth = camera.forward().dot(center - camera.position());
         let half = (0.5 * camera.width as f32 / camera.fx).min(0.5 * camera.height as f32 / camera.fy);
-        // What a fisheye or a panorama sees beyond 45 degrees lies around the cameras, not between them.
+        // Fisheyes and panoramas see the cameras' surroundings beyond 45 degrees, not the place between the cameras.
         let half = if camera.projection.orders_by_distance() { half.min(1.0) } else { half };
         (depth > 0.0).then_some(depth * half)
     };

@@ -71,7 +71,7 @@ pub fn find(dataset: &Path, images: &str) -> Vec<Source> {
 /// One of COLMAP's camera models with its parameters.
 type Lens = (CameraModel, Vec<f64>);
 
-/// What a reader finds.
+/// Contents of a file or of a folder's XMP files.
 #[derive(Default)]
 struct Scene {
     cameras: Vec<ColmapCamera>,

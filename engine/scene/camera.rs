@@ -264,26 +264,26 @@ impl Camera {
         Self { translation: self.translation - Vec3::new(x, y, 0.0), ..*self }
     }
 
-    /// Pixel position of a world point (first pixel's centre at 0.5) and its [depth](Self::depth_of), world units. NaN where a
+    /// Pixel position of a world point (first pixel's centre at 0.5) and its [depth](Projection::depth_of), world units. NaN where a
     /// lens shows nothing.
     pub fn project(&self, world: Vec3) -> (f32, f32, f32) {
         let p = self.camera_from_world * world + self.translation;
         if self.projection.is_lens() {
             let place = self.photo_lens().project(p.as_dvec3()).map_or(Vec2::NAN, |place| place.as_vec2());
-            return (place.x, place.y, self.depth_of(p.into()) as f32);
+            return (place.x, place.y, self.projection.depth_of(p.into()) as f32);
         }
         let distance = self.distance_of(p.z.into()) as f32;
         (self.fx * p.x / distance + self.cx, self.fy * p.y / distance + self.cy, p.z)
     }
 
-    /// Gives directions of picture positions (first pixel's centre at 0.5) in camera space, scaled to [depth](Self::depth_of) 1.
+    /// Gives directions of picture positions (first pixel's centre at 0.5) in camera space, scaled to [depth](Projection::depth_of) 1.
     /// Straight ahead where a lens shows no direction.
     pub fn rays(&self) -> impl Fn([f32; 2]) -> Vec3 + use<> {
         let (camera, lens) = (*self, self.projection.is_lens().then(|| self.photo_lens().rays()));
         move |[x, y]| match &lens {
             Some(rays) => {
                 let ray = rays(DVec2::new(x.into(), y.into())).unwrap_or(DVec3::Z);
-                (ray / camera.depth_of(ray)).as_vec3()
+                (ray / camera.projection.depth_of(ray)).as_vec3()
             }
             None => Vec3::new((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0),
         }

@@ -157,6 +157,11 @@ impl Projection {
         matches!(self.surface(), Some(Surface::Angle | Surface::Sphere))
     }
 
+    /// Depth by which Gaussians are ordered, for a point in camera space: z, or for fisheyes and panoramas the distance from the camera.
+    pub fn depth_of(self, at: DVec3) -> f64 {
+        if self.orders_by_distance() { at.length() } else { at.z }
+    }
+
     pub(super) fn surface(self) -> Option<Surface> {
         self.family().map(|family| family.surface)
     }
@@ -255,11 +260,6 @@ impl Camera {
 
     fn lens(&self) -> Option<(&'static Family, [f64; 12])> {
         Some((self.projection.family()?, self.coefficients.map(f64::from)))
-    }
-
-    /// Depth by which Gaussians are ordered, world units: z, or for fisheyes and panoramas the distance from the camera.
-    pub fn depth_of(&self, at: DVec3) -> f64 {
-        if self.projection.orders_by_distance() { at.length() } else { at.z }
     }
 
     /// Largest distance of the whole picture's corners from the middle, in focal lengths.

@@ -182,27 +182,32 @@ impl PhotoLens {
         radial + (family.bend)(&self.coefficients, place, radial)
     }
 
+    /// Picture position of a point of the plane or of the angles, pixels.
+    fn position_of(&self, place: DVec2) -> DVec2 {
+        let distorted = self.projection.family().map_or(place, |family| self.distorted(family, place));
+        self.focal_px * distorted + self.center_px
+    }
+
     /// Picture position of a point in camera space, pixels (first pixel's centre at 0.5). None where the lens shows nothing:
     /// behind a plane, or beyond a fold of the distortion.
     pub fn project(&self, at: DVec3) -> Option<DVec2> {
-        self.position(at).filter(|_| self.place(at).is_some_and(|place| self.is_sound_up_to(place)))
+        let place = self.place(at)?;
+        self.is_sound_up_to(place).then(|| self.position_of(place))
     }
 
     /// True if the picture shows a point in camera space.
     pub fn shows(&self, at: DVec3) -> bool {
-        let inside = |place: DVec2| {
+        let inside = |position: DVec2| {
             let size = dvec2(self.width.into(), self.height.into());
-            place.cmpge(DVec2::ZERO).all() && place.cmplt(size).all()
+            position.cmpge(DVec2::ZERO).all() && position.cmplt(size).all()
         };
         // Most points are far outside: looking for folds is expensive.
-        self.position(at).is_some_and(inside) && self.project(at).is_some()
+        self.place(at).is_some_and(|place| inside(self.position_of(place)) && self.is_sound_up_to(place))
     }
 
     /// Same as [`PhotoLens::project`], without looking for folds.
     pub fn position(&self, at: DVec3) -> Option<DVec2> {
-        let place = self.place(at)?;
-        let distorted = self.projection.family().map_or(place, |family| self.distorted(family, place));
-        Some(self.focal_px * distorted + self.center_px)
+        Some(self.position_of(self.place(at)?))
     }
 
     /// True if the radial term does not fold the picture between its middle and a point.
@@ -317,10 +322,8 @@ impl PhotoLens {
         };
         let (w, h) = (f64::from(new_width), f64::from(new_height));
         let corners = [[0.5, 0.5], [w - 0.5, 0.5], [0.5, h - 0.5], [w - 0.5, h - 0.5]];
-        let is_whole = |corner: [f64; 2]| {
-            let ray = pinhole.ray(corner.into());
-            ray.is_some_and(|ray| self.place(ray).is_some_and(|place| self.is_sound_up_to(place)))
-        };
+        let is_whole =
+            |corner: [f64; 2]| pinhole.ray(corner.into()).is_some_and(|ray| self.project(ray).is_some());
         corners.into_iter().all(is_whole).then(|| pinhole.intrinsics())
     }
 }

@@ -206,7 +206,7 @@ impl<'a> Sight<'a> {
     fn may_show(&self, mean: DVec3, axis: f64, low_pass_px2: f64) -> bool {
         let Camera { camera_from_world, translation, width, height, .. } = *self.camera;
         if self.camera.projection.is_lens() {
-            // What the unscented transform may draw has no bound as simple as below.
+            // The bound below is that of the Jacobian; the unscented transform may draw a Gaussian farther away.
             return true;
         }
         let translation = translation.as_dvec3();

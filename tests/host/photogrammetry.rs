@@ -5,7 +5,7 @@ use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat_files::{Dataset, DatasetOptions, Gallery, Progress};
 use glam::{Mat3, Quat, Vec3};
 
-/// As in the files below: 36 mm of film are the longer side.
+/// The files below have this camera, in millimetres of a film whose longer side is 36 mm.
 const INTRINSICS: Intrinsics = Intrinsics { fx: 20.0, fy: 20.0, cx: 10.5, cy: 5.75, width: 20, height: 12 };
 
 fn cameras() -> Vec<Camera> {

@@ -132,7 +132,7 @@ impl PlannedView {
     /// Depth of a point in source coordinates, source units; `None` if the point is out of view.
     pub(super) fn depth_of(&self, point: DVec3) -> Option<f64> {
         let p = self.camera_from_source * point + self.translation;
-        self.used.shows(p).then(|| if self.used.projection.orders_by_distance() { p.length() } else { p.z })
+        self.used.shows(p).then(|| self.used.projection.depth_of(p))
     }
 
     /// Reads the photo, scaled and, if wanted, undistorted, with its mask.
