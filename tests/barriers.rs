@@ -134,7 +134,7 @@ impl Training {
         self.forward.record(recorder, &inputs);
         recorder.barrier();
         if kind == Kind::Gradients {
-            self.backward.record(recorder, &inputs, image_gradient, statistics, false);
+            self.backward.record(recorder, &inputs, image_gradient, statistics, BackwardForm::default());
             recorder.barrier();
             self.backward.record_expand_gradients(recorder, &inputs, &self.gradients, mean2d_gradients);
             return;
@@ -154,7 +154,13 @@ impl Training {
         };
         self.loss.record(recorder, &loss);
         recorder.barrier();
-        self.backward.record(recorder, &inputs, image_gradient, statistics, kind == Kind::Poses);
+        self.backward.record(
+            recorder,
+            &inputs,
+            image_gradient,
+            statistics,
+            BackwardForm { pose: kind == Kind::Poses, ..BackwardForm::default() },
+        );
         recorder.barrier();
         let rates =
             Rates { mean: 1e-4, opacity: 0.025, quat: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };

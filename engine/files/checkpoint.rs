@@ -20,7 +20,7 @@ use ashsplat::train::checkpoint::{
     StrategyStatistic, Tensor,
 };
 use ashsplat::train::strategy::Actions;
-use ashsplat::train::{BlockState, TrainSettings};
+use ashsplat::train::{BlockState, LENS_STATE_VALUES, TrainSettings};
 use ashsplat::{Error, Result};
 
 /// Changes when older files can no longer be read.
@@ -244,6 +244,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         exposures: light_state(&tensors, Checkpoint::EXPOSURES)?,
         lenses: light_state(&tensors, Checkpoint::LENSES)?,
         poses: poses(&tensors)?,
+        lens_opt: optional_values(&tensors, Checkpoint::LENS_OPT, &[LENS_STATE_VALUES])?,
         skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
         block: metadata.block()?,
         capacities: metadata.room()?,

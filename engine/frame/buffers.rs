@@ -4,7 +4,7 @@ use super::{FrameCapacity, GaussianRange, LaunchSizes, PictureCapacity, blocks, 
 use crate::error::{Error, Result};
 use crate::kernels::blocks::CameraBlock;
 use crate::kernels::constants::{
-    ARGUMENTS_COUNT, CAMERA_BLOCK_WORDS, GRADIENT_PLANES, SPLAT_PLANES, STATE_WORDS,
+    ARGUMENTS_COUNT, CAMERA_BLOCK_WORDS, GRADIENT_PLANES, LENS_SUMS, SPLAT_PLANES, STATE_WORDS,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Limits, PLACEMENT_ALIGNMENT, pack};
@@ -96,7 +96,9 @@ buffer_set! {
     /// Per visible Gaussian: shape of its rows of tiles, number of tiles (tile_span.glsl).
     footprints: apart * visible * 16;
     /// [`Self::tile_lists`], then [`Self::pose_sums`].
-    tile_lists: (visible * 8).max(backward * gaussians.div_ceil(4) * POSE_SUM_BYTES);
+    tile_lists: (visible * 8).max(
+        backward * (u64::from(first_lens_sum(capacity)) * 12 + gaussian_blocks * LENS_SUM_BYTES),
+    );
     /// [`Self::depth_keys`], [`Self::depth_sort_keys`], then [`Self::list_heads`].
     depth_keys_a: visible * 4;
     /// [`Self::depth_sort_keys`], then [`Self::list_rows`].
@@ -168,6 +170,13 @@ pub(crate) fn array_of<const N: usize>(buffers: Vec<Buffer>) -> [Buffer; N] {
 
 /// Bytes of the sums of a subgroup ([`FrameBuffers::pose_sums`]): two vec3. Subgroups have four lanes or more.
 pub(crate) const POSE_SUM_BYTES: u64 = 24;
+/// Bytes of the sums of a lens's gradient in a culling block.
+pub(crate) const LENS_SUM_BYTES: u64 = 4 * LENS_SUMS as u64;
+
+/// Place, in vec3, of the sums of a lens's gradient behind those of the pose.
+pub(crate) fn first_lens_sum(capacity: &FrameCapacity) -> u32 {
+    capacity.gaussians.div_ceil(4) * (POSE_SUM_BYTES / 12) as u32
+}
 
 /// Returns the bytes of all buffers of a frame, including the padding between them.
 pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {
@@ -216,7 +225,8 @@ contents! {
     /// projection to duplication.
     tile_lists: tile_lists;
     /// Per subgroup of visible Gaussians, indexed as subgroups of all Gaussians: sums of dL/dν and dL/dω of the camera's
-    /// pose, two vec3. Valid from the backward projection on, if it writes them.
+    /// pose, two vec3. Behind them, from [`first_lens_sum`] on, per culling block of visible Gaussians: sums of the gradient of the lens. Valid
+    /// from the backward projection on, if it writes them.
     pose_sums: tile_lists;
     /// Per depth rank: first word of the Gaussian's list of tiles. Valid from counting to duplication; the sorted depths
     /// are not needed then.

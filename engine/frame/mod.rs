@@ -16,7 +16,9 @@ pub mod tuning;
 
 pub(crate) use batches::{LEAST_SCENES, form_batches};
 pub use buffers::{CAMERA_BLOCK_BYTES, FrameBuffers, Splats, check_grids, frame_bytes, frame_fits_device};
-pub(crate) use buffers::{POSE_SUM_BYTES, array_of, buffer_set, packed_bytes, sorted_side};
+pub(crate) use buffers::{
+    LENS_SUM_BYTES, POSE_SUM_BYTES, array_of, buffer_set, first_lens_sum, packed_bytes, sorted_side,
+};
 pub(crate) use camera_block::{CUT_OUT_BYTES, record_blocks, record_cut_outs};
 pub use camera_block::{POSE_BYTES, pose_of};
 pub use inputs::{Batch, FrameInputs, PlacedScene, PreviousView, SceneBuffers, SceneView};

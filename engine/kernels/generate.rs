@@ -31,7 +31,7 @@ pub struct Form {
 }
 
 impl Kernel {
-    /// Interface of the form with the most push constants.
+    /// Interface of the form with the most constants and shared memory.
     fn widest(&self) -> &Shader {
         self.forms.iter().find(|form| form.lenses).map_or(&self.shader, |form| &form.shader)
     }
@@ -251,7 +251,7 @@ fn push(kernel: &Kernel) -> Result<String, String> {
 }
 
 fn spec(kernel: &Kernel) -> Result<String, String> {
-    let shader = &kernel.shader;
+    let shader = kernel.widest();
     let mut fields = String::new();
     let mut defaults = String::new();
     for c in &shader.spec {
@@ -323,7 +323,7 @@ fn interface(kernel: &Kernel) -> String {
     }
     let lenses = if kernel.forms.iter().any(|form| form.lenses) { "spec.lenses" } else { "false" };
     let (mut constants, mut entries) = (String::new(), String::new());
-    for c in &shader.spec {
+    for c in &kernel.widest().spec {
         let kind = match c.rust_type {
             "f32" => "Float",
             "i32" => "Int",
@@ -376,7 +376,7 @@ fn interface(kernel: &Kernel) -> String {
         push_size = end_of(&shader.push),
         count = shader.bindings.len(),
         image_count = shader.images.len(),
-        shared = shader.shared_bytes,
+        shared = kernel.widest().shared_bytes,
     )
 }
 

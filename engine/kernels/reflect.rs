@@ -30,7 +30,8 @@ pub struct Shader {
 
 impl Shader {
     /// Returns the first part of the interface that differs from another shader's. With `forms`, the two may be forms of
-    /// one shader: they read the same buffers in different ways, and the other one may have more members in blocks.
+    /// one shader: they read the same buffers in different ways, and the other one may have more members in blocks, more constants
+    /// and shared memory of its own.
     pub fn difference(&self, other: &Self, forms: bool) -> Option<&'static str> {
         let same = |(a, b): (&Binding, &Binding)| {
             let access = |binding: &Binding| (binding.reads, binding.writes, binding.aliased);
@@ -43,9 +44,12 @@ impl Shader {
             (buffers, "buffers"),
             (self.images == other.images, "images"),
             (self.push == other.push || forms && other.push.starts_with(&self.push), "push constants"),
-            (self.spec == other.spec, "specialization constants"),
+            (
+                self.spec == other.spec || forms && other.spec.starts_with(&self.spec),
+                "specialization constants",
+            ),
             (self.workgroup_size == other.workgroup_size, "workgroup"),
-            (self.shared_bytes == other.shared_bytes, "shared memory"),
+            (forms || self.shared_bytes == other.shared_bytes, "shared memory"),
         ];
         parts.into_iter().find(|(same, _)| !same).map(|(_, what)| what)
     }

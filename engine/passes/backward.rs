@@ -6,7 +6,9 @@
 //! the same bits.
 
 use crate::error::Result;
-use crate::frame::{BlendShape, FrameInputs, FrameVariant, LaunchSizes, POSE_SUM_BYTES};
+use crate::frame::{
+    BlendShape, FrameInputs, FrameVariant, LENS_SUM_BYTES, LaunchSizes, POSE_SUM_BYTES, first_lens_sum,
+};
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
 };
@@ -47,6 +49,9 @@ pub struct BackwardForm {
     /// Sums from which [`PoseGradient`](crate::passes::poses::PoseGradient) computes the gradient of the camera's pose. The scene
     /// must have the scale 1.
     pub pose: bool,
+    /// Sums from which [`LensGradient`](crate::passes::lens::LensGradient) computes the gradient of the lens. The camera must have
+    /// one.
+    pub lens: bool,
 }
 
 impl BackwardForm {
@@ -176,7 +181,7 @@ impl Backward {
         &self,
         sh_degree: u32,
         variant: FrameVariant,
-        BackwardForm { absolute, pose: pose_gradient }: BackwardForm,
+        BackwardForm { absolute, pose: pose_gradient, lens: lens_gradient }: BackwardForm,
     ) -> project_backward::Spec {
         let FrameVariant { filter_3d, own_dilation, dropout, z_record, projection, .. } = variant;
         project_backward::Spec {
@@ -191,6 +196,7 @@ impl Backward {
             z_record,
             absolute,
             pose_gradient,
+            lens_gradient,
             projection: projection as u32,
             lenses: projection.is_lens(),
             sh_loops: self.sizes.sh_loops,
@@ -213,7 +219,7 @@ impl Backward {
     /// `image_gradient` has the device's native layout: per pixel dL/d(r, g, b, inverse depth), row by row. Devices that use
     /// [`Strips`] have three planes, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth).
     /// [`PixelBorder::record_gradient`](crate::passes::pixels::PixelBorder::record_gradient) converts it from rows, which are the same
-    /// on all devices. Without inverse depth, the caller may pass `frame.image_gradient`. `pose`: see [`BackwardForm::pose`].
+    /// on all devices. Without inverse depth, the caller may pass `frame.image_gradient`. `form` must have been prepared.
     ///
     /// [`Strips`]: crate::frame::Strips
     pub fn record(
@@ -222,10 +228,15 @@ impl Backward {
         inputs: &FrameInputs,
         image_gradient: &Buffer,
         statistics: Statistics,
-        pose: bool,
+        form: BackwardForm,
     ) {
-        let form = BackwardForm { absolute: statistics.absolute.is_some(), pose };
-        if pose {
+        if form.lens {
+            // Blocks without a visible Gaussian write no sum.
+            let first = 12 * u64::from(first_lens_sum(&inputs.capacity));
+            let blocks = self.sizes.groups(inputs.scene().count);
+            r.fill(&inputs.frame.pose_sums().range(first, blocks * LENS_SUM_BYTES), 0);
+        }
+        if form.pose {
             // Subgroups without a visible Gaussian write no sum.
             let sums = inputs.scene().count.div_ceil(self.context.limits().heavy_subgroup_size);
             r.fill(&inputs.frame.pose_sums().range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
@@ -281,6 +292,7 @@ impl Backward {
                 splat_stride: f.splats().stride,
                 gradient_stride: inputs.capacity.visible,
                 accumulate: statistics.accumulate.into(),
+                first_lens_sum: first_lens_sum(&inputs.capacity),
             };
             let bind = project_backward::Bind {
                 parameters,

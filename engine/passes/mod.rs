@@ -14,6 +14,7 @@ pub(crate) mod cull;
 pub mod densify;
 pub mod filter_3d;
 pub(crate) mod instances;
+pub mod lens;
 pub(crate) mod light;
 pub mod loss;
 pub mod lpips;

@@ -159,7 +159,7 @@ impl Renderer {
                 loss.record(r, &loss_inputs);
                 r.barrier();
                 let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
-                backward.record(r, inputs, &inputs.frame.image_gradient, statistics, true);
+                backward.record(r, inputs, &inputs.frame.image_gradient, statistics, form);
                 r.barrier();
                 pose_gradient.record(r, inputs, (parameters, 0), gradient);
                 Ok(())

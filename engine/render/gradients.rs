@@ -3,11 +3,12 @@
 use super::renderer::Renderer;
 use super::runner::{Failed, Request};
 use crate::error::{Error, Result};
-use crate::frame::{FrameVariant, RenderSettings, SceneBuffers, planes};
+use crate::frame::{FrameVariant, LENS_SUM_BYTES, RenderSettings, SceneBuffers, planes};
 use crate::passes::backward::{BackwardForm, Statistics};
+use crate::passes::lens::LensGradient;
 use crate::passes::pixels::PixelBorder;
 use crate::passes::poses::{GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
-use crate::scene::{Camera, Gaussians};
+use crate::scene::{Camera, Gaussians, LENS_PARAMETERS};
 use crate::vk::MemoryKind;
 
 /// Gradients of a scalar with respect to a scene.
@@ -21,6 +22,10 @@ pub struct Gradients {
     /// the camera's frame (x right, y down, z forward). ν are three displacements in world units, ω three rotations in
     /// radians about the camera's centre. See [`Twist`](crate::scene::Twist). Only from [`Renderer::gradients_with_pose`].
     pub pose: Option<[f32; 6]>,
+    /// With respect to the lens: focal lengths and principal point (fx, fy, cx, cy, pixels), then its
+    /// [coefficients](Camera::coefficients). Only from [`Renderer::gradients_with_pose`] of a camera with a lens; zeros for
+    /// panoramas.
+    pub lens: Option<[f64; 16]>,
 }
 
 impl Renderer {
@@ -42,8 +47,8 @@ impl Renderer {
         self.differentiate(camera, settings, image_gradient, inverse_depth_gradient, false)
     }
 
-    /// Same as [`Renderer::gradients`], but also returns the gradient with respect to the camera's pose
-    /// ([`Gradients::pose`]). It sums over all visible Gaussians how their means, covariances and view directions change
+    /// Same as [`Renderer::gradients`], but also returns the gradients with respect to the camera's pose and lens
+    /// ([`Gradients::pose`], [`Gradients::lens`]). The first sums over all visible Gaussians how their means, covariances and view directions change
     /// with the pose. The order of the sum is fixed, so its bits are always the same.
     ///
     /// # Errors
@@ -82,7 +87,9 @@ impl Renderer {
         let scene = self.only_scene("gradients are")?;
         let sh_degree = scene.active_degree(settings);
         let variant = FrameVariant::of(settings, camera, true);
-        let form = BackwardForm { pose: with_pose, ..BackwardForm::default() };
+        let lens = with_pose && camera.projection.is_lens();
+        let form = BackwardForm { pose: with_pose, lens, absolute: false };
+        let lens_gradient = lens.then(|| LensGradient::new(&self.context)).transpose()?;
         self.backward.prepare(sh_degree, variant, form)?;
         let pose_gradient = with_pose.then(|| PoseGradient::new(&self.context)).transpose()?;
         self.backward.prepare_expand(sh_degree)?;
@@ -105,8 +112,11 @@ impl Renderer {
         if with_pose {
             requests.extend([("pose_parameters", PARAMETER_BYTES), ("pose_gradient", GRADIENT_BYTES)]);
         }
+        if lens {
+            requests.push(("lens_gradient", LENS_SUM_BYTES));
+        }
         let extra = self.context.allocate("gradients", &requests, MemoryKind::Device)?;
-        let [mean2d, statistics, target_rows, native, pose @ ..] = &extra[..] else {
+        let [mean2d, statistics, target_rows, native, camera_gradients @ ..] = &extra[..] else {
             unreachable!("one buffer per request")
         };
         self.context.upload(target_rows, target)?;
@@ -118,11 +128,14 @@ impl Renderer {
             border.record_gradient(r, inputs, target_rows, native, false);
             r.barrier();
             let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
-            pose.iter().take(1).for_each(|parameters| r.fill(parameters, 0));
-            backward.record(r, inputs, native, statistics, with_pose);
+            camera_gradients.iter().take(1).for_each(|parameters| r.fill(parameters, 0));
+            backward.record(r, inputs, native, statistics, form);
+            r.barrier();
             if let Some(gradient) = &pose_gradient {
-                r.barrier();
-                gradient.record(r, inputs, (&pose[0], 0), &pose[1]);
+                gradient.record(r, inputs, (&camera_gradients[0], 0), &camera_gradients[1]);
+            }
+            if let Some(gradient) = &lens_gradient {
+                gradient.record(r, inputs, &camera_gradients[2]);
             }
             r.barrier();
             backward.record_expand_gradients(r, inputs, &planes, mean2d);
@@ -133,10 +146,14 @@ impl Renderer {
         let bytes = self.context.download(mean2d)?;
         let mut mean2d_px: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(&bytes);
         mean2d_px.truncate(parameters.len());
-        let pose = pose.get(1).map(|gradient| -> Result<[f32; 6]> {
+        let pose = camera_gradients.get(1).map(|gradient| -> Result<[f32; 6]> {
             let bytes = self.context.download(&gradient.range(0, GRADIENT_BYTES / 2))?;
             Ok(bytemuck::pod_read_unaligned(&bytes))
         });
-        Ok(Gradients { parameters, mean2d_px, pose: pose.transpose()? })
+        let lens = camera_gradients.get(2).map(|gradient| -> Result<[f64; 16]> {
+            let bytes = self.context.download(&gradient.range(0, LENS_SUM_BYTES))?;
+            Ok(camera.lens_gradient(&bytemuck::pod_read_unaligned(&bytes[..4 * LENS_PARAMETERS])))
+        });
+        Ok(Gradients { parameters, mean2d_px, pose: pose.transpose()?, lens: lens.transpose()? })
     }
 }

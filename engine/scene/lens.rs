@@ -75,6 +75,9 @@ pub const COLMAP_MODELS: [&str; 18] = [
 /// Coefficients of a lens, in the order that [`Projection`] lists; zeros after the last.
 pub type Coefficients = [f32; 12];
 
+/// Focal lengths, principal point and coefficients.
+pub(crate) const LENS_PARAMETERS: usize = 16;
+
 /// A family of lenses.
 pub(super) struct Family {
     /// Name in files and errors.
@@ -83,6 +86,8 @@ pub(super) struct Family {
     pub(super) surface: Surface,
     /// Number of coefficients.
     coefficients: usize,
+    /// Places of the coefficients that refinement of the lens learns. It learns others if they are not 0.
+    learned: &'static [usize],
     /// Radial factor g(s) and its derivative. Not finite or not positive where the lens is not defined.
     pub(super) radial: fn(&[f64; 12], f64) -> [f64; 2],
     /// Terms beside the radial one, of (a, b) and of its radially distorted position.
@@ -106,6 +111,7 @@ const RADIAL: Family = Family {
     name: "",
     surface: Surface::Plane,
     coefficients: 0,
+    learned: &[],
     radial: |_, _| [1.0, 0.0],
     bend: |_, _, _| DVec2::ZERO,
     words: |c| *c,
@@ -295,6 +301,70 @@ impl Camera {
         words.copy_from_slice(&all[..9]);
         let [second, third, fourth] = others;
         Some(([word(fold), second, third, fourth], words))
+    }
+
+    /// Focal lengths and principal point, then the coefficients.
+    pub(crate) fn lens_parameters(&self) -> [f32; LENS_PARAMETERS] {
+        let mut all = [0.0; LENS_PARAMETERS];
+        all[..4].copy_from_slice(&[self.fx, self.fy, self.cx, self.cy]);
+        all[4..].copy_from_slice(&self.coefficients);
+        all
+    }
+
+    /// Returns the camera with these focal lengths, principal point and coefficients.
+    #[must_use]
+    pub(crate) fn with_lens_parameters(self, parameters: &[f32; LENS_PARAMETERS]) -> Self {
+        let [fx, fy, cx, cy, coefficients @ ..] = *parameters;
+        Self { fx, fy, cx, cy, coefficients, ..self }
+    }
+
+    /// Converts a gradient of the lens as [`LensGradient`](crate::passes::lens::LensGradient) writes it: it then is that of the focal
+    /// lengths and the principal point (fx, fy, cx, cy, pixels), then of the coefficients.
+    pub fn lens_gradient(&self, of_words: &[f32; LENS_PARAMETERS]) -> [f64; LENS_PARAMETERS] {
+        /// Difference of coefficients by which the words are differentiated.
+        const STEP: f64 = 1e-5;
+        let mut gradient = of_words.map(f64::from);
+        let Some((family, c)) = self.lens() else { return gradient };
+        for (place, gradient) in gradient[4..].iter_mut().enumerate() {
+            let [low, high] = [-STEP, STEP].map(|step| {
+                let mut moved = c;
+                moved[place] += step;
+                (family.words)(&moved)
+            });
+            *gradient = (0..12).map(|k| f64::from(of_words[4 + k]) * (high[k] - low[k]) / (2.0 * STEP)).sum();
+        }
+        gradient
+    }
+
+    /// Per [lens parameter](Self::lens_parameters): the change that moves a point in the picture's corner by about a focal length.
+    /// 0 for those that refinement does not learn: coefficients that the lens seldom has, and one of two equal focal lengths.
+    pub(crate) fn lens_scales(&self) -> [f64; LENS_PARAMETERS] {
+        /// Largest scale of a coefficient that hardly changes the picture.
+        const LARGEST: f64 = 100.0;
+        let mut scales = [0.0; LENS_PARAMETERS];
+        let Some((family, c)) = self.lens().filter(|(family, _)| family.surface != Surface::Sphere) else {
+            return scales;
+        };
+        let [fx, fy] = [self.fx, self.fy].map(f64::from);
+        scales[..4].copy_from_slice(&[fx, if fx == fy { 0.0 } else { fy }, fx, fy]);
+        let end = family.fold(&c).min(1e9);
+        let corner = self.corner();
+        let reaches = family.radius(&c, end) > corner;
+        let far = if reaches { bisected([0.0, end], |r| family.radius(&c, r) < corner) } else { end };
+        // Off the diagonal, on which some terms cancel.
+        let place = far * dvec2(0.6, 0.8);
+        let at = |c: &[f64; 12]| {
+            let radial = place * (family.radial)(c, place.length_squared())[0];
+            radial + (family.bend)(c, place, radial)
+        };
+        for (k, scale) in scales[4..].iter_mut().enumerate() {
+            if family.learned.contains(&k) || c[k] != 0.0 {
+                let mut moved = c;
+                moved[k] += 1e-4;
+                *scale = (1e-4 / at(&moved).distance(at(&c))).min(LARGEST);
+            }
+        }
+        scales
     }
 
     /// True if directions reach the whole picture, or of a fisheye, whose corners may be black, the middles of its sides.

@@ -34,6 +34,7 @@ pub use exposure::Exposure;
 pub use filter_3d::filtered;
 pub use fingerprint::Fingerprint;
 pub use gaussians::{GaussianStatistics, Gaussians};
+pub(crate) use lens::LENS_PARAMETERS;
 pub use lens::{COLMAP_MODELS, Coefficients, Projection};
 pub use lens_effects::LensEffects;
 pub(crate) use lens_effects::LensPlane;

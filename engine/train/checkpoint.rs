@@ -5,6 +5,7 @@
 //! numbers are keyed by seed and iteration, so no generator has state.
 
 use super::block::{BlockState, SceneBlock};
+use super::lens_opt::{LENS_STATE_VALUES, LensState};
 use super::settings::TrainSettings;
 use super::work::Actions;
 use crate::error::{Error, Result};
@@ -65,6 +66,8 @@ pub struct Checkpoint {
     pub lenses: ExposureState,
     /// Poses of the views, if they are optimised.
     pub poses: Option<PoseState>,
+    /// Lenses of the views, if they are optimised.
+    pub lens_opt: LensState,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
     pub skipped: u32,
     /// The trained block; None for a whole scene. The checkpoint does not hold the frozen Gaussians.
@@ -272,6 +275,13 @@ impl Checkpoint {
                 tensors.push(Tensor::new(Self::POSE_DEPTHS, [poses.depths.len()], &poses.depths));
             }
         }
+        if !self.lens_opt.is_empty() {
+            tensors.push(Tensor::new(
+                Self::LENS_OPT,
+                [self.lens_opt.len(), LENS_STATE_VALUES],
+                &self.lens_opt,
+            ));
+        }
         if let Some(MeanState { light: LightMeans { exposures, lenses }, .. }) = &self.means {
             tensors.extend(Tensor::of_matrices(Self::MEANS, Self::EXPOSURES, exposures));
             tensors.extend(Tensor::of_matrices(Self::MEANS, Self::LENSES, lenses));
@@ -296,6 +306,9 @@ impl Checkpoint {
 
     /// Names of the pose tensors: parameters, first moments, second moments. Only runs that optimise poses have them.
     pub const POSES: [&str; 3] = ["pose", "first_moment.pose", "second_moment.pose"];
+
+    /// Name of the tensor of [`Checkpoint::lens_opt`].
+    pub const LENS_OPT: &str = "lens_opt";
 
     /// Name of the tensor of [`PoseState::depths`].
     pub const POSE_DEPTHS: &str = "pose_depth";

@@ -10,6 +10,7 @@
 mod appearance;
 mod block;
 pub mod checkpoint;
+mod lens_opt;
 mod memory;
 mod parts;
 mod photos;
@@ -29,6 +30,7 @@ mod work;
 
 pub use block::{BlockState, SceneBlock, Surroundings};
 pub use checkpoint::{Capacities, Checkpoint, ExposureState, LightMeans, MeanState, PoseState};
+pub use lens_opt::{LENS_STATE_VALUES, LensState};
 pub use parts::{Forecast, TrainParts};
 pub use photos::{PhotoSize, TrainView};
 pub use population::{Growth, Population};

@@ -176,6 +176,10 @@ impl Trainer {
             } else {
                 self.state.done(first.after, PeakCounts::of_whole_frame(&first.plan, &self.run, &state));
                 let losses = self.recorder.read_losses(&slot.losses)?;
+                if let Some(lenses) = &mut self.lens_opt {
+                    lenses.step(&mut self.run.cameras, &first.plan, &losses);
+                    self.recorded.frame_is_ready = false;
+                }
                 StepOutcome::Done(StepReport::new(&first.plan, first.gaussians, &losses, &state))
             });
             self.recorded.in_flight.pop_front();
@@ -230,7 +234,9 @@ impl Trainer {
         let due = recorded.in_flight.back().map_or(self.state.progress, |last| last.after).due;
         let gaussians = gaussians_with(self.state.model.scene.plan.capacity, frozen_capacity(&self.frozen));
         let fits = self.runner.store.capacity().gaussians >= gaussians;
-        Ok(!due.is_empty() || recorded.overflow.is_some() || !recorded.frame_is_ready || !fits)
+        // The host moves the lens after each step.
+        let lens_is_due = self.lens_opt.is_some() && !recorded.in_flight.is_empty();
+        Ok(!due.is_empty() || recorded.overflow.is_some() || !recorded.frame_is_ready || !fits || lens_is_due)
     }
 
     /// Does the work that recorded steps cannot. It densifies and resets opacities if the previous iteration requested it.

@@ -2,6 +2,7 @@
 
 use super::block::SceneBlock;
 use super::checkpoint::{Capacities, Checkpoint, StrategyState, StrategyStatistic, Wanted};
+use super::lens_opt::LensOptimizer;
 use super::parts::TrainParts;
 use super::photos::{TrainView, fingerprint_of};
 use super::schedule::Progress;
@@ -69,6 +70,7 @@ impl Trainer {
             exposures,
             lenses,
             poses: self.poses.as_ref().map(|poses| poses.state(&self.context)).transpose()?,
+            lens_opt: self.lens_opt.as_ref().map(LensOptimizer::state).unwrap_or_default(),
             skipped: self.state.skipped,
             block: self.block.as_ref().map(|block| block.state),
             capacities: self.capacities(),
@@ -139,6 +141,9 @@ impl Trainer {
         if let Some(poses) = &trainer.poses {
             let lacks = || Error::argument("checkpoint", "lacks the poses of its views");
             poses.restore(context, from.poses.as_ref().ok_or_else(lacks)?)?;
+        }
+        if let Some(lenses) = &mut trainer.lens_opt {
+            lenses.restore(&mut trainer.run.cameras, &from.lens_opt)?;
         }
         // The shorter run omitted a reset that this run makes.
         let recovery = from.settings.reset_recovery();

@@ -357,6 +357,8 @@ pub(super) struct IterationPlan {
     pub mean_step: Option<MeanStep>,
     /// Step of the poses, if they are optimised.
     pub pose_step: PoseStep,
+    /// Rate of the lenses, if they are optimised.
+    pub lens_rate: f64,
 }
 
 impl IterationPlan {
@@ -417,14 +419,15 @@ impl Schedule {
                 ..exposure
             },
             // Poses make a step whenever the Gaussians do.
-            pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1 },
+            pose_step: PoseStep { rate: falling(s.pose_lr, s, iteration), count: progress.steps + 1 },
+            lens_rate: falling(s.lens_opt_lr, s, iteration),
         }
     }
 }
 
-/// Log-linear from `pose_lr` at 0 to a hundredth of it at the last iteration.
-fn pose_rate(s: &TrainSettings, iteration: u32) -> f64 {
-    s.pose_lr * 0.01_f64.powf(f64::from(iteration) / f64::from(s.iterations))
+/// Log-linear from a rate at 0 to a hundredth of it at the last iteration.
+fn falling(rate: f64, s: &TrainSettings, iteration: u32) -> f64 {
+    rate * 0.01_f64.powf(f64::from(iteration) / f64::from(s.iterations))
 }
 
 /// Averages only consecutive steps, so means of an earlier, shorter run do not count.

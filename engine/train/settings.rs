@@ -415,6 +415,12 @@ options! {
         /// Learning rate of the poses at the start: of turns, radians; of displacements, times the mean depth of the Gaussians that the
         /// camera sees at the start. A hundredth of it at the end
         pose_lr: f64 = 1e-5, Bounds::NotNegative;
+        /// Optimise the lenses of the training views with the scene: focal lengths, principal point and distortion, which pinholes
+        /// learn too. Held-out views with the same lens are measured with it
+        lens_opt: bool = false, Bounds::None;
+        /// Learning rate of the lenses at the start, in focal lengths by which the picture's corner moves. A hundredth of it at the
+        /// end
+        lens_opt_lr: f64 = 1e-4, Bounds::NotNegative;
         /// Adam on all Gaussians, or on those seen only
         optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;
         /// Seed of everything random: order of the views, split positions, random backgrounds

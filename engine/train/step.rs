@@ -9,16 +9,19 @@ use super::settings::{OptimizerType, TrainSettings};
 use super::strategy::{StepInputs, Strategy};
 use super::work::{StepOutcome, StepReport};
 use crate::error::Result;
-use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, RenderSettings, SceneBuffers, Strips, blocks};
+use crate::frame::{
+    FrameInputs, FrameVariant, LENS_SUM_BYTES, LaunchSizes, RenderSettings, SceneBuffers, Strips, blocks,
+};
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::pixels::photo_reduced;
 use crate::passes::adam::{Averaging, Optimizer, OptimizerForm};
 use crate::passes::backward::{Backward, BackwardForm, Statistics};
 use crate::passes::filter_3d::Filter3d;
+use crate::passes::lens::LensGradient;
 use crate::passes::loss::{LossTerm, Targets, TermInputs, Windowing, photo_bytes};
 use crate::passes::pixels::PixelBorder;
 use crate::render::{Request, State};
-use crate::scene::Camera;
+use crate::scene::{Camera, LENS_PARAMETERS};
 use crate::vk::{Buffer, Context, Kernel, MemoryKind, RecordSlot, Recorder};
 use std::collections::VecDeque;
 
@@ -39,6 +42,8 @@ pub(super) struct StepRecorder {
     /// None unless parameters are averaged.
     averaging: Option<Averaging>,
     poses: bool,
+    /// None unless lenses are optimised.
+    lens: Option<LensGradient>,
     preparation: Option<PhotoPreparation>,
 }
 
@@ -54,6 +59,9 @@ pub(super) struct LossMemory {
     /// Photograph reduced to the frame's size or over another background.
     prepared: Option<Buffer>,
     pub appearance: AppearanceMemory,
+    /// None unless lenses are optimised.
+    lens_gradient: Option<Buffer>,
+    /// The losses, then the gradient of the lens.
     pub readback: Buffer,
 }
 
@@ -70,6 +78,8 @@ pub(super) struct LossValues {
     pub total: f32,
     /// Per term: its name; its weighted value and further values.
     pub terms: Vec<(&'static str, [f32; 4])>,
+    /// Gradient of the view's lens, if lenses are optimised.
+    pub lens: Option<[f32; LENS_PARAMETERS]>,
 }
 
 /// Inputs of one iteration.
@@ -129,7 +139,12 @@ impl StepRecorder {
             optimizer: Optimizer::new(context, form),
             averaging: averages.then(|| Averaging::new(context)).transpose()?,
             poses,
+            lens: settings.lens_opt.then(|| LensGradient::new(context)).transpose()?,
         })
+    }
+
+    fn backward_form(&self, absolute: bool) -> BackwardForm {
+        BackwardForm { absolute, pose: self.poses, lens: self.lens.is_some() }
     }
 
     /// Gradients that the terms add to.
@@ -144,7 +159,8 @@ impl StepRecorder {
 
     /// Losses of a skipped step.
     pub fn no_losses(&self) -> LossValues {
-        LossValues { total: f32::NAN, terms: self.terms().map(|name| (name, [f32::NAN; 4])).collect() }
+        let terms = self.terms().map(|name| (name, [f32::NAN; 4])).collect();
+        LossValues { total: f32::NAN, terms, lens: None }
     }
 
     /// Render settings of frames, without the random parts.
@@ -156,10 +172,9 @@ impl StepRecorder {
     /// Builds the missing kernels of any iteration at an SH degree.
     pub fn prepare(&mut self, sh_degree: u32, cameras: &[Camera]) -> Result<()> {
         for variant in FrameVariant::of_cameras(&self.drawn(), cameras, true) {
-            let pose = self.poses;
-            self.backward.prepare(sh_degree, variant, BackwardForm { absolute: false, pose })?;
+            self.backward.prepare(sh_degree, variant, self.backward_form(false))?;
             if self.absolute.is_some() {
-                self.backward.prepare(sh_degree, variant, BackwardForm { absolute: true, pose })?;
+                self.backward.prepare(sh_degree, variant, self.backward_form(true))?;
             }
         }
         self.optimizer.prepare(sh_degree)
@@ -169,7 +184,7 @@ impl StepRecorder {
     pub fn prepare_for(&mut self, plan: &IterationPlan) -> Result<()> {
         let variant = FrameVariant::of(&plan.settings, &plan.camera, true);
         let absolute = self.absolute.is_some() && plan.work.accumulates;
-        self.backward.prepare(plan.sh_degree, variant, BackwardForm { absolute, pose: self.poses })?;
+        self.backward.prepare(plan.sh_degree, variant, self.backward_form(absolute))?;
         self.optimizer.prepare(plan.sh_degree)
     }
 
@@ -192,12 +207,13 @@ impl StepRecorder {
         }
         requests.extend(self.preparation.iter().map(|preparation| preparation.request(sizes)));
         requests.extend(self.appearance.requests(sizes));
+        requests.extend(self.lens.iter().map(|_| ("lens_gradient", LENS_SUM_BYTES)));
         requests
     }
 
     /// Host-readable copy of the losses.
     pub fn readback_request(&self) -> (&'static str, u64) {
-        ("loss_readback", self.losses_bytes())
+        ("loss_readback", self.losses_bytes() + self.lens.as_ref().map_or(0, |_| LENS_SUM_BYTES))
     }
 
     fn losses_bytes(&self) -> u64 {
@@ -205,8 +221,9 @@ impl StepRecorder {
     }
 
     pub fn allocate(&self, context: &Context, sizes: &[(u32, u32)]) -> Result<LossMemory> {
-        let mut device =
-            context.allocate("loss", &self.device_requests(sizes), MemoryKind::Device)?.into_iter();
+        let mut device = context.allocate("loss", &self.device_requests(sizes), MemoryKind::Device)?;
+        let lens_gradient = self.lens.as_ref().and_then(|_| device.pop());
+        let mut device = device.into_iter();
         let scratch = (self.terms.iter())
             .map(|term| device.by_ref().take(term.scratch_requests(sizes).len()).collect())
             .collect();
@@ -220,7 +237,16 @@ impl StepRecorder {
                 let rows = rows.map(|[picture, gradient, photo]| PixelRows { picture, gradient, photo });
                 let prepared = self.preparation.as_ref().and_then(|_| device.next());
                 let appearance = self.appearance.allocated(context, device)?;
-                Ok(LossMemory { scratch, losses, image_gradient, rows, prepared, appearance, readback })
+                Ok(LossMemory {
+                    scratch,
+                    losses,
+                    image_gradient,
+                    rows,
+                    prepared,
+                    appearance,
+                    lens_gradient,
+                    readback,
+                })
             }
             _ => unreachable!("one buffer per request"),
         }
@@ -238,7 +264,7 @@ impl StepRecorder {
         let absolute = self.absolute.filter(|_| accumulate).map(|place| &model.statistics[place]);
         let statistics = Statistics { buffer: &model.statistics[0], accumulate, absolute };
         let hooks = parts.strategy.records();
-        self.backward.record(r, inputs, gradient, statistics, parts.poses.is_some());
+        self.backward.record(r, inputs, gradient, statistics, self.backward_form(absolute.is_some()));
         let step = StepInputs {
             frame: inputs,
             moments: &model.moments,
@@ -265,6 +291,11 @@ impl StepRecorder {
             if let Some(poses) = parts.poses {
                 poses.record(r, inputs, plan.view, &plan.pose_step);
             }
+            if let Some((lens, gradient)) = self.lens.as_ref().zip(parts.memory.lens_gradient.as_ref()) {
+                lens.record(r, inputs, gradient);
+                r.barrier();
+                r.copy(gradient, &losses.range(self.losses_bytes(), LENS_SUM_BYTES));
+            }
         }
         if let Some((averaging, step)) = self.averaging.as_ref().zip(plan.mean_step) {
             let state = &inputs.frame.state;
@@ -276,7 +307,7 @@ impl StepRecorder {
             r.barrier();
             filter.record(r, inputs.scene(), &inputs.frame.state);
         }
-        r.copy(&parts.memory.losses, losses);
+        r.copy(&parts.memory.losses, &losses.range(0, self.losses_bytes()));
     }
 
     fn record_loss(&self, r: &mut Recorder, inputs: &FrameInputs, parts: &StepParts, gradient: &Buffer) {
@@ -353,11 +384,14 @@ impl StepRecorder {
 
     /// Reads the losses of a finished step.
     pub fn read_losses(&self, readback: &Buffer) -> Result<LossValues> {
-        let mut bytes = vec![0u8; self.losses_bytes() as usize];
+        let (_, bytes) = self.readback_request();
+        let mut bytes = vec![0u8; bytes as usize];
         readback.read(0, &mut bytes)?;
-        let rows: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
+        let (losses, lens) = bytes.split_at(self.losses_bytes() as usize);
+        let rows: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(losses);
         let terms: Vec<_> = self.terms().zip(rows).collect();
-        Ok(LossValues { total: terms.iter().map(|(_, row)| row[0]).sum(), terms })
+        let lens = self.lens.as_ref().map(|_| bytemuck::pod_read_unaligned(&lens[..4 * LENS_PARAMETERS]));
+        Ok(LossValues { total: terms.iter().map(|(_, row)| row[0]).sum(), terms, lens })
     }
 }
 

@@ -3,6 +3,7 @@
 use super::appearance::lenses_of;
 use super::block::{Block, SceneBlock};
 use super::checkpoint::{Capacities, Checkpoint, ExposureState, MeanState};
+use super::lens_opt::{LensOptimizer, with_own_lens};
 use super::memory::{Model, PeakCounts, RowMemory, frame_shape};
 use super::parts::{BuiltParts, Forecast, TrainParts, check_block};
 use super::photos::{self, DepthMaps, Photos, TrainView, fingerprint_of};
@@ -53,6 +54,8 @@ pub struct Trainer {
     pub(super) losses: LossMemory,
     /// None unless poses are optimised.
     pub(super) poses: Option<Poses>,
+    /// None unless lenses are optimised.
+    pub(super) lens_opt: Option<LensOptimizer>,
     pub(super) runner: FrameRunner,
     /// Draws between steps. The result of training does not depend on it.
     pub(super) pictures: Renderer,
@@ -185,7 +188,11 @@ impl Trainer {
         let BuiltParts { strategy, recorder, rows } = parts;
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let maps = DepthMaps::new(context, &views, &photo_sizes)?;
-        let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+        let mut cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+        if settings.lens_opt {
+            cameras.iter_mut().for_each(|camera| *camera = with_own_lens(camera));
+        }
+        let lens_opt = settings.lens_opt.then(|| LensOptimizer::new(&cameras));
         let poses = Poses::new(context, &settings, &cameras, initial)?;
         let run = TrainingRun {
             lenses: lenses_of(&views),
@@ -229,6 +236,7 @@ impl Trainer {
         let mut trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             poses,
+            lens_opt,
             schedule: Schedule::new(&run, &recorder.drawn()),
             pictures: Renderer::new(context)?,
             context: context.clone(),
@@ -503,6 +511,10 @@ impl Trainer {
             Err(Failed::TooLittleRoom(why)) => self.skip(&plan, &why.0, why.1)?,
             ran => {
                 ran.map_err(Failed::error)?;
+                let losses = self.recorder.read_losses(&self.losses.readback)?;
+                if let Some(lenses) = &mut self.lens_opt {
+                    lenses.step(&mut self.run.cameras, &plan, &losses);
+                }
                 self.state.progress = before.after(&plan);
             }
         }
@@ -542,12 +554,21 @@ impl Trainer {
         };
         self.state.done(progress.after(&plan), PeakCounts::of_whole_frame(&plan, &self.run, &ran.state));
         let losses = self.recorder.read_losses(&self.losses.readback)?;
+        if let Some(lenses) = &mut self.lens_opt {
+            lenses.step(&mut self.run.cameras, &plan, &losses);
+        }
         Ok(StepReport {
             milliseconds: start.elapsed().as_secs_f64() * 1e3,
             densified,
             scopes: ran.report.scopes,
             ..StepReport::new(&plan, self.state.model.scene.count, &losses, &ran.state)
         })
+    }
+
+    /// The camera with its lens as [`lens_opt`](super::TrainSettings::lens_opt) has moved it, if a training view was given with the
+    /// same lens; otherwise the camera itself.
+    pub fn with_trained_lens(&self, camera: &Camera) -> Camera {
+        self.lens_opt.as_ref().map_or(*camera, |lenses| lenses.refined(camera))
     }
 
     /// Computes the sizes of the 3D filter for all Gaussians, if there is one.
@@ -635,8 +656,8 @@ impl Trainer {
         })
     }
 
-    /// Current cameras of the training views, in the views' order. [`pose_opt`](super::TrainSettings::pose_opt) moves them away
-    /// from the given ones.
+    /// Current cameras of the training views, in the views' order. [`pose_opt`](super::TrainSettings::pose_opt) moves their poses away
+    /// from the given ones, [`lens_opt`](super::TrainSettings::lens_opt) their lenses.
     ///
     /// # Errors
     /// [`Error::Argument`] while recorded steps are in flight, and after a step with an unknown

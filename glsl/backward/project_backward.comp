@@ -13,7 +13,9 @@
 // out, with POSE_GRADIENT: pose_sums[subgroup] = sums of dL/d(nu), dL/d(omega) over the subgroup's Gaussians. They are dL/d(delta)
 //         at delta = 0 of the pose exp(delta^) T, delta = (nu, omega), T from world to camera. A turn about the camera's centre
 //         keeps the directions of the colours. Gaussians with a contribution that is not finite are excluded.
-// shared: none; subgroup sizes 4 to 128
+// out, with LENS_GRADIENT: from pose_sums[first_lens_sum] on, a row per workgroup: sums of the gradient of the lens's parameters
+//         (lens_gradient.glsl)
+// shared: with LENS_GRADIENT a value per subgroup and parameter; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require
@@ -47,6 +49,10 @@ layout(constant_id = 9) const bool Z_RECORD = false;
 layout(constant_id = 10) const bool SH_LOOPS = false;
 // Projection of the camera: see pinhole.glsl.
 layout(constant_id = 11) const uint PROJECTION = PROJECTION_PERSPECTIVE;
+#ifdef LENSES
+// True if the parameters of a lens have gradients.
+layout(constant_id = 12) const bool LENS_GRADIENT = false;
+#endif
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -76,6 +82,9 @@ layout(push_constant, scalar) uniform Push {
     // Stride of the gradient planes; nonzero to update the statistics.
     uint gradient_stride;
     uint accumulate;
+#ifdef LENSES
+    uint first_lens_sum;
+#endif
 };
 
 #include "camera_block.glsl"
@@ -84,6 +93,7 @@ layout(push_constant, scalar) uniform Push {
 #include "splat_record.glsl"
 #include "subgroup.glsl"
 #include "filter_3d.glsl"
+#define DIFFERENTIATES_LENS
 #include "project_gaussian.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"
@@ -230,6 +240,45 @@ void write_pose_sums(vec3 d_moved, vec3 d_turned, bool exists, uint end) {
     }
 }
 
+#ifdef LENSES
+shared float lens_partial_sums[LENS_SUMS * (WORKGROUP_SIZE / SUBGROUP_SIZE)];
+
+// Same as write_pose_sums, for a whole workgroup.
+void write_lens_sums(bool exists, uint end) {
+    float values[LENS_WORDS + 4];
+    values[0] = d_lens.focal.x;
+    values[1] = d_lens.focal.y;
+    values[2] = d_lens.center.x;
+    values[3] = d_lens.center.y;
+    bool counts = exists;
+    [[unroll]] for (uint k = 0; k < LENS_WORDS; ++k) {
+        values[4 + k] = d_lens.words[k];
+    }
+    [[unroll]] for (uint k = 0; k < LENS_WORDS + 4; ++k) {
+        counts = counts && is_finite(values[k]);
+    }
+    const uint subgroups = WORKGROUP_SIZE / SUBGROUP_SIZE;
+    [[unroll]] for (uint k = 0; k < LENS_SUMS; ++k) {
+        float sum = subgroupAdd(counts && k < LENS_WORDS + 4 ? values[min(k, LENS_WORDS + 3)] : 0.0);
+        if (gl_SubgroupInvocationID == 0) {
+            lens_partial_sums[k * subgroups + gl_SubgroupID] = sum;
+        }
+    }
+    barrier();
+    uint begin = linear_workgroup() * WORKGROUP_SIZE;
+    // There may be fewer invocations than parameters.
+    for (uint k = gl_LocalInvocationID.x; k < LENS_SUMS / 3 && begin < end; k += WORKGROUP_SIZE) {
+        vec3 sum = vec3(0.0);
+        for (uint subgroup = 0; subgroup < subgroups; ++subgroup) {
+            for (uint axis = 0; axis < 3; ++axis) {
+                sum[axis] += lens_partial_sums[(3 * k + axis) * subgroups + subgroup];
+            }
+        }
+        pose_sums[first_lens_sum + LENS_SUMS / 3 * ((first + begin) / WORKGROUP_SIZE) + k] = sum;
+    }
+}
+#endif
+
 void main() {
     // A workgroup has the size of a culling block.
     uvec4 visible_range = UVEC4_AT(visible_ranges, 2 * (first / WORKGROUP_SIZE) + 1);
@@ -259,6 +308,9 @@ void main() {
     Filtered filtered = filter_3d(log_scale, mean_opacity.w);
     ProjectedGaussian p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
 
+#ifdef LENSES
+    d_lens = LensGradient(vec2(0.0), vec2(0.0), float[LENS_WORDS](0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0));
+#endif
     // Converts moments to gradients of mean, conic and opacity.
     float m_1 = sums.a.x, m_x = sums.a.y, m_y = sums.a.z, m_xx = sums.a.w, m_xy = sums.b.x, m_yy = sums.b.y;
     float d_inverse_z = sums.c.y;
@@ -333,6 +385,12 @@ void main() {
 #ifdef LENSES
     if (p.spread.valid) {
         d_camera = d_points.point;
+    } else if (LENS_GRADIENT) {
+        add_lens_position(p.mean_camera, d_mean2d);
+        add_lens_jacobian(p.mean_camera, p.jacobian, d_jacobian);
+    }
+    if (LENS_GRADIENT) {
+        write_lens_sums(exists, visible_range.y - visible_range.x);
     }
 #endif
     // The blended depth is 1/z or z. This is its gradient towards the camera.

@@ -339,8 +339,15 @@ struct SpreadGradient {
     vec3 log_scale;
 };
 
+#ifdef DIFFERENTIATES_LENS
+#include "lens_gradient.glsl"
+#endif
+
 // Gradient of a point in camera space from that of its screen position.
 vec3 screen_backward(vec3 at, vec2 d_screen) {
+#ifdef DIFFERENTIATES_LENS
+    add_lens_position(at, d_screen);
+#endif
     Jacobian j = jacobian_of(at, 0.0);
     return d_screen.x * j.row_x + d_screen.y * j.row_y;
 }

@@ -8,7 +8,7 @@ use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::project_backward::mean2d_statistic;
-use ashsplat::passes::backward::Statistics;
+use ashsplat::passes::backward::{BackwardForm, Statistics};
 use ashsplat::passes::pixels::PixelBorder;
 use std::path::Path;
 
@@ -125,7 +125,13 @@ pub fn of_device(path: &Path) -> Outcome {
                     border.record_gradient(r, inputs, &rows, &native, false);
                     r.barrier();
                     let statistics = Statistics { buffer, accumulate: true, absolute: Some(absolute) };
-                    backward.record(r, inputs, &native, statistics, false);
+                    backward.record(
+                        r,
+                        inputs,
+                        &native,
+                        statistics,
+                        BackwardForm { absolute: true, ..BackwardForm::default() },
+                    );
                 });
             }
             let own = gpu.read::<[f32; 2]>(&own, set.len());

@@ -218,12 +218,14 @@ pub fn of_device(path: &Path) -> Outcome {
     let last = gpu.buffer("instance_gradients_c", &vec![[0.0_f32; 2]; count]);
     let gradients = gpu.untouched::<[f32; 4]>("gradients", c::GRADIENT_PLANES as usize * count);
     let statistics = gpu.buffer("statistics", &vec![[0.0_f32; 2]; count]);
-    let pose_sums = gpu.zeros::<[f32; 6]>("pose_sums", count + 1);
+    let (first_lens_sum, workgroups) = (2 * (count + 1), count.div_ceil(gpu.workgroup(64) as usize));
+    let pose_sums = gpu.zeros::<[f32; 3]>("pose_sums", first_lens_sum + 6 * workgroups);
     let spec = project_backward::Spec {
         workgroup_size: gpu.workgroup(64),
         subgroup_size: gpu.subgroup(),
         sh_degree: 0,
         pose_gradient: true,
+        lens_gradient: true,
         projection: camera.projection as u32,
         lenses: true,
         ..project_backward::Spec::default()
@@ -253,6 +255,7 @@ pub fn of_device(path: &Path) -> Outcome {
         splat_stride: 1,
         gradient_stride: count as u32,
         accumulate: 0,
+        first_lens_sum: first_lens_sum as u32,
     };
     gpu.dispatch_over::<project_backward::Interface>(&spec, &bind, &push, count);
     let planes = gpu.read::<[f32; 4]>(&gradients, c::GRADIENT_PLANES as usize * count);
@@ -272,11 +275,42 @@ pub fn of_device(path: &Path) -> Outcome {
     for (name, number, words, tolerance) in compared {
         gradient(name, &plane(number, words), &expected(name, words), &vec![false; count], tolerance)?;
     }
-    let sums = gpu.read::<[f32; 6]>(&pose_sums, count.div_ceil(gpu.subgroup() as usize));
-    let pose: Vec<f64> = (0..6).map(|k| sums.iter().map(|sum| f64::from(sum[k])).sum()).collect();
+    let sums = gpu.read::<[f32; 3]>(&pose_sums, first_lens_sum + 6 * workgroups);
+    let added = |rows: &[f32], width: usize| -> Vec<f64> {
+        (0..width).map(|k| rows.iter().skip(k).step_by(width).map(|&x| f64::from(x)).sum()).collect()
+    };
+    let (poses, lenses) = sums.as_flattened().split_at(3 * first_lens_sum);
     if !magnified.contains(&true) {
-        relative("u_d_pose", &pose, npz.values("u_d_pose"), 2e-4)?;
+        relative("u_d_pose", &added(poses, 6), npz.values("u_d_pose"), 2e-4)?;
+        compare_lens(&npz, &camera, &added(lenses, 18))?;
     }
+    Ok(())
+}
+
+/// Compares a gradient of the lens with that of the model's parameters. `words`: see [`Camera::lens_gradient`].
+fn compare_lens(npz: &Npz, camera: &Camera, words: &[f64]) -> Outcome {
+    if camera.projection == Projection::Equirectangular {
+        return Ok(());
+    }
+    let gradient = camera.lens_gradient(&std::array::from_fn(|k| words[k] as f32));
+    compare_lens_gradient(npz, camera, &gradient)
+}
+
+fn compare_lens_gradient(npz: &Npz, camera: &Camera, gradient: &[f64; 16]) -> Outcome {
+    let parameters = npz.values("params");
+    let all =
+        |camera: &Camera| [&[camera.fx, camera.fy, camera.cx, camera.cy][..], &camera.coefficients].concat();
+    // The camera's parameters depend linearly on the model's.
+    let by_parameter = |index: usize| -> f64 {
+        let mut moved = parameters.to_vec();
+        moved[index] += 1.0;
+        let moved = camera.with_colmap_lens(npz.scalar("model") as u32, &moved).expect("a model of COLMAP");
+        let change =
+            all(&moved).into_iter().zip(all(camera)).map(|(a, b)| (f64::from(a) - f64::from(b)).round());
+        change.zip(gradient).map(|(change, gradient)| change * gradient).sum()
+    };
+    let own: Vec<f64> = (0..parameters.len()).map(by_parameter).collect();
+    relative("u_d_lens", &own, npz.values("u_d_lens"), 2e-4)?;
     Ok(())
 }
 
@@ -309,6 +343,9 @@ pub fn picture_of_device(path: &Path) -> Outcome {
     }
     let pose = derivatives.pose.expect("the pose's gradient").map(f64::from);
     relative("pose", &pose, npz.values("u_d_pose"), 2e-4)?;
+    if camera.projection != Projection::Equirectangular {
+        compare_lens_gradient(&npz, &camera, &derivatives.lens.expect("the lens's gradient"))?;
+    }
     assert_silent(context());
     Ok(())
 }

@@ -12,7 +12,7 @@ use crate::reference::project_backward::project_backward;
 use crate::reference::sparse_depth::{Point, corners, depth_sums, expected, loss};
 use crate::reference::sparse_depth_gather::{expected_depth_backward, gather};
 use ashsplat::frame::{SceneBuffers, planes};
-use ashsplat::passes::backward::Statistics;
+use ashsplat::passes::backward::{BackwardForm, Statistics};
 use ashsplat::passes::loss::{DepthPointBuffers, LossTerm, TermInputs};
 use ashsplat::passes::pixels::PixelBorder;
 use ashsplat::train::SparseDepth;
@@ -176,7 +176,7 @@ pub fn of_device(path: &Path) -> Outcome {
             );
             r.barrier();
             let statistics = Statistics { buffer: &statistics, accumulate: false, absolute: None };
-            backward.record(r, inputs, &gradient, statistics, false);
+            backward.record(r, inputs, &gradient, statistics, BackwardForm::default());
             r.barrier();
             backward.record_expand_gradients(r, inputs, &chunks, &mean2d);
         });

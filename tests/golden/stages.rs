@@ -68,7 +68,9 @@ impl<'a> Stages<'a> {
         forward.prepare_variant(sh_degree, variant).expect("kernels");
         let mut backward = Backward::new(context);
         for absolute in [false, true] {
-            backward.prepare(sh_degree, variant, BackwardForm { absolute, pose: false }).expect("kernels");
+            backward
+                .prepare(sh_degree, variant, BackwardForm { absolute, ..BackwardForm::default() })
+                .expect("kernels");
         }
         backward.prepare_expand(sh_degree).expect("kernels");
         let frame = FrameBuffers::from_allocated(frame);

@@ -155,6 +155,7 @@ fn run(gpu: &Gpu, scene: &Scene, modes: Modes) -> Output {
         splat_stride: 1,
         gradient_stride: gradient_stride as u32,
         accumulate: modes.accumulate.into(),
+        first_lens_sum: 0,
     };
     gpu.dispatch_over::<project_backward::Interface>(&spec, &bind, &push, count);
     let mut pose_sums = gpu.read::<[f32; 6]>(&pose_sums, subgroups);

@@ -5,6 +5,7 @@ use super::{Family, RADIAL, polynomial, tangential};
 pub(super) const FAMILY: Family = Family {
     name: "brown",
     coefficients: 9,
+    learned: &[0, 1, 2, 3],
     radial: |c, s| {
         let &[k1, k2, _, _, k3, k4, k5, k6, n4, ..] = c;
         let ([above, above_slope], [below, below_slope]) =

@@ -5,6 +5,7 @@ use super::{Family, RADIAL};
 pub(super) const FAMILY: Family = Family {
     name: "eucm",
     coefficients: 2,
+    learned: &[0, 1],
     radial: |&[alpha, beta, ..], s| {
         // NaN beyond the lens's end.
         let root = (beta * s + 1.0).sqrt();

@@ -5,6 +5,7 @@ use super::{Family, RADIAL};
 pub(super) const FAMILY: Family = Family {
     name: "fov",
     coefficients: 1,
+    learned: &[0],
     radial: |&[omega, ..], s| {
         let twice = 2.0 * (0.5 * omega).tan();
         let w = twice * twice * s;

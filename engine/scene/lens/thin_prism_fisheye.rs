@@ -7,6 +7,7 @@ pub(super) const FAMILY: Family = Family {
     name: "thin_prism_fisheye",
     surface: Surface::Angle,
     coefficients: 12,
+    learned: &[0, 1],
     radial: |c, s| polynomial(&c[..6], s),
     bend: |c, _, radial| {
         let s = radial.length_squared();

@@ -38,6 +38,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         exposures: Default::default(),
         lenses: Default::default(),
         poses: None,
+        lens_opt: Vec::new(),
         block: None,
         skipped: 1,
         capacities: Capacities::default(),
