@@ -3,8 +3,9 @@
 
 use crate::common::prelude::*;
 use crate::common::splats::{ball, camera};
-use crate::common::training::psnr;
-use ashsplat::scene::{PhotoLens, Projection};
+use crate::common::training::{psnr, without_rates};
+use ashsplat::scene::{Intrinsics, PhotoLens, Projection};
+use glam::vec3;
 
 /// Cameras of each family, in the middle of [`ball`].
 fn cameras() -> Vec<Camera> {
@@ -101,19 +102,7 @@ fn lenses_without_a_picture_are_refused() {
 #[test]
 fn photographs_are_learned_through_their_lenses() {
     let truth = ball(120).with_sh_degree(0);
-    let photo = |frame: &Frame| {
-        let byte = |value: &f32| (255.0 * value.clamp(0.0, 1.0)).round() as u8;
-        let rgb = frame.color.as_flattened().iter().map(byte).collect();
-        Photo { width: frame.width, height: frame.height, rgb }
-    };
-    let views: Vec<TrainView> = {
-        let mut renderer = loaded(context(), &truth);
-        let take = |camera: Camera| {
-            let frame = renderer.render(&camera, &RenderSettings::default()).expect("a frame");
-            TrainView::new(camera, photo(&frame))
-        };
-        cameras().into_iter().step_by(2).map(take).collect()
-    };
+    let views = photographed(&truth, cameras().into_iter().step_by(2));
     let mut start = truth.clone();
     start.sh.iter_mut().for_each(|color| *color = color.map(|c| 0.3 * c + 0.1));
     let settings = TrainSettings {
@@ -141,8 +130,72 @@ fn photographs_are_learned_through_their_lenses() {
         assert!(after > before + 2.0, "{:?}: {before} dB, then {after} dB", view.camera.projection);
     }
     drop(trainer);
-    let moved = TrainSettings { iterations: 20, pose_opt: true, densify_until_iter: 19, ..settings };
+    let moved =
+        TrainSettings { iterations: 20, pose_opt: true, lens_opt: true, densify_until_iter: 19, ..settings };
     Run::shared(views, moved).starting_at(&start).check_stops(&[&[9]]);
+}
+
+/// Views of a scene with their photographs.
+fn photographed(scene: &Gaussians, cameras: impl Iterator<Item = Camera>) -> Vec<TrainView> {
+    let mut renderer = loaded(context(), scene);
+    let take = |camera: Camera| {
+        let frame = renderer.render(&camera, &RenderSettings::default()).expect("a frame");
+        let byte = |value: &f32| (255.0 * value.clamp(0.0, 1.0)).round() as u8;
+        let rgb = frame.color.as_flattened().iter().map(byte).collect();
+        TrainView::new(camera, Photo { width: frame.width, height: frame.height, rgb })
+    };
+    cameras.map(take).collect()
+}
+
+/// Lenses of two families, with focal lengths and distortions that are off by 2 % and 0.02, come back to where they were. A pinhole
+/// learns that it distorts.
+#[test]
+fn lenses_are_found_again_on_a_scene_that_is_known() {
+    let scene = ball(400).with_sh_degree(0);
+    let own: Vec<Camera> = [Projection::Brown, Projection::Fisheye]
+        .into_iter()
+        .flat_map(|lens| (0..3).map(move |turn| (lens, turn)))
+        .map(|(lens, turn)| {
+            let intrinsics = Intrinsics { fx: 60.0, fy: 60.0, cx: 40.0, cy: 30.0, width: 80, height: 60 };
+            let angle = turn as f32;
+            let eye = vec3(2.2 * angle.cos(), 0.3 * angle, 2.2 * angle.sin());
+            Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, intrinsics).with_lens(lens, &[-0.1, 0.02])
+        })
+        .collect();
+    let off = |camera: &Camera| {
+        let coefficients = [camera.coefficients[0] + 0.02, camera.coefficients[1]];
+        let moved = Camera { fx: 1.02 * camera.fx, fy: 1.02 * camera.fy, ..*camera };
+        moved.with_lens(camera.projection, &coefficients)
+    };
+    let steps = |views: Vec<TrainView>| {
+        let settings = TrainSettings {
+            iterations: 600,
+            strategy: StrategyType::Fixed,
+            lens_opt: true,
+            lens_opt_lr: 2e-3,
+            sh_degree: 0,
+            ..TrainSettings::reference()
+        };
+        let settings = without_rates(settings);
+        let mut trainer = Trainer::new(context(), views, &scene, 2.0, settings).expect("a trainer");
+        trainer.steps(600);
+        trainer.cameras().expect("cameras")
+    };
+    let given = photographed(&scene, own.iter().copied())
+        .into_iter()
+        .map(|view| TrainView::new(off(&view.camera), view.photo))
+        .collect();
+    for (found, own) in steps(given).iter().zip(&own) {
+        let [focal, k1] = [found.fx / own.fx - 1.0, found.coefficients[0] - own.coefficients[0]];
+        assert!(focal.abs() < 1e-3 && k1.abs() < 1e-3, "{:?}: {focal} and {k1} are left", own.projection);
+    }
+    let pinholes = photographed(&scene, own[..3].iter().copied()).into_iter().map(|view| {
+        let pinhole = Camera { projection: Projection::Perspective, coefficients: [0.0; 12], ..view.camera };
+        TrainView::new(pinhole, view.photo)
+    });
+    let found = steps(pinholes.collect())[0];
+    let k1 = found.coefficients[0] - own[0].coefficients[0];
+    assert!(found.projection == Projection::Brown && k1.abs() < 0.01, "{:?}", found.coefficients);
 }
 
 fn photo_of(view: &TrainView) -> Photo {

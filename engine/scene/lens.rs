@@ -336,35 +336,79 @@ impl Camera {
         gradient
     }
 
-    /// Per [lens parameter](Self::lens_parameters): the change that moves a point in the picture's corner by about a focal length.
-    /// 0 for those that refinement does not learn: coefficients that the lens seldom has, and one of two equal focal lengths.
-    pub(crate) fn lens_scales(&self) -> [f64; LENS_PARAMETERS] {
-        /// Largest scale of a coefficient that hardly changes the picture.
-        const LARGEST: f64 = 100.0;
-        let mut scales = [0.0; LENS_PARAMETERS];
+    /// Units of refinement: the change of each [lens parameter](Self::lens_parameters) with each of sixteen numbers. One of these
+    /// moves the picture's points by a focal length, root of the mean square, and two of them move them in unlike ways, because Adam cannot
+    /// tell parameters apart that act alike (Park et al. 2023, "CamP"). Equal focal lengths stay equal, and coefficients that the family
+    /// seldom has stay 0.
+    pub(crate) fn lens_units(&self) -> [[f64; LENS_PARAMETERS]; LENS_PARAMETERS] {
+        /// Points on each side of the picture at which motions are compared.
+        const GRID: u32 = 12;
+        /// Share by which motions are taken as less alike than they are, so that no unit changes a parameter without bounds.
+        const DAMPING: f64 = 0.01;
+        const STEP: f64 = 1e-5;
+        let mut units = [[0.0; LENS_PARAMETERS]; LENS_PARAMETERS];
         let Some((family, c)) = self.lens().filter(|(family, _)| family.surface != Surface::Sphere) else {
-            return scales;
+            return units;
         };
-        let [fx, fy] = [self.fx, self.fy].map(f64::from);
-        scales[..4].copy_from_slice(&[fx, if fx == fy { 0.0 } else { fy }, fx, fy]);
-        let end = family.fold(&c).min(1e9);
-        let corner = self.corner();
-        let reaches = family.radius(&c, end) > corner;
-        let far = if reaches { bisected([0.0, end], |r| family.radius(&c, r) < corner) } else { end };
-        // Off the diagonal, on which some terms cancel.
-        let place = far * dvec2(0.6, 0.8);
-        let at = |c: &[f64; 12]| {
-            let radial = place * (family.radial)(c, place.length_squared())[0];
-            radial + (family.bend)(c, place, radial)
+        let is_learned = |k: &usize| match *k {
+            1 => self.fx != self.fy,
+            0..4 => true,
+            k => family.learned.contains(&(k - 4)) || c[k - 4] != 0.0,
         };
-        for (k, scale) in scales[4..].iter_mut().enumerate() {
-            if family.learned.contains(&k) || c[k] != 0.0 {
-                let mut moved = c;
-                moved[k] += 1e-4;
-                *scale = (1e-4 / at(&moved).distance(at(&c))).min(LARGEST);
+        let learned: Vec<usize> = (0..LENS_PARAMETERS).filter(is_learned).collect();
+        let lens = self.whole().photo_lens();
+        let rays = lens.rays();
+        let motion_of = |place: DVec2, parameter: usize| -> DVec2 {
+            let focal = lens.focal_px.x;
+            match parameter {
+                0 | 1 => {
+                    let axis = [dvec2(1.0, 0.0), dvec2(0.0, 1.0)][parameter];
+                    let both = if self.fx == self.fy { DVec2::ONE } else { axis };
+                    both * (lens.position_of(place) - lens.center_px) / lens.focal_px / focal
+                }
+                2 => DVec2::X / focal,
+                3 => DVec2::Y / focal,
+                _ => {
+                    let mut moved = lens;
+                    moved.coefficients[parameter - 4] += STEP;
+                    (moved.position_of(place) - lens.position_of(place)) / (STEP * focal)
+                }
+            }
+        };
+        let n = learned.len();
+        let (mut likeness, mut points) = (vec![vec![0.0; n]; n], 0.0);
+        for index in 0..GRID * GRID {
+            let share = (dvec2((index % GRID).into(), (index / GRID).into()) + 0.5) / f64::from(GRID);
+            let position = share * dvec2(lens.width.into(), lens.height.into());
+            let Some(place) = rays(position).and_then(|ray| lens.place(ray)) else { continue };
+            let motions: Vec<DVec2> = learned.iter().map(|&k| motion_of(place, k)).collect();
+            points += 1.0;
+            for (a, row) in motions.iter().zip(&mut likeness) {
+                motions.iter().zip(row).for_each(|(b, sum)| *sum += a.dot(*b));
             }
         }
-        scales
+        // Cholesky's factor L of the damped mean, L Lᵀ; the units are the columns of the inverse of Lᵀ.
+        let mut factor = vec![vec![0.0; n]; n];
+        for i in 0..n {
+            for j in 0..=i {
+                let damping = if i == j { 1.0 + DAMPING } else { 1.0 };
+                let rest = likeness[i][j] * damping / f64::max(points, 1.0)
+                    - (0..j).map(|k| factor[i][k] * factor[j][k]).sum::<f64>();
+                factor[i][j] = if i == j { rest.max(1e-24).sqrt() } else { rest / factor[j][j] };
+            }
+        }
+        for (column, &unit) in learned.iter().enumerate() {
+            let mut x = vec![0.0; n];
+            for i in (0..=column).rev() {
+                let rest: f64 = (i + 1..=column).map(|k| factor[k][i] * x[k]).sum();
+                x[i] = (f64::from(u8::from(i == column)) - rest) / factor[i][i];
+                units[learned[i]][unit] = x[i];
+            }
+        }
+        if self.fx == self.fy {
+            units[1] = units[0];
+        }
+        units
     }
 
     /// True if directions reach the whole picture, or of a fisheye, whose corners may be black, the middles of its sides.

@@ -107,6 +107,26 @@ impl PhotoLens {
         (own.len() == places.len()).then(|| lens.without_zeros())
     }
 
+    /// Number and parameters of the model of COLMAP that has this lens and the fewest parameters. None if no model has it.
+    pub fn to_colmap(&self) -> Option<(u32, Vec<f64>)> {
+        /// Models with two focal lengths, the simpler ones of a family first.
+        const MODELS: [u32; 9] = [1, 4, 6, 5, 10, 11, 7, 13, 16];
+        if self.projection == Projection::Equirectangular {
+            return Some((PANORAMA, vec![self.width.into(), self.height.into()]));
+        }
+        let (model, places) = MODELS.into_iter().find_map(|model| {
+            let (_, projection, places) = COLMAP_PARAMETERS[model as usize];
+            let has = |(place, &value): (usize, &f64)| value == 0.0 || places.contains(&place);
+            let fits = projection == self.projection && self.coefficients.iter().enumerate().all(has);
+            fits.then_some((model, places))
+        })?;
+        let optics = [self.focal_px.to_array(), self.center_px.to_array()].concat();
+        Some((
+            model,
+            optics.into_iter().chain(places.iter().map(|&place| self.coefficients[place])).collect(),
+        ))
+    }
+
     /// The lens, or a pinhole if it does not distort.
     #[must_use]
     pub fn without_zeros(self) -> Self {
@@ -143,7 +163,7 @@ impl PhotoLens {
     }
 
     /// Point of the plane or of the angles that the lens distorts, and which shows a point in camera space. None behind a plane.
-    fn place(&self, at: DVec3) -> Option<DVec2> {
+    pub(super) fn place(&self, at: DVec3) -> Option<DVec2> {
         let (rho, across) = (at.truncate().length(), at.truncate());
         match self.projection.surface() {
             _ if self.projection == Projection::Orthographic => Some(across),
@@ -183,7 +203,7 @@ impl PhotoLens {
     }
 
     /// Picture position of a point of the plane or of the angles, pixels.
-    fn position_of(&self, place: DVec2) -> DVec2 {
+    pub(super) fn position_of(&self, place: DVec2) -> DVec2 {
         let distorted = self.projection.family().map_or(place, |family| self.distorted(family, place));
         self.focal_px * distorted + self.center_px
     }
@@ -354,6 +374,8 @@ mod tests {
             (PhotoLens::panorama(320, 160), true),
         ];
         for (lens, sees_behind) in lenses {
+            let (model, parameters) = lens.to_colmap().expect("a model");
+            assert_eq!(PhotoLens::of_colmap(model, &parameters, [lens.width, lens.height]), Some(lens));
             let widest = if sees_behind { 1.75 } else { 0.8 };
             for (angle, turn) in (0..20).flat_map(|a| (0..12).map(move |t| (a, t))) {
                 let (angle, turn) = (f64::from(angle) / 19.0 * widest, f64::from(turn) * 0.55 + 0.1);

@@ -1,7 +1,7 @@
 //! Lenses of the training views, optimised with the scene.
 //!
-//! Views with the same lens share it. Adam works on the host, in units that move the picture's corner by a focal length
-//! ([`Camera::lens_scales`]). Its result depends on nothing but the gradients, so a resumed run has the same bits. A pinhole becomes
+//! Views with the same lens share it. Adam works on the host, in units that move the picture by a focal length
+//! ([`Camera::lens_units`]). Its result depends on nothing but the gradients, so a resumed run has the same bits. A pinhole becomes
 //! a lens without distortion, which learns distortion too.
 
 use super::schedule::IterationPlan;
@@ -28,8 +28,8 @@ pub(super) struct LensOptimizer {
 struct Lens {
     /// A camera that has it.
     given: Camera,
-    /// Unit of each parameter, 0 for those that stay.
-    scales: [f64; LENS_PARAMETERS],
+    /// See [`Camera::lens_units`].
+    units: [[f64; LENS_PARAMETERS]; LENS_PARAMETERS],
     state: [f32; LENS_STATE_VALUES],
 }
 
@@ -57,7 +57,7 @@ impl LensOptimizer {
             lenses.iter().position(|lens| share_lens(&lens.given, camera)).unwrap_or_else(|| {
                 lenses.push(Lens {
                     given: *camera,
-                    scales: camera.lens_scales(),
+                    units: camera.lens_units(),
                     state: [0.0; LENS_STATE_VALUES],
                 });
                 lenses.len() - 1
@@ -111,12 +111,9 @@ impl LensOptimizer {
 impl Lens {
     fn parameters(&self) -> [f32; LENS_PARAMETERS] {
         let mut parameters = self.given.lens_parameters();
-        for ((parameter, scale), change) in parameters.iter_mut().zip(self.scales).zip(self.state) {
-            *parameter = (f64::from(*parameter) + scale * f64::from(change)) as f32;
-        }
-        if self.scales[1] == 0.0 {
-            // Equal focal lengths stay equal.
-            parameters[1] = parameters[0];
+        for (parameter, units) in parameters.iter_mut().zip(&self.units) {
+            let change: f64 = units.iter().zip(self.state).map(|(unit, by)| unit * f64::from(by)).sum();
+            *parameter = (f64::from(*parameter) + change) as f32;
         }
         parameters
     }
@@ -127,16 +124,14 @@ impl Lens {
         let parameters = self.parameters();
         let shares = [drawn.fx / parameters[0], drawn.fy / parameters[1]].map(f64::from);
         (0..4).for_each(|k| gradient[k] *= shares[k % 2]);
-        if self.scales[1] == 0.0 {
-            gradient[0] += gradient[1];
-        }
         let state = &mut self.state;
         let count = f64::from(state[LENS_STATE_VALUES - 1]) + 1.0;
         state[LENS_STATE_VALUES - 1] = count as f32;
         let [bias_1, bias_2] = [BETA_1, BETA_2].map(|beta| 1.0 - beta.powf(count));
-        for (k, gradient) in gradient.iter().enumerate() {
+        for k in 0..LENS_PARAMETERS {
             let [change, first, second] = [0, 1, 2].map(|set| f64::from(state[set * LENS_PARAMETERS + k]));
-            let own = self.scales[k] * gradient;
+            let own: f64 =
+                gradient.iter().zip(&self.units).map(|(gradient, units)| gradient * units[k]).sum();
             let g = if own.is_finite() { own } else { 0.0 } + WEIGHT_DECAY * change;
             let (first, second) =
                 (BETA_1 * first + (1.0 - BETA_1) * g, BETA_2 * second + (1.0 - BETA_2) * g * g);

@@ -183,9 +183,12 @@ fn check_block_settings(
         );
         return Err(Error::argument("block", problem));
     }
-    if frozen && settings.pose_opt {
-        let problem = "does not go together with a block of a scene: optimise the poses with the whole of it";
-        return Err(Error::argument("pose_opt", problem));
+    for (name, is_on) in [("pose_opt", settings.pose_opt), ("lens_opt", settings.lens_opt)] {
+        if frozen && is_on {
+            let problem =
+                "does not go together with a block of a scene: optimise the cameras with the whole of it";
+            return Err(Error::argument(name, problem));
+        }
     }
     Ok(())
 }

@@ -418,7 +418,7 @@ options! {
         /// Optimise the lenses of the training views with the scene: focal lengths, principal point and distortion, which pinholes
         /// learn too. Held-out views with the same lens are measured with it
         lens_opt: bool = false, Bounds::None;
-        /// Learning rate of the lenses at the start, in focal lengths by which the picture's corner moves. A hundredth of it at the
+        /// Learning rate of the lenses at the start, in focal lengths by which the picture's points move. A hundredth of it at the
         /// end
         lens_opt_lr: f64 = 1e-4, Bounds::NotNegative;
         /// Adam on all Gaussians, or on those seen only

@@ -164,7 +164,13 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let sparse = TrainSettings { optimizer_type: OptimizerType::SparseAdam, ..settings() };
     let exposed = TrainSettings { exposure: true, ..settings() };
     let few = TrainSettings { dropout: 0.3, depth_points: 0.1, ..settings() };
-    let all = TrainSettings { lens_effects: true, pose_opt: true, pose_lr: 1e-3, ..exposed.clone() };
+    let all = TrainSettings {
+        lens_effects: true,
+        pose_opt: true,
+        pose_lr: 1e-3,
+        lens_opt: true,
+        ..exposed.clone()
+    };
     let plain = [weighted, all].map(|settings| (false, settings));
     let averaged = TrainSettings { iterations: 62, average_last: 0.4, ..exposed.clone() };
     let usual = [settings(), mcmc, filtered, exposed, averaged, budget, few, sparse, preset]

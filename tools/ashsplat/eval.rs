@@ -101,7 +101,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let settings = RenderSettings { inverse_depth: false, ..look };
     // With optimised poses, training views have their own; held-out views are aligned.
     let pose_opt = model.settings.train.pose_opt;
-    let moved = match (&model.folder, pose_opt) {
+    let moved = match (&model.folder, pose_opt || model.settings.train.lens_opt) {
         (Some((folder, _)), true) => by_name(cameras_json::read(folder.join(CAMERAS_FILE), &scene.frame)?),
         _ => HashMap::new(),
     };

@@ -13,6 +13,7 @@ mod origin;
 mod outside;
 mod poses;
 mod prepared;
+mod refined;
 mod report;
 mod rounds;
 mod saving;
@@ -112,7 +113,7 @@ const EXAMPLES: &str = "Examples:
   ashsplat train --config out/my_scene/settings.toml --start-checkpoint latest";
 
 /// Options that `-h` lists; `--help` lists all.
-const COMMON: [&str; 25] = [
+const COMMON: [&str; 26] = [
     "source_path",
     "model_path",
     "preset",
@@ -129,6 +130,7 @@ const COMMON: [&str; 25] = [
     "cap_max",
     "exposure",
     "pose_opt",
+    "lens_opt",
     "white_background",
     "antialiasing",
     "seed",

@@ -280,15 +280,35 @@ pub fn by_name(cameras: Vec<NamedCamera>) -> HashMap<String, Camera> {
     cameras.into_iter().map(|NamedCamera { name, camera }| (name, camera)).collect()
 }
 
-/// A view at its camera's pose in `cameras`, if it has one.
+/// A view with the pose and the lens of its camera in `cameras`, if it has one.
 pub fn at_its_place(view: View, cameras: &HashMap<String, Camera>) -> View {
     match cameras.get(&view.name) {
         None => view,
         Some(at) => {
+            let camera = with_changed_lens(&view.camera, &view.original_camera, at);
             let (camera_from_world, translation) = (at.camera_from_world, at.translation);
-            let camera = Camera { camera_from_world, translation, ..view.camera };
-            View { camera, ..view }
+            View { camera: Camera { camera_from_world, translation, ..camera }, ..view }
         }
+    }
+}
+
+/// A camera whose lens changes as that of the same camera at another size does, from `before` to `after`.
+pub fn with_changed_lens(camera: &Camera, before: &Camera, after: &Camera) -> Camera {
+    let lens = |camera: &Camera| {
+        ([camera.fx, camera.fy, camera.cx, camera.cy], camera.coefficients, camera.projection)
+    };
+    if lens(before) == lens(after) {
+        return *camera;
+    }
+    let [x, y] = [camera.fx / before.fx, camera.fy / before.fy];
+    Camera {
+        fx: x * after.fx,
+        fy: y * after.fy,
+        cx: camera.cx + x * (after.cx - before.cx),
+        cy: camera.cy + y * (after.cy - before.cy),
+        projection: after.projection,
+        coefficients: after.coefficients,
+        ..*camera
     }
 }
 

@@ -69,6 +69,18 @@ pub struct ColmapCamera {
 }
 
 impl ColmapCamera {
+    /// The camera with the lens of `camera`.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a lens that no model of COLMAP has.
+    pub fn of(id: u32, camera: &Camera) -> Result<Self> {
+        let lens = camera.photo_lens().to_colmap();
+        let none =
+            || Error::argument("camera", format!("{} is no model of COLMAP", camera.projection.name()));
+        let (model, parameters) = lens.ok_or_else(none)?;
+        Ok(Self { model: CameraModel(model as usize), parameters, ..Self::pinhole(id, camera) })
+    }
+
     /// The PINHOLE camera with the intrinsics of `camera`.
     pub fn pinhole(id: u32, camera: &Camera) -> Self {
         Self {

@@ -1,13 +1,13 @@
 //! The demo's data set: photographs from two circles, with a sparse, noisy point cloud, as a COLMAP folder, in the
 //! layout of the NeRF paper's synthetic scenes, or with a rolling shutter as nerfstudio's `transforms.json`.
 
-use super::lens::{Lens, colmap_camera};
+use super::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_demo_scene::city::{self, City};
 use ashsplat_demo_scene::raycast;
 use ashsplat_demo_scene::{Scene, View};
-use ashsplat_files::colmap::{self, ColmapImage};
+use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::{Photo, ply};
 use ashsplat_program::output;
 use ashsplat_program::progress::counting;
@@ -169,7 +169,7 @@ pub fn write(folder: &Path, choices: &Choices, seed: u64, quiet: bool) -> Result
             match choices.lens {
                 Lens::RollingShutter => write_rolling(folder, &views, &images, &points)?,
                 _ => {
-                    let lens = colmap_camera(&views[0].camera);
+                    let lens = ColmapCamera::of(1, &views[0].camera)?;
                     let images: Vec<ColmapImage> = images.into_iter().map(|pose| pose.image).collect();
                     colmap::write(folder.join("sparse").join("0"), &[lens], &images, &points)?;
                 }

@@ -2,7 +2,6 @@
 
 use ashsplat::scene::{Camera, Intrinsics, PhotoLens, Projection};
 use ashsplat_demo_scene::View;
-use ashsplat_files::colmap::{CameraModel, ColmapCamera};
 use glam::{DMat3, dvec3};
 
 /// Lens of the photographs, by COLMAP's name of the camera model, or their shutter.
@@ -71,20 +70,4 @@ fn moved(camera: &Camera, index: u32, distance: f64, share: f64) -> Camera {
     let rotation = camera.camera_from_world.as_dmat3();
     let turned = DMat3::from_axis_angle(axis, share * MOTION[1].to_radians()) * rotation;
     Camera::at(camera.exact_position() + rotation.transpose() * aside, turned, camera.intrinsics())
-}
-
-/// COLMAP's camera of a view, with the id 1.
-pub fn colmap_camera(camera: &Camera) -> ColmapCamera {
-    let pinhole = ColmapCamera::pinhole(1, camera);
-    let c = camera.coefficients.map(f64::from);
-    let (model, lens) = match camera.projection {
-        Projection::Brown => (CameraModel::OPENCV, c[..4].to_vec()),
-        Projection::Fisheye => (CameraModel::OPENCV_FISHEYE, vec![c[0], c[1], c[4], c[5]]),
-        Projection::Equirectangular => {
-            let parameters = [camera.width, camera.height].map(f64::from).to_vec();
-            return ColmapCamera { model: CameraModel::EQUIRECTANGULAR, parameters, ..pinhole };
-        }
-        _ => return pinhole,
-    };
-    ColmapCamera { model, parameters: [pinhole.parameters, lens].concat(), ..pinhole }
 }

@@ -1,13 +1,17 @@
 //! Optimised poses of training views: their files and a summary.
 
-use super::Run;
+use super::{Run, refined};
 use ashsplat::Result;
-use ashsplat::scene::{Camera, Twist};
+use ashsplat::scene::{Camera, PhotoLens, Twist};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_program::config::CAMERAS_FILE;
 use ashsplat_program::{eval, output};
+use glam::DVec2;
 use serde_json::{Map, json};
 use std::collections::HashMap;
+
+/// Folder of the cameras as data sets that other programs read.
+const REFINED_FOLDER: &str = "refined";
 
 /// File with the movement of each training view's camera.
 pub const POSES_FILE: &str = "poses.json";
@@ -67,30 +71,56 @@ impl Run {
         }
     }
 
-    /// All cameras at the size of their photos' files, training views at their current poses.
+    /// What became of the lenses, in words. None unless they are optimised.
+    pub(super) fn describe_lenses(&self) -> Option<String> {
+        self.settings.train.lens_opt.then(|| {
+            let [mut focal, mut moved] = [0.0_f64; 2];
+            let mut given: Vec<PhotoLens> = Vec::new();
+            for camera in &self.views.used {
+                let lens = camera.photo_lens();
+                if given.contains(&lens) {
+                    continue;
+                }
+                given.push(lens);
+                let now = self.trainer.with_trained_lens(camera).photo_lens();
+                focal = focal.max((now.focal_px / lens.focal_px - 1.0).abs().max_element());
+                let ray = lens.rays();
+                let [width, height] = [camera.width, camera.height].map(f64::from);
+                for place in [[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]].map(DVec2::from) {
+                    let there = ray(place).and_then(|ray| now.position(ray));
+                    moved = moved.max(there.map_or(0.0, |there| there.distance(place)));
+                }
+            }
+            format!(
+                "lenses: focal lengths changed by {:.3} % at most, the pictures' corners moved by {moved:.2} px at most",
+                100.0 * focal
+            )
+        })
+    }
+
+    /// All cameras at the size of their photos' files, with their current lenses, and training views at their current poses.
     fn cameras_now(&self) -> Result<Vec<NamedCamera>> {
         let moved = self.trainer.cameras()?;
         // With --train-test-exp, held-out views are also trained on, so only names identify the views.
         let moved: HashMap<&str, &Camera> =
             self.views.trained.iter().map(String::as_str).zip(&moved).collect();
-        let now = |(name, camera): &(String, Camera)| {
-            let mut camera = *camera;
+        let now = |((name, camera), used): (&(String, Camera), &Camera)| {
+            let mut camera = eval::with_changed_lens(camera, used, &self.trainer.with_trained_lens(used));
             if let Some(at) = moved.get(name.as_str()) {
                 camera.camera_from_world = at.camera_from_world;
                 camera.translation = at.translation;
             }
             NamedCamera { name: name.clone(), camera }
         };
-        Ok(self.views.cameras.iter().map(now).collect())
+        Ok(self.views.cameras.iter().zip(&self.views.used).map(now).collect())
     }
 
-    /// Writes the cameras after an iteration, if poses are optimised.
+    /// Writes the cameras after an iteration, if their poses or lenses are optimised.
     pub(super) fn save_poses(&self, iteration: u32) -> Result<()> {
-        if !self.settings.train.pose_opt {
+        let train = &self.settings.train;
+        if !(train.pose_opt || train.lens_opt) {
             return Ok(());
         }
-        let changes = self.trainer.pose_changes()?;
-        let Moved { degrees, shares } = Moved::of(&changes, self.trainer.scene_extent());
         let folder = &self.settings.data.model_path;
         let cameras = self.cameras_now()?;
         cameras_json::write(
@@ -98,6 +128,12 @@ impl Run {
             cameras.iter().map(|named| (named.name.as_str(), &named.camera)),
             &self.views.frame,
         )?;
+        refined::write(&folder.join(REFINED_FOLDER), &cameras, &self.views.frame)?;
+        if !train.pose_opt {
+            return Ok(());
+        }
+        let changes = self.trainer.pose_changes()?;
+        let Moved { degrees, shares } = Moved::of(&changes, self.trainer.scene_extent());
         let poses: Map<_, _> = (self.views.trained.iter().zip(&changes))
             .map(|(name, change)| {
                 let Twist { nu, omega } = *change;
@@ -117,7 +153,9 @@ impl Run {
     }
 
     /// Moves test views that are trained on to the current poses of their cameras: those that replace held-out ones,
-    /// and held-out ones whose halves are trained on.
+    /// and held-out ones whose halves are trained on. Their lenses stay as given: see [`Trainer::with_trained_lens`].
+    ///
+    /// [`Trainer::with_trained_lens`]: ashsplat::Trainer::with_trained_lens
     pub(super) fn follow_cameras(&mut self) -> Result<()> {
         let trained_on = !self.views.held_out || self.settings.data.train_test_exp;
         if !(self.settings.train.pose_opt && trained_on) {
@@ -125,7 +163,10 @@ impl Run {
         }
         let cameras = eval::by_name(self.cameras_now()?);
         for view in &mut self.views.test {
-            *view = eval::at_its_place(view.clone(), &cameras);
+            if let Some(at) = cameras.get(&view.name) {
+                view.camera.camera_from_world = at.camera_from_world;
+                view.camera.translation = at.translation;
+            }
         }
         self.tracking.follow(&self.views.test);
         Ok(())

@@ -27,6 +27,8 @@ pub struct Views {
     pub test: Vec<View>,
     /// Original cameras, held-out ones first.
     pub cameras: Vec<(String, Camera)>,
+    /// The same cameras at the photos' sizes in memory.
+    pub used: Vec<Camera>,
     /// Frame of the cameras.
     pub frame: WorldFrame,
     /// Camera ids by photo name.
@@ -43,6 +45,7 @@ pub fn split(dataset: Dataset, settings: &Settings) -> (Data, Views) {
     // A view may be trained on and held out, one half each.
     let held_out: HashSet<&str> = test.iter().map(|view| view.name.as_str()).collect();
     let others = train.iter().filter(|view| !held_out.contains(view.name.as_str()));
+    let used = test.iter().chain(others.clone()).map(|view| view.camera).collect();
     let cameras = test.iter().chain(others).map(own).collect();
     let takers = test.iter().chain(&train).map(|view| (view.name.clone(), view.camera_id)).collect();
     let trained = train.iter().map(|view| view.name.clone()).collect();
@@ -50,7 +53,7 @@ pub fn split(dataset: Dataset, settings: &Settings) -> (Data, Views) {
     let sample = || stand_ins(train.len()).map(|index| train[index].clone()).collect();
     let test = if held_out { test } else { sample() };
     let train = train.into_iter().map(train_view).collect();
-    (Data { train, scene_extent }, Views { trained, test, cameras, frame, takers, held_out })
+    (Data { train, scene_extent }, Views { trained, test, cameras, used, frame, takers, held_out })
 }
 
 /// Makes the training view of a view.

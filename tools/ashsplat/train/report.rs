@@ -92,6 +92,9 @@ impl Run {
         if let Ok(Some(moved)) = self.moved() {
             say!("{}", moved.describe());
         }
+        if let Some(lenses) = self.describe_lenses() {
+            say!("{lenses}");
+        }
         if self.skipped > 0 {
             say!("{} iterations were left out: their frames were too large", thousands(self.skipped.into()));
         }

@@ -30,9 +30,12 @@ pub fn stage(job: Option<&Job>, settings: &Settings) -> Result<Option<Stage>> {
         );
         return Err(Error::argument("--iterations", problem + ": leave it out, or divide again"));
     }
-    if stage.rounds > 1 && settings.train.pose_opt {
-        let problem = "does not go together with rounds: each block would move its cameras by itself";
-        return Err(Error::argument("pose_opt", problem));
+    let train = &settings.train;
+    for (name, is_on) in [("pose_opt", train.pose_opt), ("lens_opt", train.lens_opt)] {
+        if stage.rounds > 1 && is_on {
+            let problem = "does not go together with rounds: each block would move its cameras by itself";
+            return Err(Error::argument(name, problem));
+        }
     }
     Ok(Some(stage))
 }

@@ -105,7 +105,10 @@ impl Run {
             lpips,
             frame_times: iteration == self.settings.train.iterations,
         };
-        let draw = |camera: &Camera| trainer.render(camera, &settings);
+        let draw = |camera: &Camera| {
+            let camera = trainer.with_trained_lens(camera);
+            trainer.render(&camera, &settings)
+        };
         let mut evaluation = eval::evaluate(self.views.test.iter().map(Ok), &protocol, more, draw)?;
         let file = std::fs::metadata(point_cloud_path(&self.settings.data.model_path, iteration)).ok();
         let bytes = file.filter(|_| self.saved == Some(iteration)).map(|file| file.len());
@@ -115,6 +118,7 @@ impl Run {
             let mut aligned = self.views.test.clone();
             let own = trainer.at_current_degree(&settings);
             for view in &mut aligned {
+                view.camera = trainer.with_trained_lens(&view.camera);
                 let align =
                     |renderer: &mut Renderer| renderer.align(&view.camera, &view.photo, &own, &alignment);
                 view.camera = trainer.draw(align)?;

@@ -120,7 +120,8 @@ impl Tracking {
         let mut values = Vec::new();
         for view in &self.views {
             if !eval::is_hidden(view)? {
-                let (view, frame) = protocol.prepared(view, trainer.render(&view.camera, settings)?)?;
+                let frame = trainer.render(&trainer.with_trained_lens(&view.camera), settings)?;
+                let (view, frame) = protocol.prepared(view, frame)?;
                 values.push(eval::psnr(&view, &frame)?);
             }
         }

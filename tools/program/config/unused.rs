@@ -27,7 +27,7 @@ const EXPOSURES: [&str; 6] = [
     "exposure_sparsity",
 ];
 
-const USES: [Use; 13] = [
+const USES: [Use; 14] = [
     used(&["cap_max"], "--strategy mcmc or budget", |s| matches!(s.train.strategy, Mcmc | Budget)),
     used(&["cap_ratio"], "--strategy budget without --cap-max", |s| {
         s.train.strategy != Budget || s.train.cap_max == 0
@@ -52,6 +52,7 @@ const USES: [Use; 13] = [
     }),
     used(&["antialiasing_detached"], "--antialiasing", |s| s.train.antialiasing),
     used(&["pose_lr"], "--pose-opt", |s| s.train.pose_opt),
+    used(&["lens_opt_lr"], "--lens-opt", |s| s.train.lens_opt),
     used(&EXPOSURES, "--exposure", |s| s.train.exposure),
     used(&["lens_lr", "lens_reg"], "--lens-effects", |s| s.train.lens_effects),
     used(&["depth_l1_weight_init", "depth_l1_weight_final"], "depth maps (-d)", |s| {

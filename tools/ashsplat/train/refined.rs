@@ -1,0 +1,64 @@
+//! The folder `refined`: optimised cameras as data sets that this and other programs read, without photographs and points.
+
+use ashsplat::Result;
+use ashsplat::scene::{Camera, PointCloud, Projection, WorldFrame};
+use ashsplat_files::cameras_json::NamedCamera;
+use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat_program::output;
+use glam::DVec3;
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Writes `sparse/0` and `transforms.json`. Each is left out if it cannot hold one of the lenses.
+pub fn write(folder: &Path, cameras: &[NamedCamera], frame: &WorldFrame) -> Result<()> {
+    let mut lenses: Vec<ColmapCamera> = Vec::new();
+    let images = (1..).zip(cameras).map(|(id, NamedCamera { name, camera })| {
+        let own = ColmapCamera::of(0, camera).ok()?;
+        let is_same = |lens: &ColmapCamera| ColmapCamera { id: 0, ..lens.clone() } == own;
+        let place = lenses.iter().position(is_same).unwrap_or_else(|| {
+            lenses.push(ColmapCamera { id: lenses.len() as u32 + 1, ..own });
+            lenses.len() - 1
+        });
+        let mut image = ColmapImage::posed(id, lenses[place].id, name.clone(), camera);
+        image.translation = (-(image.rotation() * source_of(frame, camera))).to_array();
+        Some(image)
+    });
+    let images: Option<Vec<ColmapImage>> = images.collect();
+    if let Some(images) = images {
+        colmap::write(folder.join("sparse").join("0"), &lenses, &images, &PointCloud::default())?;
+    }
+    let frames: Option<Vec<Value>> =
+        cameras.iter().map(|named| frame_of(&named.name, &named.camera, frame)).collect();
+    match frames {
+        Some(frames) => output::write_json(&folder.join("transforms.json"), &json!({ "frames": frames })),
+        None => Ok(()),
+    }
+}
+
+fn source_of(frame: &WorldFrame, camera: &Camera) -> DVec3 {
+    frame.origin + frame.unit * camera.exact_position()
+}
+
+/// A frame of nerfstudio's `transforms.json`; None for lenses that it does not know.
+fn frame_of(name: &str, camera: &Camera, world: &WorldFrame) -> Option<Value> {
+    let [k1, k2, p1, p2, k3, k4, third, fourth, n4, ..] = camera.coefficients;
+    let (model, k, p) = match camera.projection {
+        Projection::Perspective => ("PINHOLE", [0.0; 4], [0.0; 2]),
+        Projection::Brown if [k4, third, fourth] == [0.0; 3] => ("OPENCV", [k1, k2, k3, n4], [p1, p2]),
+        Projection::Fisheye if [p1, p2, third, fourth] == [0.0; 4] => {
+            ("OPENCV_FISHEYE", [k1, k2, k3, k4], [0.0; 2])
+        }
+        Projection::Equirectangular => ("EQUIRECTANGULAR", [0.0; 4], [0.0; 2]),
+        _ => return None,
+    };
+    let axes = camera.camera_from_world.as_dmat3().transpose();
+    let eye = source_of(world, camera);
+    let row = |r: usize| [axes.x_axis[r], -axes.y_axis[r], -axes.z_axis[r], eye[r]];
+    Some(json!({
+        "file_path": format!("images/{name}"), "camera_model": model,
+        "w": camera.width, "h": camera.height,
+        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
+        "k1": k[0], "k2": k[1], "k3": k[2], "k4": k[3], "p1": p[0], "p2": p[1],
+        "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+    }))
+}
