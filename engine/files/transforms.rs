@@ -43,6 +43,8 @@ pub struct Transforms {
     pub depth_maps: usize,
     /// Oddities that did not prevent reading.
     pub warnings: Vec<String>,
+    /// One line about what was read.
+    pub note: String,
 }
 
 /// The files of a data set; `None` if it is not of this kind, or ambiguous. Files with poses under similar names count:
@@ -134,7 +136,13 @@ impl Transforms {
             all.has_split |= all.frames.iter().any(|frame| frame.test);
             clouds.extend(cloud(path, &document.values, &mut all.warnings)?);
         }
-        if let Some((path, applied)) = clouds.into_iter().next() {
+        let cloud = clouds.into_iter().next();
+        let points = cloud.as_ref().map_or("none", |(path, _)| name_of(path));
+        let shared = all.frames.windows(2).all(|pair| pair[0].optics == pair[1].optics);
+        let whose = if shared { "one camera" } else { "cameras of their own" };
+        let (source, count) = (all.source.display(), all.frames.len());
+        all.note = format!("{source}: poses of {count} frames with {whose}; points: {points}");
+        if let Some((path, applied)) = cloud {
             all.points = ply::read_points(&path, &mut all.warnings)?;
             all.place_points(&path, applied);
         }
