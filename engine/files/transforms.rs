@@ -3,6 +3,10 @@
 //! Poses map the camera (x right, y up, z backward) to the world, which is used unchanged. Intrinsics are
 //! shared or per frame: `fl_x fl_y cx cy w h` or `camera_angle_x`, and `k1 k2 k3 k4 p1 p2` with
 //! `camera_model`.
+//!
+//! nerfstudio's converters of Polycam and Record3D (its `polycam_utils.py` and `record3d_utils.py`) write such a file: with
+//! intrinsics per frame, `depth_file_path` and points of the GLB (`ply_file_path`), and with shared intrinsics, whose principal
+//! point they put in the middle.
 
 mod frame;
 

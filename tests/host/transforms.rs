@@ -197,7 +197,10 @@ fn captures_of_polycam_and_record3d_are_read_as_nerfstudio_leaves_them() {
         &report.notes,
         &["the depth maps of its 3 depth_file_path are not used", "65536000 / value for maps in mm"],
     );
-    assert_one(&dataset.warnings, &["only 3 of its 4 photos have a camera"]);
+    assert_one(
+        &dataset.warnings,
+        &["only 3 of its 4 photos have a camera", "the program that wrote the cameras left them out"],
+    );
 
     let record3d = Folder::new();
     record3d.points("sparse_pc.ply", &points);

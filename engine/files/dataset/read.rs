@@ -167,7 +167,12 @@ impl Plan {
             ));
         }
         if photos > registered {
-            let (folder, advice) = (folder.display(), photos::advice_for_more(dataset));
+            // A file of another program is no folder of COLMAP's.
+            let advice = match self.source.is_dir() {
+                true => photos::advice_for_more(dataset),
+                false => "the program that wrote the cameras left them out",
+            };
+            let folder = folder.display();
             self.warnings.push(format!(
                 "{folder}: only {registered} of its {photos} photos have a camera: the others are not used ({advice})"
             ));
