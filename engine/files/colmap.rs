@@ -7,6 +7,7 @@ mod find;
 mod model;
 mod read;
 mod records;
+mod rigs;
 mod write;
 
 pub(crate) use find::is_data_set;

@@ -98,7 +98,7 @@ impl Scene {
     }
 }
 
-/// Reads the cameras of a source as a model, with the points of a PLY in the data set's folder, and a line about it. `size_of`
+/// Reads the cameras of a source as a model, with the points of a PLY in the data set's folder. `size_of`
 /// returns the size in pixels of the photo with a name. Names may lack their extension.
 ///
 /// # Errors
@@ -107,7 +107,7 @@ pub fn read(
     source: &Source,
     dataset: &Path,
     size_of: &mut dyn FnMut(&str) -> Result<(u32, u32)>,
-) -> Result<(Model, String)> {
+) -> Result<Model> {
     let path = source.path();
     let scene = match source {
         Source::Metashape(path) => metashape::read(path)?,
@@ -128,7 +128,7 @@ pub fn read(
     let source =
         ModelFolder { folder: path.to_owned(), list: Some(path.to_owned()), text: true, warning: None };
     let cameras = cameras.into_iter().map(|camera| (camera.id, camera)).collect();
-    Ok((Model { source, cameras, images, points, warnings }, note))
+    Ok(Model { source, cameras, images, points, warnings, notes: vec![note] })
 }
 
 /// A perspective camera with the radial factor 1 + k1 s + k2 s² + k3 s³ + k4 s⁴ and COLMAP's p1 and p2.

@@ -3,6 +3,10 @@
 //! Poses map the camera (x right, y up, z backward) to the world, which is used unchanged. Intrinsics are
 //! shared or per frame: `fl_x fl_y cx cy w h` or `camera_angle_x`, and `k1 k2 k3 k4 p1 p2` with
 //! `camera_model`.
+//!
+//! nerfstudio's converters of Polycam and Record3D (its `polycam_utils.py` and `record3d_utils.py`) write such a file: with
+//! intrinsics per frame, `depth_file_path` and points of the GLB (`ply_file_path`), and with shared intrinsics, whose principal
+//! point they put in the middle.
 
 mod frame;
 
@@ -43,6 +47,8 @@ pub struct Transforms {
     pub depth_maps: usize,
     /// Oddities that did not prevent reading.
     pub warnings: Vec<String>,
+    /// One line about what was read.
+    pub note: String,
 }
 
 /// The files of a data set; `None` if it is not of this kind, or ambiguous. Files with poses under similar names count:
@@ -134,7 +140,13 @@ impl Transforms {
             all.has_split |= all.frames.iter().any(|frame| frame.test);
             clouds.extend(cloud(path, &document.values, &mut all.warnings)?);
         }
-        if let Some((path, applied)) = clouds.into_iter().next() {
+        let cloud = clouds.into_iter().next();
+        let points = cloud.as_ref().map_or("none", |(path, _)| name_of(path));
+        let shared = all.frames.windows(2).all(|pair| pair[0].optics == pair[1].optics);
+        let whose = if shared { "one camera" } else { "cameras of their own" };
+        let (source, count) = (all.source.display(), all.frames.len());
+        all.note = format!("{source}: poses of {count} frames with {whose}; points: {points}");
+        if let Some((path, applied)) = cloud {
             all.points = ply::read_points(&path, &mut all.warnings)?;
             all.place_points(&path, applied);
         }

@@ -491,3 +491,22 @@ fn report_has_the_curves_of_all_iterations() {
     assert!(measured.is_sorted() && [10, 30].iter().all(|tested| measured.contains(tested)), "{measured:?}");
     assert!(data.iter().flatten().all(|(x, y, ..)| (0.0..=560.0).contains(x) && (0.0..=220.0).contains(y)));
 }
+
+/// `render -s` draws the cameras of a data set as they are in training: with its folder of photos, where there is one.
+#[test]
+fn cameras_of_a_data_set_are_of_the_folder_that_was_trained_on() {
+    let place = Place::new();
+    std::fs::create_dir(place.at("data/images_2")).expect("a folder");
+    for index in 0..VIEWS {
+        let half = view(index).scaled_to(view(index).width / 2, view(index).height / 2);
+        photograph(&half).write_png(place.at("data/images_2").join(photo_name(index))).expect("a photo");
+    }
+    place.run("train -s @data -m @model --images images_2 --sh-degree 0 --iterations 2").ok();
+    let width = |folder: &str| {
+        place.run(format!("render @model -s @data -o @{folder}")).ok();
+        place.picture(format!("{folder}/00000.png")).width()
+    };
+    assert_eq!(width("halves"), view(0).width / 2);
+    std::fs::remove_dir_all(place.at("data/images_2")).expect("removed");
+    assert_eq!(width("wholes"), view(0).width);
+}

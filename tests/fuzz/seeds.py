@@ -33,13 +33,17 @@ def colmap(text: bool) -> bytes:
         cameras = b"# c\n1 PINHOLE 64 48 50 50 32 24\n"
         images = b"# i\n1 1 0 0 0 0 0 4 1 a.png\n1 2 -1\n2 0.5 0.5 0.5 0.5 0 0 4 1 b.png\n\n"
         points = b"# p\n1 0 0 0 10 20 30 0.5 1 0 2 0\n"
+        rigs = b"# r\n1 3 CAMERA 1 CAMERA 2 1 1 0 0 0 0 0 0 IMU 1 0\n"
+        frames = b"# f\n1 1 1 0 0 0 0 0 4 2 CAMERA 1 1 CAMERA 2 2\n"
     else:
         cameras = struct.pack("<QiiQQ4d", 1, 1, 1, 64, 48, 50, 50, 32, 24)
         image = struct.pack("<i7di", 1, 1, 0, 0, 0, 0, 0, 4, 1) + b"a.png\0"
         images = struct.pack("<Q", 1) + image + struct.pack("<Qddq", 1, 1.0, 2.0, -1)
         points = struct.pack("<QQ3d3BdQii", 1, 1, 0, 0, 0, 1, 2, 3, 0.5, 1, 1, 0)
-    lengths = struct.pack("<HH", len(cameras), len(images))
-    return bytes([int(text)]) + lengths + cameras + images + points
+        rigs = struct.pack("<Q2Iii", 1, 1, 3, 0, 1) + struct.pack("<iiB7d", 0, 2, 1, 1, 0, 0, 0, 0, 0, 0) + struct.pack("<iiB", 1, 1, 0)
+        frames = struct.pack("<QII7dI", 1, 1, 1, 1, 0, 0, 0, 0, 0, 4, 1) + struct.pack("<iIQ", 0, 1, 1)
+    lengths = struct.pack("<4H", len(cameras), len(images), len(rigs), len(frames))
+    return bytes([int(text)]) + lengths + cameras + images + rigs + frames + points
 
 
 if kind == "ply":

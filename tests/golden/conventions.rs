@@ -25,9 +25,8 @@ pub fn of_files(path: &Path) -> Outcome {
              </cameras></chunk></document>"
         );
         std::fs::write(&file, text).expect("written");
-        let (model, _) =
-            photogrammetry::read(&Source::Metashape(file), folder.path(), &mut |_| unreachable!())
-                .expect("read");
+        let model = photogrammetry::read(&Source::Metashape(file), folder.path(), &mut |_| unreachable!())
+            .expect("read");
         let camera = &model.cameras[&0];
         let lens = model.lens(camera).expect("a lens");
         check(&npz, &format!("metashape_{kind}"), |at| lens.project(at))?;

@@ -23,9 +23,9 @@ fn lines(count: usize, line: impl Fn(usize, &mut String)) -> String {
 const CAMERA: &str = "1 PINHOLE 4 2 5 5 2 1\n";
 const IMAGE: &str = "1 1 0 0 0 0 0 0 1 a.png\n";
 
-/// A comment before each line; images have eight observations, points a track of ten.
+/// A comment before each line; images have eight observations, points a track of ten. One rig has all cameras.
 #[test]
-fn text_models_of_many_cameras_images_and_points() {
+fn text_models_of_many_cameras_images_points_and_frames() {
     let write = |folder: &Path, size: usize| {
         let cameras = lines(size, |id, text| {
             writeln!(text, "# camera {id}\n{id} OPENCV 400 200 50{id} 500 200 100 0 0 0 0").unwrap();
@@ -38,10 +38,17 @@ fn text_models_of_many_cameras_images_and_points() {
             writeln!(text, "\n# point\n{id} 0.5 -1.5 {id} 10 20 30 0.7{}", " 1 2".repeat(10)).unwrap();
         });
         write_model(&folder.join("sparse/0"), &cameras, &images, &points);
+        let others: String = (2..=size).map(|id| format!(" CAMERA {id} 1 1 0 0 0 0 0 0")).collect();
+        std::fs::write(folder.join("sparse/0/rigs.txt"), format!("1 {size} CAMERA 1{others}\n")).unwrap();
+        let frames = lines(size, |id, text| {
+            writeln!(text, "# frame\n{id} 1 1 0 0 0 0.25 0 {id} 1 CAMERA {id} {id}").unwrap();
+        });
+        std::fs::write(folder.join("sparse/0/frames.txt"), frames).unwrap();
     };
     assert_linear(3000, write, |folder| {
         let model = Model::of_dataset(folder).unwrap();
         assert!(model.points.len() >= 3000 && model.images.len() == model.points.len());
+        assert!(model.notes.len() == 1 && model.warnings.is_empty(), "{:?}", model.warnings);
         assert!(model.images.iter().all(|image| model.camera_of(image).is_ok()));
     });
 }

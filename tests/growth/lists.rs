@@ -73,7 +73,7 @@ fn cameras_of_photogrammetry_programs() {
         let sources = photogrammetry::find(folder, "images");
         assert_eq!(sources.len(), 2);
         for source in sources {
-            let (model, _) = photogrammetry::read(&source, folder, &mut |_| Ok((4, 3))).unwrap();
+            let model = photogrammetry::read(&source, folder, &mut |_| Ok((4, 3))).unwrap();
             assert!(model.images.len() >= 2000);
         }
     });

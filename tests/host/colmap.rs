@@ -1,9 +1,9 @@
 //! COLMAP models: round trips, text against binary, choice among several models, damage.
 
-use super::files::{Folder, assert_says, for_each_mutation, for_each_truncation, names, refusal};
+use super::files::{Folder, assert_one, assert_says, for_each_mutation, for_each_truncation, names, refusal};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat_files::colmap::{self, CameraModel, ColmapCamera, ColmapImage, Model};
-use glam::Vec3;
+use glam::{DQuat, DVec3, Vec3};
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
@@ -69,6 +69,73 @@ fn assert_same(model: &Model, parts: &Parts) {
     assert_eq!(model.cameras.values().cloned().collect::<Vec<_>>(), parts.cameras);
     assert_eq!(model.images, parts.images);
     assert_eq!(model.points.clone().in_frame(&WorldFrame::default()), parts.points);
+}
+
+/// A field of COLMAP's files of rigs and frames.
+enum Field {
+    Kind(&'static str),
+    Id(u32),
+    Flag(u8),
+    Data(u64),
+    Number(f64),
+}
+
+use Field::{Data, Flag, Id, Kind, Number};
+
+/// Writes records with one line, or the bytes of each field.
+fn write_records(folder: &Path, part: &str, records: &[Vec<Field>], text: bool) {
+    let word = |field: &Field| match field {
+        Kind(kind) => (*kind).to_owned(),
+        Id(id) => id.to_string(),
+        Flag(flag) => flag.to_string(),
+        Data(id) => id.to_string(),
+        Number(number) => number.to_string(),
+    };
+    let line = |record: &Vec<Field>| record.iter().map(word).collect::<Vec<_>>().join(" ");
+    let bytes = |field: &Field| match field {
+        Kind(kind) => i32::from(*kind == "IMU").to_le_bytes().to_vec(),
+        Id(id) => id.to_le_bytes().to_vec(),
+        Flag(flag) => vec![*flag],
+        Data(id) => id.to_le_bytes().to_vec(),
+        Number(number) => number.to_le_bytes().to_vec(),
+    };
+    let contents = match text {
+        true => {
+            format!("# comment\n{}\n", records.iter().map(line).collect::<Vec<_>>().join("\n")).into_bytes()
+        }
+        false => [(records.len() as u64).to_le_bytes().to_vec()]
+            .into_iter()
+            .chain(records.iter().flatten().map(bytes))
+            .flatten()
+            .collect(),
+    };
+    std::fs::write(folder.join(part).with_extension(if text { "txt" } else { "bin" }), contents).unwrap();
+}
+
+/// Writes a rig of both cameras of [`parts`], and one of an absent camera. The first frame has the first two images, the second
+/// one the third.
+fn write_rigs(folder: &Path, images: &[ColmapImage], text: bool) {
+    let pose = |image: &ColmapImage| {
+        let [w, x, y, z] = image.quat;
+        (DQuat::from_xyzw(x, y, z, w), DVec3::from_array(image.translation))
+    };
+    let numbers = |(q, t): (DQuat, DVec3)| [q.w, q.x, q.y, q.z, t.x, t.y, t.z].map(Number);
+    let [first, second, third] = [0, 1, 2].map(|index| pose(&images[index]));
+    let turn = second.0 * first.0.inverse();
+    let mut rig = vec![Id(1), Id(3), Kind("CAMERA"), Id(7), Kind("CAMERA"), Id(900), Flag(1)];
+    rig.extend(numbers((turn, second.1 - turn * first.1)));
+    rig.extend([Kind("IMU"), Id(900), Flag(0)]);
+    write_records(folder, "rigs", &[rig, vec![Id(4), Id(1), Kind("CAMERA"), Id(8)]], text);
+    let frame = |id: u32, pose, data: Vec<(&'static str, u32, u64)>| {
+        let mut frame = vec![Id(id), Id(1)];
+        frame.extend(numbers(pose));
+        frame.push(Id(data.len() as u32));
+        frame.extend(data.into_iter().flat_map(|(kind, sensor, id)| [Kind(kind), Id(sensor), Data(id)]));
+        frame
+    };
+    let both = vec![("CAMERA", 7, 12), ("CAMERA", 900, 3), ("IMU", 900, 77)];
+    let frames = [frame(1, first, both), frame(2, third, vec![("CAMERA", 7, 5)])];
+    write_records(folder, "frames", &frames, text);
 }
 
 fn error(dataset: &Path) -> String {
@@ -192,7 +259,8 @@ fn no_truncation_of_a_binary_model_is_accepted_and_no_mutation_panics() {
             true => write_text(&folder.join("sparse/0"), &parts()),
             false => write(&folder, "sparse/0", &parts()),
         }
-        for part in ["cameras", "images", "points3D"] {
+        write_rigs(&folder.join("sparse/0"), &parts().images, text);
+        for part in ["cameras", "images", "points3D", "rigs", "frames"] {
             let ending = if text { "txt" } else { "bin" };
             let path = folder.join("sparse/0").join(part).with_extension(ending);
             let bytes = std::fs::read(&path).unwrap();
@@ -206,6 +274,60 @@ fn no_truncation_of_a_binary_model_is_accepted_and_no_mutation_panics() {
         assert_same(&Model::of_dataset(&folder).unwrap(), &parts());
         std::fs::remove_dir_all(folder.join("sparse")).unwrap();
     }
+}
+
+/// Rigs add a line, and change neither poses nor photos. Where they contradict the images, a warning says what is used.
+#[test]
+fn rigs_are_compared_with_the_images() {
+    let folder = Folder::new();
+    let sparse = folder.join("sparse/0");
+    for text in [false, true] {
+        match text {
+            true => write_text(&sparse, &parts()),
+            false => write(&folder, "sparse/0", &parts()),
+        }
+        write_rigs(&sparse, &parts().images, text);
+        let model = Model::of_dataset(&folder).unwrap();
+        assert_same(&model, &parts());
+        assert_one(&model.notes, &["2 rigs of up to 3 sensors, 2 frames: the poses are those of images."]);
+        assert!(model.warnings.is_empty(), "{:?}", model.warnings);
+        // A tool that moves the images leaves the frames where they were.
+        let mut moved = parts().images;
+        moved.iter_mut().for_each(|image| image.translation[1] += 0.1);
+        write_rigs(&sparse, &moved, text);
+        let model = Model::of_dataset(&folder).unwrap();
+        assert_same(&model, &parts());
+        let words = [
+            "frame 1 and its rig give image 12 (left/b c.png) another pose than images.",
+            "2 more",
+            "are used",
+        ];
+        assert_one(&model.warnings, &words);
+        std::fs::remove_dir_all(folder.join("sparse")).unwrap();
+    }
+    write_text(&sparse, &parts());
+    for (part, old, new, words) in [
+        ("rigs", "1 3 CAMERA", "9 3 CAMERA", "frame 1 has the rig 1, which does not exist (and 2 more"),
+        ("rigs", "CAMERA 7", "CAMERA 6", "frame 1 has camera 7, which its rig 1 does not have (and 1 more"),
+        ("frames", "900 3", "900 33", "frame 1 has image 33, which images.txt does not list:"),
+        ("frames", "CAMERA 7 5", "CAMERA 900 5", "image 5 of camera 900, in images.txt it is of camera 7"),
+    ] {
+        write_rigs(&sparse, &parts().images, true);
+        let path = sparse.join(part).with_extension("txt");
+        let changed = std::fs::read_to_string(&path).unwrap().replace(old, new);
+        std::fs::write(&path, changed).unwrap();
+        assert_one(
+            &Model::of_dataset(&folder).unwrap().warnings,
+            &[words, "the poses of images.txt are used"],
+        );
+    }
+    // COLMAP knows no pose of the second camera in its rig.
+    write_rigs(&sparse, &parts().images, true);
+    std::fs::write(sparse.join("rigs.txt"), "1 2 CAMERA 7 CAMERA 900 0\n").unwrap();
+    let words = ["frame 1 has camera 900, which has no pose in its rig 1: the poses of images.txt are used"];
+    assert_one(&Model::of_dataset(&folder).unwrap().warnings, &words);
+    std::fs::write(sparse.join("rigs.txt"), "1 2 CAMERA 7 CAMERA 900 1 1 0\n").unwrap();
+    assert!(error(&folder).contains("rigs.txt: line 1: the quaternion is missing"), "{}", error(&folder));
 }
 
 #[test]

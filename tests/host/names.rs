@@ -183,7 +183,8 @@ fn alpha_beside_a_mask_is_told() {
         folder.save("images/a.png", RgbaImage::from_fn(20, 12, |_, y| alpha(y)));
     };
     transparent_below(12);
-    assert_eq!(notes(AlphaUse::Mask), [""; 0]);
+    assert_eq!(notes(AlphaUse::Target), [""; 0]);
+    assert_one(&notes(AlphaUse::Mask), &["--alpha mask changes nothing: no photo has transparent pixels"]);
     transparent_below(6);
     for (alpha, words, counting) in [
         (AlphaUse::Mask, "what either hides does not count", 60),
@@ -332,11 +333,13 @@ fn what_is_no_data_set_says_what_to_do() {
     };
     ["phone/images/a.jpg", "loose/a.JPG", "openmvg/a.jpg"].iter().for_each(|name| folder.photo(name, 1));
     std::fs::create_dir_all(folder.join("polycam/keyframes/images")).unwrap();
-    folder.put("openmvg/sfm_data.json", "{}");
+    ["openmvg/sfm_data.json", "record3d/metadata.json"].iter().for_each(|name| drop(folder.put(name, "{}")));
+    folder.photo("record3d/rgb/0.jpg", 1);
     for (name, words) in [
         ("phone", "phone` finds their cameras"),
         ("loose", "photos alone are not enough: `ashsplat poses "),
         ("polycam", "`ns-process-data polycam --data "),
+        ("record3d", "`ns-process-data record3d --data "),
         ("openmvg", "sfm_data.json has the cameras of OpenMVG, which is not read"),
     ] {
         refused(name, "images", &[words]);

@@ -152,6 +152,76 @@ fn frames_may_have_their_own_lens_and_points() {
 
 /// Points stored before the transform of the poses, or before their scale, are moved to the cameras. If no placement
 /// is better, the points stay, with a warning.
+/// What nerfstudio's `polycam_to_json` and `record3d_to_json` write, with the points of its `--glb` and `--ply` options.
+#[test]
+fn captures_of_polycam_and_record3d_are_read_as_nerfstudio_leaves_them() {
+    let points = cloud(&[[0.1, 0.2, 0.0]; 4], [1; 3]);
+    let expected: Vec<Camera> = (0..3).map(camera).collect();
+    let assert_places = |dataset: &Dataset| {
+        assert_eq!((dataset.train.len(), &dataset.points), (3, &points));
+        for (view, camera) in dataset.train.iter().zip(&expected) {
+            assert!(view.camera.position().distance(camera.position()) < 1e-5);
+            assert!(view.camera.camera_from_world.abs_diff_eq(camera.camera_from_world, 1e-6));
+        }
+    };
+
+    let polycam = Folder::new();
+    polycam.points("point_cloud.ply", &points);
+    // Each frame has intrinsics of its own, less the cropped border. Two blurred photos have no frame.
+    let frame = |index: u32| {
+        let name = format!("images/frame_{:05}.png", index + 1);
+        ["images", "images_2", "images_4"]
+            .iter()
+            .for_each(|folder| polycam.photo(&name.replace("images", folder), 7));
+        let own =
+            json!({ "fl_x": 21.0 + f64::from(index), "fl_y": 21.5, "cx": 9.7, "cy": 6.25, "w": 20, "h": 12 });
+        let depth = format!("./depth/frame_{:05}.png", index + 1);
+        let files = json!({ "file_path": format!("./{name}"), "depth_file_path": depth });
+        with(with(own, &files), &json!({ "transform_matrix": matrix(&expected[index as usize]) }))
+    };
+    let frames: Vec<Value> = (0..3).map(frame).collect();
+    polycam.photo("images/frame_00004.png", 7);
+    polycam.json(
+        "transforms.json",
+        &json!({ "camera_model": "OPENCV", "orientation_override": "none", "frames": frames, "ply_file_path": "point_cloud.ply" }),
+    );
+    let dataset = polycam.sound();
+    assert_places(&dataset);
+    let optics = |index: usize| dataset.train[index].camera.intrinsics();
+    let first = Intrinsics { fx: 21.0, fy: 21.5, cx: 9.7, cy: 6.25, width: 20, height: 12 };
+    assert_eq!((optics(0), optics(2)), (first, Intrinsics { fx: 23.0, ..first }));
+    let report = polycam.inspect(&DatasetOptions::default());
+    let read = "transforms.json: poses of 3 frames with cameras of their own; points: point_cloud.ply";
+    assert_some(&report.notes, &[read]);
+    assert_some(
+        &report.notes,
+        &["the depth maps of its 3 depth_file_path are not used", "65536000 / value for maps in mm"],
+    );
+    assert_one(
+        &dataset.warnings,
+        &["only 3 of its 4 photos have a camera", "the program that wrote the cameras left them out"],
+    );
+
+    let record3d = Folder::new();
+    record3d.points("sparse_pc.ply", &points);
+    let frames: Vec<Value> = (0..3)
+        .map(|index| {
+            let name = format!("images/frame_{:05}.png", index + 1);
+            record3d.photo(&name, 7);
+            json!({ "file_path": name, "transform_matrix": matrix(&expected[index as usize]) })
+        })
+        .collect();
+    let shared = json!({ "fl_x": 21.0, "fl_y": 21.0, "cx": 10.0, "cy": 6.0, "w": 20, "h": 12, "camera_model": "OPENCV" });
+    let rest = json!({ "frames": frames, "ply_file_path": "sparse_pc.ply" });
+    record3d.json("transforms.json", &with(shared, &rest));
+    let dataset = record3d.sound();
+    assert_places(&dataset);
+    assert_eq!(dataset.train[1].camera.intrinsics(), expected[1].intrinsics());
+    assert_eq!(dataset.warnings, [""; 0]);
+    let notes = record3d.inspect(&DatasetOptions::default()).notes;
+    assert_one(&notes, &["transforms.json: poses of 3 frames with one camera; points: sparse_pc.ply"]);
+}
+
 #[test]
 fn points_in_the_older_frame_are_moved() {
     let folder = Folder::new();
@@ -351,7 +421,7 @@ fn distorted_frames_are_used_as_they_are_or_undistorted() {
         (20, 12, vec![-0.2, 0.0, 0.01])
     );
     let options = DatasetOptions { undistort: true, ..Default::default() };
-    assert_says(&folder.inspect(&options).notes[0], &["the camera has a lens", "19x11"]);
+    assert_some(&folder.inspect(&options).notes, &["the camera has a lens", "19x11"]);
     let dataset = Dataset::load(&folder, &options, Progress::NONE).unwrap();
     let camera = dataset.train[0].camera;
     // The image loses half a pixel at each side, and keeps its scale.

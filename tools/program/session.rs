@@ -143,14 +143,23 @@ pub fn warn(warnings: &[String]) {
     }
 }
 
-/// The cameras of a data set by name, at the photos' own sizes, in a frame of coordinates that are turned as in a training with
-/// these settings; photos are not read. Ctrl-C stops the call,
+/// The cameras of a data set by name, at the photos' own sizes, in a frame of coordinates. Level, orientation, lenses and, where the
+/// data set has it, the photos' folder are as in a training with these settings; photos are not read. Ctrl-C stops the call,
 /// so that nothing of an unpacked ZIP is left. Afterwards, Ctrl-C ends the program at once.
 pub fn cameras(dataset: &Path, trained: &DataSettings, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let stop = stop_on_ctrl_c()?;
     let progress = Progress { report: None, interrupted: Some(&stop) };
-    let (level, undistort) = (trained.level.parse()?, trained.undistort);
-    let options = DatasetOptions { frame: Some(*frame), level, undistort, ..Default::default() };
+    let mut options = DatasetOptions {
+        frame: Some(*frame),
+        level: trained.level.parse()?,
+        undistort: trained.undistort,
+        orientation: trained.orientation.parse()?,
+        ..Default::default()
+    };
+    // Another data set need not have the folder.
+    if !dataset.is_dir() || dataset.join(&trained.images).is_dir() {
+        options.images.clone_from(&trained.images);
+    }
     let cameras = Gallery::open(dataset, &options, progress)?.cameras();
     end_at_once(&stop)?;
     Ok(cameras)

@@ -110,9 +110,9 @@ fn no_model(dataset: &Path) -> Error {
         )
     } else if let [only] = below.as_slice() {
         format!("give {}, which has one", only.display())
-    } else if dataset.join("keyframes").is_dir() {
+    } else if let Some(program) = app_of_raw_data(dataset) {
         format!(
-            "Polycam's raw data become a data set by `ns-process-data polycam --data {place} --output-dir OUT`"
+            "raw data of {program} become a data set by `ns-process-data {program} --data {place} --output-dir OUT`"
         )
     } else if dataset.join(UNFINISHED_POSES).is_dir() {
         "its cameras are not found yet: run the same `ashsplat poses` once more, it goes on from there".into()
@@ -129,6 +129,13 @@ fn no_model(dataset: &Path) -> Error {
             .into()
     };
     Error::input(dataset, problem, remedy)
+}
+
+/// nerfstudio's name of the app that left its raw data in a folder.
+fn app_of_raw_data(folder: &Path) -> Option<&'static str> {
+    let of_record3d = folder.join("rgb").is_dir() && folder.join("metadata.json").is_file();
+    let of_polycam = folder.join("keyframes").is_dir();
+    of_polycam.then_some("polycam").or_else(|| of_record3d.then_some("record3d"))
 }
 
 /// The command that finds the cameras of photos or of a video, quoted for a shell.

@@ -9,6 +9,7 @@ use glam::{DMat3, DVec2, DVec3, Mat3, Vec3};
 use super::find::{self, ModelFolder};
 use super::read::{self, Observed};
 use super::records::{ColmapCamera, ColmapImage};
+use super::rigs;
 use crate::depth_fit::DepthPoint;
 use crate::ply;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
@@ -28,6 +29,8 @@ pub struct Model {
     pub points: SourcePoints,
     /// Oddities that did not prevent reading.
     pub warnings: Vec<String>,
+    /// What was read besides, one line each.
+    pub notes: Vec<String>,
 }
 
 impl Model {
@@ -38,7 +41,8 @@ impl Model {
 
     /// Reads a model. Any camera model is read; [`Model::camera_of`] checks whether it can be used.
     ///
-    /// A missing list of points gives no points and a warning. Points at NaN are dropped with a warning.
+    /// A missing list of points gives no points and a warning. Points at NaN are dropped with a warning. Poses of rigs and
+    /// frames are compared with those of the images, which are used.
     pub fn read(source: &ModelFolder) -> Result<Self> {
         let [cameras, images] = ["cameras", "images"].map(|part| source.file(part));
         let (all_cameras, all_images) = (read::cameras(&cameras)?, read::images(&images)?);
@@ -46,7 +50,10 @@ impl Model {
         let mut warnings: Vec<String> = source.warning.iter().cloned().collect();
         let points = points(source, &mut warnings)?;
         let cameras = by_id(&cameras, all_cameras)?;
-        Ok(Self { source: source.clone(), cameras, images: all_images, points, warnings })
+        let (source, notes) = (source.clone(), Vec::new());
+        let mut model = Self { source, cameras, images: all_images, points, warnings, notes };
+        rigs::tell(&mut model)?;
+        Ok(model)
     }
 
     /// Path of the model's file for "cameras", "images" or "points3D".

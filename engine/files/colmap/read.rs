@@ -11,6 +11,7 @@ use bytemuck::Pod;
 use glam::DVec3;
 
 use super::records::{CameraModel, ColmapCamera, ColmapImage};
+use super::rigs::{Frame, Pose, Rig, Sensor};
 use crate::regular_file::{self, OnFile};
 use crate::{cost, host_memory, text};
 use ashsplat::scene::SourcePoints;
@@ -22,6 +23,8 @@ type Kind = (&'static str, u64, usize);
 const CAMERA: Kind = ("camera", 24, size_of::<ColmapCamera>() + 16 * size_of::<f64>());
 /// The name has one letter at least.
 const IMAGE: Kind = ("image", 74, size_of::<ColmapImage>() + 64);
+const RIG: Kind = ("rig", 8, size_of::<(u32, Rig)>() + 4 * size_of::<(Sensor, Option<Pose>)>());
+const FRAME: Kind = ("frame", 68, size_of::<Frame>() + 2 * size_of::<(Sensor, u64)>());
 const POINT: Kind = ("point", 51, 2 * size_of::<(u64, [f64; 3])>());
 const OBSERVATION_BYTES: u64 = 24;
 const TRACK_ENTRY_BYTES: u64 = 8;
@@ -55,6 +58,39 @@ pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
         }
     }
     Ok(images)
+}
+
+/// Rigs by id.
+pub(super) fn rigs(path: &Path) -> Result<HashMap<u32, Rig>> {
+    let mut file = Records::open(path, RIG)?;
+    let mut rigs = HashMap::with_capacity(file.count);
+    while file.next()? {
+        let (id, sensors) = (file.number("rig id")?, file.number::<u32>("number of sensors")?);
+        let mut rig = Rig::new();
+        for index in 0..sensors {
+            let sensor = file.sensor()?;
+            // The first one is the rig's own frame.
+            let pose = match index == 0 || file.number::<u8>("pose flag")? == 0 {
+                true => (index == 0).then_some(Pose::IDENTITY),
+                false => Some(file.pose()?),
+            };
+            rig.insert(sensor, pose);
+        }
+        rigs.insert(id, rig);
+    }
+    Ok(rigs)
+}
+
+pub(super) fn frames(path: &Path) -> Result<Vec<Frame>> {
+    let mut file = Records::open(path, FRAME)?;
+    let mut frames = Vec::with_capacity(file.count);
+    while file.next()? {
+        let (id, rig) = (file.number("frame id")?, file.number("rig id")?);
+        let (pose, count) = (file.pose()?, file.number::<u32>("number of images")?);
+        let data = (0..count).map(|_| Ok((file.sensor()?, file.number("image id")?)));
+        frames.push(Frame { id, rig, pose, data: data.collect::<Result<_>>()? });
+    }
+    Ok(frames)
 }
 
 /// An image's id, and its observations: the place in the photo, and the id of the point there if there is one.
@@ -280,6 +316,21 @@ impl<'a> Records<'a> {
             *number = self.number(what)?;
         }
         Ok(numbers)
+    }
+
+    fn pose(&mut self) -> Result<Pose> {
+        Ok(Pose { quat: self.numbers("quaternion")?, translation: self.numbers("translation")? })
+    }
+
+    fn sensor(&mut self) -> Result<Sensor> {
+        let is_camera = match self.is_text {
+            true => {
+                let kind = self.word("kind of sensor")?;
+                &self.text[kind] == "CAMERA"
+            }
+            false => self.number::<i32>("kind of sensor")? == 0,
+        };
+        Ok(Sensor { is_camera, id: self.number("sensor id")? })
     }
 
     fn camera_model(&mut self, id: u32) -> Result<CameraModel> {

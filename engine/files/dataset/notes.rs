@@ -147,6 +147,7 @@ pub(super) fn of_pixels<'v>(
     /// 1 / 2.2 and the values of older screens, which look like sRGB.
     const USUAL_GAMMA: std::ops::RangeInclusive<f32> = 0.4..=0.6;
     let (mut all, mut cut_outs, mut transparent, mut beside_mask) = (0, 0, 0, 0);
+    let mut all_opaque = true;
     let mut hidden: Vec<&PlannedView> = Vec::new();
     let mut unusual: Vec<(&PlannedView, f32)> = Vec::new();
     let mut round: Vec<&PlannedView> = Vec::new();
@@ -160,24 +161,27 @@ pub(super) fn of_pixels<'v>(
         if photo.is_round {
             round.push(view);
         }
+        all_opaque &= !photo.is_transparent;
         // A block's own mask says nothing about the photo.
         if photo.is_transparent && view.coarse_mask.is_none() {
             *if view.mask_path.is_some() { &mut beside_mask } else { &mut transparent } += 1;
         }
     }
-    let (alone, beside) = match alpha {
+    let (name, alone, beside) = match alpha {
         AlphaUse::Target => (
+            "target",
             "{} photos have transparent pixels, which show the background (--alpha mask leaves them out)",
             "{} photos have a mask and an alpha channel: the mask says what counts, and what is transparent shows the \
              background",
         ),
         AlphaUse::Mask => (
+            "mask",
             "the alpha channel of {} photos is taken as their mask: what is transparent there does not count",
             "{} photos have a mask and an alpha channel: what either hides does not count",
         ),
         AlphaUse::Ignore => {
             let ignored = "the alpha channel of {} photos is ignored: their colours count as stored";
-            (ignored, ignored)
+            ("ignore", ignored, ignored)
         }
     };
     let notes = [
@@ -186,7 +190,10 @@ pub(super) fn of_pixels<'v>(
         (beside_mask, beside),
     ];
     let notes = notes.into_iter().filter(|(count, _)| *count > 0);
-    let notes = notes.map(|(count, line)| line.replace("{}", &count.to_string())).collect();
+    let mut notes: Vec<String> = notes.map(|(count, line)| line.replace("{}", &count.to_string())).collect();
+    if all_opaque && all > 0 && alpha != AlphaUse::default() {
+        notes.push(format!("--alpha {name} changes nothing: no photo has transparent pixels"));
+    }
     let hidden = hidden.first().map(|PlannedView { name, .. }| {
         let count = hidden.len();
         format!(

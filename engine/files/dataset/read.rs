@@ -40,14 +40,13 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
         _ => {
             let sources =
                 if colmap::exists(path) { Vec::new() } else { photogrammetry::find(path, &options.images) };
-            let (mut model, note) = match sources.as_slice() {
-                [] => (Model::of_dataset(path)?, None),
+            let mut model = match sources.as_slice() {
+                [] => Model::of_dataset(path)?,
                 [source] => {
                     let (folder, mut finder) =
                         (photos::find_folder(path, &options.images)?, Finder::default());
                     let mut size_of = |name: &str| photos::size(&folder, name, &mut finder);
-                    let (model, note) = photogrammetry::read(source, path, &mut size_of)?;
-                    (model, Some(note))
+                    photogrammetry::read(source, path, &mut size_of)?
                 }
                 several => {
                     let files: Vec<String> =
@@ -60,9 +59,7 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
             if sources.is_empty() {
                 model.warnings.extend(colmap::contradiction(&model));
             }
-            let mut plan = Plan::of_model(path, &model, options)?;
-            plan.notes.extend(note);
-            (plan, points)
+            (Plan::of_model(path, &model, options)?, points)
         }
     };
     plan.warnings.extend(photos::fit_lenses(&mut plan.views, &plan.list, options));
@@ -100,6 +97,7 @@ impl Plan {
             list: model.file("images"),
             registered: model.images.len(),
             warnings: model.warnings.clone(),
+            notes: model.notes.clone(),
             ..Self::default()
         };
         let mut images: Vec<&ColmapImage> = model.images.iter().collect();
@@ -169,7 +167,12 @@ impl Plan {
             ));
         }
         if photos > registered {
-            let (folder, advice) = (folder.display(), photos::advice_for_more(dataset));
+            // A file of another program is no folder of COLMAP's.
+            let advice = match self.source.is_dir() {
+                true => photos::advice_for_more(dataset),
+                false => "the program that wrote the cameras left them out",
+            };
+            let folder = folder.display();
             self.warnings.push(format!(
                 "{folder}: only {registered} of its {photos} photos have a camera: the others are not used ({advice})"
             ));
@@ -221,7 +224,7 @@ impl Plan {
     }
 
     fn of_transforms(path: &Path, transforms: Transforms, options: &DatasetOptions) -> Result<Self> {
-        let Transforms { source, mut frames, has_split, warnings, depth_maps, .. } = transforms;
+        let Transforms { source, mut frames, has_split, warnings, depth_maps, note, .. } = transforms;
         frames.sort_by(|a, b| a.name.cmp(&b.name));
         let (registered, named_depth_maps) = (frames.len(), depth_maps);
         let mut plan = Self {
@@ -230,6 +233,7 @@ impl Plan {
             registered,
             has_split,
             warnings,
+            notes: vec![note],
             named_depth_maps,
             ..Self::default()
         };

@@ -1,4 +1,4 @@
-//! Arbitrary bytes as the three files of a COLMAP model, binary or text.
+//! Arbitrary bytes as the files of a COLMAP model, binary or text.
 #![no_main]
 
 use ashsplat_files::colmap::{self, Model};
@@ -13,15 +13,18 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
     folder
 });
 
-// First byte: the format. Then the lengths of cameras and images, two bytes each; the rest is points.
+// First byte: the format. Then the lengths of cameras, images, rigs and frames, two bytes each; the rest is points.
 fuzz_target!(|data: &[u8]| {
-    let [format, a, b, c, d, rest @ ..] = data else { return };
+    let [format, rest @ ..] = data else { return };
+    let Some((lengths, mut rest)) = rest.split_at_checked(8) else { return };
     let [mine, other] = if format & 1 == 0 { ["bin", "txt"] } else { ["txt", "bin"] };
-    let cameras = usize::from(u16::from_le_bytes([*a, *b])).min(rest.len());
-    let images = usize::from(u16::from_le_bytes([*c, *d])).min(rest.len() - cameras);
-    let (cameras, rest) = rest.split_at(cameras);
-    let (images, points) = rest.split_at(images);
-    for (part, bytes) in [("cameras", cameras), ("images", images), ("points3D", points)] {
+    let mut parts = [("cameras", rest), ("images", rest), ("rigs", rest), ("frames", rest), ("points3D", rest)];
+    for ((_, bytes), length) in parts.iter_mut().zip(lengths.chunks(2)) {
+        let length = usize::from(u16::from_le_bytes([length[0], length[1]]));
+        (*bytes, rest) = rest.split_at(length.min(rest.len()));
+    }
+    parts[4].1 = rest;
+    for (part, bytes) in parts {
         std::fs::remove_file(FOLDER.join(format!("sparse/0/{part}.{other}"))).ok();
         std::fs::write(FOLDER.join(format!("sparse/0/{part}.{mine}")), bytes).expect("written");
     }
