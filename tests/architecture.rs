@@ -343,65 +343,6 @@ fn architecture_trainings_of_gpus_are_trials() {
     assert_none("words that are no trial's", words.into_iter().filter(|word| !is_trial(word)).collect());
 }
 
-/// Kernels that compute the same as another one in another way: they share its twin.
-const ALIKE: [(&str, &str); 12] = [
-    ("blend_auxiliary", "blend"),
-    ("blend_backward_subgroup_per_tile", "blend_backward"),
-    ("blend_shared", "blend"),
-    ("blend_shared_auxiliary", "blend"),
-    ("compose_bgra8", "compose_rgba8"),
-    ("compose_r11g11b10f", "compose_rgba32f"),
-    ("compose_rgb10a2", "compose_rgba8"),
-    ("compose_rgba16f", "compose_rgba32f"),
-    ("cull_scenes", "cull"),
-    ("project_scenes", "project"),
-    ("ssim_backward_sweep", "ssim_backward"),
-    ("ssim_forward_sweep", "ssim_forward"),
-];
-
-/// Files of tests and of twins name their kernels as `folder/name`. A kernel in [`ALIKE`] needs no twin of its own.
-#[test]
-fn architecture_each_shader_has_its_twin_and_its_test() {
-    let shaders = sources(&["glsl"], &["comp"]);
-    assert!(!shaders.is_empty());
-    let [tests, twins] = ["tests/kernels", "tests/reference"].map(|folder| sources(&[folder], &["rs"]));
-    let names = |sources: &[Source], kernel: &str| {
-        sources.iter().any(|source| source.text.contains(&format!("`{kernel}`")))
-    };
-    let mut missing = Vec::new();
-    for shader in &shaders {
-        let kernel = shader.path.trim_start_matches("glsl/").trim_end_matches(".comp");
-        let (folder, stem) = kernel.rsplit_once('/').unwrap_or(("", kernel));
-        let twin = ALIKE.iter().find(|(alike, _)| *alike == stem).map_or(stem, |(_, other)| other);
-        if !names(&twins, &format!("{folder}/{twin}")) {
-            missing.push(format!("twin of {kernel}"));
-        }
-        if !names(&tests, kernel) {
-            missing.push(format!("test of {kernel}"));
-        }
-    }
-    assert_none("missing", missing);
-}
-
-/// A file of twins has more than the names of another one.
-#[test]
-fn architecture_twins_compute() {
-    let computes = |line: &str| ["fn", "mod", "struct"].iter().any(|word| has_word(line, word));
-    let mut twins = sources(&["tests/reference"], &["rs"]);
-    twins.retain(|source| !code_lines(&source.text).any(|(_, line)| computes(line)));
-    assert_none("twins of nothing", twins.into_iter().map(|twin| twin.path).collect());
-}
-
-#[test]
-fn architecture_each_shader_says_what_it_does() {
-    let silent = sources(&["glsl"], &["comp", "glsl"])
-        .into_iter()
-        .filter(|source| !source.text.starts_with("//"))
-        .map(|source| source.path)
-        .collect();
-    assert_none("shaders without a header", silent);
-}
-
 // ---- links of the documents ----------------------------------------------------------------------------------------
 
 fn documents() -> Vec<PathBuf> {
@@ -430,14 +371,11 @@ fn links(text: &str) -> Vec<&str> {
 
 #[test]
 fn architecture_links_of_documents_lead_somewhere() {
-    let mut checked = 0;
     for document in documents() {
         let text = std::fs::read_to_string(&document).expect("text");
         let folder = document.parent().expect("a folder");
         for target in links(&text) {
             assert!(folder.join(target).exists(), "{}: no {target}", document.display());
-            checked += 1;
         }
     }
-    assert!(checked > 150, "{checked} links");
 }
