@@ -5,13 +5,14 @@ use ashsplat::scene::{Intrinsics, Projection, Readout, Shutter};
 
 const SIZE: [u32; 2] = [112, 56];
 
-/// Frames equal [`Renderer::render`] to the bit, beside pinholes in the same reservation, alone and as a batch of scenes. A lens
-/// must be reserved.
+/// Frames through lenses and rolling shutters equal [`Renderer::render`] to the bit, beside pinholes in the same reservation, and
+/// those of a batch of scenes those of single scenes. A lens and a shutter must be reserved.
 #[test]
 fn a_hosts_lens_draws_what_the_owned_path_draws() {
     with_guest(|host, context| {
         let gaussians = cloud(600, 11);
         let scene = uploaded(&context, &gaussians);
+        let apart: Vec<_> = (0..9).map(|_| uploaded(&context, &gaussians)).collect();
         let [width, height] = SIZE;
         let pinhole = Camera {
             translation: Vec3::new(0.2, -0.1, 0.4),
@@ -37,11 +38,17 @@ fn a_hosts_lens_draws_what_the_owned_path_draws() {
             let frame = frame_of(&placed, &camera);
             assert_drawn(host, &mut renderer, &frame, &gaussians);
             assert_drawn(host, &mut renderer, &frame_of(&placed, &pinhole), &gaussians);
-            let apart = Pose { translation: Vec3::new(0.0, 0.0, 90.0), ..Pose::IDENTITY };
-            let batch: Vec<Placed<'_>> = (0..9)
-                .map(|index| if index == 4 { Placed::from(&scene) } else { Placed::at(&scene, apart) })
-                .collect();
-            rendered(host, &mut renderer, &frame_of(&batch, &camera));
+            // Scenes in one buffer are a batch, scenes in buffers of their own are not.
+            let pose = |index: usize| Pose {
+                translation: Vec3::new(0.3 * index as f32, 0.1, 0.0),
+                ..Pose::IDENTITY
+            };
+            let batch: Vec<_> = (0..9).map(|index| Placed::at(&scene, pose(index))).collect();
+            let single: Vec<_> =
+                apart.iter().enumerate().map(|(index, scene)| Placed::at(scene, pose(index))).collect();
+            let [batch, single] =
+                [batch, single].map(|placed| rendered(host, &mut renderer, &frame_of(&placed, &camera)));
+            assert!(batch == single, "the batch differs from its scenes: {camera:?}");
             renderer.reserve(&plain).expect("memory");
             let commands = Commands::new(host);
             let recorded = renderer.record(commands.begun(renderer.context()), 0, &frame);
