@@ -112,11 +112,11 @@ impl Training {
         let variant = FrameVariant { inverse_depth: true, backward: true, ..FrameVariant::default() };
         training.forward.prepare_variant(SH_DEGREE, variant).expect("kernels");
         training.backward.prepare(SH_DEGREE, variant, BackwardForm::default()).expect("kernels");
-        training.backward.prepare_expand(SH_DEGREE).expect("kernels");
-        training.optimizer.prepare(SH_DEGREE).expect("kernels");
+        training.backward.prepare_expand(SH_DEGREE, variant).expect("kernels");
+        training.optimizer.prepare(SH_DEGREE, variant).expect("kernels");
         let with_pose = BackwardForm { pose: true, ..BackwardForm::default() };
         training.backward.prepare(SH_DEGREE, variant, with_pose).expect("kernels");
-        training.moved_optimizer.prepare(SH_DEGREE).expect("kernels");
+        training.moved_optimizer.prepare(SH_DEGREE, variant).expect("kernels");
         training
     }
 

@@ -91,11 +91,11 @@ impl SetFile {
             None if self.has("means cam_K image") => {
                 twin::trials(self).into_iter().chain(gpu::trials(self)).collect()
             }
-            None if self.has("shutter") => Vec::new(),
             None if self.has("metashape_frame_xy") => vec![trial("host", "files", conventions::of_files)],
             None if self.has("jac w_cov") => {
                 vec![trial("host", "lens", lenses::of_host), trial("gpu", "lens", lenses::of_device)]
             }
+            None if self.has("shutter w_cov") => vec![trial("gpu", "lens", lenses::of_device)],
             None if self.has("u_image params") => vec![trial("gpu", "picture", lenses::picture_of_device)],
             None if self.has("dist2") => {
                 vec![trial("host", "start", |path| Ok(check_host(&Npz::read(path))?))]

@@ -1,10 +1,10 @@
-//! Cameras with a lens: parts of pictures, what surrounds a camera, and what is refused. Their pictures and gradients are judged
+//! Cameras with a lens or a rolling shutter: parts of pictures, what surrounds a camera, and what is refused. Their pictures and gradients are judged
 //! by the golden vectors (tests/golden/lenses.rs).
 
 use crate::common::prelude::*;
 use crate::common::splats::{ball, camera};
 use crate::common::training::{psnr, without_rates};
-use ashsplat::scene::{Intrinsics, PhotoLens, Projection};
+use ashsplat::scene::{Intrinsics, PhotoLens, Projection, Readout, Shutter};
 use glam::vec3;
 
 /// Cameras of each family, in the middle of [`ball`].
@@ -25,7 +25,32 @@ fn cameras() -> Vec<Camera> {
         Camera { fx: focal, fy: focal, ..wide }.with_lens(projection, coefficients)
     };
     let panorama = around.with_colmap_lens(17, &[128.0, 64.0]).expect("a panorama");
-    lenses.into_iter().map(with).chain([panorama]).collect()
+    let with_lenses: Vec<Camera> = lenses.into_iter().map(with).chain([panorama]).collect();
+    let (turn, shift) = (Vec3::new(0.05, -0.12, 0.08), Vec3::new(0.1, 0.02, -0.06));
+    let rolling = |readout, camera| Camera { shutter: Some(Shutter { readout, turn, shift }), ..camera };
+    let pinhole = Camera { fx: 70.0, fy: 68.0, ..wide };
+    let shutters = [rolling(Readout::Left, with_lenses[4]), rolling(Readout::Down, pinhole)];
+    with_lenses.into_iter().chain(shutters).collect()
+}
+
+/// Places and depths of a picture lead back to the points that it shows there, also if it is a part, and read at different times.
+#[test]
+fn a_pictures_places_are_those_of_its_points() {
+    for camera in cameras() {
+        let part = camera.part([7, 5], [60, 50]).expect("a part");
+        let mut shown = 0;
+        for point in ball(300).means.iter().map(|mean| Vec3::from_array(*mean)).filter(|p| part.sees(*p)) {
+            let (x, y, depth) = part.project(point);
+            let back = part.points()([x, y], depth);
+            // The time of a point is found to some hundredths of a pixel.
+            let close = if camera.shutter.is_some() { 2e-3 } else { 2e-5 };
+            assert!(back.abs_diff_eq(point, close * depth), "{camera:?}: {point} comes back as {back}");
+            let (left, top, _) = camera.project(point);
+            assert!((left - 7.0 - x).abs() < 1e-3 && (top - 5.0 - y).abs() < 1e-3, "{camera:?}: {point}");
+            shown += 1;
+        }
+        assert!(shown > 10, "{camera:?} shows {shown} points");
+    }
 }
 
 /// Tiles of parts lie elsewhere in the whole, and a panorama's seam between or beside them.
@@ -57,7 +82,7 @@ fn a_part_of_a_lenss_picture_has_the_pixels_of_the_whole() {
 /// The picture of a panorama turned about the vertical axis is the same picture moved aside, through its seam.
 #[test]
 fn a_turned_panorama_is_moved_through_its_seam() {
-    let panorama = *cameras().last().expect("a panorama");
+    let panorama = cameras()[6];
     let mut renderer = renderer();
     renderer.upload(&ball(400).with_sh_degree(0)).expect("uploaded");
     let [straight, turned] = [0.0, std::f32::consts::PI / 2.0].map(|angle| {
@@ -91,6 +116,10 @@ fn lenses_without_a_picture_are_refused() {
     says(Camera { projection: Projection::Perspective, ..brown }, &["perspective has 0"]);
     says(Camera { height: 60, ..panorama }, &["128x60", "2:1"]);
     says(Camera { fx: 30.0, ..panorama }, &["all around"]);
+    let rolling = Camera { shutter: all[8].shutter, ..brown };
+    says(Camera { projection: Projection::Orthographic, ..all[8] }, &["orthographic", "rolling shutter"]);
+    let shutter = rolling.shutter.map(|shutter| Shutter { shift: Vec3::NAN, ..shutter });
+    says(Camera { shutter, ..rolling }, &["motion of the shutter"]);
     assert!(brown.with_colmap_lens(4, &[1.0; 7]).is_none() && brown.with_colmap_lens(18, &[]).is_none());
     let undistorted = brown.with_lens(Projection::Brown, &[0.0; 8]);
     assert_eq!(undistorted.projection, Projection::Perspective);

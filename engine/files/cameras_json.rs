@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::splats::FARTHEST;
 use super::{atomic, cost, text};
-use ashsplat::scene::{Camera, Coefficients, Intrinsics, Projection, WorldFrame};
+use ashsplat::scene::{Camera, Coefficients, Intrinsics, Projection, Readout, Shutter, WorldFrame};
 use ashsplat::{Error, Result};
 
 /// One camera with the name of its picture.
@@ -41,12 +41,35 @@ struct Entry {
     /// Coefficients of a lens.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     coefficients: Option<Coefficients>,
+    /// Rolling shutter; the pose above is then that halfway.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    shutter: Option<ShutterEntry>,
     /// Origin of the position, source coordinates; absent if zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     origin: Option<[f64; 3]>,
     /// World unit of the training, source units; absent if 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     unit: Option<f64>,
+}
+
+/// [`Shutter`], with the shift in source units.
+#[derive(Serialize, Deserialize)]
+struct ShutterEntry {
+    readout: String,
+    turn: [f32; 3],
+    shift: [f32; 3],
+}
+
+impl ShutterEntry {
+    fn new(shutter: Shutter, unit: f64) -> Self {
+        let Shutter { readout, turn, shift } = shutter.in_units(1.0 / unit);
+        Self { readout: readout.name().to_owned(), turn: turn.to_array(), shift: shift.to_array() }
+    }
+
+    fn shutter(&self, unit: f64) -> Result<Shutter, String> {
+        let readout = Readout::named(&self.readout)?;
+        Ok(Shutter { readout, turn: self.turn.into(), shift: self.shift.into() }.in_units(unit))
+    }
 }
 
 impl Entry {
@@ -68,6 +91,7 @@ impl Entry {
             projection: (camera.projection != Projection::Perspective)
                 .then(|| camera.projection.name().to_owned()),
             coefficients: camera.projection.is_lens().then_some(camera.coefficients),
+            shutter: camera.shutter.map(|shutter| ShutterEntry::new(shutter, frame.unit)),
             origin: (frame.origin != DVec3::ZERO).then(|| frame.origin.to_array()),
             unit: (frame.unit != 1.0).then_some(frame.unit),
         }
@@ -95,13 +119,19 @@ impl Entry {
         let from_frame = DVec3::from_array(self.origin.unwrap_or_default()) - frame.origin;
         let position = (DVec3::from_array(self.position) + from_frame) / frame.unit;
         let coefficients = self.coefficients.unwrap_or_default();
-        Ok(Camera { projection, coefficients, ..Camera::at(position, camera_from_world, intrinsics) })
+        let shutter = self.shutter.as_ref().map(|own| own.shutter(frame.unit)).transpose()?;
+        Ok(Camera {
+            projection,
+            coefficients,
+            shutter,
+            ..Camera::at(position, camera_from_world, intrinsics)
+        })
     }
 }
 
 /// Writes cameras in the reference implementation's form: id, img_name, width, height, position and rotation
 /// (camera to world, rows), fy, fx. It adds cx and cy, which the reference's readers ignore, and for other cameras than
-/// pinholes `"projection"` ([`Projection::name`]) and a lens's `"coefficients"`. The cameras are in the world coordinates
+/// pinholes `"projection"` ([`Projection::name`]) and a lens's `"coefficients"`, and a [`Shutter`] as `"shutter"`. The cameras are in the world coordinates
 /// of `frame`. Positions are written in source units from the frame's origin, as in the PLY beside. `"origin"` and
 /// `"unit"` name a frame other than the default.
 pub fn write<'a>(

@@ -107,9 +107,7 @@ pub fn points_in_view(count: usize, cameras: &[Camera], spread: f32, seed: u64) 
     let positions = cameras.iter().cycle().take(count).map(|camera| {
         let [u, v, t] = std::array::from_fn(|_| random.random::<f32>());
         let depth = (near + (far - near) * t).exp();
-        let there =
-            depth * camera.rays()([u * camera.width as f32, v * camera.height as f32]) - camera.translation;
-        (camera.camera_from_world.transpose() * there).to_array()
+        camera.points()([u * camera.width as f32, v * camera.height as f32], depth).to_array()
     });
     let positions: Vec<[f32; 3]> = positions.collect();
     PointCloud { colors: vec![[128; 3]; positions.len()], positions }

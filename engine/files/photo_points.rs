@@ -229,7 +229,8 @@ impl Small {
         let rgb = texels.iter().flat_map(|&[r, g, b, seen]| if seen == 0 { [128; 3] } else { [r, g, b] });
         let photo = Photo { width: full_width, height: full_height, rgb: rgb.collect() };
         let mut photo = photo.scaled_to(width, height)?;
-        let mut camera = view.camera.scaled_to(width, height);
+        // The pose halfway through a rolling shutter is near enough for points to start from.
+        let mut camera = Camera { shutter: None, ..view.camera.scaled_to(width, height) };
         let [w, h] = [width, height].map(|side| side as usize);
         let counts = |at: usize| {
             let across = |i: usize, small: usize, full: u32| (2 * i + 1) * full as usize / (2 * small);

@@ -418,6 +418,8 @@ pub struct FrameVariant {
     pub outputs: Outputs,
     /// Projection of the camera. Affects culling, projection and its backward pass.
     pub projection: Projection,
+    /// The camera has a rolling shutter. Affects culling, projection, its backward pass and the optimiser.
+    pub shutter: bool,
     /// Views share one order. Culling adds to the visible Gaussians of earlier views, and projection omits those that its view
     /// does not show.
     pub shared_order: bool,
@@ -428,6 +430,7 @@ impl FrameVariant {
     pub fn of(settings: &RenderSettings, camera: &Camera, backward: bool) -> Self {
         Self {
             projection: camera.projection,
+            shutter: camera.shutter.is_some(),
             inverse_depth: settings.inverse_depth,
             backward,
             steep: settings.is_steep(),
@@ -441,15 +444,28 @@ impl FrameVariant {
 
     /// Returns the different variants of frames of these cameras.
     pub(crate) fn of_cameras(settings: &RenderSettings, cameras: &[Camera], backward: bool) -> Vec<Self> {
-        let of = |projection| cameras.iter().find(|camera| camera.projection == projection);
-        let first = Projection::ALL.into_iter().filter_map(of);
-        first.map(|camera| Self::of(settings, camera, backward)).collect()
+        let kind = |camera: &Camera| (camera.projection, camera.shutter.is_some());
+        let of = |own| cameras.iter().find(|camera| kind(camera) == own);
+        let kinds =
+            Projection::ALL.into_iter().flat_map(|projection| [false, true].map(|own| (projection, own)));
+        kinds.filter_map(of).map(|camera| Self::of(settings, camera, backward)).collect()
     }
 
     /// Returns the variant of one of a frame's scenes.
     pub(crate) fn of_scene(self, scene: &SceneSettings) -> Self {
         let [tinted, cut_outs, selection] = scene.kinds();
         Self { tinted, cut_outs, selection, ..self }
+    }
+
+    /// True if kernels of projection have their form for lenses.
+    pub(crate) fn has_lens(self) -> bool {
+        self.projection.is_lens() || self.shutter
+    }
+
+    /// Projection and form of kernels that only need the directions of the colours. Without a rolling shutter all projections have one.
+    pub(crate) fn direction_form(self) -> (u32, bool) {
+        let projection = if self.shutter { self.projection } else { Projection::Perspective };
+        (projection as u32, self.shutter)
     }
 
     /// True if batches support the variant.

@@ -31,7 +31,7 @@ pub struct Form {
 }
 
 impl Kernel {
-    /// Interface of the form with the most constants and shared memory.
+    /// Interface of the form with the most bindings, constants and shared memory.
     fn widest(&self) -> &Shader {
         self.forms.iter().find(|form| form.lenses).map_or(&self.shader, |form| &form.shader)
     }
@@ -207,7 +207,7 @@ fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
 }
 
 fn bind(kernel: &Kernel) -> Result<String, String> {
-    let shader = &kernel.shader;
+    let shader = kernel.widest();
     let mut names = BTreeSet::new();
     let mut numbers = BTreeSet::new();
     let mut fields = String::new();
@@ -311,7 +311,8 @@ fn interface(kernel: &Kernel) -> String {
     let (infos, image_infos) = (binding_infos(&shader.bindings), binding_infos(&shader.images));
     let all =
         |bindings: &[Binding]| bindings.iter().map(|b| format!("bind.{}, ", b.name)).collect::<String>();
-    let (buffers, images) = (all(&shader.bindings), all(&shader.images));
+    let wide = kernel.widest();
+    let (buffers, images) = (all(&wide.bindings), all(&shader.images));
     let mut forms = String::new();
     for Form { texels, lenses, shader, spirv_file } in &kernel.forms {
         let (spirv, push) = (included(spirv_file), end_of(&shader.push));
@@ -374,7 +375,7 @@ fn interface(kernel: &Kernel) -> String {
         name = kernel.name,
         spirv = included(&kernel.spirv_file),
         push_size = end_of(&shader.push),
-        count = shader.bindings.len(),
+        count = wide.bindings.len(),
         image_count = shader.images.len(),
         shared = kernel.widest().shared_bytes,
     )

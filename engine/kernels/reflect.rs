@@ -38,7 +38,8 @@ impl Shader {
             (&a.name, a.binding, access(a)) == (&b.name, b.binding, access(b))
                 && (a.kind == b.kind || forms && are_forms(&a.kind, &b.kind))
         };
-        let buffers = self.bindings.len() == other.bindings.len()
+        let buffers = (self.bindings.len() == other.bindings.len()
+            || forms && self.bindings.len() < other.bindings.len())
             && self.bindings.iter().zip(&other.bindings).all(same);
         let parts = [
             (buffers, "buffers"),

@@ -1,7 +1,7 @@
 //! Adam over all parameters in one pass, and the mean of parameters over several steps.
 
 use crate::error::Result;
-use crate::frame::{FrameInputs, LaunchSizes, SceneBuffers, plane_group};
+use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, SceneBuffers, plane_group};
 use crate::kernels::constants::PLANE_ROW;
 use crate::kernels::optimizer::{adam, average};
 use crate::vk::{Buffer, Context, Kernel, KernelSet, Recorder};
@@ -76,15 +76,25 @@ impl Optimizer {
         Self { context: context.clone(), sizes, form, adam: KernelSet::default() }
     }
 
-    /// Builds the variant for an SH degree if it is missing.
-    pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        self.adam.prepare(&self.context, self.adam_spec(sh_degree))
+    /// Builds the kernel for an SH degree and a variant of frames if it is missing.
+    pub fn prepare(&mut self, sh_degree: u32, variant: FrameVariant) -> Result<()> {
+        self.adam.prepare(&self.context, self.adam_spec(sh_degree, variant))
     }
 
-    fn adam_spec(&self, sh_degree: u32) -> adam::Spec {
+    fn adam_spec(&self, sh_degree: u32, variant: FrameVariant) -> adam::Spec {
         let OptimizerForm { sparse, parameter_gradients, moved_cameras: moved_camera } = self.form;
         let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
-        adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, moved_camera, sh_loops }
+        let (projection, lenses) = variant.direction_form();
+        adam::Spec {
+            workgroup_size,
+            sh_degree,
+            sparse,
+            parameter_gradients,
+            moved_camera,
+            sh_loops,
+            projection,
+            lenses,
+        }
     }
 
     /// Records one step from `frame.gradients`, and from `parameter_gradients`
@@ -98,7 +108,8 @@ impl Optimizer {
         parameter_gradients: &[Buffer],
         step: &Step,
     ) {
-        let Some(kernel) = self.adam.get(r, &self.adam_spec(inputs.sh_degree())) else { return };
+        let spec = self.adam_spec(inputs.sh_degree(), inputs.variant());
+        let Some(kernel) = self.adam.get(r, &spec) else { return };
         let f = inputs.frame;
         r.scope("adam", |r| {
             inputs.scene().record_chunks(r, |r, range, parameters| {
@@ -135,6 +146,7 @@ fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push
     let bias_1 = correction(BETA_1, step.count);
     let bias_1_opacity = correction(BETA_1, step.opacity_count);
     let rates = &step.rates;
+    let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
     adam::Push {
         camera_position: inputs.camera.position().to_array(),
         first,
@@ -154,6 +166,9 @@ fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push
         rate_sh_rest: (rates.sh_rest / bias_1) as f32,
         inverse_bias_2: correction(BETA_2, step.count).sqrt().recip() as f32,
         inverse_bias_2_opacity: correction(BETA_2, step.opacity_count).sqrt().recip() as f32,
+        shutter_turn,
+        shutter_shift,
+        shutter_rows,
     }
 }
 

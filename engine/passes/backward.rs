@@ -183,7 +183,7 @@ impl Backward {
         variant: FrameVariant,
         BackwardForm { absolute, pose: pose_gradient, lens: lens_gradient }: BackwardForm,
     ) -> project_backward::Spec {
-        let FrameVariant { filter_3d, own_dilation, dropout, z_record, projection, .. } = variant;
+        let FrameVariant { filter_3d, own_dilation, dropout, z_record, projection, shutter, .. } = variant;
         project_backward::Spec {
             // The indirect dispatch over the visible Gaussians counts blocks of the elementwise workgroup's size.
             workgroup_size: self.sizes.elementwise_workgroup,
@@ -198,19 +198,21 @@ impl Backward {
             pose_gradient,
             lens_gradient,
             projection: projection as u32,
-            lenses: projection.is_lens(),
+            lenses: variant.has_lens(),
             sh_loops: self.sizes.sh_loops,
+            shutter,
         }
     }
 
     /// Builds the kernel of [`Backward::record_expand_gradients`].
-    pub fn prepare_expand(&mut self, sh_degree: u32) -> Result<()> {
-        self.expand.prepare(&self.context, self.expand_spec(sh_degree))
+    pub fn prepare_expand(&mut self, sh_degree: u32, variant: FrameVariant) -> Result<()> {
+        self.expand.prepare(&self.context, self.expand_spec(sh_degree, variant))
     }
 
-    fn expand_spec(&self, sh_degree: u32) -> expand_gradients::Spec {
+    fn expand_spec(&self, sh_degree: u32, variant: FrameVariant) -> expand_gradients::Spec {
         let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
-        expand_gradients::Spec { workgroup_size, sh_degree, sh_loops }
+        let (projection, lenses) = variant.direction_form();
+        expand_gradients::Spec { workgroup_size, sh_degree, sh_loops, projection, lenses }
     }
 
     /// Records the backward pass of the frame in the same buffers, from `image_gradient` to `frame.gradients`. The caller
@@ -284,6 +286,7 @@ impl Backward {
         let (f, scene) = (inputs.frame, inputs.scene());
         let spec = self.project_spec(inputs.sh_degree(), inputs.variant(), form);
         let Some(kernel) = self.project.get(r, &spec) else { return };
+        let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         scene.record_chunks(r, |r, range, parameters| {
             let push = project_backward::Push {
                 first: range.first,
@@ -293,6 +296,9 @@ impl Backward {
                 gradient_stride: inputs.capacity.visible,
                 accumulate: statistics.accumulate.into(),
                 first_lens_sum: first_lens_sum(&inputs.capacity),
+                shutter_turn,
+                shutter_shift,
+                shutter_rows,
             };
             let bind = project_backward::Bind {
                 parameters,
@@ -328,7 +334,9 @@ impl Backward {
         mean2d_gradients: &Buffer,
     ) {
         let (f, scene) = (inputs.frame, inputs.scene());
-        let Some(kernel) = self.expand.get(r, &self.expand_spec(inputs.sh_degree())) else { return };
+        let spec = self.expand_spec(inputs.sh_degree(), inputs.variant());
+        let Some(kernel) = self.expand.get(r, &spec) else { return };
+        let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         scene.record_chunks(r, |r, range, parameters| {
             let bind = expand_gradients::Bind {
                 parameters,
@@ -336,6 +344,7 @@ impl Backward {
                 gradients: &f.gradients,
                 parameter_gradients: &parameter_gradients[range.chunk],
                 mean2d_gradients,
+                camera_block: &f.camera_block(0),
             };
             let push = expand_gradients::Push {
                 camera_position: inputs.camera.position().to_array(),
@@ -344,6 +353,9 @@ impl Backward {
                 gradient_stride: inputs.capacity.visible,
                 chunk_gaussians: scene.plan.chunk_gaussians,
                 planes: scene.plan.planes,
+                shutter_turn,
+                shutter_shift,
+                shutter_rows,
             };
             r.dispatch(kernel, &bind, &push, self.sizes.groups(range.count));
         });

@@ -51,8 +51,16 @@ impl Cull {
     }
 
     fn spec(&self, variant: FrameVariant) -> cull::Spec {
-        let FrameVariant { filter_3d, dropout, tinted, cut_outs, projection, shared_order: adds, .. } =
-            variant;
+        let FrameVariant {
+            filter_3d,
+            dropout,
+            tinted,
+            cut_outs,
+            projection,
+            shutter,
+            shared_order: adds,
+            ..
+        } = variant;
         let (workgroup_size, subgroup_size) = (self.sizes.elementwise_workgroup, self.subgroup_size);
         cull::Spec {
             workgroup_size,
@@ -62,13 +70,15 @@ impl Cull {
             tinted,
             cut_outs,
             projection: projection as u32,
-            lenses: projection.is_lens(),
+            lenses: variant.has_lens(),
             adds,
+            shutter,
         }
     }
 
     fn batch_spec(&self, variant: FrameVariant) -> cull_scenes::Spec {
-        let FrameVariant { filter_3d, tinted, cut_outs, projection, shared_order: adds, .. } = variant;
+        let FrameVariant { filter_3d, tinted, cut_outs, projection, shutter, shared_order: adds, .. } =
+            variant;
         let (workgroup_size, subgroup_size) = (self.sizes.elementwise_workgroup, self.subgroup_size);
         cull_scenes::Spec {
             workgroup_size,
@@ -77,8 +87,9 @@ impl Cull {
             tinted,
             cut_outs,
             projection: projection as u32,
-            lenses: projection.is_lens(),
+            lenses: variant.has_lens(),
             adds,
+            shutter,
         }
     }
 
@@ -87,6 +98,7 @@ impl Cull {
     pub fn record_flags(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let [extent, antialias] = inputs.settings.modes();
+        let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         let of_frame = FrameVariant { shared_order: inputs.view > Some(0), ..inputs.variant() };
         for (place, first) in inputs.batches() {
             r.barrier();
@@ -105,6 +117,9 @@ impl Cull {
                 first_cut_out: part.first_cut_out,
                 cut_out_count: part.settings.cut_out_count(),
                 flag_count: part.flags,
+                shutter_turn,
+                shutter_shift,
+                shutter_rows,
             };
             let bind = cull::Bind {
                 parameters: &part.scene.chunks[chunk],
@@ -133,6 +148,7 @@ impl Cull {
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
         let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
         let parameters = first.scene.chunks[0].whole();
+        let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         let push = cull_scenes::Push {
             first_block,
             end_block,
@@ -141,6 +157,9 @@ impl Cull {
             index_count: inputs.index_count(),
             extent,
             antialias,
+            shutter_turn,
+            shutter_shift,
+            shutter_rows,
         };
         let bind = cull_scenes::Bind {
             parameters: &parameters,

@@ -47,7 +47,15 @@ impl Project {
 
     fn spec(&self, sh_degree: u32, variant: FrameVariant) -> project::Spec {
         let FrameVariant {
-            filter_3d, dropout, tinted, selection, z_record, projection, shared_order, ..
+            filter_3d,
+            dropout,
+            tinted,
+            selection,
+            z_record,
+            projection,
+            shutter,
+            shared_order,
+            ..
         } = variant;
         project::Spec {
             workgroup_size: self.sizes.elementwise_workgroup,
@@ -58,23 +66,25 @@ impl Project {
             selection,
             z_record,
             projection: projection as u32,
-            lenses: projection.is_lens(),
+            lenses: variant.has_lens(),
             sh_loops: self.sizes.sh_loops,
             may_be_unseen: shared_order,
+            shutter,
         }
     }
 
     fn batch_spec(&self, sh_degree: u32, variant: FrameVariant) -> project_scenes::Spec {
-        let FrameVariant { filter_3d, tinted, projection, shared_order, .. } = variant;
+        let FrameVariant { filter_3d, tinted, projection, shutter, shared_order, .. } = variant;
         project_scenes::Spec {
             workgroup_size: self.sizes.elementwise_workgroup,
             sh_degree,
             filter_3d,
             tinted,
             projection: projection as u32,
-            lenses: projection.is_lens(),
+            lenses: variant.has_lens(),
             sh_loops: self.sizes.sh_loops,
             may_be_unseen: shared_order,
+            shutter,
         }
     }
 
@@ -90,6 +100,7 @@ impl Project {
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let (splats, [extent, antialias]) = (f.splats(), inputs.settings.modes());
+        let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         let mut is_first = true;
         for (place, first) in inputs.batches() {
             if !std::mem::take(&mut is_first) {
@@ -108,6 +119,9 @@ impl Project {
                 antialias,
                 splat_stride: splats.stride,
                 first_of_scene: part.first_of_scene,
+                shutter_turn,
+                shutter_shift,
+                shutter_rows,
             };
             let bind = project::Bind {
                 parameters: &part.scene.chunks[range.chunk],
@@ -145,6 +159,7 @@ impl Project {
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
         let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
         let splats = f.splats();
+        let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         let push = project_scenes::Push {
             first_block,
             end_block,
@@ -154,6 +169,9 @@ impl Project {
             extent,
             antialias,
             splat_stride: splats.stride,
+            shutter_turn,
+            shutter_shift,
+            shutter_rows,
         };
         let bind = project_scenes::Bind {
             parameters: &first.scene.chunks[0].whole(),

@@ -71,10 +71,12 @@ impl Renderer {
             let limit = (reserved.cut_outs.into(), "Reservation::cut_outs");
             return Err(Error::too_large(THE_FRAME, (placing.cut_outs.into(), "cut-outs"), limit));
         }
-        let previous = frame.motion.map(|motion| motion.previous_camera.projection);
-        if previous.is_some_and(|previous| previous.is_lens() || frame.camera.projection.is_lens()) {
-            return Err(Error::argument("motion", "takes pinholes or orthographic cameras, without a lens"));
+        let previous = frame.motion.map(|motion| motion.previous_camera);
+        if previous.is_some_and(|previous| previous.has_lens() || frame.camera.has_lens()) {
+            let problem = "takes pinholes or orthographic cameras, without a lens or a rolling shutter";
+            return Err(Error::argument("motion", problem));
         }
+        let previous = previous.map(|camera| camera.projection);
         if let Some(fields) = reserved.lacks(variant, previous) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }

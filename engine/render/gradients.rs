@@ -92,7 +92,7 @@ impl Renderer {
         let lens_gradient = lens.then(|| LensGradient::new(&self.context)).transpose()?;
         self.backward.prepare(sh_degree, variant, form)?;
         let pose_gradient = with_pose.then(|| PoseGradient::new(&self.context)).transpose()?;
-        self.backward.prepare_expand(sh_degree)?;
+        self.backward.prepare_expand(sh_degree, variant)?;
         let border = PixelBorder::new(&self.context)?;
         let count = u64::from(scene.count);
         let planes = planes::allocate(&self.context, ("gradients", MemoryKind::Device), &scene.plan)?;

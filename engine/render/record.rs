@@ -167,6 +167,7 @@ fn with_one_order(views: &[RecordedFrame<'_>], placed: &[PlacedScene<'_>]) -> us
             && frame.settings == first.settings
             && frame.camera.projection == first.camera.projection
             && !first.camera.projection.orders_by_distance()
+            && [frame, first].iter().all(|view| view.camera.shutter.is_none())
             && own.iter().zip(placed).all(|(own, first)| depth_bits(own) == depth_bits(first))
     };
     // Views before the first that differs have as many scenes.

@@ -65,6 +65,8 @@ pub struct Reservation {
     pub orthographic: bool,
     /// Lens that cameras of frames may have, beside pinholes.
     pub lens: Option<Projection>,
+    /// True if frames will have cameras with a rolling shutter ([`Camera::shutter`](crate::Camera::shutter)), beside others.
+    pub rolling_shutter: bool,
     /// True if all frames render into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then
     /// have no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
     pub images_only: bool,
@@ -101,6 +103,7 @@ impl Reservation {
             motion: false,
             orthographic: false,
             lens: None,
+            rolling_shutter: false,
             images_only: false,
             staging_bytes: 0,
         }
@@ -174,7 +177,8 @@ impl Reservation {
         // Kernels of motion belong to the projection, and depend on nothing but the cameras.
         let outputs = self.outputs();
         let plain = |projection| FrameVariant { projection, outputs, ..FrameVariant::default() };
-        let features: [Feature; 5] = [
+        let features: [Feature; 6] = [
+            (self.rolling_shutter, |v| v.shutter = v.projection != Projection::Orthographic),
             (self.filter_3d, |v| v.filter_3d = true),
             (self.tint, |v| v.tinted = true),
             (self.cut_outs > 0, |v| v.cut_outs = true),
@@ -223,6 +227,7 @@ impl Reservation {
             ("motion", frame.outputs.motion, self.motion),
             ("orthographic", has(Projection::Orthographic), self.orthographic),
             ("lens", frame.projection.is_lens(), self.lens == Some(frame.projection)),
+            ("rolling_shutter", frame.shutter, self.rolling_shutter),
         ];
         let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
         // Allocates no list, so that the usual case costs nothing.

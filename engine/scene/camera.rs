@@ -4,6 +4,7 @@ use crate::error::{Error, Result};
 use glam::{DMat3, DQuat, DVec2, DVec3, Mat3, Vec2, Vec3};
 
 use super::lens::{Coefficients, Projection};
+use super::shutter::Shutter;
 use super::strays::without_strays;
 
 /// Largest accepted width or height of an image, pixels: JPEG's own limit. A larger value means a damaged file.
@@ -76,6 +77,8 @@ pub struct Camera {
     pub coefficients: Coefficients,
     /// Place of the picture in a larger one: see [`Camera::part()`]. None for a whole picture.
     pub part: Option<PicturePart>,
+    /// Rolling shutter. The pose above is then that halfway: see [`Camera::rolling`].
+    pub shutter: Option<Shutter>,
 }
 
 /// A camera without its pose and projection: focal lengths, principal point and image size.
@@ -181,12 +184,14 @@ impl Camera {
             projection: Projection::Perspective,
             coefficients: Coefficients::default(),
             part: None,
+            shutter: None,
         }
     }
 
     /// Returns the camera with parallel rays. Its focal lengths then are pixels per world unit.
     pub fn orthographic(self) -> Self {
-        Self { projection: Projection::Orthographic, coefficients: Coefficients::default(), ..self }
+        let (projection, coefficients) = (Projection::Orthographic, Coefficients::default());
+        Self { projection, coefficients, shutter: None, ..self }
     }
 
     /// True if the rays are parallel.
@@ -222,7 +227,7 @@ impl Camera {
     }
 
     /// Returns the same view at another size, with pixels of the same shape. A picture of another aspect shows this view in its
-    /// middle, and more at two of its sides. It is then no longer a part of a larger picture.
+    /// middle, and more at two of its sides. It is then no longer a part of a larger picture, and a rolling shutter's times are its own.
     pub fn fitted_to(&self, width: u32, height: u32) -> Self {
         if self.keeps_aspect_at(width, height) {
             return self.scaled_to(width, height);
@@ -268,16 +273,17 @@ impl Camera {
     /// lens shows nothing.
     pub fn project(&self, world: Vec3) -> (f32, f32, f32) {
         let p = self.camera_from_world * world + self.translation;
-        if self.projection.is_lens() {
-            let place = self.photo_lens().project(p.as_dvec3()).map_or(Vec2::NAN, |place| place.as_vec2());
-            return (place.x, place.y, self.projection.depth_of(p.into()) as f32);
+        if self.has_lens() {
+            let p = self.reading_of(p.as_dvec3()).unwrap_or(DVec3::NAN);
+            let place = self.photo_lens().project(p).map_or(Vec2::NAN, |place| place.as_vec2());
+            return (place.x, place.y, self.projection.depth_of(p) as f32);
         }
         let distance = self.distance_of(p.z.into()) as f32;
         (self.fx * p.x / distance + self.cx, self.fy * p.y / distance + self.cy, p.z)
     }
 
     /// Gives directions of picture positions (first pixel's centre at 0.5) in camera space, scaled to [depth](Projection::depth_of) 1.
-    /// Straight ahead where a lens shows no direction.
+    /// Straight ahead where a lens shows no direction. With a rolling shutter, camera space is that of [`Camera::time_of`] the position.
     pub fn rays(&self) -> impl Fn([f32; 2]) -> Vec3 + use<> {
         let (camera, lens) = (*self, self.projection.is_lens().then(|| self.photo_lens().rays()));
         move |[x, y]| match &lens {
@@ -286,6 +292,15 @@ impl Camera {
                 (ray / camera.projection.depth_of(ray)).as_vec3()
             }
             None => Vec3::new((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0),
+        }
+    }
+
+    /// Gives the world points at picture positions and [depths](Projection::depth_of), along [`Camera::rays`].
+    pub fn points(&self) -> impl Fn([f32; 2], f32) -> Vec3 + use<> {
+        let (camera, rays) = (*self, self.rays());
+        move |position, depth| {
+            let own = camera.at_time(camera.time_of(Vec2::from(position).as_dvec2()));
+            own.camera_from_world.transpose() * (depth * rays(position) - own.translation)
         }
     }
 
@@ -335,7 +350,7 @@ impl Camera {
     }
 
     /// Limits of x/z and y/z (low, high, low, high) between which the projection is linearised.
-    pub(crate) fn jacobian_limits(&self, limit: JacobianLimit) -> [f32; 4] {
+    pub fn jacobian_limits(&self, limit: JacobianLimit) -> [f32; 4] {
         let whole = self.whole();
         let axis = |focal: f32, center: f32, size: u32| {
             let size = size as f32;
@@ -354,8 +369,9 @@ impl Camera {
 
     /// True for a world point in front of the camera and within its picture.
     pub fn sees(&self, world: Vec3) -> bool {
-        if self.projection.is_lens() {
-            return self.photo_lens().shows((self.camera_from_world * world + self.translation).as_dvec3());
+        if self.has_lens() {
+            let halfway = (self.camera_from_world * world + self.translation).as_dvec3();
+            return self.reading_of(halfway).is_some_and(|at| self.photo_lens().shows(at));
         }
         let (x, y, z) = self.project(world);
         let inside = |at: f32, side: u32| (0.0..side as f32).contains(&at);
@@ -411,7 +427,7 @@ impl Camera {
         if !is_rotation(r) {
             return Some("camera_from_world is not a rotation (orthonormal, determinant 1)".into());
         }
-        self.lens_problem()
+        self.shutter_problem().or_else(|| self.lens_problem())
     }
 }
 
@@ -450,8 +466,8 @@ pub fn scene_extent(positions: impl Iterator<Item = Vec3>) -> f32 {
 
 /// Place of a camera's picture in a larger one.
 ///
-/// A part has the whole picture's pixels. The whole picture's edges bound the linearisation, the lens effects and the 3D
-/// filter. Sums of training (loss, statistics of densification) are the part's share of the whole's. So a photograph can be
+/// A part has the whole picture's pixels. The whole picture's edges bound the linearisation, the lens effects, the 3D filter and
+/// the times of a rolling shutter. Sums of training (loss, statistics of densification) are the part's share of the whole's. So a photograph can be
 /// trained where it shows a block of a scene. A picture that exceeds the device's memory can be rendered part by part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PicturePart {

@@ -2,6 +2,7 @@
 
 use super::camera::{Camera, PicturePart};
 use super::lens::Projection;
+use super::shutter::Shutter;
 
 /// Odd, so that the multiplication is invertible and a change of a single word always changes the hash.
 const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
@@ -53,6 +54,10 @@ impl Fingerprint {
         }
         if camera.projection.is_lens() {
             self.add(bytemuck::cast_slice(&camera.coefficients));
+        }
+        if let Some(Shutter { readout, turn, shift }) = camera.shutter {
+            self.add(readout.name().as_bytes());
+            self.add(bytemuck::cast_slice(&[turn.to_array(), shift.to_array()]));
         }
     }
 

@@ -255,7 +255,8 @@ impl Camera {
     /// Returns the camera with the lens of one of COLMAP's cameras: see [`PhotoLens::of_colmap`]. The pose and the size stay.
     pub fn with_colmap_lens(self, model: u32, parameters: &[f64]) -> Option<Self> {
         let lens = PhotoLens::of_colmap(model, parameters, [self.width, self.height])?;
-        Some(Self { part: self.part, ..lens.camera(self.camera_from_world, self.translation) })
+        let own = lens.camera(self.camera_from_world, self.translation);
+        Some(Self { part: self.part, shutter: self.shutter, ..own })
     }
 
     /// Returns the camera without its pose.

@@ -76,11 +76,12 @@ impl Motion {
 }
 
 /// Returns `count` cameras on a smooth curve through keys: positions on a Catmull-Rom spline, rotations by the shortest way,
-/// intrinsics interpolated, and the first key's size ([`Camera::fitted_to`]). An open curve begins and ends at a key; a closed
+/// intrinsics interpolated, without rolling shutters, and the first key's size ([`Camera::fitted_to`]). An open curve begins and ends at a key; a closed
 /// one ends a step before its first key. Empty without keys.
 pub fn through_keys(keys: &[Camera], count: u32, closed: bool) -> Vec<Camera> {
     let Some(first) = keys.first() else { return Vec::new() };
-    let keys: Vec<Camera> = keys.iter().map(|key| key.fitted_to(first.width, first.height)).collect();
+    let still = |key: &Camera| Camera { shutter: None, ..key.fitted_to(first.width, first.height) };
+    let keys: Vec<Camera> = keys.iter().map(still).collect();
     let spans = if closed { keys.len() } else { keys.len() - 1 };
     let steps = if closed { count.max(1) } else { count.max(2) - 1 };
     let frame = |frame: u32| {

@@ -205,7 +205,7 @@ impl<'a> Sight<'a> {
     /// low-pass filter of this variance. True if a number is NaN.
     fn may_show(&self, mean: DVec3, axis: f64, low_pass_px2: f64) -> bool {
         let Camera { camera_from_world, translation, width, height, .. } = *self.camera;
-        if self.camera.projection.is_lens() {
+        if self.camera.has_lens() {
             // The bound below is that of the Jacobian; the unscented transform may draw a Gaussian farther away.
             return true;
         }

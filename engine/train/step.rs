@@ -176,8 +176,9 @@ impl StepRecorder {
             if self.absolute.is_some() {
                 self.backward.prepare(sh_degree, variant, self.backward_form(true))?;
             }
+            self.optimizer.prepare(sh_degree, variant)?;
         }
-        self.optimizer.prepare(sh_degree)
+        Ok(())
     }
 
     /// Builds the missing kernels of this iteration: a short or resumed run needs few of them.
@@ -185,7 +186,7 @@ impl StepRecorder {
         let variant = FrameVariant::of(&plan.settings, &plan.camera, true);
         let absolute = self.absolute.is_some() && plan.work.accumulates;
         self.backward.prepare(plan.sh_degree, variant, self.backward_form(absolute))?;
-        self.optimizer.prepare(plan.sh_degree)
+        self.optimizer.prepare(plan.sh_degree, variant)
     }
 
     /// Device buffers of the loss for views of these sizes, one per view: scratch of the terms, the losses, and the exposures.

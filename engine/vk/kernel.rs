@@ -64,7 +64,7 @@ pub trait KernelInterface: sealed::Generated {
     type Push: Copy;
     /// Specialization constants of a pipeline.
     type Spec: Clone + std::fmt::Debug + PartialEq;
-    /// Returns the buffers in the order of `BINDINGS`.
+    /// Returns the buffers in the order of `BINDINGS`, then those that only a form has.
     fn buffers<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Buffer]>;
     /// Returns the images in the order of `IMAGES`.
     fn images<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Image]>;

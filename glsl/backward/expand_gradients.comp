@@ -3,6 +3,7 @@
 //
 // invocation: one Gaussian
 // in: parameters (PerGaussian planes, for the viewing direction), visible_index, gradients (PerVisible planes)
+//     with a rolling shutter the camera block
 // out: parameter_gradients (PerGaussian planes as in parameters), mean2d_gradients[Gaussian] (px)
 // shared: none; any subgroup size
 #version 460
@@ -15,6 +16,9 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool SH_LOOPS = false;
+#ifdef LENSES
+layout(constant_id = 4) const uint PROJECTION = PROJECTION_BROWN;
+#endif
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Parameters { vec4 parameters[]; };
@@ -31,8 +35,15 @@ layout(push_constant, scalar) uniform Push {
     uint chunk_gaussians;
     // Number of planes of the stored degree, which may exceed the active one.
     uint planes;
+#include "shutter_push.glsl"
 };
 
+#ifdef LENSES
+#include "camera_block.glsl"
+#include "shutter_position.glsl"
+#else
+#define POSITION_SEEING(WORLD) camera_position
+#endif
 #include "dispatch.glsl"
 #include "planes.glsl"
 #include "sh.glsl"
@@ -62,7 +73,7 @@ void main() {
     vec4 log_scale_x = gradients[GRADIENT_LOG_SCALE * gradient_stride + row];
     vec4 color_y = gradients[GRADIENT_COLOR * gradient_stride + row];
     vec3 mean = parameters[plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)].xyz;
-    vec3 direction = normalize(mean - camera_position);
+    vec3 direction = normalize(mean - POSITION_SEEING(mean));
 
     parameter_gradients[plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)] = seen ? mean_opacity : vec4(0.0);
     parameter_gradients[plane_at(PLANE_QUAT, index, chunk_gaussians)] = seen ? quat : vec4(0.0);

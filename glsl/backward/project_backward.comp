@@ -12,7 +12,8 @@
 //         and both norms must be finite
 // out, with POSE_GRADIENT: pose_sums[subgroup] = sums of dL/d(nu), dL/d(omega) over the subgroup's Gaussians. They are dL/d(delta)
 //         at delta = 0 of the pose exp(delta^) T, delta = (nu, omega), T from world to camera. A turn about the camera's centre
-//         keeps the directions of the colours. Gaussians with a contribution that is not finite are excluded.
+//         keeps the directions of the colours. Gaussians with a contribution that is not finite are excluded. With a rolling
+//         shutter T is the pose halfway, and its motion stays the same in the camera's own space.
 // out, with LENS_GRADIENT: from pose_sums[first_lens_sum] on, a row per workgroup: sums of the gradient of the lens's parameters
 //         (lens_gradient.glsl)
 // shared: with LENS_GRADIENT a value per subgroup and parameter; subgroup sizes 4 to 128
@@ -52,6 +53,8 @@ layout(constant_id = 11) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 #ifdef LENSES
 // True if the parameters of a lens have gradients.
 layout(constant_id = 12) const bool LENS_GRADIENT = false;
+// True for a rolling shutter: see shutter.glsl.
+layout(constant_id = 13) const bool SHUTTER = false;
 #endif
 layout(local_size_x_id = 0) in;
 
@@ -85,6 +88,7 @@ layout(push_constant, scalar) uniform Push {
 #ifdef LENSES
     uint first_lens_sum;
 #endif
+#include "shutter_push.glsl"
 };
 
 #include "camera_block.glsl"
@@ -295,7 +299,7 @@ void main() {
 
     vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
     // Gradient of the colour through the clamp at 0, then through the direction.
-    vec3 towards = mean_opacity.xyz - camera_position();
+    vec3 towards = mean_opacity.xyz - POSITION_SEEING(mean_opacity.xyz);
     float inverse_distance = inversesqrt(dot(towards, towards));
     vec3 direction = towards * inverse_distance;
     vec3 d_color = mix(vec3(sums.b.z, sums.b.w, sums.c.x), vec3(0.0), lessThan(sh_color(index, direction), vec3(0.0)));
@@ -346,7 +350,7 @@ void main() {
         vec3 d_shift_y;
         covariance_backward(other, d_conic, d_opacity, opacity_raw, d_shift_x, d_shift_y);
         d.shift = vec2(d_shift_x.x, d_shift_y.x);
-        d_points = spread_backward(p.mean_camera, p.axes_camera, p.scale, d_mean2d, d);
+        d_points = spread_backward(p.mean_halfway, p.axes_halfway, p.scale, d_mean2d, d);
         d_log_scale = d_points.log_scale;
     }
 #endif
@@ -372,6 +376,7 @@ void main() {
     mat3 d_axes;
     JacobianGradient d_jacobian = jacobian_rows_backward(p.jacobian, p.axes_camera, d_row_x, d_row_y, d_axes);
 #ifdef LENSES
+    d_axes = turned_columns(d_axes, -p.time);
     if (p.spread.valid) {
         d_axes = d_points.axes;
     }
@@ -383,6 +388,7 @@ void main() {
 
     vec3 d_camera = jacobian_backward(PROJECTION, p.jacobian, p.mean_camera, d_mean2d, d_jacobian);
 #ifdef LENSES
+    d_camera = turned(d_camera, -p.time);
     if (p.spread.valid) {
         d_camera = d_points.point;
     } else if (LENS_GRADIENT) {
@@ -395,16 +401,26 @@ void main() {
 #endif
     // The blended depth is 1/z or z. This is its gradient towards the camera.
     float inverse_z = 1.0 / DEPTH_OF(p.mean_camera);
-    SUBTRACT_DEPTH_GRADIENT(d_camera, p.mean_camera, Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z);
+    SUBTRACT_DEPTH_GRADIENT(d_camera, p, Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z);
     vec3 d_mean = from_camera(d_camera);
 
     d_mean += d_towards;
 
     if (POSE_GRADIENT) {
+#ifdef LENSES
+        p.mean_camera = p.mean_halfway;
+        p.axes_camera = p.axes_halfway;
+#endif
         vec3 d_turned = cross(p.mean_camera, d_camera);
         for (uint axis = 0; axis < 3; ++axis) {
             d_turned += cross(p.axes_camera[axis], d_axes[axis]);
         }
+#ifdef LENSES
+        if (SHUTTER) {
+            // The centre of the camera that reads the mean turns with the camera halfway.
+            d_turned += cross(p.time * shutter_shift, to_camera(d_towards));
+        }
+#endif
         write_pose_sums(d_camera + to_camera(d_towards), d_turned, exists, visible_range.y - visible_range.x);
     }
     if (SH_LOOPS) {

@@ -30,6 +30,10 @@ layout(constant_id = 6) const bool CUT_OUTS = false;
 layout(constant_id = 7) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 // True if the flags already hold the visible Gaussians of an earlier view.
 layout(constant_id = 8) const bool ADDS = false;
+#ifdef LENSES
+// True for a rolling shutter: see shutter.glsl.
+layout(constant_id = 9) const bool SHUTTER = false;
+#endif
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -50,6 +54,7 @@ layout(push_constant, scalar) uniform Push {
     uint cut_out_count;
     // Number of indices with flags: those of the Gaussians, and of the gap before the next scene.
     uint flag_count;
+#include "shutter_push.glsl"
 };
 
 #define DRAWS_SHAPES

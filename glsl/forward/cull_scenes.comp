@@ -22,6 +22,9 @@ layout(constant_id = 5) const bool TINTED = false;
 layout(constant_id = 6) const bool CUT_OUTS = false;
 layout(constant_id = 7) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 8) const bool ADDS = false;
+#ifdef LENSES
+layout(constant_id = 9) const bool SHUTTER = false;
+#endif
 const bool DROPOUT = false;
 layout(local_size_x_id = 0) in;
 
@@ -41,6 +44,7 @@ layout(push_constant, scalar) uniform Push {
     // Same as in cull.comp.
     uint extent;
     uint antialias;
+#include "shutter_push.glsl"
 };
 
 #define DRAWS_SHAPES

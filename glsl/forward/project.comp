@@ -33,6 +33,10 @@ layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 // True if the list has Gaussians of other views.
 layout(constant_id = 10) const bool MAY_BE_UNSEEN = false;
+#ifdef LENSES
+// True for a rolling shutter: see shutter.glsl.
+layout(constant_id = 11) const bool SHUTTER = false;
+#endif
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -56,6 +60,7 @@ layout(push_constant, scalar) uniform Push {
     uint splat_stride;
     // With SELECTION: index of the range's first Gaussian in its scene.
     uint first_of_scene;
+#include "shutter_push.glsl"
 };
 
 #define DRAWS_SHAPES

@@ -21,6 +21,9 @@ layout(constant_id = 6) const bool TINTED = false;
 layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 layout(constant_id = 10) const bool MAY_BE_UNSEEN = false;
+#ifdef LENSES
+layout(constant_id = 11) const bool SHUTTER = false;
+#endif
 const bool DROPOUT = false;
 const bool Z_RECORD = false;
 layout(local_size_x_id = 0) in;
@@ -48,6 +51,7 @@ layout(push_constant, scalar) uniform Push {
     uint extent;
     uint antialias;
     uint splat_stride;
+#include "shutter_push.glsl"
 };
 
 #define DRAWS_SHAPES

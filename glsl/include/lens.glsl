@@ -7,9 +7,12 @@
 // lens's Jacobian at the mean. A family of lenses is a PROJECTION_ constant, a file below lens/
 // with its g and two derivatives, its case in radial_at, and the host's file below engine/scene/lens/.
 // Matrices are stored by rows: M v is `v * M`, and A B is `B * A`.
-// Needs constants.glsl, camera.glsl, camera_block.glsl, PROJECTION.
+// Needs constants.glsl, camera.glsl, camera_block.glsl, PROJECTION, and the requirements of shutter.glsl.
 
 #define SPHERICAL (PROJECTION == PROJECTION_EQUIRECTANGULAR)
+// Pinholes have this form with a rolling shutter. Their means and covariances stay those of the Jacobian, with its own limits: the
+// unscented transform would draw Gaussians beside the camera over the whole picture.
+const bool PINHOLE = PROJECTION == PROJECTION_PERSPECTIVE;
 const bool ANGULAR = PROJECTION == PROJECTION_FISHEYE || PROJECTION == PROJECTION_THIN_PRISM_FISHEYE;
 // True if the tangential and thin-prism terms are those of the radially distorted point.
 const bool BENDS_RADIAL = PROJECTION == PROJECTION_THIN_PRISM_FISHEYE;
@@ -17,7 +20,7 @@ const bool BENDS = PROJECTION == PROJECTION_BROWN || PROJECTION == PROJECTION_FI
 
 // Largest |m|, where the picture folds, and largest |m| at which the Jacobian is taken; 0 without a limit. Lenses with more than
 // nine coefficients have no other limit, and store the last three in its place.
-#define LENS_FOLD jacobian_limits.x
+#define LENS_FOLD (PINHOLE ? 0.0 : jacobian_limits.x)
 #define LENS_HOLD jacobian_limits.y
 // Largest g of a lens on the plane, up to LENS_HOLD, and at least 1.
 #define LENS_MAGNIFICATION jacobian_limits.z
@@ -34,6 +37,7 @@ const bool BENDS = PROJECTION == PROJECTION_BROWN || PROJECTION == PROJECTION_FI
 // g and its two derivatives.
 vec3 radial_at(float s) {
     switch (PROJECTION) {
+    case PROJECTION_PERSPECTIVE: return vec3(1.0, 0.0, 0.0);
     case PROJECTION_BROWN: return brown_radial(s);
     case PROJECTION_FOV: return fov_radial(s);
     case PROJECTION_DIVISION: return division_radial(s);
@@ -168,9 +172,10 @@ vec3 depth_slope(vec3 at) {
     return ANGULAR || SPHERICAL ? at / length(at) : vec3(0.0, 0.0, 1.0);
 }
 
+#define POSITION_SEEING(WORLD) position_reading(WORLD)
 #define DEPTH_OF(AT) depth_of(AT)
 #define IS_SHOWN(AT) is_shown_by_lens(AT)
-#define SUBTRACT_DEPTH_GRADIENT(D_AT, AT, D_DEPTH) D_AT -= (D_DEPTH) * depth_slope(AT)
+#define SUBTRACT_DEPTH_GRADIENT(D_AT, P, D_DEPTH) D_AT -= (D_DEPTH) * turned(depth_slope(P.mean_camera), -P.time)
 
 bool is_shown_by_lens(vec3 at) {
     bool before_fold = LENS_FOLD == 0.0 || length(at.xy) * plane_at(at).t < LENS_FOLD;
@@ -183,8 +188,10 @@ vec2 screen_of(uint projection, vec3 at, vec2 focal, vec2 center) {
     return focal * (SPHERICAL ? equirectangular_point(at) : distorted(at.xy * plane_at(at).t, slope)) + center;
 }
 
+#include "shutter.glsl"
+
 vec3 direction_to(uint projection, vec3 world) {
-    return normalize(world - camera_position());
+    return normalize(world - position_reading(world));
 }
 
 // Rows of the derivative of the screen position by the point in camera space.
@@ -200,11 +207,14 @@ struct JacobianGradient {
 
 // True for points at which the Jacobian would be taken too far outside the picture.
 bool is_held(vec3 at) {
-    return !(ANGULAR || SPHERICAL) && LENS_HOLD > 0.0 && length(at.xy) > LENS_HOLD * at.z;
+    return !(ANGULAR || SPHERICAL || PINHOLE) && LENS_HOLD > 0.0 && length(at.xy) > LENS_HOLD * at.z;
 }
 
 // Point at which the Jacobian is taken.
 vec3 held(vec3 at) {
+    if (PINHOLE) {
+        return vec3(clamp(at.xy / at.z, jacobian_limits.xz, jacobian_limits.yw) * at.z, at.z);
+    }
     return is_held(at) ? vec3(at.xy * (LENS_HOLD * at.z / length(at.xy)), at.z) : at;
 }
 
@@ -268,6 +278,14 @@ vec3 jacobian_backward(uint projection, Jacobian j, vec3 at, vec2 d_screen, Jaco
     float along = dot(d_along, v);
     d_place.xy += radial_curvature(v, plane.q, plane.r, d_across) + plane.u * d_along + plane.v * along * v;
     d_place.z += plane.u * (d_across[0].x + d_across[1].y) + plane.v * dot(v, d_across * v) + plane.w * along;
+    if (PINHOLE) {
+        // At a limit the place is (limit z, z).
+        vec2 slope = at.xy / at.z;
+        vec2 limit = clamp(slope, jacobian_limits.xz, jacobian_limits.yw);
+        bvec2 is_limited = notEqual(limit, slope);
+        d_place.z += dot(mix(vec2(0.0), limit, is_limited), d_place.xy);
+        d_place.xy = mix(d_place.xy, vec2(0.0), is_limited);
+    }
     if (is_held(at)) {
         // The place is (x, y) LENS_HOLD z / rho.
         vec2 direction = normalize(at.xy);
@@ -315,13 +333,19 @@ bool is_point_shown(vec3 at, vec3 mean) {
 }
 
 Spread spread_at(vec3 mean, mat3 axes, vec3 scale) {
-    Spread s = Spread(true, vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0), vec2(0.0));
-    vec2 center = screen_of(PROJECTION, mean, focal_px, center_px);
+    Spread s = Spread(!PINHOLE, vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0), vec2(0.0));
+    if (PINHOLE) {
+        return s;
+    }
+    vec3 mean_read = reading_of(mean).at;
+    vec2 center = screen_of(PROJECTION, mean_read, focal_px, center_px);
     [[unroll]] for (uint k = 0; k < 3; ++k) {
         vec3 step = SPREAD * scale[k] * axes[k];
-        vec2 one = offset_of(mean + step, center);
-        vec2 other = offset_of(mean - step, center);
-        s.valid = s.valid && is_point_shown(mean + step, mean) && is_point_shown(mean - step, mean);
+        vec3 one_read = reading_of(mean + step).at;
+        vec3 other_read = reading_of(mean - step).at;
+        vec2 one = offset_of(one_read, center);
+        vec2 other = offset_of(other_read, center);
+        s.valid = s.valid && is_point_shown(one_read, mean_read) && is_point_shown(other_read, mean_read);
         vec2 row = (one - other) * (0.5 / SPREAD);
         vec2 bend = (one + other) * (0.5 / SPREAD);
         s.row_x[k] = row.x;
@@ -345,11 +369,12 @@ struct SpreadGradient {
 
 // Gradient of a point in camera space from that of its screen position.
 vec3 screen_backward(vec3 at, vec2 d_screen) {
+    Reading reading = reading_of(at);
 #ifdef DIFFERENTIATES_LENS
-    add_lens_position(at, d_screen);
+    add_lens_position(reading.at, d_screen);
 #endif
-    Jacobian j = jacobian_of(at, 0.0);
-    return d_screen.x * j.row_x + d_screen.y * j.row_y;
+    Jacobian j = jacobian_of(reading.at, 0.0);
+    return turned(d_screen.x * j.row_x + d_screen.y * j.row_y, -reading.time);
 }
 
 // Gradients of the mean, the axes and the log-scales from those of the position and of a spread's members.

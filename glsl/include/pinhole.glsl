@@ -5,7 +5,7 @@
 // Depth by which Gaussians are ordered, the condition on a mean to be drawn, and the depth's part in the gradient of a point.
 #define DEPTH_OF(AT) AT.z
 #define IS_SHOWN(AT) AT.z > NEAR_PLANE
-#define SUBTRACT_DEPTH_GRADIENT(D_AT, AT, D_DEPTH) D_AT.z -= D_DEPTH
+#define SUBTRACT_DEPTH_GRADIENT(D_AT, P, D_DEPTH) D_AT.z -= D_DEPTH
 
 #ifdef PRECISE_SCREEN
 #define SCREEN precise vec2
@@ -20,6 +20,9 @@ vec2 screen_of(uint projection, vec3 at, vec2 focal, vec2 center) {
     SCREEN screen = focal * at.xy / (projection == PROJECTION_ORTHOGRAPHIC ? 1.0 : at.z) + center;
     return screen;
 }
+
+// Centre, world, of the camera that sees a point.
+#define POSITION_SEEING(WORLD) camera_position()
 
 // Direction, world, in which the camera sees a point.
 vec3 direction_to(uint projection, vec3 world) {

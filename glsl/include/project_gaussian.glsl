@@ -37,6 +37,10 @@ struct ProjectedGaussian {
     float det;             // determinant after the dilation
 #ifdef LENSES
     Spread spread;         // its rows replace those of the Jacobian if it is valid
+    // Both above in the space of the camera halfway. Above they are in that of the camera that reads the mean, at this time.
+    vec3 mean_halfway;
+    mat3 axes_halfway;
+    float time;
 #endif
 };
 
@@ -49,6 +53,14 @@ ProjectedGaussian project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     p.scale = exp(log_scale) * SCALE_MODIFIER;
     mat3 axes = rotation_of(p.quat);
     p.axes_camera = mat3(to_camera(axes[0]), to_camera(axes[1]), to_camera(axes[2]));
+#ifdef LENSES
+    Reading reading = reading_of(p.mean_camera);
+    p.mean_halfway = p.mean_camera;
+    p.axes_halfway = p.axes_camera;
+    p.time = reading.time;
+    p.mean_camera = reading.at;
+    p.axes_camera = turned_columns(p.axes_camera, reading.time);
+#endif
 
     p.jacobian = jacobian_at(PROJECTION, p.mean_camera);
     jacobian_rows(p.jacobian, p.axes_camera, p.row_x, p.row_y);
@@ -63,7 +75,7 @@ ProjectedGaussian project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     p.cov2d = vec3(xx + SCREEN_DILATION_PX2, dot(p.row_x, p.row_y), yy + SCREEN_DILATION_PX2);
     p.det = p.det_raw + SCREEN_DILATION_PX2 * (xx + yy + SCREEN_DILATION_PX2);
 #ifdef LENSES
-    p.spread = spread_at(p.mean_camera, p.axes_camera, p.scale);
+    p.spread = spread_at(p.mean_halfway, p.axes_halfway, p.scale);
     if (p.spread.valid) {
         Spread s = p.spread;
         p.row_x = s.row_x;

@@ -26,6 +26,9 @@ layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
 // True if the device has moved the camera: its position is then in the camera block, not in the push constants.
 layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(constant_id = 8) const bool SH_LOOPS = false;
+#ifdef LENSES
+layout(constant_id = 9) const uint PROJECTION = PROJECTION_BROWN;
+#endif
 layout(local_size_x_id = 0) in;
 
 ALIASED VEC4_WRITES(0, Parameters, parameters);
@@ -62,11 +65,16 @@ layout(push_constant, scalar) uniform Push {
     // 1 / sqrt(1 - b2^t): for all parameters except the opacity, and for the opacity, which may have fewer steps.
     float inverse_bias_2;
     float inverse_bias_2_opacity;
+#include "shutter_push.glsl"
 };
 
 #include "camera_block.glsl"
 #include "dispatch.glsl"
+#ifdef LENSES
+#include "shutter_position.glsl"
+#else
 #include "moved_camera.glsl"
+#endif
 #include "planes.glsl"
 #include "sh.glsl"
 #include "sh_gradient.glsl"
@@ -137,6 +145,6 @@ void main() {
     vec3 mean = VEC4_AT(old_parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)).xyz;
     // Out of view the colour has no gradient. A Gaussian at the camera's position has no direction; without this test NaN times
     // 0 would be NaN.
-    vec3 direction = seen ? normalize(mean - position_of_camera()) : vec3(0.0);
+    vec3 direction = seen ? normalize(mean - POSITION_SEEING(mean)) : vec3(0.0);
     update_all(index, d_mean_opacity, d_quat, d_log_scale, d_color.xyz, direction);
 }

@@ -79,6 +79,7 @@ impl<'a> AdamState<'a> {
             parameter_gradients: false,
             moved_camera: false,
             sh_loops: gpu.context.limits().tuning.sh_loops,
+            ..adam::Spec::default()
         };
         AdamState {
             gpu,
@@ -174,6 +175,7 @@ impl<'a> AdamState<'a> {
             rate_sh_rest: rate(step.rates.sh_rest),
             inverse_bias_2,
             inverse_bias_2_opacity: inverse_bias_2,
+            ..Push::default()
         }
     }
 

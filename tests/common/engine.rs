@@ -55,6 +55,7 @@ pub fn camera(view: &View) -> Camera {
         },
         coefficients: Default::default(),
         part: None,
+        shutter: None,
     }
 }
 

@@ -67,6 +67,7 @@ impl Projected {
             lenses: false,
             sh_loops: gpu.limits().tuning.sh_loops,
             may_be_unseen,
+            shutter: false,
         };
         let splat = |(i, gaussian): (usize, &Gaussian)| {
             let splat = twin::project(gaussian, view)?;
@@ -112,6 +113,7 @@ impl Projected {
             antialias: antialias_word(view),
             splat_stride: 1,
             first_of_scene: first_of_scene as u32,
+            ..project::Push::default()
         };
         let workgroups = count as u64 / u64::from(spec.workgroup_size) + 1;
         gpu.dispatch::<project::Interface>(&spec, &bind, &push, workgroups);

@@ -10,7 +10,7 @@ use ashsplat::kernels::backward::project_backward;
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants as c;
 use ashsplat::kernels::forward::project;
-use ashsplat::scene::{PhotoLens, Projection};
+use ashsplat::scene::{JacobianLimit, PhotoLens, Projection, Readout, Shutter};
 use glam::{DMat3, DQuat, DVec2, DVec3, Mat3, dmat2};
 use std::path::Path;
 
@@ -20,14 +20,25 @@ const LOGIT: f64 = 2.0;
 fn lens_camera(npz: &Npz) -> Camera {
     let [width, height] = [0, 1].map(|axis| npz.values("size_wh")[axis] as u32);
     let f = |x: f64| x as f32;
-    let [x, y, z] = rows(npz.values("cam_R")).try_into().expect("3×3");
+    let [x, y, z] = rows(&npz.values("cam_R")[..9]).try_into().expect("3×3");
     let [x, y, z] = [x, y, z].map(|row: [f64; 3]| Vec3::from_array(row.map(f)));
     let rotation = Mat3::from_cols(x, y, z).transpose();
     let translation = Vec3::from_array(npz.rows::<3>("cam_t")[0].map(f));
     let any = Camera::with_pose(rotation, translation, PhotoLens::panorama(width, height).intrinsics());
     let camera = any.with_colmap_lens(npz.scalar("model") as u32, npz.values("params"));
-    let camera = camera.expect("a model of COLMAP");
-    camera.check().expect("a camera");
+    let mut camera = camera.expect("a model of COLMAP");
+    if npz.has("shutter") {
+        let pose = |row: usize| {
+            let [w, x, y, z] = npz.rows::<4>("shutter_q")[row];
+            let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+            (rotation, -(rotation * DVec3::from(npz.rows::<3>("shutter_c")[row])))
+        };
+        let readout = Readout::ALL[npz.scalar("shutter") as usize];
+        let ((rotation, translation), shutter) = Shutter::between(pose(0), pose(1), readout);
+        camera.camera_from_world = rotation.as_mat3();
+        camera.translation = translation.as_vec3();
+        camera.shutter = Some(shutter);
+    }
     camera
 }
 
@@ -45,6 +56,7 @@ fn wrapped(camera: &Camera, actual: f64, expected: f64) -> f64 {
 pub fn of_host(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let camera = lens_camera(&npz);
+    camera.check().expect("a camera");
     let upright = Camera { camera_from_world: Mat3::IDENTITY, translation: Vec3::ZERO, ..camera };
     let ray = upright.photo_lens().rays();
     let valid = npz.flags("valid");
@@ -80,7 +92,8 @@ pub fn of_host(path: &Path) -> Outcome {
 /// The camera's block with the words of its lens.
 fn block(camera: &Camera) -> Vec<u32> {
     let rows = camera.camera_from_world.transpose();
-    let (limits, words) = camera.lens_words().expect("a lens");
+    let no_lens = (camera.jacobian_limits(JacobianLimit::Edge), [0.0; 9]);
+    let (limits, words) = camera.lens_words().unwrap_or(no_lens);
     let values = CameraBlock {
         camera_row_x: rows.x_axis.to_array(),
         camera_row_y: rows.y_axis.to_array(),
@@ -121,10 +134,30 @@ fn is_magnified(camera: &Camera, gaussian: &Gaussian) -> bool {
         })
 }
 
+/// Prefix of the method by which this project draws a camera's Gaussians: the Jacobian or the unscented transform.
+fn method_of(camera: &Camera) -> &'static str {
+    if camera.projection == Projection::Perspective { "j" } else { "u" }
+}
+
+/// The gradient of the pose halfway, for a motion that stays the same in the camera's space. With a rolling shutter the vectors
+/// have those of the poses at the first and the last row.
+fn pose_gradient(npz: &Npz, camera: &Camera) -> Vec<f64> {
+    let all = npz.rows::<6>(&format!("{}_d_pose", method_of(camera)));
+    let Some(Shutter { turn, shift, .. }) = camera.shutter else { return all[0].to_vec() };
+    let (mut moved, mut turned) = (DVec3::ZERO, DVec3::ZERO);
+    for ([a, b, c, d, e, f], time) in all.into_iter().zip([-0.5, 0.5]) {
+        let back = DQuat::from_scaled_axis(-time * turn.as_dvec3());
+        let (nu, omega) = (back * DVec3::new(a, b, c), back * DVec3::new(d, e, f));
+        moved += nu;
+        turned += omega + (time * shift.as_dvec3()).cross(nu);
+    }
+    [moved.to_array(), turned.to_array()].concat()
+}
+
 pub fn of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let camera = lens_camera(&npz);
-    if !camera.projection.is_lens() {
+    if !camera.has_lens() {
         return Ok(());
     }
     let [means, log_scales] = ["means", "log_scales"].map(|name| npz.rows::<3>(name));
@@ -156,6 +189,7 @@ pub fn of_device(path: &Path) -> Outcome {
         sh_degree: 0,
         projection: camera.projection as u32,
         lenses: true,
+        shutter: camera.shutter.is_some(),
         ..project::Spec::default()
     };
     let bind = project::Bind {
@@ -171,6 +205,7 @@ pub fn of_device(path: &Path) -> Outcome {
         selection: &visible_list,
         camera_block: &camera_block,
     };
+    let [shutter_turn, shutter_shift, shutter_rows] = camera.shutter_words();
     let push = project::Push {
         first: 0,
         chunk_gaussians: room as u32,
@@ -178,6 +213,9 @@ pub fn of_device(path: &Path) -> Outcome {
         antialias: 0,
         splat_stride: 1,
         first_of_scene: 0,
+        shutter_turn,
+        shutter_shift,
+        shutter_rows,
     };
     gpu.dispatch_over::<project::Interface>(&spec, &bind, &push, count);
     let (places, conics) =
@@ -185,7 +223,17 @@ pub fn of_device(path: &Path) -> Outcome {
     let depths = gpu.read_f64::<f32>(&depth_keys, count);
     let of = |name: &str| npz.rows::<3>(name);
     let magnified: Vec<bool> = (0..means.len()).map(|i| is_magnified(&camera, &gaussian(&i))).collect();
-    let method = |i: usize, name: &str| format!("{}_{name}", if magnified[i] { "j" } else { "u" });
+    let own = method_of(&camera);
+    let method = |i: usize, name: &str| format!("{}_{name}", if magnified[i] { "j" } else { own });
+    if camera.shutter.is_some() {
+        for &i in &shown {
+            let expected = npz.rows::<2>("j_xy")[i];
+            let (x, y, _) = camera.project(Vec3::from_array(means[i].map(|x| x as f32)));
+            let actual = [wrapped(&camera, f64::from(x) - 0.5, expected[0]), f64::from(y) - 0.5];
+            let tolerance = 2e-4 * (1.0 + expected[0].abs().max(expected[1].abs()) / 100.0);
+            elementwise(&format!("host's position {i}"), &actual, &expected, tolerance, 0.0)?;
+        }
+    }
     for (place, &i) in shown.iter().enumerate() {
         let [x, y, ..] = places[place].map(f64::from);
         let expected = npz.rows::<2>(&method(i, "xy"))[i];
@@ -228,6 +276,7 @@ pub fn of_device(path: &Path) -> Outcome {
         lens_gradient: true,
         projection: camera.projection as u32,
         lenses: true,
+        shutter: camera.shutter.is_some(),
         ..project_backward::Spec::default()
     };
     let bind = project_backward::Bind {
@@ -256,6 +305,9 @@ pub fn of_device(path: &Path) -> Outcome {
         gradient_stride: count as u32,
         accumulate: 0,
         first_lens_sum: first_lens_sum as u32,
+        shutter_turn,
+        shutter_shift,
+        shutter_rows,
     };
     gpu.dispatch_over::<project_backward::Interface>(&spec, &bind, &push, count);
     let planes = gpu.read::<[f32; 4]>(&gradients, c::GRADIENT_PLANES as usize * count);
@@ -281,15 +333,19 @@ pub fn of_device(path: &Path) -> Outcome {
     };
     let (poses, lenses) = sums.as_flattened().split_at(3 * first_lens_sum);
     if !magnified.contains(&true) {
-        relative("u_d_pose", &added(poses, 6), npz.values("u_d_pose"), 2e-4)?;
+        relative("pose", &added(poses, 6), &pose_gradient(&npz, &camera), 2e-4)?;
         compare_lens(&npz, &camera, &added(lenses, 18))?;
     }
     Ok(())
 }
 
+fn has_parameters(camera: &Camera) -> bool {
+    camera.projection.is_lens() && camera.projection != Projection::Equirectangular
+}
+
 /// Compares a gradient of the lens with that of the model's parameters. `words`: see [`Camera::lens_gradient`].
 fn compare_lens(npz: &Npz, camera: &Camera, words: &[f64]) -> Outcome {
-    if camera.projection == Projection::Equirectangular {
+    if !has_parameters(camera) {
         return Ok(());
     }
     let gradient = camera.lens_gradient(&std::array::from_fn(|k| words[k] as f32));
@@ -317,6 +373,7 @@ fn compare_lens_gradient(npz: &Npz, camera: &Camera, gradient: &[f64; 16]) -> Ou
 pub fn picture_of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let camera = lens_camera(&npz);
+    let of = |name: &str| npz.values(&format!("{}_{name}", method_of(&camera)));
     let settings = RenderSettings {
         sh_degree: Some(npz.scalar("deg") as u32),
         background: npz.rows::<3>("bg")[0].map(|x| x as f32),
@@ -328,8 +385,8 @@ pub fn picture_of_device(path: &Path) -> Outcome {
     let frame = renderer.render(&camera, &settings)?;
     let unstable = npz.flags("pix_unstable");
     let transmittance: Vec<f64> = frame.transmittance.iter().map(|&t| t.into()).collect();
-    pixels("image", &widen(&frame.color), npz.values("u_image"), &unstable, SINGLE.image)?;
-    pixels("transmittance", &transmittance, npz.values("u_final_T"), &unstable, SINGLE.transmittance)?;
+    pixels("image", &widen(&frame.color), of("image"), &unstable, SINGLE.image)?;
+    pixels("transmittance", &transmittance, of("final_T"), &unstable, SINGLE.transmittance)?;
     let weights: Vec<[f32; 3]> =
         pixel_gradients(npz.rows::<3>("G")).iter().map(|pixel| pixel.color.map(|x| x as f32)).collect();
     let derivatives = renderer.gradients_with_pose(&camera, &settings, &weights, None)?;
@@ -339,11 +396,11 @@ pub fn picture_of_device(path: &Path) -> Outcome {
     for (name, own) in fields.iter().zip(engine::derivatives(&derivatives)) {
         let own: Vec<f64> = own.iter().map(|&x| x.into()).collect();
         let tolerance = if *name == "quats" { SINGLE.quats } else { SINGLE.gradient };
-        gradient(name, &own, npz.values(&format!("u_dx_{name}")), &none, tolerance)?;
+        gradient(name, &own, of(&format!("dx_{name}")), &none, tolerance)?;
     }
     let pose = derivatives.pose.expect("the pose's gradient").map(f64::from);
-    relative("pose", &pose, npz.values("u_d_pose"), 2e-4)?;
-    if camera.projection != Projection::Equirectangular {
+    relative("pose", &pose, &pose_gradient(&npz, &camera), 2e-4)?;
+    if has_parameters(&camera) {
         compare_lens_gradient(&npz, &camera, &derivatives.lens.expect("the lens's gradient"))?;
     }
     assert_silent(context());

@@ -72,7 +72,7 @@ impl<'a> Stages<'a> {
                 .prepare(sh_degree, variant, BackwardForm { absolute, ..BackwardForm::default() })
                 .expect("kernels");
         }
-        backward.prepare_expand(sh_degree).expect("kernels");
+        backward.prepare_expand(sh_degree, variant).expect("kernels");
         let frame = FrameBuffers::from_allocated(frame);
         Stages { gpu, backward, scene, forward, frame, capacity, linear_depth }
     }

@@ -1,10 +1,10 @@
 //! Data sets in transforms.json, masks, orientations and archives.
 
 use super::files::{Folder, assert_one, assert_says, assert_some, cloud, left_half, named, refusal, with};
-use ashsplat::scene::{Camera, Intrinsics};
-use ashsplat_files::colmap;
+use ashsplat::scene::{Camera, Intrinsics, Readout, WorldFrame};
 use ashsplat_files::{AlphaUse, Dataset, DatasetOptions, Progress, Resolution, splats};
-use glam::Vec3;
+use ashsplat_files::{cameras_json, colmap};
+use glam::{Vec3, dvec2};
 use image::{GrayImage, Luma, Rgba, RgbaImage};
 use serde_json::{Value, json};
 use std::io::Write;
@@ -427,6 +427,57 @@ fn distorted_frames_are_used_as_they_are_or_undistorted() {
     // The image loses half a pixel at each side, and keeps its scale.
     assert_eq!((camera.width, camera.height, camera.fx, camera.fy), (19, 11, 21.0, 21.0));
     assert_eq!(dataset.train[0].photo.width, camera.width);
+}
+
+/// A second pose is that of the last row or column, also of photographs of half the size and in a list of cameras.
+#[test]
+fn a_second_pose_is_a_rolling_shutter() {
+    let folder = Folder::new();
+    let lens = json!({ "fl_x": 21.0, "w": 20, "h": 12, "k1": -0.02 });
+    let write = |keys: [Value; 3]| {
+        let mut frames = folder.frames("images", 0..3, ".png");
+        for (frame, keys) in frames.iter_mut().zip(keys) {
+            *frame = with(frame.clone(), &keys);
+        }
+        folder.json("transforms.json", &with(lens.clone(), &json!({ "shutter": "up", "frames": frames })));
+    };
+    let end = matrix(&camera(4));
+    let moving = json!({ "transform_matrix_end": end });
+    write([moving.clone(), json!({ "transform_matrix_end": end, "shutter": "left" }), json!({})]);
+    let half = DatasetOptions { resolution: Resolution::Factor(2), ..Default::default() };
+    for dataset in [folder.sound(), load(&folder, &half)] {
+        let cameras: Vec<Camera> = dataset.train.iter().map(|view| view.camera).collect();
+        let readout = |camera: &Camera| camera.shutter.map(|shutter| shutter.readout);
+        let readouts = [Some(Readout::Up), Some(Readout::Left), None];
+        assert_eq!(cameras.iter().map(readout).collect::<Vec<_>>(), readouts);
+        for (index, own) in (0..2).zip(&cameras) {
+            for (time, expected) in [(-0.5, camera(index)), (0.5, camera(4))] {
+                let at = own.at_time(time);
+                assert!(at.position().abs_diff_eq(expected.position(), 1e-5), "{at:?}");
+                assert!(at.camera_from_world.abs_diff_eq(expected.camera_from_world, 1e-5), "{at:?}");
+            }
+        }
+        // The last row is read first, and the right column before the left one.
+        let [wide, high] = [cameras[0].width, cameras[0].height].map(|side| f64::from(side) - 0.5);
+        assert_eq!([0.5, high].map(|y| cameras[0].time_of(dvec2(3.0, y))), [0.5, -0.5]);
+        assert_eq!([0.5, wide].map(|x| cameras[1].time_of(dvec2(x, 3.0))), [0.5, -0.5]);
+        let (path, frame) = (folder.join("cameras.json"), WorldFrame { unit: 0.25, ..WorldFrame::default() });
+        cameras_json::write(&path, [("a", &cameras[1])], &frame).unwrap();
+        let back = cameras_json::read(&path, &frame).unwrap()[0].camera;
+        assert_eq!(back.shutter, cameras[1].shutter);
+        assert!(back.translation.abs_diff_eq(cameras[1].translation, 1e-5));
+    }
+    assert_some(&folder.inspect(&half).notes, &["2 of 3 photos have a rolling shutter"]);
+    let straight = DatasetOptions { undistort: true, ..Default::default() };
+    assert_some(&folder.inspect(&straight).warnings, &["--undistort bends the rows"]);
+    write([moving, json!({ "transform_matrix_end": end, "shutter": "diagonal" }), json!({})]);
+    assert_refused(&folder, &["frame 1: shutter: ", "'diagonal': down, up, right, left"]);
+    write([
+        json!({ "transform_matrix_end": [[1, 0, 0, 0], [0, 2, 0, 0], [0, 0, 1, 0]] }),
+        json!({}),
+        json!({}),
+    ]);
+    assert_refused(&folder, &["frame 0: transform_matrix_end is no rotation"]);
 }
 
 #[test]

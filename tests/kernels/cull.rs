@@ -49,6 +49,7 @@ fn culled_behind(gpu: &Gpu, view: &View, gaussians: &[Gaussian], earlier: Option
         projection: view.drawn.projection(),
         lenses: false,
         adds: earlier.is_some(),
+        shutter: false,
     };
     let (size, block) = (gaussians.len(), spec.workgroup_size as usize);
     // The gap includes all of another block.
@@ -75,6 +76,7 @@ fn culled_behind(gpu: &Gpu, view: &View, gaussians: &[Gaussian], earlier: Option
         antialias: antialias_word(view),
         first_cut_out,
         cut_out_count,
+        ..cull::Push::default()
     };
     gpu.dispatch::<cull::Interface>(&spec, &bind, &push, blocks as u64 + 1);
     let own = gpu.read::<u32>(&flags, size);
@@ -419,6 +421,7 @@ fn check_scenes(gpu: &Gpu, adds: bool, view: impl Fn(usize) -> View) {
         projection: settings.drawn.projection(),
         lenses: false,
         adds,
+        shutter: false,
     };
     let count = batch.index_count();
     let blocks = count.div_ceil(block);
@@ -443,6 +446,7 @@ fn check_scenes(gpu: &Gpu, adds: bool, view: impl Fn(usize) -> View) {
         index_count: count as u32,
         extent: extent_word(&settings),
         antialias: antialias_word(&settings),
+        ..cull_scenes::Push::default()
     };
     // More workgroups than blocks, as grids in two dimensions have.
     gpu.dispatch::<cull_scenes::Interface>(&spec, &bind, &push, (end_block - first_block) as u64 + 3);

@@ -260,6 +260,7 @@ fn check_scenes(gpu: &Gpu, [all, unseen]: [bool; 2], too_few: usize, view: impl 
         lenses: false,
         sh_loops: gpu.limits().tuning.sh_loops,
         may_be_unseen: unseen,
+        shutter: false,
     };
     let count = batch.index_count();
     let mut shown = vec![false; count];
@@ -296,6 +297,7 @@ fn check_scenes(gpu: &Gpu, [all, unseen]: [bool; 2], too_few: usize, view: impl 
         extent: extent_word(&settings),
         antialias: antialias_word(&settings),
         splat_stride: 1,
+        ..project_scenes::Push::default()
     };
     // More workgroups than blocks, as grids in two dimensions have.
     gpu.dispatch::<project_scenes::Interface>(&spec, &bind, &push, (end_block - first_block) as u64 + 3);

@@ -155,7 +155,7 @@ fn run(gpu: &Gpu, scene: &Scene, modes: Modes) -> Output {
         splat_stride: 1,
         gradient_stride: gradient_stride as u32,
         accumulate: modes.accumulate.into(),
-        first_lens_sum: 0,
+        ..project_backward::Push::default()
     };
     gpu.dispatch_over::<project_backward::Interface>(&spec, &bind, &push, count);
     let mut pose_sums = gpu.read::<[f32; 6]>(&pose_sums, subgroups);
@@ -363,7 +363,12 @@ pub fn project_backward_adds_up_absolute_statistics() {
 }
 
 fn check_expanded(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize, sh_loops: bool) {
-    let spec = expand_gradients::Spec { workgroup_size: gpu.workgroup(64), sh_degree, sh_loops };
+    let spec = expand_gradients::Spec {
+        workgroup_size: gpu.workgroup(64),
+        sh_degree,
+        sh_loops,
+        ..expand_gradients::Spec::default()
+    };
     let mut random = Random::new(size as u64);
     let gaussians = mixed_scene(&mut random, size, coefficients);
     let rows = GradientRows::random(&mut random, size);
@@ -376,6 +381,8 @@ fn check_expanded(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize, s
         gradients: &gpu.buffer("gradients", &rows.rows),
         parameter_gradients: &parameter_gradients,
         mean2d_gradients: &mean2d,
+        // Only read with a rolling shutter.
+        camera_block: &mean2d,
     };
     let push = expand_gradients::Push {
         camera_position: CAMERA.map(|x| x as f32),
@@ -384,6 +391,7 @@ fn check_expanded(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize, s
         gradient_stride: rows.stride as u32,
         chunk_gaussians: room as u32,
         planes: planes as u32,
+        ..expand_gradients::Push::default()
     };
     gpu.dispatch_over::<expand_gradients::Interface>(&spec, &bind, &push, size);
     for (i, actual) in gpu.read_gaussians(&parameter_gradients, size, coefficients).iter().enumerate() {

@@ -51,7 +51,7 @@ pub struct Arguments {
 const ITERATIONS: u32 = 1200;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    arguments.choices.check(arguments.dataset_only)?;
+    arguments.choices.check()?;
     let start = Instant::now();
     let folder = &arguments.out;
     let data = folder.join("dataset");

@@ -108,6 +108,7 @@ impl AshsplatCamera {
             translation: Vec3::from(self.translation),
             projection: one_of(format_args!("{name}.projection"), self.projection, &Projection::ALL)?,
             part: None,
+            shutter: None,
         }))
     }
 

@@ -267,8 +267,7 @@ pub fn picked(id: u64, pixel: [u32; 2], camera: &Camera, report: &PixelReport) -
 
 /// World position at a depth under a pixel's centre.
 pub fn place(camera: &Camera, pixel: [u32; 2], depth: f32) -> Vec3 {
-    let there = depth * camera.rays()(pixel.map(|at| at as f32 + 0.5)) - camera.translation;
-    camera.camera_from_world.transpose() * there
+    camera.points()(pixel.map(|at| at as f32 + 0.5), depth)
 }
 
 /// Depth at which half of the blocked light is blocked. None if less than a tenth is blocked in all.

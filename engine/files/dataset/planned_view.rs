@@ -12,7 +12,7 @@ use super::part::{UsedPart, cut_photo};
 use crate::depth_fit::DepthFit;
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, read_as, undistort};
 use ashsplat::Result;
-use ashsplat::scene::{Camera, PhotoLens, PicturePart, Projection, WorldFrame};
+use ashsplat::scene::{Camera, PhotoLens, PicturePart, Projection, Shutter, WorldFrame};
 
 /// True if a photo is rotated by its metadata, and its size after that, if it can be read.
 pub(super) type FileSize = (bool, Option<(u32, u32)>);
@@ -21,9 +21,11 @@ pub(crate) struct PlannedView {
     pub(crate) name: String,
     pub(super) image_id: u32,
     pub(super) camera_id: u32,
-    /// Rotation and translation from source coordinates to the camera.
+    /// Rotation and translation from source coordinates to the camera; with a rolling shutter to that halfway.
     pub(super) camera_from_source: DMat3,
     pub(super) translation: DVec3,
+    /// Rolling shutter, in source units.
+    pub(super) shutter: Option<Shutter>,
     /// The frame of the view's cameras.
     pub(super) frame: WorldFrame,
     /// The lens at the photo's size.
@@ -87,6 +89,7 @@ impl PlannedView {
             camera_id: 0,
             camera_from_source: DMat3::IDENTITY,
             translation: DVec3::ZERO,
+            shutter: None,
             frame: WorldFrame::default(),
             lens,
             used,
@@ -121,7 +124,8 @@ impl PlannedView {
     /// The camera in another frame.
     pub(super) fn camera_in(&self, frame: &WorldFrame) -> Camera {
         let translation = frame.translation(self.camera_from_source, self.translation);
-        self.used.camera(self.camera_from_source.as_mat3(), translation)
+        let camera = self.used.camera(self.camera_from_source.as_mat3(), translation);
+        Camera { shutter: self.shutter.map(|shutter| shutter.in_units(frame.unit)), ..camera }
     }
 
     /// The camera's centre, source coordinates.
@@ -131,7 +135,8 @@ impl PlannedView {
 
     /// Depth of a point in source coordinates, source units; `None` if the point is out of view.
     pub(super) fn depth_of(&self, point: DVec3) -> Option<f64> {
-        let p = self.camera_from_source * point + self.translation;
+        let halfway = self.camera_from_source * point + self.translation;
+        let p = self.shutter.map_or(Some(halfway), |shutter| shutter.reading_of(&self.used, halfway))?;
         self.used.shows(p).then(|| self.used.projection.depth_of(p))
     }
 

@@ -16,7 +16,7 @@ use crate::images::header;
 use crate::names::{Finder, ending, photos_below, plain, stays_inside};
 use crate::photogrammetry;
 use crate::transforms::{self, Frame, Transforms};
-use ashsplat::scene::{PhotoLens, Projection};
+use ashsplat::scene::{Camera, PhotoLens, Projection};
 use ashsplat::{Error, Result};
 
 /// Lenses and those of the pictures that are used, by the lens's debug text, which differs whenever a number does.
@@ -87,6 +87,7 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
         plan.notes.push("all cameras are pinholes: --undistort changes nothing".into());
     }
     plan.notes.extend(note.or_else(|| notes::scaling_note(&sizes, options.resolution)));
+    plan.tell_of_shutters();
     Ok(plan)
 }
 
@@ -154,6 +155,23 @@ impl Plan {
         plan.tell_of_photos_without_camera(photos::in_folder(path, &folder, names), path, &folder);
         plan.views = images.into_iter().zip(paths).zip(photos).map(view).collect();
         Ok(plan)
+    }
+
+    fn tell_of_shutters(&mut self) {
+        let (all, list) = (self.views.iter().flatten().count(), self.list.display());
+        let rolling = self.views.iter().flatten().filter(|view| view.shutter.is_some());
+        let (count, bent) =
+            rolling.fold((0, false), |(n, bent), view| (n + 1, bent || view.is_undistorted()));
+        if count > 0 {
+            self.notes.push(format!(
+                "{list}: {count} of {all} photos have a rolling shutter, and are drawn with it"
+            ));
+        }
+        if bent {
+            self.warnings.push(format!(
+                "{list}: --undistort bends the rows of a rolling shutter, which are taken as straight: leave it out"
+            ));
+        }
     }
 
     fn tell_of_photos_without_camera(&mut self, photos: Vec<PathBuf>, dataset: &Path, folder: &Path) {
@@ -309,6 +327,7 @@ impl Plan {
             return Err(Error::input(&self.list, problem, NO_PINHOLE_REMEDY));
         };
         let camera = used.camera(frame.camera_from_source.as_mat3(), frame.translation.as_vec3());
+        let camera = Camera { shutter: frame.shutter, ..camera };
         if let Some(what) = camera.problem().or_else(|| camera.absurdity()) {
             return Err(problem(what));
         }
@@ -316,6 +335,7 @@ impl Plan {
             name: frame.name.clone(),
             camera_from_source: frame.camera_from_source,
             translation: frame.translation,
+            shutter: frame.shutter,
             mask_path: frame.mask_path.clone(),
             rim: frame.rim_px.map(|radius| radius / f64::from(width)),
             held_out: frame.test,

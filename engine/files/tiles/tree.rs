@@ -266,7 +266,7 @@ impl<'a> Demand<'a> {
 
 /// True if part of a box may lie in a picture or in its border, in picture sizes. Never false if it does.
 fn sees(camera: &Camera, bounds: Bounds, border: f64) -> bool {
-    if camera.projection.is_lens() {
+    if camera.has_lens() {
         // The sides of its view are no planes.
         return true;
     }

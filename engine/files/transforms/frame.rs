@@ -10,13 +10,15 @@ use serde_json::Value;
 use super::{Document, below, values};
 use crate::names::{Finder, MAX_PATH_BYTES, ending, has_photo_ending, plain, stays_inside};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
-use ashsplat::scene::{PhotoLens, Projection};
+use ashsplat::scene::{PhotoLens, Projection, Readout, Shutter};
 use ashsplat::{Error, Result};
 
 /// Largest relative deviation of a pose's `R Rᵀ` from a multiple of the identity.
 const ROTATION_TOLERANCE: f64 = 1e-3;
-/// Pose at the last row of a rolling shutter.
+/// Pose at the last row of a rolling shutter, whose first has the usual one, and the order of its rows or columns. Both keys are
+/// this project's own: nerfstudio has none.
 const END_KEY: &str = "transform_matrix_end";
+const SHUTTER_KEY: &str = "shutter";
 /// Largest difference from 1 of a scale that is taken as 1.
 const SCALE_ROUNDING: f64 = 1e-12;
 
@@ -29,10 +31,13 @@ pub struct Frame {
     pub photo_path: PathBuf,
     /// The photo's mask (`mask_path`), if the file names one.
     pub mask_path: Option<PathBuf>,
-    /// Rotation from the file's coordinates to the camera's axes (x right, y down, z forward).
+    /// Rotation from the file's coordinates to the camera's axes (x right, y down, z forward). With a rolling shutter, the pose is
+    /// that halfway.
     pub camera_from_source: DMat3,
     /// Translation from the file's coordinates to the camera.
     pub translation: DVec3,
+    /// Rolling shutter, if the file has a second pose. Its shift is in the file's units.
+    pub shutter: Option<Shutter>,
     /// The frame's intrinsics.
     pub optics: Optics,
     /// Radius around the picture's middle beyond which a fisheye shows nothing (`fisheye_crop_radius`), pixels.
@@ -147,8 +152,7 @@ pub(super) fn read_all(
         unused_keys.extend(value.as_object().into_iter().flatten().filter_map(|(key, value)| {
             let is_known = MASK_KEYS.contains(&key.as_str()) || DEPTH_KEYS.contains(&key.as_str());
             let names_file = value.is_string() && (key.contains("mask") || key.contains("depth"));
-            (names_file && !is_known || key == END_KEY || key == "is_bad" && *value == true)
-                .then(|| key.clone())
+            (names_file && !is_known || key == "is_bad" && *value == true).then(|| key.clone())
         }));
         if frame.optics.projection == Projection::Fisheye {
             let (_, p) = reader.coefficients()?;
@@ -256,7 +260,7 @@ impl Reader<'_> {
         let (name, photo_path, led_out) = self.photo(file_path)?;
         let mask = MASK_KEYS.iter().find_map(|&key| Some((key, self.frame[key].as_str()?)));
         let mask_path = mask.map(|(key, name)| self.mask(key, name)).transpose()?;
-        let (camera_from_source, translation) = self.pose()?;
+        let ((camera_from_source, translation), shutter) = self.motion()?;
         let optics = self.optics()?;
         let rim_px = self.number("fisheye_crop_radius")?.filter(|radius| *radius > 0.0);
         let frame = Frame {
@@ -265,6 +269,7 @@ impl Reader<'_> {
             mask_path,
             camera_from_source,
             translation,
+            shutter,
             optics,
             rim_px,
             test: false,
@@ -330,19 +335,37 @@ impl Reader<'_> {
         Ok((name, path, led_out))
     }
 
-    fn pose(&self) -> Result<(DMat3, DVec3)> {
-        let value = &self.frame["transform_matrix"];
+    /// Reads the pose, and with one at the last row that halfway and the rolling shutter.
+    fn motion(&self) -> Result<((DMat3, DVec3), Option<Shutter>)> {
+        let first = self.pose("transform_matrix")?;
+        if self.frame[END_KEY].is_null() {
+            return Ok((first, None));
+        }
+        let last = self.pose(END_KEY)?;
+        let orders = [&self.frame[SHUTTER_KEY], &self.document[SHUTTER_KEY]];
+        let readout = match orders.into_iter().find(|order| !order.is_null()) {
+            None => Readout::default(),
+            Some(order) => {
+                let wrong = |problem: String| self.error(format!("{SHUTTER_KEY}: {problem}"));
+                Readout::named(order.as_str().unwrap_or(&order.to_string())).map_err(wrong)?
+            }
+        };
+        let (halfway, shutter) = Shutter::between(first, last, readout);
+        Ok((halfway, Some(shutter)))
+    }
+
+    fn pose(&self, key: &str) -> Result<(DMat3, DVec3)> {
+        let value = &self.frame[key];
         if value.is_null() {
-            return Err(self.error("has no transform_matrix"));
+            return Err(self.error(format!("has no {key}")));
         }
         let Some(rows) = matrix(value) else {
-            return Err(self.error("transform_matrix is not of 3 or 4 rows of 4 finite numbers"));
+            return Err(self.error(format!("{key} is not of 3 or 4 rows of 4 finite numbers")));
         };
         let last: Vec<f64> = value[3].as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
         if last.iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(given, right)| (given - right).abs() > SCALE_ROUNDING)
         {
-            let problem =
-                format!("the last row of transform_matrix is {last:?} and not 0, 0, 0, 1: is it transposed?");
+            let problem = format!("the last row of {key} is {last:?} and not 0, 0, 0, 1: is it transposed?");
             return Err(self.error(problem));
         }
         let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
@@ -353,7 +376,7 @@ impl Reader<'_> {
         let off = rotation * rotation.transpose() - DMat3::IDENTITY;
         // Also refuses a scale of 0, which gives NaN.
         if !(scale > 0.0 && off.to_cols_array().iter().all(|v| v.abs() < ROTATION_TOLERANCE)) {
-            return Err(self.error("transform_matrix is no rotation with a translation"));
+            return Err(self.error(format!("{key} is no rotation with a translation")));
         }
         // Converts from y up, z backward to y down, z forward.
         let camera_from_source = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * rotation.transpose();

@@ -81,7 +81,7 @@ pub struct Choices {
     /// Width of the city's photographs, 64 to 1024 pixels; their height is three quarters of it [default: 128]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=1024))]
     photo_width: Option<u32>,
-    /// Lens or shutter of the photographs. With a rolling shutter only with --dataset-only
+    /// Lens or shutter of the photographs
     #[arg(long, value_enum, default_value_t)]
     lens: Lens,
     /// How the data set lies on disk
@@ -96,14 +96,10 @@ pub struct Choices {
 }
 
 impl Choices {
-    /// Refuses choices that contradict each other, or that training does not take.
-    pub fn check(&self, dataset_only: bool) -> Result<()> {
+    /// Refuses choices that contradict each other.
+    pub fn check(&self) -> Result<()> {
         if self.lens != Lens::Pinhole && self.layout == Layout::NerfSynthetic {
             let problem = "is not for --layout nerf-synthetic, which has angles of view only";
-            return Err(Error::argument("--lens", problem));
-        }
-        if !dataset_only && self.lens == Lens::RollingShutter {
-            let problem = "rolling-shutter is not trained on yet: give --dataset-only as well";
             return Err(Error::argument("--lens", problem));
         }
         for (name, is_given) in

@@ -100,10 +100,10 @@ pub fn small(camera: &Camera) -> Camera {
 /// World position of each pixel of a frame, row by row; `None` for transparent pixels. It uses the frame's harmonic
 /// depth, which Gaussians far behind a surface hardly move.
 pub fn places(camera: &Camera, frame: &Frame) -> Vec<Option<Vec3>> {
-    let (world_from_camera, rays) = (camera.camera_from_world.transpose(), camera.rays());
+    let points = camera.points();
     let place = |(pixel, z): (usize, f32)| {
         let [x, y] = [pixel % frame.width as usize, pixel / frame.width as usize].map(|p| p as f32 + 0.5);
-        z.is_finite().then(|| world_from_camera * (z * rays([x, y]) - camera.translation))
+        z.is_finite().then(|| points([x, y], z))
     };
     Depth::Harmonic.of(frame).into_iter().enumerate().map(place).collect()
 }

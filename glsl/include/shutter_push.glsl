@@ -1,0 +1,6 @@
+#ifdef LENSES
+    // With SHUTTER: see shutter.glsl.
+    vec3 shutter_turn;
+    vec3 shutter_shift;
+    vec3 shutter_rows;
+#endif
