@@ -165,8 +165,8 @@ impl Blend {
 }
 
 /// Records the blending of all tiles, forward or backward. Each dispatch takes a range of instances, to
-/// bound its work; within a range, very long tiles take several passes. `dispatch` receives the push constants of blend_io.glsl, which the kernels share, and
-/// the number of tiles.
+/// bound its work; within a range, very long tiles take several passes. `dispatch` receives the push constants of blend_io.glsl,
+/// which the kernels share, and the number of tiles.
 pub(crate) fn record_passes(
     r: &mut Recorder,
     inputs: &FrameInputs,

@@ -370,8 +370,7 @@ impl Loss {
 /// Bytes of a texel of planes in strips.
 const TEXEL_BYTES: u64 = 16;
 
-/// Device bytes of a photograph with 8 bits per channel; `masked`: for
-/// [`PhotoFormat::MaskedRgba8`](PhotoFormat).
+/// Device bytes of a photograph with 8 bits per channel. `masked` is true for [`PhotoFormat::MaskedRgba8`].
 pub fn photo_bytes(windowing: Windowing, width: u32, height: u32, masked: bool) -> u64 {
     match windowing {
         Windowing::Blocks => 4 * u64::from(width) * u64::from(height),

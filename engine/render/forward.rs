@@ -106,9 +106,10 @@ impl Forward {
         self.record_first(r, 1, |_| *inputs);
     }
 
-    /// Records the first of `views` views with one order, and the camera blocks and the culling of all. The views show the same scenes in the same poses and settings, and their
-    /// cameras give each Gaussian the same depth to the bit. `view` returns each view by its index, with [`FrameInputs::view`].
-    /// [`Forward::record_next`] records the others. Ends without a barrier.
+    /// Records the first of several views that share one depth order. Also writes the camera blocks of all these views and culls for
+    /// all of them. The views have the same scenes, poses and settings, and their cameras give every Gaussian the same depth, bit for
+    /// bit. `view` returns each view by its index, with [`FrameInputs::view`]. [`Forward::record_next`] records the others. Ends
+    /// without a barrier.
     ///
     /// # Panics
     /// Same as [`Forward::record`], and if the buffer of camera blocks is too small for all views.

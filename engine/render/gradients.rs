@@ -48,8 +48,8 @@ impl Renderer {
     }
 
     /// Same as [`Renderer::gradients`], but also returns the gradients with respect to the camera's pose and lens
-    /// ([`Gradients::pose`], [`Gradients::lens`]). The first sums over all visible Gaussians how their means, covariances and view directions change
-    /// with the pose. The order of the sum is fixed, so its bits are always the same.
+    /// ([`Gradients::pose`], [`Gradients::lens`]). The first sums over all visible Gaussians how their means, covariances and view
+    /// directions change with the pose. The order of the sum is fixed, so its bits are always the same.
     ///
     /// # Errors
     /// Same as [`Renderer::gradients`].

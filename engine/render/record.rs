@@ -1,6 +1,7 @@
 //! Records frames into a host's command buffer; never submits, waits, allocates, maps or reads back.
 //!
-//! A recording may have several views: the eyes of a headset, a split screen, a picture in a picture. They run one after the other in the memory of one frame, separated by one barrier.
+//! A recording may have several views: the eyes of a headset, a split screen, a picture in a picture. They run one after the other
+//! in the memory of one frame, separated by one barrier.
 
 use super::check::{check_capacity, check_views, in_view};
 use super::forward::Forward;

@@ -397,7 +397,8 @@ fn each_piece(
     Ok(())
 }
 
-/// Calls `run` for contiguous parts of some Gaussians' planes: index in their chunk, and range in a chunk of only their rows.
+/// Calls `run` for each contiguous run of texels in the planes of some Gaussians, with its index in their chunk, and its range in a
+/// chunk that holds only their rows.
 fn each_run(
     plan: &ScenePlan,
     packed: &ScenePlan,

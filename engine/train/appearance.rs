@@ -11,7 +11,7 @@ use crate::passes::light::{Light, LightBuffers, LightForm, LightInputs, LightSte
 use crate::vk::{Buffer, Context, Recorder};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Kernels of what is learned: of exposures, of lens effects, or of both in this order.
+/// Kernels of exposures, of lens effects, or of both in this order.
 pub(super) struct Appearance(Vec<Light>);
 
 /// Buffers of exposures and of lens effects; None if not learned.

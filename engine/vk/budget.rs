@@ -42,7 +42,7 @@ impl Context {
         Ok(buffers)
     }
 
-    /// Returns the bytes of bounded memory that an allocation leaves free for the next transfer.
+    /// Returns the bytes of the memory limit that this allocation must leave free for a staging ring.
     fn room_of_transfers(&self, kind: MemoryKind) -> u64 {
         // A running download holds the ring's lock.
         if self.max_memory().is_none() || kind == MemoryKind::Offloaded || lock(&self.staging).bytes() > 0 {

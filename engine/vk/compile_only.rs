@@ -324,7 +324,7 @@ unsafe extern "system" fn query_results(
     _: u64,
     _: vk::QueryResultFlags,
 ) -> vk::Result {
-    // SAFETY: the caller has so many bytes there.
+    // SAFETY: the caller provides this many bytes.
     unsafe { out.cast::<u8>().write_bytes(0, bytes) };
     vk::Result::SUCCESS
 }

@@ -1,7 +1,7 @@
 // Screen-space attributes of the visible Gaussians: mean, conic, extent, tiles, depth, and colour from spherical harmonics
 // (paper, section 4; reference preprocessCUDA and computeColorFromSH). With TINTED, colours and opacities have the scene's
-// factors. All are seen along the camera's z axis if its projection is parallel. With MAY_BE_UNSEEN, the list may have Gaussians that only
-// another view shows: they touch no tile.
+// factors. With a parallel projection, colours are evaluated along the camera's z axis. With MAY_BE_UNSEEN, the list may have
+// Gaussians that only another view shows: they touch no tile.
 //
 // invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
 // in: parameters (PerGaussian planes), visible_list, visible_ranges, with SELECTION selection (a bit per Gaussian); out,

@@ -116,7 +116,7 @@ fn another_bound_of_memory_is_a_warning() {
 
 /// The error names the total need, although photographs read ahead are the first that do not fit.
 #[test]
-fn too_little_memory_is_told_how_much_would_do() {
+fn memory_error_names_the_need() {
     let place = Place::new();
     let refused = place.attempt("model", "--max-memory 1K");
     assert_eq!(refused.code, Some(2));

@@ -60,8 +60,8 @@ use subject::SceneArguments;
 #[derive(Args)]
 #[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_VIEWER)))]
 pub struct Arguments {
-    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF, SOG), a model folder, a folder of `ashsplat tiles`, or a data set (its points) [default: the
-    /// page takes files that are dropped on it, and paths in this folder or below]
+    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF, SOG), a model folder, a folder of `ashsplat tiles`, or a data
+    /// set (its points) [default: the page takes files that are dropped on it, and paths in this folder or below]
     #[arg(value_name = "PATH")]
     path: Option<PathBuf>,
     #[command(flatten)]

@@ -190,7 +190,7 @@ impl PlannedView {
         self.used_of(options.resolution.apply(self.used.width, self.used.height))
     }
 
-    /// Camera of the used part of the photo, at the size at which it is used.
+    /// Camera of the photo's crop, at the loaded size.
     pub(super) fn used_camera(&self, options: &DatasetOptions) -> Result<Camera> {
         let (width, height) = options.resolution.apply(self.used.width, self.used.height);
         self.part_of(self.camera().scaled_to(width, height))

@@ -214,7 +214,7 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
 }
 
 impl ConvertOptions {
-    /// The cut with whichever box is set, relative to the input's origin.
+    /// The cut, with the box given in source coordinates if there is one, relative to the input's origin.
     fn cut_of(&self, header: &Header) -> Cut {
         let relative = |corner: DVec3| (corner - header.origin).as_vec3();
         let corners = self.crop_box.map(|[one, other]| Bounds::between(relative(one), relative(other)));

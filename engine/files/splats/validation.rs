@@ -224,7 +224,7 @@ impl PackingLoss {
         self.count += block.len() as u64;
     }
 
-    /// A warning, if the loss is visible.
+    /// Warning about what the format loses, if it is visible.
     pub(super) fn line(&self, format: Format, outline: &Outline) -> Option<String> {
         let mut losses = Vec::new();
         let step = fractional_bits(outline).map_or(0.0, |bits| (-f64::from(bits)).exp2());
