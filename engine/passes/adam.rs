@@ -87,9 +87,8 @@ impl Optimizer {
         adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, moved_camera, sh_loops }
     }
 
-    /// Records one step from `frame.gradients`, and from `parameter_gradients`
-    /// ([`TermInputs`](crate::passes::loss::TermInputs)) with [`OptimizerForm::parameter_gradients`]. The caller
-    /// places barriers before and after.
+    /// Records one step from `frame.gradients`, and from `parameter_gradients` ([`TermInputs`](crate::passes::loss::TermInputs))
+    /// with [`OptimizerForm::parameter_gradients`].
     pub fn record(
         &self,
         r: &mut Recorder,
@@ -184,7 +183,7 @@ impl Averaging {
     }
 
     /// Records the step for a scene's parameters. `means` have the same layout, one buffer per chunk. If `state` has an
-    /// overflow, nothing changes. The caller places barriers before and after.
+    /// overflow, nothing changes.
     pub fn record_scene(
         &self,
         r: &mut Recorder,

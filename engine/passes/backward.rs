@@ -213,8 +213,7 @@ impl Backward {
         expand_gradients::Spec { workgroup_size, sh_degree, sh_loops }
     }
 
-    /// Records the backward pass of the frame in the same buffers, from `image_gradient` to `frame.gradients`. The caller
-    /// places a barrier before; it ends without one.
+    /// Records the backward pass of the frame in the same buffers, from `image_gradient` to `frame.gradients`.
     ///
     /// `image_gradient` has the device's native layout: per pixel dL/d(r, g, b, inverse depth), row by row. Devices that use
     /// [`Strips`] have three planes, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth).
@@ -248,8 +247,7 @@ impl Backward {
 
     /// Records the weights of the Gaussians in the frame of the same buffers. A weight is the sum over the tile's pixels of e α
     /// T, with `image_gradient` = (e, …) per pixel in the native layout. It becomes the first word of each entry of
-    /// `frame.instance_gradients_c`, per instance before the tile sort. The frame must be without inverse depth. The caller
-    /// places a barrier before; it ends without one.
+    /// `frame.instance_gradients_c`, per instance before the tile sort. The frame must be without inverse depth.
     pub fn record_weights(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
         r.scope("blend weights", |r| self.record_blend(r, inputs, image_gradient, Sums::Weights));
     }
@@ -314,12 +312,12 @@ impl Backward {
                 pose_sums: f.pose_sums(),
                 camera_block: &f.camera_block(0),
             };
-            r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, range));
+            r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, range.first));
         });
     }
 
     /// Records the conversion of `frame.gradients` to gradients of all parameters of all Gaussians, in the layout of the
-    /// scene's planes, and of the 2D means in pixels. The caller places barriers before and after.
+    /// scene's planes, and of the 2D means in pixels.
     pub fn record_expand_gradients(
         &self,
         r: &mut Recorder,

@@ -176,7 +176,7 @@ impl Light {
         ]
     }
 
-    /// Records the changed picture, into [`LightBuffers::picture`]. The caller places barriers before and after.
+    /// Records the changed picture, into [`LightBuffers::picture`].
     pub fn record(&self, r: &mut Recorder, inputs: &LightInputs) {
         let LightInputs { frame, picture: rendered, buffers, index } = *inputs;
         let (image_width, image_height) = (frame.camera.width, frame.camera.height);
@@ -206,8 +206,7 @@ impl Light {
     }
 
     /// Records the backward pass. It converts `image_gradient`, in the native layout, from that of the changed picture to that
-    /// of the picture before. It also writes partial sums of the matrix's gradient. The caller places barriers before and
-    /// after.
+    /// of the picture before. It also writes partial sums of the matrix's gradient.
     pub fn record_backward(&self, r: &mut Recorder, inputs: &LightInputs, image_gradient: &Buffer) {
         let LightInputs { frame, picture: rendered, buffers, index } = *inputs;
         let (image_width, image_height) = (frame.camera.width, frame.camera.height);
@@ -237,7 +236,7 @@ impl Light {
     }
 
     /// Records a step of the optimiser over all matrices. That of `inputs` has the gradient of [`Light::record_backward`]. If
-    /// the frame overflowed, nothing changes. The caller places barriers before and after.
+    /// the frame overflowed, nothing changes.
     pub fn record_step(&self, r: &mut Recorder, inputs: &LightInputs, step: &LightStep) {
         let LightInputs { frame, buffers, index, .. } = *inputs;
         let correction = |beta: f64| 1.0 - beta.powf(step.count as f64);

@@ -210,7 +210,7 @@ impl Loss {
         requests
     }
 
-    /// Records loss and gradient. The caller places barriers before and after.
+    /// Records loss and gradient.
     ///
     /// # Panics
     /// If there are fewer scratch buffers than [`Loss::scratch_requests`] returns.

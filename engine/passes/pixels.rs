@@ -40,7 +40,7 @@ impl PixelBorder {
     }
 
     /// Records the conversion of a frame's picture: `rows` receives (r, g, b, 0) per pixel, composited on the background. The
-    /// frame must have backward. The caller places barriers before and after.
+    /// frame must have backward.
     pub fn record_picture(&self, r: &mut Recorder, inputs: &FrameInputs, rows: &Buffer) {
         let (width, height) = (inputs.camera.width, inputs.camera.height);
         let bind = picture_to_rows::Bind { rendered: inputs.frame.rendered(&self.sizes), rows };
@@ -54,7 +54,7 @@ impl PixelBorder {
 
     /// Records the conversion of a picture's gradient, a vec4 per pixel, to the native one that
     /// [`Backward::record`](crate::passes::backward::Backward::record) reads, or with `add` its addition. The fourth component counts
-    /// if the frame has inverse depth. The caller places barriers before and after.
+    /// if the frame has inverse depth.
     pub fn record_gradient(
         &self,
         r: &mut Recorder,
@@ -74,8 +74,7 @@ impl PixelBorder {
     }
 
     /// Records the conversion of a native photograph with 8 bits per channel
-    /// ([`photo_on_device`](crate::passes::loss::photo_on_device)): `rows` receives (r, g, b, mask) per pixel, a byte each. The caller
-    /// places barriers before and after.
+    /// ([`photo_on_device`](crate::passes::loss::photo_on_device)): `rows` receives (r, g, b, mask) per pixel, a byte each.
     pub fn record_photo(
         &self,
         r: &mut Recorder,

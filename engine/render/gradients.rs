@@ -120,8 +120,15 @@ impl Renderer {
             unreachable!("one buffer per request")
         };
         self.context.upload(target_rows, target)?;
-        let request =
-            Request { scene: &scene, frozen: &[], camera, pose: None, settings, sh_degree, backward: true };
+        let request = Request {
+            scene: &scene,
+            other_scenes: &[],
+            camera,
+            pose: None,
+            settings,
+            sh_degree,
+            backward: true,
+        };
         let backward = &self.backward;
         let ran = self.runner.run(&request, |r, inputs| {
             r.barrier();

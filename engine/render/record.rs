@@ -89,13 +89,13 @@ impl Renderer {
         releases: &mut [Release],
     ) -> Result<()> {
         let mut placed = emptied(std::mem::take(&mut self.placed));
-        let recorded = self.record_placed(commands, slot, views, releases, &mut placed);
+        let recorded = self.record_checked(commands, slot, views, releases, &mut placed);
         self.placed = emptied(placed);
         recorded
     }
 
     /// Same as [`Self::record_views`], with an empty list for the scenes of all views.
-    fn record_placed<'a>(
+    fn record_checked<'a>(
         &mut self,
         commands: ForeignCommands,
         slot: u32,
@@ -118,7 +118,7 @@ impl Renderer {
         }
         let forward = &self.runner.forward;
         let slot = self.slots.get(slot)?;
-        slot.record.check_free()?;
+        slot.commands.check_free()?;
         let (mut rest, mut batched_scenes) = (placed.as_mut_slice(), 0);
         for (index, frame) in views.iter().enumerate() {
             let own = rest.split_off_mut(..frame.scenes.len()).unwrap_or_default();
@@ -153,7 +153,7 @@ impl Renderer {
             rest = &rest[frame.scenes.len()..];
         }
         release_images(r, views, releases);
-        (slot.recorded.sorts, slot.recorded.batched_scenes) = (sorts, batched_scenes);
+        (slot.host_report.sorts, slot.host_report.batched_scenes) = (sorts, batched_scenes);
         slot.end(recorder)
     }
 }

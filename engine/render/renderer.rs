@@ -236,9 +236,10 @@ impl Renderer {
     /// # Errors
     /// Same as [`Renderer::render`].
     pub fn draw(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<FrameStats> {
-        let (scene, frozen) = loaded(&self.scenes)?;
+        let (scene, other_scenes) = loaded(&self.scenes)?;
         let sh_degree = scene.active_degree(settings);
-        let request = Request { scene, frozen, camera, pose: None, settings, sh_degree, backward: false };
+        let request =
+            Request { scene, other_scenes, camera, pose: None, settings, sh_degree, backward: false };
         let ran = self.runner.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
         let FrameRun { state, report, retries } = ran;
         let State { visible, instances, longest_tile, samples, .. } = state;

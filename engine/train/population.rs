@@ -132,7 +132,7 @@ impl Population<'_> {
             };
             let request = Request {
                 scene: &self.model.scene,
-                frozen: self.frozen,
+                other_scenes: self.frozen,
                 camera,
                 pose: self.poses.map(|poses| poses.camera(view)),
                 settings: &settings,

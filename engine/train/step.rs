@@ -102,7 +102,7 @@ impl<'a> StepParts<'a> {
     pub fn frame(&self) -> Request<'a> {
         Request {
             scene: &self.model.scene,
-            frozen: self.frozen,
+            other_scenes: self.frozen,
             camera: &self.plan.camera,
             pose: self.poses.map(|poses| poses.camera(self.plan.view)),
             settings: &self.plan.settings,

@@ -1,6 +1,6 @@
 // Screen-space attributes of the visible Gaussians: mean, conic, extent, tiles, depth, and colour from spherical harmonics
 // (paper, section 4; reference preprocessCUDA and computeColorFromSH). With TINTED, colours and opacities have the scene's
-// factors. With a parallel projection, colours are evaluated along the camera's z axis. With MAY_BE_UNSEEN, the list may have
+// factors. With a parallel projection, colours are evaluated along the camera's z axis. With SHARED_ORDER, the list may have
 // Gaussians that only another view shows: they touch no tile.
 //
 // invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
@@ -32,7 +32,7 @@ layout(constant_id = 7) const bool SELECTION = false;
 layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 // True if the list has Gaussians of other views.
-layout(constant_id = 10) const bool MAY_BE_UNSEEN = false;
+layout(constant_id = 10) const bool SHARED_ORDER = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);

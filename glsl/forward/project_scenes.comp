@@ -20,7 +20,7 @@ layout(constant_id = 3) const bool FILTER_3D = false;
 layout(constant_id = 6) const bool TINTED = false;
 layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 9) const bool SH_LOOPS = false;
-layout(constant_id = 10) const bool MAY_BE_UNSEEN = false;
+layout(constant_id = 10) const bool SHARED_ORDER = false;
 const bool DROPOUT = false;
 const bool Z_RECORD = false;
 layout(local_size_x_id = 0) in;

@@ -259,7 +259,7 @@ fn check_scenes(gpu: &Gpu, [all, unseen]: [bool; 2], too_few: usize, view: impl 
         projection: settings.drawn.projection(),
         lenses: false,
         sh_loops: gpu.limits().tuning.sh_loops,
-        may_be_unseen: unseen,
+        shared_order: unseen,
     };
     let count = batch.index_count();
     let mut shown = vec![false; count];

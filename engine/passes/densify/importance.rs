@@ -74,8 +74,7 @@ impl Importance {
         })
     }
 
-    /// Records the edges e of a photograph as the gradient of a picture, dL/dred, in the native layout. A barrier must precede
-    /// it; it ends without one.
+    /// Records the edges e of a photograph as the gradient of a picture, dL/dred, in the native layout.
     pub fn record_edges(
         &self,
         r: &mut Recorder,
@@ -109,9 +108,8 @@ impl Importance {
     }
 
     /// Records the weights of all Gaussians in the frame of the same buffers, from the edges in `image_gradient`. Adds `share`
-    /// times their importance in this view to `importance`, f32 per Gaussian. The frame must have backward and no inverse
-    /// depth, and `buffers.ranges` must be 0 before the edges. A barrier must precede it; it ends without one. If the frame
-    /// overflowed, `importance` stays.
+    /// times their importance in this view to `importance`, f32 per Gaussian. The frame must have backward and no inverse depth,
+    /// and `buffers.ranges` must be 0 before the edges. If the frame overflowed, `importance` stays.
     pub fn record_view(
         &self,
         r: &mut Recorder,
