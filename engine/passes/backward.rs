@@ -15,9 +15,6 @@ use crate::kernels::backward::{
 use crate::passes::blend::record_passes;
 use crate::vk::{Buffer, Context, KernelSet, Recorder};
 
-/// A Gaussian with more tiles has its instances added up by a whole subgroup.
-const LANE_INSTANCES: u32 = 64;
-
 /// The kernels of the backward pass.
 pub struct Backward {
     context: Context,
@@ -146,7 +143,7 @@ impl Backward {
     }
 
     fn blend_regions_spec(&self, sums: Sums, variant: FrameVariant) -> blend_backward::Spec {
-        let BlendShape { lanes: subgroup_size, region_height, tile } = self.sizes.blend_backward;
+        let BlendShape { lanes: subgroup_size, region_height, tile } = self.sizes.blend_heavy;
         blend_backward::Spec {
             workgroup_size: tile,
             subgroup_size,
@@ -163,7 +160,7 @@ impl Backward {
     }
 
     fn blend_tiles_spec(&self, sums: Sums, variant: FrameVariant) -> blend_backward_subgroup_per_tile::Spec {
-        let subgroup_size = self.sizes.blend_backward.lanes;
+        let subgroup_size = self.sizes.blend_heavy.lanes;
         blend_backward_subgroup_per_tile::Spec {
             workgroup_size: subgroup_size,
             subgroup_size,
@@ -189,7 +186,6 @@ impl Backward {
             workgroup_size: self.sizes.elementwise_workgroup,
             subgroup_size: self.context.limits().heavy_subgroup_size,
             sh_degree,
-            lane_instances: LANE_INSTANCES,
             filter_3d,
             own_dilation,
             dropout,
@@ -200,6 +196,7 @@ impl Backward {
             projection: projection as u32,
             lenses: projection.is_lens(),
             sh_loops: self.sizes.sh_loops,
+            ..project_backward::Spec::default()
         }
     }
 

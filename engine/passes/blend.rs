@@ -115,7 +115,7 @@ impl Blend {
             (Blending::Regions, false) => BlendKey::Regions(regions!(blend, sizes.blend)),
             (Blending::SharedMemory, false) => BlendKey::Shared(shared!(blend_shared)),
             (Blending::Regions, true) => {
-                BlendKey::RegionsAuxiliary(regions!(blend_auxiliary, sizes.blend_auxiliary, pick, motion))
+                BlendKey::RegionsAuxiliary(regions!(blend_auxiliary, sizes.blend_heavy, pick, motion))
             }
             (Blending::SharedMemory, true) => {
                 BlendKey::SharedAuxiliary(shared!(blend_shared_auxiliary, pick, motion))

@@ -50,13 +50,8 @@ impl Forward {
         })
     }
 
-    /// Builds the missing kernels for an SH degree, with or without inverse depth.
-    pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
-        self.prepare_variant(sh_degree, FrameVariant { inverse_depth, ..FrameVariant::default() })
-    }
-
     /// Builds the missing kernels for an SH degree and a variant.
-    pub fn prepare_variant(&mut self, sh_degree: u32, variant: FrameVariant) -> Result<()> {
+    pub fn prepare(&mut self, sh_degree: u32, variant: FrameVariant) -> Result<()> {
         self.prepare_scenes(sh_degree, variant, false)?;
         self.prepare_blend(variant)
     }

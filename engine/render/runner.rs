@@ -108,7 +108,7 @@ impl FrameRunner {
         settings.check()?;
         let gaussians = gaussians_with(scene.plan.capacity, frozen_capacity(other_scenes));
         let Self { context, forward, store } = self;
-        forward.prepare_variant(sh_degree, FrameVariant::of(settings, camera, backward))?;
+        forward.prepare(sh_degree, FrameVariant::of(settings, camera, backward))?;
         let scenes = request.scenes();
         let mut retries = 0;
         loop {
@@ -142,7 +142,7 @@ impl FrameRunner {
         settings: &RenderSettings,
     ) -> Result<()> {
         for variant in FrameVariant::of_cameras(settings, cameras, true) {
-            (0..=sh_degree).try_for_each(|degree| self.forward.prepare_variant(degree, variant))?;
+            (0..=sh_degree).try_for_each(|degree| self.forward.prepare(degree, variant))?;
         }
         let gaussians = gaussians_with(capacity, frozen_capacity(frozen));
         self.store.ensure(gaussians, 1 + frozen.len() as u32, &cameras[0], true).map(drop)

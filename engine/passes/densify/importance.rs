@@ -12,9 +12,6 @@ use crate::passes::backward::Backward;
 use crate::passes::pixels::PixelBorder;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// A Gaussian with more tiles has its weights added up by a whole subgroup.
-const LANE_INSTANCES: u32 = 64;
-
 buffer_set! {
     /// Scratch for the importance of one view at a time, for this number of Gaussians and pictures of up to `pixels` pixels.
     pub struct ImportanceBuffers(gaussians: u32, pixels: u64) {}
@@ -61,7 +58,7 @@ impl Importance {
         let mut backward = Backward::new(context);
         // Weights depend on no other property of the frame.
         backward.prepare_weights(FrameVariant { steep: settings.is_steep(), ..FrameVariant::default() })?;
-        let sum = sum_weights::Spec { workgroup_size, subgroup_size, lane_instances: LANE_INSTANCES };
+        let sum = sum_weights::Spec { workgroup_size, subgroup_size, ..sum_weights::Spec::default() };
         let strips = sizes.strips;
         Ok(Self {
             border: PixelBorder::new(context)?,
