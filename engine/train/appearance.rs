@@ -32,8 +32,8 @@ impl Appearance {
     pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let (shares, sparse) = (settings.exposure_shared, settings.exposure_sparsity > 0.0);
         let form = LightForm { center: true, shares, sparse };
-        let exposures = settings.exposure.then(|| Light::exposures(context, form));
-        let lenses = settings.lens_effects.then(|| Light::lenses(context));
+        let exposures = settings.exposure.then(|| Light::new(context, false, form));
+        let lenses = settings.lens_effects.then(|| Light::new(context, true, LightForm::default()));
         Ok(Self(exposures.into_iter().chain(lenses).collect::<Result<_>>()?))
     }
 
@@ -55,7 +55,7 @@ impl Appearance {
             let none = vec![[[0.0; 4]; 3]; own.count()];
             upload(context, &own.first_moments, &none)?;
             upload(context, &own.second_moments, &none)?;
-            memory.0[usize::from(light.is_lens())] = Some(own);
+            memory.0[usize::from(light.is_lens)] = Some(own);
         }
         Ok(memory)
     }
@@ -69,7 +69,7 @@ impl Appearance {
         let own = [(plan.view as u32, &plan.exposure), (run.lenses[plan.view], &plan.lens_step)];
         let mut picture = rendered;
         let part = |(light, buffers): (&'a Light, &'a LightBuffers)| {
-            let (index, step) = own[usize::from(light.is_lens())];
+            let (index, step) = own[usize::from(light.is_lens)];
             let inputs = LightInputs { frame, picture, buffers, index };
             picture = &buffers.picture;
             (light, inputs, step)
