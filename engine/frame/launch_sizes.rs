@@ -109,8 +109,8 @@ impl LaunchSizes {
         let tuning = limits.tuning;
         // Blocks nest in each other and in tiles, so every size is a power of two.
         let size = |folder: &str, constant: &str, usual: u32| {
-            let asked = limits.overridden(folder, constant).unwrap_or(usual).max(1);
-            1 << asked.ilog2()
+            let requested = limits.overridden(folder, constant).unwrap_or(usual).max(1);
+            1 << requested.ilog2()
         };
         let elementwise = limits
             .workgroup_size(size("", "WORKGROUP_SIZE", ELEMENTWISE_WORKGROUP).min(ELEMENTWISE_WORKGROUP));

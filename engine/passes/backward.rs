@@ -214,7 +214,7 @@ impl Backward {
     ///
     /// `image_gradient` has the device's native layout: per pixel dL/d(r, g, b, inverse depth), row by row. Devices that use
     /// [`Strips`] have three planes, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth).
-    /// [`PixelBorder::record_gradient`](crate::passes::pixels::PixelBorder::record_gradient) converts it from rows, which are the same
+    /// [`LayoutConverter::record_gradient`](crate::passes::pixels::LayoutConverter::record_gradient) converts it from rows, which are the same
     /// on all devices. Without inverse depth, the caller may pass `frame.image_gradient`. `form` must have been prepared.
     ///
     /// [`Strips`]: crate::frame::Strips

@@ -61,7 +61,7 @@ pub enum PhotoFormat {
     Float,
 }
 
-/// Inputs and outputs of the loss, in the device's native layout. [`PixelBorder`](crate::passes::pixels::PixelBorder)
+/// Inputs and outputs of the loss, in the device's native layout. [`LayoutConverter`](crate::passes::pixels::LayoutConverter)
 /// converts them to rows and back.
 ///
 /// # Examples

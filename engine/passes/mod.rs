@@ -7,6 +7,7 @@
 //! `requests` returns.
 
 pub mod adam;
+pub(crate) mod appearance;
 pub(crate) mod arguments;
 pub mod arithmetic;
 pub mod backward;
@@ -17,7 +18,6 @@ pub mod densify;
 pub mod filter_3d;
 pub(crate) mod instances;
 pub mod lens;
-pub(crate) mod light;
 pub mod loss;
 pub mod lpips;
 pub mod pixels;

@@ -1,7 +1,7 @@
 //! Pictures, their gradients and photographs in the layout of hosts: row by row, pixel by pixel.
 //!
 //! Blending, the loss and the backward pass exchange them in the device's native layout: by rows on GPUs, in [`Strips`] on
-//! software drivers. [`PixelBorder`] converts between the two.
+//! software drivers. [`LayoutConverter`] converts between the two.
 
 use crate::error::Result;
 use crate::frame::{FrameInputs, LaunchSizes, Strips};
@@ -9,7 +9,7 @@ use crate::kernels::pixels::{gradient_from_rows, photo_to_rows, picture_to_rows}
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Conversions between rows and the device's native layout.
-pub struct PixelBorder {
+pub struct LayoutConverter {
     sizes: LaunchSizes,
     picture: Kernel<picture_to_rows::Interface>,
     /// Without and with adding.
@@ -18,7 +18,7 @@ pub struct PixelBorder {
     photo: [Kernel<photo_to_rows::Interface>; 2],
 }
 
-impl PixelBorder {
+impl LayoutConverter {
     /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());

@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::frame::{FrameVariant, LENS_SUM_BYTES, RenderSettings, SceneBuffers, planes};
 use crate::passes::backward::{BackwardForm, Statistics};
 use crate::passes::lens::LensGradient;
-use crate::passes::pixels::PixelBorder;
+use crate::passes::pixels::LayoutConverter;
 use crate::passes::poses::{GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
 use crate::scene::{Camera, Gaussians, LENS_PARAMETERS};
 use crate::vk::MemoryKind;
@@ -93,7 +93,7 @@ impl Renderer {
         self.backward.prepare(sh_degree, variant, form)?;
         let pose_gradient = with_pose.then(|| PoseGradient::new(&self.context)).transpose()?;
         self.backward.prepare_expand(sh_degree)?;
-        let border = PixelBorder::new(&self.context)?;
+        let border = LayoutConverter::new(&self.context)?;
         let count = u64::from(scene.count);
         let planes = planes::allocate(&self.context, ("gradients", MemoryKind::Device), &scene.plan)?;
         let target = (0..pixels).map(|i| {
@@ -102,7 +102,7 @@ impl Renderer {
         });
         let target: Vec<[f32; 4]> = target.collect();
         let target: &[u8] = bytemuck::cast_slice(&target);
-        let native_bytes = PixelBorder::gradient_bytes(camera.width, camera.height);
+        let native_bytes = LayoutConverter::gradient_bytes(camera.width, camera.height);
         let mut requests = vec![
             ("mean2d_gradients", count * 8),
             ("statistics", count * 8),

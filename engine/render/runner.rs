@@ -68,7 +68,7 @@ pub(crate) struct FrameRun {
 /// Reason why a run failed.
 pub(crate) enum Failed {
     /// The frame exceeds the available memory: its counts, and the error.
-    TooLittleRoom(Box<(State, Error)>),
+    OutOfMemory(Box<(State, Error)>),
     Other(Error),
 }
 
@@ -81,7 +81,7 @@ impl From<Error> for Failed {
 impl Failed {
     pub fn error(self) -> Error {
         match self {
-            Self::TooLittleRoom(why) => why.1,
+            Self::OutOfMemory(why) => why.1,
             Self::Other(error) => error,
         }
     }
@@ -124,7 +124,7 @@ impl FrameRunner {
             // Growing frees its buffers before it allocates larger ones.
             drop(frame);
             let grown = store.grow(&state);
-            if !grown.map_err(|error| Failed::TooLittleRoom(Box::new((state, error))))? {
+            if !grown.map_err(|error| Failed::OutOfMemory(Box::new((state, error))))? {
                 return Ok(FrameRun { state, report, retries });
             }
             retries += 1;

@@ -216,7 +216,7 @@ impl Arguments {
                 let video = self.reader(path, stop).probe()?;
                 let wanted = Wanted { frames: self.frames.map(|frames| frames as usize), every: self.every };
                 let count = wanted.of(&video);
-                if wanted.asked(&video).is_some_and(|asked| asked > count) {
+                if wanted.requested(&video).is_some_and(|requested| requested > count) {
                     tell!("warning: {}: {count} frames are taken, no more are possible", path.display());
                 }
                 if count < LEAST_PHOTOS {

@@ -348,16 +348,16 @@ impl Run {
         let trainer = origin.trainer(context, data, first, &settings.train)?;
         let model = settings.data.model_path.clone();
         let start = origin.start();
-        let goes_on = start.is_some_and(|start| start.is_of(&model));
+        let continues = start.is_some_and(|start| start.is_of(&model));
         let cameras = (&views.cameras[..], &views.frame);
-        let lock = folder::begin(&settings, held, cameras, points.as_ref(), goes_on)?;
+        let lock = folder::begin(&settings, held, cameras, points.as_ref(), continues)?;
         let log = match start {
             None => TrainLog::create(&model.join(LOG_FILE))?,
             Some(_) => TrainLog::go_on(&model.join(LOG_FILE), trainer.iteration())?,
         };
         let mut run = Run::new(context, settings, trainer, (log, lock), views, quiet);
         if let Some(start) = start {
-            if goes_on {
+            if continues {
                 start.keep(&model)?;
             }
             run.gaussians = to_u32(start.checkpoint().gaussians.len() as u64)?;

@@ -296,8 +296,8 @@ impl Hub {
     /// True if any request is waiting, or a film is in progress.
     pub fn is_wanted(&self) -> bool {
         let state = self.lock();
-        let asked = !state.remote.is_empty() || !state.scenes.is_empty();
-        asked || state.has_films() || state.clients.values().any(Client::waits)
+        let requested = !state.remote.is_empty() || !state.scenes.is_empty();
+        requested || state.has_films() || state.clients.values().any(Client::waits)
     }
 
     /// Returns the next task; waits at most this long.

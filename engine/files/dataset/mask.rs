@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::part::cut;
+use super::crop::cut;
 use crate::host_memory::HostMemory;
 use crate::images::{Decoded, Photo, Request, header, read_as, undistort};
 use ashsplat::scene::PhotoLens;

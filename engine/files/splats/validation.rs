@@ -22,7 +22,7 @@ const MAX_LOG_SCALE: f32 = 88.0;
 
 /// Counts the unusable Gaussians of a file, which it removes from the stream, and those with implausible values.
 #[derive(Default)]
-pub(super) struct Doubts {
+pub(super) struct Validation {
     seen: u64,
     /// Number of unusable Gaussians so far.
     pub(super) unusable: u64,
@@ -35,7 +35,7 @@ pub(super) struct Doubts {
     log_sizes: f64,
 }
 
-impl Doubts {
+impl Validation {
     /// Removes the unusable Gaussians of the next block, and counts implausible values of the others. A size of 0
     /// (log-scale -∞) becomes the smallest normal number, a quaternion of zeros the identity, which can be rotated.
     pub(super) fn look_through(&mut self, block: &mut Gaussians) {

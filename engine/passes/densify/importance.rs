@@ -9,13 +9,13 @@ use crate::error::Result;
 use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, RenderSettings, buffer_set};
 use crate::kernels::densify::{add_importance, edge_gradient, edge_response, sum_weights};
 use crate::passes::backward::Backward;
-use crate::passes::pixels::PixelBorder;
+use crate::passes::pixels::LayoutConverter;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 buffer_set! {
     /// Scratch for the importance of one view at a time, for this number of Gaussians and pictures of up to `pixels` pixels.
     pub struct ImportanceBuffers(gaussians: u32, pixels: u64) {}
-    /// Per pixel: the photograph, see [`PixelBorder::record_photo`].
+    /// Per pixel: the photograph, see [`LayoutConverter::record_photo`].
     pub rows as "photo_rows": 4 * pixels;
     /// Per pixel: response of the edge filter, 0 to 255.
     pub responses as "edge_responses": 4 * pixels;
@@ -41,7 +41,7 @@ pub struct EdgePhoto<'a> {
 /// Kernels of the importance.
 pub struct Importance {
     sizes: LaunchSizes,
-    border: PixelBorder,
+    border: LayoutConverter,
     backward: Backward,
     response: Kernel<edge_response::Interface>,
     gradient: Kernel<edge_gradient::Interface>,
@@ -61,7 +61,7 @@ impl Importance {
         let sum = sum_weights::Spec { workgroup_size, subgroup_size, ..sum_weights::Spec::default() };
         let strips = sizes.strips;
         Ok(Self {
-            border: PixelBorder::new(context)?,
+            border: LayoutConverter::new(context)?,
             backward,
             response: Kernel::new(context, &edge_response::Spec { workgroup_size, subgroup_size })?,
             gradient: Kernel::new(context, &edge_gradient::Spec { workgroup_size, strips })?,

@@ -23,19 +23,19 @@ const MATRIX_BYTES: u64 = size_of::<Matrix>() as u64;
 
 /// Form of the optimiser.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct LightForm {
+pub(crate) struct AppearanceForm {
     /// True if each step brings the mean of all matrices back to the identity. Otherwise scene and exposures could drift
     /// against each other.
     pub center: bool,
     /// True if all photographs share the second moments.
     pub shares: bool,
-    /// True if steps have a [`LightStep::sparsity`].
+    /// True if steps have a [`AppearanceStep::sparsity`].
     pub sparse: bool,
 }
 
 /// A step of the optimiser.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct LightStep {
+pub(crate) struct AppearanceStep {
     /// Learning rate.
     pub rate: f64,
     /// Number of steps including this one, counted from 1.
@@ -49,7 +49,7 @@ pub(crate) struct LightStep {
 }
 
 /// Matrices, moments and scratch memory on the device.
-pub(crate) struct LightBuffers {
+pub(crate) struct AppearanceBuffers {
     pub values: Buffer,
     /// Adam's moments, laid out like the matrices.
     pub first_moments: Buffer,
@@ -62,11 +62,11 @@ pub(crate) struct LightBuffers {
     pub means: Buffer,
 }
 
-impl LightBuffers {
-    /// Number of [`Light::requests`].
+impl AppearanceBuffers {
+    /// Number of [`AppearancePass::requests`].
     pub const COUNT: usize = 6;
 
-    /// Assigns the buffers that were allocated for [`Light::requests`].
+    /// Assigns the buffers that were allocated for [`AppearancePass::requests`].
     pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
         let [values, first_moments, second_moments, picture, partials, means] = array_of(buffers);
         Self { values, first_moments, second_moments, picture, partials, means }
@@ -80,18 +80,18 @@ impl LightBuffers {
 
 /// A matrix, and the picture that it changes.
 #[derive(Clone, Copy)]
-pub(crate) struct LightInputs<'a> {
+pub(crate) struct AppearancePassInputs<'a> {
     /// Frame with backward.
     pub frame: &'a FrameInputs<'a>,
     /// Rendered or exposed picture, in the native layout.
     pub picture: &'a Buffer,
-    pub buffers: &'a LightBuffers,
+    pub buffers: &'a AppearanceBuffers,
     /// Index of the matrix.
     pub index: u32,
 }
 
 /// Kernels of exposures, or of lens effects.
-pub(crate) struct Light {
+pub(crate) struct AppearancePass {
     sizes: LaunchSizes,
     /// True for lens effects.
     pub is_lens: bool,
@@ -100,13 +100,13 @@ pub(crate) struct Light {
     step: Kernel<exposure_step::Interface>,
 }
 
-impl Light {
+impl AppearancePass {
     /// Builds the kernels.
-    pub fn new(context: &Context, lens: bool, form: LightForm) -> Result<Self> {
+    pub fn new(context: &Context, lens: bool, form: AppearanceForm) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
         let subgroup_size = context.limits().subgroup_size;
-        let LightForm { center, shares, sparse } = form;
+        let AppearanceForm { center, shares, sparse } = form;
         let backward = expose_backward::Spec { workgroup_size, subgroup_size, strips, lens };
         let step = exposure_step::Spec { workgroup_size, subgroup_size, center, shares, sparse };
         Ok(Self {
@@ -125,7 +125,7 @@ impl Light {
 
     /// Names and bytes of the buffers, for photographs of these sizes (width, height). There is at most one lens per
     /// photograph.
-    pub fn requests(&self, sizes: &[(u32, u32)]) -> [(&'static str, u64); LightBuffers::COUNT] {
+    pub fn requests(&self, sizes: &[(u32, u32)]) -> [(&'static str, u64); AppearanceBuffers::COUNT] {
         let [values, moments_1, moments_2, picture_name, partials, means] = match self.is_lens {
             true => [
                 "lenses",
@@ -157,9 +157,9 @@ impl Light {
         ]
     }
 
-    /// Records the changed picture, into [`LightBuffers::picture`].
-    pub fn record(&self, r: &mut Recorder, inputs: &LightInputs) {
-        let LightInputs { frame, picture: rendered, buffers, index } = *inputs;
+    /// Records the changed picture, into [`AppearanceBuffers::picture`].
+    pub fn record(&self, r: &mut Recorder, inputs: &AppearancePassInputs) {
+        let AppearancePassInputs { frame, picture: rendered, buffers, index } = *inputs;
         let (image_width, image_height) = (frame.camera.width, frame.camera.height);
         let LensPlane { center_px, inverse_square, .. } = LensPlane::of(frame.camera);
         let bind = expose::Bind { rendered, matrices: &buffers.values, exposed: &buffers.picture };
@@ -178,8 +178,8 @@ impl Light {
 
     /// Records the backward pass. It converts `image_gradient`, in the native layout, from that of the changed picture to that
     /// of the picture before. It also writes partial sums of the matrix's gradient.
-    pub fn record_backward(&self, r: &mut Recorder, inputs: &LightInputs, image_gradient: &Buffer) {
-        let LightInputs { frame, picture: rendered, buffers, index } = *inputs;
+    pub fn record_backward(&self, r: &mut Recorder, inputs: &AppearancePassInputs, image_gradient: &Buffer) {
+        let AppearancePassInputs { frame, picture: rendered, buffers, index } = *inputs;
         let LensPlane { center_px, inverse_square, .. } = LensPlane::of(frame.camera);
         let (matrices, partials) = (&buffers.values, &buffers.partials);
         let bind = expose_backward::Bind { rendered, matrices, image_gradient, partials };
@@ -195,10 +195,10 @@ impl Light {
         r.scope(scope, |r| r.dispatch(&self.backward, &bind, &push, TERM_PARTIALS.into()));
     }
 
-    /// Records a step of the optimiser over all matrices. That of `inputs` has the gradient of [`Light::record_backward`]. If
+    /// Records a step of the optimiser over all matrices. That of `inputs` has the gradient of [`AppearancePass::record_backward`]. If
     /// the frame overflowed, nothing changes.
-    pub fn record_step(&self, r: &mut Recorder, inputs: &LightInputs, step: &LightStep) {
-        let LightInputs { frame, buffers, index, .. } = *inputs;
+    pub fn record_step(&self, r: &mut Recorder, inputs: &AppearancePassInputs, step: &AppearanceStep) {
+        let AppearancePassInputs { frame, buffers, index, .. } = *inputs;
         let correction = |beta: f64| 1.0 - beta.powf(step.count as f64);
         let bind = exposure_step::Bind {
             partials: &buffers.partials,
