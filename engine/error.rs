@@ -57,10 +57,10 @@ pub enum Error {
         reason: String,
     },
     /// No device matches `--device`.
-    #[error("no Vulkan device matches '{}'; there are: {}", OneLine(asked), OneLine(available))]
+    #[error("no Vulkan device matches '{}'; there are: {}", OneLine(requested), OneLine(available))]
     UnknownDevice {
         /// Device that was requested.
-        asked: String,
+        requested: String,
         /// Available devices, with indices.
         available: String,
     },

@@ -19,9 +19,9 @@ fn values(trainer: &Trainer) -> Vec<f64> {
     let exposures = trainer.exposures().expect("exposures").into_iter().flat_map(|e| e.rows);
     let lenses = trainer.lens_effects().expect("lens effects").into_iter().flat_map(|e| e.rows);
     let flat = [means.as_flattened(), quats.as_flattened(), log_scales.as_flattened(), &opacity_logits];
-    let light: Vec<f32> = exposures.chain(lenses).flatten().collect();
+    let appearance: Vec<f32> = exposures.chain(lenses).flatten().collect();
     let sh = sh.as_flattened();
-    flat.into_iter().flatten().chain(sh).chain(&light).map(|&x| f64::from(x)).collect()
+    flat.into_iter().flatten().chain(sh).chain(&appearance).map(|&x| f64::from(x)).collect()
 }
 
 /// The parameters after each step from `first` on, and at the end.
@@ -70,7 +70,10 @@ fn averages_go_on_from_checkpoints_to_the_bit() {
     let checkpoint = run(&settings).until(36, &[]);
     let means = checkpoint.means.as_ref().expect("means");
     assert_eq!((means.steps, means.gaussians.len()), (6, checkpoint.gaussians.len()));
-    assert_eq!((means.light.exposures.len(), means.light.lenses.len()), (3, checkpoint.lenses.values.len()));
+    assert_eq!(
+        (means.appearance.exposures.len(), means.appearance.lenses.len()),
+        (3, checkpoint.lenses.values.len())
+    );
     assert!(through_a_file(&checkpoint) == checkpoint);
     let end = run(&settings).end(&[]);
     assert_eq!(end.means, None);

@@ -123,8 +123,7 @@ fn backends_choose_the_lanes_that_blend() {
         let mut limits = device.context.limits().clone();
         (limits.tuning, limits.subgroup_size, limits.heavy_subgroup_size) = (tuning, usual, heavy);
         let sizes = LaunchSizes::new(&limits);
-        assert_eq!(sizes.blend_auxiliary, sizes.blend_backward);
-        [sizes.blend, sizes.blend_backward].map(|shape| [shape.lanes, shape.region_height, shape.tile])
+        [sizes.blend, sizes.blend_heavy].map(|shape| [shape.lanes, shape.region_height, shape.tile])
     };
     assert_eq!(sizes(&Tuning::INTEL, [16, 8]), [[16, 4, 128], [8, 4, 64]]);
     assert_eq!(sizes(&Tuning::INTEL, [16, 16]), [[16, 4, 128], [16, 4, 128]]);
@@ -146,7 +145,7 @@ fn backends_fit_into_the_workgroups_that_are_asked_of_devices() {
             limits.shared_memory_bytes = Requirements::LEAST_SHARED_MEMORY;
             [limits.subgroup_size, limits.heavy_subgroup_size] = [lanes; 2];
             let sizes = LaunchSizes::new(&limits);
-            let tiles = [sizes.blend, sizes.blend_auxiliary, sizes.blend_backward].map(|shape| shape.tile);
+            let tiles = [sizes.blend, sizes.blend_heavy].map(|shape| shape.tile);
             assert!(tiles.iter().all(|tile| *tile <= least), "{:?}, {lanes}: {tiles:?}", tuning.backend);
             let sort = sort_downsweep::Spec {
                 workgroup_size: sizes.sort_workgroup,

@@ -110,7 +110,7 @@ impl Training {
             context,
         };
         let variant = FrameVariant { inverse_depth: true, backward: true, ..FrameVariant::default() };
-        training.forward.prepare_variant(SH_DEGREE, variant).expect("kernels");
+        training.forward.prepare(SH_DEGREE, variant).expect("kernels");
         training.backward.prepare(SH_DEGREE, variant, BackwardForm::default()).expect("kernels");
         training.backward.prepare_expand(SH_DEGREE, variant).expect("kernels");
         training.optimizer.prepare(SH_DEGREE, variant).expect("kernels");

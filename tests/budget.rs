@@ -259,7 +259,7 @@ fn the_reference_strategy_takes_other_statistics_and_splits() {
 
 /// Earlier versions called the reference's strategy `default`.
 #[test]
-fn checkpoints_of_the_strategy_default_go_on() {
+fn checkpoints_of_the_strategy_default_resume() {
     let run = run(&crate::common::training::settings());
     let mut first = run.begin();
     first.steps(12);

@@ -61,8 +61,8 @@ pub fn decisions(gaussians: &[Gaussian], view: &View) -> Vec<(u32, u32)> {
     render(gaussians, view).pixels.iter().map(|p| (p.blended, p.last)).collect()
 }
 
-/// Compares derivatives of a value by numbers with central differences. `at` returns the value with one number moved,
-/// and decisions that must stay the same for a derivative to exist. Returns the number compared.
+/// Compares derivatives of a value with respect to some numbers with central differences. `at` returns the value with one
+/// number moved, and decisions that must stay the same for a derivative to exist. Returns how many were compared.
 pub fn compare_with_differences<T: PartialEq>(
     what: &str,
     derivatives: &[f64],

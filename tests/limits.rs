@@ -323,7 +323,7 @@ fn memory_budget_stops_growth_not_training() {
     let gpu = Gpu::new();
     let (free, grown, _) = train(gpu.context);
     assert!(free.iter().all(|d| !d.limited) && grown > 9000, "{free:?}, {grown}");
-    // Memory for the sets of 6000 Gaussians, half as many again, and the frame; not for twice the sets.
+    // Memory for the old set of 6000 Gaussians, a new one of 9000 and the frame; less than two sets of 9000.
     let sets = 9000 * (4 * 240 + 8);
     let context = bounded(Some(sets * 9 / 5));
     let (limited, kept, peak) = train(&context);

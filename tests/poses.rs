@@ -131,8 +131,8 @@ fn poses_agree_with_differences_of_pictures() {
     let gpu = Gpu::new();
     let view = small_view([160, 120]);
     let mut scene: Gaussians = gaussians(&small_scene(&mut Random::new(21), 12, 16));
-    // Edges at 1/255 move as well, so Gaussians are opaque. Their depths are apart, because pictures jump when the
-    // order changes.
+    // A Gaussian's edge at alpha 1/255 also moves. Opaque Gaussians make its effect small. Their depths are far apart, because
+    // the picture jumps when their order changes.
     scene.opacity_logits.iter_mut().for_each(|logit| *logit = logit.max(3.0));
     scene.means.iter_mut().zip(0..).for_each(|(mean, i)| *mean = [mean[0], mean[1], 0.3 * i as f32 - 1.8]);
     let mut renderer = renderer();

@@ -30,7 +30,7 @@ fn assert_trained(end: &Value, model: &Path) {
 }
 
 #[test]
-fn bench_quality_measures_what_training_gives_and_goes_on() {
+fn bench_quality_measures_what_training_gives_and_continues() {
     let (folder, data, out) = folders();
     let model = folder.path().join("model");
     let names = strategies();
@@ -171,7 +171,7 @@ fn bench_quality_keeps_what_is_over_when_stopped() {
 }
 
 #[test]
-fn bench_suite_trains_scenes_by_recipes_and_goes_on() {
+fn bench_suite_trains_scenes_by_recipes_and_continues() {
     let (folder, data, out) = folders();
     let file = folder.path().join("suite.toml");
     let suite = r#"

@@ -1,4 +1,5 @@
-//! Data-driven tests: one named trial for each set of golden vectors, each malformed file, each real data set, each program of other people (those of npm only where `ASHSPLAT_NPM` is set); and what needs a control group.
+//! Data-driven tests: one named trial for each set of golden vectors, each malformed file, each real data set, each program of
+//! other people (those of npm only where `ASHSPLAT_NPM` is set); and what needs a control group.
 //!
 //! The data lie in `$ASHSPLAT_SHARED`, by default `../shared` beside the repository, but for a small part of the golden vectors in
 //! tests/golden/sets. Without them, one ignored trial per kind says so; with `ASHSPLAT_REQUIRE_SHARED=1` it fails.

@@ -133,7 +133,7 @@ fn sort_of_keys_of_few_bits() {
 fn sort_in_a_narrow_grid() {
     let limits = LimitsOverride { max_workgroups_per_axis: Some(5), ..LimitsOverride::default() };
     let gpu = Gpu::with(&ContextOptions { limits_override: Some(limits), ..options() });
-    // One dispatch scans the histogram, a row per digit: on wide blocks more workgroups than 5 × 5.
+    // The histogram scan has one workgroup per digit: with wide blocks more than the 25 of a 5 × 5 grid.
     for sort in sorts(&gpu) {
         let mut random = Random::new(4);
         let keys: Vec<u32> = (0..23 * sort.block()).map(|_| random.below(8)).collect();

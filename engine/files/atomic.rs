@@ -78,7 +78,7 @@ impl Unfinished {
         let Self { file, named, target } = self;
         file.as_file().sync_all().writing(&named)?;
         file.persist(&target).map_err(|e| e.error).writing(&named)?;
-        // The rename reaches the disk with the folder. If folders cannot be synchronised, it is only late.
+        // The rename reaches the disk with the folder. Where folders cannot be synchronised, it reaches the disk later.
         let _ = File::open(folder_of(&target)).and_then(|f| f.sync_all());
         Ok(())
     }

@@ -16,7 +16,7 @@ use crate::{atomic, cost, regular_file};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Fingerprint, Gaussians, WorldFrame};
 use ashsplat::train::checkpoint::{
-    Capacities, Checkpoint, ExposureState, LightMeans, MeanState, PoseState, StrategyState,
+    AppearanceMeans, Capacities, Checkpoint, ExposureState, MeanState, PoseState, StrategyState,
     StrategyStatistic, Tensor,
 };
 use ashsplat::train::strategy::Actions;
@@ -238,7 +238,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             Some(steps) => Some(MeanState {
                 steps,
                 gaussians: gaussians(&tensors, Checkpoint::MEANS)?,
-                light: light_means(&tensors)?,
+                appearance: appearance_means(&tensors)?,
             }),
         },
         exposures: light_state(&tensors, Checkpoint::EXPOSURES)?,
@@ -426,9 +426,9 @@ fn light_state(tensors: &SafeTensors, own: &str) -> Result<ExposureState, String
     })
 }
 
-fn light_means(tensors: &SafeTensors) -> Result<LightMeans, String> {
+fn appearance_means(tensors: &SafeTensors) -> Result<AppearanceMeans, String> {
     let of = |own| matrices(tensors, Checkpoint::MEANS, own);
-    Ok(LightMeans { exposures: of(Checkpoint::EXPOSURES)?, lenses: of(Checkpoint::LENSES)? })
+    Ok(AppearanceMeans { exposures: of(Checkpoint::EXPOSURES)?, lenses: of(Checkpoint::LENSES)? })
 }
 
 fn matrices(tensors: &SafeTensors, prefix: &str, own: &str) -> Result<Vec<[[f32; 4]; 3]>, String> {

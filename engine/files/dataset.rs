@@ -1,6 +1,7 @@
 //! A data set to train on: photographs with their cameras, and initial points.
 
 mod companions;
+mod crop;
 mod depths;
 mod exposures;
 mod gallery;
@@ -9,7 +10,6 @@ mod level;
 mod mask;
 mod notes;
 mod options;
-mod part;
 mod photos;
 mod plan;
 mod planned_view;

@@ -13,7 +13,7 @@ use ashsplat::{Error, Result};
 /// Name of the file with the parameters, beside a COLMAP model.
 pub const DEPTH_PARAMS_FILE: &str = "depth_params.json";
 
-/// A fit needs more points than these.
+/// A fit needs more than this many points.
 const FEWEST: usize = 10;
 /// Least range of the points' inverse depths, 1 / world units.
 const LEAST_RANGE: f64 = 1e-3;
@@ -40,7 +40,7 @@ pub struct DepthPoint {
 
 impl DepthFit {
     /// Fits a map to its photo's points: medians and mean absolute deviations agree. `camera_size`: of the photo's camera.
-    /// Returns true with it if the map falls where points come nearer: it holds depths then.
+    /// The flag is true if the map's values fall as points come nearer: it then holds depths.
     pub fn of(map: &DepthMap, camera_size: (u32, u32), points: &[DepthPoint]) -> (Self, bool) {
         let ratio = f64::from(map.height) / f64::from(camera_size.1.max(1));
         let ends = [camera_size.0, camera_size.1].map(|side| f64::from(side) * ratio);

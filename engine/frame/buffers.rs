@@ -1,6 +1,6 @@
 //! Buffers of a frame: their contents, their bytes, and which are reused for other contents within a frame.
 
-use super::{FrameCapacity, GaussianRange, LaunchSizes, PictureCapacity, blocks, tile_bits, tile_grid};
+use super::{FrameCapacity, LaunchSizes, PictureCapacity, blocks, tile_bits, tile_grid};
 use crate::error::{Error, Result};
 use crate::kernels::blocks::CameraBlock;
 use crate::kernels::constants::{
@@ -225,8 +225,8 @@ contents! {
     /// projection to duplication.
     tile_lists: tile_lists;
     /// Per subgroup of visible Gaussians, indexed as subgroups of all Gaussians: sums of dL/dν and dL/dω of the camera's
-    /// pose, two vec3. Behind them, from [`first_lens_sum`] on, per culling block of visible Gaussians: sums of the gradient of the lens. Valid
-    /// from the backward projection on, if it writes them.
+    /// pose, two vec3. Behind them, from [`first_lens_sum`] on, per culling block of visible Gaussians: sums of the gradient of the
+    /// lens. Valid from the backward projection on, if it writes them.
     pose_sums: tile_lists;
     /// Per depth rank: first word of the Gaussian's list of tiles. Valid from counting to duplication; the sorted depths
     /// are not needed then.
@@ -248,10 +248,10 @@ impl FrameBuffers {
         self.arguments.range(u64::from(index) * 16, 12)
     }
 
-    /// Indirect arguments of a dispatch over the visible Gaussians of one parameter range. Their index in `visible_ranges` is
-    /// that of the range's first culling block.
-    pub(crate) fn range_arguments(&self, sizes: &LaunchSizes, range: GaussianRange) -> Buffer {
-        self.visible_ranges.range(32 * u64::from(range.first / sizes.elementwise_workgroup), 12)
+    /// Indirect arguments of a dispatch over the visible Gaussians of one parameter range, by the frame's index of its first
+    /// Gaussian. Their index in `visible_ranges` is that of the range's first culling block.
+    pub(crate) fn range_arguments(&self, sizes: &LaunchSizes, first_in_frame: u32) -> Buffer {
+        self.visible_ranges.range(32 * u64::from(first_in_frame / sizes.elementwise_workgroup), 12)
     }
 
     /// Keys of the depth sort, alternately read and written. Valid until its end.

@@ -169,7 +169,7 @@ impl<'a> FrameInputs<'a> {
             let now = SceneView { camera: placed.camera, scale: placed.scale };
             let previous = placed.previous.map_or(now, |previous| previous.view());
             placed.scene.plan.ranges(placed.drawn()).map(move |range| {
-                let first = placed.first + range.first;
+                let first_in_frame = placed.first + range.first;
                 let is_last = range.first + range.count == placed.drawn();
                 Part {
                     scene: placed.scene,
@@ -177,9 +177,11 @@ impl<'a> FrameInputs<'a> {
                     sh_degree: placed.sh_degree,
                     settings: placed.settings,
                     first_cut_out: placed.first_cut_out,
-                    first_of_scene: range.first,
-                    range: GaussianRange { first, ..range },
-                    flags: if is_last { next - first } else { range.count },
+                    chunk: range.chunk,
+                    first_in_scene: range.first,
+                    first_in_frame,
+                    count: range.count,
+                    flags: if is_last { next - first_in_frame } else { range.count },
                     previous,
                 }
             })
@@ -318,11 +320,14 @@ pub(crate) struct Part<'a> {
     pub settings: &'a SceneSettings<'a>,
     /// Index of the scene's first cut-out in the frame.
     pub first_cut_out: u32,
-    /// First Gaussian of the range in its scene.
-    pub first_of_scene: u32,
-    /// Range of Gaussians in the frame, counted over all scenes.
-    pub range: GaussianRange,
-    /// Number of the frame's indices for the range, including the gap before the next scene.
+    /// Index of the scene's buffer with the parameters.
+    pub chunk: usize,
+    /// Index of the first Gaussian in the scene.
+    pub first_in_scene: u32,
+    /// Index of the first Gaussian in the frame, counted over all scenes.
+    pub first_in_frame: u32,
+    pub count: u32,
+    /// Number of the frame's indices for the part, including the gap before the next scene.
     pub flags: u32,
     /// View of the scene in the previous frame.
     pub previous: SceneView,

@@ -61,10 +61,8 @@ pub struct LaunchSizes {
     pub duplicate_items: u32,
     /// Regions of forward blending.
     pub blend: BlendShape,
-    /// Regions of blending that also writes picks or motions.
-    pub blend_auxiliary: BlendShape,
-    /// Regions of backward blending.
-    pub blend_backward: BlendShape,
+    /// Regions of backward blending, and of blending that also writes picks or motions.
+    pub blend_heavy: BlendShape,
     /// Regions of a tile per subgroup in forward blending.
     pub regions_per_subgroup: u32,
     /// True if one subgroup blends all regions of a tile in the backward pass.
@@ -111,8 +109,8 @@ impl LaunchSizes {
         let tuning = limits.tuning;
         // Blocks nest in each other and in tiles, so every size is a power of two.
         let size = |folder: &str, constant: &str, usual: u32| {
-            let asked = limits.overridden(folder, constant).unwrap_or(usual).max(1);
-            1 << asked.ilog2()
+            let requested = limits.overridden(folder, constant).unwrap_or(usual).max(1);
+            1 << requested.ilog2()
         };
         let elementwise = limits
             .workgroup_size(size("", "WORKGROUP_SIZE", ELEMENTWISE_WORKGROUP).min(ELEMENTWISE_WORKGROUP));
@@ -126,7 +124,7 @@ impl LaunchSizes {
         let scan_workgroup =
             limits.workgroup_size(size("scan", "WORKGROUP_SIZE", invocations(tuning.scan_workgroup)));
         let blend = BlendShape::new(tuning, limits.subgroup_size);
-        let heaviest = match tuning.heavy_blending {
+        let blend_heavy = match tuning.heavy_blending {
             true => BlendShape::new(tuning, limits.heavy_subgroup_size),
             false => blend,
         };
@@ -147,8 +145,7 @@ impl LaunchSizes {
             scan: scan_workgroup * scan_items,
             duplicate_items: tuning.duplicate_items,
             blend,
-            blend_auxiliary: heaviest,
-            blend_backward: heaviest,
+            blend_heavy,
             regions_per_subgroup,
             blend_backward_subgroup_per_tile: whole_tiles,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.

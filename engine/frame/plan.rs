@@ -138,7 +138,8 @@ pub struct FrameCapacity {
     pub pictures: PictureCapacity,
     /// Passes of blending. Each handles [`LaunchSizes::entries_per_pass`] entries of a tile.
     pub blend_passes: u32,
-    /// True if the frame has the buffers of the backward pass.
+    /// True if the frame has the buffers of the backward pass. Every frame in these buffers then keeps instance indices through
+    /// the tile sort, also one without a backward pass.
     pub backward: bool,
     /// True if these include the absolute gradients of the 2D means.
     pub absolute: bool,

@@ -97,9 +97,8 @@ impl Optimizer {
         }
     }
 
-    /// Records one step from `frame.gradients`, and from `parameter_gradients`
-    /// ([`TermInputs`](crate::passes::loss::TermInputs)) with [`OptimizerForm::parameter_gradients`]. The caller
-    /// places barriers before and after.
+    /// Records one step from `frame.gradients`, and from `parameter_gradients` ([`TermInputs`](crate::passes::loss::TermInputs))
+    /// with [`OptimizerForm::parameter_gradients`].
     pub fn record(
         &self,
         r: &mut Recorder,
@@ -199,7 +198,7 @@ impl Averaging {
     }
 
     /// Records the step for a scene's parameters. `means` have the same layout, one buffer per chunk. If `state` has an
-    /// overflow, nothing changes. The caller places barriers before and after.
+    /// overflow, nothing changes.
     pub fn record_scene(
         &self,
         r: &mut Recorder,

@@ -14,7 +14,7 @@ pub(crate) struct Counted {
     /// Index of the first of three arguments (ARGUMENTS_*): elementwise, of the sort, of the caller (scan or duplicate).
     pub first_argument: u32,
     /// Elements per workgroup of the caller's dispatch.
-    pub third_block: u32,
+    pub caller_block: u32,
 }
 
 /// Kernel that writes indirect arguments.
@@ -35,14 +35,14 @@ impl IndirectArguments {
     }
 
     pub fn record(&self, r: &mut Recorder, f: &FrameBuffers, counted: Counted) {
-        let Counted { count: count_index, capacity, first_argument, third_block: block_third } = counted;
+        let Counted { count: count_index, capacity, first_argument, caller_block } = counted;
         let push = write_indirect_args::Push {
             count_index,
             capacity,
             first_argument,
             block_elementwise: self.sizes.elementwise_workgroup,
             block_sort: self.sizes.sort,
-            block_third,
+            caller_block,
             max_workgroups_per_axis: self.max_workgroups_per_axis,
         };
         let bind = write_indirect_args::Bind { state: &f.state, arguments: &f.arguments };

@@ -15,9 +15,6 @@ use crate::kernels::backward::{
 use crate::passes::blend::record_passes;
 use crate::vk::{Buffer, Context, KernelSet, Recorder};
 
-/// A Gaussian with more tiles has its instances added up by a whole subgroup.
-const LANE_INSTANCES: u32 = 64;
-
 /// The kernels of the backward pass.
 pub struct Backward {
     context: Context,
@@ -146,7 +143,7 @@ impl Backward {
     }
 
     fn blend_regions_spec(&self, sums: Sums, variant: FrameVariant) -> blend_backward::Spec {
-        let BlendShape { lanes: subgroup_size, region_height, tile } = self.sizes.blend_backward;
+        let BlendShape { lanes: subgroup_size, region_height, tile } = self.sizes.blend_heavy;
         blend_backward::Spec {
             workgroup_size: tile,
             subgroup_size,
@@ -163,7 +160,7 @@ impl Backward {
     }
 
     fn blend_tiles_spec(&self, sums: Sums, variant: FrameVariant) -> blend_backward_subgroup_per_tile::Spec {
-        let subgroup_size = self.sizes.blend_backward.lanes;
+        let subgroup_size = self.sizes.blend_heavy.lanes;
         blend_backward_subgroup_per_tile::Spec {
             workgroup_size: subgroup_size,
             subgroup_size,
@@ -189,7 +186,6 @@ impl Backward {
             workgroup_size: self.sizes.elementwise_workgroup,
             subgroup_size: self.context.limits().heavy_subgroup_size,
             sh_degree,
-            lane_instances: LANE_INSTANCES,
             filter_3d,
             own_dilation,
             dropout,
@@ -201,6 +197,7 @@ impl Backward {
             lenses: variant.has_lens(),
             sh_loops: self.sizes.sh_loops,
             shutter,
+            ..project_backward::Spec::default()
         }
     }
 
@@ -215,12 +212,11 @@ impl Backward {
         expand_gradients::Spec { workgroup_size, sh_degree, sh_loops, projection, lenses }
     }
 
-    /// Records the backward pass of the frame in the same buffers, from `image_gradient` to `frame.gradients`. The caller
-    /// places a barrier before; it ends without one.
+    /// Records the backward pass of the frame in the same buffers, from `image_gradient` to `frame.gradients`.
     ///
     /// `image_gradient` has the device's native layout: per pixel dL/d(r, g, b, inverse depth), row by row. Devices that use
     /// [`Strips`] have three planes, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth).
-    /// [`PixelBorder::record_gradient`](crate::passes::pixels::PixelBorder::record_gradient) converts it from rows, which are the same
+    /// [`LayoutConverter::record_gradient`](crate::passes::pixels::LayoutConverter::record_gradient) converts it from rows, which are the same
     /// on all devices. Without inverse depth, the caller may pass `frame.image_gradient`. `form` must have been prepared.
     ///
     /// [`Strips`]: crate::frame::Strips
@@ -234,7 +230,7 @@ impl Backward {
     ) {
         if form.lens {
             // Blocks without a visible Gaussian write no sum.
-            let first = 12 * u64::from(first_lens_sum(&inputs.capacity));
+            let first = 12 * u64::from(first_lens_sum(inputs.capacity));
             let blocks = self.sizes.groups(inputs.scene().count);
             r.fill(&inputs.frame.pose_sums().range(first, blocks * LENS_SUM_BYTES), 0);
         }
@@ -250,8 +246,7 @@ impl Backward {
 
     /// Records the weights of the Gaussians in the frame of the same buffers. A weight is the sum over the tile's pixels of e α
     /// T, with `image_gradient` = (e, …) per pixel in the native layout. It becomes the first word of each entry of
-    /// `frame.instance_gradients_c`, per instance before the tile sort. The frame must be without inverse depth. The caller
-    /// places a barrier before; it ends without one.
+    /// `frame.instance_gradients_c`, per instance before the tile sort. The frame must be without inverse depth.
     pub fn record_weights(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
         r.scope("blend weights", |r| self.record_blend(r, inputs, image_gradient, Sums::Weights));
     }
@@ -295,7 +290,7 @@ impl Backward {
                 splat_stride: f.splats().stride,
                 gradient_stride: inputs.capacity.visible,
                 accumulate: statistics.accumulate.into(),
-                first_lens_sum: first_lens_sum(&inputs.capacity),
+                first_lens_sum: first_lens_sum(inputs.capacity),
                 shutter_turn,
                 shutter_shift,
                 shutter_rows,
@@ -320,12 +315,12 @@ impl Backward {
                 pose_sums: f.pose_sums(),
                 camera_block: &f.camera_block(0),
             };
-            r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, range));
+            r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, range.first));
         });
     }
 
     /// Records the conversion of `frame.gradients` to gradients of all parameters of all Gaussians, in the layout of the
-    /// scene's planes, and of the 2D means in pixels. The caller places barriers before and after.
+    /// scene's planes, and of the 2D means in pixels.
     pub fn record_expand_gradients(
         &self,
         r: &mut Recorder,

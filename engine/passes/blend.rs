@@ -115,7 +115,7 @@ impl Blend {
             (Blending::Regions, false) => BlendKey::Regions(regions!(blend, sizes.blend)),
             (Blending::SharedMemory, false) => BlendKey::Shared(shared!(blend_shared)),
             (Blending::Regions, true) => {
-                BlendKey::RegionsAuxiliary(regions!(blend_auxiliary, sizes.blend_auxiliary, pick, motion))
+                BlendKey::RegionsAuxiliary(regions!(blend_auxiliary, sizes.blend_heavy, pick, motion))
             }
             (Blending::SharedMemory, true) => {
                 BlendKey::SharedAuxiliary(shared!(blend_shared_auxiliary, pick, motion))
@@ -165,8 +165,8 @@ impl Blend {
 }
 
 /// Records the blending of all tiles, forward or backward. Each dispatch takes a range of instances, to
-/// bound its work; within a range, very long tiles take several passes. `dispatch` receives the push constants of blend_io.glsl, which the kernels share, and
-/// the number of tiles.
+/// bound its work; within a range, very long tiles take several passes. `dispatch` receives the push constants of blend_io.glsl,
+/// which the kernels share, and the number of tiles.
 pub(crate) fn record_passes(
     r: &mut Recorder,
     inputs: &FrameInputs,

@@ -244,8 +244,8 @@ impl Compose {
     }
 
     /// Records the mean motion sum(w m) / sum(w), px, of a frame that was blended with motion, into an image of
-    /// [`MOTION_FORMAT`](crate::vk::MOTION_FORMAT) that is ready for kernels. Pixels with a sum of weights below `min_weight` receive `empty`,
-    /// or stay without it.
+    /// [`MOTION_FORMAT`](crate::vk::MOTION_FORMAT) that is ready for kernels. Pixels with a sum of weights below `min_weight`
+    /// receive `empty`, or stay without it.
     pub fn record_motion(
         &self,
         r: &mut Recorder,

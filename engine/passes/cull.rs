@@ -1,9 +1,10 @@
-//! Culling: flags the visible Gaussians of all scenes and compacts them, in their order.
+//! Culling: flags the visible Gaussians of all scenes and compacts them, in their order. It runs the same projection as
+//! [`Project`](super::project::Project), for the visibility only.
 
 use super::arguments::{Counted, IndirectArguments};
 use super::scan::Scan;
 use crate::error::Result;
-use crate::frame::{FrameInputs, FrameVariant, GaussianRange, LaunchSizes, PlacedScene, blocks};
+use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, PlacedScene, blocks};
 use crate::kernels::constants as c;
 use crate::kernels::forward::{compact, cull, cull_scenes, write_visible_ranges};
 use crate::vk::{Context, Kernel, KernelSet, Recorder};
@@ -51,16 +52,8 @@ impl Cull {
     }
 
     fn spec(&self, variant: FrameVariant) -> cull::Spec {
-        let FrameVariant {
-            filter_3d,
-            dropout,
-            tinted,
-            cut_outs,
-            projection,
-            shutter,
-            shared_order: adds,
-            ..
-        } = variant;
+        let FrameVariant { filter_3d, dropout, tinted, cut_outs, projection, shutter, shared_order, .. } =
+            variant;
         let (workgroup_size, subgroup_size) = (self.sizes.elementwise_workgroup, self.subgroup_size);
         cull::Spec {
             workgroup_size,
@@ -71,14 +64,13 @@ impl Cull {
             cut_outs,
             projection: projection as u32,
             lenses: variant.has_lens(),
-            adds,
+            shared_order,
             shutter,
         }
     }
 
     fn batch_spec(&self, variant: FrameVariant) -> cull_scenes::Spec {
-        let FrameVariant { filter_3d, tinted, cut_outs, projection, shutter, shared_order: adds, .. } =
-            variant;
+        let FrameVariant { filter_3d, tinted, cut_outs, projection, shutter, shared_order, .. } = variant;
         let (workgroup_size, subgroup_size) = (self.sizes.elementwise_workgroup, self.subgroup_size);
         cull_scenes::Spec {
             workgroup_size,
@@ -88,13 +80,13 @@ impl Cull {
             cut_outs,
             projection: projection as u32,
             lenses: variant.has_lens(),
-            adds,
+            shared_order,
             shutter,
         }
     }
 
     /// Records the flags of a view's visible Gaussians. With a shared order, each view after the first adds its visible
-    /// Gaussians to those of earlier views.
+    /// Gaussians to those of earlier views. A barrier precedes each dispatch, also the first.
     pub fn record_flags(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let [extent, antialias] = inputs.settings.modes();
@@ -107,10 +99,9 @@ impl Cull {
         for part in inputs.parts() {
             let variant = of_frame.of_scene(part.settings);
             let Some(kernel) = self.scene.get(r, &self.spec(variant)) else { return };
-            let GaussianRange { chunk, first, count } = part.range;
             let push = cull::Push {
-                first,
-                count,
+                first: part.first_in_frame,
+                count: part.count,
                 chunk_gaussians: part.scene.plan.chunk_gaussians,
                 extent,
                 antialias,
@@ -122,17 +113,16 @@ impl Cull {
                 shutter_rows,
             };
             let bind = cull::Bind {
-                parameters: &part.scene.chunks[chunk],
+                parameters: &part.scene.chunks[part.chunk],
                 visible_flags: &f.visible_flags,
                 block_counts: f.visible_counts(),
                 // Without cut-outs the kernel does not read this binding. With cut-outs, `record` has checked the buffer.
-                cut_outs: inputs.cut_outs.unwrap_or(&part.scene.chunks[chunk]),
+                cut_outs: inputs.cut_outs.unwrap_or(&part.scene.chunks[part.chunk]),
                 camera_block: &f.camera_block(part.block),
             };
             r.barrier();
             r.dispatch(kernel, &bind, &push, self.sizes.groups(part.flags));
         }
-        r.barrier();
     }
 
     /// Records the flags of the batch whose first scene is at `place`.
@@ -202,7 +192,7 @@ impl Cull {
             count: c::STATE_VISIBLE_NEEDED,
             capacity: inputs.capacity.visible,
             first_argument: c::ARGUMENTS_VISIBLE,
-            third_block: self.sizes.scan,
+            caller_block: self.sizes.scan,
         };
         arguments.record(r, f, counted);
         r.barrier();
@@ -223,6 +213,5 @@ impl Cull {
             },
             blocks(scenes.into(), block.into()),
         );
-        r.barrier();
     }
 }

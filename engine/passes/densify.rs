@@ -371,8 +371,7 @@ impl MaskOutside {
     }
 
     /// Records the mask, which sets the sums of Gaussians with means outside the box below every threshold. The sums lie in
-    /// `statistics` (vec2 per Gaussian: sum of norms, number of views) and in `absolute` (f32 per Gaussian). Ends without a
-    /// barrier.
+    /// `statistics` (vec2 per Gaussian: sum of norms, number of views) and in `absolute` (f32 per Gaussian).
     ///
     /// # Panics
     /// If the absolute statistic is missing although the kernel was built for it.

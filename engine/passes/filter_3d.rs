@@ -72,8 +72,7 @@ impl Filter3d {
         Self { poses, ..self }
     }
 
-    /// Records the computation of all sizes of a scene. The caller places barriers before and after. If `state[STATE_OVERFLOW]`
-    /// is set, nothing changes.
+    /// Records the computation of all sizes of a scene. If `state[STATE_OVERFLOW]` is set, nothing changes.
     pub fn record(&self, r: &mut Recorder, scene: &SceneBuffers, state: &Buffer) {
         r.scope("3D filter", |r| {
             r.fill(&self.farthest, 0);

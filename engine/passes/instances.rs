@@ -73,7 +73,6 @@ impl Instances {
         };
         let at = f.arguments_at(c::ARGUMENTS_VISIBLE_SORT);
         self.sort.record(r, &buffers, Values::Positions, u32::BITS, Workgroups::Indirect(&at));
-        r.barrier();
     }
 
     /// Records the tile counts of the visible Gaussians in depth order, their prefix sums, and the number of instances. The
@@ -112,10 +111,9 @@ impl Instances {
             count: c::STATE_INSTANCES_NEEDED,
             capacity: inputs.capacity.instances,
             first_argument: c::ARGUMENTS_INSTANCES,
-            third_block: self.sizes.elementwise_workgroup * self.sizes.duplicate_items,
+            caller_block: self.sizes.elementwise_workgroup * self.sizes.duplicate_items,
         };
         arguments.record(r, f, counted);
-        r.barrier();
     }
 
     /// Records duplicate_with_tiles: one (tile, Gaussian) instance per touched tile.
@@ -148,7 +146,6 @@ impl Instances {
         let spec = self.duplicate_spec(for_backward, inputs.camera.projection);
         let Some(kernel) = self.duplicate.get(r, &spec) else { return };
         r.dispatch_indirect(kernel, &bind, &push, &f.arguments_at(c::ARGUMENTS_INSTANCES_EXPAND));
-        r.barrier();
     }
 
     /// Records the sort of the instances by tile. It is stable, so each tile keeps the depth order. The values are the instance
@@ -169,7 +166,6 @@ impl Instances {
         let values = if inputs.capacity.backward { Values::Positions } else { Values::Given };
         let side = self.sort.record(r, &buffers, values, bits, Workgroups::Indirect(&at));
         assert_eq!(side, sorted_side(&self.sizes, inputs.camera), "FrameBuffers::sorted_tiles is elsewhere");
-        r.barrier();
     }
 
     /// Records the begin and end of each tile's instances.
@@ -185,6 +181,5 @@ impl Instances {
         };
         let kernel = &self.ranges[usize::from(inputs.capacity.backward)];
         r.dispatch_indirect(kernel, &bind, &ranges::Push {}, &f.arguments_at(c::ARGUMENTS_INSTANCES));
-        r.barrier();
     }
 }

@@ -61,7 +61,7 @@ pub enum PhotoFormat {
     Float,
 }
 
-/// Inputs and outputs of the loss, in the device's native layout. [`PixelBorder`](crate::passes::pixels::PixelBorder)
+/// Inputs and outputs of the loss, in the device's native layout. [`LayoutConverter`](crate::passes::pixels::LayoutConverter)
 /// converts them to rows and back.
 ///
 /// # Examples
@@ -210,7 +210,7 @@ impl Loss {
         requests
     }
 
-    /// Records loss and gradient. The caller places barriers before and after.
+    /// Records loss and gradient.
     ///
     /// # Panics
     /// If there are fewer scratch buffers than [`Loss::scratch_requests`] returns.
@@ -370,8 +370,7 @@ impl Loss {
 /// Bytes of a texel of planes in strips.
 const TEXEL_BYTES: u64 = 16;
 
-/// Device bytes of a photograph with 8 bits per channel; `masked`: for
-/// [`PhotoFormat::MaskedRgba8`](PhotoFormat).
+/// Device bytes of a photograph with 8 bits per channel. `masked` is true for [`PhotoFormat::MaskedRgba8`].
 pub fn photo_bytes(windowing: Windowing, width: u32, height: u32, masked: bool) -> u64 {
     match windowing {
         Windowing::Blocks => 4 * u64::from(width) * u64::from(height),

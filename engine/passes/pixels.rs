@@ -1,7 +1,7 @@
 //! Pictures, their gradients and photographs in the layout of hosts: row by row, pixel by pixel.
 //!
 //! Blending, the loss and the backward pass exchange them in the device's native layout: by rows on GPUs, in [`Strips`] on
-//! software drivers. [`PixelBorder`] converts between the two.
+//! software drivers. [`LayoutConverter`] converts between the two.
 
 use crate::error::Result;
 use crate::frame::{FrameInputs, LaunchSizes, Strips};
@@ -9,7 +9,7 @@ use crate::kernels::pixels::{gradient_from_rows, photo_to_rows, picture_to_rows}
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Conversions between rows and the device's native layout.
-pub struct PixelBorder {
+pub struct LayoutConverter {
     sizes: LaunchSizes,
     picture: Kernel<picture_to_rows::Interface>,
     /// Without and with adding.
@@ -18,7 +18,7 @@ pub struct PixelBorder {
     photo: [Kernel<photo_to_rows::Interface>; 2],
 }
 
-impl PixelBorder {
+impl LayoutConverter {
     /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
@@ -40,7 +40,7 @@ impl PixelBorder {
     }
 
     /// Records the conversion of a frame's picture: `rows` receives (r, g, b, 0) per pixel, composited on the background. The
-    /// frame must have backward. The caller places barriers before and after.
+    /// frame must have backward.
     pub fn record_picture(&self, r: &mut Recorder, inputs: &FrameInputs, rows: &Buffer) {
         let (width, height) = (inputs.camera.width, inputs.camera.height);
         let bind = picture_to_rows::Bind { rendered: inputs.frame.rendered(&self.sizes), rows };
@@ -54,7 +54,7 @@ impl PixelBorder {
 
     /// Records the conversion of a picture's gradient, a vec4 per pixel, to the native one that
     /// [`Backward::record`](crate::passes::backward::Backward::record) reads, or with `add` its addition. The fourth component counts
-    /// if the frame has inverse depth. The caller places barriers before and after.
+    /// if the frame has inverse depth.
     pub fn record_gradient(
         &self,
         r: &mut Recorder,
@@ -74,8 +74,7 @@ impl PixelBorder {
     }
 
     /// Records the conversion of a native photograph with 8 bits per channel
-    /// ([`photo_on_device`](crate::passes::loss::photo_on_device)): `rows` receives (r, g, b, mask) per pixel, a byte each. The caller
-    /// places barriers before and after.
+    /// ([`photo_on_device`](crate::passes::loss::photo_on_device)): `rows` receives (r, g, b, mask) per pixel, a byte each.
     pub fn record_photo(
         &self,
         r: &mut Recorder,

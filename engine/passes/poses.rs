@@ -44,7 +44,7 @@ impl PoseGradient {
 
     /// Records the gradient after [`Backward::record`](crate::passes::backward::Backward::record) with a pose. `parameters` has
     /// ξ of all images, and `image` is the index of the frame's. `gradient` ([`GRADIENT_BYTES`]) receives g = dL/dδ of `exp(δ^)
-    /// T` at δ = 0, then dL/dξ, each as (ν, ω). The caller places barriers before and after.
+    /// T` at δ = 0, then dL/dξ, each as (ν, ω).
     pub fn record(
         &self,
         r: &mut Recorder,
@@ -114,8 +114,7 @@ impl PoseOptimizer {
 
     /// Records a step with the gradient of the given image, and computes the cameras of all images. All poses are one tensor,
     /// so those of other images decay and move as well. Without `step` only the cameras are computed. If `state`
-    /// ([`FrameBuffers::state`](crate::frame::FrameBuffers)) has an overflow, nothing changes. The caller places barriers before
-    /// and after.
+    /// ([`FrameBuffers::state`](crate::frame::FrameBuffers)) has an overflow, nothing changes.
     pub fn record(
         &self,
         r: &mut Recorder,

@@ -1,4 +1,5 @@
-//! Projection: screen-space attributes of the visible Gaussians (EWA splatting), and their motion if a host wants it.
+//! Projection: screen-space attributes of the visible Gaussians (EWA splatting), and their motion if a host wants it. Culling
+//! runs the same projection before, for the visibility only.
 
 use crate::error::Result;
 use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, MotionBuffers, Part, PlacedScene, SceneView};
@@ -68,7 +69,7 @@ impl Project {
             projection: projection as u32,
             lenses: variant.has_lens(),
             sh_loops: self.sizes.sh_loops,
-            may_be_unseen: shared_order,
+            shared_order,
             shutter,
         }
     }
@@ -83,7 +84,7 @@ impl Project {
             projection: projection as u32,
             lenses: variant.has_lens(),
             sh_loops: self.sizes.sh_loops,
-            may_be_unseen: shared_order,
+            shared_order,
             shutter,
         }
     }
@@ -111,20 +112,19 @@ impl Project {
         for part in inputs.parts() {
             let variant = inputs.variant().of_scene(part.settings);
             let Some(kernel) = self.scene.get(r, &self.spec(part.sh_degree, variant)) else { return };
-            let range = part.range;
             let push = project::Push {
-                first: range.first,
+                first: part.first_in_frame,
                 chunk_gaussians: part.scene.plan.chunk_gaussians,
                 extent,
                 antialias,
                 splat_stride: splats.stride,
-                first_of_scene: part.first_of_scene,
+                first_of_scene: part.first_in_scene,
                 shutter_turn,
                 shutter_shift,
                 shutter_rows,
             };
             let bind = project::Bind {
-                parameters: &part.scene.chunks[range.chunk],
+                parameters: &part.scene.chunks[part.chunk],
                 visible_ranges: &f.visible_ranges,
                 visible_list: &f.visible_list,
                 mean2d_extent: splats.mean2d_extent,
@@ -140,10 +140,9 @@ impl Project {
             if !std::mem::take(&mut is_first) {
                 r.barrier();
             }
-            r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, range));
+            r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, part.first_in_frame));
             self.record_splat_motions(r, inputs, &part);
         }
-        r.barrier();
     }
 
     /// Records the projection of the batch whose first scene is at `place`.
@@ -198,7 +197,7 @@ impl Project {
         let Some(kernel) = self.motion.get(r, &spec) else { return };
         let rows = camera.camera_from_world.transpose() * scale;
         let push = screen_motion::Push {
-            first: part.range.first,
+            first: part.first_in_frame,
             previous_row_x: rows.x_axis.to_array(),
             previous_row_y: rows.y_axis.to_array(),
             previous_row_z: rows.z_axis.to_array(),
@@ -208,13 +207,13 @@ impl Project {
             previous_center_px: [camera.cx - 0.5, camera.cy - 0.5],
         };
         let bind = screen_motion::Bind {
-            parameters: &part.scene.chunks[part.range.chunk],
+            parameters: &part.scene.chunks[part.chunk],
             visible_ranges: &f.visible_ranges,
             visible_list: &f.visible_list,
             motions,
             camera_block: &f.camera_block(part.block),
         };
-        r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, part.range));
+        r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, part.first_in_frame));
     }
 }
 

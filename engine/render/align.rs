@@ -138,8 +138,9 @@ impl Renderer {
         let (sizes, backward) = (self.runner.forward.sizes, &self.backward);
         let (start, mut moved) = (camera, *camera);
         for _ in 0..alignment.steps {
-            let (frozen, pose, camera) = (&[], None, &moved);
-            let request = Request { scene, frozen, camera, pose, settings, sh_degree, backward: true };
+            let (pose, camera) = (None, &moved);
+            let request =
+                Request { scene, other_scenes: &[], camera, pose, settings, sh_degree, backward: true };
             let ran = self.runner.run(&request, |r, inputs| {
                 let loss_inputs = LossInputs {
                     rendered: inputs.frame.rendered(&sizes),

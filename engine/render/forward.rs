@@ -50,13 +50,8 @@ impl Forward {
         })
     }
 
-    /// Builds the missing kernels for an SH degree, with or without inverse depth.
-    pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
-        self.prepare_variant(sh_degree, FrameVariant { inverse_depth, ..FrameVariant::default() })
-    }
-
     /// Builds the missing kernels for an SH degree and a variant.
-    pub fn prepare_variant(&mut self, sh_degree: u32, variant: FrameVariant) -> Result<()> {
+    pub fn prepare(&mut self, sh_degree: u32, variant: FrameVariant) -> Result<()> {
         self.prepare_scenes(sh_degree, variant, false)?;
         self.prepare_blend(variant)
     }
@@ -106,9 +101,10 @@ impl Forward {
         self.record_first(r, 1, |_| *inputs);
     }
 
-    /// Records the first of `views` views with one order, and the camera blocks and the culling of all. The views show the same scenes in the same poses and settings, and their
-    /// cameras give each Gaussian the same depth to the bit. `view` returns each view by its index, with [`FrameInputs::view`].
-    /// [`Forward::record_next`] records the others. Ends without a barrier.
+    /// Records the first of several views that share one depth order. Also writes the camera blocks of all these views and culls for
+    /// all of them. The views have the same scenes, poses and settings, and their cameras give every Gaussian the same depth, bit for
+    /// bit. `view` returns each view by its index, with [`FrameInputs::view`]. [`Forward::record_next`] records the others. Ends
+    /// without a barrier.
     ///
     /// # Panics
     /// Same as [`Forward::record`], and if the buffer of camera blocks is too small for all views.
@@ -130,12 +126,15 @@ impl Forward {
             }
             r.fill(&f.tile_ranges, 0);
         });
-        r.scope("cull", |r| {
-            (0..views).for_each(|number| self.cull.record_flags(r, &view(number)));
+        pass(r, "cull", |r| {
+            for number in 0..views {
+                self.cull.record_flags(r, &view(number));
+                r.barrier();
+            }
             self.cull.record_compaction(r, inputs, &self.scan, &self.arguments);
         });
-        r.scope("project", |r| self.project.record(r, inputs));
-        r.scope("depth sort", |r| self.instances.record_depth_sort(r, f));
+        pass(r, "project", |r| self.project.record(r, inputs));
+        pass(r, "depth sort", |r| self.instances.record_depth_sort(r, f));
         self.record_picture(r, inputs);
     }
 
@@ -145,24 +144,31 @@ impl Forward {
     /// Same as [`Forward::record`].
     pub fn record_next(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        r.scope("clear", |r| {
+        pass(r, "clear", |r| {
             record_scene_firsts(r, inputs);
             // Clears all counts but those of the visible Gaussians.
             let counts = 4 * u64::from(c::STATE_INSTANCES_NEEDED);
             r.fill(&f.state.range(counts, f.state.bytes() - counts), 0);
             r.fill(&f.tile_ranges, 0);
-            r.barrier();
         });
-        r.scope("project", |r| self.project.record(r, inputs));
+        pass(r, "project", |r| self.project.record(r, inputs));
         self.record_picture(r, inputs);
     }
 
     /// Records the passes from the order to the pixels.
     fn record_picture(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        r.scope("count", |r| self.instances.record_count(r, inputs, &self.scan, &self.arguments));
-        r.scope("duplicate", |r| self.instances.record_duplicate(r, inputs));
-        r.scope("tile sort", |r| self.instances.record_tile_sort(r, inputs));
-        r.scope("ranges", |r| self.instances.record_ranges(r, inputs));
+        pass(r, "count", |r| self.instances.record_count(r, inputs, &self.scan, &self.arguments));
+        pass(r, "duplicate", |r| self.instances.record_duplicate(r, inputs));
+        pass(r, "tile sort", |r| self.instances.record_tile_sort(r, inputs));
+        pass(r, "ranges", |r| self.instances.record_ranges(r, inputs));
         r.scope("blend", |r| self.blend.record(r, inputs, &self.sizes));
     }
+}
+
+/// Records a pass and the barrier after it.
+fn pass(r: &mut Recorder, name: &str, record: impl FnOnce(&mut Recorder)) {
+    r.scope(name, |r| {
+        record(r);
+        r.barrier();
+    });
 }

@@ -21,7 +21,7 @@ pub struct FrameStore {
     /// True if frames with backward include absolute gradients.
     absolute: bool,
     /// Capacity that the last frame requested. Earlier frames may have needed more.
-    asked: FrameCapacity,
+    requested: FrameCapacity,
     capacity: FrameCapacity,
     frame: Option<FrameBuffers>,
 }
@@ -86,7 +86,7 @@ impl FrameStore {
             readback,
             expected: PictureCapacity::NONE,
             absolute: false,
-            asked: FrameCapacity::default(),
+            requested: FrameCapacity::default(),
             capacity: FrameCapacity::default(),
             frame: None,
         })
@@ -119,7 +119,7 @@ impl FrameStore {
         let visible = initial_visible(gaussians);
         let instances = initial_instances(self.context.limits(), visible, &pictures);
         let absolute = backward && self.absolute;
-        self.asked = FrameCapacity {
+        self.requested = FrameCapacity {
             gaussians,
             visible,
             scenes,
@@ -145,12 +145,12 @@ impl FrameStore {
             instances: if old.instances > 0 { old.instances } else { instances },
             ..needed
         };
-        let (mut estimated, mut is_minimal) = (old.instances == 0, capacity == self.asked);
+        let (mut estimated, mut is_minimal) = (old.instances == 0, capacity == self.requested);
         loop {
             match self.allocate(capacity) {
                 Ok(frame) => return Ok((frame, self.capacity)),
                 Err(error) if is_memory(&error) && !is_minimal => {
-                    (capacity, estimated, is_minimal) = (self.asked, true, true);
+                    (capacity, estimated, is_minimal) = (self.requested, true, true);
                 }
                 // The estimate may be what does not fit, and the frame may need less. If it needs more, it overflows.
                 Err(error) if is_memory(&error) && estimated && can_be_less(&capacity) => {
@@ -186,7 +186,7 @@ impl FrameStore {
     }
 
     /// Grows the capacity for more Gaussians, ahead of the frames that will need it.
-    pub fn make_room(&mut self, gaussians: u32) -> Result<()> {
+    pub fn reserve_gaussians(&mut self, gaussians: u32) -> Result<()> {
         if self.frame.is_none() || gaussians <= self.capacity.gaussians {
             return Ok(());
         }
@@ -195,13 +195,13 @@ impl FrameStore {
 
     /// Allocates the capacity of an earlier run.
     pub fn restore(&mut self, capacity: FrameCapacity) -> Result<()> {
-        self.asked = capacity;
+        self.requested = capacity;
         self.allocate(capacity).map(drop)
     }
 
     /// Allocates the expected capacity. If the memory or the device's limits do not suffice, the next frame allocates only
     /// what it needs.
-    pub fn restore_if_room(&mut self, capacity: FrameCapacity) -> Result<()> {
+    pub fn restore_if_it_fits(&mut self, capacity: FrameCapacity) -> Result<()> {
         match self.restore(capacity) {
             Err(error) if is_memory(&error) => {
                 self.forget();
@@ -285,7 +285,7 @@ impl FrameStore {
             visible: state.visible_needed.max(1),
             instances: state.instances.max(1),
             blend_passes: passes,
-            ..self.asked
+            ..self.requested
         };
         let Err(error) = self.allocate(capacity) else { return Ok(true) };
         let more_visible = state.visible_needed > self.capacity.visible;

@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::frame::{FrameVariant, LENS_SUM_BYTES, RenderSettings, SceneBuffers, planes};
 use crate::passes::backward::{BackwardForm, Statistics};
 use crate::passes::lens::LensGradient;
-use crate::passes::pixels::PixelBorder;
+use crate::passes::pixels::LayoutConverter;
 use crate::passes::poses::{GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
 use crate::scene::{Camera, Gaussians, LENS_PARAMETERS};
 use crate::vk::MemoryKind;
@@ -48,8 +48,8 @@ impl Renderer {
     }
 
     /// Same as [`Renderer::gradients`], but also returns the gradients with respect to the camera's pose and lens
-    /// ([`Gradients::pose`], [`Gradients::lens`]). The first sums over all visible Gaussians how their means, covariances and view directions change
-    /// with the pose. The order of the sum is fixed, so its bits are always the same.
+    /// ([`Gradients::pose`], [`Gradients::lens`]). The first sums over all visible Gaussians how their means, covariances and view
+    /// directions change with the pose. The order of the sum is fixed, so its bits are always the same.
     ///
     /// # Errors
     /// Same as [`Renderer::gradients`].
@@ -93,7 +93,7 @@ impl Renderer {
         self.backward.prepare(sh_degree, variant, form)?;
         let pose_gradient = with_pose.then(|| PoseGradient::new(&self.context)).transpose()?;
         self.backward.prepare_expand(sh_degree, variant)?;
-        let border = PixelBorder::new(&self.context)?;
+        let border = LayoutConverter::new(&self.context)?;
         let count = u64::from(scene.count);
         let planes = planes::allocate(&self.context, ("gradients", MemoryKind::Device), &scene.plan)?;
         let target = (0..pixels).map(|i| {
@@ -102,7 +102,7 @@ impl Renderer {
         });
         let target: Vec<[f32; 4]> = target.collect();
         let target: &[u8] = bytemuck::cast_slice(&target);
-        let native_bytes = PixelBorder::gradient_bytes(camera.width, camera.height);
+        let native_bytes = LayoutConverter::gradient_bytes(camera.width, camera.height);
         let mut requests = vec![
             ("mean2d_gradients", count * 8),
             ("statistics", count * 8),
@@ -120,8 +120,15 @@ impl Renderer {
             unreachable!("one buffer per request")
         };
         self.context.upload(target_rows, target)?;
-        let request =
-            Request { scene: &scene, frozen: &[], camera, pose: None, settings, sh_degree, backward: true };
+        let request = Request {
+            scene: &scene,
+            other_scenes: &[],
+            camera,
+            pose: None,
+            settings,
+            sh_degree,
+            backward: true,
+        };
         let backward = &self.backward;
         let ran = self.runner.run(&request, |r, inputs| {
             r.barrier();

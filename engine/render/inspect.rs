@@ -223,15 +223,7 @@ pub struct TileReport {
 }
 
 impl Renderer {
-    /// Renders a frame and reads back the number of Gaussians in its tiles.
-    ///
-    /// # Errors
-    /// Same as [`Renderer::render`].
-    pub fn tiles(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<TileReport> {
-        Ok(self.render_with_tiles(camera, settings)?.1)
-    }
-
-    /// Same as [`Renderer::render`] and [`Renderer::tiles`], for the same frame.
+    /// Renders a frame, and also reads back the number of Gaussians in its tiles.
     ///
     /// # Errors
     /// Same as [`Renderer::render`].

@@ -1,6 +1,7 @@
 //! Records frames into a host's command buffer; never submits, waits, allocates, maps or reads back.
 //!
-//! A recording may have several views: the eyes of a headset, a split screen, a picture in a picture. They run one after the other in the memory of one frame, separated by one barrier.
+//! A recording may have several views: the eyes of a headset, a split screen, a picture in a picture. They run one after the other
+//! in the memory of one frame, separated by one barrier.
 
 use super::check::{check_capacity, check_views, in_view};
 use super::forward::Forward;
@@ -88,13 +89,13 @@ impl Renderer {
         releases: &mut [Release],
     ) -> Result<()> {
         let mut placed = emptied(std::mem::take(&mut self.placed));
-        let recorded = self.record_placed(commands, slot, views, releases, &mut placed);
+        let recorded = self.record_checked(commands, slot, views, releases, &mut placed);
         self.placed = emptied(placed);
         recorded
     }
 
     /// Same as [`Self::record_views`], with an empty list for the scenes of all views.
-    fn record_placed<'a>(
+    fn record_checked<'a>(
         &mut self,
         commands: ForeignCommands,
         slot: u32,
@@ -117,7 +118,7 @@ impl Renderer {
         }
         let forward = &self.runner.forward;
         let slot = self.slots.get(slot)?;
-        slot.record.check_free()?;
+        slot.commands.check_free()?;
         let (mut rest, mut batched_scenes) = (placed.as_mut_slice(), 0);
         for (index, frame) in views.iter().enumerate() {
             let own = rest.split_off_mut(..frame.scenes.len()).unwrap_or_default();
@@ -152,7 +153,7 @@ impl Renderer {
             rest = &rest[frame.scenes.len()..];
         }
         release_images(r, views, releases);
-        (slot.recorded.sorts, slot.recorded.batched_scenes) = (sorts, batched_scenes);
+        (slot.host_report.sorts, slot.host_report.batched_scenes) = (sorts, batched_scenes);
         slot.end(recorder)
     }
 }

@@ -316,7 +316,7 @@ impl Update<'_> {
 
 /// Copies of a frame's updates. The next frame reuses its memory.
 #[derive(Default)]
-pub(super) struct Staged {
+pub(super) struct StagedUpdates {
     words: Vec<[f32; 4]>,
     copies: Vec<StagedCopy>,
 }
@@ -329,7 +329,7 @@ struct StagedCopy {
     to: Buffer,
 }
 
-impl Staged {
+impl StagedUpdates {
     /// Writes new parameters into the slot's staging memory, which must not be in use, and lists the copies from it.
     pub(super) fn stage(&mut self, staging: Option<&Buffer>, updates: &[Update<'_>]) -> Result<()> {
         self.copies.clear();
@@ -397,7 +397,8 @@ fn each_piece(
     Ok(())
 }
 
-/// Calls `run` for contiguous parts of some Gaussians' planes: index in their chunk, and range in a chunk of only their rows.
+/// Calls `run` for each contiguous run of texels in the planes of some Gaussians, with its index in their chunk, and its range in a
+/// chunk that holds only their rows.
 fn each_run(
     plan: &ScenePlan,
     packed: &ScenePlan,

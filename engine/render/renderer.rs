@@ -3,7 +3,7 @@
 use super::device_scene::{DeviceScene, ELSEWHERE};
 use super::frame::{Frame, FrameStats};
 use super::frame_store::State;
-use super::recorded_frame::Staged;
+use super::recorded_frame::StagedUpdates;
 use super::runner::{Failed, FrameRun, FrameRunner, Request};
 use super::slots::Slots;
 use crate::error::{Error, Result};
@@ -42,7 +42,7 @@ pub struct Renderer {
     /// Reused list of a recording's scenes.
     pub(super) placed: Vec<PlacedScene<'static>>,
     /// Reused lists of a recording's updates.
-    pub(super) staged: Staged,
+    pub(super) staged: StagedUpdates,
 }
 
 impl Renderer {
@@ -63,7 +63,7 @@ impl Renderer {
             compose: None,
             slots: Slots::default(),
             placed: Vec::new(),
-            staged: Staged::default(),
+            staged: StagedUpdates::default(),
         })
     }
 
@@ -236,9 +236,10 @@ impl Renderer {
     /// # Errors
     /// Same as [`Renderer::render`].
     pub fn draw(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<FrameStats> {
-        let (scene, frozen) = loaded(&self.scenes)?;
+        let (scene, other_scenes) = loaded(&self.scenes)?;
         let sh_degree = scene.active_degree(settings);
-        let request = Request { scene, frozen, camera, pose: None, settings, sh_degree, backward: false };
+        let request =
+            Request { scene, other_scenes, camera, pose: None, settings, sh_degree, backward: false };
         let ran = self.runner.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
         let FrameRun { state, report, retries } = ran;
         let State { visible, instances, longest_tile, samples, .. } = state;

@@ -123,7 +123,7 @@ impl Renderer {
     /// # Errors
     /// Same as [`Renderer::slot_report`].
     pub fn slot_finished(&mut self, slot: u32) -> Result<bool> {
-        self.slots.get(slot)?.record.finished()
+        self.slots.get(slot)?.commands.finished()
     }
 
     /// Releases the resources of a slot's last frame, once its command buffer has finished. Scenes and image views dropped
@@ -133,7 +133,7 @@ impl Renderer {
     /// [`Error::Argument`] for a slot that is not reserved or still in flight.
     pub fn release_slot(&mut self, slot: u32) -> Result<()> {
         let slot = self.slots.get(slot)?;
-        slot.record.release()?;
+        slot.commands.release()?;
         // The host may still read pixels of the last frame.
         if !slot.memory.keeps_pixels {
             slot.take_over();
@@ -171,7 +171,7 @@ impl Renderer {
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved.
     pub fn slot_recording(&mut self, slot: u32) -> Result<SlotRecording<'_>> {
-        Ok(SlotRecording::new(&mut self.slots.get(slot)?.record))
+        Ok(SlotRecording::new(&mut self.slots.get(slot)?.commands))
     }
 
     fn slot_with_pixels(&mut self, slot: u32) -> Result<&mut Slot> {

@@ -22,7 +22,7 @@ pub(crate) struct FrameRunner {
 pub(crate) struct Request<'a> {
     pub scene: &'a SceneBuffers,
     /// Drawn together with the scene, in the same axes, with the same SH degree. Frames with a pose on the device have none.
-    pub frozen: &'a [SceneBuffers],
+    pub other_scenes: &'a [SceneBuffers],
     pub camera: &'a Camera,
     /// See [`FrameInputs::pose`].
     pub pose: Option<&'a Buffer>,
@@ -34,11 +34,11 @@ pub(crate) struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// The scene and its frozen neighbours, one behind the other in the frame's index space.
+    /// The scene and the others, one behind the other in the frame's index space.
     fn scenes(&self) -> Vec<PlacedScene<'a>> {
         let alone = PlacedScene::alone(self.scene, self.camera, self.sh_degree);
         let mut end = self.scene.count;
-        let placed = self.frozen.iter().map(|scene| {
+        let placed = self.other_scenes.iter().map(|scene| {
             let first = first_frozen(end);
             end = first.saturating_add(scene.count);
             PlacedScene { scene, first, ..alone }
@@ -68,7 +68,7 @@ pub(crate) struct FrameRun {
 /// Reason why a run failed.
 pub(crate) enum Failed {
     /// The frame exceeds the available memory: its counts, and the error.
-    TooLittleRoom(Box<(State, Error)>),
+    OutOfMemory(Box<(State, Error)>),
     Other(Error),
 }
 
@@ -81,7 +81,7 @@ impl From<Error> for Failed {
 impl Failed {
     pub fn error(self) -> Error {
         match self {
-            Self::TooLittleRoom(why) => why.1,
+            Self::OutOfMemory(why) => why.1,
             Self::Other(error) => error,
         }
     }
@@ -100,15 +100,15 @@ impl FrameRunner {
         request: &Request,
         mut record_more: impl FnMut(&mut Recorder, &FrameInputs) -> Result<()>,
     ) -> Result<FrameRun, Failed> {
-        let Request { scene, frozen, camera, settings, sh_degree, backward, .. } = *request;
+        let Request { scene, other_scenes, camera, settings, sh_degree, backward, .. } = *request;
         camera.check()?;
         if backward {
             camera.check_differentiable()?;
         }
         settings.check()?;
-        let gaussians = gaussians_with(scene.plan.capacity, frozen_capacity(frozen));
+        let gaussians = gaussians_with(scene.plan.capacity, frozen_capacity(other_scenes));
         let Self { context, forward, store } = self;
-        forward.prepare_variant(sh_degree, FrameVariant::of(settings, camera, backward))?;
+        forward.prepare(sh_degree, FrameVariant::of(settings, camera, backward))?;
         let scenes = request.scenes();
         let mut retries = 0;
         loop {
@@ -124,7 +124,7 @@ impl FrameRunner {
             // Growing frees its buffers before it allocates larger ones.
             drop(frame);
             let grown = store.grow(&state);
-            if !grown.map_err(|error| Failed::TooLittleRoom(Box::new((state, error))))? {
+            if !grown.map_err(|error| Failed::OutOfMemory(Box::new((state, error))))? {
                 return Ok(FrameRun { state, report, retries });
             }
             retries += 1;
@@ -142,7 +142,7 @@ impl FrameRunner {
         settings: &RenderSettings,
     ) -> Result<()> {
         for variant in FrameVariant::of_cameras(settings, cameras, true) {
-            (0..=sh_degree).try_for_each(|degree| self.forward.prepare_variant(degree, variant))?;
+            (0..=sh_degree).try_for_each(|degree| self.forward.prepare(degree, variant))?;
         }
         let gaussians = gaussians_with(capacity, frozen_capacity(frozen));
         self.store.ensure(gaussians, 1 + frozen.len() as u32, &cameras[0], true).map(drop)

@@ -15,7 +15,7 @@ const STATE_BYTES: u64 = c::STATE_WORDS as u64 * 4;
 
 /// One frame in flight.
 pub(super) struct Slot {
-    pub record: RecordSlot,
+    pub commands: RecordSlot,
     pub memory: SlotMemory,
     /// Memory reserved since the last recording.
     next: Option<SlotMemory>,
@@ -23,7 +23,7 @@ pub(super) struct Slot {
     /// Views of the last recording.
     views: u32,
     /// Report of the last recording, without what only the device knows.
-    pub recorded: SlotReport,
+    pub host_report: SlotReport,
     /// Whole report of the last recording, once it has been requested.
     report: Option<SlotReport>,
 }
@@ -39,7 +39,7 @@ impl Slots {
     /// Returns an error while a frame is in flight.
     pub fn check_free(&self) -> Result<()> {
         for slot in &self.slots {
-            if !slot.record.finished()? {
+            if !slot.commands.finished()? {
                 return Err(Error::argument("frame slots", "one is still in flight: wait for it first"));
             }
         }
@@ -79,7 +79,7 @@ impl Slots {
     pub fn grow(&mut self, plan: &Plan<'_>) -> Result<()> {
         let memory = plan.allocate()?;
         for slot in &mut self.slots {
-            slot.record.reserve(plan.dispatches)?;
+            slot.commands.reserve(plan.dispatches)?;
         }
         for (slot, memory) in self.slots.iter_mut().zip(memory) {
             slot.next = Some(memory);
@@ -101,9 +101,17 @@ impl Slot {
     fn new(plan: &Plan<'_>, memory: SlotMemory) -> Result<Self> {
         let request = [("state_readback", u64::from(plan.wanted.views) * STATE_BYTES)];
         let mut host = plan.context.allocate("frame slot host", &request, MemoryKind::HostVisible)?;
-        let record = RecordSlot::new(plan.context, plan.dispatches)?;
-        let recorded = memory.report(0);
-        Ok(Self { record, memory, next: None, readback: host.remove(0), views: 0, recorded, report: None })
+        let commands = RecordSlot::new(plan.context, plan.dispatches)?;
+        let host_report = memory.report(0);
+        Ok(Self {
+            commands,
+            memory,
+            next: None,
+            readback: host.remove(0),
+            views: 0,
+            host_report,
+            report: None,
+        })
     }
 
     /// Returns the memory of the next recording.
@@ -120,25 +128,25 @@ impl Slot {
 
     /// Begins a recording of `views` views with up to `gaussians` Gaussians.
     pub fn begin(&mut self, commands: ForeignCommands, gaussians: u32, views: u32) -> Result<Recorder> {
-        let recorder = self.record.begin(commands, "ashsplat")?;
-        (self.views, self.recorded, self.report) = (views, self.memory.report(gaussians), None);
+        let recorder = self.commands.begin(commands, "ashsplat")?;
+        (self.views, self.host_report, self.report) = (views, self.memory.report(gaussians), None);
         Ok(recorder)
     }
 
     /// Ends the recording.
     pub fn end(&mut self, recorder: Recorder) -> Result<()> {
-        self.record.end(recorder)
+        self.commands.end(recorder)
     }
 
     /// Returns the report of the last recording. None while it is in flight, or without a recording.
     pub fn report(&mut self, sizes: &LaunchSizes) -> Result<Option<SlotReport>> {
-        if !self.record.is_recorded() || !self.record.finished()? {
+        if !self.commands.is_recorded() || !self.commands.finished()? {
             return Ok(None);
         }
-        if self.report.is_some() || !self.record.has_times()? {
+        if self.report.is_some() || !self.commands.has_times()? {
             return Ok(self.report.clone());
         }
-        self.report = Some(SlotReport { scopes: self.record.times()?, ..self.counts(sizes, self.views)? });
+        self.report = Some(SlotReport { scopes: self.commands.times()?, ..self.counts(sizes, self.views)? });
         Ok(self.report.clone())
     }
 
@@ -150,7 +158,7 @@ impl Slot {
 
     /// Returns the counts of `views` finished views, the largest of each count.
     pub fn counts(&self, sizes: &LaunchSizes, views: u32) -> Result<SlotReport> {
-        let mut report = SlotReport { entries_per_pass: sizes.entries_per_pass, ..self.recorded.clone() };
+        let mut report = SlotReport { entries_per_pass: sizes.entries_per_pass, ..self.host_report.clone() };
         for view in 0..views {
             let mut bytes = [0u8; STATE_BYTES as usize];
             self.readback.read(u64::from(view) * STATE_BYTES, &mut bytes)?;

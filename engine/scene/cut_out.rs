@@ -128,7 +128,7 @@ impl CutOut {
         Ok(())
     }
 
-    /// Returns the limits to compare with.
+    /// Returns the volume in the form that kernels compare with: centre, rows, bounds.
     pub fn limits(&self) -> CutOutLimits {
         let Pose { world_from_object, translation, scale } = self.pose;
         let (axes, scale) = (world_from_object.as_dmat3(), f64::from(scale));

@@ -80,8 +80,8 @@ impl Orbit {
     }
 }
 
-/// Direction across the cameras' horizontal axes; `None` if the pictures' up directions cancel out. The mean of the pictures' up directions would lean, because cameras above a
-/// scene look down.
+/// Direction across the cameras' horizontal axes; `None` if the pictures' up directions cancel out. The mean of the pictures' up
+/// directions would lean, because cameras above a scene look down.
 pub fn level_up(cameras: &[Camera]) -> Option<DVec3> {
     let mean: Vec3 = cameras.iter().map(|c| -c.camera_from_world.row(1)).sum();
     let across = cameras.iter().fold(DMat3::ZERO, |sum, camera| {

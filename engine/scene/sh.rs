@@ -55,31 +55,6 @@ pub fn basis([x, y, z]: [f64; 3]) -> [f64; 16] {
     ]
 }
 
-/// Derivatives of [`basis`] as polynomials in (x, y, z): `[function][axis]`.
-///
-/// The caller adds the normalisation of the direction by the chain rule.
-pub fn basis_gradient([x, y, z]: [f64; 3]) -> [[f64; 3]; 16] {
-    let (xx, yy, zz) = (x * x, y * y, z * z);
-    [
-        [0.0; 3],
-        [0.0, -C1, 0.0],
-        [0.0, 0.0, C1],
-        [-C1, 0.0, 0.0],
-        [C2[0] * y, C2[0] * x, 0.0],
-        [0.0, C2[1] * z, C2[1] * y],
-        [-2.0 * C2[2] * x, -2.0 * C2[2] * y, 4.0 * C2[2] * z],
-        [C2[3] * z, 0.0, C2[3] * x],
-        [2.0 * C2[4] * x, -2.0 * C2[4] * y, 0.0],
-        [C3[0] * 6.0 * x * y, C3[0] * 3.0 * (xx - yy), 0.0],
-        [C3[1] * y * z, C3[1] * x * z, C3[1] * x * y],
-        [-2.0 * C3[2] * x * y, C3[2] * (4.0 * zz - xx - 3.0 * yy), C3[2] * 8.0 * y * z],
-        [-6.0 * C3[3] * x * z, -6.0 * C3[3] * y * z, C3[3] * (6.0 * zz - 3.0 * xx - 3.0 * yy)],
-        [C3[4] * (4.0 * zz - 3.0 * xx - yy), -2.0 * C3[4] * x * y, C3[4] * 8.0 * x * z],
-        [2.0 * C3[5] * x * z, -2.0 * C3[5] * y * z, C3[5] * (xx - yy)],
-        [C3[6] * 3.0 * (xx - yy), -6.0 * C3[6] * x * y, 0.0],
-    ]
-}
-
 /// Colour from a direction: `max(0, 0.5 + Σ Y·sh)`, with the coefficients up to `degree`.
 ///
 /// `sh` holds at least `sh_coefficients(degree)` coefficients (r, g, b); `direction` has unit length and points

@@ -282,7 +282,7 @@ impl Pose {
     /// [`Error::Argument`] for numbers that are not finite, a scale that is not positive, or a matrix that is not a rotation.
     #[inline]
     pub fn check(&self) -> Result<()> {
-        // Numbers that are not finite fail as a rotation.
+        // is_rotation is false for numbers that are not finite.
         if is_rotation(self.world_from_object) & self.translation.is_finite() & self.has_possible_scale() {
             return Ok(());
         }

@@ -1,21 +1,23 @@
 //! Appearance of the photographs, learned with the scene: the exposure of each one, and the effects of each lens.
 
-use super::checkpoint::{ExposureState, LightMeans};
+use super::checkpoint::{AppearanceMeans, ExposureState};
 use super::photos::TrainView;
 use super::schedule::{IterationPlan, TrainingRun};
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 use crate::frame::FrameInputs;
 use crate::passes::adam::{Averaging, MeanStep};
-use crate::passes::light::{Light, LightBuffers, LightForm, LightInputs, LightStep, Matrix};
+use crate::passes::appearance::{
+    AppearanceBuffers, AppearanceForm, AppearancePass, AppearancePassInputs, AppearanceStep, Matrix,
+};
 use crate::vk::{Buffer, Context, Recorder};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Kernels of what is learned: of exposures, of lens effects, or of both in this order.
-pub(super) struct Appearance(Vec<Light>);
+/// Kernels of exposures, of lens effects, or of both in this order.
+pub(super) struct Appearance(Vec<AppearancePass>);
 
 /// Buffers of exposures and of lens effects; None if not learned.
-pub(super) struct AppearanceMemory([Option<LightBuffers>; 2]);
+pub(super) struct AppearanceMemory([Option<AppearanceBuffers>; 2]);
 
 /// Inputs of one iteration.
 #[derive(Clone, Copy)]
@@ -31,15 +33,16 @@ pub(super) struct AppearanceInputs<'a> {
 impl Appearance {
     pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let (shares, sparse) = (settings.exposure_shared, settings.exposure_sparsity > 0.0);
-        let form = LightForm { center: true, shares, sparse };
-        let exposures = settings.exposure.then(|| Light::exposures(context, form));
-        let lenses = settings.lens_effects.then(|| Light::lenses(context));
+        let form = AppearanceForm { center: true, shares, sparse };
+        let exposures = settings.exposure.then(|| AppearancePass::new(context, false, form));
+        let lenses =
+            settings.lens_effects.then(|| AppearancePass::new(context, true, AppearanceForm::default()));
         Ok(Self(exposures.into_iter().chain(lenses).collect::<Result<_>>()?))
     }
 
     /// Names and bytes of the buffers, for photographs of these sizes.
     pub fn requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
-        self.0.iter().flat_map(|light| light.requests(sizes)).collect()
+        self.0.iter().flat_map(|pass| pass.requests(sizes)).collect()
     }
 
     /// Takes the buffers of [`Appearance::requests`] from the allocated ones and clears them.
@@ -49,13 +52,14 @@ impl Appearance {
         mut buffers: impl Iterator<Item = Buffer>,
     ) -> Result<AppearanceMemory> {
         let mut memory = AppearanceMemory([None, None]);
-        for light in &self.0 {
-            let own = LightBuffers::from_allocated(buffers.by_ref().take(LightBuffers::COUNT).collect());
-            upload(context, &own.values, &vec![light.identity(); own.count()])?;
+        for pass in &self.0 {
+            let own =
+                AppearanceBuffers::from_allocated(buffers.by_ref().take(AppearanceBuffers::COUNT).collect());
+            upload(context, &own.values, &vec![pass.identity(); own.count()])?;
             let none = vec![[[0.0; 4]; 3]; own.count()];
             upload(context, &own.first_moments, &none)?;
             upload(context, &own.second_moments, &none)?;
-            memory.0[usize::from(light.is_lens())] = Some(own);
+            memory.0[usize::from(pass.is_lens)] = Some(own);
         }
         Ok(memory)
     }
@@ -64,15 +68,15 @@ impl Appearance {
     fn parts<'a>(
         &'a self,
         inputs: &AppearanceInputs<'a>,
-    ) -> Vec<(&'a Light, LightInputs<'a>, &'a LightStep)> {
+    ) -> Vec<(&'a AppearancePass, AppearancePassInputs<'a>, &'a AppearanceStep)> {
         let AppearanceInputs { frame, rendered, memory, plan, run } = *inputs;
         let own = [(plan.view as u32, &plan.exposure), (run.lenses[plan.view], &plan.lens_step)];
         let mut picture = rendered;
-        let part = |(light, buffers): (&'a Light, &'a LightBuffers)| {
-            let (index, step) = own[usize::from(light.is_lens())];
-            let inputs = LightInputs { frame, picture, buffers, index };
+        let part = |(pass, buffers): (&'a AppearancePass, &'a AppearanceBuffers)| {
+            let (index, step) = own[usize::from(pass.is_lens)];
+            let inputs = AppearancePassInputs { frame, picture, buffers, index };
             picture = &buffers.picture;
-            (light, inputs, step)
+            (pass, inputs, step)
         };
         self.0.iter().zip(memory.all()).map(part).collect()
     }
@@ -81,8 +85,8 @@ impl Appearance {
     /// learned: the rendered picture is compared. Ends with a barrier.
     pub fn record<'a>(&'a self, r: &mut Recorder, inputs: &AppearanceInputs<'a>) -> Option<&'a Buffer> {
         let parts = self.parts(inputs);
-        for (light, own, _) in &parts {
-            light.record(r, own);
+        for (pass, own, _) in &parts {
+            pass.record(r, own);
             r.barrier();
         }
         parts.last().map(|(_, own, _)| &own.buffers.picture)
@@ -90,23 +94,23 @@ impl Appearance {
 
     /// Records the gradient's way back from that picture to the rendered one. Each part begins with a barrier.
     pub fn record_backward(&self, r: &mut Recorder, inputs: &AppearanceInputs, gradient: &Buffer) {
-        for (light, own, _) in self.parts(inputs).iter().rev() {
+        for (pass, own, _) in self.parts(inputs).iter().rev() {
             r.barrier();
-            light.record_backward(r, own, gradient);
+            pass.record_backward(r, own, gradient);
         }
     }
 
     /// Records the steps. Each part begins with a barrier.
     pub fn record_step(&self, r: &mut Recorder, inputs: &AppearanceInputs) {
-        for (light, own, step) in self.parts(inputs) {
+        for (pass, own, step) in self.parts(inputs) {
             r.barrier();
-            light.record_step(r, &own, step);
+            pass.record_step(r, &own, step);
         }
     }
 }
 
 impl AppearanceMemory {
-    fn all(&self) -> impl Iterator<Item = &LightBuffers> {
+    fn all(&self) -> impl Iterator<Item = &AppearanceBuffers> {
         self.0.iter().flatten()
     }
 
@@ -123,7 +127,7 @@ impl AppearanceMemory {
     /// Exposures of all views, and the effects of the first `lenses` lenses.
     pub fn states(&self, context: &Context, lenses: usize) -> Result<[ExposureState; 2]> {
         let [exposures, lens_effects] = &self.0;
-        let state = |buffers: &Option<LightBuffers>, count: usize| -> Result<ExposureState> {
+        let state = |buffers: &Option<AppearanceBuffers>, count: usize| -> Result<ExposureState> {
             let Some(buffers) = buffers else { return Ok(ExposureState::default()) };
             Ok(ExposureState {
                 values: download(context, &buffers.values, count)?,
@@ -135,23 +139,28 @@ impl AppearanceMemory {
     }
 
     /// Running means of the same matrices.
-    pub fn means(&self, context: &Context, lenses: usize) -> Result<LightMeans> {
+    pub fn means(&self, context: &Context, lenses: usize) -> Result<AppearanceMeans> {
         let [exposures, lens_effects] = &self.0;
-        let means = |buffers: &Option<LightBuffers>, count: usize| {
+        let means = |buffers: &Option<AppearanceBuffers>, count: usize| {
             buffers.as_ref().map_or(Ok(Vec::new()), |buffers| download(context, &buffers.means, count))
         };
-        Ok(LightMeans { exposures: means(exposures, usize::MAX)?, lenses: means(lens_effects, lenses)? })
+        Ok(AppearanceMeans { exposures: means(exposures, usize::MAX)?, lenses: means(lens_effects, lenses)? })
     }
 
     /// Restores [`AppearanceMemory::states`] and [`AppearanceMemory::means`].
     ///
     /// # Errors
     /// [`Error::Argument`] if there are more rows than views.
-    pub fn restore(&self, context: &Context, states: [&ExposureState; 2], means: &LightMeans) -> Result<()> {
+    pub fn restore(
+        &self,
+        context: &Context,
+        states: [&ExposureState; 2],
+        means: &AppearanceMeans,
+    ) -> Result<()> {
         let rows = states.into_iter().zip([&means.exposures, &means.lenses]);
         for (buffers, (state, means)) in self.0.iter().zip(rows) {
             let Some(buffers) = buffers else { continue };
-            let LightBuffers { values, first_moments, second_moments, means: mean_buffer, .. } = buffers;
+            let AppearanceBuffers { values, first_moments, second_moments, means: mean_buffer, .. } = buffers;
             let sets = [
                 (values, &state.values),
                 (first_moments, &state.first_moments),

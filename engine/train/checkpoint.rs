@@ -103,7 +103,7 @@ pub struct StrategyState {
 
 /// Means of exposures and lenses over several steps. Empty if they are not learned.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct LightMeans {
+pub struct AppearanceMeans {
     /// One per photograph.
     pub exposures: Vec<[[f32; 4]; 3]>,
     /// One per lens.
@@ -118,7 +118,7 @@ pub struct MeanState {
     /// The means, shaped like the parameters.
     pub gaussians: Gaussians,
     /// Means for exposures and lenses.
-    pub light: LightMeans,
+    pub appearance: AppearanceMeans,
 }
 
 /// A statistic of a strategy.
@@ -282,7 +282,7 @@ impl Checkpoint {
                 &self.lens_opt,
             ));
         }
-        if let Some(MeanState { light: LightMeans { exposures, lenses }, .. }) = &self.means {
+        if let Some(MeanState { appearance: AppearanceMeans { exposures, lenses }, .. }) = &self.means {
             tensors.extend(Tensor::of_matrices(Self::MEANS, Self::EXPOSURES, exposures));
             tensors.extend(Tensor::of_matrices(Self::MEANS, Self::LENSES, lenses));
         }
@@ -407,8 +407,8 @@ impl Checkpoint {
         let most = if self.settings.lens_effects { self.views } else { 0 };
         let lenses_fit = lenses == [lenses[0]; 3] && lenses[0] <= most && (most == 0 || lenses[0] > 0);
         let none_or = |count: usize, all: u64| count == 0 || count as u64 == all;
-        let means_fit = |MeanState { light, .. }: &MeanState| {
-            none_or(light.exposures.len(), self.views) && none_or(light.lenses.len(), lenses[0])
+        let means_fit = |MeanState { appearance, .. }: &MeanState| {
+            none_or(appearance.exposures.len(), self.views) && none_or(appearance.lenses.len(), lenses[0])
         };
         let poses_fit = |poses: &PoseState| {
             poses.sets().iter().all(|rows| rows.len() as u64 == self.views)

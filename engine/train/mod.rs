@@ -29,7 +29,7 @@ pub mod verify;
 mod work;
 
 pub use block::{BlockState, SceneBlock, Surroundings};
-pub use checkpoint::{Capacities, Checkpoint, ExposureState, LightMeans, MeanState, PoseState};
+pub use checkpoint::{AppearanceMeans, Capacities, Checkpoint, ExposureState, MeanState, PoseState};
 pub use lens_opt::{LENS_STATE_VALUES, LensState};
 pub use parts::{Forecast, TrainParts};
 pub use photos::{PhotoSize, TrainView};

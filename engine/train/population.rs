@@ -132,7 +132,7 @@ impl Population<'_> {
             };
             let request = Request {
                 scene: &self.model.scene,
-                frozen: self.frozen,
+                other_scenes: self.frozen,
                 camera,
                 pose: self.poses.map(|poses| poses.camera(view)),
                 settings: &settings,
@@ -175,7 +175,7 @@ impl Population<'_> {
     /// Allocates planes and a frame for `rows` rows, if they exceed the capacity. Tries a reserve of half, then no reserve,
     /// then the largest capacity that fits, if that is at least a sixteenth larger than the present one. The growth may fall
     /// short of `rows`: see [`Population::capacity_with`].
-    pub fn make_room(&mut self, rows: u32) -> Result<Growth> {
+    pub fn reserve_gaussians(&mut self, rows: u32) -> Result<Growth> {
         let old = self.model.scene.plan.capacity;
         if rows <= old {
             return Ok(Growth(None));
@@ -365,7 +365,7 @@ impl Population<'_> {
         }
         let chunks = planes::allocate(self.context, ("scene", self.rows.planes), &plan)?;
         let fresh = Model::allocate(self.context, SceneBuffers { chunks, plan, count: 0 }, self.rows)?;
-        self.runner.store.make_room(gaussians_with(capacity, frozen_capacity(self.frozen)))?;
+        self.runner.store.reserve_gaussians(gaussians_with(capacity, frozen_capacity(self.frozen)))?;
         Ok(fresh)
     }
 }

@@ -339,7 +339,7 @@ impl Trainer {
         let frame = self.runner.store.capacity();
         let blending =
             LaunchSizes::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
-        // The averaging has one for the geometry and one for each SH degree.
+        // Averaging takes one dispatch for the geometry and one per SH degree.
         let scene = &self.state.model.scene.plan;
         let mean =
             if self.run.settings.average_last > 0.0 { scene.chunks * (scene.sh_degree + 2) } else { 0 };

@@ -136,7 +136,7 @@ impl Trainer {
         }
         trainer.check_statistics(from)?;
         trainer.restore_rows(from)?;
-        let means = from.means.as_ref().map(|means| means.light.clone()).unwrap_or_default();
+        let means = from.means.as_ref().map(|means| means.appearance.clone()).unwrap_or_default();
         trainer.losses.appearance.restore(context, [&from.exposures, &from.lenses], &means)?;
         if let Some(poses) = &trainer.poses {
             let lacks = || Error::argument("checkpoint", "lacks the poses of its views");

@@ -5,7 +5,7 @@ use super::settings::{OptimizerType, TrainSettings};
 use super::work::{Actions, Work};
 use crate::frame::{Dropout, RenderSettings};
 use crate::passes::adam::{MeanStep, Rates, Step};
-use crate::passes::light::LightStep;
+use crate::passes::appearance::AppearanceStep;
 use crate::passes::poses::PoseStep;
 use crate::scene::{Camera, PicturePart};
 use rand::seq::SliceRandom;
@@ -350,9 +350,9 @@ pub(super) struct IterationPlan {
     pub step: Step,
     /// True if the 3D filter's sizes are recomputed after the step.
     pub computes_filters: bool,
-    pub exposure: LightStep,
+    pub exposure: AppearanceStep,
     /// Step of the lens effects, if they are learned.
-    pub lens_step: LightStep,
+    pub lens_step: AppearanceStep,
     /// Averaging step of this iteration, if any.
     pub mean_step: Option<MeanStep>,
     /// Step of the poses, if they are optimised.
@@ -389,7 +389,7 @@ impl Schedule {
         work.optimizes &= iteration < s.iterations;
         let mean_step = mean_step(s, iteration, progress, &work);
         let view = self.order.view(iteration);
-        let exposure = LightStep {
+        let exposure = AppearanceStep {
             rate: s.exposure_lr(iteration),
             count: progress.steps + 1,
             decay: 2.0 * s.exposure_reg,
@@ -412,7 +412,7 @@ impl Schedule {
                 || (s.filter_3d && mean_step == Some(MeanStep::Ends)),
             mean_step,
             exposure,
-            lens_step: LightStep {
+            lens_step: AppearanceStep {
                 rate: s.lens_lr(iteration),
                 decay: 2.0 * s.lens_reg,
                 sparsity: 0.0,

@@ -348,7 +348,7 @@ options! {
         absgrad: bool = false, Bounds::None;
         /// Split a Gaussian into two drawn from it, or along its longest axis
         split: SplitType = SplitType::Sample, Bounds::None;
-        /// What the chance to be split follows with strategy budget: edges of the photographs, the gradient's statistic, nothing
+        /// Weights of the random choice of Gaussians to split (strategy budget): edges of the photographs, gradient statistic, none
         importance: ImportanceType = ImportanceType::Edges, Bounds::None;
         /// Grow to cap_max along a square root, not at once
         growth_curve: bool = false, Bounds::None;
@@ -363,7 +363,7 @@ options! {
         exposure_lr_init: f64 = 0.01, Bounds::Positive;
         /// Learning rate of the exposures at the end
         exposure_lr_final: f64 = 0.001, Bounds::Positive;
-        /// Iterations over which the exposures' learning rate rises from exposure_lr_delay_mult of it to all of it
+        /// Iterations over which the exposures' learning rate rises from exposure_lr_delay_mult times its scheduled value to that value
         exposure_lr_delay_steps: u32 = 0, Bounds::None;
         /// Share of the exposures' learning rate at the start of that rise
         exposure_lr_delay_mult: f64 = 0.0, Bounds::Share;
@@ -371,8 +371,8 @@ options! {
         exposure_reg: f64 = 0.0, Bounds::NotNegative;
         /// Scale steps of exposures by the gradients of all photos together, so that those that fit move little
         exposure_shared: bool = false, Bounds::None;
-        /// How far each step brings an exposure closer to none, as a share of its learning rate; nothing for one that is farther than 0.05
-        /// away. Photos without a clear change keep none: the minimax concave penalty, Zhang 2010
+        /// Pull of each step towards no exposure, as a share of the learning rate; 0 for exposures farther than 0.05 from none. Photos
+        /// without a clear change keep none: the minimax concave penalty, Zhang 2010
         exposure_sparsity: f64 = 0.0, Bounds::NotNegative;
         /// Learn vignetting and response of each camera, which change the rendered colours before they are compared
         lens_effects: bool = false, Bounds::None;
@@ -515,9 +515,10 @@ impl TrainSettings {
     pub const FEW_PHOTOS: usize = 12;
 
     /// Adapts settings to few photographs, by measurement (tools/strategies.md). From 32 photographs on nothing changes, from
-    /// [`FEW_PHOTOS`](Self::FEW_PHOTOS) down everything, and in between each value changes by a share. Budget omits random Gaussians from steps (DropGaussian), so that no photograph is fitted by Gaussians
-    /// that no other shows. A weight on opacities clears haze that no photograph disproves. The mean of more steps is stable where
-    /// single steps are not. The reference's growth ends early. The other strategies stay as they are.
+    /// [`FEW_PHOTOS`](Self::FEW_PHOTOS) down everything, and in between each value changes by a share. Budget omits random
+    /// Gaussians from steps (DropGaussian), so that no photograph is fitted by Gaussians that no other shows. A weight on opacities
+    /// clears haze that no photograph disproves. The mean of more steps is stable where single steps are not. The reference's
+    /// growth ends early. The other strategies stay as they are.
     #[must_use]
     pub fn for_photos(self, photos: usize) -> Self {
         let share = ((MANY_PHOTOS - photos as f64) / (MANY_PHOTOS - Self::FEW_PHOTOS as f64)).clamp(0.0, 1.0);

@@ -19,7 +19,7 @@ use crate::passes::backward::{Backward, BackwardForm, Statistics};
 use crate::passes::filter_3d::Filter3d;
 use crate::passes::lens::LensGradient;
 use crate::passes::loss::{LossTerm, Targets, TermInputs, Windowing, photo_bytes};
-use crate::passes::pixels::PixelBorder;
+use crate::passes::pixels::LayoutConverter;
 use crate::render::{Request, State};
 use crate::scene::{Camera, LENS_PARAMETERS};
 use crate::vk::{Buffer, Context, Kernel, MemoryKind, RecordSlot, Recorder};
@@ -30,7 +30,7 @@ pub(super) struct StepRecorder {
     terms: Vec<Box<dyn LossTerm>>,
     targets: Targets,
     /// Converts pictures to rows, for terms that read them so.
-    border: Option<PixelBorder>,
+    border: Option<LayoutConverter>,
     sizes: LaunchSizes,
     appearance: Appearance,
     backward: Backward,
@@ -102,7 +102,7 @@ impl<'a> StepParts<'a> {
     pub fn frame(&self) -> Request<'a> {
         Request {
             scene: &self.model.scene,
-            frozen: self.frozen,
+            other_scenes: self.frozen,
             camera: &self.plan.camera,
             pose: self.poses.map(|poses| poses.camera(self.plan.view)),
             settings: &self.plan.settings,
@@ -128,7 +128,7 @@ impl StepRecorder {
         let averages = settings.average_last > 0.0;
         Ok(Self {
             preparation: PhotoPreparation::new(context, settings)?,
-            border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
+            border: targets.rows().then(|| LayoutConverter::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
             appearance: Appearance::new(context, settings)?,
             backward: Backward::new(context),
@@ -196,7 +196,7 @@ impl StepRecorder {
         let largest =
             |bytes: fn(u32, u32) -> u64| sizes.iter().map(|&(width, height)| bytes(width, height)).max();
         if self.targets.inverse_depth {
-            requests.push(("image_gradient", largest(PixelBorder::gradient_bytes).unwrap_or(0)));
+            requests.push(("image_gradient", largest(LayoutConverter::gradient_bytes).unwrap_or(0)));
         }
         if self.targets.rows() {
             let pixels = largest(|width, height| u64::from(width) * u64::from(height)).unwrap_or(0);

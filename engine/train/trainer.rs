@@ -262,7 +262,7 @@ impl Trainer {
         };
         trainer.compute_filters()?;
         // Last, because required buffers come before expected ones.
-        expected.map_or(Ok(()), |frame| trainer.runner.store.restore_if_room(frame))?;
+        expected.map_or(Ok(()), |frame| trainer.runner.store.restore_if_it_fits(frame))?;
         Ok(trainer)
     }
 
@@ -447,7 +447,7 @@ impl Trainer {
             steps => Ok(Some(MeanState {
                 steps,
                 gaussians: planes::download(&self.context, &model.with_planes(&model.spare))?,
-                light: self.losses.appearance.means(&self.context, self.run.lens_count())?,
+                appearance: self.losses.appearance.means(&self.context, self.run.lens_count())?,
             })),
         }
     }
@@ -508,7 +508,7 @@ impl Trainer {
         let plan = IterationPlan { work: Work { accumulates: false, ..plan.work }, ..plan };
         self.photos.prepare(&self.context, plan.iteration)?;
         match self.run_step(&plan) {
-            Err(Failed::TooLittleRoom(why)) => self.skip(&plan, &why.0, why.1)?,
+            Err(Failed::OutOfMemory(why)) => self.skip(&plan, &why.0, why.1)?,
             ran => {
                 ran.map_err(Failed::error)?;
                 let losses = self.recorder.read_losses(&self.losses.readback)?;
@@ -533,13 +533,13 @@ impl Trainer {
             self.photos.prefetch(&self.context)?;
         }
         let mut ran = self.run_step(&plan);
-        if let Err(Failed::TooLittleRoom(why)) = &ran
+        if let Err(Failed::OutOfMemory(why)) = &ran
             && self.give_up_reserve(&why.0)?
         {
             ran = self.run_step(&plan);
         }
         let ran = match ran {
-            Err(Failed::TooLittleRoom(why)) => {
+            Err(Failed::OutOfMemory(why)) => {
                 let (state, error) = *why;
                 self.skip(&plan, &state, error)?;
                 let skipped = self.recorder.no_losses();

@@ -31,7 +31,7 @@ impl Context {
         requests: &[(&'static str, u64)],
         kind: MemoryKind,
     ) -> Result<Vec<Buffer>> {
-        let allocate = || self.device.allocate(arena, requests, kind, self.room_of_transfers(kind));
+        let allocate = || self.device.allocate(arena, requests, kind, self.staging_reserve(kind));
         let buffers = match allocate() {
             Err(Error::TooLarge { .. }) if self.free_staging() => allocate()?,
             allocated => allocated?,
@@ -42,8 +42,8 @@ impl Context {
         Ok(buffers)
     }
 
-    /// Returns the bytes of bounded memory that an allocation leaves free for the next transfer.
-    fn room_of_transfers(&self, kind: MemoryKind) -> u64 {
+    /// Returns the bytes of the memory limit that this allocation must leave free for a staging ring.
+    fn staging_reserve(&self, kind: MemoryKind) -> u64 {
         // A running download holds the ring's lock.
         if self.max_memory().is_none() || kind == MemoryKind::Offloaded || lock(&self.staging).bytes() > 0 {
             return 0;
@@ -105,9 +105,9 @@ impl Context {
     pub fn memory_limit(&self) -> Option<(u64, &'static str)> {
         let limits = self.limits();
         let heap = limits.tuning.heap_is_bound.then_some((limits.heap_bytes, "device-local heap"));
-        let asked = self.max_memory().map(|bytes| (bytes, MAX_MEMORY));
+        let requested = self.max_memory().map(|bytes| (bytes, MAX_MEMORY));
         let driver = self.driver_budget().map(|bytes| (bytes, "VK_EXT_memory_budget"));
-        [asked, driver, heap].into_iter().flatten().min_by_key(|(bytes, _)| *bytes)
+        [requested, driver, heap].into_iter().flatten().min_by_key(|(bytes, _)| *bytes)
     }
 
     /// Returns [`super::ContextOptions::max_memory`], or the value that [`Context::set_max_memory`] set.

@@ -324,7 +324,7 @@ unsafe extern "system" fn query_results(
     _: u64,
     _: vk::QueryResultFlags,
 ) -> vk::Result {
-    // SAFETY: the caller has so many bytes there.
+    // SAFETY: the caller provides this many bytes.
     unsafe { out.cast::<u8>().write_bytes(0, bytes) };
     vk::Result::SUCCESS
 }
@@ -366,16 +366,16 @@ pub struct Statistic {
 
 pub(super) struct Executables {
     functions: ash::khr::pipeline_executable_properties::Device,
-    asked: CompileOnly,
+    requested: CompileOnly,
 }
 
 impl Executables {
-    pub(super) fn new(instance: &ash::Instance, device: &ash::Device, asked: CompileOnly) -> Self {
-        Self { functions: ash::khr::pipeline_executable_properties::Device::new(instance, device), asked }
+    pub(super) fn new(instance: &ash::Instance, device: &ash::Device, requested: CompileOnly) -> Self {
+        Self { functions: ash::khr::pipeline_executable_properties::Device::new(instance, device), requested }
     }
 
     pub(super) fn flags(&self) -> vk::PipelineCreateFlags {
-        let texts = match self.asked.texts {
+        let texts = match self.requested.texts {
             true => vk::PipelineCreateFlags::CAPTURE_INTERNAL_REPRESENTATIONS_KHR,
             false => vk::PipelineCreateFlags::empty(),
         };
@@ -394,7 +394,7 @@ impl Executables {
                 name: text(&executable.name),
                 subgroup_size: executable.subgroup_size,
                 statistics: self.statistics(&info)?,
-                texts: if self.asked.texts { self.texts(&info)? } else { Vec::new() },
+                texts: if self.requested.texts { self.texts(&info)? } else { Vec::new() },
             })
         });
         each.collect()

@@ -372,8 +372,8 @@ impl Context {
     pub fn new(options: &ContextOptions) -> Result<Self> {
         let instance = Instance::new(options.validation, options.debug_printf, &options.instance_extensions)?;
         let from_environment = std::env::var("ASHSPLAT_DEVICE").ok().filter(|d| !d.trim().is_empty());
-        let asked = options.device.clone().or(from_environment);
-        let mut candidate = device::choose(&instance.raw, asked.as_deref(), options.least_version())?;
+        let requested = options.device.clone().or(from_environment);
+        let mut candidate = device::choose(&instance.raw, requested.as_deref(), options.least_version())?;
         candidate.features.push_descriptor &= options.push_descriptors;
         if options.device_extensions.contains(&ash::khr::swapchain::NAME) {
             candidate.queue_family = candidate.presenting_family;
@@ -512,7 +512,7 @@ impl Context {
                 true => ash::khr::push_descriptor::Device::new(instance, &device),
                 false => compile_only::push_descriptor(&device),
             }),
-            executables: options.compile_only.map(|asked| Executables::new(instance, &device, asked)),
+            executables: options.compile_only.map(|requested| Executables::new(instance, &device, requested)),
             shared_layouts: None,
             clock: features.calibrated_timestamps.map(|name| Clock::new(instance, &device, name)),
             names: Names::new(instance, &device, debug_utils),

@@ -215,12 +215,12 @@ pub(super) struct OptionalFeatures {
 
 impl OptionalFeatures {
     /// Turns off the subgroup features that a host has not enabled.
-    pub(super) fn keep_enabled(&mut self, told: &Features, extensions: &[&CStr]) {
+    pub(super) fn keep_enabled(&mut self, reported: &Features, extensions: &[&CStr]) {
         let enabled = |name: &CStr| extensions.contains(&name);
-        self.dynamic_broadcasts &= told.subgroup_broadcast_dynamic_id;
+        self.dynamic_broadcasts &= reported.subgroup_broadcast_dynamic_id;
         self.reconverges &=
-            told.shader_maximal_reconvergence && enabled(ash::khr::shader_maximal_reconvergence::NAME);
-        self.uniform_control_flow &= told.shader_subgroup_uniform_control_flow
+            reported.shader_maximal_reconvergence && enabled(ash::khr::shader_maximal_reconvergence::NAME);
+        self.uniform_control_flow &= reported.shader_subgroup_uniform_control_flow
             && enabled(ash::khr::shader_subgroup_uniform_control_flow::NAME)
             && !self.reconverges;
     }
@@ -247,13 +247,17 @@ const KINDS: [(vk::PhysicalDeviceType, &str); 4] = [
 ];
 
 /// Returns the device requested by index or by part of its name, or otherwise the best by [`KINDS`].
-pub(super) fn choose(instance: &ash::Instance, asked: Option<&str>, least_version: u32) -> Result<Candidate> {
+pub(super) fn choose(
+    instance: &ash::Instance,
+    requested: Option<&str>,
+    least_version: u32,
+) -> Result<Candidate> {
     let mut all = candidates(instance, least_version)?;
-    if let Some(asked) = asked {
-        let Some(found) = find(all.iter().map(|c| c.description.name.as_str()), asked) else {
+    if let Some(requested) = requested {
+        let Some(found) = find(all.iter().map(|c| c.description.name.as_str()), requested) else {
             let names = all.iter().map(|c| format!("{} '{}'", c.description.index, c.description.name));
             let available = names.collect::<Vec<_>>().join(", ");
-            return Err(Error::UnknownDevice { asked: asked.to_owned(), available });
+            return Err(Error::UnknownDevice { requested: requested.to_owned(), available });
         };
         let candidate = all.swap_remove(found);
         return match candidate.missing {
@@ -271,14 +275,14 @@ pub(super) fn choose(instance: &ash::Instance, asked: Option<&str>, least_versio
 }
 
 /// Returns the index of the device named by `asked`: a number, the whole name, or part of a name in any case.
-fn find<'a>(names: impl Iterator<Item = &'a str> + Clone, asked: &str) -> Option<usize> {
-    let asked = asked.trim().to_lowercase();
-    if let Ok(index) = asked.parse::<usize>() {
+fn find<'a>(names: impl Iterator<Item = &'a str> + Clone, requested: &str) -> Option<usize> {
+    let requested = requested.trim().to_lowercase();
+    if let Ok(index) = requested.parse::<usize>() {
         return (index < names.clone().count()).then_some(index);
     }
     let lower = names.map(str::to_lowercase);
-    let whole = lower.clone().position(|name| name == asked);
-    whole.or_else(|| lower.clone().position(|name| !asked.is_empty() && name.contains(&asked)))
+    let whole = lower.clone().position(|name| name == requested);
+    whole.or_else(|| lower.clone().position(|name| !requested.is_empty() && name.contains(&requested)))
 }
 
 pub(super) fn describe(
@@ -510,9 +514,9 @@ mod tests {
     #[test]
     fn a_device_is_found_by_index_and_by_part_of_its_name() {
         let names = ["NVIDIA H200", "llvmpipe (LLVM 15)", "AMD 200"];
-        let asked = ["1", "3", "LLVMpipe", "amd 200", "intel", ""];
-        let found = asked.map(|asked| find(names.into_iter(), asked));
-        assert_eq!(found, [Some(1), None, Some(1), Some(2), None, None], "{asked:?}");
+        let requested = ["1", "3", "LLVMpipe", "amd 200", "intel", ""];
+        let found = requested.map(|requested| find(names.into_iter(), requested));
+        assert_eq!(found, [Some(1), None, Some(1), Some(2), None, None], "{requested:?}");
     }
 
     /// A device's feature is used only if the host has enabled it together with its extension.
@@ -522,27 +526,27 @@ mod tests {
             ash::khr::shader_maximal_reconvergence::NAME,
             ash::khr::shader_subgroup_uniform_control_flow::NAME,
         );
-        let kept = |told: &Features, extensions: &[&CStr]| {
+        let kept = |reported: &Features, extensions: &[&CStr]| {
             let mut kept = OptionalFeatures {
                 dynamic_broadcasts: true,
                 reconverges: true,
                 uniform_control_flow: true,
                 ..OptionalFeatures::default()
             };
-            kept.keep_enabled(told, extensions);
+            kept.keep_enabled(reported, extensions);
             [kept.dynamic_broadcasts, kept.reconverges, kept.uniform_control_flow]
         };
-        let told = Features {
+        let reported = Features {
             subgroup_broadcast_dynamic_id: true,
             shader_maximal_reconvergence: true,
             shader_subgroup_uniform_control_flow: true,
             ..Features::REQUIRED
         };
         assert_eq!(kept(&Features::REQUIRED, &[maximal, uniform]), [false; 3]);
-        assert_eq!(kept(&told, &[]), [true, false, false]);
-        assert_eq!(kept(&told, &[uniform]), [true, false, true]);
+        assert_eq!(kept(&reported, &[]), [true, false, false]);
+        assert_eq!(kept(&reported, &[uniform]), [true, false, true]);
         // Maximal reconvergence includes uniform control flow.
-        assert_eq!(kept(&told, &[maximal, uniform]), [true, true, false]);
+        assert_eq!(kept(&reported, &[maximal, uniform]), [true, true, false]);
     }
 
     /// Families of queues with these flags and bits of timestamps.

@@ -112,7 +112,7 @@ impl Place {
 pub(super) const MAPPABLE: Flags =
     Flags::from_raw(Flags::HOST_VISIBLE.as_raw() | Flags::HOST_COHERENT.as_raw());
 
-/// Flags of types that need special treatment.
+/// Memory types with any of these flags are never chosen.
 const SPECIAL: Flags = Flags::from_raw(
     Flags::PROTECTED.as_raw() | Flags::LAZILY_ALLOCATED.as_raw() | Flags::DEVICE_COHERENT_AMD.as_raw(),
 );
@@ -184,7 +184,8 @@ struct Amounts {
 }
 
 impl Amounts {
-    /// Returns the amounts that memory of this arena and kind counts for.
+    /// Returns the totals to which memory of this arena and kind is added: the arena's, and the device's or the offloaded
+    /// memory's.
     fn of(&mut self, arena: &Arc<str>, kind: MemoryKind) -> [&mut Amount; 2] {
         let all = if kind == MemoryKind::Offloaded { &mut self.offloaded } else { &mut self.total };
         [self.arenas.entry(arena.clone()).or_default(), all]

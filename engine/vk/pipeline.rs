@@ -243,7 +243,7 @@ fn layout_binding(binding: u32, kind: vk::DescriptorType) -> vk::DescriptorSetLa
         .stage_flags(vk::ShaderStageFlags::COMPUTE)
 }
 
-/// Kinds of sets: the resource that each has beside [`BUFFERS`] storage buffers, with its binding.
+/// Kinds of descriptor sets: binding and type of the resource that each has besides [`BUFFERS`] storage buffers.
 const KINDS: [Option<(u32, vk::DescriptorType)>; 4] = [
     None,
     Some((UNIFORM_BLOCK, vk::DescriptorType::UNIFORM_BUFFER)),

@@ -168,7 +168,7 @@ void main() {
                 if (bits != 0) for (;;) {
                     uint lane = findLSB(bits) + 32 * word;
                     bits &= bits - 1;
-                    Splat splat = handed(own, lane);
+                    Splat splat = splat_of_lane(own, lane);
                     uint place = batch + step * SUBGROUP_SIZE + lane + 1;
                     Sums sums = blend_backward(splat, place, corner_px, 0);
                     uint base = ((step * SUBGROUP_SIZE + lane) * REGIONS + gl_SubgroupID) * SUMS;

@@ -71,7 +71,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
         if (bits != 0) for (;;) {
             uint lane = findLSB(bits) + 32 * word;
             bits &= bits - 1;
-            Splat splat = handed(own, lane);
+            Splat splat = splat_of_lane(own, lane);
             Sums sums = blend_backward(splat, batch + lane + 1, corner_px, first);
             bool mine = gl_SubgroupInvocationID == lane;
             add_if(mine, own_sums.value.x, sums.value.x);

@@ -62,11 +62,7 @@ layout(push_constant, scalar) uniform Push {
 const float FREE_DISTANCE = 0.05;
 
 #include "exposure_sums.glsl"
-
-bool finite(vec4 g) {
-    uvec4 exponent = floatBitsToUint(g) & 0x7F800000u;
-    return all(notEqual(exponent, uvec4(0x7F800000u)));
-}
+#include "finite.glsl"
 
 // Gradient of a row for the step, without the part of `decay`.
 vec4 gradient_of(uint photograph, vec4 of_view) {

@@ -81,7 +81,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
         if (bits != 0) for (;;) {
             uint lane = findLSB(bits) + 32 * word;
             bits &= bits - 1;
-            Splat splat = handed(own, lane);
+            Splat splat = splat_of_lane(own, lane);
 #ifdef AUXILIARY
             SplatExtra extra = HANDED_EXTRA(own_extra, lane);
 #endif
@@ -165,7 +165,7 @@ void main() {
         vec4 conic = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
         vec4 shade = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
         Splat own = splat_of(mean2d.xy, conic, shade);
-        hand_over(own);
+        share_splat(own);
 #ifdef AUXILIARY
         own_extra = splat_extra(visible);
 #endif

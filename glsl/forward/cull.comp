@@ -1,10 +1,10 @@
 // Visibility of each Gaussian, and the number of visible ones in each block: first step of the stable compaction. Culls by the
 // near plane, a degenerate covariance, an opacity below 1/255, and an empty set of tiles (paper, section 6; reference
 // preprocessCUDA). Applies the settings' cut, and with DROPOUT random omission. With TINTED opacities have the scene's factor,
-// and with CUT_OUTS volumes keep or remove Gaussians. With ADDS, Gaussians that are visible in an earlier view stay visible.
+// and with CUT_OUTS volumes keep or remove Gaussians. With SHARED_ORDER, Gaussians that are visible in an earlier view stay visible.
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
-// in: parameters (PerGaussian planes), with CUT_OUTS cut_outs (64 bytes each), with ADDS visible_flags; out:
+// in: parameters (PerGaussian planes), with CUT_OUTS cut_outs (64 bytes each), with SHARED_ORDER visible_flags; out:
 //     visible_flags[Gaussian], block_counts[block], zero without a Gaussian
 // shared: one word per subgroup; any subgroup size
 #version 460
@@ -29,7 +29,7 @@ layout(constant_id = 6) const bool CUT_OUTS = false;
 // Projection of the camera: see pinhole.glsl.
 layout(constant_id = 7) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 // True if the flags already hold the visible Gaussians of an earlier view.
-layout(constant_id = 8) const bool ADDS = false;
+layout(constant_id = 8) const bool SHARED_ORDER = false;
 #ifdef LENSES
 // True for a rolling shutter: see shutter.glsl.
 layout(constant_id = 9) const bool SHUTTER = false;

@@ -2,7 +2,7 @@
 // scenes between them are unchanged.
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians, of one scene
-// in: parameters (PerGaussian planes of all scenes), scene_blocks[scene], with CUT_OUTS cut_outs (64 bytes each), with ADDS
+// in: parameters (PerGaussian planes of all scenes), scene_blocks[scene], with CUT_OUTS cut_outs (64 bytes each), with SHARED_ORDER
 //     visible_flags; out: visible_flags[Gaussian], block_counts[block], zero where there is no Gaussian
 // shared: one word, and one per subgroup; any subgroup size
 #version 460
@@ -21,7 +21,7 @@ layout(constant_id = 3) const bool FILTER_3D = false;
 layout(constant_id = 5) const bool TINTED = false;
 layout(constant_id = 6) const bool CUT_OUTS = false;
 layout(constant_id = 7) const uint PROJECTION = PROJECTION_PERSPECTIVE;
-layout(constant_id = 8) const bool ADDS = false;
+layout(constant_id = 8) const bool SHARED_ORDER = false;
 #ifdef LENSES
 layout(constant_id = 9) const bool SHUTTER = false;
 #endif

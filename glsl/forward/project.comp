@@ -1,7 +1,7 @@
 // Screen-space attributes of the visible Gaussians: mean, conic, extent, tiles, depth, and colour from spherical harmonics
 // (paper, section 4; reference preprocessCUDA and computeColorFromSH). With TINTED, colours and opacities have the scene's
-// factors. All are seen along the camera's z axis if its projection is parallel. With MAY_BE_UNSEEN, the list may have Gaussians that only
-// another view shows: they touch no tile.
+// factors. With a parallel projection, colours are evaluated along the camera's z axis. With SHARED_ORDER, the list may have
+// Gaussians that only another view shows: they touch no tile.
 //
 // invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
 // in: parameters (PerGaussian planes), visible_list, visible_ranges, with SELECTION selection (a bit per Gaussian); out,
@@ -32,7 +32,7 @@ layout(constant_id = 7) const bool SELECTION = false;
 layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 // True if the list has Gaussians of other views.
-layout(constant_id = 10) const bool MAY_BE_UNSEEN = false;
+layout(constant_id = 10) const bool SHARED_ORDER = false;
 #ifdef LENSES
 // True for a rolling shutter: see shutter.glsl.
 layout(constant_id = 11) const bool SHUTTER = false;

@@ -20,7 +20,7 @@ layout(constant_id = 3) const bool FILTER_3D = false;
 layout(constant_id = 6) const bool TINTED = false;
 layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 9) const bool SH_LOOPS = false;
-layout(constant_id = 10) const bool MAY_BE_UNSEEN = false;
+layout(constant_id = 10) const bool SHARED_ORDER = false;
 #ifdef LENSES
 layout(constant_id = 11) const bool SHUTTER = false;
 #endif

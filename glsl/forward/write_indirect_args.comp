@@ -4,8 +4,8 @@
 // in: state[count_index] = the needed count; 0xFFFFFFFF if it exceeds 32 bits (scan_spine.comp)
 // out: state[count_index + 1] = min(needed, capacity); 0 if the prefix sums wrapped around and are invalid;
 //      state[STATE_OVERFLOW] is set if the count was clamped;
-//      arguments[3]: workgroups for blocks of `block_elementwise`, `block_sort` and `block_third` elements (the third: of
-//      the scan for the visible Gaussians, of the duplication for the instances)
+//      arguments[3]: workgroups for blocks of `block_elementwise`, `block_sort` and `caller_block` elements (the caller is
+//      the scan for the visible Gaussians, the duplication for the instances)
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
@@ -23,7 +23,7 @@ layout(push_constant, scalar) uniform Push {
     uint first_argument;
     uint block_elementwise;
     uint block_sort;
-    uint block_third;
+    uint caller_block;
     uint max_workgroups_per_axis;
 };
 
@@ -39,5 +39,5 @@ void main() {
     }
     arguments[first_argument] = workgroup_count(elements, block_elementwise);
     arguments[first_argument + 1] = workgroup_count(elements, block_sort);
-    arguments[first_argument + 2] = workgroup_count(elements, block_third);
+    arguments[first_argument + 2] = workgroup_count(elements, caller_block);
 }

@@ -128,7 +128,7 @@ bool is_pixel(uvec2 at) {
 }
 
 // Stores a pixel's composited colour and gradient, which blending and the loss have written.
-void hand(uint k, vec3 color, vec4 gradient) {
+void set_pixel(uint k, vec3 color, vec4 gradient) {
     pixels[k].gradient = gradient;
     pixels[k].rest = WEIGHTS ? 0.0 : dot(gradient.xyz, color);
 }
@@ -148,7 +148,7 @@ void load_four(uvec2 at, bool tile_exists, uint first) {
         // The loss writes no gradient below the picture.
         bool exists = at.y + k < image_height;
         vec4 gradient = vec4(rows[0][k], rows[1][k], rows[2][k], rows[3][k]);
-        hand(first + k, vec3(rows[4][k], rows[5][k], rows[6][k]), exists ? gradient : vec4(0.0));
+        set_pixel(first + k, vec3(rows[4][k], rows[5][k], rows[6][k]), exists ? gradient : vec4(0.0));
     }
 }
 
@@ -159,7 +159,7 @@ void load_one(uvec2 at, bool tile_exists, uint k) {
     if (!INVERSE_DEPTH) {
         gradient.w = 0.0;
     }
-    hand(k, color.xyz + color.w * background, gradient);
+    set_pixel(k, color.xyz + color.w * background, gradient);
 }
 
 // Loads the previous pass's state of a lane's pixels in a region, from the index `first` on. Returns 1 + the last list index

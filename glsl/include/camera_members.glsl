@@ -10,7 +10,7 @@ vec2 center_px;
 vec4 jacobian_limits;
 uint image_width;
 uint image_height;
-// Size of the whole picture, of which this one may be a part (engine/scene/picture_part.rs).
+// Size of the whole picture, of which this one may be a part (engine/scene/camera.rs).
 uint whole_width;
 uint whole_height;
 // 1 / scale^2.

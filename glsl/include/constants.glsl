@@ -126,8 +126,7 @@ const uint ZORDER_BITS = 30;
 const float SPLIT_FACTOR = 1.6;
 // Sum of gradient norms of a Gaussian outside a block's core: its mean over views is below every threshold.
 const float OUTSIDE_STATISTIC = -3e38;
-// A split along the longest axis (Improved-GS): the children lie at three times this share of the scale, which shrinks by it.
-// They have this share of the opacity.
+// A split along the longest axis (long_axis.glsl): the share d, and the children's share of the opacity.
 const float LONG_AXIS_SHARE = 0.45;
 const float LONG_AXIS_OPACITY = 0.6;
 // Criterion of densification: the mean gradient norm, that of absolute values, or a previous selection.

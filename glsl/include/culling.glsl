@@ -1,6 +1,6 @@
 // Visibility of Gaussians and their number per block, for culling of one scene and of a batch. Needs the requirements of
 // project_gaussian.glsl with DRAWS_SHAPES, dropout.glsl and cut_outs.glsl; workgroup_scan.glsl; `chunk_gaussians`, `visible_flags`,
-// `block_counts`; and ADDS: true if the flags already hold the visible Gaussians of an earlier view.
+// `block_counts`; and SHARED_ORDER: true if the flags already hold the visible Gaussians of an earlier view.
 
 // Same as CutLimits::keeps (engine/scene/cut.rs), bit for bit: comparisons and one subtraction.
 bool kept(vec3 mean, vec3 log_scale, float opacity_logit) {
@@ -31,7 +31,7 @@ bool is_shown(uint gaussian, uint index, uint first_cut_out, uint cut_out_count)
 // Gaussian.
 void write_flag(uint gaussian, bool has_flag, bool exists, bool visible) {
     // No other invocation reads this flag.
-    if (ADDS && exists) {
+    if (SHARED_ORDER && exists) {
         visible = visible || visible_flags[gaussian] != 0;
     }
     uint flag = exists && visible ? 1 : 0;

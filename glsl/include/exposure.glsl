@@ -1,5 +1,5 @@
-// Exposure of a photograph (the reference's 3 x 4 matrix E): out_c = sum over k of picture_k E[k][c] + E[c][3]. Row k of a
-// view's matrix is exposures[3 * view + k]. Pictures have the layout of blending for the loss: with STRIPS three planes in
+// Exposure of a photograph (the reference's 3 x 4 matrix E): out_c = sum over k of picture_k E[k][c] + E[c][3]. Row k of E
+// is matrices[3 * matrix + k]. Pictures have the layout of blending for the loss: with STRIPS three planes in
 // strips (strips.glsl), composited; otherwise per pixel the colour without background and the transmittance.
 // Needs constants.glsl, strips.glsl, STRIPS, the buffer `rendered`, and the push constant `background`.
 

@@ -3,8 +3,8 @@
 //   V = 1 + a1 r^2 + a2 r^4 + a3 r^6,  gamma = exp(g),
 //
 // where r is the distance from the principal point in halves of the picture's diagonal. Below LEAST the response is a straight
-// line from 0, t LEAST^(gamma - 1), so that dark and negative colours have finite gradients. Row c of a lens' parameters is
-// lenses[3 * lens + c] = (a1, a2, a3, g).
+// line from 0, t LEAST^(gamma - 1), so that dark and negative colours have finite gradients. Row c of a lens' matrix is (a1, a2,
+// a3, g).
 // Needs the push constants `center_px` and `inverse_square` (1 / half of the diagonal, squared).
 
 const float LEAST = 1.0 / 1024.0;

@@ -19,7 +19,7 @@ uint shared_place(uint lane) {
 
 // All lanes of a subgroup must call it before they read the splats of a batch. With SHARED_SPLATS it stores them so that a read
 // takes four numbers at once. An NVIDIA multiprocessor does as many of those per clock as shuffles of one number.
-void hand_over(Splat splat) {
+void share_splat(Splat splat) {
     if (SHARED_SPLATS) {
         uint place = shared_place(gl_SubgroupInvocationID);
         // Other lanes may read the previous batch until now.
@@ -33,7 +33,7 @@ void hand_over(Splat splat) {
     }
 }
 
-Splat handed(Splat splat, uint lane) {
+Splat splat_of_lane(Splat splat, uint lane) {
     if (SHARED_SPLATS) {
         uint place = shared_place(lane);
         vec4 a = shared_splats[place];

@@ -21,13 +21,13 @@ uint tiles_met(uvec2 list) {
     return is_listed(list) ? list.x >> LIST_TILES_SHIFT & LISTED_TILES : list.x;
 }
 
-// Tile number `left` of the list.
-uint listed_tile(uvec2 list, uint left, uint tiles_per_row) {
+// Tile at `index` in the list.
+uint listed_tile(uvec2 list, uint index, uint tiles_per_row) {
     uint row = 0;
     uint before = 0;
     for (uint k = 0; k < LISTED_ROWS - 1; ++k) {
         uint end = list.y >> LIST_TILES_BITS * k & LISTED_TILES;
-        bool behind = left >= end;
+        bool behind = index >= end;
         row += behind ? 1 : 0;
         before = behind ? end : before;
     }
@@ -35,8 +35,8 @@ uint listed_tile(uvec2 list, uint left, uint tiles_per_row) {
     uint first_tile = list.x & (1u << LIST_COLUMN_SHIFT) - 1;
 #ifdef LENSES
     // Beyond the seam of a panorama.
-    uint last_column = first_tile % tiles_per_row + (column & LISTED_COLUMNS - 1) + left - before;
+    uint last_column = first_tile % tiles_per_row + (column & LISTED_COLUMNS - 1) + index - before;
     first_tile -= last_column / tiles_per_row * tiles_per_row;
 #endif
-    return first_tile + row * tiles_per_row + (column & LISTED_COLUMNS - 1) + left - before;
+    return first_tile + row * tiles_per_row + (column & LISTED_COLUMNS - 1) + index - before;
 }

@@ -1,5 +1,5 @@
 // Attributes of a visible Gaussian, for projection of one scene and of a batch. Needs the requirements of project_gaussian.glsl with
-// DRAWS_SHAPES; sh_planes.glsl, splat_record.glsl; the buffers of project.comp; Z_RECORD and MAY_BE_UNSEEN; and `highlighted`,
+// DRAWS_SHAPES; sh_planes.glsl, splat_record.glsl; the buffers of project.comp; Z_RECORD and SHARED_ORDER; and `highlighted`,
 // which gives a selected Gaussian its colour.
 
 vec3 tinted(vec3 color) {
@@ -25,7 +25,7 @@ void write_splat(uint visible, uint index) {
     vec4 conic = vec4(vec3(p.cov2d.z, -p.cov2d.y, p.cov2d.x) / p.det, f.opacity);
     uvec3 shape = extent == EXTENT_REFERENCE ? uvec3(pack_tiles(f.tiles), f.radius_px) : row_shape(mean2d, conic);
     uvec2 list = list_tiles(mean2d, shape, f.tiles, (image_width + TILE_SIZE - 1) / TILE_SIZE);
-    if (MAY_BE_UNSEEN) {
+    if (SHARED_ORDER) {
         list = f.visible ? list : uvec2(0);
     }
     mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)] = mean2d;

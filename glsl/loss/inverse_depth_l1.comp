@@ -6,7 +6,7 @@
 // in/out: image_gradient, dL/d(inverse depth): with STRIPS the fourth plane in strips (strips.glsl), otherwise the fourth
 //     component of each pixel
 // out: partials[workgroup] = (sum of |D - M|, 0)
-// shared: one float per subgroup; any subgroup size
+// shared: one vec2 per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
@@ -33,8 +33,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "strips.glsl"
-
-shared float subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
+#include "workgroup_sum.glsl"
 
 void main() {
     float sum = 0.0;
@@ -49,16 +48,8 @@ void main() {
             sum += abs(difference);
         }
     }
-    sum = subgroupAdd(sum);
-    if (gl_SubgroupInvocationID == 0) {
-        subgroup_sums[gl_SubgroupID] = sum;
-    }
-    barrier();
+    vec2 total = workgroup_sum(vec2(sum, 0.0), vec2(0.0));
     if (gl_LocalInvocationID.x == 0) {
-        float total = 0.0;
-        for (uint k = 0; k < WORKGROUP_SIZE / SUBGROUP_SIZE; ++k) {
-            total += subgroup_sums[k];
-        }
-        partials[gl_WorkGroupID.x] = vec2(total, 0.0);
+        partials[gl_WorkGroupID.x] = total;
     }
 }

@@ -27,24 +27,15 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "ssim.glsl"
-
-shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
+#include "workgroup_sum.glsl"
 
 void main() {
     vec2 sum = vec2(0.0);
     for (uint index = gl_LocalInvocationID.x; index < partials; index += WORKGROUP_SIZE) {
         sum += loss_partials[index];
     }
-    sum = subgroupAdd(sum);
-    if (gl_SubgroupInvocationID == 0) {
-        subgroup_sums[gl_SubgroupID] = sum;
-    }
-    barrier();
+    vec2 total = workgroup_sum(sum, vec2(0.0));
     if (gl_LocalInvocationID.x == 0) {
-        vec2 total = vec2(0.0);
-        for (uint k = 0; k < WORKGROUP_SIZE / SUBGROUP_SIZE; ++k) {
-            total += subgroup_sums[k];
-        }
         total *= scale;
         losses[loss_row] = vec4(weight * total_loss(total, lambda_dssim), total, 0.0);
     }

@@ -33,8 +33,7 @@ layout(push_constant, scalar) uniform Push {
 
 #include "opacity.glsl"
 #include "planes.glsl"
-
-shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
+#include "workgroup_sum.glsl"
 
 void main() {
     vec2 sum = vec2(0.0);
@@ -48,16 +47,9 @@ void main() {
         parameter_gradients[scale_at].xyz += scale_weight * scale;
         sum += vec2(opacity, scale.x + scale.y + scale.z);
     }
-    sum = subgroupAdd(sum);
-    if (gl_SubgroupInvocationID == 0) {
-        subgroup_sums[gl_SubgroupID] = sum;
-    }
-    barrier();
+    bool adds = continues != 0 && gl_LocalInvocationID.x == 0;
+    vec2 total = workgroup_sum(sum, adds ? partials[gl_WorkGroupID.x] : vec2(0.0));
     if (gl_LocalInvocationID.x == 0) {
-        vec2 total = continues != 0 ? partials[gl_WorkGroupID.x] : vec2(0.0);
-        for (uint k = 0; k < WORKGROUP_SIZE / SUBGROUP_SIZE; ++k) {
-            total += subgroup_sums[k];
-        }
         partials[gl_WorkGroupID.x] = total;
     }
 }

@@ -5,7 +5,7 @@
 // invocation: every (number of invocations)-th point; the number of workgroups is TERM_PARTIALS
 // in: points[point] = (x, y, px; 1/z); PerPixel: accumulated (.w = T, so that sum(w) = 1 - T), depth_sums (sum of w z)
 // out: sample_gradients[point] = dL/dZ at the point; partials[workgroup] = (sum of |1/Z - 1/z|, 0)
-// shared: one float per subgroup; any subgroup size
+// shared: one vec2 per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
@@ -33,8 +33,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "depth_points.glsl"
-
-shared float subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
+#include "workgroup_sum.glsl"
 
 void main() {
     float sum = 0.0;
@@ -52,16 +51,8 @@ void main() {
         sample_gradients[index] = exists ? -weight * sign(difference) * inverse * inverse : 0.0;
         sum += abs(difference);
     }
-    sum = subgroupAdd(sum);
-    if (gl_SubgroupInvocationID == 0) {
-        subgroup_sums[gl_SubgroupID] = sum;
-    }
-    barrier();
+    vec2 total = workgroup_sum(vec2(sum, 0.0), vec2(0.0));
     if (gl_LocalInvocationID.x == 0) {
-        float total = 0.0;
-        for (uint k = 0; k < WORKGROUP_SIZE / SUBGROUP_SIZE; ++k) {
-            total += subgroup_sums[k];
-        }
-        partials[gl_WorkGroupID.x] = vec2(total, 0.0);
+        partials[gl_WorkGroupID.x] = total;
     }
 }

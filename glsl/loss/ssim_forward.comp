@@ -40,10 +40,10 @@ layout(push_constant, scalar) uniform Push {
 #include "ssim.glsl"
 #include "ssim_pixel.glsl"
 #include "ssim_block.glsl"
+#include "workgroup_sum.glsl"
 
 shared vec2 values[SSIM_APRON * SSIM_APRON];
 shared vec4 rows[SSIM_APRON * SSIM_BLOCK];
-shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
 
 // Writes the derivatives at a pixel. Returns (|x - y|, SSIM).
 vec2 finish(vec4 moments, vec2 value, uvec2 pixel) {
@@ -114,16 +114,8 @@ void main() {
             sum += finish(moments, value, uvec2(origin) + uvec2(column, row + k));
         }
     }
-    sum = subgroupAdd(sum);
-    if (gl_SubgroupInvocationID == 0) {
-        subgroup_sums[gl_SubgroupID] = sum;
-    }
-    barrier();
+    vec2 total = workgroup_sum(sum, vec2(0.0));
     if (gl_LocalInvocationID.x == 0) {
-        vec2 total = vec2(0.0);
-        for (uint k = 0; k < WORKGROUP_SIZE / SUBGROUP_SIZE; ++k) {
-            total += subgroup_sums[k];
-        }
         uint workgroup = (channel * gl_NumWorkGroups.y + gl_WorkGroupID.y) * gl_NumWorkGroups.x + gl_WorkGroupID.x;
         loss_partials[workgroup] = total;
     }

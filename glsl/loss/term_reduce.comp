@@ -25,23 +25,15 @@ layout(push_constant, scalar) uniform Push {
     vec2 weights;
 };
 
-shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
+#include "workgroup_sum.glsl"
 
 void main() {
     vec2 sum = vec2(0.0);
     for (uint index = gl_LocalInvocationID.x; index < TERM_PARTIALS; index += WORKGROUP_SIZE) {
         sum += partials[index];
     }
-    sum = subgroupAdd(sum);
-    if (gl_SubgroupInvocationID == 0) {
-        subgroup_sums[gl_SubgroupID] = sum;
-    }
-    barrier();
+    vec2 total = workgroup_sum(sum, vec2(0.0));
     if (gl_LocalInvocationID.x == 0) {
-        vec2 total = vec2(0.0);
-        for (uint k = 0; k < WORKGROUP_SIZE / SUBGROUP_SIZE; ++k) {
-            total += subgroup_sums[k];
-        }
         vec2 mean = total / values;
         losses[row] = vec4(weights.x * mean.x + weights.y * mean.y, mean, 0.0);
     }

@@ -50,8 +50,8 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
             ("--block=-9,-9,-9,-0.2,9,9 --margin 0.1".into(), "here it is -9,"),
             (String::new(), "the whole scene is trained"),
         ] {
-            let goes_on = "--scene-extent 1.5 --iterations 40 --start_checkpoint latest";
-            place.attempt(&parts, format!("{other} {goes_on} {begin}")).refused(&["chkpnt20", said]);
+            let resume = "--scene-extent 1.5 --iterations 40 --start_checkpoint latest";
+            place.attempt(&parts, format!("{other} {resume} {begin}")).refused(&["chkpnt20", said]);
         }
         // Verification can train a block, too.
         place.run(format!("train --config @{parts}/settings.toml --verify-determinism 3")).ok();
@@ -78,9 +78,9 @@ fn a_block_is_trained_on_parts_of_photos() {
     run("whole", "30").ok();
     assert!(place.ply("parts", 30) != place.ply("whole", 30), "it changes nothing");
     run("stopped", "20 --checkpoint_iterations 20 --photo-parts on").ok();
-    let goes_on = "30 --start_checkpoint latest";
-    run("stopped", goes_on).refused(&["chkpnt20", "other photographs or cameras"]);
-    run("stopped", &format!("{goes_on} --photo-parts on")).ok();
+    let resume = "30 --start_checkpoint latest";
+    run("stopped", resume).refused(&["chkpnt20", "other photographs or cameras"]);
+    run("stopped", &format!("{resume} --photo-parts on")).ok();
     assert!(place.ply("stopped", 30) == place.ply("parts", 30), "other bits");
     // The device holds fewer pixels.
     let photos = |model: &str| -> f64 {

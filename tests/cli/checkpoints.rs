@@ -61,7 +61,7 @@ fn a_resumed_training_equals_one_that_was_never_stopped() {
 
 /// The same command is repeated until training is done, as a scheduler does.
 #[test]
-fn the_same_command_goes_on_by_itself() {
+fn the_same_command_continues_by_itself() {
     let place = Place::new();
     place.train("whole", "--iterations 40");
     let auto = |iterations: &str| {
@@ -116,7 +116,7 @@ fn another_bound_of_memory_is_a_warning() {
 
 /// The error names the total need, although photographs read ahead are the first that do not fit.
 #[test]
-fn too_little_memory_is_told_how_much_would_do() {
+fn memory_error_names_the_need() {
     let place = Place::new();
     let refused = place.attempt("model", "--max-memory 1K");
     assert_eq!(refused.code, Some(2));
@@ -171,7 +171,7 @@ fn kill(mut child: Running) -> bool {
 ///
 /// The moments are counted in checkpoints, not in seconds, because the speed depends on the machine's load.
 #[test]
-fn killed_at_any_moment_training_goes_on() {
+fn killed_at_any_moment_training_continues() {
     let kills: u64 = std::env::var("ASHSPLAT_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(4);
     let place = Place::new();
     let every: Vec<String> = (1..120).map(|n| n.to_string()).collect();

@@ -165,7 +165,7 @@ fn photographs_in_a_data_set_are_used_where_they_are() {
 }
 
 #[test]
-fn failures_name_the_log_and_a_second_run_goes_on() {
+fn failures_name_the_log_and_a_second_run_continues() {
     let place = Photographs::new("photos");
     let log = "photos_dataset/poses.unfinished/poses.log";
     let failing = |stage: &str| {

@@ -3,8 +3,8 @@
 use super::*;
 use ashsplat_files::cameras_json;
 
-/// Options as users choose them.
-const WAYS: [&str; 4] = [
+/// Option sets to test.
+const STRATEGIES: [&str; 4] = [
     "--strategy budget --few-photos off",
     "--strategy mcmc --few-photos off",
     "--preset fast --few-photos off",
@@ -16,10 +16,10 @@ const SHORT: &str = "--quiet --eval-share 0 --sh-degree 1 --sh-degree-interval 6
                      --densify-from-iter 5 --densification-interval 6";
 
 #[test]
-fn every_way_to_train_goes_on_and_is_verified() {
+fn every_strategy_resumes_and_verifies() {
     let place = Place::new();
     let mut ends = Vec::new();
-    for (number, way) in WAYS.iter().enumerate() {
+    for (number, way) in STRATEGIES.iter().enumerate() {
         let name = number.to_string();
         let train = |more: &str| {
             place.run(format!("train -s @data -m @{name} --iterations 40 {SHORT} {way} {more}")).ok()
@@ -37,7 +37,7 @@ fn every_way_to_train_goes_on_and_is_verified() {
     }
     ends.sort();
     ends.dedup();
-    assert_eq!(ends.len(), WAYS.len(), "two ways do the same");
+    assert_eq!(ends.len(), STRATEGIES.len(), "two ways do the same");
 }
 
 /// 3DGS-MCMC starts with more opaque, smaller Gaussians. A given scene keeps its values.

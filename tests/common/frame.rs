@@ -53,7 +53,7 @@ impl Projected {
     }
 
     /// Same as [`Self::new`]; all Gaussians may be listed as visible. `expected` has only those that are.
-    pub fn listing(gpu: &Gpu, gaussians: &[Gaussian], view: &View, may_be_unseen: bool) -> Projected {
+    pub fn listing(gpu: &Gpu, gaussians: &[Gaussian], view: &View, shared_order: bool) -> Projected {
         let spec = project::Spec {
             workgroup_size: gpu.workgroup(64),
             // May be lower than the stored one.
@@ -66,7 +66,7 @@ impl Projected {
             projection: view.drawn.projection(),
             lenses: false,
             sh_loops: gpu.limits().tuning.sh_loops,
-            may_be_unseen,
+            shared_order,
             shutter: false,
         };
         let splat = |(i, gaussian): (usize, &Gaussian)| {
@@ -82,7 +82,7 @@ impl Projected {
         }
         // Culling applies the dropout.
         let visible: Vec<u32> =
-            (0..gaussians.len() as u32).filter(|&i| may_be_unseen || splats[i as usize].is_some()).collect();
+            (0..gaussians.len() as u32).filter(|&i| shared_order || splats[i as usize].is_some()).collect();
         let (room, count) = (room(gaussians.len()), visible.len());
         let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, room, view.filter_3d));
         // Two entries at the front belong to another range.

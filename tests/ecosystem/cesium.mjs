@@ -47,8 +47,8 @@ scene.camera.frustum = new Cesium.PerspectiveFrustum({
 });
 const drawn = new Set();
 tiles.tileVisible.addEventListener((tile) => drawn.add(tile.content.url.split('/').pop()));
-// Tiles arrive, and a worker sorts them for a picture of some frames later, on a busy machine of many: until then that of other tiles
-// stays. The engine tells by nothing public whether it is at work, and its version is a fixed one.
+// CesiumJS sorts in a worker, and the picture follows some frames later. It has no public sign of that, so private members are read;
+// its version is pinned.
 const isSettled = () => {
     const splats = tiles.gaussianSplatPrimitive;
     const works = splats._pendingSnapshot || splats._needsSnapshotRebuild || splats._dirty || splats._pendingSortPromise;

@@ -208,7 +208,7 @@ fn picks_know_a_thousand_scenes() {
 /// Cut-outs, a tint and a selection change which Gaussians are drawn and their weights. Indices stay those of the
 /// scene.
 #[test]
-fn picks_know_scenes_in_ways_of_their_own() {
+fn picks_follow_scene_settings() {
     with_guest(|host, context| {
         let view = camera(0.3, SIZE[0], SIZE[1]);
         let part = round(400, 4);

@@ -74,7 +74,7 @@ fn a_selection_has_another_colour() {
 
 /// One mask covers a scene whose parameters lie in several buffers.
 #[test]
-fn a_mask_goes_on_from_chunk_to_chunk() {
+fn a_mask_continues_from_chunk_to_chunk() {
     with_host(&options(), |host| {
         let context = guest_of_small_bindings(host);
         let gaussians = flat(1500, 8);

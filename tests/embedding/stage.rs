@@ -278,7 +278,7 @@ pub const READ: ImageState = ImageState {
     accesses: vk::AccessFlags2::NONE,
 };
 
-/// The guest's state of an image as the host's.
+/// Converts the engine's ImageState to the host's Use.
 pub fn used(ImageState { layout, stages, accesses }: ImageState) -> Use {
     (layout, stages, accesses)
 }

@@ -9,7 +9,7 @@ use crate::golden::npz::Npz;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::project_backward::mean2d_statistic;
 use ashsplat::passes::backward::{BackwardForm, Statistics};
-use ashsplat::passes::pixels::PixelBorder;
+use ashsplat::passes::pixels::LayoutConverter;
 use std::path::Path;
 
 /// Norms of the signed and of the absolute gradients, and true if visible, per Gaussian.
@@ -99,7 +99,7 @@ pub fn of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let set = gaussians(&npz, "");
-    let border = PixelBorder::new(gpu.context).expect("kernels");
+    let border = LayoutConverter::new(gpu.context).expect("kernels");
     for (extent, _) in EXTENTS {
         let views = views(&npz, extent);
         let stages = Stages::new(&gpu, &set, &views);
@@ -117,7 +117,7 @@ pub fn of_device(path: &Path) -> Outcome {
                 .collect();
             let rows = gpu.buffer("rows", &rows);
             let [width, height] = view.size_px;
-            let native = gpu.zeros::<u8>("native", PixelBorder::gradient_bytes(width, height) as usize);
+            let native = gpu.zeros::<u8>("native", LayoutConverter::gradient_bytes(width, height) as usize);
             let own = gpu.zeros::<[f32; 2]>("statistics", set.len());
             let own_absolute = gpu.zeros::<f32>("absolute_statistics", set.len());
             for (buffer, absolute) in [(&own, &own_absolute), (&sums, &absolute_sums)] {

@@ -112,9 +112,9 @@ fn compute(gpu: &Gpu, npz: &Npz, windowing: Windowing) -> Computed {
     let e: Vec<f32> = npz.values("E").iter().map(|&x| x as f32).collect();
     let exposures = gpu.buffer("exposures", &e);
     let exposed = gpu.untouched::<f32>("exposed", values(size));
-    let kernel = gpu.kernel::<expose::Interface>(&expose::Spec { workgroup_size, strips });
-    let bind = expose::Bind { rendered: &picture, exposures: &exposures, exposed: &exposed };
-    let push = expose::Push { image_width: width, image_height: height, background: [0.0; 3], view: 0 };
+    let kernel = gpu.kernel::<expose::Interface>(&expose::Spec { workgroup_size, strips, lens: false });
+    let bind = expose::Bind { rendered: &picture, matrices: &exposures, exposed: &exposed };
+    let push = expose::Push { image_width: width, image_height: height, ..Default::default() };
     let pixels = u64::from(width) * u64::from(height.next_multiple_of(8));
     gpu.run(|r| r.dispatch(&kernel, &bind, &push, pixels.div_ceil(workgroup_size.into())));
     let out = colors(&gpu.read::<f32>(&exposed, values(size)), size, strips);
@@ -122,16 +122,15 @@ fn compute(gpu: &Gpu, npz: &Npz, windowing: Windowing) -> Computed {
     let ([loss, ..], of_out) = device_loss(gpu, windowing, pictures, [width, height]);
     let g = gpu.buffer("image_gradient", &native(&of_out));
     let partials = gpu.untouched::<[[f32; 4]; 3]>("partials", TERM_PARTIALS as usize);
-    let spec = expose_backward::Spec { workgroup_size, subgroup_size: gpu.subgroup(), strips };
+    let spec = expose_backward::Spec { workgroup_size, subgroup_size: gpu.subgroup(), strips, lens: false };
     let kernel = gpu.kernel::<expose_backward::Interface>(&spec);
     let bind = expose_backward::Bind {
         rendered: &picture,
-        exposures: &exposures,
+        matrices: &exposures,
         image_gradient: &g,
         partials: &partials,
     };
-    let push =
-        expose_backward::Push { image_width: width, image_height: height, background: [0.0; 3], view: 0 };
+    let push = expose_backward::Push { image_width: width, image_height: height, ..Default::default() };
     gpu.run(|r| r.dispatch(&kernel, &bind, &push, TERM_PARTIALS.into()));
     let of_picture = colors(&gpu.read::<f32>(&g, values(size)), size, strips);
     let mut of_matrix = [[0.0; 4]; 3];

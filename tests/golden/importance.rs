@@ -12,7 +12,7 @@ use ashsplat::passes::densify::{
     Candidates, Chances, EdgePhoto, Importance, ImportanceBuffers, Selection, SelectionBuffers, SelectionDraw,
 };
 use ashsplat::passes::loss::{Windowing, photo_on_device};
-use ashsplat::passes::pixels::PixelBorder;
+use ashsplat::passes::pixels::LayoutConverter;
 use std::path::Path;
 
 /// Tolerances relative to the largest value.
@@ -60,7 +60,7 @@ pub fn of_device(path: &Path) -> Outcome {
     let gpu = Gpu::new();
     let set = gaussians(&npz, "");
     let kernels = Importance::new(gpu.context, &RenderSettings::default()).expect("kernels");
-    let border = PixelBorder::new(gpu.context).expect("kernels");
+    let border = LayoutConverter::new(gpu.context).expect("kernels");
     for (extent, _) in EXTENTS {
         let views = views(&npz, extent);
         let stages = Stages::new(&gpu, &set, &views);
@@ -76,7 +76,7 @@ pub fn of_device(path: &Path) -> Outcome {
             let used: Vec<[f32; 4]> = of("edge_used").iter().map(|&e| [e as f32, 0.0, 0.0, 0.0]).collect();
             let used = gpu.buffer("rows", &used);
             let [width, height] = view.size_px;
-            let native = gpu.zeros::<u8>("native", PixelBorder::gradient_bytes(width, height) as usize);
+            let native = gpu.zeros::<u8>("native", LayoutConverter::gradient_bytes(width, height) as usize);
             stages.run(view, |r, inputs, _| {
                 r.fill(&buffers.ranges, 0);
                 border.record_gradient(r, inputs, &used, &native, false);
@@ -107,7 +107,7 @@ fn edges_of_device<'a>(
     let texels = photo_on_device(windowing, width, height, false, rgbm.collect());
     let texels = &gpu.buffer("photo", &texels);
     let photo = EdgePhoto { texels, size: (width, height), masked: false, cut_sides: [false; 4] };
-    let native = gpu.zeros::<u8>("native", PixelBorder::gradient_bytes(width, height) as usize);
+    let native = gpu.zeros::<u8>("native", LayoutConverter::gradient_bytes(width, height) as usize);
     gpu.run(|r| kernels.record_edges(r, &photo, buffers, &native));
     let raw: Vec<f64> = gpu.read_f64::<u32>(&buffers.responses, view.pixels());
     equal("edge_raw", &raw, of("edge_raw"))?;

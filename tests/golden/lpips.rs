@@ -10,7 +10,7 @@ use std::path::Path;
 
 const TWIN: f64 = 1e-6;
 const DEVICE: f64 = 1e-4;
-/// Name in the file, steps, and tag of the weights relative to the set's first.
+/// Name in the file, layers, and offset of the weights' formula tag.
 const NETWORKS: [(&str, &[Step], u32, Network); 2] =
     [("alex", &ALEXNET, 0, Network::AlexNet), ("vgg", &VGG16, 64, Network::Vgg16)];
 

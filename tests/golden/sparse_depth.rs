@@ -14,7 +14,7 @@ use crate::reference::sparse_depth_gather::{expected_depth_backward, gather};
 use ashsplat::frame::{SceneBuffers, planes};
 use ashsplat::passes::backward::{BackwardForm, Statistics};
 use ashsplat::passes::loss::{DepthPointBuffers, LossTerm, TermInputs};
-use ashsplat::passes::pixels::PixelBorder;
+use ashsplat::passes::pixels::LayoutConverter;
 use ashsplat::train::SparseDepth;
 use std::path::Path;
 
@@ -144,7 +144,8 @@ pub fn of_device(path: &Path) -> Outcome {
         .map(|(name, bytes)| gpu.zeros::<u32>(name, bytes as usize / 4))
         .collect();
     let losses = gpu.zeros::<[f32; 4]>("losses", 1);
-    let gradient = gpu.zeros::<u8>("image_gradient", PixelBorder::gradient_bytes(size.0, size.1) as usize);
+    let gradient =
+        gpu.zeros::<u8>("image_gradient", LayoutConverter::gradient_bytes(size.0, size.1) as usize);
     let statistics = gpu.zeros::<[f32; 2]>("statistics", set.len());
     let mean2d = gpu.zeros::<[f32; 2]>("mean2d_gradients", set.len());
     let chunks = planes::allocate(context, ("gradients", MemoryKind::Device), &stages.scene.plan)?;

@@ -65,7 +65,7 @@ impl<'a> Stages<'a> {
         let mut forward = Forward::new(context).expect("kernels");
         let drawn = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(&views[0]) };
         let variant = FrameVariant::of(&drawn, &camera(&views[0]), true);
-        forward.prepare_variant(sh_degree, variant).expect("kernels");
+        forward.prepare(sh_degree, variant).expect("kernels");
         let mut backward = Backward::new(context);
         for absolute in [false, true] {
             backward

@@ -1,32 +1,9 @@
-//! Spherical harmonics: orthonormal basis, derivatives, rotations and mirrors.
+//! Spherical harmonics: orthonormal basis, rotations and mirrors.
 
-use ashsplat::scene::sh::{basis, basis_gradient, color, rgb_to_sh_dc, sh_dc_to_rgb};
+use ashsplat::scene::sh::{basis, color, rgb_to_sh_dc, sh_dc_to_rgb};
 use ashsplat::scene::sh_rotation::{ShRotation, mirror_signs};
 use glam::{DMat3, DQuat, DVec3};
 use proptest::prelude::*;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
-#[test]
-fn the_gradient_equals_finite_differences() {
-    let mut random = ChaCha8Rng::seed_from_u64(3);
-    for _ in 0..50 {
-        let point = [(); 3].map(|()| random.random_range(-1.5..1.5));
-        let gradient = basis_gradient(point);
-        for axis in 0..3 {
-            let step = 1e-5;
-            let [mut before, mut after] = [point; 2];
-            before[axis] -= step;
-            after[axis] += step;
-            let (before, after) = (basis(before), basis(after));
-            for function in 0..16 {
-                let numeric = (after[function] - before[function]) / (2.0 * step);
-                let error = (numeric - gradient[function][axis]).abs();
-                assert!(error < 1e-8, "function {function}, axis {axis}: {error}");
-            }
-        }
-    }
-}
 
 #[test]
 fn the_basis_is_orthonormal() {

@@ -60,7 +60,7 @@ pub(crate) struct Function<'m> {
 #[derive(Default)]
 pub(crate) struct Module<'m> {
     pub(crate) types: HashMap<Id, Type>,
-    /// Flat words of constants.
+    /// Type and words of each constant; composites are flattened.
     pub(crate) constants: HashMap<Id, (Id, Vec<u32>)>,
     pub(crate) variables: Vec<Variable>,
     pub(crate) functions: HashMap<Id, Function<'m>>,

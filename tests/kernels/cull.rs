@@ -21,7 +21,7 @@ fn counted(flags: &[u32], block: usize) -> Vec<u32> {
     flags.chunks(block).map(|flags| flags.iter().sum()).collect()
 }
 
-/// True if a Gaussian's visibility may depend on float32 rounding, or on the margin that the kernel adds to exact
+/// True if a Gaussian's visibility may depend on float32 rounding, or on the margin that the kernel shared_order to exact
 /// extents. A splat that touches only the margin costs time, but nothing is wrong.
 fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
     let nudged = [-1.0, 1.0].map(|by: f64| {
@@ -35,7 +35,7 @@ fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
     nudged[0] != nudged[1]
 }
 
-/// Culls Gaussians with a gap behind them, and adds to the flags of an earlier view, if any. Returns their flags; the
+/// Culls Gaussians with a gap behind them, and shared_order to the flags of an earlier view, if any. Returns their flags; the
 /// blocks' counts must be their sums.
 fn culled_behind(gpu: &Gpu, view: &View, gaussians: &[Gaussian], earlier: Option<&[u32]>) -> Vec<u32> {
     let (words, [first_cut_out, cut_out_count]) = cut_outs(view);
@@ -48,7 +48,7 @@ fn culled_behind(gpu: &Gpu, view: &View, gaussians: &[Gaussian], earlier: Option
         cut_outs: cut_out_count > 0,
         projection: view.drawn.projection(),
         lenses: false,
-        adds: earlier.is_some(),
+        shared_order: earlier.is_some(),
         shutter: false,
     };
     let (size, block) = (gaussians.len(), spec.workgroup_size as usize);
@@ -117,7 +117,7 @@ pub fn cull_equals_its_twin() {
     }
 }
 
-/// A second view adds its visible Gaussians to those of the first.
+/// A second view shared_order its visible Gaussians to those of the first.
 #[test]
 pub fn cull_equals_its_twin_behind_an_earlier_view() {
     let gpu = Gpu::new();
@@ -402,7 +402,7 @@ impl Batch {
     }
 }
 
-fn check_scenes(gpu: &Gpu, adds: bool, view: impl Fn(usize) -> View) {
+fn check_scenes(gpu: &Gpu, shared_order: bool, view: impl Fn(usize) -> View) {
     let block = gpu.workgroup(64) as usize;
     let mut batch = Batch::new(block, 1, view);
     let (mut volumes, settings) = (Vec::new(), batch.scenes[1].1.clone());
@@ -426,7 +426,7 @@ fn check_scenes(gpu: &Gpu, adds: bool, view: impl Fn(usize) -> View) {
     let count = batch.index_count();
     let blocks = count.div_ceil(block);
     // An earlier view shows every third Gaussian.
-    let seen = |i: usize| if adds && i < count { u32::from(i.is_multiple_of(3)) } else { UNTOUCHED };
+    let seen = |i: usize| if shared_order && i < count { u32::from(i.is_multiple_of(3)) } else { UNTOUCHED };
     let before: Vec<u32> = (0..count + 2).map(seen).collect();
     let flags = gpu.buffer("visible_flags", &before);
     let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
@@ -455,7 +455,7 @@ fn check_scenes(gpu: &Gpu, adds: bool, view: impl Fn(usize) -> View) {
     for (number, (gaussians, view)) in batch.scenes.iter().enumerate().filter(|(n, _)| batch.own[*n]) {
         let (first, size) = (batch.firsts[number], gaussians.len());
         let mut alone = culled(gpu, view, gaussians);
-        if adds {
+        if shared_order {
             alone.iter_mut().zip(&before[first..]).for_each(|(flag, before)| *flag |= before);
         }
         assert_eq!(flags[first..first + size], alone, "scene {number}");

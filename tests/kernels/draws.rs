@@ -486,7 +486,8 @@ fn edge_gradient_equals_its_twin() {
     }
 }
 
-/// Returns the kernel's weights and ranges for the instances of the visible Gaussians among `size`.
+/// Returns the kernel's weights and ranges. `visible` has the index of each visible Gaussian, below `size`, and its instances'
+/// weights.
 fn summed(gpu: &Gpu, visible: &[(u32, Vec<f32>)], size: usize, overflow: bool) -> (Vec<f32>, Vec<u32>) {
     let spec = sum_weights::Spec {
         workgroup_size: gpu.workgroup(64),

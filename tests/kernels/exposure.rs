@@ -1,5 +1,5 @@
-//! The kernels of `exposure/` against their twins: `exposure/expose`, `exposure/expose_backward`,
-//! `exposure/lens_effects`, `exposure/lens_backward` and `exposure/exposure_step`.
+//! The kernels of `exposure/` against their twins: `exposure/expose` and `exposure/expose_backward`, of exposures and of lens
+//! effects, and `exposure/exposure_step`.
 
 use super::pixels::{SIZES, layouts};
 use crate::common::prelude::*;
@@ -7,7 +7,7 @@ use crate::common::terms::{colors, place, values};
 use crate::reference::exposure::{self as twin, Exposures, IDENTITY, Matrix, Rows};
 use crate::reference::pixels::picture_to_rows;
 use ashsplat::kernels::constants::{STATE_OVERFLOW, TERM_PARTIALS};
-use ashsplat::kernels::exposure::{expose, expose_backward, exposure_step, lens_backward, lens_effects};
+use ashsplat::kernels::exposure::{expose, expose_backward, exposure_step};
 
 const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
 
@@ -82,13 +82,19 @@ fn expose_equals_its_twin() {
         let (native, colors_before) = picture(&mut random, sides, strips);
         let exposures = matrices(&mut random, 4);
         let to = gpu.untouched::<f32>("exposed", values(sides));
-        let push = expose::Push { image_width, image_height, background: BACKGROUND, view: 2 };
+        let push = expose::Push {
+            image_width,
+            image_height,
+            background: BACKGROUND,
+            matrix: 2,
+            ..Default::default()
+        };
         let bind = expose::Bind {
             rendered: &gpu.buffer("rendered", &native),
-            exposures: &gpu.buffer("exposures", &exposures),
+            matrices: &gpu.buffer("exposures", &exposures),
             exposed: &to,
         };
-        let spec = expose::Spec { workgroup_size: gpu.workgroup(64), strips };
+        let spec = expose::Spec { workgroup_size: gpu.workgroup(64), strips, lens: false };
         gpu.dispatch_over::<expose::Interface>(&spec, &bind, &push, padded(size, strips));
         let actual = gpu.read::<f32>(&to, values(sides));
         check_picture(&actual, size, strips, &twin::expose(&colors_before, &wide(&exposures[2])), [1e-6; 2]);
@@ -105,21 +111,21 @@ fn with_effects(
     gpu: &Gpu,
     (size, strips): ([u32; 2], bool),
     rows: &[Floats],
-    lens: u32,
+    matrix: u32,
 ) -> (Vec<f32>, Vec<[f64; 3]>) {
     let ([image_width, image_height], sides) = (size, sides(size));
     let (native, before) = picture(&mut Random::new(u64::from(image_width)), sides, strips);
     let to = gpu.untouched::<f32>("shaded", values(sides));
     let (center_px, inverse_square, _) = plane(size);
     let background = BACKGROUND;
-    let push = lens_effects::Push { image_width, image_height, background, lens, center_px, inverse_square };
-    let bind = lens_effects::Bind {
+    let push = expose::Push { image_width, image_height, background, matrix, center_px, inverse_square };
+    let bind = expose::Bind {
         rendered: &gpu.buffer("rendered", &native),
-        lenses: &gpu.buffer("lenses", rows),
-        shaded: &to,
+        matrices: &gpu.buffer("lenses", rows),
+        exposed: &to,
     };
-    let spec = lens_effects::Spec { workgroup_size: gpu.workgroup(64), strips };
-    gpu.dispatch_over::<lens_effects::Interface>(&spec, &bind, &push, padded(size, strips));
+    let spec = expose::Spec { workgroup_size: gpu.workgroup(64), strips, lens: true };
+    gpu.dispatch_over::<expose::Interface>(&spec, &bind, &push, padded(size, strips));
     (gpu.read::<f32>(&to, values(sides)), before)
 }
 
@@ -226,11 +232,14 @@ fn expose_backward_equals_its_twin() {
             workgroup_size: gpu.workgroup(64),
             subgroup_size: gpu.subgroup(),
             strips,
+            lens: false,
         };
-        let push = expose_backward::Push { image_width, image_height, background: BACKGROUND, view: 1 };
+        let background = BACKGROUND;
+        let push =
+            expose_backward::Push { image_width, image_height, background, matrix: 1, ..Default::default() };
         let bind = expose_backward::Bind {
             rendered: &backward.rendered,
-            exposures: &gpu.buffer("exposures", &exposures),
+            matrices: &gpu.buffer("exposures", &exposures),
             image_gradient: &backward.gradient,
             partials: &backward.partials,
         };
@@ -257,18 +266,28 @@ fn lens_backward_equals_its_twin() {
         }
         let h = colors(&before, sides, strips);
         let backward = Backward::new(&gpu, (size, strips), &native, before);
-        let spec =
-            lens_backward::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), strips };
-        let (background, lens) = (BACKGROUND, 1);
-        let push =
-            lens_backward::Push { image_width, image_height, background, lens, center_px, inverse_square };
-        let bind = lens_backward::Bind {
+        let spec = expose_backward::Spec {
+            workgroup_size: gpu.workgroup(64),
+            subgroup_size: gpu.subgroup(),
+            strips,
+            lens: true,
+        };
+        let (background, matrix) = (BACKGROUND, 1);
+        let push = expose_backward::Push {
+            image_width,
+            image_height,
+            background,
+            matrix,
+            center_px,
+            inverse_square,
+        };
+        let bind = expose_backward::Bind {
             rendered: &backward.rendered,
-            lenses: &gpu.buffer("lenses", &all),
+            matrices: &gpu.buffer("lenses", &all),
             image_gradient: &backward.gradient,
             partials: &backward.partials,
         };
-        gpu.dispatch::<lens_backward::Interface>(&spec, &bind, &push, TERM_PARTIALS.into());
+        gpu.dispatch::<expose_backward::Interface>(&spec, &bind, &push, TERM_PARTIALS.into());
         backward.check(twin::lens_backward(&picture, &rows, &r2, &h), 1e-5, [2e-5, 2e-5]);
     }
 }

@@ -39,7 +39,7 @@ fn pose(view: &View) -> [f32; 12] {
     pose
 }
 
-/// Same bounds as in engine/forward/filter_3d.rs.
+/// Same bounds as in engine/passes/filter_3d.rs.
 fn bounds(view: &View) -> [f32; 4] {
     let bound = |axis: usize, share: f64| {
         ((share * f64::from(view.size_px[axis]) - view.center_px[axis]) / view.focal_px[axis]) as f32

@@ -62,7 +62,7 @@ fn write_indirect_args_equals_its_twin() {
             first_argument: 1,
             block_elementwise: 64,
             block_sort: 1024,
-            block_third: 256,
+            caller_block: 256,
             max_workgroups_per_axis: limit,
         };
         gpu.dispatch::<write_indirect_args::Interface>(&Default::default(), &bind, &push, 1);

@@ -171,8 +171,8 @@ fn project_equals_its_twin_in_every_mode() {
             views.push((500, View { filter_3d, antialias, drawn, ..usual.clone() }));
         }
     }
-    // Parallel rays, also with other features that change the same lines. The picture is as large as a pinhole
-    // camera's at the middle of the scene.
+    // Parallel rays, together with features that share their code. The picture is as large as a pinhole camera's at the middle of
+    // the scene.
     for (drawn, antialias, extent) in [
         (as_they_are, false, Extent::Exact),
         (as_they_are, true, Extent::Reference),
@@ -259,7 +259,7 @@ fn check_scenes(gpu: &Gpu, [all, unseen]: [bool; 2], too_few: usize, view: impl 
         projection: settings.drawn.projection(),
         lenses: false,
         sh_loops: gpu.limits().tuning.sh_loops,
-        may_be_unseen: unseen,
+        shared_order: unseen,
         shutter: false,
     };
     let count = batch.index_count();

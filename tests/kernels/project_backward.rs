@@ -76,7 +76,7 @@ fn random_sums(random: &mut Random, splat: &Splat) -> [f64; 10] {
     scales.map(|scale| f64::from((scale * 1e-2 * random.signed()) as f32))
 }
 
-/// What the kernel computes beside the gradients.
+/// Optional outputs of the kernel.
 #[derive(Clone, Copy, Default)]
 struct Modes<'a> {
     accumulate: bool,

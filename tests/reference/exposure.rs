@@ -1,5 +1,5 @@
-//! Exposures and lenses of photographs: the twins of `exposure/expose`, `exposure/expose_backward`,
-//! `exposure/exposure_step`, `exposure/lens_effects` and `exposure/lens_backward`.
+//! Exposures and lenses of photographs: the twins of `exposure/expose`, `exposure/expose_backward` and
+//! `exposure/exposure_step`.
 
 /// A matrix of three rows, whose last column is added.
 pub type Matrix = [[f64; 4]; 3];

@@ -119,7 +119,7 @@ fn viewer_picks_what_inspect_lists() {
 }
 
 #[test]
-fn viewer_complains_of_nonsense_and_goes_on() {
+fn viewer_complains_of_nonsense_and_continues() {
     let (_place, server) = view_ball(100, &[]);
     let mut page = server.page();
     let mut bad = message(&camera(0.0));

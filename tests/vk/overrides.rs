@@ -82,7 +82,7 @@ fn tiles_add_up_to_the_frame() {
     let (gaussians, camera) = scene();
     renderer.upload(&gaussians).expect("memory");
     let stats = renderer.render(&camera, &RenderSettings::default()).expect("a frame").stats;
-    let tiles = renderer.tiles(&camera, &RenderSettings::default()).expect("tiles");
+    let (_, tiles) = renderer.render_with_tiles(&camera, &RenderSettings::default()).expect("tiles");
     assert_eq!((tiles.columns, tiles.rows), (8, 6));
     assert_eq!(tiles.entries.iter().sum::<u32>(), stats.instances);
     assert_eq!(tiles.entries.iter().max(), Some(&stats.longest_tile));

@@ -36,14 +36,14 @@ pub enum Command {
     View(ashsplat_view::Arguments),
     /// PSNR and SSIM of a trained scene on a data set
     Eval(eval::Arguments),
-    /// What is in a file of Gaussians, a model folder or a data set, and whether it can be used
+    /// Show the contents of a file of Gaussians, a model folder or a data set, and whether it can be used
     Info(info::Arguments),
     /// Convert Gaussians between PLY, compressed PLY, .splat, SPZ, glTF and SOG; crop, move, thin out
     Convert(convert::Arguments),
     /// Divide a scene into blocks that are trained one by one, on any machines
     #[cfg(feature = "scale")]
     Partition(Box<partition::Arguments>),
-    /// How far the training of each block is
+    /// Show the training progress of each block
     #[cfg(feature = "scale")]
     Blocks(block_status::Arguments),
     /// Between two rounds of training in blocks: give each what its neighbours have trained

@@ -4,13 +4,13 @@ use ashsplat::{Camera, Error, RenderSettings, Renderer, Result};
 use ashsplat_files::cameras_json;
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::{Gallery, View};
+use ashsplat_program::appearance::Appearances;
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::config::{CAMERAS_FILE, DataSettings, Split};
 use ashsplat_program::eval::{
     Evaluation, More, Perceptual, Protocol, SceneSize, ViewResult, alignment_of, at_its_place, by_name,
     check_sizes, evaluate, read_weights, write_results,
 };
-use ashsplat_program::light::Lights;
 use ashsplat_program::look::{LookArguments, NOTHING_SHOWN};
 use ashsplat_program::model::{Model, ModelArguments};
 use ashsplat_program::progress::{counting, thousands};
@@ -164,7 +164,7 @@ fn protocol(model: &Model, gallery: &Gallery) -> Result<Protocol> {
     }
     let cameras = gallery.cameras().into_iter().zip(gallery.held_out());
     let held_out = cameras.filter(|(_, held_out)| halves && *held_out).map(|(named, _)| named.name);
-    Ok(Protocol { lights: Lights::read(folder)?, halves: held_out.collect() })
+    Ok(Protocol { appearances: Appearances::read(folder)?, halves: held_out.collect() })
 }
 
 /// Indices of the measured views.

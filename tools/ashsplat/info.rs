@@ -13,7 +13,7 @@ use glam::DVec3;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// What is in a file of Gaussians, a model folder or a data set.
+/// Show the contents of a file of Gaussians, a model folder or a data set.
 ///
 /// Of a data set everything is checked that training would check: every photo is present, can be decoded and has the
 /// size of its camera. All problems are listed, and the exit code is 2 if there are any.
@@ -37,7 +37,7 @@ pub struct Arguments {
     /// Count a data set's views as with --eval
     #[arg(long)]
     eval: bool,
-    /// Drop the Gaussians whose parameters are not finite, instead of refusing it
+    /// Drop the Gaussians whose parameters are not finite, instead of refusing the file
     #[arg(long)]
     drop_invalid: bool,
     #[command(flatten)]

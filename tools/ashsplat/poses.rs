@@ -30,7 +30,7 @@ use work::Work;
 ///
 /// COLMAP does it, which has to be installed, in three stages: features, matches, mapping. For a video, ffmpeg too: in each of
 /// equal intervals the sharpest frame is kept. Photographs stay as they are and where they are; a data set in another
-/// folder gets hard links to them. Ctrl-C stops, and the same command goes on with what was finished.
+/// folder gets hard links to them. Ctrl-C stops, and the same command continues with what was finished.
 #[derive(Args)]
 pub struct Arguments {
     /// A folder of photographs (JPEG, PNG), a folder with such a folder `images` in it, or a video
@@ -42,7 +42,7 @@ pub struct Arguments {
     /// Frames to take from a video [default: two per second, 40 at least and 150 at most]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=10_000), conflicts_with = "every")]
     frames: Option<u32>,
-    /// Take a frame of a video from every so many seconds
+    /// Take a frame of a video from every N seconds
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     every: Option<f64>,
     /// Compare each photograph with all others, or with its neighbours by name; auto: with all if there are up to 60, with a
@@ -216,7 +216,7 @@ impl Arguments {
                 let video = self.reader(path, stop).probe()?;
                 let wanted = Wanted { frames: self.frames.map(|frames| frames as usize), every: self.every };
                 let count = wanted.of(&video);
-                if wanted.asked(&video).is_some_and(|asked| asked > count) {
+                if wanted.requested(&video).is_some_and(|requested| requested > count) {
                     tell!("warning: {}: {count} frames are taken, no more are possible", path.display());
                 }
                 if count < LEAST_PHOTOS {

@@ -6,11 +6,11 @@ use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::lens_json::{LENS_FILE, LensFile};
 use ashsplat_files::splats::Target;
 use ashsplat_files::tiles::Tree;
+use ashsplat_program::appearance::Appearance;
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::film_file::{self, Container, Frames};
-use ashsplat_program::light::Light;
 use ashsplat_program::look::{
-    Drawn, LookArguments, NOTHING_SHOWN, gaussians_of, parse_target, told, tree_of,
+    Drawn, LookArguments, NOTHING_SHOWN, gaussians_of, parse_target, reported, tree_of,
 };
 use ashsplat_program::model::{Model, ModelArguments, folder_of_tiles};
 use ashsplat_program::output::{self, Depth};
@@ -102,12 +102,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let format = picture.or(arguments.format).unwrap_or(Format::Png);
     let tree = tree_of(path, arguments.budget.is_some())?;
     let model = Model::locate(&scene_of(path, tree.as_ref()), arguments.model.iteration)?;
-    let light = arguments.light(&model)?;
+    let appearance = arguments.appearance(&model)?;
     let host = &arguments.device.host;
     let scene = match &tree {
         Some(tree) => {
             let coarsest = tree.read(0, &host.reading(arguments.look.drop_invalid))?;
-            told(&model.ply, coarsest)
+            reported(&model.ply, coarsest)
         }
         None => arguments.look.load(&model.ply, host)?,
     };
@@ -147,7 +147,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             renderer.upload(&tiles)?;
         }
         let mut frame = renderer.render(&named.camera, &settings)?;
-        light.apply(&named.camera, &mut frame);
+        appearance.apply(&named.camera, &mut frame);
         arguments.depth().scale(&mut frame, scene.frame.unit as f32);
         let milliseconds = start.elapsed().as_secs_f64() * 1e3;
         total += milliseconds;
@@ -253,7 +253,7 @@ impl Arguments {
     }
 
     /// The requested exposure and lens effects.
-    fn light(&self, model: &Model) -> Result<Light> {
+    fn appearance(&self, model: &Model) -> Result<Appearance> {
         let exposure = |name: &String| {
             let read = |file: &Path| exposure_json::read(file);
             learned_of(model, ("--exposure-of", name), (EXPOSURE_FILE, "--exposure"), read)
@@ -261,7 +261,7 @@ impl Arguments {
         let lens = |name: &String| {
             learned_of(model, ("--lens-of", name), (LENS_FILE, "--lens-effects"), lenses_by_photo)
         };
-        Ok(Light {
+        Ok(Appearance {
             exposure: self.exposure_of.as_ref().map(exposure).transpose()?,
             lens: self.lens_of.as_ref().map(lens).transpose()?,
         })

@@ -72,7 +72,7 @@ pub struct Arguments {
     /// TOML file with any of these settings (as settings.toml in a model folder); the command line wins
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Go on from this checkpoint, or from the newest of the model folder; all else must be as it was. auto: from the newest, or
+    /// Continue from this checkpoint, or from the newest of the model folder; all else must be as it was. auto: from the newest, or
     /// from the start where there is none
     #[arg(long, value_name = "FILE|latest|auto", value_parser = value_parser!(StartFrom))]
     start_checkpoint: Option<StartFrom>,
@@ -85,8 +85,7 @@ pub struct Arguments {
     /// slower, with the same result [default of SIZE: --max-host-memory, else three quarters of what is free]
     #[arg(long, value_name = "SIZE", value_parser = bytes, num_args = 0..=1)]
     offload: Option<Option<u64>>,
-    /// Instead of training: run so many iterations twice, compare hashes after each, and name the first
-    /// kernel whose output differs
+    /// Instead of training: run N iterations twice, compare hashes after each, and name the first kernel whose output differs
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     verify_determinism: Option<u32>,
     /// Largest share of training's time for the PSNR that is shown all along: the mean over the same few held-out views each
@@ -256,7 +255,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         run.stop_at_end_of(stage);
     }
     run.look_on(doors, &context, gallery)?;
-    // Nothing can be lost yet.
+    // Nothing is trained yet, so Ctrl-C may end the run here.
     session::check(&stop)?;
     let interrupted = run.train(&stop)?;
     run.report();
@@ -349,16 +348,16 @@ impl Run {
         let trainer = origin.trainer(context, data, first, &settings.train)?;
         let model = settings.data.model_path.clone();
         let start = origin.start();
-        let goes_on = start.is_some_and(|start| start.is_of(&model));
+        let continues = start.is_some_and(|start| start.is_of(&model));
         let cameras = (&views.cameras[..], &views.frame);
-        let lock = folder::begin(&settings, held, cameras, points.as_ref(), goes_on)?;
+        let lock = folder::begin(&settings, held, cameras, points.as_ref(), continues)?;
         let log = match start {
             None => TrainLog::create(&model.join(LOG_FILE))?,
             Some(_) => TrainLog::go_on(&model.join(LOG_FILE), trainer.iteration())?,
         };
         let mut run = Run::new(context, settings, trainer, (log, lock), views, quiet);
         if let Some(start) = start {
-            if goes_on {
+            if continues {
                 start.keep(&model)?;
             }
             run.gaussians = to_u32(start.checkpoint().gaussians.len() as u64)?;

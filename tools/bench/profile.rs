@@ -85,7 +85,7 @@ pub struct Arguments {
     /// Folder of the shaders for --watch and for kernels that differ from the program's own (feature hot-reload)
     #[arg(long, value_name = "DIR")]
     glsl: Option<PathBuf>,
-    /// End --watch after so many seconds
+    /// End --watch after N seconds
     #[arg(long, value_name = "SECONDS", requires = "watch")]
     watch_for: Option<f64>,
     /// Pass on what shaders print with debugPrintfEXT (needs the Khronos validation layer)

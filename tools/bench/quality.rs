@@ -36,7 +36,7 @@ const PLOT_FILE: &str = "quality.svg";
 /// seconds along each run.
 ///
 /// Runs take turns, seed by seed, so that a machine that becomes slower does so for all. Measuring does not count. Each
-/// run that is over stays in the folder: after Ctrl-C the same command goes on with the run that was stopped. All
+/// run that is over stays in the folder: after Ctrl-C the same command continues the run that was stopped. All
 /// settings are those of `train`; what is given here holds for all of them. Two things differ: settings for few photos are not
 /// taken (as `train --few-photos off`), and views are measured as the scene shows them, without lens effects and at the poses that
 /// were given.
@@ -60,7 +60,7 @@ pub struct Arguments {
     /// Seeds: A..B, without B, or one by one
     #[arg(long, value_name = "A..B", default_value = "0..1", value_parser = seeds)]
     seeds: Seeds,
-    /// How often a run is measured: at so many equal shares of its iterations
+    /// How often a run is measured: at N equal shares of its iterations
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1000))]
     points: u32,
     /// Say when this PSNR is reached, dB; may be given again

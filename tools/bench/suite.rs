@@ -20,9 +20,9 @@ use std::time::Instant;
 
 /// Train many scenes by several recipes: a table of held-out PSNR with mean, worst loss and largest fall along a run.
 ///
-/// FILE lists scenes and recipes (tools/bench.md); tools/datasets has those of the field's data sets. Each run is an `ashsplat train --eval`, whose model folder stays in the folder.
-/// After Ctrl-C the same command goes on with the run that was stopped. A run is made anew if its options, its scene or this
-/// program have changed.
+/// FILE lists scenes and recipes (tools/bench.md); tools/datasets has those of the field's data sets. Each run is an `ashsplat
+/// train --eval`, whose model folder stays in the folder. After Ctrl-C the same command continues the run that was stopped. A run
+/// is made anew if its options, its scene or this program have changed.
 #[derive(Args)]
 pub struct Arguments {
     /// Scenes and recipes

@@ -424,11 +424,11 @@ typedef struct AshsplatSceneSettings {
   bool visible;
   // Factors of red, green and blue, 0 to 1000 each, of the colours as trained. The product is at most 65504.
   float tint[3];
-  // Factor of the opacities, 0 to 1; 0 is as not visible.
+  // Factor of the opacities, 0 to 1. 0 hides the scene.
   float opacity;
   // Highest evaluated SH degree: 3 for all stored degrees.
   uint32_t sh_degree;
-  // How many cut-outs, at most 16.
+  // Number of cut-outs, at most 16.
   uint32_t cut_out_count;
   // Volumes that keep or remove Gaussians.
   const struct AshsplatCutOut *cut_outs;
@@ -709,8 +709,8 @@ typedef struct AshsplatReservation {
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
-// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and the size of the 3D filter, 0 without. The others are the SH coefficients,
-// red, green and blue one after the other, padded with zeros. The groups of planes are 0 to 2 (geometry), 3,
+// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and the size of the 3D filter, 0 without. The others are the SH
+// coefficients, red, green and blue one after the other, padded with zeros. The groups of planes are 0 to 2 (geometry), 3,
 // 4 and 5, 6 to 9, and 10 to 14 (one degree each). A group is contiguous for all Gaussians, in rows of
 // eight. In the group of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at byte
 // 16 * (first * chunk_gaussians + (i / 8 * (end - first) + p - first) * 8 + i % 8).
@@ -781,7 +781,7 @@ typedef struct AshsplatTrainView {
   const float *depth_points;
   // Their number.
   uint32_t depth_point_count;
-  // Which camera took it, by any number: views with the same one share lens effects.
+  // Id of the camera that took the photograph. Views with the same id share lens effects.
   uint32_t camera_id;
 } AshsplatTrainView;
 
@@ -830,8 +830,8 @@ typedef struct AshsplatTile {
   uint32_t struct_size;
   // Its Gaussians.
   uint32_t gaussians;
-  // How much its picture differs from that of the finest tiles, units of the scene: divided by the size of a pixel there, and
-  // squared, it is the squared difference from 0 to 1, summed over pixels.
+  // Error of the tile against the finest tiles, units of the scene. (error / size of a pixel)² is the sum of squared colour
+  // differences over the picture.
   double error;
   // The least corner of what it and the tiles below it reach, units of the scene.
   float min[3];
@@ -843,14 +843,14 @@ typedef struct AshsplatTile {
 typedef struct AshsplatDemand {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // How many cameras: two eyes, say.
+  // Number of cameras, for example 2 for two eyes.
   uint32_t camera_count;
   // Tiles are chosen that one of them sees, and by the largest error in any of their pictures.
   const struct AshsplatCamera *cameras;
   // Gaussians of all tiles that are drawn, at most.
   uint64_t budget;
-  // Gaussians beyond a picture by less than so many of its widths and heights are drawn too, so that a camera that turns finds them
-  // there. They are refined after those in the picture. 0 draws the pictures alone.
+  // Border around each picture, in picture sizes, whose Gaussians are drawn too, so that a turning camera finds them. They are
+  // refined after those in the picture. 0: none.
   double border;
 } AshsplatDemand;
 
@@ -1182,8 +1182,8 @@ enum AshsplatStatus ashsplat_lpips_new(const struct AshsplatContext *context,
 // `lpips` is NULL or of this library and not used afterwards.
 void ashsplat_lpips_free(struct AshsplatLpips *lpips);
 
-// Name of what ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of values from 0 to
-// 1, as the reference implementation. The name lives as long as `lpips`.
+// Name of what ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of
+// values from 0 to 1, as the reference implementation. The name lives as long as `lpips`.
 //
 // # Safety
 // `lpips` is alive, `name` is valid for a write.
@@ -1286,8 +1286,8 @@ enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
                                      const struct AshsplatReservation *wanted);
 
 // Same as ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
-// recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay. What is wanted
-// replaces what was reserved: less than before gives memory back.
+// recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay.
+// What is wanted replaces what was reserved: less than before gives memory back.
 //
 // # Safety
 // `renderer` and `wanted` are alive.
@@ -1334,9 +1334,9 @@ enum AshsplatStatus ashsplat_slot_report(struct AshsplatRenderer *renderer,
 
 // The VkBuffer that a frame without target fills, and the byte offset in it: premultiplied red, green, blue
 // (display-encoded, as trained) and transmittance of each pixel, row by row, as floats. Usable as a storage buffer and a source of
-// transfers, until the renderer reserves again or, after ashsplat_grow, the slot is recorded again. The host may use it after the frame, behind a barrier from
-// AshsplatRelease's stages and accesses, until the slot is recorded again. A host that reads it in other
-// stages than compute and transfer, in a later command buffer, must wait for those stages before the next
+// transfers, until the renderer reserves again or, after ashsplat_grow, the slot is recorded again. The host may use it after the
+// frame, behind a barrier from AshsplatRelease's stages and accesses, until the slot is recorded again. A host that reads it in
+// other stages than compute and transfer, in a later command buffer, must wait for those stages before the next
 // recording.
 //
 // # Safety
@@ -1396,14 +1396,14 @@ enum AshsplatStatus ashsplat_trainer_checkpoint(const struct AshsplatTrainer *tr
 // number of views. Submits and waits.
 //
 // # Safety
-// `trainer` is alive, `cameras` is valid for `count` structs that ASHSPLAT_INIT has begun.
+// `trainer` is alive, `cameras` is valid for `count` structs initialised with ASHSPLAT_INIT.
 enum AshsplatStatus ashsplat_trainer_cameras(const struct AshsplatTrainer *trainer,
                                              struct AshsplatCamera *cameras,
                                              uint32_t count);
 
 // The exposures of the views in their order, with the setting exposure: three rows E of four floats each. A photograph's colour is
-// out_c = sum over k of in_k E[k][c] + E[c][3] of the rendered one. `exposures` has room for 12 `count` floats; `count` must be the number of views. Submits and
-// waits.
+// out_c = sum over k of in_k E[k][c] + E[c][3] of the rendered one. `exposures` has room for 12 `count` floats; `count` must be
+// the number of views. Submits and waits.
 //
 // # Safety
 // `trainer` is alive, `exposures` is valid for 12 `count` floats.
@@ -1424,9 +1424,9 @@ enum AshsplatStatus ashsplat_trainer_lens_effects(const struct AshsplatTrainer *
 // Uploads photographs and initial Gaussians, which are taken as they are: the settings initial_opacity and initial_scale are for
 // ashsplat_trainer_new_from_points. The context needs a queue. `scene_extent` is 1.1 times the largest distance of a camera to their
 // mean, or 0 to have it computed. `settings_json`: an object with the names of the reference implementation's settings,
-// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"`, `"quality"` or `"reference"`, and `"few_photos": true`, which adapts
-// them to the number of views, if it is below 32. Missing settings are those of the preset; without one, those of the strategy if it is given, else of
-// the preset default. NULL has all settings of the preset default.
+// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"`, `"quality"` or `"reference"`, and `"few_photos": true`,
+// which adapts them to the number of views, if it is below 32. Missing settings are those of the preset; without one, those of the
+// strategy if it is given, else of the preset default. NULL has all settings of the preset default.
 //
 // # Safety
 // `context` is alive, `views` has `view_count` elements with arrays as the cameras say, `initial` is valid
@@ -1579,8 +1579,8 @@ enum AshsplatStatus ashsplat_tree_tile(const struct AshsplatTree *tree,
 
 // The tiles that a demand wants to be loaded, in this order: those that ashsplat_tree_cut would draw, and those on the way to them. A
 // tile comes after the one above it, and sooner where the error of that is larger in pixels. `possible` says of each tile of
-// the tree whether it can be loaded, false for a file that is damaged say; NULL: all can. Nothing is wanted that could only be drawn beside
-// or below one that cannot. `tiles` has room for as many numbers as the tree has tiles.
+// the tree whether it can be loaded, false for a file that is damaged say; NULL: all can. Nothing is wanted that could only be
+// drawn beside or below one that cannot. `tiles` has room for as many numbers as the tree has tiles.
 //
 // # Safety
 // `tree` is alive, `demand` begins with its size and has as many cameras as it says, `possible` is NULL or has one value per tile,
@@ -1591,10 +1591,10 @@ enum AshsplatStatus ashsplat_tree_wanted(const struct AshsplatTree *tree,
                                          uint32_t *tiles,
                                          uint32_t *count);
 
-// The tiles to be drawn, ascending: of those that are `there`, as fine as so many Gaussians allow, and finest where the error is largest
-// in pixels. While one of the tiles that would take a tile's place is not there, the tile itself is drawn. `there` has a value
-// for each tile of the tree; NULL: all are there. The coarsest tile is drawn however many Gaussians it has; nothing, where it is not in the
-// pictures or not there. `tiles` has room for as many numbers as the tree has tiles.
+// Tiles to draw, ascending: among those in `there`, the finest that the budget allows, refined first where the error in pixels is
+// largest. While one of the tiles that would replace a tile is not there, the tile itself is drawn. `there` has a value for each
+// tile of the tree; NULL: all are there. The coarsest tile is drawn however many Gaussians it has; nothing is drawn where it is not
+// in the pictures or not there. `tiles` has room for as many numbers as the tree has tiles.
 //
 // # Safety
 // Same as for ashsplat_tree_wanted.

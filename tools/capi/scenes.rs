@@ -55,11 +55,11 @@ pub struct AshsplatSceneSettings {
     pub visible: bool,
     /// Factors of red, green and blue, 0 to 1000 each, of the colours as trained. The product is at most 65504.
     pub tint: [f32; 3],
-    /// Factor of the opacities, 0 to 1; 0 is as not visible.
+    /// Factor of the opacities, 0 to 1. 0 hides the scene.
     pub opacity: f32,
     /// Highest evaluated SH degree: 3 for all stored degrees.
     pub sh_degree: u32,
-    /// How many cut-outs, at most 16.
+    /// Number of cut-outs, at most 16.
     pub cut_out_count: u32,
     /// Volumes that keep or remove Gaussians.
     pub cut_outs: *const AshsplatCutOut,
@@ -118,7 +118,10 @@ unsafe fn settings_of(placed: &AshsplatPlaced, place: usize) -> Result<Option<As
     unsafe { read_if(placed.settings, "settings") }.map_err(within(format_args!("scenes[{place}]")))
 }
 
-/// Converts the scenes of a frame. The promise is that of [`keep`], which has taken their masks.
+/// Converts the scenes of a frame.
+///
+/// # Safety
+/// The same as for [`keep`], which has already adopted the masks.
 pub(super) unsafe fn scenes<'b>(
     frame: &AshsplatRecordedFrame,
     (scratch, kept): (&'b Scratch, &'b Kept),
@@ -142,7 +145,10 @@ pub(super) unsafe fn scenes<'b>(
     collected(all.enumerate().map(convert), scratch)
 }
 
-/// Converts a scene's settings. The promise is that of [`scenes`].
+/// Converts a scene's settings.
+///
+/// # Safety
+/// The same as for [`keep`], which has already adopted the masks.
 unsafe fn converted<'b>(
     settings: &AshsplatSceneSettings,
     place: usize,

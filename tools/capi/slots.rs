@@ -37,8 +37,8 @@ pub unsafe extern "C" fn ashsplat_reserve(
 }
 
 /// Same as ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
-/// recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay. What is wanted
-/// replaces what was reserved: less than before gives memory back.
+/// recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay.
+/// What is wanted replaces what was reserved: less than before gives memory back.
 ///
 /// # Safety
 /// `renderer` and `wanted` are alive.
@@ -130,9 +130,9 @@ pub unsafe extern "C" fn ashsplat_slot_report(
 
 /// The VkBuffer that a frame without target fills, and the byte offset in it: premultiplied red, green, blue
 /// (display-encoded, as trained) and transmittance of each pixel, row by row, as floats. Usable as a storage buffer and a source of
-/// transfers, until the renderer reserves again or, after ashsplat_grow, the slot is recorded again. The host may use it after the frame, behind a barrier from
-/// AshsplatRelease's stages and accesses, until the slot is recorded again. A host that reads it in other
-/// stages than compute and transfer, in a later command buffer, must wait for those stages before the next
+/// transfers, until the renderer reserves again or, after ashsplat_grow, the slot is recorded again. The host may use it after the
+/// frame, behind a barrier from AshsplatRelease's stages and accesses, until the slot is recorded again. A host that reads it in
+/// other stages than compute and transfer, in a later command buffer, must wait for those stages before the next
 /// recording.
 ///
 /// # Safety

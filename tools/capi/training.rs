@@ -34,7 +34,7 @@ pub struct AshsplatTrainView {
     pub depth_points: *const f32,
     /// Their number.
     pub depth_point_count: u32,
-    /// Which camera took it, by any number: views with the same one share lens effects.
+    /// Id of the camera that took the photograph. Views with the same id share lens effects.
     pub camera_id: u32,
 }
 
@@ -166,7 +166,7 @@ pub unsafe extern "C" fn ashsplat_trainer_checkpoint(
 /// number of views. Submits and waits.
 ///
 /// # Safety
-/// `trainer` is alive, `cameras` is valid for `count` structs that ASHSPLAT_INIT has begun.
+/// `trainer` is alive, `cameras` is valid for `count` structs initialised with ASHSPLAT_INIT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_trainer_cameras(
     trainer: *const AshsplatTrainer,
@@ -184,8 +184,8 @@ pub unsafe extern "C" fn ashsplat_trainer_cameras(
 }
 
 /// The exposures of the views in their order, with the setting exposure: three rows E of four floats each. A photograph's colour is
-/// out_c = sum over k of in_k E[k][c] + E[c][3] of the rendered one. `exposures` has room for 12 `count` floats; `count` must be the number of views. Submits and
-/// waits.
+/// out_c = sum over k of in_k E[k][c] + E[c][3] of the rendered one. `exposures` has room for 12 `count` floats; `count` must be
+/// the number of views. Submits and waits.
 ///
 /// # Safety
 /// `trainer` is alive, `exposures` is valid for 12 `count` floats.
@@ -247,9 +247,9 @@ unsafe fn give_rows(
 /// Uploads photographs and initial Gaussians, which are taken as they are: the settings initial_opacity and initial_scale are for
 /// ashsplat_trainer_new_from_points. The context needs a queue. `scene_extent` is 1.1 times the largest distance of a camera to their
 /// mean, or 0 to have it computed. `settings_json`: an object with the names of the reference implementation's settings,
-/// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"`, `"quality"` or `"reference"`, and `"few_photos": true`, which adapts
-/// them to the number of views, if it is below 32. Missing settings are those of the preset; without one, those of the strategy if it is given, else of
-/// the preset default. NULL has all settings of the preset default.
+/// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"`, `"quality"` or `"reference"`, and `"few_photos": true`,
+/// which adapts them to the number of views, if it is below 32. Missing settings are those of the preset; without one, those of the
+/// strategy if it is given, else of the preset default. NULL has all settings of the preset default.
 ///
 /// # Safety
 /// `context` is alive, `views` has `view_count` elements with arrays as the cameras say, `initial` is valid

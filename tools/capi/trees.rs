@@ -18,8 +18,8 @@ pub struct AshsplatTile {
     pub struct_size: u32,
     /// Its Gaussians.
     pub gaussians: u32,
-    /// How much its picture differs from that of the finest tiles, units of the scene: divided by the size of a pixel there, and
-    /// squared, it is the squared difference from 0 to 1, summed over pixels.
+    /// Error of the tile against the finest tiles, units of the scene. (error / size of a pixel)² is the sum of squared colour
+    /// differences over the picture.
     pub error: f64,
     /// The least corner of what it and the tiles below it reach, units of the scene.
     pub min: [f32; 3],
@@ -33,14 +33,14 @@ pub struct AshsplatTile {
 pub struct AshsplatDemand {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
-    /// How many cameras: two eyes, say.
+    /// Number of cameras, for example 2 for two eyes.
     pub camera_count: u32,
     /// Tiles are chosen that one of them sees, and by the largest error in any of their pictures.
     pub cameras: *const AshsplatCamera,
     /// Gaussians of all tiles that are drawn, at most.
     pub budget: u64,
-    /// Gaussians beyond a picture by less than so many of its widths and heights are drawn too, so that a camera that turns finds them
-    /// there. They are refined after those in the picture. 0 draws the pictures alone.
+    /// Border around each picture, in picture sizes, whose Gaussians are drawn too, so that a turning camera finds them. They are
+    /// refined after those in the picture. 0: none.
     pub border: f64,
 }
 
@@ -151,8 +151,8 @@ unsafe fn chosen(
 
 /// The tiles that a demand wants to be loaded, in this order: those that ashsplat_tree_cut would draw, and those on the way to them. A
 /// tile comes after the one above it, and sooner where the error of that is larger in pixels. `possible` says of each tile of
-/// the tree whether it can be loaded, false for a file that is damaged say; NULL: all can. Nothing is wanted that could only be drawn beside
-/// or below one that cannot. `tiles` has room for as many numbers as the tree has tiles.
+/// the tree whether it can be loaded, false for a file that is damaged say; NULL: all can. Nothing is wanted that could only be
+/// drawn beside or below one that cannot. `tiles` has room for as many numbers as the tree has tiles.
 ///
 /// # Safety
 /// `tree` is alive, `demand` begins with its size and has as many cameras as it says, `possible` is NULL or has one value per tile,
@@ -172,10 +172,10 @@ pub unsafe extern "C" fn ashsplat_tree_wanted(
     unsafe { chosen((tree, demand, possible), (tiles, count), wanted) }
 }
 
-/// The tiles to be drawn, ascending: of those that are `there`, as fine as so many Gaussians allow, and finest where the error is largest
-/// in pixels. While one of the tiles that would take a tile's place is not there, the tile itself is drawn. `there` has a value
-/// for each tile of the tree; NULL: all are there. The coarsest tile is drawn however many Gaussians it has; nothing, where it is not in the
-/// pictures or not there. `tiles` has room for as many numbers as the tree has tiles.
+/// Tiles to draw, ascending: among those in `there`, the finest that the budget allows, refined first where the error in pixels is
+/// largest. While one of the tiles that would replace a tile is not there, the tile itself is drawn. `there` has a value for each
+/// tile of the tree; NULL: all are there. The coarsest tile is drawn however many Gaussians it has; nothing is drawn where it is not
+/// in the pictures or not there. `tiles` has room for as many numbers as the tree has tiles.
 ///
 /// # Safety
 /// Same as for ashsplat_tree_wanted.

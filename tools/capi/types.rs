@@ -356,8 +356,8 @@ pub struct AshsplatGaussians {
 }
 
 /// The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
-/// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and the size of the 3D filter, 0 without. The others are the SH coefficients,
-/// red, green and blue one after the other, padded with zeros. The groups of planes are 0 to 2 (geometry), 3,
+/// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and the size of the 3D filter, 0 without. The others are the SH
+/// coefficients, red, green and blue one after the other, padded with zeros. The groups of planes are 0 to 2 (geometry), 3,
 /// 4 and 5, 6 to 9, and 10 to 14 (one degree each). A group is contiguous for all Gaussians, in rows of
 /// eight. In the group of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at byte
 /// 16 * (first * chunk_gaussians + (i / 8 * (end - first) + p - first) * 8 + i % 8).

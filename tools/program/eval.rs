@@ -1,7 +1,7 @@
 //! Measures how a scene's pictures agree with photographs.
 
+use crate::appearance::Appearances;
 use crate::args::HostArguments;
-use crate::light::Lights;
 use crate::measure::median;
 use crate::output;
 use ashsplat::passes::lpips::{Lpips, Network, Weights};
@@ -316,7 +316,7 @@ pub fn with_changed_lens(camera: &Camera, before: &Camera, after: &Camera) -> Ca
 #[derive(Default)]
 pub struct Protocol {
     /// Exposures of the training photos, and lens effects of all photos.
-    pub lights: Lights,
+    pub appearances: Appearances,
     /// Names of the views whose left half was trained on: only the right half counts.
     pub halves: HashSet<String>,
 }
@@ -324,7 +324,7 @@ pub struct Protocol {
 impl Protocol {
     /// Prepares a view and its frame for comparison.
     pub fn prepared<'a>(&self, view: &'a View, mut frame: Frame) -> Result<(Cow<'a, View>, Frame)> {
-        self.lights.of(&view.name).apply(&view.camera, &mut frame);
+        self.appearances.of(&view.name).apply(&view.camera, &mut frame);
         if !self.halves.contains(&view.name) {
             return Ok((Cow::Borrowed(view), frame));
         }

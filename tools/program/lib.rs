@@ -16,6 +16,7 @@ macro_rules! tell {
     ($($text:tt)*) => { $crate::output::tell(format_args!($($text)*)) };
 }
 
+pub mod appearance;
 pub mod args;
 pub mod blocks;
 pub mod chart;
@@ -24,7 +25,6 @@ pub mod config;
 pub mod eval;
 pub mod film_file;
 pub mod html;
-pub mod light;
 pub mod lock;
 pub mod look;
 pub mod measure;

@@ -50,7 +50,7 @@ impl FolderLock {
     /// [`Error::Input`] naming the process that holds it, unless it `waits`; [`Error::Interrupted`] if `waits` is set
     /// meanwhile; [`Error::Io`].
     pub fn take(folder: &Path, work: &Work, waits: Option<&AtomicBool>) -> Result<Self> {
-        let (mut glances, mut told) = (0, false);
+        let (mut glances, mut reported) = (0, false);
         loop {
             let made = missing(folder);
             match atomic::create_folder(folder).and_then(|()| Self::try_take(folder, work)) {
@@ -59,9 +59,9 @@ impl FolderLock {
                     return Ok(lock);
                 }
                 // Another process that only checks the lock holds it for a moment.
-                Ok(Try::Held(_)) if glances < GLANCES || told => {}
+                Ok(Try::Held(_)) if glances < GLANCES || reported => {}
                 Ok(Try::Held(by)) if waits.is_some() => {
-                    told = true;
+                    reported = true;
                     tell!("waiting for another {}{by} that writes into {}", work.what, folder.display());
                 }
                 Ok(Try::Held(by)) => {

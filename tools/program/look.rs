@@ -46,7 +46,7 @@ impl LookArguments {
     /// Reads the Gaussians in their drawing frame; reports dropped ones and oddities on stderr.
     pub fn load(&self, path: &Path, host: &HostArguments) -> Result<splats::Scene> {
         let scene = splats::read(path, &host.reading(self.drop_invalid))?;
-        Ok(told(path, scene.in_world_frame()))
+        Ok(reported(path, scene.in_world_frame()))
     }
 
     /// The settings of the training, overridden by the file, overridden by the arguments.
@@ -77,7 +77,7 @@ impl LookArguments {
 /// Largest accepted `--kernel-size`, square pixels.
 const MOST_KERNEL_SIZE: f32 = 1e4;
 /// Reports what was dropped from a scene or is odd about it, and returns the scene.
-pub fn told(path: &Path, scene: splats::Scene) -> splats::Scene {
+pub fn reported(path: &Path, scene: splats::Scene) -> splats::Scene {
     if scene.dropped > 0 {
         tell!("{}: dropped {} Gaussians that are not finite", path.display(), scene.dropped);
     }

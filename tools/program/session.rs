@@ -23,7 +23,8 @@ pub struct DataArguments {
     /// Folder of the photos within the data set [default: as in training, else images]
     #[arg(short, long, value_name = "NAME")]
     images: Option<String>,
-    /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: as in training, else -1]
+    /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: as in
+    /// training, else -1]
     #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
     resolution: Option<i32>,
     /// Photos as they are stored, or turned as their metadata (Exif) say [default: as in training, else auto]
@@ -32,7 +33,8 @@ pub struct DataArguments {
     /// Replace photos of lenses by those of pinholes [default: as in training]
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     undistort: Option<bool>,
-    /// Transparent pixels show the background (target), do not count (mask), or have their stored colours (ignore) [default: as in training, else target]
+    /// Transparent pixels show the background (target), do not count (mask), or have their stored colours (ignore) [default: as in
+    /// training, else target]
     #[arg(long, value_parser = ["target", "mask", "ignore"], value_name = "USE")]
     alpha: Option<String>,
     /// Hold out every 8th view (by name) [default: as in training]

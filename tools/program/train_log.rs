@@ -255,7 +255,7 @@ mod tests {
         }
     }
 
-    /// The device that is always full.
+    /// /dev/full refuses every write.
     #[cfg(target_os = "linux")]
     #[test]
     fn a_failure_is_told_at_the_end() {

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// How far the training of each block is: iterations, PSNR, iterations per second, memory.
+/// Show the training progress of each block: iterations, PSNR, iterations per second, memory.
 ///
 /// Read from what the trainings write into their model folders, on whatever machine they run.
 #[derive(Args)]
@@ -20,13 +20,13 @@ pub struct Arguments {
     /// The file that `ashsplat partition` wrote
     #[arg(value_name = "BLOCKS.json")]
     blocks: PathBuf,
-    /// Print it again every so many seconds until all blocks are trained
+    /// Print it again every N seconds until all blocks are trained
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "10", value_parser = clap::value_parser!(u64).range(1..))]
     watch: Option<u64>,
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// With --json, the memory that a block needs if it ends with so many Gaussians for each that it begins with: `memory_bytes`;
+    /// With --json, the memory that a block needs if it ends with X Gaussians for each that it begins with: `memory_bytes`;
     /// 10 is the most that --strategy budget makes
     #[arg(long, value_name = "X", default_value_t = 10.0, requires = "json")]
     growth: f64,

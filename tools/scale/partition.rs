@@ -47,8 +47,8 @@ pub struct Arguments {
     /// The new file
     #[arg(short, long, value_name = "FILE", default_value = "blocks.json")]
     out: PathBuf,
-    /// How far around its cell a block trains Gaussians too, in the data set's units [default: 0.15 of the usual cell's longest side; in rounds 0.05,
-    /// but of a single object 0.15]
+    /// How far around its cell a block trains Gaussians too, in the data set's units [default: 0.15 of the usual cell's longest
+    /// side; in rounds 0.05, but of a single object 0.15]
     #[arg(long, value_name = "X")]
     margin: Option<f32>,
     /// Whether a block uses of each photo only the part that shows it and its margin; auto: on, but off for a single object: where a
@@ -62,7 +62,7 @@ pub struct Arguments {
     /// at as often
     #[arg(long, value_name = "N", default_value_t = 30_000, value_parser = clap::value_parser!(u32).range(1..))]
     iterations: u32,
-    /// Train in so many rounds, with `ashsplat exchange` between two: a block's margin and what it sees around it are then what the
+    /// Train in N rounds, with `ashsplat exchange` between two: a block's margin and what it sees around it are then what the
     /// neighbours have trained there, not the coarse model; better seams
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=MAX_ROUNDS.into()))]
     rounds: u32,

@@ -6,7 +6,7 @@ use ashsplat::{
     Camera, Error, Frame, FrameStats, Gaussians, PixelReport, RenderSettings, Result, TileReport, Trainer,
 };
 use ashsplat_files::Photo;
-use ashsplat_program::light::Light;
+use ashsplat_program::appearance::Appearance;
 use ashsplat_program::output::{self, Depth};
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -123,7 +123,7 @@ pub fn draw(
     camera: &Camera,
     base: &RenderSettings,
     look: &Look,
-    light: Option<(Camera, Light)>,
+    appearance: Option<(Camera, Appearance)>,
 ) -> Result<Drawn> {
     let settings = settings(base, look);
     let (mut frame, tiles) = match look.mode {
@@ -133,8 +133,8 @@ pub fn draw(
         }
         _ => (painter.render(camera, &settings)?, None),
     };
-    if let (Mode::Splats, Some((taken, light))) = (look.mode, &light) {
-        light.apply_as_taken(taken, camera, &mut frame);
+    if let (Mode::Splats, Some((taken, appearance))) = (look.mode, &appearance) {
+        appearance.apply_as_taken(taken, camera, &mut frame);
     }
     let (photo, legend) = match (look.mode, tiles) {
         (Mode::Ellipsoids, _) => (outlined(&frame)?, None),

@@ -296,8 +296,8 @@ impl Hub {
     /// True if any request is waiting, or a film is in progress.
     pub fn is_wanted(&self) -> bool {
         let state = self.lock();
-        let asked = !state.remote.is_empty() || !state.scenes.is_empty();
-        asked || state.has_films() || state.clients.values().any(Client::waits)
+        let requested = !state.remote.is_empty() || !state.scenes.is_empty();
+        requested || state.has_films() || state.clients.values().any(Client::waits)
     }
 
     /// Returns the next task; waits at most this long.
@@ -405,7 +405,7 @@ mod tests {
         let film = json!({ "keys": [], "seconds": 1, "frames_per_second": 1, "width": 1, "height": 1 });
         let served: String = (0..12)
             .map(|_| {
-                // Each always has a request.
+                // Each page always has a request waiting.
                 [a, b].iter().for_each(|&page| hub.set_view(page, view()));
                 hub.film(b, from_value(film.clone()).expect("a film"));
                 if hub.lock().remote.is_empty() {

@@ -6,28 +6,28 @@
 #[macro_use]
 extern crate ashsplat_program;
 
+mod appearances;
 mod assets;
 mod cut;
 mod draw;
 mod film;
 pub mod hub;
 mod labels;
-mod lights;
 mod loading;
 mod openings;
 mod pace;
 mod photos;
 pub mod protocol;
+pub mod render_thread;
 pub mod server;
 pub mod sibr;
 mod sizes;
 mod streamed;
-pub mod studio;
 mod subject;
 #[cfg(feature = "window")]
 mod window;
 
-pub use lights::PhotoLights;
+pub use appearances::PhotoAppearances;
 pub use photos::Photos;
 pub use subject::Subject;
 
@@ -39,8 +39,9 @@ use clap::Args;
 use glam::Vec3;
 use hub::Hub;
 use loading::Loading;
-use openings::{Openings, Wish};
+use openings::{OpenRequest, Openings};
 use protocol::ToPage;
+use render_thread::RenderThread;
 use server::{ServeArguments, Site};
 use std::collections::BTreeSet;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr, TcpListener, UdpSocket};
@@ -50,7 +51,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Scope;
 use std::time::Duration;
 use streamed::{Onlooker, Scenery};
-use studio::Studio;
 use subject::SceneArguments;
 
 /// Look at a scene, a trained model, a tree of tiles or a data set in a browser, also on a machine without a screen; or in a window.
@@ -60,8 +60,8 @@ use subject::SceneArguments;
 #[derive(Args)]
 #[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_VIEWER)))]
 pub struct Arguments {
-    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF, SOG), a model folder, a folder of `ashsplat tiles`, or a data set (its points) [default: the
-    /// page takes files that are dropped on it, and paths in this folder or below]
+    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF, SOG), a model folder, a folder of `ashsplat tiles`, or a data
+    /// set (its points) [default: the page takes files that are dropped on it, and paths in this folder or below]
     #[arg(value_name = "PATH")]
     path: Option<PathBuf>,
     #[command(flatten)]
@@ -162,45 +162,48 @@ impl<'a> Stage<'a> {
         'a: 'scope,
     {
         let (arguments, stop, hub) = (self.arguments, self.stop, &self.hub);
-        let begin = |wish: Wish| {
-            let (path, within) = (wish.path.clone(), wish.within.clone());
-            Loading::begin(threads, hub, wish, move || arguments.load(&path, within.as_deref(), stop))
+        let begin = |request: OpenRequest| {
+            let (path, within) = (request.path.clone(), request.within.clone());
+            Loading::begin(threads, hub, request, move || arguments.load(&path, within.as_deref(), stop))
         };
-        let wish =
-            |path: &PathBuf| Wish { path: path.clone(), name: path.display().to_string(), ..Wish::default() };
-        let mut loading = arguments.path.as_ref().map(wish).map(begin).transpose()?;
+        let request = |path: &PathBuf| OpenRequest {
+            path: path.clone(),
+            name: path.display().to_string(),
+            ..OpenRequest::default()
+        };
+        let mut loading = arguments.path.as_ref().map(request).map(begin).transpose()?;
         // The device opens while the scene is read.
         let context = arguments.device.context()?;
         let mut scenery = Scenery::new(Renderer::new(&context)?);
-        let mut studio = Studio::new(hub.clone(), RenderSettings::default(), out);
+        let mut render_thread = RenderThread::new(hub.clone(), RenderSettings::default(), out);
         let first = loading.take().map_or_else(|| Ok(Subject::nothing()), Loading::finish)?;
-        self.show(first, &mut scenery, &mut studio)?;
+        self.show(first, &mut scenery, &mut render_thread)?;
         while !stop.load(Ordering::Relaxed) {
             if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
-                let (name, room) = (read.wish.name.clone(), read.wish.room());
+                let (name, room) = (read.request.name.clone(), read.request.room());
                 let shown = read.finish().and_then(|subject| {
                     // Commands name the file that the page has sent, not its copy here.
                     let file = if room.is_some() { Some(PathBuf::from(&name)) } else { subject.file };
                     let subject = Subject { name: name.clone(), file, ..subject };
-                    self.show(subject, &mut scenery, &mut studio)
+                    self.show(subject, &mut scenery, &mut render_thread)
                 });
                 // The previous scene stays.
                 if let Err(error) = shown {
                     hub.broadcast(&loading::failure(&name, &error, room.as_deref()));
-                    studio::fatal(error)?;
+                    render_thread::fatal(error)?;
                 }
             }
             if loading.is_none() {
-                let wish = self.openings.as_ref().and_then(|openings| openings.take());
-                loading = wish.map(begin).transpose()?;
+                let request = self.openings.as_ref().and_then(|openings| openings.take());
+                loading = request.map(begin).transpose()?;
             }
-            studio.serve(&mut scenery, REST)?;
+            render_thread.serve(&mut scenery, REST)?;
         }
         arguments.device.report_validation(&context);
         Ok(())
     }
 
-    fn show(&self, subject: Subject, scenery: &mut Scenery, studio: &mut Studio) -> Result<()> {
+    fn show(&self, subject: Subject, scenery: &mut Scenery, render_thread: &mut RenderThread) -> Result<()> {
         let mut greeting = subject.greeting(scenery.renderer.context().device_name(), None);
         greeting["open"] = self.openings.as_ref().map(|openings| openings.described()).into();
         let hub = self.hub.clone();
@@ -210,10 +213,10 @@ impl<'a> Stage<'a> {
         });
         if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), onlooker) {
             // The previous scene is already gone.
-            self.show(Subject::nothing(), scenery, studio)?;
+            self.show(Subject::nothing(), scenery, render_thread)?;
             return Err(error);
         }
-        studio.show(subject.base, subject.lights, subject.frame);
+        render_thread.show(subject.base, subject.appearances, subject.frame);
         self.site.show_photos(subject.photos);
         let greeting = greeting.to_string();
         self.hub.greet_with(greeting.clone());

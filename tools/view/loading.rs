@@ -1,7 +1,7 @@
 //! Scenes are read on their own thread. Meanwhile pages are served, and get a message that something is read.
 
 use super::hub::Hub;
-use super::openings::Wish;
+use super::openings::OpenRequest;
 use super::protocol::ToPage;
 use super::subject::Subject;
 use ashsplat::{Error, Result};
@@ -10,7 +10,7 @@ use std::thread::{Scope, ScopedJoinHandle};
 
 pub struct Loading<'scope> {
     /// Kept until the scene is read.
-    pub wish: Wish,
+    pub request: OpenRequest,
     thread: ScopedJoinHandle<'scope, Result<Subject>>,
 }
 
@@ -18,13 +18,13 @@ impl<'scope> Loading<'scope> {
     pub fn begin(
         threads: &'scope Scope<'scope, '_>,
         hub: &Hub,
-        wish: Wish,
+        request: OpenRequest,
         read: impl FnOnce() -> Result<Subject> + Send + 'scope,
     ) -> Result<Loading<'scope>> {
-        hub.broadcast(&ToPage::json(&message(&wish.name)));
+        hub.broadcast(&ToPage::json(&message(&request.name)));
         let thread = std::thread::Builder::new().name("reader".into()).spawn_scoped(threads, read);
         let thread = thread.map_err(|e| Error::argument("viewer", format!("no thread to read with: {e}")))?;
-        Ok(Loading { wish, thread })
+        Ok(Loading { request, thread })
     }
 
     /// True if [`Loading::finish`] would not wait.
@@ -33,7 +33,7 @@ impl<'scope> Loading<'scope> {
     }
 
     pub fn finish(self) -> Result<Subject> {
-        let failed = |_| Err(Error::argument("viewer", format!("reading {} has failed", self.wish.name)));
+        let failed = |_| Err(Error::argument("viewer", format!("reading {} has failed", self.request.name)));
         self.thread.join().unwrap_or_else(failed)
     }
 }

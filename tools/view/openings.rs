@@ -23,12 +23,12 @@ pub struct Openings {
     /// Largest file that a page may send, bytes.
     pub most_bytes: u64,
     turn: Arc<Semaphore>,
-    wish: Mutex<Option<Wish>>,
+    request: Mutex<Option<OpenRequest>>,
 }
 
 /// A scene to open: of the command line, or of a page.
 #[derive(Default)]
-pub struct Wish {
+pub struct OpenRequest {
     pub path: PathBuf,
     /// Name for people.
     pub name: String,
@@ -40,7 +40,7 @@ pub struct Wish {
     pub turn: Option<OwnedSemaphorePermit>,
 }
 
-impl Wish {
+impl OpenRequest {
     /// Folder of a file that a page has sent: its path means nothing to people.
     pub fn room(&self) -> Option<String> {
         let upload = self.upload.as_ref()?;
@@ -54,7 +54,7 @@ impl Openings {
     pub fn new(folder: Option<PathBuf>, reach: Reach, most_bytes: u64) -> Openings {
         let folder =
             folder.filter(|_| reach == Reach::ThisMachine).and_then(|folder| folder.canonicalize().ok());
-        Openings { folder, most_bytes, turn: Arc::new(Semaphore::new(1)), wish: Mutex::default() }
+        Openings { folder, most_bytes, turn: Arc::new(Semaphore::new(1)), request: Mutex::default() }
     }
 
     /// Describes the limits to a page.
@@ -67,13 +67,13 @@ impl Openings {
         self.turn.clone().try_acquire_owned().ok()
     }
 
-    pub fn ask(&self, wish: Wish) {
-        *locked(&self.wish) = Some(wish);
+    pub fn ask(&self, request: OpenRequest) {
+        *locked(&self.request) = Some(request);
     }
 
     /// Takes the scene to open, if any.
-    pub fn take(&self) -> Option<Wish> {
-        locked(&self.wish).take()
+    pub fn take(&self) -> Option<OpenRequest> {
+        locked(&self.request).take()
     }
 
     /// Resolves a path that a page names; links may not lead out of the folder either. A path outside gets the same error as a

@@ -81,7 +81,7 @@ pub struct Photos {
     gallery: Gallery,
     /// Memory that decoding each photo takes, MiB.
     costs: Vec<u32>,
-    /// By size.
+    /// Photos, and thumbnails.
     kept: [Mutex<Kept>; 2],
     decoding: Queue,
     sending: Queue,
@@ -100,7 +100,7 @@ impl Photos {
             gallery,
             kept: [KEPT_BYTES, KEPT_THUMBNAIL_BYTES].map(|most| Mutex::new(Kept::new(most))),
             decoding: Queue::new(DECODING_MIB, DECODING_MIB),
-            // An asker that does not read leaves half to the others.
+            // A client that does not read occupies at most half.
             sending: Queue::new(SENDING_MIB, SENDING_MIB / 2),
         }
     }

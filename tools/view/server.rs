@@ -1,12 +1,12 @@
 //! The page and its WebSocket over HTTP, on their own threads. They never use the device.
 
+mod access;
 mod connections;
-mod door;
 mod export;
 mod files;
+mod open_connections;
 mod opening;
 mod page;
-mod seats;
 
 use super::assets;
 use super::hub::Hub;
@@ -21,7 +21,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Extension, Router};
 use clap::Args;
-use seats::{Limits, Seat};
+use open_connections::{Limits, OpenConnection};
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, Once};
@@ -200,10 +200,13 @@ pub fn open(arguments: &ServeArguments) -> Result<TcpListener> {
 fn router(site: Arc<Site>) -> Router {
     Router::new()
         .route("/socket", get(page::socket).post(page::explain))
-        .route("/photo/{index}", get(|site, seat, index, uri| photo(Size::Full, site, seat, index, uri)))
+        .route(
+            "/photo/{index}",
+            get(|site, connection, index, uri| photo(Size::Full, site, connection, index, uri)),
+        )
         .route(
             "/thumbnail/{index}",
-            get(|site, seat, index, uri| photo(Size::Thumbnail, site, seat, index, uri)),
+            get(|site, connection, index, uri| photo(Size::Thumbnail, site, connection, index, uri)),
         )
         .route("/film/{name}", get(film))
         .route("/export/{name}", get(export::export))
@@ -211,7 +214,7 @@ fn router(site: Arc<Site>) -> Router {
         .route("/upload/{name}", post(opening::upload))
         .route("/open", post(opening::open))
         .fallback(asset)
-        .layer(middleware::from_fn_with_state(site.clone(), door::guard))
+        .layer(middleware::from_fn_with_state(site.clone(), access::guard))
         .with_state(site)
 }
 
@@ -241,12 +244,12 @@ fn busy(problem: &str) -> Response {
 async fn photo(
     size: Size,
     State(site): State<Arc<Site>>,
-    Extension(seat): Extension<Arc<Seat>>,
+    Extension(connection): Extension<Arc<OpenConnection>>,
     UrlPath(index): UrlPath<usize>,
     uri: Uri,
 ) -> Response {
-    let page = door::query_value(&uri, "page").and_then(|page| page.parse().ok());
-    let asker = Asker { peer: seat.peer(), page: page.filter(|page| site.hub.has_page(*page)) };
+    let page = access::query_value(&uri, "page").and_then(|page| page.parse().ok());
+    let asker = Asker { peer: connection.peer(), page: page.filter(|page| site.hub.has_page(*page)) };
     let Some(photos) = site.photos() else { return StatusCode::NOT_FOUND.into_response() };
     // Photo addresses carry the run's name, so another scene at this port has different ones.
     match photos.jpeg(index, size, asker).await {

@@ -159,8 +159,8 @@ impl Streaming {
                 }
             }
         }
-        let (viewer, asked) = self.current;
-        let budget = asked.min(self.most);
+        let (viewer, requested) = self.current;
+        let budget = requested.min(self.most);
         let cut = self.residency.cut(viewer, &Demand::of(camera, budget));
         self.loader.ask(cut.missing.iter().copied());
         let (resident, resident_gaussians) = self.residency.resident();
@@ -209,8 +209,8 @@ impl Painter for Scenery {
 
     fn attend(&mut self, audience: &Audience<'_>) {
         let Some(streaming) = &mut self.streaming else { return };
-        let asked = audience.budget.map(|budget| usize::try_from(budget).unwrap_or(usize::MAX));
-        streaming.current = (audience.viewer, asked.unwrap_or(streaming.budget));
+        let requested = audience.budget.map(|budget| usize::try_from(budget).unwrap_or(usize::MAX));
+        streaming.current = (audience.viewer, requested.unwrap_or(streaming.budget));
         streaming.residency.keep_viewers(audience.is_there);
     }
 

@@ -1,7 +1,7 @@
 //! The scene to look at: Gaussians, render settings, cameras and photos.
 
+use super::appearances::PhotoAppearances;
 use super::labels::labels;
-use super::lights::PhotoLights;
 use super::photos::Photos;
 use super::protocol::CameraMessage;
 use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit, WorldFrame, without_strays};
@@ -11,9 +11,9 @@ use ashsplat_files::quoted;
 use ashsplat_files::splats::{Format, ReadOptions, Target};
 use ashsplat_files::tiles::Tree;
 use ashsplat_files::{DatasetOptions, Gallery};
+use ashsplat_program::appearance::Appearances;
 use ashsplat_program::args::HostArguments;
 use ashsplat_program::config::{CAMERAS_FILE, DataSettings, Settings};
-use ashsplat_program::light::Lights;
 use ashsplat_program::look::{LookArguments, gaussians_of, orbit_around, parse_target, tree_of};
 use ashsplat_program::model::Model;
 use ashsplat_program::progress::thousands;
@@ -44,7 +44,7 @@ pub struct Subject {
     pub cameras: Vec<NamedCamera>,
     pub photos: Option<Arc<Photos>>,
     /// Exposure and lens effects of the photos.
-    pub lights: PhotoLights,
+    pub appearances: PhotoAppearances,
     /// Text on the page: instead of an empty scene, otherwise below the name.
     pub note: Option<String>,
     /// Its file or folder, for commands; none if there is none.
@@ -167,12 +167,12 @@ impl Subject {
         if let Some(images) = &wanted.images {
             data.images.clone_from(images);
         }
-        let asked = wanted.source_path.is_some() || wanted.images.is_some();
+        let requested = wanted.source_path.is_some() || wanted.images.is_some();
         let white = model.settings.train.white_background;
         if within.is_some_and(|folder| !lies_within(&data, folder)) {
             data.source_path = PathBuf::new();
         }
-        let gallery = match (asked, photos_of(&data, (white, &scene.frame), host, stop)) {
+        let gallery = match (requested, photos_of(&data, (white, &scene.frame), host, stop)) {
             (true, gallery) => Some(gallery?),
             (false, Err(Error::Interrupted)) => return Err(Error::Interrupted),
             // The training's data set may be gone.
@@ -184,9 +184,9 @@ impl Subject {
             (None, Some(own)) => cameras_of(&own, &scene.frame)?,
             (None, None) => Vec::new(),
         };
-        let lights = match &model.folder {
-            Some((folder, _)) => Lights::read(folder)?,
-            None => Lights::default(),
+        let appearances = match &model.folder {
+            Some((folder, _)) => Appearances::read(folder)?,
+            None => Appearances::default(),
         };
         let newest = model.folder.is_some() && wanted.iteration.is_none();
         let file = if newest { path.to_owned() } else { model.ply };
@@ -195,7 +195,7 @@ impl Subject {
             base: look.settings(&model.settings, &scene.header)?,
             gaussians: scene.gaussians,
             frame: scene.frame,
-            lights: PhotoLights::kept(&cameras, &lights),
+            appearances: PhotoAppearances::kept(&cameras, &appearances),
             cameras,
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: model.folder.map(|(_, iteration)| format!("iteration {iteration}")),
@@ -259,7 +259,7 @@ impl Subject {
         let photo = |(index, (named, label)): (usize, (&NamedCamera, String))| {
             let camera = CameraMessage::of(&named.camera);
             let held_out = self.photos.as_ref().is_some_and(|photos| photos.is_held_out(index));
-            let lit = self.lights.has(index);
+            let lit = self.appearances.has(index);
             json!({ "name": named.name, "label": label, "camera": camera, "lit": lit, "held_out": held_out })
         };
         let photos = self.cameras.iter().zip(labels(&names)).enumerate().map(photo);

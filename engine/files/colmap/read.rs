@@ -17,15 +17,23 @@ use crate::{cost, host_memory, text};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
-/// A kind of record: its name, its least size in a binary file, and its size in memory, bytes.
-type Kind = (&'static str, u64, usize);
+struct RecordKind {
+    name: &'static str,
+    /// Smallest size of a record in a binary file.
+    file_bytes: u64,
+    memory_bytes: usize,
+}
 
-const CAMERA: Kind = ("camera", 24, size_of::<ColmapCamera>() + 16 * size_of::<f64>());
-/// The name has one letter at least.
-const IMAGE: Kind = ("image", 74, size_of::<ColmapImage>() + 64);
-const RIG: Kind = ("rig", 8, size_of::<(u32, Rig)>() + 4 * size_of::<(Sensor, Option<Pose>)>());
-const FRAME: Kind = ("frame", 68, size_of::<Frame>() + 2 * size_of::<(Sensor, u64)>());
-const POINT: Kind = ("point", 51, 2 * size_of::<(u64, [f64; 3])>());
+const fn kind(name: &'static str, file_bytes: u64, memory_bytes: usize) -> RecordKind {
+    RecordKind { name, file_bytes, memory_bytes }
+}
+
+const CAMERA: RecordKind = kind("camera", 24, size_of::<ColmapCamera>() + 16 * size_of::<f64>());
+/// 74 bytes: the fields, a name of one letter with its NUL, and the number of observations.
+const IMAGE: RecordKind = kind("image", 74, size_of::<ColmapImage>() + 64);
+const RIG: RecordKind = kind("rig", 8, size_of::<(u32, Rig)>() + 4 * size_of::<(Sensor, Option<Pose>)>());
+const FRAME: RecordKind = kind("frame", 68, size_of::<Frame>() + 2 * size_of::<(Sensor, u64)>());
+const POINT: RecordKind = kind("point", 51, 2 * size_of::<(u64, [f64; 3])>());
 const OBSERVATION_BYTES: u64 = 24;
 const TRACK_ENTRY_BYTES: u64 = 8;
 /// No file system has longer paths.
@@ -145,7 +153,7 @@ pub(super) fn points(path: &Path) -> Result<SourcePoints> {
 
 /// Number of records that a file claims to hold, or of lines in a text file; 0 when it cannot be read.
 pub(super) fn claimed_count(path: &Path) -> u64 {
-    let Ok(mut file) = Records::open(path, ("record", 0, 0)) else { return 0 };
+    let Ok(mut file) = Records::open(path, kind("record", 0, 0)) else { return 0 };
     let mut lines = 0;
     while file.is_text && matches!(file.next(), Ok(true)) {
         lines += 1;
@@ -175,7 +183,8 @@ struct Records<'a> {
 
 impl<'a> Records<'a> {
     /// Opens a file. Fails if it, or the machine's free memory, is too small for the records that it claims.
-    fn open(path: &'a Path, (name, record_bytes, room): Kind) -> Result<Self> {
+    fn open(path: &'a Path, kind: RecordKind) -> Result<Self> {
+        let RecordKind { name, file_bytes, memory_bytes } = kind;
         let (file, length) = regular_file::open(path)?;
         let is_text = path.extension().is_some_and(|ending| ending == "txt");
         if is_text {
@@ -198,11 +207,11 @@ impl<'a> Records<'a> {
             Self { path, reader, is_text, length, remaining, name, count, begun, text, line, at, is_ahead };
         if !is_text {
             let count: u64 = this.number("count")?;
-            if count.saturating_mul(record_bytes) > this.remaining {
+            if count.saturating_mul(file_bytes) > this.remaining {
                 let problem = format!("says {count} {name}s, {} bytes cannot hold as many", this.remaining);
                 return Err(this.error(&problem));
             }
-            host_memory::check_free(path, count.saturating_mul(room as u64))?;
+            host_memory::check_free(path, count.saturating_mul(memory_bytes as u64))?;
             this.count = usize::try_from(count).unwrap_or(usize::MAX);
         }
         Ok(this)

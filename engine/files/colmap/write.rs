@@ -56,7 +56,7 @@ fn write_images(w: &mut dyn Write, images: &[ColmapImage]) -> io::Result<()> {
         doubles(w, translation)?;
         w.write_all(&camera_id.to_le_bytes())?;
         w.write_all(name.as_bytes())?;
-        // The name's end, and no observations.
+        // NUL after the name, and 0 observations as u64.
         w.write_all(&[0; 9])?;
     }
     Ok(())

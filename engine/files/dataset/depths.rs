@@ -7,8 +7,8 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::View;
+use super::crop::cut;
 use super::options::DatasetOptions;
-use super::part::cut;
 use super::planned_view::{PlannedMap, PlannedView};
 use crate::colmap::{self, ColmapImage, Model};
 use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};

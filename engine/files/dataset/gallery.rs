@@ -8,11 +8,11 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 
 use super::View;
+use super::crop::Crop;
 use super::depths;
 use super::level::Level;
 use super::mask::Mask;
 use super::options::DatasetOptions;
-use super::part::UsedPart;
 use super::plan::Plan;
 use super::planned_view::{PlannedView, Track};
 use super::read;
@@ -80,8 +80,8 @@ impl Gallery {
         columns: Range<u32>,
         rows: Range<u32>,
     ) -> Result<()> {
-        let part = UsedPart::of(coarse, columns, rows)?;
-        self.planned(index)?.part = Some(part);
+        let part = Crop::of(coarse, columns, rows)?;
+        self.planned(index)?.crop = Some(part);
         Ok(())
     }
 
@@ -93,7 +93,7 @@ impl Gallery {
     /// Undoes [`Gallery::use_part`] for all views.
     #[must_use]
     pub fn with_whole_photos(mut self) -> Self {
-        self.views.iter_mut().for_each(|view| view.part = None);
+        self.views.iter_mut().for_each(|view| view.crop = None);
         self
     }
 

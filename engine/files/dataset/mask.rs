@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::part::cut;
+use super::crop::cut;
 use crate::host_memory::HostMemory;
 use crate::images::{Decoded, Photo, Request, header, read_as, undistort};
 use ashsplat::scene::PhotoLens;
@@ -41,7 +41,7 @@ impl Mask {
         Self { width, height, values }
     }
 
-    /// Reads the mask of a photo of this size; one of a larger version is scaled down. Returns true with it if it is a
+    /// Reads the mask of a photo of this size. A mask of a larger version of the photo is scaled down. The flag is true for a
     /// cut-out: a picture with transparent surroundings, whose alpha channel is the mask.
     pub(super) fn read(
         path: &Path,

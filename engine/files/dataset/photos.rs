@@ -143,18 +143,20 @@ pub(super) fn turned(
     let header_of = |&(path, _): &(Option<&Path>, _)| header(path?).ok();
     let headers: Vec<Option<Header>> = photos.par_iter().map(header_of).collect();
     // For a photo whose metadata ask for a rotation: what its size tells, if anything.
-    let told = |index: usize| -> Option<Option<bool>> {
+    let reported = |index: usize| -> Option<Option<bool>> {
         let header = headers[index].filter(Header::has_orientation)?;
         Some(photos[index].1.and_then(|sides| told_by(header, sides)))
     };
-    let all = || (0..photos.len()).filter_map(told);
-    let [stored, turned] = [false, true].map(|turned| all().any(|told| told == Some(turned)));
+    let all = || (0..photos.len()).filter_map(reported);
+    let [stored, turned] = [false, true].map(|turned| all().any(|reported| reported == Some(turned)));
     let decides = stored != turned || choice != PhotoOrientation::Auto;
     let untold = if decides { 0 } else { all().filter(Option::is_none).count() };
     let is_turned = |index: usize| match choice {
         PhotoOrientation::Stored => false,
-        PhotoOrientation::Upright => told(index).is_some(),
-        PhotoOrientation::Auto => told(index).is_some_and(|told| told.unwrap_or(turned && !stored)),
+        PhotoOrientation::Upright => reported(index).is_some(),
+        PhotoOrientation::Auto => {
+            reported(index).is_some_and(|reported| reported.unwrap_or(turned && !stored))
+        }
     };
     let photo = |(index, header): (usize, &Option<Header>)| {
         let turned = is_turned(index);

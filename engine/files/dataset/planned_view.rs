@@ -6,9 +6,9 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3, Vec3};
 
 use super::View;
+use super::crop::{Crop, cut_photo};
 use super::mask::{Mask, grey};
 use super::options::{AlphaUse, DatasetOptions};
-use super::part::{UsedPart, cut_photo};
 use crate::depth_fit::DepthFit;
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, read_as, undistort};
 use ashsplat::Result;
@@ -43,7 +43,7 @@ pub(crate) struct PlannedView {
     pub(super) rim: Option<f64>,
     pub(super) coarse_mask: Option<Mask>,
     /// The used part of the photo; `None` for the whole.
-    pub(super) part: Option<UsedPart>,
+    pub(super) crop: Option<Crop>,
     /// True if the view is held out.
     pub(super) held_out: bool,
     /// The inverse-depth map that is read with the photo.
@@ -99,7 +99,7 @@ impl PlannedView {
             mask_path: None,
             rim: None,
             coarse_mask: None,
-            part: None,
+            crop: None,
             held_out: false,
             map: None,
             track: None,
@@ -195,7 +195,7 @@ impl PlannedView {
         self.used_of(options.resolution.apply(self.used.width, self.used.height))
     }
 
-    /// Camera of the used part of the photo, at the size at which it is used.
+    /// Camera of the photo's crop, at the loaded size.
     pub(super) fn used_camera(&self, options: &DatasetOptions) -> Result<Camera> {
         let (width, height) = options.resolution.apply(self.used.width, self.used.height);
         self.part_of(self.camera().scaled_to(width, height))
@@ -203,7 +203,7 @@ impl PlannedView {
 
     /// Camera of the used part of `camera`'s picture.
     fn part_of(&self, camera: Camera) -> Result<Camera> {
-        match self.part.map(|part| part.in_picture((camera.width, camera.height))) {
+        match self.crop.map(|part| part.in_picture((camera.width, camera.height))) {
             Some((corner, size)) => camera.part(corner, size),
             None => Ok(camera),
         }
@@ -218,7 +218,7 @@ impl PlannedView {
 
     /// Size of the used part of a picture of size `whole`.
     fn used_of(&self, whole: (u32, u32)) -> (u32, u32) {
-        self.part.map_or(whole, |part| part.in_picture(whole).1.into())
+        self.crop.map_or(whole, |part| part.in_picture(whole).1.into())
     }
 
     /// Estimated bytes of the photo and its mask. A device needs about as much.

@@ -390,7 +390,7 @@ struct JpegOutline {
     complete: bool,
     /// True if it is stored in passes. A decoder then holds all its coefficients.
     progressive: bool,
-    /// Least number of blocks of 64 values for the size that it claims.
+    /// Smallest number of 8×8 blocks of an image of the claimed size.
     blocks: u64,
     /// Bytes of entropy-coded data.
     coded_bytes: u64,

@@ -120,7 +120,7 @@ fn property_names(sh_degree: u32) -> Vec<String> {
     fixed.iter().map(|s| s.to_string()).chain(rest).chain(last.iter().map(|s| s.to_string())).collect()
 }
 
-/// `doubles`: the origin of positions that are written in double precision.
+/// `doubles` is the origin of positions that are written in double precision.
 fn gaussian_row(gaussians: &Gaussians, index: usize, doubles: Option<DVec3>, row: &mut Vec<u8>) {
     let mean = gaussians.means[index];
     if let Some(origin) = doubles {

@@ -143,7 +143,7 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     };
     let changes: Vec<(Cut, Similarity)> = inputs.iter().zip(&headers).map(change).collect();
     let read = |to: DVec3, sink: &mut dyn FnMut(usize, Gaussians) -> Result<()>| {
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         for (index, (input, (cut, similarity))) in inputs.iter().zip(&changes).enumerate() {
             let mut reader = open(input.path, &options.read)?;
             let similarity = relative(similarity, headers[index].origin, to);
@@ -154,20 +154,20 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
                 }
                 sink(index, block)
             })?;
-            told.extend(reader.warnings.drain(..).map(|warning| named(input, warning)));
+            reported.extend(reader.warnings.drain(..).map(|warning| named(input, warning)));
         }
-        Ok(told)
+        Ok(reported)
     };
     let moved = changes[0].1;
     // A PLY without a similarity keeps its origin.
     let is_same = inputs.len() == 1 && format == Format::Ply && moved == Similarity::default();
     let mut to = if first.origin == DVec3::ZERO { DVec3::ZERO } else { moved.apply(first.origin) };
     let step = OriginSample::step(count);
-    let (taken, mut bounds, mut kept, told) = loop {
+    let (taken, mut bounds, mut kept, reported) = loop {
         let mut sample = OriginSample::default();
         let (mut taken, mut bounds) = (vec![0; inputs.len()], None);
         let mut kept = options.decimate.map(|_| Gaussians { sh_degree, ..Default::default() });
-        let told = read(to, &mut |index, block| {
+        let reported = read(to, &mut |index, block| {
             taken[index] += block.len() as u64;
             bounds = around(bounds, block.bounds());
             sample.add(&block, step);
@@ -178,12 +178,12 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
         })?;
         let chosen = if is_same || are_parts { to } else { sample.origin(to) };
         if chosen == to {
-            break (taken, bounds, kept, told);
+            break (taken, bounds, kept, reported);
         }
         // Reads again, for the box relative to the new origin.
         to = chosen;
     };
-    warnings.extend(told);
+    warnings.extend(reported);
     let mut count = taken.iter().sum::<u64>();
     if let (Some(all), Some(target)) = (&mut kept, options.decimate) {
         let target = match target {
@@ -214,7 +214,7 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
 }
 
 impl ConvertOptions {
-    /// The cut with whichever box is set, relative to the input's origin.
+    /// The cut, with the box given in source coordinates if there is one, relative to the input's origin.
     fn cut_of(&self, header: &Header) -> Cut {
         let relative = |corner: DVec3| (corner - header.origin).as_vec3();
         let corners = self.crop_box.map(|[one, other]| Bounds::between(relative(one), relative(other)));

@@ -144,7 +144,7 @@ impl Gltf {
         Ok(gltf)
     }
 
-    /// An origin for positions that nodes place far away, from the first Gaussians.
+    /// Chooses an origin near the first block of Gaussians if nodes move it far from 0.
     fn origin_of_nodes(&mut self) -> DVec3 {
         let Some(placed) = self.parts.iter().find(|part| part.placement.translation != DVec3::ZERO) else {
             return DVec3::ZERO;

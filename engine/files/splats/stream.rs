@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{DVec3, Vec3};
 
 use super::format::Format;
-use super::validation::Doubts;
+use super::validation::Validation;
 use crate::host_memory;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Bounds, Gaussians, Similarity, WorldFrame};
@@ -245,15 +245,15 @@ impl<'a> Reader<'a> {
     pub(crate) fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<u64> {
         let (count, row_name) = (self.header().count, self.source.row_name());
         let drop_invalid = self.options.drop_invalid;
-        let mut doubts = Doubts::default();
+        let mut validation = Validation::default();
         self.source.blocks(&mut |mut block| {
-            doubts.look_through(&mut block);
+            validation.look_through(&mut block);
             // If the file is refused, Gaussians after the first unusable one are only counted.
-            if doubts.unusable == 0 || drop_invalid { sink(block) } else { Ok(()) }
+            if validation.unusable == 0 || drop_invalid { sink(block) } else { Ok(()) }
         })?;
-        let problem = doubts.describe_unusable(count, row_name);
+        let problem = validation.describe_unusable(count, row_name);
         if let Some(problem) = &problem
-            && (!drop_invalid || doubts.unusable == count)
+            && (!drop_invalid || validation.unusable == count)
         {
             let remedy = match drop_invalid {
                 true => "none is left without them: write the file again",
@@ -261,8 +261,8 @@ impl<'a> Reader<'a> {
             };
             return Err(Error::input(&self.path, problem, remedy));
         }
-        self.warnings = problem.into_iter().chain(doubts.lines()).collect();
-        Ok(doubts.unusable)
+        self.warnings = problem.into_iter().chain(validation.lines()).collect();
+        Ok(validation.unusable)
     }
 
     pub(crate) fn collect(mut self) -> Result<Scene> {

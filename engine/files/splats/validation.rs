@@ -22,7 +22,7 @@ const MAX_LOG_SCALE: f32 = 88.0;
 
 /// Counts the unusable Gaussians of a file, which it removes from the stream, and those with implausible values.
 #[derive(Default)]
-pub(super) struct Doubts {
+pub(super) struct Validation {
     seen: u64,
     /// Number of unusable Gaussians so far.
     pub(super) unusable: u64,
@@ -35,7 +35,7 @@ pub(super) struct Doubts {
     log_sizes: f64,
 }
 
-impl Doubts {
+impl Validation {
     /// Removes the unusable Gaussians of the next block, and counts implausible values of the others. A size of 0
     /// (log-scale -∞) becomes the smallest normal number, a quaternion of zeros the identity, which can be rotated.
     pub(super) fn look_through(&mut self, block: &mut Gaussians) {
@@ -224,7 +224,7 @@ impl PackingLoss {
         self.count += block.len() as u64;
     }
 
-    /// A warning, if the loss is visible.
+    /// Warning about what the format loses, if it is visible.
     pub(super) fn line(&self, format: Format, outline: &Outline) -> Option<String> {
         let mut losses = Vec::new();
         let step = fractional_bits(outline).map_or(0.0, |bits| (-f64::from(bits)).exp2());

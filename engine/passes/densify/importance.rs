@@ -9,16 +9,13 @@ use crate::error::Result;
 use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, RenderSettings, buffer_set};
 use crate::kernels::densify::{add_importance, edge_gradient, edge_response, sum_weights};
 use crate::passes::backward::Backward;
-use crate::passes::pixels::PixelBorder;
+use crate::passes::pixels::LayoutConverter;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
-
-/// A Gaussian with more tiles has its weights added up by a whole subgroup.
-const LANE_INSTANCES: u32 = 64;
 
 buffer_set! {
     /// Scratch for the importance of one view at a time, for this number of Gaussians and pictures of up to `pixels` pixels.
     pub struct ImportanceBuffers(gaussians: u32, pixels: u64) {}
-    /// Per pixel: the photograph, see [`PixelBorder::record_photo`].
+    /// Per pixel: the photograph, see [`LayoutConverter::record_photo`].
     pub rows as "photo_rows": 4 * pixels;
     /// Per pixel: response of the edge filter, 0 to 255.
     pub responses as "edge_responses": 4 * pixels;
@@ -44,7 +41,7 @@ pub struct EdgePhoto<'a> {
 /// Kernels of the importance.
 pub struct Importance {
     sizes: LaunchSizes,
-    border: PixelBorder,
+    border: LayoutConverter,
     backward: Backward,
     response: Kernel<edge_response::Interface>,
     gradient: Kernel<edge_gradient::Interface>,
@@ -61,10 +58,10 @@ impl Importance {
         let mut backward = Backward::new(context);
         // Weights depend on no other property of the frame.
         backward.prepare_weights(FrameVariant { steep: settings.is_steep(), ..FrameVariant::default() })?;
-        let sum = sum_weights::Spec { workgroup_size, subgroup_size, lane_instances: LANE_INSTANCES };
+        let sum = sum_weights::Spec { workgroup_size, subgroup_size, ..sum_weights::Spec::default() };
         let strips = sizes.strips;
         Ok(Self {
-            border: PixelBorder::new(context)?,
+            border: LayoutConverter::new(context)?,
             backward,
             response: Kernel::new(context, &edge_response::Spec { workgroup_size, subgroup_size })?,
             gradient: Kernel::new(context, &edge_gradient::Spec { workgroup_size, strips })?,
@@ -74,8 +71,7 @@ impl Importance {
         })
     }
 
-    /// Records the edges e of a photograph as the gradient of a picture, dL/dred, in the native layout. A barrier must precede
-    /// it; it ends without one.
+    /// Records the edges e of a photograph as the gradient of a picture, dL/dred, in the native layout.
     pub fn record_edges(
         &self,
         r: &mut Recorder,
@@ -109,9 +105,8 @@ impl Importance {
     }
 
     /// Records the weights of all Gaussians in the frame of the same buffers, from the edges in `image_gradient`. Adds `share`
-    /// times their importance in this view to `importance`, f32 per Gaussian. The frame must have backward and no inverse
-    /// depth, and `buffers.ranges` must be 0 before the edges. A barrier must precede it; it ends without one. If the frame
-    /// overflowed, `importance` stays.
+    /// times their importance in this view to `importance`, f32 per Gaussian. The frame must have backward and no inverse depth,
+    /// and `buffers.ranges` must be 0 before the edges. If the frame overflowed, `importance` stays.
     pub fn record_view(
         &self,
         r: &mut Recorder,

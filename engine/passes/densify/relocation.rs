@@ -130,7 +130,7 @@ impl Relocation {
     }
 
     /// Records the new opacities and scales of the drawn Gaussians and their copies in the new set, and clears
-    /// their moments. A barrier must precede it.
+    /// their moments.
     pub fn record_relocate(
         &self,
         r: &mut Recorder,

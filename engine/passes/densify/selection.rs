@@ -167,8 +167,8 @@ impl Selection {
         });
     }
 
-    /// Records a sort of all opacities, for pruning the faintest share of a set. A barrier must precede it; it ends with one. Returns the buffer with the result: f32
-    /// per Gaussian, the faintest first.
+    /// Records a sort of all opacities, for pruning the faintest share of a set. A barrier must precede it; it ends with one.
+    /// Returns the buffer with the result: f32 per Gaussian, the faintest first.
     pub fn record_opacities<'a>(
         &self,
         r: &mut Recorder,

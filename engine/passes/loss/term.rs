@@ -103,8 +103,8 @@ pub trait LossTerm: Send {
     /// Names and bytes of the scratch buffers, for views of these sizes (width, height).
     fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)>;
 
-    /// Records the value and the gradient. The caller places barriers before and after. A frame that overflowed is repeated, so
-    /// the term must not change anything that outlives the iteration.
+    /// Records the value and the gradient. A frame that overflowed is repeated, so the term must not change anything that
+    /// outlives the iteration.
     fn record(&self, r: &mut Recorder, inputs: &TermInputs);
 }
 

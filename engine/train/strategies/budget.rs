@@ -183,7 +183,9 @@ impl Budget {
             decisions.classify(population, inputs)
         };
         let mut densified = classify(&decisions, population)?;
-        let Some(growth) = decisions.make_room(population, before + drawn)? else { return Ok(unchanged) };
+        let Some(growth) = decisions.reserve_gaussians(population, before + drawn)? else {
+            return Ok(unchanged);
+        };
         let capacity = population.capacity_with(&growth);
         if densified.rows() > capacity {
             self.select(population, importance.as_ref(), capacity - before, &selection)?;

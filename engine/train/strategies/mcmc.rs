@@ -101,7 +101,7 @@ impl Mcmc {
         if order.is_none() && !replaces_dead {
             return Ok(false);
         }
-        let growth = population.make_room(rows)?;
+        let growth = population.reserve_gaussians(rows)?;
         let rows = rows.min(population.capacity_with(&growth));
         let (seed, iteration) = (population.settings().seed, population.iteration());
         let draw = Draw { rows, replaces_dead, seed, iteration, explicit: None };

@@ -53,17 +53,17 @@ impl<'a> Decisions<'a> {
 
     /// Allocates memory for a new set of up to `rows` rows, and for its order along the curve. The capacity may be less
     /// ([`Population::capacity_with`]). None if memory for the order is short; the set then stays.
-    pub fn make_room(&mut self, population: &mut Population, rows: u32) -> Result<Option<Growth>> {
+    pub fn reserve_gaussians(&mut self, population: &mut Population, rows: u32) -> Result<Option<Growth>> {
         // The order comes before the second set of planes. There is no fallback to another order, because the bits would then
         // depend on the free memory.
         self.order = order_buffers(population, rows)?;
         match self.order {
-            Some(_) => Ok(Some(population.make_room(rows)?)),
+            Some(_) => Ok(Some(population.reserve_gaussians(rows)?)),
             None => Ok(None),
         }
     }
 
-    /// Replaces the set by the decisions, after [`Decisions::make_room`].
+    /// Replaces the set by the decisions, after [`Decisions::reserve_gaussians`].
     pub fn rebuild(&self, population: &mut Population, densified: Densified, growth: Growth) -> Result<()> {
         let Some(order) = &self.order else { unreachable!("room was made") };
         let (rows, key, curve) = (densified.rows(), population.random_key(), population.curve());
@@ -78,7 +78,7 @@ impl<'a> Decisions<'a> {
     /// Removes the Gaussians that do not stay, without clones and splits. The others keep their order.
     pub fn prune(&self, population: &mut Population, densified: Densified) -> Result<()> {
         let rows = densified.rows();
-        let (key, growth) = (population.random_key(), population.make_room(rows)?);
+        let (key, growth) = (population.random_key(), population.reserve_gaussians(rows)?);
         let sources = |r: &mut Recorder, scene: &SceneBuffers| {
             self.record_sources(r, scene.count, rows);
             &self.buffers.sources

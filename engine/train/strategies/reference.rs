@@ -93,7 +93,7 @@ impl Reference {
         let wanted = decisions.classify(population, self.inputs(population))?;
         let most = population.most_rows();
         let rows = wanted.rows().min(most);
-        let Some(growth) = decisions.make_room(population, rows)? else { return Ok(unchanged) };
+        let Some(growth) = decisions.reserve_gaussians(population, rows)? else { return Ok(unchanged) };
         let capacity = population.capacity_with(&growth).min(most);
         let densified = match wanted.rows() <= capacity {
             true => wanted,

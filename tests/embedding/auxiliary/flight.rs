@@ -108,7 +108,7 @@ impl<'a> Outputs<'a> {
         }
     }
 
-    /// Notes the host's depth's last use.
+    /// Remembers the last use of the host's depth image.
     pub fn note(&mut self, release: &Release) {
         self.last[2] = release.occluder.unwrap_or(self.last[2]);
     }

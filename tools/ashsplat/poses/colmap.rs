@@ -31,7 +31,7 @@ pub struct Colmap {
     /// Options that select the GPU. Newer versions have other names for them.
     gpu_of_features: Option<String>,
     gpu_of_matches: Option<String>,
-    /// Options for the largest side of a photograph and for the most features. Their names have changed too.
+    /// Options for the largest side of a photograph and for the most features. Newer versions have other names for them too.
     max_image_size: Option<String>,
     max_num_features: Option<String>,
 }

@@ -45,13 +45,13 @@ impl Wanted {
     /// Number of intervals; one frame is taken from each.
     pub fn of(self, video: &Video) -> usize {
         let usual = || intervals(video, 1.0 / PER_SECOND).clamp(USUAL[0], USUAL[1]);
-        let count = self.asked(video).unwrap_or_else(usual);
+        let count = self.requested(video).unwrap_or_else(usual);
         // More would take a frame twice.
         count.clamp(1, video.frames.clamp(1, MOST))
     }
 
     /// The requested number, if any.
-    pub fn asked(self, video: &Video) -> Option<usize> {
+    pub fn requested(self, video: &Video) -> Option<usize> {
         self.frames.or_else(|| self.every.map(|seconds| intervals(video, seconds)))
     }
 }

@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn work_goes_on_and_ends_in_a_data_set() {
+    fn work_continues_and_ends_in_a_data_set() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let dataset = folder.path().join("new/set");
         Work::check(&dataset, true).expect("nothing there");

@@ -145,7 +145,7 @@ fn write_passing(folder: &Path, checkpoint: &Checkpoint, stays: bool) -> Result<
     let iteration = checkpoint.iteration;
     let before: Vec<u32> = passing(folder).into_iter().filter(|n| *n != iteration).collect();
     let own = if stays { None } else { Some(iteration) };
-    // Noted before anything is written or removed, so that a killed process forgets nothing.
+    // The note comes first, so that after a kill it still lists every passing checkpoint.
     note_passing(folder, before.iter().copied().chain(own))?;
     let path = write(folder, checkpoint)?;
     for n in before {

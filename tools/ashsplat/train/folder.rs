@@ -44,14 +44,14 @@ pub fn begin(
     held: Option<FolderLock>,
     (cameras, frame): (&[(String, Camera)], &WorldFrame),
     points: Option<&PointCloud>,
-    goes_on: bool,
+    continues: bool,
 ) -> Result<FolderLock> {
     let folder = &settings.data.model_path;
     atomic::create_folder(folder)?;
     // Locked before anything is removed, which may be another training's.
     let lock = held.map_or_else(|| FolderLock::take(folder, &TRAINING, None), Ok)?;
     remove_leftovers(folder);
-    if !goes_on {
+    if !continues {
         keep_earlier(folder)?;
     }
     output::write_text(&folder.join(SETTINGS_FILE), &settings.to_toml()?)?;

@@ -15,10 +15,10 @@ use ashsplat_program::measure::Stopwatch;
 use ashsplat_program::session::{guarded, locked};
 use ashsplat_view::hub::Hub;
 use ashsplat_view::protocol::{ToPage, TrainAction};
+use ashsplat_view::render_thread::RenderThread;
 use ashsplat_view::server::{ServeArguments, Server, Site};
 use ashsplat_view::sibr::Wishes;
-use ashsplat_view::studio::Studio;
-use ashsplat_view::{PhotoLights, Photos, Subject, announce, server, sibr, studio};
+use ashsplat_view::{PhotoAppearances, Photos, Subject, announce, render_thread, server, sibr};
 use clap::Args;
 use curves::Curves;
 use serde_json::json;
@@ -116,14 +116,14 @@ const REST: Duration = Duration::from_millis(100);
 
 /// The viewers' requests to the training.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Wish {
+struct TrainRequest {
     save: bool,
     stop: bool,
 }
 
 /// The viewers of a training.
 pub struct Live {
-    studio: Studio,
+    render_thread: RenderThread,
     hub: Arc<Hub>,
     _server: Option<Server>,
     wishes: Option<Arc<Wishes>>,
@@ -147,8 +147,8 @@ impl Live {
         let asked = curves.clone();
         hub.set_status(move |since| locked(&asked).status(since).to_string());
         let films = data.model_path.join("films");
-        let mut studio = Studio::new(hub.clone(), subject.base, films.clone());
-        studio.show(subject.base, subject.lights, subject.frame);
+        let mut render_thread = RenderThread::new(hub.clone(), subject.base, films.clone());
+        render_thread.show(subject.base, subject.appearances, subject.frame);
         let mut server = None;
         if let Some((listener, serve)) = doors.page {
             let site = Site::new(hub.clone(), films, serve.clone());
@@ -165,7 +165,7 @@ impl Live {
             wishes = Some(shared);
         }
         Ok(Live {
-            studio,
+            render_thread,
             hub,
             _server: server,
             wishes,
@@ -179,7 +179,7 @@ impl Live {
     }
 
     /// Notes an iteration and serves the viewers, within the share.
-    fn after_step(&mut self, trainer: &mut Trainer, report: &StepReport) -> Result<Wish> {
+    fn after_step(&mut self, trainer: &mut Trainer, report: &StepReport) -> Result<TrainRequest> {
         self.note(|curves| curves.step(report));
         self.allowance.trained(self.trains_since.elapsed());
         self.trains_since = Instant::now();
@@ -188,7 +188,7 @@ impl Live {
             self.hub.renew();
         }
         if self.allowance.permits() && self.hub.is_wanted() {
-            self.timed(|live| live.studio.serve(trainer, Duration::ZERO))?;
+            self.timed(|live| live.render_thread.serve(trainer, Duration::ZERO))?;
         }
         Ok(self.heed())
     }
@@ -201,14 +201,14 @@ impl Live {
     }
 
     /// Serves viewers while training waits, until a request or `stop`.
-    fn hold(&mut self, trainer: &mut Trainer, stop: &AtomicBool) -> Result<Wish> {
+    fn hold(&mut self, trainer: &mut Trainer, stop: &AtomicBool) -> Result<TrainRequest> {
         self.hub.renew();
         self.note(|curves| curves.pause(true));
         loop {
-            self.studio.serve(trainer, REST)?;
-            let wish = self.heed();
+            self.render_thread.serve(trainer, REST)?;
+            let request = self.heed();
             let stop = stop.load(Ordering::Relaxed);
-            if wish != Wish::default() || stop || !self.waits() {
+            if request != TrainRequest::default() || stop || !self.waits() {
                 self.note(|curves| curves.pause(self.paused));
                 // After a save, training still waits.
                 if !self.waits() {
@@ -216,7 +216,7 @@ impl Live {
                 }
                 // The time spent waiting does not count as training.
                 self.trains_since = Instant::now();
-                return Ok(Wish { stop: wish.stop || stop, ..wish });
+                return Ok(TrainRequest { stop: request.stop || stop, ..request });
             }
         }
     }
@@ -236,10 +236,10 @@ impl Live {
         while stays(self) && !stop.load(Ordering::Relaxed) {
             // Discards requests: training is over, and pending ones would end each wait at once.
             self.hub.actions();
-            self.studio.serve(trainer, REST)?;
+            self.render_thread.serve(trainer, REST)?;
         }
         if !stop.load(Ordering::Relaxed) {
-            self.studio.finish();
+            self.render_thread.finish();
         }
         Ok(())
     }
@@ -265,23 +265,23 @@ impl Live {
     /// Reports an error to the pages. Returns it if it must end the training.
     fn tell(&self, error: Error) -> Result<()> {
         self.hub.broadcast(&ToPage::problem(&error.to_string()));
-        studio::fatal(error)
+        render_thread::fatal(error)
     }
 
     /// Collects the pages' requests.
-    fn heed(&mut self) -> Wish {
-        let mut wish = Wish::default();
+    fn heed(&mut self) -> TrainRequest {
+        let mut request = TrainRequest::default();
         for action in self.hub.actions() {
             match action {
                 TrainAction::Pause => self.paused = true,
                 TrainAction::Resume => (self.paused, self.steps) = (false, 0),
                 TrainAction::Step => (self.paused, self.steps) = (true, self.steps + 1),
-                TrainAction::Save => wish.save = true,
-                TrainAction::Stop => wish.stop = true,
+                TrainAction::Save => request.save = true,
+                TrainAction::Stop => request.stop = true,
             }
         }
         self.note(|curves| curves.pause(self.paused));
-        wish
+        request
     }
 }
 
@@ -302,7 +302,12 @@ impl Run {
             gaussians: self.trainer.gaussians()?,
             frame: self.views.frame,
             base: self.trainer.render_settings(),
-            lights: PhotoLights::in_training(&cameras, &self.views.trained, &self.views.takers, learns),
+            appearances: PhotoAppearances::in_training(
+                &cameras,
+                &self.views.trained,
+                &self.views.takers,
+                learns,
+            ),
             cameras,
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: Some("in training".into()),
@@ -334,13 +339,13 @@ impl Run {
         stop: &AtomicBool,
         watch: &mut Stopwatch,
     ) -> Result<()> {
-        let mut wish = live.after_step(&mut self.trainer, report)?;
+        let mut request = live.after_step(&mut self.trainer, report)?;
         let mut holds = live.holds();
         loop {
-            if wish.stop {
+            if request.stop {
                 stop.store(true, Ordering::Relaxed);
             }
-            if wish.save && self.saved != Some(report.iteration) {
+            if request.save && self.saved != Some(report.iteration) {
                 match guarded(|| watch.paused(|| self.save(report.iteration, ""))) {
                     Ok(()) => {
                         let message = format!("saved iteration {}", report.iteration);
@@ -353,11 +358,11 @@ impl Run {
                     }
                 }
             }
-            if !holds || wish.stop {
+            if !holds || request.stop {
                 return Ok(());
             }
-            wish = watch.paused(|| live.hold(&mut self.trainer, stop))?;
-            holds = wish.save && live.waits();
+            request = watch.paused(|| live.hold(&mut self.trainer, stop))?;
+            holds = request.save && live.waits();
         }
     }
 

@@ -64,13 +64,13 @@ impl Origin {
                 return Err(Error::argument("checkpoint", problem + "; raise --iterations to go on"));
             }
         }
-        let (goes_on, has_block) = (start.is_some(), data.block(&WorldFrame::default())?.is_some());
-        if data.init.as_os_str().is_empty() || goes_on && !has_block {
-            return Ok(Origin { start, needs_points: !goes_on || has_block, ..Origin::default() });
+        let (continues, has_block) = (start.is_some(), data.block(&WorldFrame::default())?.is_some());
+        if data.init.as_os_str().is_empty() || continues && !has_block {
+            return Ok(Origin { start, needs_points: !continues || has_block, ..Origin::default() });
         }
         let whole = |path: &Path| path.canonicalize().ok();
         let (init, model) = (whole(&data.init), whole(&data.model_path));
-        if !goes_on && init.zip(model).is_some_and(|(init, model)| init.starts_with(model)) {
+        if !continues && init.zip(model).is_some_and(|(init, model)| init.starts_with(model)) {
             let problem = "lies in the model folder (-m), from where an earlier training is moved";
             return Err(Error::input(&data.init, problem, "choose another model folder"));
         }
@@ -199,12 +199,12 @@ impl Origin {
     /// Makes the first Gaussians.
     pub fn first(&self, dataset: &Dataset, settings: &Settings) -> Result<First> {
         let (train, block) = (&settings.train, settings.data.block(&dataset.frame)?);
-        let goes_on = self.start.is_some();
-        if goes_on && block.is_none() {
+        let continues = self.start.is_some();
+        if continues && block.is_none() {
             return Ok(First { trained: None, block: None, points: None });
         }
         if let Some((trained, block)) = &self.divided {
-            let trained = (!goes_on).then(|| trained.clone());
+            let trained = (!continues).then(|| trained.clone());
             return Ok(First { trained, block: Some(block.clone()), points: None });
         }
         let (whole, points) = match self.scene() {
@@ -224,7 +224,7 @@ impl Origin {
             }
         };
         let beginning = (Some(trained), points);
-        let (trained, points) = if goes_on { (None, None) } else { beginning };
+        let (trained, points) = if continues { (None, None) } else { beginning };
         Ok(First { trained, block, points })
     }
 

@@ -70,7 +70,7 @@ pub fn stand_ins(views: usize) -> impl Iterator<Item = usize> {
 }
 
 /// Memory budget of photos: the requested one, or half of the known limit.
-pub fn photo_memory(context: &Context, asked: Option<u64>, model: &Path) -> Option<PhotoMemory> {
-    let bytes = asked.or_else(|| context.memory_limit().map(|(limit, _)| limit / 2))?;
+pub fn photo_memory(context: &Context, requested: Option<u64>, model: &Path) -> Option<PhotoMemory> {
+    let bytes = requested.or_else(|| context.memory_limit().map(|(limit, _)| limit / 2))?;
     Some(PhotoMemory { bytes, folder: existing_folder(model) })
 }

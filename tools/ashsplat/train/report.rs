@@ -1,8 +1,8 @@
 //! `report.html`: a run on one self-contained page.
 
+mod appearances;
 mod curves;
 mod kernels;
-mod lights;
 mod views;
 
 use super::Run;
@@ -137,7 +137,7 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
         }
     };
     let _ = writeln!(out, "<p class=\"note\">{note}</p>");
-    lights::sections(&mut out, &run.lights()?);
+    appearances::sections(&mut out, &run.appearances()?);
     histograms(&mut out, &gaussians, &run.views.frame);
     section(&mut out, "Kernels", &run.kernels.note());
     out.push_str(&run.kernels.table());

@@ -7,7 +7,7 @@ use ashsplat::{Error, Result};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::lens_json::{LENS_FILE, LensFile};
 use ashsplat_files::{ply, splats};
-use ashsplat_program::light::Lights;
+use ashsplat_program::appearance::Appearances;
 use ashsplat_program::measure::Stopwatch;
 use ashsplat_program::{model, output};
 use std::collections::BTreeMap;
@@ -75,9 +75,9 @@ impl Run {
     ) -> Result<Option<f64>> {
         let last = iteration == self.settings.train.iterations;
         let data = &self.settings.data;
-        let asked = data.save_iterations.contains(&iteration);
+        let requested = data.save_iterations.contains(&iteration);
         let tests = last || data.test_iterations.contains(&iteration);
-        let saves = last || stopping || asked || self.unsaved.is_due(Kind::Scene);
+        let saves = last || stopping || requested || self.unsaved.is_due(Kind::Scene);
         if !saves && !tests {
             return Ok(None);
         }
@@ -100,9 +100,9 @@ impl Run {
     /// True if a checkpoint is due after an iteration, also one that could not be written before.
     pub(super) fn checkpoint_is_due(&mut self, iteration: u32, stopping: bool) -> bool {
         let last = iteration == self.settings.train.iterations;
-        let asked = self.settings.data.checkpoints_at(iteration, self.settings.train.iterations);
+        let requested = self.settings.data.checkpoints_at(iteration, self.settings.train.iterations);
         let late = last && self.unsaved.checkpoint.is_some();
-        stopping || asked || late || self.ends_round(iteration) || self.unsaved.is_due(Kind::Checkpoint)
+        stopping || requested || late || self.ends_round(iteration) || self.unsaved.is_due(Kind::Checkpoint)
     }
 
     /// Writes a checkpoint now, or notes that it must be written later.
@@ -132,14 +132,14 @@ impl Run {
     }
 
     /// The learned exposures and lens effects. Held-out photographs have their cameras' lens effects too.
-    pub(super) fn lights(&self) -> Result<Lights> {
+    pub(super) fn appearances(&self) -> Result<Appearances> {
         let exposures = self.views.trained.iter().cloned().zip(self.trainer.exposures()?).collect();
         let of_views = self.views.trained.iter().zip(self.trainer.lens_effects()?);
         let cameras: BTreeMap<u32, LensEffects> =
             of_views.filter_map(|(name, effects)| Some((*self.views.takers.get(name)?, effects))).collect();
         let known = self.views.takers.iter().filter(|(_, camera)| cameras.contains_key(camera));
         let photos = known.map(|(name, camera)| (name.clone(), *camera)).collect();
-        Ok(Lights { exposures, lenses: LensFile { cameras, photos } })
+        Ok(Appearances { exposures, lenses: LensFile { cameras, photos } })
     }
 
     /// Saves the scene after an iteration, and notes that it is the newest.
@@ -154,13 +154,13 @@ impl Run {
             true => splats::write(path, &gaussians, &options).map(drop),
             false => ply::write_filtered(path, &gaussians, &filters, &options),
         })?;
-        let lights = self.lights()?;
-        if !lights.exposures.is_empty() {
-            let named = lights.exposures.iter().map(|(name, exposure)| (name.as_str(), exposure));
+        let appearances = self.appearances()?;
+        if !appearances.exposures.is_empty() {
+            let named = appearances.exposures.iter().map(|(name, exposure)| (name.as_str(), exposure));
             exposure_json::write(folder.join(EXPOSURE_FILE), named)?;
         }
-        if !lights.lenses.cameras.is_empty() {
-            lights.lenses.write(folder.join(LENS_FILE))?;
+        if !appearances.lenses.cameras.is_empty() {
+            appearances.lenses.write(folder.join(LENS_FILE))?;
         }
         self.save_poses(iteration)?;
         model::note_saved(folder, iteration)?;

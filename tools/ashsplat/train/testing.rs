@@ -62,7 +62,7 @@ impl Run {
     pub(super) fn protocol(&self) -> Result<Protocol> {
         let halves = self.settings.data.train_test_exp && self.views.held_out;
         let names = self.views.test.iter().filter(|_| halves).map(|view| view.name.clone());
-        Ok(Protocol { lights: self.lights()?, halves: names.collect() })
+        Ok(Protocol { appearances: self.appearances()?, halves: names.collect() })
     }
 
     /// Measures the views, after the last iteration also LPIPS. Also returns the result of saving the pictures.

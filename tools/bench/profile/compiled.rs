@@ -62,16 +62,16 @@ const SIZE: [u32; 2] = [160, 96];
 const GAUSSIANS: usize = 512;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let asked = &arguments.compiled;
-    output::check(&[("--json", asked.json.as_deref())])?;
-    if let Some(folder) = &asked.asm {
+    let requested = &arguments.compiled;
+    output::check(&[("--json", requested.json.as_deref())])?;
+    if let Some(folder) = &requested.asm {
         output::check_folder(folder)?;
     }
     let what = arguments.what.map_or("all", What::name);
     let others = others(arguments, what)?;
     let overrides = arguments.overrides()?;
     let context = arguments.device.context_with(|options| {
-        options.compile_only = Some(CompileOnly { texts: asked.asm.is_some() });
+        options.compile_only = Some(CompileOnly { texts: requested.asm.is_some() });
         spec::apply(options, &overrides);
     })?;
     if let Some(glsl) = &arguments.glsl {
@@ -87,7 +87,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let mut statistics = context.pipeline_statistics()?;
     only(arguments, &mut statistics)?;
-    if let Some(folder) = &asked.asm {
+    if let Some(folder) = &requested.asm {
         write_texts(folder, &statistics)?;
     }
     let compiled = Compiled {
@@ -97,7 +97,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         what: what.to_owned(),
         pipelines: statistics.iter().map(Pipeline::of).collect(),
     };
-    if let Some(path) = &asked.json {
+    if let Some(path) = &requested.json {
         output::write_json(path, &compiled)?;
     }
     if others.is_empty() {
@@ -129,9 +129,9 @@ fn others(arguments: &Arguments, what: &str) -> Result<Vec<Compiled>> {
                 other.what
             );
         }
-        let asked =
+        let requested =
             |p: &Pipeline| arguments.kernel.as_deref().is_none_or(|name| is_kernel_of(&p.kernel, name));
-        other.pipelines.retain(asked);
+        other.pipelines.retain(requested);
         all.push(other);
     }
     Ok(all)

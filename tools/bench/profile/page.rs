@@ -77,7 +77,7 @@ pub fn page(
     let mut renderer = frames::renderer(context, scene)?;
     let settings = RenderSettings::default();
     let picture = renderer.render(&scene.camera, &settings)?;
-    let filled = renderer.tiles(&scene.camera, &settings)?;
+    let filled = renderer.render_with_tiles(&scene.camera, &settings)?.1;
     let title = format!("ashsplat profile: {}", run.name);
     let mut out = format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title><style>{1}{STYLE}</style></head>\n\

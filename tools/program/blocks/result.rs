@@ -85,9 +85,10 @@ impl BlocksFile {
         describe: impl Fn(Why) -> &'static str,
     ) -> Result<()> {
         let Some(first) = missing.values().next().map(|numbers| &numbers[0]) else { return Ok(()) };
-        let told = missing.iter().map(|(why, numbers)| format!("{} {}", numbers.join(", "), describe(*why)));
-        let told = told.collect::<Vec<_>>().join("; ");
-        let problem = format!("{before}of its {} blocks {told}", self.division.blocks.len());
+        let reported =
+            missing.iter().map(|(why, numbers)| format!("{} {}", numbers.join(", "), describe(*why)));
+        let reported = reported.collect::<Vec<_>>().join("; ");
+        let problem = format!("{before}of its {} blocks {reported}", self.division.blocks.len());
         let remedy = format!("train them: `ashsplat train --job {}:{first}`", self.path.display());
         Err(Error::input(&self.path, problem, remedy))
     }

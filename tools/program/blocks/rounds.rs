@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 pub const ROUND_FILE: &str = "round.json";
 /// Largest number of rounds; more would exchange every few iterations.
 pub const MAX_ROUNDS: u32 = 100;
-/// Rounds end at a multiple of this. Other ends would change the bits of trainings in rounds.
+/// Iterations; each round ends at a multiple of this. Other ends would change the bits of trainings in rounds.
 const STEP: u32 = 20;
 
 /// End of a block's round.

@@ -93,14 +93,13 @@ pub struct DataSettings {
     /// Train those this far around the block too, in the data set's units; none are added there [default: 0]
     #[arg(long, value_name = "X", help_heading = "Blocks", allow_hyphen_values = true)]
     pub margin: f64,
-    /// What becomes of the rest of the start's scene: masked leaves it out, and pixels of the photos that show it by its depths do not
-    /// count, which takes less memory than drawing it; after an exchange of blocks it is drawn, and pixels are masked still
-    /// [default: drawn]
+    /// Treatment of the scene outside the block: drawn and frozen, or masked (pixels that show it do not count; takes less memory; drawn
+    /// after an exchange) [default: drawn]
     #[arg(long, help_heading = "Blocks")]
     pub outside: Outside,
     /// Use of each photo only the part that shows the block and its margin: the rest of it is not drawn and not kept in memory. With
     /// --job its file says which part, for auto and on. Of another block auto uses whole photos, and on finds parts by the depths of the
-    /// scene that training begins with (--init); go on with such a training on the same device, for another one may see other parts
+    /// scene that training begins with (--init); continue such a training on the same device, for another one may see other parts
     /// [default: auto]
     #[arg(long, help_heading = "Blocks")]
     pub photo_parts: When,
@@ -117,10 +116,10 @@ pub struct DataSettings {
     /// Save a PLY after these iterations, and after the last; -1 for the last only [default: 7000 30000]
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     pub save_iterations: Vec<u32>,
-    /// Write a checkpoint, from which training can go on, after these iterations
+    /// Write a checkpoint, from which training can continue, after these iterations
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     pub checkpoint_iterations: Vec<u32>,
-    /// Write a checkpoint after every so many iterations and after the last, of which only the newest stays; 0 for none
+    /// Write a checkpoint every N iterations and after the last, of which only the newest stays; 0 for none
     /// [default: 0]
     #[arg(long, value_name = "N")]
     pub checkpoint_every: u32,

@@ -28,8 +28,8 @@ impl Settings {
 
     /// Refuses a data set that lacks points and may not start from others.
     pub fn check_points(&self, dataset: &Dataset) -> Result<()> {
-        let asked = self.data.random_points || self.data.photo_points == When::On;
-        if !dataset.points.is_empty() || asked || dataset.may_lack_points() {
+        let requested = self.data.random_points || self.data.photo_points == When::On;
+        if !dataset.points.is_empty() || requested || dataset.may_lack_points() {
             return Ok(());
         }
         let remedy = "register the photos with COLMAP's mapper or point_triangulator, or use --photo-points (looks for \

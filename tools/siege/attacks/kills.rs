@@ -45,8 +45,8 @@ fn besiege(siege: &Siege, kills: bool) -> Result<String> {
         if enough && whole_runs > 1 {
             break;
         }
-        let goes_on = model.join("last_checkpoint").exists();
-        let arguments = if goes_on { &go_on } else { &begin };
+        let continues = model.join("last_checkpoint").exists();
+        let arguments = if continues { &go_on } else { &begin };
         let mut program = Program::start(siege, arguments)?;
         let host = program.host()?;
         let start = Instant::now();
@@ -73,7 +73,7 @@ fn besiege(siege: &Siege, kills: bool) -> Result<String> {
             }
             _ => return Err(format!("ends otherwise: {ending}").into()),
         }
-        resumed += u32::from(goes_on);
+        resumed += u32::from(continues);
     }
     ensure!(
         ended >= FEWEST && resumed > 0 && whole_runs > 1,

@@ -1,6 +1,6 @@
 //! Connections, each within its limits from opening to closing.
 
-use super::seats::{Limits, Seat, Seats};
+use super::open_connections::{Limits, OpenConnection, OpenConnections};
 use axum::Router;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
@@ -22,12 +22,12 @@ const MOST_HEADERS: usize = 64 << 10;
 
 /// Serves for ever.
 pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
-    let seats = Arc::new(Seats::new(limits));
+    let connections = Arc::new(OpenConnections::new(limits));
     loop {
         match listener.accept().await {
             Ok((stream, peer)) => {
-                if let Some(seat) = seats.take(peer.ip()) {
-                    let stream = Watched { stream, seat, seats: seats.clone() };
+                if let Some(connection) = connections.admit(peer.ip()) {
+                    let stream = Watched { stream, connection, connections: connections.clone() };
                     tokio::spawn(attend(stream, router.clone()));
                 }
             }
@@ -40,8 +40,8 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
 
 /// One connection.
 async fn attend(stream: Watched, router: Router) {
-    let (seat, limits) = (stream.seat.clone(), *stream.seats.limits());
-    let answering = seat.clone();
+    let (connection, limits) = (stream.connection.clone(), *stream.connections.limits());
+    let answering = connection.clone();
     let router = TowerToHyperService::new(router);
     let service = service_fn(move |mut request: hyper::Request<Incoming>| {
         let begun = answering.begin();
@@ -55,31 +55,31 @@ async fn attend(stream: Watched, router: Router) {
     });
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(limits.headers).max_buf_size(MOST_HEADERS);
-    let connection = http.serve_connection(TokioIo::new(stream), service).with_upgrades();
+    let serving = http.serve_connection(TokioIo::new(stream), service).with_upgrades();
     tokio::select! {
         // A closed or malformed connection ends itself only.
-        ended = connection => drop(ended),
-        () = seat.must_go(limits.stall) => {}
+        ended = serving => drop(ended),
+        () = connection.must_go(limits.stall) => {}
     }
 }
 
-/// A stream that reports its traffic to its seat, and frees the seat when it closes.
+/// A stream that notes its connection's traffic, and removes the connection from the open ones when it closes.
 struct Watched {
     stream: TcpStream,
-    seat: Arc<Seat>,
-    seats: Arc<Seats>,
+    connection: Arc<OpenConnection>,
+    connections: Arc<OpenConnections>,
 }
 
 impl Drop for Watched {
     fn drop(&mut self) {
-        self.seats.leave(&self.seat);
+        self.connections.remove(&self.connection);
     }
 }
 
 impl Watched {
     fn noted(&self, written: Poll<Result<usize>>) -> Poll<Result<usize>> {
         if matches!(written, Poll::Ready(Ok(bytes)) if bytes > 0) {
-            self.seat.has_moved();
+            self.connection.has_moved();
         }
         written
     }
@@ -90,7 +90,7 @@ impl AsyncRead for Watched {
         let before = buf.filled().len();
         let read = Pin::new(&mut self.stream).poll_read(cx, buf);
         if buf.filled().len() > before {
-            self.seat.has_moved();
+            self.connection.has_moved();
         }
         read
     }

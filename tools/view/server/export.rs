@@ -1,7 +1,7 @@
 //! The scene as a file: written on a thread of its own, sent while it is read. Also counts how many Gaussians a cut leaves.
 
-use super::door::query_value;
-use super::seats::Seat;
+use super::access::query_value;
+use super::open_connections::OpenConnection;
 use super::{Site, busy, files, refusal};
 use crate::cut::CutMessage;
 use crate::hub::CurrentScene;
@@ -34,17 +34,17 @@ struct Export {
 /// `/export/NAME.ply?min_opacity=X&min_density=X&low=X,X,X&high=X,X,X&sh_degree=N`
 pub async fn export(
     State(site): State<Arc<Site>>,
-    Extension(seat): Extension<Arc<Seat>>,
+    Extension(connection): Extension<Arc<OpenConnection>>,
     UrlPath(name): UrlPath<String>,
     uri: Uri,
 ) -> response::Result<Response> {
     let format = openings::format_of(&name).ok_or(StatusCode::NOT_FOUND)?;
     let wanted =
         Export::of_query(&uri).map_err(|error| refusal(StatusCode::BAD_REQUEST, &error.to_string()))?;
-    let (scene, turn) = scene_of(&site, &seat).await?;
+    let (scene, turn) = scene_of(&site, &connection).await?;
     // The turn lasts until the file is written, even if the page has gone.
     let work = move || wanted.write(&scene, format).map(|(folder, path)| (path, (folder, turn)));
-    let written = seat.waits_for(tokio::task::spawn_blocking(work)).await;
+    let written = connection.waits_for(tokio::task::spawn_blocking(work)).await;
     let (path, kept) = written
         .map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?
         .map_err(|error| refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()))?;
@@ -61,14 +61,14 @@ pub async fn export(
 /// `format=spz`, `losses` says in words what that format cannot hold.
 pub async fn count(
     State(site): State<Arc<Site>>,
-    Extension(seat): Extension<Arc<Seat>>,
+    Extension(connection): Extension<Arc<OpenConnection>>,
     uri: Uri,
 ) -> response::Result<Response> {
     let wanted =
         Export::of_query(&uri).map_err(|error| refusal(StatusCode::BAD_REQUEST, &error.to_string()))?;
     let format =
         query_value(&uri, "format").and_then(|ending| openings::format_of(&format!("scene.{ending}")));
-    let (scene, turn) = scene_of(&site, &seat).await?;
+    let (scene, turn) = scene_of(&site, &connection).await?;
     let work = move || {
         let _turn = turn;
         let (limits, all) = (wanted.cut.cut().limits(), scene.gaussians.len());
@@ -79,21 +79,24 @@ pub async fn count(
         let losses = losses.transpose().ok().flatten();
         json!({ "kept": kept, "of": all, "losses": losses.unwrap_or_default() }).to_string()
     };
-    let counts = seat.waits_for(tokio::task::spawn_blocking(work)).await;
+    let counts = connection.waits_for(tokio::task::spawn_blocking(work)).await;
     let counts = counts.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?;
     let kind = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
     Ok((kind, counts).into_response())
 }
 
 /// Returns the current scene and its turn, held until it is dropped; or the answer that refuses the page.
-async fn scene_of(site: &Site, seat: &Seat) -> response::Result<(CurrentScene, OwnedSemaphorePermit)> {
+async fn scene_of(
+    site: &Site,
+    connection: &OpenConnection,
+) -> response::Result<(CurrentScene, OwnedSemaphorePermit)> {
     let busy = || busy("other exports are being made: ask again in a while");
     let turn = site.exports.clone().try_acquire_owned().map_err(|_| busy())?;
     let (answer, scene) = oneshot::channel();
     if !site.hub.ask_for_scene(answer) {
         return Err(busy().into());
     }
-    match seat.waits_for(tokio::time::timeout(PATIENCE, scene)).await {
+    match connection.waits_for(tokio::time::timeout(PATIENCE, scene)).await {
         Ok(Ok(Ok(scene))) => Ok((scene, turn)),
         Ok(Ok(Err(problem))) => Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, &problem).into()),
         _ => Err(busy().into()),

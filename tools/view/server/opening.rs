@@ -1,7 +1,7 @@
 //! Files that pages send, and paths that they name: see [`openings`].
 
 use super::{Site, busy, refusal};
-use crate::openings::{self, Wish};
+use crate::openings::{self, OpenRequest};
 use ashsplat_files::splats::Format;
 use axum::body::{Body, Bytes, to_bytes};
 use axum::extract::{Path as UrlPath, Request, State};
@@ -73,7 +73,7 @@ async fn take_in(site: &Site, name: &str, headers: &HeaderMap, body: &mut Body) 
     let path = folder.path().join(plain(name, format));
     receive(body, &path, length).await?;
     let name = name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
-    openings.ask(Wish { path, name, within: None, upload: Some(folder), turn: Some(turn) });
+    openings.ask(OpenRequest { path, name, within: None, upload: Some(folder), turn: Some(turn) });
     Ok(())
 }
 
@@ -90,15 +90,16 @@ pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Result<Sta
     if !is_kind(request.headers(), "application/json") {
         return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a path as application/json"));
     }
-    let told = tokio::time::timeout(GRACE, to_bytes(request.into_body(), LONGEST_MESSAGE)).await;
-    let told = told.ok().and_then(Result::ok).and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok());
-    let name = told.as_ref().and_then(|told| told["path"].as_str()).map(str::trim);
+    let message = tokio::time::timeout(GRACE, to_bytes(request.into_body(), LONGEST_MESSAGE)).await;
+    let message =
+        message.ok().and_then(Result::ok).and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok());
+    let name = message.as_ref().and_then(|message| message["path"].as_str()).map(str::trim);
     let name = name.ok_or_else(|| refusal(StatusCode::BAD_REQUEST, "expected {\"path\": \"…\"}"))?;
     let found = openings.find(name);
     let (path, folder) = found.map_err(|problem| refusal(StatusCode::NOT_FOUND, &problem))?;
     let within = Some(folder.to_owned());
     let turn = openings.turn().ok_or_else(occupied)?;
-    openings.ask(Wish { path, name: name.to_owned(), within, upload: None, turn: Some(turn) });
+    openings.ask(OpenRequest { path, name: name.to_owned(), within, upload: None, turn: Some(turn) });
     Ok(StatusCode::ACCEPTED)
 }
 

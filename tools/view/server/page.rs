@@ -1,7 +1,7 @@
 //! A page's WebSocket. Replies go out before more is read, and reading is rate-limited: a page that floods delays only itself,
 //! and takes no memory or time from the others.
 
-use super::seats::Seat;
+use super::open_connections::OpenConnection;
 use super::{Site, refusal};
 use crate::hub::Hub;
 use crate::pace::Pace;
@@ -31,7 +31,7 @@ const TOO_MANY: &str = "too many pages look on already";
 /// Opens a page's WebSocket.
 pub async fn socket(
     State(site): State<Arc<Site>>,
-    Extension(seat): Extension<Arc<Seat>>,
+    Extension(connection): Extension<Arc<OpenConnection>>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
     if !site.hub.has_room() {
@@ -39,7 +39,7 @@ pub async fn socket(
     }
     let upgrade = upgrade.max_message_size(LONGEST_MESSAGE).max_frame_size(LONGEST_MESSAGE);
     upgrade.on_upgrade(move |socket| {
-        seat.becomes_page();
+        connection.becomes_page();
         converse(socket, site.hub.clone())
     })
 }

@@ -47,7 +47,7 @@ export class Training {
         find('train-step').disabled = !paused;
         find('training-bar').style.width = `${100 * iteration / iterations}%`;
         find('training-text').textContent = `${iteration.toLocaleString('en')} / ${iterations.toLocaleString('en')}${paused ? ', paused' : ''}`;
-        // The program thins its curves as they grow: then all come anew.
+        // The program thins its curves as they grow, and then sends all points again.
         if (points.fresh) for (const name of Object.keys(this.curves)) this.curves[name] = [];
         for (const { name } of CURVES) this.curves[name].push(...points[name].filter(([at]) => at > (this.curves[name].at(-1)?.[0] ?? -1)));
         this.since = points.until;

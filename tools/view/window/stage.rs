@@ -2,7 +2,7 @@
 
 use super::super::draw;
 use super::super::protocol::{self, Look, Mode};
-use super::super::studio::fatal;
+use super::super::render_thread::fatal;
 use super::super::subject::Subject;
 use super::comparison::Comparison;
 use super::keys::Action;
@@ -15,7 +15,7 @@ use super::words::{self, Measured};
 use ashsplat::scene::Camera;
 use ashsplat::{Error, FrameStats, Gaussians, PixelReport, RenderSettings, Result};
 use ashsplat_files::Photo;
-use ashsplat_program::light::Light;
+use ashsplat_program::appearance::Appearance;
 use ashsplat_program::output;
 use glam::DVec3;
 use std::collections::VecDeque;
@@ -167,14 +167,14 @@ impl Stage {
     }
 
     fn knows_lights(&self) -> bool {
-        (0..self.subject.cameras.len()).any(|photo| self.subject.lights.has(photo))
+        (0..self.subject.cameras.len()).any(|photo| self.subject.appearances.has(photo))
     }
 
     /// Exposure and lens effects for the picture, if the view is exactly a photo's.
-    fn photo_light(&self) -> Result<Option<(Camera, Light)>> {
+    fn photo_appearance(&self) -> Result<Option<(Camera, Appearance)>> {
         let lit = self.lit && self.mode == 0 && self.view.is_photo();
-        let photo = self.current.filter(|photo| lit && self.subject.lights.has(*photo));
-        photo.map(|photo| self.subject.lights.of(photo, None)).transpose()
+        let photo = self.current.filter(|photo| lit && self.subject.appearances.has(*photo));
+        photo.map(|photo| self.subject.appearances.of(photo, None)).transpose()
     }
 
     /// Closes help, photo and list of Gaussians. True if any was open.
@@ -260,8 +260,9 @@ impl Stage {
         if !self.picture.has_scene() {
             return Ok(());
         }
-        let drawn = (self.photo_light())
-            .and_then(|light| draw::draw(self.picture.painter(), &camera, &self.subject.base, &look, light));
+        let drawn = (self.photo_appearance()).and_then(|appearance| {
+            draw::draw(self.picture.painter(), &camera, &self.subject.base, &look, appearance)
+        });
         match drawn.and_then(|drawn| output::write_png(&path, &drawn.photo)) {
             Ok(()) => self.say(format!("saved {}", path.display())),
             Err(error) => self.complain(error)?,
@@ -380,14 +381,14 @@ impl Stage {
         if !self.picture.has_scene() {
             return Ok(None);
         }
-        let light = self.photo_light()?;
-        if light.is_none() && matches!(MODES[self.mode], Mode::Splats | Mode::Centres) {
+        let appearance = self.photo_appearance()?;
+        if appearance.is_none() && matches!(MODES[self.mode], Mode::Splats | Mode::Centres) {
             let whole = self.view.camera(self.size);
             self.picture.prepare(present, &whole, settings)?;
             return Ok(None);
         }
         let look = self.look();
-        let drawn = draw::draw(self.picture.painter(), camera, &self.subject.base, &look, light)?;
+        let drawn = draw::draw(self.picture.painter(), camera, &self.subject.base, &look, appearance)?;
         let unit = if MODES[self.mode] == Mode::Depth { self.unit } else { 1.0 };
         let legend = drawn.legend.map(|ends| ends.map(|end| end * unit));
         let milliseconds = self.measured.milliseconds;

@@ -1,10 +1,10 @@
 //! The rendering thread: serves the hub's tasks one by one.
 
+use super::appearances::PhotoAppearances;
 use super::cut;
 use super::draw::{self, Audience, Painter, Viewer};
 use super::film::Film;
 use super::hub::{CurrentScene, Hub, RemoteRequest, SceneAnswer, Task};
-use super::lights::PhotoLights;
 use super::protocol::{self, Look, ToPage, ViewRequest};
 use super::sizes::Sizes;
 use ashsplat::scene::WorldFrame;
@@ -27,12 +27,12 @@ const SHORTLY: Duration = Duration::from_millis(5);
 const REMOTE: u64 = 0;
 
 /// Serves pages with pictures of any painter.
-pub struct Studio {
+pub struct RenderThread {
     hub: Arc<Hub>,
     /// Render settings that the scene was trained with.
     base: RenderSettings,
     /// Exposure and lens effects of its photos.
-    lights: PhotoLights,
+    appearances: PhotoAppearances,
     /// Coordinate frame of the scene within its files' coordinates.
     frame: WorldFrame,
     /// Folder of the films.
@@ -45,12 +45,12 @@ pub struct Studio {
     abandoned: Arc<AtomicBool>,
 }
 
-impl Studio {
-    pub fn new(hub: Arc<Hub>, base: RenderSettings, films: PathBuf) -> Studio {
-        Studio {
+impl RenderThread {
+    pub fn new(hub: Arc<Hub>, base: RenderSettings, films: PathBuf) -> RenderThread {
+        RenderThread {
             hub,
             base,
-            lights: PhotoLights::default(),
+            appearances: PhotoAppearances::default(),
             frame: WorldFrame::default(),
             films,
             film: None,
@@ -61,8 +61,8 @@ impl Studio {
     }
 
     /// Switches to another scene, drawn as it was trained.
-    pub fn show(&mut self, base: RenderSettings, lights: PhotoLights, frame: WorldFrame) {
-        (self.base, self.lights, self.frame) = (base, lights, frame);
+    pub fn show(&mut self, base: RenderSettings, appearances: PhotoAppearances, frame: WorldFrame) {
+        (self.base, self.appearances, self.frame) = (base, appearances, frame);
     }
 
     /// Does one task, if one arrives in time.
@@ -108,9 +108,10 @@ impl Studio {
     /// Answers a request for a frame.
     fn answer(&self, painter: &mut dyn Painter, request: &ViewRequest) -> Result<ToPage> {
         let camera = request.camera.camera()?;
-        let light = request.as_photo.map(|photo| self.lights.of(photo, painter.trainer())).transpose()?;
+        let appearance =
+            request.as_photo.map(|photo| self.appearances.of(photo, painter.trainer())).transpose()?;
         let start = Instant::now();
-        let drawn = draw::draw(painter, &camera, &self.base, &request.look, light)?;
+        let drawn = draw::draw(painter, &camera, &self.base, &request.look, appearance)?;
         let render_ms = start.elapsed().as_secs_f64() * 1e3;
         let start = Instant::now();
         let bytes = draw::encode(&drawn.photo, request.look.quality)?;
@@ -291,7 +292,7 @@ impl Studio {
     }
 }
 
-impl Drop for Studio {
+impl Drop for RenderThread {
     /// Leaves no half-made files.
     fn drop(&mut self) {
         self.abandoned.store(true, Ordering::Relaxed);

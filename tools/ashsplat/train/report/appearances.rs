@@ -1,8 +1,8 @@
 //! Learned exposures and lens effects of the photographs.
 
 use ashsplat::scene::{Exposure, LensEffects};
+use ashsplat_program::appearance::Appearances;
 use ashsplat_program::html::{self, Cell, section};
-use ashsplat_program::light::Lights;
 
 /// A grey that no usual gain saturates.
 const GRAY: f32 = 0.5;
@@ -10,18 +10,18 @@ const GRAY: f32 = 0.5;
 const CORNER: f32 = 1.0;
 
 /// Writes sections of exposures and lens effects, if they were learned.
-pub fn sections(out: &mut String, lights: &Lights) {
-    if !lights.exposures.is_empty() {
+pub fn sections(out: &mut String, appearances: &Appearances) {
+    if !appearances.exposures.is_empty() {
         let note = "factors of a middle gray, from the darkest photograph to the brightest; the mean of all \
                     exposures is none. exposure.json has the matrices";
         section(out, "Exposures", note);
-        exposures(out, lights);
+        exposures(out, appearances);
     }
-    if !lights.lenses.cameras.is_empty() {
+    if !appearances.lenses.cameras.is_empty() {
         let note = "brightness of the corners as a share of the middle's, and exponents of the response; 1: no effect. \
                     lens.json has all numbers";
         section(out, "Lens effects", note);
-        lenses(out, lights);
+        lenses(out, appearances);
     }
 }
 
@@ -30,9 +30,9 @@ fn gains(exposure: &Exposure) -> [f32; 3] {
     exposure.of([GRAY; 3]).map(|c| c / GRAY)
 }
 
-fn exposures(out: &mut String, lights: &Lights) {
+fn exposures(out: &mut String, appearances: &Appearances) {
     let mut all: Vec<(&str, [f32; 3])> =
-        lights.exposures.iter().map(|(name, exposure)| (name.as_str(), gains(exposure))).collect();
+        appearances.exposures.iter().map(|(name, exposure)| (name.as_str(), gains(exposure))).collect();
     let mean = |gains: &[f32; 3]| gains.iter().sum::<f32>() / 3.0;
     all.sort_by(|(_, a), (_, b)| mean(a).total_cmp(&mean(b)));
     let most = all.iter().map(|(_, gains)| mean(gains)).fold(1.0, f32::max);
@@ -47,14 +47,14 @@ fn exposures(out: &mut String, lights: &Lights) {
     out.push_str(&html::table(&["photo", "red", "green", "blue", "mean", ""], &rows, None));
 }
 
-fn lenses(out: &mut String, lights: &Lights) {
+fn lenses(out: &mut String, appearances: &Appearances) {
     let row = |(camera, effects): (&u32, &LensEffects)| {
-        let photos = lights.lenses.photos.values().filter(|taker| *taker == camera).count();
+        let photos = appearances.lenses.photos.values().filter(|taker| *taker == camera).count();
         let mut cells = vec![Cell::Name(camera.to_string()), Cell::Number(photos.to_string())];
         cells.extend(numbers(&corner(effects)).chain(numbers(&effects.response())));
         cells
     };
-    let rows: Vec<Vec<Cell>> = lights.lenses.cameras.iter().map(row).collect();
+    let rows: Vec<Vec<Cell>> = appearances.lenses.cameras.iter().map(row).collect();
     let heads = ["camera", "photos", "corner red", "green", "blue", "response red", "green", "blue"];
     out.push_str(&html::table(&heads, &rows, None));
 }
@@ -90,7 +90,7 @@ mod tests {
         let lenses =
             LensFile { cameras: [(3, effects), (4, Default::default())].into(), photos: photos.into() };
         let mut out = String::new();
-        sections(&mut out, &Lights { exposures, lenses });
+        sections(&mut out, &Appearances { exposures, lenses });
         let at = |part: &str| out.find(part).unwrap_or_else(|| panic!("no '{part}' in {out}"));
         // 0.125 is a quarter of the grey.
         let dark = at("dark.png</td><td>0.750</td><td>1.000</td><td>0.500</td><td>0.750</td>");
@@ -102,7 +102,7 @@ mod tests {
         );
         at(">4</td><td>1</td><td>1.000</td>");
         let mut none = String::new();
-        sections(&mut none, &Lights { exposures: Default::default(), lenses: LensFile::default() });
+        sections(&mut none, &Appearances { exposures: Default::default(), lenses: LensFile::default() });
         assert_eq!(none, "");
     }
 }

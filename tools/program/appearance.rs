@@ -9,14 +9,14 @@ use std::path::Path;
 
 /// Exposure and lens effects of a photograph; none by default.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Light {
+pub struct Appearance {
     pub exposure: Option<Exposure>,
     pub lens: Option<LensEffects>,
 }
 
-impl Light {
+impl Appearance {
     pub fn is_none(&self) -> bool {
-        *self == Light::default()
+        *self == Appearance::default()
     }
 
     /// Applies exposure and lens effects to a camera's frame, in the order of training.
@@ -24,7 +24,7 @@ impl Light {
         self.apply_as_taken(camera, camera, frame);
     }
 
-    /// Same as [`Light::apply`], but the photo was `taken` with another picture plane; lens effects depend on the
+    /// Same as [`Appearance::apply`], but the photo was `taken` with another picture plane; lens effects depend on the
     /// angle.
     pub fn apply_as_taken(&self, taken: &Camera, camera: &Camera, frame: &mut Frame) {
         if let Some(exposure) = &self.exposure {
@@ -38,28 +38,28 @@ impl Light {
 
 /// Exposures and lens effects of all photographs of a training, by name.
 #[derive(Clone, Debug, Default)]
-pub struct Lights {
+pub struct Appearances {
     /// Exposures of the training photos.
     pub exposures: BTreeMap<String, Exposure>,
     /// Lens effects of all photos, held-out ones included.
     pub lenses: LensFile,
 }
 
-impl Lights {
+impl Appearances {
     /// Reads what a training has left in its model folder; empty where it was not learned.
     ///
     /// # Errors
     /// Names a file that has another content.
-    pub fn read(folder: &Path) -> Result<Lights> {
+    pub fn read(folder: &Path) -> Result<Appearances> {
         let [exposures, lenses] = [folder.join(EXPOSURE_FILE), folder.join(LENS_FILE)];
-        Ok(Lights {
+        Ok(Appearances {
             exposures: if exposures.is_file() { exposure_json::read(exposures)? } else { BTreeMap::new() },
             lenses: if lenses.is_file() { LensFile::read(lenses)? } else { LensFile::default() },
         })
     }
 
     /// Exposure and lens effects of a photograph.
-    pub fn of(&self, photo: &str) -> Light {
-        Light { exposure: self.exposures.get(photo).copied(), lens: self.lenses.of(photo) }
+    pub fn of(&self, photo: &str) -> Appearance {
+        Appearance { exposure: self.exposures.get(photo).copied(), lens: self.lenses.of(photo) }
     }
 }

@@ -8,7 +8,7 @@
 use crate::error::Result;
 use crate::frame::{FrameInputs, LaunchSizes, Strips, array_of};
 use crate::kernels::constants::TERM_PARTIALS;
-use crate::kernels::exposure::{expose, expose_backward, exposure_step, lens_backward, lens_effects};
+use crate::kernels::exposure::{expose, expose_backward, exposure_step};
 use crate::passes::adam::{BETA_1, BETA_2};
 use crate::scene::{Exposure, LensPlane};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
@@ -23,19 +23,19 @@ const MATRIX_BYTES: u64 = size_of::<Matrix>() as u64;
 
 /// Form of the optimiser.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct LightForm {
+pub(crate) struct AppearanceForm {
     /// True if each step brings the mean of all matrices back to the identity. Otherwise scene and exposures could drift
     /// against each other.
     pub center: bool,
     /// True if all photographs share the second moments.
     pub shares: bool,
-    /// True if steps have a [`LightStep::sparsity`].
+    /// True if steps have a [`AppearanceStep::sparsity`].
     pub sparse: bool,
 }
 
 /// A step of the optimiser.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct LightStep {
+pub(crate) struct AppearanceStep {
     /// Learning rate.
     pub rate: f64,
     /// Number of steps including this one, counted from 1.
@@ -49,7 +49,7 @@ pub(crate) struct LightStep {
 }
 
 /// Matrices, moments and scratch memory on the device.
-pub(crate) struct LightBuffers {
+pub(crate) struct AppearanceBuffers {
     pub values: Buffer,
     /// Adam's moments, laid out like the matrices.
     pub first_moments: Buffer,
@@ -62,11 +62,11 @@ pub(crate) struct LightBuffers {
     pub means: Buffer,
 }
 
-impl LightBuffers {
-    /// Number of [`Light::requests`].
+impl AppearanceBuffers {
+    /// Number of [`AppearancePass::requests`].
     pub const COUNT: usize = 6;
 
-    /// Assigns the buffers that were allocated for [`Light::requests`].
+    /// Assigns the buffers that were allocated for [`AppearancePass::requests`].
     pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
         let [values, first_moments, second_moments, picture, partials, means] = array_of(buffers);
         Self { values, first_moments, second_moments, picture, partials, means }
@@ -80,72 +80,53 @@ impl LightBuffers {
 
 /// A matrix, and the picture that it changes.
 #[derive(Clone, Copy)]
-pub(crate) struct LightInputs<'a> {
+pub(crate) struct AppearancePassInputs<'a> {
     /// Frame with backward.
     pub frame: &'a FrameInputs<'a>,
     /// Rendered or exposed picture, in the native layout.
     pub picture: &'a Buffer,
-    pub buffers: &'a LightBuffers,
+    pub buffers: &'a AppearanceBuffers,
     /// Index of the matrix.
     pub index: u32,
 }
 
-enum Kernels {
-    Exposure(Kernel<expose::Interface>, Kernel<expose_backward::Interface>),
-    Lens(Kernel<lens_effects::Interface>, Kernel<lens_backward::Interface>),
-}
-
 /// Kernels of exposures, or of lens effects.
-pub(crate) struct Light {
+pub(crate) struct AppearancePass {
     sizes: LaunchSizes,
-    kernels: Kernels,
+    /// True for lens effects.
+    pub is_lens: bool,
+    forward: Kernel<expose::Interface>,
+    backward: Kernel<expose_backward::Interface>,
     step: Kernel<exposure_step::Interface>,
 }
 
-impl Light {
-    /// Builds the kernels of exposures.
-    pub fn exposures(context: &Context, form: LightForm) -> Result<Self> {
+impl AppearancePass {
+    /// Builds the kernels.
+    pub fn new(context: &Context, lens: bool, form: AppearanceForm) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
         let subgroup_size = context.limits().subgroup_size;
-        let forward = Kernel::new(context, &expose::Spec { workgroup_size, strips })?;
-        let backward = expose_backward::Spec { workgroup_size, subgroup_size, strips };
-        Self::new(context, Kernels::Exposure(forward, Kernel::new(context, &backward)?), form)
-    }
-
-    /// Builds the kernels of lens effects.
-    pub fn lenses(context: &Context) -> Result<Self> {
-        let sizes = LaunchSizes::new(context.limits());
-        let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
-        let subgroup_size = context.limits().subgroup_size;
-        let forward = Kernel::new(context, &lens_effects::Spec { workgroup_size, strips })?;
-        let backward = lens_backward::Spec { workgroup_size, subgroup_size, strips };
-        let backward = Kernel::new(context, &backward)?;
-        Self::new(context, Kernels::Lens(forward, backward), LightForm::default())
-    }
-
-    fn new(context: &Context, kernels: Kernels, form: LightForm) -> Result<Self> {
-        let sizes = LaunchSizes::new(context.limits());
-        let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
-        let LightForm { center, shares, sparse } = form;
+        let AppearanceForm { center, shares, sparse } = form;
+        let backward = expose_backward::Spec { workgroup_size, subgroup_size, strips, lens };
         let step = exposure_step::Spec { workgroup_size, subgroup_size, center, shares, sparse };
-        Ok(Self { kernels, step: Kernel::new(context, &step)?, sizes })
-    }
-
-    /// True for lens effects.
-    pub fn is_lens(&self) -> bool {
-        matches!(self.kernels, Kernels::Lens(..))
+        Ok(Self {
+            is_lens: lens,
+            forward: Kernel::new(context, &expose::Spec { workgroup_size, strips, lens })?,
+            backward: Kernel::new(context, &backward)?,
+            step: Kernel::new(context, &step)?,
+            sizes,
+        })
     }
 
     /// The matrix that changes nothing.
     pub fn identity(&self) -> Matrix {
-        if self.is_lens() { [[0.0; 4]; 3] } else { Exposure::IDENTITY.rows }
+        if self.is_lens { [[0.0; 4]; 3] } else { Exposure::IDENTITY.rows }
     }
 
     /// Names and bytes of the buffers, for photographs of these sizes (width, height). There is at most one lens per
     /// photograph.
-    pub fn requests(&self, sizes: &[(u32, u32)]) -> [(&'static str, u64); LightBuffers::COUNT] {
-        let [values, moments_1, moments_2, picture_name, partials, means] = match self.is_lens() {
+    pub fn requests(&self, sizes: &[(u32, u32)]) -> [(&'static str, u64); AppearanceBuffers::COUNT] {
+        let [values, moments_1, moments_2, picture_name, partials, means] = match self.is_lens {
             true => [
                 "lenses",
                 "lens_moments_1",
@@ -176,70 +157,48 @@ impl Light {
         ]
     }
 
-    /// Records the changed picture, into [`LightBuffers::picture`]. The caller places barriers before and after.
-    pub fn record(&self, r: &mut Recorder, inputs: &LightInputs) {
-        let LightInputs { frame, picture: rendered, buffers, index } = *inputs;
+    /// Records the changed picture, into [`AppearanceBuffers::picture`].
+    pub fn record(&self, r: &mut Recorder, inputs: &AppearancePassInputs) {
+        let AppearancePassInputs { frame, picture: rendered, buffers, index } = *inputs;
         let (image_width, image_height) = (frame.camera.width, frame.camera.height);
-        let (background, values) = (frame.settings.background, &buffers.values);
+        let LensPlane { center_px, inverse_square, .. } = LensPlane::of(frame.camera);
+        let bind = expose::Bind { rendered, matrices: &buffers.values, exposed: &buffers.picture };
+        let push = expose::Push {
+            image_width,
+            image_height,
+            background: frame.settings.background,
+            matrix: index,
+            center_px,
+            inverse_square,
+        };
+        let scope = if self.is_lens { "lens effects" } else { "exposure" };
         let groups = self.sizes.picture_groups(image_width, image_height);
-        match &self.kernels {
-            Kernels::Exposure(kernel, _) => r.scope("exposure", |r| {
-                let bind = expose::Bind { rendered, exposures: values, exposed: &buffers.picture };
-                let push = expose::Push { image_width, image_height, background, view: index };
-                r.dispatch(kernel, &bind, &push, groups);
-            }),
-            Kernels::Lens(kernel, _) => r.scope("lens effects", |r| {
-                let bind = lens_effects::Bind { rendered, lenses: values, shaded: &buffers.picture };
-                let LensPlane { center_px, inverse_square, .. } = LensPlane::of(frame.camera);
-                let lens = index;
-                let push = lens_effects::Push {
-                    image_width,
-                    image_height,
-                    background,
-                    lens,
-                    center_px,
-                    inverse_square,
-                };
-                r.dispatch(kernel, &bind, &push, groups);
-            }),
-        }
+        r.scope(scope, |r| r.dispatch(&self.forward, &bind, &push, groups));
     }
 
     /// Records the backward pass. It converts `image_gradient`, in the native layout, from that of the changed picture to that
-    /// of the picture before. It also writes partial sums of the matrix's gradient. The caller places barriers before and
-    /// after.
-    pub fn record_backward(&self, r: &mut Recorder, inputs: &LightInputs, image_gradient: &Buffer) {
-        let LightInputs { frame, picture: rendered, buffers, index } = *inputs;
-        let (image_width, image_height) = (frame.camera.width, frame.camera.height);
-        let (background, values) = (frame.settings.background, &buffers.values);
-        let (partials, groups) = (&buffers.partials, TERM_PARTIALS.into());
-        match &self.kernels {
-            Kernels::Exposure(_, kernel) => r.scope("exposure backward", |r| {
-                let bind = expose_backward::Bind { rendered, exposures: values, image_gradient, partials };
-                let push = expose_backward::Push { image_width, image_height, background, view: index };
-                r.dispatch(kernel, &bind, &push, groups);
-            }),
-            Kernels::Lens(_, kernel) => r.scope("lens backward", |r| {
-                let bind = lens_backward::Bind { rendered, lenses: values, image_gradient, partials };
-                let LensPlane { center_px, inverse_square, .. } = LensPlane::of(frame.camera);
-                let lens = index;
-                let push = lens_backward::Push {
-                    image_width,
-                    image_height,
-                    background,
-                    lens,
-                    center_px,
-                    inverse_square,
-                };
-                r.dispatch(kernel, &bind, &push, groups);
-            }),
-        }
+    /// of the picture before. It also writes partial sums of the matrix's gradient.
+    pub fn record_backward(&self, r: &mut Recorder, inputs: &AppearancePassInputs, image_gradient: &Buffer) {
+        let AppearancePassInputs { frame, picture: rendered, buffers, index } = *inputs;
+        let LensPlane { center_px, inverse_square, .. } = LensPlane::of(frame.camera);
+        let (matrices, partials) = (&buffers.values, &buffers.partials);
+        let bind = expose_backward::Bind { rendered, matrices, image_gradient, partials };
+        let push = expose_backward::Push {
+            image_width: frame.camera.width,
+            image_height: frame.camera.height,
+            background: frame.settings.background,
+            matrix: index,
+            center_px,
+            inverse_square,
+        };
+        let scope = if self.is_lens { "lens backward" } else { "exposure backward" };
+        r.scope(scope, |r| r.dispatch(&self.backward, &bind, &push, TERM_PARTIALS.into()));
     }
 
-    /// Records a step of the optimiser over all matrices. That of `inputs` has the gradient of [`Light::record_backward`]. If
-    /// the frame overflowed, nothing changes. The caller places barriers before and after.
-    pub fn record_step(&self, r: &mut Recorder, inputs: &LightInputs, step: &LightStep) {
-        let LightInputs { frame, buffers, index, .. } = *inputs;
+    /// Records a step of the optimiser over all matrices. That of `inputs` has the gradient of [`AppearancePass::record_backward`]. If
+    /// the frame overflowed, nothing changes.
+    pub fn record_step(&self, r: &mut Recorder, inputs: &AppearancePassInputs, step: &AppearanceStep) {
+        let AppearancePassInputs { frame, buffers, index, .. } = *inputs;
         let correction = |beta: f64| 1.0 - beta.powf(step.count as f64);
         let bind = exposure_step::Bind {
             partials: &buffers.partials,
@@ -261,7 +220,7 @@ impl Light {
             decay: step.decay as f32,
             sparsity: step.sparsity as f32,
         };
-        let scope = if self.is_lens() { "lens step" } else { "exposure step" };
+        let scope = if self.is_lens { "lens step" } else { "exposure step" };
         r.scope(scope, |r| r.dispatch(&self.step, &bind, &push, 1));
     }
 }

@@ -58,13 +58,13 @@ fn free_descriptors() -> usize {
 }
 
 /// All open connections.
-pub struct Seats {
+pub struct OpenConnections {
     limits: Limits,
-    taken: Mutex<Vec<Arc<Seat>>>,
+    taken: Mutex<Vec<Arc<OpenConnection>>>,
 }
 
 /// One connection.
-pub struct Seat {
+pub struct OpenConnection {
     peer: IpAddr,
     state: Mutex<State>,
     signal: Notify,
@@ -81,42 +81,42 @@ struct State {
     goes: bool,
 }
 
-impl Seats {
-    pub fn new(limits: Limits) -> Seats {
-        Seats { limits, taken: Mutex::default() }
+impl OpenConnections {
+    pub fn new(limits: Limits) -> OpenConnections {
+        OpenConnections { limits, taken: Mutex::default() }
     }
 
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    fn lock(&self) -> MutexGuard<'_, Vec<Arc<Seat>>> {
+    fn lock(&self) -> MutexGuard<'_, Vec<Arc<OpenConnection>>> {
         locked(&self.taken)
     }
 
-    /// Takes a seat for a new connection. If none is free, the longest idle connection makes way. None if none is idle.
-    pub fn take(&self, peer: IpAddr) -> Option<Arc<Seat>> {
+    /// Admits a new connection. If there are too many, the longest idle one makes way. None if none is idle.
+    pub fn admit(&self, peer: IpAddr) -> Option<Arc<OpenConnection>> {
         let mut taken = self.lock();
-        let staying = |seat: &&Arc<Seat>| !seat.lock().goes;
-        let of_peer = taken.iter().filter(staying).filter(|seat| seat.peer == peer).count();
+        let staying = |connection: &&Arc<OpenConnection>| !connection.lock().goes;
+        let of_peer = taken.iter().filter(staying).filter(|connection| connection.peer == peer).count();
         let full = taken.iter().filter(staying).count() >= self.limits.total;
         if of_peer >= self.limits.per_peer || full {
-            let idle = taken.iter().filter(staying).filter(|seat| seat.is_idle());
+            let idle = taken.iter().filter(staying).filter(|connection| connection.is_idle());
             // An address that has used up its share gives up one of its own.
-            let idle = idle.filter(|seat| of_peer < self.limits.per_peer || seat.peer == peer);
-            let longest = idle.min_by_key(|seat| seat.lock().moved)?;
+            let idle = idle.filter(|connection| of_peer < self.limits.per_peer || connection.peer == peer);
+            let longest = idle.min_by_key(|connection| connection.lock().moved)?;
             longest.lock().goes = true;
             longest.signal.notify_one();
         }
         let state = State { moved: Instant::now(), requests: 0, page: false, goes: false };
-        let seat = Arc::new(Seat { peer, state: Mutex::new(state), signal: Notify::new() });
-        taken.push(seat.clone());
-        Some(seat)
+        let connection = Arc::new(OpenConnection { peer, state: Mutex::new(state), signal: Notify::new() });
+        taken.push(connection.clone());
+        Some(connection)
     }
 
-    /// Frees the seat of a closed connection.
-    pub fn leave(&self, seat: &Arc<Seat>) {
-        self.lock().retain(|taken| !Arc::ptr_eq(taken, seat));
+    /// Removes a closed connection.
+    pub fn remove(&self, connection: &Arc<OpenConnection>) {
+        self.lock().retain(|taken| !Arc::ptr_eq(taken, connection));
     }
 
     #[cfg(test)]
@@ -125,7 +125,7 @@ impl Seats {
     }
 }
 
-impl Seat {
+impl OpenConnection {
     pub fn peer(&self) -> IpAddr {
         self.peer
     }
@@ -151,7 +151,7 @@ impl Seat {
     }
 
     /// Counts a request as being answered until the value is dropped.
-    pub fn begin(self: &Arc<Seat>) -> Answering {
+    pub fn begin(self: &Arc<OpenConnection>) -> Answering {
         self.lock().requests += 1;
         Answering(self.clone())
     }
@@ -179,7 +179,7 @@ impl Seat {
 }
 
 /// A request that is being answered.
-pub struct Answering(Arc<Seat>);
+pub struct Answering(Arc<OpenConnection>);
 
 impl Drop for Answering {
     fn drop(&mut self) {
@@ -194,48 +194,50 @@ mod tests {
     #[test]
     fn who_waits_for_the_program_stays() {
         let stall = Duration::from_millis(300);
-        let seats = Seats::new(Limits { total: 2, per_peer: 2, headers: stall, stall });
-        let seat = seats.take("127.0.0.1".parse().expect("an address")).expect("a seat");
+        let connections = OpenConnections::new(Limits { total: 2, per_peer: 2, headers: stall, stall });
+        let connection = connections.admit("127.0.0.1".parse().expect("an address")).expect("a connection");
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("a runtime");
         let stays = runtime.block_on(async {
             tokio::select! {
                 biased;
-                () = seat.waits_for(tokio::time::sleep(4 * stall)) => true,
-                () = seat.must_go(stall) => false,
+                () = connection.waits_for(tokio::time::sleep(4 * stall)) => true,
+                () = connection.must_go(stall) => false,
             }
         });
         assert!(stays);
         // When the work is done, its time runs again.
-        runtime.block_on(seat.must_go(stall));
+        runtime.block_on(connection.must_go(stall));
     }
 
     #[test]
     fn the_longest_idle_makes_way_and_no_place_takes_all() {
         let limits = Limits { total: 5, per_peer: 3, ..Limits::within(usize::MAX) };
-        let seats = Seats::new(limits);
+        let connections = OpenConnections::new(limits);
         let [here, there] = ["127.0.0.1", "10.0.0.7"].map(|ip| ip.parse().expect("an address"));
-        let (goes, start) = (|seat: &Seat| seat.lock().goes, Instant::now());
-        let moved = |seat: &Seat, after| seat.lock().moved = start + Duration::from_secs(after);
-        let all: Vec<Arc<Seat>> = (0..3).map(|_| seats.take(here).expect("a seat")).collect();
+        let (goes, start) = (|connection: &OpenConnection| connection.lock().goes, Instant::now());
+        let moved =
+            |connection: &OpenConnection, after| connection.lock().moved = start + Duration::from_secs(after);
+        let all: Vec<Arc<OpenConnection>> =
+            (0..3).map(|_| connections.admit(here).expect("a connection")).collect();
         let answering = all[0].begin();
         moved(&all[1], 7);
         moved(&all[2], 3);
-        let other = seats.take(there).expect("a seat");
+        let other = connections.admit(there).expect("a connection");
         moved(&other, 0);
         // The address has used up its share: its own idle connection goes, not another address's.
-        let next = seats.take(here).expect("a seat");
+        let next = connections.admit(here).expect("a connection");
         assert!(goes(&all[2]) && !goes(&all[1]) && !goes(&other));
-        seats.leave(&all[2]);
+        connections.remove(&all[2]);
         next.becomes_page();
         all[1].becomes_page();
-        assert!(seats.take(here).is_none(), "none of them is idle");
-        let last = seats.take(there).expect("a seat");
+        assert!(connections.admit(here).is_none(), "none of them is idle");
+        let last = connections.admit(there).expect("a connection");
         last.becomes_page();
         // All are taken: the other address's idle connection makes way, and then one of this address.
-        assert!(seats.take(there).is_some() && goes(&other));
-        seats.leave(&other);
+        assert!(connections.admit(there).is_some() && goes(&other));
+        connections.remove(&other);
         drop(answering);
-        assert!(seats.take(here).is_some() && goes(&all[0]));
-        assert_eq!(seats.taken(), 6);
+        assert!(connections.admit(here).is_some() && goes(&all[0]));
+        assert_eq!(connections.taken(), 6);
     }
 }

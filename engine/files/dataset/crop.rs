@@ -11,7 +11,7 @@ const WINDOW: u32 = 10;
 
 /// The used part of a photo, independent of the photo's size.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct UsedPart {
+pub(super) struct Crop {
     /// Size of the coarse picture.
     coarse: (u32, u32),
     /// Columns of the coarse picture.
@@ -20,7 +20,7 @@ pub(super) struct UsedPart {
     rows: (u32, u32),
 }
 
-impl UsedPart {
+impl Crop {
     /// A part of these columns and rows of a picture of size `coarse`.
     pub(super) fn of(coarse: (u32, u32), columns: Range<u32>, rows: Range<u32>) -> Result<Self> {
         let lies_in = |range: &Range<u32>, side: u32| !range.is_empty() && range.end <= side;
@@ -73,17 +73,17 @@ mod tests {
     #[test]
     fn a_part_covers_what_is_wanted_in_whole_tiles_and_no_part_is_refused() {
         let _turn = turn();
-        let part = UsedPart::of((200, 150), 100..104, 0..150).expect("a part");
+        let part = Crop::of((200, 150), 100..104, 0..150).expect("a part");
         // From 640 to 666 of 1280 pixels, with 10 more on each side.
         assert_eq!(part.in_picture((1280, 960)), ([630, 0], [48, 960]));
         // Pixels 50 and 51 of 100, from 40 to 62.
         assert_eq!(part.in_picture((100, 75)), ([40, 0], [32, 75]));
-        let last = UsedPart::of((200, 150), 180..200, 149..150).expect("a part");
+        let last = Crop::of((200, 150), 180..200, 149..150).expect("a part");
         assert_eq!(last.in_picture((100, 75)), ([68, 59], [32, 16]));
-        let all = UsedPart::of((7, 5), 0..7, 0..5).expect("a part");
+        let all = Crop::of((7, 5), 0..7, 0..5).expect("a part");
         assert_eq!(all.in_picture((123, 45)), ([0, 0], [123, 45]));
         for (columns, rows) in [(3..3, 0..5), (0..8, 0..5), (0..7, 5..6)] {
-            let part = UsedPart::of((7, 5), columns.clone(), rows.clone());
+            let part = Crop::of((7, 5), columns.clone(), rows.clone());
             assert!(part.is_err(), "{columns:?} {rows:?} is no part");
         }
     }

@@ -3,12 +3,12 @@
 use ashsplat::scene::Camera;
 use ashsplat::{Error, Result, Trainer};
 use ashsplat_files::cameras_json::NamedCamera;
-use ashsplat_program::light::{Light, Lights};
+use ashsplat_program::appearance::{Appearance, Appearances};
 use std::collections::BTreeMap;
 
 /// Exposure and lens effects of a scene's photos, by camera index. Empty by default.
 #[derive(Default)]
-pub struct PhotoLights {
+pub struct PhotoAppearances {
     photos: Vec<(Camera, Source)>,
 }
 
@@ -16,7 +16,7 @@ pub struct PhotoLights {
 #[derive(Clone, Copy)]
 enum Source {
     /// Saved by a finished training.
-    Kept(Light),
+    Kept(Appearance),
     /// Learned by the running training.
     Training(Places),
 }
@@ -28,11 +28,11 @@ struct Places {
     lens: Option<usize>,
 }
 
-impl PhotoLights {
+impl PhotoAppearances {
     /// Takes what a finished training has saved.
-    pub fn kept(cameras: &[NamedCamera], lights: &Lights) -> PhotoLights {
-        let photo = |named: &NamedCamera| (named.camera, Source::Kept(lights.of(&named.name)));
-        PhotoLights { photos: cameras.iter().map(photo).collect() }
+    pub fn kept(cameras: &[NamedCamera], appearances: &Appearances) -> PhotoAppearances {
+        let photo = |named: &NamedCamera| (named.camera, Source::Kept(appearances.of(&named.name)));
+        PhotoAppearances { photos: cameras.iter().map(photo).collect() }
     }
 
     /// Takes a running training: `trained` are the names of its views, `takers` the cameras of all photos.
@@ -41,20 +41,20 @@ impl PhotoLights {
         trained: &[String],
         takers: &BTreeMap<String, u32>,
         [exposure, lens_effects]: [bool; 2],
-    ) -> PhotoLights {
+    ) -> PhotoAppearances {
         let photo = |named: &NamedCamera| {
             let exposure = trained.iter().position(|name| exposure && *name == named.name);
             let same = |name: &String| lens_effects && takers.get(name) == takers.get(&named.name);
             let places = Places { exposure, lens: trained.iter().position(same) };
             (named.camera, Source::Training(places))
         };
-        PhotoLights { photos: cameras.iter().map(photo).collect() }
+        PhotoAppearances { photos: cameras.iter().map(photo).collect() }
     }
 
     /// True if the photo has an exposure or lens effects.
     pub fn has(&self, photo: usize) -> bool {
         self.photos.get(photo).is_some_and(|(_, source)| match source {
-            Source::Kept(light) => !light.is_none(),
+            Source::Kept(appearance) => !appearance.is_none(),
             Source::Training(places) => *places != Places::default(),
         })
     }
@@ -63,27 +63,27 @@ impl PhotoLights {
     ///
     /// # Errors
     /// [`Error::Argument`] for a photo that does not exist; when the device is lost.
-    pub fn of(&self, photo: usize, trainer: Option<&Trainer>) -> Result<(Camera, Light)> {
+    pub fn of(&self, photo: usize, trainer: Option<&Trainer>) -> Result<(Camera, Appearance)> {
         let (camera, source) = self.photos.get(photo).ok_or_else(|| {
             let problem = format!("there is none of number {photo}: the scene has {}", self.photos.len());
             Error::argument("photo", problem)
         })?;
-        let light = match (source, trainer) {
-            (Source::Kept(light), _) => *light,
-            (Source::Training(places), Some(trainer)) => places.light(trainer)?,
-            (Source::Training(_), None) => Light::default(),
+        let appearance = match (source, trainer) {
+            (Source::Kept(appearance), _) => *appearance,
+            (Source::Training(places), Some(trainer)) => places.appearance(trainer)?,
+            (Source::Training(_), None) => Appearance::default(),
         };
-        Ok((*camera, light))
+        Ok((*camera, appearance))
     }
 }
 
 impl Places {
     /// Reads the current exposure and lens effects of a running training.
-    fn light(self, trainer: &Trainer) -> Result<Light> {
+    fn appearance(self, trainer: &Trainer) -> Result<Appearance> {
         let Self { exposure, lens } = self;
         let exposures = exposure.map(|_| trainer.exposures()).transpose()?;
         let lenses = lens.map(|_| trainer.lens_effects()).transpose()?;
-        Ok(Light {
+        Ok(Appearance {
             exposure: exposures.and_then(|all| all.get(exposure?).copied()),
             lens: lenses.and_then(|all| all.get(lens?).copied()),
         })
