@@ -9,11 +9,11 @@ use glam::DVec3;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Writes `sparse/0` and `transforms.json`. Each is left out if it cannot hold one of the lenses.
+/// Writes `sparse/0` and `transforms.json`. Each is left out if it cannot hold one of the lenses, or a rolling shutter.
 pub fn write(folder: &Path, cameras: &[NamedCamera], frame: &WorldFrame) -> Result<()> {
     let mut lenses: Vec<ColmapCamera> = Vec::new();
     let images = (1..).zip(cameras).map(|(id, NamedCamera { name, camera })| {
-        let own = ColmapCamera::of(0, camera).ok()?;
+        let own = ColmapCamera::of(0, camera).ok().filter(|_| camera.shutter.is_none())?;
         let is_same = |lens: &ColmapCamera| ColmapCamera { id: 0, ..lens.clone() } == own;
         let place = lenses.iter().position(is_same).unwrap_or_else(|| {
             lenses.push(ColmapCamera { id: lenses.len() as u32 + 1, ..own });
@@ -51,14 +51,22 @@ fn frame_of(name: &str, camera: &Camera, world: &WorldFrame) -> Option<Value> {
         Projection::Equirectangular => ("EQUIRECTANGULAR", [0.0; 4], [0.0; 2]),
         _ => return None,
     };
-    let axes = camera.camera_from_world.as_dmat3().transpose();
-    let eye = source_of(world, camera);
-    let row = |r: usize| [axes.x_axis[r], -axes.y_axis[r], -axes.z_axis[r], eye[r]];
-    Some(json!({
+    let pose = |time: f64| {
+        let at = camera.at_time(time);
+        let (axes, eye) = (at.camera_from_world.as_dmat3().transpose(), source_of(world, &at));
+        let row = |r: usize| [axes.x_axis[r], -axes.y_axis[r], -axes.z_axis[r], eye[r]];
+        json!([row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]])
+    };
+    let mut frame = json!({
         "file_path": format!("images/{name}"), "camera_model": model,
         "w": camera.width, "h": camera.height,
         "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
         "k1": k[0], "k2": k[1], "k3": k[2], "k4": k[3], "p1": p[0], "p2": p[1],
-        "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
-    }))
+        "transform_matrix": pose(-0.5),
+    });
+    if let Some(shutter) = camera.shutter {
+        frame["transform_matrix_end"] = pose(0.5);
+        frame["shutter"] = json!(shutter.readout.name());
+    }
+    Some(frame)
 }
