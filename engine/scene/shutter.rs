@@ -109,7 +109,8 @@ impl Shutter {
         if !(self.turn.is_finite() && self.shift.is_finite()) {
             return Some("a motion of the shutter that is not finite");
         }
-        (self.turn.length() > 3.1416).then_some("a turn of the shutter beyond half a circle")
+        (self.turn.length() > 1.001 * std::f32::consts::PI)
+            .then_some("a turn of the shutter beyond half a circle")
     }
 }
 
