@@ -170,7 +170,7 @@ impl Training {
         }
         self.moved_optimizer.record(recorder, &inputs, &self.moments, &[], &step);
         let (poses, state) = (&self.poses, &self.frame.state);
-        self.pose_gradient.record(recorder, &inputs, (&poses.parameters, 0), &poses.gradient);
+        self.pose_gradient.record(recorder, &inputs, &poses.parameters, 0, &poses.gradient);
         recorder.barrier();
         let step = PoseStep { rate: 1e-3, count: 1 };
         self.pose_optimizer.record(recorder, poses, state, Some((step, 0)));

@@ -76,7 +76,8 @@ pub fn write(
 pub fn write_cut(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
-    (cut, sh_degree): (&Cut, u32),
+    cut: &Cut,
+    sh_degree: u32,
     options: &WriteOptions,
 ) -> Result<(u64, Option<String>)> {
     gaussians.check_shapes()?;
@@ -104,7 +105,8 @@ pub fn write_cut(
 pub fn cut_losses(
     format: Format,
     gaussians: &Gaussians,
-    (cut, sh_degree): (&Cut, u32),
+    cut: &Cut,
+    sh_degree: u32,
     options: &WriteOptions,
 ) -> Result<Vec<String>> {
     gaussians.check_shapes()?;

@@ -326,8 +326,8 @@ impl TileWriter<'_, '_> {
             spz_version: self.options.packed.then_some(2),
             ..WriteOptions::default()
         };
-        let all = (&Cut::default(), gaussians.sh_degree);
-        let written = splats::write_cut(self.folder.join(&name), &gaussians, all, &write);
+        let (path, degree) = (self.folder.join(&name), gaussians.sh_degree);
+        let written = splats::write_cut(path, &gaussians, &Cut::default(), degree, &write);
         let (_, loss) = written.map_err(|e| match e {
             // The folder still has its temporary name, and the scene is the cause, so the error names the input.
             Error::Input { problem, remedy, .. } => {

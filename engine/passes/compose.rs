@@ -130,7 +130,8 @@ impl Compose {
         accumulated: &Buffer,
         size: [u32; 2],
         region: Region<'_>,
-        (behind, encoding): (Background, ColorEncoding),
+        behind: Background,
+        encoding: ColorEncoding,
     ) {
         let (mode, background) = match behind {
             Background::Color(color) => (c::COMPOSE_BACKGROUND, color),

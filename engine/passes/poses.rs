@@ -49,7 +49,8 @@ impl PoseGradient {
         &self,
         r: &mut Recorder,
         inputs: &FrameInputs,
-        (parameters, image): (&Buffer, u32),
+        parameters: &Buffer,
+        image: u32,
         gradient: &Buffer,
     ) {
         let bind = pose_gradient::Bind {

@@ -162,7 +162,7 @@ impl Renderer {
                 let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
                 backward.record(r, inputs, &inputs.frame.image_gradient, statistics, form);
                 r.barrier();
-                pose_gradient.record(r, inputs, (parameters, 0), gradient);
+                pose_gradient.record(r, inputs, parameters, 0, gradient);
                 Ok(())
             });
             ran.map_err(Failed::error)?;

@@ -139,7 +139,7 @@ impl Renderer {
             backward.record(r, inputs, native, statistics, form);
             r.barrier();
             if let Some(gradient) = &pose_gradient {
-                gradient.record(r, inputs, (&camera_gradients[0], 0), &camera_gradients[1]);
+                gradient.record(r, inputs, &camera_gradients[0], 0, &camera_gradients[1]);
             }
             if let Some(gradient) = &lens_gradient {
                 gradient.record(r, inputs, &camera_gradients[2]);

@@ -259,7 +259,7 @@ impl Recording<'_> {
         r.scope("compose", |r| {
             if let Target::Image { to, behind, encoding } = &frame.target {
                 release.color = Some(earlier.acquire(r, to));
-                compose.record_color(r, &f.accumulated, size, to.region(), (*behind, *encoding));
+                compose.record_color(r, &f.accumulated, size, to.region(), *behind, *encoding);
             }
             if let Some(depth) = &frame.depth {
                 release.depth = Some(earlier.acquire(r, &depth.to));

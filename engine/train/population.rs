@@ -144,7 +144,7 @@ impl Population<'_> {
                 r.barrier();
                 kernels.record_edges(r, &photo, &buffers, gradient);
                 r.barrier();
-                kernels.record_view(r, inputs, gradient, &buffers, (importance, share));
+                kernels.record_view(r, inputs, gradient, &buffers, importance, share);
                 Ok(())
             });
             or_none(ran.map_err(Failed::error))?;

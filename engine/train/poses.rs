@@ -84,7 +84,7 @@ impl Poses {
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, view: usize, step: &PoseStep) {
         let view = view as u32;
         r.scope("poses", |r| {
-            self.gradient.record(r, inputs, (&self.buffers.parameters, view), &self.buffers.gradient);
+            self.gradient.record(r, inputs, &self.buffers.parameters, view, &self.buffers.gradient);
             r.barrier();
             self.optimizer.record(r, &self.buffers, &inputs.frame.state, Some((*step, view)));
         });

@@ -81,7 +81,7 @@ pub fn of_device(path: &Path) -> Outcome {
                 r.fill(&buffers.ranges, 0);
                 border.record_gradient(r, inputs, &used, &native, false);
                 r.barrier();
-                kernels.record_view(r, inputs, &native, &buffers, (&sum, 1.0 / views.len() as f32));
+                kernels.record_view(r, inputs, &native, &buffers, &sum, 1.0 / views.len() as f32);
             });
             let weights = gpu.read::<f32>(&buffers.weights, set.len());
             let weights: Vec<f64> = weights.into_iter().map(f64::from).collect();

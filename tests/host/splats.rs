@@ -187,12 +187,12 @@ fn a_cut_scene_is_written_as_a_conversion_writes_it() {
         let [converted, written] = folder.alike(format);
         let options = ConvertOptions { sh_degree: Some(2), cut, ..Default::default() };
         let done = splats::convert(&input, &converted, &options).unwrap();
-        let (count, _) = splats::write_cut(&written, &original, (&cut, 2), &antialiased()).unwrap();
+        let (count, _) = splats::write_cut(&written, &original, &cut, 2, &antialiased()).unwrap();
         assert!(count > 1000 && count < 39_000 && count == done.written, "{format}: {count}");
         assert!(std::fs::read(&converted).unwrap() == std::fs::read(&written).unwrap(), "{format}");
     }
     let (odd, path) = (Cut { min_opacity: 2.0, ..Default::default() }, folder.join("odd.ply"));
-    assert!(splats::write_cut(&path, &original, (&odd, 3), &WriteOptions::default()).is_err());
+    assert!(splats::write_cut(&path, &original, &odd, 3, &WriteOptions::default()).is_err());
     assert!(splats::convert(&input, &path, &ConvertOptions { cut: odd, ..Default::default() }).is_err());
     assert!(!path.exists());
 }
@@ -220,7 +220,7 @@ fn merged_cells_are_the_scene() {
         let [merged, written] = folder.alike(format);
         let done = merge(&parts, &merged, &KEEP).unwrap();
         assert_eq!((done.format, done.written), (format, 40_000));
-        splats::write_cut(&written, &expected, (&Cut::default(), 2), &antialiased()).unwrap();
+        splats::write_cut(&written, &expected, &Cut::default(), 2, &antialiased()).unwrap();
         assert!(std::fs::read(&merged).unwrap() == std::fs::read(&written).unwrap(), "{format}");
     }
     // Many cells need no more memory than one.
@@ -626,8 +626,7 @@ fn formats_go_by_the_size_of_the_scene() {
     let warnings = |scene: &Gaussians, format: Format| {
         folder.write("scene.ply", scene);
         let done = folder.convert("scene.ply", &named("scene", format));
-        let every = (&Cut::default(), 3);
-        let losses = splats::cut_losses(format, scene, every, &WriteOptions::default()).unwrap();
+        let losses = splats::cut_losses(format, scene, &Cut::default(), 3, &WriteOptions::default()).unwrap();
         assert_eq!(done.warnings, losses);
         losses
     };

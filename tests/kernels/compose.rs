@@ -46,16 +46,17 @@ fn composed(
     pixels: &[[f32; 4]],
     format: Format,
     texels: &[u8],
-    onto: (Background, ColorEncoding),
+    (behind, encoding): (Background, ColorEncoding),
 ) -> Vec<u8> {
     let compose = Compose::new(gpu.context).expect("kernels");
     let image = Image::new(gpu.context, "target", format, IMAGE, ImageUse::Target).expect("an image");
-    Compose::check_frame(&image, onto.0, onto.1).expect("a possible format");
+    Compose::check_frame(&image, behind, encoding).expect("a possible format");
     let accumulated = gpu.buffer("accumulated", pixels);
     let (from, to) = (gpu.buffer("texels", texels), gpu.untouched::<u8>("texels", texels.len()));
     gpu.run(|r| {
         r.copy_to_image(&from.range(0, texels.len() as u64), &image);
-        compose.record_color(r, &accumulated, SIZE, Region { image: &image, offset: OFFSET }, onto);
+        let region = Region { image: &image, offset: OFFSET };
+        compose.record_color(r, &accumulated, SIZE, region, behind, encoding);
         r.copy_from_image(&image, &to.range(0, texels.len() as u64));
     });
     gpu.read(&to, texels.len())

@@ -137,9 +137,8 @@ pub unsafe extern "C" fn ashsplat_trainer_save(
             }
             format => {
                 let gaussians = trainer.baked_gaussians()?;
-                let all = (&Cut::default(), gaussians.sh_degree);
                 splats::write(path, &gaussians, &options)?;
-                splats::cut_losses(format, &gaussians, all, &options)?
+                splats::cut_losses(format, &gaussians, &Cut::default(), gaussians.sh_degree, &options)?
             }
         };
         LAST_LOSS.set(c_text(&losses.join("\n")));

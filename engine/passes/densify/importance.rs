@@ -113,7 +113,8 @@ impl Importance {
         inputs: &FrameInputs,
         image_gradient: &Buffer,
         buffers: &ImportanceBuffers,
-        (importance, share): (&Buffer, f32),
+        importance: &Buffer,
+        share: f32,
     ) {
         let (f, count) = (inputs.frame, inputs.scene().count);
         let groups = self.sizes.groups(count);

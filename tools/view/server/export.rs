@@ -74,7 +74,7 @@ pub async fn count(
         let (limits, all) = (wanted.cut.cut().limits(), scene.gaussians.len());
         let kept = (0..all).filter(|&index| limits.keeps(&scene.gaussians, index)).count();
         let losses = format.map(|format| {
-            splats::cut_losses(format, &scene.gaussians, (&wanted.cut.cut(), wanted.sh_degree), &scene.marks)
+            splats::cut_losses(format, &scene.gaussians, &wanted.cut.cut(), wanted.sh_degree, &scene.marks)
         });
         let losses = losses.transpose().ok().flatten();
         json!({ "kept": kept, "of": all, "losses": losses.unwrap_or_default() }).to_string()
@@ -137,7 +137,7 @@ impl Export {
         let folder = tempfile::tempdir().map_err(|e| Error::io(&room, "write a temporary file", e))?;
         let path = folder.path().join(format!("scene{}", format.extension()));
         let options = WriteOptions { format: Some(format), ..scene.marks };
-        splats::write_cut(&path, &scene.gaussians, (&self.cut.cut(), self.sh_degree), &options)?;
+        splats::write_cut(&path, &scene.gaussians, &self.cut.cut(), self.sh_degree, &options)?;
         Ok((folder, path))
     }
 }
