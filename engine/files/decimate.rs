@@ -105,7 +105,7 @@ fn determinant(covariance: &DMat3, [x, y]: [usize; 2]) -> f64 {
     (xx * yy - xy * xy).max(FLATTEST * xx * yy).max(f64::MIN_POSITIVE)
 }
 
-/// The product of two Gaussians of opacity 1, `apart` from each other, integrated over a picture, over 2π.
+/// Integral over a picture of the product of two Gaussians of opacity 1 with means `apart` from each other, divided by 2π.
 fn overlap(a: &DMat3, b: &DMat3, apart: DVec3, picture: [usize; 2]) -> f64 {
     let sum = *a + *b;
     let [x, y] = picture;

@@ -52,7 +52,7 @@ pub struct FrameInputs<'a> {
     pub capacity: &'a FrameCapacity,
     /// The camera in the axes of the first scene.
     pub camera: &'a Camera,
-    /// Where the camera of the first scene is, if the device knows better than `camera` ([`POSE_BYTES`](super::POSE_BYTES)): the
+    /// Pose of the first scene's camera on the device, which replaces that of `camera` ([`POSE_BYTES`](super::POSE_BYTES)): the
     /// rows of the rotation from world to camera, then the translation, with the scale 1.
     pub pose: Option<&'a Buffer>,
     /// Render settings of the frame.

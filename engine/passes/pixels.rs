@@ -12,9 +12,9 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 pub struct LayoutConverter {
     sizes: LaunchSizes,
     picture: Kernel<picture_to_rows::Interface>,
-    /// Without and with adding.
+    /// Kernels that replace the gradient, and that add to it.
     gradient: [Kernel<gradient_from_rows::Interface>; 2],
-    /// Without and with a mask.
+    /// Kernels without and with a mask.
     photo: [Kernel<photo_to_rows::Interface>; 2],
 }
 

@@ -24,7 +24,7 @@ pub struct CutOut {
 /// Treatment of the Gaussians inside a [`CutOut`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Inside {
-    /// Draws them, and hides others unless another cut-out keeps them.
+    /// Draws them, and hides the Gaussians outside unless another cut-out keeps them.
     #[default]
     Kept,
     /// Hides them.

@@ -37,8 +37,8 @@ struct Places {
 }
 
 impl Places {
-    /// As many places as fit the file's budget, less the photographs that wait on the host. None if the photographs do not lie
-    /// in a file: then all are on the device.
+    /// Plans as many places as fit the file's budget, less the photographs that wait on the host. None if the photographs do not
+    /// lie in a file: then all are on the device.
     fn of(windowing: Windowing, photos: &[PhotoSize], file_memory: Option<u64>) -> Result<Option<Self>> {
         let Some(memory) = file_memory else { return Ok(None) };
         // Waiting photographs have the device's layout. The photograph being read has both layouts.

@@ -197,7 +197,7 @@ impl Candidate {
 /// Features that are turned on if the device has them.
 #[derive(Clone, Copy, Default)]
 pub(super) struct OptionalFeatures {
-    /// Of Vulkan 1.2.
+    /// Features of Vulkan 1.2.
     pub(super) v12: vk::PhysicalDeviceVulkan12Features<'static>,
     pub(super) int64: bool,
     pub(super) push_descriptor: bool,
@@ -274,7 +274,7 @@ pub(super) fn choose(
     usable.min_by_key(rank).ok_or(Error::NoDevice { reason })
 }
 
-/// Returns the index of the device named by `asked`: a number, the whole name, or part of a name in any case.
+/// Returns the index of the device named by `requested`: a number, the whole name, or part of a name in any case.
 fn find<'a>(names: impl Iterator<Item = &'a str> + Clone, requested: &str) -> Option<usize> {
     let requested = requested.trim().to_lowercase();
     if let Ok(index) = requested.parse::<usize>() {

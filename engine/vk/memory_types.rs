@@ -117,8 +117,8 @@ const SPECIAL: Flags = Flags::from_raw(
     Flags::PROTECTED.as_raw() | Flags::LAZILY_ALLOCATED.as_raw() | Flags::DEVICE_COHERENT_AMD.as_raw(),
 );
 
-/// Returns the best memory type for a kind: the first whose flags match a wish, wishes in order. Among types with the same
-/// flags, the one in the largest heap.
+/// Returns the best memory type for a kind: the first that has one of the preferred sets of flags, in order of preference.
+/// Among types with the same flags, the one in the largest heap.
 pub(super) fn best(
     memory: &vk::PhysicalDeviceMemoryProperties,
     allowed: u32,

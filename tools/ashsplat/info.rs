@@ -15,8 +15,8 @@ use std::path::{Path, PathBuf};
 
 /// Show the contents of a file of Gaussians, a model folder or a data set.
 ///
-/// Of a data set everything is checked that training would check: every photo is present, can be decoded and has the
-/// size of its camera. All problems are listed, and the exit code is 2 if there are any.
+/// A data set is checked as by training: every photo is present, can be decoded and has the size of its camera. All problems
+/// are listed, and the exit code is 2 if there are any.
 #[derive(Args)]
 pub struct Arguments {
     /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF, SOG), a model folder or a data set

@@ -33,7 +33,7 @@ impl IterationArguments {
     }
 }
 
-/// Which device is measured by which clock, and what becomes of the result.
+/// The measured device, its clock, and the files for the result.
 #[derive(Args)]
 #[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_MEASUREMENTS)))]
 pub struct OutputArguments {

@@ -236,7 +236,7 @@ fn overview(gaussians: &Gaussians) -> Camera {
 }
 
 impl Scene {
-    /// Refuses a scene of which no frame can be made.
+    /// Refuses a scene that cannot be rendered.
     fn checked(self) -> Result<Self> {
         if self.gaussians.is_empty() {
             return Err(Error::argument("scene", "has no Gaussians; give --gaussians 1 or more"));

@@ -19,9 +19,9 @@ use std::path::PathBuf;
 
 /// Between two rounds of training in blocks (`partition --rounds`): give each block what its neighbours have trained.
 ///
-/// Every block has come to the end of the round: `train --job` ends there. Its margin becomes what the neighbours have trained
-/// there, with all that training keeps of it, and what lies around is the scene that all blocks are now. Then `train --job` goes
-/// on. What was exchanged already is left as it is.
+/// Every block must have come to the end of the round, where `train --job` ends. Its margin receives what the neighbours have
+/// trained there, with everything that checkpoints hold of it, and its surroundings the scene of all blocks. Then `train --job`
+/// continues. Blocks that were exchanged already stay as they are.
 #[derive(Args)]
 pub struct Arguments {
     /// The file that `ashsplat partition` wrote

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 /// Merge the trained blocks of `ashsplat partition` into one scene.
 ///
-/// Of each block it takes the Gaussians with centres in its cell, so that none is lost or there twice. Blocks are read one after
+/// The scene has the Gaussians of each block with centres in its cell, so that none is lost or doubled. Blocks are read one after
 /// another: the memory needed does not depend on their number, but for .compressed.ply, which is sorted. A block that is missing,
 /// damaged or of another division is named before anything is written.
 #[derive(Args)]

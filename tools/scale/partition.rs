@@ -51,8 +51,8 @@ pub struct Arguments {
     /// side; in rounds 0.05, but of a single object 0.15]
     #[arg(long, value_name = "X")]
     margin: Option<f32>,
-    /// Whether a block uses of each photo only the part that shows it and its margin; auto: on, but off for a single object: where a
-    /// photo is used, in the mean, for two thirds of the blocks besides its main one
+    /// Use only the part of each photo that shows the block and its margin; auto: on, but off for a single object, where the average
+    /// photo is used for two thirds of the blocks besides its main one
     #[arg(long, value_enum, default_value_t)]
     photo_parts: When,
     /// The share of a picture that a cell must cover for the photo to be used for its block, above 0 and up to 1

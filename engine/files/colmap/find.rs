@@ -170,7 +170,7 @@ fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {
 }
 
 fn largest(candidates: &[PathBuf]) -> Result<ModelFolder> {
-    // Of equal ones, the first.
+    // max_by_key returns the last of equal ones, so that the reversed order returns the first.
     let sizes = candidates.iter().rev().map(|folder| (claimed_size(folder), folder));
     let Some(((images, _), folder)) = sizes.max_by_key(|(size, _)| *size) else {
         return Err(Error::argument("candidates", "there are none"));

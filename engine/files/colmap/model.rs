@@ -29,7 +29,7 @@ pub struct Model {
     pub points: SourcePoints,
     /// Oddities that did not prevent reading.
     pub warnings: Vec<String>,
-    /// What was read besides, one line each.
+    /// Other things that were read, one line each.
     pub notes: Vec<String>,
 }
 

@@ -23,7 +23,7 @@ const FILMS: &str = "films";
 const INPUT_FILE: &str = "input.ply";
 
 /// Locks an existing model folder before its checkpoints are looked up: another training would still write them. With
-/// `wait`, that one may end first, and the folder need not exist yet.
+/// `wait`, the call waits for the end of that training, and the folder need not exist yet.
 ///
 /// # Errors
 /// [`Error::Input`] if another training writes into the folder.

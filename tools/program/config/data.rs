@@ -97,10 +97,9 @@ pub struct DataSettings {
     /// after an exchange) [default: drawn]
     #[arg(long, help_heading = "Blocks")]
     pub outside: Outside,
-    /// Use of each photo only the part that shows the block and its margin: the rest of it is not drawn and not kept in memory. With
-    /// --job its file says which part, for auto and on. Of another block auto uses whole photos, and on finds parts by the depths of the
-    /// scene that training begins with (--init); continue such a training on the same device, for another one may see other parts
-    /// [default: auto]
+    /// Use only the part of each photo that shows the block and its margin: the rest is not drawn and not kept in memory. With --job,
+    /// auto and on take the parts from its file. Without it, auto uses whole photos, and on finds parts by the depths of the scene that
+    /// training begins with (--init); continue such a training on the same device, for another one may see other parts [default: auto]
     #[arg(long, help_heading = "Blocks")]
     pub photo_parts: When,
     /// The extent that scales the means' learning rate and the thresholds of densification, in the data set's units: of a block, that
@@ -192,7 +191,7 @@ impl From<Split> for EvalSplit {
     }
 }
 
-/// What becomes of a scene outside of the block that is trained.
+/// Treatment of the scene outside the trained block.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Outside {
@@ -219,7 +218,7 @@ impl Outside {
     }
 }
 
-/// Whether something is done; auto where it is known to help.
+/// A switch; auto is on where it is known to help.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum When {

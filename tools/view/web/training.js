@@ -1,4 +1,4 @@
-// How training goes: curves, and what it is told.
+// Training: its curves, and the page's commands to it.
 
 const find = (id) => document.getElementById(id);
 const CURVES = [
