@@ -420,7 +420,7 @@ fn check_scenes(gpu: &Gpu, shared_order: bool, view: impl Fn(usize) -> View) {
         cut_outs: settings.drawn.cut_outs.iter().flatten().count() > 0,
         projection: settings.drawn.projection(),
         lenses: false,
-        adds,
+        shared_order,
         shutter: false,
     };
     let count = batch.index_count();

@@ -157,7 +157,7 @@ impl Stage {
             Action::Photo(step) => self.step(step),
             Action::PhotoLight => {
                 self.lit = !self.lit;
-                self.say(words::photo_light(self.lit, self.knows_lights()).into());
+                self.say(words::photo_appearance(self.lit, self.knows_appearances()).into());
             }
             Action::Close => return Ok(!self.close_something()),
             Action::Fly(_) | Action::Turn(_) | Action::Zoom(_) | Action::FlyMode => {}
@@ -166,7 +166,7 @@ impl Stage {
         Ok(false)
     }
 
-    fn knows_lights(&self) -> bool {
+    fn knows_appearances(&self) -> bool {
         (0..self.subject.cameras.len()).any(|photo| self.subject.appearances.has(photo))
     }
 

@@ -66,7 +66,7 @@ pub fn tree(shown: &Value) -> Option<String> {
 }
 
 /// Message when exposure and lens effects of photos are switched on or off.
-pub fn photo_light(on: bool, known: bool) -> &'static str {
+pub fn photo_appearance(on: bool, known: bool) -> &'static str {
     match (on, known) {
         (_, false) => "as photographed: training has learned no exposures and no lens effects",
         (true, true) => "as photographed: on, in the photos' views",
