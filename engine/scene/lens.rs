@@ -197,6 +197,10 @@ const FOLD_STEPS: u32 = 1024;
 /// Share of the Jacobian's limit beyond the picture's corners (the reference's 1.3 tan(fov/2)).
 const HOLD_MARGIN: f64 = 1.3;
 
+/// Distance in the picture beyond which no point of the unscented transform may lie, as a multiple of the distance at which the Jacobian
+/// is held.
+const FAR: f64 = 1.6;
+
 impl Family {
     /// Distance of a distorted point from the middle, by the radial term alone.
     pub(super) fn radius(&self, c: &[f64; 12], r: f64) -> f64 {
@@ -293,8 +297,7 @@ impl Camera {
         let others = match family.surface {
             Surface::Plane => {
                 let hold = family.hold(&c, self.corner(), fold);
-                let g = (family.radial)(&c, hold * hold)[0];
-                [word(hold), if g > 1.0 { word(g) } else { 1.0 }, 0.0]
+                [word(hold), word(FAR * family.radius(&c, hold)), 0.0]
             }
             _ => [all[9], all[10], all[11]],
         };

@@ -22,8 +22,9 @@ const bool BENDS = PROJECTION == PROJECTION_BROWN || PROJECTION == PROJECTION_FI
 // nine coefficients have no other limit, and store the last three in its place.
 #define LENS_FOLD (PINHOLE ? 0.0 : jacobian_limits.x)
 #define LENS_HOLD jacobian_limits.y
-// Largest g of a lens on the plane, up to LENS_HOLD, and at least 1.
-#define LENS_MAGNIFICATION jacobian_limits.z
+// Largest distance from the middle of the picture, focal lengths, of a point of the unscented transform of a lens on the plane; 0 without
+// a limit.
+#define LENS_FAR jacobian_limits.z
 
 #include "lens/arctan.glsl"
 #include "lens/brown.glsl"
@@ -322,14 +323,16 @@ vec2 offset_of(vec3 at, vec2 center) {
     return offset;
 }
 
-// True for a point far outside the picture, where the polynomial of a lens grows as no lens does.
-bool is_magnified(vec3 at) {
-    return PROJECTION == PROJECTION_BROWN && is_held(at) && radial_at(dot(at.xy, at.xy) / (at.z * at.z)).x > LENS_MAGNIFICATION;
+// True for points far outside the picture of a lens on the plane. Polynomials of lenses grow there as no lens does, and the positions of
+// pinholes without bounds, so that Gaussians beside the camera would cover the picture.
+bool is_far(vec3 at) {
+    float s = dot(at.xy, at.xy) / (at.z * at.z);
+    return !(ANGULAR || SPHERICAL) && is_held(at) && LENS_FAR > 0.0 && sqrt(s) * radial_at(s).x > LENS_FAR;
 }
 
 // Behind a fisheye, a point beyond the axis would land on the other side of the picture.
 bool is_point_shown(vec3 at, vec3 mean) {
-    return IS_SHOWN(at) && !(ANGULAR && at.z < 0.0 && dot(at.xy, mean.xy) < 0.0) && !is_magnified(at);
+    return IS_SHOWN(at) && !(ANGULAR && at.z < 0.0 && dot(at.xy, mean.xy) < 0.0) && !is_far(at);
 }
 
 Spread spread_at(vec3 mean, mat3 axes, vec3 scale) {

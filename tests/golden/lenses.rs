@@ -115,23 +115,23 @@ fn block(camera: &Camera) -> Vec<u32> {
 }
 
 /// True for a Gaussian that this project takes by the Jacobian and the vectors by the unscented transform: one of the transform's
-/// points lies outside the picture where the lens's polynomial magnifies more than within. In trainings these spreads cover
-/// pictures (tools/strategies.md).
-fn is_magnified(camera: &Camera, gaussian: &Gaussian) -> bool {
-    let Some(([_, held, most, _], _)) = camera.lens_words() else { return false };
-    let [k1, k2, _, _, k3, k4, k5, k6, ..] = camera.coefficients.map(f64::from);
-    let g = |s: f64| (1.0 + s * (k1 + s * (k2 + s * k3))) / (1.0 + s * (k4 + s * (k5 + s * k6)));
+/// points lies far outside the picture of a lens on the plane. In trainings these spreads cover pictures (tools/strategies.md).
+fn is_far(camera: &Camera, gaussian: &Gaussian) -> bool {
+    let Some(([_, held, far, _], _)) = camera.lens_words() else { return false };
+    let lens = PhotoLens { focal_px: DVec2::ONE, center_px: DVec2::ZERO, ..camera.photo_lens() };
     let turn = camera.camera_from_world.as_dmat3();
     let [w, x, y, z] = gaussian.quat;
     let axes = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
     let mean = DVec3::from(gaussian.mean);
-    camera.projection == Projection::Brown
-        && [-1.0, 1.0].into_iter().flat_map(|sign| (0..3).map(move |k| (sign, k))).any(|(sign, k)| {
-            let step = sign * 3f64.sqrt() * gaussian.log_scale[k].exp() * axes.col(k);
-            let at = turn * (mean + step) + camera.translation.as_dvec3();
-            let s = at.truncate().length_squared() / (at.z * at.z);
-            s.sqrt() > f64::from(held) && g(s) > f64::from(most)
-        })
+    let is_far = |(sign, k): (f64, usize)| {
+        let step = sign * 3f64.sqrt() * gaussian.log_scale[k].exp() * axes.col(k);
+        let at = turn * (mean + step) + camera.translation.as_dvec3();
+        let is_held = at.truncate().length() > f64::from(held) * at.z;
+        is_held && lens.position(at).is_some_and(|place| place.length() > f64::from(far))
+    };
+    !camera.projection.orders_by_distance()
+        && far > 0.0
+        && [-1.0, 1.0].into_iter().flat_map(|sign| (0..3).map(move |k| (sign, k))).any(is_far)
 }
 
 /// Prefix of the method by which this project draws a camera's Gaussians: the Jacobian or the unscented transform.
@@ -222,9 +222,9 @@ pub fn of_device(path: &Path) -> Outcome {
         (gpu.read::<[f32; 4]>(mean2d_extent, count), gpu.read::<[f32; 4]>(conic_opacity, count));
     let depths = gpu.read_f64::<f32>(&depth_keys, count);
     let of = |name: &str| npz.rows::<3>(name);
-    let magnified: Vec<bool> = (0..means.len()).map(|i| is_magnified(&camera, &gaussian(&i))).collect();
+    let far: Vec<bool> = (0..means.len()).map(|i| is_far(&camera, &gaussian(&i))).collect();
     let own = method_of(&camera);
-    let method = |i: usize, name: &str| format!("{}_{name}", if magnified[i] { "j" } else { own });
+    let method = |i: usize, name: &str| format!("{}_{name}", if far[i] { "j" } else { own });
     if camera.shutter.is_some() {
         for &i in &shown {
             let expected = npz.rows::<2>("j_xy")[i];
@@ -332,7 +332,7 @@ pub fn of_device(path: &Path) -> Outcome {
         (0..width).map(|k| rows.iter().skip(k).step_by(width).map(|&x| f64::from(x)).sum()).collect()
     };
     let (poses, lenses) = sums.as_flattened().split_at(3 * first_lens_sum);
-    if !magnified.contains(&true) {
+    if !far.contains(&true) {
         relative("pose", &added(poses, 6), &pose_gradient(&npz, &camera), 2e-4)?;
         compare_lens(&npz, &camera, &added(lenses, 18))?;
     }
