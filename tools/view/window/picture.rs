@@ -281,8 +281,8 @@ impl Picture {
             let buffer = filled(&self.context, buffer, bytemuck::cast_slice(texels))?;
             state = recorder.acquire_image(canvas, state);
             let region = Region { image: canvas, offset: overlay.corner };
-            let onto = (Background::Image, ColorEncoding::AsTrained);
-            self.compose.record_color(&mut recorder, &buffer, [*width, *height], region, onto);
+            let (behind, encoding) = (Background::Image, ColorEncoding::AsTrained);
+            self.compose.record_color(&mut recorder, &buffer, [*width, *height], region, behind, encoding);
         }
         records[1].end(recorder)?;
         Ok(state)
