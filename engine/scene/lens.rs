@@ -342,7 +342,7 @@ impl Camera {
 
     /// Units of refinement: the change of each [lens parameter](Self::lens_parameters) with each of sixteen numbers. One of these
     /// moves the picture's points by a focal length, root of the mean square, and two of them move them in unlike ways, because Adam cannot
-    /// tell parameters apart that act alike (Park et al. 2023, "CamP"). Equal focal lengths stay equal, and coefficients that the family
+    /// tell parameters apart that act alike (Park et al. 2023, "CamP"). Focal lengths that are nearly equal keep their ratio, and coefficients that the family
     /// seldom has stay 0.
     pub(crate) fn lens_units(&self) -> [[f64; LENS_PARAMETERS]; LENS_PARAMETERS] {
         /// Points on each side of the picture at which motions are compared.
@@ -350,12 +350,16 @@ impl Camera {
         /// Share by which motions are taken as less alike than they are, so that no unit changes a parameter without bounds.
         const DAMPING: f64 = 0.01;
         const STEP: f64 = 1e-5;
+        /// Largest relative difference of focal lengths that keep their ratio.
+        const TIED: f32 = 0.01;
         let mut units = [[0.0; LENS_PARAMETERS]; LENS_PARAMETERS];
         let Some((family, c)) = self.lens().filter(|(family, _)| family.surface != Surface::Sphere) else {
             return units;
         };
+        // Pictures whose sides were rounded have focal lengths that differ a little.
+        let is_tied = (self.fx - self.fy).abs() < TIED * self.fx;
         let is_learned = |k: &usize| match *k {
-            1 => self.fx != self.fy,
+            1 => !is_tied,
             0..4 => true,
             k => family.learned.contains(&(k - 4)) || c[k - 4] != 0.0,
         };
@@ -367,7 +371,7 @@ impl Camera {
             match parameter {
                 0 | 1 => {
                     let axis = [dvec2(1.0, 0.0), dvec2(0.0, 1.0)][parameter];
-                    let both = if self.fx == self.fy { DVec2::ONE } else { axis };
+                    let both = if is_tied { DVec2::ONE } else { axis };
                     both * (lens.position_of(place) - lens.center_px) / lens.focal_px / focal
                 }
                 2 => DVec2::X / focal,
@@ -409,8 +413,8 @@ impl Camera {
                 units[learned[i]][unit] = x[i];
             }
         }
-        if self.fx == self.fy {
-            units[1] = units[0];
+        if is_tied {
+            units[1] = units[0].map(|unit| unit * f64::from(self.fy / self.fx));
         }
         units
     }

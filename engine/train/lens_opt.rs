@@ -23,17 +23,19 @@ pub(super) struct LensOptimizer {
     lenses: Vec<Lens>,
     /// Index of each view's lens.
     of_view: Vec<usize>,
+    /// Number of steps that were not made.
+    pub refused: u32,
 }
 
 struct Lens {
-    /// A camera that has it.
+    /// A camera with this lens as it was given.
     given: Camera,
     /// See [`Camera::lens_units`].
     units: [[f64; LENS_PARAMETERS]; LENS_PARAMETERS],
     state: [f32; LENS_STATE_VALUES],
 }
 
-/// The camera with a lens that can be optimised.
+/// The camera with a lens that can be optimised: a pinhole gets one that does not distort yet.
 pub(super) fn with_own_lens(camera: &Camera) -> Camera {
     match camera.projection {
         Projection::Perspective => Camera { projection: Projection::Brown, ..*camera },
@@ -63,7 +65,7 @@ impl LensOptimizer {
                 lenses.len() - 1
             })
         });
-        Self { of_view: of_view.collect(), lenses }
+        Self { of_view: of_view.collect(), lenses, refused: 0 }
     }
 
     /// The camera with its lens as it is now, if a training view was given with this lens.
@@ -84,7 +86,9 @@ impl LensOptimizer {
         lens.step(drawn, &gradient, *rate);
         let parameters = lens.parameters();
         if cameras[*view].with_lens_parameters(&parameters).check().is_err() {
-            lens.state = before;
+            // The moments go on, so that later steps may be smaller.
+            lens.state[..LENS_PARAMETERS].copy_from_slice(&before[..LENS_PARAMETERS]);
+            self.refused += 1;
             return;
         }
         let others = cameras.iter_mut().zip(&self.of_view).filter(|(_, own)| **own == of_view);
@@ -132,7 +136,7 @@ impl Lens {
             let [change, first, second] = [0, 1, 2].map(|set| f64::from(state[set * LENS_PARAMETERS + k]));
             let own: f64 =
                 gradient.iter().zip(&self.units).map(|(gradient, units)| gradient * units[k]).sum();
-            let g = if own.is_finite() { own } else { 0.0 } + WEIGHT_DECAY * change;
+            let g = if own.abs() < 1e15 { own } else { 0.0 } + WEIGHT_DECAY * change;
             let (first, second) =
                 (BETA_1 * first + (1.0 - BETA_1) * g, BETA_2 * second + (1.0 - BETA_2) * g * g);
             let change = change - rate * (first / bias_1) / ((second / bias_2).sqrt() + EPSILON);

@@ -21,7 +21,7 @@ use crate::frame::{
 use crate::passes::adam::MeanStep;
 use crate::passes::filter_3d::Filter3d;
 use crate::render::{DeviceScene, Failed, Frame, FrameRun, FrameRunner, Renderer, State};
-use crate::scene::{Camera, Exposure, Gaussians, LensEffects, Twist};
+use crate::scene::{Camera, Exposure, Gaussians, LensEffects, Projection, Twist};
 use crate::vk::{ArenaMemory, Context};
 use std::slice;
 
@@ -190,6 +190,9 @@ impl Trainer {
         let maps = DepthMaps::new(context, &views, &photo_sizes)?;
         let mut cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
         if settings.lens_opt {
+            if cameras.iter().all(|camera| camera.projection == Projection::Equirectangular) {
+                return Err(Error::argument("lens_opt", "all views are panoramas, which have no parameters"));
+            }
             cameras.iter_mut().for_each(|camera| *camera = with_own_lens(camera));
         }
         let lens_opt = settings.lens_opt.then(|| LensOptimizer::new(&cameras));
@@ -563,6 +566,11 @@ impl Trainer {
             scopes: ran.report.scopes,
             ..StepReport::new(&plan, self.state.model.scene.count, &losses, &ran.state)
         })
+    }
+
+    /// Number of steps of lenses that were not made, because they would have folded the picture.
+    pub fn refused_lens_steps(&self) -> u32 {
+        self.lens_opt.as_ref().map_or(0, |lenses| lenses.refused)
     }
 
     /// The camera with its lens as [`lens_opt`](super::TrainSettings::lens_opt) has moved it, if a training view was given with the

@@ -100,14 +100,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let look = arguments.look.settings(&model.settings, &scene.header)?;
     let settings = RenderSettings { inverse_depth: false, ..look };
     // With optimised poses, training views have their own; held-out views are aligned.
-    let pose_opt = model.settings.train.pose_opt;
-    let moved = match (&model.folder, pose_opt || model.settings.train.lens_opt) {
+    let (pose_opt, lens_opt) = (model.settings.train.pose_opt, model.settings.train.lens_opt);
+    if lens_opt && data.undistort {
+        let problem = "does not go together with a model whose lenses were optimised";
+        return Err(Error::argument("--undistort", problem));
+    }
+    let moved = match (&model.folder, pose_opt || lens_opt) {
         (Some((folder, _)), true) => by_name(cameras_json::read(folder.join(CAMERAS_FILE), &scene.frame)?),
         _ => HashMap::new(),
     };
     let bar = counting("views", chosen.len() as u64 * if pose_opt { 2 } else { 1 }, arguments.quiet);
     let view = |&index: &usize| match session::check(&stop) {
-        Ok(()) => Some(gallery.view(index)?.map(|view| at_its_place(view, &moved))),
+        Ok(()) => Some(gallery.view(index)?.map(|view| at_its_place(view, &moved, lens_opt))),
         Err(interrupted) => Some(Err(interrupted)),
     };
     let mut lpips = Perceptual::new(&context, &weights)?;

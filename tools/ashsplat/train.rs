@@ -152,6 +152,10 @@ const FIRST_ITERATIONS: u32 = 100;
 pub fn run(arguments: &Arguments) -> Result<()> {
     let given = Given::read(arguments.config.as_deref(), &arguments.overrides)?;
     let settings = given.settle(&Facts::default())?;
+    if settings.train.lens_opt && settings.data.undistort {
+        let problem = "does not go together with --undistort, whose photographs are those of a pinhole";
+        return Err(Error::argument("--lens-opt", problem));
+    }
     for (path, name) in
         [(&settings.data.source_path, "-s/--source-path"), (&settings.data.model_path, "-m/--model-path")]
     {

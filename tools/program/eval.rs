@@ -280,12 +280,16 @@ pub fn by_name(cameras: Vec<NamedCamera>) -> HashMap<String, Camera> {
     cameras.into_iter().map(|NamedCamera { name, camera }| (name, camera)).collect()
 }
 
-/// A view with the pose and the lens of its camera in `cameras`, if it has one.
-pub fn at_its_place(view: View, cameras: &HashMap<String, Camera>) -> View {
+/// A view with the pose of its camera in `cameras`, if it has one, and if lenses are optimised with the lens.
+pub fn at_its_place(view: View, cameras: &HashMap<String, Camera>, lens_opt: bool) -> View {
     match cameras.get(&view.name) {
         None => view,
         Some(at) => {
-            let camera = with_changed_lens(&view.camera, &view.original_camera, at);
+            let Camera { width, height, .. } = view.original_camera;
+            let camera = match lens_opt {
+                true => with_changed_lens(&view.camera, &view.original_camera, &at.scaled_to(width, height)),
+                false => view.camera,
+            };
             let (camera_from_world, translation) = (at.camera_from_world, at.translation);
             View { camera: Camera { camera_from_world, translation, ..camera }, ..view }
         }

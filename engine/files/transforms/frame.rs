@@ -137,12 +137,17 @@ pub(super) fn read_all(
         unused_keys.insert("test_frames".to_owned());
     }
     let (mut times, mut contradiction) = (f64::INFINITY..f64::NEG_INFINITY, None);
+    if !document[END_KEY].is_null() {
+        unused_keys.insert(format!("{END_KEY} outside the frames"));
+    }
+    let mut has_motion = document[SHUTTER_KEY].is_null();
     for (index, raw) in list.iter().enumerate() {
         // A frame that is no object has no file_path.
         let value = values(path, serde_json::from_str(raw.get()).unwrap_or_default())?;
         let reader = Reader { path, index, frame: &value, document, finder: &finder };
         let (mut frame, led_out) = reader.read()?;
         elsewhere += usize::from(led_out);
+        has_motion |= frame.shutter.is_some();
         unused_lens_keys(&value, &mut lens_keys);
         contradiction = contradiction.take().or_else(|| reader.contradiction(frame.optics.size));
         if let Some(time) = value["time"].as_f64() {
@@ -170,6 +175,9 @@ pub(super) fn read_all(
                 frames.push(frame);
             }
         }
+    }
+    if !has_motion {
+        unused_keys.insert(format!("{SHUTTER_KEY} without {END_KEY}"));
     }
     split.check(path, &met)?;
     if elsewhere > 0 {

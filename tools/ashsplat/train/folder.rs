@@ -1,7 +1,7 @@
 //! Prepares the model folder before the first iteration.
 
 use super::checkpoints;
-use super::poses::POSES_FILE;
+use super::poses::{POSES_FILE, REFINED_FOLDER};
 use super::report::REPORT_FILE;
 use ashsplat::scene::{Camera, PointCloud, WorldFrame};
 use ashsplat::{Error, Result};
@@ -104,7 +104,7 @@ fn keep_earlier(folder: &Path) -> Result<()> {
     left.extend(checkpoints::names(folder));
     left.retain(|name| folder.join(name).is_file());
     left.extend(
-        [model::POINT_CLOUDS, FILMS]
+        [model::POINT_CLOUDS, FILMS, REFINED_FOLDER]
             .map(PathBuf::from)
             .into_iter()
             .filter(|name| is_folder(&folder.join(name))),

@@ -11,7 +11,7 @@ use serde_json::{Map, json};
 use std::collections::HashMap;
 
 /// Folder of the cameras as data sets that other programs read.
-const REFINED_FOLDER: &str = "refined";
+pub const REFINED_FOLDER: &str = "refined";
 
 /// File with the movement of each training view's camera.
 pub const POSES_FILE: &str = "poses.json";
@@ -92,8 +92,14 @@ impl Run {
                 }
             }
             format!(
-                "lenses: focal lengths changed by {:.3} % at most, the pictures' corners moved by {moved:.2} px at most",
-                100.0 * focal
+                "{} {}: focal lengths changed by {:.3} % at most, the pictures' corners moved by {moved:.2} px at most{}",
+                given.len(),
+                if given.len() == 1 { "lens" } else { "lenses" },
+                100.0 * focal,
+                match self.trainer.refused_lens_steps() {
+                    0 => String::new(),
+                    refused => format!("; {refused} steps would have folded the picture and were not made: lower --lens-opt-lr"),
+                }
             )
         })
     }
@@ -128,7 +134,11 @@ impl Run {
             cameras.iter().map(|named| (named.name.as_str(), &named.camera)),
             &self.views.frame,
         )?;
-        refined::write(&folder.join(REFINED_FOLDER), &cameras, &self.views.frame)?;
+        // Undistorted photographs are in no folder.
+        if !self.settings.data.undistort {
+            let dataset = &self.settings.data.source_path;
+            refined::write(&folder.join(REFINED_FOLDER), dataset, &cameras, &self.views.frame)?;
+        }
         if !train.pose_opt {
             return Ok(());
         }

@@ -9,8 +9,9 @@ use glam::DVec3;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Writes `sparse/0` and `transforms.json`. Each is left out if it cannot hold one of the lenses, or a rolling shutter.
-pub fn write(folder: &Path, cameras: &[NamedCamera], frame: &WorldFrame) -> Result<()> {
+/// Writes `sparse/0` and `transforms.json`. Each is left out if it cannot hold one of the lenses, or a rolling shutter. `dataset` has the
+/// photographs.
+pub fn write(folder: &Path, dataset: &Path, cameras: &[NamedCamera], frame: &WorldFrame) -> Result<()> {
     let mut lenses: Vec<ColmapCamera> = Vec::new();
     let images = (1..).zip(cameras).map(|(id, NamedCamera { name, camera })| {
         let own = ColmapCamera::of(0, camera).ok().filter(|_| camera.shutter.is_none())?;
@@ -27,8 +28,12 @@ pub fn write(folder: &Path, cameras: &[NamedCamera], frame: &WorldFrame) -> Resu
     if let Some(images) = images {
         colmap::write(folder.join("sparse").join("0"), &lenses, &images, &PointCloud::default())?;
     }
-    let frames: Option<Vec<Value>> =
-        cameras.iter().map(|named| frame_of(&named.name, &named.camera, frame)).collect();
+    let frames = cameras.iter().map(|NamedCamera { name, camera }| {
+        // Names of COLMAP's models are paths below the photographs' folder, others below the data set's.
+        let is_whole = dataset.join(name).is_file();
+        frame_of(&if is_whole { name.clone() } else { format!("images/{name}") }, camera, frame)
+    });
+    let frames: Option<Vec<Value>> = frames.collect();
     match frames {
         Some(frames) => output::write_json(&folder.join("transforms.json"), &json!({ "frames": frames })),
         None => Ok(()),
@@ -40,7 +45,7 @@ fn source_of(frame: &WorldFrame, camera: &Camera) -> DVec3 {
 }
 
 /// A frame of nerfstudio's `transforms.json`; None for lenses that it does not know.
-fn frame_of(name: &str, camera: &Camera, world: &WorldFrame) -> Option<Value> {
+fn frame_of(path: &str, camera: &Camera, world: &WorldFrame) -> Option<Value> {
     let [k1, k2, p1, p2, k3, k4, third, fourth, n4, ..] = camera.coefficients;
     let (model, k, p) = match camera.projection {
         Projection::Perspective => ("PINHOLE", [0.0; 4], [0.0; 2]),
@@ -58,7 +63,7 @@ fn frame_of(name: &str, camera: &Camera, world: &WorldFrame) -> Option<Value> {
         json!([row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]])
     };
     let mut frame = json!({
-        "file_path": format!("images/{name}"), "camera_model": model,
+        "file_path": path, "camera_model": model,
         "w": camera.width, "h": camera.height,
         "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
         "k1": k[0], "k2": k[1], "k3": k[2], "k4": k[3], "p1": p[0], "p2": p[1],
