@@ -225,7 +225,7 @@ contents! {
     /// projection to duplication.
     tile_lists: tile_lists;
     /// Per subgroup of visible Gaussians, indexed as subgroups of all Gaussians: sums of dL/dν and dL/dω of the camera's
-    /// pose, two vec3. Behind them, from [`first_lens_sum`] on, per culling block of visible Gaussians: sums of the gradient of the
+    /// pose, two vec3. Behind them, from `first_lens_sum` on, per culling block of visible Gaussians: sums of the gradient of the
     /// lens. Valid from the backward projection on, if it writes them.
     pose_sums: tile_lists;
     /// Per depth rank: first word of the Gaussian's list of tiles. Valid from counting to duplication; the sorted depths
