@@ -442,7 +442,7 @@ fn bench_blending_measures_both_forms_in_turn() {
     assert_eq!((blended(regions), blended(shared)), (vec!["forward/blend"], vec!["forward/blend_shared"]));
     assert!(0.0 < few && few < many);
     assert!(line.contains(&format!("for {:.2} times as many samples", many / few)), "{line}");
-    // Without reading back the runs have another name, and the ratio is printed too.
+    // Runs that read nothing back have other names; their ratio is printed too.
     let drawn = succeed(&[&["bench", "blending", "--no-read-back"], &BLENDED[..]].concat());
     assert!(drawn.contains("\ndraw-regions: ") && drawn.contains("\ndraw-shared: "), "{drawn}");
     assert!(drawn.lines().last().is_some_and(|line| line.starts_with("blending from shared")), "{drawn}");

@@ -241,8 +241,8 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
                 appearance: appearance_means(&tensors)?,
             }),
         },
-        exposures: light_state(&tensors, Checkpoint::EXPOSURES)?,
-        lenses: light_state(&tensors, Checkpoint::LENSES)?,
+        exposures: appearance_state(&tensors, Checkpoint::EXPOSURES)?,
+        lenses: appearance_state(&tensors, Checkpoint::LENSES)?,
         poses: poses(&tensors)?,
         lens_opt: optional_values(&tensors, Checkpoint::LENS_OPT, &[LENS_STATE_VALUES])?,
         skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
@@ -417,7 +417,7 @@ fn strategy_statistics(
     Ok(all)
 }
 
-fn light_state(tensors: &SafeTensors, own: &str) -> Result<ExposureState, String> {
+fn appearance_state(tensors: &SafeTensors, own: &str) -> Result<ExposureState, String> {
     let [values, first_moments, second_moments] = Checkpoint::SETS;
     Ok(ExposureState {
         values: matrices(tensors, values, own)?,

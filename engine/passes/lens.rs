@@ -21,7 +21,7 @@ impl LensGradient {
     }
 
     /// Records the gradient after [`Backward::record`](crate::passes::backward::Backward::record) with a lens. `gradient` receives
-    /// eighteen f32, which [`Camera::lens_gradient`](crate::Camera::lens_gradient) converts.
+    /// eighteen f32; [`Camera::lens_gradient`](crate::Camera::lens_gradient) converts the first sixteen.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, gradient: &Buffer) {
         let bind = lens_gradient::Bind { lens_sums: inputs.frame.pose_sums(), lens_gradient: gradient };
         let (begin, sums) =

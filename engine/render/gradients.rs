@@ -22,7 +22,7 @@ pub struct Gradients {
     /// the camera's frame (x right, y down, z forward). ν are three displacements in world units, ω three rotations in
     /// radians about the camera's centre. See [`Twist`](crate::scene::Twist). Only from [`Renderer::gradients_with_pose`].
     pub pose: Option<[f32; 6]>,
-    /// With respect to the lens: focal lengths and principal point (fx, fy, cx, cy, pixels), then its
+    /// Gradient with respect to the lens: focal lengths and principal point (fx, fy, cx, cy, pixels), then its
     /// [coefficients](Camera::coefficients). Only from [`Renderer::gradients_with_pose`] of a camera with a lens; zeros for
     /// panoramas.
     pub lens: Option<[f64; 16]>,
@@ -137,8 +137,8 @@ impl Renderer {
             let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
             camera_gradients.iter().take(1).for_each(|parameters| r.fill(parameters, 0));
             backward.record(r, inputs, native, statistics, form);
-            r.barrier();
             if let Some(gradient) = &pose_gradient {
+                r.barrier();
                 gradient.record(r, inputs, &camera_gradients[0], 0, &camera_gradients[1]);
             }
             if let Some(gradient) = &lens_gradient {

@@ -227,7 +227,8 @@ impl Camera {
     }
 
     /// Returns the same view at another size, with pixels of the same shape. A picture of another aspect shows this view in its
-    /// middle, and more at two of its sides. It is then no longer a part of a larger picture, and a rolling shutter's times are its own.
+    /// middle, and more at two of its sides. It is then no longer a part of a larger picture, and a rolling shutter reads this picture
+    /// alone.
     pub fn fitted_to(&self, width: u32, height: u32) -> Self {
         if self.keeps_aspect_at(width, height) {
             return self.scaled_to(width, height);
@@ -467,8 +468,9 @@ pub fn scene_extent(positions: impl Iterator<Item = Vec3>) -> f32 {
 /// Place of a camera's picture in a larger one.
 ///
 /// A part has the whole picture's pixels. The whole picture's edges bound the linearisation, the lens effects, the 3D filter and
-/// the times of a rolling shutter. Sums of training (loss, statistics of densification) are the part's share of the whole's. So a photograph can be
-/// trained where it shows a block of a scene. A picture that exceeds the device's memory can be rendered part by part.
+/// the times of a rolling shutter. Sums of training (loss, statistics of densification) are the part's share of the whole's. So a
+/// photograph can be trained where it shows a block of a scene. A picture that exceeds the device's memory can be rendered part by
+/// part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PicturePart {
     /// Number of the whole picture's columns to the left of the part.

@@ -340,10 +340,10 @@ impl Camera {
         gradient
     }
 
-    /// Units of refinement: the change of each [lens parameter](Self::lens_parameters) with each of sixteen numbers. One of these
-    /// moves the picture's points by a focal length, root of the mean square, and two of them move them in unlike ways, because Adam cannot
-    /// tell parameters apart that act alike (Park et al. 2023, "CamP"). Focal lengths that are nearly equal keep their ratio, and coefficients that the family
-    /// seldom has stay 0.
+    /// Units of refinement: the change of each [lens parameter](Self::lens_parameters) with each of sixteen numbers. A number of 1
+    /// moves the picture's points by a focal length (root of the mean square). Two numbers move them in uncorrelated ways, because Adam
+    /// cannot tell parameters apart that act alike (Park et al. 2023, "CamP"). Focal lengths that are nearly equal keep their ratio.
+    /// Coefficients that the family seldom has stay 0.
     pub(crate) fn lens_units(&self) -> [[f64; LENS_PARAMETERS]; LENS_PARAMETERS] {
         /// Points on each side of the picture at which motions are compared.
         const GRID: u32 = 12;

@@ -30,7 +30,7 @@ impl Readout {
     /// The order with this name.
     ///
     /// # Errors
-    /// What is wrong with another name.
+    /// A message with all names, for a name that no order has.
     pub fn named(name: &str) -> Result<Self, String> {
         let names = || Self::ALL.map(Self::name).join(", ");
         let known = Self::ALL.into_iter().find(|own| own.name() == name);

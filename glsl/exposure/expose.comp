@@ -23,7 +23,7 @@ layout(push_constant, scalar) uniform Push {
     uint image_height;
     vec3 background;
     uint matrix;
-    // With LENS: principal point, with the first pixel's centre at 0, and 1 / half of the picture's diagonal, squared.
+    // Only used with LENS: the principal point, with the first pixel's centre at 0, and 1 / half of the picture's diagonal, squared.
     vec2 center_px;
     float inverse_square;
 };

@@ -1,5 +1,5 @@
 #ifdef LENSES
-    // With SHUTTER: see shutter.glsl.
+    // Motion of the camera, zeros without SHUTTER: see shutter.glsl.
     vec3 shutter_turn;
     vec3 shutter_shift;
     vec3 shutter_rows;

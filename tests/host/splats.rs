@@ -428,7 +428,7 @@ fn a_models_cameras_tell_the_frame_that_a_ply_has_lost() {
         assert_eq!(kept.0, DVec3::ZERO);
         assert_says(said.concat(), &["names no unit 100"]);
     }
-    // Without a moved frame, cameras.json names none.
+    // cameras.json has no origin and no unit if the frame is the default.
     write_cameras(&WorldFrame::default());
     let plain = write(Format::Ply, WorldFrame::default(), &gaussians);
     assert_eq!(plain, ((DVec3::ZERO, None), Vec::new()));

@@ -152,7 +152,8 @@ fn frames_may_have_their_own_lens_and_points() {
 
 /// Points stored before the transform of the poses, or before their scale, are moved to the cameras. If no placement
 /// is better, the points stay, with a warning.
-/// What nerfstudio's `polycam_to_json` and `record3d_to_json` write, with the points of its `--glb` and `--ply` options.
+/// The files are those that nerfstudio's `polycam_to_json` and `record3d_to_json` write, with the points of its `--glb` and `--ply`
+/// options.
 #[test]
 fn captures_of_polycam_and_record3d_are_read_as_nerfstudio_leaves_them() {
     let points = cloud(&[[0.1, 0.2, 0.0]; 4], [1; 3]);

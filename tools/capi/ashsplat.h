@@ -1287,7 +1287,7 @@ enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
 
 // Same as ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
 // recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay.
-// What is wanted replaces what was reserved: less than before gives memory back.
+// The new reservation replaces the earlier one: a smaller one gives memory back.
 //
 // # Safety
 // `renderer` and `wanted` are alive.

@@ -38,7 +38,7 @@ pub unsafe extern "C" fn ashsplat_reserve(
 
 /// Same as ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
 /// recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay.
-/// What is wanted replaces what was reserved: less than before gives memory back.
+/// The new reservation replaces the earlier one: a smaller one gives memory back.
 ///
 /// # Safety
 /// `renderer` and `wanted` are alive.

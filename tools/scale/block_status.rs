@@ -26,8 +26,8 @@ pub struct Arguments {
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// With --json, the memory that a block needs if it ends with X Gaussians for each that it begins with: `memory_bytes`;
-    /// 10 is the most that --strategy budget makes
+    /// Gaussians at a block's end for each at its start, from which --json computes its `memory_bytes`; --strategy budget makes 10
+    /// at most
     #[arg(long, value_name = "X", default_value_t = 10.0, requires = "json")]
     growth: f64,
     #[command(flatten)]

@@ -101,6 +101,13 @@ impl Optics {
     }
 }
 
+/// Rows of `transform_matrix`: from the camera's axes, with y up and z backward, to the world of its centre.
+pub fn opengl_rows(camera_from_world: DMat3, center: DVec3) -> [[f64; 4]; 4] {
+    let axes = camera_from_world.transpose();
+    let row = |r: usize| [axes.x_axis[r], -axes.y_axis[r], -axes.z_axis[r], center[r]];
+    [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
+}
+
 /// The first three rows of a matrix of 3 or 4 rows with 4 finite numbers.
 pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
     let rows = value.as_array().filter(|rows| matches!(rows.len(), 3 | 4))?;
@@ -140,14 +147,14 @@ pub(super) fn read_all(
     if !document[END_KEY].is_null() {
         unused_keys.insert(format!("{END_KEY} outside the frames"));
     }
-    let mut has_motion = document[SHUTTER_KEY].is_null();
+    let mut uses_shutter = document[SHUTTER_KEY].is_null();
     for (index, raw) in list.iter().enumerate() {
         // A frame that is no object has no file_path.
         let value = values(path, serde_json::from_str(raw.get()).unwrap_or_default())?;
         let reader = Reader { path, index, frame: &value, document, finder: &finder };
         let (mut frame, led_out) = reader.read()?;
         elsewhere += usize::from(led_out);
-        has_motion |= frame.shutter.is_some();
+        uses_shutter |= frame.shutter.is_some();
         unused_lens_keys(&value, &mut lens_keys);
         contradiction = contradiction.take().or_else(|| reader.contradiction(frame.optics.size));
         if let Some(time) = value["time"].as_f64() {
@@ -176,7 +183,7 @@ pub(super) fn read_all(
             }
         }
     }
-    if !has_motion {
+    if !uses_shutter {
         unused_keys.insert(format!("{SHUTTER_KEY} without {END_KEY}"));
     }
     split.check(path, &met)?;

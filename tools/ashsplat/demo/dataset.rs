@@ -8,6 +8,7 @@ use ashsplat_demo_scene::city::{self, City};
 use ashsplat_demo_scene::raycast;
 use ashsplat_demo_scene::{Scene, View};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat_files::transforms::opengl_rows;
 use ashsplat_files::{Photo, ply};
 use ashsplat_program::output;
 use ashsplat_program::progress::counting;
@@ -232,11 +233,8 @@ impl Pose {
         Pose { camera_from_world, eye, image }
     }
 
-    /// Rows of the matrix from the camera (y up, z backward) to the world.
-    fn opengl_rows(&self) -> Vec<[f64; 4]> {
-        let axes = self.camera_from_world.transpose();
-        let rows = (0..3).map(|r| [axes.x_axis[r], -axes.y_axis[r], -axes.z_axis[r], self.eye[r]]);
-        rows.chain([[0.0, 0.0, 0.0, 1.0]]).collect()
+    fn opengl_rows(&self) -> [[f64; 4]; 4] {
+        opengl_rows(self.camera_from_world, self.eye)
     }
 }
 

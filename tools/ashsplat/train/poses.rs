@@ -71,7 +71,7 @@ impl Run {
         }
     }
 
-    /// What became of the lenses, in words. None unless they are optimised.
+    /// Describes how far the lenses moved. None unless they are optimised.
     pub(super) fn describe_lenses(&self) -> Option<String> {
         self.settings.train.lens_opt.then(|| {
             let [mut focal, mut moved] = [0.0_f64; 2];

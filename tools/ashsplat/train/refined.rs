@@ -4,6 +4,7 @@ use ashsplat::Result;
 use ashsplat::scene::{Camera, PointCloud, Projection, WorldFrame};
 use ashsplat_files::cameras_json::NamedCamera;
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat_files::transforms::opengl_rows;
 use ashsplat_program::output;
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -58,9 +59,7 @@ fn frame_of(path: &str, camera: &Camera, world: &WorldFrame) -> Option<Value> {
     };
     let pose = |time: f64| {
         let at = camera.at_time(time);
-        let (axes, eye) = (at.camera_from_world.as_dmat3().transpose(), source_of(world, &at));
-        let row = |r: usize| [axes.x_axis[r], -axes.y_axis[r], -axes.z_axis[r], eye[r]];
-        json!([row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]])
+        json!(opengl_rows(at.camera_from_world.as_dmat3(), source_of(world, &at)))
     };
     let mut frame = json!({
         "file_path": path, "camera_model": model,
