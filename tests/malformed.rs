@@ -45,8 +45,10 @@ pub fn trials(shared: &Path) -> Vec<Trial> {
 /// Result of loading: a description of the scene, or the error.
 type Outcome = Result<String, Error>;
 
-/// Runs a case with a time limit, and checks its memory.
+/// Runs a case with a time limit, and checks by how much it raises this process's peak memory. Other trials run beside it, and
+/// some of them hold a gigabyte.
 fn guarded(path: PathBuf, case: Case) -> Result<(), Failed> {
+    let before = peak_memory_kib();
     let (sender, receiver) = mpsc::channel();
     let loaded = path.clone();
     let thread = std::thread::spawn(move || {
@@ -60,7 +62,8 @@ fn guarded(path: PathBuf, case: Case) -> Result<(), Failed> {
             std::panic::resume_unwind(panic)
         }
     };
-    if let Some(kib) = peak_memory_kib().filter(|&kib| kib > MAX_MEMORY_KIB) {
+    let rise = peak_memory_kib().zip(before).map(|(after, before)| after.saturating_sub(before));
+    if let Some(kib) = rise.filter(|&kib| kib > MAX_MEMORY_KIB) {
         return Err(format!("took {kib} KiB: {}", case.what).into());
     }
     judge(&path, &case, &outcome).map_err(|e| format!("{e} ({}, {outcome:?})", case.what).into())
@@ -116,7 +119,7 @@ fn check_message(path: &Path, message: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// Peak memory of this process, if the system reports it.
+/// Peak memory of this process, if the system reports it. Linux counts it by thread and joins the counts late: it may fall by a few pages.
 fn peak_memory_kib() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
