@@ -4,7 +4,8 @@ use super::{FrameCapacity, LaunchSizes, PictureCapacity, blocks, tile_bits, tile
 use crate::error::{Error, Result};
 use crate::kernels::blocks::CameraBlock;
 use crate::kernels::constants::{
-    ARGUMENTS_COUNT, CAMERA_BLOCK_WORDS, GRADIENT_PLANES, LENS_SUMS, SPLAT_PLANES, STATE_WORDS,
+    ARGUMENTS_COUNT, CAMERA_BLOCK_WORDS, DEPTH_KEY_BITS, GRADIENT_PLANES, LENS_SUMS, SPLAT_PLANES,
+    STATE_WORDS,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Limits, PLACEMENT_ALIGNMENT, pack};
@@ -57,7 +58,7 @@ buffer_set! {
             [capacity.gaussians, capacity.visible, capacity.instances].map(u64::from);
         let PictureCapacity { pixels, tiles, strip_values, .. } = capacity.pictures;
         let gaussian_blocks = blocks(gaussians, launch.elementwise_workgroup.into());
-        let depth_sort = launch.sort_histogram_words(visible, u32::BITS);
+        let depth_sort = launch.sort_histogram_words(visible, DEPTH_KEY_BITS);
         // A smaller image may use longer digits in fewer passes.
         let tile_bits = tile_bits(tiles.min(u32::MAX.into()) as u32);
         let tile_sort = (1..=tile_bits).map(|bits| launch.sort_histogram_words(instances, bits)).max();
@@ -103,9 +104,9 @@ buffer_set! {
     depth_keys_a: visible * 4;
     /// [`Self::depth_sort_keys`], then [`Self::list_rows`].
     depth_keys_b: visible * 4;
-    /// [`Self::depth_sort_values`], then [`Self::depth_order`].
+    /// [`Self::depth_sort_values`], then perhaps [`Self::depth_order`].
     order_a: visible * 4;
-    /// [`Self::depth_sort_values`].
+    /// [`Self::depth_sort_values`], then perhaps [`Self::depth_order`].
     order_b: visible * 4;
     /// Per rank: number of tiles touched.
     pub tiles_touched: visible * 4;
@@ -217,10 +218,8 @@ contents! {
     visible_counts: visible_blocks;
     /// Per culling block: index of its first visible Gaussian. Valid from the scan on.
     visible_offsets: visible_blocks;
-    /// Per visible Gaussian: bits of its depth. Valid from projection to the depth sort.
+    /// Per visible Gaussian: key of its depth, below 2^[`DEPTH_KEY_BITS`]. Valid from projection to the depth sort.
     depth_keys: depth_keys_a;
-    /// Per depth rank: the visible Gaussian. Valid from the depth sort on, which has an even number of passes.
-    depth_order: order_a;
     /// Per visible Gaussian: the list of its tiles if they are few, otherwise their number (tile_list.glsl). Valid from
     /// projection to duplication.
     tile_lists: tile_lists;
@@ -262,6 +261,11 @@ impl FrameBuffers {
     /// Values of the depth sort, alternately read and written. Valid until its end.
     pub fn depth_sort_values(&self) -> [&Buffer; 2] {
         [&self.order_a, &self.order_b]
+    }
+
+    /// Per depth rank: the visible Gaussian. Valid from the depth sort on.
+    pub fn depth_order(&self, block: &LaunchSizes) -> &Buffer {
+        self.depth_sort_values()[(block.sort_passes(DEPTH_KEY_BITS) % 2) as usize]
     }
 
     /// Per instance before the tile sort: the visible Gaussian. Valid from duplication on with backward; otherwise until

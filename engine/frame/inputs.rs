@@ -66,6 +66,8 @@ pub struct FrameInputs<'a> {
     /// A backward pass follows: store the picture in its layout, see [`FrameBuffers::rendered`]. No scene has a tint, an opacity
     /// or a selection then.
     pub backward: bool,
+    /// Stores [`FrameBuffers::last_entries`] also without `backward`.
+    pub last_entries: bool,
     /// True to keep the previous frame's STATE_OVERFLOW, because all frames after an overflow are invalid too.
     pub keeps_overflow: bool,
     /// Further outputs besides the picture; none with `backward`.
@@ -93,6 +95,7 @@ impl<'a> FrameInputs<'a> {
             cut_outs: None,
             expected_depth: false,
             backward: false,
+            last_entries: false,
             keeps_overflow: false,
             auxiliary: Auxiliary::default(),
             view: None,
@@ -106,6 +109,7 @@ impl<'a> FrameInputs<'a> {
             depth_limit: self.depth_limits.is_some(),
             outputs: self.auxiliary.kinds(),
             shared_order: self.view.is_some(),
+            last_entries: self.backward || self.last_entries,
             ..FrameVariant::of(self.settings, self.camera, self.backward)
         }
     }

@@ -66,8 +66,15 @@ impl Blend {
     }
 
     fn key(&self, sizes: &LaunchSizes, variant: FrameVariant) -> BlendKey {
-        let FrameVariant { inverse_depth, expected_depth: linear_depth, depth_limit, steep, outputs, .. } =
-            variant;
+        let FrameVariant {
+            inverse_depth,
+            expected_depth: linear_depth,
+            depth_limit,
+            steep,
+            outputs,
+            last_entries,
+            ..
+        } = variant;
         let Self { broadcast, shared_splats, .. } = *self;
         let LaunchSizes { tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
         let (incremental_exp, strips) = (incremental_exp && !steep, variant.backward && sizes.strips);
@@ -90,6 +97,7 @@ impl Blend {
                     region_height: $shape.region_height,
                     broadcast,
                     shared_splats,
+                    last_entries,
                     lenses,
                     $($auxiliary,)*
                 }
@@ -106,6 +114,7 @@ impl Blend {
                     incremental_exp,
                     count_hits,
                     strips,
+                    last_entries,
                     lenses,
                     $($auxiliary,)*
                 }

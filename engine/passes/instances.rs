@@ -72,7 +72,7 @@ impl Instances {
             digit_totals: &f.digit_totals,
         };
         let at = f.arguments_at(c::ARGUMENTS_VISIBLE_SORT);
-        self.sort.record(r, &buffers, Values::Positions, u32::BITS, Workgroups::Indirect(&at));
+        self.sort.record(r, &buffers, Values::Positions, c::DEPTH_KEY_BITS, Workgroups::Indirect(&at));
     }
 
     /// Records the tile counts of the visible Gaussians in depth order, their prefix sums, and the number of instances. The
@@ -87,7 +87,7 @@ impl Instances {
         let f = inputs.frame;
         let bind = count::Bind {
             state: &f.state,
-            order: f.depth_order(),
+            order: f.depth_order(&self.sizes),
             tile_lists: f.tile_lists(),
             tiles_touched: &f.tiles_touched,
             list_heads: f.list_heads(),
@@ -122,7 +122,7 @@ impl Instances {
         let (for_backward, splats) = (inputs.capacity.backward, f.splats());
         let bind = duplicate_with_tiles::Bind {
             state: &f.state,
-            order: f.depth_order(),
+            order: f.depth_order(&self.sizes),
             instance_offsets: &f.instance_offsets,
             mean2d_extent: splats.mean2d_extent,
             footprints: splats.footprints,

@@ -139,8 +139,16 @@ impl Renderer {
         let (start, mut moved) = (camera, *camera);
         for _ in 0..alignment.steps {
             let (pose, camera) = (None, &moved);
-            let request =
-                Request { scene, other_scenes: &[], camera, pose, settings, sh_degree, backward: true };
+            let request = Request {
+                scene,
+                other_scenes: &[],
+                camera,
+                pose,
+                settings,
+                sh_degree,
+                backward: true,
+                last_entries: false,
+            };
             let ran = self.runner.run(&request, |r, inputs| {
                 let loss_inputs = LossInputs {
                     rendered: inputs.frame.rendered(&sizes),

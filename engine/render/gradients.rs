@@ -128,6 +128,7 @@ impl Renderer {
             settings,
             sh_degree,
             backward: true,
+            last_entries: false,
         };
         let backward = &self.backward;
         let ran = self.runner.run(&request, |r, inputs| {

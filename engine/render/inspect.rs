@@ -232,7 +232,7 @@ impl Renderer {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<(Frame, TileReport)> {
-        let picture = self.render(camera, settings)?;
+        let picture = self.render_frame(camera, settings, true)?;
         let frame = self.runner.store.current()?;
         let (columns, rows) = tile_grid(camera.width, camera.height);
         let tiles = u64::from(columns) * u64::from(rows);

@@ -207,7 +207,17 @@ impl Renderer {
     /// # Errors
     /// [`Error::Argument`] without a scene or with an invalid camera; memory or device failures.
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
-        let stats = self.draw(camera, settings)?;
+        self.render_frame(camera, settings, false)
+    }
+
+    /// [`Renderer::render`]; `last_entries` as in [`Request`].
+    pub(super) fn render_frame(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        last_entries: bool,
+    ) -> Result<Frame> {
+        let stats = self.draw_frame(camera, settings, last_entries)?;
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         let frame = self.runner.store.current()?;
         let [r, g, b] = settings.background;
@@ -236,10 +246,26 @@ impl Renderer {
     /// # Errors
     /// Same as [`Renderer::render`].
     pub fn draw(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<FrameStats> {
+        self.draw_frame(camera, settings, false)
+    }
+
+    fn draw_frame(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        last_entries: bool,
+    ) -> Result<FrameStats> {
         let (scene, other_scenes) = loaded(&self.scenes)?;
-        let sh_degree = scene.active_degree(settings);
-        let request =
-            Request { scene, other_scenes, camera, pose: None, settings, sh_degree, backward: false };
+        let request = Request {
+            scene,
+            other_scenes,
+            camera,
+            pose: None,
+            settings,
+            sh_degree: scene.active_degree(settings),
+            backward: false,
+            last_entries,
+        };
         let ran = self.runner.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
         let FrameRun { state, report, retries } = ran;
         let State { visible, instances, longest_tile, samples, .. } = state;

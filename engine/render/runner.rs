@@ -31,6 +31,8 @@ pub(crate) struct Request<'a> {
     pub sh_degree: u32,
     /// True if the frame has the buffers of the backward pass.
     pub backward: bool,
+    /// See [`FrameInputs::last_entries`].
+    pub last_entries: bool,
 }
 
 impl<'a> Request<'a> {
@@ -53,7 +55,8 @@ impl<'a> Request<'a> {
         scenes: &'a [PlacedScene<'a>],
     ) -> FrameInputs<'a> {
         let inputs = FrameInputs::new(scenes, frame, capacity, self.settings);
-        FrameInputs { pose: self.pose, backward: self.backward, ..inputs }
+        let Self { pose, backward, last_entries, .. } = *self;
+        FrameInputs { pose, backward, last_entries, ..inputs }
     }
 }
 
@@ -108,7 +111,9 @@ impl FrameRunner {
         settings.check()?;
         let gaussians = gaussians_with(scene.plan.capacity, frozen_capacity(other_scenes));
         let Self { context, forward, store } = self;
-        forward.prepare(sh_degree, FrameVariant::of(settings, camera, backward))?;
+        let variant = FrameVariant::of(settings, camera, backward);
+        let last_entries = backward || request.last_entries;
+        forward.prepare(sh_degree, FrameVariant { last_entries, ..variant })?;
         let scenes = request.scenes();
         let mut retries = 0;
         loop {

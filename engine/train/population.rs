@@ -138,6 +138,7 @@ impl Population<'_> {
                 settings: &settings,
                 sh_degree: 0,
                 backward: true,
+                last_entries: false,
             };
             let ran = self.runner.run(&request, |r, inputs| {
                 let gradient = &inputs.frame.image_gradient;

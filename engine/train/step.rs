@@ -108,6 +108,7 @@ impl<'a> StepParts<'a> {
             settings: &self.plan.settings,
             sh_degree: self.plan.sh_degree,
             backward: true,
+            last_entries: false,
         }
     }
 }

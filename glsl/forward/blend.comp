@@ -7,8 +7,8 @@
 // tile (tile_region.glsl): each lane tests one Gaussian against a region, then all lanes blend the hits, which are broadcast
 // by shuffles; workgroup: one tile
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
-// out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; inverse_depth, last_entries
-//     (1 + list index of the last blended entry of the tile, 0 if none); state[STATE_LONGEST_TILE]
+// out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; inverse_depth, with LAST_ENTRIES
+//     last_entries (1 + list index of the last blended entry of the tile, 0 if none); state[STATE_LONGEST_TILE]
 // shared: see splat_shuffle.glsl; subgroup sizes 4 to 128
 //
 // A pass handles entries [first_entry, first_entry + max_entries) of each tile. With first_entry > 0 it continues after the
@@ -18,6 +18,7 @@
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_vote : require
 #extension GL_KHR_shader_subgroup_ballot : require
@@ -46,6 +47,8 @@ layout(constant_id = 9) const uint REGION_HEIGHT = 8;
 // See splat_shuffle.glsl.
 layout(constant_id = 10) const bool BROADCAST = false;
 layout(constant_id = 13) const bool SHARED_SPLATS = false;
+// True if the backward pass or a report reads last_entries.
+layout(constant_id = 14) const bool LAST_ENTRIES = true;
 layout(local_size_x_id = 0) in;
 
 #ifdef LENSES
@@ -70,11 +73,10 @@ SplatExtra own_extra;
 #endif
 
 // Tests each lane's splat against a region and blends the hits over it. The pixels are a parameter, because llvmpipe would keep
-// one array for all regions in memory, where blending takes three times as long.
-void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, inout Pixel pixels[MAX_PIXELS],
-    inout bool alive) {
+// one array for all regions in memory, where blending takes three times as long. Returns true if a pixel of the lane goes on.
+bool blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, inout Pixel pixels[MAX_PIXELS]) {
     vec2 corner_px = vec2(origin + lane_offset());
-    uvec4 hits = subgroupBallot(exists && alive && meets_region(mean2d, own.form, own.opacity, origin));
+    uvec4 hits = subgroupBallot(exists && meets_region(mean2d, own.form, own.opacity, origin));
     [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
         uint bits = hits[word];
         if (COUNT_HITS) hit_count += bitCount(bits);
@@ -104,7 +106,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
     [[unroll]] for (uint k = 1; k < PIXELS; ++k) {
         brightest = max(brightest, pixels[k].transmittance);
     }
-    alive = subgroupAny(brightest > 0.0);
+    return brightest > 0.0;
 }
 
 void load_region(uvec2 corner, out Pixel pixels[MAX_PIXELS]) {
@@ -127,10 +129,10 @@ void store_region(uvec2 corner, Pixel pixels[MAX_PIXELS], bool more) {
 
 #define DECLARE(K) \
     uvec2 origin_##K = region_origin(tile_xy, region + K); \
-    Pixel pixels_##K[MAX_PIXELS]; \
-    bool alive_##K = REGIONS_PER_SUBGROUP > K;
+    Pixel pixels_##K[MAX_PIXELS];
 #define LOAD(K) load_region(origin_##K + lane_offset(), pixels_##K);
-#define BLEND(K) blend_region(own, mean2d, exists, origin_##K, batch, pixels_##K, alive_##K);
+#define BLEND(K) \
+    if (blend_region(own, mean2d, exists && (alive >> K & 1) != 0, origin_##K, batch, pixels_##K)) lit |= 1 << K;
 #define STORE(K) store_region(origin_##K + lane_offset(), pixels_##K, entries > end);
 
 void main() {
@@ -155,6 +157,8 @@ void main() {
     FOUR_REGIONS(DECLARE)
     EACH_REGION(REGIONS_PER_SUBGROUP, LOAD)
 
+    // A bit per region with a pixel that has not stopped.
+    uint alive = (1 << REGIONS_PER_SUBGROUP) - 1;
     // Both loops test at their end. With a test at the start, a driver without branches runs one more masked iteration.
     uint batch = first_entry;
     if (batch < end) for (;;) {
@@ -169,9 +173,12 @@ void main() {
 #ifdef AUXILIARY
         own_extra = splat_extra(visible);
 #endif
+        uint lit = 0;
         EACH_REGION(REGIONS_PER_SUBGROUP, BLEND)
+        // A processor's driver votes lane by lane, so the regions share a vote.
+        alive = REGIONS_PER_SUBGROUP > 1 ? subgroupOr(lit) : uint(subgroupAny(lit != 0));
         batch += SUBGROUP_SIZE;
-        if (batch >= end || !(alive_0 || alive_1 || alive_2 || alive_3)) {
+        if (batch >= end || alive == 0) {
             break;
         }
     }

@@ -9,8 +9,8 @@
 //
 // invocation: PIXELS pixels, and one Gaussian of each batch to fetch; workgroup: one tile, batches of WORKGROUP_SIZE
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
-// out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; inverse_depth, last_entries
-//     (1 + list index of the last blended entry of the tile, 0 if none); state[STATE_LONGEST_TILE]
+// out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; inverse_depth, with LAST_ENTRIES
+//     last_entries (1 + list index of the last blended entry of the tile, 0 if none); state[STATE_LONGEST_TILE]
 // shared: WORKGROUP_SIZE * 10 words and one; any subgroup size (no subgroup operations)
 //
 // With INCREMENTAL_EXP a pixel's value depends on its position in a column, so the columns are those of blend.comp.
@@ -38,6 +38,8 @@ layout(constant_id = 5) const bool INCREMENTAL_EXP = false;
 layout(constant_id = 7) const bool COUNT_HITS = false;
 // See blend_io.glsl. Only with INCREMENTAL_EXP.
 layout(constant_id = 8) const bool STRIPS = false;
+// See blend.comp.
+layout(constant_id = 14) const bool LAST_ENTRIES = true;
 layout(local_size_x_id = 0) in;
 
 const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;

@@ -6,7 +6,7 @@
 // invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
 // in: parameters (PerGaussian planes), visible_list, visible_ranges, with SELECTION selection (a bit per Gaussian); out,
 //     PerVisible: mean2d_extent (x, y, half extents, px), conic_opacity (A, B, C, opacity), color_inverse_depth (r, g, b, 1/z,
-//     or z with Z_RECORD), depth_keys (bits of z), footprints and tile_lists (tile_span.glsl)
+//     or z with Z_RECORD), depth_keys, footprints and tile_lists (tile_span.glsl)
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require

@@ -8,6 +8,7 @@
 // Training only draws splats: there is no host depth image and no linear depth.
 const bool DEPTH_LIMIT = false;
 const bool LINEAR_DEPTH = false;
+const bool LAST_ENTRIES = false;
 
 layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
 UINT_READS(1, SortedVisible, sorted_visible);

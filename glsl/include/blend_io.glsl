@@ -4,7 +4,7 @@
 // backward pass use that layout on processors. `accumulated` then carries the state from one pass to the next, and with
 // INVERSE_DEPTH the transmittance for depth losses.
 //
-// Needs blending.glsl, buffers.glsl, STRIPS.
+// Needs blending.glsl, buffers.glsl, STRIPS, LAST_ENTRIES.
 
 layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
 UINT_READS(1, SortedVisible, sorted_visible);
@@ -72,7 +72,9 @@ Pixel load_pixel(uvec2 at) {
         vec4 before = accumulated[index];
         pixel.color = before.xyz;
         pixel.transmittance = before.w;
-        pixel.last = last_entries[index];
+        if (LAST_ENTRIES) {
+            pixel.last = last_entries[index];
+        }
         if (INVERSE_DEPTH) {
             pixel.depth = inverse_depth[index];
         }
@@ -91,7 +93,9 @@ void store_pixel(uvec2 at, Pixel pixel, bool more) {
         if (!STRIPS || more || INVERSE_DEPTH) {
             accumulated[index] = vec4(pixel.color, more ? pixel.transmittance : abs(pixel.transmittance));
         }
-        last_entries[index] = pixel.last;
+        if (LAST_ENTRIES) {
+            last_entries[index] = pixel.last;
+        }
         if (INVERSE_DEPTH) {
             inverse_depth[index] = pixel.depth;
         }

@@ -1,7 +1,7 @@
 // Blends one Gaussian over a column of pixels, front to back. Every variant of the kernel shares this arithmetic. A column is a
 // vertical run of COLUMN_ROWS pixels that belongs to one invocation.
 //
-// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, INCREMENTAL_EXP and COLUMN_ROWS; with
+// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, INCREMENTAL_EXP, LAST_ENTRIES and COLUMN_ROWS; with
 // AUXILIARY buffers.glsl.
 
 // Maximum number of rows in a column. A literal instead of COLUMN_ROWS: an array sized by a specialization constant has a
@@ -118,7 +118,9 @@ float blend_splat(Splat splat, float unclamped, uint place, inout Pixel pixel) {
         pixel.depth += weight * (LINEAR_DEPTH ? 1.0 / splat.inverse_z : splat.inverse_z);
     }
     pixel.transmittance = goes_on ? next : -abs(pixel.transmittance);
-    pixel.last = weight > 0.0 ? place : pixel.last;
+    if (LAST_ENTRIES) {
+        pixel.last = weight > 0.0 ? place : pixel.last;
+    }
     return weight;
 }
 

@@ -199,6 +199,7 @@ pub fn forward_limited(
     let (subgroup_size, depth_limit, count_hits) = (gpu.subgroup(), limits.is_some(), false);
     if let Some(workgroup_size) = how.by_workgroup {
         let spec = blend_shared::Spec {
+            last_entries: true,
             workgroup_size,
             subgroup_size,
             inverse_depth,
@@ -212,6 +213,7 @@ pub fn forward_limited(
         return blend_lists!(gpu, lists, blend_shared, spec, how, limits);
     }
     let spec = blend::Spec {
+        last_entries: true,
         workgroup_size: workgroup(gpu, how) / parts,
         subgroup_size,
         inverse_depth,

@@ -5,8 +5,8 @@ use crate::reference::tiles::half_extent_px;
 use crate::reference::types::{Gaussian, Splat, View};
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{
-    ANTIALIAS_COMPENSATED, ANTIALIAS_DETACHED, CAMERA_BLOCK_WORDS, PLANE_LOG_SCALE, PLANE_MEAN_OPACITY,
-    PLANE_QUAT, PLANE_SH,
+    ANTIALIAS_COMPENSATED, ANTIALIAS_DETACHED, CAMERA_BLOCK_WORDS, NEAR_PLANE, PLANE_LOG_SCALE,
+    PLANE_MEAN_OPACITY, PLANE_QUAT, PLANE_SH,
 };
 
 pub fn planes(coefficients: usize) -> usize {
@@ -160,6 +160,11 @@ pub struct SplatPlanes {
     pub mean2d_extent: Vec<[f32; 4]>,
     pub conic_opacity: Vec<[f32; 4]>,
     pub color_inverse_depth: Vec<[f32; 4]>,
+}
+
+/// The depth of a depth key.
+pub fn depth_of_key(key: u32) -> f64 {
+    f32::from_bits(key + NEAR_PLANE.to_bits()).into()
 }
 
 /// Packs splats, rounded to float32. The extents are slightly widened, as the projection does it.

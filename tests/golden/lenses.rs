@@ -183,7 +183,7 @@ pub fn of_device(path: &Path) -> Outcome {
     let outputs = ["mean2d_extent", "conic_opacity", "color_inverse_depth", "footprints"]
         .map(|name| gpu.untouched::<[f32; 4]>(name, count));
     let [mean2d_extent, conic_opacity, color_inverse_depth, footprints] = &outputs;
-    let depth_keys = gpu.untouched::<f32>("depth_keys", count);
+    let depth_keys = gpu.untouched::<u32>("depth_keys", count);
     let spec = project::Spec {
         workgroup_size: gpu.workgroup(64),
         sh_degree: 0,
@@ -220,7 +220,7 @@ pub fn of_device(path: &Path) -> Outcome {
     gpu.dispatch_over::<project::Interface>(&spec, &bind, &push, count);
     let (places, conics) =
         (gpu.read::<[f32; 4]>(mean2d_extent, count), gpu.read::<[f32; 4]>(conic_opacity, count));
-    let depths = gpu.read_f64::<f32>(&depth_keys, count);
+    let depth_keys = gpu.read::<u32>(&depth_keys, count);
     let of = |name: &str| npz.rows::<3>(name);
     let far: Vec<bool> = (0..means.len()).map(|i| is_far(&camera, &gaussian(&i))).collect();
     let own = method_of(&camera);
@@ -244,7 +244,13 @@ pub fn of_device(path: &Path) -> Outcome {
         let determinant = a * c - b * b;
         let covariance = [c, -b, a].map(|x| x / determinant);
         relative(&format!("covariance {i}"), &covariance, &of(&method(i, "cov2d"))[i], 1e-4)?;
-        elementwise(&format!("depth {i}"), &[depths[place]], &[npz.values("depth")[i]], 0.0, 1e-6)?;
+        elementwise(
+            &format!("depth {i}"),
+            &[depth_of_key(depth_keys[place])],
+            &[npz.values("depth")[i]],
+            0.0,
+            1e-6,
+        )?;
     }
 
     // Sums of instances whose gradients are those of the set's weights of positions and covariances.
@@ -287,6 +293,7 @@ pub fn of_device(path: &Path) -> Outcome {
         footprints: &gpu.buffer("footprints", &one),
         first_instances: &gpu.buffer("first_instances", &list),
         conic_opacity,
+        color_inverse_depth,
         instance_gradients_a: &gpu.buffer("instance_gradients_a", &sums[0]),
         instance_gradients_b: &gpu.buffer("instance_gradients_b", &sums[1]),
         instance_gradients_c: &last,
