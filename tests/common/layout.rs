@@ -163,8 +163,8 @@ pub struct SplatPlanes {
 }
 
 /// The depth of a depth key.
-pub fn depth_of_key(key: u32) -> f64 {
-    f32::from_bits(key + NEAR_PLANE.to_bits()).into()
+pub fn depth_of_key(key: u32) -> f32 {
+    f32::from_bits(key + NEAR_PLANE.to_bits())
 }
 
 /// Packs splats, rounded to float32. The extents are slightly widened, as the projection does it.

@@ -246,7 +246,7 @@ pub fn of_device(path: &Path) -> Outcome {
         relative(&format!("covariance {i}"), &covariance, &of(&method(i, "cov2d"))[i], 1e-4)?;
         elementwise(
             &format!("depth {i}"),
-            &[depth_of_key(depth_keys[place])],
+            &[f64::from(depth_of_key(depth_keys[place]))],
             &[npz.values("depth")[i]],
             0.0,
             1e-6,
