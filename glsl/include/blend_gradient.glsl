@@ -23,7 +23,7 @@ UINT_READS(8, LastEntries, last_entries);
 // dL/d(r, g, b, inverse depth) per pixel; with STRIPS three planes of them, or four with INVERSE_DEPTH.
 VEC4_READS(9, ImageGradient, image_gradient);
 layout(set = 0, binding = 10, scalar) buffer BackwardState { vec2 backward_state[]; };
-VEC4_WRITES(11, InstanceGradients, instance_gradients);
+layout(set = 0, binding = 11, scalar) writeonly buffer InstanceGradients { vec4 instance_gradients[]; };
 
 layout(set = 0, binding = 14, scalar) buffer State { uint state[]; };
 
@@ -177,7 +177,9 @@ uint load_pixels(uvec2 corner, bool tile_exists, uint first) {
         if (INVERSE_DEPTH) {
             pixels[first + k].rest += pixels[first + k].gradient.w * FLOAT_AT(inverse_depth, index);
         }
-        uint last = inside ? UINT_AT(last_entries, index) : 0;
+        // A pixel without a gradient, such as a masked one, adds nothing to any sum.
+        bool counts = inside && pixels[first + k].gradient != vec4(0.0);
+        uint last = counts ? UINT_AT(last_entries, index) : 0;
         pixels[first + k].transmittance = 1.0;
         pixels[first + k].last = last;
         lane_last = max(lane_last, last);
@@ -272,12 +274,15 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, uint first) {
 void store_instance(uint place, Sums sums) {
     uint target = INSTANCE_PLANES * UINT_AT(sorted_instances, place);
     if (WEIGHTS) {
-        VEC4_PUT(instance_gradients, target, vec4(sums.value.x, 0.0, 0.0, 0.0));
+        instance_gradients[target] = vec4(sums.value.x, 0.0, 0.0, 0.0);
         return;
     }
-    VEC4_PUT(instance_gradients, target, vec4(sums.linear, sums.quadratic.x));
-    VEC4_PUT(instance_gradients, target + 1, vec4(sums.quadratic.yz, sums.value.xy));
-    VEC4_PUT(instance_gradients, target + 2, vec4(sums.value.zw, sums.absolute));
+    instance_gradients[target] = vec4(sums.linear, sums.quadratic.x);
+    instance_gradients[target + 1] = vec4(sums.quadratic.yz, sums.value.xy);
+    instance_gradients[target + 2].xy = sums.value.zw;
+    if (ABSOLUTE) {
+        instance_gradients[target + 2].zw = sums.absolute;
+    }
 }
 
 Sums no_sums() {
