@@ -189,122 +189,12 @@ fn compiled_files_stand_beside_each_other() {
 }
 
 #[test]
-fn compiled_files_are_compared() {
-    let Some(radv) = radv() else { return };
-    let (_folder, [a, b]) = new_paths(["a.json", "b.json"]);
-    compile(&radv, "navi21", &["render", "--json", text(&a)]);
-    // Compares the file with a changed copy.
-    let compare = |limit: &[&str], change: &dyn Fn(&mut Value)| {
-        let mut changed = read(&a);
-        change(&mut changed);
-        std::fs::write(&b, changed.to_string()).expect("written");
-        finish(program().args(["bench", "compare", text(&a), text(&b)]).args(limit))
-    };
-    let limit = ["--fail-above", "1.05"];
-    let double = |pipeline: &mut Value| {
-        let latency = &mut pipeline["figures"]["latency"];
-        *latency = Value::from(2.0 * latency.as_f64().expect("a number"));
-    };
-    let run = compare(&limit, &|_| {});
-    assert!(run.code == Some(0) && run.stdout.contains("none is worse"), "{}{}", run.stdout, run.stderr);
-
-    let run = compare(&limit, &|file| double(&mut file["pipelines"][3]));
-    assert_eq!(run.code, Some(1), "{}", run.stderr);
-    assert!(run.stdout.contains(": latency ") && run.stderr.starts_with("worse than 1.05 times: "));
-
-    // Constants with other names: no variants match, so the worst ones are compared.
-    let rename = |file: &mut Value, is_doubled: bool| {
-        let pipelines = file["pipelines"].as_array_mut().expect("pipelines");
-        for pipeline in pipelines.iter_mut().filter(|pipeline| pipeline["kernel"] == "forward/blend") {
-            pipeline["constants"]["ANOTHER"] = "1".into();
-            if is_doubled {
-                double(pipeline);
-            }
-        }
-    };
-    let run = compare(&limit, &|file| rename(file, true));
-    assert_eq!(run.code, Some(1), "{}", run.stderr);
-    assert!(run.stdout.starts_with("forward/blend (variants differ): latency "), "{}", run.stdout);
-    let run = compare(&limit, &|file| rename(file, false));
-    assert_eq!(run.code, Some(0), "{}", run.stderr);
-    assert_says(&run.stdout, &["only in B: forward/blend ", "and 1 kernels"]);
-
-    // A kernel that only one file has.
-    let without = |file: &mut Value| {
-        let pipelines = file["pipelines"].as_array_mut().expect("pipelines");
-        pipelines.retain(|pipeline| pipeline["kernel"] != "forward/blend");
-    };
-    let run = compare(&[], &without);
-    assert!(run.code == Some(0) && run.stdout.contains("only in A: forward/blend\n"), "{}", run.stdout);
-    assert_refused(&compare(&limit, &without), &["error: kernels that cannot be compared", "forward/blend"]);
-
-    // Files without anything to compare.
-    let run = compare(&[], &|file| file["pipelines"] = Value::Array(Vec::new()));
-    assert_refused(&run, &["b.json", "no kernel with figures in common"]);
-    let run = compare(&[], &|file| file["what"] = "train-step".into());
-    assert_refused(&run, &["b.json", "'train-step'", "'render'"]);
-}
-
-#[test]
 fn compiled_only_where_the_driver_tells() {
     if context().device_name().contains("llvmpipe") {
         refuse(&["profile", "--static"], &["VK_KHR_pipeline_executable_properties"]);
     } else {
         assert!(succeed(&["profile", "--static"]).contains("none of which has run"));
     }
-    refuse(&["profile", "--static", "--html", "x.html"], &["--static", "--html"]);
+    refuse(&["profile", "--static", "--trace", "x.json"], &["--static", "--trace"]);
     refuse(&["profile", "--json", "x.json"], &["--static"]);
-}
-
-/// tools/gpu_static with a fake runner and program: its output, its errors and its exit code.
-#[cfg(unix)]
-fn pretended_static(folder: &Path, configs: &[&str]) -> Finished {
-    use std::os::unix::fs::PermissionsExt;
-    // An absent driver runs nothing, like a runner without installed drivers.
-    let runner =
-        "[ \"$1\" != nvk:absent ] || { echo 'run: no such driver' >&2; exit 1; }\nFAMILY=$1 exec \"${@:2}\"";
-    let program = r#"case $FAMILY in
-  radv:navi31 | radv:mi100 | radv:nonsense) echo "radv: Unknown family: ${FAMILY#radv:}" >&2; kill -ABRT $$ ;;
-  intel:broken) echo "error: kernel forward/blend: no registers left" >&2; exit 1 ;;
-esac
-[ "$3" != --json ] || { echo {} >"$4"; echo "compiled for $FAMILY"; exit; }
-echo "table under $FAMILY: $*""#;
-    let script = |name: &str, lines: &str| {
-        let path = folder.join(name);
-        std::fs::write(&path, format!("#!/usr/bin/env bash\n{lines}\n")).expect("written");
-        std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).expect("executable");
-        path
-    };
-    let (runner, program) = (script("runner", runner), script("program", program));
-    let mut tool = std::process::Command::new(root().join("tools/gpu_static"));
-    tool.env("ASHSPLAT_GPU_RUN", runner).env("ASHSPLAT", program);
-    finish(tool.arg(folder.join("made")).args(configs))
-}
-
-#[cfg(unix)]
-#[test]
-fn compiled_tables_skip_only_what_no_compiler_knows() {
-    let folder = tempdir().expect("a temporary folder");
-    let table = || std::fs::read_to_string(folder.path().join("made/table.md")).expect("a table");
-    let all = ["radv:navi31", "intel:broken", "nvk:absent", "radv:nonsense", "radv:mi100"];
-    let run = pretended_static(folder.path(), &all);
-    assert_eq!(run.code, Some(1), "{}{}", run.stdout, run.stderr);
-    for line in [
-        "radv:navi31: compiled for radv:gfx1100",
-        "skipped: nvk:absent: run: no such driver",
-        "skipped: radv:nonsense: radv: Unknown family: nonsense",
-        "radv:mi100: compiled for radv:arcturus",
-    ] {
-        assert!(run.stdout.lines().any(|said| said == line), "no '{line}' in {}", run.stdout);
-    }
-    let broken = "error: intel:broken: exit code 1: error: kernel forward/blend: no registers left";
-    assert!(run.stderr.lines().any(|said| said == broken), "{}", run.stderr);
-    // Later devices are still in the table.
-    assert!(table().starts_with("table under radv:arcturus: ") && table().contains("radv-navi31.json"));
-    assert!(!folder.path().join("made/intel-broken.json").exists());
-    let run = pretended_static(folder.path(), &["radv:navi21", "radv:nonsense"]);
-    assert_eq!(run.code, Some(0), "{}", run.stderr);
-    assert_eq!(pretended_static(folder.path(), &["intel:broken"]).code, Some(1));
-    let run = pretended_static(folder.path(), &["radv:nonsense", "nvk:absent"]);
-    assert!(run.code == Some(2) && run.stderr.contains("no compiler at all"), "{}", run.stderr);
 }

@@ -28,18 +28,18 @@ fn profile_marks_one_iteration_for_a_capture() {
     let small = &SMALL[..6];
     let said = succeed(&[&["profile", "--capture", "--warmup", "1"], small].concat());
     assert_says(&said, &["one render was marked as a capture"]);
-    refuse(&["profile", "--capture", "--html", "page.html"], &["--capture", "--html"]);
+    refuse(&["profile", "--capture", "--trace", "t.json"], &["--capture", "--trace"]);
 }
 
 #[test]
 fn profile_refuses_options_that_would_not_be_used() {
     let unused: [&[&str]; 9] = [
         &["--dump", "x", "--spec", "sort.ITEMS=512"],
-        &["--dump", "x", "--html", "y"],
+        &["--dump", "x", "--trace", "y"],
         &["--dump", "x", "--gaussians", "9"],
         &["--dump", "x", "--device", "0"],
         &["--ab", "-", "-", "--dump", "x"],
-        &["--watch", "--html", "x"],
+        &["--watch", "--trace", "x"],
         &["--watch", "--kernel", "sort"],
         &["--capture", "--frames", "2"],
         &["--watch-for", "3"],
@@ -47,23 +47,6 @@ fn profile_refuses_options_that_would_not_be_used() {
     for arguments in unused {
         refuse(&[&["profile"], arguments].concat(), &["--"]);
     }
-}
-
-#[test]
-fn profile_page_stands_alone() {
-    let (_folder, [html]) = new_paths(["page.html"]);
-    profile(&["--html", text(&html), "--spec", "sort.ITEMS=512"]);
-    let page = std::fs::read_to_string(&html).expect("a page");
-    assert_says(&page, &["with sort.ITEMS=512"]);
-    assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"));
-    assert_says(&page, &["Timeline", "Stages", "Kernels", "History", "Memory", "Tiles", "Histograms"]);
-    assert_says(&page, &["tile sort"]);
-    assert_eq!(page.matches("data:image/png;base64,").count(), 3);
-    for outside in ["http://", "https://", "src=\"/", "@import", "url("] {
-        assert!(!page.contains(outside), "the page needs '{outside}'");
-    }
-    assert_eq!(page.matches("<svg").count(), page.matches("</svg>").count());
-    assert!(!page.contains("NaN") && !page.contains("inf"), "numbers are finite");
 }
 
 #[test]

@@ -1,5 +1,4 @@
-//! A compiler's figures of kernels: the schema `ashsplat-static/1`, which `profile --static` writes, its table, and the
-//! comparison of two files.
+//! A compiler's figures of kernels: the schema `ashsplat-static/1`, which `profile --static` writes, and its tables.
 
 use super::kernels;
 use super::schema::{Device, Program};
@@ -159,13 +158,6 @@ fn value(kind: ConstantKind, bits: u32) -> String {
     }
 }
 
-/// True if a file has this schema.
-pub fn is_one(path: &Path) -> bool {
-    let text = regular_file::read_json(path).unwrap_or_default();
-    let value = serde_json::from_slice::<serde_json::Value>(&text).unwrap_or_default();
-    value.get("schema").and_then(|schema| schema.as_str()) == Some(SCHEMA)
-}
-
 /// Reads a file; refuses one of another schema.
 pub fn read(path: &Path) -> Result<Compiled> {
     let text = regular_file::read_json(path)?;
@@ -206,115 +198,6 @@ pub fn shown(figure: Option<f64>) -> String {
         Some(x) if x.fract() == 0.0 => format!("{x}"),
         Some(x) => format!("{x:.1}"),
     }
-}
-
-/// A compared figure: its name, its getter, and true if more is better.
-type Compared = (&'static str, fn(&Figures) -> Option<f64>, bool);
-
-/// Compared figures. More registers or instructions alone are no fault.
-const COMPARED: [Compared; 7] = [
-    ("spills", |f| f.spills, false),
-    ("fills", |f| f.fills, false),
-    ("scratch bytes", |f| f.scratch_bytes, false),
-    ("shared bytes", |f| f.shared_bytes, false),
-    ("latency", |f| f.latency, false),
-    ("inverse throughput", |f| f.inverse_throughput, false),
-    ("subgroups per SIMD", |f| f.subgroups_per_simd, true),
-];
-
-/// Comparison of two files, A and B.
-#[derive(Default)]
-pub struct Comparison {
-    /// Figures that are worse in B, a line each.
-    pub worse: Vec<String>,
-    /// Variants that only one file has, a line each.
-    pub variants: Vec<String>,
-    /// Kernels that only one file has, a line each.
-    pub kernels: Vec<String>,
-    /// Number of pipelines in both files.
-    pub pairs: usize,
-    /// Number of kernels compared by the worst figures of their unpaired variants.
-    pub groups: usize,
-    /// Number of figures in both files.
-    pub figures: usize,
-}
-
-impl Comparison {
-    /// Compares the worst figures of some pipelines of A and of B.
-    fn enter(&mut self, name: &str, a: &[&Pipeline], b: &[&Pipeline], limit: f64) {
-        for (figure, of, is_more_better) in COMPARED {
-            let worst = |all: &[&Pipeline]| {
-                let figures = all.iter().filter_map(|p| of(&p.figures));
-                figures.reduce(if is_more_better { f64::min } else { f64::max })
-            };
-            let (Some(from), Some(to)) = (worst(a), worst(b)) else { continue };
-            self.figures += 1;
-            let (least, most) = if is_more_better { (to, from) } else { (from, to) };
-            if most > least * limit {
-                let (from, to) = (shown(Some(from)), shown(Some(to)));
-                self.worse.push(format!("{name}: {figure} {from} -> {to}"));
-            }
-        }
-    }
-}
-
-/// Compares pipelines with the same sizes and constants one by one. If both files have other variants of a kernel, for example
-/// after a constant was added, compares the worst of these.
-///
-/// # Errors
-/// If nothing can be compared. The error names B's path.
-pub fn compare(a: &Compiled, b: &Compiled, path: &Path, limit: f64) -> Result<Comparison> {
-    if a.what != b.what {
-        let problem =
-            format!("has the pipelines of '{}', the file to compare with those of '{}'", b.what, a.what);
-        let remedy = "write both with the same `ashsplat profile [render|train-step] --static --json`";
-        return Err(Error::input(path, problem, remedy));
-    }
-    let mut found = Comparison::default();
-    let key =
-        |p: &Pipeline| (p.kernel.clone(), p.texels, p.subgroup_size, p.workgroup_size, p.constants.clone());
-    let mut of_a: BTreeMap<_, &Pipeline> = a.pipelines.iter().map(|p| (key(p), p)).collect();
-    // Kernel → variants that only A has, variants that only B has.
-    let mut others: BTreeMap<&str, [Vec<&Pipeline>; 2]> = BTreeMap::new();
-    for new in &b.pipelines {
-        if let Some(old) = of_a.remove(&key(new)) {
-            found.pairs += 1;
-            found.enter(format!("{} {}", new.kernel, new.variant()).trim_end(), &[old], &[new], limit);
-        } else {
-            others.entry(&new.kernel).or_default()[1].push(new);
-        }
-    }
-    for old in of_a.into_values() {
-        others.entry(&old.kernel).or_default()[0].push(old);
-    }
-    for (kernel, [only_a, only_b]) in &others {
-        let has = |file: &Compiled| file.pipelines.iter().any(|p| p.kernel == *kernel);
-        match (has(a), has(b)) {
-            (true, false) => found.kernels.push(format!("only in A: {kernel}")),
-            (false, true) => found.kernels.push(format!("only in B: {kernel}")),
-            _ => {
-                for (name, only) in [("A", only_a), ("B", only_b)] {
-                    found.variants.extend(only.iter().map(|p| {
-                        let variant = format!("{kernel} {}", p.variant());
-                        let (variant, lanes, size) = (variant.trim_end(), p.subgroup_size, p.workgroup());
-                        format!("only in {name}: {variant}, {lanes} lanes, workgroup {size}")
-                    }));
-                }
-            }
-        }
-        // If A has no unpaired variants, new variants of B are compared with all of A's.
-        let of_kernel: Vec<&Pipeline> = a.pipelines.iter().filter(|p| p.kernel == *kernel).collect();
-        let with = if only_a.is_empty() { &of_kernel } else { only_a };
-        if !with.is_empty() && !only_b.is_empty() {
-            found.groups += 1;
-            found.enter(&format!("{kernel} (variants differ)"), with, only_b, limit);
-        }
-    }
-    if found.figures == 0 {
-        let problem = "has no kernel with figures in common with the file to compare with";
-        return Err(Error::input(path, problem, "write both with the same --kernel or without it"));
-    }
-    Ok(found)
 }
 
 /// Table of one device: a row per kernel, or per variant.

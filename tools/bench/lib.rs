@@ -71,7 +71,7 @@ enum What {
     /// Everything: the primitives at two sizes, two synthetic frames, one of them in both forms of blending, a step; --scene and
     /// --dataset besides
     All(AllArguments),
-    /// Two result files, or two of `profile --static`, kernel by kernel; exit code 1 where --fail-above finds something worse
+    /// Two result files, kernel by kernel; exit code 1 where --fail-above finds something slower
     Compare(CompareArguments),
     /// Trainings with several strategies and seeds: PSNR, SSIM, Gaussians, processor seconds and seconds along each
     Quality(quality::Arguments),
@@ -88,9 +88,8 @@ struct CompareArguments {
     a: PathBuf,
     /// The result to judge
     b: PathBuf,
-    /// End with exit code 1 where a kernel of B takes more than X times as long as in A, beyond the spread of both; of files of
-    /// `profile --static`: where spills, memory or estimated cycles grow to more than X times, or subgroups per SIMD fall so.
-    /// What only one of the files has is an error: a time, a kernel
+    /// End with exit code 1 where a kernel of B takes more than X times as long as in A, beyond the spread of both. A time that only
+    /// one of the files has is an error
     #[arg(long, value_name = "X")]
     fail_above: Option<f64>,
 }
@@ -134,9 +133,6 @@ fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
             format!("is {limit}, must be a positive ratio, say 1.15"),
         ));
     }
-    if compiled::is_one(&files.a) {
-        return compare_compiled(files);
-    }
     let (a, b) = (compare::read(&files.a)?, compare::read(&files.b)?);
     let lines = compare::compare(&a, &b)?;
     for (name, report) in [("A", &a), ("B", &b)] {
@@ -155,37 +151,6 @@ fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     tell!("slower than {limit} times: {}", slow.join(", "));
-    Ok(ExitCode::from(REGRESSION))
-}
-
-fn compare_compiled(files: &CompareArguments) -> Result<ExitCode> {
-    let (a, b) = (compiled::read(&files.a)?, compiled::read(&files.b)?);
-    if a.device.name != b.device.name || a.device.driver != b.device.driver {
-        tell!(
-            "A is of {}, {}; B of {}, {}: compilers differ as well",
-            a.device.name,
-            a.device.driver,
-            b.device.name,
-            b.device.driver
-        );
-    }
-    let found = compiled::compare(&a, &b, &files.b, files.fail_above.unwrap_or(1.0))?;
-    found.worse.iter().chain(&found.variants).chain(&found.kernels).for_each(|line| say!("{line}"));
-    if found.worse.is_empty() {
-        let groups = match found.groups {
-            0 => String::new(),
-            groups => format!(" and {groups} kernels with other variants"),
-        };
-        say!("{} pipelines{groups}: none is worse", found.pairs);
-    }
-    let Some(limit) = files.fail_above else { return Ok(ExitCode::SUCCESS) };
-    if !found.kernels.is_empty() {
-        return Err(Error::argument("kernels that cannot be compared", found.kernels.join(", ")));
-    }
-    if found.worse.is_empty() {
-        return Ok(ExitCode::SUCCESS);
-    }
-    tell!("worse than {limit} times: {}", found.worse.join(", "));
     Ok(ExitCode::from(REGRESSION))
 }
 

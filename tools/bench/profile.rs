@@ -3,7 +3,6 @@
 mod ab;
 mod compiled;
 mod dump;
-mod page;
 mod spec;
 mod trace;
 mod watch;
@@ -61,9 +60,6 @@ pub struct Arguments {
     /// Show only this kernel, "sort/sort_downsweep", or those of this folder, "sort"
     #[arg(long, value_name = "NAME")]
     kernel: Option<String>,
-    /// Write one self-contained page here: timeline, stages, history, memory, tiles, histograms
-    #[arg(long, value_name = "FILE")]
-    html: Option<PathBuf>,
     /// Write a trace here that Perfetto (ui.perfetto.dev) and chrome://tracing open
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
@@ -71,7 +67,7 @@ pub struct Arguments {
     #[arg(long, value_name = "[KERNEL.]NAME=VALUE")]
     spec: Vec<String>,
     /// Time two settings in turn: each a list of settings as for --spec, separated by commas; "-" is none
-    #[arg(long, num_args = 2, value_names = ["A", "B"], allow_hyphen_values = true, conflicts_with_all = ["html", "trace", "watch"])]
+    #[arg(long, num_args = 2, value_names = ["A", "B"], allow_hyphen_values = true, conflicts_with_all = ["trace", "watch"])]
     ab: Option<Vec<String>>,
     #[command(flatten)]
     compiled: compiled::StaticArguments,
@@ -80,7 +76,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", conflicts_with_all = NOT_WITH_DUMP, conflicts_with_all = compiled::NOT_WITH_STATIC)]
     dump: Option<PathBuf>,
     /// Compile edited shaders again while running, and show what changed (feature hot-reload); Ctrl-C ends it
-    #[arg(long, conflicts_with_all = ["html", "trace", "kernel"])]
+    #[arg(long, conflicts_with_all = ["trace", "kernel"])]
     watch: bool,
     /// Folder of the shaders for --watch and for kernels that differ from the program's own (feature hot-reload)
     #[arg(long, value_name = "DIR")]
@@ -92,7 +88,7 @@ pub struct Arguments {
     #[arg(long)]
     printf: bool,
     /// Mark one iteration as a capture: for `renderdoccmd capture ashsplat profile --capture`
-    #[arg(long, conflicts_with_all = ["html", "trace", "watch", "ab", "dump", "frames", "kernel"])]
+    #[arg(long, conflicts_with_all = ["trace", "watch", "ab", "dump", "frames", "kernel"])]
     capture: bool,
     #[command(flatten)]
     device: DeviceArguments,
@@ -152,7 +148,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if arguments.compiled.is_static {
         return compiled::run(arguments);
     }
-    output::check(&[("--html", arguments.html.as_deref()), ("--trace", arguments.trace.as_deref())])?;
+    output::check(&[("--trace", arguments.trace.as_deref())])?;
     if let Some(settings) = &arguments.ab {
         return ab::run(arguments, settings, &arguments.plan()?);
     }
@@ -170,10 +166,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let (mut run, measured) = measured.swap_remove(0);
     if let Some(path) = &arguments.trace {
         output::write_json(path, &trace::trace(context.device_name(), &measured.iterations))?;
-    }
-    if let Some(path) = &arguments.html {
-        let page = page::page(&context, &plan.scene, (&run, &measured), &arguments.spec)?;
-        output::write_text(path, &page)?;
     }
     only(arguments.kernel.as_deref(), &mut run.kernels)?;
     if !arguments.spec.is_empty() {

@@ -5,7 +5,6 @@ use ashsplat_files::Photo;
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use image::codecs::jpeg::JpegEncoder;
-use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use std::fmt::Write;
 
@@ -91,23 +90,14 @@ pub fn memory(arenas: &[(&str, u64)]) -> String {
     table(&["arena", "MiB", ""], &arenas.iter().map(row).collect::<Vec<_>>(), None)
 }
 
-/// A picture as a data URL, lossless.
-pub fn png(width: u32, height: u32, rgb: &[u8]) -> Result<String> {
-    let mut bytes = Vec::new();
-    PngEncoder::new(&mut bytes).write_image(rgb, width, height, ExtendedColorType::Rgb8).map_err(refused)?;
-    Ok(format!("data:image/png;base64,{}", BASE64_STANDARD.encode(bytes)))
-}
-
 /// A photo as a small data URL.
 pub fn jpeg(photo: &Photo) -> Result<String> {
     let mut bytes = Vec::new();
     let encoder = JpegEncoder::new_with_quality(&mut bytes, 90);
-    encoder.write_image(&photo.rgb, photo.width, photo.height, ExtendedColorType::Rgb8).map_err(refused)?;
+    encoder
+        .write_image(&photo.rgb, photo.width, photo.height, ExtendedColorType::Rgb8)
+        .map_err(|error| Error::argument("picture of the page", format!("cannot be encoded: {error}")))?;
     Ok(format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(bytes)))
-}
-
-fn refused(error: image::ImageError) -> Error {
-    Error::argument("picture of the page", format!("cannot be encoded: {error}"))
 }
 
 /// A colour from dark blue over purple and orange to light yellow. Its brightness rises, so it reads in grey too.
