@@ -3,7 +3,6 @@
 mod bombs;
 mod connections;
 mod floods;
-mod kills;
 mod photos;
 mod resources;
 
@@ -14,7 +13,7 @@ use crate::siege::{Result, Siege};
 pub type Attack = fn(&Siege) -> Result<String>;
 
 /// Names and attacks, in order of execution.
-pub const ATTACKS: [(&str, Attack); 23] = [
+pub const ATTACKS: [(&str, Attack); 12] = [
     ("connections that say nothing, to a training", connections::silent),
     ("WebSockets whose hand-shake never ends", connections::unfinished),
     ("SIBR clients that say nothing", connections::network_viewer),
@@ -22,20 +21,9 @@ pub const ATTACKS: [(&str, Attack); 23] = [
     ("photos asked for by a foreign page", photos::foreign),
     ("pages that flood a training and read nothing", floods::pages),
     ("SIBR clients that flood a training", floods::network_viewer),
-    ("file_path of 100,000 folders", bombs::photo_path),
-    ("mask_path of 100,000 folders", bombs::mask_path),
-    ("names of 100,000 folders in images.txt", bombs::colmap_names),
-    ("JSON 100,000 levels deep", bombs::deep_json),
-    ("JSON with lists of millions", bombs::wide_json),
     ("JSON beyond --max-host-memory", bombs::bounded_json),
     ("blocks.json with other values", bombs::damaged_blocks),
     ("a GLB of 60 MiB from a page", bombs::upload),
-    ("pipes and devices for files", bombs::no_files),
-    ("photos, PLY and SPZ that claim to be huge", bombs::claims),
     ("a full disk, freed later", resources::full),
-    ("files of limited size", resources::file_size),
     ("40 descriptors", resources::descriptors),
-    ("a scene larger than the address space", resources::memory),
-    ("killed while it saves", kills::killed),
-    ("interrupted and resumed", kills::interrupted),
 ];

@@ -3,7 +3,6 @@
 use crate::siege::Result;
 use serde_json::{Value, json};
 use std::fmt::Write;
-use std::io::Read;
 use std::path::Path;
 
 /// Number of photos in the small data set, and their size in pixels.
@@ -85,35 +84,8 @@ const PLY_NAMES: [&str; 14] = [
     "rot_1", "rot_2", "rot_3",
 ];
 
-/// Writes a PLY with this many Gaussians, all zeros, which take no disk space. Returns its bytes.
-pub fn write_zeros(path: &Path, gaussians: u64) -> Result<u64> {
-    let header = ply_header(gaussians);
-    std::fs::write(path, &header)?;
-    let bytes = header.len() as u64 + gaussians * PLY_BYTES;
-    std::fs::OpenOptions::new().write(true).open(path)?.set_len(bytes)?;
-    Ok(bytes)
-}
-
 /// Header of a PLY with this many Gaussians.
 pub fn ply_header(gaussians: u64) -> String {
     let columns: String = PLY_NAMES.iter().map(|name| format!("property float {name}\n")).collect();
     format!("ply\nformat binary_little_endian 1.0\nelement vertex {gaussians}\n{columns}end_header\n")
-}
-
-/// A PNG that claims this size, but holds almost no data.
-pub fn png_bomb(size: u32) -> Vec<u8> {
-    let mut png = b"\x89PNG\r\n\x1a\n".to_vec();
-    // 8 bits, RGB.
-    let header = [&size.to_be_bytes()[..], &size.to_be_bytes(), &[8, 2, 0, 0, 0]].concat();
-    let mut pixels = Vec::new();
-    // Reading from memory cannot fail.
-    flate2::read::ZlibEncoder::new(&[0; 1000][..], flate2::Compression::fast()).read_to_end(&mut pixels).ok();
-    for (name, data) in [(b"IHDR", header.as_slice()), (b"IDAT", &pixels), (b"IEND", &[])] {
-        let length = data.len() as u32;
-        let mut sum = flate2::Crc::new();
-        sum.update(name);
-        sum.update(data);
-        png.extend([&length.to_be_bytes()[..], name, data, &sum.sum().to_be_bytes()].concat());
-    }
-    png
 }

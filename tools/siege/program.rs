@@ -1,7 +1,6 @@
 //! The attacked program as a child: limited, watched, and always ended.
 
 use crate::siege::{Result, Siege, ensure};
-use rustix::process::{Pid, Signal, kill_process};
 use std::fmt::Write;
 use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
@@ -21,10 +20,6 @@ const WATCH: Duration = Duration::from_millis(5);
 #[derive(Clone, Default)]
 pub struct Limits {
     pub descriptors: Option<u64>,
-    /// Size of a file, KiB.
-    pub file: Option<u64>,
-    /// Size of the address space, KiB.
-    pub memory: Option<u64>,
     /// A folder that becomes a small disk, and its size in KiB.
     pub disk: Option<(PathBuf, u64)>,
 }
@@ -98,12 +93,8 @@ impl Program {
                 command
             }
         };
-        // dash and POSIX count file sizes in blocks of 512 bytes.
-        let limits = [("n", limits.descriptors), ("f", limits.file.map(|kib| 2 * kib)), ("v", limits.memory)];
-        for (letter, most) in limits {
-            if let Some(most) = most {
-                write!(script, "ulimit -{letter} {most} && ")?;
-            }
+        if let Some(most) = limits.descriptors {
+            write!(script, "ulimit -n {most} && ")?;
         }
         command.args(["-c", &format!("{script}exec \"$0\" \"$@\"")]).arg(&siege.program).args(arguments);
         command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");
@@ -183,11 +174,6 @@ impl Program {
     /// Sends SIGKILL.
     pub fn kill(&mut self) {
         self.child.kill().ok();
-    }
-
-    /// Sends SIGINT, as Ctrl-C does.
-    pub fn interrupt(&self) {
-        kill_process(Pid::from_child(&self.child), Signal::INT).ok();
     }
 
     /// Its peak memory so far, MiB.

@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// Attack a running trainer and viewer: connections, floods, bombs, kills, full disks, limits.
+/// Attack a running trainer and viewer: connections, floods, bombs, a full disk, limits.
 #[derive(Parser)]
 #[command(name = "siege", version)]
 struct Arguments {

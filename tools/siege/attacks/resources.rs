@@ -1,10 +1,9 @@
 //! Too little of a resource, from the start or from the middle of a training: it finishes, or says in one line why not.
 
-use crate::data;
 use crate::page::Page;
-use crate::program::{Ending, Limits, Program, can_mount};
-use crate::siege::{Result, Siege, ensure, text};
-use crate::training::{self, LONGEST, Training};
+use crate::program::{Limits, can_mount};
+use crate::siege::{Result, Siege, ensure};
+use crate::training::{self, Training};
 use std::fs::File;
 use std::io::{Error, ErrorKind, Write};
 use std::os::fd::AsRawFd;
@@ -65,19 +64,6 @@ fn fill(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The final scene fits into a file; checkpoints do not.
-pub fn file_size(siege: &Siege) -> Result<String> {
-    let scene = training::undisturbed(siege)?;
-    let most = (scene.len() as u64 >> 10) + 8;
-    let limits = Limits { file: Some(most), ..Limits::default() };
-    let mut training = Training::start(siege, &limits, &[])?;
-    let ending = training.program.end(LONGEST)?;
-    ending.check_refused()?;
-    let result = std::fs::read(training::result_of(&training.model));
-    ensure!(result.is_ok_and(|result| result == scene), "no last scene, or other bits");
-    Ok(format!("{most} KiB: the last scene is whole, and one error names the checkpoint"))
-}
-
 pub fn descriptors(siege: &Siege) -> Result<String> {
     let limits = Limits { descriptors: Some(40), ..Limits::default() };
     let mut training = Training::start(siege, &limits, &[])?;
@@ -85,22 +71,4 @@ pub fn descriptors(siege: &Siege) -> Result<String> {
     let _page = training.explain(held)?;
     training.check_end(siege)?;
     Ok("a page looks on; same bits at the end".into())
-}
-
-/// A scene larger than the memory limit.
-pub fn memory(siege: &Siege) -> Result<String> {
-    let refuse = |mib: u64, arguments: &[&str]| -> Result<Ending> {
-        let limits = Limits { memory: Some(mib << 10), ..Limits::default() };
-        let ending = Program::limited(siege, &limits, arguments)?.end(LONGEST)?;
-        ending.check_refused().map(|()| ending)
-    };
-    let [large, few, fewer] = ["large.ply", "few.ply", "fewer.ply"].map(|name| siege.place(name));
-    let mib = data::write_zeros(&large, 10_000_000)? >> 20;
-    // Decimation takes several times the memory of its Gaussians.
-    data::write_zeros(&few, 200_000)?;
-    let ending = refuse(250, &["convert", text(&few)?, text(&fewer)?, "--decimate", "50%"])?;
-    ensure!(ending.errors.contains("bytes of host memory"), "{ending}");
-    let limit = 400;
-    refuse(limit, &["info", text(&large)?])?;
-    Ok(format!("a scene of {mib} MiB with {limit}: refused in one line"))
 }
