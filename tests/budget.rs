@@ -256,17 +256,3 @@ fn the_reference_strategy_takes_other_statistics_and_splits() {
         assert!(whole.gaussians != usual.gaussians, "{absgrad} {split:?}");
     }
 }
-
-/// Earlier versions called the reference's strategy `default`.
-#[test]
-fn checkpoints_of_the_strategy_default_resume() {
-    let run = run(&crate::common::training::settings());
-    let mut first = run.begin();
-    first.steps(12);
-    let mut from = first.state();
-    from.strategy.name = "default".into();
-    let mut second = run.resume(&from);
-    first.steps(8);
-    second.steps(8);
-    assert!(first.state() == second.state());
-}

@@ -4,7 +4,7 @@ use crate::common::device::assert_uses_all;
 use crate::common::prelude::*;
 use crate::common::training::{forecast_of, photo_size};
 use ashsplat::scene::Intrinsics;
-use ashsplat::train::{Capacities, PhotoSize};
+use ashsplat::train::PhotoSize;
 
 const WIDE: [u32; 2] = [320, 32];
 const HIGH: [u32; 2] = [32, 320];
@@ -120,34 +120,6 @@ fn orientations_need_the_memory_that_is_forecast() {
     assert_uses_all(&context, needed);
     drop(context);
     assert!(check(&bounded(Some(needed - 1))).is_err());
-}
-
-/// Earlier versions stored the largest width and the largest height, and had a capacity for their product.
-#[test]
-fn orientations_go_on_from_checkpoints_of_earlier_versions() {
-    let gpu = Gpu::new();
-    fn run(context: &Context) -> Run<'_> {
-        Run::new(context, views_of(&[WIDE, HIGH, WIDE]), settings())
-    }
-    let mut trainer = run(gpu.context).begin();
-    trainer.steps(8);
-    let read = through_a_file(&trainer.state());
-    // Stored in this form, because older programs need it.
-    assert_eq!((read.capacities.frame_width, read.capacities.frame_height), (320, 320));
-    trainer.finish();
-    for (frame_width, frame_height) in [(320, 320), (320, 32), (4000, 4000)] {
-        // The product does not fit this device.
-        let context = with_range(RANGE);
-        let capacities = Capacities { frame_width, frame_height, ..read.capacities };
-        let from = Checkpoint { capacities, ..read.clone() };
-        let mut resumed = run(&context).resume(&from);
-        assert_eq!(resumed.state().capacities, read.capacities);
-        resumed.finish();
-        let same = resumed.state().fingerprint() == trainer.state().fingerprint();
-        assert!(same, "{frame_width}x{frame_height}: other bits");
-        drop(resumed);
-        assert_silent(&context);
-    }
 }
 
 fn odd_camera(width: u32, height: u32) -> Camera {

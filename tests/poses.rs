@@ -362,31 +362,6 @@ fn poses_of_a_checkpoint_must_fit() {
     }
 }
 
-/// Older checkpoints lack the pivots: their cameras turn about their centres, and continue to.
-#[test]
-fn poses_of_older_checkpoints_turn_about_the_cameras() {
-    let run = run(short());
-    let present = run.until(9, &[]);
-    let depths = &present.poses.as_ref().expect("poses").depths;
-    assert!(depths.len() == 5 && depths.iter().all(|&depth| depth > 1.0), "{depths:?}");
-    let mut older = present.clone();
-    older.poses.as_mut().expect("poses").depths.clear();
-    let (_folder, [path]) = new_paths(["c.safetensors"]);
-    older.write(&path).expect("written");
-    let bytes = std::fs::read(&path).expect("a file");
-    assert!(!String::from_utf8_lossy(&bytes).contains(Checkpoint::POSE_DEPTHS));
-    let read = Checkpoint::read(&path).expect("read");
-    assert!(read == older);
-    let next = |from: &Checkpoint| {
-        let mut trainer = run.resume(from);
-        trainer.steps(1);
-        trainer.state().poses.expect("poses")
-    };
-    let (older, present) = (next(&read), next(&present));
-    assert_eq!(older.depths, [0.0; 5]);
-    assert_ne!(older.parameters, present.parameters);
-}
-
 #[test]
 fn poses_stay_unless_asked_for() {
     let without = run(TrainSettings { pose_opt: false, ..short() });

@@ -4,7 +4,6 @@ extern crate ashsplat_reference as reference;
 
 mod architecture;
 mod bench;
-mod call_graph;
 mod cli;
 mod common;
 mod compiled;

@@ -85,8 +85,6 @@ fn steps_that_are_run_again_leave_the_bits_of_others() {
             frame_gaussians: from.capacities.gaussians,
             frame_visible: from.capacities.gaussians,
             frame_instances: 1 << 20,
-            frame_width: SIZE[0],
-            frame_height: SIZE[1],
             blend_passes: 1,
             backward: 1,
             ..from.capacities

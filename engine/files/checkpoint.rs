@@ -1,7 +1,6 @@
 //! Checkpoint files: safetensors, written whole or not at all.
 
 use std::collections::BTreeMap;
-use std::fmt::Display;
 use std::path::Path;
 
 use bytemuck::Pod;
@@ -24,14 +23,11 @@ use ashsplat::train::{BlockState, LENS_STATE_VALUES, TrainSettings};
 use ashsplat::{Error, Result};
 
 /// Changes when older files can no longer be read.
-const FORMAT: &str = "ashsplat-checkpoint/2";
+const FORMAT: &str = "ashsplat-checkpoint/3";
 /// The metadata entry with the hash of all other metadata.
 const FINGERPRINT: &str = "metadata_fingerprint";
 /// Present only if memory was bounded.
 const MAX_MEMORY: &str = "room_max_memory";
-const FRAME_GAUSSIANS: &str = "room_frame_gaussians";
-const FRAME_VISIBLE: &str = "room_frame_visible";
-const MOST_VISIBLE: &str = "most_visible";
 const AVERAGED_STEPS: &str = "mean_steps";
 /// Key of [`Checkpoint::skipped`]. The oldest files lack it.
 const SKIPPED: &str = "left_out";
@@ -140,6 +136,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         ("iteration", checkpoint.iteration.to_string()),
         ("optimizer_steps", checkpoint.optimizer_steps.to_string()),
         ("opacity_steps", checkpoint.opacity_steps.to_string()),
+        (KERNELS, checkpoint.kernels.clone()),
         (STRATEGY_NAME, checkpoint.strategy.name.clone()),
         (TERMS, checkpoint.strategy.terms.join(",")),
         (SKIPPED, checkpoint.skipped.to_string()),
@@ -151,7 +148,6 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     let due = DUE.map(|(name, action)| (name, checkpoint.due.contains(action).to_string()));
     let others = DUE.iter().fold(checkpoint.due, |due, (_, action)| due.without(*action));
     let others = (!others.is_empty()).then(|| (OTHERS_DUE, others.0.to_string()));
-    let kernels = (!checkpoint.kernels.is_empty()).then(|| (KERNELS, checkpoint.kernels.clone()));
     let block = checkpoint.block.iter().flat_map(|BlockState { core, frozen, fingerprint }| {
         let core: Vec<String> = core.as_flattened().iter().map(|x| format!("{:08x}", x.to_bits())).collect();
         BLOCK.into_iter().zip([core.join(","), frozen.to_string(), format!("{fingerprint:016x}")])
@@ -159,7 +155,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     let WorldFrame { origin, unit } = checkpoint.frame;
     let frame = [origin.x, origin.y, origin.z, unit].map(|value| value.to_string()).join(",");
     let frame = (!checkpoint.frame.is_identity()).then_some((FRAME, frame));
-    let named = pairs.into_iter().chain(room).chain(kernels).chain(due).chain(others).chain(max_memory);
+    let named = pairs.into_iter().chain(room).chain(due).chain(others).chain(max_memory);
     let named = named.chain(averaged).chain(frame).chain(block);
     let own = checkpoint.strategy.values.iter();
     let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
@@ -167,17 +163,15 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
 }
 
 /// The numbers of a room, with the names of their entries.
-fn room_numbers(room: &mut Capacities) -> [(&'static str, &mut u32); 10] {
+fn room_numbers(room: &mut Capacities) -> [(&'static str, &mut u32); 8] {
     [
         ("room_gaussians", &mut room.gaussians),
-        (FRAME_GAUSSIANS, &mut room.frame_gaussians),
-        (FRAME_VISIBLE, &mut room.frame_visible),
+        ("room_frame_gaussians", &mut room.frame_gaussians),
+        ("room_frame_visible", &mut room.frame_visible),
         ("room_frame_instances", &mut room.frame_instances),
-        ("room_frame_width", &mut room.frame_width),
-        ("room_frame_height", &mut room.frame_height),
         ("room_blend_passes", &mut room.blend_passes),
         ("room_backward", &mut room.backward),
-        (MOST_VISIBLE, &mut room.most_visible),
+        ("most_visible", &mut room.most_visible),
         ("most_instances", &mut room.most_instances),
     ]
 }
@@ -212,7 +206,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         version: metadata.text("version")?.to_owned(),
         device: metadata.text("device")?.to_owned(),
         driver: metadata.text("driver")?.to_owned(),
-        kernels: metadata.optional(KERNELS)?.unwrap_or_default(),
+        kernels: metadata.text(KERNELS)?.to_owned(),
         settings: metadata.settings()?,
         views: metadata.parsed("views")?,
         views_fingerprint: metadata.hexadecimal("views_fingerprint")?,
@@ -228,7 +222,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         statistics: values(&tensors, "statistics", &[2])?,
         filters: optional_values(&tensors, Checkpoint::FILTERS, &[])?,
         strategy: StrategyState {
-            name: metadata.optional(STRATEGY_NAME)?.unwrap_or_default(),
+            name: metadata.text(STRATEGY_NAME)?.to_owned(),
             terms: metadata.terms(),
             statistics: strategy_statistics(&header, &tensors)?,
             values: metadata.strategy(),
@@ -245,7 +239,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         lenses: appearance_state(&tensors, Checkpoint::LENSES)?,
         poses: poses(&tensors)?,
         lens_opt: optional_values(&tensors, Checkpoint::LENS_OPT, &[LENS_STATE_VALUES])?,
-        skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
+        skipped: metadata.parsed(SKIPPED)?,
         block: metadata.block()?,
         capacities: metadata.room()?,
     };
@@ -254,21 +248,6 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     }
     checkpoint.check().map_err(|e| e.to_string())?;
     Ok(checkpoint)
-}
-
-/// Removes settings of earlier versions that no longer exist from a table by `take`, which takes a name and returns the
-/// value. Files of these versions list all settings.
-///
-/// # Errors
-/// The problem, if the table switches one of them on: without it a training has other bits.
-pub fn remove_earlier<V: Display>(take: impl FnOnce(&str) -> Option<V>) -> Result<(), String> {
-    /// Switch for steps from the gradients of several views.
-    const MULTI_STEP: &str = "multi_step";
-    let value = take(MULTI_STEP).map(|value| value.to_string());
-    match value.filter(|value| value != "false") {
-        Some(value) => Err(format!("has {MULTI_STEP} = {value}, but steps of several views no longer exist")),
-        None => Ok(()),
-    }
 }
 
 struct Metadata(BTreeMap<String, String>);
@@ -290,13 +269,10 @@ impl Metadata {
 
     fn settings(&self) -> Result<TrainSettings, String> {
         let unknown = |e: serde_json::Error| format!("has settings that this version does not know: {e}");
-        let mut settings: Map<String, Value> =
-            serde_json::from_str(self.text("settings")?).map_err(unknown)?;
-        remove_earlier(|name| settings.remove(name))?;
-        serde_json::from_value(Value::Object(settings)).map_err(unknown)
+        serde_json::from_str(self.text("settings")?).map_err(unknown)
     }
 
-    /// Returns the identity for older files.
+    /// The identity is not stored.
     fn frame(&self) -> Result<WorldFrame, String> {
         let Some(text) = self.0.get(FRAME) else { return Ok(WorldFrame::default()) };
         let values: Option<Vec<f64>> = text.split(',').map(|value| value.parse().ok()).collect();
@@ -308,7 +284,7 @@ impl Metadata {
         }
     }
 
-    /// Returns `None` for a whole scene, and for older files.
+    /// Returns `None` for a whole scene.
     fn block(&self) -> Result<Option<BlockState>, String> {
         let [core, frozen, fingerprint] = BLOCK;
         let Some(text) = self.0.get(core) else { return Ok(None) };
@@ -325,13 +301,7 @@ impl Metadata {
     fn room(&self) -> Result<Capacities, String> {
         let mut room = Capacities { max_memory: self.optional(MAX_MEMORY)?, ..Capacities::default() };
         for (name, number) in room_numbers(&mut room) {
-            *number = match (name, self.optional(name)?) {
-                (_, Some(number)) => number,
-                // Older files lack two of them.
-                (MOST_VISIBLE, None) => 0,
-                (FRAME_VISIBLE, None) => self.parsed(FRAME_GAUSSIANS)?,
-                (name, None) => self.parsed(name)?,
-            };
+            *number = self.parsed(name)?;
         }
         Ok(room)
     }
@@ -373,7 +343,7 @@ fn values<T: Pod>(tensors: &SafeTensors, name: &str, row: &[usize]) -> Result<Ve
     Ok(bytemuck::pod_collect_to_vec(tensor.data()))
 }
 
-/// Same as [`values`]; empty if the tensor is missing, as in older files and if the values were not learned.
+/// Same as [`values`]; empty if the tensor is missing, because the values were not learned.
 fn optional_values<T: Pod>(tensors: &SafeTensors, name: &str, row: &[usize]) -> Result<Vec<T>, String> {
     if tensors.tensor(name).is_err() { Ok(Vec::new()) } else { values(tensors, name, row) }
 }
@@ -392,7 +362,7 @@ fn poses(tensors: &SafeTensors) -> Result<Option<PoseState>, String> {
         parameters: values(tensors, parameters, &[6])?,
         first_moments: values(tensors, first, &[6])?,
         second_moments: values(tensors, second, &[6])?,
-        depths: optional_values(tensors, Checkpoint::POSE_DEPTHS, &[])?,
+        depths: values(tensors, Checkpoint::POSE_DEPTHS, &[])?,
     }))
 }
 
@@ -451,23 +421,4 @@ fn gaussians(tensors: &SafeTensors, prefix: &str) -> Result<Gaussians, String> {
         opacity_logits: values(tensors, &named("opacity_logits"), &[])?,
         sh: bytemuck::pod_collect_to_vec(sh.data()),
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Checkpoints of earlier versions name the switch `multi_step`.
-    #[test]
-    fn settings_of_earlier_versions_are_read_if_nothing_in_them_is_gone() {
-        let settings = TrainSettings { opacity_lr: 0.1, seed: 7, ..TrainSettings::default() };
-        let read = |multi_step: bool| {
-            let mut all = json!(settings);
-            all["multi_step"] = multi_step.into();
-            Metadata(BTreeMap::from([("settings".to_owned(), all.to_string())])).settings()
-        };
-        assert_eq!(read(false).as_ref(), Ok(&settings));
-        let problem = read(true).expect_err("refused");
-        assert_eq!(problem, "has multi_step = true, but steps of several views no longer exist");
-    }
 }

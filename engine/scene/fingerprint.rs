@@ -39,7 +39,7 @@ impl Fingerprint {
         self.word(bytes.len() as u64);
     }
 
-    /// Adds all fields of a camera. A pinhole's whole picture adds no more than older versions did.
+    /// Adds all fields of a camera that its projection uses.
     pub fn add_camera(&mut self, camera: &Camera) {
         let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, .. } = *camera;
         self.add(bytemuck::cast_slice(&camera_from_world.to_cols_array()));

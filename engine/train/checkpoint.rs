@@ -9,7 +9,6 @@ use super::lens_opt::{LENS_STATE_VALUES, LensState};
 use super::settings::TrainSettings;
 use super::work::Actions;
 use crate::error::{Error, Result};
-use crate::scene::camera::MAX_IMAGE_SIDE;
 use crate::scene::gaussians::sh_coefficients;
 use crate::scene::{Fingerprint, Gaussians, WorldFrame};
 
@@ -25,8 +24,7 @@ pub struct Checkpoint {
     pub device: String,
     /// The device's driver and its version. With another driver the bits may differ.
     pub driver: String,
-    /// Forms of the kernels ([`Limits::kernel_forms`](crate::vk::Limits::kernel_forms)); empty in older checkpoints. With other
-    /// forms the bits may differ.
+    /// Forms of the kernels ([`Limits::kernel_forms`](crate::vk::Limits::kernel_forms)). With other forms the bits may differ.
     pub kernels: String,
     /// The run's settings.
     pub settings: TrainSettings,
@@ -91,9 +89,9 @@ pub struct ExposureState {
 /// The strategy's state and the names of the run's parts: see [`Strategy`](super::Strategy).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StrategyState {
-    /// Name of the strategy; empty in older checkpoints.
+    /// Name of the strategy.
     pub name: String,
-    /// Names of the loss terms; empty in older checkpoints.
+    /// Names of the loss terms.
     pub terms: Vec<String>,
     /// Statistics of the strategy.
     pub statistics: Vec<StrategyStatistic>,
@@ -141,8 +139,7 @@ pub struct PoseState {
     pub first_moments: Vec<[f32; 6]>,
     /// Adam's second moments.
     pub second_moments: Vec<[f32; 6]>,
-    /// Depth of the point about which each camera turns in steps, world units; 0 for its centre. Older checkpoints have none,
-    /// and their cameras turn about their centres.
+    /// Depth of the point about which each camera turns in steps, world units; 0 for its centre.
     pub depths: Vec<f32>,
 }
 
@@ -193,20 +190,15 @@ pub struct Capacities {
     pub gaussians: u32,
     /// Capacity of a frame in Gaussians.
     pub frame_gaussians: u32,
-    /// Capacity of a frame in visible Gaussians. Older files have none: then all were visible.
+    /// Capacity of a frame in visible Gaussians.
     pub frame_visible: u32,
-    /// Capacity of a frame in (tile, Gaussian) instances.
+    /// Capacity of a frame in (tile, Gaussian) instances; 0 without a frame.
     pub frame_instances: u32,
-    /// Largest width of the views, pixels; 0 without a frame. Older versions sized frames by this times [`Capacities::frame_height`].
-    /// Now only the 0 counts: a frame has capacity for each view's own size.
-    pub frame_width: u32,
-    /// Largest height of the views, pixels; 0 without a frame.
-    pub frame_height: u32,
     /// Number of blending passes.
     pub blend_passes: u32,
     /// 1 if a frame has the buffers of the backward pass, else 0.
     pub backward: u32,
-    /// Peak number of visible Gaussians in a frame, scaled like [`Capacities::most_instances`]; 0 in older files.
+    /// Peak number of visible Gaussians in a frame, scaled like [`Capacities::most_instances`].
     pub most_visible: u32,
     /// Peak number of instances in a frame. Each densification keeps the number per Gaussian, less a twentieth.
     pub most_instances: u32,
@@ -227,13 +219,11 @@ impl Checkpoint {
     /// Reasons why a run that is resumed here may end with other bits than an uninterrupted run, one sentence each. The
     /// version, device, driver or forms of the kernels ([`Limits::kernel_forms`](crate::vk::Limits::kernel_forms)) can differ.
     pub fn differences(&self, device: &str, driver: &str, kernels: &str) -> Vec<String> {
-        // Older checkpoints do not name their kernels.
-        let own = if self.kernels.is_empty() { kernels } else { &self.kernels };
         let pairs = [
             ("ashsplat", self.version.as_str(), env!("CARGO_PKG_VERSION")),
             ("device", &self.device, device),
             ("driver", &self.driver, driver),
-            ("kernels of", own, kernels),
+            ("kernels of", &self.kernels, kernels),
         ];
         let differing = pairs.iter().filter(|(_, there, here)| there != here);
         let say = |(what, there, here): &(&str, &str, &str)| {
@@ -271,9 +261,7 @@ impl Checkpoint {
         if let Some(poses) = &self.poses {
             let rows = Self::POSES.into_iter().zip(poses.sets());
             tensors.extend(rows.map(|(name, rows)| Tensor::new(name, [rows.len(), 6], rows)));
-            if !poses.depths.is_empty() {
-                tensors.push(Tensor::new(Self::POSE_DEPTHS, [poses.depths.len()], &poses.depths));
-            }
+            tensors.push(Tensor::new(Self::POSE_DEPTHS, [poses.depths.len()], &poses.depths));
         }
         if !self.lens_opt.is_empty() {
             tensors.push(Tensor::new(
@@ -341,9 +329,9 @@ impl Checkpoint {
         }
         let (capacities, iteration) = (&self.capacities, u64::from(self.iteration));
         let gaussians = self.gaussians.len() as u64;
-        let (least_frame, most_passes) = match capacities.frame_width {
+        let (least_frame, most_passes) = match capacities.frame_instances {
             0 => (0, 1),
-            _ => (gaussians, capacities.frame_instances.clamp(1, MOST_BLEND_PASSES)),
+            instances => (gaussians, instances.min(MOST_BLEND_PASSES)),
         };
         let averaged = self.means.as_ref().map_or(0, |means| means.steps);
         let ranges = [
@@ -355,8 +343,6 @@ impl Checkpoint {
             ("left_out", self.skipped.into(), 0, iteration),
             ("room_gaussians", capacities.gaussians.into(), 0, 1 << 30),
             ("room_frame_gaussians", capacities.frame_gaussians.into(), least_frame, u32::MAX.into()),
-            ("room_frame_width", capacities.frame_width.into(), 0, MAX_IMAGE_SIDE.into()),
-            ("room_frame_height", capacities.frame_height.into(), 0, MAX_IMAGE_SIDE.into()),
             ("room_blend_passes", capacities.blend_passes.into(), 0, most_passes.into()),
             ("room_backward", capacities.backward.into(), 0, 1),
         ];
@@ -412,7 +398,7 @@ impl Checkpoint {
         };
         let poses_fit = |poses: &PoseState| {
             poses.sets().iter().all(|rows| rows.len() as u64 == self.views)
-                && none_or(poses.depths.len(), self.views)
+                && poses.depths.len() as u64 == self.views
         };
         let of_gaussians = "of another number than the Gaussians";
         let of_views = "are of another number than the views";

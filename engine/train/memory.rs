@@ -222,7 +222,7 @@ impl Capacities {
     /// Frame capacity for a shape; None without a frame.
     pub(super) fn frame(&self, shape: FrameCapacity) -> Option<FrameCapacity> {
         let backward = self.backward != 0;
-        (self.frame_width > 0).then(|| FrameCapacity {
+        (self.frame_instances > 0).then(|| FrameCapacity {
             gaussians: self.frame_gaussians,
             visible: self.frame_visible,
             instances: self.frame_instances,

@@ -126,9 +126,7 @@ impl Poses {
             from.first_moments.iter().zip(&from.second_moments).map(|(&m, &v)| [m, v]).collect();
         context.upload(&self.buffers.parameters, bytemuck::cast_slice(&from.parameters))?;
         context.upload(&self.buffers.moments, bytemuck::cast_slice(&moments))?;
-        let mut depths = from.depths.clone();
-        depths.resize(self.cameras.len(), 0.0);
-        context.upload(&self.buffers.depths, bytemuck::cast_slice(&depths))?;
+        context.upload(&self.buffers.depths, bytemuck::cast_slice(&from.depths))?;
         self.make_cameras(context)
     }
 }

@@ -7,12 +7,11 @@ use super::parts::TrainParts;
 use super::photos::{TrainView, fingerprint_of};
 use super::schedule::Progress;
 use super::settings::TrainSettings;
-use super::strategies;
 use super::trainer::Trainer;
 use super::work::{Actions, Statistic};
 use crate::error::{Error, Result};
-use crate::frame::{PictureCapacity, planes};
-use crate::scene::{Camera, WorldFrame};
+use crate::frame::planes;
+use crate::scene::WorldFrame;
 use crate::vk::{Buffer, Context};
 
 impl Trainer {
@@ -115,8 +114,8 @@ impl Trainer {
             scene_extent,
             block: parts.block.as_ref().and_then(SceneBlock::state),
         })?;
-        let (there, here) = (strategies::present_name(&from.strategy.name), parts.strategy.name());
-        if !there.is_empty() && there != here {
+        let (there, here) = (from.strategy.name.as_str(), parts.strategy.name());
+        if there != here {
             let problem = format!("was made with the strategy '{there}', here it is '{here}'");
             return Err(Error::argument("checkpoint", problem));
         }
@@ -127,7 +126,7 @@ impl Trainer {
         let mut trainer =
             Trainer::build(context, views, &from.gaussians, scene_extent, settings, parts, earlier)?;
         let here: Vec<&str> = trainer.recorder.terms().collect();
-        if !from.strategy.terms.is_empty() && from.strategy.terms != here {
+        if from.strategy.terms != here {
             let problem = format!(
                 "was made with the terms {:?} of the loss, here they are {here:?}",
                 from.strategy.terms
@@ -203,17 +202,11 @@ impl Trainer {
 
     fn capacities(&self) -> Capacities {
         let frame = self.runner.store.capacity();
-        let largest = |side: fn(&Camera) -> u32| match frame.pictures {
-            PictureCapacity::NONE => 0,
-            _ => self.run.cameras.iter().map(side).max().unwrap_or(0),
-        };
         Capacities {
             gaussians: self.state.model.scene.plan.capacity,
             frame_gaussians: frame.gaussians,
             frame_visible: frame.visible,
             frame_instances: frame.instances,
-            frame_width: largest(|camera| camera.width),
-            frame_height: largest(|camera| camera.height),
             blend_passes: frame.blend_passes,
             backward: frame.backward.into(),
             most_visible: self.state.peak.visible,

@@ -584,9 +584,6 @@ mod tests {
         assert_eq!(excused(&longer, &raised, 2500), longer);
         // If the degree is not in use yet, another start is another training.
         assert_eq!(excused(&of(2000, 3), &short, 100), short);
-        // Checkpoints older than the setting.
-        let before = TrainSettings { scale_sh_degree: false, ..longer.clone() };
-        assert_eq!(excused(&longer, &before, 7), longer);
     }
 
     #[test]

@@ -42,10 +42,8 @@ choices! {
 
     /// Strategy of density control. A host can supply its own: [`super::TrainParts`].
     StrategyType {
-        /// The reference implementation's: clone, split, prune, opacity reset. Settings files may also use `default`, its name in
-        /// earlier versions.
+        /// The reference implementation's: clone, split, prune, opacity reset.
         #[default]
-        #[cfg_attr(feature = "serde", serde(alias = "default"))]
         Reference = "reference",
         /// No density control: the initial Gaussians are optimised, and their number stays.
         Fixed = "fixed",

@@ -26,11 +26,6 @@ pub(super) fn of_settings(context: &Context, settings: &TrainSettings) -> Result
     })
 }
 
-/// Current name of a strategy in a checkpoint: older versions called the reference's `default`.
-pub(super) fn present_name(name: &str) -> &str {
-    if name == "default" { "reference" } else { name }
-}
-
 /// Optimises the initial Gaussians, and neither adds nor removes any.
 pub struct Fixed;
 

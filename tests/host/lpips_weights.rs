@@ -102,7 +102,7 @@ fn lpips_weights_of_no_file_and_of_half_a_file() {
 #[test]
 fn damaged_safetensors_are_refused() {
     let (_folder, path) = Folder::with("a.safetensors");
-    let header = br#"{"__metadata__":{"format":"ashsplat-checkpoint/2"},"means":{"dtype":"F32","shape":[1,3],"data_offsets":[0,12]}}"#;
+    let header = br#"{"__metadata__":{"format":"ashsplat-checkpoint/3"},"means":{"dtype":"F32","shape":[1,3],"data_offsets":[0,12]}}"#;
     let bytes = [&(header.len() as u64).to_le_bytes(), header.as_slice(), &[0; 12]].concat();
     for_each_mutation(&path, &bytes, || {
         let message = Checkpoint::read(&path).expect_err("no checkpoint").to_string();

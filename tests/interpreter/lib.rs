@@ -23,6 +23,3 @@ mod values;
 
 pub use execute::{Dispatch, Fault, Order};
 pub use program::Program;
-
-#[cfg(test)]
-mod tests;

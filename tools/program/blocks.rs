@@ -29,9 +29,7 @@ pub struct Division {
     pub dataset: DatasetOfBlocks,
     pub coarse: Coarse,
     /// Origin (source coordinates) and unit of the frame in which all blocks are trained.
-    #[serde(default, skip_serializing_if = "is_zero")]
     pub origin: [f64; 3],
-    #[serde(default = "one", skip_serializing_if = "is_one")]
     pub unit: f64,
     /// Extent of the whole scene, source units.
     pub scene_extent: f32,
@@ -44,33 +42,8 @@ pub struct Division {
     /// Number of iterations that training the whole scene would take.
     pub iterations: u32,
     /// Number of rounds in which each block is trained, with exchanges between them.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
     pub rounds: u32,
     pub blocks: Vec<Block>,
-}
-
-fn one<T: From<u8>>() -> T {
-    T::from(1)
-}
-
-fn target() -> String {
-    "target".into()
-}
-
-fn off() -> String {
-    "off".into()
-}
-
-fn yes() -> bool {
-    true
-}
-
-fn is_one<T: From<u8> + PartialEq>(value: &T) -> bool {
-    *value == one()
-}
-
-fn is_zero(origin: &[f64; 3]) -> bool {
-    *origin == [0.0; 3]
 }
 
 /// The data set of all blocks.
@@ -83,14 +56,10 @@ pub struct DatasetOfBlocks {
     pub images: String,
     pub resolution: i32,
     pub orientation: String,
-    /// True in older files.
-    #[serde(default = "yes")]
     pub undistort: bool,
-    /// Use of the photos' alpha channels; `target` in older files.
-    #[serde(default = "target")]
+    /// Use of the photos' alpha channels.
     pub alpha: String,
-    /// The turn of the coarse model's data set; `off` in older files.
-    #[serde(default = "off")]
+    /// The turn of the coarse model's data set.
     pub level: String,
     pub eval: bool,
 }
@@ -122,8 +91,7 @@ pub struct Block {
     pub photos: Vec<String>,
     /// Held-out photos.
     pub held_out: Vec<String>,
-    /// Number of pixels in the used parts of all these photos; 0 in older files.
-    #[serde(default)]
+    /// Number of pixels in the used parts of all these photos.
     pub pixels: u64,
     /// The parts of photos that show core and margin, by name; a missing photo is used as a whole.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
@@ -205,7 +173,7 @@ impl BlocksFile {
     pub fn check_replaced(&self, division: &Division) -> Result<()> {
         let is_trained = |block: &&Block| result::is_noted(&self.at(&block.folder));
         let trained = self.division.blocks.iter().filter(is_trained).count();
-        if self.is_of(division) || trained == 0 {
+        if self.division == *division || trained == 0 {
             return Ok(());
         }
         let problem = format!(
@@ -215,16 +183,6 @@ impl BlocksFile {
         let remedy =
             "give the options that it was made with, or another -o; remove it if those blocks are not needed";
         Err(Error::input(&self.path, problem, remedy))
-    }
-
-    /// True if the file has this division. Files older than the pixel count keep their hash, which trainings know them
-    /// by.
-    pub fn is_of(&self, division: &Division) -> bool {
-        let mut other = division.clone();
-        for (block, own) in other.blocks.iter_mut().zip(&self.division.blocks) {
-            block.pixels = if own.pixels == 0 { 0 } else { block.pixels };
-        }
-        self.division == other
     }
 
     /// Refuses a data set with other cameras than the division's. `path` names it in the error.

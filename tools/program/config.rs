@@ -18,7 +18,6 @@ use ashsplat::train::{Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use clap::error::ErrorKind;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
-use file::Purpose;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use toml::Table;
@@ -89,11 +88,7 @@ pub struct Given {
 impl Given {
     /// Reads the file, and the job that it or the command line names.
     pub fn read(file: Option<&Path>, overrides: &Overrides) -> Result<Given> {
-        Self::read_for(Purpose::Training, file, overrides)
-    }
-
-    fn read_for(purpose: Purpose, file: Option<&Path>, overrides: &Overrides) -> Result<Given> {
-        let of_file = file.map_or_else(|| Ok(Table::new()), |file| file::table(file, purpose))?;
+        let of_file = file.map_or_else(|| Ok(Table::new()), file::table)?;
         let mut of_line = overrides.0.clone();
         // A preset is a set of defaults, which settings in the file would override.
         let chosen = set_by_presets().find(|&key| of_file.contains_key(key));
@@ -158,8 +153,7 @@ impl Settings {
     pub fn of_model(folder: &Path) -> Result<Settings> {
         let ours = folder.join(SETTINGS_FILE);
         if ours.is_file() {
-            let given = Given::read_for(Purpose::Result, Some(&ours), &Overrides::default())?;
-            return given.settle(&Facts::default());
+            return Settings::resolve(Some(&ours), &Overrides::default());
         }
         let reference = folder.join(CFG_ARGS_FILE);
         match reference.try_exists() {
@@ -326,27 +320,6 @@ mod tests {
         assert_eq!(read, settings);
     }
 
-    /// Dumps of earlier versions name the switch `multi_step`. If it is on, the model can be used, but not trained again.
-    #[test]
-    fn dumps_of_earlier_versions_are_read() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join(SETTINGS_FILE);
-        let mut settings = Settings::reference();
-        settings.train.seed = 17;
-        let dump = settings.to_toml().expect("a dump");
-        let training = || Settings::resolve(Some(&path), &Overrides::default());
-        std::fs::write(&path, format!("{dump}multi_step = false\n")).expect("written");
-        assert_eq!(training().expect("settings"), settings);
-        std::fs::write(&path, format!("{dump}multi_step = true\n")).expect("written");
-        assert_eq!(Settings::of_model(folder.path()).expect("settings"), settings);
-        let refused = training().expect_err("refused").to_string();
-        let said = ["settings.toml", "multi_step = true", "several views no longer exist", "leave it out"];
-        assert!(
-            said.iter().all(|words| refused.contains(words)) && refused.lines().count() == 1,
-            "{refused}"
-        );
-    }
-
     #[test]
     fn command_line_wins_over_file() {
         let folder = tempfile::tempdir().expect("a temporary folder");
@@ -365,23 +338,6 @@ mod tests {
         assert_eq!((settings.densify_until_iter, settings.initial_opacity), (25_000, 0.5));
         let message = Settings::resolve(None, &given("strategy = 'mcm'")).expect_err("refused").to_string();
         assert!(message.contains("mcm") && message.contains("mcmc"), "{message}");
-    }
-
-    /// `default` was the earlier name of the reference's strategy.
-    #[test]
-    fn a_strategy_is_known_by_its_earlier_name() {
-        let command = TrainOverrides::augment_args(Command::new("train"));
-        let matches = command.try_get_matches_from(["train", "--strategy", "default"]).expect("accepted");
-        let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
-        assert_eq!(
-            Settings::from_table(overrides.0, &Facts::default()).expect("settings"),
-            Settings::reference()
-        );
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("my.toml");
-        std::fs::write(&path, "strategy = \"default\"\n").expect("written");
-        let read = Settings::resolve(Some(&path), &Overrides::default()).expect("settings");
-        assert_eq!(read.train.strategy, StrategyType::Reference);
     }
 
     /// Options, files and checkpoints share names and types of values.

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 const ARENAS: [&str; 9] =
     ["total", "scene", "moments", "spare", "statistics", "frame", "loss", "photos", "densify"];
 const COLUMNS: &str = "iteration,loss,psnr,gaussians,ms,skipped";
-/// Column of the mean PSNR over the tracked views; logs of older versions lack it.
+/// Column of the mean PSNR over the tracked views.
 const TRACKED: &str = "tracked_psnr";
 /// Name of the log in a model folder.
 pub const LOG_FILE: &str = "train_log.csv";
@@ -55,9 +55,7 @@ impl TrainLog {
             let number = line.split(',').next().and_then(|number| number.parse::<u32>().ok());
             line.ends_with('\n') && number.is_some_and(|number| number <= iteration)
         };
-        let header = header.trim_end();
-        let added = if header.ends_with(TRACKED) { String::new() } else { format!(",{TRACKED}") };
-        let kept = format!("{header}{added}\n{}", lines.filter(done).collect::<String>());
+        let kept = format!("{}\n{}", header.trim_end(), lines.filter(done).collect::<String>());
         output::write_text(path, &kept)?;
         let file = File::options().append(true).open(path).map_err(|e| Error::io(path, "write", e))?;
         Ok(TrainLog::of(path, file))
@@ -225,8 +223,8 @@ mod tests {
         let mut log = TrainLog::create(&path).expect("created");
         (1..=9).for_each(|iteration| log.add(&report(iteration), (None, None), &[]));
         log.finish().expect("written");
-        // A log that a killed run of an older version may leave.
-        let mut text = std::fs::read_to_string(&path).expect("the log").replacen(",tracked_psnr", "", 1);
+        // A log that a killed run may leave.
+        let mut text = std::fs::read_to_string(&path).expect("the log");
         text.push_str("10,0.");
         std::fs::write(&path, text).expect("written");
         let mut log = TrainLog::go_on(&path, 6).expect("opened");

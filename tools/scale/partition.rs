@@ -168,7 +168,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         if let Some(plot) = &arguments.plot {
             output::write_text(plot, &plan::svg(&division, &scene.gaussians, &cameras, &shares)?)?;
         }
-        if old.is_some_and(|old| old.is_of(&division)) { Ok(()) } else { output::write_json(path, &division) }
+        if old.is_some_and(|old| old.division == division) {
+            Ok(())
+        } else {
+            output::write_json(path, &division)
+        }
     })?;
     if !arguments.quiet {
         arguments.describe(&division, is_object.then_some(spread));

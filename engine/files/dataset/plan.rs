@@ -262,8 +262,7 @@ fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFrame {
     WorldFrame { unit: if keeps { 1.0 } else { decade }, ..around }
 }
 
-/// True if single precision rounds a data set in a frame that was not chosen for it, such as the frame of another scene
-/// or of a checkpoint older than frames.
+/// True if single precision rounds a data set in a frame that was not chosen for it, such as the frame of another scene.
 fn is_far(views: &[&PlannedView], points: &SourcePoints, frame: &WorldFrame) -> bool {
     median_ball(&all(views, points))
         .is_some_and(|(center, radius)| center.distance(frame.origin) > FAR * radius)

@@ -2,7 +2,6 @@
 
 use super::{Facts, SETTINGS_FILE, Settings};
 use ashsplat::{Error, Result};
-use ashsplat_files::checkpoint::remove_earlier;
 use ashsplat_files::regular_file;
 use std::path::Path;
 use toml::Table;
@@ -25,7 +24,7 @@ pub fn dump_line() -> String {
     format!("# Read back by: ashsplat train --config {SETTINGS_FILE}\n")
 }
 
-/// True if the file is a settings dump of a run, perhaps of an earlier version.
+/// True if the file is a settings dump of a run.
 pub fn is_dump(path: &Path) -> Result<bool> {
     Ok(text(path)?.starts_with(dump_line().trim_end()))
 }
@@ -36,32 +35,15 @@ pub fn cfg_value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     fields.split(", ").find_map(|field| field.strip_prefix(key)?.strip_prefix('='))
 }
 
-/// Purpose of the settings in a file.
-#[derive(Clone, Copy, PartialEq)]
-pub enum Purpose {
-    /// A training with these settings.
-    Training,
-    /// Use of the model that was trained with them.
-    Result,
-}
-
 /// Reads and checks the settings of a file.
-pub fn table(path: &Path, purpose: Purpose) -> Result<Table> {
+pub fn table(path: &Path) -> Result<Table> {
     let text = text(path)?;
     let remedy =
         "see `ashsplat train --help`; here names have underscores, and a line is such as `iterations = 7000`";
-    let mut table: Table = text.parse().map_err(|e: toml::de::Error| {
+    let table: Table = text.parse().map_err(|e: toml::de::Error| {
         let line = e.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
         Error::input(path, format!("line {line}: {}", e.message()), remedy)
     })?;
-    if let (Err(problem), Purpose::Training) = (remove_earlier(|name| table.remove(name)), purpose) {
-        return Err(Error::input(path, problem, "leave it out"));
-    }
-    if purpose == Purpose::Result || text.starts_with(dump_line().trim_end()) {
-        // Earlier versions had no other split, and undistorted all photos.
-        table.entry("eval_split").or_insert("reference".into());
-        table.entry("undistort").or_insert(true.into());
-    }
     Settings::from_table(table.clone(), &Facts::default())
         .map_err(|problem| Error::input(path, problem, remedy))?;
     Ok(table)
@@ -77,47 +59,9 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("settings.toml");
         std::fs::write(&path, b"\xef\xbb\xbfiterations = 5\n").expect("written");
-        assert_eq!(table(&path, Purpose::Training).expect("settings")["iterations"].as_integer(), Some(5));
+        assert_eq!(table(&path).expect("settings")["iterations"].as_integer(), Some(5));
         std::fs::write(&path, b"\xff\xfei\0t\0").expect("written");
         assert!(text(&path).expect_err("refused").to_string().contains("is text in UTF-16"));
-    }
-
-    /// Counts allocations, because the steps inside the TOML crate cannot be seen: it allocates for each name, value
-    /// and level.
-    #[test]
-    fn settings_cost_as_much_as_they_are_long() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("settings.toml");
-        let numbered =
-            |line: &dyn Fn(usize) -> String, count: usize| (0..count).map(line).collect::<String>();
-        let kinds: [(&str, &dyn Fn(usize) -> String); 6] = [
-            ("unknown names", &|n| format!("unknown_{n} = {n}\n")),
-            ("tables", &|n| format!("[table_{n}]\nvalue = 1\n")),
-            ("dotted names", &|n| format!("a.b{n}.c = 1\n")),
-            ("tables of a list", &|_| "[[a.b]]\nc = 1\n".into()),
-            ("a long list", &|n| format!("{}{n}", if n == 0 { "test_iterations = [" } else { ", " })),
-            ("a deep list", &|n| if n == 0 { "test_iterations = [".into() } else { "[".into() }),
-        ];
-        for (kind, line) in kinds {
-            let [small, large] = [1000, 4000].map(|count| {
-                let end = if kind == "a long list" { "]" } else { "" };
-                std::fs::write(&path, numbered(line, count) + end).expect("written");
-                allocation_counter::measure(|| drop(table(&path, Purpose::Training)))
-            });
-            // An empty file allocates some of it too.
-            assert!(large.count_total <= 5 * small.count_total, "{kind}: {small:?} {large:?}");
-            assert!(large.bytes_total <= 5 * small.bytes_total, "{kind}: {small:?} {large:?}");
-        }
-        // Nothing is kept of the reference's line; reading it takes twice its length, since a text grows by doubling.
-        for line in [&(|n| format!(", field_{n}={n}")) as &dyn Fn(usize) -> String, &|_| "((, ".into()] {
-            for count in [1000, 4000] {
-                let namespace = format!("Namespace(eval=True{}", numbered(line, count));
-                std::fs::write(&path, &namespace).expect("written");
-                let read = || text(&path).map(|text| Settings::from_cfg_args(&text));
-                let cost = allocation_counter::measure(|| drop(read()));
-                assert!(cost.bytes_total <= 4 * namespace.len() as u64 + 4096, "{count}: {cost:?}");
-            }
-        }
     }
 
     #[test]
@@ -126,9 +70,9 @@ mod tests {
         let path = folder.path().join("settings.toml");
         let fits = format!("#{}\n", " ".repeat(MOST_BYTES as usize - 2));
         std::fs::write(&path, &fits).expect("written");
-        assert!(table(&path, Purpose::Training).expect("settings").is_empty());
+        assert!(table(&path).expect("settings").is_empty());
         File::options().write(true).open(&path).and_then(|file| file.set_len(1 << 31)).expect("longer");
-        let problem = table(&path, Purpose::Training).expect_err("too long").to_string();
+        let problem = table(&path).expect_err("too long").to_string();
         assert!(problem.contains("settings.toml") && problem.contains("longer than"), "{problem}");
     }
 }

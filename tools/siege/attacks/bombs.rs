@@ -99,7 +99,8 @@ pub fn damaged_blocks(siege: &Siege) -> Result<String> {
         "version": 1, "origin": [5e6, 0, 0], "unit": 0.1, "scene_extent": 2, "margin": 0.5, "min_share": 0.1,
         "max_gaussians": 9, "iterations": 9, "rounds": 2, "coarse": { "path": "a.ply", "hash": "0", "gaussians": 9 },
         "dataset": {
-            "path": "data", "cameras": "0", "images": "images", "resolution": 1, "orientation": "auto", "eval": true,
+            "path": "data", "cameras": "0", "images": "images", "resolution": 1, "orientation": "auto", "undistort": false,
+            "alpha": "target", "level": "off", "eval": true,
         },
         "blocks": [
             block(1, json!({ "min": [null, null, null], "max": [0, null, null] })),
