@@ -100,38 +100,6 @@ fn compare_switched(constant: &str) {
     }
 }
 
-/// Intel's preferred subgroup size is required if the device allows it.
-#[test]
-fn backends_choose_their_subgroup_size_where_the_device_has_it() {
-    let intel = |own, sizes| Tuning::INTEL.subgroup_sizes(own, sizes, 64);
-    assert_eq!([intel(32, Some(8..=32)), intel(32, Some(16..=32))], [[16, 8], [16, 16]]);
-    assert_eq!([intel(32, Some(32..=32)), intel(32, None)], [[32, 32]; 2]);
-    // A workgroup of 256 is 32 subgroups of 8.
-    assert_eq!(Tuning::INTEL.subgroup_sizes(32, Some(8..=32), 31), [16, 16]);
-    assert_eq!(Tuning::GPU.subgroup_sizes(64, Some(32..=64), 64), [64, 64]);
-    // Sizes of RDNA and GCN.
-    let amd = |own, sizes| Tuning::AMD.subgroup_sizes(own, sizes, 64);
-    assert_eq!([amd(64, Some(32..=64)), amd(64, Some(64..=64))], [[64, 32], [64, 64]]);
-}
-
-/// Blending uses the heaviest kernels' sizes on Intel before Xe2, and on RDNA if it also writes other outputs; the
-/// usual sizes elsewhere. Regions have at least 4 rows.
-#[test]
-fn backends_choose_the_lanes_that_blend() {
-    let device = Gpu::new();
-    let sizes = |tuning: &'static Tuning, [usual, heavy]: [u32; 2]| {
-        let mut limits = device.context.limits().clone();
-        (limits.tuning, limits.subgroup_size, limits.heavy_subgroup_size) = (tuning, usual, heavy);
-        let sizes = LaunchSizes::new(&limits);
-        [sizes.blend, sizes.blend_heavy].map(|shape| [shape.lanes, shape.region_height, shape.tile])
-    };
-    assert_eq!(sizes(&Tuning::INTEL, [16, 8]), [[16, 4, 128], [8, 4, 64]]);
-    assert_eq!(sizes(&Tuning::INTEL, [16, 16]), [[16, 4, 128], [16, 4, 128]]);
-    assert_eq!(sizes(&Tuning::AMD, [64, 32]), [[64, 8, 256], [32, 8, 128]]);
-    assert_eq!(sizes(&Tuning::AMD, [64, 64]), [[64, 8, 256], [64, 8, 256]]);
-    assert_eq!(sizes(&Tuning::GPU, [32, 32]), [[32, 8, 128], [32, 8, 128]]);
-}
-
 /// Workgroups of tiles fit into the required minimum of devices with such subgroups; subgroups of more than 32 need
 /// more.
 #[test]

@@ -1,4 +1,4 @@
-//! The golden vectors: one trial per set and implementation (the twins, the GPU).
+//! The golden vectors: the device, and what the host computes, against each set.
 
 mod absgrad;
 mod antialias;
@@ -7,7 +7,6 @@ mod conventions;
 mod depth;
 mod exposure;
 mod gpu;
-mod gpu_training;
 mod importance;
 mod lenses;
 mod lpips;
@@ -19,7 +18,6 @@ mod sets;
 mod sparse_depth;
 mod stages;
 mod training;
-mod twin;
 
 use crate::absent_data;
 use crate::common::root;
@@ -37,28 +35,27 @@ type Outcome = Result<(), Failed>;
 
 type Check = fn(&Path) -> Outcome;
 
-/// Subjects of sets: fields by which they are known, name, checks of the twin and of the device. The first entry of
-/// which a set has all fields counts.
-const SUBJECTS: [(&str, &str, Check, Check); 19] = [
-    ("it1_image", "train", training::train, gpu_training::train),
-    ("fused_log_scales", "filter", antialias::filter_of_twin, antialias::filter_of_device),
-    ("detached kernel", "antialias", antialias::of_twin, antialias::of_device),
-    ("obs_inv_z", "depth", depth::of_twin_and_host, depth::of_device),
-    ("points_xy points_z", "sparse_depth", sparse_depth::of_twin, sparse_depth::of_device),
-    ("adam_E", "exposure", exposure::of_twin, exposure::of_device),
-    ("img gt d_img", "loss", training::loss, gpu_training::loss),
-    ("xyz_p0", "adam", training::adam, gpu_training::adam),
-    ("lr_xyz", "rates", training::rates, gpu_training::rates),
-    ("in_grad_accum out_kind", "densify", training::densify, gpu_training::densify),
-    ("reg_loss", "regularizers", training::regularizers, gpu_training::regularizers),
-    ("u_relocate", "relocation", mcmc::relocation_of_twin, mcmc::relocation_of_device),
-    ("xy_abs_pix", "absgrad", absgrad::of_twin, absgrad::of_device),
-    ("edge_raw", "importance", importance::of_twin, importance::of_device),
-    ("opacity_factor", "split", budget::split_of_twin, budget::split_of_device),
-    ("budget_iteration", "growth", budget::schedule_of_twin, budget::schedule_of_engine),
-    ("alex_layers vgg_layers", "distance", lpips::of_twin, lpips::of_device),
-    ("d_pose", "poses", poses::of_twin, poses::of_device),
-    ("logits out", "reset_opacity", training::reset_opacity, gpu_training::reset_opacity),
+/// Subjects of sets: fields by which they are known, name, check. The first entry of which a set has all fields counts.
+const SUBJECTS: [(&str, &str, Check); 19] = [
+    ("it1_image", "train", training::train),
+    ("fused_log_scales", "filter", antialias::filter),
+    ("detached kernel", "antialias", antialias::check),
+    ("obs_inv_z", "depth", depth::check),
+    ("points_xy points_z", "sparse_depth", sparse_depth::check),
+    ("adam_E", "exposure", exposure::check),
+    ("img gt d_img", "loss", training::loss),
+    ("xyz_p0", "adam", training::adam),
+    ("lr_xyz", "rates", training::rates),
+    ("in_grad_accum out_kind", "densify", training::densify),
+    ("reg_loss", "regularizers", training::regularizers),
+    ("u_relocate", "relocation", mcmc::relocation),
+    ("xy_abs_pix", "absgrad", absgrad::check),
+    ("edge_raw", "importance", importance::check),
+    ("opacity_factor", "split", budget::split),
+    ("budget_iteration", "growth", budget::schedule),
+    ("alex_layers vgg_layers", "distance", lpips::check),
+    ("d_pose", "poses", poses::check),
+    ("logits out", "reset_opacity", training::reset_opacity),
 ];
 
 #[derive(Clone, Debug)]
@@ -87,10 +84,8 @@ impl SetFile {
             Trial::test(format!("golden_{implementation}_{subject}_{}", self.name), move || check(&path))
         };
         match SUBJECTS.iter().find(|(fields, ..)| self.has(fields)) {
-            Some(&(_, subject, twin, gpu)) => vec![trial("twin", subject, twin), trial("gpu", subject, gpu)],
-            None if self.has("means cam_K image") => {
-                twin::trials(self).into_iter().chain(gpu::trials(self)).collect()
-            }
+            Some(&(_, subject, check)) => vec![trial("gpu", subject, check)],
+            None if self.has("means cam_K image") => gpu::trials(self),
             None if self.has("metashape_frame_xy") => vec![trial("host", "files", conventions::of_files)],
             None if self.has("jac w_cov") => {
                 vec![trial("host", "lens", lenses::of_host), trial("gpu", "lens", lenses::of_device)]

@@ -10,8 +10,6 @@ mod sibr;
 mod training;
 mod trees;
 #[allow(dead_code)]
-mod window;
-
 use crate::cli::{Place, point_cloud, text, wait_until, write_dataset};
 use crate::common::engine::renderer;
 pub use crate::program::page::*;

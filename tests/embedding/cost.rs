@@ -1,6 +1,6 @@
 //! Costs of frames for the host: time and heap allocations of `record`.
 //!
-//! `cargo test --release --test embedding -- --ignored --nocapture cost::` prints the guide's tables.
+//! `cargo test --release --test embedding -- --ignored --nocapture cost::` prints the guide's table.
 
 use crate::auxiliary::truth::Screens;
 use crate::counting::allocations;
@@ -12,25 +12,6 @@ pub fn shipped(host: &Host, timestamps: bool) -> Context {
     let options = ContextOptions { timestamps, hazard_check: false, ..ContextOptions::default() };
     // SAFETY: as in `guest`.
     unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context")
-}
-
-#[test]
-#[ignore = "prints a table of the guide"]
-fn memory_table() {
-    with_host(&HostOptions::default(), |host| {
-        let renderer = Renderer::new(&shipped(host, false)).expect("kernels");
-        println!("Gaussians | picture | one slot, MiB | three slots, images only | three with pixels");
-        for gaussians in [100_000, 1_000_000, 2_000_000] {
-            for [width, height] in [[1280, 720], [1920, 1080], [3840, 2160]] {
-                let mib = [(1, true), (3, true), (3, false)].map(|(slots, images_only)| {
-                    let wanted = Reservation::new(gaussians, 3, width, height);
-                    let wanted = Reservation { slots, images_only, ..wanted };
-                    renderer.reservation_bytes(&wanted).expect("bytes") as f64 / 1_048_576.0
-                });
-                println!("{gaussians} | {width}x{height} | {mib:.1?}");
-            }
-        }
-    });
 }
 
 /// Median and least time of `record`, microseconds, and the most heap allocations of one call, after the first

@@ -1,13 +1,11 @@
-//! The statistics of signed and of absolute gradients of 2D means: twins and device against the vectors.
+//! The statistics of signed and of absolute gradients of 2D means: the device against the vectors.
 
 use super::Outcome;
-use super::rendering::{DOUBLE, SINGLE};
-use super::sets::{EXTENTS, gaussians, pixel_gradients};
+use super::rendering::SINGLE;
+use super::sets::{EXTENTS, gaussians};
 use super::stages::{Stages, field, views};
 use crate::common::prelude::*;
 use crate::golden::npz::Npz;
-use crate::reference::pipeline::{backward, render};
-use crate::reference::project_backward::mean2d_statistic;
 use ashsplat::passes::backward::{BackwardForm, Statistics};
 use ashsplat::passes::pixels::LayoutConverter;
 use std::path::Path;
@@ -21,7 +19,7 @@ fn image_gradients(npz: &Npz, views: &[View]) -> Vec<Vec<[f64; 3]>> {
     all.chunks(all.len() / views.len()).map(<[_]>::to_vec).collect()
 }
 
-fn check(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64) -> Outcome {
+fn judge(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64) -> Outcome {
     let of = |name: &str| npz.values(&field(extent, name));
     let signed: Vec<f64> = views.iter().flatten().map(|norms| norms.0).collect();
     let absolute: Vec<f64> = views.iter().flatten().map(|norms| norms.1).collect();
@@ -67,35 +65,7 @@ fn decisions(npz: &Npz, set: &[Gaussian], [signed, absolute, views]: [&[f64]; 3]
     Ok(equal("only_split", &decide(absolute, "thr_abs_only", true), npz.values("only_split"))?)
 }
 
-pub fn of_twin(path: &Path) -> Outcome {
-    let npz = Npz::read(path);
-    let set = gaussians(&npz, "");
-    for (extent, _) in EXTENTS {
-        let views = views(&npz, extent);
-        let (mut signed, mut absolute, mut all) = (vec![], vec![], vec![]);
-        for (view, colors) in views.iter().zip(image_gradients(&npz, &views)) {
-            let frame = render(&set, view);
-            let splats = backward(&set, view, &frame, &pixel_gradients(colors)).splats;
-            signed.extend(splats.iter().flat_map(|d| d.mean2d_px));
-            absolute.extend(splats.iter().flat_map(|d| d.absolute_px));
-            let norm = |px| mean2d_statistic(view, px);
-            let visible = frame.tiles_touched.iter().map(|&tiles| tiles > 0);
-            let norms =
-                splats.iter().zip(visible).map(|(d, seen)| (norm(d.mean2d_px), norm(d.absolute_px), seen));
-            all.push(norms.collect());
-        }
-        let skip = vec![false; set.len() * views.len()];
-        let close = |name: &str, actual: &[f64], tolerance: GradientTolerance| {
-            gradient(name, actual, npz.values(&field(extent, name)), &skip, tolerance).map(|_| ())
-        };
-        close("xy_signed_pix", &signed, DOUBLE.gradient)?;
-        close("xy_abs_pix", &absolute, DOUBLE.gradient)?;
-        check(&npz, &set, extent, &all, 1e-6)?;
-    }
-    Ok(())
-}
-
-pub fn of_device(path: &Path) -> Outcome {
+pub fn check(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let set = gaussians(&npz, "");
@@ -140,7 +110,7 @@ pub fn of_device(path: &Path) -> Outcome {
             all.push(norms.map(|(&[signed, seen], a)| (signed.into(), a.into(), seen == 1.0)).collect());
         }
         let part = SINGLE.gradient.relative_l2;
-        check(&npz, &set, extent, &all, part)?;
+        judge(&npz, &set, extent, &all, part)?;
         let sums = gpu.read::<[f32; 2]>(&sums, set.len());
         let absolute: Vec<f64> = gpu.read_f64::<f32>(&absolute_sums, set.len());
         let signed: Vec<f64> = sums.iter().map(|sum| sum[0].into()).collect();

@@ -1,39 +1,18 @@
-//! Budgeted growth: splits along the long axis and the schedule, twins and device against the vectors.
+//! Budgeted growth: splits along the long axis and the schedule, the device and the host against the vectors.
 
 use super::Outcome;
-use super::gpu_training::{compare_parameters, densified};
-use super::sets::gaussians;
+use super::training::{compare_parameters, densified};
 use crate::common::prelude::*;
 use crate::golden::npz::Npz;
-use crate::reference::gather::long_axis_child;
 use crate::reference::linear::sigmoid;
-use crate::reference::schedule;
 use ashsplat::passes::densify::{ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings};
 use ashsplat::train::{GrowthSchedule, QuantilePlace};
 use std::path::Path;
 
 /// Tolerance of every value, absolute and relative.
 const DEVICE: f64 = 2e-6;
-const TWIN: f64 = 1.5e-7;
 
-pub fn split_of_twin(path: &Path) -> Outcome {
-    let npz = Npz::read(path);
-    let before = gaussians(&npz, "in_");
-    let selected = npz.flags("selected");
-    let selected = &selected;
-    let rows = |wanted: bool| (0..before.len()).filter(move |&row| selected[row] == wanted);
-    let kept = rows(false).map(|row| (row, before[row].clone(), 0.0));
-    let children = (0..2).flat_map(|child| {
-        let before = &before;
-        rows(true).map(move |row| (row, long_axis_child(&before[row], child), 2.0)).collect::<Vec<_>>()
-    });
-    let after: Vec<(usize, Gaussian, f64)> = kept.chain(children).collect();
-    equal("parent", &after.iter().map(|row| row.0 as f64).collect::<Vec<_>>(), npz.values("out_parent"))?;
-    equal("kind", &after.iter().map(|row| row.2).collect::<Vec<_>>(), npz.values("out_kind"))?;
-    compare_parameters(&npz, &after.into_iter().map(|row| row.1).collect::<Vec<_>>(), TWIN)
-}
-
-pub fn split_of_device(path: &Path) -> Outcome {
+pub fn split(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let form = DensifyForm { long_axis: true, criterion: Criterion::Selected };
@@ -63,14 +42,7 @@ fn compare_schedule(
     Ok(equal("keep", &keep, npz.values("keep"))?)
 }
 
-pub fn schedule_of_twin(path: &Path) -> Outcome {
-    let npz = Npz::read(path);
-    let last = npz.scalar("budget_final");
-    let budget = |i: u32| schedule::growth_budget(i.into(), last);
-    compare_schedule(&npz, budget, schedule::quantile)
-}
-
-pub fn schedule_of_engine(path: &Path) -> Outcome {
+pub fn schedule(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let cap_max = npz.scalar("budget_final") as u32;
     let mut settings = TrainSettings { cap_max, ..TrainSettings::of_strategy(StrategyType::Budget) };

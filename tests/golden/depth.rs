@@ -1,15 +1,12 @@
-//! Inverse-depth maps: the fit of their scale, the loss and its gradients; twins, host and device against the vectors.
+//! Inverse-depth maps: the fit of their scale, the loss and its gradients; host and device against the vectors.
 
 use super::Outcome;
-use super::rendering::{DOUBLE, SINGLE, Tolerance};
+use super::rendering::SINGLE;
 use super::sets::{EXTENTS, gaussians, view};
 use crate::common::engine;
 use crate::common::prelude::*;
 use crate::common::terms::inverse_depth_l1;
 use crate::golden::npz::Npz;
-use crate::reference::blend_backward::PixelGradient;
-use crate::reference::inverse_depth_l1::inverse_depth_l1 as twin;
-use crate::reference::pipeline::{backward, render};
 use ashsplat_files::depth_fit::{DepthFit, DepthPoint};
 use ashsplat_files::images::DepthMap;
 use std::path::Path;
@@ -22,17 +19,17 @@ struct Computed {
     gradients: [Vec<f64>; 4],
 }
 
-fn judge(npz: &Npz, prefix: &str, computed: &Computed, tolerance: &Tolerance) -> Result<(), String> {
+fn judge(npz: &Npz, prefix: &str, computed: &Computed) -> Result<(), String> {
     let field = |name: &str| npz.values(&format!("{prefix}{name}"));
     let unstable = npz.flags("pix_unstable");
-    pixels("inverse depth", &computed.inverse_depth, field("inv_depth"), &unstable, tolerance.image)?;
+    pixels("inverse depth", &computed.inverse_depth, field("inv_depth"), &unstable, SINGLE.image)?;
     elementwise("loss", &[computed.loss], field("loss"), 0.0, 1e-5)?;
-    gradient("d_inv_depth", &computed.of_inverse_depth, field("d_inv_depth"), &unstable, tolerance.gradient)?;
+    gradient("d_inv_depth", &computed.of_inverse_depth, field("d_inv_depth"), &unstable, SINGLE.gradient)?;
     let names = ["dx_means", "dx_quats", "dx_log_scales", "dx_opacity_logits"];
     for (name, values) in names.into_iter().zip(&computed.gradients) {
         let expected = field(name);
         let skip = vec![false; npz.values("opacity_logits").len()];
-        let bound = if name == "dx_quats" { tolerance.quats } else { tolerance.gradient };
+        let bound = if name == "dx_quats" { SINGLE.quats } else { SINGLE.gradient };
         gradient(name, values, expected, &skip, bound)?;
     }
     Ok(())
@@ -43,33 +40,8 @@ fn targets(npz: &Npz) -> Vec<Option<f64>> {
     pairs.map(|(&target, &mask)| Some(target).filter(|_| mask != 0.0)).collect()
 }
 
-pub fn of_twin_and_host(path: &Path) -> Outcome {
+pub fn check(path: &Path) -> Outcome {
     of_host(path)?;
-    let npz = Npz::read(path);
-    let set = gaussians(&npz, "");
-    for (extent, prefix) in EXTENTS {
-        let view = View { extent, ..view(&npz) };
-        let frame = render(&set, &view);
-        let inverse_depth: Vec<f64> = frame.pixels.iter().map(|pixel| pixel.inverse_depth).collect();
-        let (loss, of_inverse_depth) = twin(&inverse_depth, &targets(&npz), npz.scalar("weight"));
-        let d_pixels: Vec<PixelGradient> = of_inverse_depth
-            .iter()
-            .map(|&inverse_depth| PixelGradient { color: [0.0; 3], inverse_depth })
-            .collect();
-        let all = backward(&set, &view, &frame, &d_pixels).parameters;
-        let gradients = [
-            all.iter().flat_map(|g| g.mean).collect(),
-            all.iter().flat_map(|g| g.quat).collect(),
-            all.iter().flat_map(|g| g.log_scale).collect(),
-            all.iter().map(|g| g.opacity_logit).collect(),
-        ];
-        let computed = Computed { inverse_depth, loss, of_inverse_depth, gradients };
-        judge(&npz, prefix, &computed, &DOUBLE).map_err(|e| format!("{extent:?}: {e}"))?;
-    }
-    Ok(())
-}
-
-pub fn of_device(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let map: Vec<f32> =
@@ -102,7 +74,7 @@ pub fn of_device(path: &Path) -> Outcome {
         ];
         let inverse_depth = depth.into_iter().map(f64::from).collect();
         let computed = Computed { inverse_depth, loss, of_inverse_depth, gradients };
-        judge(&npz, prefix, &computed, &SINGLE).map_err(|e| format!("{extent:?}: {e}"))?;
+        judge(&npz, prefix, &computed).map_err(|e| format!("{extent:?}: {e}"))?;
     }
     Ok(())
 }

@@ -1,30 +1,17 @@
-//! Exposures: twins and device against the vectors.
+//! Exposures of the device against the vectors.
 
 use super::Outcome;
-use super::gpu_training::device_loss;
 use super::rendering::SINGLE;
-use crate::common::compare::{GradientTolerance, elementwise, gradient};
+use super::training::device_loss;
+use crate::common::compare::{elementwise, gradient};
 use crate::common::gpu::Gpu;
 use crate::common::terms::{colors, place, values};
 use crate::golden::npz::{Npz, rows};
-use crate::reference::exposure::{
-    Exposures, Matrix, expose as expose_twin, expose_backward as backward_twin,
-};
-use crate::reference::loss_reduce;
+use crate::reference::exposure::{Exposures, Matrix};
 use ashsplat::kernels::constants::{STATE_WORDS, TERM_PARTIALS};
 use ashsplat::kernels::exposure::{expose, expose_backward, exposure_step};
 use ashsplat::passes::loss::Windowing;
 use std::path::Path;
-
-const ROUNDING: f64 = 1.5e-7;
-const DOUBLE: GradientTolerance = GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 };
-
-struct Tolerances {
-    out: f64,
-    loss: f64,
-    gradient: GradientTolerance,
-    adam: f64,
-}
 
 struct Computed {
     out: Vec<[f64; 3]>,
@@ -38,14 +25,14 @@ fn matrix(values: &[f64]) -> Matrix {
     rows::<4>(values).try_into().expect("three rows")
 }
 
-fn judge(npz: &Npz, computed: &Computed, tolerances: &Tolerances) -> Outcome {
+fn judge(npz: &Npz, computed: &Computed) -> Outcome {
     let Computed { out, loss, of_out, of_picture, of_matrix } = computed;
-    elementwise("out", out.as_flattened(), npz.values("out"), tolerances.out, tolerances.out)?;
-    elementwise("loss", &[*loss], npz.values("loss"), 0.0, tolerances.loss)?;
+    elementwise("out", out.as_flattened(), npz.values("out"), 1e-6, 1e-6)?;
+    elementwise("loss", &[*loss], npz.values("loss"), 0.0, 2e-6)?;
     let skip = vec![false; out.len()];
-    gradient("d_out", of_out, npz.values("d_out"), &skip, tolerances.gradient)?;
-    gradient("d_img", of_picture.as_flattened(), npz.values("d_img"), &skip, tolerances.gradient)?;
-    gradient("d_E", of_matrix.as_flattened(), npz.values("d_E"), &[false; 3], tolerances.gradient)?;
+    gradient("d_out", of_out, npz.values("d_out"), &skip, SINGLE.gradient)?;
+    gradient("d_img", of_picture.as_flattened(), npz.values("d_img"), &skip, SINGLE.gradient)?;
+    gradient("d_E", of_matrix.as_flattened(), npz.values("d_E"), &[false; 3], SINGLE.gradient)?;
     Ok(())
 }
 
@@ -60,39 +47,19 @@ fn steps(npz: &Npz) -> Vec<(usize, Matrix, f64, Vec<Matrix>)> {
         .collect()
 }
 
-fn judge_steps(actual: &[Matrix], expected: &[Matrix], tolerance: f64) -> Outcome {
+fn judge_steps(actual: &[Matrix], expected: &[Matrix]) -> Outcome {
     let flat = |all: &[Matrix]| all.iter().flat_map(|m| m.as_flattened().to_vec()).collect::<Vec<f64>>();
-    elementwise("E after a step", &flat(actual), &flat(expected), tolerance, tolerance)?;
+    elementwise("E after a step", &flat(actual), &flat(expected), 1e-6, 1e-6)?;
     Ok(())
 }
 
-pub fn of_twin(path: &Path) -> Outcome {
+pub fn check(path: &Path) -> Outcome {
     let npz = Npz::read(path);
-    let tolerances = Tolerances { out: ROUNDING, loss: ROUNDING, gradient: DOUBLE, adam: ROUNDING };
-    let shape = &npz.array("img").shape;
-    let (picture, e) = (npz.rows::<3>("img"), matrix(npz.values("E")));
-    let out = expose_twin(&picture, &e);
-    let loss = loss_reduce::loss(out.as_flattened(), npz.values("gt"), shape[1], shape[0]);
-    let (of_picture, of_matrix) = backward_twin(&picture, &e, &rows::<3>(&loss.gradient));
-    let computed = Computed { out, loss: loss.loss, of_out: loss.gradient, of_picture, of_matrix };
-    judge(&npz, &computed, &tolerances)?;
-    let steps = steps(&npz);
-    let mut twin = Exposures::new(steps[0].3.len());
-    for (step, (view, gradient, rate, after)) in steps.iter().enumerate() {
-        twin.step(*view, gradient, *rate, step as i32 + 1, false);
-        judge_steps(&twin.values, after, tolerances.adam)?;
-    }
-    Ok(())
-}
-
-pub fn of_device(path: &Path) -> Outcome {
-    let npz = Npz::read(path);
-    let tolerances = Tolerances { out: 1e-6, loss: 2e-6, gradient: SINGLE.gradient, adam: 1e-6 };
     let gpu = Gpu::new();
     for windowing in gpu.windowings() {
-        judge(&npz, &compute(&gpu, &npz, windowing), &tolerances)?;
+        judge(&npz, &compute(&gpu, &npz, windowing))?;
     }
-    adam_of_device(&gpu, &npz, tolerances.adam)
+    adam_of_device(&gpu, &npz)
 }
 
 fn compute(gpu: &Gpu, npz: &Npz, windowing: Windowing) -> Computed {
@@ -141,7 +108,7 @@ fn compute(gpu: &Gpu, npz: &Npz, windowing: Windowing) -> Computed {
     Computed { out, loss, of_out, of_picture, of_matrix }
 }
 
-fn adam_of_device(gpu: &Gpu, npz: &Npz, tolerance: f64) -> Outcome {
+fn adam_of_device(gpu: &Gpu, npz: &Npz) -> Outcome {
     let steps = steps(npz);
     let photographs = steps[0].3.len();
     let narrow = |matrix: &Matrix| matrix.map(|row| row.map(|x| x as f32));
@@ -184,7 +151,7 @@ fn adam_of_device(gpu: &Gpu, npz: &Npz, tolerance: f64) -> Outcome {
             .iter()
             .map(|rows| rows.map(|row| row.map(f64::from)))
             .collect();
-        judge_steps(&actual, after, tolerance)?;
+        judge_steps(&actual, after)?;
     }
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! Trials of the device, with tolerances for float32.
 
-use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
+use super::rendering::{Gradients, Picture, judge_gradients, judge_picture};
 use super::sets::RenderingSet;
 use super::{Outcome, SetFile};
 use crate::common::engine::settings;
@@ -27,7 +27,7 @@ fn forward(file: &SetFile, extent: Extent) -> Outcome {
     let settings = RenderSettings { inverse_depth, ..settings(&view) };
     let frame = renderer.render(&camera(&view), &settings)?;
     drop(renderer);
-    judge_picture(&file.name, &set, extent, &picture(&frame), SINGLE)?;
+    judge_picture(&file.name, &set, extent, &picture(&frame))?;
     if extent == Extent::Reference && !super::rendering::only_finite(&file.name) {
         judge_instances(&set, frame.stats.instances)?;
     }
@@ -63,7 +63,7 @@ fn check_gradients(file: &SetFile, extent: Extent) -> Outcome {
     let settings = RenderSettings { inverse_depth: inverse_depth.is_some(), ..settings(&view) };
     let derivatives = renderer.gradients(&camera(&view), &settings, &color, inverse_depth.as_deref())?;
     drop(renderer);
-    judge_gradients(&file.name, &set, extent, &gradients(&derivatives), SINGLE)?;
+    judge_gradients(&file.name, &set, extent, &gradients(&derivatives))?;
     assert_silent(context());
     Ok(())
 }
@@ -85,9 +85,6 @@ pub(super) fn gradients(gradients: &ashsplat::Gradients) -> Gradients {
         log_scales: widen(&parameters.log_scales),
         opacity_logits: parameters.opacity_logits.iter().map(|&x| f64::from(x)).collect(),
         sh: widen(&parameters.sh),
-        mean2d_px: Some(widen(&gradients.mean2d_px)),
-        conic: None,
-        opacity: None,
-        color: None,
+        mean2d_px: widen(&gradients.mean2d_px),
     }
 }

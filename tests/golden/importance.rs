@@ -1,12 +1,10 @@
-//! Edge-weighted blending importance and the draw with it: twins and device against the vectors.
+//! Edge-weighted blending importance and the draw with it: the device against the vectors.
 
 use super::Outcome;
-use super::sets::{EXTENTS, gaussians, pixel_gradients};
+use super::sets::{EXTENTS, gaussians};
 use super::stages::{Stages, field, views};
 use crate::common::prelude::*;
 use crate::golden::npz::{Npz, rows};
-use crate::reference::draws::{edges, gray, importance, key, mark, responses};
-use crate::reference::pipeline::{backward, render};
 use ashsplat::frame::LaunchSizes;
 use ashsplat::passes::densify::{
     Candidates, Chances, EdgePhoto, Importance, ImportanceBuffers, Selection, SelectionBuffers, SelectionDraw,
@@ -15,9 +13,8 @@ use ashsplat::passes::loss::{Windowing, photo_on_device};
 use ashsplat::passes::pixels::LayoutConverter;
 use std::path::Path;
 
-/// Tolerances relative to the largest value.
+/// Tolerance relative to the largest value.
 const DEVICE: f64 = 1e-5;
-const TWIN: f64 = 1e-6;
 
 /// The values of each view.
 fn by_view<'a>(npz: &'a Npz, name: &str, views: &[View]) -> Vec<&'a [f64]> {
@@ -25,37 +22,7 @@ fn by_view<'a>(npz: &'a Npz, name: &str, views: &[View]) -> Vec<&'a [f64]> {
     values.chunks(values.len() / views.len()).collect()
 }
 
-pub fn of_twin(path: &Path) -> Outcome {
-    let npz = Npz::read(path);
-    let set = gaussians(&npz, "");
-    for (extent, _) in EXTENTS {
-        let views = views(&npz, extent);
-        let mut all = Vec::new();
-        for (i, view) in views.iter().enumerate() {
-            let of = |name: &str| by_view(&npz, name, &views)[i];
-            let grays: Vec<i64> =
-                rows::<3>(of("photo")).iter().map(|pixel| gray(pixel.map(|x| x as u8))).collect();
-            let wide = |values: &[i64]| values.iter().map(|&x| x as f64).collect::<Vec<f64>>();
-            equal("gray", &wide(&grays), of("gray"))?;
-            let raw = responses(&grays, view.size_px.map(|n| n as usize));
-            equal("edge_raw", &wide(&raw), of("edge_raw"))?;
-            elementwise("edge", &edges(&raw), of("edge"), 1e-6, 0.0)?;
-            let d = pixel_gradients(of("edge_used").iter().map(|&edge| [edge, 0.0, 0.0]));
-            let gradient = backward(&set, view, &render(&set, view), &d);
-            let weights: Vec<f64> = gradient.splats.iter().map(|splat| splat.color[0]).collect();
-            relative("weights", &weights, by_view(&npz, &field(extent, "weights"), &views)[i], TWIN)?;
-            all.push(weights);
-        }
-        relative("importance", &importance(&all), npz.values(&field(extent, "importance")), TWIN)?;
-    }
-    let candidates = npz.flags("candidate");
-    let keys = npz.values("importance").iter().zip(npz.values("u")).zip(&candidates);
-    let keys: Vec<_> = keys.map(|((&chance, &u), &may)| key(if may { chance } else { 0.0 }, u)).collect();
-    let selected: Vec<f64> = mark(&keys, npz.scalar("count") as usize).into_iter().map(f64::from).collect();
-    Ok(equal("selected", &selected, npz.values("selected"))?)
-}
-
-pub fn of_device(path: &Path) -> Outcome {
+pub fn check(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let set = gaussians(&npz, "");

@@ -1,14 +1,13 @@
-//! LPIPS with weights by a formula: twin and device against the vectors.
+//! LPIPS with weights by a formula: the device against the vectors.
 
 use super::Outcome;
 use crate::common::compare::elementwise;
 use crate::common::gpu::Gpu;
 use crate::golden::npz::Npz;
-use crate::reference::lpips::{ALEXNET, Step, VGG16, formula, lpips};
+use crate::reference::lpips::{ALEXNET, Step, VGG16, formula};
 use ashsplat::passes::lpips::{InputRange, Lpips, Network, Weights};
 use std::path::Path;
 
-const TWIN: f64 = 1e-6;
 const DEVICE: f64 = 1e-4;
 /// Name in the file, layers, and offset of the weights' formula tag.
 const NETWORKS: [(&str, &[Step], u32, Network); 2] =
@@ -20,9 +19,9 @@ fn picture(npz: &Npz, name: &str) -> (Vec<[f64; 3]>, [usize; 2]) {
     (pixels, [shape[1], shape[0]])
 }
 
-fn compare(npz: &Npz, name: &str, parts: &[f64], tolerance: f64) -> Outcome {
-    elementwise(&format!("parts of {name}"), parts, npz.values(&format!("{name}_layers")), 0.0, tolerance)?;
-    elementwise(name, &[parts.iter().sum()], npz.values(name), 0.0, tolerance)?;
+fn compare(npz: &Npz, name: &str, parts: &[f64]) -> Outcome {
+    elementwise(&format!("parts of {name}"), parts, npz.values(&format!("{name}_layers")), 0.0, DEVICE)?;
+    elementwise(name, &[parts.iter().sum()], npz.values(name), 0.0, DEVICE)?;
     Ok(())
 }
 
@@ -30,21 +29,7 @@ fn first_tag(npz: &Npz) -> u32 {
     if npz.has("tag") { npz.scalar("tag") as u32 } else { 0 }
 }
 
-pub fn of_twin(path: &Path) -> Outcome {
-    let npz = Npz::read(path);
-    let ((a, size), (b, _)) = (picture(&npz, "a"), picture(&npz, "b"));
-    for (name, steps, tags, _) in NETWORKS {
-        let weights = formula(steps, first_tag(&npz) + tags);
-        let [a2, b2] = [&a, &b]
-            .map(|picture| picture.iter().map(|rgb| rgb.map(|x| 2.0 * x - 1.0)).collect::<Vec<[f64; 3]>>());
-        compare(&npz, name, &lpips(steps, &weights, [&a2, &b2], size), TWIN)?;
-        let unscaled = format!("{name}_unscaled");
-        compare(&npz, &unscaled, &lpips(steps, &weights, [&a, &b], size), TWIN)?;
-    }
-    Ok(())
-}
-
-pub fn of_device(path: &Path) -> Outcome {
+pub fn check(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let single = |name: &str| {
@@ -58,7 +43,7 @@ pub fn of_device(path: &Path) -> Outcome {
         let mut measure = Lpips::new(gpu.context, &weights).expect("kernels");
         for (suffix, range) in [("", InputRange::MinusOneToOne), ("_unscaled", InputRange::ZeroToOne)] {
             let parts = measure.distances([&a, &b], size, range).expect("a measurement");
-            compare(&npz, &format!("{name}{suffix}"), &parts, DEVICE)?;
+            compare(&npz, &format!("{name}{suffix}"), &parts)?;
         }
     }
     Ok(())

@@ -1,22 +1,18 @@
-//! Relocation, growth and noise of 3DGS-MCMC: twins and device against the vectors.
+//! Relocation, growth and noise of 3DGS-MCMC: the device against the vectors.
 
 use super::Outcome;
 use super::sets::gaussians;
 use crate::common::engine;
 use crate::common::prelude::*;
 use crate::golden::npz::Npz;
-use crate::reference::add_noise::noise;
-use crate::reference::linear::sigmoid;
-use crate::reference::relocate::relocate;
 use ashsplat::frame::{LaunchSizes, SceneBuffers, planes};
 use ashsplat::kernels::constants::STATE_WORDS;
 use ashsplat::passes::adam::Moments;
 use ashsplat::passes::densify::{Densify, DensifyForm, Draw, DrawBuffers, Gather, RandomKey, Relocation};
 use std::path::Path;
 
-/// Tolerances of logits and log-scales.
+/// Tolerance of logits and log-scales.
 const DEVICE: f64 = 1e-4;
-const TWIN: f64 = 1e-6;
 
 /// One draw of a set: the uniform numbers by row, and the result.
 struct Step {
@@ -54,13 +50,13 @@ fn steps(npz: &Npz) -> [Step; 2] {
     ]
 }
 
-fn compare(npz: &Npz, prefix: &str, actual: &[Gaussian], tolerance: f64) -> Outcome {
+fn compare(npz: &Npz, prefix: &str, actual: &[Gaussian]) -> Outcome {
     let field = |name: &str| npz.values(&format!("{prefix}_{name}"));
     let column = |of: fn(&Gaussian) -> Vec<f64>| actual.iter().flat_map(of).collect::<Vec<f64>>();
     let logits = column(|g| vec![g.opacity_logit]);
-    elementwise(&format!("{prefix} logit"), &logits, field("opacity_logits"), tolerance, tolerance)?;
+    elementwise(&format!("{prefix} logit"), &logits, field("opacity_logits"), DEVICE, DEVICE)?;
     let scales = column(|g| g.log_scale.to_vec());
-    elementwise(&format!("{prefix} log-scale"), &scales, field("log_scales"), tolerance, tolerance)?;
+    elementwise(&format!("{prefix} log-scale"), &scales, field("log_scales"), DEVICE, DEVICE)?;
     equal(&format!("{prefix} mean"), &column(|g| g.mean.to_vec()), field("means"))?;
     if prefix == "mid" {
         return Ok(());
@@ -70,44 +66,7 @@ fn compare(npz: &Npz, prefix: &str, actual: &[Gaussian], tolerance: f64) -> Outc
     Ok(equal("out SH", &column(|g| g.sh.as_flattened().to_vec()), field("sh"))?)
 }
 
-pub fn relocation_of_twin(path: &Path) -> Outcome {
-    let npz = Npz::read(path);
-    let mut set = gaussians(&npz, "in_");
-    for (step, prefix) in steps(&npz).iter().zip(["mid", "out"]) {
-        // Dead Gaussians have opacities up to 0.005; growth draws from all.
-        let weights: Vec<f64> =
-            set.iter()
-                .enumerate()
-                .map(|(row, g)| {
-                    if step.sources.get(row) == Some(&(row as f64)) { sigmoid(g.opacity_logit) } else { 0.0 }
-                })
-                .collect();
-        let total: f64 = weights.iter().sum();
-        let draw = |row: usize| {
-            let mut sum = 0.0;
-            let place = f64::from(step.uniforms[row]) * total;
-            let passed = weights.iter().take_while(|&&weight| {
-                sum += weight;
-                sum <= place
-            });
-            passed.count()
-        };
-        let kept = |row: usize| weights.get(row).is_some_and(|&weight| weight > 0.0);
-        let sources: Vec<usize> = (0..step.rows).map(|row| if kept(row) { row } else { draw(row) }).collect();
-        equal("source", &sources.iter().map(|&s| s as f64).collect::<Vec<_>>(), &step.sources)?;
-        let after = |&source: &usize| {
-            let g: &Gaussian = &set[source];
-            let (opacity_logit, log_scale) =
-                relocate(g.opacity_logit, g.log_scale, step.draws[source] as u32);
-            Gaussian { opacity_logit, log_scale, ..g.clone() }
-        };
-        set = sources.iter().map(after).collect();
-        compare(&npz, prefix, &set, TWIN)?;
-    }
-    Ok(())
-}
-
-pub fn relocation_of_device(path: &Path) -> Outcome {
+pub fn relocation(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let context = gpu.context;
@@ -170,7 +129,7 @@ pub fn relocation_of_device(path: &Path) -> Outcome {
         equal("draws", &draws, &step.draws)?;
         sets = after;
         let set = engine::twins(&planes::download(context, &sets[0]).expect("download"));
-        compare(&npz, prefix, &set, DEVICE)?;
+        compare(&npz, prefix, &set)?;
     }
     for moments in &sets[1..] {
         let rows = engine::twins(&planes::download(context, moments).expect("download"));
@@ -195,23 +154,16 @@ fn noise_set(npz: &Npz) -> (Vec<Gaussian>, Vec<[f64; 3]>, f64) {
     (set, normals, npz.scalar("rate") * npz.scalar("noise_lr"))
 }
 
-fn compare_noise(npz: &Npz, deltas: &[[f64; 3]], relative: f64) -> Outcome {
+fn compare_noise(npz: &Npz, deltas: &[[f64; 3]]) -> Outcome {
     for (i, (actual, expected)) in deltas.iter().zip(npz.rows::<3>("delta")).enumerate() {
         let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
         // If the gate is closed to 24 digits, its rounding is larger than the noise.
-        elementwise(&format!("noise of {i}"), actual, &expected, relative * largest + 1e-12, 0.0)?;
+        elementwise(&format!("noise of {i}"), actual, &expected, 1e-5 * largest + 1e-12, 0.0)?;
     }
     Ok(())
 }
 
-pub fn noise_of_twin(path: &Path) -> Outcome {
-    let npz = Npz::read(path);
-    let (set, normals, rate) = noise_set(&npz);
-    let deltas: Vec<[f64; 3]> = set.iter().zip(normals).map(|(g, normal)| noise(g, normal, rate)).collect();
-    compare_noise(&npz, &deltas, 1e-6)
-}
-
-pub fn noise_of_device(path: &Path) -> Outcome {
+pub fn noise(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let (set, normals, rate) = noise_set(&npz);
@@ -222,5 +174,5 @@ pub fn noise_of_device(path: &Path) -> Outcome {
     let relocation = Relocation::new(gpu.context).expect("kernels");
     gpu.run(|r| relocation.record_noise(r, (&scene, &state), (0, 0, rate as f32), Some(&normals)));
     let after = engine::twins(&planes::download(gpu.context, &scene).expect("download"));
-    compare_noise(&npz, &after.iter().map(|g| g.mean).collect::<Vec<_>>(), 1e-5)
+    compare_noise(&npz, &after.iter().map(|g| g.mean).collect::<Vec<_>>())
 }

@@ -1,19 +1,14 @@
-//! Gradients of camera poses and their optimiser: twins and device against the vectors.
+//! Gradients of camera poses and their optimiser: the device against the vectors.
 
 use super::Outcome;
-use super::sets::{self, EXTENTS, gaussians, pixel_gradients};
+use super::sets::{self, EXTENTS, gaussians};
 use crate::common::engine::{self, settings};
 use crate::common::poses::{Poses, pose_gradient, pose_step};
 use crate::common::prelude::*;
 use crate::golden::npz::{Npz, rows};
-use crate::reference::adam::Parameter;
-use crate::reference::pipeline::{backward, render};
-use crate::reference::pose_gradient::gradient_of_parameters;
-use crate::reference::pose_step::{moved, pose_step as twin_step};
 use std::path::Path;
 
-/// Tolerances relative to the largest entry of a gradient.
-const TWIN: f64 = 1e-6;
+/// Tolerance relative to the largest entry of a gradient.
 const DEVICE: f64 = 1e-4;
 
 fn views(npz: &Npz, extent: Extent) -> Vec<[View; 2]> {
@@ -29,42 +24,7 @@ fn views(npz: &Npz, extent: Extent) -> Vec<[View; 2]> {
 
 const FIELDS: [&str; 2] = ["d_pose", "d_pose_xi"];
 
-pub fn of_twin(path: &Path) -> Outcome {
-    let npz = Npz::read(path);
-    let scene = gaussians(&npz, "");
-    let weights = npz.rows::<3>("G");
-    for (extent, prefix) in EXTENTS {
-        let mut weights = weights.iter();
-        for (index, pair) in views(&npz, extent).iter().enumerate() {
-            let own = pixel_gradients(weights.by_ref().take(pair[0].pixels()).copied());
-            let xi = npz.rows::<6>("xi")[index];
-            for (view, field) in pair.iter().zip(FIELDS) {
-                let name = format!("{prefix}{field}");
-                let pose = backward(&scene, view, &render(&scene, view), &own).pose;
-                // The moved camera is stored in float32.
-                let tolerance = if field == "d_pose" { TWIN } else { 1e-5 };
-                relative(&name, &pose, &npz.rows::<6>(&name)[index], tolerance)?;
-            }
-            let [g, expected] = ["d_pose_xi", "d_xi"].map(|field| npz.rows::<6>(&format!("{prefix}{field}")));
-            relative("d_xi", &gradient_of_parameters(xi, g[index]), &expected[index], TWIN)?;
-            let start = (&pair[0].camera_from_world, pair[0].translation);
-            let (rotation, translation) = moved(xi, start);
-            elementwise("R", &rotation.concat(), &pair[1].camera_from_world.concat(), 1.5e-7, 0.0)?;
-            elementwise("t", &translation, &pair[1].translation, 1.5e-7, 0.0)?;
-        }
-    }
-    let mut parameters = [Parameter::default(); 6];
-    for (step, (gradient, rate)) in npz.rows::<6>("adam_g").iter().zip(npz.values("adam_rate")).enumerate() {
-        for (parameter, &g) in parameters.iter_mut().zip(gradient) {
-            twin_step(parameter, g, *rate, step as u32 + 1);
-        }
-        let expected = npz.rows::<6>("adam_xi")[step];
-        elementwise("adam", &parameters.map(|p| p.value), &expected, 1e-12, 1e-6)?;
-    }
-    Ok(())
-}
-
-pub fn of_device(path: &Path) -> Outcome {
+pub fn check(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     gradients_of_device(&npz)?;
     let gpu = Gpu::new();

@@ -13,17 +13,14 @@ pub struct Picture {
     pub inverse_depth: Option<Vec<f64>>,
 }
 
-/// Flattened gradients; `None` if an implementation does not expose them.
+/// Flattened gradients.
 pub struct Gradients {
     pub means: Vec<f64>,
     pub quats: Vec<f64>,
     pub log_scales: Vec<f64>,
     pub opacity_logits: Vec<f64>,
     pub sh: Vec<f64>,
-    pub mean2d_px: Option<Vec<f64>>,
-    pub conic: Option<Vec<f64>>,
-    pub opacity: Option<Vec<f64>>,
-    pub color: Option<Vec<f64>>,
+    pub mean2d_px: Vec<f64>,
 }
 
 #[derive(Clone, Copy)]
@@ -43,14 +40,6 @@ pub const SINGLE: Tolerance = Tolerance {
     quats: GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 },
 };
 
-/// Tolerances of the float64 twins: the rounding of stored float32.
-pub const DOUBLE: Tolerance = Tolerance {
-    image: PixelTolerance { max: 5e-7, mean: 1e-7, unstable: 2e-2 },
-    transmittance: PixelTolerance { max: 5e-7, mean: 1e-7, unstable: 2e-2 },
-    gradient: GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 },
-    quats: GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 },
-};
-
 /// True for a set that is checked only for finiteness, because its 2-D determinant cancels in float32.
 pub fn only_finite(set: &str) -> bool {
     set == "s11_needle"
@@ -61,26 +50,25 @@ pub fn judge_picture(
     set: &RenderingSet,
     extent: Extent,
     picture: &Picture,
-    tolerance: Tolerance,
 ) -> Result<(), String> {
     if only_finite(name) {
         return all_finite("image", &picture.color);
     }
     let results = set.results(extent);
     let unstable = results.flags("pix_unstable");
-    pixels("image", &picture.color, results.values("image"), &unstable, tolerance.image)?;
+    pixels("image", &picture.color, results.values("image"), &unstable, SINGLE.image)?;
     pixels(
         "transmittance",
         &picture.transmittance,
         results.values("final_T"),
         &unstable,
-        tolerance.transmittance,
+        SINGLE.transmittance,
     )?;
     if let Some(inverse_depth) = picture.inverse_depth.as_ref().filter(|_| results.has("inv_depth")) {
         // The bound scales with the largest value. Unstable pixels have none: an extra entry that changes the colour
         // by 0.02 changes the inverse depth near the near plane five times as much.
         let largest = results.values("inv_depth").iter().copied().fold(1.0, f64::max);
-        let PixelTolerance { max, mean, .. } = tolerance.image;
+        let PixelTolerance { max, mean, .. } = SINGLE.image;
         let bound = PixelTolerance { max: max * largest, mean: mean * largest, unstable: f64::INFINITY };
         pixels("inverse depth", inverse_depth, results.values("inv_depth"), &unstable, bound)?;
     }
@@ -88,14 +76,13 @@ pub fn judge_picture(
 }
 
 /// Name, values, Gaussians to skip, bounds.
-type Field<'a> = (&'a str, Option<Vec<f64>>, &'a [bool], GradientTolerance);
+type Field<'a> = (&'a str, &'a [f64], &'a [bool], GradientTolerance);
 
 pub fn judge_gradients(
     name: &str,
     set: &RenderingSet,
     extent: Extent,
     actual: &Gradients,
-    tolerance: Tolerance,
 ) -> Result<(), String> {
     let results = set.results(extent);
     let count = set.gaussians.len();
@@ -103,37 +90,28 @@ pub fn judge_gradients(
     let clamp = set.gaussian_flag(4);
     let saturated: Vec<bool> = set.gaussians.iter().map(|g| g.opacity_logit.abs() > 16.0).collect();
     let size = set.view.size_px.map(|n| f64::from(n) / 2.0);
-    let ndc = actual
-        .mean2d_px
-        .as_ref()
-        .map(|px| px.chunks(2).flat_map(|d| [d[0] * size[0], d[1] * size[1]]).collect());
-    let owned = |values: &Vec<f64>| Some(values.clone());
-    let fields: [Field; 10] = [
-        ("means", owned(&actual.means), &none, tolerance.gradient),
-        ("quats", owned(&actual.quats), &none, tolerance.quats),
-        ("log_scales", owned(&actual.log_scales), &none, tolerance.gradient),
-        ("opacity_logits", owned(&actual.opacity_logits), &saturated, tolerance.gradient),
-        ("sh", owned(&actual.sh), &clamp, tolerance.gradient),
-        ("xy_pix", actual.mean2d_px.clone(), &none, tolerance.gradient),
-        ("xy_ndc", ndc, &none, tolerance.gradient),
-        ("conic", actual.conic.clone(), &none, tolerance.gradient),
-        ("opacity", actual.opacity.clone(), &none, tolerance.gradient),
-        ("color", actual.color.clone(), &clamp, tolerance.gradient),
+    let ndc: Vec<f64> = actual.mean2d_px.chunks(2).flat_map(|d| [d[0] * size[0], d[1] * size[1]]).collect();
+    let fields: [Field; 7] = [
+        ("means", &actual.means, &none, SINGLE.gradient),
+        ("quats", &actual.quats, &none, SINGLE.quats),
+        ("log_scales", &actual.log_scales, &none, SINGLE.gradient),
+        ("opacity_logits", &actual.opacity_logits, &saturated, SINGLE.gradient),
+        ("sh", &actual.sh, &clamp, SINGLE.gradient),
+        ("xy_pix", &actual.mean2d_px, &none, SINGLE.gradient),
+        ("xy_ndc", &ndc, &none, SINGLE.gradient),
     ];
     for (field, values, skip, tolerance) in fields {
-        let (Some(values), Some(expected)) = (values, expected_gradient(set, extent, field)) else {
-            continue;
-        };
+        let Some(expected) = expected_gradient(set, extent, field) else { continue };
         if only_finite(name) {
-            all_finite(field, &values)?;
+            all_finite(field, values)?;
             continue;
         }
         let expected_values = results.values(&expected);
         if field == "quats" && expected_values.iter().all(|&d| d == 0.0) {
-            zero_quats(&values, &actual.log_scales, tolerance)?;
+            zero_quats(values, &actual.log_scales, tolerance)?;
             continue;
         }
-        gradient(&format!("d_{field}"), &values, expected_values, skip, tolerance)?;
+        gradient(&format!("d_{field}"), values, expected_values, skip, tolerance)?;
     }
     Ok(())
 }

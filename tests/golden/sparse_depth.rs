@@ -1,4 +1,4 @@
-//! The depths of sparse points: the loss and its gradients; twins and device against the vectors.
+//! The depths of sparse points: the loss and its gradients; the device against the vectors.
 
 use super::Outcome;
 use super::sets::{gaussians, view};
@@ -7,10 +7,7 @@ use crate::common::engine::twins;
 use crate::common::prelude::*;
 use crate::common::terms::points as engine_points;
 use crate::golden::npz::Npz;
-use crate::reference::pipeline::{pixels_of, render, tile_of};
-use crate::reference::project_backward::project_backward;
-use crate::reference::sparse_depth::{Point, corners, depth_sums, expected, loss};
-use crate::reference::sparse_depth_gather::{expected_depth_backward, gather};
+use crate::reference::sparse_depth::{Point, corners};
 use ashsplat::frame::{SceneBuffers, planes};
 use ashsplat::passes::backward::{BackwardForm, Statistics};
 use ashsplat::passes::loss::{DepthPointBuffers, LossTerm, TermInputs};
@@ -26,28 +23,12 @@ struct Computed {
     gradients: Vec<Gradient>,
 }
 
-struct Bounds {
-    depth: f64,
-    sampled: f64,
-    loss: f64,
-    gradient: GradientTolerance,
-}
-
-const TWIN: Bounds = Bounds {
-    depth: 1e-6,
-    sampled: 1e-6,
-    loss: 1e-6,
-    gradient: GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 },
-};
 /// Wide, because small coverages divide.
-const DEVICE: Bounds = Bounds {
-    depth: 1e-4,
-    sampled: 1e-4,
-    loss: 1e-5,
-    gradient: GradientTolerance { relative_l2: 1e-3, max_over_max: 1e-3 },
-};
+const DEPTH: f64 = 1e-4;
+const LOSS: f64 = 1e-5;
+const GRADIENT: GradientTolerance = GradientTolerance { relative_l2: 1e-3, max_over_max: 1e-3 };
 
-fn judge(npz: &Npz, computed: &Computed, bounds: &Bounds) -> Outcome {
+fn judge(npz: &Npz, computed: &Computed) -> Outcome {
     let unstable = npz.flags("pix_unstable");
     let wanted = npz.values("expected_depth");
     let counts = |pixel: &usize| computed.coverage[*pixel] > 0.01 && !unstable[*pixel];
@@ -56,7 +37,7 @@ fn judge(npz: &Npz, computed: &Computed, bounds: &Bounds) -> Outcome {
         return Err(format!("only {} pixels are compared", places.len()).into());
     }
     let of = |values: &[f64]| places.iter().map(|&pixel| values[pixel]).collect::<Vec<f64>>();
-    elementwise("depth", &of(&computed.expected_depth), &of(wanted), 0.0, bounds.depth)?;
+    elementwise("depth", &of(&computed.expected_depth), &of(wanted), 0.0, DEPTH)?;
     let size = view(npz).size_px.map(|side| side as usize);
     let sampled: Vec<f64> = points(npz)
         .iter()
@@ -65,8 +46,8 @@ fn judge(npz: &Npz, computed: &Computed, bounds: &Bounds) -> Outcome {
             all.map(|(at, share)| share * computed.expected_depth[at]).sum()
         })
         .collect();
-    elementwise("sampled", &sampled, npz.values("sampled"), 0.0, bounds.sampled)?;
-    elementwise("loss", &[computed.loss], npz.values("loss"), 0.0, bounds.loss)?;
+    elementwise("sampled", &sampled, npz.values("sampled"), 0.0, DEPTH)?;
+    elementwise("loss", &[computed.loss], npz.values("loss"), 0.0, LOSS)?;
     let column = |of: fn(&Gradient) -> Vec<f64>| computed.gradients.iter().flat_map(of).collect::<Vec<f64>>();
     let skip = vec![false; computed.gradients.len()];
     for (name, values) in [
@@ -75,7 +56,7 @@ fn judge(npz: &Npz, computed: &Computed, bounds: &Bounds) -> Outcome {
         ("dx_log_scales", column(|g| g.log_scale.to_vec())),
         ("dx_opacity_logits", column(|g| vec![g.opacity_logit])),
     ] {
-        gradient(name, &values, npz.values(name), &skip, bounds.gradient)?;
+        gradient(name, &values, npz.values(name), &skip, GRADIENT)?;
     }
     Ok(())
 }
@@ -85,47 +66,7 @@ fn points(npz: &Npz) -> Vec<Point> {
     pairs.map(|(position_px, z)| Point { position_px, inverse_z: 1.0 / z }).collect()
 }
 
-fn weight(npz: &Npz) -> f64 {
-    npz.scalar("weight") * npz.scalar("scene_scale")
-}
-
-/// The loss with these Gaussians, its gradients, and intermediate results.
-fn by_twin(set: &[Gaussian], view: &View, points: &[Point], weight: f64) -> Computed {
-    let frame = render(set, view);
-    let list = |pixel: [u32; 2]| -> Vec<&Splat> {
-        let of_tile = &frame.lists[tile_of(view, pixel)];
-        of_tile.iter().map(|&g| frame.splats[g as usize].as_ref().expect("listed")).collect()
-    };
-    let sums: Vec<[f64; 2]> = pixels_of(view).map(|pixel| depth_sums(&list(pixel), pixel)).collect();
-    let expected_depth: Vec<f64> = sums.iter().map(|&sums| expected(sums)).collect();
-    let size = view.size_px.map(|side| side as usize);
-    let (loss, each) = loss(&expected_depth, size, points, weight);
-    let of_points: Vec<f64> = each.iter().map(|[_, gradient]| *gradient).collect();
-    let of_pixels = gather(points, &of_points, size);
-    let mut splats = vec![SplatGradient::default(); set.len()];
-    for (pixel, d_expected) in pixels_of(view).zip(of_pixels).filter(|(_, d)| *d != 0.0) {
-        let list = list(pixel);
-        let mut own = vec![SplatGradient::default(); list.len()];
-        expected_depth_backward(&list, pixel, d_expected, &mut own);
-        let of_tile = &frame.lists[tile_of(view, pixel)];
-        of_tile.iter().zip(&own).for_each(|(&gaussian, own)| splats[gaussian as usize].add(own));
-    }
-    let gradients = set.iter().zip(&frame.splats).zip(&splats).map(|((gaussian, splat), d)| match splat {
-        Some(_) => project_backward(gaussian, view, d),
-        None => Gradient { sh: vec![[0.0; 3]; gaussian.sh.len()], ..Gradient::default() },
-    });
-    let coverage = sums.iter().map(|sums| sums[1]).collect();
-    Computed { expected_depth, coverage, loss, gradients: gradients.collect() }
-}
-
-pub fn of_twin(path: &Path) -> Outcome {
-    let npz = Npz::read(path);
-    let (set, points, weight) = (gaussians(&npz, ""), points(&npz), weight(&npz));
-    let view = View { extent: Extent::Exact, ..view(&npz) };
-    judge(&npz, &by_twin(&set, &view, &points, weight), &TWIN)
-}
-
-pub fn of_device(path: &Path) -> Outcome {
+pub fn check(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let (context, set) = (gpu.context, gaussians(&npz, ""));
@@ -203,5 +144,5 @@ pub fn of_device(path: &Path) -> Outcome {
         coverage,
         gradients: gradients.collect(),
     };
-    judge(&npz, &computed, &DEVICE)
+    judge(&npz, &computed)
 }

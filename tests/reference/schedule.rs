@@ -10,11 +10,6 @@ pub fn position_rate(step: f64, scene_extent: f64) -> f64 {
     log_linear(step, 1.6e-4 * scene_extent, 1.6e-6 * scene_extent, 30_000.0)
 }
 
-/// Number of Gaussians that Improved-GS allows by an iteration.
-pub fn growth_budget(iteration: f64, last: f64) -> f64 {
-    (((iteration - 500.0) / 14_000.0).clamp(0.0, 1.0).sqrt() * last).floor().max(1.0)
-}
-
 /// The quantile with linear interpolation between ranks.
 pub fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();
@@ -22,12 +17,4 @@ pub fn quantile(values: &[f64], share: f64) -> f64 {
     let place = share * (sorted.len() - 1) as f64;
     let (low, high) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
     low + place.fract() * (high - low)
-}
-
-pub fn exposure_rate(step: f64) -> f64 {
-    log_linear(step, 0.01, 0.001, 30_000.0)
-}
-
-pub fn depth_weight(step: f64) -> f64 {
-    log_linear(step, 1.0, 0.01, 30_000.0)
 }

@@ -268,19 +268,4 @@ mod tests {
         let p90 = |n: u32| Spread::of((1..=n).map(f64::from).collect()).map(|spread| spread.p90);
         assert_eq!([p90(15), p90(10), p90(20), p90(5)], [Some(14.0), Some(9.0), Some(18.0), Some(5.0)]);
     }
-
-    #[test]
-    fn spreads_that_no_measurement_gives_are_seen() {
-        let plausible = |[min, median, p90]: [f64; 3]| Spread { min, median, p90, mean: 1.0 }.is_plausible();
-        assert!(plausible([0.0, 0.0, 0.0]) && plausible([1.0, 2.0, 3.0]));
-        for bad in [
-            [-1.0, 2.0, 3.0],
-            [2.0, 1.0, 3.0],
-            [1.0, 3.0, 2.0],
-            [1.0, f64::NAN, 2.0],
-            [1.0, 2.0, f64::INFINITY],
-        ] {
-            assert!(!plausible(bad), "{bad:?}");
-        }
-    }
 }

@@ -157,27 +157,3 @@ pub fn disturbed(scene: &Gaussians, seed: u64) -> Gaussians {
     }
     scene
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_seed_is_a_scene() {
-        assert_eq!(scene(7, 500, 1), scene(7, 500, 1));
-        assert_ne!(scene(7, 500, 1), scene(8, 500, 1));
-        assert!(scene(7, 500, 3).check_shapes().is_ok());
-        assert_eq!(scene(7, 0, 3).len(), 0);
-    }
-
-    #[test]
-    fn most_of_the_scene_is_in_the_picture() {
-        let (scene, camera) = (scene(1, 2000, 0), camera(640, 360));
-        let inside = |mean: &&[f32; 3]| {
-            let (x, y, z) = camera.project(Vec3::from(**mean));
-            z > 0.2 && (0.0..640.0).contains(&x) && (0.0..360.0).contains(&y)
-        };
-        let share = scene.means.iter().filter(inside).count() as f32 / 2000.0;
-        assert!(share > 0.8, "{share}");
-    }
-}

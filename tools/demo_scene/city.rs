@@ -149,14 +149,4 @@ mod tests {
         }
         assert!(seen.iter().flatten().all(|&seen| seen), "{seen:?}");
     }
-
-    #[test]
-    fn a_larger_city_has_as_many_photographs_per_lot() {
-        let larger = City { lots: 16, width: 256 };
-        let (usual, cameras) = (cameras(City::default()), cameras(larger));
-        assert!(cameras.len() == 2 * 18 * 18 && (cameras[0].width, cameras[0].height) == (256, 192));
-        let between = |cameras: &[Camera]| cameras[2].position().distance(cameras[0].position());
-        assert!((between(&cameras) / between(&usual) - 1.0).abs() < 0.03);
-        assert!(scene(larger).objects.len() > 3 * scene(City::default()).objects.len());
-    }
 }

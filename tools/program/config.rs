@@ -306,21 +306,6 @@ mod tests {
     }
 
     #[test]
-    fn dump_reads_back() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join(SETTINGS_FILE);
-        let mut settings = Settings::reference();
-        settings.data.eval = true;
-        settings.data.source_path = "some/where".into();
-        settings.train.position_lr_init = 1.25e-4;
-        settings.data.photo_points = When::On;
-        settings.train.seed = 17;
-        std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
-        let read = Settings::resolve(Some(&path), &Overrides::default()).expect("read back");
-        assert_eq!(read, settings);
-    }
-
-    #[test]
     fn command_line_wins_over_file() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("my.toml");
@@ -371,15 +356,6 @@ mod tests {
             let changed = settings.values().into_iter().zip(TrainSettings::reference().values());
             assert_eq!(changed.filter(|(a, b)| a != b).count(), 1, "{}", option.name);
         }
-    }
-
-    #[test]
-    fn unknown_name_in_file_is_refused() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("my.toml");
-        std::fs::write(&path, "iteration = 10\n").expect("written");
-        let message = Settings::resolve(Some(&path), &Overrides::default()).expect_err("refused").to_string();
-        assert!(message.contains("my.toml") && message.contains("`iteration`"), "{message}");
     }
 
     #[test]

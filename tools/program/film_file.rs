@@ -220,14 +220,4 @@ mod tests {
         assert_eq!(gif_frames(4, 30), [(0, 3), (1, 4), (2, 3), (3, 3)]);
         assert_eq!(gif_frames(1, 60), [(0, 2)]);
     }
-
-    #[test]
-    fn endings_choose_the_kind_of_film() {
-        let of = |name: &str| Container::of(Path::new(name));
-        assert_eq!(of("a/film.MP4").expect("known"), Some(Container::Mp4));
-        assert_eq!(of("film.webm").expect("known"), Some(Container::Webm));
-        assert_eq!(of("film.gif").expect("known"), Some(Container::Gif));
-        assert_eq!(of("out/render.v2").expect("a folder"), None);
-        assert!(of("film.mov").is_err_and(|e| e.to_string().contains(".mp4")));
-    }
 }

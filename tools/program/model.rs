@@ -157,23 +157,4 @@ mod tests {
             assert_eq!(usual_folder(Path::new(dataset)), format!("out/{model}"));
         }
     }
-
-    #[test]
-    fn the_note_counts_where_its_point_cloud_is() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let newest = || newest_iteration(folder.path());
-        assert_eq!(newest(), None);
-        for iteration in [5, 3, 30] {
-            output::write_text(&point_cloud_path(folder.path(), iteration), "ply").expect("written");
-        }
-        std::fs::create_dir(folder.path().join("point_cloud/iteration_99")).expect("an empty folder");
-        assert_eq!(saved_iterations(folder.path()), [3, 5, 30]);
-        assert_eq!(newest(), Some(30));
-        note_saved(folder.path(), 3).expect("noted");
-        assert_eq!(newest(), Some(3));
-        note_saved(folder.path(), 99).expect("noted");
-        assert_eq!(newest(), Some(30));
-        std::fs::write(folder.path().join(LAST_ITERATION_FILE), "three").expect("written");
-        assert_eq!(newest(), Some(30));
-    }
 }

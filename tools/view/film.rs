@@ -132,32 +132,3 @@ fn from_fov_y(fov_y: f32, width: u32, height: u32) -> Intrinsics {
     let focal = 0.5 * height as f32 / (0.5 * fov_y).tan();
     Intrinsics { fx: focal, fy: focal, cx: 0.5 * width as f32, cy: 0.5 * height as f32, width, height }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::protocol::{Look, PathKey};
-
-    fn key(x: f32, angle: f32) -> PathKey {
-        let rotation = Mat3::from_rotation_y(angle);
-        PathKey { position: [x, 0.0, -3.0], rotation: rotation.transpose().to_cols_array_2d(), fov_y: 0.8 }
-    }
-
-    fn request(keys: Vec<PathKey>, closed: bool) -> FilmRequest {
-        let look = Look::default();
-        FilmRequest { keys, seconds: 1.0, frames_per_second: 9, closed, width: 32, height: 24, look }
-    }
-
-    #[test]
-    fn paths_pass_through_their_keys() {
-        let keys = vec![key(0.0, 0.0), key(1.0, 0.4), key(3.0, 0.2)];
-        let open = cameras(&request(keys.clone(), false)).expect("a path");
-        let position = |camera: &Camera| camera.position().x;
-        let passes = [0, 4, 8].map(|frame| position(&open[frame]));
-        passes.iter().zip([0.0, 1.0, 3.0]).for_each(|(x, key)| assert!((x - key).abs() < 1e-4, "{passes:?}"));
-        let closed = cameras(&request(keys, true)).expect("a path");
-        let passes = [0, 3, 6].map(|frame| position(&closed[frame]));
-        passes.iter().zip([0.0, 1.0, 3.0]).for_each(|(x, key)| assert!((x - key).abs() < 1e-4, "{passes:?}"));
-        open.iter().chain(&closed).for_each(|camera| camera.check().expect("sound"));
-    }
-}

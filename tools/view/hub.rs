@@ -429,23 +429,4 @@ mod tests {
         assert!("abfr".chars().all(|who| first.contains(who)), "{served}");
         assert_eq!(rest, first.repeat(2), "{served}");
     }
-
-    #[test]
-    fn requests_are_bounded() {
-        let hub = Hub::default();
-        // Without training, nothing would ever fetch the actions.
-        assert!(!hub.act(TrainAction::Pause) && hub.actions().is_empty());
-        hub.set_status(|_| String::new());
-        let pages: Vec<u64> = (0..100).filter_map(|_| hub.join()).map(|(client, _)| client).collect();
-        assert!(pages.len() == MOST_PAGES && !hub.has_room());
-        let pick = json!({ "id": 1, "camera": view().camera, "pixel": [0, 0] });
-        let pick: Pick = from_value(pick).expect("a pick");
-        let taken = |ask: &dyn Fn() -> bool| (0..100).filter(|_| ask()).count();
-        assert_eq!(taken(&|| hub.act(TrainAction::Step)), MOST_ACTIONS);
-        assert_eq!(taken(&|| hub.pick(pages[0], pick.clone())), MOST_PICKS);
-        assert_eq!(taken(&|| hub.ask_remotely(remote())), MOST_REMOTE);
-        assert_eq!(taken(&|| hub.ask_for_scene(oneshot::channel().0)), MOST_SCENES);
-        hub.leave(pages[0]);
-        assert!(hub.has_room() && hub.join().is_some() && hub.actions().len() == MOST_ACTIONS);
-    }
 }

@@ -43,39 +43,3 @@ fn reduced(photo: &Photo, factor: usize) -> (Vec<f32>, usize) {
     }
     (grey, width)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Bars and a disk, blurred along x over `smeared` pixels.
-    fn picture(width: u32, smeared: u32) -> Photo {
-        let height = width / 2;
-        let level = |x: f32, y: f32| {
-            let bars = if (10.0 * x) as i32 % 2 == 0 { 60.0 } else { 150.0 };
-            let disk = (x - 0.5).hypot(y - 0.25) < 0.1;
-            if disk { 230.0 } else { bars }
-        };
-        let pixel = |x: u32, y: u32| {
-            let at = |step: u32| level((x + step) as f32 / width as f32, y as f32 / width as f32);
-            ((0..smeared).map(at).sum::<f32>() / smeared as f32) as u8
-        };
-        let places = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-        Photo { width, height, rgb: places.flat_map(|(x, y)| [pixel(x, y); 3]).collect() }
-    }
-
-    #[test]
-    fn blur_lowers_it_at_all_sizes() {
-        for width in [64, 640, 1920] {
-            let smears =
-                [1, 3, 6, 12].map(|smeared| sharpness(&picture(width, smeared * width.div_ceil(640))));
-            assert!(smears.is_sorted_by(|a, b| a > b), "{width}: {smears:?}");
-        }
-        let even = Photo { width: 40, height: 30, rgb: vec![99; 3600] };
-        assert!(sharpness(&even) < 1e-6);
-        for [width, height] in [[1, 1], [2, 9], [9, 2]] {
-            let small = Photo { width, height, rgb: vec![5; (3 * width * height) as usize] };
-            assert_eq!(sharpness(&small), 0.0);
-        }
-    }
-}

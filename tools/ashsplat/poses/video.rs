@@ -313,20 +313,6 @@ mod tests {
     }
 
     #[test]
-    fn the_sharpest_of_each_interval_is_kept() {
-        let mut picker = Picker::default();
-        let mut kept = Vec::new();
-        for (interval, value, stripes) in
-            [(0, 1, false), (0, 2, true), (0, 100, true), (1, 3, false), (3, 60, true), (3, 5, true)]
-        {
-            kept.extend(picker.take(interval, grey(value, stripes)));
-        }
-        kept.extend(picker.best.map(|best| best.photo));
-        let firsts: Vec<u8> = kept.iter().map(|photo| photo.rgb[3]).collect();
-        assert_eq!(firsts, [2, 3, 5]);
-    }
-
-    #[test]
     fn intervals_follow_the_options_and_the_video() {
         let video = Video { seconds: 30.0, frames: 900 };
         let count = |frames, every, video: &Video| Wanted { frames, every }.of(video);

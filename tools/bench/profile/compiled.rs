@@ -278,37 +278,3 @@ fn write_texts(folder: &Path, all: &[PipelineStatistics]) -> Result<()> {
     }
     Ok(())
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use ashsplat::vk::Executable;
-
-    fn pipeline(texts: &[&str]) -> PipelineStatistics {
-        let executable = |text: &&str| Executable {
-            name: String::new(),
-            subgroup_size: 8,
-            statistics: Vec::new(),
-            texts: vec![("GEN Assembly".to_owned(), (*text).to_owned())],
-        };
-        PipelineStatistics {
-            kernel: "forward/blend",
-            texels: false,
-            subgroup_size: None,
-            workgroup_size: [16, 16, 1],
-            constants: Vec::new(),
-            executables: texts.iter().map(executable).collect(),
-        }
-    }
-
-    #[test]
-    fn texts_of_several_programs_are_all_kept() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        write_texts(folder.path(), &[pipeline(&["one"]), pipeline(&["8 lanes", "16 lanes"])])
-            .expect("written");
-        for (number, text) in [("0", "one"), ("1.0", "8 lanes"), ("1.1", "16 lanes")] {
-            let path = folder.path().join(format!("forward/blend.{number}.gen_assembly.txt"));
-            assert_eq!(std::fs::read_to_string(path).expect(number), text);
-        }
-    }
-}

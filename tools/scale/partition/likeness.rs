@@ -43,19 +43,3 @@ fn correlated(a: &[f64], b: &[f64]) -> Option<f64> {
     // A uniform render resembles nothing.
     (aa > flat).then(|| if bb > flat { ab / (aa * bb).sqrt() } else { 0.0 })
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn brightness_and_contrast_do_not_matter() {
-        let a = [0.1, 0.5, 0.2, 0.9];
-        let darker = a.map(|a| 0.3 * a + 0.2);
-        assert!(correlated(&a, &darker).is_some_and(|c| (c - 1.0).abs() < 1e-9));
-        let negative = a.map(|a| 1.0 - a);
-        assert!(correlated(&a, &negative).is_some_and(|c| (c + 1.0).abs() < 1e-9));
-        assert_eq!((correlated(&a, &[0.5; 4]), correlated(&[0.5; 4], &a)), (Some(0.0), None));
-        assert_eq!(correlated(&[1.0, -1.0, 1.0, -1.0], &[1.0, 1.0, -1.0, -1.0]), Some(0.0));
-    }
-}

@@ -75,21 +75,3 @@ impl Outbox {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_page_that_does_not_read_is_given_up() {
-        let outbox = Outbox::default();
-        (0..MOST_WORDS).for_each(|_| outbox.put(ToPage::Text("words".into())));
-        assert!(outbox.words() == MOST_WORDS && !outbox.lock().given_up);
-        (0..10 * MOST_WORDS).for_each(|_| outbox.put(ToPage::Text("words".into())));
-        assert!(outbox.words() == 0 && outbox.lock().given_up);
-        // One long greeting is accepted; a second one is not.
-        let outbox = Outbox::default();
-        (0..2).for_each(|_| outbox.put(ToPage::Text("w".repeat(MOST_BYTES))));
-        assert!(outbox.lock().given_up);
-    }
-}

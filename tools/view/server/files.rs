@@ -56,20 +56,3 @@ impl<T: Unpin> hyper::body::Body for Pieces<T> {
         SizeHint::with_exact(self.left)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn files_arrive_whole() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("film.gif");
-        let contents: Vec<u8> = (0..3 * PIECE + 77).map(|i| (i % 251) as u8).collect();
-        std::fs::write(&path, &contents).expect("written");
-        let runtime = tokio::runtime::Builder::new_current_thread().build().expect("a runtime");
-        let sent = runtime.block_on(axum::body::to_bytes(body(&path).expect("a file"), usize::MAX));
-        assert!(sent.expect("read") == contents);
-        assert!(body(folder.path()).is_none() && body(&folder.path().join("other")).is_none());
-    }
-}

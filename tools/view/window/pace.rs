@@ -165,12 +165,4 @@ mod tests {
         assert_eq!(pace.next(start + REST / 2, false), Due::Nothing);
         assert_eq!(pace.next(start + 2 * REST, false), Due::Still);
     }
-
-    #[test]
-    fn rates_are_of_the_last_frames() {
-        let (mut pace, start) = (Pace::new(), Instant::now());
-        assert_eq!(pace.frames_per_second(), 0.0);
-        (0..100).for_each(|n| pace.drawn(Due::Still, start + n * Duration::from_millis(20)));
-        assert!((pace.frames_per_second() - 50.0).abs() < 1e-6);
-    }
 }

@@ -81,19 +81,4 @@ mod tests {
             ["####....", ".##.....", ".##.....", ".##.....", ".##...#.", ".##..##.", "#######.", "........"]
         );
     }
-
-    #[test]
-    fn text_is_scaled_and_cut() {
-        let lines = ["ab".to_owned(), "×€".to_owned()];
-        let whole = text(&lines, 2, [1000; 2]);
-        assert_eq!([whole.width, whole.height], [52, 64]);
-        let cut = text(&lines, 2, [20, 40]);
-        assert_eq!([cut.width, cut.height], [20, 40]);
-        for (a, b) in cut.texels.chunks_exact(20).zip(whole.texels.chunks_exact(52)) {
-            assert_eq!(a, &b[..20]);
-        }
-        assert_eq!(text(&[], 2, [1000; 2]), Text::default());
-        // Letters that no font has become question marks.
-        assert_eq!(text(&["€".into()], 1, [100; 2]), text(&["?".into()], 1, [100; 2]));
-    }
 }

@@ -144,15 +144,6 @@ mod tests {
     }
 
     #[test]
-    fn pages_get_what_they_lack() {
-        let mut curves = Curves::new(10_000);
-        (1..=20).for_each(|iteration| curves.step(&step(iteration)));
-        let loss = |since: u32| curves.status(since)["points"]["loss"].as_array().map(Vec::len);
-        assert_eq!((loss(0), loss(15), loss(20)), (Some(20), Some(5), Some(0)));
-        assert_eq!(curves.status(15)["points"]["fresh"], false);
-    }
-
-    #[test]
     fn iterations_that_are_left_out_have_no_loss() {
         let mut curves = Curves::new(10);
         let skipped = StepReport { loss: f32::NAN, ..step(1) };
