@@ -1,8 +1,6 @@
 //! Kernels with subgroups of 32, 64 and 128 lanes, which no software driver has. An interpreter of their SPIR-V
-//! (tests/interpreter) runs them with a GPU's workgroups against the twins, and with the device's lanes against the
-//! device.
+//! (tests/interpreter) runs them with a GPU's workgroups against the twins.
 
-use crate::common::context;
 use crate::common::gpu::Gpu;
 use crate::common::machine::{Machine, on};
 use crate::kernels::{
@@ -31,28 +29,6 @@ fn sorts() {
     sort::sort_upsweep_equals_its_twin();
     sort::sort_spine_equals_its_twin();
     sort::sort_downsweep_equals_its_twin();
-}
-
-#[test]
-fn interpreter_scans_and_sorts_as_the_device_to_the_bit() {
-    on(Machine::Both { error: 0.0 }, || {
-        scans();
-        sorts();
-        lists::compact_equals_its_twin();
-    });
-}
-
-/// Only on llvmpipe: other drivers' exponentials may change decisions, within the twins' tolerances.
-#[test]
-fn interpreter_culls_and_blends_as_the_device() {
-    if !context().device_name().contains("llvmpipe") {
-        eprintln!("skipped: the interpreter beside the device: not on {}", context().device_name());
-        return;
-    }
-    on(Machine::Both { error: 0.0 }, cull::cull_equals_its_twin);
-    on(Machine::Both { error: 1e-5 }, blend::blend_equals_its_twin_on_images_of_all_sizes);
-    // Sums of many terms of both signs.
-    on(Machine::Both { error: 2e-4 }, blend_backward::blend_backward_equals_its_twin_on_images_of_all_sizes);
 }
 
 #[test]

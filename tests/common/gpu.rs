@@ -215,10 +215,6 @@ impl Gpu {
             Machine::Interpreter { lanes, .. } => pushes.for_each(|push| {
                 machine::interpret::<K>(self.context, lanes, (spec, bind, &push), workgroups);
             }),
-            Machine::Both { error } => pushes.for_each(|push| {
-                let run = || on_device(&mut std::iter::once(push));
-                machine::compare::<K>(self.context, error, (spec, bind, &push), workgroups, run);
-            }),
         }
     }
 }

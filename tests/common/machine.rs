@@ -1,4 +1,4 @@
-//! Machines that run a test's kernels: the device, an interpreter, or both, whose results must agree.
+//! Machines that run a test's kernels: the device or an interpreter.
 
 use ashsplat::frame::tuning::Tuning;
 use ashsplat::vk::{Buffer, Context, KernelInterface, Limits};
@@ -18,10 +18,6 @@ pub enum Machine {
     Interpreter {
         lanes: u32,
         workgroup: u32,
-    },
-    /// Both, with the device's lanes. Words agree to the bit; floats within |a - b| <= `error` * (1 + |b|).
-    Both {
-        error: f32,
     },
 }
 
@@ -104,61 +100,23 @@ pub fn run(
     program.run(&Dispatch { workgroups, push, order, accepts_unwritten_shared }, words)
 }
 
-/// Interprets one dispatch over the contents of the device's buffers. Returns the program, and the words before and
-/// after.
-fn interpreted<K: KernelInterface>(
+/// Interprets one dispatch over the contents of the device's buffers.
+pub fn interpret<K: KernelInterface>(
     context: &Context,
     lanes: u32,
     (spec, bind, push): (&K::Spec, &K::Bind<'_>, &K::Push),
     workgroups: u64,
-) -> (Rc<Program>, [Words; 2]) {
+) {
     let before = words::<K>(context, bind);
-    let (program, mut after) = (program::<K>(spec, lanes), before.clone());
+    let mut after = before.clone();
+    let program = program::<K>(spec, lanes);
     run(&program, K::NAME, K::push_bytes(push), context.limits().grid(workgroups), &mut after)
         .unwrap_or_else(|fault| panic!("{fault}"));
-    (program, [before, after])
-}
-
-pub fn interpret<K: KernelInterface>(
-    context: &Context,
-    lanes: u32,
-    dispatch: (&K::Spec, &K::Bind<'_>, &K::Push),
-    workgroups: u64,
-) {
-    let (_, [before, after]) = interpreted::<K>(context, lanes, dispatch, workgroups);
-    let buffers = K::buffers(dispatch.1);
+    let buffers = K::buffers(bind);
     for ((buffer, before), after) in buffers.as_ref().iter().zip(&before).zip(&after) {
         if before != after {
             let bytes = bytemuck::cast_slice(&after.1);
             context.upload(&buffer.range(0, buffer.bytes()), bytes).expect("an upload");
-        }
-    }
-}
-
-/// Interprets one dispatch, runs `device`, and compares the buffers that both write.
-pub fn compare<K: KernelInterface>(
-    context: &Context,
-    error: f32,
-    dispatch: (&K::Spec, &K::Bind<'_>, &K::Push),
-    workgroups: u64,
-    device: impl FnOnce(),
-) {
-    let lanes = context.limits().subgroup_size;
-    let (program, [_, interpreted]) = interpreted::<K>(context, lanes, dispatch, workgroups);
-    device();
-    let floats: HashMap<u32, bool> = program.bindings().collect();
-    for ((binding, device), (_, interpreted)) in words::<K>(context, dispatch.1).iter().zip(&interpreted) {
-        let is_float = floats.get(binding).is_some_and(|is_float| *is_float);
-        let same = |(a, b): (&u32, &u32)| {
-            let [x, y] = [*a, *b].map(f32::from_bits);
-            a == b || is_float && (x - y).abs() <= error * (1.0 + y.abs())
-        };
-        let other = device.iter().zip(interpreted).position(|pair| !same(pair));
-        if let Some(at) = other {
-            let [a, b] = [device[at], interpreted[at]];
-            let [x, y] = [a, b].map(f32::from_bits);
-            let word = format!("{}: word {at} of binding {binding}", K::NAME);
-            panic!("{word} is {a:#x} ({x}) on the device, {b:#x} ({y}) interpreted");
         }
     }
 }

@@ -297,12 +297,3 @@ fn kernels_of_threads(host_options: &HostOptions) {
         unsafe { host.device.destroy_pipeline_cache(pipeline_cache, None) };
     });
 }
-
-/// The counters detect a call.
-#[test]
-fn the_untouched_table_is_the_hosts() {
-    with_guest(|host, context| {
-        assert!(context.is_foreign());
-        assert_eq!(context.handles().2.handle(), host.device.handle());
-    });
-}

@@ -126,7 +126,6 @@ impl<'m> Builder<'m> {
             2 | 12 => Kind::Buffer {
                 binding: decoration(BINDING).ok_or_else(|| format!("{name} has no binding"))?,
                 writable: variable.class == 12 && decoration(NON_WRITABLE).is_none(),
-                is_float: module.is_float(variable.of),
             },
             9 => Kind::Push,
             4 => Kind::Shared { words: module.size(variable.of)? },

@@ -70,7 +70,6 @@ pub(crate) struct Module<'m> {
     member_names: HashMap<Id, String>,
     decorations: HashMap<(Id, u32), u32>,
     member_decorations: HashMap<(Id, u32, u32), u32>,
-    floats: Vec<Id>,
     types_of_values: HashMap<Id, Id>,
 }
 
@@ -159,9 +158,6 @@ impl<'m> Module<'m> {
             21 | 22 => {
                 let is_word = o[1] == 32;
                 self.put_type(o[0], if is_word { Type::Scalar } else { Type::Other });
-                if instruction.opcode == 22 {
-                    self.floats.push(o[0]);
-                }
             }
             23 => self.put_type(o[0], Type::Vector { of: o[1], count: o[2] }),
             24 => self.put_type(o[0], Type::Matrix { of: o[1], count: o[2] }),
@@ -319,18 +315,5 @@ impl<'m> Module<'m> {
     pub(crate) fn name(&self, variable: &Variable) -> String {
         let own = self.names.get(&variable.id).filter(|name| !name.is_empty());
         own.or_else(|| self.member_names.get(&variable.of)).cloned().unwrap_or_default()
-    }
-
-    /// True if all words of a block are floats.
-    pub(crate) fn is_float(&self, id: Id) -> bool {
-        match self.kind(id) {
-            Type::Scalar => self.floats.contains(&id),
-            Type::Vector { of, .. }
-            | Type::Matrix { of, .. }
-            | Type::Array { of, .. }
-            | Type::Runtime { of } => self.is_float(*of),
-            Type::Struct(members) => members.iter().all(|member| self.is_float(*member)),
-            _ => false,
-        }
     }
 }

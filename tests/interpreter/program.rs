@@ -111,7 +111,7 @@ pub(crate) enum Operation {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
-    Buffer { binding: u32, writable: bool, is_float: bool },
+    Buffer { binding: u32, writable: bool },
     Push,
     Shared { words: u32 },
 }
@@ -188,14 +188,6 @@ impl Program {
             inputs: built.inputs,
             initials: built.initials,
             memories: built.memories,
-        })
-    }
-
-    /// Bindings of the buffers, and true if all their words are floats.
-    pub fn bindings(&self) -> impl Iterator<Item = (u32, bool)> {
-        self.memories.iter().filter_map(|memory| match memory.kind {
-            Kind::Buffer { binding, is_float, .. } => Some((binding, is_float)),
-            _ => None,
         })
     }
 }
