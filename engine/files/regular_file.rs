@@ -186,32 +186,3 @@ pub fn file_hash(path: impl AsRef<Path>) -> Result<String> {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::growth::turn;
-
-    #[test]
-    fn every_byte_and_the_length_count() {
-        let _turn = turn();
-        let folder = tempfile::tempdir().expect("a folder");
-        let of = |bytes: &[u8]| {
-            let path = folder.path().join("file");
-            std::fs::write(&path, bytes).expect("written");
-            file_hash(path).expect("a hash")
-        };
-        let mut bytes = vec![7; 2 * PIECE];
-        let whole = of(&bytes);
-        assert_eq!((whole.len(), &of(&bytes)), (16, &whole));
-        for at in [0, PIECE - 1, PIECE, 2 * PIECE - 1] {
-            bytes[at] ^= 1;
-            assert_ne!(of(&bytes), whole, "{at}");
-            bytes[at] ^= 1;
-        }
-        assert_ne!(of(&bytes[..2 * PIECE - 1]), whole);
-        assert_ne!(of(&bytes[..PIECE]), whole);
-        assert_ne!(of(b""), of(b"\0"));
-        assert!(file_hash(folder.path().join("none")).is_err());
-    }
-}

@@ -182,24 +182,3 @@ impl Run {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use glam::DVec3;
-
-    #[test]
-    fn moves_are_said_in_degrees_and_shares_of_the_extent() {
-        let changes = [
-            Twist::default(),
-            Twist { nu: DVec3::new(0.0, 0.03, 0.04), omega: DVec3::ZERO },
-            Twist { nu: DVec3::ZERO, omega: DVec3::new(3_f64.to_radians(), 0.0, 0.0) },
-            Twist::default(),
-        ];
-        let moved = Moved::of(&changes, 5.0);
-        let said = moved.describe();
-        let expected = "poses turned by 0.750 degrees on average, at most 3.000; moved by 0.250 % of the scene's extent, \
-                        at most 1.000 %";
-        assert_eq!(said, expected);
-    }
-}

@@ -17,7 +17,7 @@ const RESERVE: usize = 64;
 /// Connections that the viewer gets even with few descriptors.
 const LEAST: usize = 8;
 /// Interval at which a connection that waits for the program counts as active; much shorter than the stall limit.
-const NOTE: Duration = if cfg!(test) { Duration::from_millis(20) } else { Duration::from_secs(10) };
+const NOTE: Duration = Duration::from_secs(10);
 
 /// Limits of number and time.
 #[derive(Clone, Copy, Debug)]
@@ -118,11 +118,6 @@ impl OpenConnections {
     pub fn remove(&self, connection: &Arc<OpenConnection>) {
         self.lock().retain(|taken| !Arc::ptr_eq(taken, connection));
     }
-
-    #[cfg(test)]
-    pub fn taken(&self) -> usize {
-        self.lock().len()
-    }
 }
 
 impl OpenConnection {
@@ -184,60 +179,5 @@ pub struct Answering(Arc<OpenConnection>);
 impl Drop for Answering {
     fn drop(&mut self) {
         self.0.lock().requests -= 1;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn who_waits_for_the_program_stays() {
-        let stall = Duration::from_millis(300);
-        let connections = OpenConnections::new(Limits { total: 2, per_peer: 2, headers: stall, stall });
-        let connection = connections.admit("127.0.0.1".parse().expect("an address")).expect("a connection");
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("a runtime");
-        let stays = runtime.block_on(async {
-            tokio::select! {
-                biased;
-                () = connection.waits_for(tokio::time::sleep(4 * stall)) => true,
-                () = connection.must_go(stall) => false,
-            }
-        });
-        assert!(stays);
-        // When the work is done, its time runs again.
-        runtime.block_on(connection.must_go(stall));
-    }
-
-    #[test]
-    fn the_longest_idle_makes_way_and_no_place_takes_all() {
-        let limits = Limits { total: 5, per_peer: 3, ..Limits::within(usize::MAX) };
-        let connections = OpenConnections::new(limits);
-        let [here, there] = ["127.0.0.1", "10.0.0.7"].map(|ip| ip.parse().expect("an address"));
-        let (goes, start) = (|connection: &OpenConnection| connection.lock().goes, Instant::now());
-        let moved =
-            |connection: &OpenConnection, after| connection.lock().moved = start + Duration::from_secs(after);
-        let all: Vec<Arc<OpenConnection>> =
-            (0..3).map(|_| connections.admit(here).expect("a connection")).collect();
-        let answering = all[0].begin();
-        moved(&all[1], 7);
-        moved(&all[2], 3);
-        let other = connections.admit(there).expect("a connection");
-        moved(&other, 0);
-        // The address has used up its share: its own idle connection goes, not another address's.
-        let next = connections.admit(here).expect("a connection");
-        assert!(goes(&all[2]) && !goes(&all[1]) && !goes(&other));
-        connections.remove(&all[2]);
-        next.becomes_page();
-        all[1].becomes_page();
-        assert!(connections.admit(here).is_none(), "none of them is idle");
-        let last = connections.admit(there).expect("a connection");
-        last.becomes_page();
-        // All are taken: the other address's idle connection makes way, and then one of this address.
-        assert!(connections.admit(there).is_some() && goes(&other));
-        connections.remove(&other);
-        drop(answering);
-        assert!(connections.admit(here).is_some() && goes(&all[0]));
-        assert_eq!(connections.taken(), 6);
     }
 }
