@@ -659,7 +659,7 @@ fn far_and_tiny_and_huge_data_sets_have_the_world_of_one_at_the_origin() {
     let cameras = Gallery::open(&folder, &options, Progress::NONE).unwrap().cameras();
     let moved = cameras[3].camera.position() - near.train[3].camera.position();
     assert!(moved.abs_diff_eq(Vec3::X, 1e-5), "{moved}");
-    // The frame of a checkpoint from before frames existed.
+    // A frame that does not suit the data set.
     let options = DatasetOptions { frame: Some(WorldFrame::default()), ..DatasetOptions::default() };
     let gallery = Gallery::open(&folder, &options, Progress::NONE).unwrap();
     assert_says(&gallery.warnings()[0], &["single precision rounds"]);

@@ -20,7 +20,6 @@ mod packed;
 mod photo_points;
 mod photogrammetry;
 mod ply;
-mod sh;
 mod splats;
 mod tiles;
 mod tour;
