@@ -34,11 +34,7 @@ pub struct Limits {
 impl Limits {
     /// Limits that fit the process's free descriptors.
     pub fn of_process() -> Limits {
-        Limits::within(free_descriptors())
-    }
-
-    fn within(descriptors: usize) -> Limits {
-        let total = descriptors.saturating_sub(RESERVE).clamp(LEAST, MOST);
+        let total = free_descriptors().saturating_sub(RESERVE).clamp(LEAST, MOST);
         let (headers, stall) = (Duration::from_secs(10), Duration::from_secs(60));
         Limits { total, per_peer: total / 2, headers, stall }
     }
