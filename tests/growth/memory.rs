@@ -172,8 +172,8 @@ fn json_takes_little_memory() {
 #[test]
 fn writing_spz_takes_little_memory() {
     let (_turn, _folder, path) = alone("a.spz");
-    let peak =
-        peak_mib(|| drop(splats::write(&path, &gaussians(100_000, 3), &WriteOptions::default()).unwrap()));
+    let scene = gaussians(100_000, 3);
+    let peak = peak_mib(|| drop(splats::write(&path, &scene, &WriteOptions::default()).unwrap()));
     assert!(peak < 60, "{peak} MiB");
 }
 
