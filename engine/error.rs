@@ -7,6 +7,15 @@ use std::path::{Path, PathBuf};
 /// `Result` with [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
+/// How a system gets a Vulkan loader and a driver.
+const INSTALL_VULKAN: &str = if cfg!(windows) {
+    "the graphics card's driver brings Vulkan: install its newest version from the maker of the card"
+} else if cfg!(target_os = "macos") {
+    "install MoltenVK: `brew install vulkan-loader molten-vk`"
+} else {
+    "install a driver: on Debian or Ubuntu `apt-get install libvulkan1 mesa-vulkan-drivers`, or run tools/setup"
+};
+
 /// Errors of the crate, each with a one-line message.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -40,17 +49,14 @@ pub enum Error {
         problem: String,
     },
     /// There is no Vulkan loader on this machine.
-    #[error(
-        "no Vulkan loader found ({reason}); install one with a driver: on Debian or Ubuntu \
-         `apt-get install libvulkan1 mesa-vulkan-drivers`, or run tools/setup"
-    )]
+    #[error("no Vulkan loader found ({reason}); {INSTALL_VULKAN}")]
     NoLoader {
         /// The system's reason.
         reason: String,
     },
     /// There is a loader, but no usable device.
     #[error(
-        "no usable Vulkan device: {reason}; `ashsplat devices` lists what there is (a software driver: mesa-vulkan-drivers)"
+        "no usable Vulkan device: {reason}; `ashsplat devices` lists what there is, and {INSTALL_VULKAN}"
     )]
     NoDevice {
         /// Devices found, and why each is not usable.

@@ -153,6 +153,18 @@ impl Drop for Lease {
 
 /// Three quarters of the least memory that the machine, the control groups and the process limit leave, bytes.
 fn available() -> u64 {
+    free_bytes().unwrap_or(UNKNOWN) / SHARE.1 * SHARE.0
+}
+
+#[cfg(not(target_os = "linux"))]
+fn free_bytes() -> Option<u64> {
+    let mut system = sysinfo::System::new();
+    system.refresh_memory();
+    Some(system.available_memory()).filter(|&bytes| bytes > 0)
+}
+
+#[cfg(target_os = "linux")]
+fn free_bytes() -> Option<u64> {
     let text = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
     let machine = kib_of(&text("/proc/meminfo"), "MemAvailable:");
     let own = address_space(&text("/proc/self/limits"))
@@ -162,22 +174,24 @@ fn available() -> u64 {
         let [most, used] = names.map(|name| text(&format!("{folder}/{name}")).trim().parse::<u64>().ok());
         Some(most?.saturating_sub(used?))
     };
-    let least = groups.iter().filter_map(left).chain(machine).chain(own).min().unwrap_or(UNKNOWN);
-    least / SHARE.1 * SHARE.0
+    groups.iter().filter_map(left).chain(machine).chain(own).min()
 }
 
+#[cfg(target_os = "linux")]
 /// Reads a number of a file with one `name: number kB` per line, and returns bytes.
 fn kib_of(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find(|line| line.starts_with(name))?;
     line.split_ascii_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1 << 10)
 }
 
+#[cfg(target_os = "linux")]
 /// Limit of `ulimit -v`, bytes; `None` if it is unlimited.
 fn address_space(limits: &str) -> Option<u64> {
     let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
     line.split_ascii_whitespace().next()?.parse().ok()
 }
 
+#[cfg(target_os = "linux")]
 /// The control groups of this process and their parents, with the names of their files for limit and use. Version 2 has
 /// one hierarchy (`0::/path`), version 1 one for memory. A container may show only the root, not the path.
 fn group_folders(cgroup: &str) -> Vec<(String, [&'static str; 2])> {

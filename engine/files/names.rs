@@ -69,11 +69,12 @@ pub(super) fn has_one_of(name: &Path, endings: &[&str]) -> bool {
 
 /// A word for a shell: in quotes if it needs them.
 pub fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_alphanumeric() || "-_./:,+=@%".contains(c);
+    let plain = |c: char| c.is_alphanumeric() || "-_./:,+=@%".contains(c) || std::path::is_separator(c);
     if !word.is_empty() && word.chars().all(plain) {
         return word.to_owned();
     }
-    format!("'{}'", word.replace('\'', "'\\''"))
+    // Both shells of Windows know these quotes, and no file's name there has one.
+    if cfg!(windows) { format!("\"{word}\"") } else { format!("'{}'", word.replace('\'', "'\\''")) }
 }
 
 /// The entries of a folder, in any order; none if it cannot be read.

@@ -279,7 +279,7 @@ impl Camera {
         let far = |center: f32, side: u32, focal: f32| {
             f64::from(center).abs().max((f64::from(side) - f64::from(center)).abs()) / f64::from(focal)
         };
-        far(whole.cx, whole.width, whole.fx).hypot(far(whole.cy, whole.height, whole.fy))
+        DVec2::new(far(whole.cx, whole.width, whole.fx), far(whole.cy, whole.height, whole.fy)).length()
     }
 
     /// Words of the lens in a camera block: those in place of the Jacobian's limits, and those behind the members

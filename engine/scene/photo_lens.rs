@@ -173,7 +173,7 @@ impl PhotoLens {
                 (at != DVec3::ZERO && ratio.is_finite()).then(|| across * ratio)
             }
             Some(Surface::Sphere) => {
-                let h = at.x.hypot(at.z);
+                let h = dvec2(at.x, at.z).length();
                 (h > 1e-6 * at.length()).then(|| dvec2(at.x.atan2(at.z), at.y.atan2(h)))
             }
         }

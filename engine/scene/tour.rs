@@ -3,7 +3,7 @@
 use super::camera::{Camera, Intrinsics};
 use super::orbit::{Orbit, level_up, nearest_to_axes};
 use super::strays::without_strays;
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec2, DVec3};
 use std::f64::consts::{PI, TAU};
 
 /// Largest angle at which cameras on a ring look at its middle, radians.
@@ -181,7 +181,7 @@ impl Ring {
         let inward = inward.count() as f64 / cameras.len() as f64;
         let place = |camera: &Camera| {
             let [y, x, z] = axes.map(|axis| axis.dot(camera.exact_position() - center));
-            (z.atan2(x), [x.hypot(z), y])
+            (z.atan2(x), [DVec2::new(x, z).length(), y])
         };
         let mut places: Vec<(f64, [f64; 2])> = cameras.iter().map(place).collect();
         places.sort_by(|a, b| a.0.total_cmp(&b.0));

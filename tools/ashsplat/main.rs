@@ -10,6 +10,8 @@ mod command_line;
 mod convert;
 mod demo;
 mod devices;
+#[cfg(windows)]
+mod double_click;
 mod eval;
 mod info;
 mod inspect;
@@ -27,6 +29,10 @@ const FAILURE: u8 = 2;
 
 fn main() -> ExitCode {
     survive_file_limits();
+    #[cfg(windows)]
+    if std::env::args_os().len() < 2 && double_click::explain() {
+        return ExitCode::from(FAILURE);
+    }
     let command = match command_line::parse(std::env::args_os()) {
         Ok(command) => command,
         Err(stop) => return stop,

@@ -42,11 +42,12 @@ fn commit() -> Option<String> {
 }
 
 pub fn host() -> Host {
-    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
+    let mut machine = sysinfo::System::new();
+    machine.refresh_cpu_list(sysinfo::CpuRefreshKind::nothing());
+    let processor = machine.cpus().first().map(|cpu| cpu.brand().trim().to_owned());
     Host {
         system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
-        processor: model.map(|(_, name)| name.to_owned()),
+        processor: processor.filter(|name| !name.is_empty()),
         threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
     }
 }

@@ -4,7 +4,7 @@ use crate::scene::{Object, SHININESS, SKY_RADIUS, Scene, Shape};
 use crate::view::View;
 use ashsplat::scene::srgb_from_linear;
 use ashsplat_files::Photo;
-use glam::{Mat3, Vec3, vec3};
+use glam::{Mat3, Vec2, Vec3, vec3};
 use image::{Rgba, RgbaImage};
 use rayon::prelude::*;
 
@@ -254,7 +254,7 @@ fn hit_torus(ray: &Ray, major: f32, minor: f32) -> Option<(f32, Vec3)> {
     let (enter, leave) = sphere_roots(ray, Vec3::ZERO, major + minor)?;
     let signed_distance = |p: Vec3| {
         let to_ring = p.truncate().length() - major;
-        to_ring.hypot(p.z) - minor
+        Vec2::new(to_ring, p.z).length() - minor
     };
     let mut t = enter.max(SKIN);
     for _ in 0..64 {

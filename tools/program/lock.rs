@@ -1,13 +1,15 @@
 //! Locks a folder, so that only one run at a time writes into it.
 //!
-//! The lock is the operating system's (`flock`), which ends with the process in any case, so none is left behind.
-//! Without such locks (systems other than Unix, some network file systems) nothing is locked.
+//! The lock is the operating system's, which ends with the process in any case, so none is left behind. Windows lets
+//! nobody read a locked file, so the holder's name is in a second file. Where files cannot be locked (some network file
+//! systems) nothing is locked.
 
-use crate::session;
+use crate::{output, session};
 use ashsplat::{Error, Result};
 use ashsplat_files::{atomic, regular_file};
-use std::fs::{self, File};
-use std::io::{ErrorKind, Read, Write};
+use same_file::Handle;
+use std::fs::{self, File, TryLockError};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -17,7 +19,7 @@ const WAIT: Duration = Duration::from_millis(500);
 /// Number and interval of further tries before a folder counts as held.
 const GLANCES: u32 = 3;
 const GLANCE: Duration = Duration::from_millis(20);
-/// How often a folder may vanish between its creation and its lock.
+/// How often a folder or a lock file may vanish between its creation and its lock.
 const MOST_VANISHED: u32 = 20;
 
 /// Kind of work in a locked folder.
@@ -37,7 +39,7 @@ pub const TRAINING: Work = Work { file: ".training.lock", what: "training", opti
 pub struct FolderLock {
     path: PathBuf,
     /// `None` if files cannot be locked.
-    held: Option<File>,
+    held: Option<Handle>,
     /// Folders that were created for the lock, the innermost first.
     made: Vec<PathBuf>,
 }
@@ -69,9 +71,8 @@ impl FolderLock {
                     let remedy = format!("wait for its end, or choose another {}", work.option);
                     return Err(Error::input(folder, problem, remedy));
                 }
-                // The process that created the folder has removed it meanwhile.
-                Err(Error::Io { source, .. })
-                    if source.kind() == ErrorKind::NotFound && glances < MOST_VANISHED => {}
+                // The process that created the folder or the file has removed it meanwhile.
+                Err(Error::Io { source, .. }) if vanished(&source) && glances < MOST_VANISHED => {}
                 Err(error) => return Err(error),
             }
             waits.map_or(Ok(()), session::check)?;
@@ -93,30 +94,28 @@ impl FolderLock {
     }
 
     /// Locks the open file; `None` if its last holder has removed it since.
-    fn try_open(folder: &Path, mut file: File, work: &Work) -> Result<Option<Try>> {
+    fn try_open(folder: &Path, file: File, work: &Work) -> Result<Option<Try>> {
         let path = folder.join(work.file);
-        match try_lock(&file) {
-            Locked::Yes => {}
-            Locked::Unknown => {
-                let folder = folder.display();
-                tell!(
-                    "warning: {folder}: files cannot be locked here; see that no other {} writes into it",
-                    work.what
-                );
-                return Ok(Some(Try::Locked(Self { path, held: None, made: Vec::new() })));
-            }
-            Locked::No => {
-                let holder = name_in(file);
-                let by = if holder.is_empty() { String::new() } else { format!(" ({holder})") };
+        let file = Handle::from_file(file).map_err(|e| Error::io(&path, "open", e))?;
+        let held = match file.as_file().try_lock() {
+            Ok(()) if Handle::from_path(&path).is_ok_and(|there| there == file) => Some(file),
+            Ok(()) => return Ok(None),
+            Err(TryLockError::WouldBlock) => {
+                let by = name_in(&path).map_or_else(String::new, |holder| format!(" ({holder})"));
                 return Ok(Some(Try::Held(by)));
             }
+            Err(TryLockError::Error(_)) => {
+                let (folder, what) = (folder.display(), work.what);
+                tell!(
+                    "warning: {folder}: files cannot be locked here; see that no other {what} writes into it"
+                );
+                None
+            }
+        };
+        if held.is_some() {
+            fs::write(name_file(&path), own_name()).map_err(|e| Error::io(&path, "write", e))?;
         }
-        if !is_at(&file, &path) {
-            return Ok(None);
-        }
-        let written = file.set_len(0).and_then(|()| write!(file, "{}", own_name()));
-        written.map_err(|e| Error::io(&path, "write", e))?;
-        Ok(Some(Try::Locked(Self { path, held: Some(file), made: Vec::new() })))
+        Ok(Some(Try::Locked(Self { path, held, made: Vec::new() })))
     }
 }
 
@@ -129,30 +128,29 @@ enum Try {
 
 /// The holder of a folder, in words; `None` if there is none or it cannot be determined.
 pub fn holder(folder: &Path, work: &Work) -> Option<String> {
-    let (file, _) = regular_file::open(folder.join(work.file)).ok()?;
-    match try_lock(&file) {
-        Locked::Yes | Locked::Unknown => None,
-        Locked::No => Some(name_in(file)),
-    }
+    let path = folder.join(work.file);
+    let (file, _) = regular_file::open(&path).ok()?;
+    matches!(file.try_lock(), Err(TryLockError::WouldBlock)).then(|| name_in(&path).unwrap_or_default())
+}
+
+/// File with the name of the process that holds a lock file: `.training.holder`.
+fn name_file(lock: &Path) -> PathBuf {
+    lock.with_extension("holder")
 }
 
 /// Name that a holder has written; it is only used in messages.
-fn name_in(file: File) -> String {
-    let mut name = String::new();
-    file.take(1024).read_to_string(&mut name).ok();
-    name.trim().to_owned()
+fn name_in(lock: &Path) -> Option<String> {
+    output::read_note(&name_file(lock)).map(|name| name.trim().to_owned()).filter(|name| !name.is_empty())
 }
 
 /// "process 12 on node7": several machines may share the folder.
 fn own_name() -> String {
-    let process = std::process::id();
-    #[cfg(unix)]
-    {
-        let machine = rustix::system::uname();
-        format!("process {process} on {}", machine.nodename().to_string_lossy())
-    }
-    #[cfg(not(unix))]
-    format!("process {process}")
+    format!("process {} on {}", std::process::id(), gethostname::gethostname().to_string_lossy())
+}
+
+/// True if a file or its folder is gone. Windows refuses access to a removed file that another process still has open.
+fn vanished(error: &std::io::Error) -> bool {
+    error.kind() == ErrorKind::NotFound || cfg!(windows) && error.kind() == ErrorKind::PermissionDenied
 }
 
 /// The missing folders of a path, the innermost first.
@@ -164,6 +162,7 @@ fn missing(folder: &Path) -> Vec<PathBuf> {
 impl Drop for FolderLock {
     fn drop(&mut self) {
         if self.held.is_some() || !self.made.is_empty() {
+            fs::remove_file(name_file(&self.path)).ok();
             fs::remove_file(&self.path).ok();
         }
         // Network file systems keep open files in their folder.
@@ -173,46 +172,7 @@ impl Drop for FolderLock {
     }
 }
 
-#[cfg_attr(not(unix), allow(dead_code))]
-enum Locked {
-    Yes,
-    No,
-    Unknown,
-}
-
-#[cfg(unix)]
-fn try_lock(file: &File) -> Locked {
-    use rustix::fs::{FlockOperation, flock};
-    match flock(file, FlockOperation::NonBlockingLockExclusive) {
-        Ok(()) => Locked::Yes,
-        Err(rustix::io::Errno::WOULDBLOCK) => Locked::No,
-        Err(_) => Locked::Unknown,
-    }
-}
-
-#[cfg(not(unix))]
-fn try_lock(_: &File) -> Locked {
-    Locked::Unknown
-}
-
-/// True if a path still names this file.
-#[cfg(unix)]
-fn is_at(file: &File, path: &Path) -> bool {
-    use std::os::unix::fs::MetadataExt;
-    let of = |metadata: fs::Metadata| (metadata.dev(), metadata.ino());
-    match (file.metadata(), fs::metadata(path)) {
-        (Ok(own), Ok(there)) => of(own) == of(there),
-        _ => false,
-    }
-}
-
-#[cfg(not(unix))]
-fn is_at(_: &File, _: &Path) -> bool {
-    true
-}
-
 #[cfg(test)]
-#[cfg(unix)]
 mod tests {
     use super::*;
 

@@ -90,7 +90,8 @@ fn checked_file(path: &Path) -> Result<PathBuf> {
         Ok(found) if !found.is_file() => return Ok(path.to_owned()),
         _ => {}
     }
-    let Some(name) = path.file_name().filter(|_| !path.as_os_str().as_encoded_bytes().ends_with(b"/")) else {
+    let names_folder = path.to_string_lossy().ends_with(std::path::is_separator);
+    let Some(name) = path.file_name().filter(|_| !names_folder) else {
         return Err(Error::input(path, "names no file", "give a file's name"));
     };
     let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());

@@ -52,8 +52,9 @@ impl Openings {
     /// Paths below `folder` may be opened only if no other machine reaches the viewer. `most_bytes` is the host memory that
     /// reading may take: a larger file could not be read.
     pub fn new(folder: Option<PathBuf>, reach: Reach, most_bytes: u64) -> Openings {
-        let folder =
-            folder.filter(|_| reach == Reach::ThisMachine).and_then(|folder| folder.canonicalize().ok());
+        let folder = folder
+            .filter(|_| reach == Reach::ThisMachine)
+            .and_then(|folder| dunce::canonicalize(folder).ok());
         Openings { folder, most_bytes, turn: Arc::new(Semaphore::new(1)), request: Mutex::default() }
     }
 
@@ -82,7 +83,7 @@ impl Openings {
         let Some(folder) = &self.folder else {
             return Err("this viewer opens no paths: other machines reach it, or its folder has gone".into());
         };
-        let found = folder.join(name).canonicalize().ok().filter(|path| path.starts_with(folder));
+        let found = dunce::canonicalize(folder.join(name)).ok().filter(|path| path.starts_with(folder));
         // Opening a pipe would wait for its writer.
         let found = found.filter(|path| path.is_file() || path.is_dir());
         let missing = || format!("{name}: is not in {} or below it", folder.display());

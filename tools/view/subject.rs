@@ -110,7 +110,7 @@ impl Subject {
             tree: Arc::new(tree),
         };
         if let Some(folder) = within
-            && !coarsest.canonicalize().is_ok_and(|real| real.starts_with(folder))
+            && !dunce::canonicalize(&coarsest).is_ok_and(|real| real.starts_with(folder))
         {
             return Err(Error::input(
                 coarsest,
@@ -326,11 +326,11 @@ fn cameras_of(file: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
 
 /// True if a data set and its photos lie in `folder`, a path without links. A stranger's model may name any path.
 fn lies_within(data: &DataSettings, folder: &Path) -> bool {
-    let Ok(source) = data.source_path.canonicalize() else { return false };
+    let Ok(source) = dunce::canonicalize(&data.source_path) else { return false };
     let images = Path::new(&data.images);
     // The masks' folder is named after the photos' folder, so a `..` would lead it out too.
     let climbs = images.components().any(|part| part == Component::ParentDir);
-    let photos_lie_within = match source.join(images).canonicalize() {
+    let photos_lie_within = match dunce::canonicalize(source.join(images)) {
         Ok(photos) => photos.starts_with(folder),
         // The folder does not exist, or lies in a ZIP, which is unpacked elsewhere.
         Err(_) => !images.has_root() && !images.is_absolute(),

@@ -208,5 +208,5 @@ pub(super) fn mask_in_folder(dataset: &Path, images: &str, named: &Path) -> Path
 
 /// `_4` for `images_4`.
 fn ending_of(images: &str) -> &str {
-    images.trim_end_matches('/').strip_prefix("images").unwrap_or_default()
+    images.trim_end_matches(std::path::is_separator).strip_prefix("images").unwrap_or_default()
 }

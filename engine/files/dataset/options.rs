@@ -135,7 +135,7 @@ impl DatasetOptions {
 
     /// Ratio of the model's camera size to the size of the photos in the folder.
     pub(super) fn divisor(&self) -> u32 {
-        let ending = self.images.trim_end_matches('/').rsplit_once('_');
+        let ending = self.images.trim_end_matches(std::path::is_separator).rsplit_once('_');
         ending.and_then(|(_, ending)| [2, 4, 8].into_iter().find(|by| ending == by.to_string())).unwrap_or(1)
     }
 

@@ -175,7 +175,7 @@ pub(super) fn restore_frame(
         return Ok(None);
     }
     let model = || {
-        let file = path.canonicalize().ok()?;
+        let file = dunce::canonicalize(path).ok()?;
         let saved = file.ancestors().nth(2).filter(|saved| saved.ends_with("point_cloud"))?;
         Some(saved.parent()?.join("cameras.json"))
     };

@@ -128,7 +128,7 @@ impl Streamed {
     /// Reads a tile, which must have this SH degree.
     fn read(&self, tile: usize, sh_degree: u32) -> Result<Gaussians> {
         if let (Some(folder), Some(path)) = (&self.within, self.tree.path(tile)) {
-            let real = path.canonicalize().map_err(|e| Error::io(&path, "read", e))?;
+            let real = dunce::canonicalize(&path).map_err(|e| Error::io(&path, "read", e))?;
             if !real.starts_with(folder) {
                 let problem = "leads out of the folder that may be opened";
                 return Err(Error::input(path, problem, "start the viewer with the tree's path"));

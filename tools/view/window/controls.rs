@@ -2,7 +2,7 @@
 
 use super::keys::Action;
 use super::navigation::Navigation;
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use std::time::{Duration, Instant};
 
 /// Radians per pixel.
@@ -90,7 +90,7 @@ impl Controls {
         if !was_pressed || self.moved >= CLICK || button != Button::Left {
             return None;
         }
-        let near = |at: [f64; 2]| (at[0] - self.at[0]).hypot(at[1] - self.at[1]) < DOUBLE_DISTANCE;
+        let near = |at: [f64; 2]| DVec2::from(at).distance(self.at.into()) < DOUBLE_DISTANCE;
         match self.clicked.take() {
             Some((time, at)) if now.duration_since(time) < DOUBLE && near(at) => Some(Click::Double(self.at)),
             _ => {
