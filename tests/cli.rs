@@ -15,6 +15,7 @@ mod merge;
 mod moved;
 mod place;
 mod pose_opt;
+#[cfg(unix)]
 mod poses;
 mod run;
 mod settings;

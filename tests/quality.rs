@@ -148,7 +148,6 @@ fn bench_quality_refuses_what_makes_no_sense() {
     assert_eq!(run["setup"]["random_points"], true, "{run}");
 }
 
-#[cfg(unix)]
 #[test]
 fn bench_quality_keeps_what_is_over_when_stopped() {
     let (_folder, data, out) = folders();

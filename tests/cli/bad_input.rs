@@ -101,6 +101,7 @@ fn ply_is_an_lfs_pointer() {
 }
 
 /// The program must not wait for a pipe or read a device without end.
+#[cfg(unix)]
 #[test]
 fn pipes_and_devices_are_no_files() {
     let place = Place::new();

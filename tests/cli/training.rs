@@ -313,6 +313,7 @@ fn ctrl_c_saves() {
 }
 
 /// A scene that cannot be saved is a warning, because the checkpoint has everything. SIGTERM acts like Ctrl-C.
+#[cfg(unix)]
 #[test]
 fn sigterm_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
     let place = Place::new();

@@ -63,7 +63,6 @@ impl Server {
     }
 
     /// Interrupts the program and waits. Returns exit code and stderr.
-    #[cfg(unix)]
     pub fn end(mut self) -> (Option<i32>, String) {
         self.child.interrupt();
         self.wait()

@@ -8,13 +8,26 @@ pub struct Running(Option<Child>);
 
 impl Running {
     pub fn start(command: &mut Command) -> Running {
+        // Windows interrupts a group of processes, which must not be the test's own.
+        #[cfg(windows)]
+        {
+            use windows_sys::Win32::System::Threading::CREATE_NEW_PROCESS_GROUP;
+            std::os::windows::process::CommandExt::creation_flags(command, CREATE_NEW_PROCESS_GROUP);
+        }
         Running(Some(command.spawn().expect("the program starts")))
     }
 
-    /// Sends SIGINT, as Ctrl-C does.
-    #[cfg(unix)]
+    /// Interrupts it as Ctrl-C does; as Ctrl-Break on Windows, where Ctrl-C reaches all that share a console.
     pub fn interrupt(&self) {
+        #[cfg(unix)]
         self.signal(nix::sys::signal::Signal::SIGINT);
+        #[cfg(windows)]
+        {
+            use windows_sys::Win32::System::Console::{CTRL_BREAK_EVENT, GenerateConsoleCtrlEvent};
+            // SAFETY: both are numbers.
+            let sent = unsafe { GenerateConsoleCtrlEvent(CTRL_BREAK_EVENT, self.id()) };
+            assert_ne!(sent, 0, "{}", std::io::Error::last_os_error());
+        }
     }
 
     #[cfg(unix)]

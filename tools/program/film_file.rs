@@ -5,7 +5,7 @@ use crate::output;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Photo, atomic};
 use image::codecs::gif::{GifEncoder, Repeat};
-use std::io::{ErrorKind, Read, Seek, Write};
+use std::io::{Read, Seek, Write};
 use std::path::Path;
 use std::process::{ChildStdin, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -173,7 +173,7 @@ fn feed(
             return Err(Error::argument("film", "its frames differ in size"));
         }
         match input.write_all(&photo.rgb) {
-            Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(()),
+            Err(error) if output::is_closed_pipe(&error) => return Ok(()),
             written => written.map_err(&io)?,
         }
         if index < frames.count {

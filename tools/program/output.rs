@@ -41,9 +41,15 @@ pub fn tell(text: std::fmt::Arguments<'_>) {
 /// Keeps the result of writing to stdout for [`check_stdout`].
 pub fn note(written: std::io::Result<()>) {
     match written {
-        Err(e) if e.kind() != ErrorKind::BrokenPipe => drop(STDOUT_FAILURE.set(e)),
+        Err(e) if !is_closed_pipe(&e) => drop(STDOUT_FAILURE.set(e)),
         _ => {}
     }
+}
+
+/// True if the reader of a pipe is gone. Windows has a second code for it, which Rust does not recognise.
+pub fn is_closed_pipe(error: &std::io::Error) -> bool {
+    const PIPE_NOT_CONNECTED: i32 = 233;
+    error.kind() == ErrorKind::BrokenPipe || cfg!(windows) && error.raw_os_error() == Some(PIPE_NOT_CONNECTED)
 }
 
 /// Returns the first failure of writing to stdout, except a closed pipe.
