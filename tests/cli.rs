@@ -30,7 +30,7 @@ use ashsplat_files::splats::{ReadOptions, WriteOptions};
 use ashsplat_files::{CheckpointFile, Photo, PhotoFileFormat, colmap, splats};
 use glam::{Vec3, vec3};
 pub(crate) use place::{Place, point_cloud, wait_until};
-pub(crate) use run::{Finished, assert_refused, finish, program, text};
+pub(crate) use run::{Finished, assert_refused, finish, program, text, with_slashes};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -56,8 +56,9 @@ pub(crate) fn refuse(arguments: &[&str], words: &[&str]) {
 
 #[track_caller]
 pub(crate) fn assert_has(text: &str, words: &[&str]) {
+    let plain = with_slashes(text);
     for word in words {
-        assert!(text.contains(word), "no '{word}' in: {text}");
+        assert!(plain.contains(&with_slashes(word)), "no '{word}' in: {text}");
     }
 }
 

@@ -75,7 +75,8 @@ impl Orbit {
             .unwrap_or(middle + forward);
         let radius = cameras.iter().map(|c| c.position().distance(center)).sum::<f32>() / n;
         let height = (middle - center).dot(up);
-        let elevation = if radius > 0.0 { (height / radius).clamp(-1.0, 1.0).asin() } else { 0.0 };
+        let sine = if radius > 0.0 { f64::from(height / radius).clamp(-1.0, 1.0) } else { 0.0 };
+        let elevation = sine.asin() as f32;
         Some(Self { center, up, radius, elevation, count, intrinsics })
     }
 }

@@ -201,6 +201,7 @@ fn unwritable_output() {
 
 /// The system refuses files above a size, like a full disk. Every existing file stays whole, and no temporary file
 /// is left.
+#[cfg(unix)]
 #[test]
 fn disk_full_while_saving() {
     let place = Place::new();

@@ -63,7 +63,7 @@ impl Place {
         let mut command = self.command(line);
         let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
         let lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
-        Beside { child, lines: Box::new(lines) }
+        Beside { child, lines: Box::new(lines.map(|line| with_slashes(&line))) }
     }
 
     pub(crate) fn read(&self, name: impl AsRef<Path>) -> Vec<u8> {

@@ -64,8 +64,9 @@ impl Finished {
 
     #[track_caller]
     fn has(&self, text: &str, words: &[&str]) {
+        let plain = with_slashes(text);
         for word in words {
-            assert!(text.contains(word), "{}: no '{word}' in: {text}", self.command);
+            assert!(plain.contains(&with_slashes(word)), "{}: no '{word}' in: {text}", self.command);
         }
     }
 }
@@ -76,6 +77,11 @@ pub(crate) fn assert_refused(run: &Finished, words: &[&str]) {
     let errors: Vec<&str> = run.stderr.lines().filter(|line| !line.starts_with("warning: ")).collect();
     assert_eq!(errors.len(), 1, "{}: {}", run.command, run.stderr);
     run.ends_with_error(errors[0], words);
+}
+
+/// Text of the program with the separators that tests write.
+pub(crate) fn with_slashes(text: &str) -> String {
+    if cfg!(windows) { text.replace('\\', "/") } else { text.to_owned() }
 }
 
 pub(crate) fn program() -> Command {

@@ -170,7 +170,7 @@ pub fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Int
     let ball = half_diagonal.max(1e-3) * ORBIT_SHARE;
     let narrow = intrinsics.width.min(intrinsics.height) as f32;
     // Sine of half the narrower field of view, at which the ball just fits.
-    let sine = (0.5 * narrow / intrinsics.fx).atan().sin();
+    let sine = f64::from(0.5 * narrow / intrinsics.fx).atan().sin() as f32;
     let radius = (ball / sine).max(NEAR_PLANE + ball);
     Orbit { center, up, radius, elevation: 20f32.to_radians(), count, intrinsics }
 }

@@ -129,6 +129,6 @@ fn cameras(request: &FilmRequest) -> Result<Vec<Camera>> {
 }
 
 fn from_fov_y(fov_y: f32, width: u32, height: u32) -> Intrinsics {
-    let focal = 0.5 * height as f32 / (0.5 * fov_y).tan();
+    let focal = Intrinsics::from_fov_x(fov_y, height, width).fy;
     Intrinsics { fx: focal, fy: focal, cx: 0.5 * width as f32, cy: 0.5 * height as f32, width, height }
 }

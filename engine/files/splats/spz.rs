@@ -413,8 +413,8 @@ impl Packing {
             cost::step();
             let mean = row(0, index);
             block.means.push(std::array::from_fn(|axis| fixed_24(&mean[3 * axis..]) as f32 * unit));
-            let opacity = (f32::from(row(1, index)[0]) / 255.0).clamp(1.0 / 255.0, 254.0 / 255.0);
-            block.opacity_logits.push((opacity / (1.0 - opacity)).ln());
+            let opacity = (f64::from(row(1, index)[0]) / 255.0).clamp(1.0 / 255.0, 254.0 / 255.0);
+            block.opacity_logits.push((opacity / (1.0 - opacity)).ln() as f32);
             let color = row(2, index);
             block.sh.push(std::array::from_fn(|c| (f32::from(color[c]) / 255.0 - 0.5) / COLOR_SCALE));
             let scale = row(3, index);

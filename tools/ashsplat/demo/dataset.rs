@@ -13,11 +13,12 @@ use ashsplat_files::{Photo, ply};
 use ashsplat_program::output;
 use ashsplat_program::progress::counting;
 use clap::Args;
-use glam::{DMat3, DQuat, DVec3, Vec3, vec3};
+use glam::{DMat3, DQuat, DVec3, Vec3, dvec3, vec3};
 use image::RgbaImage;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::json;
+use std::f64::consts::TAU;
 use std::path::Path;
 
 /// Size of the photographs, pixels.
@@ -290,11 +291,11 @@ fn cameras() -> Vec<Camera> {
     let intrinsics = Intrinsics::from_fov_x(FOV_X, SIZE[0], SIZE[1]);
     let view = |index: u32| {
         let (circle, place) = (index / VIEWS_PER_CIRCLE, index % VIEWS_PER_CIRCLE);
-        let step = std::f32::consts::TAU / VIEWS_PER_CIRCLE as f32;
-        let azimuth = (place as f32 + 0.5 * circle as f32) * step;
-        let elevation = ELEVATIONS[circle as usize];
-        let outward = vec3(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
-        Camera::look_at(TARGET + DISTANCE * outward, TARGET, Vec3::Z, intrinsics)
+        let azimuth = (f64::from(place) + 0.5 * f64::from(circle)) * TAU / f64::from(VIEWS_PER_CIRCLE);
+        let elevation = f64::from(ELEVATIONS[circle as usize]);
+        let outward =
+            dvec3(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
+        Camera::look_at(TARGET + DISTANCE * outward.as_vec3(), TARGET, Vec3::Z, intrinsics)
     };
     (0..VIEWS_PER_CIRCLE * ELEVATIONS.len() as u32).map(view).collect()
 }
@@ -320,8 +321,8 @@ fn sparse_points((scene, views): (&Scene, &[View]), count: usize, sky: bool, see
     points
 }
 
-/// A standard normal number (Box and Muller).
+/// A standard normal number (Box and Muller). Double precision hides that each system rounds `ln` and `cos` in its own way.
 fn normal(random: &mut impl Rng) -> f32 {
-    let radius = (-2.0 * (1.0 - random.random::<f32>()).ln()).sqrt();
-    radius * (std::f32::consts::TAU * random.random::<f32>()).cos()
+    let [u, v] = [random.random::<f32>(), random.random::<f32>()].map(f64::from);
+    ((-2.0 * (1.0 - u).ln()).sqrt() * (TAU * v).cos()) as f32
 }

@@ -336,7 +336,8 @@ impl SizeArguments {
         // The same solid angle as a photograph, in another shape.
         let shape = width as f32 / height as f32;
         let reach = |c: &Camera| (0.25 * c.width as f32 / c.fx * c.height as f32 / c.fy * shape).sqrt();
-        let mut angles: Vec<f32> = seen.iter().map(|c| 2.0 * reach(c).atan().to_degrees()).collect();
+        let angle = |c: &Camera| (2.0 * f64::from(reach(c)).atan().to_degrees()) as f32;
+        let mut angles: Vec<f32> = seen.iter().map(angle).collect();
         angles.sort_by(f32::total_cmp);
         let usual = angles.get(angles.len() / 2).map_or(WIDEST_ORBIT, |angle| angle.min(WIDEST_ORBIT));
         let fov = self.pinhole_fov()?.unwrap_or(usual);
