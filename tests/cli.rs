@@ -22,6 +22,7 @@ mod settings;
 mod tiles;
 mod training;
 
+use crate::common::with_slashes;
 use crate::program::running::Running;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::train::Checkpoint;
@@ -30,7 +31,7 @@ use ashsplat_files::splats::{ReadOptions, WriteOptions};
 use ashsplat_files::{CheckpointFile, Photo, PhotoFileFormat, colmap, splats};
 use glam::{Vec3, vec3};
 pub(crate) use place::{Place, point_cloud, wait_until};
-pub(crate) use run::{Finished, assert_refused, finish, program, text, with_slashes};
+pub(crate) use run::{Finished, assert_refused, finish, program, text};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};

@@ -113,7 +113,7 @@ fn overlap(a: &DMat3, b: &DMat3, apart: DVec3, picture: [usize; 2]) -> f64 {
     let (dx, dy, both) = (apart[x], apart[y], determinant(&sum, picture));
     let distance2 = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / both;
     let areas = determinant(a, picture).sqrt() * determinant(b, picture).sqrt();
-    areas / both.sqrt() * (-0.5 * distance2).exp()
+    areas / both.sqrt() * libm::exp(-0.5 * distance2)
 }
 
 fn outer(v: DVec3) -> DMat3 {
@@ -224,8 +224,8 @@ fn push_merged(all: &Gaussians, pair: [usize; 2], left: &mut Gaussians) {
     let rotation = DQuat::from_mat3(&axes).normalize();
     left.means.push(mean.as_vec3().to_array());
     left.quats.push([rotation.w, rotation.x, rotation.y, rotation.z].map(|q| q as f32));
-    left.log_scales.push(scales.map(|s| s.ln() as f32));
-    left.opacity_logits.push((opacity / (1.0 - opacity)).ln() as f32);
+    left.log_scales.push(scales.map(|s| libm::log(s) as f32));
+    left.opacity_logits.push(libm::log(opacity / (1.0 - opacity)) as f32);
     let [first, second] = pair.map(|index| all.sh_of(index));
     for k in 0..sh_coefficients(all.sh_degree) {
         left.sh.push(std::array::from_fn(|channel| {
@@ -255,8 +255,8 @@ fn eigen(matrix: DMat3) -> (DMat3, [f64; 3]) {
                 continue;
             }
             // The rotation in the plane of p and q that makes this element 0.
-            let theta = 0.5 * (2.0 * off).atan2(a.col(q)[q] - a.col(p)[p]);
-            let (sin, cos) = theta.sin_cos();
+            let theta = 0.5 * libm::atan2(2.0 * off, a.col(q)[q] - a.col(p)[p]);
+            let (sin, cos) = libm::sincos(theta);
             let mut turn = DMat3::IDENTITY;
             turn.col_mut(p)[p] = cos;
             turn.col_mut(q)[q] = cos;
@@ -301,7 +301,7 @@ mod tests {
                     let (dx, dy) = (at[0] - mean[x], at[1] - mean[y]);
                     let (xx, yy, xy) = (covariance.col(x)[x], covariance.col(y)[y], covariance.col(x)[y]);
                     let distance2 = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy);
-                    *value * (-0.5 * distance2).exp()
+                    *value * libm::exp(-0.5 * distance2)
                 });
                 sum += value.sum::<glam::DVec4>().length_squared() * step * step;
             }

@@ -159,7 +159,7 @@ fn available() -> u64 {
 #[cfg(not(target_os = "linux"))]
 fn free_bytes() -> Option<u64> {
     let mut system = sysinfo::System::new();
-    system.refresh_memory();
+    system.refresh_memory_specifics(sysinfo::MemoryRefreshKind::nothing().with_ram());
     Some(system.available_memory()).filter(|&bytes| bytes > 0)
 }
 

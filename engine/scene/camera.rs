@@ -101,8 +101,7 @@ pub struct Intrinsics {
 impl Intrinsics {
     /// Square pixels, principal point in the middle, `fov_x` radians from the left to the right edge.
     pub fn from_fov_x(fov_x: f32, width: u32, height: u32) -> Self {
-        // Systems round single precision's tangents in their own ways.
-        let focal = (0.5 * f64::from(width) / (0.5 * f64::from(fov_x)).tan()) as f32;
+        let focal = 0.5 * width as f32 / libm::tanf(0.5 * fov_x);
         Self { fx: focal, fy: focal, cx: 0.5 * width as f32, cy: 0.5 * height as f32, width, height }
     }
 

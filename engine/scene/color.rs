@@ -7,20 +7,16 @@ use crate::error::{Error, Result};
 /// Converts a display-encoded value to linear light: the electro-optical transfer function.
 pub fn linear_from_srgb(encoded: f32) -> f32 {
     let size = encoded.abs();
-    let light = if size <= 0.040_45 { size / 12.92 } else { power((size + 0.055) / 1.055, 2.4) };
+    let light = if size <= 0.040_45 { size / 12.92 } else { libm::powf((size + 0.055) / 1.055, 2.4) };
     light.copysign(encoded)
 }
 
 /// Converts linear light to a display-encoded value.
 pub fn srgb_from_linear(light: f32) -> f32 {
     let size = light.abs();
-    let encoded = if size <= 0.003_130_8 { 12.92 * size } else { 1.055 * power(size, 1.0 / 2.4) - 0.055 };
+    let encoded =
+        if size <= 0.003_130_8 { 12.92 * size } else { 1.055 * libm::powf(size, 1.0 / 2.4) - 0.055 };
     encoded.copysign(light)
-}
-
-/// A power that is the same on all systems, which round single precision's in their own ways.
-fn power(base: f32, exponent: f64) -> f32 {
-    f64::from(base).powf(exponent) as f32
 }
 
 /// Converts a premultiplied display-encoded colour to premultiplied linear light: a f(C / a), with the curve f of

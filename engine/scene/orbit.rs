@@ -35,8 +35,8 @@ impl Orbit {
         (0..self.count)
             .map(|i| {
                 let azimuth = std::f64::consts::TAU * f64::from(i) / f64::from(self.count);
-                let outward = side * azimuth.cos() + front * azimuth.sin();
-                let direction = outward * elevation.cos() + up * elevation.sin();
+                let outward = side * libm::cos(azimuth) + front * libm::sin(azimuth);
+                let direction = outward * libm::cos(elevation) + up * libm::sin(elevation);
                 let eye = center + direction * f64::from(self.radius);
                 Camera::look_from(eye, center, up, self.intrinsics)
             })
@@ -75,8 +75,7 @@ impl Orbit {
             .unwrap_or(middle + forward);
         let radius = cameras.iter().map(|c| c.position().distance(center)).sum::<f32>() / n;
         let height = (middle - center).dot(up);
-        let sine = if radius > 0.0 { f64::from(height / radius).clamp(-1.0, 1.0) } else { 0.0 };
-        let elevation = sine.asin() as f32;
+        let elevation = if radius > 0.0 { libm::asinf((height / radius).clamp(-1.0, 1.0)) } else { 0.0 };
         Some(Self { center, up, radius, elevation, count, intrinsics })
     }
 }

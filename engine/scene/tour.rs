@@ -58,7 +58,7 @@ impl Motion {
         let thinned = without_strays(&thinned, Camera::position);
         let along = (0..count).map(|i| match (looped && self == Self::Arc, count) {
             // A film is recognised by its first frame.
-            (true, _) => 0.5 + 0.5 * (TAU * f64::from(i) / f64::from(count)).sin(),
+            (true, _) => 0.5 + 0.5 * libm::sin(TAU * f64::from(i) / f64::from(count)),
             (false, 1) => 0.5,
             (false, _) => f64::from(i) / f64::from(count - 1),
         });
@@ -144,7 +144,7 @@ fn smoothed<T>(
     values.iter().fold((zero, 0.0), |(sum, weights), (at, value)| {
         // The nearest value has the weight 1, so that the weights never all vanish.
         let [distance, least] = [*at - place, nearest].map(|d| (d / width).powi(2));
-        let weight = (0.5 * (least - distance)).exp();
+        let weight = libm::exp(0.5 * (least - distance));
         (add(sum, value, weight), weights + weight)
     })
 }
@@ -181,7 +181,7 @@ impl Ring {
         let inward = inward.count() as f64 / cameras.len() as f64;
         let place = |camera: &Camera| {
             let [y, x, z] = axes.map(|axis| axis.dot(camera.exact_position() - center));
-            (z.atan2(x), [DVec2::new(x, z).length(), y])
+            (libm::atan2(z, x), [DVec2::new(x, z).length(), y])
         };
         let mut places: Vec<(f64, [f64; 2])> = cameras.iter().map(place).collect();
         places.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -206,7 +206,7 @@ impl Ring {
             smoothed(&self.places, place, width, [0.0; 2], |sum, value, weight| {
                 [sum[0] + weight * value[0], sum[1] + weight * value[1]]
             });
-        let (sine, cosine) = (self.begin + place).sin_cos();
+        let (sine, cosine) = libm::sincos(self.begin + place);
         let outward = side * cosine + front * sine;
         let eye = self.center + (outward * distance + up * height) / weights;
         Camera::look_from(eye, self.center, up, intrinsics)
@@ -229,7 +229,7 @@ impl Way {
         let size = (spread / poses.len() as f64).sqrt().max(f64::MIN_POSITIVE);
         // A half turn counts as much as the spread of the positions.
         let step = |a: &(DVec3, DQuat), b: &(DVec3, DQuat)| {
-            a.0.distance(b.0) / size + 2.0 * a.1.dot(b.1).abs().min(1.0).acos() / PI
+            a.0.distance(b.0) / size + 2.0 * libm::acos(a.1.dot(b.1).abs().min(1.0)) / PI
         };
         let length = |poses: &[(DVec3, DQuat)]| poses.windows(2).map(|w| step(&w[0], &w[1])).sum::<f64>();
         let mut ordered = poses.clone();

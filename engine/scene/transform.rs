@@ -135,7 +135,7 @@ impl Gaussians {
 
     /// Opacity after the sigmoid, 0 to 1.
     pub fn opacity(&self, index: usize) -> f32 {
-        1.0 / (1.0 + (-self.opacity_logits[index]).exp())
+        1.0 / (1.0 + libm::expf(-self.opacity_logits[index]))
     }
 
     /// Smallest box around the means; None without Gaussians.

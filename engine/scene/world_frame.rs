@@ -31,6 +31,11 @@ impl Default for WorldFrame {
     }
 }
 
+/// The number nearest to a power of ten, which `powf` misses on some systems.
+fn power_of_ten(exponent: f64) -> f64 {
+    format!("1e{exponent}").parse().unwrap_or(0.0)
+}
+
 impl WorldFrame {
     /// Frame for a scene of these points, source coordinates. It depends on medians, so outliers have no weight.
     ///
@@ -38,8 +43,8 @@ impl WorldFrame {
     /// coordinates.
     pub fn around(points: &[DVec3]) -> Self {
         let Some((center, radius)) = median_ball(points) else { return Self::default() };
-        let unit = if radius < SMALL { 10f64.powf(radius.log10().floor()) } else { 1.0 };
-        let step = 10f64.powf(radius.log10().ceil());
+        let unit = if radius < SMALL { power_of_ten(libm::log10(radius).floor()) } else { 1.0 };
+        let step = power_of_ten(libm::log10(radius).ceil());
         let origin =
             if center.length() > FAR * radius { (center / step).round() * step } else { DVec3::ZERO };
         // Removes negative zeros.

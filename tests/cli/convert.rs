@@ -76,7 +76,7 @@ fn convert_refuses_in_one_line() {
     let before = place.read("in.ply");
     for (arguments, words) in [
         ("@in.spz @out.ply", &["in.spz", "neither gzip nor an SPZ"][..]),
-        ("@none.ply @out.ply", &["none.ply", "No such file"]),
+        ("@none.ply @out.ply", &["none.ply", "(os error 2)"]),
         ("@in.spz @out.xyz", &["out.xyz", "known format"]),
         ("a.ply b.ply --scale 0", &["--scale", "positive"]),
         ("a.ply b.ply --crop-box 1,2", &["six numbers"]),
@@ -151,6 +151,7 @@ fn scenes_of_other_programs_are_named() {
 
 /// Limits of the system and of the command line are ordinary errors that name the file.
 #[test]
+#[cfg(unix)]
 fn limits_of_files_and_memory_are_told() {
     let place = Place::empty();
     place.write_scene("in.ply", &wall(3));

@@ -25,7 +25,7 @@ pub(super) fn pack<'a>(archive: &Path, files: impl IntoIterator<Item = (String, 
 fn command(place: &Place, line: &str) -> Command {
     place.create_folder("temporary");
     let mut command = place.command(line);
-    command.env("TMPDIR", place.at("temporary"));
+    command.env(if cfg!(windows) { "TMP" } else { "TMPDIR" }, place.at("temporary"));
     command
 }
 

@@ -1,5 +1,6 @@
 //! Runs of the program.
 
+use crate::common::with_slashes;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -77,11 +78,6 @@ pub(crate) fn assert_refused(run: &Finished, words: &[&str]) {
     let errors: Vec<&str> = run.stderr.lines().filter(|line| !line.starts_with("warning: ")).collect();
     assert_eq!(errors.len(), 1, "{}: {}", run.command, run.stderr);
     run.ends_with_error(errors[0], words);
-}
-
-/// Text of the program with the separators that tests write.
-pub(crate) fn with_slashes(text: &str) -> String {
-    if cfg!(windows) { text.replace('\\', "/") } else { text.to_owned() }
 }
 
 pub(crate) fn program() -> Command {

@@ -58,10 +58,15 @@ pub fn files_below(folder: &Path) -> Vec<PathBuf> {
 
 #[track_caller]
 pub fn assert_says(message: impl AsRef<str>, words: &[&str]) {
-    let message = message.as_ref();
+    let message = with_slashes(message.as_ref());
     for word in words {
-        assert!(message.contains(word), "no '{word}' in: {message}");
+        assert!(message.contains(&with_slashes(word)), "no '{word}' in: {message}");
     }
+}
+
+/// Text of the program with the separators that tests write.
+pub fn with_slashes(text: &str) -> String {
+    if cfg!(windows) { text.replace('\\', "/") } else { text.to_owned() }
 }
 
 /// Paths of these names in a new folder, which exists as long as the first value.

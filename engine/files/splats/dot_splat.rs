@@ -75,7 +75,7 @@ fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
     let float = |at: usize| f32::from_bits(u32_at(row, at));
     block.means.push([float(0), float(4), float(8)]);
     // The logarithm of a negative size is NaN, which is unusable.
-    block.log_scales.push([float(12), float(16), float(20)].map(f32::ln));
+    block.log_scales.push([float(12), float(16), float(20)].map(libm::logf));
     block.sh.push([24, 25, 26].map(|at| rgb_to_sh_dc(f32::from(row[at]) / 255.0)));
     block.opacity_logits.push(opacity_logit(row[27]));
     let quat = [28, 29, 30, 31].map(|at| (f32::from(row[at]) - 128.0) / 128.0);
@@ -96,7 +96,7 @@ pub(super) fn write(path: &Path, _outline: &Outline, produce: &mut Produce<'_>) 
 
 fn pack(block: &Gaussians, index: usize, rows: &mut Vec<u8>) {
     let byte = |value: f32| value.round().clamp(0.0, 255.0) as u8;
-    let scales = block.log_scales[index].map(f32::exp);
+    let scales = block.log_scales[index].map(libm::expf);
     for value in block.means[index].iter().chain(&scales) {
         rows.extend(value.to_le_bytes());
     }

@@ -326,7 +326,7 @@ impl PlainRows {
             let remedy = "write sizes, not their logarithms, as the extension says";
             return Err(Error::input(path, format!("{EXTENSION}:SCALE has values below 0"), remedy));
         }
-        let log_scales = triples(&sizes).into_iter().map(|s| s.map(f32::ln)).collect();
+        let log_scales = triples(&sizes).into_iter().map(|s| s.map(libm::logf)).collect();
         let logit = |opacity: f32| {
             if !(-OPACITY_SLACK..=1.0 + OPACITY_SLACK).contains(&opacity) {
                 return f32::NAN;

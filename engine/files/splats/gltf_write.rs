@@ -162,7 +162,7 @@ fn planes(sh_degree: u32) -> Vec<Plane> {
             let [w, x, y, z] = spz::unit(all.quats[index]);
             [x, y, z, w]
         }),
-        Plane::floats(&own("SCALE"), |all, index| all.log_scales[index].map(f32::exp)),
+        Plane::floats(&own("SCALE"), |all, index| all.log_scales[index].map(libm::expf)),
         Plane::floats(&own("OPACITY"), |all, index| [all.opacity(index)]),
     ];
     let coefficient = |degree: u32, k: usize| {

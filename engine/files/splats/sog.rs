@@ -285,7 +285,7 @@ impl Source for Sog {
                     let share = f64::from(u16::from_le_bytes([low[i][axis], high[i][axis]])) / 65_535.0;
                     let (min, max) = ranges[axis];
                     let logarithm = min + (max - min) * share;
-                    (logarithm.abs().exp_m1() * logarithm.signum()) as f32
+                    (libm::expm1(logarithm.abs()) * logarithm.signum()) as f32
                 }));
                 block
                     .log_scales
@@ -402,7 +402,7 @@ fn pack_rotation(quat: [f32; 4]) -> [u8; 4] {
 
 /// The logarithm that positions are stored as.
 fn logarithm(value: f32) -> f64 {
-    f64::from(value).abs().ln_1p() * f64::from(value).signum()
+    libm::log1p(f64::from(value).abs()) * f64::from(value).signum()
 }
 
 /// Largest step of the stored logarithms over the three axes.

@@ -13,7 +13,7 @@ use ashsplat_files::{Photo, ply};
 use ashsplat_program::output;
 use ashsplat_program::progress::counting;
 use clap::Args;
-use glam::{DMat3, DQuat, DVec3, Vec3, dvec3, vec3};
+use glam::{DMat3, DQuat, DVec3, Vec3, vec3};
 use image::RgbaImage;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -291,11 +291,11 @@ fn cameras() -> Vec<Camera> {
     let intrinsics = Intrinsics::from_fov_x(FOV_X, SIZE[0], SIZE[1]);
     let view = |index: u32| {
         let (circle, place) = (index / VIEWS_PER_CIRCLE, index % VIEWS_PER_CIRCLE);
-        let azimuth = (f64::from(place) + 0.5 * f64::from(circle)) * TAU / f64::from(VIEWS_PER_CIRCLE);
-        let elevation = f64::from(ELEVATIONS[circle as usize]);
-        let outward =
-            dvec3(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
-        Camera::look_at(TARGET + DISTANCE * outward.as_vec3(), TARGET, Vec3::Z, intrinsics)
+        let step = std::f32::consts::TAU / VIEWS_PER_CIRCLE as f32;
+        let azimuth = (place as f32 + 0.5 * circle as f32) * step;
+        let elevation = ELEVATIONS[circle as usize];
+        let outward = vec3(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
+        Camera::look_at(TARGET + DISTANCE * outward, TARGET, Vec3::Z, intrinsics)
     };
     (0..VIEWS_PER_CIRCLE * ELEVATIONS.len() as u32).map(view).collect()
 }
