@@ -214,12 +214,10 @@ const UNCHECKED: [&str; 7] = [
 ];
 
 /// Files that use them, with the reason.
-const MAY_OPEN: [(&str, &str); 6] = [
+const MAY_OPEN: [(&str, &str); 4] = [
     ("engine/files/regular_file.rs", "asks both"),
     ("engine/files/atomic.rs", "opens a folder, to synchronise it"),
     ("engine/files/host_memory.rs", "files of /proc and /sys"),
-    ("tools/program/measure.rs", "files of /proc"),
-    ("tools/bench/machine.rs", "files of /proc"),
     ("tools/program/lock.rs", "opens its lock for reading and writing, which waits for nobody"),
 ];
 
