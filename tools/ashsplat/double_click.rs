@@ -1,15 +1,11 @@
 //! On Windows, a double-click opens a console that closes with the program. It explains itself there.
 
-use std::io::{IsTerminal, stdin, stdout};
-use windows_sys::Win32::System::Console::GetConsoleProcessList;
+use std::io::stdin;
+use sysinfo::{Pid, ProcessesToUpdate, System};
 
-/// Explains how to use the program, and waits for Enter, if the console has no other process: no shell started it.
-/// Returns true if it did.
+/// Explains how to use the program, and waits for Enter, if Explorer started it. Returns true if it did.
 pub fn explain() -> bool {
-    let mut others = [0; 2];
-    // SAFETY: the array has the length that is passed.
-    let processes = unsafe { GetConsoleProcessList(others.as_mut_ptr(), others.len() as u32) };
-    if processes != 1 || !stdin().is_terminal() || !stdout().is_terminal() {
+    if !is_from_explorer().unwrap_or(false) {
         return false;
     }
     say!(
@@ -19,4 +15,16 @@ pub fn explain() -> bool {
     );
     stdin().read_line(&mut String::new()).ok();
     true
+}
+
+fn is_from_explorer() -> Option<bool> {
+    let mut system = System::new();
+    let mut find = |pid: Pid| {
+        system.refresh_processes(ProcessesToUpdate::Some(&[pid]), false);
+        system
+            .process(pid)
+            .map(|process| (process.parent(), process.name().eq_ignore_ascii_case("explorer.exe")))
+    };
+    let (parent, _) = find(sysinfo::get_current_pid().ok()?)?;
+    Some(find(parent?)?.1)
 }

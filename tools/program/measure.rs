@@ -66,15 +66,12 @@ pub fn process_seconds() -> Option<f64> {
         let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
         Some(time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9)
     }
-    #[cfg(windows)]
+    #[cfg(not(unix))]
     {
-        use windows_sys::Win32::System::Threading::{GetCurrentProcess, GetProcessTimes};
-        let [mut created, mut ended, mut system, mut user] = [Default::default(); 4];
-        // SAFETY: the process is this one, and each pointer is to a time of its own.
-        let known =
-            unsafe { GetProcessTimes(GetCurrentProcess(), &mut created, &mut ended, &mut system, &mut user) };
-        // Counted in 100 ns.
-        let ticks = [system, user].map(|t| (u64::from(t.dwHighDateTime) << 32) + u64::from(t.dwLowDateTime));
-        (known != 0).then(|| ticks.into_iter().sum::<u64>() as f64 * 1e-7)
+        use sysinfo::{ProcessRefreshKind, ProcessesToUpdate, System};
+        let own = sysinfo::get_current_pid().ok()?;
+        let (mut system, kind) = (System::new(), ProcessRefreshKind::nothing().with_cpu());
+        system.refresh_processes_specifics(ProcessesToUpdate::Some(&[own]), false, kind);
+        Some(system.process(own)?.accumulated_cpu_time() as f64 * 1e-3)
     }
 }

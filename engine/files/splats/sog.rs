@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use image::{ImageFormat, ImageReader, Limits};
 use serde::{Deserialize, Serialize};
 use zip::write::SimpleFileOptions;
-use zip::{CompressionMethod, ZipArchive, ZipWriter};
+use zip::{CompressionMethod, System, ZipArchive, ZipWriter};
 
 use super::codebook::{LEVELS, Palette, scalar_codebook};
 use super::dot_splat::opacity_logit;
@@ -418,7 +418,9 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
     let members = members(path, &all, outline)?;
     atomic::write_seekable(path, |writer| {
         let mut archive = ZipWriter::new(writer);
-        let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+        // The archive names the system that wrote it, unless it is told.
+        let stored =
+            SimpleFileOptions::default().compression_method(CompressionMethod::Stored).system(System::Unix);
         for (name, bytes) in members {
             let put = archive.start_file(name, stored).map_err(std::io::Error::other);
             put.and_then(|()| archive.write_all(&bytes)).writing(path)?;
