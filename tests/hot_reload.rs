@@ -1,6 +1,8 @@
 //! Shaders that are edited while the program runs: its feature `hot-reload`. A separate test program, because the
 //! feature recompiles the engine.
 
+#[path = "common/slashes.rs"]
+mod common;
 #[allow(dead_code)]
 #[path = "cli/run.rs"]
 mod run;

@@ -19,11 +19,13 @@ pub mod machine;
 pub mod poses;
 pub mod prelude;
 pub mod scenes;
+mod slashes;
 pub mod splats;
 pub mod terms;
 pub mod training;
 
 pub use device::{assert_silent, bounded, context, count_hits, options};
+pub use slashes::with_slashes;
 use std::path::{Path, PathBuf};
 
 /// Folder of the golden vectors and data sets: `$ASHSPLAT_SHARED`, or next to the repository.
@@ -62,11 +64,6 @@ pub fn assert_says(message: impl AsRef<str>, words: &[&str]) {
     for word in words {
         assert!(message.contains(&with_slashes(word)), "no '{word}' in: {message}");
     }
-}
-
-/// Text of the program with the separators that tests write.
-pub fn with_slashes(text: &str) -> String {
-    if cfg!(windows) { text.replace('\\', "/") } else { text.to_owned() }
 }
 
 /// Paths of these names in a new folder, which exists as long as the first value.
