@@ -4,8 +4,8 @@ use super::{FrameCapacity, LaunchSizes, PictureCapacity, blocks, tile_bits, tile
 use crate::error::{Error, Result};
 use crate::kernels::blocks::CameraBlock;
 use crate::kernels::constants::{
-    ARGUMENTS_COUNT, CAMERA_BLOCK_WORDS, DEPTH_KEY_BITS, GRADIENT_PLANES, INSTANCE_PLANES, LENS_SUMS,
-    SPLAT_PLANES, STATE_WORDS,
+    ARGUMENTS_COUNT, CAMERA_BLOCK_WORDS, DEPTH_KEY_BITS, GRADIENT_PLANES, LENS_SUMS, SPLAT_PLANES,
+    STATE_WORDS,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Limits, PLACEMENT_ALIGNMENT, pack};
@@ -149,9 +149,14 @@ buffer_set! {
     pub image_gradient: if strips > 0 { 3 * strips * 4 } else { backward * pixels * 16 };
     /// Per pixel: state between passes of the backward blending.
     pub backward_state: backward * u64::from(capacity.blend_passes > 1) * pixels * 8;
-    /// Per instance before the tile sort: moments 1, dx, dy, dx dx; dx dy, dy dy, d red, d green; d blue, d inverse depth, and
-    /// perhaps the absolute gradients of the 2D mean. Or its weight.
-    pub instance_gradients: backward_instances * 16 * u64::from(INSTANCE_PLANES);
+    /// Per instance before the tile sort: moments 1, dx, dy, dx dx.
+    pub instance_gradients_a: backward_instances * 16;
+    /// Per instance before the tile sort: moments dx dy, dy dy; d red, d green.
+    pub instance_gradients_b: backward_instances * 16;
+    /// Per instance before the tile sort: d blue, d inverse depth.
+    pub instance_gradients_c: backward_instances * 8;
+    /// [`Self::absolute_gradients`].
+    instance_gradients_d: backward_instances * u64::from(capacity.absolute) * 8;
     /// Per visible Gaussian: planes named GRADIENT_*.
     pub gradients: backward * visible * 16 * u64::from(GRADIENT_PLANES);
 }
@@ -299,6 +304,12 @@ impl FrameBuffers {
     /// otherwise [`Self::accumulated`].
     pub fn rendered(&self, block: &LaunchSizes) -> &Buffer {
         if block.strips { &self.composited } else { &self.accumulated }
+    }
+
+    /// Per instance before the tile sort: absolute gradients of the 2D mean. Unless `absolute`, another buffer, which is
+    /// bound but neither read nor written.
+    pub fn absolute_gradients(&self, absolute: bool) -> &Buffer {
+        if absolute { &self.instance_gradients_d } else { &self.instance_gradients_c }
     }
 
     /// The attributes of the visible Gaussians.

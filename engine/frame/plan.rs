@@ -141,6 +141,8 @@ pub struct FrameCapacity {
     /// True if the frame has the buffers of the backward pass. Every frame in these buffers then keeps instance indices through
     /// the tile sort, also one without a backward pass.
     pub backward: bool,
+    /// True if these include the absolute gradients of the 2D means.
+    pub absolute: bool,
 }
 
 impl Default for FrameCapacity {
@@ -154,6 +156,7 @@ impl Default for FrameCapacity {
             pictures: PictureCapacity::NONE,
             blend_passes: 1,
             backward: false,
+            absolute: false,
         }
     }
 }

@@ -65,7 +65,8 @@ pub struct Statistics<'a> {
     /// True if the pass updates it.
     pub accumulate: bool,
     /// f32 per Gaussian: the sum of the norms of (W/2 Σ|g_x|, H/2 Σ|g_y|), with g = dL/d(2D mean in pixels) of
-    /// each pixel alone (AbsGS, Ye et al. 2024). Needs [`BackwardForm::absolute`]; is updated with `buffer`.
+    /// each pixel alone (AbsGS, Ye et al. 2024). Needs [`BackwardForm::absolute`] and a frame with
+    /// [`FrameCapacity::absolute`](crate::frame::FrameCapacity::absolute); is updated with `buffer`.
     pub absolute: Option<&'a Buffer>,
 }
 
@@ -86,7 +87,10 @@ macro_rules! blend_backward_arguments {
             last_entries: &f.last_entries,
             image_gradient: $gradient,
             backward_state: &f.backward_state,
-            instance_gradients: &f.instance_gradients,
+            instance_gradients_a: &f.instance_gradients_a,
+            instance_gradients_b: &f.instance_gradients_b,
+            instance_gradients_c: &f.instance_gradients_c,
+            instance_gradients_d: f.absolute_gradients($inputs.capacity.absolute),
             state: &f.state,
         };
         let push = $kernel::Push {
@@ -242,7 +246,7 @@ impl Backward {
 
     /// Records the weights of the Gaussians in the frame of the same buffers. A weight is the sum over the tile's pixels of e α
     /// T, with `image_gradient` = (e, …) per pixel in the native layout. It becomes the first word of each entry of
-    /// `frame.instance_gradients`, per instance before the tile sort. The frame must be without inverse depth.
+    /// `frame.instance_gradients_c`, per instance before the tile sort. The frame must be without inverse depth.
     pub fn record_weights(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
         r.scope("blend weights", |r| self.record_blend(r, inputs, image_gradient, Sums::Weights));
     }
@@ -300,7 +304,10 @@ impl Backward {
                 first_instances: &f.first_instances,
                 conic_opacity: f.splats().conic_opacity,
                 color_inverse_depth: f.splats().color_inverse_depth,
-                instance_gradients: &f.instance_gradients,
+                instance_gradients_a: &f.instance_gradients_a,
+                instance_gradients_b: &f.instance_gradients_b,
+                instance_gradients_c: &f.instance_gradients_c,
+                instance_gradients_d: f.absolute_gradients(inputs.capacity.absolute),
                 gradients: &f.gradients,
                 statistics: statistics.buffer,
                 // Without the absolute statistic the kernel does not write this binding.

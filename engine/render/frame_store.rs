@@ -18,6 +18,8 @@ pub struct FrameStore {
     readback: Buffer,
     /// Pictures for which every later allocation is large enough.
     expected: PictureCapacity,
+    /// True if frames with backward include absolute gradients.
+    absolute: bool,
     /// Capacity that the last frame requested. Earlier frames may have needed more.
     requested: FrameCapacity,
     capacity: FrameCapacity,
@@ -83,6 +85,7 @@ impl FrameStore {
             sizes: LaunchSizes::new(context.limits()),
             readback,
             expected: PictureCapacity::NONE,
+            absolute: false,
             requested: FrameCapacity::default(),
             capacity: FrameCapacity::default(),
             frame: None,
@@ -92,6 +95,11 @@ impl FrameStore {
     /// Makes later allocations large enough for these pictures, before their frames come.
     pub fn expect_pictures(&mut self, pictures: PictureCapacity) {
         self.expected = pictures;
+    }
+
+    /// Makes later frames with backward include absolute gradients.
+    pub fn expect_absolute(&mut self) {
+        self.absolute = true;
     }
 
     /// Returns buffers for these numbers of Gaussians and scenes, and a camera. Reallocates them if the current ones are
@@ -110,6 +118,7 @@ impl FrameStore {
         let pictures = if backward { wanted } else { wanted.without_backward() };
         let visible = initial_visible(gaussians);
         let instances = initial_instances(self.context.limits(), visible, &pictures);
+        let absolute = backward && self.absolute;
         self.requested = FrameCapacity {
             gaussians,
             visible,
@@ -117,6 +126,7 @@ impl FrameStore {
             instances,
             pictures,
             backward,
+            absolute,
             ..FrameCapacity::default()
         };
         let needed = FrameCapacity {
@@ -124,6 +134,7 @@ impl FrameStore {
             scenes: scenes.max(old.scenes),
             pictures: pictures.and(old.pictures),
             backward: backward || old.backward,
+            absolute: absolute || old.absolute,
             ..old
         };
         if let Some(frame) = self.frame.as_ref().filter(|_| needed == old) {

@@ -191,9 +191,10 @@ impl Model {
     }
 }
 
-/// Returns the capacity of a training's frames, except for the counts. `scenes`: 2 with frozen Gaussians.
-pub(super) fn frame_shape(pictures: PictureCapacity, scenes: u32) -> FrameCapacity {
-    FrameCapacity { pictures, scenes, backward: true, ..FrameCapacity::default() }
+/// Returns the capacity of a training's frames, except for the counts. `scenes`: 2 with frozen Gaussians. `absolute`: the
+/// backward pass accumulates absolute gradients.
+pub(super) fn frame_shape(pictures: PictureCapacity, scenes: u32, absolute: bool) -> FrameCapacity {
+    FrameCapacity { pictures, scenes, absolute, backward: true, ..FrameCapacity::default() }
 }
 
 impl Capacities {
@@ -228,6 +229,7 @@ impl Capacities {
             instances: self.frame_instances,
             blend_passes: self.blend_passes.max(1),
             backward,
+            absolute: shape.absolute && backward,
             ..shape
         })
     }
@@ -280,7 +282,7 @@ impl StartMemory<'_> {
     fn shape(&self, sizes: &[Size]) -> FrameCapacity {
         let each = sizes.iter().map(|&(width, height)| PictureCapacity::of(width, height));
         let pictures = each.fold(PictureCapacity::NONE, PictureCapacity::and);
-        frame_shape(pictures, 1 + u32::from(self.of.frozen > 0))
+        frame_shape(pictures, 1 + u32::from(self.of.frozen > 0), self.parts.rows.absolute().is_some())
     }
 
     /// A frame for `capacity` trained Gaussians, of which up to `visible` are visible.

@@ -210,8 +210,11 @@ impl Trainer {
         let model = Model::new(context, scene, &rows)?;
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&run.cameras);
-        let shape = frame_shape(pictures, 1 + u32::from(frozen > 0));
+        let shape = frame_shape(pictures, 1 + u32::from(frozen > 0), rows.absolute().is_some());
         runner.store.expect_pictures(shape.pictures);
+        if shape.absolute {
+            runner.store.expect_absolute();
+        }
         let first =
             |earlier: &Capacities| earlier.first_frame(context, gaussians_with(capacity, frozen), shape);
         let expected = earlier.filter(|_| !fits_earlier).and_then(first);
@@ -231,8 +234,7 @@ impl Trainer {
             // Frozen Gaussians do not move, so once is enough.
             frozen.iter().try_for_each(|scene| filter.run(context, scene))?;
         }
-        let block =
-            block.map(|block| Block::new(context, &block, rows.absolute().is_some())).transpose()?.flatten();
+        let block = block.map(|block| Block::new(context, &block, shape.absolute)).transpose()?.flatten();
         let sizes: Vec<_> = run.cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let mut trainer = Self {
             losses: recorder.allocate(context, &sizes)?,

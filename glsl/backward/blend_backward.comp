@@ -14,8 +14,9 @@
 // does, then adds over its lanes by a transposing butterfly; workgroup: one tile; it adds its regions in shared memory
 // in: tile_ranges, sorted_visible, sorted_instances, PerVisible attributes, state[STATE_FIRST_SCENE_VISIBLE];
 //     PerPixel: accumulated, inverse_depth, last_entries, image_gradient (dL/d(r, g, b), dL/dinverse_depth)
-// out, PerInstance: instance_gradients, records of (1, dx, dy, dx dx), (dx dy, dy dy, r, g), (b, inverse depth, with ABSOLUTE
-//     the absolute gradients); with WEIGHTS only (weight, 0, 0, 0)
+// out, PerInstance: instance_gradients_a (1, dx, dy, dx dx), instance_gradients_b (dx dy, dy dy, r, g),
+//     instance_gradients_c (b, inverse depth), with ABSOLUTE instance_gradients_d; with WEIGHTS only
+//     instance_gradients_c (weight, 0)
 // in/out, PerPixel: backward_state (T, R) between passes over very long tiles, see blend; with COUNT_HITS also
 //     state[STATE_BLEND_BACKWARD_HITS]
 // shared: BATCH * REGIONS * SUMS words and masks; subgroup sizes 4 to 128

@@ -4,7 +4,7 @@
 // invocation: one visible Gaussian; subgroup: adds the instances of a Gaussian with many tiles together, over the lanes in a
 // fixed order, so that results do not depend on scheduling
 // in: parameters (PerGaussian planes), visible_ranges, visible_list, footprints, first_instances, conic_opacity,
-//      color_inverse_depth, instance_gradients (blend_backward.comp)
+//      color_inverse_depth, instance_gradients_a, instance_gradients_b, instance_gradients_c, with ABSOLUTE instance_gradients_d
 // out: gradients, PerVisible planes: (d mean, d opacity logit), d quaternion, (d log-scale, dL/dx px),
 //      (d colour before its clamp at 0, dL/dy px)
 // in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) if `accumulate` is set, nothing overflowed
@@ -64,14 +64,17 @@ UINT_READS(2, VisibleList, visible_list);
 UVEC4_READS(3, Footprints, footprints);
 UINT_READS(4, FirstInstances, first_instances);
 VEC4_READS(5, ConicOpacity, conic_opacity);
-VEC4_READS(6, InstanceGradients, instance_gradients);
-VEC4_READS(7, ColorInverseDepth, color_inverse_depth);
+VEC4_READS(6, InstanceGradientsA, instance_gradients_a);
+VEC4_READS(7, InstanceGradientsB, instance_gradients_b);
+VEC2_READS(8, InstanceGradientsC, instance_gradients_c);
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
 layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 // Only used with ABSOLUTE.
+VEC2_READS(12, InstanceGradientsD, instance_gradients_d);
 layout(set = 0, binding = 13, scalar) buffer AbsoluteStatistics { float absolute_statistics[]; };
 layout(set = 0, binding = 14, scalar) writeonly buffer PoseSums { vec3 pose_sums[]; };
+VEC4_READS(15, ColorInverseDepth, color_inverse_depth);
 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
@@ -111,14 +114,12 @@ Sums no_sums() {
     return Sums(vec4(0.0), vec4(0.0), vec2(0.0), vec2(0.0));
 }
 
-void add_instance(inout Sums sums, uint instance) {
-    uint at = INSTANCE_PLANES * instance;
-    sums.a += VEC4_AT(instance_gradients, at);
-    sums.b += VEC4_AT(instance_gradients, at + 1);
-    vec4 last = VEC4_AT(instance_gradients, at + 2);
-    sums.c += last.xy;
+void add_instance(inout Sums sums, uint at) {
+    sums.a += VEC4_AT(instance_gradients_a, at);
+    sums.b += VEC4_AT(instance_gradients_b, at);
+    sums.c += VEC2_AT(instance_gradients_c, at);
     if (ABSOLUTE) {
-        sums.absolute += last.zw;
+        sums.absolute += VEC2_AT(instance_gradients_d, at);
     }
 }
 

@@ -2,7 +2,7 @@
 // Gaussians that are not visible. Also the smallest and the largest weight.
 //
 // invocation: one Gaussian; subgroup: adds the instances of a Gaussian with many tiles together, like project_backward.comp
-// in: state, visible_index, footprints, first_instances, instance_gradients (weight, 0, 0, 0)
+// in: state, visible_index, footprints, first_instances, instance_gradients_c (weight, 0)
 // out: weights[Gaussian]; ranges, see edges.glsl: bits of the smallest and of the largest weight; nothing if the frame
 //     overflowed
 // shared: none; subgroup sizes 4 to 128
@@ -26,7 +26,7 @@ layout(set = 0, binding = 0, scalar) readonly buffer State { uint state[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer VisibleIndex { uint visible_index[]; };
 layout(set = 0, binding = 2, scalar) readonly buffer Footprints { uvec4 footprints[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer FirstInstances { uint first_instances[]; };
-layout(set = 0, binding = 4, scalar) readonly buffer InstanceGradients { vec4 instance_gradients[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer InstanceGradientsC { vec2 instance_gradients_c[]; };
 layout(set = 0, binding = 5, scalar) writeonly buffer Weights { float weights[]; };
 layout(set = 0, binding = 6, scalar) buffer Ranges { uint ranges[]; };
 
@@ -44,7 +44,7 @@ float sum_instances(uint begin, uint count) {
     float sum = 0.0;
     uint alone = count <= LANE_INSTANCES ? count : 0;
     for (uint k = 0; k < alone; ++k) {
-        sum += instance_gradients[INSTANCE_PLANES * (begin + k)].x;
+        sum += instance_gradients_c[begin + k].x;
     }
     uvec4 large = subgroupBallot(count > LANE_INSTANCES);
     for (uint word = 0; word < BALLOT_WORDS; ++word) {
@@ -56,7 +56,7 @@ float sum_instances(uint begin, uint count) {
             uint their_count = subgroupShuffle(count, lane);
             float share = 0.0;
             for (uint k = gl_SubgroupInvocationID; k < their_count; k += SUBGROUP_SIZE) {
-                share += instance_gradients[INSTANCE_PLANES * (their_begin + k)].x;
+                share += instance_gradients_c[their_begin + k].x;
             }
             share = subgroupAdd(share);
             sum = gl_SubgroupInvocationID == lane ? share : sum;

@@ -23,9 +23,13 @@ UINT_READS(8, LastEntries, last_entries);
 // dL/d(r, g, b, inverse depth) per pixel; with STRIPS three planes of them, or four with INVERSE_DEPTH.
 VEC4_READS(9, ImageGradient, image_gradient);
 layout(set = 0, binding = 10, scalar) buffer BackwardState { vec2 backward_state[]; };
-layout(set = 0, binding = 11, scalar) writeonly buffer InstanceGradients { vec4 instance_gradients[]; };
+layout(set = 0, binding = 11, scalar) writeonly buffer InstanceGradientsA { vec4 instance_gradients_a[]; };
+layout(set = 0, binding = 12, scalar) writeonly buffer InstanceGradientsB { vec4 instance_gradients_b[]; };
+layout(set = 0, binding = 13, scalar) writeonly buffer InstanceGradientsC { vec2 instance_gradients_c[]; };
 
 layout(set = 0, binding = 14, scalar) buffer State { uint state[]; };
+// Only written with ABSOLUTE.
+layout(set = 0, binding = 15, scalar) writeonly buffer InstanceGradientsD { vec2 instance_gradients_d[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint image_width;
@@ -269,19 +273,19 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, uint first) {
     return Sums(vec3(sum_1, sum_x, sum_y), vec3(sum_xx, sum_xy, sum_yy), sum_value, LN_2 * sum_absolute);
 }
 
-// Writes the record at the instance's index before the tile sort. Records are contiguous, because each write goes to another
-// cache line.
+// Writes to the instance's index before the tile sort: (1, dx, dy, dx dx), (dx dy, dy dy, r, g), (b, inverse depth), and the
+// absolute gradients. With WEIGHTS only (weight, 0), as the third.
 void store_instance(uint place, Sums sums) {
-    uint target = INSTANCE_PLANES * UINT_AT(sorted_instances, place);
+    uint target = UINT_AT(sorted_instances, place);
     if (WEIGHTS) {
-        instance_gradients[target] = vec4(sums.value.x, 0.0, 0.0, 0.0);
+        instance_gradients_c[target] = vec2(sums.value.x, 0.0);
         return;
     }
-    instance_gradients[target] = vec4(sums.linear, sums.quadratic.x);
-    instance_gradients[target + 1] = vec4(sums.quadratic.yz, sums.value.xy);
-    instance_gradients[target + 2].xy = sums.value.zw;
+    instance_gradients_a[target] = vec4(sums.linear, sums.quadratic.x);
+    instance_gradients_b[target] = vec4(sums.quadratic.yz, sums.value.xy);
+    instance_gradients_c[target] = sums.value.zw;
     if (ABSOLUTE) {
-        instance_gradients[target + 2].zw = sums.absolute;
+        instance_gradients_d[target] = sums.absolute;
     }
 }
 

@@ -9,8 +9,6 @@ const float NEAR_PLANE = 0.2;
 const uint DEPTH_KEY_BITS = 30;
 // Bits of a colour below 0 after its clamp: -0, by which the backward pass knows it.
 const uint CLAMPED_COLOR = 0x80000000;
-// Number of vec4 of an instance's gradients.
-const uint INSTANCE_PLANES = 3;
 const float DILATION_PX2 = 0.3;
 const float ALPHA_MAX = 0.99;
 const float ALPHA_MIN = 0.00392156862745098;

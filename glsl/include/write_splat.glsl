@@ -17,11 +17,11 @@ void write_splat(uint visible, uint index) {
 
     vec3 direction = direction_to(PROJECTION, mean_opacity.xyz);
     vec3 color = sh_color(index, direction);
-    // Written as bits, because compilers need not keep the sign of a zero.
-    uvec3 clamped = mix(floatBitsToUint(color), uvec3(CLAMPED_COLOR), lessThan(color, vec3(0.0)));
     // A coefficient that is not finite must not reach the pixels.
     bool valid = is_finite(color.x) && is_finite(color.y) && is_finite(color.z);
-    color = valid ? uintBitsToFloat(clamped) : vec3(0.0);
+    // Written as bits, because compilers need not keep the sign of a zero.
+    uvec3 shown = valid ? floatBitsToUint(color) : uvec3(0);
+    color = uintBitsToFloat(mix(shown, uvec3(CLAMPED_COLOR), lessThan(color, vec3(0.0))));
 
     vec4 mean2d = vec4(f.mean2d_px, f.half_extent_px);
     vec4 conic = vec4(vec3(p.cov2d.z, -p.cov2d.y, p.cov2d.x) / p.det, f.opacity);
@@ -34,7 +34,9 @@ void write_splat(uint visible, uint index) {
     conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)] = conic;
     color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] =
         vec4(highlighted(tinted(color), index), Z_RECORD ? DEPTH_OF(p.mean_camera) : 1.0 / DEPTH_OF(p.mean_camera));
-    uint depth_key = floatBitsToUint(DEPTH_OF(p.mean_camera)) - floatBitsToUint(NEAR_PLANE);
+    // Culling may have rounded otherwise.
+    float depth = max(DEPTH_OF(p.mean_camera), NEAR_PLANE);
+    uint depth_key = floatBitsToUint(depth) - floatBitsToUint(NEAR_PLANE);
     depth_keys[visible] = min(depth_key, (1u << DEPTH_KEY_BITS) - 1);
     footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles_met(list));
     tile_lists[visible] = list;

@@ -323,7 +323,10 @@ macro_rules! backward_of_lists {
             None => gpu.zeros::<[f32; 4]>("image_gradient", strips_of(lists).values() as usize),
         };
         let backward_state = gpu.untouched::<[f32; 2]>("backward_state", pixels);
-        let instance_gradients = gpu.untouched::<[f32; 12]>("instance_gradients", instances);
+        let [instance_gradients_a, instance_gradients_b] = ["instance_gradients_a", "instance_gradients_b"]
+            .map(|name| gpu.untouched::<[f32; 4]>(name, instances));
+        let [instance_gradients_c, instance_gradients_d] = ["instance_gradients_c", "instance_gradients_d"]
+            .map(|name| gpu.untouched::<[f32; 2]>(name, instances));
         let bind = $kernel::Bind {
             tile_ranges: &lists.tile_ranges,
             sorted_visible: &lists.sorted_visible,
@@ -336,14 +339,26 @@ macro_rules! backward_of_lists {
             last_entries: &blended.last_entries,
             image_gradient: &image_gradient,
             backward_state: &backward_state,
-            instance_gradients: &instance_gradients,
+            instance_gradients_a: &instance_gradients_a,
+            instance_gradients_b: &instance_gradients_b,
+            instance_gradients_c: &instance_gradients_c,
+            instance_gradients_d: &instance_gradients_d,
             state: &lists.state,
         };
         run_passes!(gpu, lists, $how, $kernel, spec, bind, |pass| {});
-        let records = gpu.read::<[f32; 12]>(&instance_gradients, instances);
-        let sums = records.iter().map(|own| std::array::from_fn(|k| f64::from(own[k]))).collect();
-        let absolute = records.iter().map(|own| [own[10], own[11]].map(f64::from)).collect();
-        SlotSums { sums, absolute }
+        let (a, b) = (
+            gpu.read::<[f32; 4]>(&instance_gradients_a, instances),
+            gpu.read::<[f32; 4]>(&instance_gradients_b, instances),
+        );
+        let c = gpu.read::<[f32; 2]>(&instance_gradients_c, instances);
+        let sums = (0..instances)
+            .map(|instance| {
+                let all = [a[instance].as_slice(), &b[instance], &c[instance]].concat();
+                std::array::from_fn(|k| f64::from(all[k]))
+            })
+            .collect();
+        let d = gpu.read::<[f32; 2]>(&instance_gradients_d, instances);
+        SlotSums { sums, absolute: d.into_iter().map(|sum| sum.map(f64::from)).collect() }
     }};
 }
 

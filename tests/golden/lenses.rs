@@ -254,7 +254,7 @@ pub fn of_device(path: &Path) -> Outcome {
     }
 
     // Sums of instances whose gradients are those of the set's weights of positions and covariances.
-    let mut sums = vec![];
+    let mut sums = [vec![], vec![]];
     for (place, &i) in shown.iter().enumerate() {
         let [xx, xy, yy] = of(&method(i, "cov2d"))[i];
         let ([wx, wy], [wa, wb, wc]) = (npz.rows::<2>("w_xy")[i], of("w_cov")[i]);
@@ -265,11 +265,11 @@ pub fn of_device(path: &Path) -> Outcome {
         let determinant = a * c - b * b;
         let moments = [-(c * wx - b * wy) / determinant, -(a * wy - b * wx) / determinant];
         let single = |x: f64| x as f32;
-        sums.push([0.0, moments[0], moments[1], -2.0 * d_conic.x_axis.x].map(single));
-        sums.push([-2.0 * d_conic.x_axis.y, -2.0 * d_conic.y_axis.y, 0.0, 0.0].map(single));
-        sums.push([0.0; 4]);
+        sums[0].push([0.0, moments[0], moments[1], -2.0 * d_conic.x_axis.x].map(single));
+        sums[1].push([-2.0 * d_conic.x_axis.y, -2.0 * d_conic.y_axis.y, 0.0, 0.0].map(single));
     }
     let one: Vec<[u32; 4]> = vec![[0, 0, 0, 1]; count];
+    let last = gpu.buffer("instance_gradients_c", &vec![[0.0_f32; 2]; count]);
     let gradients = gpu.untouched::<[f32; 4]>("gradients", c::GRADIENT_PLANES as usize * count);
     let statistics = gpu.buffer("statistics", &vec![[0.0_f32; 2]; count]);
     let (first_lens_sum, workgroups) = (2 * (count + 1), count.div_ceil(gpu.workgroup(64) as usize));
@@ -294,7 +294,10 @@ pub fn of_device(path: &Path) -> Outcome {
         first_instances: &gpu.buffer("first_instances", &list),
         conic_opacity,
         color_inverse_depth,
-        instance_gradients: &gpu.buffer("instance_gradients", &sums),
+        instance_gradients_a: &gpu.buffer("instance_gradients_a", &sums[0]),
+        instance_gradients_b: &gpu.buffer("instance_gradients_b", &sums[1]),
+        instance_gradients_c: &last,
+        instance_gradients_d: &last,
         gradients: &gradients,
         statistics: &statistics,
         absolute_statistics: &statistics,

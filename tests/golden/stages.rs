@@ -57,6 +57,7 @@ impl<'a> Stages<'a> {
             instances: tiles * set.len() as u32 + 64,
             pictures,
             backward: true,
+            absolute: true,
             ..FrameCapacity::default()
         };
         let requests = FrameBuffers::requests(&capacity, &LaunchSizes::new(context.limits()));

@@ -169,7 +169,7 @@ pub fn blend_backward_with_other_sums_equals_its_twin() {
             let how = How { inverse_depth: false, sums: OtherSums::Weights, ..how };
             let sums = kernel(&gpu, &lists, &blended, Some(&edges), how);
             let of_instances: Vec<f64> =
-                lists.instances.iter().map(|&at| sums.sums[at as usize][0]).collect();
+                lists.instances.iter().map(|&at| sums.sums[at as usize][8]).collect();
             let twin: Vec<f64> = weights.iter().map(|d| d.color[0]).collect();
             gradient("weights", &of_instances, &twin, &skip, TOLERANCE)
                 .unwrap_or_else(|e| panic!("{name}: {e}"));
@@ -197,14 +197,14 @@ pub fn blend_backward_of_the_first_scene_alone() {
         let how = How { entries_per_pass, sums, inverse_depth: sums == OtherSums::None, ..CHAINED };
         let blended = forward(&gpu, &lists, how);
         // Only the weights are written.
-        let written = if sums == OtherSums::Weights { 4 } else { 10 };
+        let first_sum = if sums == OtherSums::Weights { 8 } else { 0 };
         let mut of_scenes = |first_scene: usize| -> Vec<Vec<f64>> {
             lists.state = state(&gpu, [first_scene, visible, instances.len()]);
             let SlotSums { sums: own, absolute } = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
             let absolute = absolute
                 .into_iter()
                 .map(|own| own.map(|x| if sums == OtherSums::Absolute { x } else { 0.0 }));
-            own.iter().zip(absolute).map(|(own, absolute)| [&own[..written], &absolute].concat()).collect()
+            own.iter().zip(absolute).map(|(own, absolute)| [&own[first_sum..], &absolute].concat()).collect()
         };
         let all = of_scenes(visible);
         let is_nothing = |sums: &[f64]| sums.iter().all(|&sum| sum == 0.0);

@@ -500,11 +500,7 @@ fn summed(gpu: &Gpu, visible: &[(u32, Vec<f32>)], size: usize, overflow: bool) -
         index[*gaussian as usize] = row as u32;
         footprints.push([0, 0, 0, own.len() as u32]);
         begins.push(flat.len() as u32);
-        // Only the weight is read of a record.
-        flat.extend(
-            own.iter()
-                .map(|&weight| std::array::from_fn::<f32, 12, _>(|k| if k == 0 { weight } else { f32::NAN })),
-        );
+        flat.extend(own.iter().map(|&weight| [weight, f32::NAN]));
     }
     let (weights, ranges) = (gpu.untouched::<f32>("weights", size + 1), gpu.zeros::<u32>("ranges", 4));
     let bind = sum_weights::Bind {
@@ -512,7 +508,7 @@ fn summed(gpu: &Gpu, visible: &[(u32, Vec<f32>)], size: usize, overflow: bool) -
         visible_index: &gpu.buffer("visible_index", &index),
         footprints: &gpu.buffer("footprints", &footprints),
         first_instances: &gpu.buffer("first_instances", &begins),
-        instance_gradients: &gpu.buffer("instance_gradients", &flat),
+        instance_gradients_c: &gpu.buffer("instance_gradients_c", &flat),
         weights: &weights,
         ranges: &ranges,
     };

@@ -120,12 +120,10 @@ fn run(gpu: &Gpu, scene: &Scene, modes: Modes) -> Output {
         .scan(0, |next, sums| Some(std::mem::replace(next, *next + sums.len() as u32)))
         .collect();
     let footprints: Vec<[u32; 4]> = scene.sums.iter().map(|sums| [0, 0, 0, sums.len() as u32]).collect();
-    let records: Vec<[f32; 12]> = (flat.iter().enumerate())
-        .map(|(i, sums)| {
-            let absolute = modes.absolute.map_or([f32::NAN; 2], |absolute| absolute[i]);
-            std::array::from_fn(|k| if k < 10 { sums[k] as f32 } else { absolute[k - 10] })
-        })
-        .collect();
+    let part = |from: usize| {
+        flat.iter().map(|s| std::array::from_fn(|k| s[from + k] as f32)).collect::<Vec<[f32; 4]>>()
+    };
+    let last: Vec<[f32; 2]> = flat.iter().map(|s| [s[8] as f32, s[9] as f32]).collect();
     let gradients = gpu.untouched::<[f32; 4]>("gradients", GRADIENT_PLANES as usize * gradient_stride);
     let statistics = gpu.buffer("statistics", &vec![[2.0_f32, 3.0]; size]);
     let absolute_statistics = gpu.buffer("absolute_statistics", &vec![5.0_f32; size]);
@@ -142,7 +140,10 @@ fn run(gpu: &Gpu, scene: &Scene, modes: Modes) -> Output {
         first_instances: &gpu.buffer("first_instances", &first_instances),
         conic_opacity: &gpu.buffer("conic_opacity", &splats.conic_opacity),
         color_inverse_depth: &gpu.buffer("color_inverse_depth", &splats.color_inverse_depth),
-        instance_gradients: &gpu.buffer("instance_gradients", &records),
+        instance_gradients_a: &gpu.buffer("instance_gradients_a", &part(0)),
+        instance_gradients_b: &gpu.buffer("instance_gradients_b", &part(4)),
+        instance_gradients_c: &gpu.buffer("instance_gradients_c", &last),
+        instance_gradients_d: &gpu.buffer("instance_gradients_d", modes.absolute.unwrap_or(&last)),
         gradients: &gradients,
         statistics: &statistics,
         absolute_statistics: &absolute_statistics,

@@ -127,7 +127,7 @@ impl Importance {
                 visible_index: &f.visible_index,
                 footprints: splats.footprints,
                 first_instances: &f.first_instances,
-                instance_gradients: &f.instance_gradients,
+                instance_gradients_c: &f.instance_gradients_c,
                 weights: &buffers.weights,
                 ranges: &buffers.ranges,
             };
