@@ -8,11 +8,9 @@ pub struct Running(Option<Child>);
 
 impl Running {
     pub fn start(command: &mut Command) -> Running {
-        // Windows interrupts a group of processes, which must not be the test's own, on a console that both have.
+        // Windows interrupts a group of processes, which must not be the test's own.
         #[cfg(windows)]
         {
-            // SAFETY: it takes nothing, and fails where there is a console.
-            unsafe { windows_sys::Win32::System::Console::AllocConsole() };
             use windows_sys::Win32::System::Threading::CREATE_NEW_PROCESS_GROUP;
             std::os::windows::process::CommandExt::creation_flags(command, CREATE_NEW_PROCESS_GROUP);
         }

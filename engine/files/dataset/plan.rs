@@ -254,7 +254,8 @@ fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFrame {
         0 => median_ball(&centers(views)).map_or(0.0, |(_, radius)| radius),
         rank => *depths.select_nth_unstable_by(rank, f64::total_cmp).1,
     };
-    let decade = 10f64.powi(near.log10().floor() as i32);
+    // Parsed, because the powers of some systems miss it.
+    let decade: f64 = format!("1e{}", libm::log10(near).floor()).parse().unwrap_or(0.0);
     let keeps = KEPT.contains(&near) || !(decade > 0.0 && decade.is_finite());
     let usual = WorldFrame::default();
     let is_far = is_far(views, points, &usual);
