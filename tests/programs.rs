@@ -11,8 +11,6 @@ use serde_json::json;
 use std::path::Path;
 use std::process::Command;
 
-#[path = "common/slashes.rs"]
-mod common;
 #[path = "cli/run.rs"]
 #[allow(dead_code)]
 mod run;

@@ -19,7 +19,6 @@ pub mod machine;
 pub mod poses;
 pub mod prelude;
 pub mod scenes;
-#[allow(dead_code)]
 mod slashes;
 pub mod splats;
 pub mod terms;
