@@ -89,7 +89,7 @@ pub(super) fn in_core(block: &Value, mean: [f32; 3]) -> bool {
 
 /// Holds a lock file, as another process would.
 pub(super) fn hold(place: &Place, name: &str, holder: &str) -> std::fs::File {
-    place.write(&name.replace(".lock", ".holder"), holder);
+    place.write(name.replace(".lock", ".holder"), holder);
     let file = std::fs::File::create(place.at(name)).expect("created");
     file.try_lock().expect("free");
     file
