@@ -109,7 +109,7 @@ impl<'a> FrameInputs<'a> {
             depth_limit: self.depth_limits.is_some(),
             outputs: self.auxiliary.kinds(),
             shared_order: self.view.is_some(),
-            last_entries: self.backward || self.last_entries,
+            last_entries: self.last_entries,
             ..FrameVariant::of(self.settings, self.camera, self.backward)
         }
     }

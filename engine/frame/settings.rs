@@ -396,7 +396,7 @@ pub struct FrameVariant {
     pub depth_limit: bool,
     /// The picture is stored in the layout of the backward pass.
     pub backward: bool,
-    /// Blending stores [`FrameBuffers::last_entries`](super::FrameBuffers::last_entries): always with `backward`.
+    /// Blending stores [`FrameBuffers::last_entries`](super::FrameBuffers::last_entries) also without `backward`.
     pub last_entries: bool,
     /// Splats may be steeper than [`DILATION_PX2`](crate::kernels::constants::DILATION_PX2) allows, like those of ellipsoids.
     /// The products of INCREMENTAL_EXP would underflow (glsl/include/blending.glsl).
@@ -435,7 +435,6 @@ impl FrameVariant {
             shutter: camera.shutter.is_some(),
             inverse_depth: settings.inverse_depth,
             backward,
-            last_entries: backward,
             steep: settings.is_steep(),
             filter_3d: settings.filter_3d,
             own_dilation: settings.dilation_px2 != DILATION_PX2,

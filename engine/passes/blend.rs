@@ -66,15 +66,9 @@ impl Blend {
     }
 
     fn key(&self, sizes: &LaunchSizes, variant: FrameVariant) -> BlendKey {
-        let FrameVariant {
-            inverse_depth,
-            expected_depth: linear_depth,
-            depth_limit,
-            steep,
-            outputs,
-            last_entries,
-            ..
-        } = variant;
+        let FrameVariant { inverse_depth, expected_depth: linear_depth, depth_limit, steep, outputs, .. } =
+            variant;
+        let last_entries = variant.backward || variant.last_entries;
         let Self { broadcast, shared_splats, .. } = *self;
         let LaunchSizes { tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
         let (incremental_exp, strips) = (incremental_exp && !steep, variant.backward && sizes.strips);

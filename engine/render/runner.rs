@@ -112,8 +112,7 @@ impl FrameRunner {
         let gaussians = gaussians_with(scene.plan.capacity, frozen_capacity(other_scenes));
         let Self { context, forward, store } = self;
         let variant = FrameVariant::of(settings, camera, backward);
-        let last_entries = backward || request.last_entries;
-        forward.prepare(sh_degree, FrameVariant { last_entries, ..variant })?;
+        forward.prepare(sh_degree, FrameVariant { last_entries: request.last_entries, ..variant })?;
         let scenes = request.scenes();
         let mut retries = 0;
         loop {
