@@ -303,7 +303,6 @@ impl Backward {
                 footprints: f.splats().footprints,
                 first_instances: &f.first_instances,
                 conic_opacity: f.splats().conic_opacity,
-                color_inverse_depth: f.splats().color_inverse_depth,
                 instance_gradients_a: &f.instance_gradients_a,
                 instance_gradients_b: &f.instance_gradients_b,
                 instance_gradients_c: &f.instance_gradients_c,

@@ -83,8 +83,7 @@ impl Renderer {
             if after < c::TRANSMITTANCE_MIN {
                 break;
             }
-            // Makes 0 of the -0 that marks a channel below 0.
-            let color = [shade[0], shade[1], shade[2]].map(|channel| channel + 0.0);
+            let color = [shade[0], shade[1], shade[2]];
             let weight = alpha * before;
             for (sum, channel) in report.color.iter_mut().zip(color) {
                 *sum += weight * channel;

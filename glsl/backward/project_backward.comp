@@ -4,7 +4,7 @@
 // invocation: one visible Gaussian; subgroup: adds the instances of a Gaussian with many tiles together, over the lanes in a
 // fixed order, so that results do not depend on scheduling
 // in: parameters (PerGaussian planes), visible_ranges, visible_list, footprints, first_instances, conic_opacity,
-//      color_inverse_depth, instance_gradients_a, instance_gradients_b, instance_gradients_c, with ABSOLUTE instance_gradients_d
+//      instance_gradients_a, instance_gradients_b, instance_gradients_c, with ABSOLUTE instance_gradients_d
 // out: gradients, PerVisible planes: (d mean, d opacity logit), d quaternion, (d log-scale, dL/dx px),
 //      (d colour before its clamp at 0, dL/dy px)
 // in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) if `accumulate` is set, nothing overflowed
@@ -74,7 +74,6 @@ layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients
 VEC2_READS(12, InstanceGradientsD, instance_gradients_d);
 layout(set = 0, binding = 13, scalar) buffer AbsoluteStatistics { float absolute_statistics[]; };
 layout(set = 0, binding = 14, scalar) writeonly buffer PoseSums { vec3 pose_sums[]; };
-VEC4_READS(15, ColorInverseDepth, color_inverse_depth);
 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
@@ -303,8 +302,7 @@ void main() {
     vec3 towards = mean_opacity.xyz - POSITION_SEEING(mean_opacity.xyz);
     float inverse_distance = inversesqrt(dot(towards, towards));
     vec3 direction = towards * inverse_distance;
-    uvec3 color = floatBitsToUint(VEC4_AT(color_inverse_depth, splat_at(clamped_visible, SPLAT_COLOR_INVERSE_DEPTH)).xyz);
-    vec3 d_color = mix(vec3(sums.b.z, sums.b.w, sums.c.x), vec3(0.0), equal(color, uvec3(CLAMPED_COLOR)));
+    vec3 d_color = mix(vec3(sums.b.z, sums.b.w, sums.c.x), vec3(0.0), lessThan(sh_color(index, direction), vec3(0.0)));
     vec3 d_direction = sh_direction_gradient(index, direction, d_color);
     vec3 d_towards = (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
 

@@ -7,8 +7,6 @@ const uint TILE_SIZE = 16;
 const float NEAR_PLANE = 0.2;
 // Bits of the depth keys: those of a depth less those of NEAR_PLANE. Depths above 6.8e37 share the last key.
 const uint DEPTH_KEY_BITS = 30;
-// Bits of a colour below 0 after its clamp: -0, by which the backward pass knows it.
-const uint CLAMPED_COLOR = 0x80000000;
 const float DILATION_PX2 = 0.3;
 const float ALPHA_MAX = 0.99;
 const float ALPHA_MIN = 0.00392156862745098;

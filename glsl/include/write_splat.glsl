@@ -19,9 +19,7 @@ void write_splat(uint visible, uint index) {
     vec3 color = sh_color(index, direction);
     // A coefficient that is not finite must not reach the pixels.
     bool valid = is_finite(color.x) && is_finite(color.y) && is_finite(color.z);
-    // Written as bits, because compilers need not keep the sign of a zero.
-    uvec3 shown = valid ? floatBitsToUint(color) : uvec3(0);
-    color = uintBitsToFloat(mix(shown, uvec3(CLAMPED_COLOR), lessThan(color, vec3(0.0))));
+    color = valid ? color : vec3(0.0);
 
     vec4 mean2d = vec4(f.mean2d_px, f.half_extent_px);
     vec4 conic = vec4(vec3(p.cov2d.z, -p.cov2d.y, p.cov2d.x) / p.det, f.opacity);
@@ -33,7 +31,7 @@ void write_splat(uint visible, uint index) {
     mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)] = mean2d;
     conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)] = conic;
     color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] =
-        vec4(highlighted(tinted(color), index), Z_RECORD ? DEPTH_OF(p.mean_camera) : 1.0 / DEPTH_OF(p.mean_camera));
+        vec4(highlighted(tinted(max(color, vec3(0.0))), index), Z_RECORD ? DEPTH_OF(p.mean_camera) : 1.0 / DEPTH_OF(p.mean_camera));
     // Culling may have rounded otherwise.
     float depth = max(DEPTH_OF(p.mean_camera), NEAR_PLANE);
     uint depth_key = floatBitsToUint(depth) - floatBitsToUint(NEAR_PLANE);

@@ -293,7 +293,6 @@ pub fn of_device(path: &Path) -> Outcome {
         footprints: &gpu.buffer("footprints", &one),
         first_instances: &gpu.buffer("first_instances", &list),
         conic_opacity,
-        color_inverse_depth,
         instance_gradients_a: &gpu.buffer("instance_gradients_a", &sums[0]),
         instance_gradients_b: &gpu.buffer("instance_gradients_b", &sums[1]),
         instance_gradients_c: &last,

@@ -130,7 +130,6 @@ fn run(gpu: &Gpu, scene: &Scene, modes: Modes) -> Output {
     // One more than needed, to see that it stays untouched.
     let subgroups = count.div_ceil(gpu.subgroup() as usize) + 1;
     let pose_sums = gpu.untouched::<[f32; 6]>("pose_sums", subgroups);
-    let splats = pack_splats(&scene.splats);
     let bind = project_backward::Bind {
         parameters: &gpu.buffer("parameters", &pack_filtered(&scene.gaussians, room(size), view.filter_3d)),
         state: &gpu.frame_state(&[(STATE_VISIBLE, count as u32), (STATE_OVERFLOW, modes.overflow.into())]),
@@ -138,8 +137,7 @@ fn run(gpu: &Gpu, scene: &Scene, modes: Modes) -> Output {
         visible_list: &gpu.buffer("visible_list", &scene.visible),
         footprints: &gpu.buffer("footprints", &footprints),
         first_instances: &gpu.buffer("first_instances", &first_instances),
-        conic_opacity: &gpu.buffer("conic_opacity", &splats.conic_opacity),
-        color_inverse_depth: &gpu.buffer("color_inverse_depth", &splats.color_inverse_depth),
+        conic_opacity: &gpu.buffer("conic_opacity", &pack_splats(&scene.splats).conic_opacity),
         instance_gradients_a: &gpu.buffer("instance_gradients_a", &part(0)),
         instance_gradients_b: &gpu.buffer("instance_gradients_b", &part(4)),
         instance_gradients_c: &gpu.buffer("instance_gradients_c", &last),

@@ -150,7 +150,7 @@ pub fn camera_position(view: &View) -> [f64; 3] {
     apply(&transpose(&view.camera_from_world), view.translation).map(|x| -x)
 }
 
-/// Colour from SH, clamped at 0, which gives -0, and the raw value.
+/// Colour from SH, clamped at 0, and the raw value.
 pub fn color(gaussian: &Gaussian, view: &View) -> ([f64; 3], [f64; 3]) {
     let (direction, _) = view_direction(gaussian, view);
     let basis = sh::basis(direction);
@@ -161,7 +161,7 @@ pub fn color(gaussian: &Gaussian, view: &View) -> ([f64; 3], [f64; 3]) {
             raw[channel] += y * coefficient[channel];
         }
     }
-    (raw.map(|x| if x < 0.0 { -0.0 } else { x }), raw)
+    (raw.map(|x| x.max(0.0)), raw)
 }
 
 /// Unit vector from the camera to the Gaussian, and the distance. With parallel rays, the ray direction and 1.
