@@ -197,11 +197,38 @@ fn architecture_errors_are_returned() {
     assert_none("unwrap or expect outside tests", found);
 }
 
-// ---- readers: contents must not decide waits ----------------------------------------------------------------------
+// ---- data ---------------------------------------------------------------------------------------------------------
+
+/// No file has the bytes of one of the shared folder. Files of a few bytes may agree by chance.
+#[test]
+fn architecture_nothing_is_copied_from_the_shared_folder() {
+    let size = |path: &Path| path.metadata().map_or(0, |metadata| metadata.len());
+    let mut shared: HashMap<u64, Vec<PathBuf>> = HashMap::new();
+    for path in files_below(&crate::common::shared_folder()) {
+        shared.entry(size(&path)).or_default().push(path);
+    }
+    let is_copy = |path: &PathBuf| {
+        let mut of_its_size = shared.get(&size(path)).into_iter().flatten();
+        size(path) > 16 && of_its_size.any(|other| fs::read(path).ok() == fs::read(other).ok())
+    };
+    let folders = ["engine", "glsl", "tools", "tests", ".ci"].map(|folder| files_below(&root().join(folder)));
+    let copies = folders.into_iter().flatten().filter(is_copy).map(|path| path.display().to_string());
+    assert_none("copied", copies.collect());
+}
+
+// ---- readers: contents must not decide length of queues, or waits --------------------------------------------------
 
 /// The program's crates, and the C interface.
 const PROGRAMS: [&str; 6] =
     ["tools/ashsplat", "tools/bench", "tools/capi", "tools/program", "tools/scale", "tools/view"];
+
+#[test]
+fn architecture_channels_are_bounded() {
+    let sources = sources(&[&["engine"], &PROGRAMS[..]].concat(), &["rs"]);
+    let unbounded = |line: &str| has_word(line, "unbounded_channel") || line.contains("mpsc::channel");
+    let rule = "a queue that nobody empties must not grow: give channels a bound";
+    assert_none(rule, lines_with(&sources, unbounded));
+}
 
 /// Ways to open a file without checking its kind and length.
 const UNCHECKED: [&str; 7] = [
@@ -230,6 +257,89 @@ fn architecture_files_are_opened_in_one_way() {
     let opens = |line: &str| UNCHECKED.iter().any(|call| has_word(line, call));
     let rule = "regular_file::open refuses pipes and devices: readers use it";
     assert_none(rule, lines_with(&sources, opens));
+}
+
+// ---- shaders, their twins and their tests --------------------------------------------------------------------------
+
+/// Subgroup sizes are never literal, but `SUBGROUP_SIZE` or `gl_SubgroupSize`.
+#[test]
+fn architecture_no_literal_subgroup_sizes() {
+    let builtins = ["gl_SubgroupInvocationID", "gl_SubgroupSize", "gl_SubgroupID", "gl_NumSubgroups"];
+    let literals = ["4", "8", "16", "31", "32", "63", "64", "127", "128"];
+    let assumes = |line: &str| {
+        builtins.iter().any(|builtin| {
+            line.match_indices(builtin).any(|(at, _)| {
+                let after = line[at + builtin.len()..].trim_start_matches([' ', 'u', ')']);
+                let operand = after.trim_start_matches(['=', '!', '<', '>', '&', '%', '/', '*', ' ']);
+                let literal: String = operand.chars().take_while(char::is_ascii_digit).collect();
+                operand.len() < after.len() && literals.contains(&literal.as_str())
+            })
+        })
+    };
+    let shaders = sources(&["glsl"], &["comp", "glsl"]);
+    assert_none("literal subgroup sizes", lines_with(&shaders, assumes));
+}
+
+/// True if a line has a barrier: a call of such an include function, or of the shader's own `barrier()`.
+fn has_barrier(line: &str, barrier_functions: &[String]) -> bool {
+    has_word(line, "barrier") || barrier_functions.iter().any(|function| has_word(line, function))
+}
+
+/// `return` in `main` before a barrier: undefined unless all invocations return.
+fn return_before_barrier(source: &Source, barrier_functions: &[String]) -> Vec<String> {
+    let lines: Vec<(usize, &str)> = code_lines(&source.text).collect();
+    let Some(main) = lines.iter().position(|(_, line)| line.contains("void main()")) else { return vec![] };
+    let last_barrier = lines.iter().rposition(|(_, line)| has_barrier(line, barrier_functions)).unwrap_or(0);
+    lines[main..]
+        .iter()
+        .enumerate()
+        .filter(|(place, (_, line))| has_word(line, "return") && main + place < last_barrier)
+        .map(|(_, (number, _))| format!("{}:{number}", source.path))
+        .collect()
+}
+
+fn barrier_functions(source: &Source) -> Vec<String> {
+    let mut functions = Vec::new();
+    let mut current = String::new();
+    for (_, line) in code_lines(&source.text) {
+        let starts =
+            !line.starts_with([' ', '}', '#']) && line.contains('(') && line.trim_end().ends_with('{');
+        if starts {
+            let head = line.split('(').next().unwrap_or_default();
+            current = head.split_whitespace().next_back().unwrap_or_default().to_owned();
+        }
+        if has_word(line, "barrier") && !current.is_empty() {
+            functions.push(current.clone());
+        }
+    }
+    functions
+}
+
+#[test]
+fn architecture_no_return_before_a_barrier() {
+    let shaders = sources(&["glsl"], &["comp", "glsl"]);
+    let functions: Vec<String> = shaders.iter().flat_map(barrier_functions).filter(|f| f != "main").collect();
+    let violations = shaders.iter().flat_map(|s| return_before_barrier(s, &functions)).collect();
+    assert_none("return before a barrier", violations);
+}
+
+fn list_of_ci(name: &str) -> Vec<String> {
+    let script = std::fs::read_to_string(root().join(".ci/run")).expect("a script");
+    let list = script.split_once(&format!("{name}='")).and_then(|(_, rest)| rest.split_once('\''));
+    list.expect("a list").0.split_whitespace().map(str::to_owned).collect()
+}
+
+/// `.ci/run` runs these trainings with the kernels of GPUs: each word of its list must match a trial's name.
+#[test]
+fn architecture_trainings_of_gpus_are_trials() {
+    let words = list_of_ci("trainings_of_gpus");
+    assert!(words.len() > 10, "{words:?}");
+    let tests = sources(&["tests"], &["rs"]);
+    let is_trial = |word: &String| match word.strip_suffix("::") {
+        Some(file) => tests.iter().any(|source| source.path == format!("tests/{file}.rs")),
+        None => tests.iter().any(|source| source.text.contains(&format!("#[test]\nfn {word}"))),
+    };
+    assert_none("words that are no trial's", words.into_iter().filter(|word| !is_trial(word)).collect());
 }
 
 // ---- links of the documents ----------------------------------------------------------------------------------------

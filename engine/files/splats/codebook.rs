@@ -305,3 +305,71 @@ fn nearest_parts(heads: &Vectors<'_>, input: &[f32]) -> [u32; NEAREST_PARTS] {
     }
     best.map(|(_, index)| index)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::growth::turn;
+    use rand::{RngExt, SeedableRng};
+
+    fn numbers(count: usize) -> Vec<f32> {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
+        // Long tails, as spherical harmonics have.
+        (0..count).map(|_| (random.random_range(-1.0_f32..1.0)).powi(5)).collect()
+    }
+
+    fn error(inputs: Vectors<'_>, centers: &[f32], labels: &[u32]) -> f64 {
+        let centers = Vectors { numbers: centers, length: inputs.length };
+        let distance = |(i, &label)| f64::from(squared_distance(inputs.at(i), centers.at(label as usize)));
+        labels.iter().enumerate().map(distance).sum()
+    }
+
+    #[test]
+    fn few_numbers_are_kept_and_many_are_near_a_value() {
+        let _turn = turn();
+        let few: Vec<f32> = numbers(200).repeat(3);
+        let (book, indices) = scalar_codebook(&few);
+        assert!(few.iter().zip(&indices).all(|(&number, &i)| book[usize::from(i)] == number));
+        let mut many = numbers(20_000);
+        many[7] = 1e30;
+        let (book, indices) = scalar_codebook(&many);
+        let error = |book: &[f32; LEVELS], i: usize| f64::from(book[i]);
+        let squares =
+            many.iter().zip(&indices).map(|(&n, &i)| (f64::from(n) - error(&book, i.into())).powi(2));
+        // Equal steps have a mean square of step² / 12. The best values for this density have 0.51 of that (Panter and Dite).
+        let equal = many.len() as f64 * (2.0 / 256.0_f64).powi(2) / 12.0;
+        assert!(squares.sum::<f64>() < 0.6 * equal);
+    }
+
+    #[test]
+    fn parts_cost_little_beside_comparing_with_all_centers() {
+        let _turn = turn();
+        let (length, size) = (9, 256);
+        let all = numbers(9 * 5000);
+        let inputs = Vectors { numbers: &all, length };
+        let weighted = Weighted { inputs, weights: &vec![1; 5000] };
+        let (centers, labels) = cluster(&weighted, size);
+        let members: Vec<u32> = (0..5000).collect();
+        let mut plain = spread(inputs, &members, size);
+        let mut own = Vec::new();
+        for _ in 0..10 {
+            let now = Vectors { numbers: &plain, length };
+            own = members.iter().map(|&i| now.nearest(inputs.at(i as usize)).0).collect();
+            move_to_means(&weighted, &members, &own, &mut plain);
+        }
+        let (parts, whole) = (error(inputs, &centers, &labels), error(inputs, &plain, &own));
+        assert!(parts <= 1.05 * whole, "{parts} {whole}");
+    }
+
+    #[test]
+    fn as_many_different_vectors_as_the_palette_has_are_exact() {
+        let _turn = turn();
+        let all = numbers(9 * 1024).repeat(2);
+        let palette = Palette::of(&all, 9);
+        let of = |input: usize| &palette.vectors[usize::from(palette.labels[input]) * 9..][..9];
+        assert_eq!(palette.vectors.len(), 9 * 1024);
+        let (book, indices) = scalar_codebook(&all[..9 * 1024]);
+        assert_eq!((book, of(5)), (palette.book, &indices[45..54]));
+        assert_eq!(palette.labels[5], palette.labels[1024 + 5]);
+    }
+}
