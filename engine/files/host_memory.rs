@@ -177,23 +177,23 @@ fn free_bytes() -> Option<u64> {
     groups.iter().filter_map(left).chain(machine).chain(own).min()
 }
 
-#[cfg(target_os = "linux")]
 /// Reads a number of a file with one `name: number kB` per line, and returns bytes.
+#[cfg(target_os = "linux")]
 fn kib_of(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find(|line| line.starts_with(name))?;
     line.split_ascii_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1 << 10)
 }
 
-#[cfg(target_os = "linux")]
 /// Limit of `ulimit -v`, bytes; `None` if it is unlimited.
+#[cfg(target_os = "linux")]
 fn address_space(limits: &str) -> Option<u64> {
     let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
     line.split_ascii_whitespace().next()?.parse().ok()
 }
 
-#[cfg(target_os = "linux")]
 /// The control groups of this process and their parents, with the names of their files for limit and use. Version 2 has
 /// one hierarchy (`0::/path`), version 1 one for memory. A container may show only the root, not the path.
+#[cfg(target_os = "linux")]
 fn group_folders(cgroup: &str) -> Vec<(String, [&'static str; 2])> {
     let mut folders = Vec::new();
     for line in cgroup.lines() {

@@ -265,7 +265,7 @@ impl FrameBuffers {
 
     /// Per depth rank: the visible Gaussian. Valid from the depth sort on.
     pub fn depth_order(&self, block: &LaunchSizes) -> &Buffer {
-        self.depth_sort_values()[(block.sort_passes(DEPTH_KEY_BITS) % 2) as usize]
+        self.depth_sort_values()[block.sorted_side(DEPTH_KEY_BITS)]
     }
 
     /// Per instance before the tile sort: the visible Gaussian. Valid from duplication on with backward; otherwise until
@@ -370,5 +370,5 @@ pub fn frame_fits_device(limits: &Limits, capacity: &FrameCapacity, block: &Laun
 /// Index of the tile sort's buffer that holds its result, for an image of this size.
 pub(crate) fn sorted_side(block: &LaunchSizes, camera: &Camera) -> usize {
     let (columns, rows) = tile_grid(camera.width, camera.height);
-    (block.sort_passes(tile_bits(columns * rows)) % 2) as usize
+    block.sorted_side(tile_bits(columns * rows))
 }

@@ -253,6 +253,12 @@ impl LaunchSizes {
         }
     }
 
+    /// Index of the pair of buffers, of the two between which a sort's passes alternate, that holds the sorted keys below
+    /// 2^`key_bits`.
+    pub const fn sorted_side(&self, key_bits: u32) -> usize {
+        (self.sort_passes(key_bits) % 2) as usize
+    }
+
     /// Number of passes of a sort of keys below 2^`key_bits`.
     pub const fn sort_passes(&self, key_bits: u32) -> u32 {
         key_bits.div_ceil(self.sort_digit_bits())

@@ -147,7 +147,7 @@ impl RadixSort {
             };
             let push = sort_single_subgroup::Push { count_index: buffers.count_index, digit_bits, passes };
             recorder.dispatch(kernel, &bind, &push, 1);
-            return (passes % 2) as usize;
+            return self.sizes.sorted_side(key_bits);
         }
         for pass in 0..passes {
             if pass > 0 {
@@ -162,7 +162,7 @@ impl RadixSort {
             };
             self.record_pass(recorder, buffers, digit, workgroups);
         }
-        (passes % 2) as usize
+        self.sizes.sorted_side(key_bits)
     }
 
     fn record_pass(&self, recorder: &mut Recorder, b: &SortBuffers, digit: Digit, workgroups: Workgroups) {

@@ -73,7 +73,8 @@ SplatExtra own_extra;
 #endif
 
 // Tests each lane's splat against a region and blends the hits over it. The pixels are a parameter, because llvmpipe would keep
-// one array for all regions in memory, where blending takes three times as long. Returns true if a pixel of the lane goes on.
+// one array for all regions in memory, and blending would take three times as long. The result is true if one of the lane's pixels
+// has not stopped.
 bool blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, inout Pixel pixels[MAX_PIXELS]) {
     vec2 corner_px = vec2(origin + lane_offset());
     uvec4 hits = subgroupBallot(exists && meets_region(mean2d, own.form, own.opacity, origin));

@@ -1,8 +1,8 @@
 //! Locks a folder, so that only one run at a time writes into it.
 //!
-//! The lock is the operating system's, which ends with the process in any case, so none is left behind. Windows lets
-//! nobody read a locked file, so the holder's name is in a second file. Where files cannot be locked (some network file
-//! systems) nothing is locked.
+//! The lock is the operating system's, which ends with the process in any case, so none is left behind. On Windows
+//! other processes cannot read a locked file. A second file therefore has the holder's name. Some network file systems
+//! cannot lock files; the folder is not locked there, and a warning says so.
 
 use crate::{output, session};
 use ashsplat::{Error, Result};

@@ -418,7 +418,7 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
     let members = members(path, &all, outline)?;
     atomic::write_seekable(path, |writer| {
         let mut archive = ZipWriter::new(writer);
-        // The archive names the system that wrote it, unless it is told.
+        // By default an archive names the system that wrote it, and its bytes would differ between systems.
         let stored =
             SimpleFileOptions::default().compression_method(CompressionMethod::Stored).system(System::Unix);
         for (name, bytes) in members {
