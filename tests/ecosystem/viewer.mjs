@@ -42,9 +42,9 @@ async function open(address, more = {}) {
     const page = await browser.newPage({ viewport: { width: 1280, height: 720 }, ...more });
     page.setDefaultTimeout(PATIENCE);
     page.on('pageerror', (error) => errors.push(error.stack));
-    // A connection that breaks and a path that is refused are errors to the console, and meant here.
+    // A connection that breaks, the question why it broke and a path that is refused are errors to the console, and meant here.
     page.on('console', (message) => {
-        const meant = /WebSocket|net::ERR_/.test(message.text()) || message.location().url.endsWith('/open');
+        const meant = /WebSocket|net::ERR_/.test(message.text()) || /\/(open|socket)$/.test(message.location().url);
         if (message.type() === 'error' && !meant) errors.push(message.text());
     });
     await page.goto(address);
