@@ -253,15 +253,18 @@ fn held_out_photos_need_no_depth_maps() {
     mapped.refuses("depths", &words);
 }
 
-/// Depths in place of inverse depths.
+/// Depths in place of inverse depths; and a map of another shape, which is stretched.
 #[test]
-fn maps_of_depths_are_told() {
+fn maps_of_depths_and_of_other_shapes_are_told() {
     let mapped = Mapped::new();
     for index in 0..VIEWS {
         let mut map = image::open(mapped.map(index)).expect("a map").into_luma16();
         map.pixels_mut().for_each(|pixel| pixel[0] = u16::MAX - pixel[0]);
         map.save(mapped.map(index)).expect("saved");
     }
+    let cut = image::open(mapped.map(2)).expect("a map").crop_imm(0, 0, SIZE[0] / 2, SIZE[1]);
+    cut.save(mapped.map(2)).expect("saved");
     let run = mapped.0.run("train -s @data -m @out --iterations=1 -d depths");
     run.warns(&["fall where the sparse points come nearer"]);
+    run.warns(&["03.png: 1 of 9 depth maps are not of their photos' shape"]);
 }

@@ -97,6 +97,15 @@ fn setting(place: &Place, model: &str, name: &str) -> String {
     line.unwrap_or_else(|| panic!("no {name} in {dump}")).to_owned()
 }
 
+#[test]
+fn growth_that_comes_too_late_is_told() {
+    let place = Place::new();
+    let growth = "--preset reference --densify-from-iter 2 --densification-interval";
+    let told = "at iteration 8, is 4 iterations before the end";
+    train(&place, "late", &format!("{growth} 8")).ok().warns(&[told]);
+    assert!(!train(&place, "last", &format!("{growth} 12")).ok().stderr.contains("the last densification"));
+}
+
 /// Data sets with few photos get special settings, and one line says so. Given options have priority.
 #[test]
 fn few_photos_are_noticed_and_said() {

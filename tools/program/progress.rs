@@ -81,11 +81,7 @@ impl TrainProgress {
             lines: !terminal && !quiet,
             first,
             iterations,
-            settled_from: (1..=iterations)
-                .rev()
-                .find(|&iteration| settings.densifies_at(iteration))
-                .unwrap_or(0)
-                .max(settings.warm_up_end()),
+            settled_from: settings.last_densification().unwrap_or(0).max(settings.warm_up_end()),
             window: (Instant::now(), first),
             iterations_per_second: 0.0,
             mean_seconds: RunningMean::new(SPEED_WEIGHT),

@@ -47,14 +47,22 @@ fn of_trained(
         return Err(Error::input(folder, "is no folder with depth maps", remedy));
     }
     let mut finder = Finder::default();
-    let paths = views.iter().map(|view| checked_map_of(&folder, view, &mut finder));
-    let paths: Vec<PathBuf> = paths.collect::<Result<_>>()?;
+    let found = views.iter().map(|view| checked_map_of(&folder, view, &mut finder));
+    let (paths, shapes): (Vec<PathBuf>, Vec<bool>) = found.collect::<Result<_>>()?;
     let mut known = HashMap::new();
     if let Some((view, path, other)) =
         views.iter().zip(&paths).find_map(|(view, path)| Some((view, path, known.insert(path, &view.name)?)))
     {
         let problem = format!("{other} and {} would both have the depth map {}", view.name, path.display());
         return Err(Error::input(folder, problem, "give each a map whose path ends as its name does"));
+    }
+    let of_other_shape = || paths.iter().zip(&shapes).filter(|(_, has_shape)| !**has_shape);
+    if let Some((first, _)) = of_other_shape().next() {
+        let (count, all) = (of_other_shape().count(), paths.len());
+        warnings.push(format!(
+            "{}: {count} of {all} depth maps are not of their photos' shape, this one first: they are stretched to it, not cut",
+            first.display()
+        ));
     }
     if transforms::find(dataset).is_some() && !colmap::exists(dataset) {
         // The maps of a transforms.json hold inverse depths.
@@ -129,7 +137,8 @@ pub(super) fn map_of(folder: &Path, name: &str, finder: &mut Finder) -> Option<P
     found.or_else(|| maps().find_map(|map| finder.file_by_end(folder, map)))
 }
 
-fn checked_map_of(folder: &Path, view: &PlannedView, finder: &mut Finder) -> Result<PathBuf> {
+/// The map of a view, and true if it has the shape of its photo.
+fn checked_map_of(folder: &Path, view: &PlannedView, finder: &mut Finder) -> Result<(PathBuf, bool)> {
     let name = view.name.strip_prefix("images/").unwrap_or(&view.name);
     let Some(path) = map_of(folder, name, finder) else {
         let problem = format!("the depth map of photo {} is missing", view.name);
@@ -145,8 +154,11 @@ fn checked_map_of(folder: &Path, view: &PlannedView, finder: &mut Finder) -> Res
             format!("photo {} is of a fisheye or a panorama, whose depths may be of two kinds", view.name);
         return Err(Error::input(path, problem, "train without -d"));
     }
-    header(&path)?;
-    Ok(path)
+    let (width, height) = header(&path)?.size(false);
+    let (photo_width, photo_height) = (u64::from(view.lens.width), u64::from(view.lens.height));
+    let apart = (u64::from(width) * photo_height).abs_diff(u64::from(height) * photo_width);
+    // A smaller size is rounded to whole pixels.
+    Ok((path, apart <= photo_width + photo_height))
 }
 
 /// Reads the parameters of a file and converts them from 1 / source units to 1 / world units.
