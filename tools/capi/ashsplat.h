@@ -117,6 +117,20 @@ typedef enum AshsplatProjection {
   AshsplatProjection_Equirectangular = 8,
 } AshsplatProjection;
 
+// How a picture is read. Frames of cameras with a rolling shutter are reserved: AshsplatReservation.rolling_shutter.
+typedef enum AshsplatReadout {
+  // At once.
+  AshsplatReadout_Global = 0,
+  // Row by row, the uppermost first.
+  AshsplatReadout_Down = 1,
+  // Row by row, the lowest first.
+  AshsplatReadout_Up = 2,
+  // Column by column, the leftmost first.
+  AshsplatReadout_Right = 3,
+  // Column by column, the rightmost first.
+  AshsplatReadout_Left = 4,
+} AshsplatReadout;
+
 // How each Gaussian is drawn.
 typedef enum AshsplatShape {
   // The Gaussian itself.
@@ -189,6 +203,13 @@ typedef struct AshsplatCamera {
   uint32_t projection;
   // Coefficients of the projection's lens, in COLMAP's order; zeros after the last, and for other projections.
   float coefficients[12];
+  // An AshsplatReadout: how a rolling shutter reads the picture. The pose is that halfway; row t, from -1/2 for the first to
+  // 1/2 for the last, shows a point of that camera's space at exp(t turn^) (x - t shift).
+  uint32_t readout;
+  // Turn of the scene from the first row to the last: axis times angle, radians; at most half a circle.
+  float shutter_turn[3];
+  // Way of the camera's centre from the first row to the last, world units, in the space of the camera halfway.
+  float shutter_shift[3];
 } AshsplatCamera;
 
 // How a frame is rendered; by default as scenes are trained and shown.
@@ -706,6 +727,8 @@ typedef struct AshsplatReservation {
   uint64_t filter_3d;
   // AshsplatProjection of a lens that cameras of frames may have, beside pinholes; 0 for none.
   uint64_t lens;
+  // Not 0: frames will have cameras with a rolling shutter (AshsplatCamera.readout), beside others.
+  uint64_t rolling_shutter;
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the

@@ -3,7 +3,7 @@
 
 use super::*;
 use ashsplat::ash::vk;
-use ashsplat::scene::{Camera, DepthMapping, Pose, Projection};
+use ashsplat::scene::{Camera, DepthMapping, Pose, Projection, Readout, Shutter};
 use ashsplat::vk::ImageState;
 use ashsplat::{Extent, JacobianLimit, Shape};
 use glam::{Mat3, Vec3};
@@ -62,6 +62,29 @@ pub struct AshsplatCamera {
     pub projection: u32,
     /// Coefficients of the projection's lens, in COLMAP's order; zeros after the last, and for other projections.
     pub coefficients: [f32; 12],
+    /// An AshsplatReadout: how a rolling shutter reads the picture. The pose is that halfway; row t, from -1/2 for the first to
+    /// 1/2 for the last, shows a point of that camera's space at exp(t turn^) (x - t shift).
+    pub readout: u32,
+    /// Turn of the scene from the first row to the last: axis times angle, radians; at most half a circle.
+    pub shutter_turn: [f32; 3],
+    /// Way of the camera's centre from the first row to the last, world units, in the space of the camera halfway.
+    pub shutter_shift: [f32; 3],
+}
+
+/// How a picture is read. Frames of cameras with a rolling shutter are reserved: AshsplatReservation.rolling_shutter.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatReadout {
+    /// At once.
+    Global = 0,
+    /// Row by row, the uppermost first.
+    Down = 1,
+    /// Row by row, the lowest first.
+    Up = 2,
+    /// Column by column, the leftmost first.
+    Right = 3,
+    /// Column by column, the rightmost first.
+    Left = 4,
 }
 
 /// How the directions of a camera reach its picture. Frames of cameras with a lens are reserved: AshsplatReservation.lens. (a, b)
@@ -95,6 +118,9 @@ impl From<Camera> for AshsplatCamera {
             camera_from_world: c.camera_from_world.transpose().to_cols_array(),
             translation: c.translation.to_array(),
             projection: c.projection as u32,
+            readout: c.shutter.map_or(0, |shutter| 1 + shutter.readout as u32),
+            shutter_turn: c.shutter.unwrap_or_default().turn.to_array(),
+            shutter_shift: c.shutter.unwrap_or_default().shift.to_array(),
             ..Self::default()
         })
     }
@@ -103,12 +129,15 @@ impl From<Camera> for AshsplatCamera {
 impl AshsplatCamera {
     /// Converts to the engine's camera. Errors call it by this name.
     pub(super) fn known(&self, name: &str) -> Result<Camera> {
+        let [down, up, right, left] = Readout::ALL.map(Some);
+        let readout = one_of(format_args!("{name}.readout"), self.readout, &[None, down, up, right, left])?;
+        let (turn, shift) = (Vec3::from(self.shutter_turn), Vec3::from(self.shutter_shift));
         Ok(same_fields!(self => Camera { fx, fy, cx, cy, width, height, coefficients } with {
             camera_from_world: Mat3::from_cols_array(&self.camera_from_world).transpose(),
             translation: Vec3::from(self.translation),
             projection: one_of(format_args!("{name}.projection"), self.projection, &Projection::ALL)?,
             part: None,
-            shutter: None,
+            shutter: readout.map(|readout| Shutter { readout, turn, shift }),
         }))
     }
 
@@ -330,6 +359,8 @@ pub struct AshsplatReservation {
     pub filter_3d: u64,
     /// AshsplatProjection of a lens that cameras of frames may have, beside pinholes; 0 for none.
     pub lens: u64,
+    /// Not 0: frames will have cameras with a rolling shutter (AshsplatCamera.readout), beside others.
+    pub rolling_shutter: u64,
 }
 
 /// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference

@@ -454,8 +454,8 @@ static void other_cameras(Stage *stage) {
     EXPECT(memcmp(rgb, again, sizeof rgb) == 0);
     new.unknown[1] = 2;
     REFUSED(ashsplat_render(renderer, scene, &new.known, NULL, background, again),
-            "camera: struct_size is 136, this version knows 128 bytes of AshsplatCamera");
-    EXPECT(said("at byte 135"));
+            "camera: struct_size is 164, this version knows 156 bytes of AshsplatCamera");
+    EXPECT(said("at byte 163"));
 
     /* Nobody has begun these. */
     camera.struct_size = 0;
@@ -467,7 +467,7 @@ static void other_cameras(Stage *stage) {
     for (int i = 0; i < 8; ++i) {
         camera.struct_size = senseless[i];
         REFUSED(ashsplat_render(renderer, scene, &camera, NULL, background, again),
-                "AshsplatCamera has 128: begin with ASHSPLAT_INIT(AshsplatCamera)");
+                "AshsplatCamera has 156: begin with ASHSPLAT_INIT(AshsplatCamera)");
     }
 }
 
@@ -537,6 +537,25 @@ static void structs(char **arguments) {
     check(stage_record(&stage), "recording parallel rays");
     stage_finish(&stage);
     EXPECT(stage.report.visible > 0);
+
+    /* A rolling shutter is reserved, and a camera that moves while it is read draws another picture. */
+    stage.camera.projection = AshsplatProjection_Perspective;
+    stage.camera.fx = stage.camera.fy = 150;
+    REFUSED_WITH(stage.camera.readout, 5, stage_record(&stage), "camera.readout: 5, there are 0 to 4");
+    stage.camera.readout = AshsplatReadout_Down;
+    REFUSED_FRAME(&stage, "rolling_shutter: not reserved");
+    stage.wanted.rolling_shutter = true;
+    stage_reserve(&stage);
+    uint32_t seen[2];
+    for (int moves = 0; moves < 2; ++moves) {
+        stage.camera.shutter_shift[0] = moves ? 4 : 0;
+        host_begin(host);
+        check(stage_record(&stage), "recording a rolling shutter");
+        stage_finish(&stage);
+        seen[moves] = stage.report.instances_needed;
+    }
+    EXPECT(seen[0] > 0 && seen[1] != seen[0]);
+    REFUSED_WITH(stage.camera.shutter_turn[1], 4, stage_record(&stage), "beyond half a circle");
     printf("%u of %u Gaussians visible\n", visible[0], 3 * gaussians);
     stage_close(&stage);
 }
