@@ -59,6 +59,9 @@ pub struct FrameInputs<'a> {
     pub settings: &'a RenderSettings,
     /// Per pixel of the image: 1/z of the opaque surface that hides splats, 0 for none.
     pub depth_limits: Option<&'a Buffer>,
+    /// The masked photograph of a training view ([`photo_on_device`](crate::passes::loss::photo_on_device)), of the frame's size.
+    /// Tiles that its mask hides altogether are neither blended nor differentiated. Needs `backward`.
+    pub hidden_by: Option<&'a Buffer>,
     /// Buffer for the cut-outs of all scenes, 64 bytes each; may be `None` if there are none.
     pub cut_outs: Option<&'a Buffer>,
     /// Renders the sum of weights * z instead of weights / z.
@@ -92,6 +95,7 @@ impl<'a> FrameInputs<'a> {
             pose: None,
             settings,
             depth_limits: None,
+            hidden_by: None,
             cut_outs: None,
             expected_depth: false,
             backward: false,

@@ -9,10 +9,11 @@ use super::scan::{Scan, ScanBuffers, Workgroups};
 use super::sort::{RadixSort, SortBuffers, Values};
 use crate::error::Result;
 use crate::frame::{FrameBuffers, FrameInputs, LaunchSizes, sorted_side, tile_bits, tile_grid};
+use crate::kernels::backward::hide_tiles;
 use crate::kernels::constants as c;
 use crate::kernels::forward::{count, duplicate_with_tiles, ranges};
 use crate::scene::Projection;
-use crate::vk::{Context, Kernel, KernelSet, Recorder};
+use crate::vk::{Buffer, Context, Kernel, KernelSet, Recorder};
 
 /// Kernels of instances.
 pub(crate) struct Instances {
@@ -24,6 +25,8 @@ pub(crate) struct Instances {
     duplicate_spec: duplicate_with_tiles::Spec,
     /// For frames without and with backward.
     ranges: [Kernel<ranges::Interface>; 2],
+    /// None until [`Instances::prepare_hiding`].
+    hide: Option<Kernel<hide_tiles::Interface>>,
 }
 
 impl Instances {
@@ -46,6 +49,7 @@ impl Instances {
                 ..duplicate_with_tiles::Spec::default()
             },
             ranges: [ranges(false)?, ranges(true)?],
+            hide: None,
         };
         instances.prepare(context, Projection::Perspective)?;
         Ok(instances)
@@ -55,6 +59,14 @@ impl Instances {
     pub fn prepare(&mut self, context: &Context, projection: Projection) -> Result<()> {
         let specs = [false, true].map(|for_backward| self.duplicate_spec(for_backward, projection));
         specs.into_iter().try_for_each(|spec| self.duplicate.prepare(context, spec))
+    }
+
+    /// Builds the kernel for masked photographs. `absolute`: frames have absolute gradients.
+    pub fn prepare_hiding(&mut self, context: &Context, absolute: bool) -> Result<()> {
+        let (subgroup_size, strips) = (context.limits().subgroup_size, self.sizes.strips);
+        let spec = hide_tiles::Spec { workgroup_size: subgroup_size, subgroup_size, strips, absolute };
+        self.hide = Some(Kernel::new(context, &spec)?);
+        Ok(())
     }
 
     fn duplicate_spec(&self, for_backward: bool, projection: Projection) -> duplicate_with_tiles::Spec {
@@ -181,5 +193,29 @@ impl Instances {
         };
         let kernel = &self.ranges[usize::from(inputs.capacity.backward)];
         r.dispatch_indirect(kernel, &bind, &ranges::Push {}, &f.arguments_at(c::ARGUMENTS_INSTANCES));
+    }
+
+    /// Records that the tiles in which a photograph's mask hides every pixel have no instances. The picture there is the
+    /// background, and the gradients of these instances are 0.
+    ///
+    /// # Panics
+    /// Before [`Instances::prepare_hiding`].
+    pub fn record_hiding(&self, r: &mut Recorder, inputs: &FrameInputs, photo: &Buffer) {
+        let f = inputs.frame;
+        let bind = hide_tiles::Bind {
+            photo,
+            sorted_instances: f.sorted_instances(&self.sizes, inputs.camera),
+            tile_ranges: &f.tile_ranges,
+            instance_gradients_a: &f.instance_gradients_a,
+            instance_gradients_b: &f.instance_gradients_b,
+            instance_gradients_c: &f.instance_gradients_c,
+            instance_gradients_d: f.absolute_gradients(inputs.capacity.absolute),
+        };
+        let (image_width, image_height) = (inputs.camera.width, inputs.camera.height);
+        let (tiles_per_row, tile_rows) = tile_grid(image_width, image_height);
+        let tile_count = tiles_per_row * tile_rows;
+        let push = hide_tiles::Push { image_width, image_height, tiles_per_row, tile_count };
+        let kernel = self.hide.as_ref().expect("prepare_hiding");
+        r.dispatch(kernel, &bind, &push, tile_count.into());
     }
 }

@@ -148,6 +148,7 @@ impl Renderer {
                 sh_degree,
                 backward: true,
                 last_entries: false,
+                hidden_by: None,
             };
             let ran = self.runner.run(&request, |r, inputs| {
                 let loss_inputs = LossInputs {

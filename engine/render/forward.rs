@@ -62,6 +62,11 @@ impl Forward {
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
 
+    /// Builds the kernel that frames with [`FrameInputs::hidden_by`] need. `absolute`: they have absolute gradients.
+    pub(crate) fn prepare_hiding(&mut self, absolute: bool) -> Result<()> {
+        self.instances.prepare_hiding(&self.context, absolute)
+    }
+
     /// Builds the missing kernels of culling and projection for an SH degree and a variant. `batches`: also those of
     /// batches, if a batch may have the variant.
     pub(crate) fn prepare_scenes(
@@ -161,6 +166,9 @@ impl Forward {
         pass(r, "duplicate", |r| self.instances.record_duplicate(r, inputs));
         pass(r, "tile sort", |r| self.instances.record_tile_sort(r, inputs));
         pass(r, "ranges", |r| self.instances.record_ranges(r, inputs));
+        if let Some(photo) = inputs.hidden_by {
+            pass(r, "hide tiles", |r| self.instances.record_hiding(r, inputs, photo));
+        }
         r.scope("blend", |r| self.blend.record(r, inputs, &self.sizes));
     }
 }

@@ -129,6 +129,7 @@ impl Renderer {
             sh_degree,
             backward: true,
             last_entries: false,
+            hidden_by: None,
         };
         let backward = &self.backward;
         let ran = self.runner.run(&request, |r, inputs| {

@@ -265,6 +265,7 @@ impl Renderer {
             sh_degree: scene.active_degree(settings),
             backward: false,
             last_entries,
+            hidden_by: None,
         };
         let ran = self.runner.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
         let FrameRun { state, report, retries } = ran;

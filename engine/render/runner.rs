@@ -33,6 +33,8 @@ pub(crate) struct Request<'a> {
     pub backward: bool,
     /// See [`FrameInputs::last_entries`].
     pub last_entries: bool,
+    /// See [`FrameInputs::hidden_by`].
+    pub hidden_by: Option<&'a Buffer>,
 }
 
 impl<'a> Request<'a> {
@@ -55,8 +57,8 @@ impl<'a> Request<'a> {
         scenes: &'a [PlacedScene<'a>],
     ) -> FrameInputs<'a> {
         let inputs = FrameInputs::new(scenes, frame, capacity, self.settings);
-        let Self { pose, backward, last_entries, .. } = *self;
-        FrameInputs { pose, backward, last_entries, ..inputs }
+        let Self { pose, backward, last_entries, hidden_by, .. } = *self;
+        FrameInputs { pose, backward, last_entries, hidden_by, ..inputs }
     }
 }
 

@@ -139,6 +139,7 @@ impl Population<'_> {
                 sh_degree: 0,
                 backward: true,
                 last_entries: false,
+                hidden_by: None,
             };
             let ran = self.runner.run(&request, |r, inputs| {
                 let gradient = &inputs.frame.image_gradient;

@@ -139,7 +139,7 @@ impl Trainer {
         let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
         let (filter, poses, frozen) = (self.filter.as_ref(), self.poses.as_ref(), &self.frozen);
         let parts = StepParts { run, model, frozen, photos, maps, memory, strategy, filter, poses, plan };
-        self.runner.record(r, &parts.frame(), |r, inputs| {
+        self.runner.record(r, &parts.frame(self.recorder.hides_masked_tiles()), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &slot.losses);
             r.barrier();
             r.copy(&inputs.frame.state, &slot.state);

@@ -98,8 +98,16 @@ pub(super) struct StepParts<'a> {
 }
 
 impl<'a> StepParts<'a> {
-    /// Frame of the iteration.
-    pub fn frame(&self) -> Request<'a> {
+    /// True if the photograph serves as it is stored: at the frame's size, and without a random background behind it.
+    fn photo_serves(&self) -> bool {
+        let Self { run, photos, plan, .. } = self;
+        let composed = run.settings.random_background && photos.is_transparent(plan.view);
+        plan.camera.width == run.cameras[plan.view].width && !composed
+    }
+
+    /// Frame of the iteration. `hides`: only the photograph's visible pixels count.
+    pub fn frame(&self, hides: bool) -> Request<'a> {
+        let hides = hides && self.photos.is_masked(self.plan.view) && self.photo_serves();
         Request {
             scene: &self.model.scene,
             other_scenes: self.frozen,
@@ -109,6 +117,7 @@ impl<'a> StepParts<'a> {
             sh_degree: self.plan.sh_degree,
             backward: true,
             last_entries: false,
+            hidden_by: hides.then(|| self.photos.of(self.plan.view)),
         }
     }
 }
@@ -142,6 +151,12 @@ impl StepRecorder {
             poses,
             lens: settings.lens_opt.then(|| LensGradient::new(context)).transpose()?,
         })
+    }
+
+    /// True if no term reads pixels that a photograph's mask hides: those besides the photometric one read no pictures.
+    pub fn hides_masked_tiles(&self) -> bool {
+        let others = Self::targets_of(&self.terms[1..]);
+        others.picture.is_none() && !others.inverse_depth
     }
 
     fn backward_form(&self, absolute: bool) -> BackwardForm {
@@ -436,11 +451,11 @@ impl PhotoPreparation {
     fn record<'a>(&self, r: &mut Recorder, parts: &StepParts<'a>) -> Option<&'a Buffer> {
         let StepParts { run, photos, memory, plan, .. } = *parts;
         let (camera, prepared) = (&run.cameras[plan.view], memory.prepared.as_ref()?);
-        let transparent = run.settings.random_background && photos.is_transparent(plan.view);
-        let Camera { width, height, .. } = plan.camera;
-        if width == camera.width && !transparent {
+        if parts.photo_serves() {
             return None;
         }
+        let transparent = run.settings.random_background && photos.is_transparent(plan.view);
+        let Camera { width, height, .. } = plan.camera;
         let (drawn, composed) = (plan.settings.background, run.settings.render_settings().background);
         let change = [0, 1, 2].map(|c| drawn[c] - composed[c]);
         let masked = photos.is_masked(plan.view);

@@ -186,6 +186,7 @@ impl Trainer {
             subgroups::check(context)?;
         }
         let BuiltParts { strategy, recorder, rows } = parts;
+        let any_masked = photo_sizes.iter().any(|photo| photo.masked);
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let maps = DepthMaps::new(context, &views, &photo_sizes)?;
         let mut cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
@@ -214,6 +215,9 @@ impl Trainer {
         runner.store.expect_pictures(shape.pictures);
         if shape.absolute {
             runner.store.expect_absolute();
+        }
+        if any_masked {
+            runner.forward.prepare_hiding(shape.absolute)?;
         }
         let first =
             |earlier: &Capacities| earlier.first_frame(context, gaussians_with(capacity, frozen), shape);
@@ -658,7 +662,7 @@ impl Trainer {
         let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
         let (filter, poses, frozen) = (self.filter.as_ref(), self.poses.as_ref(), &self.frozen);
         let parts = StepParts { run, model, frozen, photos, maps, memory, strategy, filter, poses, plan };
-        self.runner.run(&parts.frame(), |r, inputs| {
+        self.runner.run(&parts.frame(self.recorder.hides_masked_tiles()), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
             Ok(())
         })

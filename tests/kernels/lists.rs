@@ -1,17 +1,19 @@
 //! The kernels of `forward/` that list visible Gaussians and tiles, against their twins: `forward/compact`,
-//! `forward/write_indirect_args`, `forward/write_visible_ranges`, `forward/count`, `forward/duplicate_with_tiles` and
-//! `forward/ranges`.
+//! `forward/write_indirect_args`, `forward/write_visible_ranges`, `forward/count`, `forward/duplicate_with_tiles`,
+//! `forward/ranges` and `backward/hide_tiles`.
 
 use crate::common::frame::{Projected, shuffled, state, touched_at_most, visible_scene};
 use crate::common::prelude::*;
 use crate::reference::lists::{self as twin, LISTED, is_listed, tiles_met};
 use crate::reference::scan::{scan_reduce, scan_spine};
 use crate::reference::tiles::{touched, touches_by_pixels};
+use ashsplat::kernels::backward::hide_tiles;
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::kernels::forward::{
     compact, count, duplicate_with_tiles, ranges, write_indirect_args, write_visible_ranges,
 };
+use ashsplat::passes::loss::{Windowing, photo_on_device};
 use std::ops::Range;
 
 #[test]
@@ -422,5 +424,64 @@ fn ranges_equal_their_twin() {
         }
         let expected: Vec<u32> = instances.iter().map(|&instance| visible[instance as usize]).collect();
         gpu.assert_values(&sorted_visible, &expected, &format!("size {size}"));
+    }
+}
+
+/// Tiles in which no pixel counts lose their instances, and these get gradients of 0.
+#[test]
+fn hide_tiles_empties_what_a_mask_hides() {
+    let gpu = Gpu::new();
+    let ([width, height], instances) = ([70, 35], 400);
+    // The last pixel of some tiles counts, at their corner or at the picture's border; others are hidden.
+    let shown = |x: u32, y: u32| {
+        (x / 16 + y / 16) % 3 == 0 && (x % 16 == 15 || x == width - 1) && (y % 16 == 15 || y == height - 1)
+    };
+    let texels = (0..height).flat_map(|y| (0..width).map(move |x| [9, 9, 9, u8::from(shown(x, y))]));
+    let texels = texels.collect::<Vec<_>>().into_flattened();
+    let [columns, rows] = [5, 3];
+    // Some tiles have no instances; with the subgroup's width and more in others.
+    let mut ranges: Vec<[u32; 2]> =
+        (0..columns * rows).map(|tile| [tile * 26, tile * 26 + tile % 4 * 8]).collect();
+    ranges[4] = [0, 0];
+    let order = shuffled(instances);
+    for (strips, absolute) in [(false, false), (false, true), (true, false), (true, true)] {
+        let windowing = if strips { Windowing::Sweeps } else { Windowing::Blocks };
+        let photo = photo_on_device(windowing, width, height, true, texels.clone());
+        let tile_ranges = gpu.buffer("tile_ranges", &ranges);
+        let [a, b] = ["a", "b"].map(|name| gpu.buffer(name, &vec![[1.0_f32; 4]; instances]));
+        let [c, d] = ["c", "d"].map(|name| gpu.buffer(name, &vec![[1.0_f32; 2]; instances]));
+        let bind = hide_tiles::Bind {
+            photo: &gpu.buffer("photo", &photo),
+            sorted_instances: &gpu.buffer("sorted_instances", &order),
+            tile_ranges: &tile_ranges,
+            instance_gradients_a: &a,
+            instance_gradients_b: &b,
+            instance_gradients_c: &c,
+            instance_gradients_d: &d,
+        };
+        let (workgroup_size, subgroup_size) = (gpu.subgroup(), gpu.subgroup());
+        let spec = hide_tiles::Spec { workgroup_size, subgroup_size, strips, absolute };
+        let (image_width, image_height, tile_count) = (width, height, columns * rows);
+        let push = hide_tiles::Push { image_width, image_height, tiles_per_row: columns, tile_count };
+        gpu.dispatch::<hide_tiles::Interface>(&spec, &bind, &push, u64::from(tile_count) + 1);
+        let mut left = ranges.clone();
+        let mut ones = vec![1.0_f32; instances];
+        for (tile, [begin, end]) in ranges.iter().copied().enumerate() {
+            if (tile % 5 + tile / 5) % 3 != 0 && begin < end {
+                (begin..end).for_each(|index| ones[order[index as usize] as usize] = 0.0);
+                left[tile] = [0, 0];
+            }
+        }
+        assert_eq!(gpu.read::<[u32; 2]>(&tile_ranges, ranges.len()), left);
+        assert!(ones.contains(&0.0) && ones.contains(&1.0));
+        for buffer in [&a, &b] {
+            let expected: Vec<[f32; 4]> = ones.iter().map(|&one| [one; 4]).collect();
+            assert_eq!(gpu.read::<[f32; 4]>(buffer, instances), expected);
+        }
+        for (buffer, written) in [(&c, true), (&d, absolute)] {
+            let expected: Vec<[f32; 2]> =
+                ones.iter().map(|&one| [if written { one } else { 1.0 }; 2]).collect();
+            assert_eq!(gpu.read::<[f32; 2]>(buffer, instances), expected);
+        }
     }
 }
