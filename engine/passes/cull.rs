@@ -1,8 +1,7 @@
 //! Culling: flags the visible Gaussians of all scenes and compacts them, in their order. It runs the same projection as
 //! [`Project`](super::project::Project), for the visibility only.
 
-use super::arguments::{Counted, IndirectArguments};
-use super::scan::Scan;
+use super::scan::{Counted, Scan};
 use crate::error::Result;
 use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, PlacedScene, blocks};
 use crate::kernels::constants as c;
@@ -163,18 +162,19 @@ impl Cull {
     }
 
     /// Records the compaction of the visible Gaussians, which keep their order.
-    pub fn record_compaction(
-        &self,
-        r: &mut Recorder,
-        inputs: &FrameInputs,
-        scan: &Scan,
-        arguments: &IndirectArguments,
-    ) {
+    pub fn record_compaction(&self, r: &mut Recorder, inputs: &FrameInputs, scan: &Scan) {
         let f = inputs.frame;
         let (count, block) = (inputs.index_count(), self.sizes.elementwise_workgroup);
         let culled_blocks = count.div_ceil(block);
         // The scan turns the counts into offsets, in place.
-        scan.record_block_sums(r, f.visible_counts(), (0, culled_blocks), &f.state, c::STATE_VISIBLE_NEEDED);
+        let counted = Counted {
+            frame: f,
+            count: c::STATE_VISIBLE_NEEDED,
+            capacity: inputs.capacity.visible,
+            first_argument: c::ARGUMENTS_VISIBLE,
+            caller_block: self.sizes.scan,
+        };
+        scan.record_counted_sums(r, f.visible_counts(), culled_blocks, counted);
         r.barrier();
         r.dispatch(
             &self.compact,
@@ -188,14 +188,6 @@ impl Cull {
             // One block per subgroup.
             blocks(culled_blocks.into(), (block / self.subgroup_size).into()),
         );
-        let counted = Counted {
-            count: c::STATE_VISIBLE_NEEDED,
-            capacity: inputs.capacity.visible,
-            first_argument: c::ARGUMENTS_VISIBLE,
-            caller_block: self.sizes.scan,
-        };
-        arguments.record(r, f, counted);
-        r.barrier();
         let scenes = inputs.scenes.len() as u32;
         r.dispatch(
             &self.write_visible_ranges,

@@ -4,8 +4,7 @@
 //! The visible Gaussians are sorted by depth before they are duplicated to instances. Only the instances' tile bits then remain
 //! to be sorted, stably, and the order is that of the paper's 64-bit (tile | depth) key.
 
-use super::arguments::{Counted, IndirectArguments};
-use super::scan::{Scan, ScanBuffers, Workgroups};
+use super::scan::{Counted, Scan, ScanBuffers, Workgroups};
 use super::sort::{RadixSort, SortBuffers, Values};
 use crate::error::Result;
 use crate::frame::{FrameBuffers, FrameInputs, LaunchSizes, sorted_side, tile_bits, tile_grid};
@@ -89,13 +88,7 @@ impl Instances {
 
     /// Records the tile counts of the visible Gaussians in depth order, their prefix sums, and the number of instances. The
     /// ordered lists (`list_heads`, `list_rows`) overwrite the sorted depths, which are no longer needed.
-    pub fn record_count(
-        &self,
-        r: &mut Recorder,
-        inputs: &FrameInputs,
-        scan: &Scan,
-        arguments: &IndirectArguments,
-    ) {
+    pub fn record_count(&self, r: &mut Recorder, inputs: &FrameInputs, scan: &Scan) {
         let f = inputs.frame;
         let bind = count::Bind {
             state: &f.state,
@@ -117,15 +110,14 @@ impl Instances {
             prefix: &f.instance_offsets,
             block_sums: &f.scan_blocks,
         };
-        scan.record_from_block_sums(r, &buffers, Workgroups::Indirect(&at));
-        r.barrier();
         let counted = Counted {
+            frame: f,
             count: c::STATE_INSTANCES_NEEDED,
             capacity: inputs.capacity.instances,
             first_argument: c::ARGUMENTS_INSTANCES,
             caller_block: self.sizes.elementwise_workgroup * self.sizes.duplicate_items,
         };
-        arguments.record(r, f, counted);
+        scan.record_from_block_sums(r, &buffers, Workgroups::Indirect(&at), Some(counted));
     }
 
     /// Records duplicate_with_tiles: one (tile, Gaussian) instance per touched tile.

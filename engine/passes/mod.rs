@@ -8,7 +8,6 @@
 
 pub mod adam;
 pub(crate) mod appearance;
-pub(crate) mod arguments;
 pub mod arithmetic;
 pub mod backward;
 pub(crate) mod blend;

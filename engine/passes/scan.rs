@@ -5,7 +5,7 @@
 //! without it. It works for any subgroup size from 4 to 128.
 
 use crate::error::Result;
-use crate::frame::{LaunchSizes, blocks};
+use crate::frame::{FrameBuffers, LaunchSizes, blocks};
 use crate::kernels::scan::{scan_apply, scan_reduce, scan_spine};
 use crate::vk::{Buffer, Context, Kernel, KernelInterface, Recorder};
 
@@ -13,8 +13,12 @@ use crate::vk::{Buffer, Context, Kernel, KernelInterface, Recorder};
 pub struct Scan {
     reduce: Kernel<scan_reduce::Interface>,
     spine: Kernel<scan_spine::Interface>,
+    /// Also writes arguments.
+    counting_spine: Kernel<scan_spine::Interface>,
     apply: Kernel<scan_apply::Interface>,
     block: u32,
+    /// Push constants of both spines that are always the same.
+    push: scan_spine::Push,
 }
 
 /// Buffers of a prefix sum.
@@ -33,6 +37,21 @@ pub struct ScanBuffers<'a> {
     pub prefix: &'a Buffer,
     /// Scratch: [`Scan::block_words`] words.
     pub block_sums: &'a Buffer,
+}
+
+/// A count of a frame that only the device knows, and its capacity. The scan clamps it, and writes the arguments of the indirect
+/// dispatches over it.
+#[derive(Clone, Copy)]
+pub(crate) struct Counted<'a> {
+    pub frame: &'a FrameBuffers,
+    /// Index of the count in the frame's state (STATE_*). The clamped one follows.
+    pub count: u32,
+    /// Largest number that the buffers hold.
+    pub capacity: u32,
+    /// Index of the first of three arguments (ARGUMENTS_*): elementwise, of the sort, of the caller (scan or duplicate).
+    pub first_argument: u32,
+    /// Elements per workgroup of the caller's dispatch.
+    pub caller_block: u32,
 }
 
 /// How a stage over elements that the device counts is dispatched: for the host's upper bound, or by arguments of the device.
@@ -70,16 +89,22 @@ impl Scan {
         let (workgroup_size, items) = (sizes.scan_workgroup, sizes.scan_items);
         let reduce = scan_reduce::Spec { workgroup_size, subgroup_size, items };
         let apply = scan_apply::Spec { workgroup_size, subgroup_size, items };
-        let spine = scan_spine::Spec {
-            workgroup_size: sizes.scan_spine_workgroup,
-            subgroup_size,
-            items: limits.tuning.scan_spine_items,
+        let spine = |arguments| {
+            let (workgroup_size, items) = (sizes.scan_spine_workgroup, limits.tuning.scan_spine_items);
+            Kernel::new(context, &scan_spine::Spec { workgroup_size, subgroup_size, items, arguments })
         };
         Ok(Self {
             reduce: Kernel::new(context, &reduce)?,
-            spine: Kernel::new(context, &spine)?,
+            spine: spine(false)?,
+            counting_spine: spine(true)?,
             apply: Kernel::new(context, &apply)?,
             block: sizes.scan,
+            push: scan_spine::Push {
+                block_elementwise: sizes.elementwise_workgroup,
+                block_sort: sizes.sort,
+                max_workgroups_per_axis: limits.max_workgroups_per_axis,
+                ..scan_spine::Push::default()
+            },
         })
     }
 
@@ -95,27 +120,27 @@ impl Scan {
         let push = scan_reduce::Push { count_index: b.count_index };
         workgroups.dispatch(recorder, &self.reduce, &reduce, &push, self.block);
         recorder.barrier();
-        self.record_from_block_sums(recorder, buffers, workgroups);
+        self.record_from_block_sums(recorder, buffers, workgroups, None);
     }
 
-    /// Records the prefix sum of values with sums per block of `Scan::block` already in `block_sums`. The caller places a
-    /// barrier before and after.
-    pub fn record_from_block_sums(
+    /// Records the prefix sum of values with sums per block of `Scan::block` already in `block_sums`. `counted`: the total, in a
+    /// frame. The caller places a barrier before and after.
+    pub(crate) fn record_from_block_sums(
         &self,
         recorder: &mut Recorder,
         buffers: &ScanBuffers,
         workgroups: Workgroups,
+        counted: Option<Counted>,
     ) {
         let b = buffers;
-        let bind = scan_spine::Bind { block_sums: b.block_sums, totals: b.counts };
         let push = scan_spine::Push {
             count: b.count_index,
             from_totals: 1,
             block_size: self.block,
             total_index: b.total_index,
-            first_sum: 0,
+            ..self.push
         };
-        recorder.dispatch(&self.spine, &bind, &push, 1);
+        self.record_spine(recorder, b.block_sums, b.counts, push, counted);
         recorder.barrier();
         let apply = scan_apply::Bind {
             counts: b.counts,
@@ -125,6 +150,36 @@ impl Scan {
         };
         let push = scan_apply::Push { count_index: b.count_index };
         workgroups.dispatch(recorder, &self.apply, &apply, &push, self.block);
+    }
+
+    fn record_spine(
+        &self,
+        r: &mut Recorder,
+        block_sums: &Buffer,
+        totals: &Buffer,
+        push: scan_spine::Push,
+        counted: Option<Counted>,
+    ) {
+        let Some(Counted { frame, capacity, first_argument, caller_block, .. }) = counted else {
+            // The plain kernel does not write this binding.
+            let bind = scan_spine::Bind { block_sums, totals, arguments: totals };
+            return r.dispatch(&self.spine, &bind, &push, 1);
+        };
+        let bind = scan_spine::Bind { block_sums, totals, arguments: &frame.arguments };
+        let push = scan_spine::Push { capacity, first_argument, caller_block, ..push };
+        r.dispatch(&self.counting_spine, &bind, &push, 1);
+    }
+
+    /// Records only the scan of a frame's first `blocks` block sums, in place. Their total is the count.
+    pub(crate) fn record_counted_sums(
+        &self,
+        r: &mut Recorder,
+        block_sums: &Buffer,
+        blocks: u32,
+        counted: Counted,
+    ) {
+        let push = scan_spine::Push { count: blocks, block_size: 1, total_index: counted.count, ..self.push };
+        self.record_spine(r, block_sums, &counted.frame.state, push, Some(counted));
     }
 
     /// Records only the scan of `row.1` block sums, in place, from word `row.0` on. `totals[total_index]` receives their total.
@@ -137,7 +192,7 @@ impl Scan {
         total_index: u32,
     ) {
         let (first_sum, count) = row;
-        let push = scan_spine::Push { count, from_totals: 0, block_size: 1, total_index, first_sum };
-        recorder.dispatch(&self.spine, &scan_spine::Bind { block_sums, totals }, &push, 1);
+        let push = scan_spine::Push { count, block_size: 1, total_index, first_sum, ..self.push };
+        self.record_spine(recorder, block_sums, totals, push, None);
     }
 }

@@ -15,7 +15,6 @@ use crate::frame::{
     Blending, FrameInputs, FrameVariant, LaunchSizes, record_blocks, record_cut_outs, record_scene_firsts,
 };
 use crate::kernels::constants as c;
-use crate::passes::arguments::IndirectArguments;
 use crate::passes::blend::Blend;
 use crate::passes::cull::Cull;
 use crate::passes::instances::Instances;
@@ -28,7 +27,6 @@ pub struct Forward {
     context: Context,
     pub(crate) sizes: LaunchSizes,
     scan: Scan,
-    arguments: IndirectArguments,
     cull: Cull,
     project: Project,
     instances: Instances,
@@ -42,7 +40,6 @@ impl Forward {
             context: context.clone(),
             sizes: LaunchSizes::new(context.limits()),
             scan: Scan::new(context)?,
-            arguments: IndirectArguments::new(context)?,
             cull: Cull::new(context)?,
             project: Project::new(context),
             instances: Instances::new(context)?,
@@ -136,7 +133,7 @@ impl Forward {
                 self.cull.record_flags(r, &view(number));
                 r.barrier();
             }
-            self.cull.record_compaction(r, inputs, &self.scan, &self.arguments);
+            self.cull.record_compaction(r, inputs, &self.scan);
         });
         pass(r, "project", |r| self.project.record(r, inputs));
         pass(r, "depth sort", |r| self.instances.record_depth_sort(r, f));
@@ -162,7 +159,7 @@ impl Forward {
 
     /// Records the passes from the order to the pixels.
     fn record_picture(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        pass(r, "count", |r| self.instances.record_count(r, inputs, &self.scan, &self.arguments));
+        pass(r, "count", |r| self.instances.record_count(r, inputs, &self.scan));
         pass(r, "duplicate", |r| self.instances.record_duplicate(r, inputs));
         pass(r, "tile sort", |r| self.instances.record_tile_sort(r, inputs));
         pass(r, "ranges", |r| self.instances.record_ranges(r, inputs));

@@ -1,6 +1,6 @@
 //! The kernels of `forward/` that list visible Gaussians and tiles, against their twins: `forward/compact`,
-//! `forward/write_indirect_args`, `forward/write_visible_ranges`, `forward/count`, `forward/duplicate_with_tiles`,
-//! `forward/ranges` and `backward/hide_tiles`.
+//! `forward/write_visible_ranges`, `forward/count`, `forward/duplicate_with_tiles`, `forward/ranges` and
+//! `backward/hide_tiles`.
 
 use crate::common::frame::{Projected, shuffled, state, touched_at_most, visible_scene};
 use crate::common::prelude::*;
@@ -9,10 +9,8 @@ use crate::reference::scan::{scan_reduce, scan_spine};
 use crate::reference::tiles::{touched, touches_by_pixels};
 use ashsplat::kernels::backward::hide_tiles;
 use ashsplat::kernels::blocks::CameraBlock;
-use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_OVERFLOW, STATE_WORDS};
-use ashsplat::kernels::forward::{
-    compact, count, duplicate_with_tiles, ranges, write_indirect_args, write_visible_ranges,
-};
+use ashsplat::kernels::constants::STATE_FIRST_SCENE_VISIBLE;
+use ashsplat::kernels::forward::{compact, count, duplicate_with_tiles, ranges, write_visible_ranges};
 use ashsplat::passes::loss::{Windowing, photo_on_device};
 use std::ops::Range;
 
@@ -45,39 +43,6 @@ pub fn compact_equals_its_twin() {
             gpu.assert_values(&list, &expected_list, &format!("size {size} of {capacity}"));
             gpu.assert_values(&places, &expected_places, &format!("size {size} of {capacity}"));
         }
-    }
-}
-
-#[test]
-fn write_indirect_args_equals_its_twin() {
-    let gpu = Gpu::new();
-    let limit = 65_535;
-    let needed =
-        [0, 1, 63, 64, 65, 1000, 64 * limit - 1, 64 * limit, 64 * limit + 1, 64 * limit * 3 + 5, u32::MAX];
-    for (needed, capacity) in needed.into_iter().flat_map(|n| [(n, u32::MAX), (n, 1000), (n, 0)]) {
-        let state = gpu.frame_state(&[(2, needed)]);
-        let arguments = gpu.untouched::<[u32; 4]>("arguments", 6);
-        let bind = write_indirect_args::Bind { state: &state, arguments: &arguments };
-        let push = write_indirect_args::Push {
-            count_index: 2,
-            capacity,
-            first_argument: 1,
-            block_elementwise: 64,
-            block_sort: 1024,
-            caller_block: 256,
-            max_workgroups_per_axis: limit,
-        };
-        gpu.dispatch::<write_indirect_args::Interface>(&Default::default(), &bind, &push, 1);
-        let (elements, overflow) = twin::clamp(needed, capacity);
-        let mut words = vec![0; STATE_WORDS as usize];
-        (words[2], words[3], words[STATE_OVERFLOW as usize]) = (needed, elements, u32::from(overflow));
-        assert_eq!(gpu.read::<u32>(&state, words.len()), words, "{needed} of {capacity}");
-        let arguments = gpu.read::<[u32; 4]>(&arguments, 6);
-        for (argument, block) in arguments[1..4].iter().zip([64, 1024, 256]) {
-            let expected = twin::workgroups(elements, block, limit);
-            assert_eq!(argument[..3], expected, "{needed} of {capacity}, {block}");
-        }
-        assert_eq!([arguments[0], arguments[4], arguments[5]], [[UNTOUCHED; 4]; 3]);
     }
 }
 

@@ -3,7 +3,9 @@
 
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
 use crate::common::scenes::Random;
+use crate::reference::lists::{clamp, workgroups};
 use crate::reference::scan as twin;
+use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::kernels::scan::{scan_apply, scan_reduce, scan_spine};
 
 /// Workgroup size and items of an invocation. A single subgroup needs no barrier.
@@ -40,12 +42,15 @@ pub fn scan_reduce_equals_its_twin() {
     }
 }
 
+fn spine(gpu: &Gpu, items: u32, arguments: bool) -> scan_spine::Spec {
+    scan_spine::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items, arguments }
+}
+
 #[test]
 pub fn scan_spine_equals_its_twin() {
     let gpu = Gpu::new();
     for items in [1, 4] {
-        let spec =
-            scan_spine::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items };
+        let spec = spine(&gpu, items, false);
         let block_size = 24;
         for (size, from_totals) in
             sizes((spec.workgroup_size * items) as usize).into_iter().flat_map(|n| [(n, 0), (n, 1)])
@@ -65,8 +70,9 @@ pub fn scan_spine_equals_its_twin() {
                 block_size,
                 total_index: 1,
                 first_sum: 3,
+                ..scan_spine::Push::default()
             };
-            let bind = scan_spine::Bind { block_sums: &input, totals: &totals };
+            let bind = scan_spine::Bind { block_sums: &input, totals: &totals, arguments: &totals };
             gpu.dispatch::<scan_spine::Interface>(&spec, &bind, &push, 1);
             let total = twin::scan_spine(&mut sums);
             let case = format!("size {size}");
@@ -81,8 +87,7 @@ pub fn scan_spine_equals_its_twin() {
 pub fn scan_spine_saturates_exactly_beyond_32_bits() {
     let gpu = Gpu::new();
     for items in [1, 4] {
-        let spec =
-            scan_spine::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items };
+        let spec = spine(&gpu, items, false);
         let far = (spec.workgroup_size * items) as usize + 1;
         for (last, place) in [(0, 1), (1, 1), (2, 1), (0, far), (1, far), (2, far), (u32::MAX, far)] {
             let mut sums = vec![0; far + 1];
@@ -90,15 +95,53 @@ pub fn scan_spine_saturates_exactly_beyond_32_bits() {
             sums[place] = last;
             let (input, totals) = (gpu.buffer("block_sums", &sums), gpu.buffer("totals", &[7_u32]));
             let count = sums.len() as u32;
-            let push =
-                scan_spine::Push { count, from_totals: 0, block_size: 1, total_index: 0, first_sum: 0 };
-            let bind = scan_spine::Bind { block_sums: &input, totals: &totals };
+            let push = scan_spine::Push { count, block_size: 1, ..scan_spine::Push::default() };
+            let bind = scan_spine::Bind { block_sums: &input, totals: &totals, arguments: &totals };
             gpu.dispatch::<scan_spine::Interface>(&spec, &bind, &push, 1);
             let total = twin::scan_spine(&mut sums);
             assert_eq!(total, (u32::MAX - 1).saturating_add(last));
             assert_eq!(gpu.read::<u32>(&totals, 1), [total], "{last} at {place}");
             assert_eq!(gpu.read::<u32>(&input, far + 1), sums, "{last} at {place}");
         }
+    }
+}
+
+/// The total of a frame is clamped to a capacity, and the dispatches over it have enough workgroups.
+#[test]
+pub fn scan_spine_writes_the_arguments_of_its_total() {
+    let gpu = Gpu::new();
+    let limit = 65_535;
+    let needed =
+        [0, 1, 63, 64, 65, 1000, 64 * limit - 1, 64 * limit, 64 * limit + 1, 64 * limit * 3 + 5, u32::MAX];
+    for (needed, capacity) in needed.into_iter().flat_map(|n| [(n, u32::MAX), (n, 1000), (n, 0)]) {
+        let state = gpu.frame_state(&[]);
+        let arguments = gpu.untouched::<[u32; 4]>("arguments", 6);
+        let block_sums = gpu.buffer("block_sums", &[needed / 2, needed - needed / 2]);
+        let bind = scan_spine::Bind { block_sums: &block_sums, totals: &state, arguments: &arguments };
+        let push = scan_spine::Push {
+            count: 2,
+            from_totals: 0,
+            block_size: 1,
+            total_index: 2,
+            first_sum: 0,
+            capacity,
+            first_argument: 1,
+            block_elementwise: 64,
+            block_sort: 1024,
+            caller_block: 256,
+            max_workgroups_per_axis: limit,
+        };
+        gpu.dispatch::<scan_spine::Interface>(&spine(&gpu, 1, true), &bind, &push, 1);
+        let (elements, overflow) = clamp(needed, capacity);
+        let mut words = vec![0; STATE_WORDS as usize];
+        (words[2], words[3], words[STATE_OVERFLOW as usize]) = (needed, elements, u32::from(overflow));
+        assert_eq!(gpu.read::<u32>(&state, words.len()), words, "{needed} of {capacity}");
+        let arguments = gpu.read::<[u32; 4]>(&arguments, 6);
+        for (argument, block) in arguments[1..4].iter().zip([64, 1024, 256]) {
+            let expected = workgroups(elements, block, limit);
+            assert_eq!(argument[..3], expected, "{needed} of {capacity}, {block}");
+        }
+        assert_eq!([arguments[0], arguments[4], arguments[5]], [[UNTOUCHED; 4]; 3]);
     }
 }
 
@@ -145,10 +188,10 @@ fn scan_of_more_than_65535_workgroups() {
     let bind = scan_reduce::Bind { counts: &counts, values: &input, block_sums: &sums };
     let push = scan_reduce::Push { count_index: 0 };
     gpu.dispatch::<scan_reduce::Interface>(&spec, &bind, &push, blocks);
-    let spec = scan_spine::Spec { items: 1, workgroup_size: gpu.workgroup(256), subgroup_size };
-    let bind = scan_spine::Bind { block_sums: &sums, totals: &totals };
-    let push =
-        scan_spine::Push { count: size, from_totals: 0, block_size: block, total_index: 0, first_sum: 0 };
+    let spec =
+        scan_spine::Spec { items: 1, workgroup_size: gpu.workgroup(256), subgroup_size, arguments: false };
+    let bind = scan_spine::Bind { block_sums: &sums, totals: &totals, arguments: &totals };
+    let push = scan_spine::Push { count: size, block_size: block, ..scan_spine::Push::default() };
     gpu.dispatch::<scan_spine::Interface>(&spec, &bind, &push, 1);
     let spec = scan_apply::Spec { workgroup_size, subgroup_size, items: 4 };
     let bind = scan_apply::Bind { counts: &counts, values: &input, block_offsets: &sums, prefix: &prefix };
