@@ -114,6 +114,7 @@ fn batched(block: u32, placed: &PlacedScene<'_>, first: u32) -> Option<Open> {
     let fits = drawn > 0
         && drawn <= MOST_BLOCKS * block
         && parameters.memory != 0
-        && placed.settings.mask().is_none();
+        && placed.settings.mask().is_none()
+        && !placed.scene.plan.half_sh;
     fits.then_some(Open { parameters, sh_degree: placed.sh_degree, kinds, first })
 }

@@ -26,18 +26,21 @@ pub const fn parameter_planes(sh_degree: u32) -> u32 {
         }
 }
 
+/// Same as [`parameter_planes`] with SH in halves, two planes in one.
+const fn half_parameter_planes(sh_degree: u32) -> u32 {
+    PLANE_SH + (parameter_planes(sh_degree) - PLANE_SH).div_ceil(2)
+}
+
 /// Returns the planes stored together with `plane`: the geometry, or one SH degree.
 pub(crate) fn plane_group(plane: u32) -> Range<u32> {
-    const ENDS: [u32; 5] = [
-        PLANE_SH,
-        PLANE_SH + SH_PLANES_0,
-        PLANE_SH + SH_PLANES_1,
-        PLANE_SH + SH_PLANES_2,
-        PLANE_SH + SH_PLANES_3,
-    ];
-    match ENDS.iter().position(|&end| plane < end) {
-        Some(0) => 0..PLANE_SH,
-        Some(group) => ENDS[group - 1]..ENDS[group],
+    group_of(plane, parameter_planes)
+}
+
+fn group_of(plane: u32, planes_up_to: fn(u32) -> u32) -> Range<u32> {
+    match (0..=3).find(|&degree| plane < planes_up_to(degree)) {
+        _ if plane < PLANE_SH => 0..PLANE_SH,
+        Some(0) => PLANE_SH..planes_up_to(0),
+        Some(degree) => planes_up_to(degree - 1)..planes_up_to(degree),
         None => unreachable!("no Gaussian has a plane {plane}"),
     }
 }
@@ -60,6 +63,8 @@ pub struct ScenePlan {
     pub capacity: u32,
     /// Stored SH degree.
     pub sh_degree: u32,
+    /// True if SH coefficients are halves: a plane has eight, each rounded to the nearest. Such scenes can only be drawn.
+    pub half_sh: bool,
     /// vec4 planes per Gaussian.
     pub planes: u32,
     /// Gaussians per chunk. A multiple of every block size.
@@ -74,12 +79,17 @@ impl ScenePlan {
     /// # Errors
     /// [`Error::TooLarge`] when the count exceeds 30-bit indices.
     pub fn new(limits: &Limits, capacity: u32, sh_degree: u32) -> Result<Self> {
+        Self::stored(limits, capacity, sh_degree, false)
+    }
+
+    /// Same as [`ScenePlan::new`], with SH in halves if `half_sh`.
+    pub(crate) fn stored(limits: &Limits, capacity: u32, sh_degree: u32, half_sh: bool) -> Result<Self> {
         const MAX_GAUSSIANS: u32 = 1 << 30;
         if capacity > MAX_GAUSSIANS {
             let limit = (MAX_GAUSSIANS.into(), "30-bit indices");
             return Err(Error::too_large("the scene", (capacity.into(), "Gaussians"), limit));
         }
-        let planes = parameter_planes(sh_degree);
+        let planes = if half_sh { half_parameter_planes(sh_degree) } else { parameter_planes(sh_degree) };
         let align = u64::from(ELEMENTWISE_WORKGROUP);
         let bytes_per_gaussian = u64::from(planes) * 16;
         let largest =
@@ -87,7 +97,7 @@ impl ScenePlan {
         let wanted = blocks(u64::from(capacity).max(1), align);
         let chunk_gaussians = wanted.min(largest.max(1)) * align;
         let chunks = to_u32(blocks(u64::from(capacity).max(1), chunk_gaussians))?;
-        Ok(Self { capacity, sh_degree, planes, chunk_gaussians: to_u32(chunk_gaussians)?, chunks })
+        Ok(Self { capacity, sh_degree, half_sh, planes, chunk_gaussians: to_u32(chunk_gaussians)?, chunks })
     }
 
     /// Bytes of one chunk.
@@ -95,9 +105,14 @@ impl ScenePlan {
         u64::from(self.chunk_gaussians) * u64::from(self.planes) * 16
     }
 
+    /// Returns the planes stored together with `plane`.
+    pub(crate) fn group(&self, plane: u32) -> Range<u32> {
+        if self.half_sh { group_of(plane, half_parameter_planes) } else { plane_group(plane) }
+    }
+
     /// Returns the index, in vec4, of plane `plane` of Gaussian `index` in a chunk. The groups of planes are 0 to 2
-    /// (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (one SH degree each). A group is contiguous for all Gaussians, in rows
-    /// of eight Gaussians. Planes `first` to `end - 1` begin at `first * chunk_gaussians + (index / 8 * (end - first) +
+    /// (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (one SH degree each), or with SH in halves 3, 4, 5 and 6, and 7 and 8. A
+    /// group is contiguous for all Gaussians, in rows of eight Gaussians. Planes `first` to `end - 1` begin at `first * chunk_gaussians + (index / 8 * (end - first) +
     /// plane - first) * 8 + index % 8`.
     ///
     /// # Panics
@@ -105,7 +120,7 @@ impl ScenePlan {
     /// below `chunk_gaussians`.
     pub fn place(&self, plane: u32, index: usize) -> usize {
         assert!(plane < self.planes && index < self.chunk_gaussians as usize, "{plane}, {index}: {self:?}");
-        let (row, Range { start, end }) = (PLANE_ROW as usize, plane_group(plane));
+        let (row, Range { start, end }) = (PLANE_ROW as usize, self.group(plane));
         let (first, planes) = (start as usize, (end - start) as usize);
         first * self.chunk_gaussians as usize
             + (index / row * planes + plane as usize - first) * row

@@ -6,6 +6,7 @@ use crate::kernels::constants as c;
 use crate::scene::Gaussians;
 use crate::scene::gaussians::sh_coefficients;
 use crate::vk::{Buffer, Context, MemoryKind};
+use half::f16;
 
 /// Requests for the buffers of a plan's planes, one per chunk.
 pub(crate) fn requests(plan: &ScenePlan) -> Vec<(&'static str, u64)> {
@@ -34,9 +35,20 @@ pub fn upload(
     capacity: u32,
     sh_degree: u32,
 ) -> Result<SceneBuffers> {
-    gaussians.check_shapes()?;
     let count = to_u32(gaussians.len() as u64)?;
     let plan = ScenePlan::new(context.limits(), capacity.max(count), sh_degree)?;
+    upload_planned(context, place, gaussians, plan)
+}
+
+/// Same as [`upload`], for a plan with room for the Gaussians.
+pub(crate) fn upload_planned(
+    context: &Context,
+    place: (&str, MemoryKind),
+    gaussians: &Gaussians,
+    plan: ScenePlan,
+) -> Result<SceneBuffers> {
+    gaussians.check_shapes()?;
+    let count = to_u32(gaussians.len() as u64)?;
     let scene = SceneBuffers { chunks: allocate(context, place, &plan)?, plan, count };
     fill(context, &scene, gaussians)?;
     Ok(scene)
@@ -131,12 +143,25 @@ pub(crate) fn pack_into(
         put(c::PLANE_LOG_SCALE, [x, y, z, 0.0]);
         let sh = &g.sh_of(source);
         let floats = sh[..stored.min(sh.len())].as_flattened();
+        if plan.half_sh {
+            for (plane, floats) in (c::PLANE_SH..).zip(floats.chunks(8)) {
+                let mut halves = [f16::ZERO; 8];
+                halves.iter_mut().zip(floats).for_each(|(half, &float)| *half = nearest_half(float));
+                put(plane, bytemuck::cast(halves.map(f16::to_bits)));
+            }
+            continue;
+        }
         for (plane, floats) in (c::PLANE_SH..).zip(floats.chunks(4)) {
             let mut values = [0.0; 4];
             values[..floats.len()].copy_from_slice(floats);
             put(plane, values);
         }
     }
+}
+
+/// The nearest finite half.
+fn nearest_half(value: f32) -> f16 {
+    f16::from_f32(value.clamp(f16::MIN.to_f32(), f16::MAX.to_f32()))
 }
 
 fn unpack(planes: &[[f32; 4]], count: usize, plan: &ScenePlan, out: &mut Gaussians) {
@@ -149,7 +174,13 @@ fn unpack(planes: &[[f32; 4]], count: usize, plan: &ScenePlan, out: &mut Gaussia
         out.quats.push(at(c::PLANE_QUAT, i));
         let [x, y, z, _] = at(c::PLANE_LOG_SCALE, i);
         out.log_scales.push([x, y, z]);
-        let float = |f: usize| at(c::PLANE_SH + f as u32 / 4, i)[f % 4];
+        let float = |f: usize| match plan.half_sh {
+            true => {
+                let halves: [u16; 8] = bytemuck::cast(at(c::PLANE_SH + f as u32 / 8, i));
+                f16::from_bits(halves[f % 8]).to_f32()
+            }
+            false => at(c::PLANE_SH + f as u32 / 4, i)[f % 4],
+        };
         out.sh.extend((0..k).map(|j| [float(3 * j), float(3 * j + 1), float(3 * j + 2)]));
     }
 }

@@ -413,6 +413,8 @@ pub struct FrameVariant {
     pub cut_outs: bool,
     /// A scene has a selection. Affects projection.
     pub selection: bool,
+    /// A scene stores SH in halves. Affects projection.
+    pub half_sh: bool,
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable, unlike with
     /// `expected_depth`. Affects projection and its backward pass.
     pub z_record: bool,
@@ -453,10 +455,10 @@ impl FrameVariant {
         kinds.filter_map(of).map(|camera| Self::of(settings, camera, backward)).collect()
     }
 
-    /// Returns the variant of one of a frame's scenes.
-    pub(crate) fn of_scene(self, scene: &SceneSettings) -> Self {
-        let [tinted, cut_outs, selection] = scene.kinds();
-        Self { tinted, cut_outs, selection, ..self }
+    /// Returns the variant of one of a frame's scenes; `half_sh`: it stores SH in halves.
+    pub(crate) fn of_scene(self, half_sh: bool, settings: &SceneSettings) -> Self {
+        let [tinted, cut_outs, selection] = settings.kinds();
+        Self { tinted, cut_outs, selection, half_sh, ..self }
     }
 
     /// True if kernels of projection have their form for lenses.
@@ -472,7 +474,7 @@ impl FrameVariant {
 
     /// True if batches support the variant.
     pub(crate) fn may_be_batched(self) -> bool {
-        !(self.dropout || self.selection || self.z_record || self.backward)
+        !(self.dropout || self.selection || self.half_sh || self.z_record || self.backward)
     }
 }
 

@@ -93,10 +93,10 @@ impl Cull {
         let of_frame = FrameVariant { shared_order: inputs.view > Some(0), ..inputs.variant() };
         for (place, first) in inputs.batches() {
             r.barrier();
-            self.record_batch_flags(r, inputs, place, first, of_frame.of_scene(first.settings));
+            self.record_batch_flags(r, inputs, place, first, of_frame.of_scene(false, first.settings));
         }
         for part in inputs.parts() {
-            let variant = of_frame.of_scene(part.settings);
+            let variant = of_frame.of_scene(false, part.settings);
             let Some(kernel) = self.scene.get(r, &self.spec(variant)) else { return };
             let push = cull::Push {
                 first: part.first_in_frame,

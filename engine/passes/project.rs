@@ -56,6 +56,7 @@ impl Project {
             projection,
             shutter,
             shared_order,
+            half_sh,
             ..
         } = variant;
         project::Spec {
@@ -70,6 +71,7 @@ impl Project {
             lenses: variant.has_lens(),
             sh_loops: self.sizes.sh_loops,
             shared_order,
+            half_sh,
             shutter,
         }
     }
@@ -107,10 +109,10 @@ impl Project {
             if !std::mem::take(&mut is_first) {
                 r.barrier();
             }
-            self.record_batch(r, inputs, place, first, inputs.variant().of_scene(first.settings));
+            self.record_batch(r, inputs, place, first, inputs.variant().of_scene(false, first.settings));
         }
         for part in inputs.parts() {
-            let variant = inputs.variant().of_scene(part.settings);
+            let variant = inputs.variant().of_scene(part.scene.plan.half_sh, part.settings);
             let Some(kernel) = self.scene.get(r, &self.spec(part.sh_degree, variant)) else { return };
             let push = project::Push {
                 first: part.first_in_frame,

@@ -59,9 +59,13 @@ impl Renderer {
                 check_scene(index, placed, degree, context, reserved)?;
                 if placed.settings.draws() {
                     gaussians += u64::from(placed.scene.count());
-                    let kind = (degree, placed.settings.kinds());
+                    let half_sh = placed.scene.plan().half_sh;
+                    let kind = (degree, half_sh, placed.settings.kinds());
                     are_prepared &= known.replace(kind) == Some(kind)
-                        || self.runner.forward.is_prepared(degree, variant.of_scene(&placed.settings));
+                        || self
+                            .runner
+                            .forward
+                            .is_prepared(degree, variant.of_scene(half_sh, &placed.settings));
                 }
             }
             all.extend(scenes.iter().map(|scene| placing.place(scene)));
@@ -229,7 +233,7 @@ fn check_scene(
         let problem = format!("is {}, and scenes[{index}] is drawn with degree {degree}", reserved.sh_degree);
         return Err(Error::argument(field_name("sh_degree"), problem));
     }
-    reserved.check_scene(index, &placed.settings)
+    reserved.check_scene(index, placed.scene.plan().half_sh, &placed.settings)
 }
 
 /// Checks that a mask has a bit for each of the scene's Gaussians.

@@ -40,13 +40,26 @@ impl DeviceScene {
         Ok(Self::new(context, buffers))
     }
 
+    /// Same as [`DeviceScene::upload`], with SH coefficients as halves, each rounded to the nearest: 144 bytes per Gaussian of SH
+    /// degree 3 in place of 240. Frames that are recorded need [`Reservation::half_sh`](super::Reservation::half_sh).
+    ///
+    /// # Errors
+    /// Same as [`DeviceScene::upload`].
+    pub fn upload_half(context: &Context, gaussians: &Gaussians, capacity: u32) -> Result<Self> {
+        gaussians.check_shapes().map_err(|error| error.within("gaussians"))?;
+        let capacity = capacity.max(to_u32(gaussians.len() as u64)?);
+        let plan = Self::half_plan_for(context, capacity, gaussians.sh_degree)?;
+        let buffers = planes::upload_planned(context, ("scene", MemoryKind::Device), gaussians, plan)?;
+        Ok(Self::new(context, buffers))
+    }
+
     /// Uploads several scenes into as few buffers as kernels can bind. The capacity of each is its number of Gaussians.
     /// Dropping the last scene of a buffer frees the buffer's memory.
     ///
     /// Frames cull and project small scenes of one buffer together, as a batch, with the same bits. A batch has 8 scenes or
     /// more, each of at most 16 culling blocks (4096 Gaussians on usual devices). Its scenes have the same evaluated SH
-    /// degree, and all or none have a tint or opacity, and cut-outs. Scenes with a selection, or of a frame with motion,
-    /// are drawn alone. At most 32 culling blocks of other scenes may separate two scenes of a batch, so scenes ordered by
+    /// degree, and all or none have a tint or opacity, and cut-outs. Scenes with a selection, with SH in halves, or of a frame with
+    /// motion, are drawn alone. At most 32 culling blocks of other scenes may separate two scenes of a batch, so scenes ordered by
     /// kind need the fewest dispatches.
     /// To batch scenes in a host's buffer, adopt it once ([`Buffer::adopt`]) and give each scene a range of it. Scenes
     /// adopted one by one are drawn alone.
@@ -81,7 +94,7 @@ impl DeviceScene {
         let plan = self.buffers.plan;
         let shared = |chunk: &Buffer| chunk.in_context(context).map_err(|error| error.of("scene"));
         let chunks = self.buffers.chunks.iter().map(shared).collect::<Result<_>>()?;
-        if plan != Self::plan_for(context, plan.capacity, plan.sh_degree)? {
+        if plan != Self::same_plan(context, &plan)? {
             let problem = "the limits of the context ask for another plan of the scene's buffers";
             return Err(Error::argument("scene", problem));
         }
@@ -105,14 +118,14 @@ impl DeviceScene {
     ///
     /// # Errors
     /// [`Error::Argument`] for:
-    /// - a plan that is not [`DeviceScene::plan_for`] this device;
+    /// - a plan that is not [`DeviceScene::plan_for`] this device, or [`DeviceScene::half_plan_for`] it;
     /// - too few or too small buffers;
     /// - buffers of another context, with an unaligned offset, or that overlap;
     /// - more Gaussians than the plan's capacity.
     pub fn from_buffers(context: &Context, plan: ScenePlan, chunks: Vec<Buffer>, count: u32) -> Result<Self> {
         let bad = |field: &str, problem: String| Err(Error::argument(field, problem));
         // A plan depends on the device's limits. Another device's plan would be bound and indexed wrongly.
-        let own = Self::plan_for(context, plan.capacity, plan.sh_degree);
+        let own = Self::same_plan(context, &plan);
         if plan != own.map_err(|error| error.within("plan"))? {
             return bad("plan", "it is not the one that DeviceScene::plan_for makes on this device".into());
         }
@@ -150,10 +163,27 @@ impl DeviceScene {
     /// # Errors
     /// [`Error::TooLarge`] for a capacity above the range of indices, [`Error::Argument`] for an SH degree above 3.
     pub fn plan_for(context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
+        Self::planned(context, capacity, sh_degree, false)
+    }
+
+    /// Same as [`DeviceScene::plan_for`], with SH coefficients as halves.
+    ///
+    /// # Errors
+    /// Same as [`DeviceScene::plan_for`].
+    pub fn half_plan_for(context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
+        Self::planned(context, capacity, sh_degree, true)
+    }
+
+    fn planned(context: &Context, capacity: u32, sh_degree: u32, half_sh: bool) -> Result<ScenePlan> {
         if sh_degree > 3 {
             return Err(Error::argument("sh_degree", format!("{sh_degree} is above 3")));
         }
-        ScenePlan::new(context.limits(), capacity, sh_degree)
+        ScenePlan::stored(context.limits(), capacity, sh_degree, half_sh)
+    }
+
+    /// This device's plan of the same kind.
+    fn same_plan(context: &Context, plan: &ScenePlan) -> Result<ScenePlan> {
+        Self::planned(context, plan.capacity, plan.sh_degree, plan.half_sh)
     }
 
     /// Returns the layout of the parameters.

@@ -3,7 +3,7 @@
 use super::device_scene::DeviceScene;
 use crate::error::Result;
 use crate::frame::{
-    Batch, Outputs, PlacedScene, PreviousView, RenderSettings, ScenePlan, SceneSettings, plane_group, planes,
+    Batch, Outputs, PlacedScene, PreviousView, RenderSettings, ScenePlan, SceneSettings, planes,
 };
 use crate::kernels::constants::PLANE_ROW;
 use crate::passes::compose::{Background, Region};
@@ -407,8 +407,8 @@ fn each_run(
     mut run: impl FnMut(usize, Range<usize>) -> Result<()>,
 ) -> Result<()> {
     let mut last: Option<(usize, Range<usize>)> = None;
-    let groups = std::iter::successors(Some(plane_group(0)), |group| {
-        (group.end < plan.planes).then(|| plane_group(group.end))
+    let groups = std::iter::successors(Some(plan.group(0)), |group| {
+        (group.end < plan.planes).then(|| plan.group(group.end))
     });
     for (planes, row) in groups.flat_map(|planes| rows.clone().map(move |row| (planes.clone(), row))) {
         let from = gaussians.start.max(row * PLANE_ROW);

@@ -114,9 +114,13 @@ impl Renderer {
         Ok(())
     }
 
-    /// Returns the loaded scene, or an error if there are several. `what` names the operation.
+    /// Returns the loaded scene, or an error if there are several, or if it can only be drawn. `what` names the operation.
     pub(super) fn only_scene(&self, what: &str) -> Result<SceneBuffers> {
         match loaded(&self.scenes)? {
+            (scene, []) if scene.plan.half_sh => Err(Error::argument(
+                "scenes",
+                format!("{what} of one with SH in floats, and this has halves"),
+            )),
             (scene, []) => Ok(scene.clone()),
             (_, others) => {
                 let problem = format!("{what} of one alone, and {} are drawn", others.len() + 1);

@@ -67,6 +67,8 @@ pub struct Reservation {
     pub lens: Option<Projection>,
     /// True if frames will have cameras with a rolling shutter ([`Camera::shutter`](crate::Camera::shutter)), beside others.
     pub rolling_shutter: bool,
+    /// True if scenes of frames will store SH in halves ([`DeviceScene::upload_half`](super::DeviceScene::upload_half)), beside others.
+    pub half_sh: bool,
     /// True if all frames render into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then
     /// have no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
     pub images_only: bool,
@@ -104,6 +106,7 @@ impl Reservation {
             orthographic: false,
             lens: None,
             rolling_shutter: false,
+            half_sh: false,
             images_only: false,
             staging_bytes: 0,
         }
@@ -177,7 +180,8 @@ impl Reservation {
         // Kernels of motion belong to the projection, and depend on nothing but the cameras.
         let outputs = self.outputs();
         let plain = |projection| FrameVariant { projection, outputs, ..FrameVariant::default() };
-        let features: [Feature; 6] = [
+        let features: [Feature; 7] = [
+            (self.half_sh, |v| v.half_sh = true),
             (self.rolling_shutter, |v| v.shutter = v.projection != Projection::Orthographic),
             (self.filter_3d, |v| v.filter_3d = true),
             (self.tint, |v| v.tinted = true),
@@ -236,13 +240,14 @@ impl Reservation {
 
     /// Checks that the features of a frame's scene are reserved.
     #[inline]
-    pub(super) fn check_scene(&self, index: usize, own: &SceneSettings) -> Result<()> {
+    pub(super) fn check_scene(&self, index: usize, half_sh: bool, own: &SceneSettings) -> Result<()> {
         let lacks = |field: &str, what: &str| {
             Err(Error::argument(field_name(field), format!("not reserved, and scenes[{index}] has {what}")))
         };
         match () {
             () if own.is_tinted() && !self.tint => lacks("tint", "a tint or an opacity"),
             () if own.mask().is_some() && !self.selection => lacks("selection", "a selection"),
+            () if half_sh && !self.half_sh => lacks("half_sh", "SH in halves"),
             () => Ok(()),
         }
     }

@@ -114,7 +114,10 @@ impl FrameRunner {
         let gaussians = gaussians_with(scene.plan.capacity, frozen_capacity(other_scenes));
         let Self { context, forward, store } = self;
         let variant = FrameVariant::of(settings, camera, backward);
-        forward.prepare(sh_degree, FrameVariant { last_entries: request.last_entries, ..variant })?;
+        for scene in std::iter::once(scene).chain(other_scenes) {
+            let (last_entries, half_sh) = (request.last_entries, scene.plan.half_sh);
+            forward.prepare(sh_degree, FrameVariant { last_entries, half_sh, ..variant })?;
+        }
         let scenes = request.scenes();
         let mut retries = 0;
         loop {

@@ -33,9 +33,12 @@ layout(constant_id = 8) const uint PROJECTION = PROJECTION_PERSPECTIVE;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 // True if the list has Gaussians of other views.
 layout(constant_id = 10) const bool SHARED_ORDER = false;
+// True if the scene stores its SH coefficients in halves.
+layout(constant_id = 11) const bool HALF_SH = false;
+#define HALVES
 #ifdef LENSES
 // True for a rolling shutter: see shutter.glsl.
-layout(constant_id = 11) const bool SHUTTER = false;
+layout(constant_id = 12) const bool SHUTTER = false;
 #endif
 layout(local_size_x_id = 0) in;
 

@@ -70,6 +70,11 @@ const uint SH_PLANES_0 = 1;
 const uint SH_PLANES_1 = 3;
 const uint SH_PLANES_2 = 7;
 const uint SH_PLANES_3 = 12;
+// The same with halves, two planes in one.
+const uint HALF_SH_PLANES_0 = 1;
+const uint HALF_SH_PLANES_1 = 2;
+const uint HALF_SH_PLANES_2 = 4;
+const uint HALF_SH_PLANES_3 = 6;
 
 // Attributes of a visible Gaussian, each a vec4 (splat_record.glsl).
 const uint SPLAT_MEAN2D_EXTENT = 0;

@@ -83,6 +83,70 @@ fn updates_replace_any_range() {
     });
 }
 
+/// Nearest value with the 11 binary digits of a half.
+fn nearest_half(value: f32) -> f32 {
+    let step = (value.abs().log2().floor().max(-14.0) - 10.0).exp2();
+    (value / step).round_ties_even() * step
+}
+
+/// SH coefficients in halves: a scene of floats with the same values is drawn alike, to the bit, at every degree, also after updates.
+#[test]
+fn a_scene_in_halves_is_drawn_as_its_rounded_values() {
+    with_host(&options(), |host| {
+        for (sh_degree, planes) in [(0, 4), (1, 5), (2, 7), (3, 9)] {
+            let options = ContextOptions { hazard_check: true, ..small_bindings(planes * 16 * 1024) };
+            let context = guest_of(&host.foreign(), &options);
+            let mut start = cloud_of_degree(sh_degree, 1200, 1);
+            // Subnormal and largest halves.
+            start.sh[7] = [3e-6, -1e-8, 65504.0];
+            let scene = DeviceScene::upload_half(&context, &start, 0).expect("a scene");
+            assert_eq!((scene.plan().planes, scene.plan().chunks), (planes as u32, 2));
+            let new = cloud_of_degree(sh_degree, 33, 2);
+            let camera = camera(0.1, 60, 40);
+            let mut reservation = Reservation {
+                staging_bytes: Reservation::update_bytes(33, sh_degree),
+                ..Reservation::new(1200, sh_degree, 60, 40)
+            };
+            let placed = [Placed::from(&scene)];
+            let mut lacking = reserved(&context, &reservation);
+            assert_argument(
+                &refused(host, &mut lacking, &frame_of(&placed, &camera)),
+                "half_sh: not reserved",
+            );
+            reservation.half_sh = true;
+            let mut renderer = reserved(&context, &reservation);
+            let mut expected = start.clone();
+            for first in [1010, 3] {
+                replace(&mut expected, first as usize, &new);
+                let rounded = Gaussians {
+                    sh: expected.sh.iter().map(|c| c.map(nearest_half)).collect(),
+                    ..expected.clone()
+                };
+                let updates = [Update { scene: &scene, first, gaussians: &new }];
+                let frame = RecordedFrame { updates: &updates, ..frame_of(&placed, &camera) };
+                assert_drawn(host, &mut renderer, &frame, &rounded);
+                let lower = RenderSettings { sh_degree: Some(sh_degree.saturating_sub(1)), ..*SETTINGS };
+                assert_drawn(host, &mut renderer, &RecordedFrame { settings: &lower, ..frame }, &rounded);
+                assert_eq!(scene.download().expect("Gaussians"), rounded);
+            }
+            let differentiate =
+                |own: &mut Renderer| own.gradients(&camera, &SETTINGS, &[[0.0; 3]; 60 * 40], None).map(drop);
+            assert_error(renderer.with_scene(&scene, differentiate), "SH in floats, and this has halves");
+            // As near as halves are; the update has replaced the largest one.
+            let [halves, floats] =
+                [&scene.download().expect("Gaussians"), &expected].map(|own| owned(own, &camera, &SETTINGS));
+            let squares = halves
+                .color
+                .as_flattened()
+                .iter()
+                .zip(floats.color.as_flattened())
+                .map(|(a, b)| f64::from(a - b).powi(2));
+            let mean = squares.sum::<f64>() / (4 * 60 * 40) as f64;
+            assert!(mean < 1e-7, "degree {sh_degree}: {mean:e}");
+        }
+    });
+}
+
 /// The later of two overlapping updates wins.
 #[test]
 fn overlapping_updates_are_made_in_their_order() {

@@ -284,6 +284,27 @@ pub unsafe extern "C" fn ashsplat_scene_new(
     })
 }
 
+/// Same as ashsplat_scene_new, with SH coefficients as halves, each rounded to the nearest: 144 bytes per Gaussian of SH degree 3 in
+/// place of 240. Such a scene can only be drawn. Frames that are recorded need AshsplatReservation.half_sh.
+///
+/// # Safety
+/// As ashsplat_scene_new.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_scene_half(
+    context: *const AshsplatContext,
+    gaussians: *const AshsplatGaussians,
+    capacity: u32,
+    scene: *mut *mut AshsplatScene,
+) -> AshsplatStatus {
+    guarded!({
+        let (context, host) = (borrowed(context, "context")?, read(gaussians, "gaussians")?);
+        give(scene, "scene", || {
+            let made = DeviceScene::upload_half(&context.0, &self::gaussians(&host)?, capacity);
+            made.map(AshsplatScene::of)
+        })
+    })
+}
+
 /// Uploads `count` scenes from a host's arrays into as few buffers as kernels can bind, each with room for its own Gaussians: frames
 /// draw small scenes of one buffer by one dispatch in place of one each (AshsplatSlotReport.batched_scenes). `scenes` has room for
 /// `count` pointers; all are NULL after an error. Each scene is freed by itself, and the memory with the last one.

@@ -15,6 +15,7 @@ impl From<&AshsplatReservation> for Reservation {
             shared_sort: w.shared_sort != 0,
             filter_3d: w.filter_3d != 0,
             rolling_shutter: w.rolling_shutter != 0,
+            half_sh: w.half_sh != 0,
             lens: ashsplat::scene::Projection::ALL.get(w.lens as usize).copied().filter(|lens| lens.is_lens()),
             ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
         })

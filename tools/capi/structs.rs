@@ -103,7 +103,7 @@ structs! {
     AshsplatRecordedFrame, motion..motion, {};
     AshsplatRelease, motion..motion, {};
     AshsplatRenderSettings, scale_modifier..filter_3d, { sh_degree: 3, scale_modifier: 1.0 };
-    AshsplatReservation, staging_bytes..rolling_shutter, { slots: 1, queues: 1, scenes: 1 };
+    AshsplatReservation, staging_bytes..half_sh, { slots: 1, queues: 1, scenes: 1 };
     AshsplatScenePlan, chunk_bytes..chunk_bytes, {};
     AshsplatSceneSettings, selection_share..selection_share, {
         visible: true, tint: [1.0, 1.0, 1.0], opacity: 1.0, sh_degree: 3, selection_color: [1.0, 1.0, 1.0], selection_share: 0.5

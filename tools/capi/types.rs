@@ -361,6 +361,8 @@ pub struct AshsplatReservation {
     pub lens: u64,
     /// Not 0: frames will have cameras with a rolling shutter (AshsplatCamera.readout), beside others.
     pub rolling_shutter: u64,
+    /// Not 0: scenes of frames will store SH in halves (ashsplat_scene_half), beside others.
+    pub half_sh: u64,
 }
 
 /// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference
