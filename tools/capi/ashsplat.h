@@ -729,6 +729,8 @@ typedef struct AshsplatReservation {
   uint64_t lens;
   // Not 0: frames will have cameras with a rolling shutter (AshsplatCamera.readout), beside others.
   uint64_t rolling_shutter;
+  // Not 0: scenes of frames will store SH in halves (ashsplat_scene_half), beside others.
+  uint64_t half_sh;
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
@@ -1243,6 +1245,16 @@ enum AshsplatStatus ashsplat_scene_new(const struct AshsplatContext *context,
                                        const struct AshsplatGaussians *gaussians,
                                        uint32_t capacity,
                                        struct AshsplatScene **scene);
+
+// Same as ashsplat_scene_new, with SH coefficients as halves, each rounded to the nearest: 144 bytes per Gaussian of SH degree 3 in
+// place of 240. Such a scene can only be drawn. Frames that are recorded need AshsplatReservation.half_sh.
+//
+// # Safety
+// As ashsplat_scene_new.
+enum AshsplatStatus ashsplat_scene_half(const struct AshsplatContext *context,
+                                        const struct AshsplatGaussians *gaussians,
+                                        uint32_t capacity,
+                                        struct AshsplatScene **scene);
 
 // Uploads `count` scenes from a host's arrays into as few buffers as kernels can bind, each with room for its own Gaussians: frames
 // draw small scenes of one buffer by one dispatch in place of one each (AshsplatSlotReport.batched_scenes). `scenes` has room for

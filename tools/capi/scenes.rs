@@ -299,8 +299,11 @@ pub unsafe extern "C" fn ashsplat_scene_half(
     guarded!({
         let (context, host) = (borrowed(context, "context")?, read(gaussians, "gaussians")?);
         give(scene, "scene", || {
-            let made = DeviceScene::upload_half(&context.0, &self::gaussians(&host)?, capacity);
-            made.map(AshsplatScene::of)
+            let own = match host.count {
+                0 => Gaussians { sh_degree: host.sh_degree, ..Gaussians::default() },
+                _ => self::gaussians(&host)?,
+            };
+            DeviceScene::upload_half(&context.0, &own, capacity).map(AshsplatScene::of)
         })
     })
 }

@@ -556,6 +556,38 @@ static void structs(char **arguments) {
     }
     EXPECT(seen[0] > 0 && seen[1] != seen[0]);
     REFUSED_WITH(stage.camera.shutter_turn[1], 4, stage_record(&stage), "beyond half a circle");
+
+    /* So are scenes with SH in halves. An update fills this one. */
+    stage.camera.readout = AshsplatReadout_Global;
+    const float mean[3] = {0, 0, 0}, quat[4] = {1, 0, 0, 0}, log_scales[3] = {-1, -1, -1}, logit = 2, sh[3] = {1, 1, 1};
+    AshsplatGaussians one = ASHSPLAT_INIT(AshsplatGaussians);
+    AshsplatScene *halves = NULL;
+    check(ashsplat_scene_half(stage.context, &one, 1, &halves), "an empty scene of halves");
+    check(ashsplat_scene_set_count(halves, 1), "its number");
+    one.count = 1;
+    one.means = mean;
+    one.quats = quat;
+    one.log_scales = log_scales;
+    one.opacity_logits = &logit;
+    one.sh = sh;
+    AshsplatUpdate update = ASHSPLAT_INIT(AshsplatUpdate);
+    update.scene = halves;
+    update.gaussians = &one;
+    AshsplatPlaced placed = place(halves);
+    stage.frame.scenes = &placed;
+    stage.frame.scene_count = 1;
+    stage.frame.updates = &update;
+    stage.frame.update_count = 1;
+    stage.wanted.staging_bytes = 4096;
+    stage_reserve(&stage);
+    REFUSED_FRAME(&stage, "half_sh: not reserved");
+    stage.wanted.half_sh = true;
+    stage_reserve(&stage);
+    host_begin(host);
+    check(stage_record(&stage), "recording halves");
+    stage_finish(&stage);
+    EXPECT(stage.report.visible == 1);
+    ashsplat_scene_free(halves);
     printf("%u of %u Gaussians visible\n", visible[0], 3 * gaussians);
     stage_close(&stage);
 }
