@@ -13,14 +13,15 @@ use std::path::PathBuf;
 
 /// Convert Gaussians between formats, change them on the way, and join several files into one.
 ///
-/// The formats are those of the extensions .ply (the reference's), .compressed.ply (PlayCanvas), .splat, .spz
-/// (version 4, or 2; 3 is read too), .glb and .gltf (KHR_gaussian_splatting), .sog (PlayCanvas). Changes are made in this order:
-/// --sh-degree, --min-opacity, --min-density, --crop-box, --rotate, --scale, --translate, --decimate. With several inputs --rotate,
+/// --list lists the formats. Changes are made in this order: --sh-degree, --min-opacity, --min-density, --crop-box, --rotate, --scale, --translate, --decimate. With several inputs --rotate,
 /// --scale and --translate move the input before them, or everything where they come after OUT.
 #[derive(Args)]
 pub struct Arguments {
     #[command(flatten)]
     inputs: Inputs,
+    /// List the formats: what is read and written, what each holds and loses
+    #[arg(long, exclusive = true)]
+    list: bool,
     /// Iteration of the model folder's PLY [default: what was saved last]
     #[arg(long, value_name = "N")]
     iteration: Option<u32>,
@@ -40,7 +41,7 @@ pub struct Arguments {
     /// Merge neighbours until N, or N percent, are left
     #[arg(long, value_name = "N|N%", value_parser = parse_target)]
     decimate: Option<Target>,
-    /// Version of SPZ: 2 or 4 for .spz [default: 4]; 2 for .glb packs it as KHR_gaussian_splatting_compression_spz_2, which CesiumJS
+    /// Version of SPZ: 2, 3 or 4 for .spz [default: 4]; 2 for .glb packs it as KHR_gaussian_splatting_compression_spz_2, which CesiumJS
     /// reads
     #[arg(long, value_name = "N")]
     spz_version: Option<u32>,
@@ -111,6 +112,7 @@ impl FromArgMatches for Inputs {
             // An --out before an input does not mark the end of the inputs.
             Some(out) => (places("out").next().filter(|at| *at > last).unwrap_or(usize::MAX), out),
             None if paths.len() > 1 => paths.remove(paths.len() - 1),
+            None if matches.get_flag("list") => (0, PathBuf::new()),
             None => return Err(refused("OUT is missing: give the new file after the input".into())),
         };
         let rotate = places("rotate").zip(given.rotate.into_iter().map(Step::Rotate));
@@ -182,6 +184,10 @@ fn parse_point(text: &str) -> Result<DVec3, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    if arguments.list {
+        Format::ALL.iter().for_each(|format| say!("{}", format.description()));
+        return Ok(());
+    }
     let options = arguments.options()?;
     let output = &arguments.inputs.output;
     let inputs = &arguments.inputs.inputs;
@@ -237,7 +243,7 @@ impl Arguments {
         }
         let format = Format::of_extension(&self.inputs.output)?;
         splats::check_spz_version(format, self.spz_version).map_err(|_| {
-            Error::argument("--spz-version", "give 2 or 4 for .spz, 2 for .glb, none for others")
+            Error::argument("--spz-version", "give 2, 3 or 4 for .spz, 2 for .glb, none for others")
         })?;
         Ok(ConvertOptions {
             read: self.host.reading(self.drop_invalid),
