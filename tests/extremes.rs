@@ -178,7 +178,7 @@ fn extremes_in_files_are_refused_or_give_finite_pictures() {
     // A log-scale of 69 is a scale of 1e30 in formats without logarithms.
     let huge = [1e30, -1e30, f32::MAX, f32::MIN, 1e17, 69.0];
     let (mut refused, mut brightest) = (Vec::new(), 0.0_f32);
-    for (format, (name, replace)) in Format::ALL.iter().flat_map(|f| PARAMETERS.map(|p| (f, p))) {
+    for (format, (name, replace)) in Format::WRITTEN.iter().flat_map(|f| PARAMETERS.map(|p| (f, p))) {
         for value in huge {
             let mut scene = sound.with_sh_degree(sound.sh_degree.min(format.max_sh_degree()));
             (0..scene.len()).step_by(3).for_each(|i| replace(&mut scene, i, value));

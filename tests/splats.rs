@@ -95,7 +95,7 @@ fn splats_decimated_look_alike() {
 fn splats_stored_in_any_format_look_alike() {
     let _gpu = Gpu::new();
     let folder = tempfile::tempdir().expect("a temporary folder");
-    for format in Format::ALL {
+    for format in Format::WRITTEN {
         // A SOG's palette has too few vectors for random spherical harmonics.
         let sh_degree = if format == Format::Sog { 0 } else { format.max_sh_degree() };
         let original = ball().with_sh_degree(sh_degree);

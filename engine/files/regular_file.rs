@@ -2,7 +2,7 @@
 //! Recognises files whose content does not match their name.
 
 use std::fs::{self, File, Metadata};
-use std::io::Read;
+use std::io::{BufReader, Read, Seek, SeekFrom, Take};
 use std::path::Path;
 
 use crate::host_memory;
@@ -46,6 +46,13 @@ pub fn open(path: impl AsRef<Path>) -> Result<(File, u64)> {
     let metadata = file.metadata().reading(path)?;
     check_kind(path, &metadata)?;
     Ok((file, metadata.len()))
+}
+
+/// Opens `bytes` bytes of a regular file, from byte `at` on.
+pub(crate) fn part(path: &Path, at: u64, bytes: u64) -> Result<BufReader<Take<File>>> {
+    let (mut file, _) = open(path)?;
+    file.seek(SeekFrom::Start(at)).reading(path)?;
+    Ok(BufReader::new(file.take(bytes)))
 }
 
 fn check_kind(path: &Path, metadata: &Metadata) -> Result<()> {

@@ -1,4 +1,4 @@
-//! Gaussians in common file formats: PLY, compressed PLY, `.splat`, SPZ, glTF, SOG.
+//! Gaussians in common file formats: PLY, compressed PLY, `.splat`, SPZ, glTF, SOG, `.ksplat`.
 //!
 //! All are converted to and from the frame and the raw parameters of the reference implementation's PLY.
 //! Reading and writing proceed block by block, so that a conversion needs little memory if the formats allow
@@ -10,6 +10,7 @@ mod dot_splat;
 mod format;
 mod gltf;
 mod gltf_write;
+mod ksplat;
 mod sog;
 mod spz;
 mod stream;
@@ -130,9 +131,9 @@ pub fn cut_losses(
 /// Checks that a format has this version of SPZ: [`WriteOptions::spz_version`].
 pub fn check_spz_version(format: Format, version: Option<u32>) -> Result<()> {
     match (format, version) {
-        (_, None) | (Format::Spz, Some(2 | 4)) | (Format::Glb, Some(2)) => Ok(()),
+        (_, None) | (Format::Spz, Some(2..=4)) | (Format::Glb, Some(2)) => Ok(()),
         (_, Some(version)) => {
-            let problem = format!("{format} has no version {version}: SPZ has 2 and 4, GLB has 2");
+            let problem = format!("{format} has no version {version}: SPZ has 2, 3 and 4, GLB has 2");
             Err(Error::argument("spz_version", problem))
         }
     }
@@ -171,14 +172,18 @@ fn write_blocks(
         })
     };
     let written = match format {
-        Format::Spz if spz_version == Some(2) => spz::write_old(path, outline, produce),
         Format::Glb if spz_version == Some(2) => gltf_write::write_packed(path, outline, produce),
         Format::Ply => ply::write_blocks(path, outline, None, produce),
         Format::CompressedPly => ply::write_compressed_blocks(path, outline, produce),
         Format::Splat => dot_splat::write(path, outline, produce),
-        Format::Spz => spz::write(path, outline, produce),
+        Format::Spz => match spz_version {
+            Some(old @ ..4) => spz::write_old(path, old, outline, produce),
+            _ => spz::write(path, outline, produce),
+        },
         Format::Glb | Format::Gltf => gltf_write::write(path, format, outline, produce),
         Format::Sog => sog::write(path, outline, produce),
+        // Without a writer, no format was chosen.
+        Format::Ksplat => Format::chosen(Some(format), path).map(drop),
     };
     match written {
         Ok(()) if format.has_origin_file() => format::write_origin(path, outline.options.frame.origin),
@@ -198,6 +203,7 @@ pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'
         Format::Spz => Box::new(spz::Spz::open(path)?),
         format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format, options)?),
         Format::Sog => Box::new(sog::Sog::open(path, options)?),
+        Format::Ksplat => Box::new(ksplat::Ksplat::open(path)?),
     };
     Ok(Reader::new(path, source, options))
 }

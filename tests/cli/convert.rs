@@ -9,7 +9,7 @@ fn converted_files_are_rendered_and_described() {
     let mut gaussians = wall(1);
     gaussians.opacity_logits.fill(3.0);
     place.write_scene("in.ply", &gaussians);
-    for format in Format::ALL {
+    for format in Format::WRITTEN {
         let out = format!("out{}", format.extension());
         let converted = format!("({format}, 400 Gaussians");
         place.run(format!("convert @in.ply @{out}")).ok().says(&[&converted]);
@@ -18,8 +18,8 @@ fn converted_files_are_rendered_and_described() {
         let render = format!("render @{out} --orbit 1 --width 64 --height 48 -o @pictures");
         place.run(render).ok().says(&["of 400 Gaussians visible"]);
     }
-    // Version 2 is packed with gzip, version 4 with zstd and its own header.
-    for (version, begins) in [("2", [0x1f, 0x8b]), ("4", *b"NG")] {
+    // Versions 2 and 3 are packed with gzip, version 4 with zstd and its own header.
+    for (version, begins) in [("2", [0x1f, 0x8b]), ("3", [0x1f, 0x8b]), ("4", *b"NG")] {
         place.run(format!("convert @in.ply @version.spz --spz-version {version}")).ok();
         assert!(place.read("version.spz").starts_with(&begins), "version {version}");
         place.run("info @version.spz").ok().says(&["Gaussians  400"]);
@@ -34,6 +34,24 @@ fn converted_files_are_rendered_and_described() {
     assert_eq!((read.len(), read.sh_degree), (150, 0));
     // The wall was at z = 0; now its plane is x = -1, and z runs from -2 to 1.
     assert!(read.means.iter().all(|m| (m[0] + 1.0).abs() < 0.01 && (-2.01..1.1).contains(&m[2])));
+}
+
+#[test]
+fn formats_are_listed() {
+    let place = Place::empty();
+    let listed = place.run("convert --list").ok().stdout;
+    let lines: Vec<&str> = listed.lines().collect();
+    assert_eq!(lines.len(), Format::ALL.len());
+    for (line, format) in lines.iter().zip(Format::ALL) {
+        assert!(line.starts_with(&format!("{}: read: ", format.extension())), "{line}");
+    }
+    assert!(listed.contains("written: no; holds spherical harmonics; loses antialiasing, kernel size"));
+    assert!(
+        lines[0].ends_with(
+            "holds spherical harmonics, antialiasing, kernel size, the mark of 2DGS; loses nothing"
+        )
+    );
+    place.run("convert").refused(&["IN... OUT"]);
 }
 
 /// A move applies to the input before it, and after the output to everything.
@@ -121,7 +139,6 @@ fn scenes_of_other_programs_are_named() {
     place.write("scene.ply.gz", &gzip);
     place.write("packed.ply", &gzip);
     place.write("scene.ply.zst", b"\x28\xb5\x2f\xfd....");
-    place.write("scene.ksplat", [0_u8; 4096]);
     place.write("scene.spx", b"spx\x01....");
     let named = |name: &str| text(&place.at(name)).to_owned();
     let unpack = format!("`gzip -dc {} > {}`", named("scene.ply.gz"), named("scene.ply"));
@@ -135,7 +152,6 @@ fn scenes_of_other_programs_are_named() {
         ("scene.ply.gz", &["packed with gzip", &unpack]),
         ("packed.ply", &["packed with gzip", "unpacked.ply`"]),
         ("scene.ply.zst", &["packed with zstd", "`zstd -dc "]),
-        ("scene.ksplat", &["is a .ksplat", "`splat-transform "]),
         ("scene.spx", &["is an SPX scene", "`gsbox spx2ply -i "]),
     ] {
         let run = |line: &str| place.run(line.replace("SCENE", &format!("@{name}"))).refused(words).stderr;

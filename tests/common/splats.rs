@@ -82,6 +82,15 @@ pub fn tolerance(format: Format) -> Tolerance {
             color: 0.02,
             sh: 0.05,
         },
+        // Level 1; positions are within buckets of 64 units.
+        Format::Ksplat => Tolerance {
+            mean: 1e-3,
+            log_scale: 1.1e-3,
+            opacity: 0.5 / 255.0 + float,
+            rotation: float,
+            color: 0.5 / 255.0 / 0.282 + float,
+            sh: 1.1e-3,
+        },
         Format::Glb | Format::Gltf => {
             Tolerance { mean: 0.0, log_scale: float, opacity: float, rotation: 1e-6, color: 0.0, sh: 0.0 }
         }

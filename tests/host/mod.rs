@@ -13,6 +13,7 @@ mod exif_orientation;
 mod files;
 mod images;
 mod init;
+mod ksplat;
 mod lpips_weights;
 mod metrics;
 mod names;

@@ -1,4 +1,4 @@
-//! SPZ of version 2, alone and inside a GLB.
+//! SPZ of versions 2 and 3, alone and inside a GLB.
 
 use super::files::{Folder, assert_says};
 use crate::common::splats::{Tolerance, assert_close, scene, tolerance};
@@ -15,7 +15,11 @@ fn read(path: &Path) -> ashsplat::Result<Scene> {
 }
 
 fn write(path: &Path, gaussians: &Gaussians) {
-    let options = WriteOptions { antialiased: true, spz_version: Some(2), ..Default::default() };
+    write_version(path, gaussians, 2);
+}
+
+fn write_version(path: &Path, gaussians: &Gaussians, version: u32) {
+    let options = WriteOptions { antialiased: true, spz_version: Some(version), ..Default::default() };
     splats::write(path, gaussians, &options).unwrap();
 }
 
@@ -31,18 +35,19 @@ fn tolerance_of_2() -> Tolerance {
 }
 
 #[test]
-fn spz_2_comes_back() {
+fn spz_2_and_3_come_back() {
     let folder = Folder::new();
-    for degree in 0..=3 {
+    for (version, degree) in [(2, 0), (2, 1), (2, 2), (2, 3), (3, 3)] {
         let (path, expected) = (folder.join("scene.spz"), scene(700, degree));
-        write(&path, &expected);
+        write_version(&path, &expected, version);
         let mut head = [0; 16];
         flate2::read::GzDecoder::new(std::fs::File::open(&path).unwrap()).read_exact(&mut head).unwrap();
-        assert_eq!(head[..8], [b'N', b'G', b'S', b'P', 2, 0, 0, 0]);
+        assert_eq!(head[..8], [b'N', b'G', b'S', b'P', version as u8, 0, 0, 0]);
         assert_eq!((&head[8..10], &head[12..]), (&[188, 2][..], &[degree as u8, 19, 1, 0][..]));
         let back = read(&path).unwrap();
         assert!(back.header.antialiased);
-        assert_close(&back.gaussians, &expected, &tolerance_of_2());
+        let margin = if version == 2 { tolerance_of_2() } else { tolerance(Format::Spz) };
+        assert_close(&back.gaussians, &expected, &margin);
     }
 }
 
@@ -149,11 +154,13 @@ fn damaged_packed_glb_is_refused() {
 #[test]
 fn versions_that_a_format_has_not_are_refused() {
     let folder = Folder::new();
-    for (name, version) in [("a.spz", 3), ("a.glb", 4), ("a.gltf", 2), ("a.ply", 2), ("a.splat", 4)] {
+    for (name, version) in
+        [("a.spz", 1), ("a.spz", 5), ("a.glb", 4), ("a.gltf", 2), ("a.ply", 2), ("a.splat", 4)]
+    {
         let path = folder.join(name);
         let options = WriteOptions { spz_version: Some(version), ..Default::default() };
         let error = splats::write(&path, &scene(3, 0), &options).unwrap_err().to_string();
-        assert_says(error, &["SPZ has 2 and 4"]);
+        assert_says(error, &["SPZ has 2, 3 and 4"]);
         assert!(!path.exists());
     }
 }

@@ -74,7 +74,7 @@ fn in_order(format: Format, expected: &Gaussians, read: Gaussians) -> Gaussians 
 #[test]
 fn every_format_reads_what_it_writes() {
     let folder = Folder::new();
-    for format in Format::ALL {
+    for format in Format::WRITTEN {
         for (count, degree) in [(1, 0), (300, 0), (300, 1), (700, 2), (1000, 3)] {
             let degree = degree.min(format.max_sh_degree());
             let antialiased = degree % 2 == 1 && format.keeps_antialiased();
@@ -87,7 +87,7 @@ fn every_format_reads_what_it_writes() {
         }
     }
     // One `.bin` beside the `.gltf`, and no temporary files.
-    assert_eq!(names(&folder).len(), Format::ALL.len() + 1);
+    assert_eq!(names(&folder).len(), Format::WRITTEN.len() + 1);
 }
 
 #[test]
@@ -123,11 +123,11 @@ fn empty_scenes_and_blocks_of_every_size() {
 fn conversions_keep_what_both_formats_hold() {
     let folder = Folder::new();
     let expected = scene(500, 3);
-    for from in Format::ALL {
+    for from in Format::WRITTEN {
         let (input, written) = (named("scene", from), expected.with_sh_degree(from.max_sh_degree()));
         folder.write_with(&input, &written, &antialiased());
         let original = folder.read(&input).gaussians;
-        for to in Format::ALL {
+        for to in Format::WRITTEN {
             let output = named("out", to);
             let done = folder.convert(&input, &output);
             let degree = from.max_sh_degree().min(to.max_sh_degree());
@@ -183,7 +183,7 @@ fn a_cut_scene_is_written_as_a_conversion_writes_it() {
     folder.write_with("in.ply", &original, &antialiased());
     let (min, max) = (Vec3::splat(f32::NEG_INFINITY), Vec3::new(4.0, f32::INFINITY, 6.0));
     let cut = Cut { min_opacity: 0.2, bounds: Some(Bounds { min, max }), min_density: 0.3 };
-    for format in Format::ALL {
+    for format in Format::WRITTEN {
         let [converted, written] = folder.alike(format);
         let options = ConvertOptions { sh_degree: Some(2), cut, ..Default::default() };
         let done = splats::convert(&input, &converted, &options).unwrap();
@@ -216,7 +216,7 @@ fn merged_cells_are_the_scene() {
     let mut order: Vec<usize> = (0..original.len()).collect();
     order.sort_by_key(cell_of);
     let expected = original.select(&order);
-    for format in Format::ALL {
+    for format in Format::WRITTEN {
         let [merged, written] = folder.alike(format);
         let done = merge(&parts, &merged, &KEEP).unwrap();
         assert_eq!((done.format, done.written), (format, 40_000));
@@ -292,7 +292,7 @@ fn marks_of_other_programs_are_read_and_kept() {
             assert_eq!(marks, (antialiased, kernel_size), "{comments:?}");
             let said = read.warnings.concat();
             assert!(said.is_empty() == word.is_empty() && said.contains(word), "{comments:?}: {said}");
-            for to in Format::ALL {
+            for to in Format::WRITTEN {
                 let output = named("out", to);
                 let done = folder.convert(&name, &output);
                 let keeps_size = !matches!(to, Format::Splat | Format::Spz | Format::Sog);
@@ -316,7 +316,7 @@ fn a_scene_of_2dgs_stays_one() {
     let folder = Folder::new();
     let marked = WriteOptions { is_2dgs: true, ..Default::default() };
     folder.write_with("disks.ply", &scene(9, 0), &marked);
-    for to in Format::ALL {
+    for to in Format::WRITTEN {
         let output = named("out", to);
         let done = folder.convert("disks.ply", &output);
         let keeps = matches!(to, Format::Ply | Format::CompressedPly);
@@ -506,7 +506,7 @@ fn what_cannot_be_read_again_is_not_written() {
         moved(Similarity { scale, translation: DVec3::new(x, 0.0, 0.0), ..Default::default() })
     };
     let merged = ConvertOptions { decimate: Some(Target::Share(0.1)), ..Default::default() };
-    for format in Format::ALL {
+    for format in Format::WRITTEN {
         for options in [&moved(1e38, 0.0), &moved(1e30, 0.0), &moved(2.0, 0.0), &moved(1.0, 3e38), &merged] {
             let error = folder.convert_with("in.ply", &named("out", format), options).unwrap_err();
             let is_said = error.contains("is not written: a Gaussian would have");
@@ -516,7 +516,7 @@ fn what_cannot_be_read_again_is_not_written() {
     }
     // A valid scene moves to another origin, which has a limit, too.
     folder.write("near.ply", &scene(20, 0));
-    for format in Format::ALL {
+    for format in Format::WRITTEN {
         let error = folder.convert_with("near.ply", &named("out", format), &moved(1.0, 3e38)).unwrap_err();
         assert_says(error, &["is not written: its positions would lie 3e38 from zero"]);
     }
@@ -544,7 +544,7 @@ fn scenes_are_joined() {
     second.transform(&everything);
     first.append(&second);
     let options = self::moved(everything);
-    for format in Format::ALL {
+    for format in Format::WRITTEN {
         let output = named("out", format);
         let done = splats::join(&inputs, &folder.join(&output), &options).unwrap();
         let degree = 2.min(format.max_sh_degree());
@@ -671,7 +671,7 @@ fn formats_go_by_the_size_of_the_scene() {
 #[test]
 fn no_truncation_gives_a_scene_and_no_mutation_panics() {
     let folder = Folder::new();
-    for format in Format::ALL {
+    for format in Format::WRITTEN {
         let name = named("scene", format);
         let path = folder.join(&name);
         folder.write(&name, &scene(3, 1.min(format.max_sh_degree())));
@@ -824,7 +824,7 @@ fn scenes_far_from_the_origin_keep_their_positions_in_every_format() {
     folder.put("utm.ply", ply_of_doubles(&gaussians, UTM));
     folder.write("near.ply", &gaussians);
     let expected = positions(&folder.read("near.ply"), DVec3::ZERO);
-    for format in Format::ALL {
+    for format in Format::WRITTEN {
         let there = named("far", format);
         let done = folder.convert("utm.ply", &there);
         folder.convert(&there, "back.ply");

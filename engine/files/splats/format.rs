@@ -35,12 +35,161 @@ pub enum Format {
     Gltf,
     /// PlayCanvas' SOG: attributes as WebP pictures, in a ZIP (`.sog`) or beside their `meta.json`.
     Sog,
+    /// `.ksplat` of GaussianSplats3D, which is only read.
+    Ksplat,
 }
 
+/// Where a file says what its positions are relative to.
+#[derive(Clone, Copy, PartialEq)]
+enum OriginPlace {
+    /// A comment in the header.
+    Comment,
+    /// The translation of a node.
+    Node,
+    /// A file beside it.
+    Beside,
+}
+
+/// A format's names, and what its files hold.
+struct Traits {
+    /// With the dot.
+    extension: &'static str,
+    /// In messages.
+    name: &'static str,
+    /// What is read and what is written, for [`Format::description`].
+    read: &'static str,
+    written: &'static str,
+    /// What it rounds or cuts; empty if it holds single precision.
+    rounded: &'static str,
+    max_sh_degree: u32,
+    antialiased: bool,
+    kernel_size: bool,
+    is_2dgs: bool,
+    origin: OriginPlace,
+}
+
+/// What most formats hold.
+const USUAL: Traits = Traits {
+    extension: "",
+    name: "",
+    read: "yes",
+    written: "yes",
+    rounded: "",
+    max_sh_degree: 3,
+    antialiased: true,
+    kernel_size: true,
+    is_2dgs: false,
+    origin: OriginPlace::Beside,
+};
+
 impl Format {
-    /// All formats.
-    pub const ALL: [Self; 7] =
+    /// All formats that are written. [`Format::Ksplat`] is only read.
+    pub const WRITTEN: [Self; 7] =
         [Self::Ply, Self::CompressedPly, Self::Splat, Self::Spz, Self::Glb, Self::Gltf, Self::Sog];
+    /// All formats.
+    pub const ALL: [Self; 8] = [
+        Self::Ply,
+        Self::CompressedPly,
+        Self::Splat,
+        Self::Spz,
+        Self::Glb,
+        Self::Gltf,
+        Self::Sog,
+        Self::Ksplat,
+    ];
+
+    const fn traits(self) -> Traits {
+        match self {
+            Self::Ply => Traits {
+                extension: ".ply",
+                name: "PLY",
+                read: "any order, encoding and scalar type, also 2DGS and colours in place of SH",
+                written: "as the reference implementation",
+                is_2dgs: true,
+                origin: OriginPlace::Comment,
+                ..USUAL
+            },
+            Self::CompressedPly => Traits {
+                extension: ".compressed.ply",
+                name: "compressed PLY",
+                read: "PlayCanvas', with and without SH and colour ranges",
+                rounded: "all values, within chunks of 256",
+                is_2dgs: true,
+                origin: OriginPlace::Comment,
+                ..USUAL
+            },
+            Self::Splat => Traits {
+                extension: ".splat",
+                name: ".splat",
+                rounded: "colours, opacities and rotations to bytes",
+                max_sh_degree: 0,
+                antialiased: false,
+                kernel_size: false,
+                ..USUAL
+            },
+            Self::Spz => Traits {
+                extension: ".spz",
+                name: "SPZ",
+                read: "versions 2, 3, 4",
+                written: "version 4; 2 and 3 with --spz-version",
+                rounded: "positions to 24 bits, the rest to bytes",
+                kernel_size: false,
+                ..USUAL
+            },
+            Self::Glb => Traits {
+                extension: ".glb",
+                name: "GLB",
+                read: "KHR_gaussian_splatting, also with SPZ inside",
+                written: "KHR_gaussian_splatting; SPZ inside with --spz-version 2",
+                origin: OriginPlace::Node,
+                ..USUAL
+            },
+            Self::Gltf => Traits {
+                extension: ".gltf",
+                name: "glTF",
+                read: "KHR_gaussian_splatting, also with SPZ inside",
+                written: "KHR_gaussian_splatting",
+                origin: OriginPlace::Node,
+                ..USUAL
+            },
+            Self::Sog => Traits {
+                extension: ".sog",
+                name: "SOG",
+                read: "versions 1, 2, also the folder of a meta.json",
+                written: "version 2",
+                rounded: "positions to 16 bits, the rest to bytes and palettes",
+                kernel_size: false,
+                ..USUAL
+            },
+            Self::Ksplat => Traits {
+                extension: ".ksplat",
+                name: ".ksplat",
+                read: "compression levels 0, 1, 2",
+                written: "no",
+                antialiased: false,
+                kernel_size: false,
+                ..USUAL
+            },
+        }
+    }
+
+    /// One line: what is read and written, and what a file of the format holds and loses.
+    pub fn description(self) -> String {
+        let Traits { extension, read, written, rounded, .. } = self.traits();
+        let parts = [
+            ("spherical harmonics", self.max_sh_degree() > 0),
+            ("antialiasing", self.keeps_antialiased()),
+            ("kernel size", self.traits().kernel_size),
+            ("the mark of 2DGS", self.traits().is_2dgs),
+        ];
+        let names = |held: bool| {
+            let names: Vec<&str> = parts.iter().filter(|part| part.1 == held).map(|part| part.0).collect();
+            if names.is_empty() { "nothing".to_owned() } else { names.join(", ") }
+        };
+        let rounds = if rounded.is_empty() { String::new() } else { format!("; rounds {rounded}") };
+        let (holds, loses) = (names(true), names(false));
+        format!("{extension}: read: {read}; written: {written}; holds {holds}; loses {loses}{rounds}")
+    }
 
     /// Names what Gaussians of this SH degree and with these header marks lose in the format.
     pub(super) fn losses(
@@ -55,10 +204,10 @@ impl Format {
         if antialiased && !self.keeps_antialiased() {
             losses.push(format!("{self} cannot say that the Gaussians want antialiasing"));
         }
-        if let (Some(size), Self::Splat | Self::Spz | Self::Sog) = (kernel_size, self) {
+        if let Some(size) = kernel_size.filter(|_| !self.traits().kernel_size) {
             losses.push(format!("{self} cannot hold the kernel size: draw it with --kernel-size {size}"));
         }
-        if is_2dgs && !matches!(self, Self::Ply | Self::CompressedPly) {
+        if is_2dgs && !self.traits().is_2dgs {
             losses.push(format!("{self} cannot say that this is a 2DGS scene"));
         }
         losses
@@ -66,62 +215,50 @@ impl Format {
 
     /// True if a file beside it holds the origin of the positions, because the format has no field for it.
     pub(super) fn has_origin_file(self) -> bool {
-        matches!(self, Self::Splat | Self::Spz | Self::Sog)
+        self.traits().origin == OriginPlace::Beside
     }
 
     /// A note on the origin of the positions, if programs that ignore it would place the scene elsewhere.
     pub(super) fn origin_note(self, path: &Path, outline: &Outline) -> Option<String> {
         let DVec3 { x, y, z } = outline.options.frame.origin;
-        let place = match self {
-            _ if outline.options.frame.origin == DVec3::ZERO => return None,
-            Self::Ply if outline.double_positions => return None,
-            Self::Glb | Self::Gltf => return None,
-            Self::Ply | Self::CompressedPly => "a comment in its header".to_owned(),
-            Self::Splat | Self::Spz | Self::Sog => origin_path(path).display().to_string(),
+        let place = match self.traits().origin {
+            _ if outline.options.frame.origin == DVec3::ZERO || outline.double_positions => return None,
+            OriginPlace::Node => return None,
+            OriginPlace::Comment => "a comment in its header".to_owned(),
+            OriginPlace::Beside => origin_path(path).display().to_string(),
         };
         Some(format!("positions are relative to {x},{y},{z}, which {place} names"))
     }
 
     /// The extension of a file's name, with the dot.
     pub fn extension(self) -> &'static str {
-        self.words().0
-    }
-
-    /// The extension, and the name in messages.
-    fn words(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Ply => (".ply", "PLY"),
-            Self::CompressedPly => (".compressed.ply", "compressed PLY"),
-            Self::Splat => (".splat", ".splat"),
-            Self::Spz => (".spz", "SPZ"),
-            Self::Glb => (".glb", "GLB"),
-            Self::Gltf => (".gltf", "glTF"),
-            Self::Sog => (".sog", "SOG"),
-        }
+        self.traits().extension
     }
 
     /// The highest SH degree that the format can hold.
     pub fn max_sh_degree(self) -> u32 {
-        if self == Self::Splat { 0 } else { 3 }
+        self.traits().max_sh_degree
     }
 
     /// True if the format can mark Gaussians as trained with antialiasing.
     pub fn keeps_antialiased(self) -> bool {
-        !matches!(self, Self::Splat)
+        self.traits().antialiased
     }
 
     /// The format by a file's name.
     pub fn of_extension(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        Self::by_name(path).ok_or_else(|| {
-            let known = Self::ALL.map(Self::extension).join(" ");
-            Error::input(path, "has no extension of a known format", format!("give it one of {known}"))
-        })
+        Self::by_name(path)
+            .ok_or_else(|| Error::input(path, "has no extension of a known format", one_of_the_written()))
     }
 
-    /// The requested format, or that of a file's name.
+    /// The requested format, or that of a file's name, if it is written.
     pub(super) fn chosen(requested: Option<Self>, path: &Path) -> Result<Self> {
-        requested.map_or_else(|| Self::of_extension(path), Ok)
+        let format = requested.map_or_else(|| Self::of_extension(path), Ok)?;
+        match Self::WRITTEN.contains(&format) {
+            true => Ok(format),
+            false => Err(Error::input(path, format!("{format} is not written"), one_of_the_written())),
+        }
     }
 
     fn by_name(path: &Path) -> Option<Self> {
@@ -131,9 +268,13 @@ impl Format {
     }
 }
 
+fn one_of_the_written() -> String {
+    format!("give it one of {}", Format::WRITTEN.map(Format::extension).join(" "))
+}
+
 impl std::fmt::Display for Format {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.words().1)
+        f.write_str(self.traits().name)
     }
 }
 
@@ -235,8 +376,7 @@ const ARCHIVERS: [(usize, &[u8], &str, &str); 3] = [
 ];
 
 /// Extensions of scenes that other programs can convert.
-const CONVERTED: [(&str, &str, &str); 5] = [
-    ("ksplat", "is a .ksplat of GaussianSplats3D", "splat-transform"),
+const CONVERTED: [(&str, &str, &str); 4] = [
     ("lcc", "is an LCC scene of XGRIDS", "splat-transform --select-lod 0"),
     ("lcc2", "is an LCC scene of XGRIDS", "splat-transform --select-lod 0"),
     ("spx", "is an SPX scene", "gsbox spx2ply"),

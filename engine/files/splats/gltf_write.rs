@@ -253,7 +253,7 @@ const ESCAPED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'
 /// This function writes what CesiumJS reads. The reader reads both: a primitive that names its kernel follows the draft.
 pub(super) fn write_packed(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let bounds = bounds_of(path, outline)?;
-    let mut packed = spz::old(path, MIRRORED, outline, produce)?;
+    let mut packed = spz::old(path, 2, MIRRORED, outline, produce)?;
     let bytes = packed.metadata().writing(path)?.len();
     // The accessors describe the unpacked attributes and have no bytes of their own.
     let [min, max] = mirrored_corners(bounds);

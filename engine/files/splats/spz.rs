@@ -1,9 +1,9 @@
-//! Reads SPZ, versions 2 and 3 (one gzip stream) and 4 (a zstd stream for each attribute); writes versions 2 and 4.
+//! Reads SPZ, versions 2 and 3 (one gzip stream) and 4 (a zstd stream for each attribute); writes the same.
 //!
 //! Format: github.com/nianticlabs/spz (Niantic). Axes are right, up, back: y and z are opposite to this crate's.
 
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufReader, BufWriter, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
 use flate2::bufread::GzDecoder;
@@ -204,9 +204,7 @@ struct SpzFile {
 impl SpzFile {
     /// Reader from byte `at` on.
     fn from(&self, at: u64) -> Result<Bytes> {
-        let (mut file, _) = regular_file::open(&self.path)?;
-        file.seek(SeekFrom::Start(self.offset + at)).reading(&self.path)?;
-        Ok(BufReader::new(file.take(self.bytes.saturating_sub(at))))
+        regular_file::part(&self.path, self.offset + at, self.bytes.saturating_sub(at))
     }
 
     fn damaged(&self, problem: impl Into<String>) -> Error {
@@ -516,7 +514,6 @@ fn pack_sh(value: f32, step: i32) -> u8 {
 }
 
 const VERSION: u32 = 4;
-const OLD_VERSION: u32 = 2;
 /// zstd level of the format's first implementation.
 const LEVEL: i32 = 12;
 /// Largest number of fractional bits. The first implementation always writes 12, and reads any number below 24.
@@ -551,20 +548,26 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
     })
 }
 
-/// Same as [`write`], but version 2, for programs that know no other.
-pub(super) fn write_old(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
-    let mut stream = old(path, MIRRORED, outline, produce)?;
+/// Same as [`write`], but version 2 or 3, for programs that know no other.
+pub(super) fn write_old(
+    path: &Path,
+    version: u32,
+    outline: &Outline,
+    produce: &mut Produce<'_>,
+) -> Result<()> {
+    let mut stream = old(path, version, MIRRORED, outline, produce)?;
     atomic::write(path, |writer| io::copy(&mut stream, writer).map(drop))
 }
 
-/// Makes a file of version 2 in which some axes are mirrored, ready to be read from its start. `path` is for messages.
+/// Makes a file of version 2 or 3 in which some axes are mirrored, ready to be read from its start. `path` is for messages.
 pub(super) fn old(
     path: &Path,
+    version: u32,
     mirrored: [bool; 3],
     outline: &Outline,
     produce: &mut Produce<'_>,
 ) -> Result<File> {
-    let (packing, files) = packed(path, OLD_VERSION, mirrored, outline, produce)?;
+    let (packing, files) = packed(path, version, mirrored, outline, produce)?;
     let mut encoder = GzEncoder::new(room_for_one()?, flate2::Compression::default());
     encoder.write_all(&head(packing, outline, 0)).map_err(temporary)?;
     for mut file in files {

@@ -80,7 +80,7 @@ pub struct WriteOptions {
     pub kernel_size: Option<f32>,
     /// Marks a scene of 2DGS ([`Header::is_2dgs`]); PLY keeps it.
     pub is_2dgs: bool,
-    /// Version of SPZ. SPZ: 2 or 4; `None` for 4. GLB: 2 packs the attributes as
+    /// Version of SPZ. SPZ: 2, 3 or 4; `None` for 4. GLB: 2 packs the attributes as
     /// `KHR_gaussian_splatting_compression_spz_2`; `None` does not pack. Other formats have no version.
     pub spz_version: Option<u32>,
     /// Frame of the Gaussians within the file's coordinates. They are written in source units, relative to the frame's

@@ -10,8 +10,8 @@ use std::path::PathBuf;
 use std::sync::LazyLock;
 
 /// The first byte of an input chooses the name. For the last one, the rest is the unpacked content of an SPZ.
-const NAMES: [&str; 8] =
-    ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf", "a.sog", "packed.spz"];
+const NAMES: [&str; 9] =
+    ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf", "a.sog", "b.ksplat", "packed.spz"];
 
 static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| folder("splats"));
 
@@ -23,6 +23,20 @@ fn seeds() {
             let bytes = std::fs::read(&path).expect("there");
             leave_seed(&format!("{name}{degree}"), &[&[kind as u8], &bytes[..]].concat());
         }
+    }
+    for level in 0..3 {
+        // Two Gaussians of degree 1, in a bucket of their own; what follows the headers is the same number again and again.
+        let mut ksplat = vec![0; 1 + 4096 + 1024];
+        ksplat[0] = NAMES.len() as u8 - 2;
+        for (at, value) in [(1, 1), (4, 1), (8, 1), (12, 2), (16, 2), (20, level)] {
+            ksplat[1 + at] = value;
+        }
+        for (at, value) in [(0, 2), (4, 2), (12, 1), (18, 0x80), (19, 0x3f), (20, 12), (36, 1), (40, 1)] {
+            ksplat[1 + 4096 + at] = value;
+        }
+        ksplat.extend([2, 0, 0, 0]);
+        ksplat.extend([0x3c; 12 + 2 * 80]);
+        leave_seed(&format!("ksplat{level}"), &ksplat);
     }
     for version in [2u32, 3] {
         let mut unpacked = vec![NAMES.len() as u8 - 1];

@@ -1,0 +1,269 @@
+//! Reads `.ksplat` files, compression levels 0, 1 and 2: a header, a header for each section, then the sections. A section
+//! has the lengths of its last buckets, the centres of all buckets, and rows. At levels 1 and 2 positions are relative to
+//! the centre of their bucket.
+//!
+//! Format: github.com/mkkellogg/GaussianSplats3D, `src/loaders/SplatBuffer.js`.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Take};
+use std::path::{Path, PathBuf};
+
+use super::dot_splat::opacity_logit;
+use super::format::read_origin;
+use super::{BLOCK, Format, Header, Sink, Source};
+use crate::cost;
+use crate::regular_file::{self, OnFile, u32_at};
+use ashsplat::scene::Gaussians;
+use ashsplat::scene::gaussians::sh_coefficients;
+use ashsplat::scene::sh::rgb_to_sh_dc;
+use ashsplat::{Error, Result};
+
+const HEADER_BYTES: u64 = 4096;
+const SECTION_HEADER_BYTES: u64 = 1024;
+const CENTER_BYTES: u64 = 12;
+/// The stored position that means the centre of a bucket, where a section names none.
+const MIDDLE: u32 = 32_767;
+/// Largest SH value of level 2, where the header names none.
+const MAX_SH: f32 = 1.5;
+
+pub(super) struct Ksplat {
+    path: PathBuf,
+    packing: Packing,
+    sections: Vec<Section>,
+    header: Header,
+}
+
+/// How the numbers of a row are stored.
+#[derive(Clone, Copy)]
+struct Packing {
+    /// 0: all in single precision. 1: in half precision. 2: higher SH as bytes.
+    level: usize,
+    /// SH values of the bytes 0 and 255.
+    sh_range: [f32; 2],
+}
+
+struct Section {
+    count: u64,
+    sh_degree: u32,
+    /// Gaussians in each of the full buckets, which come first.
+    bucket_rows: u64,
+    full_buckets: u64,
+    /// Places of the bytes in the file: the lengths of the other buckets, the centres, the rows.
+    lengths_at: u64,
+    centers_at: u64,
+    rows_at: u64,
+    middle: f32,
+    /// Size of a step of the stored positions.
+    step: f32,
+}
+
+impl Packing {
+    fn row_bytes(self, sh_degree: u32) -> u64 {
+        let [number, sh] = [[4, 4], [2, 2], [2, 1]][self.level];
+        10 * number + 4 + sh * 3 * (sh_coefficients(sh_degree) as u64 - 1)
+    }
+
+    /// Appends the Gaussian of a row. `center` is that of its bucket.
+    fn unpack(self, row: &[u8], section: &Section, center: [f32; 3], block: &mut Gaussians) {
+        cost::step();
+        let short = |index: usize| u16::from_le_bytes([row[2 * index], row[2 * index + 1]]);
+        let number = |index: usize| match self.level {
+            0 => f32::from_bits(u32_at(row, 4 * index)),
+            _ => half(short(index)),
+        };
+        block.means.push(std::array::from_fn(|axis| match self.level {
+            0 => number(axis),
+            _ => (f32::from(short(axis)) - section.middle) * section.step + center[axis],
+        }));
+        // The logarithm of a negative size is NaN, which is unusable.
+        block.log_scales.push([3, 4, 5].map(|index| libm::logf(number(index))));
+        block.quats.push([6, 7, 8, 9].map(number));
+        let (color, higher) = row[if self.level == 0 { 40 } else { 20 }..].split_at(4);
+        block.sh.push([0, 1, 2].map(|channel| rgb_to_sh_dc(f32::from(color[channel]) / 255.0)));
+        block.opacity_logits.push(opacity_logit(color[3]));
+        let [low, high] = self.sh_range;
+        let sh = |index: usize| match self.level {
+            0 => f32::from_bits(u32_at(higher, 4 * index)),
+            1 => half(u16::from_le_bytes([higher[2 * index], higher[2 * index + 1]])),
+            _ => low + f32::from(higher[index]) / 255.0 * (high - low),
+        };
+        // Each degree has the values of red, then green, then blue.
+        for degree in 1..=section.sh_degree as usize {
+            let (first, width) = (3 * (degree * degree - 1), 2 * degree + 1);
+            block.sh.extend((0..width).map(|k| [0, 1, 2].map(|channel| sh(first + channel * width + k))));
+        }
+    }
+}
+
+/// A number in half precision.
+fn half(bits: u16) -> f32 {
+    let (exponent, fraction) = (i32::from(bits >> 10 & 31), f32::from(bits & 1023));
+    let magnitude = match exponent {
+        0 => fraction * (-24.0_f32).exp2(),
+        31 if fraction == 0.0 => f32::INFINITY,
+        31 => f32::NAN,
+        _ => (1024.0 + fraction) * ((exponent - 25) as f32).exp2(),
+    };
+    if bits >> 15 == 0 { magnitude } else { -magnitude }
+}
+
+fn damaged(path: &Path, problem: impl Into<String>) -> Error {
+    Error::input(path, problem, "the file is damaged or cut short: write or download it again")
+}
+
+impl Ksplat {
+    pub(super) fn open(path: &Path) -> Result<Self> {
+        let (file, bytes) = regular_file::open(path)?;
+        let mut reader = BufReader::new(file);
+        let mut head = [0; HEADER_BYTES as usize];
+        if bytes < HEADER_BYTES {
+            return Err(damaged(path, format!("ends after {bytes} of the header's {HEADER_BYTES} bytes")));
+        }
+        reader.read_exact(&mut head).reading(path)?;
+        let (major, minor) = (head[0], head[1]);
+        let level = usize::from(u16::from_le_bytes([head[20], head[21]]));
+        if major != 0 || minor == 0 || level > 2 {
+            let problem = format!(
+                "is .ksplat version {major}.{minor}, level {level}; 0.1 with levels 0, 1, 2 is known"
+            );
+            return Err(Error::input(path, problem, "write it again with GaussianSplats3D 0.4"));
+        }
+        let named = |at: usize, usual: f32| match f32::from_bits(u32_at(&head, at)) {
+            0.0 => usual,
+            value => value,
+        };
+        let packing = Packing { level, sh_range: [named(36, -MAX_SH), named(40, MAX_SH)] };
+        let section_count = u64::from(u32_at(&head, 4));
+        let mut at = HEADER_BYTES + SECTION_HEADER_BYTES * section_count;
+        if at > bytes {
+            return Err(damaged(path, format!("the header says {section_count} sections, more than it has")));
+        }
+        let mut sections = Vec::new();
+        for number in 0..section_count {
+            let mut head = [0; SECTION_HEADER_BYTES as usize];
+            reader.read_exact(&mut head).reading(path)?;
+            cost::step();
+            let [count, most, bucket_rows, buckets, full_buckets, others] =
+                [0, 4, 8, 12, 32, 36].map(|at| u64::from(u32_at(&head, at)));
+            let [bucket_bytes, sh_degree] = [20, 40].map(|at| u16::from_le_bytes([head[at], head[at + 1]]));
+            let sh_degree = u32::from(sh_degree);
+            if sh_degree > 3 || count > most || (buckets > 0 && u64::from(bucket_bytes) != CENTER_BYTES) {
+                return Err(damaged(path, format!("the header of section {number} makes no sense")));
+            }
+            let middle = Some(u32_at(&head, 24)).filter(|middle| *middle != 0).unwrap_or(MIDDLE) as f32;
+            let centers_at = at + 4 * others;
+            let rows_at = centers_at + CENTER_BYTES * buckets;
+            sections.push(Section {
+                count,
+                sh_degree,
+                bucket_rows,
+                full_buckets,
+                lengths_at: at,
+                centers_at,
+                rows_at,
+                middle,
+                step: f32::from_bits(u32_at(&head, 16)) / 2.0 / middle,
+            });
+            at = rows_at + packing.row_bytes(sh_degree) * most;
+            if at > bytes {
+                return Err(damaged(path, format!("section {number} ends at byte {at} of {bytes}")));
+            }
+        }
+        let count = u64::from(u32_at(&head, 16));
+        let found = sections.iter().map(|section| section.count).sum::<u64>();
+        if count != found {
+            return Err(damaged(
+                path,
+                format!("the header says {count} Gaussians, the sections have {found}"),
+            ));
+        }
+        let sh_degree = sections.iter().map(|section| section.sh_degree).max().unwrap_or(0);
+        let mut header =
+            Header { origin: read_origin(path)?, ..Header::new(Format::Ksplat, count, sh_degree) };
+        if at < bytes {
+            let rest = bytes - at;
+            header
+                .warnings
+                .push(format!("{}: {rest} bytes after the last section are not read", path.display()));
+        }
+        Ok(Self { path: path.to_owned(), packing, sections, header })
+    }
+}
+
+impl Source for Ksplat {
+    fn header(&self) -> &Header {
+        &self.header
+    }
+
+    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
+        for section in &self.sections {
+            let row_bytes = self.packing.row_bytes(section.sh_degree) as usize;
+            let mut reader =
+                regular_file::part(&self.path, section.rows_at, row_bytes as u64 * section.count)?;
+            let mut buckets = Buckets::of(section, self.packing.level, &self.path)?;
+            let (count, mut bytes) = (section.count as usize, Vec::new());
+            for start in (0..count).step_by(BLOCK) {
+                let rows = BLOCK.min(count - start);
+                bytes.resize(rows * row_bytes, 0);
+                reader.read_exact(&mut bytes).reading(&self.path)?;
+                let mut block = Gaussians::with_capacity(section.sh_degree, rows);
+                for row in bytes.chunks_exact(row_bytes) {
+                    let center = buckets.center_of_next_row().map_err(|_| {
+                        damaged(&self.path, "a section's buckets hold fewer Gaussians than its header says")
+                    })?;
+                    self.packing.unpack(row, section, center, &mut block);
+                }
+                let is_lower = section.sh_degree < self.header.sh_degree;
+                sink(if is_lower { block.with_sh_degree(self.header.sh_degree) } else { block })?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The buckets of a section, in the order of its rows.
+struct Buckets {
+    centers: BufReader<Take<File>>,
+    lengths: BufReader<Take<File>>,
+    full: u64,
+    full_rows: u64,
+    center: [f32; 3],
+    rows_left: u64,
+}
+
+impl Buckets {
+    /// Level 0 has one without an end, around zero.
+    fn of(section: &Section, level: usize, path: &Path) -> Result<Self> {
+        let Section { lengths_at, centers_at, rows_at, .. } = *section;
+        Ok(Self {
+            centers: regular_file::part(path, centers_at, rows_at - centers_at)?,
+            lengths: regular_file::part(path, lengths_at, centers_at - lengths_at)?,
+            full: section.full_buckets,
+            full_rows: section.bucket_rows,
+            center: [0.0; 3],
+            rows_left: if level == 0 { u64::MAX } else { 0 },
+        })
+    }
+
+    /// Fails after the last bucket.
+    fn center_of_next_row(&mut self) -> std::io::Result<[f32; 3]> {
+        while self.rows_left == 0 {
+            let mut center = [0; CENTER_BYTES as usize];
+            self.centers.read_exact(&mut center)?;
+            self.center = [0, 4, 8].map(|at| f32::from_bits(u32_at(&center, at)));
+            self.rows_left = match self.full.checked_sub(1) {
+                Some(left) => {
+                    self.full = left;
+                    self.full_rows
+                }
+                None => {
+                    let mut length = [0; 4];
+                    self.lengths.read_exact(&mut length)?;
+                    u32::from_le_bytes(length).into()
+                }
+            };
+        }
+        self.rows_left -= 1;
+        Ok(self.center)
+    }
+}
