@@ -1,4 +1,4 @@
-//! Gaussians in common file formats: PLY, compressed PLY, `.splat`, SPZ, glTF, SOG, `.ksplat`.
+//! Gaussians in common file formats: PLY, compressed PLY, `.splat`, SPZ, glTF, SOG, USDA, `.ksplat`.
 //!
 //! All are converted to and from the frame and the raw parameters of the reference implementation's PLY.
 //! Reading and writing proceed block by block, so that a conversion needs little memory if the formats allow
@@ -14,6 +14,7 @@ mod ksplat;
 mod sog;
 mod spz;
 mod stream;
+mod usda;
 mod validation;
 
 use std::path::Path;
@@ -182,6 +183,7 @@ fn write_blocks(
         },
         Format::Glb | Format::Gltf => gltf_write::write(path, format, outline, produce),
         Format::Sog => sog::write(path, outline, produce),
+        Format::Usda => usda::write(path, outline, produce),
         // Without a writer, no format was chosen.
         Format::Ksplat => Format::chosen(Some(format), path).map(drop),
     };
@@ -203,6 +205,7 @@ pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'
         Format::Spz => Box::new(spz::Spz::open(path)?),
         format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format, options)?),
         Format::Sog => Box::new(sog::Sog::open(path, options)?),
+        Format::Usda => Box::new(usda::Usda::open(path, options)?),
         Format::Ksplat => Box::new(ksplat::Ksplat::open(path)?),
     };
     Ok(Reader::new(path, source, options))

@@ -91,7 +91,7 @@ pub fn tolerance(format: Format) -> Tolerance {
             color: 0.5 / 255.0 / 0.282 + float,
             sh: 1.1e-3,
         },
-        Format::Glb | Format::Gltf => {
+        Format::Glb | Format::Gltf | Format::Usda => {
             Tolerance { mean: 0.0, log_scale: float, opacity: float, rotation: 1e-6, color: 0.0, sh: 0.0 }
         }
     }

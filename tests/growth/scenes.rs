@@ -17,7 +17,7 @@ fn read(path: &Path) -> Result<splats::Scene, String> {
 
 #[test]
 fn gaussians_of_every_format() {
-    for name in ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf"] {
+    for name in ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf", "a.usda"] {
         let write = |folder: &Path, size: usize| {
             splats::write(folder.join(name), &gaussians(size, 1), &WriteOptions::default()).unwrap();
         };

@@ -26,4 +26,5 @@ mod tiles;
 mod tour;
 mod transform;
 mod transforms;
+mod usda;
 mod view;

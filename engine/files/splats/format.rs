@@ -35,6 +35,8 @@ pub enum Format {
     Gltf,
     /// PlayCanvas' SOG: attributes as WebP pictures, in a ZIP (`.sog`) or beside their `meta.json`.
     Sog,
+    /// OpenUSD's text with prims of `ParticleField3DGaussianSplat`.
+    Usda,
     /// `.ksplat` of GaussianSplats3D, which is only read.
     Ksplat,
 }
@@ -84,10 +86,7 @@ const USUAL: Traits = Traits {
 
 impl Format {
     /// All formats that are written. [`Format::Ksplat`] is only read.
-    pub const WRITTEN: [Self; 7] =
-        [Self::Ply, Self::CompressedPly, Self::Splat, Self::Spz, Self::Glb, Self::Gltf, Self::Sog];
-    /// All formats.
-    pub const ALL: [Self; 8] = [
+    pub const WRITTEN: [Self; 8] = [
         Self::Ply,
         Self::CompressedPly,
         Self::Splat,
@@ -95,6 +94,18 @@ impl Format {
         Self::Glb,
         Self::Gltf,
         Self::Sog,
+        Self::Usda,
+    ];
+    /// All formats.
+    pub const ALL: [Self; 9] = [
+        Self::Ply,
+        Self::CompressedPly,
+        Self::Splat,
+        Self::Spz,
+        Self::Glb,
+        Self::Gltf,
+        Self::Sog,
+        Self::Usda,
         Self::Ksplat,
     ];
 
@@ -161,6 +172,16 @@ impl Format {
                 kernel_size: false,
                 ..USUAL
             },
+            Self::Usda => Traits {
+                extension: ".usda",
+                name: "USDA",
+                read: "ParticleField3DGaussianSplat, not what refers to other files",
+                written: "ParticleField3DGaussianSplat",
+                antialiased: false,
+                kernel_size: false,
+                origin: OriginPlace::Node,
+                ..USUAL
+            },
             Self::Ksplat => Traits {
                 extension: ".ksplat",
                 name: ".ksplat",
@@ -177,6 +198,7 @@ impl Format {
     pub fn description(self) -> String {
         let Traits { extension, read, written, rounded, .. } = self.traits();
         let parts = [
+            ("Gaussians", true),
             ("spherical harmonics", self.max_sh_degree() > 0),
             ("antialiasing", self.keeps_antialiased()),
             ("kernel size", self.traits().kernel_size),
@@ -293,6 +315,7 @@ impl Format {
             }
             [b'N', b'G', b'S', b'P', ..] => Some(Self::Spz),
             [b'g', b'l', b'T', b'F', ..] => Some(Self::Glb),
+            [b'#', b'u', b's', b'd', b'a', b' ', ..] => Some(Self::Usda),
             [0x1f, 0x8b, ..] if by_name.is_none() => Some(Self::Spz),
             _ if is_sog(path) => Some(Self::Sog),
             _ => None,
@@ -376,7 +399,8 @@ const ARCHIVERS: [(usize, &[u8], &str, &str); 3] = [
 ];
 
 /// Extensions of scenes that other programs can convert.
-const CONVERTED: [(&str, &str, &str); 4] = [
+const CONVERTED: [(&str, &str, &str); 5] = [
+    ("usdc", "is binary USD", "usdcat"),
     ("lcc", "is an LCC scene of XGRIDS", "splat-transform --select-lod 0"),
     ("lcc2", "is an LCC scene of XGRIDS", "splat-transform --select-lod 0"),
     ("spx", "is an SPX scene", "gsbox spx2ply"),
@@ -438,6 +462,7 @@ fn converted(path: &Path, ending: &str) -> Option<Error> {
     let (input, out) = (shell(path), shell(&path.with_extension("ply")));
     let remedy = match *command {
         "" => "export one moment of it as a PLY".to_owned(),
+        "usdcat" => format!("make its text: `usdcat {input} -o {}`", shell(&path.with_extension("usda"))),
         "gsbox spx2ply" => format!("make a PLY of it: `{command} -i {input} -o {out}`"),
         command => format!("make a PLY of it: `{command} {input} {out}`"),
     };

@@ -11,11 +11,13 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 
 use super::spz::Spz;
+use super::stream::origin_near;
 use super::{BLOCK, Format, Header, ReadOptions, Sink, Source, is_kernel_size};
 use crate::cost;
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
-use ashsplat::scene::{Gaussians, Similarity, WorldFrame};
+use ashsplat::scene::{Gaussians, Similarity};
 use ashsplat::{Error, Result};
+pub(super) use document::similarity;
 use document::{Accessor, Buffer, Buffers, Compression, Document, Mesh, Primitive, SplatsExtension};
 
 /// Axes of glTF that are opposite to those of this crate's frame.
@@ -151,13 +153,7 @@ impl Gltf {
         };
         let near = mirrored(placed.placement.translation);
         self.header.origin = near;
-        let mut points = Vec::new();
-        // The error stops the reading after the first block. The main reader reports any other error again.
-        drop(self.blocks(&mut |block| {
-            points = block.means.iter().map(|mean| near + DVec3::from_array(mean.map(f64::from))).collect();
-            Err(Error::Interrupted)
-        }));
-        WorldFrame::around(&points).origin
+        origin_near(near, self)
     }
 }
 
@@ -327,14 +323,7 @@ impl PlainRows {
             return Err(Error::input(path, format!("{EXTENSION}:SCALE has values below 0"), remedy));
         }
         let log_scales = triples(&sizes).into_iter().map(|s| s.map(libm::logf)).collect();
-        let logit = |opacity: f32| {
-            if !(-OPACITY_SLACK..=1.0 + OPACITY_SLACK).contains(&opacity) {
-                return f32::NAN;
-            }
-            let opacity = f64::from(opacity).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
-            (opacity / (1.0 - opacity)).ln() as f32
-        };
-        let opacity_logits: Vec<f32> = values(&self.opacity)?.into_iter().map(logit).collect();
+        let opacity_logits: Vec<f32> = values(&self.opacity)?.into_iter().map(opacity_logit).collect();
         if opacity_logits.iter().any(|logit| logit.is_nan()) {
             let remedy = "write opacities, not their logits, as the extension says";
             let problem = format!("{EXTENSION}:OPACITY has values outside of 0 to 1");
@@ -348,6 +337,15 @@ impl PlainRows {
         }
         Ok(Gaussians { sh_degree: self.sh_degree(), means, quats, log_scales, opacity_logits, sh })
     }
+}
+
+/// Logit of an opacity; NaN outside of 0 to 1.
+pub(super) fn opacity_logit(opacity: f32) -> f32 {
+    if !(-OPACITY_SLACK..=1.0 + OPACITY_SLACK).contains(&opacity) {
+        return f32::NAN;
+    }
+    let opacity = f64::from(opacity).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
+    (opacity / (1.0 - opacity)).ln() as f32
 }
 
 fn triples(values: &[f32]) -> Vec<[f32; 3]> {

@@ -616,16 +616,16 @@ fn packed(
     Ok((packing, files.into_iter().map(from_the_start).collect::<Result<_>>()?))
 }
 
-fn room_for_one() -> Result<BufWriter<File>> {
+pub(super) fn room_for_one() -> Result<BufWriter<File>> {
     tempfile::tempfile().map(BufWriter::new).map_err(temporary)
 }
 
-fn temporary(source: io::Error) -> Error {
+pub(super) fn temporary(source: io::Error) -> Error {
     Error::io(std::env::temp_dir(), "write a temporary file", source)
 }
 
 /// Rewinds a written file for reading.
-fn from_the_start(file: BufWriter<File>) -> Result<File> {
+pub(super) fn from_the_start(file: BufWriter<File>) -> Result<File> {
     let mut file = file.into_inner().map_err(|e| temporary(e.into_error()))?;
     file.rewind().map_err(temporary)?;
     Ok(file)

@@ -223,6 +223,17 @@ pub(crate) trait Source {
     }
 }
 
+/// Chooses an origin for a source whose positions are relative to `near`, from its first block.
+pub(crate) fn origin_near(near: DVec3, source: &mut dyn Source) -> DVec3 {
+    let mut points = Vec::new();
+    // The error stops the reading after the first block. The main reader reports any other error again.
+    drop(source.blocks(&mut |block| {
+        points = block.means.iter().map(|mean| near + DVec3::from_array(mean.map(f64::from))).collect();
+        Err(Error::Interrupted)
+    }));
+    WorldFrame::around(&points).origin
+}
+
 /// An open file that is read block by block.
 pub(crate) struct Reader<'a> {
     path: PathBuf,

@@ -240,21 +240,25 @@ impl Node {
         let parts =
             || DMat4::from_scale_rotation_translation(scale, rotation.unwrap_or(DQuat::IDENTITY), place);
         let matrix = self.matrix.as_deref().map_or_else(parts, DMat4::from_cols_array);
-        if matrix == DMat4::IDENTITY {
-            return Some(Similarity::default());
-        }
-        let axes = glam::DMat3::from_mat4(matrix);
-        let scale = axes.determinant().cbrt();
-        let rotation = axes * (1.0 / scale);
-        let orthonormal =
-            (rotation * rotation.transpose()).abs_diff_eq(glam::DMat3::IDENTITY, SHAPE_TOLERANCE);
-        let usable = matrix.is_finite() && scale > 0.0 && orthonormal;
-        usable.then(|| Similarity {
-            rotation: DQuat::from_mat3(&rotation).normalize(),
-            scale,
-            translation: matrix.w_axis.truncate(),
-        })
+        similarity(matrix)
     }
+}
+
+/// The similarity of a matrix; `None` if it is none.
+pub(in super::super) fn similarity(matrix: DMat4) -> Option<Similarity> {
+    if matrix == DMat4::IDENTITY {
+        return Some(Similarity::default());
+    }
+    let axes = glam::DMat3::from_mat4(matrix);
+    let scale = axes.determinant().cbrt();
+    let rotation = axes * (1.0 / scale);
+    let orthonormal = (rotation * rotation.transpose()).abs_diff_eq(glam::DMat3::IDENTITY, SHAPE_TOLERANCE);
+    let usable = matrix.is_finite() && scale > 0.0 && orthonormal;
+    usable.then(|| Similarity {
+        rotation: DQuat::from_mat3(&rotation).normalize(),
+        scale,
+        translation: matrix.w_axis.truncate(),
+    })
 }
 
 /// The JSON of a GLB, and the offset and length of its binary chunk.

@@ -10,8 +10,8 @@ use std::path::PathBuf;
 use std::sync::LazyLock;
 
 /// The first byte of an input chooses the name. For the last one, the rest is the unpacked content of an SPZ.
-const NAMES: [&str; 9] =
-    ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf", "a.sog", "b.ksplat", "packed.spz"];
+const NAMES: [&str; 10] =
+    ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf", "a.sog", "a.usda", "b.ksplat", "packed.spz"];
 
 static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| folder("splats"));
 

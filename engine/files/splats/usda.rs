@@ -1,0 +1,467 @@
+//! Reads and writes OpenUSD's text (`.usda`): prims of the schema `ParticleField3DGaussianSplat`.
+//!
+//! Schema: github.com/PixarAnimationStudios/OpenUSD, `pxr/usd/usdVol/schema.usda`, since version 26.03. Sizes are standard
+//! deviations, opacities are 0 to 1, quaternions w, x, y, z. Axes are glTF's, or z points up, as the stage says.
+
+use std::collections::BTreeMap;
+use std::f64::consts::FRAC_PI_2;
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use glam::{DMat4, DQuat, DVec3};
+
+use super::gltf::{MIRRORED, mirrored, opacity_logit, similarity};
+use super::stream::origin_near;
+use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, spz};
+use crate::regular_file;
+use crate::{atomic, cost, host_memory};
+use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
+use ashsplat::scene::sh::rgb_to_sh_dc;
+use ashsplat::scene::{Gaussians, Similarity};
+use ashsplat::{Error, Result};
+
+const PRIM: &str = "ParticleField3DGaussianSplat";
+const DEGREE: &str = "radiance:sphericalHarmonicsDegree";
+/// Type, name and numbers of an element of each array. Half precision has the same name with an h behind it.
+const ARRAYS: [(&str, &str, usize); 5] = [
+    ("point3f[]", "positions", 3),
+    ("quatf[]", "orientations", 4),
+    ("float3[]", "scales", 3),
+    ("float[]", "opacities", 1),
+    ("float3[]", "radiance:sphericalHarmonicsCoefficients", 3),
+];
+/// Highest SH degree that is skipped rather than refused.
+const MOST_DEGREES: u32 = 10;
+/// Standard deviations of a Gaussian that lie within the extent.
+const REACH: f32 = 3.0;
+
+pub(super) struct Usda {
+    path: PathBuf,
+    text: Vec<u8>,
+    parts: Vec<Part>,
+    header: Header,
+}
+
+/// One prim of Gaussians.
+struct Part {
+    placement: Similarity,
+    count: usize,
+    /// Stored degree, and the one that is read.
+    sh_degrees: [u32; 2],
+    /// Places of the arrays in the text; `None` for the schema's default.
+    arrays: [Option<Range<usize>>; 5],
+}
+
+impl Usda {
+    pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self> {
+        host_memory::check(path, regular_file::open(path)?.1, options.max_host_memory)?;
+        let text = regular_file::read(path, 1)?;
+        if !text.starts_with(b"#usda ") {
+            let remedy = "`usdcat IN -o OUT.usda` makes it of other forms of USD";
+            return Err(Error::input(path, "is no USD text: it does not begin with #usda", remedy));
+        }
+        let damaged = || {
+            let remedy = "the file is damaged or cut short: write or download it again";
+            Error::input(path, "ends inside a value or a prim, or closes one that is not open", remedy)
+        };
+        let prims = Parser::of(&text).prims().ok_or_else(damaged)?;
+        let mut header = Header::new(Format::Usda, 0, 0);
+        let (mut parts, mut placements) = (Vec::new(), Vec::<DMat4>::new());
+        for prim in &prims {
+            let refused = |problem: String, remedy: &str| {
+                Error::input(path, format!("prim {}: {problem}", prim.name), remedy)
+            };
+            let flatten = "apply the transform, and save the scene again";
+            let own = prim.transform(&text).map_err(|op| refused(format!("{op} is not read"), flatten))?;
+            let placement = placements.get(prim.parent).copied().unwrap_or(DMat4::IDENTITY) * own;
+            placements.push(placement);
+            if prim.kind != PRIM {
+                continue;
+            }
+            let is_none =
+                || refused("its transform is more than rotation, scale and translation".into(), flatten);
+            let mut part = Part {
+                placement: similarity(placement).ok_or_else(is_none)?,
+                count: 0,
+                sh_degrees: [0; 2],
+                arrays: Default::default(),
+            };
+            let stored = match prim.attributes.get(DEGREE) {
+                None => MAX_SH_DEGREE,
+                Some(place) => numbers(&text, place).next().and_then(Result::ok).unwrap_or(u32::MAX),
+            };
+            if stored > MOST_DEGREES {
+                return Err(refused(format!("its {DEGREE} makes no sense"), "write 0 to 3"));
+            }
+            for (array, (_, name, components)) in ARRAYS.iter().enumerate() {
+                let half = format!("{name}h");
+                let found = [name, &*half].into_iter().filter_map(|name| prim.attributes.get(name));
+                let counted = found.map(|place| (place, numbers::<f32>(&text, place).count()));
+                let Some((place, count)) = counted.into_iter().find(|(_, count)| *count > 0) else {
+                    continue;
+                };
+                let is_sh = array == ARRAYS.len() - 1;
+                let needed = match array {
+                    0 => {
+                        part.count = count / components;
+                        count.next_multiple_of(*components)
+                    }
+                    _ => components * part.count * if is_sh { sh_coefficients(stored) } else { 1 },
+                };
+                if count < needed {
+                    let what = format!("prim {}: {name} has {count} numbers instead of {needed}", prim.name);
+                    header.warnings.push(format!("{}: {what} and is not used", path.display()));
+                    continue;
+                }
+                part.arrays[array] = Some(place.clone());
+                if is_sh {
+                    part.sh_degrees = [stored, stored.min(MAX_SH_DEGREE)];
+                }
+            }
+            if part.sh_degrees[0] > MAX_SH_DEGREE {
+                let path = path.display();
+                header.warnings.push(format!(
+                    "{path}: SH of degree {stored} are cut to {MAX_SH_DEGREE}, the highest here"
+                ));
+            }
+            header.count += part.count as u64;
+            header.sh_degree = header.sh_degree.max(part.sh_degrees[1]);
+            parts.push(part);
+        }
+        if parts.is_empty() {
+            let problem = format!("has no prim of {PRIM}");
+            return Err(Error::input(path, problem, "flatten it if it refers to others: `usdcat --flatten`"));
+        }
+        let near =
+            parts.iter().map(|part| mirrored(part.placement.translation)).find(|at| *at != DVec3::ZERO);
+        let mut usda = Self { path: path.to_owned(), text, parts, header };
+        if let Some(near) = near {
+            usda.header.origin = near;
+            usda.header.origin = origin_near(near, &mut usda);
+        }
+        Ok(usda)
+    }
+}
+
+impl Source for Usda {
+    fn header(&self) -> &Header {
+        &self.header
+    }
+
+    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
+        for part in &self.parts {
+            let mut placement = part.placement;
+            placement.translation -= mirrored(self.header.origin);
+            let [stored, kept] = part.sh_degrees.map(sh_coefficients);
+            let mut arrays: [_; 5] = std::array::from_fn(|array| {
+                let place = part.arrays[array].as_ref();
+                Array {
+                    name: ARRAYS[array].1,
+                    path: &self.path,
+                    numbers: place.map(|place| numbers(&self.text, place)),
+                }
+            });
+            for start in (0..part.count).step_by(BLOCK) {
+                let rows = BLOCK.min(part.count - start);
+                let mut block = Gaussians::with_capacity(part.sh_degrees[1], rows);
+                let [positions, orientations, scales, opacities, sh] = &mut arrays;
+                for _ in 0..rows {
+                    cost::step();
+                    block.means.push(positions.next([0.0; 3])?);
+                    block.quats.push(orientations.next([1.0, 0.0, 0.0, 0.0])?);
+                    // The logarithm of a negative size is NaN, which is unusable.
+                    block.log_scales.push(scales.next([1.0; 3])?.map(libm::logf));
+                    block.opacity_logits.push(opacity_logit(opacities.next([1.0])?[0]));
+                    for k in 0..stored {
+                        let value = sh.next([rgb_to_sh_dc(0.5); 3])?;
+                        block.sh.extend((k < kept).then_some(value));
+                    }
+                }
+                if block.opacity_logits.iter().any(|logit| logit.is_nan()) {
+                    let problem = "opacities has values outside of 0 to 1";
+                    return Err(Error::input(&self.path, problem, "write opacities, not their logits"));
+                }
+                block.transform(&placement);
+                block.mirror(MIRRORED);
+                let is_lower = block.sh_degree < self.header.sh_degree;
+                sink(if is_lower { block.with_sh_degree(self.header.sh_degree) } else { block })?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The numbers of one array, or the schema's default.
+struct Array<'a, I> {
+    name: &'static str,
+    path: &'a Path,
+    numbers: Option<I>,
+}
+
+impl<I: Iterator<Item = Result<f32, String>>> Array<'_, I> {
+    fn next<const N: usize>(&mut self, default: [f32; N]) -> Result<[f32; N]> {
+        let Some(numbers) = &mut self.numbers else { return Ok(default) };
+        let mut values = default;
+        for (value, number) in values.iter_mut().zip(numbers) {
+            *value = number.map_err(|word| {
+                let problem = format!("{}: {word:?} is no number", self.name);
+                Error::input(self.path, problem, "write or download the file again")
+            })?;
+        }
+        Ok(values)
+    }
+}
+
+/// The numbers of a value, or the words that are none.
+fn numbers<'a, T: std::str::FromStr>(
+    text: &'a [u8],
+    place: &Range<usize>,
+) -> impl Iterator<Item = Result<T, String>> + use<'a, T> {
+    let mut parser = Parser::of(&text[place.clone()]);
+    std::iter::from_fn(move || {
+        loop {
+            match parser.next()? {
+                Token::Mark(_) => {}
+                Token::Word(word) | Token::Text(word) => {
+                    return Some(word.parse().map_err(|_| word.to_owned()));
+                }
+            }
+        }
+    })
+}
+
+/// A prim that is defined. The first one is the stage.
+#[derive(Default)]
+struct Prim<'a> {
+    kind: &'a str,
+    name: &'a str,
+    parent: usize,
+    /// Places of the values in the text.
+    attributes: BTreeMap<&'a str, Range<usize>>,
+}
+
+impl Prim<'_> {
+    /// Transform from the prim to its parent. Fails with the name of an operation that is not known.
+    fn transform(&self, text: &[u8]) -> Result<DMat4, String> {
+        let mut matrix = match self.attributes.contains_key("upAxis") {
+            true => DMat4::from_rotation_x(-FRAC_PI_2),
+            false => DMat4::IDENTITY,
+        };
+        let Some(order) = self.attributes.get("xformOpOrder") else { return Ok(matrix) };
+        // A list of names is a list of words that are no numbers.
+        for op in numbers::<f64>(text, order).filter_map(Result::err) {
+            let name = op.strip_prefix("!invert!").unwrap_or(&op);
+            let values = self.attributes.get(name).map(|place| numbers(text, place).filter_map(Result::ok));
+            let values: Vec<f64> = values.into_iter().flatten().collect();
+            let own = match (name.split(':').nth(1), &*values) {
+                (Some("translate"), &[x, y, z]) => DMat4::from_translation(DVec3::new(x, y, z)),
+                (Some("scale"), &[x, y, z]) => DMat4::from_scale(DVec3::new(x, y, z)),
+                (Some("rotateX"), &[x]) => DMat4::from_rotation_x(x.to_radians()),
+                (Some("rotateY"), &[y]) => DMat4::from_rotation_y(y.to_radians()),
+                (Some("rotateZ"), &[z]) => DMat4::from_rotation_z(z.to_radians()),
+                (Some("rotateXYZ"), &[x, y, z]) => {
+                    DMat4::from_rotation_z(z.to_radians())
+                        * DMat4::from_rotation_y(y.to_radians())
+                        * DMat4::from_rotation_x(x.to_radians())
+                }
+                (Some("orient"), &[w, x, y, z]) => DMat4::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()),
+                // Rows of a matrix that multiplies row vectors.
+                (Some("transform"), values) if values.len() == 16 => DMat4::from_cols_slice(values),
+                _ => return Err(op),
+            };
+            matrix *= if name == op { own } else { own.inverse() };
+        }
+        Ok(matrix)
+    }
+}
+
+enum Token<'a> {
+    /// A name, a type or a number.
+    Word(&'a str),
+    /// What is quoted.
+    Text(&'a str),
+    /// An equals sign or a bracket.
+    Mark(u8),
+}
+
+/// Reads tokens. Commas, semicolons and ends of lines separate them and mean nothing.
+struct Parser<'a> {
+    text: &'a [u8],
+    /// Begin of the last token.
+    start: usize,
+    /// End of the last token.
+    at: usize,
+}
+
+impl<'a> Parser<'a> {
+    fn of(text: &'a [u8]) -> Self {
+        Self { text, start: 0, at: 0 }
+    }
+
+    /// `None` at the end, inside a quotation and where the text is no UTF-8.
+    fn next(&mut self) -> Option<Token<'a>> {
+        loop {
+            let rest = &self.text[self.at..];
+            let first = *rest.first()?;
+            self.start = self.at;
+            let utf8 = |bytes: &'a [u8]| std::str::from_utf8(bytes).ok();
+            match first {
+                b' ' | b'\t' | b'\r' | b'\n' | b',' | b';' => self.at += 1,
+                b'#' => self.at += rest.iter().position(|byte| *byte == b'\n').unwrap_or(rest.len()),
+                b'=' | b'(' | b')' | b'[' | b']' | b'{' | b'}' => {
+                    self.at += 1;
+                    return Some(Token::Mark(first));
+                }
+                b'"' | b'\'' | b'@' | b'<' => {
+                    let width = if rest.starts_with(&[first; 3]) { 3 } else { 1 };
+                    let end = &[if first == b'<' { b'>' } else { first }; 3][..width];
+                    let mut length = width;
+                    while !rest.get(length..)?.starts_with(end) {
+                        length += if *rest.get(length)? == b'\\' { 2 } else { 1 };
+                    }
+                    self.at += length + width;
+                    return utf8(&rest[width..length]).map(Token::Text);
+                }
+                _ => {
+                    let ends = |byte: &u8| b" \t\r\n,;#=()[]{}\"'@<".contains(byte);
+                    let length = rest.iter().position(ends).unwrap_or(rest.len());
+                    self.at += length;
+                    return utf8(&rest[..length]).map(Token::Word);
+                }
+            }
+        }
+    }
+
+    /// Skips a value, also one whose opening bracket was the last token, and returns its place.
+    fn value(&mut self, is_open: bool) -> Option<Range<usize>> {
+        let (begin, mut depth) = (self.at, usize::from(is_open));
+        loop {
+            match self.next()? {
+                Token::Mark(b'(' | b'[' | b'{') => depth += 1,
+                Token::Mark(b')' | b']' | b'}') => depth = depth.checked_sub(1)?,
+                _ => {}
+            }
+            if depth == 0 {
+                return Some(begin..self.at);
+            }
+        }
+    }
+
+    /// All prims that are defined, each after its parent.
+    fn prims(mut self) -> Option<Vec<Prim<'a>>> {
+        let mut prims = vec![Prim::default()];
+        // Those around the current place.
+        let mut open = vec![0];
+        let mut name = "";
+        while let Some(token) = self.next() {
+            cost::step();
+            match token {
+                Token::Word(word @ ("def" | "over" | "class" | "variantSet")) => {
+                    let mut prim = Prim { parent: *open.last()?, ..Prim::default() };
+                    loop {
+                        match self.next()? {
+                            Token::Word(kind) => prim.kind = kind,
+                            Token::Text(name) => prim.name = name,
+                            Token::Mark(b'(') => drop(self.value(true)?),
+                            Token::Mark(b'{') => break,
+                            Token::Mark(_) => {}
+                        }
+                    }
+                    // What is not defined draws nothing by itself.
+                    if word == "def" {
+                        open.push(prims.len());
+                        prims.push(prim);
+                    } else {
+                        self.value(true)?;
+                    }
+                }
+                Token::Word(word) => name = word,
+                Token::Mark(b'=') => {
+                    let place = self.value(false)?;
+                    prims[*open.last()?].attributes.insert(name, place);
+                }
+                // Metadata, of which only the stage's upward axis matters.
+                Token::Mark(b'(') if prims.len() == 1 => {
+                    let place = self.value(true)?;
+                    let mut metadata = Parser::of(&self.text[place]);
+                    while let Some(token) = metadata.next() {
+                        if matches!(token, Token::Word("upAxis")) {
+                            metadata.next()?;
+                            // Y is the default.
+                            if matches!(metadata.next()?, Token::Text("Z")) {
+                                prims[0].attributes.insert("upAxis", 0..0);
+                            }
+                        }
+                    }
+                }
+                Token::Mark(b'(') => drop(self.value(true)?),
+                Token::Mark(b'}') => {
+                    open.pop();
+                    open.last()?;
+                }
+                // The brackets of an array's type.
+                Token::Mark(_) | Token::Text(_) => {}
+            }
+        }
+        (open.len() == 1 && self.at == self.text.len()).then_some(prims)
+    }
+}
+
+/// Writes Gaussians block by block. Temporary files hold the arrays until they are put together.
+pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+    let mut files = ARRAYS.iter().map(|_| spz::room_for_one()).collect::<Result<Vec<BufWriter<File>>>>()?;
+    let mut separator = "";
+    let mut extent = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
+    produce(&mut |mut block| {
+        block.mirror(MIRRORED);
+        let mut texts: [String; ARRAYS.len()] = Default::default();
+        for index in 0..block.len() {
+            let (mean, scales) = (block.means[index], block.log_scales[index].map(libm::expf));
+            let reach = REACH * scales.into_iter().fold(0.0, f32::max);
+            for axis in 0..3 {
+                extent[0][axis] = extent[0][axis].min(mean[axis] - reach);
+                extent[1][axis] = extent[1][axis].max(mean[axis] + reach);
+            }
+            let [positions, orientations, sizes, opacities, sh] = &mut texts;
+            *positions += &format!("{separator}{}", tuple(&mean));
+            *orientations += &format!("{separator}{}", tuple(&spz::unit(block.quats[index])));
+            *sizes += &format!("{separator}{}", tuple(&scales));
+            *opacities += &format!("{separator}{:?}", block.opacity(index));
+            for (k, coefficient) in block.sh_of(index).iter().enumerate() {
+                *sh += &format!("{}{}", if k == 0 { separator } else { ", " }, tuple(coefficient));
+            }
+            separator = ", ";
+        }
+        let mut pairs = files.iter_mut().zip(&texts);
+        pairs.try_for_each(|(file, text)| file.write_all(text.as_bytes()).map_err(spz::temporary))
+    })?;
+    let mut files = files.into_iter().map(spz::from_the_start).collect::<Result<Vec<File>>>()?;
+    let origin = mirrored(outline.options.frame.origin).to_array();
+    atomic::write(path, |writer| {
+        writeln!(writer, "#usda 1.0\n(\n    defaultPrim = \"Gaussians\"\n    upAxis = \"Y\"\n)\n")?;
+        writeln!(writer, "def {PRIM} \"Gaussians\"\n{{")?;
+        if outline.count > 0 {
+            let [low, high] = extent.map(|corner| tuple(&corner));
+            writeln!(writer, "    float3[] extent = [{low}, {high}]")?;
+        }
+        for ((kind, name, _), file) in ARRAYS.iter().zip(&mut files) {
+            write!(writer, "    {kind} {name} = [")?;
+            io::copy(file, writer)?;
+            writeln!(writer, "]")?;
+        }
+        writeln!(writer, "    uniform int {DEGREE} = {}", outline.sh_degree)?;
+        if outline.options.frame.origin != DVec3::ZERO {
+            writeln!(writer, "    double3 xformOp:translate = {}", tuple(&origin))?;
+            writeln!(writer, "    uniform token[] xformOpOrder = [\"xformOp:translate\"]")?;
+        }
+        writeln!(writer, "}}")
+    })
+}
+
+/// The shortest decimals that read as the same numbers.
+fn tuple<T: std::fmt::Debug>(values: &[T]) -> String {
+    let values: Vec<String> = values.iter().map(|value| format!("{value:?}")).collect();
+    format!("({})", values.join(", "))
+}
