@@ -77,6 +77,8 @@ fn odd_usda_gets_a_line_or_is_refused() {
     let short = read(&folder, &prim(&format!("{positions}float[] opacities = [1]"))).unwrap();
     assert_one(&short.warnings, &["prim P: opacities has 1 numbers instead of 2 and is not used"]);
     assert_eq!(short.gaussians.len(), 2);
+    let moving = read(&folder, &prim("point3f[] positions.timeSamples = { 0: [(0, 0, 1)] }")).unwrap();
+    assert_one(&moving.warnings, &["prim P: has no positions; values over time are not read"]);
     let degree = "uniform int radiance:sphericalHarmonicsDegree = 4\n";
     let sh = format!("float3[] radiance:sphericalHarmonicsCoefficients = [{}]", "(1, 1, 1), ".repeat(50));
     let high = read(&folder, &prim(&format!("{positions}{degree}{sh}"))).unwrap();
@@ -95,6 +97,7 @@ fn odd_usda_gets_a_line_or_is_refused() {
         ("#usda 1.0\ndef Mesh \"P\" { }".into(), &["has no prim of ParticleField3DGaussianSplat"]),
         (prim("point3f[] positions = [(0, x, 1)]"), &["positions: \"x\" is no number"]),
         (prim(&format!("{positions}float[] opacities = [1, 7]")), &["write opacities, not their logits"]),
+        (prim("point3f[] positions = [(0, 1)]"), &["positions has 2 numbers, not three for each"]),
         (prim("uniform int radiance:sphericalHarmonicsDegree = -1"), &["makes no sense"]),
         (op("xformOp:rotateZYX", "(0, 0, 1)"), &["prim P: xformOp:rotateZYX is not read"]),
         (op("xformOp:scale", "(1, 2, 1)"), &["is more than rotation"]),

@@ -80,6 +80,9 @@ impl Usda {
             if prim.kind != PRIM {
                 continue;
             }
+            let mut warn = |what: String| {
+                header.warnings.push(format!("{}: prim {}: {what}", path.display(), prim.name));
+            };
             let is_none =
                 || refused("its transform is more than rotation, scale and translation".into(), flatten);
             let mut part = Part {
@@ -90,7 +93,9 @@ impl Usda {
             };
             let stored = match prim.attributes.get(DEGREE) {
                 None => MAX_SH_DEGREE,
-                Some(place) => numbers(&text, place).next().and_then(Result::ok).unwrap_or(u32::MAX),
+                Some(place) => {
+                    words(&text, place).next().and_then(|degree| degree.parse().ok()).unwrap_or(u32::MAX)
+                }
             };
             if stored > MOST_DEGREES {
                 return Err(refused(format!("its {DEGREE} makes no sense"), "write 0 to 3"));
@@ -98,21 +103,26 @@ impl Usda {
             for (array, (_, name, components)) in ARRAYS.iter().enumerate() {
                 let half = format!("{name}h");
                 let found = [name, &*half].into_iter().filter_map(|name| prim.attributes.get(name));
-                let counted = found.map(|place| (place, numbers::<f32>(&text, place).count()));
+                let counted = found.map(|place| (place, words(&text, place).count()));
                 let Some((place, count)) = counted.into_iter().find(|(_, count)| *count > 0) else {
+                    if array == 0 {
+                        warn("has no positions; values over time are not read".into());
+                    }
                     continue;
                 };
                 let is_sh = array == ARRAYS.len() - 1;
-                let needed = match array {
-                    0 => {
-                        part.count = count / components;
-                        count.next_multiple_of(*components)
-                    }
-                    _ => components * part.count * if is_sh { sh_coefficients(stored) } else { 1 },
-                };
+                if array == 0 {
+                    part.count = count / components;
+                }
+                let needed = components * part.count * if is_sh { sh_coefficients(stored) } else { 1 };
+                if array == 0 && count > needed {
+                    return Err(refused(
+                        format!("{name} has {count} numbers, not three for each"),
+                        "write it again",
+                    ));
+                }
                 if count < needed {
-                    let what = format!("prim {}: {name} has {count} numbers instead of {needed}", prim.name);
-                    header.warnings.push(format!("{}: {what} and is not used", path.display()));
+                    warn(format!("{name} has {count} numbers instead of {needed} and is not used"));
                     continue;
                 }
                 part.arrays[array] = Some(place.clone());
@@ -121,10 +131,7 @@ impl Usda {
                 }
             }
             if part.sh_degrees[0] > MAX_SH_DEGREE {
-                let path = path.display();
-                header.warnings.push(format!(
-                    "{path}: SH of degree {stored} are cut to {MAX_SH_DEGREE}, the highest here"
-                ));
+                warn(format!("SH of degree {stored} are cut to {MAX_SH_DEGREE}, the highest here"));
             }
             header.count += part.count as u64;
             header.sh_degree = header.sh_degree.max(part.sh_degrees[1]);
@@ -160,7 +167,7 @@ impl Source for Usda {
                 Array {
                     name: ARRAYS[array].1,
                     path: &self.path,
-                    numbers: place.map(|place| numbers(&self.text, place)),
+                    words: place.map(|place| words(&self.text, place)),
                 }
             });
             for start in (0..part.count).step_by(BLOCK) {
@@ -197,15 +204,15 @@ impl Source for Usda {
 struct Array<'a, I> {
     name: &'static str,
     path: &'a Path,
-    numbers: Option<I>,
+    words: Option<I>,
 }
 
-impl<I: Iterator<Item = Result<f32, String>>> Array<'_, I> {
+impl<'a, I: Iterator<Item = &'a str>> Array<'_, I> {
     fn next<const N: usize>(&mut self, default: [f32; N]) -> Result<[f32; N]> {
-        let Some(numbers) = &mut self.numbers else { return Ok(default) };
+        let Some(words) = &mut self.words else { return Ok(default) };
         let mut values = default;
-        for (value, number) in values.iter_mut().zip(numbers) {
-            *value = number.map_err(|word| {
+        for (value, word) in values.iter_mut().zip(words) {
+            *value = word.parse().map_err(|_| {
                 let problem = format!("{}: {word:?} is no number", self.name);
                 Error::input(self.path, problem, "write or download the file again")
             })?;
@@ -214,19 +221,13 @@ impl<I: Iterator<Item = Result<f32, String>>> Array<'_, I> {
     }
 }
 
-/// The numbers of a value, or the words that are none.
-fn numbers<'a, T: std::str::FromStr>(
-    text: &'a [u8],
-    place: &Range<usize>,
-) -> impl Iterator<Item = Result<T, String>> + use<'a, T> {
+/// The numbers or names of a value, without its brackets.
+fn words<'a>(text: &'a [u8], place: &Range<usize>) -> impl Iterator<Item = &'a str> + use<'a> {
     let mut parser = Parser::of(&text[place.clone()]);
     std::iter::from_fn(move || {
         loop {
-            match parser.next()? {
-                Token::Mark(_) => {}
-                Token::Word(word) | Token::Text(word) => {
-                    return Some(word.parse().map_err(|_| word.to_owned()));
-                }
+            if let Token::Word(word) | Token::Text(word) = parser.next()? {
+                return Some(word);
             }
         }
     })
@@ -250,11 +251,10 @@ impl Prim<'_> {
             false => DMat4::IDENTITY,
         };
         let Some(order) = self.attributes.get("xformOpOrder") else { return Ok(matrix) };
-        // A list of names is a list of words that are no numbers.
-        for op in numbers::<f64>(text, order).filter_map(Result::err) {
-            let name = op.strip_prefix("!invert!").unwrap_or(&op);
-            let values = self.attributes.get(name).map(|place| numbers(text, place).filter_map(Result::ok));
-            let values: Vec<f64> = values.into_iter().flatten().collect();
+        for op in words(text, order) {
+            let name = op.strip_prefix("!invert!").unwrap_or(op);
+            let values = self.attributes.get(name).into_iter().flat_map(|place| words(text, place));
+            let values: Vec<f64> = values.filter_map(|word| word.parse().ok()).collect();
             let own = match (name.split(':').nth(1), &*values) {
                 (Some("translate"), &[x, y, z]) => DMat4::from_translation(DVec3::new(x, y, z)),
                 (Some("scale"), &[x, y, z]) => DMat4::from_scale(DVec3::new(x, y, z)),
@@ -269,7 +269,7 @@ impl Prim<'_> {
                 (Some("orient"), &[w, x, y, z]) => DMat4::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()),
                 // Rows of a matrix that multiplies row vectors.
                 (Some("transform"), values) if values.len() == 16 => DMat4::from_cols_slice(values),
-                _ => return Err(op),
+                _ => return Err(op.to_owned()),
             };
             matrix *= if name == op { own } else { own.inverse() };
         }
