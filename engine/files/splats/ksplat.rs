@@ -17,6 +17,7 @@ use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::sh::rgb_to_sh_dc;
 use ashsplat::{Error, Result};
+use half::f16;
 
 const HEADER_BYTES: u64 = 4096;
 const SECTION_HEADER_BYTES: u64 = 1024;
@@ -69,7 +70,7 @@ impl Packing {
         let short = |index: usize| u16::from_le_bytes([row[2 * index], row[2 * index + 1]]);
         let number = |index: usize| match self.level {
             0 => f32::from_bits(u32_at(row, 4 * index)),
-            _ => half(short(index)),
+            _ => f16::from_bits(short(index)).to_f32(),
         };
         block.means.push(std::array::from_fn(|axis| match self.level {
             0 => number(axis),
@@ -84,7 +85,7 @@ impl Packing {
         let [low, high] = self.sh_range;
         let sh = |index: usize| match self.level {
             0 => f32::from_bits(u32_at(higher, 4 * index)),
-            1 => half(u16::from_le_bytes([higher[2 * index], higher[2 * index + 1]])),
+            1 => f16::from_le_bytes([higher[2 * index], higher[2 * index + 1]]).to_f32(),
             _ => low + f32::from(higher[index]) / 255.0 * (high - low),
         };
         // Each degree has the values of red, then green, then blue.
@@ -93,18 +94,6 @@ impl Packing {
             block.sh.extend((0..width).map(|k| [0, 1, 2].map(|channel| sh(first + channel * width + k))));
         }
     }
-}
-
-/// A number in half precision.
-fn half(bits: u16) -> f32 {
-    let (exponent, fraction) = (i32::from(bits >> 10 & 31), f32::from(bits & 1023));
-    let magnitude = match exponent {
-        0 => fraction * (-24.0_f32).exp2(),
-        31 if fraction == 0.0 => f32::INFINITY,
-        31 => f32::NAN,
-        _ => (1024.0 + fraction) * ((exponent - 25) as f32).exp2(),
-    };
-    if bits >> 15 == 0 { magnitude } else { -magnitude }
 }
 
 fn damaged(path: &Path, problem: impl Into<String>) -> Error {
