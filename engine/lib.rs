@@ -57,7 +57,7 @@ pub use passes::compose::Background;
 pub use render::{
     Alignment, BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, MotionTarget,
     Occluder, PickTarget, PixelReport, Placed, ProjectedSplat, RecordedFrame, Release, Renderer, Reservation,
-    Sample, SlotReport, Target, TileLists, TileReport, Update,
+    Sample, SlotReport, Surface, Target, TileLists, TileReport, Update,
 };
 pub use scene::{Camera, ColorEncoding, Gaussians, JacobianLimit};
 pub use train::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

@@ -70,6 +70,8 @@ buffer_set! {
         let backward = u64::from(capacity.backward);
         let backward_instances = backward * instances;
         let strips = backward * u64::from(launch.strips) * strip_values;
+        let [pick, motion, surface] =
+            [capacity.outputs.pick, capacity.outputs.motion, capacity.outputs.surface].map(u64::from);
     }
     /// Words named STATE_* in constants.glsl.
     pub state: u64::from(STATE_WORDS) * 4;
@@ -159,6 +161,18 @@ buffer_set! {
     instance_gradients_d: backward_instances * u64::from(capacity.absolute) * 8;
     /// Per visible Gaussian: planes named GRADIENT_*.
     pub gradients: backward * visible * 16 * u64::from(GRADIENT_PLANES);
+    /// Per pixel: 1 + index of the picked Gaussian in its tile's list, 0 for none; bits of its weight.
+    pub picks: pick * pixels * 8;
+    /// Per scene: index of its first Gaussian in the frame, for picks.
+    pub scene_firsts: pick * u64::from(capacity.scenes) * 4;
+    /// Per visible Gaussian: motion on the screen, px.
+    pub motions: motion * visible * 8;
+    /// Per pixel: sum of weights * motions, px.
+    pub motion_sums: motion * pixels * 8;
+    /// Per visible Gaussian: its normal in the camera's frame; a fourth component of 0.
+    pub normals: surface * visible * 16;
+    /// Per pixel: sum of weights * normals, in the camera's frame; median depth, world units, 0 without one.
+    pub surfaces: surface * pixels * 16;
 }
 
 /// Returns the buffers that were allocated for `N` requests.

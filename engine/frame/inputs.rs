@@ -1,7 +1,7 @@
 //! Inputs of a frame: scenes with their transforms, a camera, settings.
 
 use super::{
-    Auxiliary, CAMERA_BLOCK_BYTES, FrameBuffers, FrameCapacity, FrameVariant, GaussianRange, RenderSettings,
+    CAMERA_BLOCK_BYTES, FrameBuffers, FrameCapacity, FrameVariant, GaussianRange, Outputs, RenderSettings,
     ScenePlan, SceneSettings,
 };
 use crate::kernels::constants::NO_BATCH;
@@ -74,7 +74,7 @@ pub struct FrameInputs<'a> {
     /// True to keep the previous frame's STATE_OVERFLOW, because all frames after an overflow are invalid too.
     pub keeps_overflow: bool,
     /// Further outputs besides the picture; none with `backward`.
-    pub auxiliary: Auxiliary<'a>,
+    pub outputs: Outputs,
     /// Which of some views with one order it is ([`Forward::record_first`](crate::render::Forward::record_first)); `None` alone.
     pub view: Option<u32>,
 }
@@ -101,7 +101,7 @@ impl<'a> FrameInputs<'a> {
             backward: false,
             last_entries: false,
             keeps_overflow: false,
-            auxiliary: Auxiliary::default(),
+            outputs: settings.outputs(),
             view: None,
         }
     }
@@ -111,7 +111,7 @@ impl<'a> FrameInputs<'a> {
         FrameVariant {
             expected_depth: self.expected_depth,
             depth_limit: self.depth_limits.is_some(),
-            outputs: self.auxiliary.kinds(),
+            outputs: self.outputs,
             shared_order: self.view.is_some(),
             last_entries: self.last_entries,
             ..FrameVariant::of(self.settings, self.camera, self.backward)
@@ -140,7 +140,7 @@ impl<'a> FrameInputs<'a> {
                 self.scenes.iter().any(|placed| colored(placed.settings)),
                 "a frame with a tint, an opacity or a selection",
             ),
-            (self.auxiliary.kinds().any(), "a frame with picks or motion"),
+            (self.outputs.any(), "a frame with picks, motion or a surface"),
             (self.camera.is_orthographic(), "an orthographic camera's frame"),
         ];
         for (found, obstacle) in obstacles {

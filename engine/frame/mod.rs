@@ -24,8 +24,8 @@ pub use camera_block::{POSE_BYTES, pose_of};
 pub use inputs::{Batch, FrameInputs, PlacedScene, PreviousView, SceneBuffers, SceneView};
 pub(crate) use inputs::{Parameters, Part};
 pub use launch_sizes::{BlendShape, LaunchSizes, blocks, region_height};
-pub use outputs::{Auxiliary, MotionBuffers, Outputs, PickBuffers};
-pub(crate) use outputs::{OutputMemory, record_scene_firsts};
+pub use outputs::Outputs;
+pub(crate) use outputs::record_scene_firsts;
 pub(crate) use plan::plane_group;
 pub use plan::{
     FrameCapacity, GaussianRange, LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, ScenePlan, first_frozen,

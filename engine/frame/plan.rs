@@ -6,7 +6,7 @@
 
 use super::launch_sizes::blocks;
 use super::tuning::ELEMENTWISE_WORKGROUP;
-use super::{LaunchSizes, Strips};
+use super::{LaunchSizes, Outputs, Strips};
 use crate::error::{Error, Result};
 use crate::kernels::constants::{
     GRADIENT_PLANES, PLANE_ROW, PLANE_SH, SH_PLANES_0, SH_PLANES_1, SH_PLANES_2, SH_PLANES_3, TILE_SIZE,
@@ -158,6 +158,8 @@ pub struct FrameCapacity {
     pub backward: bool,
     /// True if these include the absolute gradients of the 2D means.
     pub absolute: bool,
+    /// Outputs besides the picture.
+    pub outputs: Outputs,
 }
 
 impl Default for FrameCapacity {
@@ -172,6 +174,7 @@ impl Default for FrameCapacity {
             blend_passes: 1,
             backward: false,
             absolute: false,
+            outputs: Outputs::default(),
         }
     }
 }

@@ -52,6 +52,8 @@ pub struct RenderSettings {
     /// With `inverse_depth`: renders the sum of weights * z instead, which is also differentiable. Not for recorded frames,
     /// which have depth images of their own.
     pub linear_depth: bool,
+    /// Also renders normals and the median depth ([`Surface`](crate::Surface)). Not for gradients and recorded frames.
+    pub surface: bool,
 }
 
 /// Random omission of Gaussians, each with the same probability (DropGaussian, Park et al. 2025, section 3.2). The opacities of
@@ -96,6 +98,7 @@ impl Default for RenderSettings {
             cut: Cut::default(),
             dropout: None,
             linear_depth: false,
+            surface: false,
         }
     }
 }
@@ -142,6 +145,11 @@ impl RenderSettings {
     /// True if the splats' records have z in place of 1/z.
     pub(crate) fn has_z_record(&self) -> bool {
         self.inverse_depth && self.linear_depth
+    }
+
+    /// Outputs besides the picture and its depth.
+    pub(crate) fn outputs(&self) -> Outputs {
+        Outputs { surface: self.surface, ..Outputs::default() }
     }
 
     /// Values on which culling and projection branch: extent and antialias.
@@ -418,7 +426,7 @@ pub struct FrameVariant {
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable, unlike with
     /// `expected_depth`. Affects projection and its backward pass.
     pub z_record: bool,
-    /// Outputs besides the picture. Motion also affects projection.
+    /// Outputs besides the picture. Motion and surface also affect projection.
     pub outputs: Outputs,
     /// Projection of the camera. Affects culling, projection and its backward pass.
     pub projection: Projection,
@@ -442,6 +450,7 @@ impl FrameVariant {
             own_dilation: settings.dilation_px2 != DILATION_PX2,
             dropout: settings.dropout.is_some(),
             z_record: settings.has_z_record(),
+            outputs: settings.outputs(),
             ..Self::default()
         }
     }

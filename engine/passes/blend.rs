@@ -27,7 +27,7 @@ enum BlendKey {
 
 /// Buffers of blend_io.glsl, for all kernels; and those of blend_auxiliary.glsl, which must be bound even if they are not used.
 macro_rules! blend_bind {
-    ($kernel:ident, $inputs:expr, $sizes:expr $(, $auxiliary:ident)?) => {{
+    ($kernel:ident, $inputs:expr, $sizes:expr $(, $auxiliary:ident)*) => {{
         let frame = $inputs.frame;
         let splats = frame.splats();
         $kernel::Bind {
@@ -43,11 +43,7 @@ macro_rules! blend_bind {
             // Without a limit the kernel does not read this binding.
             depth_limits: $inputs.depth_limits.unwrap_or(&frame.tile_ranges),
             composited: &frame.composited,
-            $(
-                picks: $auxiliary.picks.map_or(&frame.last_entries, |own| own.picks),
-                motions: $auxiliary.motion.map_or(&frame.tile_ranges, |own| own.motions),
-                motion_sums: $auxiliary.motion.map_or(&frame.last_entries, |own| own.sums),
-            )?
+            $($auxiliary: &frame.$auxiliary,)*
         }
     }};
 }
@@ -72,7 +68,7 @@ impl Blend {
         let Self { broadcast, shared_splats, .. } = *self;
         let LaunchSizes { tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
         let (incremental_exp, strips) = (incremental_exp && !steep, variant.backward && sizes.strips);
-        let Outputs { pick, motion } = outputs;
+        let Outputs { pick, motion, surface } = outputs;
         let lenses = variant.projection.has_seam();
         // Only the overrides of a context set it.
         let count_hits = false;
@@ -117,11 +113,15 @@ impl Blend {
         match (self.blending, outputs.any()) {
             (Blending::Regions, false) => BlendKey::Regions(regions!(blend, sizes.blend)),
             (Blending::SharedMemory, false) => BlendKey::Shared(shared!(blend_shared)),
-            (Blending::Regions, true) => {
-                BlendKey::RegionsAuxiliary(regions!(blend_auxiliary, sizes.blend_heavy, pick, motion))
-            }
+            (Blending::Regions, true) => BlendKey::RegionsAuxiliary(regions!(
+                blend_auxiliary,
+                sizes.blend_heavy,
+                pick,
+                motion,
+                surface
+            )),
             (Blending::SharedMemory, true) => {
-                BlendKey::SharedAuxiliary(shared!(blend_shared_auxiliary, pick, motion))
+                BlendKey::SharedAuxiliary(shared!(blend_shared_auxiliary, pick, motion, surface))
             }
         }
     }
@@ -146,22 +146,26 @@ impl Blend {
 
     /// Records the blending: colour and transmittance of each pixel.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &LaunchSizes) {
-        let auxiliary = inputs.auxiliary;
         macro_rules! passes {
-            ($kernels:ident, $spec:expr, $kernel:ident $(, $auxiliary:ident)?) => {{
+            ($kernels:ident, $spec:expr, $kernel:ident $(, $auxiliary:ident)*) => {{
                 let Some(kernel) = self.$kernels.get(r, $spec) else { return };
                 record_passes(r, inputs, sizes, |r, push, tiles| {
-                    let bind = blend_bind!($kernel, inputs, sizes $(, $auxiliary)?);
+                    let bind = blend_bind!($kernel, inputs, sizes $(, $auxiliary)*);
                     r.dispatch(kernel, &bind, &bytemuck::cast(push), tiles);
                 });
             }};
         }
+        macro_rules! auxiliary_passes {
+            ($kernels:ident, $spec:expr, $kernel:ident) => {
+                passes!($kernels, $spec, $kernel, picks, motions, motion_sums, normals, surfaces)
+            };
+        }
         match &self.key(sizes, inputs.variant()) {
             BlendKey::Regions(spec) => passes!(regions, spec, blend),
             BlendKey::Shared(spec) => passes!(shared, spec, blend_shared),
-            BlendKey::RegionsAuxiliary(spec) => passes!(regions_auxiliary, spec, blend_auxiliary, auxiliary),
+            BlendKey::RegionsAuxiliary(spec) => auxiliary_passes!(regions_auxiliary, spec, blend_auxiliary),
             BlendKey::SharedAuxiliary(spec) => {
-                passes!(shared_auxiliary, spec, blend_shared_auxiliary, auxiliary);
+                auxiliary_passes!(shared_auxiliary, spec, blend_shared_auxiliary);
             }
         }
     }

@@ -2,7 +2,7 @@
 //! pixels into the host's images.
 
 use crate::error::{Error, Result};
-use crate::frame::{FrameBuffers, LaunchSizes, MotionBuffers, Outputs, PickBuffers, tile_grid};
+use crate::frame::{FrameBuffers, LaunchSizes, Outputs, tile_grid};
 use crate::kernels::compose::{
     compose_bgra8, compose_r11g11b10f, compose_rgb10a2, compose_rgba8, compose_rgba16f, compose_rgba32f,
     depth_limit, expected_depth, mean_motion, picks,
@@ -215,7 +215,7 @@ impl Compose {
     pub fn record_picks(
         &self,
         r: &mut Recorder,
-        (frame, sizes, own): (&FrameBuffers, &LaunchSizes, PickBuffers<'_>),
+        (frame, sizes): (&FrameBuffers, &LaunchSizes),
         (camera, scenes): (&Camera, u32),
         region: Region<'_>,
     ) {
@@ -224,12 +224,12 @@ impl Compose {
         let splats = frame.splats();
         let [offset_x, offset_y] = region.offset;
         let bind = picks::Bind {
-            picks: own.picks,
+            picks: &frame.picks,
             tile_ranges: &frame.tile_ranges,
             sorted_visible: frame.sorted_visible(sizes, false, camera),
             visible_list: &frame.visible_list,
             color_inverse_depth: splats.color_inverse_depth,
-            scene_firsts: own.scene_firsts,
+            scene_firsts: &frame.scene_firsts,
             target: region.image,
         };
         let push = picks::Push {
@@ -250,7 +250,7 @@ impl Compose {
     pub fn record_motion(
         &self,
         r: &mut Recorder,
-        (accumulated, own): (&Buffer, MotionBuffers<'_>),
+        [accumulated, motion_sums]: [&Buffer; 2],
         size: [u32; 2],
         region: Region<'_>,
         (min_weight, empty): (f32, Option<[f32; 2]>),
@@ -258,7 +258,7 @@ impl Compose {
         let spec = mean_motion::Spec { workgroup_size: self.workgroup };
         let Some(kernel) = self.mean_motion.get(r, &spec) else { return };
         let ([image_width, image_height], [offset_x, offset_y]) = (size, region.offset);
-        let bind = mean_motion::Bind { accumulated, motion_sums: own.sums, target: region.image };
+        let bind = mean_motion::Bind { accumulated, motion_sums, target: region.image };
         let push = mean_motion::Push {
             image_width,
             image_height,

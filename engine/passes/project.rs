@@ -1,9 +1,10 @@
-//! Projection: screen-space attributes of the visible Gaussians (EWA splatting), and their motion if a host wants it. Culling
+//! Projection: screen-space attributes of the visible Gaussians (EWA splatting), and their motion
+//! or normals if a frame has them. Culling
 //! runs the same projection before, for the visibility only.
 
 use crate::error::Result;
-use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, MotionBuffers, Part, PlacedScene, SceneView};
-use crate::kernels::forward::{project, project_scenes, screen_motion};
+use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, Part, PlacedScene, SceneView};
+use crate::kernels::forward::{project, project_scenes, screen_motion, splat_normals};
 use crate::scene::Projection;
 use crate::vk::{Context, KernelSet, Recorder};
 
@@ -13,6 +14,7 @@ pub(crate) struct Project {
     scene: KernelSet<project::Interface>,
     batch: KernelSet<project_scenes::Interface>,
     motion: KernelSet<screen_motion::Interface>,
+    normals: KernelSet<splat_normals::Interface>,
 }
 
 impl Project {
@@ -22,6 +24,7 @@ impl Project {
             scene: KernelSet::default(),
             batch: KernelSet::default(),
             motion: KernelSet::default(),
+            normals: KernelSet::default(),
         }
     }
 
@@ -37,6 +40,9 @@ impl Project {
         if batches {
             self.batch.prepare(context, self.batch_spec(sh_degree, variant))?;
         }
+        if variant.outputs.surface {
+            self.normals.prepare(context, self.normals_spec(variant.projection))?;
+        }
         motion_projections(variant)
             .try_for_each(|projections| self.motion.prepare(context, self.motion_spec(projections)))
     }
@@ -44,6 +50,7 @@ impl Project {
     pub fn is_prepared(&self, sh_degree: u32, variant: FrameVariant) -> bool {
         self.scene.contains(&self.spec(sh_degree, variant))
             && motion_projections(variant).all(|own| self.motion.contains(&self.motion_spec(own)))
+            && (!variant.outputs.surface || self.normals.contains(&self.normals_spec(variant.projection)))
     }
 
     fn spec(&self, sh_degree: u32, variant: FrameVariant) -> project::Spec {
@@ -99,6 +106,13 @@ impl Project {
         }
     }
 
+    fn normals_spec(&self, projection: Projection) -> splat_normals::Spec {
+        splat_normals::Spec {
+            workgroup_size: self.sizes.elementwise_workgroup,
+            parallel: projection == Projection::Orthographic,
+        }
+    }
+
     /// Records the projection of all visible Gaussians.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
@@ -144,6 +158,7 @@ impl Project {
             }
             r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, part.first_in_frame));
             self.record_splat_motions(r, inputs, &part);
+            self.record_splat_normals(r, inputs, &part);
         }
     }
 
@@ -193,7 +208,9 @@ impl Project {
     /// Records the motions of a part's visible Gaussians if the frame requests them. The projection neither reads nor writes
     /// these outputs, so no barrier is necessary between them.
     fn record_splat_motions(&self, r: &mut Recorder, inputs: &FrameInputs, part: &Part) {
-        let Some(MotionBuffers { motions, .. }) = inputs.auxiliary.motion else { return };
+        if !inputs.outputs.motion {
+            return;
+        }
         let (f, SceneView { camera, scale }) = (inputs.frame, part.previous);
         let spec = self.motion_spec([inputs.camera.projection, camera.projection]);
         let Some(kernel) = self.motion.get(r, &spec) else { return };
@@ -212,9 +229,27 @@ impl Project {
             parameters: &part.scene.chunks[part.chunk],
             visible_ranges: &f.visible_ranges,
             visible_list: &f.visible_list,
-            motions,
+            motions: &f.motions,
             camera_block: &f.camera_block(part.block),
         };
+        r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, part.first_in_frame));
+    }
+
+    /// Records the normals of a part's visible Gaussians if the frame has a surface, also without a barrier.
+    fn record_splat_normals(&self, r: &mut Recorder, inputs: &FrameInputs, part: &Part) {
+        if !inputs.outputs.surface {
+            return;
+        }
+        let f = inputs.frame;
+        let Some(kernel) = self.normals.get(r, &self.normals_spec(inputs.camera.projection)) else { return };
+        let bind = splat_normals::Bind {
+            parameters: &part.scene.chunks[part.chunk],
+            visible_ranges: &f.visible_ranges,
+            visible_list: &f.visible_list,
+            normals: &f.normals,
+            camera_block: &f.camera_block(part.block),
+        };
+        let push = splat_normals::Push { first: part.first_in_frame };
         r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, part.first_in_frame));
     }
 }

@@ -84,10 +84,13 @@ impl Renderer {
         if let Some(fields) = reserved.lacks(variant, previous) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }
-        let (dropout, z_record) = (frame.settings.dropout.is_some(), frame.settings.has_z_record());
-        if dropout || z_record {
-            let field = if dropout { "settings.dropout" } else { "settings.linear_depth" };
-            return Err(Error::argument(field, "is of training, no recorded frame has it"));
+        let others = [
+            ("settings.dropout", frame.settings.dropout.is_some()),
+            ("settings.linear_depth", frame.settings.has_z_record()),
+            ("settings.surface", frame.settings.surface),
+        ];
+        if let Some((field, _)) = others.iter().find(|(_, set)| *set) {
+            return Err(Error::argument(*field, "no recorded frame has it"));
         }
         if !are_prepared {
             let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";

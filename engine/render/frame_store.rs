@@ -3,8 +3,8 @@
 use super::frame::BlendSamples;
 use crate::error::{Error, Result};
 use crate::frame::{
-    FrameBuffers, FrameCapacity, LEAST_INSTANCES, LEAST_VISIBLE, LaunchSizes, PictureCapacity, check_grids,
-    frame_bytes, initial_instances, initial_visible,
+    FrameBuffers, FrameCapacity, FrameVariant, LEAST_INSTANCES, LEAST_VISIBLE, LaunchSizes, PictureCapacity,
+    check_grids, frame_bytes, initial_instances, initial_visible,
 };
 use crate::kernels::constants as c;
 use crate::scene::Camera;
@@ -102,7 +102,7 @@ impl FrameStore {
         self.absolute = true;
     }
 
-    /// Returns buffers for these numbers of Gaussians and scenes, and a camera. Reallocates them if the current ones are
+    /// Returns buffers for these numbers of Gaussians and scenes, a camera and a variant. Reallocates them if the current ones are
     /// too small. If they then do not fit beside the needs of earlier frames, drops those needs. The first buffers have
     /// estimated numbers of visible Gaussians and instances, or a part of them if memory is short.
     pub fn ensure(
@@ -110,7 +110,7 @@ impl FrameStore {
         gaussians: u32,
         scenes: u32,
         camera: &Camera,
-        backward: bool,
+        FrameVariant { backward, outputs, .. }: FrameVariant,
     ) -> Result<(FrameBuffers, FrameCapacity)> {
         let old = self.capacity;
         let own = PictureCapacity::of_cameras([camera]);
@@ -127,6 +127,7 @@ impl FrameStore {
             pictures,
             backward,
             absolute,
+            outputs,
             ..FrameCapacity::default()
         };
         let needed = FrameCapacity {
@@ -135,6 +136,7 @@ impl FrameStore {
             pictures: pictures.and(old.pictures),
             backward: backward || old.backward,
             absolute: absolute || old.absolute,
+            outputs: outputs.and(old.outputs),
             ..old
         };
         if let Some(frame) = self.frame.as_ref().filter(|_| needed == old) {

@@ -20,7 +20,7 @@ mod slots;
 pub use align::Alignment;
 pub use device_scene::DeviceScene;
 pub use forward::Forward;
-pub use frame::{BlendSamples, Frame, FrameStats};
+pub use frame::{BlendSamples, Frame, FrameStats, Surface};
 pub(crate) use frame_store::{FrameStore, State};
 pub use gradients::Gradients;
 pub use inspect::{PixelReport, ProjectedSplat, Sample, TileLists, TileReport};

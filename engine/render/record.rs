@@ -227,7 +227,7 @@ impl Recording<'_> {
             FrameInputs {
                 depth_limits: frame.occluder.as_ref().and(memory.depth_limits.as_ref()),
                 expected_depth: frame.depth.is_some(),
-                auxiliary: memory.outputs.of(frame.outputs()),
+                outputs: frame.outputs(),
                 view: (order.views > 1).then_some(number),
                 ..memory.inputs(own, &settings)
             }
@@ -266,16 +266,16 @@ impl Recording<'_> {
                 let (sums, limits) = ([&f.accumulated, &f.inverse_depth], [depth.min_weight, depth.empty]);
                 compose.record_expected_depth(r, sums, size, depth.to.region(), limits);
             }
-            if let (Some(PickTarget { to }), Some(own)) = (&frame.pick, inputs.auxiliary.picks) {
+            if let Some(PickTarget { to }) = &frame.pick {
                 release.pick = Some(earlier.acquire(r, to));
                 let scenes = frame.scenes.len() as u32;
                 let sizes = &self.forward.sizes;
-                compose.record_picks(r, (f, sizes, own), (frame.camera, scenes), to.region());
+                compose.record_picks(r, (f, sizes), (frame.camera, scenes), to.region());
             }
-            if let (Some(motion), Some(own)) = (&frame.motion, inputs.auxiliary.motion) {
+            if let Some(motion) = &frame.motion {
                 release.motion = Some(earlier.acquire(r, &motion.to));
                 let others = (motion.min_weight, motion.empty);
-                compose.record_motion(r, (&f.accumulated, own), size, motion.to.region(), others);
+                compose.record_motion(r, [&f.accumulated, &f.motion_sums], size, motion.to.region(), others);
             }
         });
         release

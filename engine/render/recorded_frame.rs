@@ -254,7 +254,7 @@ impl<'a> HostImage<'a> {
 impl<'a> RecordedFrame<'a> {
     /// Returns the outputs besides the picture and its depth.
     pub(super) fn outputs(&self) -> Outputs {
-        Outputs { pick: self.pick.is_some(), motion: self.motion.is_some() }
+        Outputs { pick: self.pick.is_some(), motion: self.motion.is_some(), surface: false }
     }
 
     /// Returns the host's images that the frame uses, by field.

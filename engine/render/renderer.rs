@@ -1,7 +1,7 @@
 //! A renderer that owns its submissions.
 
 use super::device_scene::{DeviceScene, ELSEWHERE};
-use super::frame::{Frame, FrameStats};
+use super::frame::{Frame, FrameStats, Surface};
 use super::frame_store::State;
 use super::recorded_frame::StagedUpdates;
 use super::runner::{Failed, FrameRun, FrameRunner, Request};
@@ -13,6 +13,7 @@ use crate::passes::compose::Compose;
 use crate::passes::filter_3d::Filter3d;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{Buffer, Context, MemoryKind};
+use glam::Vec3;
 
 /// Renders a scene of Gaussians.
 ///
@@ -234,7 +235,19 @@ impl Renderer {
         })?;
         let depth = || self.read(&frame.inverse_depth, 0, pixels * 4);
         let inverse_depth = settings.inverse_depth.then(depth).transpose()?;
-        Ok(Frame { width: camera.width, height: camera.height, color, transmittance, inverse_depth, stats })
+        let surface = settings.surface.then(|| self.read_surface(camera, pixels)).transpose()?;
+        let [width, height] = [camera.width, camera.height];
+        Ok(Frame { width, height, color, transmittance, inverse_depth, surface, stats })
+    }
+
+    fn read_surface(&self, camera: &Camera, pixels: u64) -> Result<Surface> {
+        let world_from_camera = camera.camera_from_world.transpose();
+        let words: Vec<[f32; 4]> = self.read(&self.runner.store.current()?.surfaces, 0, pixels * 16)?;
+        let normal = |sum: Vec3| (world_from_camera * sum).normalize_or_zero().to_array();
+        Ok(Surface {
+            median_depth: words.iter().map(|[.., depth]| *depth).collect(),
+            normals: words.iter().map(|&[x, y, z, _]| normal(Vec3::new(x, y, z))).collect(),
+        })
     }
 
     /// Downloads a part of a buffer.

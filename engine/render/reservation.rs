@@ -136,7 +136,7 @@ impl Reservation {
 
     /// Outputs of frames besides the picture and its depth.
     pub(super) fn outputs(&self) -> Outputs {
-        Outputs { pick: self.pick, motion: self.motion }
+        Outputs { pick: self.pick, motion: self.motion, surface: false }
     }
 
     /// True if slots keep a depth beside their pixels.
@@ -292,6 +292,7 @@ impl Reservation {
             scenes: self.scenes * if self.shared_sort { self.views } else { 1 },
             pictures,
             blend_passes: self.passes(sizes),
+            outputs: self.outputs(),
             ..FrameCapacity::default()
         };
         check_grids(context.limits(), &capacity, sizes)

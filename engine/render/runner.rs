@@ -109,6 +109,9 @@ impl FrameRunner {
         camera.check()?;
         if backward {
             camera.check_differentiable()?;
+            if settings.surface {
+                return Err(Error::argument("settings.surface", "has no gradients").into());
+            }
         }
         settings.check()?;
         let gaussians = gaussians_with(scene.plan.capacity, frozen_capacity(other_scenes));
@@ -121,7 +124,7 @@ impl FrameRunner {
         let scenes = request.scenes();
         let mut retries = 0;
         loop {
-            let (frame, capacity) = store.ensure(gaussians, scenes.len() as u32, camera, backward)?;
+            let (frame, capacity) = store.ensure(gaussians, scenes.len() as u32, camera, variant)?;
             let inputs = request.inputs(&frame, &capacity, &scenes);
             let report = context.run("frame", |r| {
                 forward.record(r, &inputs);
@@ -154,7 +157,8 @@ impl FrameRunner {
             (0..=sh_degree).try_for_each(|degree| self.forward.prepare(degree, variant))?;
         }
         let gaussians = gaussians_with(capacity, frozen_capacity(frozen));
-        self.store.ensure(gaussians, 1 + frozen.len() as u32, &cameras[0], true).map(drop)
+        let variant = FrameVariant::of(settings, &cameras[0], true);
+        self.store.ensure(gaussians, 1 + frozen.len() as u32, &cameras[0], variant).map(drop)
     }
 
     /// Only records a frame, into the existing buffers, prepared by [`FrameRunner::reserve`]. Keeps the overflow flag of an

@@ -4,8 +4,8 @@ use super::frame_store::State;
 use super::reservation::{Reservation, SlotReport, field_name};
 use crate::error::{Error, Result};
 use crate::frame::{
-    CUT_OUT_BYTES, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, OutputMemory, PictureCapacity,
-    PlacedScene, RenderSettings, packed_bytes,
+    CUT_OUT_BYTES, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, PictureCapacity, PlacedScene,
+    RenderSettings, packed_bytes,
 };
 use crate::kernels::constants as c;
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, PLACEMENT_ALIGNMENT, RecordSlot, Recorder};
@@ -189,7 +189,6 @@ pub(super) struct SlotMemory {
     /// 1/z per pixel.
     pub depth_limits: Option<Buffer>,
     pub cut_outs: Option<Buffer>,
-    pub outputs: OutputMemory,
     pub staging: Option<Buffer>,
     /// True if the pixels of a frame stay until the slot is recorded again.
     pub keeps_pixels: bool,
@@ -355,7 +354,6 @@ impl<'a> Plan<'a> {
             capacity: self.capacity,
             depth_limits: next(wanted.occlusion),
             cut_outs: next(wanted.cut_outs > 0),
-            outputs: OutputMemory::from_allocated(wanted.outputs(), buffers),
             staging: None,
             keeps_pixels: !wanted.images_only,
             keeps_depth: wanted.keeps_depth(),
@@ -369,7 +367,6 @@ fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &Laun
     let mut scratch = FrameBuffers::requests(capacity, sizes);
     scratch.extend(wanted.occlusion.then_some(("depth_limits", pixels * 4)));
     scratch.extend((wanted.cut_outs > 0).then_some(("cut_outs", u64::from(wanted.cut_outs) * CUT_OUT_BYTES)));
-    scratch.extend(wanted.outputs().requests(capacity));
     scratch
 }
 

@@ -94,7 +94,9 @@ bool blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
                 [[unroll]] for (uint row = 0; row < ROWS; ++row) {
                     float weight = blend_splat(splat, alphas[row], batch + lane + 1, pixels[column * ROWS + row]);
 #ifdef AUXILIARY
-                    note_splat(weight, extra, batch + lane + 1, pixels[column * ROWS + row].extra);
+                    note_splat(
+                        weight, pixels[column * ROWS + row].transmittance, splat, extra, batch + lane + 1,
+                        pixels[column * ROWS + row].extra);
 #endif
                 }
             }

@@ -140,7 +140,9 @@ void main() {
                     float weight =
                         blend_splat(splat, alphas[row], batch + k + 1, pixels[column * COLUMN_ROWS + row]);
 #ifdef AUXILIARY
-                    note_splat(weight, extra, batch + k + 1, pixels[column * COLUMN_ROWS + row].extra);
+                    note_splat(
+                        weight, pixels[column * COLUMN_ROWS + row].transmittance, splat, extra, batch + k + 1,
+                        pixels[column * COLUMN_ROWS + row].extra);
 #endif
                 }
             }

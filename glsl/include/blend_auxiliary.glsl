@@ -3,13 +3,17 @@
 //
 //   with PICK    the splat with the largest weight alpha T, the nearest among equals
 //   with MOTION  sum of alpha T m, where m is the splat's motion on the screen (screen_motion.comp)
+//   with SURFACE sum of alpha T n, where n is the splat's normal (splat_normals.comp), and the median depth: that of the splat
+//                behind which T is below a half
 //
-// in, with MOTION: motions (PerVisible); out, PerPixel: with PICK picks, with MOTION motion_sums
+// in, PerVisible: with MOTION motions, with SURFACE normals; out, PerPixel: with PICK picks, with MOTION motion_sums, with
+//     SURFACE surfaces
 //
-// A new output is a constant, buffers, members of both structs, and its lines in the functions. Needs buffers.glsl.
+// A new output is a constant, buffers, members of both structs, and its lines in the functions. Needs buffers.glsl, Splat.
 
 layout(constant_id = 11) const bool PICK = false;
 layout(constant_id = 12) const bool MOTION = false;
+layout(constant_id = 15) const bool SURFACE = false;
 
 // Per pixel: 1 + index of the splat in the tile's list, 0 for none; bits of its weight.
 layout(set = 0, binding = 11, scalar) buffer Picks { uvec2 picks[]; };
@@ -17,12 +21,17 @@ layout(set = 0, binding = 11, scalar) buffer Picks { uvec2 picks[]; };
 VEC2_READS(12, Motions, motions);
 // Sum of weighted motions per pixel, px.
 layout(set = 0, binding = 13, scalar) buffer MotionSums { vec2 motion_sums[]; };
+// Normal per visible Gaussian, in the camera's frame; .w is unused.
+VEC4_READS(14, Normals, normals);
+// Per pixel: sum of weighted normals, in the camera's frame; median depth, world units, 0 where T is not below a half.
+layout(set = 0, binding = 15, scalar) buffer Surfaces { vec4 surfaces[]; };
 
 // Values of a splat besides those of its record, and true if there are any.
 struct SplatExtra {
     vec2 motion;
+    vec3 normal;
 };
-#define HAS_SPLAT_EXTRA MOTION
+#define HAS_SPLAT_EXTRA (MOTION || SURFACE)
 
 // State of a pixel besides its colour and depth.
 struct PixelExtra {
@@ -31,28 +40,42 @@ struct PixelExtra {
     uint picked;
     // Sum of weighted motions.
     vec2 motion;
+    // Sum of weighted normals, median depth.
+    vec4 surface;
 };
 
 SplatExtra splat_extra(uint visible) {
-    return SplatExtra(MOTION ? VEC2_AT(motions, visible) : vec2(0.0));
+    return SplatExtra(
+        MOTION ? VEC2_AT(motions, visible) : vec2(0.0), SURFACE ? VEC4_AT(normals, visible).xyz : vec3(0.0));
 }
 
 // Values of another lane's splat. Needs splat_shuffle.glsl.
 #define HANDED_EXTRA(own, lane) \
-    SplatExtra(MOTION ? vec2(lane_value(own.motion.x, lane), lane_value(own.motion.y, lane)) : vec2(0.0))
+    SplatExtra( \
+        MOTION ? vec2(lane_value(own.motion.x, lane), lane_value(own.motion.y, lane)) : vec2(0.0), \
+        SURFACE ? vec3(lane_value(own.normal.x, lane), lane_value(own.normal.y, lane), lane_value(own.normal.z, lane)) \
+                : vec3(0.0))
 
 PixelExtra fresh_extra() {
-    return PixelExtra(0.0, 0, vec2(0.0));
+    return PixelExtra(0.0, 0, vec2(0.0), vec4(0.0));
 }
 
-void note_splat(float weight, SplatExtra splat, uint place, inout PixelExtra pixel) {
+// `transmittance` is that behind the splat; its sign has no meaning here.
+void note_splat(
+    float weight, float transmittance, Splat splat, SplatExtra extra, uint place, inout PixelExtra pixel
+) {
     if (PICK) {
         bool heavier = weight > pixel.heaviest;
         pixel.heaviest = heavier ? weight : pixel.heaviest;
         pixel.picked = heavier ? place : pixel.picked;
     }
     if (MOTION) {
-        pixel.motion += weight * splat.motion;
+        pixel.motion += weight * extra.motion;
+    }
+    if (SURFACE) {
+        pixel.surface.xyz += weight * extra.normal;
+        bool halves = abs(transmittance) < 0.5 && pixel.surface.w == 0.0;
+        pixel.surface.w = halves ? 1.0 / splat.inverse_z : pixel.surface.w;
     }
 }
 
@@ -65,6 +88,9 @@ void load_extra(uint index, inout PixelExtra pixel) {
     if (MOTION) {
         pixel.motion = motion_sums[index];
     }
+    if (SURFACE) {
+        pixel.surface = surfaces[index];
+    }
 }
 
 void store_extra(uint index, PixelExtra pixel) {
@@ -73,5 +99,8 @@ void store_extra(uint index, PixelExtra pixel) {
     }
     if (MOTION) {
         motion_sums[index] = pixel.motion;
+    }
+    if (SURFACE) {
+        surfaces[index] = pixel.surface;
     }
 }

@@ -8,10 +8,6 @@
 // distinct type in every declaration. A function that returns such an array returns undefined values.
 const uint MAX_COLUMN_ROWS = 8;
 
-#ifdef AUXILIARY
-#include "blend_auxiliary.glsl"
-#endif
-
 const float LOG2_E = 1.4426950408889634;
 
 // log2 exp(power) = form.x dx^2 + form.y dx dy + form.z dy^2.
@@ -28,6 +24,10 @@ struct Splat {
     // Factor of the opacity ratio of neighbouring pixels from one pixel of a column to the next.
     float curvature;
 };
+
+#ifdef AUXILIARY
+#include "blend_auxiliary.glsl"
+#endif
 
 // T < 0: the pixel has stopped, and -T is its transmittance.
 struct Pixel {

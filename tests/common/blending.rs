@@ -2,8 +2,8 @@
 
 use super::frame::Lists;
 use super::gpu::Gpu;
-use ashsplat::frame::Strips;
 use ashsplat::frame::tuning::Backend;
+use ashsplat::frame::{Outputs, Strips};
 use ashsplat::kernels::backward::{blend_backward, blend_backward_subgroup_per_tile};
 use ashsplat::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary};
 use ashsplat::vk::{Buffer, Context};
@@ -237,22 +237,26 @@ pub struct Beside {
     pub picks: Buffer,
     /// Value per pixel: sum of weights * motions.
     pub motion_sums: Buffer,
+    /// Value per pixel: sum of weights * normals, and the median depth.
+    pub surfaces: Buffer,
 }
 
-/// Blends lists by `forward/blend_auxiliary` or `forward/blend_shared_auxiliary`. Writes picks and motions if asked
-/// for.
+/// Blends lists by `forward/blend_auxiliary` or `forward/blend_shared_auxiliary`. Writes the outputs that are asked for. A splat of the
+/// motion (x, y) has the normal (x, y, x - y).
 pub fn forward_auxiliary(
     gpu: &Gpu,
     lists: &Lists,
     how: How,
     motions: &[[f32; 2]],
-    [pick, motion]: [bool; 2],
+    Outputs { pick, motion, surface }: Outputs,
 ) -> Beside {
     let How { inverse_depth, incremental_exp, parts, .. } = how;
     let pixels = lists.view.pixels();
     let picks = gpu.untouched::<[u32; 2]>("picks", pixels);
     let motion_sums = gpu.untouched::<[f32; 2]>("motion_sums", pixels);
-    let motions = gpu.buffer("motions", motions);
+    let surfaces = gpu.untouched::<[f32; 4]>("surfaces", pixels);
+    let normals: Vec<[f32; 4]> = motions.iter().map(|&[x, y]| [x, y, x - y, f32::NAN]).collect();
+    let (motions, normals) = (gpu.buffer("motions", motions), gpu.buffer("normals", &normals));
     let (subgroup_size, limits) = (gpu.subgroup(), None::<&Buffer>);
     let blended = match how.by_workgroup {
         None => {
@@ -267,11 +271,12 @@ pub fn forward_auxiliary(
                 shared_splats: how.shares,
                 pick,
                 motion,
+                surface,
                 ..blend_auxiliary::Spec::default()
             };
             blend_lists!(
                 gpu, lists, blend_auxiliary, spec, how, limits,
-                picks: &picks, motions: &motions, motion_sums: &motion_sums
+                picks: &picks, motions: &motions, motion_sums: &motion_sums, normals: &normals, surfaces: &surfaces
             )
         }
         Some(workgroup_size) => {
@@ -282,15 +287,16 @@ pub fn forward_auxiliary(
                 incremental_exp,
                 pick,
                 motion,
+                surface,
                 ..blend_shared_auxiliary::Spec::default()
             };
             blend_lists!(
                 gpu, lists, blend_shared_auxiliary, spec, how, limits,
-                picks: &picks, motions: &motions, motion_sums: &motion_sums
+                picks: &picks, motions: &motions, motion_sums: &motion_sums, normals: &normals, surfaces: &surfaces
             )
         }
     };
-    Beside { blended, picks, motion_sums }
+    Beside { blended, picks, motion_sums, surfaces }
 }
 
 macro_rules! backward_of_lists {

@@ -7,9 +7,9 @@ use crate::common::blending::{
 };
 use crate::common::frame::Lists;
 use crate::common::prelude::*;
-use crate::reference::blend::{Pixel, before, beside, blend, samples};
+use crate::reference::blend::{Pixel, before, beside, blend, is_median_depth, samples};
 use crate::reference::pipeline::{pixels_of, tile_of};
-use ashsplat::frame::LaunchSizes;
+use ashsplat::frame::{LaunchSizes, Outputs};
 use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW};
 
 const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstable: 2e-2 };
@@ -425,16 +425,21 @@ fn motions(lists: &Lists) -> Vec<[f32; 2]> {
     (0..lists.frame.splats.len()).map(|i| [(i % 17) as f32 - 8.0, (i % 5) as f32 * 0.25]).collect()
 }
 
+const ALL: Outputs = Outputs { pick: true, motion: true, surface: true };
+
 /// Compares the auxiliary values of stable pixels with the twin's.
 fn assert_auxiliary(gpu: &Gpu, lists: &Lists, auxiliary: &Beside, motions: &[[f32; 2]], what: &str) {
     let count = lists.view.pixels();
     let picks = gpu.read::<[u32; 2]>(&auxiliary.picks, count);
     let sums = gpu.read::<[f32; 2]>(&auxiliary.motion_sums, count);
+    let surfaces = gpu.read::<[f32; 4]>(&auxiliary.surfaces, count);
     let unstable = lists.unstable();
     for (index, pixel) in pixels_of(&lists.view).enumerate().filter(|(index, _)| !unstable[*index]) {
         let list = &lists.lists[tile_of(&lists.view, pixel)];
         let own: Vec<[f64; 2]> = list.iter().map(|&i| motions[i as usize].map(f64::from)).collect();
-        let (expected, weights) = beside(&lists.list_of(pixel), &own, pixel);
+        let normal = |motion: [f64; 2]| [motion[0], motion[1], motion[0] - motion[1]];
+        let normals: Vec<[f64; 3]> = own.iter().map(|motion| normal(*motion)).collect();
+        let (expected, weights) = beside(&lists.list_of(pixel), (&own, &normals), pixel);
         let [place, bits] = picks[index];
         let weight = f64::from(f32::from_bits(bits));
         // Any of several almost equal weights may be the largest.
@@ -444,12 +449,16 @@ fn assert_auxiliary(gpu: &Gpu, lists: &Lists, auxiliary: &Beside, motions: &[[f3
         };
         let close = |axis: usize| (f64::from(sums[index][axis]) - expected.motion[axis]).abs() < 1e-3;
         assert!(picked && close(0) && close(1), "{what}, pixel {index}: {expected:?}, {:?}", picks[index]);
+        let [x, y, z, median] = surfaces[index].map(f64::from);
+        let close = [x, y, z].into_iter().zip(expected.normal).all(|(a, b)| (a - b).abs() < 2e-3);
+        let surface = close && is_median_depth(median, &lists.list_of(pixel), pixel, 1e-4);
+        assert!(surface, "{what}, pixel {index}: {expected:?}, {:?}", surfaces[index]);
     }
 }
 
 fn check_auxiliary(gpu: &Gpu, lists: &Lists, how: How) {
     let motions = motions(lists);
-    let both = forward_auxiliary(gpu, lists, how, &motions, [true; 2]);
+    let both = forward_auxiliary(gpu, lists, how, &motions, ALL);
     let what = format!("{how:?}");
     assert_auxiliary(gpu, lists, &both, &motions, &what);
     // The picture of the kernel without auxiliary outputs, in one pass.
@@ -457,16 +466,19 @@ fn check_auxiliary(gpu: &Gpu, lists: &Lists, how: How) {
     assert_same_bits(gpu, [&both.blended, &alone], lists.view.pixels(), &what);
 }
 
-/// Picks or motion alone equal those of both together, and the other output stays untouched.
+/// Each output alone equals that of all together, and the others stay untouched.
 fn check_apart(gpu: &Gpu, lists: &Lists, how: How) {
     let (motions, count) = (motions(lists), lists.view.pixels());
     let words = |buffer: &Buffer| gpu.read::<u32>(buffer, 2 * count);
-    let both = forward_auxiliary(gpu, lists, how, &motions, [true; 2]);
-    for (pick, motion) in [(true, false), (false, true)] {
-        let one = forward_auxiliary(gpu, lists, how, &motions, [pick, motion]);
-        for (on, buffer, other) in
-            [(pick, &one.picks, &both.picks), (motion, &one.motion_sums, &both.motion_sums)]
-        {
+    let all = forward_auxiliary(gpu, lists, how, &motions, ALL);
+    for only in 0..3 {
+        let outputs = Outputs { pick: only == 0, motion: only == 1, surface: only == 2 };
+        let one = forward_auxiliary(gpu, lists, how, &motions, outputs);
+        for (on, buffer, other) in [
+            (outputs.pick, &one.picks, &all.picks),
+            (outputs.motion, &one.motion_sums, &all.motion_sums),
+            (outputs.surface, &one.surfaces, &all.surfaces),
+        ] {
             let own = words(buffer);
             assert!(if on { own == words(other) } else { own.iter().all(|&word| word == UNTOUCHED) });
         }
@@ -493,7 +505,13 @@ fn check_ties(gpu: &Gpu, how: How) {
         // The first is too faint to be blended, the last too faint to win.
         let splats = [0.001, 0.25, behind, 0.125].map(splat).to_vec();
         let lists = everywhere(gpu, splats, SIZE);
-        let beside = forward_auxiliary(gpu, &lists, how, &motions(&lists), [true, false]);
+        let beside = forward_auxiliary(
+            gpu,
+            &lists,
+            how,
+            &motions(&lists),
+            Outputs { pick: true, ..Outputs::default() },
+        );
         for [picked, weight] in gpu.read::<[u32; 2]>(&beside.picks, lists.view.pixels()) {
             assert_eq!((picked, f32::from_bits(weight) >= 0.25), (place, true), "{how:?}");
         }

@@ -9,7 +9,7 @@ use crate::reference::compose as twin;
 use ashsplat::ColorEncoding;
 use ashsplat::ColorEncoding::AsTrained;
 use ashsplat::ash::vk::Format;
-use ashsplat::frame::{MotionBuffers, Outputs};
+use ashsplat::frame::Outputs;
 use ashsplat::kernels::compose::picks;
 use ashsplat::kernels::constants::NOT_PICKED;
 use ashsplat::passes::compose::{Background, Compose, Region};
@@ -467,9 +467,7 @@ fn mean_motion_equals_its_twin() {
     let mut kinds = [0; 2];
     for (min_weight, empty) in [(0.0, Some([0.5, -8.0])), (0.5, Some([0.0; 2])), (0.5, None)] {
         let after = over_image(&gpu, (ashsplat::vk::MOTION_FORMAT, ImageUse::Motion), before, |r, region| {
-            // The kernel does not read the visible Gaussians' motions here.
-            let own = MotionBuffers { motions: &motion_sums, sums: &motion_sums };
-            compose.record_motion(r, (&accumulated, own), SIZE, region, (min_weight, empty));
+            compose.record_motion(r, [&accumulated, &motion_sums], SIZE, region, (min_weight, empty));
         });
         for (pixel, actual) in after.into_iter().enumerate() {
             let mean = twin::mean_motion(pixels[pixel][3], sums[pixel], min_weight.into());

@@ -20,4 +20,5 @@ pub mod project_backward;
 pub mod scan;
 mod screen_motion;
 pub mod sort;
+mod splat_normals;
 pub mod ssim;

@@ -78,10 +78,16 @@ pub struct Beside {
     pub heaviest: f64,
     /// Σ α T m, px.
     pub motion: [f64; 2],
+    /// Σ α T n.
+    pub normal: [f64; 3],
 }
 
-/// Returns the largest weight at a pixel and the sum of weighted motions, and the weight of each place in the list.
-pub fn beside(list: &[&Splat], motions: &[[f64; 2]], pixel: [u32; 2]) -> (Beside, Vec<f64>) {
+/// Returns the auxiliary values of a pixel for the motions and normals of a list, and the weight of each place in it.
+pub fn beside(
+    list: &[&Splat],
+    (motions, normals): (&[[f64; 2]], &[[f64; 3]]),
+    pixel: [u32; 2],
+) -> (Beside, Vec<f64>) {
     let (mut result, mut weights) = (Beside::default(), vec![0.0; list.len()]);
     for sample in &samples(list, pixel).0 {
         let weight = sample.weight();
@@ -90,8 +96,25 @@ pub fn beside(list: &[&Splat], motions: &[[f64; 2]], pixel: [u32; 2]) -> (Beside
         for axis in 0..2 {
             result.motion[axis] += weight * motions[sample.entry][axis];
         }
+        for axis in 0..3 {
+            result.normal[axis] += weight * normals[sample.entry][axis];
+        }
     }
     (result, weights)
+}
+
+/// True if a depth is that of the splat behind which the transmittance is below a half, 0 for none, with a tolerance of the
+/// transmittance.
+pub fn is_median_depth(depth: f64, list: &[&Splat], pixel: [u32; 2], tolerance: f64) -> bool {
+    let (samples, behind) = samples(list, pixel);
+    if depth == 0.0 {
+        return behind > 0.5 - tolerance;
+    }
+    samples.iter().any(|sample| {
+        let halves = sample.transmittance > 0.5 - tolerance
+            && sample.transmittance * (1.0 - sample.alpha) < 0.5 + tolerance;
+        halves && (depth / list[sample.entry].depth - 1.0).abs() < 1e-5
+    })
 }
 
 /// The part of a list that lies in front of a limit, 1/z: the blending stops at the first splat behind it.

@@ -43,6 +43,7 @@ pub mod sh;
 pub mod sort;
 pub mod sparse_depth;
 pub mod sparse_depth_gather;
+pub mod splat_normals;
 pub mod ssim;
 pub mod tiles;
 pub mod types;
