@@ -26,6 +26,7 @@
 //! - [`render`]: [`Renderer::render`] records a frame, submits, waits and reads back. [`Renderer::record`] records into a host
 //!   engine's command buffer, on its device, with its images.
 //! - [`train`]: [`Trainer`], likewise with [`Trainer::record_step`]; schedules, density control, checkpoints.
+//! - [`surface`]: meshes of scenes, from the depths of many views.
 //! - [`passes`]: one module per pass, each only *records* into a [`vk::Recorder`]. [`passes::sort`] and [`passes::scan`] are
 //!   usable alone, and [`passes::lpips`] measures how different two pictures look.
 //! - [`frame`]: what passes share: buffers and their sizes, scenes, the camera block, settings.
@@ -44,6 +45,7 @@ pub mod kernels;
 pub mod passes;
 pub mod render;
 pub mod scene;
+pub mod surface;
 pub mod train;
 pub mod vk;
 

@@ -24,6 +24,7 @@ pub mod images;
 pub mod init;
 pub mod lens_json;
 pub mod lpips_weights;
+pub mod mesh;
 pub mod metrics;
 mod names;
 pub mod photo_points;

@@ -17,5 +17,5 @@ pub use file::Encoding;
 pub(crate) use file::{Scalar, decode};
 pub use read::read_points;
 pub(super) use read::{GaussianRows, claimed_points, is_compressed};
-pub(super) use write::write_blocks;
+pub(super) use write::{write_blocks, write_frame};
 pub use write::{write_filtered, write_points};

@@ -31,7 +31,8 @@ pub(super) use convert::OriginSample;
 pub use convert::{ConvertOptions, Converted, Input, Target, convert, join};
 pub(crate) use format::{FARTHEST, MAX_COMPRESSED_LOG_SCALE};
 pub use format::{Format, foreign, is_sog};
-pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION};
+pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION, mirrored};
+pub(super) use gltf_write::glb_head;
 pub(super) use stream::{
     BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, is_kernel_size, row_bytes,
 };

@@ -7,7 +7,7 @@ use super::recorded_frame::StagedUpdates;
 use super::runner::{Failed, FrameRun, FrameRunner, Request};
 use super::slots::Slots;
 use crate::error::{Error, Result};
-use crate::frame::{Blending, PlacedScene, RenderSettings, SceneBuffers, planes};
+use crate::frame::{Blending, FrameBuffers, PlacedScene, RenderSettings, SceneBuffers, planes};
 use crate::passes::backward::Backward;
 use crate::passes::compose::Compose;
 use crate::passes::filter_3d::Filter3d;
@@ -238,6 +238,16 @@ impl Renderer {
         let surface = settings.surface.then(|| self.read_surface(camera, pixels)).transpose()?;
         let [width, height] = [camera.width, camera.height];
         Ok(Frame { width, height, color, transmittance, inverse_depth, surface, stats })
+    }
+
+    /// Renders a surface, and returns the frame's buffers, which hold it until the next frame.
+    pub(crate) fn draw_surface(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<FrameBuffers> {
+        self.draw(camera, &RenderSettings { surface: true, ..*settings })?;
+        self.runner.store.current().cloned()
     }
 
     fn read_surface(&self, camera: &Camera, pixels: u64) -> Result<Surface> {

@@ -1,6 +1,6 @@
 //! Defines and parses the command line.
 
-use crate::{convert, demo, devices, eval, info, inspect, poses, render, train};
+use crate::{convert, demo, devices, eval, info, inspect, mesh, poses, render, train};
 use ashsplat::Result;
 use ashsplat_files::HostMemory;
 use ashsplat_program::output;
@@ -55,6 +55,8 @@ pub enum Command {
     /// Write a scene as a tree of tiles for viewers that stream: 3D Tiles
     #[cfg(feature = "scale")]
     Tiles(tiles::Arguments),
+    /// Make a mesh of a trained scene: PLY, OBJ or GLB
+    Mesh(mesh::Arguments),
     /// The Gaussians blended at one pixel, front to back
     Inspect(inspect::Arguments),
     /// The Vulkan devices of this machine, with the limits that matter

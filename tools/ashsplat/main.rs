@@ -15,6 +15,7 @@ mod double_click;
 mod eval;
 mod info;
 mod inspect;
+mod mesh;
 mod poses;
 mod render;
 mod train;
@@ -79,6 +80,7 @@ fn run(command: command_line::Command) -> Result<ExitCode> {
         Command::Merge(arguments) => ashsplat_scale::merge::run(&arguments),
         #[cfg(feature = "scale")]
         Command::Tiles(arguments) => ashsplat_scale::tiles::run(&arguments),
+        Command::Mesh(arguments) => mesh::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-mod views;
+pub mod views;
 
 /// Render a trained scene: by default the views of its training, else a data set's, an orbit or a camera path; as pictures
 /// or as a film.
@@ -66,6 +66,9 @@ pub struct Arguments {
     /// Z of an EXR [default: mean]
     #[arg(long, value_enum)]
     depth: Option<Depth>,
+    /// Also write normals, in the scene's axes: channels N.X, N.Y and N.Z of an EXR; a PNG shows (1 + n) / 2 in place of colours
+    #[arg(long, conflicts_with_all = ["transparent", "exposure_of", "lens_of"])]
+    normals: bool,
     /// Without a background: an EXR's colours are premultiplied by its alpha, and a PNG has opacity
     #[arg(long, conflicts_with_all = ["background", "exposure_of", "lens_of"])]
     transparent: bool,
@@ -121,6 +124,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::input(&arguments.out, problem, "name a folder, or a film (.mp4, .webm, .gif)"));
     }
     let mut settings = arguments.look.settings(&model.settings, &scene.header)?;
+    settings.surface = arguments.normals;
     if format != Format::Png {
         settings = arguments.depth().requested(settings);
     } else if arguments.depth.is_some() {
@@ -148,6 +152,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
         let mut frame = renderer.render(&named.camera, &settings)?;
         appearance.apply(&named.camera, &mut frame);
+        if let (Format::Png, Some(surface)) = (format, &frame.surface) {
+            frame.color = surface.normals.iter().map(|normal| normal.map(|n| 0.5 + 0.5 * n)).collect();
+        }
         arguments.depth().scale(&mut frame, scene.frame.unit as f32);
         let milliseconds = start.elapsed().as_secs_f64() * 1e3;
         total += milliseconds;
@@ -323,7 +330,7 @@ impl Arguments {
             (_, false) => output::write_png(&path("png"), &output::to_photo(frame)?)?,
         }
         if format != Format::Png {
-            output::write_exr(&path("exr"), frame, self.transparent, self.depth())?;
+            output::write_exr(&path("exr"), frame, self.transparent, self.depth(), self.normals)?;
         }
         Ok(())
     }

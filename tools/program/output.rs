@@ -1,7 +1,7 @@
 //! Writes the files of commands: whole or not at all, in folders that are created as needed.
 
 use ashsplat::scene::{linear_from_premultiplied, linear_from_srgb};
-use ashsplat::{Error, Frame, PixelReport, RenderSettings, Result, Sample};
+use ashsplat::{Error, Frame, PixelReport, RenderSettings, Result, Sample, Surface};
 use ashsplat_files::{Photo, PhotoFileFormat, atomic, regular_file};
 use clap::ValueEnum;
 use exr::prelude::{
@@ -241,7 +241,8 @@ pub fn to_rgba(frame: &Frame) -> image::RgbaImage {
 /// (1 − transmittance) and Z (depth along the view axis, world units). The colours are on the
 /// frame's background; those of a frame on black may also be premultiplied by alpha, as EXR requires for pictures
 /// without a background.
-pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool, depth: Depth) -> Result<()> {
+/// `normals`: also the channels N.X, N.Y and N.Z, in the scene's axes.
+pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool, depth: Depth, normals: bool) -> Result<()> {
     let channel = |name: &str, samples: Vec<f32>| AnyChannel::new(name, FlatSamples::F32(samples));
     let pixels = frame.color.iter().zip(&frame.transmittance);
     let linear: Vec<[f32; 3]> = match premultiplied {
@@ -249,7 +250,7 @@ pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool, depth: Depth) 
         false => pixels.map(|(rgb, _)| rgb.map(linear_from_srgb)).collect(),
     };
     let color = |c: usize| linear.iter().map(|rgb| rgb[c]).collect();
-    let channels: SmallVec<_> = [
+    let mut channels: SmallVec<_> = [
         channel("R", color(0)),
         channel("G", color(1)),
         channel("B", color(2)),
@@ -258,6 +259,10 @@ pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool, depth: Depth) 
     ]
     .into_iter()
     .collect();
+    if let (true, Some(surface)) = (normals, &frame.surface) {
+        let axis = |axis: usize| surface.normals.iter().map(|normal| normal[axis]).collect();
+        channels.extend([channel("N.X", axis(0)), channel("N.Y", axis(1)), channel("N.Z", axis(2))]);
+    }
     let size = (frame.width as usize, frame.height as usize);
     // In order, whichever tile is compressed first, so that the same picture gives the same file.
     let encoding = Encoding { line_order: LineOrder::Increasing, ..Encoding::FAST_LOSSLESS };
@@ -277,27 +282,34 @@ pub enum Depth {
     Mean,
     /// Σ w / Σ (w / z), whose reciprocal training compares with depth maps: what lies far behind a surface hardly moves it
     Harmonic,
+    /// z of the Gaussian behind which less than half of the light is left; infinite where more is left
+    Median,
 }
 
 impl Depth {
     /// Settings for frames with this depth.
     pub fn requested(self, settings: RenderSettings) -> RenderSettings {
-        RenderSettings { inverse_depth: true, linear_depth: self == Self::Mean, ..settings }
+        let surface = settings.surface || self == Self::Median;
+        RenderSettings { inverse_depth: true, linear_depth: self == Self::Mean, surface, ..settings }
     }
 
     /// Scales the depths of a frame from world to source units.
     pub fn scale(self, frame: &mut Frame, factor: f32) {
-        let factor = if self == Self::Mean { factor } else { factor.recip() };
-        frame.inverse_depth.iter_mut().flatten().for_each(|sum| *sum *= factor);
+        let own = if self == Self::Mean { factor } else { factor.recip() };
+        frame.inverse_depth.iter_mut().flatten().for_each(|sum| *sum *= own);
+        frame.surface.iter_mut().flat_map(|own| &mut own.median_depth).for_each(|depth| *depth *= factor);
     }
 
     /// Depth of each pixel of such a frame: infinite for transparent pixels.
     pub fn of(self, frame: &Frame) -> Vec<f32> {
+        if let (Self::Median, Some(Surface { median_depth, .. })) = (self, &frame.surface) {
+            return median_depth.iter().map(|&z| if z > 0.0 { z } else { f32::INFINITY }).collect();
+        }
         let Some(sums) = &frame.inverse_depth else { return vec![f32::INFINITY; frame.color.len()] };
         let depth = |(&sum, &transmittance): (&f32, &f32)| match (sum > 0.0, self) {
             (false, _) => f32::INFINITY,
             (true, Self::Mean) => sum / (1.0 - transmittance),
-            (true, Self::Harmonic) => (1.0 - transmittance) / sum,
+            (true, _) => (1.0 - transmittance) / sum,
         };
         sums.iter().zip(&frame.transmittance).map(depth).collect()
     }

@@ -101,7 +101,7 @@ fn write_header<'a>(
 }
 
 /// Writes the comments about the frame, unless it is the default.
-pub(super) fn write_frame(writer: &mut impl Write, frame: &WorldFrame) -> io::Result<()> {
+pub(crate) fn write_frame(writer: &mut impl Write, frame: &WorldFrame) -> io::Result<()> {
     let DVec3 { x, y, z } = frame.origin;
     if frame.origin != DVec3::ZERO {
         writeln!(writer, "comment {ORIGIN} {x} {y} {z}")?;

@@ -158,7 +158,7 @@ impl Gltf {
 }
 
 /// Converts a point from glTF's axes to this crate's, and back.
-pub(super) fn mirrored(point: DVec3) -> DVec3 {
+pub(crate) fn mirrored(point: DVec3) -> DVec3 {
     DVec3::from_array(std::array::from_fn(|axis| if MIRRORED[axis] { -point[axis] } else { point[axis] }))
 }
 

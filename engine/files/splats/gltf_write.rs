@@ -104,7 +104,7 @@ fn bounds_of(path: &Path, outline: &Outline) -> Result<Bounds> {
 }
 
 /// Beginning of a GLB, before `binary_bytes` of binary data.
-fn glb_head(document: &Value, binary_bytes: u64) -> Result<Vec<u8>> {
+pub(crate) fn glb_head(document: &Value, binary_bytes: u64) -> Result<Vec<u8>> {
     let mut json = document.to_string().into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');
     let total = 12 + 8 + json.len() as u64 + 8 + binary_bytes;

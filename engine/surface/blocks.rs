@@ -1,0 +1,132 @@
+//! Which blocks of voxels lie near a surface.
+
+use crate::error::{Error, Result};
+use crate::kernels::constants::{FIELD_SIDE, FIELD_VOXELS, NO_BLOCK};
+use crate::render::Surface;
+use crate::scene::Camera;
+use crate::vk::Context;
+use glam::Vec3;
+use std::collections::HashSet;
+
+/// Resolution and reach of a distance field.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FieldSettings {
+    /// Distance between voxels, world units; positive.
+    pub voxel: f32,
+    /// Largest distance that is stored, and depth behind a surface up to which it counts, world units.
+    pub truncation: f32,
+    /// Depths beyond this one do not count, world units.
+    pub max_depth: f32,
+}
+
+impl FieldSettings {
+    /// A field of these voxels and depths, with a truncation of four voxels.
+    pub fn new(voxel: f32, max_depth: f32) -> Self {
+        Self { voxel, truncation: 4.0 * voxel, max_depth }
+    }
+}
+
+/// Distance from a surface up to which a field has voxels, in voxels. A cube at the surface has its corners within √3.
+const MARGIN: f32 = 2.0;
+/// Bytes of a voxel on the device: distance and weight, colour, count, and places of its vertices and of its triangles.
+const VOXEL_BYTES: u64 = 8 + 8 + 3 * 4;
+
+/// Blocks of 8³ voxels near the surfaces of some views.
+pub struct FieldBlocks {
+    pub(super) settings: FieldSettings,
+    found: HashSet<[i32; 3]>,
+}
+
+impl FieldBlocks {
+    /// No blocks yet.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for settings that are not positive and finite.
+    pub fn new(settings: FieldSettings) -> Result<Self> {
+        let FieldSettings { voxel, truncation, max_depth } = settings;
+        for (name, value) in [("voxel", voxel), ("truncation", truncation), ("max_depth", max_depth)] {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(Error::argument(name, format!("is {value}, must be positive and finite")));
+            }
+        }
+        Ok(Self { settings, found: HashSet::new() })
+    }
+
+    /// Adds the blocks near the surface that a view shows.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a surface of another size than the camera's, or a camera that is no pinhole.
+    pub fn add(&mut self, camera: &Camera, surface: &Surface) -> Result<()> {
+        check_pinhole(camera)?;
+        let [width, height] = [camera.width, camera.height];
+        if surface.median_depth.len() as u64 != u64::from(width) * u64::from(height) {
+            return Err(Error::argument("surface", format!("has not {width}x{height} pixels")));
+        }
+        let (points, mut last) = (camera.points(), None);
+        let block = self.settings.voxel * FIELD_SIDE as f32;
+        let margin = Vec3::splat(MARGIN / FIELD_SIDE as f32);
+        for (index, &depth) in surface.median_depth.iter().enumerate() {
+            if !(depth > 0.0 && depth < self.settings.max_depth) {
+                continue;
+            }
+            let pixel = [index as u32 % width, index as u32 / width].map(|at| at as f32 + 0.5);
+            let at = points(pixel, depth) / block;
+            let range =
+                [at - margin, at + margin].map(|corner| corner.to_array().map(|at| at.floor() as i32));
+            // Neighbouring pixels mostly show the same blocks.
+            if last.replace(range) != Some(range) {
+                let [low, high] = range;
+                for (z, y) in (low[2]..=high[2]).flat_map(|z| (low[1]..=high[1]).map(move |y| (z, y))) {
+                    self.found.extend((low[0]..=high[0]).map(|x| [x, y, z]));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the number of blocks.
+    pub fn len(&self) -> usize {
+        self.found.len()
+    }
+
+    /// True if no view has shown a surface.
+    pub fn is_empty(&self) -> bool {
+        self.found.is_empty()
+    }
+
+    /// Checks that a device can hold the field, besides the memory of frames and of the mesh.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] with the bytes of the field or of its largest buffer.
+    pub fn check(&self, context: &Context) -> Result<()> {
+        let voxels = self.len() as u64 * u64::from(FIELD_VOXELS);
+        let range = (context.limits().max_storage_buffer_range, "maxStorageBufferRange");
+        let whole = context.memory_limit().map(|limit| (voxels * VOXEL_BYTES, limit));
+        match whole.into_iter().chain([(voxels * 8, range)]).find(|(needed, (limit, _))| needed > limit) {
+            Some((needed, limit)) => Err(Error::too_large("a distance field", (needed, "bytes"), limit)),
+            None => Ok(()),
+        }
+    }
+
+    /// Returns the blocks in order, and the neighbours of each as in field.glsl.
+    pub(super) fn sorted(&self) -> (Vec<[i32; 3]>, Vec<[u32; 8]>) {
+        let mut blocks: Vec<[i32; 3]> = self.found.iter().copied().collect();
+        blocks.sort_unstable();
+        let beside = |&[x, y, z]: &[i32; 3], corner: i32| {
+            let other = [x + (corner & 1), y + (corner >> 1 & 1), z + (corner >> 2)];
+            blocks.binary_search(&other).map_or(NO_BLOCK, |at| at as u32)
+        };
+        let neighbours =
+            blocks.iter().map(|block| std::array::from_fn(|corner| beside(block, corner as i32)));
+        let neighbours = neighbours.collect();
+        (blocks, neighbours)
+    }
+}
+
+/// Refuses a camera of which depth maps are not fused.
+pub(super) fn check_pinhole(camera: &Camera) -> Result<()> {
+    match camera.is_orthographic() || camera.has_lens() {
+        true => Err(Error::argument("camera", "is no pinhole, and only depths of pinholes are fused")),
+        false => Ok(()),
+    }
+}

@@ -1,0 +1,17 @@
+//! Meshes of scenes: median depths of many views, fused into a field of signed distances (Curless and Levoy 1996), whose zero level
+//! marching cubes (Lorensen and Cline 1987) makes a mesh of. Everything per voxel happens on the device.
+//!
+//! 1. [`FieldBlocks::add`] for each view collects the blocks of voxels near a surface.
+//! 2. [`DistanceField::new`] allocates them; [`DistanceField::integrate`] adds each view, one after the other.
+//! 3. [`DistanceField::mesh`] returns the [`Mesh`], of which [`Mesh::keep_parts`] removes what floats.
+//!
+//! The same views in the same order give the same bits. Lengths are world units, in the axes of the scene.
+
+mod blocks;
+mod cubes;
+mod field;
+mod mesh;
+
+pub use blocks::{FieldBlocks, FieldSettings};
+pub use field::DistanceField;
+pub use mesh::Mesh;

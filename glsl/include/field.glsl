@@ -1,0 +1,56 @@
+// A field of signed distances to a surface, positive in front of it, in blocks of FIELD_SIDE^3 voxels (engine/surface). A voxel is a
+// point of a lattice; voxel `place` of block b lies at (FIELD_SIDE b + place) times the size of a voxel. An edge leads from
+// a voxel to the next one along an axis and belongs to the first. Needs constants.glsl.
+
+// Per block: the blocks at the offsets (0 or 1, 0 or 1, 0 or 1), x first; NO_BLOCK for a missing one.
+layout(set = 0, binding = 0, scalar) readonly buffer Neighbours { uint neighbours[]; };
+// Per voxel: mean distance, world units; sum of weights, 0 for a voxel that no view has seen.
+layout(set = 0, binding = 1, scalar) readonly buffer Distances { vec2 distances[]; };
+
+uvec3 place_in_block(uint voxel) {
+    return uvec3(voxel, voxel / FIELD_SIDE, voxel / (FIELD_SIDE * FIELD_SIDE)) % FIELD_SIDE;
+}
+
+// The voxel `along` farther, which is 0 or 1 per axis; NO_BLOCK if its block is missing.
+uint voxel_beside(uint voxel, uvec3 along) {
+    uvec3 place = place_in_block(voxel) + along;
+    uvec3 over = place / FIELD_SIDE;
+    uint block = neighbours[voxel / FIELD_VOXELS * 8 + over.x + 2 * over.y + 4 * over.z];
+    place %= FIELD_SIDE;
+    uint beside = block * FIELD_VOXELS + (place.z * FIELD_SIDE + place.y) * FIELD_SIDE + place.x;
+    return block == NO_BLOCK ? NO_BLOCK : beside;
+}
+
+// Offset of corner 0 to 7 of a cube, x first.
+uvec3 corner_offset(uint corner) {
+    return uvec3(corner, corner >> 1, corner >> 2) & 1u;
+}
+
+vec2 distance_at(uint voxel) {
+    // A driver may load before it tests.
+    return voxel == NO_BLOCK ? vec2(0.0) : distances[voxel == NO_BLOCK ? 0 : voxel];
+}
+
+// A bit for each axis along which the voxel's edge crosses the surface.
+uint crossings_of(uint voxel) {
+    vec2 own = distance_at(voxel);
+    uint crossings = 0;
+    for (uint axis = 0; axis < 3; ++axis) {
+        vec2 other = distance_at(voxel_beside(voxel, corner_offset(1 << axis)));
+        bool crosses = own.y > 0.0 && other.y > 0.0 && (own.x < 0.0) != (other.x < 0.0);
+        crossings |= uint(crosses) << axis;
+    }
+    return crossings;
+}
+
+// Case of the cube whose first corner is a voxel: a bit for each corner behind the surface; 0 if no view has seen some corner.
+uint case_of(uint voxel) {
+    uint inside = 0;
+    bool seen = true;
+    for (uint corner = 0; corner < 8; ++corner) {
+        vec2 own = distance_at(voxel_beside(voxel, corner_offset(corner)));
+        seen = seen && own.y > 0.0;
+        inside |= uint(own.x < 0.0) << corner;
+    }
+    return seen ? inside : 0;
+}

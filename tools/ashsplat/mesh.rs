@@ -1,0 +1,147 @@
+//! `ashsplat mesh`.
+
+use crate::render::views;
+use ashsplat::scene::Camera;
+use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings};
+use ashsplat::{Error, RenderSettings, Renderer, Result, Surface};
+use ashsplat_files::mesh::MeshFormat;
+use ashsplat_program::args::DeviceArguments;
+use ashsplat_program::look::{LookArguments, NOTHING_SHOWN};
+use ashsplat_program::model::{Model, ModelArguments};
+use ashsplat_program::progress::{counting, significant, thousands};
+use ashsplat_program::{output, session};
+use clap::Args;
+use std::path::PathBuf;
+
+/// Make a mesh of a trained scene, with coloured vertices: median depths of the training's views, fused into a field of distances.
+///
+/// Coordinates are the data set's. The surface is as good as the views' depths: it is nowhere finer than their pixels, and what
+/// no view shows has none.
+#[derive(Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    model: ModelArguments,
+    /// The mesh: FILE.ply, FILE.obj or FILE.glb
+    #[arg(short, long, value_name = "FILE")]
+    out: PathBuf,
+    /// Distance between the field's voxels, in the data set's units [default: a pixel at the median depth]
+    #[arg(long, value_name = "SIZE", value_parser = positive)]
+    voxel: Option<f32>,
+    /// Depth beyond which nothing is meshed, in the data set's units [default: twice the median depth]
+    #[arg(long, value_name = "DEPTH", value_parser = positive)]
+    max_depth: Option<f32>,
+    /// Triangles of the smallest connected part that is kept [default: a thousandth of the mesh]
+    #[arg(long, value_name = "TRIANGLES")]
+    min_part: Option<usize>,
+    #[command(flatten)]
+    views: views::Arguments,
+    #[command(flatten)]
+    look: LookArguments,
+    #[command(flatten)]
+    device: DeviceArguments,
+    /// Print only errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+fn positive(text: &str) -> Result<f32, String> {
+    let number = text.parse().ok().filter(|number: &f32| *number > 0.0 && number.is_finite());
+    number.ok_or_else(|| "expected a positive number".into())
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let format = MeshFormat::of(&arguments.out)?;
+    output::check(&[("--out", Some(&arguments.out))])?;
+    arguments.views.check()?;
+    let model = Model::locate(arguments.model.path()?, arguments.model.iteration)?;
+    let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
+    let views = arguments.views.choose(&model, &scene, None)?;
+    let cameras: Vec<Camera> = views.cameras.iter().map(|named| named.camera).collect();
+    let (cameras, others): (Vec<Camera>, Vec<Camera>) =
+        cameras.into_iter().partition(|camera| !camera.has_lens() && !camera.is_orthographic());
+    if cameras.is_empty() {
+        let remedy = "give pinholes: --path FILE or --orbit N";
+        return Err(Error::input(&model.ply, "has no view through a pinhole", remedy));
+    }
+    if !others.is_empty() {
+        tell!("warning: {} views are left out, which are no pinholes", others.len());
+    }
+    let look = arguments.look.settings(&model.settings, &scene.header)?;
+    let settings = RenderSettings { surface: true, ..look };
+    let context = arguments.device.context()?;
+    let mut renderer = Renderer::new(&context)?;
+    renderer.upload(&scene.gaussians)?;
+    let stop = session::stop_on_ctrl_c()?;
+    let bar = counting("views", 3 * cameras.len() as u64, arguments.quiet);
+    let mut each = |work: &mut dyn FnMut(&mut Renderer, &Camera) -> Result<()>| {
+        cameras.iter().try_for_each(|camera| {
+            session::check(&stop)?;
+            bar.inc(1);
+            work(&mut renderer, camera)
+        })
+    };
+    let mut seen = Vec::new();
+    each(&mut |renderer, camera| {
+        // Medians need no sharp pictures.
+        let small = camera.scaled_to(camera.width.div_ceil(4), camera.height.div_ceil(4));
+        let depths = surface_of(renderer, &small, &settings)?.median_depth;
+        seen.extend(depths.into_iter().filter(|&depth| depth > 0.0).map(|depth| [depth, depth / camera.fx]));
+        Ok(())
+    })?;
+    if seen.is_empty() {
+        return Err(Error::input(&model.ply, "shows no surface in any view", NOTHING_SHOWN));
+    }
+    let unit = scene.frame.unit as f32;
+    let [depth, pixel] = [0, 1].map(|value| {
+        let middle = seen.len() / 2;
+        seen.select_nth_unstable_by(middle, |a, b| a[value].total_cmp(&b[value])).1[value]
+    });
+    let voxel = arguments.voxel.map_or(pixel, |voxel| voxel / unit);
+    let field = FieldSettings::new(voxel, arguments.max_depth.map_or(2.0 * depth, |depth| depth / unit));
+    let mut blocks = FieldBlocks::new(field)?;
+    let too_large = |error, blocks: &FieldBlocks| match error {
+        Error::TooLarge { needed, limit, limit_name, .. } => {
+            // The number of blocks grows with the square of the resolution.
+            let fits = voxel * unit * 1.1 * (needed as f32 / limit as f32).sqrt();
+            let [voxel, fits] = [voxel * unit, fits].map(significant);
+            let problem = format!("{voxel} makes {} blocks or more", thousands(blocks.len() as u64));
+            Error::argument(
+                "--voxel",
+                format!("{problem}, {needed} bytes of {limit} ({limit_name}); {fits} may fit"),
+            )
+        }
+        other => other,
+    };
+    each(&mut |renderer, camera| {
+        blocks.add(camera, &surface_of(renderer, camera, &settings)?)?;
+        blocks.check(&context).map_err(|error| too_large(error, &blocks))
+    })?;
+    if blocks.is_empty() {
+        return Err(Error::argument("--max-depth", "every surface lies beyond it"));
+    }
+    let field = DistanceField::new(&context, &blocks).map_err(|error| too_large(error, &blocks))?;
+    each(&mut |renderer, camera| field.integrate(renderer, camera, &settings))?;
+    let mut mesh = field.mesh().map_err(|error| too_large(error, &blocks))?;
+    bar.finish_and_clear();
+    let removed = mesh.keep_parts(arguments.min_part.unwrap_or(mesh.triangles.len() / 1000));
+    if mesh.triangles.is_empty() {
+        let problem = "no part of the mesh has so many triangles";
+        return Err(Error::argument("--min-part", problem));
+    }
+    session::check(&stop)?;
+    output::in_folder(&arguments.out, |path| format.write(path, &mesh, &scene.frame))?;
+    if !arguments.quiet {
+        let [vertices, triangles] =
+            [mesh.positions.len(), mesh.triangles.len()].map(|count| thousands(count as u64));
+        let (out, size) = (arguments.out.display(), significant(voxel * unit));
+        say!(
+            "{out}: {triangles} triangles, {vertices} vertices, voxels of {size}, {removed} small parts removed"
+        );
+    }
+    arguments.device.report_validation(&context);
+    Ok(())
+}
+
+fn surface_of(renderer: &mut Renderer, camera: &Camera, settings: &RenderSettings) -> Result<Surface> {
+    Ok(renderer.render(camera, settings)?.surface.unwrap_or_default())
+}
