@@ -12,6 +12,7 @@ mod inspect;
 mod light;
 mod lpips;
 mod merge;
+mod mesh;
 mod moved;
 mod place;
 mod pose_opt;

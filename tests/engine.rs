@@ -42,6 +42,7 @@ mod soak;
 mod sort;
 mod splats;
 mod subgroup_widths;
+mod surfaces;
 mod tile_lists;
 mod training;
 mod visible_memory;

@@ -169,8 +169,8 @@ buffer_set! {
     pub motions: motion * visible * 8;
     /// Per pixel: sum of weights * motions, px.
     pub motion_sums: motion * pixels * 8;
-    /// Per visible Gaussian: its normal in the camera's frame; a fourth component of 0.
-    pub normals: surface * visible * 16;
+    /// Per visible Gaussian: its normal in the camera's frame; slope of its depth over the picture, as two half floats.
+    pub splat_surfaces: surface * visible * 16;
     /// Per pixel: sum of weights * normals, in the camera's frame; median depth, world units, 0 without one.
     pub surfaces: surface * pixels * 16;
 }

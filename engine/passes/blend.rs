@@ -157,7 +157,7 @@ impl Blend {
         }
         macro_rules! auxiliary_passes {
             ($kernels:ident, $spec:expr, $kernel:ident) => {
-                passes!($kernels, $spec, $kernel, picks, motions, motion_sums, normals, surfaces)
+                passes!($kernels, $spec, $kernel, picks, motions, motion_sums, splat_surfaces, surfaces)
             };
         }
         match &self.key(sizes, inputs.variant()) {

@@ -1,10 +1,10 @@
 //! Projection: screen-space attributes of the visible Gaussians (EWA splatting), and their motion
-//! or normals if a frame has them. Culling
+//! or their normals if a frame has them. Culling
 //! runs the same projection before, for the visibility only.
 
 use crate::error::Result;
 use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, Part, PlacedScene, SceneView};
-use crate::kernels::forward::{project, project_scenes, screen_motion, splat_normals};
+use crate::kernels::forward::{project, project_scenes, screen_motion, splat_surfaces};
 use crate::scene::Projection;
 use crate::vk::{Context, KernelSet, Recorder};
 
@@ -14,7 +14,7 @@ pub(crate) struct Project {
     scene: KernelSet<project::Interface>,
     batch: KernelSet<project_scenes::Interface>,
     motion: KernelSet<screen_motion::Interface>,
-    normals: KernelSet<splat_normals::Interface>,
+    surfaces: KernelSet<splat_surfaces::Interface>,
 }
 
 impl Project {
@@ -24,7 +24,7 @@ impl Project {
             scene: KernelSet::default(),
             batch: KernelSet::default(),
             motion: KernelSet::default(),
-            normals: KernelSet::default(),
+            surfaces: KernelSet::default(),
         }
     }
 
@@ -41,7 +41,7 @@ impl Project {
             self.batch.prepare(context, self.batch_spec(sh_degree, variant))?;
         }
         if variant.outputs.surface {
-            self.normals.prepare(context, self.normals_spec(variant.projection))?;
+            self.surfaces.prepare(context, self.surfaces_spec(variant.projection))?;
         }
         motion_projections(variant)
             .try_for_each(|projections| self.motion.prepare(context, self.motion_spec(projections)))
@@ -50,7 +50,7 @@ impl Project {
     pub fn is_prepared(&self, sh_degree: u32, variant: FrameVariant) -> bool {
         self.scene.contains(&self.spec(sh_degree, variant))
             && motion_projections(variant).all(|own| self.motion.contains(&self.motion_spec(own)))
-            && (!variant.outputs.surface || self.normals.contains(&self.normals_spec(variant.projection)))
+            && (!variant.outputs.surface || self.surfaces.contains(&self.surfaces_spec(variant.projection)))
     }
 
     fn spec(&self, sh_degree: u32, variant: FrameVariant) -> project::Spec {
@@ -106,10 +106,10 @@ impl Project {
         }
     }
 
-    fn normals_spec(&self, projection: Projection) -> splat_normals::Spec {
-        splat_normals::Spec {
+    fn surfaces_spec(&self, projection: Projection) -> splat_surfaces::Spec {
+        splat_surfaces::Spec {
             workgroup_size: self.sizes.elementwise_workgroup,
-            parallel: projection == Projection::Orthographic,
+            projection: projection as u32,
         }
     }
 
@@ -158,7 +158,7 @@ impl Project {
             }
             r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, part.first_in_frame));
             self.record_splat_motions(r, inputs, &part);
-            self.record_splat_normals(r, inputs, &part);
+            self.record_splat_surfaces(r, inputs, &part);
         }
     }
 
@@ -235,21 +235,23 @@ impl Project {
         r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, part.first_in_frame));
     }
 
-    /// Records the normals of a part's visible Gaussians if the frame has a surface, also without a barrier.
-    fn record_splat_normals(&self, r: &mut Recorder, inputs: &FrameInputs, part: &Part) {
+    /// Records normals and slopes of a part's visible Gaussians if the frame has a surface, also without a barrier.
+    fn record_splat_surfaces(&self, r: &mut Recorder, inputs: &FrameInputs, part: &Part) {
         if !inputs.outputs.surface {
             return;
         }
         let f = inputs.frame;
-        let Some(kernel) = self.normals.get(r, &self.normals_spec(inputs.camera.projection)) else { return };
-        let bind = splat_normals::Bind {
+        let Some(kernel) = self.surfaces.get(r, &self.surfaces_spec(inputs.camera.projection)) else {
+            return;
+        };
+        let bind = splat_surfaces::Bind {
             parameters: &part.scene.chunks[part.chunk],
             visible_ranges: &f.visible_ranges,
             visible_list: &f.visible_list,
-            normals: &f.normals,
+            splat_surfaces: &f.splat_surfaces,
             camera_block: &f.camera_block(part.block),
         };
-        let push = splat_normals::Push { first: part.first_in_frame };
+        let push = splat_surfaces::Push { first: part.first_in_frame };
         r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, part.first_in_frame));
     }
 }

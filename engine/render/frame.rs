@@ -27,7 +27,8 @@ pub struct Frame {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
     /// Depth of the Gaussian behind which the transmittance is below a half, along the view axis (in a panorama along the ray),
-    /// world units. 0 where the transmittance stays above. A Gaussian's depth is that of its mean.
+    /// world units. 0 where the transmittance stays above. It is the depth at which the Gaussian is densest on the pixel's ray,
+    /// to first order; for lenses, that of its mean.
     pub median_depth: Vec<f32>,
     /// Mean of the Gaussians' normals, weighted as in blending, of unit length, in the scene's axes. A Gaussian's normal is its
     /// shortest axis, turned towards the camera. 0 where nothing is blended, or normals cancel out.

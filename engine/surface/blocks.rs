@@ -17,12 +17,14 @@ pub struct FieldSettings {
     pub truncation: f32,
     /// Depths beyond this one do not count, world units.
     pub max_depth: f32,
+    /// A view's weight at a voxel is the square of the voxel's size in pixels. Voxels with a smaller sum of weights count as unseen.
+    pub least_weight: f32,
 }
 
 impl FieldSettings {
-    /// A field of these voxels and depths, with a truncation of four voxels.
+    /// A field of these voxels and depths, with a truncation of six voxels, of all that a view has seen.
     pub fn new(voxel: f32, max_depth: f32) -> Self {
-        Self { voxel, truncation: 4.0 * voxel, max_depth }
+        Self { voxel, truncation: 6.0 * voxel, max_depth, least_weight: 0.0 }
     }
 }
 
@@ -43,7 +45,7 @@ impl FieldBlocks {
     /// # Errors
     /// [`Error::Argument`] for settings that are not positive and finite.
     pub fn new(settings: FieldSettings) -> Result<Self> {
-        let FieldSettings { voxel, truncation, max_depth } = settings;
+        let FieldSettings { voxel, truncation, max_depth, .. } = settings;
         for (name, value) in [("voxel", voxel), ("truncation", truncation), ("max_depth", max_depth)] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(Error::argument(name, format!("is {value}, must be positive and finite")));

@@ -15,7 +15,7 @@ fn edge(a: u32, b: u32) -> usize {
 
 /// Returns the words of each case, a bit for each corner behind the surface: number of triangles, then each triangle's edges,
 /// five bits each.
-pub(super) fn cases() -> Vec<[u32; CUBE_WORDS as usize]> {
+pub fn cube_cases() -> Vec<[u32; CUBE_WORDS as usize]> {
     (0..256).map(case).collect()
 }
 
@@ -32,7 +32,7 @@ fn case(inside: u32) -> [u32; CUBE_WORDS as usize] {
         for begin in (0..4).filter(|&k| !is_inside(k) && is_inside(k + 1)) {
             let Some(end) = (begin + 1..begin + 4).find(|&k| !is_inside(k + 1)) else { continue };
             let crossing = |k: usize| edge(corners[k % 4], corners[(k + 1) % 4]);
-            next[crossing(end)] = Some(crossing(begin));
+            next[crossing(begin)] = Some(crossing(end));
         }
     }
     let (mut words, mut count) = ([0; CUBE_WORDS as usize], 0);
@@ -57,7 +57,7 @@ mod tests {
     /// Each edge that the surface crosses is a corner of some triangle, and no other edge is.
     #[test]
     fn triangles_have_their_corners_on_the_crossed_edges() {
-        for (inside, words) in cases().into_iter().enumerate() {
+        for (inside, words) in cube_cases().into_iter().enumerate() {
             let triangles = &words[1..=words[0] as usize];
             let used = triangles.iter().flat_map(|word| [0, 5, 10].map(|shift| word >> shift & 31));
             let used: std::collections::BTreeSet<u32> = used.collect();

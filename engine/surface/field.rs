@@ -1,7 +1,7 @@
 //! A field of signed distances on the device.
 
 use super::blocks::{FieldBlocks, FieldSettings, check_pinhole};
-use super::cubes::cases;
+use super::cubes::cube_cases;
 use super::mesh::Mesh;
 use crate::error::{Error, Result};
 use crate::frame::{LaunchSizes, RenderSettings, buffer_set, to_u32};
@@ -10,7 +10,7 @@ use crate::kernels::surface::{count_triangles, count_vertices, integrate, place_
 use crate::passes::scan::{Scan, ScanBuffers, Workgroups};
 use crate::render::Renderer;
 use crate::scene::Camera;
-use crate::vk::{Buffer, Context, Kernel, MemoryKind};
+use crate::vk::{Buffer, Context, Kernel, MemoryKind, Recorder};
 
 /// Word of the number of voxels, and of the sum of their counts.
 const VOXELS: u32 = 0;
@@ -96,7 +96,7 @@ impl DistanceField {
         let places: Vec<[i32; 4]> = places.iter().map(|&[x, y, z]| [x, y, z, 0]).collect();
         context.upload(&buffers.blocks, bytemuck::cast_slice(&places))?;
         context.upload(&buffers.neighbours, bytemuck::cast_slice(&neighbours))?;
-        context.upload(&buffers.cubes, bytemuck::cast_slice(&cases()))?;
+        context.upload(&buffers.cubes, bytemuck::cast_slice(&cube_cases()))?;
         context.upload(&buffers.totals, bytemuck::cast_slice(&[voxels, 0]))?;
         context.run_commands("clear field", |r| {
             r.fill(&buffers.distances, 0);
@@ -130,7 +130,7 @@ impl DistanceField {
         check_pinhole(camera)?;
         let frame = renderer.draw_surface(camera, settings)?;
         let rows = camera.camera_from_world.transpose();
-        let FieldSettings { voxel, truncation, max_depth } = self.settings;
+        let FieldSettings { voxel, truncation, max_depth, .. } = self.settings;
         let push = integrate::Push {
             row_x: rows.x_axis.to_array(),
             row_y: rows.y_axis.to_array(),
@@ -153,7 +153,7 @@ impl DistanceField {
             distances,
             colors,
         };
-        let run = |r: &mut crate::vk::Recorder| r.dispatch(&self.integrate, &bind, &push, self.groups);
+        let run = |r: &mut Recorder| r.dispatch(&self.integrate, &bind, &push, self.groups);
         self.context.run_commands("integrate", run).map(drop)
     }
 
@@ -164,14 +164,19 @@ impl DistanceField {
     pub fn mesh(&self) -> Result<Mesh> {
         let FieldBuffers { blocks, neighbours, distances, colors, counts, .. } = &self.buffers;
         let FieldBuffers { vertex_firsts, triangle_firsts, cubes, .. } = &self.buffers;
-        let voxels = self.voxels;
+        let FieldSettings { voxel: voxel_size, least_weight, .. } = self.settings;
+        macro_rules! push {
+            ($kernel:ident) => {
+                $kernel::Push { voxels: self.voxels, voxel_size, least_weight }
+            };
+        }
         let vertices = self.scanned(vertex_firsts, |r| {
             let bind = count_vertices::Bind { neighbours, distances, counts };
-            r.dispatch(&self.count_vertices, &bind, &count_vertices::Push { voxels }, self.groups);
+            r.dispatch(&self.count_vertices, &bind, &push!(count_vertices), self.groups);
         })?;
         let triangles = self.scanned(triangle_firsts, |r| {
             let bind = count_triangles::Bind { neighbours, distances, cubes, counts };
-            r.dispatch(&self.count_triangles, &bind, &count_triangles::Push { voxels }, self.groups);
+            r.dispatch(&self.count_triangles, &bind, &push!(count_triangles), self.groups);
         })?;
         let requests =
             [("positions", vertices * 12), ("vertex_colors", vertices * 4), ("triangles", triangles * 12)];
@@ -186,8 +191,7 @@ impl DistanceField {
                 positions: &mesh[0],
                 vertex_colors: &mesh[1],
             };
-            let push = place_vertices::Push { voxels, voxel_size: self.settings.voxel };
-            r.dispatch(&self.place_vertices, &bind, &push, self.groups);
+            r.dispatch(&self.place_vertices, &bind, &push!(place_vertices), self.groups);
             let bind = place_triangles::Bind {
                 neighbours,
                 distances,
@@ -196,7 +200,7 @@ impl DistanceField {
                 triangle_firsts,
                 triangles: &mesh[2],
             };
-            r.dispatch(&self.place_triangles, &bind, &place_triangles::Push { voxels }, self.groups);
+            r.dispatch(&self.place_triangles, &bind, &push!(place_triangles), self.groups);
         })?;
         let colors: Vec<[u8; 4]> = self.read(&mesh[1], vertices)?;
         Ok(Mesh {
@@ -207,7 +211,7 @@ impl DistanceField {
     }
 
     /// Counts by `count`, writes the prefix sums, and returns the total.
-    fn scanned(&self, prefix: &Buffer, count: impl FnOnce(&mut crate::vk::Recorder)) -> Result<u64> {
+    fn scanned(&self, prefix: &Buffer, count: impl FnOnce(&mut Recorder)) -> Result<u64> {
         let FieldBuffers { counts, totals, scan_blocks, .. } = &self.buffers;
         self.context.run_commands("count", |r| {
             count(r);

@@ -13,5 +13,6 @@ mod field;
 mod mesh;
 
 pub use blocks::{FieldBlocks, FieldSettings};
+pub use cubes::cube_cases;
 pub use field::DistanceField;
 pub use mesh::Mesh;

@@ -95,8 +95,8 @@ bool blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
                     float weight = blend_splat(splat, alphas[row], batch + lane + 1, pixels[column * ROWS + row]);
 #ifdef AUXILIARY
                     note_splat(
-                        weight, pixels[column * ROWS + row].transmittance, splat, extra, batch + lane + 1,
-                        pixels[column * ROWS + row].extra);
+                        weight, pixels[column * ROWS + row].transmittance, splat, extra,
+                        corner_px + vec2(column * LANES_X, row), batch + lane + 1, pixels[column * ROWS + row].extra);
 #endif
                 }
             }

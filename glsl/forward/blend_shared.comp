@@ -141,7 +141,8 @@ void main() {
                         blend_splat(splat, alphas[row], batch + k + 1, pixels[column * COLUMN_ROWS + row]);
 #ifdef AUXILIARY
                     note_splat(
-                        weight, pixels[column * COLUMN_ROWS + row].transmittance, splat, extra, batch + k + 1,
+                        weight, pixels[column * COLUMN_ROWS + row].transmittance, splat, extra,
+                        vec2(corner + column_origin(column) + uvec2(0, row)), batch + k + 1,
                         pixels[column * COLUMN_ROWS + row].extra);
 #endif
                 }

@@ -3,10 +3,10 @@
 //
 //   with PICK    the splat with the largest weight alpha T, the nearest among equals
 //   with MOTION  sum of alpha T m, where m is the splat's motion on the screen (screen_motion.comp)
-//   with SURFACE sum of alpha T n, where n is the splat's normal (splat_normals.comp), and the median depth: that of the splat
-//                behind which T is below a half
+//   with SURFACE sum of alpha T n, where n is the splat's normal, and the median depth: that of the splat behind which T is below
+//                a half, at the pixel (splat_surfaces.comp)
 //
-// in, PerVisible: with MOTION motions, with SURFACE normals; out, PerPixel: with PICK picks, with MOTION motion_sums, with
+// in, PerVisible: with MOTION motions, with SURFACE splat_surfaces; out, PerPixel: with PICK picks, with MOTION motion_sums, with
 //     SURFACE surfaces
 //
 // A new output is a constant, buffers, members of both structs, and its lines in the functions. Needs buffers.glsl, Splat.
@@ -21,15 +21,15 @@ layout(set = 0, binding = 11, scalar) buffer Picks { uvec2 picks[]; };
 VEC2_READS(12, Motions, motions);
 // Sum of weighted motions per pixel, px.
 layout(set = 0, binding = 13, scalar) buffer MotionSums { vec2 motion_sums[]; };
-// Normal per visible Gaussian, in the camera's frame; .w is unused.
-VEC4_READS(14, Normals, normals);
+// Per visible Gaussian: normal in the camera's frame; slope of its depth, world units per px, as two half floats.
+VEC4_READS(14, SplatSurfaces, splat_surfaces);
 // Per pixel: sum of weighted normals, in the camera's frame; median depth, world units, 0 where T is not below a half.
 layout(set = 0, binding = 15, scalar) buffer Surfaces { vec4 surfaces[]; };
 
 // Values of a splat besides those of its record, and true if there are any.
 struct SplatExtra {
     vec2 motion;
-    vec3 normal;
+    vec4 surface;
 };
 #define HAS_SPLAT_EXTRA (MOTION || SURFACE)
 
@@ -46,23 +46,24 @@ struct PixelExtra {
 
 SplatExtra splat_extra(uint visible) {
     return SplatExtra(
-        MOTION ? VEC2_AT(motions, visible) : vec2(0.0), SURFACE ? VEC4_AT(normals, visible).xyz : vec3(0.0));
+        MOTION ? VEC2_AT(motions, visible) : vec2(0.0), SURFACE ? VEC4_AT(splat_surfaces, visible) : vec4(0.0));
 }
 
 // Values of another lane's splat. Needs splat_shuffle.glsl.
 #define HANDED_EXTRA(own, lane) \
     SplatExtra( \
         MOTION ? vec2(lane_value(own.motion.x, lane), lane_value(own.motion.y, lane)) : vec2(0.0), \
-        SURFACE ? vec3(lane_value(own.normal.x, lane), lane_value(own.normal.y, lane), lane_value(own.normal.z, lane)) \
-                : vec3(0.0))
+        SURFACE ? vec4(lane_value(own.surface.x, lane), lane_value(own.surface.y, lane), \
+                       lane_value(own.surface.z, lane), lane_value(own.surface.w, lane)) \
+                : vec4(0.0))
 
 PixelExtra fresh_extra() {
     return PixelExtra(0.0, 0, vec2(0.0), vec4(0.0));
 }
 
-// `transmittance` is that behind the splat; its sign has no meaning here.
+// `transmittance` is that behind the splat; its sign has no meaning here. `px` is the pixel.
 void note_splat(
-    float weight, float transmittance, Splat splat, SplatExtra extra, uint place, inout PixelExtra pixel
+    float weight, float transmittance, Splat splat, SplatExtra extra, vec2 px, uint place, inout PixelExtra pixel
 ) {
     if (PICK) {
         bool heavier = weight > pixel.heaviest;
@@ -73,9 +74,11 @@ void note_splat(
         pixel.motion += weight * extra.motion;
     }
     if (SURFACE) {
-        pixel.surface.xyz += weight * extra.normal;
+        pixel.surface.xyz += weight * extra.surface.xyz;
         bool halves = abs(transmittance) < 0.5 && pixel.surface.w == 0.0;
-        pixel.surface.w = halves ? 1.0 / splat.inverse_z : pixel.surface.w;
+        vec2 slope = unpackHalf2x16(floatBitsToUint(extra.surface.w));
+        float depth = 1.0 / splat.inverse_z + dot(slope, px - splat.mean);
+        pixel.surface.w = halves ? max(depth, NEAR_PLANE) : pixel.surface.w;
     }
 }
 

@@ -2,9 +2,17 @@
 // point of a lattice; voxel `place` of block b lies at (FIELD_SIDE b + place) times the size of a voxel. An edge leads from
 // a voxel to the next one along an axis and belongs to the first. Needs constants.glsl.
 
+layout(push_constant, scalar) uniform Push {
+    uint voxels;
+    // World units.
+    float voxel_size;
+    // A voxel with a smaller sum of weights counts as unseen.
+    float least_weight;
+};
+
 // Per block: the blocks at the offsets (0 or 1, 0 or 1, 0 or 1), x first; NO_BLOCK for a missing one.
 layout(set = 0, binding = 0, scalar) readonly buffer Neighbours { uint neighbours[]; };
-// Per voxel: mean distance, world units; sum of weights, 0 for a voxel that no view has seen.
+// Per voxel: mean distance, world units; sum of weights.
 layout(set = 0, binding = 1, scalar) readonly buffer Distances { vec2 distances[]; };
 
 uvec3 place_in_block(uint voxel) {
@@ -26,31 +34,34 @@ uvec3 corner_offset(uint corner) {
     return uvec3(corner, corner >> 1, corner >> 2) & 1u;
 }
 
-vec2 distance_at(uint voxel) {
+// True if a voxel has been seen, and its distance.
+bool seen(uint voxel, out float distance) {
     // A driver may load before it tests.
-    return voxel == NO_BLOCK ? vec2(0.0) : distances[voxel == NO_BLOCK ? 0 : voxel];
+    vec2 own = distances[voxel == NO_BLOCK ? 0 : voxel];
+    distance = own.x;
+    return voxel != NO_BLOCK && own.y > 0.0 && own.y >= least_weight;
 }
 
 // A bit for each axis along which the voxel's edge crosses the surface.
 uint crossings_of(uint voxel) {
-    vec2 own = distance_at(voxel);
+    float own, other;
+    bool own_seen = seen(voxel, own);
     uint crossings = 0;
     for (uint axis = 0; axis < 3; ++axis) {
-        vec2 other = distance_at(voxel_beside(voxel, corner_offset(1 << axis)));
-        bool crosses = own.y > 0.0 && other.y > 0.0 && (own.x < 0.0) != (other.x < 0.0);
-        crossings |= uint(crosses) << axis;
+        bool both_seen = seen(voxel_beside(voxel, corner_offset(1 << axis)), other) && own_seen;
+        crossings |= uint(both_seen && (own < 0.0) != (other < 0.0)) << axis;
     }
     return crossings;
 }
 
-// Case of the cube whose first corner is a voxel: a bit for each corner behind the surface; 0 if no view has seen some corner.
+// Case of the cube whose first corner is a voxel: a bit for each corner behind the surface; 0 if some corner is unseen.
 uint case_of(uint voxel) {
     uint inside = 0;
-    bool seen = true;
+    bool all_seen = true;
     for (uint corner = 0; corner < 8; ++corner) {
-        vec2 own = distance_at(voxel_beside(voxel, corner_offset(corner)));
-        seen = seen && own.y > 0.0;
-        inside |= uint(own.x < 0.0) << corner;
+        float own;
+        all_seen = seen(voxel_beside(voxel, corner_offset(corner)), own) && all_seen;
+        inside |= uint(own < 0.0) << corner;
     }
-    return seen ? inside : 0;
+    return all_seen ? inside : 0;
 }

@@ -33,6 +33,12 @@ void share_splat(Splat splat) {
     }
 }
 
+#ifdef AUXILIARY
+#define READS_DEPTH (INVERSE_DEPTH || DEPTH_LIMIT || SURFACE)
+#else
+#define READS_DEPTH (INVERSE_DEPTH || DEPTH_LIMIT)
+#endif
+
 Splat splat_of_lane(Splat splat, uint lane) {
     if (SHARED_SPLATS) {
         uint place = shared_place(lane);
@@ -46,6 +52,6 @@ Splat splat_of_lane(Splat splat, uint lane) {
         vec3(lane_value(splat.form.x, lane), lane_value(splat.form.y, lane), lane_value(splat.form.z, lane)),
         lane_value(splat.opacity, lane),
         vec3(lane_value(splat.rgb.x, lane), lane_value(splat.rgb.y, lane), lane_value(splat.rgb.z, lane)),
-        INVERSE_DEPTH || DEPTH_LIMIT ? lane_value(splat.inverse_z, lane) : 0.0,
+        READS_DEPTH ? lane_value(splat.inverse_z, lane) : 0.0,
         INCREMENTAL_EXP ? lane_value(splat.curvature, lane) : 0.0);
 }

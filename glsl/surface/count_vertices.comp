@@ -13,10 +13,8 @@ layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 2, scalar) writeonly buffer Counts { uint counts[]; };
 
-layout(push_constant, scalar) uniform Push { uint voxels; };
-
-#include "dispatch.glsl"
 #include "field.glsl"
+#include "dispatch.glsl"
 
 void main() {
     uint voxel = linear_invocation();

@@ -17,10 +17,8 @@ layout(set = 0, binding = 3, scalar) readonly buffer VertexFirsts { uint vertex_
 layout(set = 0, binding = 4, scalar) readonly buffer TriangleFirsts { uint triangle_firsts[]; };
 layout(set = 0, binding = 5, scalar) writeonly buffer Triangles { uvec3 triangles[]; };
 
-layout(push_constant, scalar) uniform Push { uint voxels; };
-
-#include "dispatch.glsl"
 #include "field.glsl"
+#include "dispatch.glsl"
 
 // The vertex on an edge of a cube: corner of the voxel that it belongs to, and 8 times its axis.
 uint vertex_on(uint voxel, uint edge) {

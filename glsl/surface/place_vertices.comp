@@ -18,14 +18,8 @@ layout(set = 0, binding = 4, scalar) readonly buffer Firsts { uint firsts[]; };
 layout(set = 0, binding = 5, scalar) writeonly buffer Positions { vec3 positions[]; };
 layout(set = 0, binding = 6, scalar) writeonly buffer VertexColors { uint vertex_colors[]; };
 
-layout(push_constant, scalar) uniform Push {
-    uint voxels;
-    // World units.
-    float voxel_size;
-};
-
-#include "dispatch.glsl"
 #include "field.glsl"
+#include "dispatch.glsl"
 
 void main() {
     uint voxel = linear_invocation();

@@ -241,8 +241,15 @@ pub struct Beside {
     pub surfaces: Buffer,
 }
 
+/// Bits of a half float with the value of a float that has one.
+fn half_bits(x: f32) -> u16 {
+    let bits = x.to_bits();
+    let exponent = (bits >> 23 & 255).saturating_sub(112) << 10;
+    (bits >> 16 & 0x8000 | if x == 0.0 { 0 } else { exponent | bits >> 13 & 1023 }) as u16
+}
+
 /// Blends lists by `forward/blend_auxiliary` or `forward/blend_shared_auxiliary`. Writes the outputs that are asked for. A splat of the
-/// motion (x, y) has the normal (x, y, x - y).
+/// motion (x, y) has the normal (x, y, x - y), and (x, y) / 1024 as the slope of its depth.
 pub fn forward_auxiliary(
     gpu: &Gpu,
     lists: &Lists,
@@ -255,8 +262,11 @@ pub fn forward_auxiliary(
     let picks = gpu.untouched::<[u32; 2]>("picks", pixels);
     let motion_sums = gpu.untouched::<[f32; 2]>("motion_sums", pixels);
     let surfaces = gpu.untouched::<[f32; 4]>("surfaces", pixels);
-    let normals: Vec<[f32; 4]> = motions.iter().map(|&[x, y]| [x, y, x - y, f32::NAN]).collect();
-    let (motions, normals) = (gpu.buffer("motions", motions), gpu.buffer("normals", &normals));
+    let half = |x: f32| u32::from(half_bits(x / 1024.0));
+    let own = |&[x, y]: &[f32; 2]| [x, y, x - y, f32::from_bits(half(x) | half(y) << 16)];
+    let splat_surfaces: Vec<[f32; 4]> = motions.iter().map(own).collect();
+    let (motions, splat_surfaces) =
+        (gpu.buffer("motions", motions), gpu.buffer("splat_surfaces", &splat_surfaces));
     let (subgroup_size, limits) = (gpu.subgroup(), None::<&Buffer>);
     let blended = match how.by_workgroup {
         None => {
@@ -276,7 +286,8 @@ pub fn forward_auxiliary(
             };
             blend_lists!(
                 gpu, lists, blend_auxiliary, spec, how, limits,
-                picks: &picks, motions: &motions, motion_sums: &motion_sums, normals: &normals, surfaces: &surfaces
+                picks: &picks, motions: &motions, motion_sums: &motion_sums, splat_surfaces: &splat_surfaces,
+                surfaces: &surfaces
             )
         }
         Some(workgroup_size) => {
@@ -292,7 +303,8 @@ pub fn forward_auxiliary(
             };
             blend_lists!(
                 gpu, lists, blend_shared_auxiliary, spec, how, limits,
-                picks: &picks, motions: &motions, motion_sums: &motion_sums, normals: &normals, surfaces: &surfaces
+                picks: &picks, motions: &motions, motion_sums: &motion_sums, splat_surfaces: &splat_surfaces,
+                surfaces: &surfaces
             )
         }
     };

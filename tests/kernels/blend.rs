@@ -439,6 +439,7 @@ fn assert_auxiliary(gpu: &Gpu, lists: &Lists, auxiliary: &Beside, motions: &[[f3
         let own: Vec<[f64; 2]> = list.iter().map(|&i| motions[i as usize].map(f64::from)).collect();
         let normal = |motion: [f64; 2]| [motion[0], motion[1], motion[0] - motion[1]];
         let normals: Vec<[f64; 3]> = own.iter().map(|motion| normal(*motion)).collect();
+        let slopes: Vec<[f64; 2]> = own.iter().map(|motion| motion.map(|x| x / 1024.0)).collect();
         let (expected, weights) = beside(&lists.list_of(pixel), (&own, &normals), pixel);
         let [place, bits] = picks[index];
         let weight = f64::from(f32::from_bits(bits));
@@ -451,7 +452,7 @@ fn assert_auxiliary(gpu: &Gpu, lists: &Lists, auxiliary: &Beside, motions: &[[f3
         assert!(picked && close(0) && close(1), "{what}, pixel {index}: {expected:?}, {:?}", picks[index]);
         let [x, y, z, median] = surfaces[index].map(f64::from);
         let close = [x, y, z].into_iter().zip(expected.normal).all(|(a, b)| (a - b).abs() < 2e-3);
-        let surface = close && is_median_depth(median, &lists.list_of(pixel), pixel, 1e-4);
+        let surface = close && is_median_depth(median, (&lists.list_of(pixel), &slopes), pixel, 1e-4);
         assert!(surface, "{what}, pixel {index}: {expected:?}, {:?}", surfaces[index]);
     }
 }
@@ -473,7 +474,7 @@ fn check_apart(gpu: &Gpu, lists: &Lists, how: How) {
     let all = forward_auxiliary(gpu, lists, how, &motions, ALL);
     for only in 0..3 {
         let outputs = Outputs { pick: only == 0, motion: only == 1, surface: only == 2 };
-        let one = forward_auxiliary(gpu, lists, how, &motions, outputs);
+        let one = forward_auxiliary(gpu, lists, How { inverse_depth: false, ..how }, &motions, outputs);
         for (on, buffer, other) in [
             (outputs.pick, &one.picks, &all.picks),
             (outputs.motion, &one.motion_sums, &all.motion_sums),

@@ -253,7 +253,7 @@ fn compose_rgba32f_equals_its_twin() {
 }
 
 /// Value of a half float that is finite.
-fn from_half(bits: u16) -> f64 {
+pub fn from_half(bits: u16) -> f64 {
     let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
     let size = match exponent {
         0 => mantissa * 2f64.powi(-24),

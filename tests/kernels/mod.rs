@@ -20,5 +20,6 @@ pub mod project_backward;
 pub mod scan;
 mod screen_motion;
 pub mod sort;
-mod splat_normals;
+mod splat_surfaces;
 pub mod ssim;
+pub mod surface;

@@ -1,7 +1,7 @@
 //! Front-to-back blending of one pixel (spec: "Forward" 8), the twin of `forward/blend`.
 
 use super::tiles::alpha_unclamped;
-use super::types::{ALPHA_MAX, ALPHA_MIN, Splat, TRANSMITTANCE_MIN};
+use super::types::{ALPHA_MAX, ALPHA_MIN, NEAR, Splat, TRANSMITTANCE_MIN};
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pixel {
@@ -104,8 +104,13 @@ pub fn beside(
 }
 
 /// True if a depth is that of the splat behind which the transmittance is below a half, 0 for none, with a tolerance of the
-/// transmittance.
-pub fn is_median_depth(depth: f64, list: &[&Splat], pixel: [u32; 2], tolerance: f64) -> bool {
+/// transmittance. `slopes`: change of the depth per px of each splat of the list.
+pub fn is_median_depth(
+    depth: f64,
+    (list, slopes): (&[&Splat], &[[f64; 2]]),
+    pixel: [u32; 2],
+    tolerance: f64,
+) -> bool {
     let (samples, behind) = samples(list, pixel);
     if depth == 0.0 {
         return behind > 0.5 - tolerance;
@@ -113,7 +118,9 @@ pub fn is_median_depth(depth: f64, list: &[&Splat], pixel: [u32; 2], tolerance: 
     samples.iter().any(|sample| {
         let halves = sample.transmittance > 0.5 - tolerance
             && sample.transmittance * (1.0 - sample.alpha) < 0.5 + tolerance;
-        halves && (depth / list[sample.entry].depth - 1.0).abs() < 1e-5
+        let (splat, [x, y]) = (list[sample.entry], slopes[sample.entry]);
+        let [dx, dy] = [0, 1].map(|axis| f64::from(pixel[axis]) - splat.mean2d_px[axis]);
+        halves && (depth - (splat.depth + x * dx + y * dy).max(NEAR)).abs() < 1e-4 * splat.depth.max(depth)
     })
 }
 

@@ -24,7 +24,7 @@ pub struct Arguments {
     /// The mesh: FILE.ply, FILE.obj or FILE.glb
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
-    /// Distance between the field's voxels, in the data set's units [default: a pixel at the median depth]
+    /// Distance between the field's voxels, in the data set's units [default: two pixels at the median depth]
     #[arg(long, value_name = "SIZE", value_parser = positive)]
     voxel: Option<f32>,
     /// Depth beyond which nothing is meshed, in the data set's units [default: twice the median depth]
@@ -43,6 +43,9 @@ pub struct Arguments {
     #[arg(long)]
     quiet: bool,
 }
+
+/// Views at the median depth that must have seen a voxel: what fewer have seen is mostly wrong.
+const LEAST_VIEWS: f32 = 3.0;
 
 fn positive(text: &str) -> Result<f32, String> {
     let number = text.parse().ok().filter(|number: &f32| *number > 0.0 && number.is_finite());
@@ -96,8 +99,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let middle = seen.len() / 2;
         seen.select_nth_unstable_by(middle, |a, b| a[value].total_cmp(&b[value])).1[value]
     });
-    let voxel = arguments.voxel.map_or(pixel, |voxel| voxel / unit);
-    let field = FieldSettings::new(voxel, arguments.max_depth.map_or(2.0 * depth, |depth| depth / unit));
+    let voxel = arguments.voxel.map_or(2.0 * pixel, |voxel| voxel / unit);
+    let max_depth = arguments.max_depth.map_or(2.0 * depth, |depth| depth / unit);
+    let least_weight = LEAST_VIEWS * (voxel / pixel).powi(2);
+    let field = FieldSettings { least_weight, ..FieldSettings::new(voxel, max_depth) };
     let mut blocks = FieldBlocks::new(field)?;
     let too_large = |error, blocks: &FieldBlocks| match error {
         Error::TooLarge { needed, limit, limit_name, .. } => {

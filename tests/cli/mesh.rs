@@ -1,0 +1,135 @@
+//! `mesh`: files, errors, the same bytes.
+
+use super::*;
+
+/// Disks on a ball of radius 1 around a point, of two colours.
+fn ball(center: Vec3) -> Gaussians {
+    let mut ball = Gaussians::default();
+    for index in 0..3000 {
+        let z = 1.0 - (2.0 * index as f32 + 1.0) / 3000.0;
+        let (sine, cosine) = (index as f32 * 2.399_963).sin_cos();
+        let normal = vec3((1.0 - z * z).sqrt() * cosine, (1.0 - z * z).sqrt() * sine, z);
+        let turn = glam::Quat::from_rotation_arc(Vec3::Z, normal);
+        ball.means.push((center + normal).to_array());
+        ball.quats.push([turn.w, turn.x, turn.y, turn.z]);
+        ball.log_scales.push([-2.9, -2.9, -7.0]);
+        ball.opacity_logits.push(5.0);
+        ball.sh.push(if index < 1500 { [1.7, -1.7, -1.7] } else { [-1.7, -1.7, 1.7] });
+    }
+    ball
+}
+
+const VIEWS: &str = "--orbit 12 --width 96 --height 96 --fov 40";
+
+#[test]
+fn meshes_are_written_whole_and_alike() {
+    let place = Place::empty();
+    place.write_scene("ball.ply", &ball(Vec3::ZERO));
+    let told = place.run(format!("mesh @ball.ply -o @new/ball.obj {VIEWS} --voxel 0.06")).ok().stdout;
+    assert_has(&told, &["ball.obj: ", " triangles, ", "voxels of 0.06"]);
+    let lines = std::fs::read_to_string(place.at("new/ball.obj")).expect("an OBJ");
+    let numbers = |start: &str| -> Vec<Vec<f64>> {
+        let lines = lines.lines().filter_map(|line| line.strip_prefix(start));
+        lines.map(|line| line.split(' ').map(|word| word.parse().expect("a number")).collect()).collect()
+    };
+    let (vertices, triangles) = (numbers("v "), numbers("f "));
+    assert!(vertices.len() > 1000 && triangles.len() > 2000, "{told}");
+    for vertex in &vertices {
+        let radius = vertex[..3].iter().map(|x| x * x).sum::<f64>().sqrt();
+        assert!((radius - 1.0).abs() < 0.06 && vertex.len() == 6, "{vertex:?}");
+    }
+    assert!(triangles.iter().flatten().all(|&at| at >= 1.0 && at <= vertices.len() as f64));
+
+    let ply = |name: &str| {
+        place.run(format!("mesh @ball.ply -o @{name} {VIEWS} --voxel 0.06 --quiet")).ok();
+        std::fs::read(place.at(name)).expect("a file")
+    };
+    let bytes = ply("ball.ply.ply");
+    assert_eq!(bytes, ply("again.ply"), "the same bytes");
+    let header = String::from_utf8_lossy(&bytes[..400]).into_owned();
+    let counts = [format!("element vertex {}", vertices.len()), format!("element face {}", triangles.len())];
+    assert_has(&header, &[&counts[0], &counts[1], "property list uchar int vertex_indices"]);
+    let end = header.find("end_header\n").expect("its end") + "end_header\n".len();
+    assert_eq!(bytes.len(), end + 15 * vertices.len() + 13 * triangles.len());
+
+    let glb = ply("ball.glb");
+    let word = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().expect("four bytes")) as usize;
+    assert_eq!((&glb[..4], word(8)), (&b"glTF"[..], glb.len()));
+    let document: Value = serde_json::from_slice(&glb[20..20 + word(12)]).expect("JSON");
+    assert_eq!(document["accessors"][0]["count"], vertices.len());
+    assert_eq!(document["accessors"][2]["count"], 3 * triangles.len());
+    assert_eq!(document["buffers"][0]["byteLength"], 20 * vertices.len() + 12 * triangles.len());
+    assert!(!place.files("").iter().any(|path| text(path).ends_with(".tmp")));
+}
+
+/// A scene far from the origin keeps its precision: positions are relative to the origin that the file names.
+#[test]
+fn meshes_have_the_scenes_origin() {
+    let place = Place::empty();
+    place.write_scene("ball.ply", &ball(Vec3::ZERO));
+    place.run("convert @ball.ply --translate 500000,4000000,100 -o @far.ply").ok();
+    place.run(format!("mesh @far.ply -o @far.obj {VIEWS} --voxel 0.06 --quiet")).ok();
+    let text = std::fs::read_to_string(place.at("far.obj")).expect("an OBJ");
+    let origin: Vec<f64> = text
+        .lines()
+        .next()
+        .and_then(|line| line.strip_prefix("# origin "))
+        .expect("an origin")
+        .split(' ')
+        .map(|word| word.parse().expect("a number"))
+        .collect();
+    let first: Vec<f64> = text
+        .lines()
+        .nth(1)
+        .expect("a vertex")
+        .split(' ')
+        .skip(1)
+        .map(|word| word.parse().expect("a number"))
+        .collect();
+    let from_center =
+        [500_000.0, 4_000_000.0, 100.0].into_iter().zip(&origin).zip(&first).map(|((c, o), v)| o + v - c);
+    let radius = from_center.map(|x| x * x).sum::<f64>().sqrt();
+    assert!((radius - 1.0).abs() < 0.06, "{origin:?} {first:?}");
+}
+
+#[test]
+fn meshes_that_cannot_be_made() {
+    let place = Place::empty();
+    place.write_scene("ball.ply", &ball(Vec3::ZERO));
+    place.write_scene("none.ply", &Gaussians::default());
+    let refuses = |line: &str, words: &[&str]| {
+        place.run(line).refused(words);
+        assert!(!place.has("out"), "{line}");
+    };
+    refuses("mesh @ball.ply -o @out/a.stl --orbit 4", &["a.stl", ".ply, .obj or .glb"]);
+    refuses("mesh @ball.ply -o @out/a.ply", &["ball.ply: has no cameras", "--orbit N"]);
+    refuses(&format!("mesh @none.ply -o @out/a.ply {VIEWS}"), &["none.ply", "no surface"]);
+    refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --voxel 0"), &["--voxel", "positive"]);
+    refuses(
+        &format!("mesh @ball.ply -o @out/a.ply {VIEWS} --max-depth 0.5"),
+        &["--max-depth", "lies beyond"],
+    );
+    refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --min-part 99999999"), &["--min-part", "so many"]);
+    let tight = format!("mesh @ball.ply -o @out/a.ply {VIEWS} --max-memory 100M --voxel 0.001");
+    refuses(&tight, &["--voxel: 0.00100 makes ", "(--max-memory)", "may fit"]);
+    let lens = "--orbit 4 --width 96 --camera-model EQUIRECTANGULAR";
+    refuses(&format!("mesh @ball.ply -o @out/a.ply {lens}"), &["no view through a pinhole"]);
+}
+
+#[test]
+fn normals_and_median_depths_are_rendered() {
+    let place = Place::empty();
+    place.write_scene("ball.ply", &ball(Vec3::ZERO));
+    place.run(format!("render @ball.ply -o @one {VIEWS} --normals --depth median --format exr --quiet")).ok();
+    let exr = std::fs::read(place.at("one/00000.exr")).expect("an EXR");
+    let header = String::from_utf8_lossy(&exr[..600]).into_owned();
+    assert_has(&header, &["N.X", "N.Y", "N.Z"]);
+    place
+        .run("render @ball.ply -o @normals.png --orbit 1 --width 96 --height 96 --fov 40 --normals --quiet")
+        .ok();
+    let picture = place.picture("normals.png");
+    // The middle of the ball faces the camera, which stands above it and looks down by 20 degrees: up is -y.
+    let facing = picture.get_pixel(48, 48).0.map(|channel| f64::from(channel) / 127.5 - 1.0);
+    let length = facing.iter().map(|x| x * x).sum::<f64>().sqrt();
+    assert!((length - 1.0).abs() < 0.03 && (facing[1] + 20f64.to_radians().sin()).abs() < 0.1, "{facing:?}");
+}

@@ -1,0 +1,162 @@
+//! Normals, median depths and meshes.
+
+use crate::common::engine::settings;
+use crate::common::prelude::*;
+use crate::kernels::surface::open_edges;
+use crate::reference::blend::{beside, is_median_depth};
+use crate::reference::pipeline::{self, pixels_of, tile_of};
+use crate::reference::splat_surface::{depth_slope, splat_normal};
+use ashsplat::Surface;
+use ashsplat::scene::Intrinsics;
+use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, Mesh};
+use glam::{DVec3, Mat3};
+
+#[test]
+fn surfaces_of_frames_equal_the_twins() {
+    let _gpu = Gpu::new();
+    for (seed, orthographic) in [(1, false), (2, true)] {
+        let scene = small_scene(&mut Random::new(seed), 120, 16);
+        let drawn = Drawn { orthographic, ..Drawn::AS_THEY_ARE };
+        let focal_px = if orthographic { [14.0, 15.5] } else { [53.0, 56.0] };
+        let view = View { drawn, focal_px, ..small_view([53, 37]) };
+        let expected = pipeline::render(&scene, &view);
+        let (normals, slopes): (Vec<[f64; 3]>, Vec<[f64; 2]>) = scene
+            .iter()
+            .map(|gaussian| {
+                (splat_normal(gaussian, &view).0, depth_slope(gaussian, &view).unwrap_or_default())
+            })
+            .unzip();
+        let mut renderer = renderer();
+        renderer.upload(&gaussians(&scene)).expect("a scene");
+        let wanted = RenderSettings { surface: true, inverse_depth: false, ..settings(&view) };
+        let frame = renderer.render(&camera(&view), &wanted).expect("a frame");
+        let Surface { median_depth, normals: shown } = frame.surface.expect("asked for");
+        let plain = renderer.render(&camera(&view), &settings(&view)).expect("a frame");
+        assert!(plain.color == frame.color && plain.surface.is_none(), "the same picture");
+        let (mut off, mut covered) = (0, 0);
+        for (index, pixel) in pixels_of(&view).enumerate() {
+            let list = &expected.lists[tile_of(&view, pixel)];
+            let splats: Vec<_> =
+                list.iter().map(|&g| expected.splats[g as usize].as_ref().expect("shown")).collect();
+            let of_list = |g: &u32| (normals[*g as usize], slopes[*g as usize]);
+            let (normals, slopes): (Vec<_>, Vec<_>) = list.iter().map(of_list).unzip();
+            let (sums, _) = beside(&splats, (&vec![[0.0; 2]; list.len()], &normals), pixel);
+            let world =
+                camera(&view).camera_from_world.as_dmat3().transpose() * DVec3::from_array(sums.normal);
+            let shown = DVec3::from_array(shown[index].map(f64::from));
+            let depth = f64::from(median_depth[index]);
+            let right = is_median_depth(depth, (&splats, &slopes), pixel, 1e-4)
+                && shown.distance(world.normalize_or_zero()) < 1e-2;
+            off += usize::from(!right);
+            covered += usize::from(depth > 0.0);
+        }
+        // Decisions that depend on rounding.
+        assert!(off <= expected.pixels.len() / 50 && covered > 500, "{off} of {covered} pixels");
+    }
+}
+
+/// Disks on a ball of radius 1, and a far one that few views show.
+fn ball() -> Gaussians {
+    let count = 3000;
+    let mut ball = Gaussians::default();
+    for (index, normal) in directions(count).into_iter().enumerate() {
+        let turn = glam::Quat::from_rotation_arc(Vec3::Z, normal);
+        ball.means.push(normal.to_array());
+        ball.quats.push([turn.w, turn.x, turn.y, turn.z]);
+        ball.log_scales.push([-2.9, -2.9, -7.0]);
+        ball.opacity_logits.push(5.0);
+        ball.sh.push(if index < count / 2 { [1.7, -1.7, -1.7] } else { [-1.7, -1.7, 1.7] });
+    }
+    ball
+}
+
+/// Directions spread evenly, from +z to -z.
+fn directions(count: usize) -> Vec<Vec3> {
+    let direction = |index: usize| {
+        let z = 1.0 - (2.0 * index as f32 + 1.0) / count as f32;
+        let (sine, cosine) = (index as f32 * 2.399_963).sin_cos();
+        let radius = (1.0 - z * z).sqrt();
+        Vec3::new(radius * cosine, radius * sine, z)
+    };
+    (0..count).map(direction).collect()
+}
+
+fn cameras() -> Vec<Camera> {
+    let intrinsics = Intrinsics::from_fov_x(0.7, 96, 96);
+    let aside = |eye: Vec3| if eye.x.abs() < 2.0 { Vec3::X } else { Vec3::Y };
+    let eyes = directions(20).into_iter().map(|direction| 4.0 * direction);
+    eyes.map(|eye| Camera::look_at(eye, Vec3::ZERO, aside(eye), intrinsics)).collect()
+}
+
+fn mesh_of(renderer: &mut Renderer, field: FieldSettings) -> Mesh {
+    let settings = RenderSettings { surface: true, ..RenderSettings::default() };
+    let mut blocks = FieldBlocks::new(field).expect("settings");
+    for camera in &cameras() {
+        let frame = renderer.render(camera, &settings).expect("a frame");
+        blocks.add(camera, &frame.surface.expect("asked for")).expect("blocks");
+    }
+    let field = DistanceField::new(renderer.context(), &blocks).expect("a field");
+    for camera in &cameras() {
+        field.integrate(renderer, camera, &settings).expect("a view");
+    }
+    field.mesh().expect("a mesh")
+}
+
+#[test]
+fn a_ball_becomes_a_closed_mesh() {
+    let _gpu = Gpu::new();
+    let mut renderer = renderer();
+    renderer.upload(&ball()).expect("a scene");
+    let mut mesh = mesh_of(&mut renderer, FieldSettings::new(0.0625, 10.0));
+    assert_eq!(mesh, mesh_of(&mut renderer, FieldSettings::new(0.0625, 10.0)), "the same bits");
+    mesh.keep_parts(mesh.triangles.len() / 2);
+    assert_eq!(open_edges(&mesh.triangles), 0, "the mesh has a border");
+    let at = |vertex: u32| Vec3::from_array(mesh.positions[vertex as usize]);
+    let volume: f32 = mesh
+        .triangles
+        .iter()
+        .map(|&[a, b, c]| Mat3::from_cols(at(a), at(b), at(c)).determinant() / 6.0)
+        .sum();
+    // Outside is in front of the triangles.
+    assert!((3.9..4.4).contains(&volume), "{volume}");
+    for (position, color) in mesh.positions.iter().zip(&mesh.colors) {
+        let position = Vec3::from_array(*position);
+        assert!((position.length() - 1.0).abs() < 0.05, "{position}");
+        let [red, _, blue] = *color;
+        assert!(position.z.abs() < 0.15 || (red > blue) == (position.z > 0.0), "{color:?} at {position}");
+    }
+}
+
+#[test]
+fn small_parts_of_meshes_are_removed() {
+    let ribbon = |first: u32, triangles: u32| (first..first + triangles).map(|i| [i, i + 1, i + 2]);
+    let mut mesh = Mesh {
+        positions: (0..20).map(|i| [i as f32, 0.0, 0.0]).collect(),
+        colors: (0..20).map(|i| [i, 0, 0]).collect(),
+        // Vertices 0, 6 to 9 and 19 belong to no triangle.
+        triangles: ribbon(10, 7).chain(ribbon(1, 3)).collect(),
+    };
+    assert_eq!(mesh.keep_parts(3), 0);
+    assert_eq!((mesh.positions.len(), mesh.colors[0], mesh.triangles[0]), (14, [1, 0, 0], [5, 6, 7]));
+    assert_eq!(mesh.keep_parts(4), 1);
+    assert_eq!((mesh.positions.len(), mesh.triangles.len(), mesh.triangles[6]), (9, 7, [6, 7, 8]));
+    assert_eq!(mesh.positions[0], [10.0, 0.0, 0.0]);
+    assert_eq!((mesh.keep_parts(8), mesh), (1, Mesh::default()));
+}
+
+#[test]
+fn fields_refuse_what_they_cannot_fuse() {
+    let gpu = Gpu::new();
+    let assert_says = |error: Option<Error>, words: &[&str]| {
+        assert_says(error.expect("an error").to_string(), words);
+    };
+    assert_says(FieldBlocks::new(FieldSettings::new(0.0, 1.0)).err(), &["voxel", "must be positive"]);
+    let mut blocks = FieldBlocks::new(FieldSettings::new(0.1, 10.0)).expect("settings");
+    assert_says(DistanceField::new(gpu.context, &blocks).err(), &["no view shows a surface"]);
+    let pinhole = cameras()[0];
+    assert_says(blocks.add(&pinhole.orthographic(), &Surface::default()).err(), &["is no pinhole"]);
+    assert_says(blocks.add(&pinhole, &Surface::default()).err(), &["96x96 pixels"]);
+    let median_depth = vec![2.0; 96 * 96];
+    blocks.add(&pinhole, &Surface { median_depth, normals: Vec::new() }).expect("blocks");
+    assert!(blocks.len() > 4 && blocks.check(gpu.context).is_ok());
+}
