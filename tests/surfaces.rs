@@ -55,7 +55,7 @@ fn surfaces_of_frames_equal_the_twins() {
     }
 }
 
-/// Disks on a ball of radius 1, and a far one that few views show.
+/// Disks on a ball of radius 1, red above and blue below.
 fn ball() -> Gaussians {
     let count = 3000;
     let mut ball = Gaussians::default();
@@ -107,8 +107,9 @@ fn a_ball_becomes_a_closed_mesh() {
     let _gpu = Gpu::new();
     let mut renderer = renderer();
     renderer.upload(&ball()).expect("a scene");
-    let mut mesh = mesh_of(&mut renderer, FieldSettings::new(0.0625, 10.0));
-    assert_eq!(mesh, mesh_of(&mut renderer, FieldSettings::new(0.0625, 10.0)), "the same bits");
+    let field = FieldSettings { truncation: 0.125, ..FieldSettings::new(0.05, 10.0) };
+    let mut mesh = mesh_of(&mut renderer, field);
+    assert_eq!(mesh, mesh_of(&mut renderer, field), "the same bits");
     mesh.keep_parts(mesh.triangles.len() / 2);
     assert_eq!(open_edges(&mesh.triangles), 0, "the mesh has a border");
     let at = |vertex: u32| Vec3::from_array(mesh.positions[vertex as usize]);
@@ -118,10 +119,10 @@ fn a_ball_becomes_a_closed_mesh() {
         .map(|&[a, b, c]| Mat3::from_cols(at(a), at(b), at(c)).determinant() / 6.0)
         .sum();
     // Outside is in front of the triangles.
-    assert!((3.9..4.4).contains(&volume), "{volume}");
+    assert!((3.9..4.6).contains(&volume), "{volume}");
     for (position, color) in mesh.positions.iter().zip(&mesh.colors) {
         let position = Vec3::from_array(*position);
-        assert!((position.length() - 1.0).abs() < 0.05, "{position}");
+        assert!((position.length() - 1.0).abs() < 0.08, "{position}");
         let [red, _, blue] = *color;
         assert!(position.z.abs() < 0.15 || (red > blue) == (position.z > 0.0), "{color:?} at {position}");
     }

@@ -61,7 +61,7 @@ pub struct LaunchSizes {
     pub duplicate_items: u32,
     /// Regions of forward blending.
     pub blend: BlendShape,
-    /// Regions of backward blending, and of blending that also writes picks or motions.
+    /// Regions of backward blending, and of blending with outputs besides the picture.
     pub blend_heavy: BlendShape,
     /// Regions of a tile per subgroup in forward blending.
     pub regions_per_subgroup: u32,

@@ -76,7 +76,7 @@ pub struct Tuning {
     pub lanes: Option<u32>,
     /// Same as [`Self::lanes`], but for the kernels with the most registers, such as the backward projection.
     pub heavy_lanes: Option<u32>,
-    /// True if blending of picks and motions, and backward blending, use [`Self::heavy_lanes`].
+    /// True if blending with outputs besides the picture, and backward blending, use [`Self::heavy_lanes`].
     pub heavy_blending: bool,
     /// How keys are sorted.
     pub sort_method: SortMethod,

@@ -111,7 +111,7 @@ fn meshes_that_cannot_be_made() {
     );
     refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --min-part 99999999"), &["--min-part", "so many"]);
     let tight = format!("mesh @ball.ply -o @out/a.ply {VIEWS} --max-memory 100M --voxel 0.001");
-    refuses(&tight, &["--voxel: 0.00100 makes ", "(--max-memory)", "may fit"]);
+    refuses(&tight, &["--voxel: 0.00100 makes a field of ", "(--max-memory)", "may fit"]);
     let lens = "--orbit 4 --width 96 --camera-model EQUIRECTANGULAR";
     refuses(&format!("mesh @ball.ply -o @out/a.ply {lens}"), &["no view through a pinhole"]);
 }

@@ -69,6 +69,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if !others.is_empty() {
         tell!("warning: {} views are left out, which are no pinholes", others.len());
     }
+    if let (Some(note), false) = (&views.note, arguments.quiet) {
+        say!("{note}");
+    }
     let look = arguments.look.settings(&model.settings, &scene.header)?;
     let settings = RenderSettings { surface: true, ..look };
     let context = arguments.device.context()?;
@@ -104,29 +107,24 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let least_weight = LEAST_VIEWS * (voxel / pixel).powi(2);
     let field = FieldSettings { least_weight, ..FieldSettings::new(voxel, max_depth) };
     let mut blocks = FieldBlocks::new(field)?;
-    let too_large = |error, blocks: &FieldBlocks| match error {
+    each(&mut |renderer, camera| blocks.add(camera, &surface_of(renderer, camera, &settings)?))?;
+    if blocks.is_empty() {
+        return Err(Error::argument("--max-depth", "every surface lies beyond it"));
+    }
+    let too_large = |error| match error {
         Error::TooLarge { needed, limit, limit_name, .. } => {
             // The number of blocks grows with the square of the resolution.
             let fits = voxel * unit * 1.1 * (needed as f32 / limit as f32).sqrt();
             let [voxel, fits] = [voxel * unit, fits].map(significant);
-            let problem = format!("{voxel} makes {} blocks or more", thousands(blocks.len() as u64));
-            Error::argument(
-                "--voxel",
-                format!("{problem}, {needed} bytes of {limit} ({limit_name}); {fits} may fit"),
-            )
+            let problem =
+                format!("{voxel} makes a field of {needed} bytes, more than {limit} ({limit_name})");
+            Error::argument("--voxel", format!("{problem}; {fits} may fit"))
         }
         other => other,
     };
-    each(&mut |renderer, camera| {
-        blocks.add(camera, &surface_of(renderer, camera, &settings)?)?;
-        blocks.check(&context).map_err(|error| too_large(error, &blocks))
-    })?;
-    if blocks.is_empty() {
-        return Err(Error::argument("--max-depth", "every surface lies beyond it"));
-    }
-    let field = DistanceField::new(&context, &blocks).map_err(|error| too_large(error, &blocks))?;
+    let field = DistanceField::new(&context, &blocks).map_err(too_large)?;
     each(&mut |renderer, camera| field.integrate(renderer, camera, &settings))?;
-    let mut mesh = field.mesh().map_err(|error| too_large(error, &blocks))?;
+    let mut mesh = field.mesh().map_err(too_large)?;
     bar.finish_and_clear();
     let removed = mesh.keep_parts(arguments.min_part.unwrap_or(mesh.triangles.len() / 1000));
     if mesh.triangles.is_empty() {
