@@ -36,7 +36,7 @@ fn meshes_are_written_whole_and_alike() {
     assert!(vertices.len() > 1000 && triangles.len() > 2000, "{told}");
     for vertex in &vertices {
         let radius = vertex[..3].iter().map(|x| x * x).sum::<f64>().sqrt();
-        assert!((radius - 1.0).abs() < 0.06 && vertex.len() == 6, "{vertex:?}");
+        assert!((radius - 1.0).abs() < 0.12 && vertex.len() == 6, "{vertex:?}");
     }
     assert!(triangles.iter().flatten().all(|&at| at >= 1.0 && at <= vertices.len() as f64));
 
