@@ -182,11 +182,13 @@ const float COVERAGE_MIN = 1e-10;
 const uint MULTIPLY_ADD_CHAINS = 8;
 const uint MULTIPLY_ADD_STEPS = 4;
 
+#ifdef FIELD
 // Distance field: voxels along a block's side, voxels of a block, the mark of a missing block, and words of each case of a cube.
 const uint FIELD_SIDE = 8;
 const uint FIELD_VOXELS = 512;
 const uint NO_BLOCK = 0xFFFFFFFF;
 const uint CUBE_WORDS = 8;
+#endif
 
 // Background of the splats in a host's image: a colour, none (premultiplied colour), or the image.
 const uint COMPOSE_BACKGROUND = 0;

@@ -6,6 +6,7 @@
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
 
+#define FIELD
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
