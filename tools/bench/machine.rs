@@ -26,6 +26,10 @@ pub fn program() -> Program {
 
 /// Current commit of the checkout in which the program was built; none if the program is older than the commit.
 fn commit() -> Option<String> {
+    // tools/release names it, because a program that is handed on has no sources beside it.
+    if let Some(commit) = option_env!("ASHSPLAT_COMMIT") {
+        return Some(commit.to_owned());
+    }
     let git = |arguments: &[&str]| {
         let output = Command::new("git").arg("-C").arg(env!("CARGO_MANIFEST_DIR")).args(arguments).output();
         let output = output.ok().filter(|output| output.status.success())?;
