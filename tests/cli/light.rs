@@ -265,6 +265,6 @@ fn maps_of_depths_and_of_other_shapes_are_told() {
     let cut = image::open(mapped.map(2)).expect("a map").crop_imm(0, 0, SIZE[0] / 2, SIZE[1]);
     cut.save(mapped.map(2)).expect("saved");
     let run = mapped.0.run("train -s @data -m @out --iterations=1 -d depths");
-    run.warns(&["fall where the sparse points come nearer"]);
+    let run = run.warns(&["fall where the sparse points come nearer"]);
     run.warns(&["03.png: 1 of 9 depth maps are not of their photos' shape"]);
 }

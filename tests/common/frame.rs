@@ -67,6 +67,7 @@ impl Projected {
             lenses: false,
             sh_loops: gpu.limits().tuning.sh_loops,
             shared_order,
+            half_sh: false,
             shutter: false,
         };
         let splat = |(i, gaussian): (usize, &Gaussian)| {
