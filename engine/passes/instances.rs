@@ -24,8 +24,7 @@ pub(crate) struct Instances {
     duplicate_spec: duplicate_with_tiles::Spec,
     /// For frames without and with backward.
     ranges: [Kernel<ranges::Interface>; 2],
-    /// None until [`Instances::prepare_hiding`].
-    hide: Option<Kernel<hide_tiles::Interface>>,
+    hide: KernelSet<hide_tiles::Interface>,
 }
 
 impl Instances {
@@ -48,7 +47,7 @@ impl Instances {
                 ..duplicate_with_tiles::Spec::default()
             },
             ranges: [ranges(false)?, ranges(true)?],
-            hide: None,
+            hide: KernelSet::default(),
         };
         instances.prepare(context, Projection::Perspective)?;
         Ok(instances)
@@ -62,10 +61,12 @@ impl Instances {
 
     /// Builds the kernel for masked photographs. `absolute`: frames have absolute gradients.
     pub fn prepare_hiding(&mut self, context: &Context, absolute: bool) -> Result<()> {
-        let (subgroup_size, strips) = (context.limits().subgroup_size, self.sizes.strips);
-        let spec = hide_tiles::Spec { workgroup_size: subgroup_size, subgroup_size, strips, absolute };
-        self.hide = Some(Kernel::new(context, &spec)?);
-        Ok(())
+        self.hide.prepare(context, self.hide_spec(absolute))
+    }
+
+    fn hide_spec(&self, absolute: bool) -> hide_tiles::Spec {
+        let (subgroup_size, strips) = (self.duplicate_spec.subgroup_size, self.sizes.strips);
+        hide_tiles::Spec { workgroup_size: subgroup_size, subgroup_size, strips, absolute }
     }
 
     fn duplicate_spec(&self, for_backward: bool, projection: Projection) -> duplicate_with_tiles::Spec {
@@ -189,9 +190,6 @@ impl Instances {
 
     /// Records that the tiles in which a photograph's mask hides every pixel have no instances. The picture there is the
     /// background, and the gradients of these instances are 0.
-    ///
-    /// # Panics
-    /// Before [`Instances::prepare_hiding`].
     pub fn record_hiding(&self, r: &mut Recorder, inputs: &FrameInputs, photo: &Buffer) {
         let f = inputs.frame;
         let bind = hide_tiles::Bind {
@@ -207,7 +205,7 @@ impl Instances {
         let (tiles_per_row, tile_rows) = tile_grid(image_width, image_height);
         let tile_count = tiles_per_row * tile_rows;
         let push = hide_tiles::Push { image_width, image_height, tiles_per_row, tile_count };
-        let kernel = self.hide.as_ref().expect("prepare_hiding");
+        let Some(kernel) = self.hide.get(r, &self.hide_spec(inputs.capacity.absolute)) else { return };
         r.dispatch(kernel, &bind, &push, tile_count.into());
     }
 }
