@@ -90,7 +90,7 @@ fn cameras() -> Vec<Camera> {
 
 fn mesh_of(renderer: &mut Renderer, field: FieldSettings) -> Mesh {
     let settings = RenderSettings { surface: true, ..RenderSettings::default() };
-    let mut blocks = FieldBlocks::new(field).expect("settings");
+    let mut blocks = FieldBlocks::new(renderer.context(), field).expect("settings");
     for camera in &cameras() {
         let frame = renderer.render(camera, &settings).expect("a frame");
         blocks.add(camera, &frame.surface.expect("asked for")).expect("blocks");
@@ -151,13 +151,21 @@ fn fields_refuse_what_they_cannot_fuse() {
     let assert_says = |error: Option<Error>, words: &[&str]| {
         assert_says(error.expect("an error").to_string(), words);
     };
-    assert_says(FieldBlocks::new(FieldSettings::new(0.0, 1.0)).err(), &["voxel", "must be positive"]);
-    let mut blocks = FieldBlocks::new(FieldSettings::new(0.1, 10.0)).expect("settings");
+    assert_says(
+        FieldBlocks::new(gpu.context, FieldSettings::new(0.0, 1.0)).err(),
+        &["voxel", "must be positive"],
+    );
+    let mut blocks = FieldBlocks::new(gpu.context, FieldSettings::new(0.1, 10.0)).expect("settings");
     assert_says(DistanceField::new(gpu.context, &blocks).err(), &["no view shows a surface"]);
     let pinhole = cameras()[0];
     assert_says(blocks.add(&pinhole.orthographic(), &Surface::default()).err(), &["is no pinhole"]);
     assert_says(blocks.add(&pinhole, &Surface::default()).err(), &["96x96 pixels"]);
     let median_depth = vec![2.0; 96 * 96];
-    blocks.add(&pinhole, &Surface { median_depth, normals: Vec::new() }).expect("blocks");
-    assert!(blocks.len() > 4 && blocks.check(gpu.context).is_ok());
+    let surface = Surface { median_depth, normals: Vec::new() };
+    blocks.add(&pinhole, &surface).expect("blocks");
+    assert!(blocks.len() > 4);
+    for (voxel, words) in [(1e-8, "too small for surfaces so far"), (1e-5, "a distance field")] {
+        let mut tiny = FieldBlocks::new(gpu.context, FieldSettings::new(voxel, 10.0)).expect("settings");
+        assert_says(tiny.add(&pinhole, &surface).err(), &[words]);
+    }
 }

@@ -85,12 +85,12 @@ impl Renderer {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }
         let others = [
-            ("settings.dropout", frame.settings.dropout.is_some()),
-            ("settings.linear_depth", frame.settings.has_z_record()),
-            ("settings.surface", frame.settings.surface),
+            ("settings.dropout", frame.settings.dropout.is_some(), "is of training"),
+            ("settings.linear_depth", frame.settings.has_z_record(), "is of training"),
+            ("settings.surface", frame.settings.surface, "is for frames that are waited for"),
         ];
-        if let Some((field, _)) = others.iter().find(|(_, set)| *set) {
-            return Err(Error::argument(*field, "no recorded frame has it"));
+        if let Some((field, _, of)) = others.iter().find(|(_, set, _)| *set) {
+            return Err(Error::argument(*field, format!("{of}, no recorded frame has it")));
         }
         if !are_prepared {
             let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";

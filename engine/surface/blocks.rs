@@ -17,47 +17,54 @@ pub struct FieldSettings {
     pub truncation: f32,
     /// Depths beyond this one do not count, world units.
     pub max_depth: f32,
-    /// A view's weight at a voxel is the square of the voxel's size in pixels. Voxels with a smaller sum of weights count as unseen.
-    pub least_weight: f32,
+    /// Number of views that must have seen a voxel, at least 1; one that fewer have seen counts as unseen.
+    pub least_views: u32,
 }
 
 impl FieldSettings {
-    /// A field of these voxels and depths, with a truncation of six voxels, of all that a view has seen.
+    /// A field of these voxels and depths, with a truncation of six voxels. Every voxel that some view has seen counts.
     pub fn new(voxel: f32, max_depth: f32) -> Self {
-        Self { voxel, truncation: 6.0 * voxel, max_depth, least_weight: 0.0 }
+        Self { voxel, truncation: 6.0 * voxel, max_depth, least_views: 1 }
     }
 }
 
 /// Distance from a surface up to which a field has voxels, in voxels. A cube at the surface has its corners within √3.
 const MARGIN: f32 = 2.0;
-/// Bytes of a voxel on the device: distance and weight, colour, count, and places of its vertices and of its triangles.
+/// Largest coordinate of a block.
+const FARTHEST: f32 = 1_048_576.0;
+/// Bytes of a voxel on the device: distance, weight and views, colour, count, and places of its vertices and of its triangles.
 const VOXEL_BYTES: u64 = 8 + 8 + 3 * 4;
 
 /// Blocks of 8³ voxels near the surfaces of some views.
 pub struct FieldBlocks {
     pub(super) settings: FieldSettings,
     found: HashSet<[i32; 3]>,
+    /// Most bytes of the field, and of its largest buffer, each with its name.
+    limits: [(u64, &'static str); 2],
 }
 
 impl FieldBlocks {
-    /// No blocks yet.
+    /// No blocks yet, of a field on this device.
     ///
     /// # Errors
     /// [`Error::Argument`] for settings that are not positive and finite.
-    pub fn new(settings: FieldSettings) -> Result<Self> {
+    pub fn new(context: &Context, settings: FieldSettings) -> Result<Self> {
         let FieldSettings { voxel, truncation, max_depth, .. } = settings;
         for (name, value) in [("voxel", voxel), ("truncation", truncation), ("max_depth", max_depth)] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(Error::argument(name, format!("is {value}, must be positive and finite")));
             }
         }
-        Ok(Self { settings, found: HashSet::new() })
+        let whole = context.memory_limit().unwrap_or((u64::MAX, "memory"));
+        let range = (context.limits().max_storage_buffer_range, "maxStorageBufferRange");
+        Ok(Self { settings, found: HashSet::new(), limits: [whole, range] })
     }
 
     /// Adds the blocks near the surface that a view shows.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a surface of another size than the camera's, or a camera that is no pinhole.
+    /// [`Error::Argument`] for a surface of another size than the camera's, a camera that is no pinhole, or voxels that are too
+    /// small for the distance from the origin; [`Error::TooLarge`] if the device cannot hold the field, besides frames and the mesh.
     pub fn add(&mut self, camera: &Camera, surface: &Surface) -> Result<()> {
         check_pinhole(camera)?;
         let [width, height] = [camera.width, camera.height];
@@ -73,6 +80,11 @@ impl FieldBlocks {
             }
             let pixel = [index as u32 % width, index as u32 / width].map(|at| at as f32 + 0.5);
             let at = points(pixel, depth) / block;
+            if !(at.abs().max_element() < FARTHEST) {
+                let problem =
+                    format!("is {}, too small for surfaces so far from the origin", self.settings.voxel);
+                return Err(Error::argument("voxel", problem));
+            }
             let range =
                 [at - margin, at + margin].map(|corner| corner.to_array().map(|at| at.floor() as i32));
             // Neighbouring pixels mostly show the same blocks.
@@ -81,6 +93,7 @@ impl FieldBlocks {
                 for (z, y) in (low[2]..=high[2]).flat_map(|z| (low[1]..=high[1]).map(move |y| (z, y))) {
                     self.found.extend((low[0]..=high[0]).map(|x| [x, y, z]));
                 }
+                self.check()?;
             }
         }
         Ok(())
@@ -96,15 +109,10 @@ impl FieldBlocks {
         self.found.is_empty()
     }
 
-    /// Checks that a device can hold the field, besides the memory of frames and of the mesh.
-    ///
-    /// # Errors
-    /// [`Error::TooLarge`] with the bytes of the field or of its largest buffer.
-    pub fn check(&self, context: &Context) -> Result<()> {
+    fn check(&self) -> Result<()> {
         let voxels = self.len() as u64 * u64::from(FIELD_VOXELS);
-        let range = (context.limits().max_storage_buffer_range, "maxStorageBufferRange");
-        let whole = context.memory_limit().map(|limit| (voxels * VOXEL_BYTES, limit));
-        match whole.into_iter().chain([(voxels * 8, range)]).find(|(needed, (limit, _))| needed > limit) {
+        let needed = [voxels * VOXEL_BYTES, voxels * 8];
+        match needed.into_iter().zip(self.limits).find(|(needed, (limit, _))| needed > limit) {
             Some((needed, limit)) => Err(Error::too_large("a distance field", (needed, "bytes"), limit)),
             None => Ok(()),
         }

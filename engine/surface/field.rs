@@ -51,7 +51,7 @@ buffer_set! {
 ///
 /// fn mesh_of(renderer: &mut Renderer, cameras: &[Camera]) -> ashsplat::Result<Mesh> {
 ///     let settings = RenderSettings { surface: true, ..RenderSettings::default() };
-///     let mut blocks = FieldBlocks::new(FieldSettings::new(0.01, 10.0))?;
+///     let mut blocks = FieldBlocks::new(renderer.context(), FieldSettings::new(0.01, 10.0))?;
 ///     for camera in cameras {
 ///         blocks.add(camera, &renderer.render(camera, &settings)?.surface.unwrap_or_default())?;
 ///     }
@@ -80,12 +80,11 @@ impl DistanceField {
     /// Allocates the voxels of these blocks, which no view has seen yet.
     ///
     /// # Errors
-    /// [`Error::Argument`] without a block, and errors of [`FieldBlocks::check`]; memory or device failures.
+    /// [`Error::Argument`] without a block; memory or device failures.
     pub fn new(context: &Context, blocks: &FieldBlocks) -> Result<Self> {
         if blocks.is_empty() {
             return Err(Error::argument("blocks", "there are none: no view shows a surface"));
         }
-        blocks.check(context)?;
         let (places, neighbours) = blocks.sorted();
         let voxels = to_u32(places.len() as u64 * u64::from(FIELD_VOXELS))?;
         let workgroup_size = LaunchSizes::new(context.limits()).elementwise_workgroup;
@@ -164,10 +163,10 @@ impl DistanceField {
     pub fn mesh(&self) -> Result<Mesh> {
         let FieldBuffers { blocks, neighbours, distances, colors, counts, .. } = &self.buffers;
         let FieldBuffers { vertex_firsts, triangle_firsts, cubes, .. } = &self.buffers;
-        let FieldSettings { voxel: voxel_size, least_weight, .. } = self.settings;
+        let FieldSettings { voxel: voxel_size, least_views, .. } = self.settings;
         macro_rules! push {
             ($kernel:ident) => {
-                $kernel::Push { voxels: self.voxels, voxel_size, least_weight }
+                $kernel::Push { voxels: self.voxels, voxel_size, least_views }
             };
         }
         let vertices = self.scanned(vertex_firsts, |r| {

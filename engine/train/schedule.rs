@@ -159,9 +159,9 @@ impl TrainSettings {
             && iteration.is_multiple_of(self.densification_interval)
     }
 
-    /// The last iteration (1-based) that ends with a densification, if one does.
+    /// The last iteration (1-based) before the run's last that ends with a densification, if one does.
     pub fn last_densification(&self) -> Option<u32> {
-        (1..=self.iterations).rev().find(|&iteration| self.densifies_at(iteration))
+        (1..self.iterations).rev().find(|&iteration| self.densifies_at(iteration))
     }
 
     /// True if a densification at this iteration (1-based) also prunes Gaussians that are large in the world: only after the

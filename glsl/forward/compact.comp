@@ -4,7 +4,7 @@
 // keeps a running count, so no barrier is needed
 // in: visible_flags[Gaussian], block_offsets[block] (exclusive prefix sums)
 // out: visible_list[visible] = Gaussian, visible_index[Gaussian] = visible or NOT_VISIBLE. Gaussians beyond the capacity are
-//     not visible: the frame has then overflowed (write_indirect_args.comp) and is repeated
+//     not visible: the frame has then overflowed (scan_spine.comp) and is repeated
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require

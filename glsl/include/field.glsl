@@ -6,14 +6,18 @@ layout(push_constant, scalar) uniform Push {
     uint voxels;
     // World units.
     float voxel_size;
-    // A voxel with a smaller sum of weights counts as unseen.
-    float least_weight;
+    // A voxel that fewer views have seen counts as unseen.
+    uint least_views;
 };
 
 // Per block: the blocks at the offsets (0 or 1, 0 or 1, 0 or 1), x first; NO_BLOCK for a missing one.
 layout(set = 0, binding = 0, scalar) readonly buffer Neighbours { uint neighbours[]; };
-// Per voxel: mean distance, world units; sum of weights.
-layout(set = 0, binding = 1, scalar) readonly buffer Distances { vec2 distances[]; };
+// Per voxel: mean distance, world units, a float; sum of weights as half float in the low 16 bits, number of views in the high ones.
+layout(set = 0, binding = 1, scalar) readonly buffer Distances { uvec2 distances[]; };
+
+float distance_of(uint voxel) {
+    return uintBitsToFloat(distances[voxel].x);
+}
 
 uvec3 place_in_block(uint voxel) {
     return uvec3(voxel, voxel / FIELD_SIDE, voxel / (FIELD_SIDE * FIELD_SIDE)) % FIELD_SIDE;
@@ -37,9 +41,9 @@ uvec3 corner_offset(uint corner) {
 // True if a voxel has been seen, and its distance.
 bool seen(uint voxel, out float distance) {
     // A driver may load before it tests.
-    vec2 own = distances[voxel == NO_BLOCK ? 0 : voxel];
-    distance = own.x;
-    return voxel != NO_BLOCK && own.y > 0.0 && own.y >= least_weight;
+    uint place = voxel == NO_BLOCK ? 0 : voxel;
+    distance = distance_of(place);
+    return voxel != NO_BLOCK && distances[place].y >> 16 >= max(least_views, 1);
 }
 
 // A bit for each axis along which the voxel's edge crosses the surface.

@@ -21,7 +21,7 @@ layout(set = 0, binding = 0, scalar) readonly buffer Blocks { ivec4 blocks[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Surfaces { vec4 surfaces[]; };
 layout(set = 0, binding = 2, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
 // See field.glsl.
-layout(set = 0, binding = 3, scalar) buffer Distances { vec2 distances[]; };
+layout(set = 0, binding = 3, scalar) buffer Distances { uvec2 distances[]; };
 // Per voxel, as half floats: mean r, g, b, and the sum of their weights.
 layout(set = 0, binding = 4, scalar) buffer Colors { uvec2 colors[]; };
 
@@ -45,6 +45,9 @@ layout(push_constant, scalar) uniform Push {
 
 #include "dispatch.glsl"
 
+// Where a sum of weights ends, means forget old views slowly.
+const float LARGEST_HALF = 65504.0;
+
 void main() {
     uint voxel = linear_invocation();
     if (voxel >= voxels) {
@@ -65,16 +68,19 @@ void main() {
         return;
     }
     float pixels = voxel_size * focal_px.x / at.z;
-    float weight = pixels * pixels;
-    vec2 before = distances[voxel];
-    float sum = before.y + weight;
-    distances[voxel] = vec2(before.x + weight / sum * (min(ahead, truncation) - before.x), sum);
+    float weight = min(pixels * pixels, LARGEST_HALF);
+    uvec2 before = distances[voxel];
+    uint views = before.y >> 16;
+    float mean_distance = uintBitsToFloat(before.x);
+    float sum = min(unpackHalf2x16(before.y).x + weight, LARGEST_HALF);
+    mean_distance += weight / sum * (min(ahead, truncation) - mean_distance);
+    distances[voxel] = uvec2(floatBitsToUint(mean_distance), packHalf2x16(vec2(sum, 0.0)) | min(views + 1, 0xFFFFu) << 16);
     if (ahead <= truncation) {
         vec4 shown = accumulated[index];
         vec3 color = clamp(shown.xyz / (1.0 - shown.w), 0.0, 1.0);
         uvec2 words = colors[voxel];
         vec4 mean = vec4(unpackHalf2x16(words.x), unpackHalf2x16(words.y));
-        float color_sum = min(mean.w + weight, 65504.0);
+        float color_sum = min(mean.w + weight, LARGEST_HALF);
         mean = vec4(mean.xyz + weight / color_sum * (color - mean.xyz), color_sum);
         colors[voxel] = uvec2(packHalf2x16(mean.xy), packHalf2x16(mean.zw));
     }

@@ -36,7 +36,7 @@ void main() {
         }
         uvec3 along = corner_offset(1 << axis);
         uint other = voxel_beside(voxel, along);
-        float share = distances[voxel].x / (distances[voxel].x - distances[other].x);
+        float share = distance_of(voxel) / (distance_of(voxel) - distance_of(other));
         positions[vertex] = voxel_size * (corner + share * vec3(along));
         vec4 near = vec4(unpackHalf2x16(colors[voxel].x), unpackHalf2x16(colors[voxel].y));
         vec4 far = vec4(unpackHalf2x16(colors[other].x), unpackHalf2x16(colors[other].y));

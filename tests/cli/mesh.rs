@@ -111,7 +111,10 @@ fn meshes_that_cannot_be_made() {
     );
     refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --min-part 99999999"), &["--min-part", "so many"]);
     let tight = format!("mesh @ball.ply -o @out/a.ply {VIEWS} --max-memory 100M --voxel 0.001");
-    refuses(&tight, &["--voxel: 0.00100 makes a field of ", "(--max-memory)", "may fit"]);
+    refuses(&tight, &["--voxel: 0.00100 makes more than ", "(--max-memory)", "try 0.00200"]);
+    refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --voxel 9"), &["ball.ply", "larger than a voxel"]);
+    refuses("mesh @ball.ply -o @out/a.ply --orbit 2 --width 96", &["2 views are too few"]);
+    place.run(format!("mesh @ball.ply -o @ball.ply {VIEWS}")).refused(&["--out", "ball.ply is read"]);
     let lens = "--orbit 4 --width 96 --camera-model EQUIRECTANGULAR";
     refuses(&format!("mesh @ball.ply -o @out/a.ply {lens}"), &["no view through a pinhole"]);
 }

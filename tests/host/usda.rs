@@ -74,9 +74,18 @@ fn odd_usda_gets_a_line_or_is_refused() {
     let folder = Folder::new();
     let prim = |body: &str| format!("#usda 1.0\ndef ParticleField3DGaussianSplat \"P\"\n{{\n{body}\n}}\n");
     let positions = "point3f[] positions = [(0, 0, 1), (0, 0, 2)]\n";
-    let short = read(&folder, &prim(&format!("{positions}float[] opacities = [1]"))).unwrap();
-    assert_one(&short.warnings, &["prim P: opacities has 1 numbers instead of 2 and is not used"]);
-    assert_eq!(short.gaussians.len(), 2);
+    let long = read(&folder, &prim(&format!("{positions}float[] opacities = [1, 1, 1]"))).unwrap();
+    assert_one(&long.warnings, &["prim P: opacities has 3 numbers, of which 2 are read"]);
+    let shown = prim(positions);
+    for hidden in [
+        shown.replace("\"P\"", "\"H\" (active = false)"),
+        shown.replace('{', "{ token visibility = \"invisible\""),
+    ] {
+        let hidden = hidden.replace("#usda 1.0", "").replace("\"P\"", "\"H\"");
+        let both = read(&folder, &format!("\u{feff}{shown}{hidden}")).unwrap();
+        assert_one(&both.warnings, &["prim H: is inactive or invisible, and not read"]);
+        assert_eq!(both.gaussians.len(), 2);
+    }
     let moving = read(&folder, &prim("point3f[] positions.timeSamples = { 0: [(0, 0, 1)] }")).unwrap();
     assert_one(&moving.warnings, &["prim P: has no positions; values over time are not read"]);
     let degree = "uniform int radiance:sphericalHarmonicsDegree = 4\n";
@@ -101,6 +110,8 @@ fn odd_usda_gets_a_line_or_is_refused() {
         (prim("uniform int radiance:sphericalHarmonicsDegree = -1"), &["makes no sense"]),
         (op("xformOp:rotateZYX", "(0, 0, 1)"), &["prim P: xformOp:rotateZYX is not read"]),
         (op("xformOp:scale", "(1, 2, 1)"), &["is more than rotation"]),
+        (op("xformOp:translate", "(1, x, 2, 3)"), &["xformOp:translate is not read"]),
+        (prim(&format!("{positions}float[] opacities = [1]")), &["opacities has 1 numbers instead of 2"]),
     ] {
         let refused = read(&folder, &text);
         assert_says(refusal(&folder.join("scene.usda"), refused), words);

@@ -5,6 +5,7 @@
 pub struct Voxel {
     pub distance: f64,
     pub weight: f64,
+    pub views: u32,
     pub color: [f64; 3],
     pub color_weight: f64,
 }
@@ -18,6 +19,7 @@ pub fn integrate(voxel: &mut Voxel, ahead: f64, truncation: f64, pixels: f64, co
     voxel.distance =
         (voxel.distance * voxel.weight + ahead.min(truncation) * weight) / (voxel.weight + weight);
     voxel.weight += weight;
+    voxel.views += 1;
     if ahead <= truncation {
         let sum = voxel.color_weight + weight;
         let mean = |k: usize| (voxel.color[k] * voxel.color_weight + color[k].clamp(0.0, 1.0) * weight) / sum;

@@ -15,8 +15,8 @@ use std::path::PathBuf;
 
 /// Make a mesh of a trained scene, with coloured vertices: median depths of the training's views, fused into a field of distances.
 ///
-/// Coordinates are the data set's. The surface is as good as the views' depths: it is nowhere finer than their pixels, and what
-/// no view shows has none.
+/// Coordinates are the data set's. The mesh is at most as fine as the views' pixels. Surfaces that fewer than three views show are
+/// missing.
 #[derive(Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -44,8 +44,8 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// Views at the median depth that must have seen a voxel: what fewer have seen is mostly wrong.
-const LEAST_VIEWS: f32 = 3.0;
+/// Views that must have seen a voxel: surfaces that fewer views show are mostly floaters.
+const LEAST_VIEWS: u32 = 3;
 
 fn positive(text: &str) -> Result<f32, String> {
     let number = text.parse().ok().filter(|number: &f32| *number > 0.0 && number.is_finite());
@@ -57,6 +57,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     output::check(&[("--out", Some(&arguments.out))])?;
     arguments.views.check()?;
     let model = Model::locate(arguments.model.path()?, arguments.model.iteration)?;
+    output::check_apart(&[("--out", Some(&arguments.out))], &[model.ply.clone()])?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let views = arguments.views.choose(&model, &scene, None)?;
     let cameras: Vec<Camera> = views.cameras.iter().map(|named| named.camera).collect();
@@ -67,7 +68,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::input(&model.ply, "has no view through a pinhole", remedy));
     }
     if !others.is_empty() {
-        tell!("warning: {} views are left out, which are no pinholes", others.len());
+        tell!("warning: {} views through lenses or with parallel rays are left out", others.len());
+    }
+    if cameras.len() < LEAST_VIEWS as usize {
+        let problem = format!("{} views are too few, a mesh takes {LEAST_VIEWS}", cameras.len());
+        return Err(Error::input(&model.ply, problem, "give more: --path FILE or --orbit N"));
     }
     if let (Some(note), false) = (&views.note, arguments.quiet) {
         say!("{note}");
@@ -104,32 +109,33 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     });
     let voxel = arguments.voxel.map_or(2.0 * pixel, |voxel| voxel / unit);
     let max_depth = arguments.max_depth.map_or(2.0 * depth, |depth| depth / unit);
-    let least_weight = LEAST_VIEWS * (voxel / pixel).powi(2);
-    let field = FieldSettings { least_weight, ..FieldSettings::new(voxel, max_depth) };
-    let mut blocks = FieldBlocks::new(field)?;
-    each(&mut |renderer, camera| blocks.add(camera, &surface_of(renderer, camera, &settings)?))?;
+    let named = |error| match error {
+        Error::TooLarge { limit, limit_name, unit: "bytes", .. } => {
+            let [voxel, larger] = [voxel, 2.0 * voxel].map(|voxel| significant(voxel * unit));
+            let problem = format!("{voxel} makes more than {limit} bytes ({limit_name})");
+            Error::argument("--voxel", format!("{problem}; try {larger}"))
+        }
+        Error::Argument { what, problem } if what == "voxel" => Error::argument("--voxel", problem),
+        other => other,
+    };
+    let field = FieldSettings { least_views: LEAST_VIEWS, ..FieldSettings::new(voxel, max_depth) };
+    let mut blocks = FieldBlocks::new(&context, field)?;
+    each(&mut |renderer, camera| blocks.add(camera, &surface_of(renderer, camera, &settings)?))
+        .map_err(named)?;
     if blocks.is_empty() {
         return Err(Error::argument("--max-depth", "every surface lies beyond it"));
     }
-    let too_large = |error| match error {
-        Error::TooLarge { needed, limit, limit_name, .. } => {
-            // The number of blocks grows with the square of the resolution.
-            let fits = voxel * unit * 1.1 * (needed as f32 / limit as f32).sqrt();
-            let [voxel, fits] = [voxel * unit, fits].map(significant);
-            let problem =
-                format!("{voxel} makes a field of {needed} bytes, more than {limit} ({limit_name})");
-            Error::argument("--voxel", format!("{problem}; {fits} may fit"))
-        }
-        other => other,
-    };
-    let field = DistanceField::new(&context, &blocks).map_err(too_large)?;
+    let field = DistanceField::new(&context, &blocks).map_err(named)?;
     each(&mut |renderer, camera| field.integrate(renderer, camera, &settings))?;
-    let mut mesh = field.mesh().map_err(too_large)?;
+    let mut mesh = field.mesh().map_err(named)?;
     bar.finish_and_clear();
+    if mesh.triangles.is_empty() {
+        let problem = format!("{LEAST_VIEWS} views see no surface together that is larger than a voxel");
+        return Err(Error::input(&model.ply, problem, "give other views, or a smaller --voxel"));
+    }
     let removed = mesh.keep_parts(arguments.min_part.unwrap_or(mesh.triangles.len() / 1000));
     if mesh.triangles.is_empty() {
-        let problem = "no part of the mesh has so many triangles";
-        return Err(Error::argument("--min-part", problem));
+        return Err(Error::argument("--min-part", "no part of the mesh has so many triangles"));
     }
     session::check(&stop)?;
     output::in_folder(&arguments.out, |path| format.write(path, &mesh, &scene.frame))?;

@@ -66,7 +66,8 @@ pub struct Arguments {
     /// Z of an EXR [default: mean]
     #[arg(long, value_enum)]
     depth: Option<Depth>,
-    /// Also write normals, in the scene's axes: channels N.X, N.Y and N.Z of an EXR; a PNG shows (1 + n) / 2 in place of colours
+    /// Also write normals, in the scene's axes: channels N.X, N.Y and N.Z of an EXR; without one, the PNG shows (1 + n) / 2 in place
+    /// of colours
     #[arg(long, conflicts_with_all = ["transparent", "exposure_of", "lens_of"])]
     normals: bool,
     /// Without a background: an EXR's colours are premultiplied by its alpha, and a PNG has opacity
@@ -152,7 +153,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
         let mut frame = renderer.render(&named.camera, &settings)?;
         appearance.apply(&named.camera, &mut frame);
-        if let (Format::Png, Some(surface)) = (format, &frame.surface) {
+        if let (Format::Png, true, Some(surface)) = (format, arguments.normals, &frame.surface) {
             frame.color = surface.normals.iter().map(|normal| normal.map(|n| 0.5 + 0.5 * n)).collect();
         }
         arguments.depth().scale(&mut frame, scene.frame.unit as f32);

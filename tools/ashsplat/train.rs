@@ -280,8 +280,7 @@ fn warn_of_late_growth(settings: &TrainSettings) {
     /// Iterations after which a scene is better than before a densification. A run that ended sooner lost up to 2 dB.
     const RECOVERY: u32 = 50;
     let (iterations, last) = (settings.iterations, settings.last_densification());
-    let Some(last) = last.filter(|&last| settings.strategy != StrategyType::Fixed && last < iterations)
-    else {
+    let Some(last) = last.filter(|_| settings.strategy != StrategyType::Fixed) else {
         return;
     };
     if iterations - last < RECOVERY {

@@ -177,6 +177,7 @@ impl Format {
                 name: "USDA",
                 read: "ParticleField3DGaussianSplat, not what refers to other files",
                 written: "ParticleField3DGaussianSplat",
+                rounded: "rotations to unit length, opacities to 0 to 1",
                 antialiased: false,
                 kernel_size: false,
                 origin: OriginPlace::Node,

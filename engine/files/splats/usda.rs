@@ -32,6 +32,10 @@ const ARRAYS: [(&str, &str, usize); 5] = [
     ("float[]", "opacities", 1),
     ("float3[]", "radiance:sphericalHarmonicsCoefficients", 3),
 ];
+/// Host memory of a prim.
+const PRIM_BYTES: usize = size_of::<Prim>() + 64;
+/// Most operations of a prim's transform.
+const MOST_OPS: usize = 64;
 /// Highest SH degree that is skipped rather than refused.
 const MOST_DEGREES: u32 = 10;
 /// Standard deviations of a Gaussian that lie within the extent.
@@ -57,7 +61,12 @@ struct Part {
 impl Usda {
     pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self> {
         host_memory::check(path, regular_file::open(path)?.1, options.max_host_memory)?;
-        let text = regular_file::read(path, 1)?;
+        let mut text = regular_file::read(path, 1)?;
+        if text.starts_with(b"\xef\xbb\xbf") {
+            text.drain(..3);
+        }
+        let defined = text.windows(3).filter(|word| word == b"def").count() * PRIM_BYTES;
+        host_memory::check(path, (text.len() + defined) as u64, options.max_host_memory)?;
         if !text.starts_with(b"#usda ") {
             let remedy = "`usdcat IN -o OUT.usda` makes it of other forms of USD";
             return Err(Error::input(path, "is no USD text: it does not begin with #usda", remedy));
@@ -69,7 +78,9 @@ impl Usda {
         let prims = Parser::of(&text).prims().ok_or_else(damaged)?;
         let mut header = Header::new(Format::Usda, 0, 0);
         let (mut parts, mut placements) = (Vec::new(), Vec::<DMat4>::new());
+        let mut hidden = Vec::new();
         for prim in &prims {
+            hidden.push(prim.is_hidden || hidden.get(prim.parent).is_some_and(|hidden| *hidden));
             let refused = |problem: String, remedy: &str| {
                 Error::input(path, format!("prim {}: {problem}", prim.name), remedy)
             };
@@ -83,6 +94,10 @@ impl Usda {
             let mut warn = |what: String| {
                 header.warnings.push(format!("{}: prim {}: {what}", path.display(), prim.name));
             };
+            if hidden.last() == Some(&true) {
+                warn("is inactive or invisible, and not read".into());
+                continue;
+            }
             let is_none =
                 || refused("its transform is more than rotation, scale and translation".into(), flatten);
             let mut part = Part {
@@ -122,8 +137,11 @@ impl Usda {
                     ));
                 }
                 if count < needed {
-                    warn(format!("{name} has {count} numbers instead of {needed} and is not used"));
-                    continue;
+                    let problem = format!("{name} has {count} numbers instead of {needed}");
+                    return Err(refused(problem, "write it again"));
+                }
+                if count > needed {
+                    warn(format!("{name} has {count} numbers, of which {needed} are read"));
                 }
                 part.arrays[array] = Some(place.clone());
                 if is_sh {
@@ -233,12 +251,22 @@ fn words<'a>(text: &'a [u8], place: &Range<usize>) -> impl Iterator<Item = &'a s
     })
 }
 
+/// True if metadata give a name this value.
+fn follows(metadata: &[u8], name: &str, value: &str) -> bool {
+    let mut words = words(metadata, &(0..metadata.len()));
+    words.any(|word| word == name) && words.next() == Some(value)
+}
+
 /// A prim that is defined. The first one is the stage.
 #[derive(Default)]
 struct Prim<'a> {
     kind: &'a str,
     name: &'a str,
     parent: usize,
+    /// True if it is inactive or invisible, and so are those in it.
+    is_hidden: bool,
+    /// True for a stage whose z axis points up.
+    z_is_up: bool,
     /// Places of the values in the text.
     attributes: BTreeMap<&'a str, Range<usize>>,
 }
@@ -246,15 +274,17 @@ struct Prim<'a> {
 impl Prim<'_> {
     /// Transform from the prim to its parent. Fails with the name of an operation that is not known.
     fn transform(&self, text: &[u8]) -> Result<DMat4, String> {
-        let mut matrix = match self.attributes.contains_key("upAxis") {
+        let mut matrix = match self.z_is_up {
             true => DMat4::from_rotation_x(-FRAC_PI_2),
             false => DMat4::IDENTITY,
         };
         let Some(order) = self.attributes.get("xformOpOrder") else { return Ok(matrix) };
-        for op in words(text, order) {
+        for (number, op) in words(text, order).enumerate() {
             let name = op.strip_prefix("!invert!").unwrap_or(op);
             let values = self.attributes.get(name).into_iter().flat_map(|place| words(text, place));
-            let values: Vec<f64> = values.filter_map(|word| word.parse().ok()).collect();
+            // A matrix has the most.
+            let values: Result<Vec<f64>, _> = values.take(17).map(str::parse).collect();
+            let values = values.ok().filter(|_| number < MOST_OPS).ok_or(op)?;
             let own = match (name.split(':').nth(1), &*values) {
                 (Some("translate"), &[x, y, z]) => DMat4::from_translation(DVec3::new(x, y, z)),
                 (Some("scale"), &[x, y, z]) => DMat4::from_scale(DVec3::new(x, y, z)),
@@ -300,7 +330,7 @@ impl<'a> Parser<'a> {
         Self { text, start: 0, at: 0 }
     }
 
-    /// `None` at the end, inside a quotation and where the text is no UTF-8.
+    /// `None` at the end and inside a quotation. Where the text is no UTF-8, it is a question mark.
     fn next(&mut self) -> Option<Token<'a>> {
         loop {
             let rest = &self.text[self.at..];
@@ -322,13 +352,13 @@ impl<'a> Parser<'a> {
                         length += if *rest.get(length)? == b'\\' { 2 } else { 1 };
                     }
                     self.at += length + width;
-                    return utf8(&rest[width..length]).map(Token::Text);
+                    return Some(Token::Text(utf8(&rest[width..length]).unwrap_or("?")));
                 }
                 _ => {
                     let ends = |byte: &u8| b" \t\r\n,;#=()[]{}\"'@<".contains(byte);
                     let length = rest.iter().position(ends).unwrap_or(rest.len());
                     self.at += length;
-                    return utf8(&rest[..length]).map(Token::Word);
+                    return Some(Token::Word(utf8(&rest[..length]).unwrap_or("?")));
                 }
             }
         }
@@ -364,7 +394,10 @@ impl<'a> Parser<'a> {
                         match self.next()? {
                             Token::Word(kind) => prim.kind = kind,
                             Token::Text(name) => prim.name = name,
-                            Token::Mark(b'(') => drop(self.value(true)?),
+                            Token::Mark(b'(') => {
+                                let place = self.value(true)?;
+                                prim.is_hidden |= follows(&self.text[place], "active", "false");
+                            }
                             Token::Mark(b'{') => break,
                             Token::Mark(_) => {}
                         }
@@ -380,21 +413,16 @@ impl<'a> Parser<'a> {
                 Token::Word(word) => name = word,
                 Token::Mark(b'=') => {
                     let place = self.value(false)?;
-                    prims[*open.last()?].attributes.insert(name, place);
+                    let prim = &mut prims[*open.last()?];
+                    let is_invisible = || words(self.text, &place).any(|word| word == "invisible");
+                    prim.is_hidden |= name == "visibility" && is_invisible();
+                    prim.attributes.insert(name, place);
                 }
                 // Metadata, of which only the stage's upward axis matters.
                 Token::Mark(b'(') if prims.len() == 1 => {
                     let place = self.value(true)?;
-                    let mut metadata = Parser::of(&self.text[place]);
-                    while let Some(token) = metadata.next() {
-                        if matches!(token, Token::Word("upAxis")) {
-                            metadata.next()?;
-                            // Y is the default.
-                            if matches!(metadata.next()?, Token::Text("Z")) {
-                                prims[0].attributes.insert("upAxis", 0..0);
-                            }
-                        }
-                    }
+                    // Y is the default.
+                    prims[0].z_is_up |= follows(&self.text[place], "upAxis", "Z");
                 }
                 Token::Mark(b'(') => drop(self.value(true)?),
                 Token::Mark(b'}') => {
