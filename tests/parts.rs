@@ -336,7 +336,7 @@ fn a_term_by_rows_sees_the_picture_and_the_photograph() {
     let (scene, pixels) = (gaussians(&small_scene(&mut Random::new(9), 60, 9)), 67 * 41);
     let rgb: Vec<u8> = (0..3 * pixels).map(|k| (k * 37) as u8).collect();
     // A whole tile is hidden, which only frames without the term leave out.
-    let hidden = |k: usize| k % 5 == 0 || [k % 67, k / 67].iter().all(|at| (16..32).contains(at));
+    let hidden = |k: usize| k.is_multiple_of(5) || [k % 67, k / 67].iter().all(|at| (16..32).contains(at));
     let mask: Vec<u8> = (0..pixels).map(|k| if hidden(k) { 0 } else { 200 }).collect();
     for (push_descriptors, masked) in [(true, false), (true, true), (false, false), (false, true)] {
         let context = Context::new(&ContextOptions { push_descriptors, ..options() }).expect("a device");

@@ -80,7 +80,7 @@ impl FieldBlocks {
             }
             let pixel = [index as u32 % width, index as u32 / width].map(|at| at as f32 + 0.5);
             let at = points(pixel, depth) / block;
-            if !(at.abs().max_element() < FARTHEST) {
+            if !at.abs().cmplt(Vec3::splat(FARTHEST)).all() {
                 let problem =
                     format!("is {}, too small for surfaces so far from the origin", self.settings.voxel);
                 return Err(Error::argument("voxel", problem));

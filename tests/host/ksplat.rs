@@ -31,10 +31,10 @@ fn section(all: &Gaussians, level: usize) -> [Vec<u8>; 2] {
         let center = all.means[start];
         centers.extend(center.map(f32::to_le_bytes).concat());
         for i in start..end {
-            for axis in 0..3 {
-                let steps = ((all.means[i][axis] - center[axis]) / (BLOCK_SIZE / 2.0) * 32_767.0).round();
+            for (mean, center) in all.means[i].into_iter().zip(center) {
+                let steps = ((mean - center) / (BLOCK_SIZE / 2.0) * 32_767.0).round();
                 match level {
-                    0 => rows.extend(all.means[i][axis].to_le_bytes()),
+                    0 => rows.extend(mean.to_le_bytes()),
                     _ => rows.extend(((steps + 32_767.0) as u16).to_le_bytes()),
                 }
             }

@@ -399,7 +399,9 @@ fn hide_tiles_empties_what_a_mask_hides() {
     let ([width, height], instances) = ([70, 35], 400);
     // The last pixel of some tiles counts, at their corner or at the picture's border; others are hidden.
     let shown = |x: u32, y: u32| {
-        (x / 16 + y / 16) % 3 == 0 && (x % 16 == 15 || x == width - 1) && (y % 16 == 15 || y == height - 1)
+        (x / 16 + y / 16).is_multiple_of(3)
+            && (x % 16 == 15 || x == width - 1)
+            && (y % 16 == 15 || y == height - 1)
     };
     let texels = (0..height).flat_map(|y| (0..width).map(move |x| [9, 9, 9, u8::from(shown(x, y))]));
     let texels = texels.collect::<Vec<_>>().into_flattened();
@@ -432,7 +434,7 @@ fn hide_tiles_empties_what_a_mask_hides() {
         let mut left = ranges.clone();
         let mut ones = vec![1.0_f32; instances];
         for (tile, [begin, end]) in ranges.iter().copied().enumerate() {
-            if (tile % 5 + tile / 5) % 3 != 0 && begin < end {
+            if !(tile % 5 + tile / 5).is_multiple_of(3) && begin < end {
                 (begin..end).for_each(|index| ones[order[index as usize] as usize] = 0.0);
                 left[tile] = [0, 0];
             }

@@ -15,8 +15,8 @@ use std::path::PathBuf;
 
 /// Make a mesh of a trained scene, with coloured vertices: median depths of the training's views, fused into a field of distances.
 ///
-/// Coordinates are the data set's. The mesh is at most as fine as the views' pixels. Surfaces that fewer than three views show are
-/// missing.
+/// Coordinates are the data set's. The mesh is at most as fine as the views' pixels. Surfaces that fewer than three views show, or
+/// six of thirty and more, are missing.
 #[derive(Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -44,8 +44,8 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// Views that must have seen a voxel: surfaces that fewer views show are mostly floaters.
-const LEAST_VIEWS: u32 = 3;
+/// Views that must have seen a voxel, of few views and of many: surfaces that fewer views show are mostly floaters.
+const LEAST_VIEWS: [u32; 2] = [3, 6];
 
 fn positive(text: &str) -> Result<f32, String> {
     let number = text.parse().ok().filter(|number: &f32| *number > 0.0 && number.is_finite());
@@ -57,7 +57,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     output::check(&[("--out", Some(&arguments.out))])?;
     arguments.views.check()?;
     let model = Model::locate(arguments.model.path()?, arguments.model.iteration)?;
-    output::check_apart(&[("--out", Some(&arguments.out))], &[model.ply.clone()])?;
+    output::check_apart(&[("--out", Some(&arguments.out))], std::slice::from_ref(&model.ply))?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let views = arguments.views.choose(&model, &scene, None)?;
     let cameras: Vec<Camera> = views.cameras.iter().map(|named| named.camera).collect();
@@ -70,8 +70,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if !others.is_empty() {
         tell!("warning: {} views through lenses or with parallel rays are left out", others.len());
     }
-    if cameras.len() < LEAST_VIEWS as usize {
-        let problem = format!("{} views are too few, a mesh takes {LEAST_VIEWS}", cameras.len());
+    let [few, many] = LEAST_VIEWS;
+    let least_views = (cameras.len() as u32 / 5).clamp(few, many);
+    if cameras.len() < few as usize {
+        let problem = format!("{} views are too few, a mesh takes {few}", cameras.len());
         return Err(Error::input(&model.ply, problem, "give more: --path FILE or --orbit N"));
     }
     if let (Some(note), false) = (&views.note, arguments.quiet) {
@@ -118,7 +120,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Error::Argument { what, problem } if what == "voxel" => Error::argument("--voxel", problem),
         other => other,
     };
-    let field = FieldSettings { least_views: LEAST_VIEWS, ..FieldSettings::new(voxel, max_depth) };
+    let field = FieldSettings { least_views, ..FieldSettings::new(voxel, max_depth) };
     let mut blocks = FieldBlocks::new(&context, field)?;
     each(&mut |renderer, camera| blocks.add(camera, &surface_of(renderer, camera, &settings)?))
         .map_err(named)?;
@@ -130,7 +132,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut mesh = field.mesh().map_err(named)?;
     bar.finish_and_clear();
     if mesh.triangles.is_empty() {
-        let problem = format!("{LEAST_VIEWS} views see no surface together that is larger than a voxel");
+        let problem = format!("{least_views} views see no surface together that is larger than a voxel");
         return Err(Error::input(&model.ply, problem, "give other views, or a smaller --voxel"));
     }
     let removed = mesh.keep_parts(arguments.min_part.unwrap_or(mesh.triangles.len() / 1000));

@@ -424,7 +424,9 @@ impl<'a> Parser<'a> {
                     // Y is the default.
                     prims[0].z_is_up |= follows(&self.text[place], "upAxis", "Z");
                 }
-                Token::Mark(b'(') => drop(self.value(true)?),
+                Token::Mark(b'(') => {
+                    self.value(true)?;
+                }
                 Token::Mark(b'}') => {
                     open.pop();
                     open.last()?;
