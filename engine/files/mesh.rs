@@ -1,7 +1,7 @@
 //! Writes meshes with coloured vertices: PLY, OBJ and GLB.
 //!
-//! As in files of Gaussians, positions are in source units, relative to the origin that a comment or the node's translation names
-//! where it is not zero. GLB has glTF's axes and linear colours.
+//! Positions are in source units, as in files of Gaussians. A comment or the node's translation names their origin if it is not
+//! zero. GLB has glTF's axes and linear colours.
 
 use std::io::{self, Write};
 use std::path::Path;

@@ -185,7 +185,7 @@ fn write_blocks(
         Format::Glb | Format::Gltf => gltf_write::write(path, format, outline, produce),
         Format::Sog => sog::write(path, outline, produce),
         Format::Usda => usda::write(path, outline, produce),
-        // Without a writer, no format was chosen.
+        // It has no writer, so this returns its error.
         Format::Ksplat => Format::chosen(Some(format), path).map(drop),
     };
     match written {

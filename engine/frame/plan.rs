@@ -112,8 +112,8 @@ impl ScenePlan {
 
     /// Returns the index, in vec4, of plane `plane` of Gaussian `index` in a chunk. The groups of planes are 0 to 2
     /// (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (one SH degree each), or with SH in halves 3, 4, 5 and 6, and 7 and 8. A
-    /// group is contiguous for all Gaussians, in rows of eight Gaussians. Planes `first` to `end - 1` begin at `first * chunk_gaussians + (index / 8 * (end - first) +
-    /// plane - first) * 8 + index % 8`.
+    /// group is contiguous for all Gaussians, in rows of eight Gaussians. Planes `first` to `end - 1` begin at
+    /// `first * chunk_gaussians + (index / 8 * (end - first) + plane - first) * 8 + index % 8`.
     ///
     /// # Panics
     /// If `plane` is not below `planes`, or `index`, which counts from the chunk's first Gaussian, is not

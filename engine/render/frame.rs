@@ -23,7 +23,7 @@ pub struct Frame {
     pub stats: FrameStats,
 }
 
-/// Where and how the surface lies at each pixel of a frame, row-major.
+/// Depth and normal of the surface at each pixel of a frame, row-major.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
     /// Depth of the Gaussian behind which the transmittance is below a half, along the view axis (in a panorama along the ray),

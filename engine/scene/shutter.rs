@@ -115,6 +115,11 @@ impl Shutter {
 }
 
 impl Camera {
+    /// True without a lens, a rolling shutter and parallel rays.
+    pub fn is_pinhole(&self) -> bool {
+        !(self.has_lens() || self.is_orthographic())
+    }
+
     /// True with a lens or a rolling shutter: kernels have a form for them.
     pub fn has_lens(&self) -> bool {
         self.projection.is_lens() || self.shutter.is_some()

@@ -135,8 +135,8 @@ impl FieldBlocks {
 
 /// Refuses a camera of which depth maps are not fused.
 pub(super) fn check_pinhole(camera: &Camera) -> Result<()> {
-    match camera.is_orthographic() || camera.has_lens() {
-        true => Err(Error::argument("camera", "is no pinhole, and only depths of pinholes are fused")),
-        false => Ok(()),
+    match camera.is_pinhole() {
+        true => Ok(()),
+        false => Err(Error::argument("camera", "is no pinhole, and only depths of pinholes are fused")),
     }
 }

@@ -20,7 +20,7 @@ pub fn cube_cases() -> Vec<[u32; CUBE_WORDS as usize]> {
 }
 
 fn case(inside: u32) -> [u32; CUBE_WORDS as usize] {
-    // The edge on which the contour goes on behind each edge.
+    // For each edge, the next edge of its contour.
     let mut next = [None; 24];
     for (axis, side) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
         let mut corners = AROUND.map(|[u, v]| side << axis | u << ((axis + 1) % 3) | v << ((axis + 2) % 3));

@@ -98,8 +98,8 @@ pub(super) struct StepParts<'a> {
 }
 
 impl<'a> StepParts<'a> {
-    /// True if the photograph serves as it is stored: at the frame's size, and without a random background behind it.
-    fn photo_serves(&self) -> bool {
+    /// True if the step reads the photograph as it is stored: the frame has its size, and no random background is behind it.
+    fn uses_stored_photo(&self) -> bool {
         let Self { run, photos, plan, .. } = self;
         let composed = run.settings.random_background && photos.is_transparent(plan.view);
         plan.camera.width == run.cameras[plan.view].width && !composed
@@ -107,7 +107,7 @@ impl<'a> StepParts<'a> {
 
     /// Frame of the iteration. `hides`: only the photograph's visible pixels count.
     pub fn frame(&self, hides: bool) -> Request<'a> {
-        let hides = hides && self.photos.is_masked(self.plan.view) && self.photo_serves();
+        let hides = hides && self.photos.is_masked(self.plan.view) && self.uses_stored_photo();
         Request {
             scene: &self.model.scene,
             other_scenes: self.frozen,
@@ -451,7 +451,7 @@ impl PhotoPreparation {
     fn record<'a>(&self, r: &mut Recorder, parts: &StepParts<'a>) -> Option<&'a Buffer> {
         let StepParts { run, photos, memory, plan, .. } = *parts;
         let (camera, prepared) = (&run.cameras[plan.view], memory.prepared.as_ref()?);
-        if parts.photo_serves() {
+        if parts.uses_stored_photo() {
             return None;
         }
         let transparent = run.settings.random_background && photos.is_transparent(plan.view);

@@ -45,7 +45,7 @@ layout(push_constant, scalar) uniform Push {
 
 #include "dispatch.glsl"
 
-// Where a sum of weights ends, means forget old views slowly.
+// Sums of weights grow up to this value. From then on a mean slowly forgets old views.
 const float LARGEST_HALF = 65504.0;
 
 void main() {

@@ -132,7 +132,7 @@ fn a_scene_in_halves_is_drawn_as_its_rounded_values() {
             let differentiate =
                 |own: &mut Renderer| own.gradients(&camera, &SETTINGS, &[[0.0; 3]; 60 * 40], None).map(drop);
             assert_error(renderer.with_scene(&scene, differentiate), "SH in floats, and this has halves");
-            // As near as halves are; the update has replaced the largest one.
+            // Rounding to halves hardly changes the picture. The update has replaced the largest value.
             let [halves, floats] =
                 [&scene.download().expect("Gaussians"), &expected].map(|own| owned(own, &camera, &SETTINGS));
             let squares = halves

@@ -60,9 +60,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     output::check_apart(&[("--out", Some(&arguments.out))], std::slice::from_ref(&model.ply))?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let views = arguments.views.choose(&model, &scene, None)?;
-    let cameras: Vec<Camera> = views.cameras.iter().map(|named| named.camera).collect();
-    let (cameras, others): (Vec<Camera>, Vec<Camera>) =
-        cameras.into_iter().partition(|camera| !camera.has_lens() && !camera.is_orthographic());
+    let cameras = views.cameras.iter().map(|named| named.camera);
+    let (cameras, others): (Vec<Camera>, Vec<Camera>) = cameras.partition(Camera::is_pinhole);
     if cameras.is_empty() {
         let remedy = "give pinholes: --path FILE or --orbit N";
         return Err(Error::input(&model.ply, "has no view through a pinhole", remedy));

@@ -259,6 +259,20 @@ fn replace<T: Clone>(own: &mut Vec<T>, values: &[T]) {
     own.extend_from_slice(values);
 }
 
+/// Makes a scene of a host's arrays by `upload`. The promise is that of [`ashsplat_scene_new`].
+unsafe fn uploaded(
+    context: *const AshsplatContext,
+    gaussians: *const AshsplatGaussians,
+    capacity: u32,
+    scene: *mut *mut AshsplatScene,
+    upload: fn(&Context, &Gaussians, u32) -> Result<DeviceScene>,
+) -> AshsplatStatus {
+    guarded!({
+        let (context, host) = (borrowed(context, "context")?, read(gaussians, "gaussians")?);
+        give(scene, "scene", || upload(&context.0, &self::gaussians(&host)?, capacity).map(AshsplatScene::of))
+    })
+}
+
 /// Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and
 /// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted. Values are not looked at:
 /// Gaussians with a NaN, or an infinite position, size or quaternion, are not drawn. Quaternions are normalised.
@@ -272,16 +286,8 @@ pub unsafe extern "C" fn ashsplat_scene_new(
     capacity: u32,
     scene: *mut *mut AshsplatScene,
 ) -> AshsplatStatus {
-    guarded!({
-        let (context, host) = (borrowed(context, "context")?, read(gaussians, "gaussians")?);
-        give(scene, "scene", || {
-            let made = match host.count {
-                0 => DeviceScene::empty(&context.0, capacity, host.sh_degree),
-                _ => DeviceScene::upload(&context.0, &self::gaussians(&host)?, capacity),
-            };
-            made.map(AshsplatScene::of)
-        })
-    })
+    // SAFETY: as promised.
+    unsafe { uploaded(context, gaussians, capacity, scene, DeviceScene::upload) }
 }
 
 /// Same as ashsplat_scene_new, with SH coefficients as halves, each rounded to the nearest: 144 bytes per Gaussian of SH degree 3 in
@@ -296,16 +302,8 @@ pub unsafe extern "C" fn ashsplat_scene_half(
     capacity: u32,
     scene: *mut *mut AshsplatScene,
 ) -> AshsplatStatus {
-    guarded!({
-        let (context, host) = (borrowed(context, "context")?, read(gaussians, "gaussians")?);
-        give(scene, "scene", || {
-            let own = match host.count {
-                0 => Gaussians { sh_degree: host.sh_degree, ..Gaussians::default() },
-                _ => self::gaussians(&host)?,
-            };
-            DeviceScene::upload_half(&context.0, &own, capacity).map(AshsplatScene::of)
-        })
-    })
+    // SAFETY: as promised.
+    unsafe { uploaded(context, gaussians, capacity, scene, DeviceScene::upload_half) }
 }
 
 /// Uploads `count` scenes from a host's arrays into as few buffers as kernels can bind, each with room for its own Gaussians: frames

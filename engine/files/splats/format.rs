@@ -41,7 +41,7 @@ pub enum Format {
     Ksplat,
 }
 
-/// Where a file says what its positions are relative to.
+/// The place where a file names the origin of its positions.
 #[derive(Clone, Copy, PartialEq)]
 enum OriginPlace {
     /// A comment in the header.
@@ -54,14 +54,14 @@ enum OriginPlace {
 
 /// A format's names, and what its files hold.
 struct Traits {
-    /// With the dot.
+    /// The ending of a file's name, with the dot.
     extension: &'static str,
     /// In messages.
     name: &'static str,
-    /// What is read and what is written, for [`Format::description`].
+    /// The variants that are read and written, for [`Format::description`].
     read: &'static str,
     written: &'static str,
-    /// What it rounds or cuts; empty if it holds single precision.
+    /// The values that it rounds or cuts; empty if it holds single precision.
     rounded: &'static str,
     max_sh_degree: u32,
     antialiased: bool,
@@ -70,7 +70,7 @@ struct Traits {
     origin: OriginPlace,
 }
 
-/// What most formats hold.
+/// Traits that most formats share.
 const USUAL: Traits = Traits {
     extension: "",
     name: "",
@@ -85,17 +85,11 @@ const USUAL: Traits = Traits {
 };
 
 impl Format {
-    /// All formats that are written. [`Format::Ksplat`] is only read.
-    pub const WRITTEN: [Self; 8] = [
-        Self::Ply,
-        Self::CompressedPly,
-        Self::Splat,
-        Self::Spz,
-        Self::Glb,
-        Self::Gltf,
-        Self::Sog,
-        Self::Usda,
-    ];
+    /// All formats that are written: all but [`Format::Ksplat`], the last.
+    pub const WRITTEN: [Self; 8] = {
+        let [written @ .., _] = Self::ALL;
+        written
+    };
     /// All formats.
     pub const ALL: [Self; 9] = [
         Self::Ply,

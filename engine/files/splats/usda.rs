@@ -310,7 +310,7 @@ impl Prim<'_> {
 enum Token<'a> {
     /// A name, a type or a number.
     Word(&'a str),
-    /// What is quoted.
+    /// A quoted text, without its quotation marks.
     Text(&'a str),
     /// An equals sign or a bracket.
     Mark(u8),
@@ -402,7 +402,7 @@ impl<'a> Parser<'a> {
                             Token::Mark(_) => {}
                         }
                     }
-                    // What is not defined draws nothing by itself.
+                    // Prims that are not defined draw nothing by themselves.
                     if word == "def" {
                         open.push(prims.len());
                         prims.push(prim);
