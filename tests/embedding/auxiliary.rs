@@ -5,70 +5,9 @@ pub mod truth;
 
 use crate::orthographic;
 use crate::scene_settings::{HIDDEN, USUAL};
-use crate::scenes::appended;
 use crate::stage::*;
 use ashsplat::kernels::constants::NOT_PICKED;
 use truth::{SIZE, Screens, Truth, ball, both, round, shifted, turned};
-
-#[test]
-fn picks_and_motion_of_a_scene_on_paper() {
-    with_guest(|host, context| {
-        let view = Camera { cx: 40.5, cy: 35.5, ..camera(0.0, SIZE[0], SIZE[1]) };
-        let screens = Screens::new(host, &context, SIZE);
-        // Opacity 0.2 in front of 0.9 at the pixel (40, 35): weights of 0.2 and 0.72. Also 0.6 in front of 0.9:
-        // weights of 0.6 and 0.36.
-        let right = |z: f32| 30.0 / view.fx * z;
-        let ball = |at, own| ball(&view, at, own);
-        let first = appended(&ball([0.0, 0.0, 3.0], [0.05, 0.2]), &ball([right(2.0), 0.0, 2.0], [0.04, 0.6]));
-        let second = appended(&ball([0.0, 0.0, 6.0], [0.1, 0.9]), &ball([right(5.0), 0.0, 5.0], [0.1, 0.9]));
-        let scenes = [&first, &second].map(|part| uploaded(&context, part));
-        let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
-        for form in Blending::ALL {
-            let mut renderer = Renderer::new(&context).expect("kernels");
-            renderer.set_blending(form);
-            let wanted = Reservation { scenes: 2, ..Reservation::new(4, 0, SIZE[0], SIZE[1]) };
-            renderer.reserve(&both(wanted)).expect("memory");
-            let frame = frame_of(&placed, &view);
-            let at = |[x, y]: [u32; 2]| (y * SIZE[0] + x) as usize;
-            // The camera moved right by 0.1, so everything moves to the left, near things faster.
-            let before = shifted(&view, [-0.1, 0.0, 0.0]);
-            let shot = screens.shot(&mut renderer, &frame, &before);
-            let known = [([40, 35], [0, 1], 6.0, 0.72), ([70, 35], [1, 0], 2.0, 0.6)];
-            for (pixel, [gaussian, scene], z, weight) in known {
-                let [g, s, depth, w] = shot.picks[at(pixel)];
-                assert_eq!([g, s], [gaussian, scene], "{form:?}, {pixel:?}");
-                let [depth, w] = [depth, w].map(f32::from_bits);
-                assert!((depth - z).abs() < 1e-4 && (w - weight).abs() < 1e-3, "{pixel:?}: {depth}, {w}");
-            }
-            assert_eq!(shot.picks[at([4, 4])], [NOT_PICKED, NOT_PICKED, 0, 0]);
-            assert_eq!(shot.motions[at([4, 4])], [0.0; 2]);
-            let slide = |z: f32| -view.fx * 0.1 / z;
-            let expected = [
-                ([40, 35], (0.2 * slide(3.0) + 0.72 * slide(6.0)) / 0.92),
-                ([70, 35], (0.6 * slide(2.0) + 0.36 * slide(5.0)) / 0.96),
-            ];
-            for (pixel, x) in expected {
-                let [mx, my] = shot.motions[at(pixel)];
-                assert!((mx - x).abs() < 5e-3 * x.abs() && my.abs() < 1e-3, "{pixel:?}: {mx} {my}, {x}");
-            }
-            // Without motion, it is exactly 0.
-            let still = screens.shot(&mut renderer, &frame, &view);
-            assert!(still.motions.iter().all(|motion| *motion == [0.0; 2]));
-            // The camera turned right: everything moves about 0.05 f to the left.
-            let shot = screens.shot(&mut renderer, &frame, &turned(&view, 0.05));
-            let x = shot.motions[at([40, 35])][0];
-            assert!((x + view.fx * 0.05f32.tan()).abs() < 0.01 * view.fx, "{x}");
-            // The second scene moved up.
-            let down = view.camera_from_world.transpose() * Vec3::new(0.0, 0.5, 0.0);
-            let pose = Pose { translation: down, ..Pose::IDENTITY };
-            let moving = [placed[0], Placed { previous_pose: Some(pose), ..placed[1] }];
-            let shot = screens.shot(&mut renderer, &RecordedFrame { scenes: &moving, ..frame }, &view);
-            let [x, y] = shot.motions[at([40, 35])];
-            let expected = -0.72 * view.fy * 0.5 / 6.0 / 0.92;
-            assert!(x.abs() < 1e-3 && (y - expected).abs() < 5e-3 * expected.abs(), "{x} {y}, {expected}");
-        }
-    });
-}
 
 #[test]
 fn picks_and_motion_of_random_scenes() {
@@ -205,39 +144,6 @@ fn picks_know_a_thousand_scenes() {
     });
 }
 
-/// Cut-outs, a tint and a selection change which Gaussians are drawn and their weights. Indices stay those of the
-/// scene.
-#[test]
-fn picks_follow_scene_settings() {
-    with_guest(|host, context| {
-        let view = camera(0.3, SIZE[0], SIZE[1]);
-        let part = round(400, 4);
-        let scene = uploaded(&context, &part);
-        let wanted = Reservation::new(400, 0, SIZE[0], SIZE[1]);
-        let mut renderer = reserved(&context, &both(Reservation { cut_outs: 1, tint: true, ..wanted }));
-        let screens = Screens::new(host, &context, SIZE);
-        let volume = Volume::Ellipsoid { radii: Vec3::splat(0.8) };
-        let cut_outs = [CutOut { volume, pose: Pose::IDENTITY, inside: Inside::Removed }];
-        let settings = SceneSettings { cut_outs: &cut_outs, opacity: 0.5, ..USUAL };
-        let placed = [Placed { settings, ..Placed::from(&scene) }];
-        let render = RenderSettings::default();
-        let shot = screens.shot(&mut renderer, &RecordedFrame::new(&placed, &view, &render), &view);
-        // The host applies the same; the remaining Gaussians keep their indices.
-        let left: Vec<u32> =
-            (0..400).filter(|&i| Vec3::from(part.means[i as usize]).length() > 0.8).collect();
-        let mut kept = part.clone();
-        kept.cut_out(&cut_outs).expect("cut out");
-        assert_eq!(kept.len(), left.len());
-        for logit in &mut kept.opacity_logits {
-            let faded = 0.5 / (1.0 + (-*logit).exp());
-            *logit = (faded / (1.0 - faded)).ln();
-        }
-        let mut truth = Truth::new(&[(0, &kept, Pose::IDENTITY, Pose::IDENTITY)], [&view, &view]);
-        truth.who = left.iter().map(|&i| (i, 0, [0.0; 2])).collect();
-        assert!(truth.check(&shot, SIZE) > 1000);
-    });
-}
-
 /// A part of a larger image, its previous contents, and pixels with little coverage.
 #[test]
 fn picks_and_motion_go_into_a_part_of_an_image() {
@@ -315,6 +221,7 @@ fn bad_picks_and_motions_are_refused_by_name() {
         let motion = |motion| RecordedFrame { motion: Some(motion), ..good };
         let wider = Camera { width: SIZE[0] + 1, ..view };
         let nowhere = Camera { fx: f32::NAN, ..view };
+        let flat = parallel(&view);
         let lost = Pose { translation: Vec3::NAN, ..Pose::IDENTITY };
         let lost = [Placed { previous_pose: Some(lost), ..placed[0] }];
         let assert_refused = |renderer: &mut Renderer, frame: &RecordedFrame<'_>, expected: &str| {
@@ -338,6 +245,10 @@ fn bad_picks_and_motions_are_refused_by_name() {
                 "motion.previous_camera: is of 97 x 70 pixels, the frame of 96 x 70",
             ),
             (motion(MotionTarget { previous_camera: &nowhere, ..usual }), "motion.previous_camera"),
+            (
+                motion(MotionTarget { previous_camera: &flat, ..usual }),
+                "Reservation::orthographic: not reserved, and the frame needs it",
+            ),
             (motion(MotionTarget { min_weight: f32::NAN, ..usual }), "motion.min_weight: NaN"),
             (motion(MotionTarget { empty: Some([0.0, f32::NAN]), ..usual }), "motion.empty: [0.0, NaN]"),
             (motion(MotionTarget { empty: Some([1e5, 0.0]), ..usual }), "each may be -65504 to 65504"),
@@ -428,21 +339,6 @@ fn picks_have_the_depth_of_an_orthographic_host() {
                 assert!((found - clip.z).abs() < 1e-5, "z {z}: {found}, {}", clip.z);
             }
         }
-    });
-}
-
-#[test]
-fn an_orthographic_camera_before_is_reserved() {
-    with_guest(|host, context| {
-        let view = camera(0.3, SIZE[0], SIZE[1]);
-        let scene = uploaded(&context, &round(60, 5));
-        let mut renderer = reserved(&context, &both(Reservation::new(60, 0, SIZE[0], SIZE[1])));
-        let screens = Screens::new(host, &context, SIZE);
-        let (placed, before) = ([Placed::from(&scene)], parallel(&view));
-        let motion = Some(screens.motion(&before));
-        let frame = RecordedFrame { motion, ..frame_of(&placed, &view) };
-        let error = refused(host, &mut renderer, &frame).to_string();
-        assert_eq!(error, "Reservation::orthographic: not reserved, and the frame needs it");
     });
 }
 

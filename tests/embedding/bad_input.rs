@@ -175,6 +175,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let nan = Camera { fx: f32::NAN, ..good_camera };
         let nothing = Camera { width: 0, ..good_camera };
         let wide = Camera { width: 65, ..good_camera };
+        let parallel = good_camera.orthographic();
         let sheared =
             Pose { world_from_object: Mat3::from_diagonal(Vec3::new(1.0, 2.0, 1.0)), ..Pose::IDENTITY };
         let lost = Pose { translation: Vec3::NAN, ..Pose::IDENTITY };
@@ -240,6 +241,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (of(&vanished), "scenes[0].pose", "a scale of 0 is not possible"),
             (of(&nowhere), "scenes[0].pose", "not finite"),
             (drawn_with(&depth_settings), "Reservation::inverse_depth", "not reserved"),
+            (seen_by(&parallel), "Reservation::orthographic", "not reserved"),
             (in_image(&images[0]), target, "64 x 48 pixels at (0, 0) exceed its 40 x 48"),
             (in_image(&images[1]), target, "adopted for Depth, not for Target"),
             (in_image(&images[2]), target, "another context"),

@@ -29,64 +29,6 @@ fn a_recorded_frame_is_the_owned_paths_to_the_bit() {
     });
 }
 
-#[test]
-fn three_frames_in_flight_do_not_disturb_each_other() {
-    with_guest(|host, context| {
-        let gaussians = cloud(1200, 4);
-        let scene = uploaded(&context, &gaussians);
-        let mut renderer =
-            reserved(&context, &Reservation { slots: 3, ..Reservation::new(1200, 1, 120, 90) });
-        let scenes = [(&scene).into()];
-        let cameras = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0].map(|turn| camera(turn, 120, 90));
-        let frames = [0; 3].map(|_| Commands::new(host));
-        let staging = [0; 6].map(|_| Staging::new(host, 16 * 120 * 90));
-        for round in 0..2 {
-            for (slot, frame) in frames.iter().enumerate() {
-                let number = 3 * round + slot;
-                let recorded = frame_of(&scenes, &cameras[number]);
-                renderer.record(frame.begun(&context), slot as u32, &recorded).expect("a recording");
-                copy_pixels(&mut renderer, slot as u32, frame, &staging[number]);
-                // Recorded but not submitted: the slot is in flight, and has no statistics yet.
-                assert!(!renderer.slot_finished(slot as u32).expect("a status"));
-                assert_eq!(renderer.slot_report(slot as u32).expect("no report"), None);
-                frame.submit();
-            }
-            for (slot, frame) in frames.iter().enumerate() {
-                frame.wait();
-                assert!(renderer.slot_finished(slot as u32).expect("a status"));
-                assert!(renderer.slot_report(slot as u32).expect("a report").is_some());
-            }
-        }
-        for (number, staging) in staging.into_iter().enumerate() {
-            assert_same(&staging.read(), &owned(&gaussians, &cameras[number], &SETTINGS));
-        }
-    });
-}
-
-#[test]
-fn two_renderers_share_a_device() {
-    with_host(&options(), |host| {
-        // Two renderers share a context, the third has its own.
-        let first = guest(host);
-        let contexts: [Context; 3] = [first.clone(), first, guest(host)];
-        let mut renderers = Vec::new();
-        for (number, context) in contexts.iter().enumerate() {
-            let gaussians = cloud(300 + 100 * number, number as u32);
-            let scene = uploaded(context, &gaussians);
-            let renderer = reserved(context, &Reservation::new(600, 1, 64, 48));
-            renderers.push((renderer, scene, gaussians));
-        }
-        for turn in [0.5, 1.5] {
-            let camera = camera(turn, 64, 48);
-            for (renderer, scene, gaussians) in &mut renderers {
-                let scenes = [(&*scene).into()];
-                let frame = frame_of(&scenes, &camera);
-                assert_drawn(host, renderer, &frame, gaussians);
-            }
-        }
-    });
-}
-
 /// Threads render with their own renderers on one context; the host gives its queue to one thread at a time.
 #[test]
 fn renderers_may_be_used_by_different_threads() {

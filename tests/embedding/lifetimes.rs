@@ -85,19 +85,6 @@ fn a_report_does_not_wait_for_the_hosts_own_commands() {
     });
 }
 
-#[test]
-fn a_report_is_kept() {
-    with_guest(|host, context| {
-        let mut renderer = renderer(&context, 1);
-        let scene = uploaded(&context, &cloud(300, 1));
-        let (view, placed) = (camera(0.3, 64, 48), [(&scene).into()]);
-        rendered(host, &mut renderer, &frame_of(&placed, &view));
-        let report = report_of(&mut renderer, 0);
-        assert_eq!(report.scopes.is_empty(), context.limits().timestamp_period_ns == 0.0, "{report:?}");
-        assert_eq!(renderer.slot_report(0).expect("a report"), Some(report));
-    });
-}
-
 /// A recording that a panic or an error interrupts leaks nothing. Its slot can be used again once it is discarded.
 #[test]
 fn an_unfinished_recording_gives_everything_back() {

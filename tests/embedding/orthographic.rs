@@ -161,16 +161,3 @@ fn expected_depth_of_parallel_rays_is_z() {
         rendered(host, renderer, &frame_of(&placed, &camera));
     });
 }
-
-/// A frame without reserved kernels is refused before its first command.
-#[test]
-fn an_orthographic_camera_is_reserved() {
-    with_guest(|host, context| {
-        let scene = uploaded(&context, &cloud(50, 1));
-        let mut renderer = reserved(&context, &Reservation::new(50, 1, SIZE[0], SIZE[1]));
-        let (camera, _) = view(false).camera().expect("a camera");
-        let placed = [Placed::from(&scene)];
-        let error = refused(host, &mut renderer, &frame_of(&placed, &camera)).to_string();
-        assert!(error.contains("Reservation::orthographic: not reserved"), "{error}");
-    });
-}

@@ -19,24 +19,6 @@ pub fn renderer(context: &Context, gaussians: u32, staging_bytes: u64) -> Render
     reserved(context, &reservation)
 }
 
-/// Scenes are sorted together: the picture equals that of one scene with all Gaussians, to the bit.
-#[test]
-fn several_scenes_are_one_picture() {
-    with_guest(|host, context| {
-        let parts = [cloud(300, 1), cloud(0, 2), cloud(257, 3)];
-        let scenes: Vec<_> = parts.iter().map(|p| uploaded(&context, p)).collect();
-        let mut renderer = renderer(&context, 557, 0);
-        let all = appended(&appended(&parts[0], &parts[1]), &parts[2]);
-        for turn in [0.3, 2.0] {
-            let camera = camera(turn, 110, 70);
-            let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
-            assert_drawn(host, &mut renderer, &frame_of(&placed, &camera), &all);
-        }
-        let report = report_of(&mut renderer, 0);
-        assert_eq!(report.gaussians, 557);
-    });
-}
-
 pub fn assert_nearly_equal(pixels: &[[f32; 4]], expected: &Frame) {
     let differences = pixels
         .iter()
@@ -44,49 +26,6 @@ pub fn assert_nearly_equal(pixels: &[[f32; 4]], expected: &Frame) {
         .map(|(p, c)| (0..3).map(|k| (p[k] - c[k]).abs()).fold(0.0, f32::max));
     let far = differences.filter(|d| *d > 2e-3).count();
     assert!(far <= pixels.len() / 500, "{far} pixels differ");
-}
-
-/// A pose moves a scene as if its Gaussians had moved, and turns its spherical harmonics.
-#[test]
-fn a_pose_moves_a_scene() {
-    with_guest(|host, context| {
-        let turn = Quat::from_euler(glam::EulerRot::XYZ, 0.4, -0.8, 1.9);
-        let shift = Vec3::new(0.2, -0.3, 0.4);
-        // Without view-dependent colour, the host can move the Gaussians itself.
-        let mut object = cloud(400, 5);
-        for sh in object.sh.chunks_mut(4) {
-            sh[1..].fill([0.0; 3]);
-        }
-        let mut moved = object.clone();
-        for (mean, quat) in moved.means.iter_mut().zip(&mut moved.quats) {
-            *mean = (turn * Vec3::from(*mean) + shift).to_array();
-            let [w, x, y, z] = *quat;
-            let rotated = turn * Quat::from_xyzw(x, y, z, w).normalize();
-            *quat = [rotated.w, rotated.x, rotated.y, rotated.z];
-        }
-        let scene = uploaded(&context, &object);
-        let mut renderer = renderer(&context, 400, 0);
-        let camera = camera(0.7, 110, 70);
-        let pose = Pose { world_from_object: Mat3::from_quat(turn), translation: shift, scale: 1.0 };
-        let placed = [Placed::at(&scene, pose)];
-        let pixels = rendered(host, &mut renderer, &frame_of(&placed, &camera));
-        let expected = owned(&moved, &camera, &SETTINGS);
-        assert_nearly_equal(&pixels, &expected);
-
-        // With view-dependent colour: turning object and camera together changes nothing.
-        let object = cloud(400, 6);
-        let scene = uploaded(&context, &object);
-        let rotation = Mat3::from_quat(turn);
-        let turned = Camera {
-            camera_from_world: camera.camera_from_world * rotation.transpose(),
-            translation: camera.translation - camera.camera_from_world * rotation.transpose() * shift,
-            ..camera
-        };
-        let placed = [Placed::at(&scene, pose)];
-        let pixels = rendered(host, &mut renderer, &frame_of(&placed, &turned));
-        let expected = owned(&object, &camera, &SETTINGS);
-        assert_nearly_equal(&pixels, &expected);
-    });
 }
 
 /// A uniform scale equals larger Gaussians farther apart, also for Gaussians before and behind them.

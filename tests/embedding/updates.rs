@@ -13,37 +13,6 @@ pub fn replace(all: &mut Gaussians, first: usize, new: &Gaussians) {
     all.sh[sh * first..sh * end].copy_from_slice(&new.sh);
 }
 
-#[test]
-fn updates_replace_a_part_of_a_scene() {
-    with_guest(|host, context| {
-        let (start, new) = (cloud(500, 1), cloud(120, 2));
-        let mut expected = start.clone();
-        replace(&mut expected, 200, &new);
-        let scene = uploaded(&context, &start);
-        let mut renderer = renderer(&context, 500, Reservation::update_bytes(500, 1));
-        let camera = camera(0.1, 110, 70);
-        let placed = [Placed::from(&scene)];
-        let before = frame_of(&placed, &camera);
-        let update = [Update { scene: &scene, first: 200, gaussians: &new }];
-        assert_drawn(host, &mut renderer, &before, &start);
-        let frame = RecordedFrame { updates: &update, ..before };
-        let after = owned(&expected, &camera, &SETTINGS);
-        assert_same(&rendered(host, &mut renderer, &frame), &after);
-        assert_same(&rendered(host, &mut renderer, &before), &after);
-        assert_eq!(scene.download().expect("Gaussians"), expected);
-
-        // An empty scene.
-        let mut empty = DeviceScene::empty(&context, 500, 1).expect("a scene");
-        let update = [Update { scene: &empty, first: 0, gaussians: &start }];
-        let frame = RecordedFrame { updates: &update, ..before };
-        rendered(host, &mut renderer, &frame);
-        empty.set_count(500).expect("room");
-        let placed = [Placed::from(&empty)];
-        assert_drawn(host, &mut renderer, &frame_of(&placed, &camera), &start);
-        assert!(empty.set_count(501).is_err());
-    });
-}
-
 fn cloud_of_degree(sh_degree: u32, count: usize, seed: u32) -> Gaussians {
     let own = cloud(count, seed);
     let coefficients = (sh_degree as usize + 1).pow(2);

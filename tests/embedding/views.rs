@@ -2,7 +2,6 @@
 //! shared one.
 
 mod at_random;
-mod commands;
 mod split_screen;
 
 use crate::array_image::ArrayImage;
@@ -10,15 +9,6 @@ use crate::stage::*;
 
 const SIZE: [u32; 2] = [72, 56];
 pub const BLACK: Background = Background::Color([0.0; 3]);
-
-/// Records groups of at most two views in one command buffer, each group in its own slot.
-fn record_groups(commands: &Commands<'_>, renderer: &mut Renderer, groups: &[&[RecordedFrame<'_>]]) {
-    for (slot, group) in (0..).zip(groups) {
-        let mut releases = [Release::default(); 2];
-        let adopted = commands.adopt(renderer.context());
-        renderer.record_views(adopted, slot, group, &mut releases[..group.len()]).expect("a recording");
-    }
-}
 
 fn hard_cloud() -> Gaussians {
     let mut hard = cloud(900, 4);
@@ -86,40 +76,6 @@ fn layers_have_the_bits_of_frames_alone() {
 fn written() -> ImageState {
     let read = vk::AccessFlags2::SHADER_STORAGE_READ;
     ImageState { accesses: WRITTEN.accesses | read, ..WRITTEN }
-}
-
-/// A picture-in-picture over another view: views are drawn in order.
-#[test]
-fn views_may_overlap() {
-    with_guest(|host, context| {
-        let gaussians = cloud(300, 3);
-        let scene = uploaded(&context, &gaussians);
-        let placed = [Placed::from(&scene)];
-        let array = ArrayImage::new(host, &context, SIZE, 1);
-        let cameras = [camera(0.3, SIZE[0], SIZE[1]), camera(1.3, 30, 20)];
-        let mut renderer =
-            reserved(&context, &Reservation { views: 2, ..Reservation::new(300, 1, SIZE[0], SIZE[1]) });
-        let offsets = [[0; 2], [40, 30]];
-        let views = [0, 1].map(|view| RecordedFrame {
-            target: into(&array.layers[0], [BLACK, Background::Image][view], offsets[view]),
-            ..frame_of(&placed, &cameras[view])
-        });
-        render_views(host, &mut renderer, &views);
-        let [below, above] = [0, 1].map(|view| owned(&gaussians, &cameras[view], &SETTINGS));
-        let texels = &array.read()[0];
-        for (i, texel) in texels.iter().enumerate() {
-            let [x, y] = [i % SIZE[0] as usize, i / SIZE[0] as usize];
-            let behind = below.color[i];
-            let within = (40..70).contains(&x) && (30..50).contains(&y);
-            let inner = within.then(|| (y - 30) * 30 + x - 40);
-            for channel in 0..3 {
-                let expected = inner.map_or(behind[channel], |at| {
-                    above.color[at][channel] + above.transmittance[at] * behind[channel]
-                });
-                assert!((texel[channel] - expected).abs() < 1e-6, "({x}, {y}): {texel:?}, not {expected}");
-            }
-        }
-    });
 }
 
 #[test]
