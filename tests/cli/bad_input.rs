@@ -199,26 +199,6 @@ fn unwritable_output() {
     assert_eq!(place.read_text("out"), "a file, not a folder");
 }
 
-/// The system refuses files above a size, like a full disk. Every existing file stays whole, and no temporary file
-/// is left.
-#[cfg(unix)]
-#[test]
-fn disk_full_while_saving() {
-    let place = Place::new();
-    // Only the point cloud exceeds the limit (blocks of 512 or 1024 bytes, depending on the shell).
-    let cloud = wall_points();
-    let many = PointCloud { positions: cloud.positions.repeat(10), colors: cloud.colors.repeat(10) };
-    write_model(&place.at("data"), &images(), &many);
-    let mut command = Command::new("sh");
-    command.args(["-c", "trap '' XFSZ; ulimit -f 16; exec \"$0\" \"$@\""]).arg(program().get_program());
-    command.args(place.words("train --quiet --iterations 1 -s @data -m @out"));
-    finish(&mut command).refused(&["input.ply", "cannot write"]);
-    let left = place.files("out");
-    assert!(left.iter().all(|file| !file.to_string_lossy().contains("tmp")), "{left:?}");
-    assert!(!left.contains(&PathBuf::from("input.ply")), "{left:?}");
-    place.read_json("out/cameras.json");
-}
-
 #[test]
 fn mistakes_on_the_command_line() {
     for (line, words) in [

@@ -4,17 +4,6 @@ use super::*;
 
 const LEFT: &str = "--block=-inf,-inf,-inf,-0.2,inf,inf";
 
-#[test]
-fn a_block_that_is_everything_is_plain_training_to_the_byte() {
-    let place = Place::new();
-    let options = "--iterations 30 --checkpoint_iterations 20";
-    place.train("plain", options);
-    place.train("block", format!("{options} --block=-inf,-inf,-inf,inf,inf,inf"));
-    assert!(place.ply("block", 30) == place.ply("plain", 30), "other bits");
-    let checkpoint = |model: &str| place.read(format!("{model}/chkpnt20.safetensors"));
-    assert!(checkpoint("block") == checkpoint("plain"), "other bits");
-}
-
 /// A block starts from the points of the data set or from the Gaussians of a scene, stops and resumes.
 #[test]
 fn a_block_is_trained_among_the_rest_of_its_scene() {

@@ -144,28 +144,6 @@ fn blocks_go_on_with_what_their_neighbours_have_trained() {
     }
 }
 
-/// Training is killed at any time within two rounds, and repeated.
-#[test]
-fn a_round_that_is_gone_on_with_ends_with_the_same_bits() {
-    let divided = Divided::new();
-    let auto = |number: usize| divided.train(number, "--start-checkpoint auto --checkpoint-every 2").ok();
-    for number in divided.numbers() {
-        divided.train(number, "").ok();
-    }
-    let ends = divided.checkpoints("chkpnt");
-    let wanted = divided.contents(&ends);
-    divided.place.remove("blocks");
-    for number in divided.numbers().rev() {
-        auto(number);
-        // The note of a round's end is missing.
-        divided.place.remove(file_of(&divided.blocks[number - 1], "round.json"));
-        auto(number);
-        let again = auto(number).says(&["round 1 of 2 is done"]);
-        assert!(!again.stdout.contains("written"), "{}", again.stdout);
-    }
-    assert!(divided.contents(&ends) == wanted, "other bits");
-}
-
 #[test]
 fn what_cannot_be_exchanged_is_refused() {
     let divided = Divided::new();

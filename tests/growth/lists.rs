@@ -79,18 +79,6 @@ fn cameras_of_photogrammetry_programs() {
     });
 }
 
-/// The last of many values of one name counts.
-#[test]
-fn exposures_of_one_name_many_times() {
-    let write = |folder: &Path, size: usize| {
-        let one = "\"a\": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]";
-        std::fs::write(folder.join("exposure.json"), format!("{{{}}}", vec![one; size].join(","))).unwrap();
-    };
-    assert_linear(5000, write, |folder| {
-        assert_eq!(exposure_json::read(folder.join("exposure.json")).unwrap().len(), 1);
-    });
-}
-
 /// Photographs with sparse points and a map that is fitted to them.
 #[test]
 fn depth_maps_of_many_photographs_with_many_points() {

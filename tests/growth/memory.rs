@@ -9,64 +9,10 @@ use crate::splats::{self, ConvertOptions, ReadOptions, WriteOptions};
 use crate::tiles::Tree;
 use crate::transforms::Transforms;
 use ashsplat::Error;
-use image::codecs::jpeg::JpegEncoder;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::io::Write;
 use std::path::Path;
-
-/// A picture with much detail, as a baseline JPEG.
-fn jpeg(width: u32, height: u32) -> Vec<u8> {
-    let value = |index: u32| (index.wrapping_mul(2_654_435_761) >> 24) as u8;
-    let pixels: Vec<u8> = (0..3 * width * height).map(value).collect();
-    let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, 90)
-        .encode(&pixels, width, height, image::ExtendedColorType::Rgb8)
-        .unwrap();
-    bytes
-}
-
-/// Writes another size into the header of a JPEG.
-fn claim(bytes: &mut [u8], width: u16, height: u16) {
-    let frame = bytes.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
-    bytes[frame + 5..frame + 7].copy_from_slice(&height.to_be_bytes());
-    bytes[frame + 7..frame + 9].copy_from_slice(&width.to_be_bytes());
-}
-
-fn read(path: &Path, bytes: &[u8]) -> Result<Photo, String> {
-    std::fs::write(path, bytes).unwrap();
-    Photo::read(path, [0.0; 3]).map_err(|error| error.to_string())
-}
-
-#[test]
-fn a_jpeg_of_a_few_bytes_is_no_large_picture() {
-    let (_turn, _folder, path) = alone("a.jpg");
-    let mut bytes = jpeg(16, 16);
-    assert!(read(&path, &bytes).is_ok());
-    claim(&mut bytes, 20_000, 20_000);
-    let (cost, result) = Cost::of(|| read(&path, &bytes));
-    assert!(result.unwrap_err().contains("claims 20000x20000 pixels in "));
-    assert!(cost.bytes < 4 << 20, "{cost:?}");
-}
-
-/// Bytes that cameras leave after the end and between the parts are harmless; inside the data they are errors.
-#[test]
-fn damaged_jpegs_are_found() {
-    let (_turn, _folder, path) = alone("a.jpg");
-    let whole = jpeg(160, 120);
-    assert!(read(&path, &[&whole[..], b"\0\0\0 a preview"].concat()).is_ok());
-    let frame = whole.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
-    let between = [&whole[..frame], &[0; 9], &whole[frame..]].concat();
-    assert_eq!(read(&path, &between).unwrap(), read(&path, &whole).unwrap());
-    let mut damaged = whole.clone();
-    let middle = whole.len() / 2;
-    // A quantisation table inside the data.
-    damaged[middle..middle + 4].copy_from_slice(&[0xff, 0xdb, 0, 2]);
-    assert!(read(&path, &damaged).is_err_and(|message| message.contains("cannot be decoded")));
-    for part in 1..10 {
-        assert!(read(&path, &whole[..whole.len() * part / 10]).is_err());
-    }
-}
 
 #[test]
 fn photos_beyond_the_bound_are_refused_before_they_are_decoded() {

@@ -4,7 +4,6 @@
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]
 
-mod cameras;
 mod checkpoints;
 mod colmap;
 mod lists;

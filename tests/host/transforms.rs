@@ -636,6 +636,7 @@ fn absurd_cameras_are_refused_or_named() {
         ("cx", 1e9, "the principal point in x is at 1000000000 of 20 pixels"),
         ("fl_x", 1e-9, "the focal length in x is"),
         ("fl_x", 1e9, "the focal length in x is"),
+        ("k1", -0.5, "folds the picture"),
     ] {
         write(None, with(json!({ "fl_x": 21.0, "fl_y": 21.0 }), &json!({ key: value })));
         assert_refused(&folder, &[what]);
