@@ -1,7 +1,6 @@
 //! The rules of the house that a machine can check.
 
 use crate::common::root;
-use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -86,104 +85,6 @@ fn architecture_unsafe_only_under_vk() {
     assert_none("only engine/vk, hosts and the C interface may do this", places.collect());
 }
 
-// ---- dependencies between modules ---------------------------------------------------------------------------------
-
-/// True if the order of the rooms lets one name the other. The table of tunings and the hash of data stand on the ground.
-fn may_name(module: &str, target: &str) -> bool {
-    const ORDER: [&str; 8] = ["error", "scene", "vk", "kernels", "frame", "passes", "render", "train"];
-    let floor = |name: &str| ORDER.iter().position(|room| *room == name).unwrap_or(ORDER.len());
-    floor(target) < floor(module) && !(module == "vk" && target == "scene")
-}
-
-fn module_of(path: &str) -> &str {
-    let below = path.strip_prefix("engine/").unwrap_or(path);
-    below.split('/').next().unwrap_or(below).trim_end_matches(".rs")
-}
-
-/// The first names behind each `crate::`, also within braces.
-fn names_used(text: &str) -> Vec<String> {
-    let code: String = text.lines().map(|line| without_comment(line).to_owned() + "\n").collect();
-    let mut names = Vec::new();
-    for (at, found) in code.match_indices("crate::").filter(|(at, _)| !code[..*at].ends_with('$')) {
-        let rest = &code[at + found.len()..];
-        let Some(group) = rest.strip_prefix('{') else {
-            names.extend(first_name(rest));
-            continue;
-        };
-        let (mut depth, mut start) = (0, 0);
-        for (place, c) in group.char_indices() {
-            match c {
-                '{' => depth += 1,
-                '}' if depth > 0 => depth -= 1,
-                ',' | '}' if depth == 0 => {
-                    names.extend(first_name(&group[start..place]));
-                    start = place + 1;
-                    if c == '}' {
-                        break;
-                    }
-                }
-                _ => {}
-            }
-        }
-    }
-    names
-}
-
-fn first_name(text: &str) -> Option<String> {
-    let name: String = text.trim_start().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
-    (!name.is_empty()).then_some(name)
-}
-
-/// Which module each name that lib.rs re-exports belongs to.
-fn re_exports(lib: &str) -> HashMap<String, String> {
-    let mut exports = HashMap::new();
-    let code: String = lib.lines().map(|line| without_comment(line).to_owned() + " ").collect();
-    for statement in code.split(';') {
-        let Some((_, path)) = statement.split_once("pub use ") else { continue };
-        let module = first_name(path).unwrap_or_default();
-        let names = path.split(|c: char| !(c.is_alphanumeric() || c == '_')).filter(|name| !name.is_empty());
-        for name in names {
-            exports.insert(name.to_owned(), module.clone());
-        }
-    }
-    exports
-}
-
-fn forbidden_arrows(source: &Source, exports: &HashMap<String, String>) -> Vec<String> {
-    let module = module_of(&source.path);
-    if module == "lib" {
-        return vec![];
-    }
-    let ground = ["crate::frame::tuning::", "crate::scene::Fingerprint"];
-    let text = ground.iter().fold(source.text.clone(), |text, path| text.replace(path, "crate::error::"));
-    names_used(&text)
-        .into_iter()
-        .map(|name| exports.get(&name).cloned().unwrap_or(name))
-        .filter(|target| target != module && !may_name(module, target))
-        .map(|target| format!("{}: {module} → {target}", source.path))
-        .collect()
-}
-
-#[test]
-fn architecture_dependencies_point_one_way() {
-    let sources = sources(&["engine"], &["rs"]);
-    let lib = sources.iter().find(|s| s.path == "engine/lib.rs").expect("the crate has a root");
-    let exports = re_exports(&lib.text);
-    // The crate of files has names of its own: Cargo sees to it that it stands above the engine.
-    let (files, engine): (Vec<_>, Vec<_>) =
-        sources.iter().partition(|source| source.path.starts_with("engine/files/"));
-    let arrows = engine.iter().flat_map(|source| forbidden_arrows(source, &exports)).collect();
-    assert_none("arrows against the order of the modules", arrows);
-    assert!(!files.is_empty());
-    let vulkan = files.iter().filter(|source| source.text.contains(concat!("ashsplat::", "vk")));
-    assert_none("files know no Vulkan", vulkan.map(|source| source.path.clone()).collect());
-    // Paths of the tools into the engine's files other than through the crate.
-    let tools = self::sources(&["tools"], &["rs"]);
-    let includes = |text: &str| text.contains("#[path") || text.contains("include!");
-    let inside = tools.iter().filter(|source| source.text.contains("engine/") && includes(&source.text));
-    assert_none("tools stand on the public API only", inside.map(|source| source.path.clone()).collect());
-}
-
 // ---- code in general ----------------------------------------------------------------------------------------------
 
 #[test]
@@ -195,25 +96,6 @@ fn architecture_errors_are_returned() {
     sources.retain(|source| !source.path.starts_with("engine/kernels/") && !source.path.contains("/tests/"));
     let found = lines_with(&sources, |line| calls.iter().any(|call| line.contains(call)));
     assert_none("unwrap or expect outside tests", found);
-}
-
-// ---- data ---------------------------------------------------------------------------------------------------------
-
-/// No file has the bytes of one of the shared folder. Files of a few bytes may agree by chance.
-#[test]
-fn architecture_nothing_is_copied_from_the_shared_folder() {
-    let size = |path: &Path| path.metadata().map_or(0, |metadata| metadata.len());
-    let mut shared: HashMap<u64, Vec<PathBuf>> = HashMap::new();
-    for path in files_below(&crate::common::shared_folder()) {
-        shared.entry(size(&path)).or_default().push(path);
-    }
-    let is_copy = |path: &PathBuf| {
-        let mut of_its_size = shared.get(&size(path)).into_iter().flatten();
-        size(path) > 16 && of_its_size.any(|other| fs::read(path).ok() == fs::read(other).ok())
-    };
-    let folders = ["engine", "glsl", "tools", "tests", ".ci"].map(|folder| files_below(&root().join(folder)));
-    let copies = folders.into_iter().flatten().filter(is_copy).map(|path| path.display().to_string());
-    assert_none("copied", copies.collect());
 }
 
 // ---- readers: contents must not decide length of queues, or waits --------------------------------------------------
@@ -257,89 +139,6 @@ fn architecture_files_are_opened_in_one_way() {
     let opens = |line: &str| UNCHECKED.iter().any(|call| has_word(line, call));
     let rule = "regular_file::open refuses pipes and devices: readers use it";
     assert_none(rule, lines_with(&sources, opens));
-}
-
-// ---- shaders, their twins and their tests --------------------------------------------------------------------------
-
-/// Subgroup sizes are never literal, but `SUBGROUP_SIZE` or `gl_SubgroupSize`.
-#[test]
-fn architecture_no_literal_subgroup_sizes() {
-    let builtins = ["gl_SubgroupInvocationID", "gl_SubgroupSize", "gl_SubgroupID", "gl_NumSubgroups"];
-    let literals = ["4", "8", "16", "31", "32", "63", "64", "127", "128"];
-    let assumes = |line: &str| {
-        builtins.iter().any(|builtin| {
-            line.match_indices(builtin).any(|(at, _)| {
-                let after = line[at + builtin.len()..].trim_start_matches([' ', 'u', ')']);
-                let operand = after.trim_start_matches(['=', '!', '<', '>', '&', '%', '/', '*', ' ']);
-                let literal: String = operand.chars().take_while(char::is_ascii_digit).collect();
-                operand.len() < after.len() && literals.contains(&literal.as_str())
-            })
-        })
-    };
-    let shaders = sources(&["glsl"], &["comp", "glsl"]);
-    assert_none("literal subgroup sizes", lines_with(&shaders, assumes));
-}
-
-/// True if a line has a barrier: a call of such an include function, or of the shader's own `barrier()`.
-fn has_barrier(line: &str, barrier_functions: &[String]) -> bool {
-    has_word(line, "barrier") || barrier_functions.iter().any(|function| has_word(line, function))
-}
-
-/// `return` in `main` before a barrier: undefined unless all invocations return.
-fn return_before_barrier(source: &Source, barrier_functions: &[String]) -> Vec<String> {
-    let lines: Vec<(usize, &str)> = code_lines(&source.text).collect();
-    let Some(main) = lines.iter().position(|(_, line)| line.contains("void main()")) else { return vec![] };
-    let last_barrier = lines.iter().rposition(|(_, line)| has_barrier(line, barrier_functions)).unwrap_or(0);
-    lines[main..]
-        .iter()
-        .enumerate()
-        .filter(|(place, (_, line))| has_word(line, "return") && main + place < last_barrier)
-        .map(|(_, (number, _))| format!("{}:{number}", source.path))
-        .collect()
-}
-
-fn barrier_functions(source: &Source) -> Vec<String> {
-    let mut functions = Vec::new();
-    let mut current = String::new();
-    for (_, line) in code_lines(&source.text) {
-        let starts =
-            !line.starts_with([' ', '}', '#']) && line.contains('(') && line.trim_end().ends_with('{');
-        if starts {
-            let head = line.split('(').next().unwrap_or_default();
-            current = head.split_whitespace().next_back().unwrap_or_default().to_owned();
-        }
-        if has_word(line, "barrier") && !current.is_empty() {
-            functions.push(current.clone());
-        }
-    }
-    functions
-}
-
-#[test]
-fn architecture_no_return_before_a_barrier() {
-    let shaders = sources(&["glsl"], &["comp", "glsl"]);
-    let functions: Vec<String> = shaders.iter().flat_map(barrier_functions).filter(|f| f != "main").collect();
-    let violations = shaders.iter().flat_map(|s| return_before_barrier(s, &functions)).collect();
-    assert_none("return before a barrier", violations);
-}
-
-fn list_of_ci(name: &str) -> Vec<String> {
-    let script = std::fs::read_to_string(root().join(".ci/run")).expect("a script");
-    let list = script.split_once(&format!("{name}='")).and_then(|(_, rest)| rest.split_once('\''));
-    list.expect("a list").0.split_whitespace().map(str::to_owned).collect()
-}
-
-/// `.ci/run` runs these trainings with the kernels of GPUs: each word of its list must match a trial's name.
-#[test]
-fn architecture_trainings_of_gpus_are_trials() {
-    let words = list_of_ci("trainings_of_gpus");
-    assert!(words.len() > 10, "{words:?}");
-    let tests = sources(&["tests"], &["rs"]);
-    let is_trial = |word: &String| match word.strip_suffix("::") {
-        Some(file) => tests.iter().any(|source| source.path == format!("tests/{file}.rs")),
-        None => tests.iter().any(|source| source.text.contains(&format!("#[test]\nfn {word}"))),
-    };
-    assert_none("words that are no trial's", words.into_iter().filter(|word| !is_trial(word)).collect());
 }
 
 // ---- links of the documents ----------------------------------------------------------------------------------------

@@ -399,16 +399,6 @@ fn a_full_standard_output_is_a_failure_and_a_closed_one_is_not() {
     }
 }
 
-/// A report names the device and the forms of its kernels.
-#[test]
-fn bench_names_the_device() {
-    let (_folder, [path]) = new_paths(["gpu.json"]);
-    measure("train-step", &["--backend", "gpu", "--json", text(&path)]);
-    let device = &read(&path)["device"];
-    assert_eq!(device["backend"], "gpu");
-    assert!(number(&device["heavy_subgroup_size"]) >= 4.0);
-}
-
 const BLENDED: [&str; 8] = ["--gaussians", "400", "--width", "72", "--height", "48", "--iterations", "3"];
 
 fn blended(run: &Value) -> Vec<&str> {

@@ -14,15 +14,13 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::sync::LazyLock;
 
-/// Tests that a child runs: the device's claims, trainings and pictures for the parent, transfers of all kinds, and
-/// a training with photographs from a file.
-const SELECTION: [&str; 6] = [
+/// Tests that a child runs: the device's claims, trainings and pictures for the parent, and transfers of all kinds.
+const SELECTION: [&str; 5] = [
     "mock_device_claims_in_a_child",
     "mock_device_results_in_a_child",
     "vk::memory::transfers_give_back_what_they_got",
     UPLOADS,
     "vk::memory::staging_is_a_ring_that_is_kept_and_given_back",
-    PHOTOS,
 ];
 
 /// Further tests on machines with other limits: kernels whose workgroups and shared memory depend on them.
@@ -45,7 +43,7 @@ const BOUNDED: [&str; 6] = [
 
 /// Test of an upload into a buffer that a submission still reads.
 const UPLOADS: &str = "vk::memory::uploads_run_after_what_was_submitted";
-/// Test of photographs that are uploaded while the main queue computes.
+/// Test of photographs that are uploaded while the main queue computes, where another queue copies them.
 const PHOTOS: &str = "photos::photos_from_a_file_give_the_same_bits";
 
 /// Environment variable with the folder for a child's results.
@@ -112,7 +110,8 @@ fn check(machine: &str) {
     let more = match machine {
         "small-limits" => &SHAPES[..],
         "discrete" => &BOUNDED,
-        "discrete-rebar" => &BOUNDED[..1],
+        "discrete-rebar" => &[BOUNDED[0], PHOTOS],
+        "transfer-queue" | "transfer-queue-main-late" => &[PHOTOS],
         _ => &[],
     };
     let selection = [&SELECTION[..], more].concat();

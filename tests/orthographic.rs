@@ -3,7 +3,6 @@
 use crate::common::engine::settings;
 use crate::common::prelude::*;
 use crate::reference::pipeline;
-use ashsplat::Shape;
 use ashsplat::passes::filter_3d::Filter3d;
 use ashsplat::scene::{ClipY, DepthMapping, HostView, Intrinsics, Projection, WorldFrame};
 use ashsplat_files::cameras_json;
@@ -31,54 +30,6 @@ fn one(mean: [f32; 3], sigmas: [f32; 3], logit: f32) -> Gaussians {
         log_scales: vec![sigmas.map(f32::ln)],
         opacity_logits: vec![logit],
         sh: vec![[0.0; 3], [0.0, 0.25, 0.0], [0.5, 0.0, 0.0], [0.0, 0.0, 0.75]],
-    }
-}
-
-/// alpha = opacity exp(-d²/2) with the standard deviations fx sx and fy sy, widened by the low-pass filter, around
-/// (fx x, fy y). It does not depend on z or thickness.
-#[test]
-fn orthographic_gaussians_cover_the_same_pixels_at_every_depth() {
-    let _gpu = Gpu::new();
-    let mut pictures = Vec::new();
-    for (z, thickness) in [(0.3, 0.01), (2.0, 0.5), (50.0, 0.5), (4000.0, 30.0)] {
-        let (mean, sigmas) = ([1.25, -0.75, z], [0.5, 0.25, thickness]);
-        let mut renderer = renderer();
-        renderer.upload(&one(mean, sigmas, 1.0)).expect("a scene");
-        let wanted = RenderSettings { inverse_depth: true, ..RenderSettings::default() };
-        let frame = renderer.render(&along_z(), &wanted).expect("a frame");
-        let dilation = f64::from(wanted.dilation_px2);
-        let opacity = 1.0 / (1.0 + (-1.0_f64).exp());
-        for (index, &transmittance) in frame.transmittance.iter().enumerate() {
-            let at = [index as u32 % SIZE[0], index as u32 / SIZE[0]];
-            let power: f64 = (0..2)
-                .map(|i| {
-                    let center = f64::from(SCALE[i] * mean[i]) + [32.0, 24.0][i];
-                    let variance = f64::from(SCALE[i] * sigmas[i]).powi(2) + dilation;
-                    (f64::from(at[i]) - center).powi(2) / variance
-                })
-                .sum();
-            let alpha = opacity * (-0.5 * power).exp();
-            let expected = if alpha < 1.0 / 255.0 { 0.0 } else { alpha };
-            let actual = f64::from(1.0 - transmittance);
-            let close = (actual - expected).abs() < 1e-5 || (alpha * 255.0 - 1.0).abs() < 1e-3;
-            assert!(close, "z {z}, {at:?}: {actual}, expected {expected}");
-            let depth = f64::from(frame.inverse_depth.as_ref().expect("rendered")[index]);
-            assert!((depth - actual / f64::from(z)).abs() <= 1e-5 * actual / f64::from(z), "{depth}");
-            // The spherical harmonics' constants; the direction is (0, 0, 1) at every pixel.
-            let red = actual * (0.5 + 0.5 * 0.488_602_511_902_919_9);
-            let [r, g, b] = frame.color[index].map(f64::from);
-            assert!((r - red).abs() < 1e-6 && (g - 0.5 * actual).abs() < 1e-6, "{r}, {g}");
-            assert!((b - 0.5 * actual).abs() < 1e-6, "{b}");
-        }
-        pictures.push(frame.transmittance);
-    }
-    assert!(pictures.iter().all(|picture| picture == &pictures[0]), "bits do not depend on z");
-    // The near plane limits z.
-    let mut renderer = renderer();
-    for (z, visible) in [(0.19, 0), (-5.0, 0), (0.21, 1)] {
-        renderer.upload(&one([0.0, 0.0, z], [0.5; 3], 1.0)).expect("a scene");
-        let frame = renderer.render(&along_z(), &RenderSettings::default()).expect("a frame");
-        assert_eq!(frame.stats.visible, visible, "{z}");
     }
 }
 
@@ -110,23 +61,6 @@ fn orthographic_pictures_equal_the_twins() {
         // A pinhole gives another picture.
         let pinhole = Camera { projection: Projection::Perspective, ..camera(&view) };
         assert_ne!(renderer.render(&pinhole, &settings(&view)).expect("a frame").color, frame.color);
-    }
-}
-
-/// Dots of the means lie at the positions of `Camera::project`.
-#[test]
-fn orthographic_points_lie_where_the_camera_projects_them() {
-    let _gpu = Gpu::new();
-    let mut renderer = renderer();
-    let wanted = RenderSettings { shape: Shape::Point, ..RenderSettings::default() };
-    for (x, y) in [(-2.0, 1.5), (0.0, 0.0), (3.0, -2.5)] {
-        let mean = Vec3::new(x, y, 7.0);
-        let (px, py, z) = along_z().project(mean);
-        assert_eq!([px, py, z], [8.0 * x + 32.5, 6.0 * y + 24.5, 7.0]);
-        renderer.upload(&one(mean.to_array(), [0.1; 3], 3.0)).expect("a scene");
-        let frame = renderer.render(&along_z(), &wanted).expect("a frame");
-        let place = py as usize * SIZE[0] as usize + px as usize;
-        assert!(frame.transmittance[place] < 0.05 && frame.transmittance[place - 4] > 0.9);
     }
 }
 

@@ -173,23 +173,6 @@ fn a_strategy_cannot_keep_what_does_not_exist() {
     assert_eq!(end.gaussians.len(), start().len());
 }
 
-/// The `fixed` strategy keeps the number of Gaussians at iterations when the reference's would densify.
-#[test]
-fn the_fixed_strategy_keeps_the_number_of_gaussians() {
-    let count = |strategy| {
-        let early = TrainSettings {
-            densify_from_iter: 1,
-            densification_interval: 2,
-            densify_grad_threshold: 1e-9,
-            strategy,
-            ..settings()
-        };
-        Run::shared(views(2, 9), early).until(6, &[]).gaussians.len()
-    };
-    assert_eq!(count(StrategyType::Fixed), start().len());
-    assert!(count(StrategyType::Reference) > start().len());
-}
-
 fn means(gaussians: &Gaussians) -> [f64; 2] {
     let opacity = |&logit: &f32| 1.0 / (1.0 + f64::from(-logit).exp());
     let scale = |scale: &f32| f64::from(*scale).exp();

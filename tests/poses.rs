@@ -5,7 +5,7 @@ use crate::checkpoints;
 use crate::common::blending::assert_alike;
 use crate::common::engine::{self, derivatives, settings};
 use crate::common::prelude::*;
-use crate::common::training::{forecast, photo_size, psnr, without_rates};
+use crate::common::training::{forecast, photo_size, without_rates};
 use crate::gradients::{self, decisions, linear_loss, narrow_view, narrowed, random_weights, stable_weights};
 use crate::reference::pipeline::{backward, pixels_of, render};
 use crate::reference::pose_step::moved;
@@ -253,35 +253,6 @@ fn poses_are_found_again_on_a_scene_that_is_known() {
     // With turns about the cameras' centres, 0.015 and 2.2e-4 remain.
     assert!(degrees < 0.011 && share < 1.6e-4, "{degrees} degrees, {share} of the extent");
     assert!(trainer.gaussians().expect("Gaussians") == scene(), "the scene was to stay");
-}
-
-/// Optimises scene and poses together, both displaced. Without poses, the scene can only blur.
-#[test]
-fn poses_and_scene_together_are_better_than_the_scene_alone() {
-    let gpu = Gpu::unchecked();
-    let mut start = scene();
-    let mut random = Random::new(6);
-    start.means.iter_mut().flatten().for_each(|x| *x += 0.03 * random.signed() as f32);
-    start.sh.iter_mut().flatten().for_each(|x| *x += 0.2 * random.signed() as f32);
-    let train = |pose_opt: bool| {
-        let settings = TrainSettings {
-            position_lr_init: 3e-4,
-            position_lr_final: 3e-5,
-            position_lr_max_steps: 600,
-            pose_opt,
-            pose_lr: 2e-3,
-            ..few(600)
-        };
-        let mut trainer =
-            Trainer::new(gpu.context, views(&perturbed()), &start, extent(), settings).expect("a trainer");
-        trainer.steps(600);
-        let own = trainer.cameras().expect("cameras");
-        (psnr(&mut trainer, own.iter().copied().zip(photographs())), own)
-    };
-    let ((without, same), (with, moved)) = (train(false), train(true));
-    assert_eq!(same, perturbed());
-    let left = apart(&moved, &cameras());
-    assert!(with > without + 3.0, "{without} dB, with poses {with} dB; {left:?} are left");
 }
 
 #[test]

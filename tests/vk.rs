@@ -6,10 +6,8 @@ mod memory;
 mod overrides;
 mod profile;
 mod recorder;
-mod uniform;
 
-use crate::common;
-use ashsplat::vk::{Buffer, Context, ContextOptions, MemoryKind, Recorder, RunReport};
+use ashsplat::vk::{Buffer, Context, MemoryKind, Recorder, RunReport};
 
 fn run(context: &Context, record: impl FnOnce(&mut Recorder)) -> RunReport {
     let report = context.run("test", |r| {
@@ -27,16 +25,4 @@ fn allocate<const N: usize>(context: &Context, requests: [(&'static str, u64); N
 
 fn words(context: &Context, buffer: &Buffer) -> Vec<u32> {
     bytemuck::pod_collect_to_vec(&context.download(buffer).expect("download"))
-}
-
-/// Fails unless the validation layer, without our own hazard check, reports a hazard of these commands.
-fn assert_hazard_is_reported(record: impl FnOnce(&Context)) {
-    if !common::options().validation {
-        return eprintln!("SKIPPED: no validation layer");
-    }
-    let options = ContextOptions { hazard_check: false, ..common::options() };
-    let context = Context::new(&options).expect("a context");
-    record(&context);
-    let messages = context.validation_messages();
-    assert!(messages.iter().any(|m| m.contains("SYNC-HAZARD")), "{messages:?}");
 }

@@ -62,80 +62,12 @@ fn composed(
     gpu.read(&to, texels.len())
 }
 
-/// Checks every texel: `twin` inside the frame, unchanged outside. The tolerance is by channel and expected value.
-fn check(
-    before: &[[f64; 4]],
-    after: &[[f64; 4]],
-    behind: Background,
-    tolerance: impl Fn(usize, f64) -> f64,
-    twin: impl Fn([f32; 4], [f64; 4]) -> [f64; 4],
-) {
-    let pixels = pixels();
-    assert_eq!([before.len(), after.len()], [TEXELS as usize; 2]);
-    for (texel, (before, after)) in before.iter().zip(after).enumerate() {
-        let [x, y] = position(texel);
-        if !is_inside([x, y]) {
-            assert_eq!(after, before, "texel ({x}, {y}) lies outside");
-            continue;
-        }
-        let pixel = pixels[((y - OFFSET[1]) * SIZE[0] + x - OFFSET[0]) as usize];
-        let below = match behind {
-            Background::Color([r, g, b]) => [r, g, b, 1.0].map(f64::from),
-            Background::Nothing => [0.0; 4],
-            Background::Image => *before,
-        };
-        let expected = twin(pixel, below);
-        for (channel, (actual, number)) in after.iter().zip(expected).enumerate() {
-            let close = (actual - number).abs() <= tolerance(channel, number);
-            assert!(close, "({x}, {y}) {behind:?}: {after:?}, expected {expected:?}");
-        }
-    }
-}
-
 const EXPOSURE: f32 = 0.8;
 const LINEAR: ColorEncoding = ColorEncoding::LinearSrgb { exposure: EXPOSURE };
-
-fn is_opaque(behind: Background) -> bool {
-    matches!(behind, Background::Color(_))
-}
 
 const BEHIND: [Background; 3] = [Background::Color([0.2, 0.4, 0.7]), Background::Nothing, Background::Image];
 
 const TEXELS: u32 = IMAGE[0] * IMAGE[1];
-
-/// A format of images and the kernel that writes it.
-struct Target {
-    format: Format,
-    /// The image's bytes before.
-    texels: Vec<u8>,
-    /// Values of texels.
-    read: fn(&[u8]) -> Vec<[f64; 4]>,
-    /// Accepted error by channel and expected value: as trained, and in linear light.
-    tolerances: [fn(usize, f64) -> f64; 2],
-    /// True if values lie within 0 and 1.
-    clamps: bool,
-    behind: Vec<Background>,
-}
-
-impl Target {
-    /// Composes as trained and in linear light, and compares both with the twin.
-    fn equals_its_twin(&self) {
-        let gpu = Gpu::new();
-        let before = (self.read)(&self.texels);
-        let limited = |color: [f64; 4]| if self.clamps { color.map(|x| x.clamp(0.0, 1.0)) } else { color };
-        for &behind in &self.behind {
-            let after =
-                (self.read)(&composed(&gpu, &pixels(), self.format, &self.texels, (behind, AsTrained)));
-            check(&before, &after, behind, self.tolerances[0], |pixel, below| {
-                limited(twin::compose(pixel, below))
-            });
-            let after = composed(&gpu, &pixels(), self.format, &self.texels, (behind, LINEAR));
-            check(&before, &(self.read)(&after), behind, self.tolerances[1], |pixel, below| {
-                limited(twin::compose_linear(pixel, below, is_opaque(behind), EXPOSURE.into()))
-            });
-        }
-    }
-}
 
 /// Asserts that pixels which nothing covers leave the texels' bits.
 fn keeps_what_nothing_covers(gpu: &Gpu, format: Format, texels: &[u8], encoding: ColorEncoding) {
@@ -149,44 +81,6 @@ fn is_inside(at: [u32; 2]) -> bool {
 
 fn position(index: usize) -> [u32; 2] {
     [index as u32 % IMAGE[0], index as u32 / IMAGE[0]]
-}
-
-/// Values of texels of four bytes in this order.
-fn of_bytes(texels: &[u8], order: [usize; 4]) -> Vec<[f64; 4]> {
-    texels.as_chunks::<4>().0.iter().map(|t| order.map(|k| f64::from(t[k]) / 255.0)).collect()
-}
-
-/// All encodings in a plain and in an sRGB format.
-fn bytes_equal_their_twin([plain, srgb]: [Format; 2], read: fn(&[u8]) -> Vec<[f64; 4]>) {
-    // A little more than half a step, for float32.
-    const TOLERANCE: f64 = 0.501 / 255.0;
-    let gpu = Gpu::new();
-    let texels: Vec<u8> = (0..TEXELS * 4).map(|i| (i * 37 % 256) as u8).collect();
-    let before = read(&texels);
-    let tolerances: [fn(usize, f64) -> f64; 2] = [|_, _| TOLERANCE; 2];
-    for behind in BEHIND {
-        // As trained, codes stay codes.
-        let after = read(&composed(&gpu, &pixels(), srgb, &texels, (behind, AsTrained)));
-        check(&before, &after, behind, tolerances[0], |pixel, below| {
-            twin::compose(pixel, below).map(|x| x.clamp(0.0, 1.0))
-        });
-        let after = read(&composed(&gpu, &pixels(), srgb, &texels, (behind, LINEAR)));
-        check(&before, &after, behind, tolerances[0], |pixel, below| {
-            twin::compose_linear_in_srgb(pixel, below, is_opaque(behind), EXPOSURE.into())
-        });
-    }
-    let behind = BEHIND.to_vec();
-    Target { format: plain, texels, read, tolerances, clamps: true, behind }.equals_its_twin();
-}
-
-#[test]
-fn compose_rgba8_equals_its_twin() {
-    bytes_equal_their_twin([Format::R8G8B8A8_UNORM, Format::R8G8B8A8_SRGB], |t| of_bytes(t, [0, 1, 2, 3]));
-}
-
-#[test]
-fn compose_bgra8_equals_its_twin() {
-    bytes_equal_their_twin([Format::B8G8R8A8_UNORM, Format::B8G8R8A8_SRGB], |t| of_bytes(t, [2, 1, 0, 3]));
 }
 
 /// Each of the 256 codes under uncovered pixels survives decoding and encoding.
@@ -205,24 +99,6 @@ fn texels_of_rgb10a2() -> Vec<u32> {
     (0..TEXELS).map(|i| i.wrapping_mul(0x9e37_79b9)).collect()
 }
 
-#[test]
-fn compose_rgb10a2_equals_its_twin() {
-    let tolerance = |channel, _| if channel == 3 { 0.501 / 3.0 } else { 0.51 / 1023.0 };
-    Target {
-        format: Format::A2B10G10R10_UNORM_PACK32,
-        texels: bytemuck::cast_slice(&texels_of_rgb10a2()).to_vec(),
-        read: |texels| {
-            let color = |t: u32, first: u32| f64::from(t >> first & 1023) / 1023.0;
-            let texel = |t| [color(t, 0), color(t, 10), color(t, 20), f64::from(t >> 30) / 3.0];
-            bytemuck::pod_collect_to_vec::<_, u32>(texels).into_iter().map(texel).collect()
-        },
-        tolerances: [tolerance; 2],
-        clamps: true,
-        behind: BEHIND.to_vec(),
-    }
-    .equals_its_twin();
-}
-
 /// Uncovered texels keep their bits.
 #[test]
 fn compose_rgb10a2_leaves_what_nothing_covers() {
@@ -234,24 +110,6 @@ fn compose_rgb10a2_leaves_what_nothing_covers() {
     }
 }
 
-/// In linear light the kernel decodes after blending, and premultiplied colours before the product with alpha.
-#[test]
-fn compose_rgba32f_equals_its_twin() {
-    let texels: Vec<f32> = (0..TEXELS * 4).map(|i| (i % 101) as f32 / 80.0 - 0.1).collect();
-    Target {
-        format: Format::R32G32B32A32_SFLOAT,
-        texels: bytemuck::cast_slice(&texels).to_vec(),
-        read: |texels| {
-            let texels = bytemuck::pod_collect_to_vec::<_, [f32; 4]>(texels);
-            texels.into_iter().map(|t| t.map(f64::from)).collect()
-        },
-        tolerances: [|_, _| 1e-6, |_, _| 5e-6],
-        clamps: false,
-        behind: BEHIND.to_vec(),
-    }
-    .equals_its_twin();
-}
-
 /// Value of a half float that is finite.
 pub fn from_half(bits: u16) -> f64 {
     let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
@@ -260,25 +118,6 @@ pub fn from_half(bits: u16) -> f64 {
         _ => (1024.0 + mantissa) * 2f64.powi(exponent - 25),
     };
     if bits >> 15 == 1 { -size } else { size }
-}
-
-#[test]
-fn compose_rgba16f_equals_its_twin() {
-    // Values from 0.5 to just below 2.
-    let texels: Vec<u16> = (0..TEXELS * 4).map(|i| 0x3800 + (i % 2048) as u16).collect();
-    Target {
-        format: Format::R16G16B16A16_SFLOAT,
-        texels: bytemuck::cast_slice(&texels).to_vec(),
-        read: |texels| {
-            let texels = bytemuck::pod_collect_to_vec::<_, [u16; 4]>(texels);
-            texels.into_iter().map(|t| t.map(from_half)).collect()
-        },
-        // Half a unit in the last place below 4.
-        tolerances: [|_, _| 1.1e-3; 2],
-        clamps: false,
-        behind: BEHIND.to_vec(),
-    }
-    .equals_its_twin();
 }
 
 /// Colours above the format's largest number become that number, not infinity.
@@ -311,29 +150,6 @@ fn read_r11g11b10f(texels: &[u8]) -> Vec<[f64; 4]> {
     };
     let texel = |t: u32| [number(t & 2047, 6), number(t >> 11 & 2047, 6), number(t >> 22, 5), 1.0];
     bytemuck::pod_collect_to_vec::<_, u32>(texels).into_iter().map(texel).collect()
-}
-
-#[test]
-fn compose_r11g11b10f_equals_its_twin() {
-    // Texels from 1/64 to 2.
-    let part = |i: u32, bits: u32| (9 << bits) + i % (7 << bits);
-    let texels: Vec<u32> =
-        (0..TEXELS).map(|i| part(i, 6) | part(5 * i, 6) << 11 | part(3 * i, 5) << 22).collect();
-    // Half of the distance between numbers, by the channel's mantissa bits. The format has no alpha.
-    let tolerance = |channel: usize, number: f64| {
-        let Some(bits) = [6, 6, 5].get(channel) else { return 1.0 };
-        1e-6 + 1.001 * 2f64.powi(-bits - 1) * 2f64.powf(number.max(2f64.powi(-14)).log2().floor())
-    };
-    Target {
-        format: R11G11B10F,
-        texels: bytemuck::cast_slice(&texels).to_vec(),
-        read: read_r11g11b10f,
-        tolerances: [tolerance; 2],
-        clamps: false,
-        // The engine refuses premultiplied colours without alpha.
-        behind: vec![BEHIND[0], BEHIND[2]],
-    }
-    .equals_its_twin();
 }
 
 /// Every finite number survives under uncovered pixels: around the smallest normal one, and up to the largest.

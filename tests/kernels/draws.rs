@@ -24,16 +24,6 @@ fn wide(values: &[f32]) -> Vec<f64> {
     values.iter().copied().map(f64::from).collect()
 }
 
-/// Asserts that the frequencies of draws follow chances within this number of standard deviations.
-fn assert_follows(draws: &[u32], chances: &[u32], deviations: f64) {
-    let all = f64::from(draws.iter().sum::<u32>());
-    for (&drawn, &chance) in draws.iter().zip(chances) {
-        let share = f64::from(chance) / f64::from(chances.iter().sum::<u32>());
-        let deviation = (all * share * (1.0 - share)).sqrt();
-        assert!((f64::from(drawn) - all * share).abs() <= deviations * deviation, "{draws:?}");
-    }
-}
-
 #[derive(Clone, Copy)]
 struct Row {
     statistic: [f32; 2],
@@ -182,32 +172,6 @@ fn selection_is_that_of_the_twins() {
     }
 }
 
-/// Counts how often Gaussians of weights 1, 2 and 3 are drawn in 600 draws of one.
-#[test]
-fn selection_follows_the_chances() {
-    let gpu = Gpu::new();
-    let selection = Selection::new(gpu.context).expect("kernels");
-    let buffers = selection_buffers(gpu.context, 3);
-    let statistics = gpu.buffer("statistics", &[[1.0_f32, 2.0], [2.0, 2.0], [3.0, 2.0]]);
-    let mut counts = [0; 3];
-    for iteration in 0..600 {
-        let draw = SelectionDraw {
-            count: 3,
-            wanted: 1,
-            candidates: Candidates { statistics: &statistics, absolute: None, threshold: 0.0 },
-            chances: Chances::Statistic,
-            seed: 0,
-            iteration,
-            explicit: None,
-        };
-        gpu.run(|r| selection.record(r, &draw, &buffers));
-        let selected = gpu.read::<u32>(&buffers.selected, 3);
-        assert_eq!(selected.iter().sum::<u32>(), 1);
-        counts.iter_mut().zip(selected).for_each(|(count, selected)| *count += selected);
-    }
-    assert_follows(&counts, &[1, 2, 3], 5.0);
-}
-
 #[test]
 fn draw_weights_equals_its_twin() {
     let gpu = Gpu::new();
@@ -249,9 +213,8 @@ type Drawn = (Vec<(usize, u32)>, Vec<u32>);
 /// Stream of the random numbers of [`KEY`].
 const STREAM: u32 = 3;
 
-fn drawn(gpu: &Gpu, weights: &[u32], rows: usize, uniforms: Option<&[f32]>) -> Drawn {
-    let spec =
-        draw_sources::Spec { workgroup_size: gpu.workgroup(64), explicit_uniforms: uniforms.is_some() };
+fn drawn(gpu: &Gpu, weights: &[u32], rows: usize) -> Drawn {
+    let spec = draw_sources::Spec { workgroup_size: gpu.workgroup(64), explicit_uniforms: false };
     let count = weights.len();
     let mut prefix = weights.to_vec();
     let total = crate::reference::scan::scan_spine(&mut prefix);
@@ -260,7 +223,7 @@ fn drawn(gpu: &Gpu, weights: &[u32], rows: usize, uniforms: Option<&[f32]>) -> D
         weights: &gpu.buffer("weights", weights),
         prefix: &gpu.buffer("prefix", &prefix),
         totals: &gpu.buffer("totals", &[count as u32, total, 0, 0]),
-        uniforms: &gpu.buffer("uniforms", uniforms.unwrap_or(&[0.0; 4])),
+        uniforms: &gpu.buffer("uniforms", &[0.0_f32; 4]),
         sources: &sources,
         draws: &draws,
     };
@@ -283,27 +246,9 @@ fn draw_sources_equals_its_twin() {
             let rows = size + size / 3 + 1;
             let bits = |row: usize| pcg4d([KEY[0], KEY[1], row as u32, STREAM])[0];
             let expected = twin::draw(&weights, rows, bits);
-            assert_eq!(drawn(&gpu, &weights, rows, None), expected, "{size} up to {most}");
+            assert_eq!(drawn(&gpu, &weights, rows), expected, "{size} up to {most}");
         }
     }
-}
-
-#[test]
-fn draw_sources_follows_the_weights() {
-    let weights = [10, 0, 30, 60];
-    let rows = 60_004;
-    let (_, draws) = drawn(&Gpu::new(), &weights, rows, None);
-    // The second Gaussian cannot be drawn, and its row takes a draw as well.
-    assert_eq!(draws.iter().sum::<u32>() as usize, rows - 3);
-    assert_follows(&draws, &weights, 4.0);
-}
-
-#[test]
-fn draw_sources_takes_explicit_uniform_numbers() {
-    let uniforms = [0.0, 0.0, 0.0, 0.0, 0.24, 0.26, 0.999_999_9];
-    let (sources, draws) = drawn(&Gpu::new(), &[1, 0, 2, 1], 7, Some(&uniforms));
-    assert_eq!(sources, [(0, 0), (0, 1), (2, 0), (3, 0), (0, 1), (2, 1), (3, 1)]);
-    assert_eq!(draws, [2, 0, 1, 1]);
 }
 
 /// Gaussians of all opacities, some of them equal, some extreme.

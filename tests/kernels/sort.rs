@@ -198,8 +198,9 @@ pub fn sort_downsweep_equals_its_twin() {
         check_downsweep_sizes(&gpu, downsweep_spec(&gpu, identity_values));
     }
     // A block of more pairs than its subgroups have digit counts.
-    let spec = downsweep_spec(&gpu, false);
-    check_downsweep_sizes(&gpu, sort_downsweep::Spec { workgroup_size: gpu.subgroup(), items: 128, ..spec });
+    let (spec, lanes) = (downsweep_spec(&gpu, false), gpu.subgroup());
+    let items = 256 / lanes + 1;
+    check_downsweep_sizes(&gpu, sort_downsweep::Spec { workgroup_size: lanes, items, ..spec });
 }
 
 /// Key counts around multiples of a block, random keys, all digits.

@@ -2,7 +2,7 @@
 //! `loss/ssim_backward`, `loss/ssim_backward_sweep` and `loss/loss_reduce`; and the whole loss by the engine.
 
 use crate::common::prelude::*;
-use crate::reference::loss_reduce::{LAMBDA_DSSIM, Loss as LossTwin, loss as loss_twin};
+use crate::reference::loss_reduce::LAMBDA_DSSIM;
 use crate::reference::ssim::{Plane, SsimPlane, ssim_backward, ssim_forward};
 use ashsplat::frame::Strips;
 use ashsplat::kernels::loss::{self as kernels, loss_reduce};
@@ -444,17 +444,6 @@ pub fn loss_reduce_equals_its_twin() {
     }
 }
 
-/// The twin's loss of both pictures times the mask.
-fn twin_of(pictures: &Pictures) -> LossTwin {
-    let planes = [0, 1, 2].map(|channel| pictures.planes(channel));
-    let [rendered, taken] = [0, 1].map(|which| {
-        let pixel = |i: usize| planes.each_ref().map(|plane| plane[which].values[i]);
-        (0..pictures.pixels()).flat_map(pixel).collect::<Vec<f64>>()
-    });
-    let [width, height] = pictures.size.map(|side| side as usize);
-    loss_twin(&rendered, &taken, width, height)
-}
-
 /// Losses and gradient by the engine, on a device whose buffers hold at most `largest` bytes.
 fn engine_loss(pictures: &Pictures, windowing: Windowing, largest: Option<u64>) -> (Vec<f32>, Vec<f32>) {
     let limits = LimitsOverride { max_storage_buffer_range: largest, ..LimitsOverride::default() };
@@ -538,24 +527,6 @@ fn loss_under_masks() {
             assert_eq!(masked.1[4 * i..4 * i + 3], [0.0; 3]);
         }
         assert!(engine_loss(&pictures, windowing, None) == masked, "{windowing:?}");
-    }
-}
-
-/// Loss and gradient against both pictures times the mask, in f64.
-#[test]
-fn loss_under_a_mask_is_that_of_the_pictures_times_the_mask() {
-    let pictures = Pictures::masked([67, 41]);
-    let count = pictures.pixels();
-    let twin = twin_of(&pictures);
-    let by_mask = |i: usize| if pictures.counts(i / 3) { 1.0 } else { 0.0 };
-    let expected: Vec<f64> = twin.gradient.iter().enumerate().map(|(i, d)| d * by_mask(i)).collect();
-    for windowing in Gpu::new().windowings() {
-        let (losses, actual) = engine_loss(&pictures, windowing, None);
-        let losses = [0, 1, 2].map(|k| f64::from(losses[k]));
-        elementwise("loss", &losses, &[twin.loss, twin.l1, twin.ssim], 1e-6, 1e-5).expect("losses");
-        let actual = (0..3 * count).map(|i| f64::from(actual[i / 3 * 4 + i % 3])).collect::<Vec<f64>>();
-        let skip = vec![false; count];
-        gradient("image", &actual, &expected, &skip, TOLERANCE).expect("gradient under a mask");
     }
 }
 

@@ -35,19 +35,6 @@ pub fn compose_linear(accumulated: [f32; 4], behind: [f64; 4], opaque: bool, exp
     })
 }
 
-/// Linear light, encoded for an sRGB image, whose previous contents are decoded first.
-pub fn compose_linear_in_srgb(
-    accumulated: [f32; 4],
-    behind: [f64; 4],
-    opaque: bool,
-    exposure: f64,
-) -> [f64; 4] {
-    let [r, g, b, a] = behind;
-    let behind = if opaque { behind } else { [decode(r), decode(g), decode(b), a] };
-    let [r, g, b, a] = compose_linear(accumulated, behind, opaque, exposure);
-    [encode(r), encode(g), encode(b), a].map(|x| x.clamp(0.0, 1.0))
-}
-
 /// 1/z of a depth value. The clear value and infinity give 0, which hides nothing. With `linear` (parallel rays),
 /// depth is linear in z. A z behind the camera hides everything.
 pub fn depth_limit(depth: f32, (scale, offset): (f64, f64), linear: bool, clear_value: f32) -> f64 {

@@ -1,7 +1,7 @@
 //! Overridden specialization constants, and the fill of tiles.
 
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud};
-use ashsplat::vk::{Context, ContextOptions, Limits, SpecOverride};
+use ashsplat::vk::{Context, ContextOptions, SpecOverride};
 use ashsplat::{Frame, RenderSettings, Renderer};
 use glam::Vec3;
 
@@ -57,22 +57,6 @@ fn a_constant_of_one_kernel_can_be_overridden() {
     let plain = render(vec![override_of("forward/project", "SH_DEGREE", 0)]);
     assert_ne!(plain.color, usual.color);
     assert_eq!(render(vec![override_of("sort/sort_upsweep", "SH_DEGREE", 0)]).color, usual.color);
-}
-
-#[test]
-fn overrides_are_found_by_kernel_folder_or_all() {
-    let mut limits: Limits = crate::common::context().limits().clone();
-    limits.overrides =
-        vec![override_of("", "A", 1), override_of("sort", "A", 2), override_of("sort/x", "A", 3)];
-    let cases = [
-        ("sort/x", "A", Some(3)),
-        ("sort/y", "A", Some(2)),
-        ("sorted/y", "A", Some(1)),
-        ("sort/x", "B", None),
-    ];
-    for (kernel, constant, expected) in cases {
-        assert_eq!(limits.overridden(kernel, constant), expected, "{kernel} {constant}");
-    }
 }
 
 #[test]

@@ -119,36 +119,6 @@ fn profile_is_off_before_and_after() {
 }
 
 #[test]
-fn profile_without_timestamps_has_host_times_only() {
-    let gpu = own_gpu(ContextOptions { timestamps: false, ..crate::common::options() });
-    assert!(!gpu.context.has_timestamps());
-    let profile = gpu.context.profile();
-    run_scans(&gpu);
-    let submissions = profile.take();
-    let submission = submissions.iter().find(|s| s.commands.len() == 7).expect("logged");
-    assert!(submission.nanoseconds.is_none() && submission.device_begun.is_none() && !submission.calibrated);
-    assert!(submission.commands.iter().all(|c| c.nanoseconds.is_none()));
-    assert!(submission.commands[4].workgroups.is_some(), "grids need no clock");
-    assert!(submission.done > submission.begun);
-}
-
-#[test]
-fn timestamps_can_be_turned_off_and_on() {
-    let gpu = own_gpu(crate::common::options());
-    let scopes = || {
-        let report = gpu.context.run("empty", |r| {
-            r.scope("nothing", |_| ());
-            Ok(())
-        });
-        report.expect("a submission").scopes.len()
-    };
-    gpu.context.set_timestamps(false);
-    assert_eq!(scopes(), 0);
-    gpu.context.set_timestamps(true);
-    assert_eq!(scopes(), usize::from(gpu.context.has_timestamps()));
-}
-
-#[test]
 fn capture_passes_on_what_its_work_returns() {
     let gpu = own_gpu(crate::common::options());
     assert_eq!(gpu.context.capture(|| Ok(7)).expect("VK_EXT_debug_utils"), 7);

@@ -1,6 +1,6 @@
 //! Recording, submission, hazards in recordings, timestamps.
 
-use super::{allocate, assert_hazard_is_reported, run, words};
+use super::{allocate, run, words};
 use crate::common;
 use ashsplat::kernels::scan::scan_reduce;
 use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, LimitsOverride, MemoryKind, Recorder};
@@ -53,14 +53,6 @@ impl BlockSums {
 const PUSH: scan_reduce::Push = scan_reduce::Push { count_index: 0 };
 
 #[test]
-fn a_dispatch_computes() {
-    let context = common::context();
-    let sums = BlockSums::new(context, 10_000);
-    sums.run(context);
-    common::assert_silent(context);
-}
-
-#[test]
 fn more_workgroups_than_an_axis_holds_are_all_run() {
     let override_ = LimitsOverride { max_workgroups_per_axis: Some(5), ..LimitsOverride::default() };
     let context = Context::new(&ContextOptions { limits_override: Some(override_), ..common::options() });
@@ -87,18 +79,6 @@ fn an_indirect_dispatch_takes_its_grid_from_a_buffer() {
 }
 
 #[test]
-fn no_workgroups_are_no_dispatch() {
-    let context = common::context();
-    let sums = BlockSums::new(context, 2_000);
-    run(context, |r| {
-        r.fill(&sums.block_sums, 5);
-        r.barrier();
-        r.dispatch(&sums.kernel, &sums.bind(), &PUSH, 0);
-    });
-    assert!(words(context, &sums.block_sums).iter().all(|&word| word == 5));
-}
-
-#[test]
 fn fill_copy_and_update_touch_their_range_only() {
     let context = common::context();
     let [a, b] = allocate(context, [("a", 64), ("b", 64)]);
@@ -114,20 +94,6 @@ fn fill_copy_and_update_touch_their_range_only() {
     assert_eq!(words(context, &a), [1, 1, 3, 3, 1, 1, 1, 1, 4, 5, 1, 1, 1, 1, 1, 1]);
     assert_eq!(words(context, &b), [2, 2, 2, 2, 1, 3, 3, 1, 1, 1, 1, 4, 2, 2, 2, 2]);
     common::assert_silent(context);
-}
-
-#[test]
-#[should_panic(
-    expected = "missing barrier (write after write): 'scan/scan_reduce' writes buffer 'block_sums' as \
-                           'block_sums' after 'fill' writes buffer 'block_sums' as 'destination'"
-)]
-fn a_missing_barrier_panics_with_both_ends() {
-    let context = common::context();
-    let sums = BlockSums::new(context, 2_000);
-    run(context, |r| {
-        r.fill(&sums.block_sums, 0);
-        sums.record(r);
-    });
 }
 
 fn record(recorder: &mut Recorder, sums: &BlockSums) {
@@ -211,20 +177,25 @@ fn one_memory_by_two_bindings_is_declared_in_the_shader() {
 
 #[test]
 fn the_validation_layer_sees_an_omitted_barrier_too() {
-    assert_hazard_is_reported(|context| {
-        let [a, b] = allocate(context, [("a", 64), ("b", 64)]);
-        let copy = |r: &mut Recorder| {
-            r.fill(&a, 1);
-            r.barrier();
-            r.copy(&a, &b);
-        };
-        run(context, copy);
-        common::assert_silent(context);
-        run(context, |r| {
-            r.omit_barrier(0);
-            copy(r);
-        });
+    if !common::options().validation {
+        return eprintln!("SKIPPED: no validation layer");
+    }
+    let options = ContextOptions { hazard_check: false, ..common::options() };
+    let context = Context::new(&options).expect("a context");
+    let [a, b] = allocate(&context, [("a", 64), ("b", 64)]);
+    let copy = |r: &mut Recorder| {
+        r.fill(&a, 1);
+        r.barrier();
+        r.copy(&a, &b);
+    };
+    run(&context, copy);
+    common::assert_silent(&context);
+    run(&context, |r| {
+        r.omit_barrier(0);
+        copy(r);
     });
+    let messages = context.validation_messages();
+    assert!(messages.iter().any(|m| m.contains("SYNC-HAZARD")), "{messages:?}");
 }
 
 #[test]
