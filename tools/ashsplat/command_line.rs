@@ -211,14 +211,6 @@ mod tests {
     }
 
     #[test]
-    #[cfg(feature = "bench")]
-    fn options_name_their_commands() {
-        assert_eq!(owners("--windows"), ["bench train", "bench all"]);
-        assert_eq!(owners("--windows=3"), owners("--windows"));
-        assert!(owners("--no-such-option").is_empty() && owners("-x").is_empty());
-    }
-
-    #[test]
     fn slips_are_told_what_was_meant() {
         let said = |arguments: &[&str]| {
             let words = std::iter::once(&"ashsplat").chain(arguments);
@@ -234,17 +226,5 @@ mod tests {
         assert!(early.contains("`train`") && early.contains("after the command"), "{early}");
         assert!(said(&["--xyzzy"]).contains("after a command"), "{}", said(&["--xyzzy"]));
         assert!(said(&["--versoin"]).contains("did you mean '--version'?"), "{}", said(&["--versoin"]));
-    }
-
-    #[test]
-    fn underscores_become_hyphens_in_names_only() {
-        let cases = [
-            ("--sh_degree", "--sh-degree"),
-            ("--images=my_photos", "--images=my_photos"),
-            ("my_data", "my_data"),
-        ];
-        for (given, expected) in cases {
-            assert_eq!(hyphenated(given.into()), OsString::from(expected));
-        }
     }
 }

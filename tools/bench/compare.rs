@@ -241,37 +241,3 @@ pub fn slower(lines: &[Line], limit: f64) -> Vec<String> {
     });
     named.collect()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn line(a: [f64; 3], b: [f64; 3]) -> Line {
-        let spread = |[min, median, p90]: [f64; 3]| Spread { min, median, p90, mean: median };
-        Line {
-            run: "sort".into(),
-            scope: "sort".into(),
-            kernel: "sort/sort_upsweep".into(),
-            calls: 1,
-            a_us: spread(a),
-            b_us: spread(b),
-        }
-    }
-
-    #[test]
-    fn overlapping_spreads_are_the_same() {
-        assert_eq!(line([90.0, 100.0, 120.0], [110.0, 130.0, 150.0]).verdict(), Verdict::Same);
-        assert_eq!(line([1.0, 2.0, 3.0], [9.0, 10.0, 12.0]).verdict(), Verdict::Same, "jitter");
-        assert_eq!(line([1000.0; 3], [1090.0; 3]).verdict(), Verdict::Same, "drift");
-    }
-
-    #[test]
-    fn distant_spreads_are_not() {
-        let slower = line([900.0, 1000.0, 1100.0], [1900.0, 2000.0, 2200.0]);
-        assert_eq!(slower.verdict(), Verdict::Slower);
-        assert!((slower.ratio() - 2.0).abs() < 1e-9);
-        assert_eq!(line([1900.0, 2000.0, 2200.0], [900.0, 1000.0, 1100.0]).verdict(), Verdict::Faster);
-        assert_eq!(super::slower(&[slower], 1.15), ["sort sort/sort_upsweep in 'sort' 2.00 times"]);
-        assert!(super::slower(&[line([900.0, 1000.0, 1100.0], [950.0, 1300.0, 1500.0])], 1.15).is_empty());
-    }
-}

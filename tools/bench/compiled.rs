@@ -266,39 +266,3 @@ pub fn beside(all: &[Compiled]) -> String {
     text + "\n\nw: lanes; registers / subgroups per SIMD / latency, cycles; scratch: bytes of memory of an invocation; each kernel's \
          heaviest variant."
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use ashsplat::vk::Statistic;
-
-    fn executable(statistics: &[(&str, f64)]) -> Executable {
-        let statistic = |&(name, value): &(&str, f64)| Statistic {
-            name: name.to_owned(),
-            description: String::new(),
-            value,
-        };
-        Executable {
-            name: String::new(),
-            subgroup_size: 32,
-            statistics: statistics.iter().map(statistic).collect(),
-            texts: Vec::new(),
-        }
-    }
-
-    #[test]
-    fn figures_have_one_name_for_all_drivers() {
-        let nvk = [("Max warps/SM", 48.0), ("Static cycle count", 900.0), ("SLM size", 128.0)];
-        let figures = Figures::of(&executable(&nvk));
-        assert_eq!(
-            (figures.subgroups_per_simd, figures.latency, figures.scratch_bytes, figures.spills),
-            (Some(12.0), Some(900.0), Some(128.0), None)
-        );
-        let radv = [("Subgroups per SIMD", 20.0), ("Spilled VGPRs", 3.0), ("Spilled SGPRs", 1.0)];
-        let figures = Figures::of(&executable(&radv));
-        assert_eq!(
-            (figures.subgroups_per_simd, figures.latency, figures.scratch_bytes, figures.spills),
-            (Some(20.0), None, None, Some(4.0))
-        );
-    }
-}

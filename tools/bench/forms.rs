@@ -79,37 +79,3 @@ pub fn ratios(runs: &[Run]) -> String {
     });
     lines.collect()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::ratios;
-    use crate::schema::{KernelResult, Run, Spread, Workload};
-
-    /// The same frame twice, because its size was given twice: each ratio is that of neighbouring runs.
-    #[test]
-    fn forms_are_paired_with_their_neighbours() {
-        let run = |name: &str, time: f64| {
-            let spread = Spread { min: time, median: time, p90: time, mean: time };
-            let kernel = KernelResult {
-                kernel: "forward/blend".into(),
-                time_us: Some(spread),
-                ..KernelResult::default()
-            };
-            let (name, workload) = (name.to_owned(), Workload::default());
-            Run { name, workload, kernels: vec![kernel], ..Run::default() }
-        };
-        let runs = [
-            run("render", 9.0),
-            run("render-regions", 10.0),
-            run("render-shared", 20.0),
-            run("render-10@9x9", 9.0),
-            run("render-shared-10@9x9", 90.0),
-            run("render-regions-10@9x9", 30.0),
-        ];
-        let text = ratios(&runs);
-        let lines: Vec<&str> = text.lines().collect();
-        assert!(lines.len() == 2 && lines[0].contains("takes 2.00 times"), "{text}");
-        assert!(lines[1].contains("takes 3.00 times"), "{text}");
-        assert_eq!(ratios(&runs[..2]), "");
-    }
-}

@@ -96,17 +96,3 @@ pub fn enter(run: &mut Run, samples: BlendSamples, limits: &Limits, arithmetic: 
             kernel.gigaoperations_per_second.zip(best).map(|(rate, best)| rate / best);
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::Operations;
-    /// By hand from blending.glsl: a GPU's lane has two pixels of a column at 32 lanes, one at 64; shared memory always has one.
-    #[test]
-    fn operations_of_a_sample_follow_its_columns() {
-        let of = |chained, subgroup_size| {
-            let Operations { regions, shared, .. } = Operations::of(chained, subgroup_size, 8);
-            (regions, shared)
-        };
-        assert_eq!([of(false, 32), of(false, 64), of(true, 8)], [(16.5, 18.0), (18.0, 18.0), (12.75, 12.75)]);
-    }
-}

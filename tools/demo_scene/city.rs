@@ -117,36 +117,3 @@ pub fn cameras(city: City) -> Vec<Camera> {
     };
     (0..2 * along * along).map(view).collect()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::raycast::first_hit;
-    use crate::view::View;
-
-    #[test]
-    fn no_photograph_shows_more_than_a_part_of_it() {
-        const SIDE: usize = LOTS as usize;
-        let city = City::default();
-        let (scene, cameras) = (scene(city), cameras(city));
-        assert!(cameras.len() == 162 && scene.objects.len() > 120, "{}", scene.objects.len());
-        let mut seen = [[false; SIDE]; SIDE];
-        for camera in &cameras {
-            let (view, mut own) = (View::new(*camera), Vec::new());
-            for (x, y) in (4..128).step_by(8).flat_map(|x| (4..96).step_by(8).map(move |y| (x, y))) {
-                let ray = view.ray(x as f32, y as f32).expect("a pinhole's ray");
-                let Some(hit) = first_hit(&scene, &ray) else { continue };
-                let lot = (ray.at(hit.distance) / LOT + 0.5 * LOTS as f32).floor();
-                let inside = |index: f32| (0.0..LOTS as f32).contains(&index);
-                if inside(lot.x) && inside(lot.y) {
-                    seen[lot.x as usize][lot.y as usize] = true;
-                    own.push((lot.x as i32, lot.y as i32));
-                }
-            }
-            own.sort_unstable();
-            own.dedup();
-            assert!((2..=40).contains(&own.len()), "{} of 64 lots", own.len());
-        }
-        assert!(seen.iter().flatten().all(|&seen| seen), "{seen:?}");
-    }
-}

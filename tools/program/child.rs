@@ -125,20 +125,3 @@ fn copy_lines(
     }
     written.and_then(|()| to.flush()).map(|()| tail)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lines_are_kept_and_heard() {
-        let heard = std::sync::Mutex::new(Vec::new());
-        let note = |line: &str| heard.lock().expect("one thread").push(line.to_owned());
-        let said: String = (0..100).map(|n| format!("  line {n}\r\n\n")).collect();
-        let mut file = Vec::new();
-        let tail = copy_lines(said.as_bytes(), &mut file, &note).expect("memory");
-        assert_eq!(String::from_utf8(file).expect("text"), said);
-        assert_eq!((tail.len(), tail[TAIL - 1].as_str()), (TAIL, "line 99"));
-        assert_eq!(heard.into_inner().expect("one thread").len(), 200);
-    }
-}

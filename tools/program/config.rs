@@ -305,26 +305,6 @@ mod tests {
         );
     }
 
-    #[test]
-    fn command_line_wins_over_file() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("my.toml");
-        std::fs::write(&path, "iterations = 10\nseed = 3\n").expect("written");
-        let settings = Settings::resolve(Some(&path), &given("iterations = 20")).expect("settings");
-        assert_eq!((settings.train.iterations, settings.train.seed), (20, 3));
-    }
-
-    #[test]
-    fn a_strategy_brings_its_defaults() {
-        let overrides = given("strategy = 'mcmc'\nopacity_lr = 0.025");
-        let settings = Settings::resolve(None, &overrides).expect("settings").train;
-        let expected = TrainSettings { opacity_lr: 0.025, ..TrainSettings::of_strategy(StrategyType::Mcmc) };
-        assert_eq!(settings, expected);
-        assert_eq!((settings.densify_until_iter, settings.initial_opacity), (25_000, 0.5));
-        let message = Settings::resolve(None, &given("strategy = 'mcm'")).expect_err("refused").to_string();
-        assert!(message.contains("mcm") && message.contains("mcmc"), "{message}");
-    }
-
     /// Options, files and checkpoints share names and types of values.
     #[test]
     fn every_option_is_on_the_command_line_and_in_the_file() {

@@ -428,15 +428,3 @@ impl Perceptual {
         self.networks.iter_mut().map(|lpips| lpips.distance([&color, &photo], size)).collect()
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::right;
-
-    #[test]
-    fn the_middle_column_belongs_to_the_right_half() {
-        assert_eq!(right(&[1, 2, 3, 4, 5, 6], 3), [2, 3, 5, 6]);
-        assert_eq!(right(&[1, 2, 3, 4], 4), [3, 4]);
-        assert_eq!(right(&[1, 2], 1), [1, 2]);
-    }
-}

@@ -178,27 +178,6 @@ mod tests {
 
     const WORK: Work = Work { file: ".training.lock", what: "training", option: "-m" };
 
-    #[test]
-    fn one_holds_a_folder_until_the_end() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let first = FolderLock::take(folder.path(), &WORK, None).expect("free");
-        let refused = FolderLock::take(folder.path(), &WORK, None).err().map(|error| error.to_string());
-        let refused = refused.expect("refused");
-        let holder = format!("another training ({})", own_name());
-        assert!(refused.contains(&holder) && refused.contains("choose another -m"), "{refused}");
-        assert_eq!(super::holder(folder.path(), &WORK), Some(own_name()));
-        let asked_to_end = AtomicBool::new(true);
-        let ended = FolderLock::take(folder.path(), &WORK, Some(&asked_to_end)).err();
-        assert!(matches!(ended, Some(Error::Interrupted)), "it waits, and ends when it is asked to");
-        drop(first);
-        assert_eq!(super::holder(folder.path(), &WORK), None);
-        assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is left");
-        // The file of a killed process has no holder.
-        fs::write(folder.path().join(WORK.file), "process 1").expect("written");
-        drop(FolderLock::take(folder.path(), &WORK, None).expect("free"));
-        assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0);
-    }
-
     /// The last holder leaves between another's opening and locking of the file, and a third process comes: the third
     /// has the lock.
     #[test]
@@ -213,28 +192,5 @@ mod tests {
         assert!(FolderLock::try_open(folder.path(), late, &WORK).expect("no holder").is_none());
         assert!(FolderLock::take(folder.path(), &WORK, None).is_err());
         drop(third);
-    }
-    /// Several threads wait for a missing folder at once: each holds it once, and none is refused.
-    #[test]
-    fn all_who_wait_for_a_new_folder_come_to_hold_it() {
-        use std::sync::atomic::{AtomicU32, Ordering};
-        let place = tempfile::tempdir().expect("a temporary folder");
-        let folder = place.path().join("of/one");
-        let (inside, never) = (AtomicU32::new(0), AtomicBool::new(false));
-        std::thread::scope(|scope| {
-            for _ in 0..5 {
-                scope.spawn(|| {
-                    let lock = FolderLock::take(&folder, &WORK, Some(&never)).expect("held");
-                    assert_eq!(inside.fetch_add(1, Ordering::SeqCst), 0, "two at once");
-                    std::thread::sleep(GLANCE);
-                    inside.fetch_sub(1, Ordering::SeqCst);
-                    drop(lock);
-                });
-            }
-        });
-        // Folders that were created for a lock are removed with it.
-        let other = place.path().join("another/one");
-        drop(FolderLock::take(&other, &WORK, Some(&never)).expect("held"));
-        assert!(!place.path().join("another").exists());
     }
 }

@@ -146,15 +146,3 @@ fn newest_iteration(folder: &Path) -> Option<u32> {
     let noted = noted.filter(|&iteration| point_cloud_path(folder, iteration).is_file());
     noted.or_else(|| saved_iterations(folder).last().copied())
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_model_has_its_data_sets_name() {
-        for (dataset, model) in [("my walk_dataset", "my walk"), ("a/garden", "garden"), ("fox.ZIP", "fox")] {
-            assert_eq!(usual_folder(Path::new(dataset)), format!("out/{model}"));
-        }
-    }
-}

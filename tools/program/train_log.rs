@@ -192,53 +192,6 @@ mod tests {
         StepReport { iteration, loss: 0.5, gaussians: 7, milliseconds: 1.25, ..Default::default() }
     }
 
-    #[test]
-    fn lines_are_on_disk_while_training_runs() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("log.csv");
-        let lines = || std::fs::read_to_string(&path).expect("the log").lines().count() as u32;
-        let mut log = TrainLog::create(&path).expect("created");
-        assert_eq!(lines(), 1);
-        for iteration in 1..=FLUSH_INTERVAL {
-            log.add(&report(iteration), (None, None), &[]);
-        }
-        assert_eq!(lines(), 1 + FLUSH_INTERVAL);
-        log.add(&report(FLUSH_INTERVAL + 1), (Some(20.0), Some(19.5)), &[]);
-        assert_eq!(lines(), 2 + FLUSH_INTERVAL);
-        let memory = [ArenaMemory { name: "frame".into(), bytes: 77, peak_bytes: 88 }];
-        // All measured pixels are masked.
-        log.add(&report(FLUSH_INTERVAL + 2), (Some(f64::NAN), None), &memory);
-        log.finish().expect("written");
-        let text = std::fs::read_to_string(&path).expect("the log");
-        let own = |line: &str| line.split(',').take(6).map(str::to_owned).collect::<Vec<_>>().join(",");
-        let last: Vec<String> = text.lines().skip(101).map(own).collect();
-        assert!(text.ends_with(",77,88,0,0,0,0,0,0,\n") && text.contains(",0,0,19.5000\n"), "{text}");
-        assert_eq!(last, ["101,0.5,20.0000,7,1.25,0", "102,0.5,,7,1.25,0"]);
-    }
-
-    #[test]
-    fn a_resumed_log_has_no_line_twice() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("log.csv");
-        let mut log = TrainLog::create(&path).expect("created");
-        (1..=9).for_each(|iteration| log.add(&report(iteration), (None, None), &[]));
-        log.finish().expect("written");
-        // A log that a killed run may leave.
-        let mut text = std::fs::read_to_string(&path).expect("the log");
-        text.push_str("10,0.");
-        std::fs::write(&path, text).expect("written");
-        let mut log = TrainLog::go_on(&path, 6).expect("opened");
-        (7..=8).for_each(|iteration| log.add(&report(iteration), (None, Some(30.0)), &[]));
-        log.finish().expect("written");
-        let text = std::fs::read_to_string(&path).expect("the log");
-        let numbers: Vec<&str> = text.lines().skip(1).filter_map(|line| line.split(',').next()).collect();
-        assert_eq!(numbers, ["1", "2", "3", "4", "5", "6", "7", "8"]);
-        let rows = Rows::read(&path).expect("the log");
-        assert_eq!((rows.iterations.len(), rows.gaussians[7], rows.milliseconds[0]), (8, 7.0, 1.25));
-        assert!(rows.psnr.iter().all(|psnr| psnr.is_nan()));
-        assert_eq!(rows.tracked_psnr[6..], [30.0, 30.0]);
-    }
-
     /// Neither a new log, a continued one nor the report waits for a pipe.
     #[cfg(unix)]
     #[test]

@@ -356,13 +356,4 @@ mod tests {
         refused("line", &["rename it"]);
         refused("nowhere", &["cannot read"]);
     }
-
-    #[test]
-    fn photographs_of_one_camera_share_it() {
-        let look = |width: u32, lens: &str| Look { size: (width, 10), lens: lens.into() };
-        let names = ["a", "b", "c", "d", "e"].map(str::to_owned);
-        let looks = [look(20, "x"), look(10, "x"), look(10, "x"), look(10, "y"), look(10, "x")];
-        let groups = by_camera(&names, &looks);
-        assert_eq!(groups, [vec!["b", "c", "e"], vec!["a"], vec!["d"]]);
-    }
 }

@@ -306,12 +306,6 @@ fn write_jpeg(path: &Path, photo: &Photo) -> Result<()> {
 mod tests {
     use super::*;
 
-    fn grey(value: u8, stripes: bool) -> Photo {
-        let level = |x: u32| if stripes && x.is_multiple_of(2) { 255 - value } else { value };
-        let rgb = (0..16 * 8).flat_map(|at| [level(at % 16); 3]).collect();
-        Photo { width: 16, height: 8, rgb }
-    }
-
     #[test]
     fn intervals_follow_the_options_and_the_video() {
         let video = Video { seconds: 30.0, frames: 900 };
@@ -342,28 +336,6 @@ mod tests {
         assert_eq!(Video::of_progress(said), Some(Video { seconds: 90.5, frames: 2700 }));
         for other in ["", "frame=3\nout_time=N/A\n", "out_time=00:00:01.0\n"] {
             assert_eq!(Video::of_progress(other), None, "{other}");
-        }
-    }
-
-    #[test]
-    fn streams_of_pictures_are_read_to_their_end() {
-        let one = grey(7, true);
-        let mut stream = b"P6\n16 8\n255\n".to_vec();
-        stream.extend(&one.rgb);
-        let whole = [stream.as_slice(), &stream].concat();
-        let mut input = whole.as_slice();
-        for _ in 0..2 {
-            assert_eq!(read_ppm(&mut input, 1 << 30).expect("whole"), Some(one.clone()));
-        }
-        assert_eq!(read_ppm(&mut input, 1 << 30).expect("the end"), None);
-        for bad in [
-            &stream[..stream.len() - 1],
-            b"P5\n1 1\n255\n\0",
-            b"P6\n0 1\n255\n",
-            b"P6\n1",
-            b"<html> 1 2 3 4 5",
-        ] {
-            assert!(read_ppm(&mut &*bad, 1 << 30).is_err());
         }
     }
 }

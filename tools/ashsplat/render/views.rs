@@ -437,15 +437,3 @@ impl SizeArguments {
         self.through_lens(camera)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_in_names_count_as_such() {
-        let mut names = ["b1", "a10.jpg", "a2.jpg", "a02.jpg", "a", "a2/3", "a2/20", "IMG_9", "IMG_0010"];
-        names.sort_by(|a, b| by_name(a, b));
-        assert_eq!(names, ["IMG_9", "IMG_0010", "a", "a02.jpg", "a2.jpg", "a2/3", "a2/20", "a10.jpg", "b1"]);
-    }
-}

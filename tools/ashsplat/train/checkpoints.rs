@@ -328,35 +328,3 @@ fn no_checkpoint(folder: &Path) -> Error {
     };
     Error::input(folder, "has no checkpoint (chkpntN.safetensors) to go on from", remedy)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_note_counts_and_else_the_highest() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let folder = folder.path();
-        assert!(newest(folder).is_none());
-        // An earlier training's checkpoints are not used, but the error names them.
-        std::fs::create_dir(folder.join("earlier_1")).expect("a folder");
-        std::fs::write(checkpoint_path(&folder.join("earlier_1"), 7), "").expect("written");
-        assert!(newest(folder).is_none() && no_checkpoint(folder).to_string().contains("earlier_1"));
-        for iteration in [7, 20, 100] {
-            std::fs::write(checkpoint_path(folder, iteration), "").expect("written");
-        }
-        assert_eq!(newest(folder), Some(checkpoint_path(folder, 100)));
-        std::fs::write(folder.join(LAST_FILE), "20\n").expect("written");
-        assert_eq!(newest(folder), Some(checkpoint_path(folder, 20)));
-        std::fs::remove_file(checkpoint_path(folder, 20)).expect("removed");
-        assert_eq!(newest(folder), Some(checkpoint_path(folder, 100)));
-        std::fs::remove_file(folder.join(LAST_FILE)).expect("removed");
-        #[cfg(unix)]
-        {
-            // A pipe without a writer is not waited for.
-            let mode = nix::sys::stat::Mode::S_IRWXU;
-            nix::unistd::mkfifo(&folder.join(LAST_FILE), mode).expect("a pipe");
-            assert_eq!(newest(folder), Some(checkpoint_path(folder, 100)));
-        }
-    }
-}

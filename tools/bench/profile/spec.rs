@@ -131,36 +131,3 @@ pub fn apply(options: &mut ContextOptions, overrides: &[SpecOverride]) {
     }
     options.overrides = overrides.to_vec();
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn settings_are_read() {
-        let read = |text: &str| {
-            parse("--spec", text).map(|o| (o.kernel, o.constant, o.bits)).map_err(|e| e.to_string())
-        };
-        assert_eq!(read("sort.ITEMS=8"), Ok(("sort".into(), "ITEMS".into(), 8)));
-        assert_eq!(read("WORKGROUP_SIZE=128"), Ok((String::new(), "WORKGROUP_SIZE".into(), 128)));
-        assert!(read("STRIPS=0").expect_err("not to be set").contains("follows from the device"));
-        let lanes = read("backward/project_backward.LANE_INSTANCES=32").expect("a constant");
-        assert_eq!(lanes, ("backward/project_backward".into(), "LANE_INSTANCES".into(), 32));
-        assert_eq!(read("optimizer.SPARSE=true").expect("a constant").2, 1);
-        assert_eq!(parse_list("sort.ITEMS=8, scan.ITEMS=2").map(|list| list.len()).ok(), Some(2));
-        assert_eq!(parse_list("-").map(|list| list.len()).ok(), Some(0));
-    }
-
-    #[test]
-    fn mistakes_list_what_there_is() {
-        let error = |text: &str| parse("--spec", text).expect_err("a mistake").to_string();
-        assert!(error("sort.ITEM=8").contains("ITEMS, SUBGROUP_SIZE"), "{}", error("sort.ITEM=8"));
-        assert!(error("sort.ITEMS=many").contains("Uint"));
-        assert!(error("sort.ITEMS").contains("=VALUE"));
-        assert!(error("WORKGROUP_SIZE=65536").contains("1 to 1024"));
-        assert!(error("arithmetic/multiply_add.ROUNDS=2").contains("yardstick"));
-        assert!(error("sort.ITEMS=0").contains("1 to 16384"));
-        assert!(error("WORKGROUP_SIZE=96").contains("power of two"));
-        assert!(error("sort/sort_upsweep.ITEMS=8").contains("sort.ITEMS, scan.ITEMS"));
-    }
-}

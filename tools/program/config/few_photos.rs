@@ -136,14 +136,7 @@ fn described(
 
 #[cfg(test)]
 mod tests {
-    use super::super::Overrides;
-    use super::super::tests::given;
     use super::*;
-    use std::path::Path;
-
-    fn resolved(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
-        Given::read(file, overrides)?.settle(&Facts { photos: Some(8), ..Facts::default() })
-    }
 
     /// No number of photographs has settings far from those of one more.
     #[test]
@@ -161,53 +154,6 @@ mod tests {
                 more.iter().zip(fewer).all(|(more, fewer)| (0.0..0.02).contains(&(fewer - more))),
                 "{photos}"
             );
-        }
-    }
-
-    #[test]
-    fn what_is_given_wins_over_the_settings_for_few_photos() {
-        let settled = |text: &str| resolved(None, &given(text)).expect("settings").train;
-        let few = TrainSettings::default().for_photos(8);
-        assert_eq!(settled(""), few);
-        assert_eq!(settled("dropout = 0.0"), TrainSettings { dropout: 0.0, ..few.clone() });
-        for (name, strategy) in [("budget", StrategyType::Budget), ("reference", StrategyType::Reference)] {
-            let adapted = TrainSettings::of_strategy(strategy).for_photos(8);
-            assert_eq!(settled(&format!("strategy = '{name}'")), adapted);
-        }
-
-        let many = TrainSettings::default();
-        assert_eq!(described(8, |_| false, (&few, &few)), None);
-        let said = described(8, |name| name == "dropout", (&many, &few)).expect("a line");
-        for part in ["8 photos", "--few-photos off", "--opacity-reg 0.003", "--average-last 0.25"] {
-            assert!(said.contains(part), "{said}");
-        }
-        assert!(!said.contains("--dropout"), "{said}");
-    }
-
-    /// A training that continues keeps the settings of its checkpoint, as far as no others are given.
-    #[test]
-    fn a_checkpoint_brings_its_settings() {
-        let settings = TrainSettings { iterations: 70, seed: 9, ..TrainSettings::reference() };
-        let facts = Facts { continued: Some(&settings), ..Facts::default() };
-        let settled = |overrides: &Overrides| {
-            Given::read(None, overrides).and_then(|given| given.settle(&facts)).expect("settings").train
-        };
-        let kept = TrainSettings { iterations: 30_000, ..settings.clone() };
-        assert_eq!(settled(&Overrides::default()), kept);
-        assert_eq!(settled(&given("preset = 'fast'")), TrainSettings::of_preset(Preset::Fast));
-    }
-
-    /// A dump of settings includes this decision.
-    #[test]
-    fn a_dump_settles_to_itself() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("settings.toml");
-        let few = |strategy| TrainSettings::of_strategy(strategy).for_photos(8);
-        for train in [few(StrategyType::Reference), few(StrategyType::Budget), TrainSettings::default()] {
-            let settings = Settings { train, ..Settings::reference() };
-            std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
-            let read = resolved(Some(&path), &Overrides::default());
-            assert_eq!(read.expect("settings"), settings);
         }
     }
 }

@@ -151,37 +151,4 @@ mod tests {
             assert!(TrainSettings::OPTIONS.iter().any(|option| option.name == *name), "{name}");
         }
     }
-
-    #[test]
-    fn what_has_no_effect_is_named_with_what_would_use_it() {
-        let refused = |given: &str| {
-            let given: Table = given.parse().expect("TOML");
-            let settings = Settings::from_table(given.clone(), &Facts::default()).expect("settings");
-            TrainOverrides(given).refuse_unused(&[settings]).err().map(|error| error.to_string())
-        };
-        for (given, by) in [
-            ("strategy = 'fixed'\ndensify_until_iter = 9", "other than fixed"),
-            ("strategy = 'fixed'\nmin_opacity = 0.1", "reference or budget"),
-            ("strategy = 'mcmc'\nmin_opacity = 0.1", "reference or budget"),
-            ("init = 'a.ply'\ninitial_scale = 0.5", "from points"),
-            ("strategy = 'mcmc'\ninit = 'a.ply'\ninitial_opacity = 0.1", "from points"),
-            ("exposure = true\nexposure_lr_delay_mult = 0.5", "--exposure-lr-delay-steps"),
-            (
-                "strategy = 'budget'\ndensify_from_iter = 200\ndensify_until_iter = 100",
-                "nothing would ever grow",
-            ),
-        ] {
-            assert!(refused(given).is_some_and(|message| message.contains(by)), "{given}");
-        }
-        for given in [
-            "strategy = 'fixed'\nmin_opacity = 0.005",
-            "densify_until_iter = 9",
-            "densify_from_iter = 5\ndensify_until_iter = 9",
-            "strategy = 'mcmc'\ninit = 'a.ply'",
-            "initial_scale = 0.5",
-            "exposure = true\nexposure_lr_delay_steps = 9\nexposure_lr_delay_mult = 0.5",
-        ] {
-            assert_eq!(refused(given), None, "{given}");
-        }
-    }
 }

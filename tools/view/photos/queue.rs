@@ -204,44 +204,6 @@ mod tests {
         assert_eq!([a.counts()[0], b.counts()[0], c.counts()[0]], [1, 1, 0]);
     }
 
-    /// An asker that asks anew each time it is served gets no more turns than those whose requests wait.
-    #[test]
-    fn turns_are_remembered() {
-        let clock = clock();
-        let _entered = clock.enter();
-        let queue = Queue::new(1, 1);
-        let mut pages = [(); 3].map(|()| Page::default());
-        (0..20).for_each(|_| (0..2).for_each(|page| pages[page].ask(&queue, page as u64, 1)));
-        let mut served = [0; 3];
-        for _ in 0..12 {
-            if pages[2].counts()[..2] == [0, 0] {
-                pages[2].ask(&queue, 2, 1);
-            }
-            let has = pages.iter_mut().position(|page| page.counts()[0] > 0).expect("a turn");
-            served[has] += 1;
-            pages[has].turns.clear();
-        }
-        assert_eq!(served, [4, 4, 4]);
-    }
-
-    #[test]
-    fn large_shares_are_not_passed_and_nobody_takes_all() {
-        let clock = clock();
-        let _entered = clock.enter();
-        let queue = Queue::new(4, 3);
-        let [mut a, mut b] = [(); 2].map(|()| Page::default());
-        (0..5).for_each(|_| a.ask(&queue, 1, 1));
-        assert_eq!(a.counts(), [3, 2, 0], "its own bound");
-        b.ask(&queue, 2, 100);
-        assert_eq!(b.counts(), [0, 1, 0]);
-        a.turns.truncate(2);
-        assert_eq!([a.counts()[0], b.counts()[0]], [2, 0], "it waits for the large one");
-        a.turns.truncate(1);
-        assert_eq!([a.counts()[0], b.counts()[0]], [1, 1]);
-        b.turns.clear();
-        assert_eq!(a.counts(), [3, 0, 0]);
-    }
-
     #[test]
     fn who_has_gone_waits_no_more_and_nothing_is_lost() {
         let clock = clock();

@@ -59,26 +59,3 @@ pub fn text(lines: &[String], scale: u32, most: [u32; 2]) -> Text {
     }
     Text { width, height, texels }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn shown(text: &Text) -> String {
-        let rows = text.texels.chunks_exact(text.width as usize);
-        let row = |row: &[[f32; 4]]| -> String {
-            row.iter().map(|texel| if *texel == LETTERS { '#' } else { '.' }).collect()
-        };
-        rows.map(row).collect::<Vec<_>>().join("\n")
-    }
-
-    #[test]
-    fn letters_stand_upright() {
-        let picture = shown(&text(&["L".into()], 1, [100; 2]));
-        let rows: Vec<&str> = picture.lines().skip(MARGIN as usize).take(8).map(|row| &row[5..13]).collect();
-        assert_eq!(
-            rows,
-            ["####....", ".##.....", ".##.....", ".##.....", ".##...#.", ".##..##.", "#######.", "........"]
-        );
-    }
-}

@@ -2,7 +2,6 @@
 
 use super::*;
 use ashsplat::TrainSettings;
-use ashsplat_program::eval::ViewResult;
 
 fn views(count: u32) -> Vec<View> {
     let view = dataset(1.0).train.remove(0);
@@ -15,24 +14,6 @@ fn step(iteration: u32, milliseconds: f64) -> StepReport {
 
 fn of(iterations: u32) -> TrainSettings {
     TrainSettings { iterations, ..TrainSettings::reference() }
-}
-
-#[test]
-fn the_same_few_views_are_followed() {
-    let all = views(29);
-    let tracking = Tracking::new(&all, &of(30_000), 0.02);
-    let kind = "held-out";
-    assert_eq!(tracking.describe(kind), "mean of the same 8 of 29 held-out views each time");
-    assert_eq!(Tracking::new(&all[..3], &of(30_000), 0.02).describe(kind), "mean of the 3 held-out views");
-    // A test of all views uses the same ones: 000, 004, ..., 028.
-    let result = |(i, view): (usize, &View)| {
-        let followed = i % 4 == 0;
-        let psnr = if followed { 30.0 } else { 10.0 };
-        ViewResult { name: view.name.clone(), psnr, ssim: 1.0, ..Default::default() }
-    };
-    let evaluation =
-        eval::Evaluation { views: all.iter().enumerate().map(result).collect(), ..Default::default() };
-    assert_eq!(tracking.among(&evaluation), Some(30.0));
 }
 
 #[test]
@@ -80,30 +61,4 @@ fn nothing_is_measured_right_after_growth() {
     for growth in [600, 700, 800, 900] {
         assert!(measured.contains(&(growth + 50)), "{measured:?}");
     }
-}
-
-/// A view that cannot be measured ends the curve, not the training. Training views are measured only for viewers.
-#[test]
-fn a_view_that_cannot_be_measured_is_told() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut settings = Settings::reference();
-    settings.data.model_path = folder.path().to_owned();
-    settings.train.iterations = 20;
-    let context = Context::new(&ContextOptions::default()).expect("a device");
-    let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");
-    let mut watch = Stopwatch::start();
-    let report = run.trainer.step().expect("a step");
-    assert_eq!(run.track(&report, &mut watch), None, "nobody looks on");
-    run.views.held_out = true;
-    let psnr = run.track(&report, &mut watch).expect("measured");
-    assert!(psnr.is_finite());
-    // A photo of another size cannot be compared.
-    let other = Photo { width: 8, height: 8, rgb: vec![9; 3 * 8 * 8] };
-    let unlike = View { photo: other.into(), ..run.views.test[0].clone() };
-    run.views.test = vec![unlike];
-    run.track_within(0.9);
-    assert_eq!(run.track(&step(2, 10.0), &mut watch), None);
-    run.views.test = dataset(1.0).train;
-    assert_eq!(run.track(&step(3, 1e9), &mut watch), None, "it was told once, and is not tried again");
-    run.trainer.step().expect("training goes on");
 }

@@ -7,9 +7,7 @@ use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::train::{Actions, Checkpoint};
 use ashsplat::vk::{ContextOptions, Fault, Faults};
 use ashsplat_files::{CheckpointFile, Photo, View};
-use ashsplat_program::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
-use ashsplat_program::train_log::Rows;
-use ashsplat_program::{eval, model};
+use ashsplat_program::model;
 use glam::Vec3;
 
 pub(super) fn dataset(scene_extent: f32) -> Dataset {
@@ -36,24 +34,6 @@ pub(super) fn dataset(scene_extent: f32) -> Dataset {
         source: PathBuf::new(),
         warnings: Vec::new(),
     }
-}
-
-/// The trainer refuses a scene without extent; an earlier run's files stay.
-#[test]
-fn a_training_that_cannot_start_leaves_the_model_alone() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let files = [SETTINGS_FILE, CFG_ARGS_FILE, CAMERAS_FILE, eval::RESULTS_FILE, "input.ply"];
-    files.iter().for_each(|name| std::fs::write(folder.path().join(name), "old").expect("written"));
-    let dataset = dataset(0.0);
-    let mut settings = Settings::reference();
-    settings.data.model_path = folder.path().to_owned();
-    let context = Context::new(&ContextOptions::default()).expect("a device");
-    let refused = Run::prepare(&context, dataset, settings, true).err().expect("refused");
-    assert!(refused.to_string().contains("scene extent"), "{refused}");
-    for name in files {
-        assert_eq!(std::fs::read_to_string(folder.path().join(name)).expect(name), "old");
-    }
-    assert_eq!(std::fs::read_dir(folder.path()).expect("the folder").count(), files.len());
 }
 
 /// Waits and calls of the third iteration, which begins with an opacity reset, fail one at a time.
@@ -126,25 +106,4 @@ fn a_lost_device_leaves_the_older_checkpoint() {
     Checkpoint::read(model::checkpoint_path(folder.path(), 1)).expect("as it was");
     assert!(!model::checkpoint_path(folder.path(), 2).exists());
     assert!(!model::point_cloud_path(folder.path(), 2).exists());
-}
-
-/// Skipped iterations are counted, and have no loss in the log.
-#[test]
-fn iterations_that_are_left_out_are_counted() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut settings = Settings::reference();
-    settings.data.model_path = folder.path().to_owned();
-    let context = Context::new(&ContextOptions::default()).expect("a device");
-    let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");
-    for (iteration, skipped) in [(1, false), (2, true), (3, true)] {
-        let loss = if skipped { f32::NAN } else { 0.5 };
-        let report = StepReport { iteration, skipped, loss, instances: 9_000_000, ..StepReport::default() };
-        run.account(&report);
-        run.log.add(&report, (None, None), &[]);
-    }
-    assert_eq!(run.skipped, 2);
-    run.log.finish().expect("written");
-    let rows = Rows::read(&folder.path().join(LOG_FILE)).expect("the log");
-    assert_eq!(rows.loss[0], 0.5);
-    assert!(rows.loss.len() == 3 && rows.loss[1..].iter().all(|loss| loss.is_nan()), "{:?}", rows.loss);
 }
