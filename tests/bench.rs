@@ -215,9 +215,8 @@ fn bench_scaling_fits_and_plots() {
     let svg = std::fs::read_to_string(&plot).expect("a plot");
     assert!(svg.starts_with("<svg") && svg.contains("blend") && svg.contains("pixels"), "{svg}");
     let frames = succeed(&[&few[..], &sizes, &["--of", "frames"]].concat());
-    let steps = succeed(&[&few[..], &sizes, &["--of", "steps"]].concat());
     // Every kernel, by Gaussians and by pixels.
-    for (table, blended, optimised) in [(all, 4, 2), (frames, 2, 0), (steps, 2, 2)] {
+    for (table, blended, optimised) in [(all, 4, 2), (frames, 2, 0)] {
         assert_eq!(table.matches("\nblend: forward/blend").count(), blended, "{table}");
         assert_eq!(table.matches("\nadam: optimizer/adam").count(), optimised, "{table}");
     }

@@ -15,24 +15,26 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
             let block = format!("{LEFT} --margin 0.1 --scene-extent {extent} --iterations");
             place.train(model, format!("{block} {more} {begin}"));
         };
-        let [whole, parts, larger] = ["whole", "parts", "larger"].map(|name| format!("{name}_{kind}"));
+        let [whole, parts] = ["whole", "parts"].map(|name| format!("{name}_{kind}"));
         run(&whole, "1.5", "30");
-        // Rates and densification limits depend on the extent.
-        run(&larger, "3", "30");
-        assert!(place.ply(&whole, 30) != place.ply(&larger, 30), "the extent is not looked at");
-        let ours = place.gaussians(point_cloud(&whole, 30));
-        let inside = ours.means.iter().filter(|mean| mean[0] <= 0.3).count() as f64;
-        assert!(ours.len() > 20 && inside > 0.95 * ours.len() as f64, "{inside} of {}", ours.len());
         run(&parts, "1.5", "20 --checkpoint_iterations 20");
         run(&parts, "1.5", "30 --start_checkpoint latest");
         assert!(place.ply(&whole, 30) == place.ply(&parts, 30), "other bits");
+        if kind == "points" {
+            continue;
+        }
+        let ours = place.gaussians(point_cloud(&whole, 30));
+        let inside = ours.means.iter().filter(|mean| mean[0] <= 0.3).count() as f64;
+        assert!(ours.len() > 20 && inside > 0.95 * ours.len() as f64, "{inside} of {}", ours.len());
+        // Rates and densification limits depend on the extent.
+        run("larger", "3", "30");
+        assert!(place.ply(&whole, 30) != place.ply("larger", 30), "the extent is not looked at");
         // A run from its settings alone.
         let written = place.read_text(format!("{parts}/settings.toml"));
         let block = "block = [-inf, -inf, -inf, -0.2, inf, inf]";
         assert_has(&written, &[block, "margin = 0.1", "scene_extent = 1.5"]);
-        let again = format!("again_{kind}");
-        place.run(format!("train --config @{parts}/settings.toml -m @{again} --quiet")).ok();
-        assert!(place.ply(&whole, 30) == place.ply(&again, 30), "other bits");
+        place.run(format!("train --config @{parts}/settings.toml -m @again --quiet")).ok();
+        assert!(place.ply(&whole, 30) == place.ply("again", 30), "other bits");
         // The frozen neighbours must be unchanged.
         for (other, said) in [
             (format!("{LEFT} --margin 0.2"), "of another scene or margin"),

@@ -231,12 +231,10 @@ fn assert_alike(nerf: &Dataset, colmap: &Dataset) {
 #[test]
 fn layouts_of_a_scene_load_alike() {
     let place = Place::empty();
-    for points in ["sparse", "none"] {
-        let [nerf, colmap] = ["nerf-synthetic", "colmap"].map(|layout| {
-            let kind = format!("--layout {layout} --points {points} --without-sky");
-            place.run(format!("demo --out @{points}_{layout} --dataset-only --quiet {kind}")).ok();
-            load(&place.at(format!("{points}_{layout}")).join("dataset"))
-        });
-        assert_alike(&nerf, &colmap);
-    }
+    let [nerf, colmap] = ["nerf-synthetic", "colmap"].map(|layout| {
+        let kind = format!("--layout {layout} --without-sky --points sparse");
+        place.run(format!("demo --out @{layout} --dataset-only --quiet {kind}")).ok();
+        load(&place.at(layout).join("dataset"))
+    });
+    assert_alike(&nerf, &colmap);
 }
