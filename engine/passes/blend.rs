@@ -135,15 +135,6 @@ impl Blend {
         }
     }
 
-    pub fn is_prepared(&self, sizes: &LaunchSizes, variant: FrameVariant) -> bool {
-        match self.key(sizes, variant) {
-            BlendKey::Regions(spec) => self.regions.contains(&spec),
-            BlendKey::Shared(spec) => self.shared.contains(&spec),
-            BlendKey::RegionsAuxiliary(spec) => self.regions_auxiliary.contains(&spec),
-            BlendKey::SharedAuxiliary(spec) => self.shared_auxiliary.contains(&spec),
-        }
-    }
-
     /// Records the blending: colour and transmittance of each pixel.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &LaunchSizes) {
         macro_rules! passes {

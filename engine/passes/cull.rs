@@ -46,10 +46,6 @@ impl Cull {
         Ok(())
     }
 
-    pub fn is_prepared(&self, variant: FrameVariant) -> bool {
-        self.scene.contains(&self.spec(variant))
-    }
-
     fn spec(&self, variant: FrameVariant) -> cull::Spec {
         let FrameVariant { filter_3d, dropout, tinted, cut_outs, projection, shutter, shared_order, .. } =
             variant;

@@ -135,22 +135,15 @@ pub struct LossInputs<'a> {
     pub weight: f32,
 }
 
-/// Colour channels of one dispatch.
-#[derive(Clone, Copy)]
-struct Channels<'a> {
-    first: u32,
-    count: u32,
-    derivatives: &'a Buffer,
-}
-
-/// Records a pass over all channels: in one dispatch, or in one per channel if each channel has its own buffer.
-fn by_channels(r: &mut Recorder, derivatives: &[Buffer], mut record: impl FnMut(&mut Recorder, Channels)) {
+/// Records a pass over all channels: in one dispatch, or in one per channel if each channel has its own buffer. `record`
+/// receives the first channel, the number of channels and their derivatives.
+fn by_channels(r: &mut Recorder, derivatives: &[Buffer], record: impl Fn(&mut Recorder, u32, u32, &Buffer)) {
     let count = 3 / derivatives.len() as u32;
     for (derivatives, first) in derivatives.iter().zip((0..3).step_by(count as usize)) {
         if first > 0 {
             r.barrier();
         }
-        record(r, Channels { first, count, derivatives });
+        record(r, first, count, derivatives);
     }
 }
 
@@ -215,155 +208,85 @@ impl Loss {
     /// # Panics
     /// If there are fewer scratch buffers than [`Loss::scratch_requests`] returns.
     pub fn record(&self, r: &mut Recorder, inputs: &LossInputs) {
-        let i = inputs;
-        r.scope("loss", |r| {
-            let [partials, derivatives @ ..] = i.scratch else {
-                panic!("no scratch buffers of the loss");
-            };
-            match &self.windows {
-                Windows::Blocks { forward, backward, reduce } => {
-                    by_channels(r, derivatives, |r, part| Self::block_forward(r, forward, i, partials, part));
-                    r.barrier();
-                    by_channels(r, derivatives, |r, part| Self::block_backward(r, backward, i, part));
-                    self.block_reduce(r, reduce, i, partials);
-                }
-                Windows::Sweeps { forward, backward } => {
-                    by_channels(r, derivatives, |r, part| {
-                        self.sweep_forward(r, forward, i, partials, part);
-                    });
-                    r.barrier();
-                    by_channels(r, derivatives, |r, part| {
-                        self.sweep_backward(r, backward, i, partials, part);
-                    });
-                }
+        let LossInputs { rendered, photo, losses, image_gradient, background, .. } = *inputs;
+        let LossInputs { width: image_width, height: image_height, row: loss_row, .. } = *inputs;
+        let LossInputs { lambda_dssim, weight, .. } = *inputs;
+        let [loss_partials, derivatives @ ..] = inputs.scratch else {
+            panic!("no scratch buffers of the loss");
+        };
+        r.scope("loss", |r| match &self.windows {
+            Windows::Blocks { forward, backward, reduce } => {
+                let (columns, rows) = tile_grid(image_width, image_height);
+                by_channels(r, derivatives, |r, first_channel, channels, derivatives| {
+                    let bind =
+                        ssim_forward::Bind { accumulated: rendered, photo, derivatives, loss_partials };
+                    let push = ssim_forward::Push { image_width, image_height, background, first_channel };
+                    r.dispatch_3d(forward, &bind, &push, [columns, rows, channels]);
+                });
+                r.barrier();
+                by_channels(r, derivatives, |r, first_channel, channels, derivatives| {
+                    let bind =
+                        ssim_backward::Bind { accumulated: rendered, photo, derivatives, image_gradient };
+                    let push = ssim_backward::Push {
+                        image_width,
+                        image_height,
+                        background,
+                        first_channel,
+                        lambda_dssim,
+                        weight,
+                    };
+                    r.dispatch_3d(backward, &bind, &push, [columns, rows, channels]);
+                });
+                let partials =
+                    (ScratchBytes::of(self.windowing, image_width, image_height).partials / 8) as u32;
+                let scale = 1.0 / (3.0 * image_width as f32 * image_height as f32);
+                let push = loss_reduce::Push { partials, loss_row, scale, lambda_dssim, weight };
+                r.dispatch(reduce, &loss_reduce::Bind { loss_partials, losses }, &push, 1);
+            }
+            Windows::Sweeps { forward, backward } => {
+                let Sweeps { columns, per_channel } = Sweeps::new(image_width, image_height);
+                let groups = |invocations: u32| blocks(invocations.into(), self.sizes.loss_sweep.into());
+                by_channels(r, derivatives, |r, first_channel, channels, derivatives| {
+                    let bind = ssim_forward_sweep::Bind { rendered, photo, derivatives, loss_partials };
+                    let invocations = channels * per_channel;
+                    let push = ssim_forward_sweep::Push {
+                        image_width,
+                        image_height,
+                        first_channel,
+                        invocations,
+                        columns,
+                        first_partial: first_channel * per_channel,
+                    };
+                    r.dispatch(forward, &bind, &push, groups(invocations));
+                });
+                r.barrier();
+                by_channels(r, derivatives, |r, first_channel, channels, derivatives| {
+                    // The first dispatch adds the sums of all channels, in an additional workgroup.
+                    let adds = first_channel == 0;
+                    let invocations = channels * per_channel;
+                    let bind = ssim_backward_sweep::Bind {
+                        rendered,
+                        photo,
+                        derivatives,
+                        image_gradient,
+                        loss_partials,
+                        losses,
+                    };
+                    let push = ssim_backward_sweep::Push {
+                        image_width,
+                        image_height,
+                        first_channel,
+                        invocations,
+                        columns,
+                        lambda_dssim,
+                        weight,
+                        partials: if adds { 3 * per_channel } else { 0 },
+                        loss_row,
+                    };
+                    r.dispatch(backward, &bind, &push, groups(invocations) + u64::from(adds));
+                });
             }
         });
-    }
-
-    fn block_forward(
-        r: &mut Recorder,
-        kernel: &Kernel<ssim_forward::Interface>,
-        i: &LossInputs,
-        loss_partials: &Buffer,
-        part: Channels,
-    ) {
-        let bind = ssim_forward::Bind {
-            accumulated: i.rendered,
-            photo: i.photo,
-            derivatives: part.derivatives,
-            loss_partials,
-        };
-        let push = ssim_forward::Push {
-            image_width: i.width,
-            image_height: i.height,
-            background: i.background,
-            first_channel: part.first,
-        };
-        let (columns, rows) = tile_grid(i.width, i.height);
-        r.dispatch_3d(kernel, &bind, &push, [columns, rows, part.count]);
-    }
-
-    fn block_backward(
-        r: &mut Recorder,
-        kernel: &Kernel<ssim_backward::Interface>,
-        i: &LossInputs,
-        part: Channels,
-    ) {
-        let bind = ssim_backward::Bind {
-            accumulated: i.rendered,
-            photo: i.photo,
-            derivatives: part.derivatives,
-            image_gradient: i.image_gradient,
-        };
-        let push = ssim_backward::Push {
-            image_width: i.width,
-            image_height: i.height,
-            background: i.background,
-            first_channel: part.first,
-            lambda_dssim: i.lambda_dssim,
-            weight: i.weight,
-        };
-        let (columns, rows) = tile_grid(i.width, i.height);
-        r.dispatch_3d(kernel, &bind, &push, [columns, rows, part.count]);
-    }
-
-    fn block_reduce(
-        &self,
-        r: &mut Recorder,
-        kernel: &Kernel<loss_reduce::Interface>,
-        i: &LossInputs,
-        loss_partials: &Buffer,
-    ) {
-        let push = loss_reduce::Push {
-            partials: (ScratchBytes::of(self.windowing, i.width, i.height).partials / 8) as u32,
-            loss_row: i.row,
-            scale: 1.0 / (3.0 * i.width as f32 * i.height as f32),
-            lambda_dssim: i.lambda_dssim,
-            weight: i.weight,
-        };
-        r.dispatch(kernel, &loss_reduce::Bind { loss_partials, losses: i.losses }, &push, 1);
-    }
-
-    fn sweep_forward(
-        &self,
-        r: &mut Recorder,
-        kernel: &Kernel<ssim_forward_sweep::Interface>,
-        i: &LossInputs,
-        loss_partials: &Buffer,
-        part: Channels,
-    ) {
-        let Sweeps { columns, per_channel } = Sweeps::new(i.width, i.height);
-        let invocations = part.count * per_channel;
-        let bind = ssim_forward_sweep::Bind {
-            rendered: i.rendered,
-            photo: i.photo,
-            derivatives: part.derivatives,
-            loss_partials,
-        };
-        let push = ssim_forward_sweep::Push {
-            image_width: i.width,
-            image_height: i.height,
-            first_channel: part.first,
-            invocations,
-            columns,
-            first_partial: part.first * per_channel,
-        };
-        r.dispatch(kernel, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));
-    }
-
-    fn sweep_backward(
-        &self,
-        r: &mut Recorder,
-        kernel: &Kernel<ssim_backward_sweep::Interface>,
-        i: &LossInputs,
-        loss_partials: &Buffer,
-        part: Channels,
-    ) {
-        let Sweeps { columns, per_channel } = Sweeps::new(i.width, i.height);
-        let invocations = part.count * per_channel;
-        // The first dispatch adds the sums of all channels, in an additional workgroup.
-        let adds = part.first == 0;
-        let bind = ssim_backward_sweep::Bind {
-            rendered: i.rendered,
-            photo: i.photo,
-            derivatives: part.derivatives,
-            image_gradient: i.image_gradient,
-            loss_partials,
-            losses: i.losses,
-        };
-        let push = ssim_backward_sweep::Push {
-            image_width: i.width,
-            image_height: i.height,
-            first_channel: part.first,
-            invocations,
-            columns,
-            lambda_dssim: i.lambda_dssim,
-            weight: i.weight,
-            partials: if adds { 3 * per_channel } else { 0 },
-            loss_row: i.row,
-        };
-        let sweeps = blocks(invocations.into(), self.sizes.loss_sweep.into());
-        r.dispatch(kernel, &bind, &push, sweeps + u64::from(adds));
     }
 }
 

@@ -75,17 +75,6 @@ struct Memory {
     differences: Vec<Buffer>,
 }
 
-/// A layer's maps with their buffers, and the rows that it computes.
-#[derive(Clone, Copy)]
-struct LayerPass<'a> {
-    input: &'a Map,
-    output: &'a Map,
-    inputs: &'a Buffer,
-    outputs: &'a Buffer,
-    first: u32,
-    rows: u32,
-}
-
 /// A network with its weights on a device.
 pub struct Lpips {
     context: Context,
@@ -248,25 +237,51 @@ impl Lpips {
         for (index, layer) in self.network.layers().iter().enumerate() {
             let filter = if layer.kind == LayerKind::Convolution { filters.next() } else { None };
             let tap = if layer.is_tap { taps.next() } else { None };
-            let computed = &rows[index + 1];
-            let pass = LayerPass {
-                input: &bands.maps[index],
-                output: &bands.maps[index + 1],
-                inputs: &maps[index],
-                outputs: &maps[index + 1],
-                first: computed.start,
-                rows: computed.len() as u32,
-            };
-            if pass.rows == 0 {
+            let (input, output) = (&bands.maps[index], &bands.maps[index + 1]);
+            let (inputs, outputs) = (&maps[index], &maps[index + 1]);
+            let (first, rows) = (rows[index + 1].start, rows[index + 1].len() as u32);
+            if rows == 0 {
                 continue;
             }
-            match filter {
-                Some(filter) => self.record_convolution(r, layer, filter, pass),
-                None => self.record_pool(r, pass),
+            let kernel = |(known, _): &&([u32; 2], _)| *known == [layer.size, layer.stride];
+            match filter.zip(self.convolve.iter().find(kernel)) {
+                Some((Filter { weights, biases }, (_, kernel))) => {
+                    let push = convolve::Push {
+                        in_blocks: input.blocks,
+                        in_height: input.height,
+                        in_slots: input.slots,
+                        in_pitch: input.pitch(),
+                        padding: layer.padding,
+                        out_blocks: output.blocks,
+                        out_width: output.width,
+                        out_slots: output.slots,
+                        out_pitch: output.pitch(),
+                        out_margin: output.margin,
+                        first,
+                        rows,
+                    };
+                    let bind = convolve::Bind { inputs, weights, biases, outputs };
+                    r.dispatch_3d(kernel, &bind, &push, self.grid(output, rows.div_ceil(ROWS)));
+                }
+                None => {
+                    let push = max_pool::Push {
+                        blocks: output.blocks,
+                        in_height: input.height,
+                        in_slots: input.slots,
+                        in_pitch: input.pitch(),
+                        out_width: output.width,
+                        out_slots: output.slots,
+                        out_pitch: output.pitch(),
+                        out_margin: output.margin,
+                        first,
+                        rows,
+                    };
+                    let bind = max_pool::Bind { inputs, outputs };
+                    r.dispatch_3d(&self.pool, &bind, &push, self.grid(output, rows));
+                }
             }
             r.barrier();
             if let Some((heads, differences)) = tap {
-                let LayerPass { output, outputs: features, first, rows, .. } = pass;
                 let push = feature_difference::Push {
                     blocks: output.blocks,
                     width: output.width,
@@ -276,50 +291,11 @@ impl Lpips {
                     first,
                     rows,
                 };
-                let bind = feature_difference::Bind { features, heads, differences };
+                let bind = feature_difference::Bind { features: outputs, heads, differences };
                 let pixels = u64::from(output.width) * u64::from(rows);
                 r.dispatch(&self.difference, &bind, &push, blocks(pixels, self.workgroup.into()));
             }
         }
-    }
-
-    fn record_convolution(&self, r: &mut Recorder, layer: &Layer, filter: &Filter, pass: LayerPass<'_>) {
-        let LayerPass { input, output, inputs, outputs, first, rows } = pass;
-        let window = [layer.size, layer.stride];
-        let Some((_, kernel)) = self.convolve.iter().find(|(known, _)| *known == window) else { return };
-        let push = convolve::Push {
-            in_blocks: input.blocks,
-            in_height: input.height,
-            in_slots: input.slots,
-            in_pitch: input.pitch(),
-            padding: layer.padding,
-            out_blocks: output.blocks,
-            out_width: output.width,
-            out_slots: output.slots,
-            out_pitch: output.pitch(),
-            out_margin: output.margin,
-            first,
-            rows,
-        };
-        let bind = convolve::Bind { inputs, weights: &filter.weights, biases: &filter.biases, outputs };
-        r.dispatch_3d(kernel, &bind, &push, self.grid(output, rows.div_ceil(ROWS)));
-    }
-
-    fn record_pool(&self, r: &mut Recorder, pass: LayerPass<'_>) {
-        let LayerPass { input, output, inputs, outputs, first, rows } = pass;
-        let push = max_pool::Push {
-            blocks: output.blocks,
-            in_height: input.height,
-            in_slots: input.slots,
-            in_pitch: input.pitch(),
-            out_width: output.width,
-            out_slots: output.slots,
-            out_pitch: output.pitch(),
-            out_margin: output.margin,
-            first,
-            rows,
-        };
-        r.dispatch_3d(&self.pool, &max_pool::Bind { inputs, outputs }, &push, self.grid(output, rows));
     }
 
     /// Grid of a layer's dispatch: one invocation per column and row, or group of rows, for each block and picture.

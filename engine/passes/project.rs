@@ -47,12 +47,6 @@ impl Project {
             .try_for_each(|projections| self.motion.prepare(context, self.motion_spec(projections)))
     }
 
-    pub fn is_prepared(&self, sh_degree: u32, variant: FrameVariant) -> bool {
-        self.scene.contains(&self.spec(sh_degree, variant))
-            && motion_projections(variant).all(|own| self.motion.contains(&self.motion_spec(own)))
-            && (!variant.outputs.surface || self.surfaces.contains(&self.surfaces_spec(variant.projection)))
-    }
-
     fn spec(&self, sh_degree: u32, variant: FrameVariant) -> project::Spec {
         let FrameVariant {
             filter_3d,

@@ -138,19 +138,7 @@ impl Renderer {
         let (sizes, backward) = (self.runner.forward.sizes, &self.backward);
         let (start, mut moved) = (camera, *camera);
         for _ in 0..alignment.steps {
-            let (pose, camera) = (None, &moved);
-            let request = Request {
-                scene,
-                other_scenes: &[],
-                camera,
-                pose,
-                settings,
-                sh_degree,
-                backward: true,
-                last_entries: false,
-                hidden_by: None,
-            };
-            let ran = self.runner.run(&request, |r, inputs| {
+            let ran = self.runner.run(&Request::new(scene, &moved, settings, true), |r, inputs| {
                 let loss_inputs = LossInputs {
                     rendered: inputs.frame.rendered(&sizes),
                     photo: target,
@@ -215,27 +203,4 @@ fn check(
         return Err(Error::argument("settings", problem));
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Adam finds the minimum of a quadratic function, within the reach of the rates.
-    #[test]
-    fn adam_finds_a_minimum() {
-        let alignment = Alignment { steps: 300, ..Alignment::default() };
-        let wanted = Twist { nu: DVec3::new(0.02, -0.01, 0.03), omega: DVec3::new(0.01, 0.015, -0.005) };
-        let mut adam = Adam::new(3.0);
-        for _ in 0..300 {
-            let (nu, omega) = (adam.moved.nu - wanted.nu, adam.moved.omega - wanted.omega);
-            // Converts it to the camera's centre.
-            let omega = omega + DVec3::new(0.0, 0.0, 3.0).cross(nu);
-            alignment.step(&mut adam, Twist { nu, omega });
-        }
-        let far = (adam.moved.nu - wanted.nu).length() + (adam.moved.omega - wanted.omega).length();
-        assert!(far < 2e-3, "{far}");
-        let refused = Alignment { lr: f64::NAN, ..alignment }.check().expect_err("refused");
-        assert!(refused.to_string().starts_with("alignment: "), "{refused}");
-    }
 }

@@ -50,23 +50,14 @@ impl Renderer {
             outputs: frame.outputs(),
             ..FrameVariant::of(frame.settings, frame.camera, false)
         };
-        // One pass over the scenes, because there may be thousands. Most have the same kind as the previous one.
-        let (mut gaussians, mut known, mut are_prepared) = (0, None, true);
+        // One pass over the scenes, because there may be thousands.
+        let mut gaussians = 0;
         let mut placing = Placing::new(frame, self.runner.forward.sizes.elementwise_workgroup);
         for (number, scenes) in frame.scenes.chunks(SCENES_AT_ONCE).enumerate() {
             for (index, placed) in (number * SCENES_AT_ONCE..).zip(scenes) {
                 let degree = placed.active_degree(frame.settings);
                 check_scene(index, placed, degree, context, reserved)?;
-                if placed.settings.draws() {
-                    gaussians += u64::from(placed.scene.count());
-                    let half_sh = placed.scene.plan().half_sh;
-                    let kind = (degree, half_sh, placed.settings.kinds());
-                    are_prepared &= known.replace(kind) == Some(kind)
-                        || self
-                            .runner
-                            .forward
-                            .is_prepared(degree, variant.of_scene(half_sh, &placed.settings));
-                }
+                gaussians += u64::from(placed.drawn());
             }
             all.extend(scenes.iter().map(|scene| placing.place(scene)));
         }
@@ -92,7 +83,7 @@ impl Renderer {
         if let Some((field, _, of)) = others.iter().find(|(_, set, _)| *set) {
             return Err(Error::argument(*field, format!("{of}, no recorded frame has it")));
         }
-        if !are_prepared {
+        if self.slots.blending != self.blending() {
             let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";
             return Err(Error::argument("kind of frame", problem));
         }

@@ -77,13 +77,6 @@ impl Forward {
         self.project.prepare(&self.context, sh_degree, variant, batches)
     }
 
-    /// True if all kernels for an SH degree and a variant are built.
-    pub fn is_prepared(&self, sh_degree: u32, variant: FrameVariant) -> bool {
-        self.project.is_prepared(sh_degree, variant)
-            && self.cull.is_prepared(variant)
-            && self.blend.is_prepared(&self.sizes, variant)
-    }
-
     /// Sets the form of blending. Returns true if it has changed. Call it before [`Forward::prepare`].
     pub fn set_blending(&mut self, blending: Blending) -> bool {
         std::mem::replace(&mut self.blend.blending, blending) != blending

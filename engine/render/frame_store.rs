@@ -155,11 +155,19 @@ impl FrameStore {
                     (capacity, estimated, is_minimal) = (self.requested, true, true);
                 }
                 // The estimate may be what does not fit, and the frame may need less. If it needs more, it overflows.
-                Err(error) if is_memory(&error) && estimated && can_be_less(&capacity) => {
+                Err(error)
+                    if is_memory(&error)
+                        && estimated
+                        && (capacity.instances > LEAST_INSTANCES || capacity.visible > LEAST_VISIBLE) =>
+                {
                     capacity.visible = (capacity.visible / 4).max(capacity.visible.min(LEAST_VISIBLE));
                     capacity.instances = (capacity.instances / 4).max(LEAST_INSTANCES);
                 }
-                Err(error) => return Err(name_image(error, camera, wanted == own)),
+                Err(error) => {
+                    let others = if wanted == own { "" } else { ", and those larger ones that will follow" };
+                    let size = format!("an image of {}x{} pixels{others}", camera.width, camera.height);
+                    return Err(error.of_field(size));
+                }
             }
         }
     }
@@ -319,18 +327,7 @@ impl FrameStore {
     }
 }
 
-/// True if an estimate exceeds the smallest capacity.
-fn can_be_less(estimate: &FrameCapacity) -> bool {
-    estimate.instances > LEAST_INSTANCES || estimate.visible > LEAST_VISIBLE
-}
-
 /// True if an allocation failed for lack of memory.
 fn is_memory(error: &Error) -> bool {
     matches!(error, Error::TooLarge { .. } | Error::Vulkan { call: "vkAllocateMemory", .. })
-}
-
-/// Adds the image's size to an error. `alone`: the buffers are for this image only, not for expected larger ones.
-fn name_image(error: Error, camera: &Camera, alone: bool) -> Error {
-    let others = if alone { "" } else { ", and those larger ones that will follow" };
-    error.of_field(format!("an image of {}x{} pixels{others}", camera.width, camera.height))
 }

@@ -120,19 +120,8 @@ impl Renderer {
             unreachable!("one buffer per request")
         };
         self.context.upload(target_rows, target)?;
-        let request = Request {
-            scene: &scene,
-            other_scenes: &[],
-            camera,
-            pose: None,
-            settings,
-            sh_degree,
-            backward: true,
-            last_entries: false,
-            hidden_by: None,
-        };
         let backward = &self.backward;
-        let ran = self.runner.run(&request, |r, inputs| {
+        let ran = self.runner.run(&Request::new(&scene, camera, settings, true), |r, inputs| {
             r.barrier();
             border.record_gradient(r, inputs, target_rows, native, false);
             r.barrier();

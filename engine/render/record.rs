@@ -154,7 +154,7 @@ impl Renderer {
         }
         release_images(r, views, releases);
         (slot.host_report.sorts, slot.host_report.batched_scenes) = (sorts, batched_scenes);
-        slot.end(recorder)
+        slot.commands.end(recorder)
     }
 }
 

@@ -283,17 +283,7 @@ impl Renderer {
         last_entries: bool,
     ) -> Result<FrameStats> {
         let (scene, other_scenes) = loaded(&self.scenes)?;
-        let request = Request {
-            scene,
-            other_scenes,
-            camera,
-            pose: None,
-            settings,
-            sh_degree: scene.active_degree(settings),
-            backward: false,
-            last_entries,
-            hidden_by: None,
-        };
+        let request = Request { other_scenes, last_entries, ..Request::new(scene, camera, settings, false) };
         let ran = self.runner.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
         let FrameRun { state, report, retries } = ran;
         let State { visible, instances, longest_tile, samples, .. } = state;

@@ -103,7 +103,9 @@ impl Renderer {
             none => none.insert(Compose::new(&self.context)?),
         };
         compose.prepare(&self.context, wanted.outputs())?;
-        prepare_frames(&mut self.runner.forward, wanted)
+        prepare_frames(&mut self.runner.forward, wanted)?;
+        self.slots.blending = self.blending();
+        Ok(())
     }
 
     /// Returns the report of a slot's last frame. None while it is in flight, or without a frame. Never waits, except on

@@ -38,6 +38,28 @@ pub(crate) struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
+    /// A frame of one scene, with the SH degree of the settings.
+    pub fn new(
+        scene: &'a SceneBuffers,
+        camera: &'a Camera,
+        settings: &'a RenderSettings,
+        backward: bool,
+    ) -> Self {
+        let (sh_degree, last_entries) = (scene.active_degree(settings), false);
+        let (pose, hidden_by) = (None, None);
+        Self {
+            scene,
+            other_scenes: &[],
+            camera,
+            pose,
+            settings,
+            sh_degree,
+            backward,
+            last_entries,
+            hidden_by,
+        }
+    }
+
     /// The scene and the others, one behind the other in the frame's index space.
     fn scenes(&self) -> Vec<PlacedScene<'a>> {
         let alone = PlacedScene::alone(self.scene, self.camera, self.sh_degree);

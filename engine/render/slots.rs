@@ -4,8 +4,8 @@ use super::frame_store::State;
 use super::reservation::{Reservation, SlotReport, field_name};
 use crate::error::{Error, Result};
 use crate::frame::{
-    CUT_OUT_BYTES, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, PictureCapacity, PlacedScene,
-    RenderSettings, packed_bytes,
+    Blending, CUT_OUT_BYTES, FrameBuffers, FrameCapacity, FrameInputs, LaunchSizes, PictureCapacity,
+    PlacedScene, RenderSettings, packed_bytes,
 };
 use crate::kernels::constants as c;
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, PLACEMENT_ALIGNMENT, RecordSlot, Recorder};
@@ -32,6 +32,8 @@ pub(super) struct Slot {
 #[derive(Default)]
 pub(super) struct Slots {
     pub reserved: Option<Reservation>,
+    /// Form of blending whose kernels the last reservation has built.
+    pub blending: Blending,
     pub slots: Vec<Slot>,
 }
 
@@ -131,11 +133,6 @@ impl Slot {
         let recorder = self.commands.begin(commands, "ashsplat")?;
         (self.views, self.host_report, self.report) = (views, self.memory.report(gaussians), None);
         Ok(recorder)
-    }
-
-    /// Ends the recording.
-    pub fn end(&mut self, recorder: Recorder) -> Result<()> {
-        self.commands.end(recorder)
     }
 
     /// Returns the report of the last recording. None while it is in flight, or without a recording.

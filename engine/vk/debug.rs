@@ -179,16 +179,3 @@ pub(super) fn vk_error(call: &'static str) -> impl Fn(R) -> Error {
         Error::Vulkan { call, result: format!("{result:?} ({result})"), remedy: remedy.to_owned() }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::printed;
-
-    #[test]
-    fn what_shaders_print_is_told_from_what_the_layer_says() {
-        let message = "Validation Information: [ UNASSIGNED-DEBUG-PRINTF ] Object 0: handle = 0x1, type = \
-                       VK_OBJECT_TYPE_DEVICE; | MessageID = 0x92394c89 | tile 3 | 7 entries";
-        assert_eq!(printed(message), Some("tile 3 | 7 entries"));
-        assert_eq!(printed("Validation Error: [ VUID-1 ] | MessageID = 0x1 | bad"), None);
-    }
-}

@@ -258,13 +258,4 @@ mod tests {
         let said: Vec<_> = low_limits(&low, 64).filter(|said| said.contains("Invocations")).collect();
         assert_eq!(said, ["maxComputeWorkGroupInvocations of 256 (it has 128)"]);
     }
-
-    #[test]
-    fn features_are_added_to_a_hosts_own() {
-        let mut v12 = vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true);
-        let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
-        Features::REQUIRED.merge_into(&mut v12, &mut v13);
-        assert_eq!(Features::of(&v12, &v13), Features::REQUIRED);
-        assert_eq!(v12.timeline_semaphore, vk::TRUE);
-    }
 }
