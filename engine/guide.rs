@@ -19,74 +19,15 @@
 //! - [`embedding`]: frames and training steps in a host engine's command buffers
 //! - [`colour`]: display-encoded values and linear light
 
-pub mod program {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/program.md"))]
+macro_rules! chapters {
+    ($($name:ident)*) => {$(
+        pub mod $name {
+            #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/", stringify!($name), ".md"))]
+        }
+    )*};
 }
 
-pub mod data_sets {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/data_sets.md"))]
-}
-
-pub mod formats {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/formats.md"))]
-}
-
-pub mod viewer {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/viewer.md"))]
-}
-
-pub mod first_frame {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/first_frame.md"))]
-}
-
-pub mod first_training {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/first_training.md"))]
-}
-
-pub mod parts {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/parts.md"))]
-}
-
-pub mod masks_and_memory {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/masks_and_memory.md"))]
-}
-
-pub mod checkpoints {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/checkpoints.md"))]
-}
-
-pub mod blocks {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/blocks.md"))]
-}
-
-pub mod tiles {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/tiles.md"))]
-}
-
-pub mod measuring {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/measuring.md"))]
-}
-
-pub mod profiling {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/profiling.md"))]
-}
-
-pub mod determinism {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/determinism.md"))]
-}
-
-pub mod faults {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/faults.md"))]
-}
-
-pub mod how_it_works {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/how_it_works.md"))]
-}
-
-pub mod embedding {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/embedding.md"))]
-}
-
-pub mod colour {
-    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/colour.md"))]
+chapters! {
+    program data_sets formats viewer first_frame first_training parts masks_and_memory checkpoints
+    blocks tiles measuring profiling determinism faults how_it_works embedding colour
 }

@@ -5,7 +5,6 @@ mod reality_scan;
 mod xml;
 
 use std::collections::HashSet;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat, DVec3};
@@ -43,9 +42,7 @@ pub fn find(dataset: &Path, images: &str) -> Vec<Source> {
         /// The marks of all formats lie near the beginning.
         const START_BYTES: u64 = 4096;
         cost::step();
-        let mut start = Vec::new();
-        let read = regular_file::open(path).map(|(file, _)| file.take(START_BYTES).read_to_end(&mut start));
-        read.map_or_else(|_| String::new(), |_| text::decoded(start))
+        text::decoded(regular_file::start(path, START_BYTES).unwrap_or_default())
     };
     let files = |folder: &Path, ending: &'static str| {
         let mut files: Vec<PathBuf> = entries(folder).map(|entry| entry.path()).collect();

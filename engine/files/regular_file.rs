@@ -48,6 +48,18 @@ pub fn open(path: impl AsRef<Path>) -> Result<(File, u64)> {
     Ok((file, metadata.len()))
 }
 
+/// The first bytes of a regular file, `most` at most.
+pub(crate) fn start(path: &Path, most: u64) -> Result<Vec<u8>> {
+    let mut start = Vec::new();
+    open(path)?.0.take(most).read_to_end(&mut start).reading(path)?;
+    Ok(start)
+}
+
+/// The error of a file whose content contradicts itself.
+pub(crate) fn damaged(path: &Path, problem: impl Into<String>) -> Error {
+    Error::input(path, problem, "the file is damaged or cut short: write or download it again")
+}
+
 /// Opens `bytes` bytes of a regular file, from byte `at` on.
 pub(crate) fn part(path: &Path, at: u64, bytes: u64) -> Result<BufReader<Take<File>>> {
     let (mut file, _) = open(path)?;

@@ -12,7 +12,6 @@ mod frame;
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DMat3, DVec3};
@@ -84,9 +83,8 @@ pub(crate) fn files_with_poses(folder: &Path) -> Vec<PathBuf> {
     const START_BYTES: u64 = 1 << 20;
     let has_poses = |path: &Path| {
         cost::step();
-        let mut start = Vec::new();
-        let read = regular_file::open(path).map(|(file, _)| file.take(START_BYTES).read_to_end(&mut start));
-        read.is_ok() && String::from_utf8_lossy(&start).contains("\"transform_matrix\"")
+        let start = regular_file::start(path, START_BYTES).unwrap_or_default();
+        String::from_utf8_lossy(&start).contains("\"transform_matrix\"")
     };
     // Editors on Windows may add `.txt`, which Windows hides.
     let is_json = |path: &PathBuf| {

@@ -62,9 +62,7 @@ impl Header {
 
 /// Reads a picture's header, and as little of the file as possible.
 pub(crate) fn header(path: &Path) -> Result<Header> {
-    let mut start = Vec::new();
-    let (file, _) = regular_file::open(path)?;
-    file.take(HEADER_BYTES).read_to_end(&mut start).reading(path)?;
+    let start = regular_file::start(path, HEADER_BYTES)?;
     let of = |bytes: &[u8]| Ok(Header::of(&mut decoder(path, bytes)?));
     match of(&start) {
         Err(_) if start.len() as u64 == HEADER_BYTES => of(&regular_file::read(path, 1)?),

@@ -124,10 +124,6 @@ impl Source for CompressedPly<'_> {
         &self.header
     }
 
-    fn row_name(&self) -> &'static str {
-        "vertex"
-    }
-
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
         let (chunks, sh) = (&self.chunks, &self.sh);
         let degree = self.header.sh_degree;

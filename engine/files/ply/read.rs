@@ -202,10 +202,6 @@ impl Source for GaussianRows<'_> {
         &self.header
     }
 
-    fn row_name(&self) -> &'static str {
-        "vertex"
-    }
-
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
         let empty = || Gaussians::with_capacity(self.layout.sh_degree, BLOCK.min(capacity(&self.element)));
         let mut block = empty();

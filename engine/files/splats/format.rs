@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Outline;
 use crate::names::{has_photo_ending, quoted};
-use crate::regular_file::{self, OnFile};
+use crate::regular_file;
 use crate::{atomic, ply};
 use ashsplat::{Error, Result};
 
@@ -299,7 +299,7 @@ impl Format {
     /// The format of a file by its first bytes, or by its name if they are ambiguous.
     pub fn of_file(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let start = first_bytes(path)?;
+        let start = regular_file::start(path, MAGIC_BYTES)?;
         if let Some(error) = foreign(path) {
             return Err(error);
         }
@@ -374,6 +374,9 @@ pub(super) fn write_origin(path: &Path, origin: DVec3) -> Result<()> {
     written.inspect_err(|_| drop(fs::remove_file(path)))
 }
 
+/// Number of bytes that tell binary formats apart.
+const MAGIC_BYTES: u64 = 512;
+
 /// Number of bytes of a JSON file that are searched.
 const SEARCHED_BYTES: u64 = 64 * 1024;
 
@@ -402,20 +405,12 @@ const CONVERTED: [(&str, &str, &str); 5] = [
     ("sogst", "is an animated SOG", ""),
 ];
 
-/// First bytes of a file.
-fn first_bytes(path: &Path) -> Result<Vec<u8>> {
-    let (file, _) = regular_file::open(path)?;
-    let mut start = Vec::new();
-    file.take(512).read_to_end(&mut start).reading(path)?;
-    Ok(start)
-}
-
 /// The error for a file or folder with a scene in an unread format; `None` for anything else.
 pub fn foreign(path: &Path) -> Option<Error> {
     if path.is_dir() {
         return json(&path.join("lod-meta.json"));
     }
-    let start = first_bytes(path).ok()?;
+    let start = regular_file::start(path, MAGIC_BYTES).ok()?;
     if start.starts_with(b"PK\x03\x04") {
         return zip(path);
     }
@@ -481,9 +476,7 @@ fn json(path: &Path) -> Option<Error> {
 }
 
 fn start_of_text(path: &Path) -> Option<String> {
-    let mut text = Vec::new();
-    regular_file::open(path).ok()?.0.take(SEARCHED_BYTES).read_to_end(&mut text).ok()?;
-    Some(String::from_utf8_lossy(&text).into_owned())
+    regular_file::start(path, SEARCHED_BYTES).ok().map(|text| String::from_utf8_lossy(&text).into_owned())
 }
 
 /// Name of the description of a SOG, in the ZIP or in the folder.
@@ -513,7 +506,7 @@ pub fn is_sog(path: &Path) -> bool {
 
 /// `None` for no ZIP: without its first bytes, the file is not searched for a directory.
 fn names_in_zip(path: &Path) -> Option<Vec<String>> {
-    first_bytes(path).ok().filter(|start| start.starts_with(b"PK\x03\x04"))?;
+    regular_file::start(path, MAGIC_BYTES).ok().filter(|start| start.starts_with(b"PK\x03\x04"))?;
     let archive = zip::ZipArchive::new(std::io::BufReader::new(regular_file::open(path).ok()?.0)).ok()?;
     Some(archive.file_names().flatten().map(|name| name.into_owned()).collect())
 }

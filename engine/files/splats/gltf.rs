@@ -14,6 +14,7 @@ use super::spz::Spz;
 use super::stream::origin_near;
 use super::{BLOCK, Format, Header, ReadOptions, Sink, Source, is_kernel_size};
 use crate::cost;
+use crate::regular_file::damaged;
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::{Gaussians, Similarity};
 use ashsplat::{Error, Result};
@@ -160,10 +161,6 @@ impl Gltf {
 /// Converts a point from glTF's axes to this crate's, and back.
 pub(crate) fn mirrored(point: DVec3) -> DVec3 {
     DVec3::from_array(std::array::from_fn(|axis| if MIRRORED[axis] { -point[axis] } else { point[axis] }))
-}
-
-fn damaged(path: &Path, problem: impl Into<String>) -> Error {
-    Error::input(path, problem, "the file is damaged or cut short: write or download it again")
 }
 
 /// The primitives of Gaussians in a mesh, with their indices.

@@ -12,7 +12,7 @@ use super::dot_splat::opacity_logit;
 use super::format::read_origin;
 use super::{BLOCK, Format, Header, Sink, Source};
 use crate::cost;
-use crate::regular_file::{self, OnFile, u32_at};
+use crate::regular_file::{self, OnFile, damaged, u32_at};
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::sh::rgb_to_sh_dc;
@@ -94,10 +94,6 @@ impl Packing {
             block.sh.extend((0..width).map(|k| [0, 1, 2].map(|channel| sh(first + channel * width + k))));
         }
     }
-}
-
-fn damaged(path: &Path, problem: impl Into<String>) -> Error {
-    Error::input(path, problem, "the file is damaged or cut short: write or download it again")
 }
 
 impl Ksplat {

@@ -19,7 +19,7 @@ use super::dot_splat::opacity_logit;
 use super::format::{META, is_meta, read_origin};
 use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, row_bytes};
 use crate::ply::{morton_order, pack_unorm, rotation_of_shares, shares_of_rotation};
-use crate::regular_file::{self, OnFile};
+use crate::regular_file::{self, OnFile, damaged};
 use crate::{atomic, cost, host_memory};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Bounds, Gaussians};
@@ -326,10 +326,6 @@ fn is_lossy(packed: &[u8]) -> bool {
         at = at.saturating_add(8).saturating_add(regular_file::u32_at(chunk, 4).next_multiple_of(2) as usize);
     }
     false
-}
-
-fn damaged(path: &Path, problem: impl Into<String>) -> Error {
-    Error::input(path, problem, "the file is damaged or cut short: write or download it again")
 }
 
 /// Files of a SOG: those of its ZIP, or those beside its description.

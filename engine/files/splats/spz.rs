@@ -208,7 +208,7 @@ impl SpzFile {
     }
 
     fn damaged(&self, problem: impl Into<String>) -> Error {
-        Error::input(&self.path, problem, "the file is damaged or cut short: write or download it again")
+        regular_file::damaged(&self.path, problem)
     }
 
     /// Reads the fields that both headers share. The last value is true if there are extensions.

@@ -216,11 +216,6 @@ pub(crate) trait Source {
 
     /// Passes all Gaussians to the sink, usable or not. Called once.
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()>;
-
-    /// Name of one Gaussian in messages about the file.
-    fn row_name(&self) -> &'static str {
-        "Gaussian"
-    }
 }
 
 /// Chooses an origin for a source whose positions are relative to `near`, from its first block.
@@ -254,7 +249,8 @@ impl<'a> Reader<'a> {
 
     /// Passes the usable Gaussians to the sink. Returns the number of dropped ones.
     pub(crate) fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<u64> {
-        let (count, row_name) = (self.header().count, self.source.row_name());
+        let Header { count, format, .. } = *self.header();
+        let row_name = if matches!(format, Format::Ply | Format::CompressedPly) { "vertex" } else { "Gaussian" };
         let drop_invalid = self.options.drop_invalid;
         let mut validation = Validation::default();
         self.source.blocks(&mut |mut block| {

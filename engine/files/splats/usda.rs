@@ -15,7 +15,7 @@ use glam::{DMat4, DQuat, DVec3};
 use super::gltf::{MIRRORED, mirrored, opacity_logit, similarity};
 use super::stream::origin_near;
 use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, spz};
-use crate::regular_file;
+use crate::regular_file::{self, damaged};
 use crate::{atomic, cost, host_memory};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::sh::rgb_to_sh_dc;
@@ -71,10 +71,7 @@ impl Usda {
             let remedy = "`usdcat IN -o OUT.usda` makes it of other forms of USD";
             return Err(Error::input(path, "is no USD text: it does not begin with #usda", remedy));
         }
-        let damaged = || {
-            let remedy = "the file is damaged or cut short: write or download it again";
-            Error::input(path, "ends inside a value or a prim, or closes one that is not open", remedy)
-        };
+        let damaged = || damaged(path, "ends inside a value or a prim, or closes one that is not open");
         let prims = Parser::of(&text).prims().ok_or_else(damaged)?;
         let mut header = Header::new(Format::Usda, 0, 0);
         let (mut parts, mut placements) = (Vec::new(), Vec::<DMat4>::new());

@@ -261,7 +261,8 @@ impl Budget {
         if pruned.kept == 0 || pruned.kept == before {
             return Ok(unchanged);
         }
-        decisions.prune(population, pruned)?;
+        let growth = population.reserve_gaussians(pruned.rows())?;
+        decisions.rebuild(population, pruned, growth)?;
         Ok(pruned)
     }
 

@@ -57,39 +57,23 @@ impl<'a> Decisions<'a> {
         // The order comes before the second set of planes. There is no fallback to another order, because the bits would then
         // depend on the free memory.
         self.order = order_buffers(population, rows)?;
-        match self.order {
-            Some(_) => Ok(Some(population.reserve_gaussians(rows)?)),
-            None => Ok(None),
-        }
+        self.order.is_some().then(|| population.reserve_gaussians(rows)).transpose()
     }
 
-    /// Replaces the set by the decisions, after [`Decisions::reserve_gaussians`].
+    /// Replaces the set by the decisions: along the curve after [`Decisions::reserve_gaussians`], in the order of before
+    /// without it.
     pub fn rebuild(&self, population: &mut Population, densified: Densified, growth: Growth) -> Result<()> {
-        let Some(order) = &self.order else { unreachable!("room was made") };
         let (rows, key, curve) = (densified.rows(), population.random_key(), population.curve());
         let sources = |r: &mut Recorder, scene: &SceneBuffers| {
-            self.record_sources(r, scene.count, rows);
+            self.kernels.record_scatter_sources(r, scene.count, rows, &self.buffers);
+            r.barrier();
             let unordered = (&self.buffers.sources, &self.buffers.totals);
-            self.kernels.record_order(r, (scene, rows), unordered, order, &curve)
+            match &self.order {
+                Some(order) => self.kernels.record_order(r, (scene, rows), unordered, order, &curve),
+                None => unordered.0,
+            }
         };
         population.rebuild(rows, growth, self.kernels, &key, sources, |_, _, _| {})
-    }
-
-    /// Removes the Gaussians that do not stay, without clones and splits. The others keep their order.
-    pub fn prune(&self, population: &mut Population, densified: Densified) -> Result<()> {
-        let rows = densified.rows();
-        let (key, growth) = (population.random_key(), population.reserve_gaussians(rows)?);
-        let sources = |r: &mut Recorder, scene: &SceneBuffers| {
-            self.record_sources(r, scene.count, rows);
-            &self.buffers.sources
-        };
-        population.rebuild(rows, growth, self.kernels, &key, sources, |_, _, _| {})
-    }
-
-    /// Records the source of each row of the new set, among `count` Gaussians. Ends with a barrier.
-    fn record_sources(&self, r: &mut Recorder, count: u32, rows: u32) {
-        self.kernels.record_scatter_sources(r, count, rows, &self.buffers);
-        r.barrier();
     }
 }
 

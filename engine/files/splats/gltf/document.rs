@@ -13,9 +13,9 @@ use percent_encoding::percent_decode_str;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer};
 
-use super::{Format, damaged};
+use super::Format;
 use crate::ply::{Encoding, Scalar, decode};
-use crate::regular_file::{self, OnFile, u32_at};
+use crate::regular_file::{self, OnFile, damaged, u32_at};
 use crate::{cost, host_memory};
 use ashsplat::scene::Similarity;
 use ashsplat::{Error, Result};
