@@ -31,7 +31,7 @@ fn backends_draw_the_same_picture_with_other_kernels() {
     let contexts = [Backend::Processor, Backend::Gpu].map(context);
     let sizes = contexts.each_ref().map(|context| LaunchSizes::new(context.limits()));
     assert_ne!(sizes[0].sort_method, sizes[1].sort_method);
-    assert_ne!(sizes[0].incremental_exp, sizes[1].incremental_exp);
+    assert_ne!(sizes[0].tuning.incremental_exp, sizes[1].tuning.incremental_exp);
     let pictures = contexts.each_ref().map(picture);
     assert!(pictures[0].iter().any(|&value| value > 0.1), "the picture is black");
     assert!(difference(&pictures[0], &pictures[1]) < 2e-4);

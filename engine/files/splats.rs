@@ -178,10 +178,7 @@ fn write_blocks(
         Format::Ply => ply::write_blocks(path, outline, None, produce),
         Format::CompressedPly => ply::write_compressed_blocks(path, outline, produce),
         Format::Splat => dot_splat::write(path, outline, produce),
-        Format::Spz => match spz_version {
-            Some(old @ ..4) => spz::write_old(path, old, outline, produce),
-            _ => spz::write(path, outline, produce),
-        },
+        Format::Spz => spz::write(path, outline, produce),
         Format::Glb | Format::Gltf => gltf_write::write(path, format, outline, produce),
         Format::Sog => sog::write(path, outline, produce),
         Format::Usda => usda::write(path, outline, produce),

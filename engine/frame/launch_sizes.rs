@@ -37,6 +37,8 @@ impl BlendShape {
 /// Sizes of workgroups and blocks on a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LaunchSizes {
+    /// Choices for the device's class.
+    pub tuning: &'static Tuning,
     /// Invocations of an elementwise workgroup, and size of a block in culling and densification.
     pub elementwise_workgroup: u32,
     /// How keys are sorted.
@@ -57,8 +59,6 @@ pub struct LaunchSizes {
     pub scan_items: u32,
     /// Values per block of a scan.
     pub scan: u32,
-    /// Instances per invocation of duplicate_with_tiles.
-    pub duplicate_items: u32,
     /// Regions of forward blending.
     pub blend: BlendShape,
     /// Regions of backward blending, and of blending with outputs besides the picture.
@@ -69,10 +69,6 @@ pub struct LaunchSizes {
     pub blend_backward_subgroup_per_tile: bool,
     /// Invocations of a tile's workgroup in blend_shared: at most one per pixel, or per column of pixels.
     pub tile_shared: u32,
-    /// Interleaving of the rows of tiles over consecutive workgroups (tile_order.glsl); a power of two.
-    pub tile_row_interleave: u32,
-    /// True if opacities along a column of pixels use the incremental exponential.
-    pub incremental_exp: bool,
     /// True if loops over groups of SH coefficients are not unrolled.
     pub sh_loops: bool,
     /// Invocations of a workgroup of the loss.
@@ -133,6 +129,7 @@ impl LaunchSizes {
         let usual_regions = if whole_tiles { regions } else { 1 };
         let regions_per_subgroup = size("forward", "REGIONS_PER_SUBGROUP", usual_regions).min(regions.min(4));
         Self {
+            tuning,
             elementwise_workgroup: elementwise,
             sort_method,
             sort_workgroup,
@@ -143,15 +140,12 @@ impl LaunchSizes {
             scan_spine_workgroup: limits.workgroup_size(invocations(tuning.scan_spine_workgroup)),
             scan_items,
             scan: scan_workgroup * scan_items,
-            duplicate_items: tuning.duplicate_items,
             blend,
             blend_heavy,
             regions_per_subgroup,
             blend_backward_subgroup_per_tile: whole_tiles,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
             tile_shared: elementwise.min(TILE_SIZE * TILE_SIZE / tuning.shared_tile_pixels),
-            tile_row_interleave: tuning.tile_row_interleave,
-            incremental_exp: tuning.incremental_exp,
             sh_loops: tuning.sh_loops,
             loss: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", invocations(tuning.loss_workgroup))),
             loss_strip: size("loss", "STRIP", tuning.loss_strip).min(TILE_SIZE),

@@ -66,8 +66,8 @@ impl Blend {
             variant;
         let last_entries = variant.backward || variant.last_entries;
         let Self { broadcast, shared_splats, .. } = *self;
-        let LaunchSizes { tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
-        let (incremental_exp, strips) = (incremental_exp && !steep, variant.backward && sizes.strips);
+        let LaunchSizes { tile_shared, regions_per_subgroup, tuning, .. } = *sizes;
+        let (incremental_exp, strips) = (tuning.incremental_exp && !steep, variant.backward && sizes.strips);
         let Outputs { pick, motion, surface } = outputs;
         let lenses = variant.projection.has_seam();
         // Only the overrides of a context set it.
@@ -194,7 +194,7 @@ pub(crate) fn record_passes(
             } else {
                 sizes.instances_per_dispatch
             },
-            tile_row_interleave: sizes.tile_row_interleave,
+            tile_row_interleave: sizes.tuning.tile_row_interleave,
             last_pass: (pass + 1 == passes).into(),
             splat_stride: inputs.frame.splats().stride,
             background: inputs.settings.background,

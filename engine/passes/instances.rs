@@ -43,7 +43,7 @@ impl Instances {
             duplicate_spec: duplicate_with_tiles::Spec {
                 workgroup_size,
                 subgroup_size,
-                items: sizes.duplicate_items,
+                items: sizes.tuning.duplicate_items,
                 ..duplicate_with_tiles::Spec::default()
             },
             ranges: [ranges(false)?, ranges(true)?],
@@ -116,7 +116,7 @@ impl Instances {
             count: c::STATE_INSTANCES_NEEDED,
             capacity: inputs.capacity.instances,
             first_argument: c::ARGUMENTS_INSTANCES,
-            caller_block: self.sizes.elementwise_workgroup * self.sizes.duplicate_items,
+            caller_block: self.sizes.elementwise_workgroup * self.sizes.tuning.duplicate_items,
         };
         scan.record_from_block_sums(r, &buffers, Workgroups::Indirect(&at), Some(counted));
     }

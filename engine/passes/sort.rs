@@ -16,7 +16,8 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Kernels of a sort.
 pub struct RadixSort {
-    sizes: LaunchSizes,
+    /// Sizes of its blocks and buffers.
+    pub sizes: LaunchSizes,
     kernels: Kernels,
     scan: Kernel<sort_spine::Interface>,
     /// Sort in a single subgroup: with given values, and with the keys' indices as values.
@@ -37,7 +38,7 @@ enum Kernels {
     },
 }
 
-/// Buffers of a sort. Keys start in `keys[0]`; the number of passes ([`RadixSort::passes`]) determines where they end.
+/// Buffers of a sort. Keys start in `keys[0]` and end in those of [`LaunchSizes::sorted_side`].
 #[derive(Clone, Copy)]
 pub struct SortBuffers<'a> {
     /// The number of pairs is `counts[count_index]`.
@@ -48,7 +49,7 @@ pub struct SortBuffers<'a> {
     pub keys: [&'a Buffer; 2],
     /// Values, u32: two buffers between which the passes alternate.
     pub values: [&'a Buffer; 2],
-    /// Scratch: [`RadixSort::histogram_words`] words.
+    /// Scratch: [`LaunchSizes::sort_histogram_words`] words.
     pub histogram: &'a Buffer,
     /// Scratch: [`RadixSort::digit_total_words`] words.
     pub digit_totals: &'a Buffer,
@@ -96,28 +97,9 @@ impl RadixSort {
         })
     }
 
-    /// Number of scratch words for buffers of `n` pairs with keys below 2^`key_bits`.
-    pub fn histogram_words(&self, n: u64, key_bits: u32) -> u64 {
-        self.sizes.sort_histogram_words(n, key_bits)
-    }
-
     /// Number of scratch words for any number of pairs.
     pub fn digit_total_words(&self) -> u64 {
         1 << self.sizes.sort_digit_bits()
-    }
-
-    /// Number of pairs in a block.
-    pub fn block(&self) -> u32 {
-        self.sizes.sort
-    }
-
-    fn blocks(&self, n: u64) -> u64 {
-        blocks(n, self.sizes.sort.into())
-    }
-
-    /// Number of passes for keys below 2^`key_bits`. The result lies in buffers `passes % 2`.
-    pub fn passes(&self, key_bits: u32) -> u32 {
-        self.sizes.sort_passes(key_bits)
     }
 
     /// Records the sort of keys below 2^`key_bits`. Returns the index of the buffers with the result. The caller places a
@@ -130,7 +112,7 @@ impl RadixSort {
         key_bits: u32,
         workgroups: Workgroups,
     ) -> usize {
-        let passes = self.passes(key_bits);
+        let passes = self.sizes.sort_passes(key_bits);
         let digit_bits = key_bits.div_ceil(passes);
         let alone =
             self.alone.as_ref().filter(|_| self.sizes.sorts_in_single_subgroup(buffers.capacity(), key_bits));
@@ -170,7 +152,7 @@ impl RadixSort {
         let (counts, count_index, block) = (b.counts, b.count_index, self.sizes.sort);
         let (keys, values, to) = (b.keys[from], b.values[from], 1 - from);
         // The blocks' histograms come first, then those of their runs.
-        let blocks = self.blocks(b.capacity()).max(1);
+        let blocks = blocks(b.capacity(), block.into()).max(1);
         let of_blocks = (blocks << bits) * 4;
         let of_runs = blocks * u64::from(self.sizes.sort_workgroup) * (1 << bits).max(4) * 4;
         match &self.kernels {

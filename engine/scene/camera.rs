@@ -428,7 +428,7 @@ impl Camera {
         if !is_rotation(r) {
             return Some("camera_from_world is not a rotation (orthonormal, determinant 1)".into());
         }
-        self.shutter_problem().or_else(|| self.lens_problem())
+        self.shutter_problem().map(str::to_owned).or_else(|| self.lens_problem())
     }
 }
 
@@ -490,10 +490,6 @@ impl PicturePart {
         fits(self.left, width, self.whole_width) && fits(self.top, height, self.whole_height)
     }
 
-    fn is_smaller(&self, width: u32, height: u32) -> bool {
-        width < self.whole_width || height < self.whole_height
-    }
-
     /// Part at another scale of its picture, whose size becomes (width, height).
     fn scaled_by(&self, [sx, sy]: [f64; 2], (width, height): (u32, u32)) -> Self {
         let scaled = |length: u32, by: f64| (f64::from(length) * by).round() as u32;
@@ -524,8 +520,8 @@ impl Camera {
             None => here,
         };
         let (cx, cy) = (self.cx - left as f32, self.cy - top as f32);
-        let is_whole = !part.is_smaller(width, height);
-        Ok(Self { cx, cy, width, height, part: (!is_whole).then_some(part), ..*self })
+        let is_smaller = width < part.whole_width || height < part.whole_height;
+        Ok(Self { cx, cy, width, height, part: is_smaller.then_some(part), ..*self })
     }
 
     /// Camera of the whole picture; itself if it is whole.

@@ -3,6 +3,7 @@
 use super::camera::Camera;
 use super::photo_lens::PhotoLens;
 use glam::{DMat3, DQuat, DVec2, DVec3, Vec3};
+use std::f32::consts::PI;
 
 /// Order in which a sensor reads its picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -103,15 +104,6 @@ impl Shutter {
         let rows = self.rows(lens.width, lens.height);
         (0..STEPS).try_fold(halfway, |at, _| Some(self.read_at(time_at(rows, lens.project(at)?), halfway)))
     }
-
-    /// Describes what is wrong with the motion, if anything.
-    fn problem(&self) -> Option<&'static str> {
-        if !(self.turn.is_finite() && self.shift.is_finite()) {
-            return Some("a motion of the shutter that is not finite");
-        }
-        (self.turn.length() > 1.001 * std::f32::consts::PI)
-            .then_some("a turn of the shutter beyond half a circle")
-    }
 }
 
 impl Camera {
@@ -172,11 +164,13 @@ impl Camera {
     }
 
     /// Describes what is wrong with the shutter, if anything.
-    pub(super) fn shutter_problem(&self) -> Option<String> {
-        let shutter = self.shutter?;
-        if self.is_orthographic() {
-            return Some("an orthographic camera has no rolling shutter".into());
+    pub(super) fn shutter_problem(&self) -> Option<&'static str> {
+        let Shutter { turn, shift, .. } = self.shutter?;
+        match () {
+            () if self.is_orthographic() => Some("an orthographic camera has no rolling shutter"),
+            () if !(turn.is_finite() && shift.is_finite()) => Some("a motion of the shutter that is not finite"),
+            () if turn.length() > 1.001 * PI => Some("a turn of the shutter beyond half a circle"),
+            () => None,
         }
-        shutter.problem().map(str::to_owned)
     }
 }

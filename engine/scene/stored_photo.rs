@@ -1,7 +1,7 @@
 //! Photographs of a data set with their masks, in memory or in a file.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom, Write};
+use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -231,12 +231,8 @@ impl PhotoFile {
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         file.seek(SeekFrom::Start(offset))
             .and_then(|_| Read::take(&mut *file, bytes).read_to_end(&mut texels))
-            .and_then(|read| if read as u64 == bytes { Ok(()) } else { Err(cut_short()) })
+            .and_then(|read| if read as u64 == bytes { Ok(()) } else { Err(ErrorKind::UnexpectedEof.into()) })
             .map_err(|e| Error::io(&self.folder, "read kept photos", e))?;
         Ok(texels)
     }
-}
-
-fn cut_short() -> std::io::Error {
-    std::io::Error::new(std::io::ErrorKind::UnexpectedEof, "the file ends too early")
 }

@@ -138,7 +138,7 @@ impl<K: KernelInterface> Kernel<K> {
     /// [`crate::Error::Vulkan`] if the driver refuses.
     pub fn new(context: &Context, spec: &K::Spec) -> Result<Self> {
         let form = K::form(context.limits(), spec);
-        let replaced = context.replaced_shader(K::NAME).filter(|_| !form.lenses);
+        let replaced = lock(&context.device.replaced).get(K::NAME).filter(|_| !form.lenses).cloned();
         let mut info = PipelineInfo {
             name: K::NAME,
             texels: form.texels,
@@ -200,10 +200,6 @@ impl Context {
             Some(spirv) => replaced.insert(kernel.to_owned(), Arc::new(spirv)),
             None => replaced.remove(kernel),
         };
-    }
-
-    fn replaced_shader(&self, kernel: &str) -> Option<Arc<Vec<u32>>> {
-        lock(&self.device.replaced).get(kernel).cloned()
     }
 
     /// Returns the kernels that `build` would build. `build` may use its context only to build kernels.

@@ -296,7 +296,7 @@ pub fn blend_of_more_hits_than_an_invocation_has_rounds() {
     let list = [vec![0; ENTRIES - 1], vec![1]].concat();
     let lists = Lists::new(&gpu, splats, vec![list], &small_view([16, 16]));
     let blend = |parts, entries_per_pass| {
-        let how = How { parts, incremental_exp: blocks.incremental_exp, entries_per_pass, ..CHAINED };
+        let how = How { parts, incremental_exp: blocks.tuning.incremental_exp, entries_per_pass, ..CHAINED };
         gpu.read::<[f32; 4]>(&forward(&gpu, &lists, how).accumulated, 256)
     };
     let chosen = blend(blocks.regions_per_subgroup, blocks.entries_per_pass);

@@ -79,7 +79,7 @@ pub fn sort(job: &Job) -> Result<Run> {
     let sort = RadixSort::new(job.context)?;
     let keys = synthetic::keys(job.seed, job.elements as usize);
     let words = u64::from(job.elements) * 4;
-    let histogram = sort.histogram_words(job.elements.into(), u32::BITS) * 4;
+    let histogram = sort.sizes.sort_histogram_words(job.elements.into(), u32::BITS) * 4;
     let requests = [
         ("counts", 16),
         ("keys_a", words),

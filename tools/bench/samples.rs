@@ -75,8 +75,8 @@ impl Operations {
 
 /// Enters samples and operations of the blending kernels into a run.
 pub fn enter(run: &mut Run, samples: BlendSamples, limits: &Limits, arithmetic: Option<&ArithmeticRate>) {
-    let LaunchSizes { incremental_exp, blend, .. } = LaunchSizes::new(limits);
-    let operations = Operations::of(incremental_exp, blend.lanes, blend.region_height);
+    let LaunchSizes { tuning, blend, .. } = LaunchSizes::new(limits);
+    let operations = Operations::of(tuning.incremental_exp, blend.lanes, blend.region_height);
     for kernel in &mut run.kernels {
         let (samples, operations) = match kernel.kernel.as_str() {
             "forward/blend" => (samples.forward, operations.regions),

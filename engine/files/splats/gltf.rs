@@ -185,9 +185,9 @@ struct Attributes<'a> {
 impl Attributes<'_> {
     fn part(&self, placement: Similarity) -> Result<Part> {
         if let Some(packed) = self.extension.extensions.get(PACKED_EXTENSION) {
-            let (spz, bytes) = self.packed(packed)?;
+            let (mut spz, bytes) = self.packed(packed)?;
             let has_own_axes = self.extension.kernel.is_some();
-            let spz = if has_own_axes { spz } else { spz.without_axes() };
+            spz.mirrored = spz.mirrored.map(|is_mirrored| is_mirrored && has_own_axes);
             let &Header { count, sh_degree, .. } = spz.header();
             return Ok(Part { placement, count, sh_degree, bytes, rows: Rows::Packed { spz, has_own_axes } });
         }

@@ -40,7 +40,7 @@ pub(super) struct Spz {
     packing: Packing,
     layout: Layout,
     /// Axes to mirror after unpacking.
-    mirrored: [bool; 3],
+    pub(super) mirrored: [bool; 3],
     header: Header,
 }
 
@@ -76,11 +76,6 @@ impl Spz {
             [] => Err(Error::input(path, "is empty", "download or copy it again")),
             _ => Err(file.damaged("is no SPZ: neither gzip nor an SPZ header")),
         }
-    }
-
-    /// The same SPZ without a conversion of axes: numbers are used as stored.
-    pub(super) fn without_axes(self) -> Self {
-        Self { mirrored: [false; 3], ..self }
     }
 
     /// Opens all planes at their beginning.
@@ -522,7 +517,13 @@ pub(super) const MAX_FRACTIONAL_BITS: u32 = 23;
 const COORDINATE_BITS: u32 = 24;
 
 /// Writes Gaussians block by block, version 4. Memory holds a block and one encoder; temporary files hold the rest.
+///
+/// Versions 2 and 3 are for programs that know no other.
 pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+    if let Some(version @ ..VERSION) = outline.options.spz_version {
+        let mut stream = old(path, version, MIRRORED, outline, produce)?;
+        return atomic::write(path, |writer| io::copy(&mut stream, writer).map(drop));
+    }
     let (packing, files) = packed(path, VERSION, MIRRORED, outline, produce)?;
     let mut streams = Vec::new();
     for (mut file, row_bytes) in files.into_iter().zip(packing.row_bytes()) {
@@ -546,17 +547,6 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
         }
         streams.iter_mut().try_for_each(|(packed, ..)| io::copy(packed, writer).map(drop))
     })
-}
-
-/// Same as [`write`], but version 2 or 3, for programs that know no other.
-pub(super) fn write_old(
-    path: &Path,
-    version: u32,
-    outline: &Outline,
-    produce: &mut Produce<'_>,
-) -> Result<()> {
-    let mut stream = old(path, version, MIRRORED, outline, produce)?;
-    atomic::write(path, |writer| io::copy(&mut stream, writer).map(drop))
 }
 
 /// Makes a file of version 2 or 3 in which some axes are mirrored, ready to be read from its start. `path` is for messages.

@@ -86,7 +86,7 @@ impl Ours {
             ("keys b", words),
             ("values a", words),
             ("values b", words),
-            ("histogram", 4 * sort.histogram_words(pairs.into(), u32::BITS)),
+            ("histogram", 4 * sort.sizes.sort_histogram_words(pairs.into(), u32::BITS)),
             ("digit totals", 4 * sort.digit_total_words()),
             ("unsorted keys", words),
             ("unsorted values", words),
