@@ -38,7 +38,6 @@ struct Entry {
     /// Absent for pinholes. An orthographic camera's fx and fy are pixels per unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     projection: Option<String>,
-    /// Coefficients of a lens.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     coefficients: Option<Coefficients>,
     /// Rolling shutter; the pose above is then that halfway.

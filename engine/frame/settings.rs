@@ -157,7 +157,6 @@ impl RenderSettings {
         [self.extent_word(), self.antialias_bits()]
     }
 
-    /// Returns the ANTIALIAS_ bits.
     pub(crate) fn antialias_bits(&self) -> u32 {
         let bit = |on: bool, bit: u32| if on { bit } else { 0 };
         bit(self.antialias, c::ANTIALIAS_COMPENSATED) | bit(self.antialias_detached, c::ANTIALIAS_DETACHED)

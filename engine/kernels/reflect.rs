@@ -520,7 +520,6 @@ impl Module {
         }
     }
 
-    /// Returns the layout of a type.
     fn shared_layout(&self, ty: u32, spec: &[SpecConstant]) -> Result<Layout, String> {
         let times = |count: &str, of: u32| {
             let Layout { bytes, alignment } = self.shared_layout(of, spec)?;
@@ -598,7 +597,6 @@ fn operation(opcode: u32, v: &[String]) -> Result<String, String> {
     }
 }
 
-/// Returns the string stored in words.
 fn text(words: &[u32]) -> String {
     let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).take_while(|&b| b != 0).collect();
     String::from_utf8_lossy(&bytes).into_owned()

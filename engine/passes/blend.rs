@@ -5,7 +5,6 @@ use crate::frame::{Blending, FrameInputs, FrameVariant, LaunchSizes, Outputs, ti
 use crate::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary};
 use crate::vk::{Context, KernelSet, Limits, Recorder};
 
-/// Kernels of blending.
 pub(crate) struct Blend {
     /// Form of blending.
     pub blending: Blending,

@@ -8,7 +8,6 @@ use crate::kernels::constants as c;
 use crate::kernels::forward::{compact, cull, cull_scenes, write_visible_ranges};
 use crate::vk::{Context, Kernel, KernelSet, Recorder};
 
-/// Kernels of culling.
 pub(crate) struct Cull {
     sizes: LaunchSizes,
     subgroup_size: u32,

@@ -14,7 +14,6 @@ use crate::kernels::forward::{count, duplicate_with_tiles, ranges};
 use crate::scene::Projection;
 use crate::vk::{Buffer, Context, Kernel, KernelSet, Recorder};
 
-/// Kernels of instances.
 pub(crate) struct Instances {
     sizes: LaunchSizes,
     sort: RadixSort,

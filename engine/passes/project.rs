@@ -8,7 +8,6 @@ use crate::kernels::forward::{project, project_scenes, screen_motion, splat_surf
 use crate::scene::Projection;
 use crate::vk::{Context, KernelSet, Recorder};
 
-/// Kernels of projection.
 pub(crate) struct Project {
     sizes: LaunchSizes,
     scene: KernelSet<project::Interface>,

@@ -235,7 +235,6 @@ impl Kernels {
     }
 }
 
-/// One pass of the sort.
 #[derive(Clone, Copy)]
 struct Digit {
     shift: u32,

@@ -272,7 +272,6 @@ impl<'a> RecordedFrame<'a> {
         ]
     }
 
-    /// True if the frame uses this image.
     pub(super) fn uses(&self, image: &Image) -> bool {
         self.images().iter().any(|(_, host)| host.is_some_and(|host| host.image.is_same_as(image)))
     }

@@ -260,7 +260,6 @@ impl Renderer {
         })
     }
 
-    /// Downloads a part of a buffer.
     pub(super) fn read<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, bytes: u64) -> Result<Vec<T>> {
         if bytes == 0 {
             return Ok(Vec::new());

@@ -319,7 +319,6 @@ pub(super) fn field_name(field: &str) -> String {
     format!("{RESERVATION}{field}")
 }
 
-/// Prefix of field names.
 pub(super) const RESERVATION: &str = "Reservation::";
 
 /// Counts of a recorded frame that has finished. For several views

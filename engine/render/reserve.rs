@@ -96,7 +96,6 @@ impl Renderer {
         })
     }
 
-    /// Builds the kernels of a reservation.
     fn prepare(&mut self, wanted: &Reservation) -> Result<()> {
         let compose = match &mut self.compose {
             Some(compose) => compose,

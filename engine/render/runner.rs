@@ -17,7 +17,6 @@ pub(crate) struct FrameRunner {
     pub(crate) store: FrameStore,
 }
 
-/// Inputs of a run.
 #[derive(Clone, Copy)]
 pub(crate) struct Request<'a> {
     pub scene: &'a SceneBuffers,
@@ -84,7 +83,6 @@ impl<'a> Request<'a> {
     }
 }
 
-/// Result of a run.
 pub(crate) struct FrameRun {
     pub state: State,
     pub report: RunReport,
@@ -92,7 +90,6 @@ pub(crate) struct FrameRun {
     pub retries: u32,
 }
 
-/// Reason why a run failed.
 pub(crate) enum Failed {
     /// The frame exceeds the available memory: its counts, and the error.
     OutOfMemory(Box<(State, Error)>),

@@ -221,7 +221,6 @@ pub(super) struct Plan<'a> {
     capacity: FrameCapacity,
     /// Once for each queue: the frame's requests, then optional ones.
     scratch: Requests,
-    /// Number of the frame's requests.
     frame_requests: usize,
     /// For each slot but the first of its queue, whose pixels stay in the queue's scratch.
     pixels: Requests,

@@ -84,7 +84,6 @@ pub(super) struct Family {
     name: &'static str,
     /// Surface on which (a, b) lies.
     pub(super) surface: Surface,
-    /// Number of coefficients.
     coefficients: usize,
     /// Places of the coefficients that refinement of the lens learns. It learns others if they are not 0.
     learned: &'static [usize],

@@ -213,7 +213,6 @@ impl Ring {
     }
 }
 
-/// Cameras in sequence.
 struct Way {
     /// Per camera: place on the way, position, rotation (with signs so that neighbours are near).
     places: Vec<(f64, (DVec3, DQuat))>,

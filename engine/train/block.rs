@@ -256,7 +256,6 @@ pub(super) fn seen(gaussians: &Gaussians, cameras: &[Camera], low_pass_px2: f64)
     seen
 }
 
-/// A block on the device.
 pub(super) struct Block {
     /// State for the checkpoint.
     pub state: BlockState,

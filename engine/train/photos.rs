@@ -78,7 +78,6 @@ pub struct PhotoSize {
 }
 
 impl PhotoSize {
-    /// Width and height, pixels.
     pub(super) fn size(&self) -> (u32, u32) {
         (self.width, self.height)
     }

@@ -74,7 +74,6 @@ pub struct ImageInfo {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct PipelineInfo {
     pub(super) name: &'static str,
-    /// True for the form that reads texels.
     pub(super) texels: bool,
     /// Hash of the replacement SPIR-V, if it is not the kernel's own.
     pub(super) replaced: Option<u64>,

@@ -68,7 +68,6 @@ pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
     Ok(images)
 }
 
-/// Rigs by id.
 pub(super) fn rigs(path: &Path) -> Result<HashMap<u32, Rig>> {
     let mut file = Records::open(path, RIG)?;
     let mut rigs = HashMap::with_capacity(file.count);

@@ -47,7 +47,6 @@ pub(super) type Rig = HashMap<Sensor, Option<Pose>>;
 /// Images that the sensors of a rig took at one time.
 pub(super) struct Frame {
     pub(super) id: u32,
-    /// Id of the rig.
     pub(super) rig: u32,
     /// From the world to the rig.
     pub(super) pose: Pose,

@@ -14,7 +14,6 @@ use crate::names::first_with;
 use ashsplat::scene::{Camera, PointCloud, SourcePoints, WorldFrame, far_camera, median_ball, strays};
 use ashsplat::{Error, Result};
 
-/// Views, points, and warnings.
 #[derive(Default)]
 pub(super) struct Plan {
     /// The folder of the model, or the file with the cameras.

@@ -26,7 +26,6 @@ pub(crate) struct PlannedView {
     pub(super) translation: DVec3,
     /// Rolling shutter, in source units.
     pub(super) shutter: Option<Shutter>,
-    /// The frame of the view's cameras.
     pub(super) frame: WorldFrame,
     /// The lens at the photo's size.
     pub(super) lens: PhotoLens,
@@ -44,7 +43,6 @@ pub(crate) struct PlannedView {
     pub(super) coarse_mask: Option<Mask>,
     /// The used part of the photo; `None` for the whole.
     pub(super) crop: Option<Crop>,
-    /// True if the view is held out.
     pub(super) held_out: bool,
     /// The inverse-depth map that is read with the photo.
     pub(super) map: Option<PlannedMap>,
@@ -121,7 +119,6 @@ impl PlannedView {
         self.camera_in(&self.frame)
     }
 
-    /// The camera in another frame.
     pub(super) fn camera_in(&self, frame: &WorldFrame) -> Camera {
         let translation = frame.translation(self.camera_from_source, self.translation);
         let camera = self.used.camera(self.camera_from_source.as_mat3(), translation);

@@ -26,7 +26,6 @@ pub(super) const UNREAD_KIND: &str = "its colours are of a kind that is not read
 /// Bytes that usually hold everything before the pixels, including a preview in the metadata.
 const HEADER_BYTES: u64 = 256 << 10;
 
-/// Properties of a picture from its header.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Header {
     /// Width and height as stored, pixels.
@@ -103,7 +102,6 @@ impl<'a> Request<'a> {
 }
 
 pub(crate) struct Decoded {
-    /// The picture, scaled.
     pub(crate) photo: Photo,
     /// The alpha channel of a picture that has one, one byte per pixel, not scaled.
     pub(crate) alpha: Option<Vec<u8>>,

@@ -160,7 +160,6 @@ pub(crate) enum RenderMode {
     Unknown(String),
 }
 
-/// The note about a scene of 2DGS.
 pub(super) const DISKS: &str = "this is a 2DGS scene: its disks are used as 3D Gaussians without thickness, so pictures differ from 2DGS";
 
 impl Marks {
@@ -186,7 +185,6 @@ impl Marks {
         }
     }
 
-    /// Warning for the user, if any.
     pub(crate) fn warning(&self) -> Option<String> {
         match &self.mode {
             RenderMode::Default | RenderMode::Mip => None,

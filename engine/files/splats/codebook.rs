@@ -88,7 +88,6 @@ fn first_values(sorted: &[f32]) -> Vec<f64> {
 
 /// A palette of vectors, with 256 different values in all.
 pub(super) struct Palette {
-    /// The values.
     pub(super) book: [f32; LEVELS],
     /// Indices of the values of all vectors, one vector after the other.
     pub(super) vectors: Vec<u8>,

@@ -334,7 +334,6 @@ struct OriginJson {
     origin: [f64; 3],
 }
 
-/// Path of the file with the origin.
 fn origin_path(path: &Path) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(".origin.json");

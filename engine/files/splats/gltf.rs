@@ -63,7 +63,6 @@ enum Rows {
     },
 }
 
-/// Gaussians in accessors.
 struct PlainRows {
     position: Accessor,
     rotation: Accessor,

@@ -47,7 +47,6 @@ pub(super) struct Spz {
 /// A reader that ends at the end of the SPZ.
 type Bytes = BufReader<io::Take<File>>;
 
-/// Location of the planes.
 enum Layout {
     /// All planes in one gzip stream, followed by at most `extensions` bytes of extensions.
     Gzip { extensions: u64 },
@@ -378,7 +377,6 @@ struct Packing {
     version: u32,
     /// Stored degree, 0 to 4.
     sh_degree: u32,
-    /// Fractional bits of a coordinate.
     fractional_bits: u32,
 }
 

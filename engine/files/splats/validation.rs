@@ -24,7 +24,6 @@ const MAX_LOG_SCALE: f32 = 88.0;
 #[derive(Default)]
 pub(super) struct Validation {
     seen: u64,
-    /// Number of unusable Gaussians so far.
     pub(super) unusable: u64,
     /// Row, parameter and value of the first one.
     first: Option<(u64, String, f32)>,

@@ -28,7 +28,6 @@ const FAINTEST_SHARE: f64 = 0.2;
 /// Largest opacity after a reset, if Gaussians are to recover from it.
 const RECOVERABLE_OPACITY: f64 = 0.05;
 
-/// Gaussians that a pruning removes.
 #[derive(Clone, Copy)]
 enum Pruned {
     /// Gaussians fainter than this opacity.
