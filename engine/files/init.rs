@@ -2,7 +2,6 @@
 
 use std::collections::HashMap;
 
-use glam::{DMat3, DVec3};
 use kdtree::KdTree;
 use kdtree::distance::squared_euclidean;
 use rand::{RngExt, SeedableRng};
@@ -13,7 +12,7 @@ use ashsplat::scene::camera::Camera;
 use ashsplat::scene::gaussians::{Gaussians, MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::points::{Bounds, PointCloud};
 use ashsplat::scene::sh::rgb_to_sh_dc;
-use ashsplat::scene::without_strays;
+use ashsplat::scene::{nearest_to_axes, without_strays};
 use ashsplat::{Error, Result};
 
 /// Number of random points that replace a missing point cloud (reference implementation).
@@ -121,20 +120,7 @@ const SEEN_SHARE: f32 = 0.9;
 /// cameras do not look at one place: the centre is behind more than a tenth of them, or their axes are parallel.
 pub fn seen_box(cameras: &[Camera]) -> Option<Bounds> {
     let cameras = &without_strays(cameras, Camera::position);
-    let mut across = DMat3::ZERO;
-    let mut sum = DVec3::ZERO;
-    for camera in cameras {
-        let axis = camera.forward().as_dvec3();
-        // Projects onto the plane perpendicular to the axis.
-        let project = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
-        across += project;
-        sum += project * camera.position().as_dvec3();
-    }
-    // Parallel axes have no nearest point.
-    if across.determinant() < 1e-6 * (cameras.len() as f64).powi(3) {
-        return None;
-    }
-    let center = (across.inverse() * sum).as_vec3();
+    let center = nearest_to_axes(cameras, 1e-6)?;
     let half_edge = |camera: &Camera| {
         let depth = camera.forward().dot(center - camera.position());
         let half = (0.5 * camera.width as f32 / camera.fx).min(0.5 * camera.height as f32 / camera.fy);

@@ -39,7 +39,7 @@ pub(crate) use lens::LENS_PARAMETERS;
 pub use lens::{COLMAP_MODELS, Coefficients, Projection};
 pub use lens_effects::LensEffects;
 pub(crate) use lens_effects::LensPlane;
-pub use orbit::{Orbit, level_up};
+pub use orbit::{Orbit, level_up, nearest_to_axes};
 pub use photo::Photo;
 pub use photo_lens::{PhotoLens, colmap_parameters};
 pub use points::{Bounds, PointCloud, SourcePoints};

@@ -70,7 +70,7 @@ impl Orbit {
         let up = level_up(cameras).map_or(Vec3::NEG_Y, |up| up.as_vec3());
         let middle = mean(&|c| c.position());
         let forward = mean(&|c| c.forward());
-        let center = nearest_to_axes(cameras)
+        let center = nearest_to_axes(cameras, PARALLEL)
             .or_else(|| scene_center.filter(|center| (*center - middle).dot(forward) > 0.0))
             .unwrap_or(middle + forward);
         let radius = cameras.iter().map(|c| c.position().distance(center)).sum::<f32>() / n;
@@ -94,8 +94,12 @@ pub fn level_up(cameras: &[Camera]) -> Option<DVec3> {
     (0..INVERSE_ITERATIONS).try_fold(mean.as_dvec3().try_normalize()?, |up, _| (inverse * up).try_normalize())
 }
 
-/// Point with the least sum of squared distances to the cameras' optical axes.
-pub(super) fn nearest_to_axes(cameras: &[Camera]) -> Option<Vec3> {
+/// Mean sin² between axes below which they determine no depth.
+pub(super) const PARALLEL: f64 = 1e-4;
+
+/// Point with the least sum of squared distances to the cameras' optical axes. None if these are parallel: the determinant of
+/// their mean projection, which falls to 0 then, is at most `least`.
+pub fn nearest_to_axes(cameras: &[Camera], least: f64) -> Option<Vec3> {
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for camera in cameras {
         let d = camera.forward().as_dvec3();
@@ -103,7 +107,6 @@ pub(super) fn nearest_to_axes(cameras: &[Camera]) -> Option<Vec3> {
         a += across;
         b += across * camera.position().as_dvec3();
     }
-    // The determinant falls to 0 as the axes become parallel; a mean sin² below 1e-4 does not determine a depth.
     let scaled = a * (1.0 / cameras.len() as f64);
-    (scaled.determinant() > 1e-4).then(|| (a.inverse() * b).as_vec3()).filter(|p| p.is_finite())
+    (scaled.determinant() > least).then(|| (a.inverse() * b).as_vec3()).filter(|p| p.is_finite())
 }

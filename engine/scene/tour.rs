@@ -1,7 +1,7 @@
 //! Camera paths close to existing cameras.
 
 use super::camera::{Camera, Intrinsics};
-use super::orbit::{Orbit, level_up, nearest_to_axes};
+use super::orbit::{Orbit, PARALLEL, level_up, nearest_to_axes};
 use super::strays::without_strays;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use std::f64::consts::{PI, TAU};
@@ -170,7 +170,7 @@ impl Ring {
         if cameras.len() < 3 {
             return None;
         }
-        let center = nearest_to_axes(cameras)?.as_dvec3();
+        let center = nearest_to_axes(cameras, PARALLEL)?.as_dvec3();
         let up = level_up(cameras)?;
         let side = up.any_orthonormal_vector();
         let axes = [up, side, up.cross(side)];

@@ -7,7 +7,7 @@ use super::memory::{Block, Buffer, PLACEMENT_ALIGNMENT, pack, padded};
 use super::open_device::Device;
 use super::pipeline::DescriptorSets;
 use super::profile::{MAX_SCOPES, Profiler, ScopeTime};
-use super::recorder::{ForeignTarget, Kept, Recorder, Target};
+use super::recorder::{Kept, Recorder, Target};
 use super::requirements::Requirements;
 use crate::error::{Error, Result};
 use ash::vk;
@@ -232,10 +232,10 @@ impl RecordSlot {
         if let Some(sets) = &mut *lock(&self.descriptors) {
             sets.reset();
         }
-        let target = ForeignTarget { raw: commands.raw, descriptors: self.descriptors.clone() };
+        let target = Target::Foreign(commands.raw, self.descriptors.clone());
         let profiler = self.spare.take().unwrap_or_default().again(queries);
         let kept = self.kept.clone();
-        let mut recorder = Recorder::begin(Target::Foreign(target), inner.clone(), kept, profiler, label);
+        let mut recorder = Recorder::begin(target, inner.clone(), kept, profiler, label);
         recorder.barrier();
         Ok(recorder)
     }

@@ -110,15 +110,8 @@ pub struct Recorder {
 
 pub(super) enum Target {
     Owned(Box<Commands>),
-    /// A command buffer that the host submits: see [`super::RecordSlot::begin`].
-    Foreign(ForeignTarget),
-}
-
-/// A host's command buffer, and the descriptor sets of a [`super::RecordSlot`].
-pub(super) struct ForeignTarget {
-    pub(super) raw: vk::CommandBuffer,
-    /// None with push descriptors.
-    pub(super) descriptors: Arc<Mutex<Option<DescriptorSets>>>,
+    /// A command buffer that the host submits, and the sets of its [`super::RecordSlot`]; None with push descriptors.
+    Foreign(vk::CommandBuffer, Arc<Mutex<Option<DescriptorSets>>>),
 }
 
 impl Recorder {
@@ -163,7 +156,7 @@ impl Recorder {
     pub(super) fn finish_foreign(mut self) -> (vk::CommandBuffer, Profiler) {
         self.profiler.end(&self.inner, self.raw());
         match self.commands {
-            Target::Foreign(target) => (target.raw, self.profiler),
+            Target::Foreign(raw, _) => (raw, self.profiler),
             Target::Owned(_) => panic!("an own command buffer is submitted by the context"),
         }
     }
@@ -176,14 +169,14 @@ impl Recorder {
                 let kept = std::mem::take(&mut *lock(&self.kept));
                 (*commands, self.profiler, kept, self.audit)
             }
-            Target::Foreign(_) => panic!("a foreign command buffer is submitted by its owner"),
+            Target::Foreign(..) => panic!("a foreign command buffer is submitted by its owner"),
         }
     }
 
     pub(super) fn raw(&self) -> vk::CommandBuffer {
         match &self.commands {
             Target::Owned(commands) => commands.raw(),
-            Target::Foreign(target) => target.raw,
+            Target::Foreign(raw, _) => *raw,
         }
     }
 
@@ -587,7 +580,7 @@ impl Recorder {
         let set = match &mut self.commands {
             _ if writes.is_empty() => None,
             Target::Owned(commands) => commands.descriptors.as_mut().map(next).transpose()?,
-            Target::Foreign(target) => lock(&target.descriptors).as_mut().map(next).transpose()?,
+            Target::Foreign(_, descriptors) => lock(descriptors).as_mut().map(next).transpose()?,
         };
         let (raw, device, point) = (self.raw(), &self.inner.device, vk::PipelineBindPoint::COMPUTE);
         let PipelineHandles { raw: handle, layout, .. } = pipeline.handles;
