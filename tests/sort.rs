@@ -35,7 +35,8 @@ fn sorted(
         None => gpu.untouched::<u32>("values_a", n + 3),
     };
     let values_of = [values_a, gpu.untouched::<u32>("values_b", n + 3)];
-    let histogram = gpu.untouched::<u32>("histogram", sort.sizes.sort_histogram_words(n as u64 + 3, bits) as usize);
+    let histogram =
+        gpu.untouched::<u32>("histogram", sort.sizes.sort_histogram_words(n as u64 + 3, bits) as usize);
     let digit_totals = gpu.untouched::<u32>("digit_totals", sort.digit_total_words() as usize);
     let buffers = SortBuffers {
         counts: &counts,

@@ -168,7 +168,9 @@ impl Camera {
         let Shutter { turn, shift, .. } = self.shutter?;
         match () {
             () if self.is_orthographic() => Some("an orthographic camera has no rolling shutter"),
-            () if !(turn.is_finite() && shift.is_finite()) => Some("a motion of the shutter that is not finite"),
+            () if !(turn.is_finite() && shift.is_finite()) => {
+                Some("a motion of the shutter that is not finite")
+            }
             () if turn.length() > 1.001 * PI => Some("a turn of the shutter beyond half a circle"),
             () => None,
         }

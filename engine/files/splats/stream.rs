@@ -250,7 +250,8 @@ impl<'a> Reader<'a> {
     /// Passes the usable Gaussians to the sink. Returns the number of dropped ones.
     pub(crate) fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<u64> {
         let Header { count, format, .. } = *self.header();
-        let row_name = if matches!(format, Format::Ply | Format::CompressedPly) { "vertex" } else { "Gaussian" };
+        let row_name =
+            if matches!(format, Format::Ply | Format::CompressedPly) { "vertex" } else { "Gaussian" };
         let drop_invalid = self.options.drop_invalid;
         let mut validation = Validation::default();
         self.source.blocks(&mut |mut block| {
