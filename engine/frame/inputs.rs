@@ -258,6 +258,11 @@ impl Batch {
         let frame = FrameBatches { head: NO_BATCH, all: false };
         Self { first: NO_BATCH, scenes: 0, end: 0, next: NO_BATCH, parameters, frame }
     };
+
+    /// A scene that may join a batch.
+    pub(crate) fn none_yet(parameters: Parameters) -> Self {
+        Self { parameters, ..Self::ALONE }
+    }
 }
 
 /// A scene of a frame. It is small, because a frame may have thousands: what it refers to is read where it is needed.

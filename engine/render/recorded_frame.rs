@@ -233,7 +233,7 @@ impl<'a, 'b> Placing<'a, 'b> {
                 let pose = placed.previous_pose.as_ref().unwrap_or(&placed.pose);
                 PreviousView { camera: motion.previous_camera, pose }
             }),
-            batch: Batch { parameters: placed.scene.parameters, ..Batch::ALONE },
+            batch: Batch::none_yet(placed.scene.parameters),
         }
     }
 }
