@@ -1,6 +1,7 @@
 //! The rules of the house that a machine can check.
 
 use crate::common::root;
+use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -85,6 +86,104 @@ fn architecture_unsafe_only_under_vk() {
     assert_none("only engine/vk, hosts and the C interface may do this", places.collect());
 }
 
+// ---- dependencies between modules ---------------------------------------------------------------------------------
+
+/// True if the order of the rooms lets one name the other. The table of tunings and the hash of data stand on the ground.
+fn may_name(module: &str, target: &str) -> bool {
+    const ORDER: [&str; 8] = ["error", "scene", "vk", "kernels", "frame", "passes", "render", "train"];
+    let floor = |name: &str| ORDER.iter().position(|room| *room == name).unwrap_or(ORDER.len());
+    floor(target) < floor(module) && !(module == "vk" && target == "scene")
+}
+
+fn module_of(path: &str) -> &str {
+    let below = path.strip_prefix("engine/").unwrap_or(path);
+    below.split('/').next().unwrap_or(below).trim_end_matches(".rs")
+}
+
+/// The first names behind each `crate::`, also within braces.
+fn names_used(text: &str) -> Vec<String> {
+    let code: String = text.lines().map(|line| without_comment(line).to_owned() + "\n").collect();
+    let mut names = Vec::new();
+    for (at, found) in code.match_indices("crate::").filter(|(at, _)| !code[..*at].ends_with('$')) {
+        let rest = &code[at + found.len()..];
+        let Some(group) = rest.strip_prefix('{') else {
+            names.extend(first_name(rest));
+            continue;
+        };
+        let (mut depth, mut start) = (0, 0);
+        for (place, c) in group.char_indices() {
+            match c {
+                '{' => depth += 1,
+                '}' if depth > 0 => depth -= 1,
+                ',' | '}' if depth == 0 => {
+                    names.extend(first_name(&group[start..place]));
+                    start = place + 1;
+                    if c == '}' {
+                        break;
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+    names
+}
+
+fn first_name(text: &str) -> Option<String> {
+    let name: String = text.trim_start().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
+    (!name.is_empty()).then_some(name)
+}
+
+/// Which module each name that lib.rs re-exports belongs to.
+fn re_exports(lib: &str) -> HashMap<String, String> {
+    let mut exports = HashMap::new();
+    let code: String = lib.lines().map(|line| without_comment(line).to_owned() + " ").collect();
+    for statement in code.split(';') {
+        let Some((_, path)) = statement.split_once("pub use ") else { continue };
+        let module = first_name(path).unwrap_or_default();
+        let names = path.split(|c: char| !(c.is_alphanumeric() || c == '_')).filter(|name| !name.is_empty());
+        for name in names {
+            exports.insert(name.to_owned(), module.clone());
+        }
+    }
+    exports
+}
+
+fn forbidden_arrows(source: &Source, exports: &HashMap<String, String>) -> Vec<String> {
+    let module = module_of(&source.path);
+    if module == "lib" {
+        return vec![];
+    }
+    let ground = ["crate::frame::tuning::", "crate::scene::Fingerprint"];
+    let text = ground.iter().fold(source.text.clone(), |text, path| text.replace(path, "crate::error::"));
+    names_used(&text)
+        .into_iter()
+        .map(|name| exports.get(&name).cloned().unwrap_or(name))
+        .filter(|target| target != module && !may_name(module, target))
+        .map(|target| format!("{}: {module} → {target}", source.path))
+        .collect()
+}
+
+#[test]
+fn architecture_dependencies_point_one_way() {
+    let sources = sources(&["engine"], &["rs"]);
+    let lib = sources.iter().find(|s| s.path == "engine/lib.rs").expect("the crate has a root");
+    let exports = re_exports(&lib.text);
+    // The crate of files has names of its own: Cargo sees to it that it stands above the engine.
+    let (files, engine): (Vec<_>, Vec<_>) =
+        sources.iter().partition(|source| source.path.starts_with("engine/files/"));
+    let arrows = engine.iter().flat_map(|source| forbidden_arrows(source, &exports)).collect();
+    assert_none("arrows against the order of the modules", arrows);
+    assert!(!files.is_empty());
+    let vulkan = files.iter().filter(|source| source.text.contains(concat!("ashsplat::", "vk")));
+    assert_none("files know no Vulkan", vulkan.map(|source| source.path.clone()).collect());
+    // Paths of the tools into the engine's files other than through the crate.
+    let tools = self::sources(&["tools"], &["rs"]);
+    let includes = |text: &str| text.contains("#[path") || text.contains("include!");
+    let inside = tools.iter().filter(|source| source.text.contains("engine/") && includes(&source.text));
+    assert_none("tools stand on the public API only", inside.map(|source| source.path.clone()).collect());
+}
+
 // ---- code in general ----------------------------------------------------------------------------------------------
 
 #[test]
@@ -96,6 +195,25 @@ fn architecture_errors_are_returned() {
     sources.retain(|source| !source.path.starts_with("engine/kernels/") && !source.path.contains("/tests/"));
     let found = lines_with(&sources, |line| calls.iter().any(|call| line.contains(call)));
     assert_none("unwrap or expect outside tests", found);
+}
+
+// ---- data ---------------------------------------------------------------------------------------------------------
+
+/// No file has the bytes of one of the shared folder. Files of a few bytes may agree by chance.
+#[test]
+fn architecture_nothing_is_copied_from_the_shared_folder() {
+    let size = |path: &Path| path.metadata().map_or(0, |metadata| metadata.len());
+    let mut shared: HashMap<u64, Vec<PathBuf>> = HashMap::new();
+    for path in files_below(&crate::common::shared_folder()) {
+        shared.entry(size(&path)).or_default().push(path);
+    }
+    let is_copy = |path: &PathBuf| {
+        let mut of_its_size = shared.get(&size(path)).into_iter().flatten();
+        size(path) > 16 && of_its_size.any(|other| fs::read(path).ok() == fs::read(other).ok())
+    };
+    let folders = ["engine", "glsl", "tools", "tests", ".ci"].map(|folder| files_below(&root().join(folder)));
+    let copies = folders.into_iter().flatten().filter(is_copy).map(|path| path.display().to_string());
+    assert_none("copied", copies.collect());
 }
 
 // ---- readers: contents must not decide length of queues, or waits --------------------------------------------------
