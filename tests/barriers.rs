@@ -99,7 +99,7 @@ impl Training {
                 &context,
                 OptimizerForm { moved_cameras: true, ..OptimizerForm::default() },
             ),
-            moments: Moments { first: planes_of("moments"), second: planes_of("moments") },
+            moments: Moments { plan: scene.plan, sets: vec![planes_of("moments"), planes_of("moments")] },
             gradients: planes_of("gradients"),
             frame: FrameBuffers::from_allocated(frame),
             others: context.allocate("test", &others, MemoryKind::Device).expect("buffers"),
@@ -164,7 +164,7 @@ impl Training {
         recorder.barrier();
         let rates =
             Rates { mean: 1e-4, opacity: 0.025, quat: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
-        let step = Step { rates, count: 1, opacity_count: 1 };
+        let step = Step { rates, count: 1, opacity_count: 1, seed: 0, iteration: 1 };
         if kind != Kind::Poses {
             return self.optimizer.record(recorder, &inputs, &self.moments, &[], &step);
         }

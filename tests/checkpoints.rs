@@ -4,7 +4,7 @@ use crate::common::device::planned_peak;
 use crate::common::prelude::*;
 use crate::few_photos::{few, mapped};
 use ashsplat::scene::WorldFrame;
-use ashsplat::train::{Actions, OptimizerType};
+use ashsplat::train::{Actions, MomentState, OptimizerType};
 use glam::DVec3;
 use std::path::Path;
 
@@ -36,7 +36,11 @@ fn numbers_out_of_their_range_are_refused() {
         ("scene_extent: is inf", &|c| c.scene_extent = f32::INFINITY),
         ("sh_degree_interval: is 0", &|c| c.settings.sh_degree_interval = 0),
         ("means: value 4 is NaN", &|c| c.gaussians.means[1][1] = f32::NAN),
-        ("second_moment.opacity_logits: value 2 is -1", &|c| c.second_moments.opacity_logits[2] = -1.0),
+        ("second_moment.opacity_logits: value 2 is -1", &|c| {
+            if let MomentState::F32([_, second]) = &mut c.moments {
+                second.opacity_logits[2] = -1.0;
+            }
+        }),
     ];
     for (words, spoil) in kinds {
         assert_says(refusal(read(spoil)), &[words, "checkpoint.safetensors"]);

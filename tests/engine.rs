@@ -3,7 +3,6 @@
 extern crate ashsplat_reference as reference;
 
 mod address_space;
-mod averages;
 mod backends;
 mod barriers;
 mod blending_forms;

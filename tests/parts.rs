@@ -470,8 +470,8 @@ fn run(
 fn absolute_statistics_leave_the_training_as_it_is() {
     let of = |absolute| run(context(), views(3, 9), (absolute, u32::MAX), &[]);
     let (without, with) = (of(false), of(true));
-    assert!(without.gaussians == with.gaussians && without.first_moments == with.first_moments);
-    assert!(without.second_moments == with.second_moments && without.statistics == with.statistics);
+    assert!(without.gaussians == with.gaussians && without.moments == with.moments);
+    assert!(without.statistics == with.statistics);
     let [other, absolute] = &with.strategy.statistics[..] else { panic!("two statistics") };
     assert_eq!((absolute.name.as_str(), absolute.floats), ("absolute_statistics", 1));
     assert!(other.values.iter().all(|&value| value == 0.0));

@@ -5,7 +5,7 @@ use crate::common::prelude::*;
 use crate::common::training::{forecast, photo_size};
 use ashsplat::frame::initial_visible;
 use ashsplat::scene::Bounds;
-use ashsplat::train::{Capacities, SceneBlock};
+use ashsplat::train::{Capacities, MomentsType, SceneBlock};
 
 const SIZE: [u32; 2] = [64, 48];
 const COUNT: u32 = 24_000;
@@ -76,7 +76,7 @@ fn steps_that_are_run_again_leave_the_bits_of_others() {
     };
     for settings in [
         TrainSettings { exposure: true, pose_opt: true, filter_3d: true, ..usual.clone() },
-        TrainSettings { iterations: 12, sh_degree: 1, average_last: 0.5, dropout: 0.1, ..growing },
+        TrainSettings { iterations: 12, sh_degree: 1, dropout: 0.1, ..growing },
     ] {
         let run = run(context(), settings);
         let mut started = run.begin();
@@ -127,9 +127,9 @@ fn a_reserve_gives_way_to_a_frame_in_the_middle_of_a_run() {
         exposure: true,
         ..TrainSettings::of_strategy(StrategyType::Budget)
     };
-    let means = TrainSettings { average_last: 1.0, ..budget.clone() };
+    let packed = TrainSettings { moments: MomentsType::Packed, ..budget.clone() };
     let poses = TrainSettings { pose_opt: true, ..budget };
-    for settings in [few_first, means, poses] {
+    for settings in [few_first, packed, poses] {
         a_reserve_gives_way(&settings);
     }
 }

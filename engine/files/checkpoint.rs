@@ -15,11 +15,11 @@ use crate::{atomic, cost, regular_file};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Fingerprint, Gaussians, WorldFrame};
 use ashsplat::train::checkpoint::{
-    AppearanceMeans, Capacities, Checkpoint, ExposureState, MeanState, PoseState, StrategyState,
-    StrategyStatistic, Tensor,
+    Capacities, Checkpoint, ExposureState, MomentState, PoseState, StrategyState, StrategyStatistic, Tensor,
+    packed_planes,
 };
 use ashsplat::train::strategy::Actions;
-use ashsplat::train::{BlockState, LENS_STATE_VALUES, TrainSettings};
+use ashsplat::train::{BlockState, LENS_STATE_VALUES, MomentsType, TrainSettings};
 use ashsplat::{Error, Result};
 
 /// Changes when older files can no longer be read.
@@ -28,7 +28,6 @@ const FORMAT: &str = "ashsplat-checkpoint/3";
 const FINGERPRINT: &str = "metadata_fingerprint";
 /// Present only if memory was bounded.
 const MAX_MEMORY: &str = "room_max_memory";
-const AVERAGED_STEPS: &str = "mean_steps";
 /// Key of [`Checkpoint::skipped`]. The oldest files lack it.
 const SKIPPED: &str = "left_out";
 /// Actions of [`Checkpoint::due`] that have a metadata entry of their own.
@@ -72,10 +71,10 @@ impl CheckpointFile for Checkpoint {
         metadata.insert(FINGERPRINT.into(), format!("{:016x}", fingerprint_of(&metadata)));
         header.insert("__metadata__".into(), json!(metadata));
         let mut end = 0;
-        for Tensor { name, shape, bytes } in &tensors {
+        for Tensor { name, shape, bytes, dtype } in &tensors {
             let begin = end;
             end += bytes.len();
-            let entry = json!({"dtype": "F32", "shape": shape, "data_offsets": [begin, end]});
+            let entry = json!({"dtype": dtype, "shape": shape, "data_offsets": [begin, end]});
             header.insert(name.clone(), entry);
         }
         let mut header = Value::Object(header).to_string().into_bytes();
@@ -144,7 +143,6 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         ("view_order_epoch", (u64::from(checkpoint.iteration) / views).to_string()),
         ("view_order_position", (u64::from(checkpoint.iteration) % views).to_string()),
     ];
-    let averaged = checkpoint.means.as_ref().map(|means| (AVERAGED_STEPS, means.steps.to_string()));
     let due = DUE.map(|(name, action)| (name, checkpoint.due.contains(action).to_string()));
     let others = DUE.iter().fold(checkpoint.due, |due, (_, action)| due.without(*action));
     let others = (!others.is_empty()).then(|| (OTHERS_DUE, others.0.to_string()));
@@ -156,7 +154,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     let frame = [origin.x, origin.y, origin.z, unit].map(|value| value.to_string()).join(",");
     let frame = (!checkpoint.frame.is_identity()).then_some((FRAME, frame));
     let named = pairs.into_iter().chain(room).chain(due).chain(others).chain(max_memory);
-    let named = named.chain(averaged).chain(frame).chain(block);
+    let named = named.chain(frame).chain(block);
     let own = checkpoint.strategy.values.iter();
     let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
     Ok(named.map(|(name, value)| (name.to_owned(), value)).chain(own).collect())
@@ -202,12 +200,12 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     if !cfg!(fuzzing) && fingerprint_of(&metadata.0) != metadata.hexadecimal(FINGERPRINT)? {
         return Err("is damaged: its metadata do not have the fingerprint that they were written with".into());
     }
+    let (settings, gaussians) = (metadata.settings()?, gaussians_of(&tensors, Checkpoint::SETS[0])?);
     let checkpoint = Checkpoint {
         version: metadata.text("version")?.to_owned(),
         device: metadata.text("device")?.to_owned(),
         driver: metadata.text("driver")?.to_owned(),
         kernels: metadata.text(KERNELS)?.to_owned(),
-        settings: metadata.settings()?,
         views: metadata.parsed("views")?,
         views_fingerprint: metadata.hexadecimal("views_fingerprint")?,
         scene_extent: f32::from_bits(metadata.hexadecimal("scene_extent_bits")? as u32),
@@ -216,9 +214,15 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         optimizer_steps: metadata.parsed("optimizer_steps")?,
         opacity_steps: metadata.parsed("opacity_steps")?,
         due: metadata.due()?,
-        gaussians: gaussians(&tensors, Checkpoint::SETS[0])?,
-        first_moments: gaussians(&tensors, Checkpoint::SETS[1])?,
-        second_moments: gaussians(&tensors, Checkpoint::SETS[2])?,
+        moments: match settings.moments {
+            MomentsType::F32 => {
+                let [_, first, second] = Checkpoint::SETS;
+                MomentState::F32([gaussians_of(&tensors, first)?, gaussians_of(&tensors, second)?])
+            }
+            MomentsType::Packed => MomentState::Packed(packed_moments(&tensors, gaussians.sh_degree)?),
+        },
+        settings,
+        gaussians,
         statistics: values(&tensors, "statistics", &[2])?,
         filters: optional_values(&tensors, Checkpoint::FILTERS, &[])?,
         strategy: StrategyState {
@@ -226,14 +230,6 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             terms: metadata.terms(),
             statistics: strategy_statistics(&header, &tensors)?,
             values: metadata.strategy(),
-        },
-        means: match metadata.optional(AVERAGED_STEPS)? {
-            None | Some(0) => None,
-            Some(steps) => Some(MeanState {
-                steps,
-                gaussians: gaussians(&tensors, Checkpoint::MEANS)?,
-                appearance: appearance_means(&tensors)?,
-            }),
         },
         exposures: appearance_state(&tensors, Checkpoint::EXPOSURES)?,
         lenses: appearance_state(&tensors, Checkpoint::LENSES)?,
@@ -396,16 +392,22 @@ fn appearance_state(tensors: &SafeTensors, own: &str) -> Result<ExposureState, S
     })
 }
 
-fn appearance_means(tensors: &SafeTensors) -> Result<AppearanceMeans, String> {
-    let of = |own| matrices(tensors, Checkpoint::MEANS, own);
-    Ok(AppearanceMeans { exposures: of(Checkpoint::EXPOSURES)?, lenses: of(Checkpoint::LENSES)? })
-}
-
 fn matrices(tensors: &SafeTensors, prefix: &str, own: &str) -> Result<Vec<[[f32; 4]; 3]>, String> {
     optional_values(tensors, &[prefix, own].concat(), &[3, 4])
 }
 
-fn gaussians(tensors: &SafeTensors, prefix: &str) -> Result<Gaussians, String> {
+fn packed_moments(tensors: &SafeTensors, sh_degree: u32) -> Result<Vec<[u32; 4]>, String> {
+    let name = Checkpoint::PACKED_MOMENTS;
+    let tensor = tensors.tensor(name).map_err(|_| format!("lacks the tensor '{name}'"))?;
+    let fits = tensor.shape().get(1..) == Some(&[packed_planes(sh_degree), 4]);
+    if fits && tensor.dtype() == Dtype::U32 {
+        Ok(bytemuck::pod_collect_to_vec(tensor.data()))
+    } else {
+        Err(odd(name, &tensor))
+    }
+}
+
+fn gaussians_of(tensors: &SafeTensors, prefix: &str) -> Result<Gaussians, String> {
     let named = |name: &str| format!("{prefix}{name}");
     let sh_name = named("sh");
     let sh = tensors.tensor(&sh_name).map_err(|_| format!("lacks the tensor '{sh_name}'"))?;

@@ -176,9 +176,9 @@ buffer_set! {
 }
 
 /// Returns the buffers that were allocated for `N` requests.
-pub(crate) fn array_of<const N: usize>(buffers: Vec<Buffer>) -> [Buffer; N] {
-    match buffers.try_into() {
-        Ok(buffers) => buffers,
+pub(crate) fn array_of<T, const N: usize>(all: Vec<T>) -> [T; N] {
+    match all.try_into() {
+        Ok(all) => all,
         Err(_) => panic!("one buffer per request"),
     }
 }

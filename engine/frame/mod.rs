@@ -26,7 +26,7 @@ pub(crate) use inputs::{Parameters, Part};
 pub use launch_sizes::{BlendShape, LaunchSizes, blocks, region_height};
 pub use outputs::Outputs;
 pub(crate) use outputs::record_scene_firsts;
-pub(crate) use plan::plane_group;
+pub(crate) use plan::half_parameter_planes;
 pub use plan::{
     FrameCapacity, GaussianRange, LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, ScenePlan, first_frozen,
     gaussians_with, initial_instances, initial_visible, max_trained_among, max_trained_gaussians,

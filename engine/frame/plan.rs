@@ -27,15 +27,11 @@ pub const fn parameter_planes(sh_degree: u32) -> u32 {
 }
 
 /// Same as [`parameter_planes`] with SH in halves, two planes in one.
-const fn half_parameter_planes(sh_degree: u32) -> u32 {
+pub(crate) const fn half_parameter_planes(sh_degree: u32) -> u32 {
     PLANE_SH + (parameter_planes(sh_degree) - PLANE_SH).div_ceil(2)
 }
 
 /// Returns the planes stored together with `plane`: the geometry, or one SH degree.
-pub(crate) fn plane_group(plane: u32) -> Range<u32> {
-    group_of(plane, parameter_planes)
-}
-
 fn group_of(plane: u32, planes_up_to: fn(u32) -> u32) -> Range<u32> {
     match (0..=3).find(|&degree| plane < planes_up_to(degree)) {
         _ if plane < PLANE_SH => 0..PLANE_SH,
@@ -105,9 +101,20 @@ impl ScenePlan {
         u64::from(self.chunk_gaussians) * u64::from(self.planes) * 16
     }
 
+    /// Plan for the same Gaussians with two SH planes in one.
+    pub(crate) fn halved(&self) -> Self {
+        Self { half_sh: true, planes: half_parameter_planes(self.sh_degree), ..*self }
+    }
+
+    /// Returns where a plane is in a chunk, as `place_in` of planes.glsl takes it.
+    pub(crate) fn plane_place(&self, plane: u32) -> [u32; 3] {
+        let Range { start, end } = self.group(plane);
+        [start * self.chunk_gaussians, end - start, plane - start]
+    }
+
     /// Returns the planes stored together with `plane`.
     pub(crate) fn group(&self, plane: u32) -> Range<u32> {
-        if self.half_sh { group_of(plane, half_parameter_planes) } else { plane_group(plane) }
+        group_of(plane, if self.half_sh { half_parameter_planes } else { parameter_planes })
     }
 
     /// Returns the index, in vec4, of plane `plane` of Gaussian `index` in a chunk. The groups of planes are 0 to 2

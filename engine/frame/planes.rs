@@ -92,6 +92,33 @@ pub fn download(context: &Context, scene: &SceneBuffers) -> Result<Gaussians> {
     Ok(out)
 }
 
+/// Downloads the vec4 of all planes, Gaussian by Gaussian.
+pub(crate) fn download_words(context: &Context, scene: &SceneBuffers) -> Result<Vec<[u32; 4]>> {
+    let mut all = Vec::with_capacity(scene.count as usize * scene.plan.planes as usize);
+    for range in scene.plan.ranges(scene.count) {
+        let words: Vec<[u32; 4]> =
+            bytemuck::pod_collect_to_vec(&context.download(&scene.chunks[range.chunk])?);
+        let planes = |i: usize| (0..scene.plan.planes).map(move |plane| (plane, i));
+        let each = (0..range.count as usize).flat_map(planes);
+        all.extend(each.map(|(plane, i)| words[scene.plan.place(plane, i)]));
+    }
+    Ok(all)
+}
+
+/// Uploads what [`download_words`] returned.
+pub(crate) fn fill_words(context: &Context, scene: &SceneBuffers, all: &[[u32; 4]]) -> Result<()> {
+    let planes = scene.plan.planes as usize;
+    for range in scene.plan.ranges(scene.count) {
+        let mut words = vec![[0; 4]; scene.plan.chunk_gaussians as usize * planes];
+        let own = all.chunks_exact(planes).skip(range.first as usize).take(range.count as usize);
+        for (i, values) in own.enumerate() {
+            (0..).zip(values).for_each(|(plane, value)| words[scene.plan.place(plane, i)] = *value);
+        }
+        context.upload(&scene.chunks[range.chunk], bytemuck::cast_slice(&words))?;
+    }
+    Ok(())
+}
+
 /// Downloads the sizes of the 3D filter: see [`Filter3d`](crate::passes::filter_3d::Filter3d).
 pub fn download_filters(context: &Context, scene: &SceneBuffers) -> Result<Vec<f32>> {
     let mut values = Vec::with_capacity(scene.count as usize);

@@ -1,10 +1,9 @@
-//! Adam over all parameters in one pass, and the mean of parameters over several steps.
+//! Adam over all parameters in one pass.
 
 use crate::error::Result;
-use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, SceneBuffers, plane_group};
-use crate::kernels::constants::PLANE_ROW;
-use crate::kernels::optimizer::{adam, average};
-use crate::vk::{Buffer, Context, Kernel, KernelSet, Recorder};
+use crate::frame::{FrameInputs, FrameVariant, GaussianRange, LaunchSizes, ScenePlan};
+use crate::kernels::optimizer::adam;
+use crate::vk::{Buffer, Context, KernelSet, Recorder};
 
 /// Adam's constants in the reference: β₁, β₂, ε.
 pub const BETA_1: f64 = 0.9;
@@ -39,20 +38,43 @@ pub struct Step {
     pub count: u64,
     /// Same as `count`, but for the opacity, whose step is skipped at an opacity reset.
     pub opacity_count: u64,
+    /// Key of the random numbers that round packed moments, with the iteration.
+    pub seed: u32,
+    /// See `seed`.
+    pub iteration: u32,
 }
 
-/// First and second moments, laid out like the scene's planes.
+/// First and second moments of a scene's parameters.
 #[derive(Clone)]
 pub struct Moments {
-    /// First moments, one buffer per chunk.
-    pub first: Vec<Buffer>,
-    /// Second moments, one buffer per chunk.
-    pub second: Vec<Buffer>,
+    /// Plan of a set. With two SH planes in one the moments are packed: see packed_moments.glsl.
+    pub plan: ScenePlan,
+    /// The first and the second moments, or one set of packed ones; each one buffer per chunk.
+    pub sets: Vec<Vec<Buffer>>,
+}
+
+impl Moments {
+    /// Plan and number of the sets for a scene's plan.
+    pub fn sets_of(scene: &ScenePlan, packed: bool) -> (ScenePlan, usize) {
+        if packed { (scene.halved(), 1) } else { (*scene, 2) }
+    }
+
+    /// Buffers of the first and the second moments of a chunk. They are the same for packed moments.
+    pub fn chunk(&self, chunk: usize) -> [&Buffer; 2] {
+        [&self.sets[0][chunk], &self.sets[self.sets.len() - 1][chunk]]
+    }
+
+    /// True for packed moments.
+    pub fn is_packed(&self) -> bool {
+        self.plan.half_sh
+    }
 }
 
 /// Form of the optimiser's kernel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OptimizerForm {
+    /// The moments are packed.
+    pub packed: bool,
     /// Sparse Adam: does not change Gaussians out of view, and corrects no bias.
     pub sparse: bool,
     /// The loss has terms that depend on the parameters directly. [`Optimizer::record`] receives their gradient.
@@ -82,12 +104,13 @@ impl Optimizer {
     }
 
     fn adam_spec(&self, sh_degree: u32, variant: FrameVariant) -> adam::Spec {
-        let OptimizerForm { sparse, parameter_gradients, moved_cameras: moved_camera } = self.form;
+        let OptimizerForm { packed, sparse, parameter_gradients, moved_cameras: moved_camera } = self.form;
         let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
         let (projection, lenses) = variant.direction_form();
         adam::Spec {
             workgroup_size,
             sh_degree,
+            packed,
             sparse,
             parameter_gradients,
             moved_camera,
@@ -112,7 +135,7 @@ impl Optimizer {
         let f = inputs.frame;
         r.scope("adam", |r| {
             inputs.scene().record_chunks(r, |r, range, parameters| {
-                let (moments_1, moments_2) = (&moments.first[range.chunk], &moments.second[range.chunk]);
+                let [moments_1, moments_2] = moments.chunk(range.chunk);
                 let bind = adam::Bind {
                     parameters,
                     moments_1,
@@ -130,14 +153,14 @@ impl Optimizer {
                     },
                     camera_block: &f.camera_block(0),
                 };
-                let push = push(inputs, step, range.first, range.count);
+                let push = push(inputs, step, &range);
                 r.dispatch(kernel, &bind, &push, self.sizes.groups(range.count));
             });
         });
     }
 }
 
-fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push {
+fn push(inputs: &FrameInputs, step: &Step, range: &GaussianRange) -> adam::Push {
     let correction = |beta: f64, steps: u64| match steps {
         0 => 1.0,
         steps => 1.0 - beta.powf(steps as f64),
@@ -148,8 +171,8 @@ fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push
     let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
     adam::Push {
         camera_position: inputs.camera.position().to_array(),
-        first,
-        count,
+        first: range.first,
+        count: range.count,
         chunk_gaussians: inputs.scene().plan.chunk_gaussians,
         gradient_stride: inputs.capacity.visible,
         beta_1: BETA_1 as f32,
@@ -165,82 +188,10 @@ fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push
         rate_sh_rest: (rates.sh_rest / bias_1) as f32,
         inverse_bias_2: correction(BETA_2, step.count).sqrt().recip() as f32,
         inverse_bias_2_opacity: correction(BETA_2, step.opacity_count).sqrt().recip() as f32,
+        seed: step.seed,
+        iteration: step.iteration,
         shutter_turn,
         shutter_shift,
         shutter_rows,
-    }
-}
-
-/// Bytes of a vec4.
-const TEXEL_BYTES: u64 = 16;
-
-/// Work on the means of parameters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MeanStep {
-    /// Adds the parameters to the means; the number of steps includes this one. Step 1 starts the means.
-    Adds(u32),
-    /// Replaces the parameters by the means.
-    Ends,
-}
-
-/// Kernel of the averaging.
-pub struct Averaging {
-    sizes: LaunchSizes,
-    kernel: Kernel<average::Interface>,
-}
-
-impl Averaging {
-    /// Builds the kernel.
-    pub fn new(context: &Context) -> Result<Self> {
-        let sizes = LaunchSizes::new(context.limits());
-        let spec = average::Spec { workgroup_size: sizes.elementwise_workgroup };
-        Ok(Self { kernel: Kernel::new(context, &spec)?, sizes })
-    }
-
-    /// Records the step for a scene's parameters. `means` have the same layout, one buffer per chunk. If `state` has an
-    /// overflow, nothing changes.
-    pub fn record_scene(
-        &self,
-        r: &mut Recorder,
-        scene: &SceneBuffers,
-        (means, state): (&[Buffer], &Buffer),
-        step: MeanStep,
-    ) {
-        r.scope("average", |r| {
-            for range in scene.plan.ranges(scene.count) {
-                let rows = range.count.div_ceil(PLANE_ROW) * PLANE_ROW;
-                let mut plane = 0;
-                while plane < scene.plan.planes {
-                    let group = plane_group(plane);
-                    plane = group.end;
-                    let first = u64::from(group.start) * u64::from(scene.plan.chunk_gaussians);
-                    let bytes = u64::from(group.end - group.start) * u64::from(rows) * TEXEL_BYTES;
-                    let part = |chunks: &[Buffer]| chunks[range.chunk].range(first * TEXEL_BYTES, bytes);
-                    self.dispatch(r, [&part(&scene.chunks), &part(means), state], step);
-                }
-            }
-        });
-    }
-
-    /// Same as [`Averaging::record_scene`], but for whole buffers of vec4.
-    pub fn record(&self, r: &mut Recorder, [values, means, state]: [&Buffer; 3], step: MeanStep) {
-        r.scope("average", |r| self.dispatch(r, [values, means, state], step));
-    }
-
-    fn dispatch(&self, r: &mut Recorder, [values, means, state]: [&Buffer; 3], step: MeanStep) {
-        let push = average::Push {
-            count: (values.bytes() / TEXEL_BYTES) as u32,
-            weight: match step {
-                MeanStep::Adds(steps) => 1.0 / steps as f32,
-                MeanStep::Ends => 0.0,
-            },
-            ends: (step == MeanStep::Ends).into(),
-        };
-        r.dispatch(
-            &self.kernel,
-            &average::Bind { values, means, state },
-            &push,
-            self.sizes.groups(push.count),
-        );
     }
 }

@@ -58,18 +58,16 @@ pub(crate) struct AppearanceBuffers {
     pub picture: Buffer,
     /// Partial sums of a matrix's gradient.
     partials: Buffer,
-    /// Means of the matrices over several steps ([`Averaging`](crate::passes::adam::Averaging)).
-    pub means: Buffer,
 }
 
 impl AppearanceBuffers {
     /// Number of [`AppearancePass::requests`].
-    pub const COUNT: usize = 6;
+    pub const COUNT: usize = 5;
 
     /// Assigns the buffers that were allocated for [`AppearancePass::requests`].
     pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
-        let [values, first_moments, second_moments, picture, partials, means] = array_of(buffers);
-        Self { values, first_moments, second_moments, picture, partials, means }
+        let [values, first_moments, second_moments, picture, partials] = array_of(buffers);
+        Self { values, first_moments, second_moments, picture, partials }
     }
 
     /// Number of matrices.
@@ -126,22 +124,14 @@ impl AppearancePass {
     /// Names and bytes of the buffers, for photographs of these sizes (width, height). There is at most one lens per
     /// photograph.
     pub fn requests(&self, sizes: &[(u32, u32)]) -> [(&'static str, u64); AppearanceBuffers::COUNT] {
-        let [values, moments_1, moments_2, picture_name, partials, means] = match self.is_lens {
-            true => [
-                "lenses",
-                "lens_moments_1",
-                "lens_moments_2",
-                "shaded_picture",
-                "lens_partials",
-                "lens_means",
-            ],
+        let [values, moments_1, moments_2, picture_name, partials] = match self.is_lens {
+            true => ["lenses", "lens_moments_1", "lens_moments_2", "shaded_picture", "lens_partials"],
             false => [
                 "exposures",
                 "exposure_moments_1",
                 "exposure_moments_2",
                 "exposed_picture",
                 "exposure_partials",
-                "exposure_means",
             ],
         };
         let matrices = MATRIX_BYTES * sizes.len() as u64;
@@ -153,7 +143,6 @@ impl AppearancePass {
             (moments_2, matrices),
             (picture_name, sizes.iter().map(picture).max().unwrap_or(0)),
             (partials, MATRIX_BYTES * u64::from(TERM_PARTIALS)),
-            (means, matrices),
         ]
     }
 

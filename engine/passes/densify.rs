@@ -5,8 +5,11 @@
 //! by (seed, iteration, Gaussian, half), so the result does not depend on scheduling.
 
 use crate::error::Result;
-use crate::frame::{LaunchSizes, SceneBuffers, buffer_set};
-use crate::kernels::constants::{CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED, ZORDER_BITS};
+use crate::frame::{GaussianRange, LaunchSizes, SceneBuffers, buffer_set};
+use crate::kernels::constants::{
+    CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED, GATHER_COPIES, GATHER_LOG_SCALE,
+    GATHER_MEAN_OPACITY, GATHER_MOMENTS, GATHER_PLACES, PLANE_LOG_SCALE, PLANE_MEAN_OPACITY, ZORDER_BITS,
+};
 use crate::kernels::densify::{classify, gather, mask_outside, reset_opacity, scatter_sources, zorder};
 use crate::passes::adam::Moments;
 use crate::passes::scan::{Scan, Workgroups};
@@ -106,6 +109,8 @@ pub struct Gather<'a> {
     pub to: &'a SceneBuffers,
     /// Source of each row.
     pub sources: &'a Buffer,
+    /// A plane per chunk of the new set, if both are the same planes; else empty.
+    pub scratch: &'a [Buffer],
 }
 
 /// Inputs of [`Densify::record_classify`].
@@ -124,9 +129,8 @@ pub struct Densify {
     scan: Scan,
     classify: Kernel<classify::Interface>,
     scatter_sources: Kernel<scatter_sources::Interface>,
-    gather_parameters: Kernel<gather::Interface>,
+    gather: Kernel<gather::Interface>,
     gather_explicit: Kernel<gather::Interface>,
-    gather_moments: Kernel<gather::Interface>,
     reset: Kernel<reset_opacity::Interface>,
     zorder: Kernel<zorder::Interface>,
     sort: RadixSort,
@@ -138,7 +142,7 @@ impl Densify {
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
         let long_axis = form.long_axis;
-        let gather = gather::Spec { workgroup_size, moments: false, explicit_noise: false, long_axis };
+        let gather = gather::Spec { workgroup_size, explicit_noise: false, long_axis };
         let criterion = match form.criterion {
             Criterion::Gradient => CRITERION_GRADIENT,
             Criterion::Absolute => CRITERION_ABSOLUTE,
@@ -151,9 +155,8 @@ impl Densify {
             scan: Scan::new(context)?,
             classify: Kernel::new(context, &classify)?,
             scatter_sources: Kernel::new(context, &scatter_sources::Spec { workgroup_size, subgroup_size })?,
-            gather_parameters: Kernel::new(context, &gather)?,
+            gather: Kernel::new(context, &gather)?,
             gather_explicit: Kernel::new(context, &gather::Spec { explicit_noise: true, ..gather })?,
-            gather_moments: Kernel::new(context, &gather::Spec { moments: true, ..gather })?,
             reset: Kernel::new(context, &reset_opacity::Spec { workgroup_size })?,
             zorder: Kernel::new(context, &zorder::Spec { workgroup_size })?,
             sort: RadixSort::new(context)?,
@@ -222,52 +225,73 @@ impl Densify {
         );
     }
 
-    /// Records the copy of the parameters, with random means of split Gaussians.
+    /// Records the new rows of the parameters, with random means of split Gaussians. Ends with a barrier.
     pub fn record_gather_parameters(&self, r: &mut Recorder, rows: &Gather, key: &RandomKey) {
-        let kernel = if key.explicit.is_some() { &self.gather_explicit } else { &self.gather_parameters };
-        self.record_gather(r, kernel, rows, key);
+        let kernel = if key.explicit.is_some() { &self.gather_explicit } else { &self.gather };
+        self.record_gather(r, (kernel, key), rows, GATHER_MEAN_OPACITY, PLANE_MEAN_OPACITY);
+        self.record_gather(r, (kernel, key), rows, GATHER_LOG_SCALE, PLANE_LOG_SCALE);
+        let changed = [PLANE_MEAN_OPACITY, PLANE_LOG_SCALE];
+        for plane in (0..rows.from.plan.planes).filter(|plane| !changed.contains(plane)) {
+            self.record_gather(r, (kernel, key), rows, GATHER_COPIES, plane);
+        }
     }
 
-    /// Records the copy of the moments, which are zero for new Gaussians.
+    /// Records the new rows of a set of moments, which are zero for new Gaussians. Ends with a barrier.
     pub fn record_gather_moments(&self, r: &mut Recorder, rows: &Gather) {
         let key = RandomKey { seed: 0, iteration: 0, explicit: None };
-        self.record_gather(r, &self.gather_moments, rows, &key);
+        for plane in 0..rows.from.plan.planes {
+            self.record_gather(r, (&self.gather, &key), rows, GATHER_MOMENTS, plane);
+        }
     }
 
     fn record_gather(
         &self,
         r: &mut Recorder,
-        kernel: &Kernel<gather::Interface>,
+        (kernel, key): (&Kernel<gather::Interface>, &RandomKey),
         rows: &Gather,
-        key: &RandomKey,
+        form: u32,
+        plane: u32,
     ) {
-        let Gather { from, to, sources } = *rows;
+        let Gather { from, to, sources, scratch } = *rows;
+        let to_place = to.plan.plane_place(plane);
+        let push = |from: (GaussianRange, [u32; 3]), to: (GaussianRange, [u32; 3]), form| gather::Push {
+            from_first: from.0.first,
+            from_count: from.0.count,
+            to_first: to.0.first,
+            to_count: to.0.count,
+            from_place: from.1,
+            to_place: to.1,
+            form,
+            noise_stride: key.explicit.map_or(0, |noise| noise.stride),
+            seed: key.seed,
+            iteration: key.iteration,
+        };
+        let noise = key.explicit.map_or(sources, |noise| noise.buffer);
+        // Scratch has one plane.
+        let target_place = if scratch.is_empty() { to_place } else { [0, 1, 0] };
+        let targets = if scratch.is_empty() { &to.chunks } else { scratch };
         for target in to.plan.ranges(to.count) {
             for source in from.plan.ranges(from.count) {
                 if source.chunk > 0 {
                     r.barrier();
                 }
-                let bind = gather::Bind {
-                    sources,
-                    from: &from.chunks[source.chunk],
-                    to: &to.chunks[target.chunk],
-                    noise: key.explicit.map_or(sources, |noise| noise.buffer),
-                };
-                let push = gather::Push {
-                    from_first: source.first,
-                    from_count: source.count,
-                    from_chunk_gaussians: from.plan.chunk_gaussians,
-                    to_first: target.first,
-                    to_count: target.count,
-                    to_chunk_gaussians: to.plan.chunk_gaussians,
-                    planes: from.plan.planes,
-                    noise_stride: key.explicit.map_or(0, |noise| noise.stride),
-                    seed: key.seed,
-                    iteration: key.iteration,
-                };
+                let (from_chunk, target_chunk) = (&from.chunks[source.chunk], &targets[target.chunk]);
+                let bind = gather::Bind { sources, from: from_chunk, to: target_chunk, noise };
+                let push = push((source, from.plan.plane_place(plane)), (target, target_place), form);
                 r.dispatch(kernel, &bind, &push, self.sizes.groups(target.count));
             }
         }
+        r.barrier();
+        if scratch.is_empty() {
+            return;
+        }
+        for target in to.plan.ranges(to.count) {
+            let (from, to) = (&scratch[target.chunk], &to.chunks[target.chunk]);
+            let bind = gather::Bind { sources, from, to, noise };
+            let push = push((target, target_place), (target, to_place), GATHER_PLACES);
+            r.dispatch(kernel, &bind, &push, self.sizes.groups(target.count));
+        }
+        r.barrier();
     }
 
     /// Records an opacity reset: opacities above `most` become `most`, between 0 and 1.
@@ -275,12 +299,15 @@ impl Densify {
         let max_logit = (most / (1.0 - most)).ln() as f32;
         r.scope("reset opacity", |r| {
             for range in scene.plan.ranges(scene.count) {
-                let bind = reset_opacity::Bind {
-                    parameters: &scene.chunks[range.chunk],
-                    moments_1: &moments.first[range.chunk],
-                    moments_2: &moments.second[range.chunk],
+                let [moments_1, moments_2] = moments.chunk(range.chunk);
+                let bind =
+                    reset_opacity::Bind { parameters: &scene.chunks[range.chunk], moments_1, moments_2 };
+                let push = reset_opacity::Push {
+                    count: range.count,
+                    max_opacity: most as f32,
+                    max_logit,
+                    packed_moments: moments.is_packed().into(),
                 };
-                let push = reset_opacity::Push { count: range.count, max_opacity: most as f32, max_logit };
                 r.dispatch(&self.reset, &bind, &push, self.sizes.groups(range.count));
             }
         });

@@ -1,12 +1,11 @@
 //! Appearance of the photographs, learned with the scene: the exposure of each one, and the effects of each lens.
 
-use super::checkpoint::{AppearanceMeans, ExposureState};
+use super::checkpoint::ExposureState;
 use super::photos::TrainView;
 use super::schedule::{IterationPlan, TrainingRun};
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 use crate::frame::FrameInputs;
-use crate::passes::adam::{Averaging, MeanStep};
 use crate::passes::appearance::{
     AppearanceBuffers, AppearanceForm, AppearancePass, AppearancePassInputs, AppearanceStep, Matrix,
 };
@@ -114,16 +113,6 @@ impl AppearanceMemory {
         self.0.iter().flatten()
     }
 
-    /// Records the running means.
-    pub fn record_means(&self, r: &mut Recorder, averaging: &Averaging, state: &Buffer, step: MeanStep) {
-        self.all().for_each(|buffers| averaging.record(r, [&buffers.values, &buffers.means, state], step));
-    }
-
-    /// Records copies of the means over the values.
-    pub fn record_end(&self, r: &mut Recorder) {
-        self.all().for_each(|buffers| r.copy(&buffers.means, &buffers.values));
-    }
-
     /// Exposures of all views, and the effects of the first `lenses` lenses.
     pub fn states(&self, context: &Context, lenses: usize) -> Result<[ExposureState; 2]> {
         let [exposures, lens_effects] = &self.0;
@@ -138,34 +127,18 @@ impl AppearanceMemory {
         Ok([state(exposures, usize::MAX)?, state(lens_effects, lenses)?])
     }
 
-    /// Running means of the same matrices.
-    pub fn means(&self, context: &Context, lenses: usize) -> Result<AppearanceMeans> {
-        let [exposures, lens_effects] = &self.0;
-        let means = |buffers: &Option<AppearanceBuffers>, count: usize| {
-            buffers.as_ref().map_or(Ok(Vec::new()), |buffers| download(context, &buffers.means, count))
-        };
-        Ok(AppearanceMeans { exposures: means(exposures, usize::MAX)?, lenses: means(lens_effects, lenses)? })
-    }
-
-    /// Restores [`AppearanceMemory::states`] and [`AppearanceMemory::means`].
+    /// Restores [`AppearanceMemory::states`].
     ///
     /// # Errors
     /// [`Error::Argument`] if there are more rows than views.
-    pub fn restore(
-        &self,
-        context: &Context,
-        states: [&ExposureState; 2],
-        means: &AppearanceMeans,
-    ) -> Result<()> {
-        let rows = states.into_iter().zip([&means.exposures, &means.lenses]);
-        for (buffers, (state, means)) in self.0.iter().zip(rows) {
+    pub fn restore(&self, context: &Context, states: [&ExposureState; 2]) -> Result<()> {
+        for (buffers, state) in self.0.iter().zip(states) {
             let Some(buffers) = buffers else { continue };
-            let AppearanceBuffers { values, first_moments, second_moments, means: mean_buffer, .. } = buffers;
+            let AppearanceBuffers { values, first_moments, second_moments, .. } = buffers;
             let sets = [
                 (values, &state.values),
                 (first_moments, &state.first_moments),
                 (second_moments, &state.second_moments),
-                (mean_buffer, means),
             ];
             for (buffer, rows) in sets {
                 if rows.len() > buffers.count() {

@@ -6,9 +6,10 @@
 
 use super::block::{BlockState, SceneBlock};
 use super::lens_opt::{LENS_STATE_VALUES, LensState};
-use super::settings::TrainSettings;
+use super::settings::{MomentsType, TrainSettings};
 use super::work::Actions;
 use crate::error::{Error, Result};
+use crate::frame::half_parameter_planes;
 use crate::scene::gaussians::sh_coefficients;
 use crate::scene::{Fingerprint, Gaussians, WorldFrame};
 
@@ -46,18 +47,14 @@ pub struct Checkpoint {
     pub due: Actions,
     /// The parameters.
     pub gaussians: Gaussians,
-    /// Adam's first moments, shaped like the parameters.
-    pub first_moments: Gaussians,
-    /// Adam's second moments, shaped like the parameters.
-    pub second_moments: Gaussians,
+    /// Adam's moments.
+    pub moments: MomentState,
     /// Per Gaussian: sum of the norms of the 2D mean's gradient (NDC), number of views.
     pub statistics: Vec<[f32; 2]>,
     /// Sizes of the 3D filter, world units, one per Gaussian; empty without [`TrainSettings::filter_3d`].
     pub filters: Vec<f32>,
     /// Further state of the strategy.
     pub strategy: StrategyState,
-    /// Means of the parameters over the last steps ([`TrainSettings::average_last`]).
-    pub means: Option<MeanState>,
     /// Exposures of the views' photographs, if they are learned.
     pub exposures: ExposureState,
     /// Lens effects ([`LensEffects`](crate::scene::LensEffects)) in the order of the camera ids, if they are learned.
@@ -72,6 +69,43 @@ pub struct Checkpoint {
     pub block: Option<BlockState>,
     /// Allocated capacities.
     pub capacities: Capacities,
+}
+
+/// Adam's moments of the parameters, as [`TrainSettings::moments`] stores them.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MomentState {
+    /// First and second moments, shaped like the parameters.
+    F32([Gaussians; 2]),
+    /// Gaussian by Gaussian, [`packed_planes`] words of each (packed_moments.glsl).
+    Packed(Vec<[u32; 4]>),
+}
+
+/// Number of `[u32; 4]` in the packed moments of a Gaussian with SH up to `sh_degree`.
+pub fn packed_planes(sh_degree: u32) -> usize {
+    half_parameter_planes(sh_degree) as usize
+}
+
+impl MomentState {
+    /// First and second moments; nothing if they are packed.
+    fn sets(&self) -> &[Gaussians] {
+        match self {
+            Self::F32(sets) => sets,
+            Self::Packed(_) => &[],
+        }
+    }
+
+    /// Moments of some of the Gaussians, which have SH up to `sh_degree`.
+    #[must_use]
+    pub fn select(&self, rows: &[usize], sh_degree: u32) -> Self {
+        match self {
+            Self::F32(sets) => Self::F32(sets.each_ref().map(|set| set.select(rows))),
+            Self::Packed(words) => {
+                let planes = packed_planes(sh_degree);
+                let own = rows.iter().flat_map(|row| &words[row * planes..][..planes]);
+                Self::Packed(own.copied().collect())
+            }
+        }
+    }
 }
 
 /// Exposures of photographs ([`Exposure`](crate::scene::Exposure)) in the views' order, or effects of lenses. Empty if they are
@@ -97,26 +131,6 @@ pub struct StrategyState {
     pub statistics: Vec<StrategyStatistic>,
     /// Names and values of the strategy's state on the host.
     pub values: Vec<(String, String)>,
-}
-
-/// Means of exposures and lenses over several steps. Empty if they are not learned.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct AppearanceMeans {
-    /// One per photograph.
-    pub exposures: Vec<[[f32; 4]; 3]>,
-    /// One per lens.
-    pub lenses: Vec<[[f32; 4]; 3]>,
-}
-
-/// Means of the parameters over several steps.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MeanState {
-    /// Number of steps in the means.
-    pub steps: u32,
-    /// The means, shaped like the parameters.
-    pub gaussians: Gaussians,
-    /// Means for exposures and lenses.
-    pub appearance: AppearanceMeans,
 }
 
 /// A statistic of a strategy.
@@ -150,8 +164,10 @@ pub struct Tensor<'a> {
     pub name: String,
     /// Shape, outermost dimension first.
     pub shape: Vec<usize>,
-    /// Values: f32 in the host's byte order.
+    /// Values in the host's byte order.
     pub bytes: &'a [u8],
+    /// Type of the values: F32, or U32 for packed moments.
+    pub dtype: &'static str,
 }
 
 impl<'a> Tensor<'a> {
@@ -160,7 +176,7 @@ impl<'a> Tensor<'a> {
         shape: impl Into<Vec<usize>>,
         values: &'a [T],
     ) -> Self {
-        Self { name: name.into(), shape: shape.into(), bytes: bytemuck::cast_slice(values) }
+        Self { name: name.into(), shape: shape.into(), bytes: bytemuck::cast_slice(values), dtype: "F32" }
     }
 
     /// None without matrices.
@@ -235,9 +251,9 @@ impl Checkpoint {
     /// Names, shapes and values of the tensors, in the file's order.
     pub fn tensors(&self) -> Vec<Tensor<'_>> {
         let mut tensors = Vec::new();
-        let sets = [&self.gaussians, &self.first_moments, &self.second_moments];
-        let means = self.means.iter().map(|means| (Self::MEANS, &means.gaussians));
-        for (prefix, set) in Self::SETS.into_iter().zip(sets).chain(means) {
+        let moments = self.moments.sets().iter();
+        let sets = std::iter::once(&self.gaussians).chain(moments);
+        for (prefix, set) in Self::SETS.into_iter().zip(sets) {
             let (n, k) = (set.len(), sh_coefficients(set.sh_degree));
             let named = |name| format!("{prefix}{name}");
             tensors.push(Tensor::new(named("means"), [n, 3], &set.means));
@@ -245,6 +261,11 @@ impl Checkpoint {
             tensors.push(Tensor::new(named("log_scales"), [n, 3], &set.log_scales));
             tensors.push(Tensor::new(named("opacity_logits"), [n], &set.opacity_logits));
             tensors.push(Tensor::new(named("sh"), [n, k, 3], &set.sh));
+        }
+        if let MomentState::Packed(words) = &self.moments {
+            let planes = packed_planes(self.gaussians.sh_degree);
+            let tensor = Tensor::new(Self::PACKED_MOMENTS, [self.gaussians.len(), planes, 4], words);
+            tensors.push(Tensor { dtype: "U32", ..tensor });
         }
         tensors.push(Tensor::new("statistics", [self.statistics.len(), 2], &self.statistics));
         if !self.filters.is_empty() {
@@ -270,21 +291,17 @@ impl Checkpoint {
                 &self.lens_opt,
             ));
         }
-        if let Some(MeanState { appearance: AppearanceMeans { exposures, lenses }, .. }) = &self.means {
-            tensors.extend(Tensor::of_matrices(Self::MEANS, Self::EXPOSURES, exposures));
-            tensors.extend(Tensor::of_matrices(Self::MEANS, Self::LENSES, lenses));
-        }
         tensors
     }
 
     /// Prefixes of the tensor names: parameters, first moments, second moments.
     pub const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
 
+    /// Name of the tensor of [`MomentState::Packed`].
+    pub const PACKED_MOMENTS: &str = "packed_moments";
+
     /// Name of the tensor of filter sizes, as in Mip-Splatting's PLY.
     pub const FILTERS: &str = "filter_3D";
-
-    /// Prefix of the tensor names of [`Checkpoint::means`].
-    pub const MEANS: &str = "mean.";
 
     /// Name of the exposures' tensor. Their moments add the prefixes.
     pub const EXPOSURES: &str = "exposures";
@@ -333,13 +350,11 @@ impl Checkpoint {
             0 => (0, 1),
             instances => (gaussians, instances.min(MOST_BLEND_PASSES)),
         };
-        let averaged = self.means.as_ref().map_or(0, |means| means.steps);
         let ranges = [
             ("views", self.views, 1, u32::MAX.into()),
             ("iteration", iteration, 0, u64::from(u32::MAX) - 1),
             ("optimizer_steps", self.optimizer_steps, 0, iteration),
             ("opacity_steps", self.opacity_steps, 0, self.optimizer_steps),
-            ("mean_steps", averaged.into(), 0, iteration),
             ("left_out", self.skipped.into(), 0, iteration),
             ("room_gaussians", capacities.gaussians.into(), 0, 1 << 30),
             ("room_frame_gaussians", capacities.frame_gaussians.into(), least_frame, u32::MAX.into()),
@@ -356,7 +371,7 @@ impl Checkpoint {
 
     /// Statistics are unchecked, because values there that are not finite change no parameter.
     fn check_values(&self) -> Result<()> {
-        let free = ["statistics", Self::STRATEGY];
+        let free = ["statistics", Self::STRATEGY, Self::PACKED_MOMENTS];
         for Tensor { name, bytes, .. } in self.tensors() {
             if free.iter().any(|prefix| name.starts_with(prefix)) {
                 continue;
@@ -375,15 +390,22 @@ impl Checkpoint {
 
     fn check_shapes(&self) -> Result<()> {
         self.gaussians.check_shapes()?;
-        let moments = [("moments", &self.first_moments), ("moments", &self.second_moments)];
-        let means = self.means.iter().map(|means| ("means", &means.gaussians));
-        for (name, set) in moments.into_iter().chain(means) {
+        let moments = self.moments.sets().iter().map(|set| ("moments", set));
+        for (name, set) in moments {
             set.check_shapes()?;
             if (set.len(), set.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
                 return Err(Error::argument(name, "are of another number or degree than the Gaussians"));
             }
         }
         let gaussians = self.gaussians.len();
+        let storage = match &self.moments {
+            MomentState::F32(_) => MomentsType::F32,
+            MomentState::Packed(_) => MomentsType::Packed,
+        };
+        let moments_fit = match &self.moments {
+            MomentState::F32(_) => true,
+            MomentState::Packed(words) => words.len() == gaussians * packed_planes(self.gaussians.sh_degree),
+        };
         let rows = |statistic: &StrategyStatistic| {
             statistic.floats > 0 && statistic.values.len() == gaussians * statistic.floats as usize
         };
@@ -392,10 +414,6 @@ impl Checkpoint {
         let lenses = self.lenses.sets().map(|set| set.len() as u64);
         let most = if self.settings.lens_effects { self.views } else { 0 };
         let lenses_fit = lenses == [lenses[0]; 3] && lenses[0] <= most && (most == 0 || lenses[0] > 0);
-        let none_or = |count: usize, all: u64| count == 0 || count as u64 == all;
-        let means_fit = |MeanState { appearance, .. }: &MeanState| {
-            none_or(appearance.exposures.len(), self.views) && none_or(appearance.lenses.len(), lenses[0])
-        };
         let poses_fit = |poses: &PoseState| {
             poses.sets().iter().all(|rows| rows.len() as u64 == self.views)
                 && poses.depths.len() as u64 == self.views
@@ -403,6 +421,11 @@ impl Checkpoint {
         let of_gaussians = "of another number than the Gaussians";
         let of_views = "are of another number than the views";
         let checks: [(bool, &str, String); 7] = [
+            (
+                moments_fit && storage == self.settings.moments,
+                "moments",
+                format!("{of_gaussians}, or stored otherwise than the settings say"),
+            ),
             (
                 self.statistics.len() == gaussians && self.strategy.statistics.iter().all(rows),
                 "statistics",
@@ -415,7 +438,6 @@ impl Checkpoint {
                 format!("are not those of {exposures} photographs"),
             ),
             (lenses_fit, "lenses", format!("are not those of {most} photographs")),
-            (self.means.as_ref().is_none_or(means_fit), "means", of_views.into()),
             (self.poses.as_ref().is_none_or(poses_fit), "poses", of_views.into()),
             (
                 self.gaussians.sh_degree == self.settings.sh_degree,
@@ -476,10 +498,8 @@ impl Checkpoint {
 
     /// Keeps only these Gaussians, in this order, with their moments and statistics. The state of views and of the run stays.
     pub fn keep(&mut self, rows: &[usize]) {
-        let sets = [&mut self.gaussians, &mut self.first_moments, &mut self.second_moments];
-        sets.into_iter().for_each(|set| *set = set.select(rows));
-        // Averaging starts again.
-        self.means = None;
+        self.gaussians = self.gaussians.select(rows);
+        self.moments = self.moments.select(rows, self.gaussians.sh_degree);
         self.statistics = rows.iter().map(|&row| self.statistics[row]).collect();
         // Empty without the 3D filter.
         self.filters = rows.iter().filter_map(|&row| self.filters.get(row).copied()).collect();
@@ -504,10 +524,15 @@ impl Checkpoint {
         if self.strategy.name != other.strategy.name || names(self) != names(other) {
             return refuse("was made with another strategy".into());
         }
-        self.means = None;
         self.gaussians.append(&other.gaussians);
-        self.first_moments.append(&other.first_moments);
-        self.second_moments.append(&other.second_moments);
+        match (&mut self.moments, &other.moments) {
+            (MomentState::F32(own), MomentState::F32(others)) => {
+                own.iter_mut().zip(others).for_each(|(own, others)| own.append(others));
+            }
+            (MomentState::Packed(own), MomentState::Packed(others)) => own.extend_from_slice(others),
+            // The settings, which are equal, say which.
+            _ => return refuse("stores its moments otherwise".into()),
+        }
         self.statistics.extend_from_slice(&other.statistics);
         self.filters.extend_from_slice(&other.filters);
         for (own, others) in self.strategy.statistics.iter_mut().zip(&other.strategy.statistics) {

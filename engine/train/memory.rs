@@ -5,6 +5,7 @@ use super::parts::{BuiltParts, Forecast};
 use super::photos::{PhotoBytes, PhotoSize};
 use super::poses;
 use super::schedule::{IterationPlan, TrainingRun, whole_instances};
+use super::settings::{MomentsType, TrainSettings};
 use super::work::{ABSOLUTE_STATISTIC, GRADIENT_STATISTIC, Statistic};
 use crate::error::{Error, Result};
 use crate::frame::{
@@ -56,9 +57,6 @@ impl PeakCounts {
     }
 }
 
-/// Sets of planes: parameters, two sets of moments, and the target of densification's gather.
-const PLANE_SETS: u64 = 4;
-
 /// Bytes on the device and offloaded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct RowBytes {
@@ -87,14 +85,25 @@ pub(super) struct RowMemory {
     /// All statistics, the gradient's first.
     pub statistics: Vec<Statistic>,
     parameter_gradients: bool,
-    /// Memory kind of parameters, moments and the spare set.
+    /// Memory kind of parameters, moments and the scratch.
     pub planes: MemoryKind,
+    packed_moments: bool,
 }
 
 impl RowMemory {
     /// `own`: statistics of the strategy. `planes`: memory of planes that a step reads sparsely.
-    pub fn new(own: Vec<Statistic>, parameter_gradients: bool, planes: MemoryKind) -> Self {
-        Self { statistics: [vec![GRADIENT_STATISTIC], own].concat(), parameter_gradients, planes }
+    pub fn new(
+        own: Vec<Statistic>,
+        parameter_gradients: bool,
+        planes: MemoryKind,
+        settings: &TrainSettings,
+    ) -> Self {
+        Self {
+            statistics: [vec![GRADIENT_STATISTIC], own].concat(),
+            parameter_gradients,
+            planes,
+            packed_moments: settings.moments == MomentsType::Packed,
+        }
     }
 
     /// Index of [`ABSOLUTE_STATISTIC`] among the statistics.
@@ -115,18 +124,28 @@ impl RowMemory {
         vec![("parameter_gradients", bytes); chunks]
     }
 
+    /// Parameters, moments, and scratch of one plane.
+    fn plane_requests(&self, plan: &ScenePlan) -> [Requests; 3] {
+        let (moments, sets) = Moments::sets_of(plan, self.packed_moments);
+        let moments = vec![planes::requests(&moments); sets].concat();
+        let scratch = vec![("scratch", u64::from(plan.chunk_gaussians) * 16); plan.chunks as usize];
+        [planes::requests(plan), moments, scratch]
+    }
+
     /// Bytes of the buffers for a plan's capacity, without allocation padding: the cost of one capacity beside another.
     pub fn bytes(&self, plan: &ScenePlan) -> RowBytes {
         let others = self.statistics_requests(plan.capacity).into_iter().chain(self.gradient_requests(plan));
-        let planes = PLANE_SETS * plan.chunk_bytes() * u64::from(plan.chunks);
-        self.placed(planes, others.map(|(_, bytes)| bytes).sum())
+        let planes = self.plane_requests(plan).concat().into_iter();
+        self.placed(planes.map(|(_, bytes)| bytes).sum(), others.map(|(_, bytes)| bytes).sum())
     }
 
     /// Bytes of the buffers with allocation padding: the cost of a run before it starts.
     pub fn allocation_bytes(&self, context: &Context, plan: &ScenePlan) -> RowBytes {
         let statistics = context.allocation_bytes(&self.statistics_requests(plan.capacity));
         let gradients = context.allocation_bytes(&self.gradient_requests(plan));
-        self.placed(PLANE_SETS * context.allocation_bytes(&planes::requests(plan)), statistics + gradients)
+        let planes = self.plane_requests(plan);
+        let planes = planes.iter().map(|requests| context.allocation_bytes(requests)).sum();
+        self.placed(planes, statistics + gradients)
     }
 
     fn placed(&self, planes: u64, others: u64) -> RowBytes {
@@ -138,12 +157,12 @@ impl RowMemory {
 }
 
 /// Gaussians on the device, with their moments and statistics.
+#[derive(Clone)]
 pub(super) struct Model {
     pub scene: SceneBuffers,
     pub moments: Moments,
-    /// Fourth set of planes: the target of densification's gather. Between changes of the set it holds the running means of the
-    /// parameters.
-    pub spare: Vec<Buffer>,
+    /// One plane per chunk, through which densification moves the others.
+    pub scratch: Vec<Buffer>,
     /// Per Gaussian: see [`super::strategy::StepInputs::statistics`].
     pub statistics: Vec<Buffer>,
     /// Per chunk: see [`crate::passes::loss::TermInputs::parameter_gradients`].
@@ -153,9 +172,11 @@ pub(super) struct Model {
 impl Model {
     /// Allocates the buffers that belong to a scene, without clearing them.
     pub fn allocate(context: &Context, scene: SceneBuffers, rows: &RowMemory) -> Result<Self> {
-        let planes = |arena| planes::allocate(context, (arena, rows.planes), &scene.plan);
-        let moments = Moments { first: planes("moments")?, second: planes("moments")? };
-        let spare = planes("spare")?;
+        let [.., scratch] = rows.plane_requests(&scene.plan);
+        let (plan, sets) = Moments::sets_of(&scene.plan, rows.packed_moments);
+        let sets = (0..sets).map(|_| planes::allocate(context, ("moments", rows.planes), &plan));
+        let moments = Moments { plan, sets: sets.collect::<Result<_>>()? };
+        let scratch = context.allocate("scratch", &scratch, rows.planes)?;
         let statistics = rows.statistics_requests(scene.plan.capacity);
         let statistics = context.allocate("statistics", &statistics, MemoryKind::Device)?;
         let gradients = rows.gradient_requests(&scene.plan);
@@ -163,31 +184,31 @@ impl Model {
             true => Vec::new(),
             false => context.allocate("gradients", &gradients, MemoryKind::Device)?,
         };
-        Ok(Self { scene, moments, spare, statistics, parameter_gradients })
+        Ok(Self { scene, moments, scratch, statistics, parameter_gradients })
     }
 
     /// Same as [`Model::allocate`], and clears moments and statistics.
     pub fn new(context: &Context, scene: SceneBuffers, rows: &RowMemory) -> Result<Self> {
         let model = Self::allocate(context, scene, rows)?;
-        let Moments { first, second } = &model.moments;
+        let moments = model.moments.sets.iter().flatten();
         context.run_commands("clear moments", |r| {
-            first.iter().chain(second).chain(&model.statistics).for_each(|buffer| r.fill(buffer, 0))
+            moments.chain(&model.statistics).for_each(|buffer| r.fill(buffer, 0))
         })?;
         Ok(model)
     }
 
-    /// The scene with other planes: moments, or means of parameters.
-    pub fn with_planes(&self, chunks: &[Buffer]) -> SceneBuffers {
-        SceneBuffers { chunks: chunks.to_vec(), ..self.scene.clone() }
+    /// The sets of moments, each like a scene.
+    pub fn moment_planes(&self) -> impl Iterator<Item = SceneBuffers> {
+        let (plan, count) = (self.moments.plan, self.scene.count);
+        self.moments.sets.iter().map(move |chunks| SceneBuffers { chunks: chunks.clone(), plan, count })
     }
 
     /// Frees all memory and becomes empty; the caller replaces the model.
     pub fn release(&mut self) {
         self.scene.count = 0;
-        let Self { scene, moments: Moments { first, second }, spare, statistics, parameter_gradients } = self;
-        [&mut scene.chunks, first, second, spare, statistics, parameter_gradients]
-            .into_iter()
-            .for_each(Vec::clear);
+        let Self { scene, moments, scratch, statistics, parameter_gradients } = self;
+        let others = [&mut scene.chunks, scratch, statistics, parameter_gradients];
+        others.into_iter().chain(&mut moments.sets).for_each(Vec::clear);
     }
 }
 

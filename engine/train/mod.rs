@@ -29,13 +29,15 @@ pub mod verify;
 mod work;
 
 pub use block::{BlockState, SceneBlock, Surroundings};
-pub use checkpoint::{AppearanceMeans, Capacities, Checkpoint, ExposureState, MeanState, PoseState};
+pub use checkpoint::{Capacities, Checkpoint, ExposureState, MomentState, PoseState};
 pub use lens_opt::{LENS_STATE_VALUES, LensState};
 pub use parts::{Forecast, TrainParts};
 pub use photos::{PhotoSize, TrainView};
 pub use population::{Growth, Population};
 pub use record::{RecordedStep, StepReservation};
-pub use settings::{ImportanceType, OptimizerType, Preset, SplitType, StrategyType, TrainSettings};
+pub use settings::{
+    ImportanceType, MomentsType, OptimizerType, Preset, SplitType, StrategyType, TrainSettings,
+};
 pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, QuantilePlace, Reference};
 pub use strategy::Strategy;
 pub use terms::*;

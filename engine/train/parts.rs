@@ -132,7 +132,8 @@ impl BuiltParts {
         all.extend(strategy.loss_terms(context, settings)?);
         check_depths(settings, &all)?;
         let parameter_gradients = StepRecorder::targets_of(&all).parameters;
-        let rows = RowMemory::new(strategy.statistics(), parameter_gradients, context.planes_memory());
+        let rows =
+            RowMemory::new(strategy.statistics(), parameter_gradients, context.planes_memory(), settings);
         let recorder = StepRecorder::new(context, all, settings, rows.absolute())?;
         Ok(Self { strategy, recorder, rows })
     }

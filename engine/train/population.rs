@@ -226,27 +226,20 @@ impl Population<'_> {
             return Err(Error::argument("rows", problem));
         }
         let (old, before) = (&*self.model, self.count());
-        // Without growth the four sets of planes rotate: each is gathered into the set that the previous gather freed.
-        let mut new = growth.0.unwrap_or_else(|| Model {
-            scene: old.with_planes(&old.spare),
-            moments: Moments { first: old.scene.chunks.clone(), second: old.moments.first.clone() },
-            spare: old.moments.second.clone(),
-            statistics: old.statistics.clone(),
-            parameter_gradients: old.parameter_gradients.clone(),
-        });
+        // Without growth each plane moves through the scratch.
+        let (mut new, scratch) = match growth.0 {
+            Some(new) => (new, &[][..]),
+            None => (old.clone(), &old.scratch[..]),
+        };
         new.scene.count = rows;
         self.context.run_commands("densify: gather", |r| {
             let sources = record_sources(r, &old.scene);
             new.statistics.iter().for_each(|statistic| r.fill(statistic, 0));
-            kernels.record_gather_parameters(r, &Gather { from: &old.scene, to: &new.scene, sources }, key);
-            for (from, to) in
-                [(&old.moments.first, &new.moments.first), (&old.moments.second, &new.moments.second)]
-            {
-                r.barrier();
-                let (from, to) = (old.with_planes(from), new.with_planes(to));
-                kernels.record_gather_moments(r, &Gather { from: &from, to: &to, sources });
+            let gather = Gather { from: &old.scene, to: &new.scene, sources, scratch };
+            kernels.record_gather_parameters(r, &gather, key);
+            for (from, to) in old.moment_planes().zip(new.moment_planes()) {
+                kernels.record_gather_moments(r, &Gather { from: &from, to: &to, sources, scratch });
             }
-            r.barrier();
             record_changes(r, (&new.scene, &new.moments), sources);
         })?;
         *self.model = new;
@@ -357,7 +350,7 @@ impl Population<'_> {
         full == frame || beside + frame_bytes(&full, &self.sizes()) <= limit
     }
 
-    /// Allocates planes for parameters, both moments and the spare set with the given capacity, their statistics, and a frame.
+    /// Allocates planes for parameters and moments with the given capacity, their statistics, and a frame.
     /// An error if they do not fit the memory: the old planes then still exist, but the next step allocates the old frame
     /// again.
     fn allocate_fresh(&mut self, capacity: u32) -> Result<Model> {

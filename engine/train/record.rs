@@ -339,13 +339,10 @@ impl Trainer {
         let frame = self.runner.store.capacity();
         let blending =
             LaunchSizes::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
-        // Averaging takes one dispatch for the geometry and one per SH degree.
         let scene = &self.state.model.scene.plan;
-        let mean =
-            if self.run.settings.average_last > 0.0 { scene.chunks * (scene.sh_degree + 2) } else { 0 };
         // The 3D filter has the nearest depths, and the sizes that follow from them.
         let filter = if self.run.settings.filter_3d { 2 * scene.chunks } else { 0 };
-        (PER_STEP + 5 * scene.chunks + mean + filter + frozen + 2 * blending) as usize
+        (PER_STEP + 5 * scene.chunks + filter + frozen + 2 * blending) as usize
     }
 
     /// Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps; valid until the next

@@ -1,7 +1,7 @@
 //! Conversion of a trainer to a [`Checkpoint`], and back.
 
 use super::block::SceneBlock;
-use super::checkpoint::{Capacities, Checkpoint, StrategyState, StrategyStatistic, Wanted};
+use super::checkpoint::{Capacities, Checkpoint, MomentState, StrategyState, StrategyStatistic, Wanted};
 use super::lens_opt::LensOptimizer;
 use super::parts::TrainParts;
 use super::photos::{TrainView, fingerprint_of};
@@ -10,7 +10,7 @@ use super::settings::TrainSettings;
 use super::trainer::Trainer;
 use super::work::{Actions, Statistic};
 use crate::error::{Error, Result};
-use crate::frame::planes;
+use crate::frame::{array_of, planes};
 use crate::scene::WorldFrame;
 use crate::vk::{Buffer, Context};
 
@@ -26,7 +26,6 @@ impl Trainer {
         }
         self.check_readable()?;
         let (model, progress) = (&self.state.model, &self.state.progress);
-        let planes_of = |chunks: &[Buffer]| planes::download(&self.context, &model.with_planes(chunks));
         let count = u64::from(model.scene.count);
         let download = |(statistic, buffer): (&Statistic, &Buffer)| -> Result<StrategyStatistic> {
             let (name, floats) = (statistic.name.to_owned(), statistic.floats);
@@ -55,8 +54,7 @@ impl Trainer {
             opacity_steps: progress.opacity_steps,
             due: progress.due,
             gaussians: self.gaussians()?,
-            first_moments: planes_of(&model.moments.first)?,
-            second_moments: planes_of(&model.moments.second)?,
+            moments: self.moment_state()?,
             statistics: bytemuck::cast_slice(&gradient).to_vec(),
             filters: self.filters()?,
             strategy: StrategyState {
@@ -65,7 +63,6 @@ impl Trainer {
                 statistics,
                 values: self.strategy.state(),
             },
-            means: self.mean_state()?,
             exposures,
             lenses,
             poses: self.poses.as_ref().map(|poses| poses.state(&self.context)).transpose()?,
@@ -135,8 +132,7 @@ impl Trainer {
         }
         trainer.check_statistics(from)?;
         trainer.restore_rows(from)?;
-        let means = from.means.as_ref().map(|means| means.appearance.clone()).unwrap_or_default();
-        trainer.losses.appearance.restore(context, [&from.exposures, &from.lenses], &means)?;
+        trainer.losses.appearance.restore(context, [&from.exposures, &from.lenses])?;
         if let Some(poses) = &trainer.poses {
             let lacks = || Error::argument("checkpoint", "lacks the poses of its views");
             poses.restore(context, from.poses.as_ref().ok_or_else(lacks)?)?;
@@ -155,7 +151,6 @@ impl Trainer {
             iteration: from.iteration,
             steps: from.optimizer_steps,
             opacity_steps: from.opacity_steps,
-            averaged: from.means.as_ref().map_or(0, |means| means.steps),
             due: from.due.and(Actions::RESET_OPACITY.when(made_up)),
         };
         state.peak = from.capacities.peak();
@@ -164,6 +159,16 @@ impl Trainer {
             trainer.finish_last_iteration()?;
         }
         Ok(trainer)
+    }
+
+    fn moment_state(&self) -> Result<MomentState> {
+        let model = &self.state.model;
+        if model.moments.is_packed() {
+            let words = model.moment_planes().map(|planes| planes::download_words(&self.context, &planes));
+            return Ok(MomentState::Packed(words.collect::<Result<Vec<_>>>()?.concat()));
+        }
+        let sets = model.moment_planes().map(|planes| planes::download(&self.context, &planes));
+        Ok(MomentState::F32(array_of(sets.collect::<Result<Vec<_>>>()?)))
     }
 
     fn check_statistics(&self, from: &Checkpoint) -> Result<()> {
@@ -191,11 +196,11 @@ impl Trainer {
         if self.filter.is_some() {
             planes::upload_filters(context, &model.scene, &from.filters)?;
         }
-        let moments =
-            [(&model.moments.first, &from.first_moments), (&model.moments.second, &from.second_moments)];
-        let means = from.means.iter().map(|means| (&model.spare, &means.gaussians));
-        for (chunks, values) in moments.into_iter().chain(means) {
-            planes::fill(context, &model.with_planes(chunks), values)?;
+        for (set, planes) in model.moment_planes().enumerate() {
+            match &from.moments {
+                MomentState::F32(sets) => planes::fill(context, &planes, &sets[set])?,
+                MomentState::Packed(words) => planes::fill_words(context, &planes, words)?,
+            }
         }
         Ok(())
     }

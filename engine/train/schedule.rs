@@ -4,7 +4,7 @@
 use super::settings::{OptimizerType, TrainSettings};
 use super::work::{Actions, Work};
 use crate::frame::{Dropout, RenderSettings};
-use crate::passes::adam::{MeanStep, Rates, Step};
+use crate::passes::adam::{Rates, Step};
 use crate::passes::appearance::AppearanceStep;
 use crate::passes::poses::PoseStep;
 use crate::scene::{Camera, PicturePart};
@@ -181,11 +181,10 @@ impl TrainSettings {
             && iteration < self.iterations.saturating_sub(INTERVAL)
     }
 
-    /// True if the parameters after an iteration (1-based) belong to the mean of [`TrainSettings::average_last`]. The last
-    /// iteration makes no step; after it the parameters are the mean.
-    pub fn averages_at(&self, iteration: u32) -> bool {
-        let averaged = (f64::from(self.iterations) * self.average_last).round() as u32;
-        iteration >= self.iterations - averaged && iteration < self.iterations
+    /// Factor of the Gaussians' learning rates at an iteration (1-based): see [`TrainSettings::decay_last`].
+    pub fn final_decay(&self, iteration: u32) -> f64 {
+        let left = f64::from(self.iterations.saturating_sub(iteration));
+        (left / (f64::from(self.iterations) * self.decay_last)).min(1.0)
     }
 
     /// True if an iteration (1-based) ends with an opacity reset. Over white, the reference also resets once at
@@ -319,8 +318,6 @@ pub(super) struct Progress {
     /// Number of optimiser steps. Skipped iterations make none, and the strategy can omit some.
     pub steps: u64,
     pub opacity_steps: u64,
-    /// Number of steps in the running mean of the parameters since the set of Gaussians last changed.
-    pub averaged: u32,
     /// Work before the next iteration.
     pub due: Actions,
 }
@@ -332,11 +329,6 @@ impl Progress {
             iteration: plan.iteration,
             steps: self.steps + u64::from(optimizes),
             opacity_steps: self.opacity_steps + u64::from(optimizes && optimizes_opacity),
-            averaged: match plan.mean_step {
-                Some(MeanStep::Adds(steps)) => steps,
-                Some(MeanStep::Ends) => 0,
-                None => self.averaged,
-            },
             due: actions,
         }
     }
@@ -358,8 +350,6 @@ pub(super) struct IterationPlan {
     pub exposure: AppearanceStep,
     /// Step of the lens effects, if they are learned.
     pub lens_step: AppearanceStep,
-    /// Averaging step of this iteration, if any.
-    pub mean_step: Option<MeanStep>,
     /// Step of the poses, if they are optimised.
     pub pose_step: PoseStep,
     /// Rate of the lenses, if they are optimised.
@@ -370,7 +360,7 @@ impl IterationPlan {
     /// Plan with the optimiser's step and the statistics for the given view, for a recording that never executes.
     pub fn rehearsal(self, view: usize, camera: Camera) -> Self {
         let work = Work { optimizes: true, accumulates: true, ..self.work };
-        Self { view, camera, work, mean_step: Some(MeanStep::Adds(1)), ..self }
+        Self { view, camera, work, ..self }
     }
 }
 
@@ -392,7 +382,6 @@ impl Schedule {
         let s = &run.settings;
         // The reference's last iteration only saves.
         work.optimizes &= iteration < s.iterations;
-        let mean_step = mean_step(s, iteration, progress, &work);
         let view = self.order.view(iteration);
         let exposure = AppearanceStep {
             rate: s.exposure_lr(iteration),
@@ -412,10 +401,7 @@ impl Schedule {
                 ..self.drawn
             },
             step: optimizer_step(run, iteration, progress, &work),
-            // Filter sizes depend on the means.
-            computes_filters: s.computes_filters_at(iteration)
-                || (s.filter_3d && mean_step == Some(MeanStep::Ends)),
-            mean_step,
+            computes_filters: s.computes_filters_at(iteration),
             exposure,
             lens_step: AppearanceStep {
                 rate: s.lens_lr(iteration),
@@ -435,32 +421,23 @@ fn falling(rate: f64, s: &TrainSettings, iteration: u32) -> f64 {
     rate * 0.01_f64.powf(f64::from(iteration) / f64::from(s.iterations))
 }
 
-/// Averages only consecutive steps, so means of an earlier, shorter run do not count.
-fn mean_step(s: &TrainSettings, iteration: u32, progress: &Progress, work: &Work) -> Option<MeanStep> {
-    let before = if s.averages_at(iteration - 1) { progress.averaged } else { 0 };
-    match s.averages_at(iteration) {
-        true => work.optimizes.then_some(MeanStep::Adds(before + 1)),
-        false => (iteration == s.iterations && before > 0).then_some(MeanStep::Ends),
-    }
-}
-
 fn optimizer_step(run: &TrainingRun, iteration: u32, progress: &Progress, work: &Work) -> Step {
     let s = &run.settings;
-    let others = s.rate_factor();
+    let decay = s.final_decay(iteration);
+    let others = s.rate_factor() * decay;
     let rates = Rates {
-        mean: s.position_lr(iteration) * f64::from(run.scene_extent),
+        mean: s.position_lr(iteration) * f64::from(run.scene_extent) * decay,
         opacity: if work.optimizes_opacity { s.opacity_lr * others } else { 0.0 },
-        quat: s.rotation_lr,
+        quat: s.rotation_lr * decay,
         log_scale: s.scaling_lr * others,
         sh_dc: s.feature_lr * others,
         sh_rest: s.feature_rest_lr() * others,
     };
-    match s.optimizer_type {
-        OptimizerType::SparseAdam => Step { rates, count: 0, opacity_count: 0 },
-        OptimizerType::Default => {
-            Step { rates, count: progress.steps + 1, opacity_count: progress.opacity_steps + 1 }
-        }
-    }
+    let (count, opacity_count) = match s.optimizer_type {
+        OptimizerType::SparseAdam => (0, 0),
+        OptimizerType::Default => (progress.steps + 1, progress.opacity_steps + 1),
+    };
+    Step { rates, count, opacity_count, seed: s.seed, iteration }
 }
 
 /// Random streams of a run; the seed determines them all.

@@ -40,6 +40,16 @@ choices! {
         SparseAdam = "sparse_adam",
     }
 
+    /// Storage of Adam's moments.
+    MomentsType {
+        /// Two float32 per parameter.
+        #[default]
+        F32 = "f32",
+        /// Two bytes per SH coefficient and four per other parameter, rounded at random (packed_moments.glsl): 144 bytes per
+        /// Gaussian of SH degree 3 in place of 480.
+        Packed = "packed",
+    }
+
     /// Strategy of density control. A host can supply its own: [`super::TrainParts`].
     StrategyType {
         /// The reference implementation's: clone, split, prune, opacity reset.
@@ -352,9 +362,8 @@ options! {
         growth_curve: bool = false, Bounds::None;
         /// Prune what does not recover from opacity resets, which are milder
         recovery: bool = false, Bounds::None;
-        /// Share of the run, at its end, over whose steps parameters are averaged; the mean takes their place in the last iteration
-        /// (Polyak and Juditsky; stochastic weight averaging)
-        average_last: f64 = 0.0, Bounds::Share;
+        /// Share of the run, at its end, over which the Gaussians' learning rates fall linearly to 0
+        decay_last: f64 = 0.0, Bounds::Share;
         /// Learn the exposure of each photo: a 3x4 matrix that changes the rendered colours before they are compared
         exposure: bool = false, Bounds::None;
         /// Learning rate of the exposures at the start
@@ -421,6 +430,8 @@ options! {
         lens_opt_lr: f64 = 1e-4, Bounds::NotNegative;
         /// Adam on all Gaussians, or on those seen only
         optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;
+        /// Storage of Adam's moments: f32, or packed in a third of the memory
+        moments: MomentsType = MomentsType::F32, Bounds::None;
         /// Seed of everything random: order of the views, split positions, random backgrounds
         seed: u32 = 0, Bounds::None;
     }
@@ -428,14 +439,14 @@ options! {
 
 /// Initial opacity of the Gaussians in the reference.
 const INITIAL_OPACITY: f64 = 0.1;
-/// Share of a run over which presets average parameters.
-const AVERAGED_SHARE: f64 = 0.05;
+/// Share of a run over which presets' learning rates fall to 0.
+const DECAYED_SHARE: f64 = 0.1;
 /// End of the reference's densification, with few photographs.
 const FEW_PHOTOS_UNTIL: u32 = 1500;
 /// Share of Gaussians that the last step omits, with the fewest photographs.
 const FEW_PHOTOS_DROPOUT: f64 = 0.1;
-/// Share of the run over which parameters are averaged, with the fewest photographs. They need a longer mean than many.
-const FEW_PHOTOS_AVERAGED: f64 = 0.25;
+/// Share of the run over which learning rates fall to 0, with the fewest photographs.
+const FEW_PHOTOS_DECAYED: f64 = 0.25;
 /// Weight of the mean opacity in the loss, with the fewest photographs.
 const FEW_PHOTOS_OPACITY_REG: f64 = 0.003;
 /// Number of photographs from which nothing is adapted to few.
@@ -484,14 +495,15 @@ impl TrainSettings {
     }
 
     /// Returns the settings of a preset, by measurement (tools/strategies.md). All but the reference use the strategy budget,
-    /// antialiasing, and late prunings of faint Gaussians. They average parameters over the last steps, which
-    /// allows larger rates of scales, and of means at the end. They differ in the number of Gaussians and in the warm-up.
+    /// antialiasing, and late prunings of faint Gaussians. Learning rates fall to 0 at the end, which allows
+    /// larger rates of scales and means before. Moments are packed. They differ in the number of Gaussians and in the warm-up.
     /// [`exposure`](Self::exposure) is nearly a gain per channel.
     pub fn of_preset(preset: Preset) -> Self {
         let usual = Self {
             antialiasing: true,
             late_min_opacity: 0.1,
-            average_last: AVERAGED_SHARE,
+            decay_last: DECAYED_SHARE,
+            moments: MomentsType::Packed,
             position_lr_final: 4e-6,
             scaling_lr: 7.5e-3,
             exposure_lr_init: 0.02,
@@ -515,7 +527,7 @@ impl TrainSettings {
     /// Adapts settings to few photographs, by measurement (tools/strategies.md). From 32 photographs on nothing changes, from
     /// [`FEW_PHOTOS`](Self::FEW_PHOTOS) down everything, and in between each value changes by a share. Budget omits random
     /// Gaussians from steps (DropGaussian), so that no photograph is fitted by Gaussians that no other shows. A weight on opacities
-    /// clears haze that no photograph disproves. The mean of more steps is stable where single steps are not. The reference's
+    /// clears haze that no photograph disproves. The reference's
     /// growth ends early. The other strategies stay as they are.
     #[must_use]
     pub fn for_photos(self, photos: usize) -> Self {
@@ -528,7 +540,7 @@ impl TrainSettings {
             StrategyType::Budget => Self {
                 dropout: towards(self.dropout, FEW_PHOTOS_DROPOUT),
                 opacity_reg: towards(self.opacity_reg, FEW_PHOTOS_OPACITY_REG),
-                average_last: towards(self.average_last, FEW_PHOTOS_AVERAGED),
+                decay_last: towards(self.decay_last, FEW_PHOTOS_DECAYED),
                 ..self
             },
             StrategyType::Fixed | StrategyType::Mcmc => self,

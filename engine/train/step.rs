@@ -5,7 +5,7 @@ use super::memory::Model;
 use super::photos::{DepthMaps, Photos};
 use super::poses::Poses;
 use super::schedule::{IterationPlan, Progress, TrainingRun, WARM_UP_FACTORS};
-use super::settings::{OptimizerType, TrainSettings};
+use super::settings::{MomentsType, OptimizerType, TrainSettings};
 use super::strategy::{StepInputs, Strategy};
 use super::work::{StepOutcome, StepReport};
 use crate::error::Result;
@@ -14,7 +14,7 @@ use crate::frame::{
 };
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::pixels::photo_reduced;
-use crate::passes::adam::{Averaging, Optimizer, OptimizerForm};
+use crate::passes::adam::{Optimizer, OptimizerForm};
 use crate::passes::backward::{Backward, BackwardForm, Statistics};
 use crate::passes::filter_3d::Filter3d;
 use crate::passes::lens::LensGradient;
@@ -39,8 +39,6 @@ pub(super) struct StepRecorder {
     /// Index of the absolute statistic among all statistics.
     absolute: Option<usize>,
     optimizer: Optimizer,
-    /// None unless parameters are averaged.
-    averaging: Option<Averaging>,
     poses: bool,
     /// None unless lenses are optimised.
     lens: Option<LensGradient>,
@@ -134,8 +132,9 @@ impl StepRecorder {
         let targets = Self::targets_of(&terms);
         let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
         let poses = settings.pose_opt;
-        let form = OptimizerForm { sparse, parameter_gradients: targets.parameters, moved_cameras: poses };
-        let averages = settings.average_last > 0.0;
+        let packed = settings.moments == MomentsType::Packed;
+        let form =
+            OptimizerForm { packed, sparse, parameter_gradients: targets.parameters, moved_cameras: poses };
         Ok(Self {
             preparation: PhotoPreparation::new(context, settings)?,
             border: targets.rows().then(|| LayoutConverter::new(context)).transpose()?,
@@ -147,7 +146,6 @@ impl StepRecorder {
             terms,
             targets,
             optimizer: Optimizer::new(context, form),
-            averaging: averages.then(|| Averaging::new(context)).transpose()?,
             poses,
             lens: settings.lens_opt.then(|| LensGradient::new(context)).transpose()?,
         })
@@ -313,12 +311,6 @@ impl StepRecorder {
                 r.barrier();
                 r.copy(gradient, &losses.range(self.losses_bytes(), LENS_SUM_BYTES));
             }
-        }
-        if let Some((averaging, step)) = self.averaging.as_ref().zip(plan.mean_step) {
-            let state = &inputs.frame.state;
-            r.barrier();
-            averaging.record_scene(r, inputs.scene(), (&model.spare, state), step);
-            parts.memory.appearance.record_means(r, averaging, state, step);
         }
         if let Some(filter) = parts.filter.filter(|_| plan.computes_filters) {
             r.barrier();

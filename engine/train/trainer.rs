@@ -2,7 +2,7 @@
 
 use super::appearance::lenses_of;
 use super::block::{Block, SceneBlock};
-use super::checkpoint::{Capacities, Checkpoint, ExposureState, MeanState};
+use super::checkpoint::{Capacities, Checkpoint, ExposureState};
 use super::lens_opt::{LensOptimizer, with_own_lens};
 use super::memory::{Model, PeakCounts, RowMemory, frame_shape};
 use super::parts::{BuiltParts, Forecast, TrainParts, check_block};
@@ -18,7 +18,6 @@ use crate::error::{Error, Result};
 use crate::frame::{
     Blending, PictureCapacity, RenderSettings, SceneBuffers, gaussians_with, planes, subgroups, to_u32,
 };
-use crate::passes::adam::MeanStep;
 use crate::passes::filter_3d::Filter3d;
 use crate::render::{DeviceScene, Failed, Frame, FrameRun, FrameRunner, Renderer, State};
 use crate::scene::{Camera, Exposure, Gaussians, LensEffects, Projection, Twist};
@@ -432,33 +431,6 @@ impl Trainer {
         Ok(())
     }
 
-    /// Replaces the parameters by their means. Used if the frame that would record this does not fit.
-    pub(super) fn end_means(&mut self) -> Result<()> {
-        let model = &self.state.model;
-        self.context.run_commands("end means", |r| {
-            for (mean, parameters) in model.spare.iter().zip(&model.scene.chunks) {
-                r.copy(mean, parameters);
-            }
-            self.losses.appearance.record_end(r);
-        })?;
-        self.compute_filters()?;
-        self.state.progress.averaged = 0;
-        Ok(())
-    }
-
-    /// Means for the checkpoint; None before the first averaged step.
-    pub(super) fn mean_state(&self) -> Result<Option<MeanState>> {
-        let model = &self.state.model;
-        match self.state.progress.averaged {
-            0 => Ok(None),
-            steps => Ok(Some(MeanState {
-                steps,
-                gaussians: planes::download(&self.context, &model.with_planes(&model.spare))?,
-                appearance: self.losses.appearance.means(&self.context, self.run.lens_count())?,
-            })),
-        }
-    }
-
     pub(super) fn appearance_states(&self) -> Result<[ExposureState; 2]> {
         self.losses.appearance.states(&self.context, self.run.lens_count())
     }
@@ -621,8 +593,6 @@ impl Trainer {
                 iteration: self.state.progress.iteration,
             };
             let changes = self.strategy.between_steps(&mut population, due.first())?;
-            // The means belong to the previous set of Gaussians.
-            self.state.progress.averaged = 0;
             if changes.densified.is_some() {
                 self.compute_filters()?;
             }
@@ -649,10 +619,7 @@ impl Trainer {
         state.skipped += 1;
         state.peak = state.peak.max(PeakCounts::of_whole_frame(plan, &self.run, needed));
         state.progress = Progress { iteration: plan.iteration, due: plan.work.actions, ..state.progress };
-        match plan.mean_step {
-            Some(MeanStep::Ends) => self.end_means(),
-            _ => Ok(()),
-        }
+        Ok(())
     }
 
     /// Runs forward, loss, backward and the optimiser's step in one submission.

@@ -18,14 +18,16 @@ layout(local_size_x_id = 0) in;
 layout(set = 0, binding = 0, scalar) readonly buffer Sources { uint sources[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Draws { uint draws[]; };
 layout(set = 0, binding = 2, scalar) buffer Parameters { vec4 parameters[]; };
-layout(set = 0, binding = 3, scalar) writeonly buffer Moments1 { vec4 moments_1[]; };
-layout(set = 0, binding = 4, scalar) writeonly buffer Moments2 { vec4 moments_2[]; };
+layout(set = 0, binding = 3, scalar) writeonly buffer Moments1 { uvec4 moments_1[]; };
+layout(set = 0, binding = 4, scalar) writeonly buffer Moments2 { uvec4 moments_2[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint first;
     uint count;
     uint chunk_gaussians;
     uint planes;
+    // 1 for moments of packed_moments.glsl, all of which are in `moments_1`.
+    uint packed_moments;
 };
 
 #include "dispatch.glsl"
@@ -79,8 +81,8 @@ void main() {
     parameters[at].w = log(shared_opacity / (1.0 - shared_opacity));
     parameters[geometry_at(PLANE_LOG_SCALE, row)].xyz += log(opacity / (TWO_OVER_SQRT_PI * STEP * sum));
     for (uint plane = 0; plane < planes; ++plane) {
-        uint at = plane_at(plane, row, chunk_gaussians);
-        moments_1[at] = vec4(0.0);
-        moments_2[at] = vec4(0.0);
+        uint at = packed_moments == 1 ? half_plane_at(plane, row, chunk_gaussians) : plane_at(plane, row, chunk_gaussians);
+        moments_1[at] = uvec4(0);
+        moments_2[at] = uvec4(0);
     }
 }

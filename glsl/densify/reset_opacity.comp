@@ -14,14 +14,16 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) buffer Parameters { vec4 parameters[]; };
-layout(set = 0, binding = 1, scalar) buffer Moments1 { vec4 moments_1[]; };
-layout(set = 0, binding = 2, scalar) buffer Moments2 { vec4 moments_2[]; };
+layout(set = 0, binding = 1, scalar) buffer Moments1 { uvec4 moments_1[]; };
+layout(set = 0, binding = 2, scalar) buffer Moments2 { uvec4 moments_2[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint count;
     // Largest opacity after the reset, and its logit.
     float max_opacity;
     float max_logit;
+    // 1 for moments of packed_moments.glsl, all of which are in `moments_1`.
+    uint packed_moments;
 };
 
 #include "dispatch.glsl"
@@ -43,6 +45,10 @@ void main() {
         limit = shrink > max_opacity ? -log(shrink / max_opacity - 1.0) : logit;
     }
     parameters[at].w = min(logit, limit);
-    moments_1[at].w = 0.0;
-    moments_2[at].w = 0.0;
+    if (packed_moments == 1) {
+        moments_1[at].yw &= 0xFFFFu;
+    } else {
+        moments_1[at].w = 0;
+        moments_2[at].w = 0;
+    }
 }

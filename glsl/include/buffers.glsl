@@ -32,7 +32,10 @@
 
 #define VEC4_WRITES(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) writeonly buffer BLOCK { u64vec2 NAME[]; }
 
-#define VEC4_PUT(NAME, INDEX, VALUE) NAME[INDEX] = u64vec2(packUint2x32(floatBitsToUint((VALUE).xy)), packUint2x32(floatBitsToUint((VALUE).zw)))
+#define UVEC4_WRITES(BINDING, BLOCK, NAME) VEC4_WRITES(BINDING, BLOCK, NAME)
+
+#define UVEC4_PUT(NAME, INDEX, VALUE) NAME[INDEX] = u64vec2(packUint2x32((VALUE).xy), packUint2x32((VALUE).zw))
+#define VEC4_PUT(NAME, INDEX, VALUE) UVEC4_PUT(NAME, INDEX, floatBitsToUint(VALUE))
 #else
 #define VEC4_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) readonly buffer BLOCK { vec4 NAME[]; }
 #define UVEC4_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) readonly buffer BLOCK { uvec4 NAME[]; }
@@ -49,6 +52,8 @@
 #define UVEC4_AT(NAME, INDEX) NAME[INDEX]
 
 #define VEC4_WRITES(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) writeonly buffer BLOCK { vec4 NAME[]; }
+#define UVEC4_WRITES(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) writeonly buffer BLOCK { uvec4 NAME[]; }
 
+#define UVEC4_PUT(NAME, INDEX, VALUE) NAME[INDEX] = VALUE
 #define VEC4_PUT(NAME, INDEX, VALUE) NAME[INDEX] = VALUE
 #endif

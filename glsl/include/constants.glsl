@@ -147,6 +147,14 @@ const uint KIND_SPLIT_0 = 2;
 const uint KIND_SPLIT_1 = 3;
 // Source of a row: Gaussian | kind << KIND_SHIFT.
 const uint KIND_SHIFT = 30;
+
+// Work of gather.comp on a plane: copies it, copies moments, or makes the plane of means or scales; or copies rows to their own
+// places.
+const uint GATHER_COPIES = 0;
+const uint GATHER_MOMENTS = 1;
+const uint GATHER_MEAN_OPACITY = 2;
+const uint GATHER_LOG_SCALE = 3;
+const uint GATHER_PLACES = 4;
 // Relocation (3DGS-MCMC): maximum number of Gaussians that share an opacity, including the source; limits of that opacity.
 const uint RELOCATION_MOST = 51;
 const float RELOCATION_LEAST_OPACITY = 0.005;

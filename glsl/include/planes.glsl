@@ -26,7 +26,33 @@ uint plane_at(uint plane, uint index, uint gaussians) {
     return PARAMETERS_BEGIN + first * gaussians + (row * (end - first) + plane - first) * PLANE_ROW + index % PLANE_ROW;
 }
 
+// Same as plane_at with two SH planes in one.
+uint half_plane_at(uint plane, uint index, uint gaussians) {
+    uint first = 0, end = PLANE_SH;
+    if (plane >= PLANE_SH + HALF_SH_PLANES_2) {
+        first = PLANE_SH + HALF_SH_PLANES_2;
+        end = PLANE_SH + HALF_SH_PLANES_3;
+    } else if (plane >= PLANE_SH + HALF_SH_PLANES_1) {
+        first = PLANE_SH + HALF_SH_PLANES_1;
+        end = PLANE_SH + HALF_SH_PLANES_2;
+    } else if (plane >= PLANE_SH + HALF_SH_PLANES_0) {
+        first = PLANE_SH + HALF_SH_PLANES_0;
+        end = PLANE_SH + HALF_SH_PLANES_1;
+    } else if (plane >= PLANE_SH) {
+        first = PLANE_SH;
+        end = PLANE_SH + HALF_SH_PLANES_0;
+    }
+    uint row = index / PLANE_ROW;
+    return PARAMETERS_BEGIN + first * gaussians + (row * (end - first) + plane - first) * PLANE_ROW + index % PLANE_ROW;
+}
+
 // Same as plane_at, but for a geometry plane. Geometry comes first, so the index does not depend on the chunk's capacity.
 uint geometry_at(uint plane, uint index) {
     return plane_at(plane, index, 0);
+}
+
+// Index of a plane of Gaussian `index`. `place` has the first vec4 of the planes stored together, their number, and the plane's
+// number among them. ScenePlan::plane_place makes it.
+uint place_in(uvec3 place, uint index) {
+    return place.x + (index / PLANE_ROW * place.y + place.z) * PLANE_ROW + index % PLANE_ROW;
 }

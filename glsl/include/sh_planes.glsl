@@ -2,30 +2,11 @@
 // Needs sh.glsl, planes.glsl, `parameters`, `chunk_gaussians`; kernels of drawing define HALVES and have HALF_SH: true for a scene
 // that stores SH in halves.
 
-#ifdef HALVES
-// Two planes, the even one first.
-uvec4 half_planes(uint pair, uint index) {
-    uint first = 0, end = HALF_SH_PLANES_0;
-    if (pair >= HALF_SH_PLANES_2) {
-        first = HALF_SH_PLANES_2;
-        end = HALF_SH_PLANES_3;
-    } else if (pair >= HALF_SH_PLANES_1) {
-        first = HALF_SH_PLANES_1;
-        end = HALF_SH_PLANES_2;
-    } else if (pair >= HALF_SH_PLANES_0) {
-        first = HALF_SH_PLANES_0;
-        end = HALF_SH_PLANES_1;
-    }
-    uint at = (index / PLANE_ROW * (end - first) + pair - first) * PLANE_ROW + index % PLANE_ROW;
-    return floatBitsToUint(VEC4_AT(parameters, PARAMETERS_BEGIN + (PLANE_SH + first) * chunk_gaussians + at));
-}
-#endif
-
 // A stored plane.
 vec4 stored_sh_plane(uint plane, uint index) {
 #ifdef HALVES
     if (HALF_SH) {
-        uvec4 pair = half_planes(plane / 2, index);
+        uvec4 pair = floatBitsToUint(VEC4_AT(parameters, half_plane_at(PLANE_SH + plane / 2, index, chunk_gaussians)));
         uvec2 own = plane % 2 == 0 ? pair.xy : pair.zw;
         return vec4(unpackHalf2x16(own.x), unpackHalf2x16(own.y));
     }

@@ -2,7 +2,7 @@
 
 use super::merge::{core, file_of, in_core, list, number, scene_of};
 use super::*;
-use ashsplat::train::SceneBlock;
+use ashsplat::train::{MomentState, SceneBlock};
 
 /// Grows from the beginning, and makes a step at the end of a round.
 const STRATEGY: &str = "--strategy reference --densify-from-iter 2 --densification-interval 3";
@@ -104,7 +104,8 @@ fn blocks_go_on_with_what_their_neighbours_have_trained() {
             let own = before[index].gaussians.len();
             assert!(wanted.gaussians.len() > 40 && wanted.gaussians != before[index].gaussians, "{own}");
             assert!(wanted.tensors().iter().map(|t| t.bytes).eq(after.tensors().iter().map(|t| t.bytes)));
-            assert!(wanted.first_moments.means.iter().flatten().any(|&x| x != 0.0));
+            let MomentState::Packed(words) = &wanted.moments else { panic!("{:?}", wanted.settings.moments) };
+            assert!(words.as_flattened().iter().any(|&word| word != 0));
             assert_eq!(
                 (wanted.iteration, wanted.optimizer_steps, wanted.due),
                 (after.iteration, after.optimizer_steps, after.due)

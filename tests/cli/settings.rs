@@ -120,7 +120,7 @@ fn few_photos_are_noticed_and_said() {
         line
     };
     let said = line_of(train(&place, "auto", "")).expect("a line");
-    assert_has(&said, &["--dropout 0.1", "--opacity-reg 0.003", "--average-last 0.25"]);
+    assert_has(&said, &["--dropout 0.1", "--opacity-reg 0.003", "--decay-last 0.25"]);
     assert_has(&said, &["9 photos to train on", "--few-photos off"]);
     let kinds = |model: &str| ["strategy", "dropout"].map(|name| setting(model, name));
     assert_eq!(kinds("auto"), ["\"budget\"", "0.1"]);

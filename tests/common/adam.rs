@@ -7,6 +7,7 @@ use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_OVERFLOW};
 use ashsplat::kernels::optimizer::adam::{self, Push};
 use ashsplat::vk::{Buffer, Kernel};
+use std::cell::Cell;
 
 /// Gradients of a visible Gaussian, as the kernel reads them.
 #[derive(Clone, Copy, Debug, Default)]
@@ -64,6 +65,7 @@ pub struct AdamState<'a> {
     pub parameters: Buffer,
     pub moments: [Buffer; 2],
     parameter_gradients: Option<Buffer>,
+    steps: Cell<u32>,
 }
 
 impl<'a> AdamState<'a> {
@@ -75,6 +77,7 @@ impl<'a> AdamState<'a> {
         let spec = adam::Spec {
             workgroup_size: gpu.workgroup(64),
             sh_degree,
+            packed: false,
             sparse,
             parameter_gradients: false,
             moved_camera: false,
@@ -86,6 +89,7 @@ impl<'a> AdamState<'a> {
             spec,
             kernel: gpu.kernel(&spec),
             parameter_gradients: None,
+            steps: Cell::new(0),
             count,
             coefficients,
             room,
@@ -99,7 +103,21 @@ impl<'a> AdamState<'a> {
         let (parameters, moments) = (self.parameters.clone(), self.moments.clone());
         let spec = adam::Spec { sparse: true, ..self.spec };
         let kernel = self.gpu.kernel(&spec);
-        AdamState { spec, kernel, parameter_gradients: None, parameters, moments, ..*self }
+        AdamState {
+            spec,
+            kernel,
+            parameter_gradients: None,
+            parameters,
+            moments,
+            steps: Cell::new(0),
+            ..*self
+        }
+    }
+
+    /// Keeps the moments packed.
+    pub fn packed(self) -> AdamState<'a> {
+        let spec = adam::Spec { packed: true, ..self.spec };
+        AdamState { spec, kernel: self.gpu.kernel(&spec), ..self }
     }
 
     /// Adds gradients with respect to the parameters themselves: `direct`'s means, quaternions, scales and
@@ -175,6 +193,8 @@ impl<'a> AdamState<'a> {
             rate_sh_rest: rate(step.rates.sh_rest),
             inverse_bias_2,
             inverse_bias_2_opacity: inverse_bias_2,
+            seed: 5,
+            iteration: self.steps.replace(self.steps.get() + 1),
             ..Push::default()
         }
     }

@@ -21,6 +21,12 @@ pub fn room(count: usize) -> usize {
 /// Index of a Gaussian in plane `plane`. Geometry and each SH degree lie apart, in rows of eight Gaussians. Tests
 /// compare `ScenePlan::place` with it.
 pub fn place(plane: u32, index: usize, room: usize) -> usize {
+    let [first, planes, own] = plane_place(plane, room).map(|part| part as usize);
+    first + (index / 8 * planes + own) * 8 + index % 8
+}
+
+/// First index of the planes stored together with `plane`, their number, and its number among them.
+pub fn plane_place(plane: u32, room: usize) -> [u32; 3] {
     let (first, planes) = match plane {
         0..3 => (0, 3),
         3 => (3, 1),
@@ -29,7 +35,7 @@ pub fn place(plane: u32, index: usize, room: usize) -> usize {
         10..15 => (10, 5),
         _ => panic!("no Gaussian has a plane {plane}"),
     };
-    first * room + (index / 8 * planes + plane as usize - first) * 8 + index % 8
+    [first * room as u32, planes, plane - first]
 }
 
 pub fn pack(gaussians: &[Gaussian], room: usize) -> Vec<[f32; 4]> {

@@ -148,7 +148,7 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         split: SplitType::LongAxis,
         ..settings()
     };
-    // A user's preset, but with a longer mean: it prunes faint Gaussians after 300 and 308, and averages afterwards.
+    // A user's preset. It prunes faint Gaussians after 300 and 308.
     let preset = TrainSettings {
         iterations: 440,
         sh_degree: 2,
@@ -158,7 +158,6 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         densify_until_iter: 20_700,
         densify_grad_threshold: 2e-5,
         min_opacity: 0.0,
-        average_last: 0.3,
         ..TrainSettings::of_preset(Preset::Default)
     };
     let sparse = TrainSettings { optimizer_type: OptimizerType::SparseAdam, ..settings() };
@@ -172,9 +171,8 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         ..exposed.clone()
     };
     let plain = [weighted, all].map(|settings| (false, settings));
-    let averaged = TrainSettings { iterations: 62, average_last: 0.4, ..exposed.clone() };
-    let usual = [settings(), mcmc, filtered, exposed, averaged, budget, few, sparse, preset]
-        .map(|settings| (true, settings));
+    let usual =
+        [settings(), mcmc, filtered, exposed, budget, few, sparse, preset].map(|settings| (true, settings));
     for (push_descriptors, settings) in usual.into_iter().chain(plain) {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }

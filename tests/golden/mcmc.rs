@@ -112,14 +112,16 @@ pub fn relocation(path: &Path) -> Outcome {
         gpu.run(|r| {
             relocation.record_draw(r, &sets[0], &draw, &buffers);
             for (set, (from, to)) in sets.iter().zip(&after).enumerate() {
-                let gather = Gather { from, to, sources: &buffers.sources };
+                let gather = Gather { from, to, sources: &buffers.sources, scratch: &[] };
                 match set {
                     0 => densify.record_gather_parameters(r, &gather, &key),
                     _ => densify.record_gather_moments(r, &gather),
                 }
             }
-            r.barrier();
-            let moments = Moments { first: after[1].chunks.clone(), second: after[2].chunks.clone() };
+            let moments = Moments {
+                plan: after[1].plan,
+                sets: after[1..].iter().map(|set| set.chunks.clone()).collect(),
+            };
             relocation.record_relocate(r, (&after[0], &moments), &buffers.sources, &buffers.draws);
         });
         let sources = gpu.read::<u32>(&buffers.sources, step.rows).into_iter();

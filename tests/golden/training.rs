@@ -366,7 +366,7 @@ pub(super) fn densified(
     gpu.run(|r| {
         densify.record_scatter_sources(r, count, rows, &buffers);
         r.barrier();
-        let gather = Gather { from: &scene, to: &target, sources: &buffers.sources };
+        let gather = Gather { from: &scene, to: &target, sources: &buffers.sources, scratch: &[] };
         densify.record_gather_parameters(r, &gather, &key);
     });
     let sources = gpu.read::<u32>(&buffers.sources, rows as usize);
@@ -385,7 +385,7 @@ pub fn reset_opacity(path: &Path) -> Outcome {
     let upload = || planes::upload(gpu.context, ("test", MemoryKind::Device), &input, 0, 1).expect("upload");
     // Moments are planes as well; copies of the scene take their place.
     let (scene, first, second) = (upload(), upload(), upload());
-    let moments = Moments { first: first.chunks.clone(), second: second.chunks.clone() };
+    let moments = Moments { plan: first.plan, sets: [&first, &second].map(|set| set.chunks.clone()).into() };
     let densify = Densify::new(gpu.context, DensifyForm::default()).expect("the kernels of densification");
     gpu.run(|recorder| densify.record_reset(recorder, &scene, &moments, RESET_OPACITY));
     let [after, first, second] = [&scene, &first, &second]

@@ -15,7 +15,8 @@ use crate::reference::scatter_sources::{Densify as DensifyTwin, Kind, place as p
 use crate::reference::zorder::{cell, zorder as zorder_twin};
 use ashsplat::frame::LaunchSizes;
 use ashsplat::kernels::constants::{
-    CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED, PLANE_LOG_SCALE,
+    CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED, GATHER_COPIES, GATHER_LOG_SCALE,
+    GATHER_MEAN_OPACITY, GATHER_MOMENTS, PLANE_LOG_SCALE, PLANE_MEAN_OPACITY,
 };
 use ashsplat::kernels::densify::{
     classify, gather, mask_outside, relocate, reset_opacity, scatter_sources, zorder,
@@ -247,32 +248,42 @@ impl Rows {
         })
     }
 
-    /// Runs the kernel; `noise` has the numbers of each child and Gaussian.
-    fn gathered(&self, gpu: &Gpu, spec: gather::Spec, noise: Option<&Buffer>) -> Vec<Gaussian> {
+    /// Runs the kernel for each plane; `noise` has the numbers of each child and Gaussian.
+    fn gathered(
+        &self,
+        gpu: &Gpu,
+        spec: gather::Spec,
+        moments: bool,
+        noise: Option<&Buffer>,
+    ) -> Vec<Gaussian> {
         let (before, after) = (self.gaussians.len(), self.sources.len());
-        let (from_room, to_room) = (room(before), room(after) + 256);
         let sources = gpu.buffer("sources", &self.sources);
+        let from = gpu.gaussians("from", &self.gaussians);
+        let (from_room, to_room) = (room(before), room(after) + 256);
         let words = planes(COEFFICIENTS) * to_room;
         let to = gpu.untouched::<[f32; 4]>("to", words);
-        let bind = gather::Bind {
-            sources: &sources,
-            from: &gpu.gaussians("from", &self.gaussians),
-            to: &to,
-            noise: noise.unwrap_or(&sources),
-        };
-        let push = gather::Push {
-            from_first: 0,
-            from_count: before as u32,
-            from_chunk_gaussians: from_room as u32,
-            to_first: 0,
-            to_count: after as u32,
-            to_chunk_gaussians: to_room as u32,
-            planes: planes(COEFFICIENTS) as u32,
-            noise_stride: before as u32,
-            seed: SEED,
-            iteration: ITERATION,
-        };
-        gpu.dispatch_over::<gather::Interface>(&spec, &bind, &push, after);
+        let bind = gather::Bind { sources: &sources, from: &from, to: &to, noise: noise.unwrap_or(&sources) };
+        for plane in 0..planes(COEFFICIENTS) as u32 {
+            let form = match plane {
+                _ if moments => GATHER_MOMENTS,
+                PLANE_MEAN_OPACITY => GATHER_MEAN_OPACITY,
+                PLANE_LOG_SCALE => GATHER_LOG_SCALE,
+                _ => GATHER_COPIES,
+            };
+            let push = gather::Push {
+                from_first: 0,
+                from_count: before as u32,
+                to_first: 0,
+                to_count: after as u32,
+                from_place: plane_place(plane, from_room),
+                to_place: plane_place(plane, to_room),
+                form,
+                noise_stride: before as u32,
+                seed: SEED,
+                iteration: ITERATION,
+            };
+            gpu.dispatch_over::<gather::Interface>(&spec, &bind, &push, after);
+        }
         unpack(&gpu.read::<[f32; 4]>(&to, words), to_room, after, COEFFICIENTS)
     }
 
@@ -307,12 +318,7 @@ impl Rows {
 }
 
 fn gather_spec(gpu: &Gpu) -> gather::Spec {
-    gather::Spec {
-        workgroup_size: gpu.workgroup(64),
-        moments: false,
-        explicit_noise: false,
-        long_axis: false,
-    }
+    gather::Spec { workgroup_size: gpu.workgroup(64), explicit_noise: false, long_axis: false }
 }
 
 #[test]
@@ -320,7 +326,7 @@ fn gather_equals_its_twin() {
     let gpu = Gpu::new();
     for size in sizes(gpu.workgroup(64) as usize) {
         let rows = Rows::random(size);
-        let actual = rows.gathered(&gpu, gather_spec(&gpu), None);
+        let actual = rows.gathered(&gpu, gather_spec(&gpu), false, None);
         // Logarithm, cosine and their arguments are float32. Vulkan requires a cosine within 2^-11; the radius is at
         // most 6.
         let error = if gpu.context.device_name().contains("llvmpipe") { 2e-4 } else { 6.0 / 2048.0 };
@@ -343,7 +349,7 @@ fn gather_with_explicit_noise() {
     let child = |source: &Gaussian, gaussian: u32, child: u32| {
         child_of(source, noise[child as usize * count + gaussian as usize].map(f64::from))
     };
-    rows.compare(&rows.gathered(&gpu, spec, Some(&buffer)), child, 2e-6);
+    rows.compare(&rows.gathered(&gpu, spec, false, Some(&buffer)), child, 2e-6);
 }
 
 #[test]
@@ -361,7 +367,7 @@ fn gather_of_splits_along_the_long_axis() {
             (gaussian.opacity_logit, gaussian.log_scale) = (logit, log_scale);
         }
         let spec = gather::Spec { long_axis: true, ..gather_spec(&gpu) };
-        let actual = rows.gathered(&gpu, spec, None);
+        let actual = rows.gathered(&gpu, spec, false, None);
         rows.compare(&actual, |source, _, child| long_axis_child(source, child), 4e-6);
     }
 }
@@ -370,7 +376,7 @@ fn gather_of_splits_along_the_long_axis() {
 fn gather_of_moments() {
     let gpu = Gpu::new();
     let rows = Rows::random(500);
-    let actual = rows.gathered(&gpu, gather::Spec { moments: true, ..gather_spec(&gpu) }, None);
+    let actual = rows.gathered(&gpu, gather_spec(&gpu), true, None);
     let zero = zero(COEFFICIENTS);
     for ((source, gaussian, kind), actual) in rows.each().zip(&actual) {
         assert_eq!(actual, if kind == 0 { source } else { &zero }, "row of {gaussian}");
@@ -409,6 +415,7 @@ fn relocate_equals_its_twin() {
             count: size as u32,
             chunk_gaussians: room(size) as u32,
             planes: planes(4) as u32,
+            packed_moments: 0,
         };
         gpu.dispatch_over::<relocate::Interface>(&spec, &bind, &push, size);
         let [after, moments_1, moments_2] =
@@ -455,7 +462,8 @@ fn reset_opacity_equals_its_twin() {
         let bind =
             reset_opacity::Bind { parameters: &parameters, moments_1: &moments_1, moments_2: &moments_2 };
         let max_logit = (0.01_f64 / 0.99).ln() as f32;
-        let push = reset_opacity::Push { count: size as u32, max_opacity: 0.01, max_logit };
+        let push =
+            reset_opacity::Push { count: size as u32, max_opacity: 0.01, max_logit, packed_moments: 0 };
         gpu.dispatch_over::<reset_opacity::Interface>(&spec, &bind, &push, size);
         let [after, moments_1, moments_2] =
             [parameters, moments_1, moments_2].map(|buffer| gpu.read_gaussians(&buffer, size, 4));

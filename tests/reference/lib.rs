@@ -9,7 +9,6 @@
 
 pub mod adam;
 pub mod add_noise;
-pub mod average;
 pub mod blend;
 pub mod blend_backward;
 pub mod classify;

@@ -140,18 +140,20 @@ impl Relocation {
     ) {
         r.scope("relocate", |r| {
             for range in scene.plan.ranges(scene.count) {
+                let [moments_1, moments_2] = moments.chunk(range.chunk);
                 let bind = relocate::Bind {
                     sources,
                     draws,
                     parameters: &scene.chunks[range.chunk],
-                    moments_1: &moments.first[range.chunk],
-                    moments_2: &moments.second[range.chunk],
+                    moments_1,
+                    moments_2,
                 };
                 let push = relocate::Push {
                     first: range.first,
                     count: range.count,
                     chunk_gaussians: scene.plan.chunk_gaussians,
-                    planes: scene.plan.planes,
+                    planes: moments.plan.planes,
+                    packed_moments: moments.is_packed().into(),
                 };
                 r.dispatch(&self.relocate, &bind, &push, self.sizes.groups(range.count));
             }

@@ -2,7 +2,7 @@
 
 use ashsplat::TrainSettings;
 use ashsplat::scene::{Gaussians, WorldFrame};
-use ashsplat::train::checkpoint::{Capacities, Checkpoint};
+use ashsplat::train::checkpoint::{Capacities, Checkpoint, MomentState};
 
 pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
     let count = gaussians.len();
@@ -30,11 +30,9 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         due: Default::default(),
         filters: Vec::new(),
         strategy: Default::default(),
-        first_moments: gaussians.clone(),
-        second_moments: ones,
+        moments: MomentState::F32([gaussians.clone(), ones]),
         statistics: vec![[0.0; 2]; count],
         gaussians,
-        means: None,
         exposures: Default::default(),
         lenses: Default::default(),
         poses: None,

@@ -224,7 +224,6 @@ fn trainings(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
             dropout: 0.1,
             opacity_reg: 0.01,
             scale_reg: 0.01,
-            average_last: 0.3,
             random_background: true,
             ..reference
         },

@@ -143,7 +143,7 @@ mod tests {
     fn settings_change_gradually_with_the_number_of_photos() {
         let values = |photos: usize| {
             let train = TrainSettings::default().for_photos(photos);
-            [train.dropout, 10.0 * train.opacity_reg, train.average_last]
+            [train.dropout, 10.0 * train.opacity_reg, train.decay_last]
         };
         assert_eq!(values(0), values(12));
         assert_eq!(values(32), values(1000));
