@@ -1,7 +1,7 @@
 //! A block of a scene: its trained core and the frozen Gaussians around it.
 //!
 //! Frames show both, so that pictures are whole and photographs need no mask. Frozen Gaussians only have parameters on the
-//! device: no moments, no statistics, no spare set.
+//! device: no moments and no statistics.
 
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 /// The arenas of a training, logged with their resident and peak bytes.
 const ARENAS: [&str; 9] =
-    ["total", "scene", "moments", "spare", "statistics", "frame", "loss", "photos", "densify"];
+    ["total", "scene", "moments", "scratch", "statistics", "frame", "loss", "photos", "densify"];
 const COLUMNS: &str = "iteration,loss,psnr,gaussians,ms,skipped";
 /// Column of the mean PSNR over the tracked views.
 const TRACKED: &str = "tracked_psnr";

@@ -291,7 +291,7 @@ fn memory(out: &mut String, run: &Run) {
         .partition(|arena| !["total", "offloaded"].contains(&arena.name.as_str()));
     let offloaded = sums.iter().find(|sum| sum.name == "offloaded").map_or_else(String::new, |sum| {
         format!(
-            "; scene, moments, spare and surroundings, {} MiB, lie in the machine's memory",
+            "; scene, moments, scratch and surroundings, {} MiB, lie in the machine's memory",
             sum.peak_bytes >> 20
         )
     });
