@@ -99,7 +99,11 @@ impl Training {
                 &context,
                 OptimizerForm { moved_cameras: true, ..OptimizerForm::default() },
             ),
-            moments: Moments { plan: scene.plan, sets: vec![planes_of("moments"), planes_of("moments")] },
+            moments: Moments {
+                packed: false,
+                plan: scene.plan,
+                sets: vec![planes_of("moments"), planes_of("moments")],
+            },
             gradients: planes_of("gradients"),
             frame: FrameBuffers::from_allocated(frame),
             others: context.allocate("test", &others, MemoryKind::Device).expect("buffers"),

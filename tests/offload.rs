@@ -3,7 +3,7 @@
 use crate::common::prelude::*;
 use ashsplat::train::OptimizerType;
 
-/// Bytes of a Gaussian of SH degree 3 in each of the four sets.
+/// Bytes of a Gaussian of SH degree 3 in each of the three sets.
 const SET: u64 = 4 * (3 * 4 + 48);
 const HOST: Option<u64> = Some(1 << 30);
 

@@ -47,7 +47,9 @@ pub struct Step {
 /// First and second moments of a scene's parameters.
 #[derive(Clone)]
 pub struct Moments {
-    /// Plan of a set. With two SH planes in one the moments are packed: see packed_moments.glsl.
+    /// True if the moments are packed: see packed_moments.glsl.
+    pub packed: bool,
+    /// Plan of a set.
     pub plan: ScenePlan,
     /// The first and the second moments, or one set of packed ones; each one buffer per chunk.
     pub sets: Vec<Vec<Buffer>>,
@@ -62,11 +64,6 @@ impl Moments {
     /// Buffers of the first and the second moments of a chunk. They are the same for packed moments.
     pub fn chunk(&self, chunk: usize) -> [&Buffer; 2] {
         [&self.sets[0][chunk], &self.sets[self.sets.len() - 1][chunk]]
-    }
-
-    /// True for packed moments.
-    pub fn is_packed(&self) -> bool {
-        self.plan.half_sh
     }
 }
 

@@ -109,7 +109,7 @@ pub struct Gather<'a> {
     pub to: &'a SceneBuffers,
     /// Source of each row.
     pub sources: &'a Buffer,
-    /// A plane per chunk of the new set, if both are the same planes; else empty.
+    /// One plane per chunk for a set that changes in place; empty for a new set.
     pub scratch: &'a [Buffer],
 }
 
@@ -306,7 +306,7 @@ impl Densify {
                     count: range.count,
                     max_opacity: most as f32,
                     max_logit,
-                    packed_moments: moments.is_packed().into(),
+                    packed_moments: moments.packed.into(),
                 };
                 r.dispatch(&self.reset, &bind, &push, self.sizes.groups(range.count));
             }

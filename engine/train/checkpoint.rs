@@ -10,6 +10,7 @@ use super::settings::{MomentsType, TrainSettings};
 use super::work::Actions;
 use crate::error::{Error, Result};
 use crate::frame::half_parameter_planes;
+use crate::kernels::constants::{PLANE_LOG_SCALE, PLANE_SH};
 use crate::scene::gaussians::sh_coefficients;
 use crate::scene::{Fingerprint, Gaussians, WorldFrame};
 
@@ -76,8 +77,23 @@ pub struct Checkpoint {
 pub enum MomentState {
     /// First and second moments, shaped like the parameters.
     F32([Gaussians; 2]),
-    /// Gaussian by Gaussian, [`packed_planes`] words of each (packed_moments.glsl).
+    /// Gaussian by Gaussian, [`packed_planes`] groups of four words of each (packed_moments.glsl).
     Packed(Vec<[u32; 4]>),
+}
+
+/// True if a step can go on from the packed words of a Gaussian: finite moments, and second ones not below 0.
+fn are_moments(planes: &[[u32; 4]]) -> bool {
+    let is_finite =
+        |word: u32| [word << 16, word & 0xFFFF_0000].iter().all(|&bits| f32::from_bits(bits).is_finite());
+    let is_positive = |word: u32| is_finite(word) && word & 0x8000_8000 == 0;
+    planes[..PLANE_SH as usize].iter().enumerate().all(|(plane, &[a, b, c, d])| {
+        if plane as u32 != PLANE_LOG_SCALE {
+            return is_finite(a) && is_finite(b) && is_positive(c) && is_positive(d);
+        }
+        let bound = f32::from_bits(b & 0xFFFF_0000 | d >> 16);
+        let is_bound = bound.is_finite() && bound >= 0.0;
+        is_finite(a) && is_finite(b & 0xFFFF) && is_positive(c) && is_positive(d & 0xFFFF) && is_bound
+    })
 }
 
 /// Number of `[u32; 4]` in the packed moments of a Gaussian with SH up to `sh_degree`.
@@ -371,6 +387,13 @@ impl Checkpoint {
 
     /// Statistics are unchecked, because values there that are not finite change no parameter.
     fn check_values(&self) -> Result<()> {
+        if let MomentState::Packed(words) = &self.moments {
+            let planes = packed_planes(self.gaussians.sh_degree);
+            if let Some(at) = words.chunks_exact(planes).position(|own| !are_moments(own)) {
+                let problem = format!("those of Gaussian {at} are such as no training has");
+                return Err(Error::argument(Self::PACKED_MOMENTS, problem));
+            }
+        }
         let free = ["statistics", Self::STRATEGY, Self::PACKED_MOMENTS];
         for Tensor { name, bytes, .. } in self.tensors() {
             if free.iter().any(|prefix| name.starts_with(prefix)) {
@@ -398,13 +421,12 @@ impl Checkpoint {
             }
         }
         let gaussians = self.gaussians.len();
-        let storage = match &self.moments {
-            MomentState::F32(_) => MomentsType::F32,
-            MomentState::Packed(_) => MomentsType::Packed,
-        };
-        let moments_fit = match &self.moments {
-            MomentState::F32(_) => true,
-            MomentState::Packed(words) => words.len() == gaussians * packed_planes(self.gaussians.sh_degree),
+        let (storage, moments_fit) = match &self.moments {
+            MomentState::F32(_) => (MomentsType::F32, true),
+            MomentState::Packed(words) => {
+                let all = gaussians * packed_planes(self.gaussians.sh_degree);
+                (MomentsType::Packed, words.len() == all)
+            }
         };
         let rows = |statistic: &StrategyStatistic| {
             statistic.floats > 0 && statistic.values.len() == gaussians * statistic.floats as usize
@@ -420,12 +442,13 @@ impl Checkpoint {
         };
         let of_gaussians = "of another number than the Gaussians";
         let of_views = "are of another number than the views";
-        let checks: [(bool, &str, String); 7] = [
+        let checks: [(bool, &str, String); 8] = [
             (
-                moments_fit && storage == self.settings.moments,
+                storage == self.settings.moments,
                 "moments",
-                format!("{of_gaussians}, or stored otherwise than the settings say"),
+                "are stored otherwise than the settings say".into(),
             ),
+            (moments_fit, "moments", format!("are {of_gaussians}")),
             (
                 self.statistics.len() == gaussians && self.strategy.statistics.iter().all(rows),
                 "statistics",

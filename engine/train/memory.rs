@@ -124,12 +124,16 @@ impl RowMemory {
         vec![("parameter_gradients", bytes); chunks]
     }
 
-    /// Parameters, moments, and scratch of one plane.
-    fn plane_requests(&self, plan: &ScenePlan) -> [Requests; 3] {
+    /// Parameters, the sets of moments, and scratch of one plane: each is an allocation.
+    fn plane_requests(&self, plan: &ScenePlan) -> Vec<Requests> {
         let (moments, sets) = Moments::sets_of(plan, self.packed_moments);
-        let moments = vec![planes::requests(&moments); sets].concat();
-        let scratch = vec![("scratch", u64::from(plan.chunk_gaussians) * 16); plan.chunks as usize];
-        [planes::requests(plan), moments, scratch]
+        let moments = std::iter::repeat_n(planes::requests(&moments), sets);
+        let all = std::iter::once(planes::requests(plan)).chain(moments);
+        all.chain([Self::scratch_requests(plan)]).collect()
+    }
+
+    fn scratch_requests(plan: &ScenePlan) -> Requests {
+        vec![("scratch", u64::from(plan.chunk_gaussians) * 16); plan.chunks as usize]
     }
 
     /// Bytes of the buffers for a plan's capacity, without allocation padding: the cost of one capacity beside another.
@@ -172,11 +176,10 @@ pub(super) struct Model {
 impl Model {
     /// Allocates the buffers that belong to a scene, without clearing them.
     pub fn allocate(context: &Context, scene: SceneBuffers, rows: &RowMemory) -> Result<Self> {
-        let [.., scratch] = rows.plane_requests(&scene.plan);
         let (plan, sets) = Moments::sets_of(&scene.plan, rows.packed_moments);
         let sets = (0..sets).map(|_| planes::allocate(context, ("moments", rows.planes), &plan));
-        let moments = Moments { plan, sets: sets.collect::<Result<_>>()? };
-        let scratch = context.allocate("scratch", &scratch, rows.planes)?;
+        let moments = Moments { packed: rows.packed_moments, plan, sets: sets.collect::<Result<_>>()? };
+        let scratch = context.allocate("scratch", &RowMemory::scratch_requests(&scene.plan), rows.planes)?;
         let statistics = rows.statistics_requests(scene.plan.capacity);
         let statistics = context.allocate("statistics", &statistics, MemoryKind::Device)?;
         let gradients = rows.gradient_requests(&scene.plan);

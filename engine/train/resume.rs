@@ -163,7 +163,7 @@ impl Trainer {
 
     fn moment_state(&self) -> Result<MomentState> {
         let model = &self.state.model;
-        if model.moments.is_packed() {
+        if model.moments.packed {
             let words = model.moment_planes().map(|planes| planes::download_words(&self.context, &planes));
             return Ok(MomentState::Packed(words.collect::<Result<Vec<_>>>()?.concat()));
         }

@@ -527,8 +527,7 @@ impl TrainSettings {
     /// Adapts settings to few photographs, by measurement (tools/strategies.md). From 32 photographs on nothing changes, from
     /// [`FEW_PHOTOS`](Self::FEW_PHOTOS) down everything, and in between each value changes by a share. Budget omits random
     /// Gaussians from steps (DropGaussian), so that no photograph is fitted by Gaussians that no other shows. A weight on opacities
-    /// clears haze that no photograph disproves. The reference's
-    /// growth ends early. The other strategies stay as they are.
+    /// clears haze that no photograph disproves. The reference's growth ends early. The other strategies stay as they are.
     #[must_use]
     pub fn for_photos(self, photos: usize) -> Self {
         let share = ((MANY_PHOTOS - photos as f64) / (MANY_PHOTOS - Self::FEW_PHOTOS as f64)).clamp(0.0, 1.0);

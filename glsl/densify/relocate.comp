@@ -9,6 +9,7 @@
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_spirv_intrinsics : require
 
 #include "constants.glsl"
 
@@ -18,8 +19,9 @@ layout(local_size_x_id = 0) in;
 layout(set = 0, binding = 0, scalar) readonly buffer Sources { uint sources[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Draws { uint draws[]; };
 layout(set = 0, binding = 2, scalar) buffer Parameters { vec4 parameters[]; };
-layout(set = 0, binding = 3, scalar) writeonly buffer Moments1 { uvec4 moments_1[]; };
-layout(set = 0, binding = 4, scalar) writeonly buffer Moments2 { uvec4 moments_2[]; };
+// Packed moments are bound twice, so both are decorated as aliased.
+spirv_decorate(20) layout(set = 0, binding = 3, scalar) writeonly buffer Moments1 { uvec4 moments_1[]; };
+spirv_decorate(20) layout(set = 0, binding = 4, scalar) writeonly buffer Moments2 { uvec4 moments_2[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint first;

@@ -5,7 +5,7 @@
 // interface and give the same bits.
 //
 // VEC4_READS(binding, Block, name); declares a buffer, VEC4_AT(name, index) reads from it; likewise for other types.
-// VEC4_WRITES and VEC4_PUT(name, index, value) write.
+// VEC4_WRITES and VEC4_PUT(name, index, value) write, likewise for uvec4. The value is evaluated twice, so it may change nothing.
 //
 // ALIASED marks each of two buffers that may be bound to the same memory, if one of them is written. It is SPIR-V's decoration,
 // without which a compiler assumes different memory. The hazard checker finds missing ones.

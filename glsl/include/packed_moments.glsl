@@ -2,8 +2,8 @@
 // All are zero for zero moments. Rounding up or down has no bias: each value has a threshold that starts at random and moves by the
 // golden ratio from step to step. The errors of a few steps then cancel, where those of independent numbers add up.
 //
-// Geometry: m as bfloat16 in .xy, v in .zw. In the unused component of log-scales stand the bits of a bound of SH's v.
-// SH: m / sqrt(v) as the signed square of an int8 / 2048, finest around 0, and log2(v) in steps of 1/8 (uint8). 0 is v = 0, and 255
+// Geometry: m as bfloat16 in .xy, v in .zw. Log-scales have three components. The fourth holds an upper bound of SH's v, as float32.
+// SH: m / sqrt(v) = +-i^2 / 2048 with an int8 i, and log2(v) in steps of 1/8 (uint8). 0 is v = 0, and 255
 // the power of two above the bound, so that steps stay where they are while the bound changes. 31 octaves below it have steps.
 
 const float MOMENT_STEPS = 8.0;

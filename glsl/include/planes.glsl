@@ -6,6 +6,12 @@
 #define PARAMETERS_BEGIN 0
 #endif
 
+// Index of a plane of Gaussian `index`. `place` has the first vec4 of the planes stored together, their number, and the plane's
+// number among them. ScenePlan::plane_place makes it.
+uint place_in(uvec3 place, uint index) {
+    return PARAMETERS_BEGIN + place.x + (index / PLANE_ROW * place.y + place.z) * PLANE_ROW + index % PLANE_ROW;
+}
+
 // Index of `plane` of Gaussian `index` in a chunk with capacity `gaussians`.
 uint plane_at(uint plane, uint index, uint gaussians) {
     uint first = 0, end = PLANE_SH;
@@ -42,17 +48,10 @@ uint half_plane_at(uint plane, uint index, uint gaussians) {
         first = PLANE_SH;
         end = PLANE_SH + HALF_SH_PLANES_0;
     }
-    uint row = index / PLANE_ROW;
-    return PARAMETERS_BEGIN + first * gaussians + (row * (end - first) + plane - first) * PLANE_ROW + index % PLANE_ROW;
+    return place_in(uvec3(first * gaussians, end - first, plane - first), index);
 }
 
 // Same as plane_at, but for a geometry plane. Geometry comes first, so the index does not depend on the chunk's capacity.
 uint geometry_at(uint plane, uint index) {
     return plane_at(plane, index, 0);
-}
-
-// Index of a plane of Gaussian `index`. `place` has the first vec4 of the planes stored together, their number, and the plane's
-// number among them. ScenePlan::plane_place makes it.
-uint place_in(uvec3 place, uint index) {
-    return place.x + (index / PLANE_ROW * place.y + place.z) * PLANE_ROW + index % PLANE_ROW;
 }

@@ -177,14 +177,14 @@ void update_packed_groups(uint pair, uint index, vec3 d_color, vec3 direction, v
 void update_all_packed(uint index, vec4 d_mean_opacity, vec4 d_quat, vec4 d_log_scale, vec3 d_color, vec3 direction) {
     vec4 bias = vec4(inverse_bias_2);
     uint at = half_plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians);
-    UVEC4_PUT(moments_1, at,
-        update_packed(PLANE_MEAN_OPACITY, index, UVEC4_AT(old_moments_1, at), d_mean_opacity,
-            vec4(vec3(rate_mean), rate_opacity), vec4(bias.xyz, inverse_bias_2_opacity)));
+    uvec4 words = update_packed(PLANE_MEAN_OPACITY, index, UVEC4_AT(old_moments_1, at), d_mean_opacity,
+        vec4(vec3(rate_mean), rate_opacity), vec4(bias.xyz, inverse_bias_2_opacity));
+    UVEC4_PUT(moments_1, at, words);
     at = half_plane_at(PLANE_QUAT, index, chunk_gaussians);
-    UVEC4_PUT(moments_1, at,
-        update_packed(PLANE_QUAT, index, UVEC4_AT(old_moments_1, at), d_quat, vec4(rate_quat), bias));
+    words = update_packed(PLANE_QUAT, index, UVEC4_AT(old_moments_1, at), d_quat, vec4(rate_quat), bias);
+    UVEC4_PUT(moments_1, at, words);
     at = half_plane_at(PLANE_LOG_SCALE, index, chunk_gaussians);
-    uvec4 words = UVEC4_AT(old_moments_1, at);
+    words = UVEC4_AT(old_moments_1, at);
     float bound = bound_of(words);
     float largest = sh_largest() * max(max(abs(d_color.r), abs(d_color.g)), abs(d_color.b));
     float new_bound = beta_2 * bound + one_minus_beta_2 * largest * largest;

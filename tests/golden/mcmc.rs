@@ -119,6 +119,7 @@ pub fn relocation(path: &Path) -> Outcome {
                 }
             }
             let moments = Moments {
+                packed: false,
                 plan: after[1].plan,
                 sets: after[1..].iter().map(|set| set.chunks.clone()).collect(),
             };

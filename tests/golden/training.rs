@@ -385,7 +385,11 @@ pub fn reset_opacity(path: &Path) -> Outcome {
     let upload = || planes::upload(gpu.context, ("test", MemoryKind::Device), &input, 0, 1).expect("upload");
     // Moments are planes as well; copies of the scene take their place.
     let (scene, first, second) = (upload(), upload(), upload());
-    let moments = Moments { plan: first.plan, sets: [&first, &second].map(|set| set.chunks.clone()).into() };
+    let moments = Moments {
+        packed: false,
+        plan: first.plan,
+        sets: [&first, &second].map(|set| set.chunks.clone()).into(),
+    };
     let densify = Densify::new(gpu.context, DensifyForm::default()).expect("the kernels of densification");
     gpu.run(|recorder| densify.record_reset(recorder, &scene, &moments, RESET_OPACITY));
     let [after, first, second] = [&scene, &first, &second]

@@ -13,7 +13,7 @@ use crate::reference::reset_opacity::reset_opacity as reset_opacity_twin;
 use crate::reference::scan::scan_spine;
 use crate::reference::scatter_sources::{Densify as DensifyTwin, Kind, place as place_twin};
 use crate::reference::zorder::{cell, zorder as zorder_twin};
-use ashsplat::frame::LaunchSizes;
+use ashsplat::frame::{self, LaunchSizes, SceneBuffers};
 use ashsplat::kernels::constants::{
     CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED, GATHER_COPIES, GATHER_LOG_SCALE,
     GATHER_MEAN_OPACITY, GATHER_MOMENTS, PLANE_LOG_SCALE, PLANE_MEAN_OPACITY,
@@ -21,7 +21,9 @@ use ashsplat::kernels::constants::{
 use ashsplat::kernels::densify::{
     classify, gather, mask_outside, relocate, reset_opacity, scatter_sources, zorder,
 };
-use ashsplat::passes::densify::{Curve, Densify, DensifyBuffers, DensifyForm, OrderBuffers};
+use ashsplat::passes::densify::{
+    Curve, Densify, DensifyBuffers, DensifyForm, Gather, OrderBuffers, RandomKey,
+};
 
 const SCENE_EXTENT: f64 = 40.0;
 
@@ -436,6 +438,99 @@ fn relocate_equals_its_twin() {
             let rest = |g: &Gaussian| (g.mean, g.quat, g.sh.clone());
             assert_eq!(rest(&after[i]), rest(before), "{i}");
             assert_eq!([&moments_1[i], &moments_2[i]], [&zero(4); 2], "{i}");
+        }
+    }
+}
+
+/// Packed moments lie elsewhere, in one buffer.
+#[test]
+fn relocation_and_reset_clear_packed_moments() {
+    const PLANES: usize = 5;
+    let (gpu, size) = (Gpu::new(), 70);
+    let gaussians = mixed_scene(&mut Random::new(1), size, 4);
+    let parameters = gpu.gaussians("parameters", &gaussians);
+    let moments = gpu.buffer("moments", &vec![[u32::MAX; 4]; PLANES * room(size)]);
+    let words_of = |gaussian: usize| {
+        let words = gpu.read::<[u32; 4]>(&moments, PLANES * room(size));
+        let own = |plane: usize| match plane {
+            0..3 => place(plane as u32, gaussian, room(size)),
+            _ => plane * room(size) + gaussian,
+        };
+        [0, 1, 2, 3, 4].map(|plane| words[own(plane)])
+    };
+    let (bind, push) = (
+        reset_opacity::Bind { parameters: &parameters, moments_1: &moments, moments_2: &moments },
+        reset_opacity::Push { count: size as u32, max_opacity: 0.01, max_logit: -4.6, packed_moments: 1 },
+    );
+    let spec = reset_opacity::Spec { workgroup_size: gpu.workgroup(64) };
+    gpu.dispatch_over::<reset_opacity::Interface>(&spec, &bind, &push, size);
+    let opacity_cleared = [u32::MAX, 0xFFFF, u32::MAX, 0xFFFF];
+    let mut expected = [[u32::MAX; 4]; PLANES];
+    expected[0] = opacity_cleared;
+    assert!((0..size).all(|gaussian| words_of(gaussian) == expected));
+    let bind = relocate::Bind {
+        sources: &gpu.buffer("sources", &(0..size as u32).collect::<Vec<u32>>()),
+        draws: &gpu.buffer("draws", &(0..size as u32).map(|gaussian| gaussian % 2).collect::<Vec<u32>>()),
+        parameters: &parameters,
+        moments_1: &moments,
+        moments_2: &moments,
+    };
+    let push = relocate::Push {
+        first: 0,
+        count: size as u32,
+        chunk_gaussians: room(size) as u32,
+        planes: PLANES as u32,
+        packed_moments: 1,
+    };
+    let spec = relocate::Spec { workgroup_size: gpu.workgroup(64) };
+    gpu.dispatch_over::<relocate::Interface>(&spec, &bind, &push, size);
+    for gaussian in 0..size {
+        let expected = if gaussian % 2 == 1 { [[0; 4]; PLANES] } else { expected };
+        assert_eq!(words_of(gaussian), expected, "{gaussian}");
+    }
+}
+
+/// A set that changes in place has the rows of a new one, also if it grows or lies in several buffers.
+#[test]
+fn gather_in_place_is_the_same_to_the_bit() {
+    let (gpu, in_chunks) = (Gpu::new(), in_chunks());
+    let mut random = Random::new(6);
+    for (context, count, rows) in
+        [(gpu.context, 300, 260), (gpu.context, 300, 411), (&in_chunks, 20_000, 22_000)]
+    {
+        let stored = gaussians(&mixed_scene(&mut random, count as usize, 4));
+        let upload = || {
+            let place = ("scene", MemoryKind::Device);
+            frame::planes::upload(context, place, &stored, count.max(rows), stored.sh_degree)
+                .expect("a scene")
+        };
+        let sources: Vec<u32> = (0..rows).map(|_| random.below(count) | random.below(4) << 30).collect();
+        let buffer = context.allocate("sources", &[("sources", u64::from(rows) * 4)], MemoryKind::Device);
+        let buffer = buffer.expect("memory").remove(0);
+        context.upload(&buffer, bytemuck::cast_slice(&sources)).expect("uploaded");
+        let densify = Densify::new(context, DensifyForm::default()).expect("kernels");
+        let key = RandomKey { seed: 3, iteration: 9, explicit: None };
+        let gathered = |from: &SceneBuffers, to: SceneBuffers, scratch: &[Buffer], moments: bool| {
+            let to = SceneBuffers { count: rows, ..to };
+            let rows = Gather { from, to: &to, sources: &buffer, scratch };
+            let recorded = context.run("gather", |r| {
+                match moments {
+                    true => densify.record_gather_moments(r, &rows),
+                    false => densify.record_gather_parameters(r, &rows, &key),
+                }
+                Ok(())
+            });
+            recorded.expect("gathered");
+            frame::planes::download(context, &to).expect("downloaded")
+        };
+        let requests =
+            vec![("scratch", u64::from(upload().plan.chunk_gaussians) * 16); upload().chunks.len()];
+        let scratch = context.allocate("scratch", &requests, MemoryKind::Device).expect("memory");
+        for moments in [false, true] {
+            let own = upload();
+            let new = gathered(&own, upload(), &[], moments);
+            assert!(new.means != stored.means && new.len() == rows as usize);
+            assert!(gathered(&own, own.clone(), &scratch, moments) == new, "{rows} of {count}, {moments}");
         }
     }
 }

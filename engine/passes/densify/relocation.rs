@@ -153,7 +153,7 @@ impl Relocation {
                     count: range.count,
                     chunk_gaussians: scene.plan.chunk_gaussians,
                     planes: moments.plan.planes,
-                    packed_moments: moments.is_packed().into(),
+                    packed_moments: moments.packed.into(),
                 };
                 r.dispatch(&self.relocate, &bind, &push, self.sizes.groups(range.count));
             }

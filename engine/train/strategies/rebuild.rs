@@ -54,7 +54,7 @@ impl<'a> Decisions<'a> {
     /// Allocates memory for a new set of up to `rows` rows, and for its order along the curve. The capacity may be less
     /// ([`Population::capacity_with`]). None if memory for the order is short; the set then stays.
     pub fn reserve_gaussians(&mut self, population: &mut Population, rows: u32) -> Result<Option<Growth>> {
-        // The order comes before the second set of planes. There is no fallback to another order, because the bits would then
+        // The order comes before new planes. There is no fallback to another order, because the bits would then
         // depend on the free memory.
         self.order = order_buffers(population, rows)?;
         self.order.is_some().then(|| population.reserve_gaussians(rows)).transpose()

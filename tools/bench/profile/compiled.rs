@@ -4,7 +4,7 @@
 use super::{Arguments, What, spec, watch};
 use crate::compiled::{Compiled, Pipeline};
 use crate::{compiled, machine, synthetic};
-use ashsplat::train::{OptimizerType, StrategyType};
+use ashsplat::train::{MomentsType, OptimizerType, StrategyType};
 use ashsplat::vk::{CompileOnly, Context, PipelineStatistics, is_kernel_of};
 use ashsplat::{
     Blending, Error, RenderSettings, Renderer, Reservation, Result, TrainSettings, TrainView, Trainer,
@@ -225,6 +225,7 @@ fn trainings(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
             opacity_reg: 0.01,
             scale_reg: 0.01,
             random_background: true,
+            moments: MomentsType::Packed,
             ..reference
         },
     ];

@@ -56,7 +56,7 @@ pub struct DataSettings {
     /// sets --exposure (the reference's protocol)
     #[arg(long, action = Set, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     pub train_test_exp: bool,
-    /// Settings for few photos: steps leave some Gaussians out, opacities have a weight, and learning rates fall longer. auto changes
+    /// Settings for few photos: steps leave some Gaussians out, opacities have a weight, and learning rates fall over a longer share. auto changes
     /// nothing from 32 photos on, all from 12 down, and shares of it in between (not with the reference's strategy); on changes all.
     /// Options that set these values take precedence [default: auto]
     #[arg(long, value_name = "WHEN")]
