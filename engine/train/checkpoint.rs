@@ -74,6 +74,8 @@ pub struct Checkpoint {
 
 /// Adam's moments of the parameters, as [`TrainSettings::moments`] stores them.
 #[derive(Clone, Debug, PartialEq)]
+// A checkpoint has one, so its size does not matter.
+#[allow(clippy::large_enum_variant)]
 pub enum MomentState {
     /// First and second moments, shaped like the parameters.
     F32([Gaussians; 2]),
