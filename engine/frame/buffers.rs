@@ -175,11 +175,11 @@ buffer_set! {
     pub surfaces: surface * pixels * 16;
 }
 
-/// Returns the buffers that were allocated for `N` requests.
+/// Returns the `N` results of `N` requests.
 pub(crate) fn array_of<T, const N: usize>(all: Vec<T>) -> [T; N] {
     match all.try_into() {
         Ok(all) => all,
-        Err(_) => panic!("one buffer per request"),
+        Err(_) => panic!("one result per request"),
     }
 }
 

@@ -127,11 +127,9 @@ impl ScenePlan {
     /// below `chunk_gaussians`.
     pub fn place(&self, plane: u32, index: usize) -> usize {
         assert!(plane < self.planes && index < self.chunk_gaussians as usize, "{plane}, {index}: {self:?}");
-        let (row, Range { start, end }) = (PLANE_ROW as usize, self.group(plane));
-        let (first, planes) = (start as usize, (end - start) as usize);
-        first * self.chunk_gaussians as usize
-            + (index / row * planes + plane as usize - first) * row
-            + index % row
+        let [first, planes, own] = self.plane_place(plane).map(|part| part as usize);
+        let row = PLANE_ROW as usize;
+        first + (index / row * planes + own) * row + index % row
     }
 
     /// Returns the chunks that `count` Gaussians occupy.

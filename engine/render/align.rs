@@ -204,3 +204,26 @@ fn check(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Adam finds the minimum of a quadratic function, within the reach of the rates.
+    #[test]
+    fn adam_finds_a_minimum() {
+        let alignment = Alignment { steps: 300, ..Alignment::default() };
+        let wanted = Twist { nu: DVec3::new(0.02, -0.01, 0.03), omega: DVec3::new(0.01, 0.015, -0.005) };
+        let mut adam = Adam::new(3.0);
+        for _ in 0..300 {
+            let (nu, omega) = (adam.moved.nu - wanted.nu, adam.moved.omega - wanted.omega);
+            // Converts it to the camera's centre.
+            let omega = omega + DVec3::new(0.0, 0.0, 3.0).cross(nu);
+            alignment.step(&mut adam, Twist { nu, omega });
+        }
+        let far = (adam.moved.nu - wanted.nu).length() + (adam.moved.omega - wanted.omega).length();
+        assert!(far < 2e-3, "{far}");
+        let refused = Alignment { lr: f64::NAN, ..alignment }.check().expect_err("refused");
+        assert!(refused.to_string().starts_with("alignment: "), "{refused}");
+    }
+}

@@ -88,4 +88,13 @@ mod tests {
         // The product is not decoded: a tenth of white is a tenth of its light.
         assert!((linear_from_premultiplied([0.1; 3], 0.1)[0] - 0.1).abs() < 1e-7);
     }
+
+    #[test]
+    fn exposures_are_checked() {
+        assert!(ColorEncoding::AsTrained.check().is_ok() && ColorEncoding::LINEAR.check().is_ok());
+        for exposure in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            let error = ColorEncoding::LinearSrgb { exposure }.check().expect_err("refused").to_string();
+            assert!(error.contains("must be finite and positive"), "{error}");
+        }
+    }
 }

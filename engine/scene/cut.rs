@@ -142,4 +142,20 @@ mod tests {
         all.opacity_logits = vec![f32::MAX, 18.0, 16.0];
         assert_eq!(kept(&Cut { min_opacity: 1.0, ..Cut::default() }, &all), [0, 1]);
     }
+
+    #[test]
+    fn senseless_cuts_are_refused() {
+        let none = Cut::default();
+        assert!(none.check().is_ok());
+        let odd = Some(Bounds { min: Vec3::NAN, max: Vec3::ONE });
+        for cut in [
+            Cut { min_opacity: 1.1, ..none },
+            Cut { min_opacity: f32::NAN, ..none },
+            Cut { min_density: -1.0, ..none },
+            Cut { min_density: f32::INFINITY, ..none },
+            Cut { bounds: odd, ..none },
+        ] {
+            assert!(cut.check().is_err(), "{cut:?}");
+        }
+    }
 }

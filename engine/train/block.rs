@@ -363,4 +363,33 @@ mod tests {
         assert_eq!(seen_by(&gaussians(&near, -7.0), &[camera().orthographic()]), [true, false]);
         assert_eq!(seen_by(&gaussians(&[[f32::NAN; 3]], -7.0), &[left]), [true]);
     }
+
+    #[test]
+    fn senseless_boxes_are_refused() {
+        let whole = scene(&[0.0]);
+        for (core, margin) in [
+            (bounds(1.0, -1.0), 0.0),
+            (bounds(0.0, 0.0), 0.0),
+            (bounds(f32::NAN, 1.0), 0.0),
+            (bounds(-1.0, 1.0), -0.1),
+            (bounds(-1.0, 1.0), f32::NAN),
+            (bounds(-1.0, 1.0), f32::INFINITY),
+            (bounds(3.0, 4.0), 1.0),
+        ] {
+            assert!(SceneBlock::divide(&whole, core, margin).is_err(), "{core:?} {margin}");
+        }
+    }
+
+    #[test]
+    fn what_differs_is_named() {
+        let state = BlockState { core: [[-1.0; 3], [1.0; 3]], frozen: 7, fingerprint: 3 };
+        let differs =
+            |here: Option<&BlockState>| BlockState::difference(Some(&state), here).unwrap_or_default();
+        assert_eq!(differs(Some(&state)), "");
+        assert!(differs(None).contains("-1,-1,-1,1,1,1"));
+        assert!(differs(Some(&BlockState { core: [[-2.0; 3], [1.0; 3]], ..state })).contains("-2,-2,-2,1"));
+        assert!(differs(Some(&BlockState { fingerprint: 4, ..state })).contains("7 other Gaussians"));
+        assert!(BlockState::difference(None, Some(&state)).is_some());
+        assert!(BlockState::difference(None, None).is_none());
+    }
 }

@@ -226,7 +226,7 @@ impl Population<'_> {
             return Err(Error::argument("rows", problem));
         }
         let (old, before) = (&*self.model, self.count());
-        // Without growth each plane moves through the scratch.
+        // A set within its capacity changes in place: each plane moves through the scratch.
         let (mut new, scratch) = match growth.0 {
             Some(new) => (new, &[][..]),
             None => (old.clone(), &old.scratch[..]),

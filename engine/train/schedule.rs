@@ -610,6 +610,14 @@ mod tests {
     }
 
     #[test]
+    fn rates_fall_to_zero_at_the_end() {
+        let settings = TrainSettings { decay_last: 0.1, ..run_of(1000) };
+        let found = [1, 900, 950, 999, 1000].map(|iteration| settings.final_decay(iteration));
+        assert_eq!(found, [1.0, 1.0, 0.5, 0.01, 0.0]);
+        assert_eq!(TrainSettings::reference().final_decay(29_999), 1.0);
+    }
+
+    #[test]
     fn schedule_of_the_reference() {
         let settings = TrainSettings::reference();
         let densified = all(&settings, TrainSettings::densifies_at);

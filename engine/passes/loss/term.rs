@@ -235,4 +235,16 @@ mod tests {
         assert_eq!(sorted, (0..12).collect::<Vec<u32>>());
         assert_eq!(lists.entries[8..], [8, 9, 10, 11]);
     }
+
+    #[test]
+    fn points_outside_are_refused() {
+        let check = |x: f32, inverse_z: f32| {
+            check_depth_points("view 3", &[DepthPoint { position_px: [x, 0.0], inverse_z }], (5, 3))
+        };
+        assert!(check(4.0, 1.0).is_ok());
+        for (x, inverse_z) in [(4.1, 1.0), (-0.1, 1.0), (f32::NAN, 1.0), (1.0, 0.0), (1.0, f32::INFINITY)] {
+            let message = check(x, inverse_z).expect_err("refused").to_string();
+            assert!(message.starts_with("view 3") && message.contains("5x3"), "{message}");
+        }
+    }
 }

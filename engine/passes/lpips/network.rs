@@ -186,3 +186,16 @@ impl Weights {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_may_be_too_small() {
+        assert!(Network::AlexNet.check_size(31, 500).is_ok() && Network::Vgg16.check_size(500, 16).is_ok());
+        let message = |network: Network, side| network.check_size(side, 99).expect_err("small").to_string();
+        assert!(message(Network::AlexNet, 30).contains("30x99 pixels, AlexNet needs 31"));
+        assert!(message(Network::Vgg16, 15).contains("15x99 pixels, VGG16 needs 16"));
+    }
+}

@@ -54,14 +54,14 @@ impl<'a> Decisions<'a> {
     /// Allocates memory for a new set of up to `rows` rows, and for its order along the curve. The capacity may be less
     /// ([`Population::capacity_with`]). None if memory for the order is short; the set then stays.
     pub fn reserve_gaussians(&mut self, population: &mut Population, rows: u32) -> Result<Option<Growth>> {
-        // The order comes before new planes. There is no fallback to another order, because the bits would then
-        // depend on the free memory.
+        // The order comes before new planes. There is no fallback to another order, because the bits would then depend on the
+        // free memory.
         self.order = order_buffers(population, rows)?;
         self.order.is_some().then(|| population.reserve_gaussians(rows)).transpose()
     }
 
-    /// Replaces the set by the decisions: along the curve after [`Decisions::reserve_gaussians`], in the order of before
-    /// without it.
+    /// Replaces the set by the decisions. [`Decisions::reserve_gaussians`] orders the new set along the curve. Without it the
+    /// Gaussians keep their order.
     pub fn rebuild(&self, population: &mut Population, densified: Densified, growth: Growth) -> Result<()> {
         let (rows, key, curve) = (densified.rows(), population.random_key(), population.curve());
         let sources = |r: &mut Recorder, scene: &SceneBuffers| {
