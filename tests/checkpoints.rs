@@ -4,7 +4,7 @@ use crate::common::device::planned_peak;
 use crate::common::prelude::*;
 use crate::few_photos::{few, mapped};
 use ashsplat::scene::WorldFrame;
-use ashsplat::train::{Actions, MomentState, MomentsType, OptimizerType};
+use ashsplat::train::{Actions, MomentState, MomentsType, OptimizerType, ShStorage};
 use glam::DVec3;
 use std::path::Path;
 
@@ -214,10 +214,14 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
 fn checkpoints_lose_no_bit() {
     let sparse = TrainSettings { optimizer_type: OptimizerType::SparseAdam, ..settings() };
     let packed = TrainSettings { moments: MomentsType::Packed, decay_last: 0.4, ..settings() };
+    let halves = TrainSettings { sh_storage: ShStorage::Half, ..packed.clone() };
     let stops: [&[u32]; 6] = [&[0], &[1], &[15], &[20], &[27], &[39]];
-    for (settings, stops) in
-        [(settings(), &stops[..]), (sparse, &[&[18]]), (packed, &[&[15], &[18], &[20], &[27]])]
-    {
+    for (settings, stops) in [
+        (settings(), &stops[..]),
+        (sparse, &[&[18]]),
+        (packed, &[&[15], &[18], &[20], &[27]]),
+        (halves, &[&[15], &[27]]),
+    ] {
         let end = Run::shared(views(5, 40), settings).check_stops(stops);
         assert_ne!(end.gaussians.len(), 150, "nothing was densified");
     }

@@ -5,7 +5,7 @@ use crate::common::prelude::*;
 use crate::common::training::{forecast, photo_size};
 use ashsplat::frame::initial_visible;
 use ashsplat::scene::Bounds;
-use ashsplat::train::{Capacities, MomentsType, SceneBlock};
+use ashsplat::train::{Capacities, MomentsType, SceneBlock, ShStorage};
 
 const SIZE: [u32; 2] = [64, 48];
 const COUNT: u32 = 24_000;
@@ -127,7 +127,8 @@ fn a_reserve_gives_way_to_a_frame_in_the_middle_of_a_run() {
         exposure: true,
         ..TrainSettings::of_strategy(StrategyType::Budget)
     };
-    let packed = TrainSettings { moments: MomentsType::Packed, ..budget.clone() };
+    let packed =
+        TrainSettings { moments: MomentsType::Packed, sh_storage: ShStorage::Half, ..budget.clone() };
     let poses = TrainSettings { pose_opt: true, ..budget };
     for settings in [few_first, packed, poses] {
         a_reserve_gives_way(&settings);

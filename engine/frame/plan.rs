@@ -59,7 +59,8 @@ pub struct ScenePlan {
     pub capacity: u32,
     /// Stored SH degree.
     pub sh_degree: u32,
-    /// True if SH coefficients are halves: a plane has eight, each rounded to the nearest. Such scenes can only be drawn.
+    /// True if SH coefficients are halves: a plane has eight. The engine draws and trains such scenes, but [`Renderer`](crate::Renderer)
+    /// does not differentiate them.
     pub half_sh: bool,
     /// vec4 planes per Gaussian.
     pub planes: u32,
@@ -79,7 +80,7 @@ impl ScenePlan {
     }
 
     /// Same as [`ScenePlan::new`], with SH in halves if `half_sh`.
-    pub(crate) fn stored(limits: &Limits, capacity: u32, sh_degree: u32, half_sh: bool) -> Result<Self> {
+    pub fn stored(limits: &Limits, capacity: u32, sh_degree: u32, half_sh: bool) -> Result<Self> {
         const MAX_GAUSSIANS: u32 = 1 << 30;
         if capacity > MAX_GAUSSIANS {
             let limit = (MAX_GAUSSIANS.into(), "30-bit indices");
@@ -101,7 +102,7 @@ impl ScenePlan {
         u64::from(self.chunk_gaussians) * u64::from(self.planes) * 16
     }
 
-    /// Plan for the same Gaussians with two SH planes in one.
+    /// Plan for the same Gaussians with two SH planes in one. The same plan if they are so already.
     pub(crate) fn halved(&self) -> Self {
         Self { half_sh: true, planes: half_parameter_planes(self.sh_degree), ..*self }
     }

@@ -41,7 +41,7 @@ pub fn upload(
 }
 
 /// Same as [`upload`], for a plan with room for the Gaussians.
-pub(crate) fn upload_planned(
+pub fn upload_planned(
     context: &Context,
     place: (&str, MemoryKind),
     gaussians: &Gaussians,

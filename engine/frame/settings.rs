@@ -420,7 +420,7 @@ pub struct FrameVariant {
     pub cut_outs: bool,
     /// A scene has a selection. Affects projection.
     pub selection: bool,
-    /// A scene stores SH in halves. Affects projection.
+    /// A scene stores SH in halves. Affects projection and its backward pass.
     pub half_sh: bool,
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable, unlike with
     /// `expected_depth`. Affects projection and its backward pass.

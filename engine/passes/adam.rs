@@ -72,6 +72,8 @@ impl Moments {
 pub struct OptimizerForm {
     /// The moments are packed.
     pub packed: bool,
+    /// The scene stores SH in halves ([`ScenePlan::half_sh`]). Only with `packed`.
+    pub half_sh: bool,
     /// Sparse Adam: does not change Gaussians out of view, and corrects no bias.
     pub sparse: bool,
     /// The loss has terms that depend on the parameters directly. [`Optimizer::record`] receives their gradient.
@@ -101,13 +103,15 @@ impl Optimizer {
     }
 
     fn adam_spec(&self, sh_degree: u32, variant: FrameVariant) -> adam::Spec {
-        let OptimizerForm { packed, sparse, parameter_gradients, moved_cameras: moved_camera } = self.form;
+        let OptimizerForm { packed, half_sh, sparse, parameter_gradients, moved_cameras: moved_camera } =
+            self.form;
         let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
         let (projection, lenses) = variant.direction_form();
         adam::Spec {
             workgroup_size,
             sh_degree,
             packed,
+            half_sh,
             sparse,
             parameter_gradients,
             moved_camera,

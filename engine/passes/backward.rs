@@ -180,7 +180,8 @@ impl Backward {
         variant: FrameVariant,
         BackwardForm { absolute, pose: pose_gradient, lens: lens_gradient }: BackwardForm,
     ) -> project_backward::Spec {
-        let FrameVariant { filter_3d, own_dilation, dropout, z_record, projection, shutter, .. } = variant;
+        let FrameVariant { filter_3d, own_dilation, dropout, z_record, half_sh, projection, shutter, .. } =
+            variant;
         project_backward::Spec {
             // The indirect dispatch over the visible Gaussians counts blocks of the elementwise workgroup's size.
             workgroup_size: self.sizes.elementwise_workgroup,
@@ -190,6 +191,7 @@ impl Backward {
             own_dilation,
             dropout,
             z_record,
+            half_sh,
             absolute,
             pose_gradient,
             lens_gradient,
@@ -279,7 +281,8 @@ impl Backward {
         form: BackwardForm,
     ) {
         let (f, scene) = (inputs.frame, inputs.scene());
-        let spec = self.project_spec(inputs.sh_degree(), inputs.variant(), form);
+        let variant = FrameVariant { half_sh: scene.plan.half_sh, ..inputs.variant() };
+        let spec = self.project_spec(inputs.sh_degree(), variant, form);
         let Some(kernel) = self.project.get(r, &spec) else { return };
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         scene.record_chunks(r, |r, range, parameters| {

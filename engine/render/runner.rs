@@ -5,7 +5,7 @@ use super::frame_store::{FrameStore, State};
 use crate::error::{Error, Result};
 use crate::frame::{
     FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, PlacedScene, RenderSettings, SceneBuffers,
-    first_frozen, gaussians_with,
+    ScenePlan, first_frozen, gaussians_with,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Recorder, RunReport};
@@ -162,20 +162,21 @@ impl FrameRunner {
         }
     }
 
-    /// Prepares for [`FrameRunner::record`]: allocates buffers with backward for a scene of this capacity, its frozen
+    /// Prepares for [`FrameRunner::record`]: allocates buffers with backward for a scene of this plan, its frozen
     /// neighbours, the first camera and the expected pictures. Also builds the kernels of these settings and cameras up to an
     /// SH degree.
     pub fn reserve(
         &mut self,
-        (capacity, frozen): (u32, &[SceneBuffers]),
+        (plan, frozen): (&ScenePlan, &[SceneBuffers]),
         cameras: &[Camera],
         sh_degree: u32,
         settings: &RenderSettings,
     ) -> Result<()> {
         for variant in FrameVariant::of_cameras(settings, cameras, true) {
+            let variant = FrameVariant { half_sh: plan.half_sh, ..variant };
             (0..=sh_degree).try_for_each(|degree| self.forward.prepare(degree, variant))?;
         }
-        let gaussians = gaussians_with(capacity, frozen_capacity(frozen));
+        let gaussians = gaussians_with(plan.capacity, frozen_capacity(frozen));
         let variant = FrameVariant::of(settings, &cameras[0], true);
         self.store.ensure(gaussians, 1 + frozen.len() as u32, &cameras[0], variant).map(drop)
     }

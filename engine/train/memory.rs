@@ -5,7 +5,7 @@ use super::parts::{BuiltParts, Forecast};
 use super::photos::{PhotoBytes, PhotoSize};
 use super::poses;
 use super::schedule::{IterationPlan, TrainingRun, whole_instances};
-use super::settings::{MomentsType, TrainSettings};
+use super::settings::{MomentsType, ShStorage, TrainSettings};
 use super::work::{ABSOLUTE_STATISTIC, GRADIENT_STATISTIC, Statistic};
 use crate::error::{Error, Result};
 use crate::frame::{
@@ -88,6 +88,7 @@ pub(super) struct RowMemory {
     /// Memory kind of parameters, moments and the scratch.
     pub planes: MemoryKind,
     packed_moments: bool,
+    half_sh: bool,
 }
 
 impl RowMemory {
@@ -103,7 +104,13 @@ impl RowMemory {
             parameter_gradients,
             planes,
             packed_moments: settings.moments == MomentsType::Packed,
+            half_sh: settings.sh_storage == ShStorage::Half,
         }
+    }
+
+    /// Plan of a set of Gaussians.
+    pub fn plan(&self, context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
+        ScenePlan::stored(context.limits(), capacity, sh_degree, self.half_sh)
     }
 
     /// Index of [`ABSOLUTE_STATISTIC`] among the statistics.
@@ -279,7 +286,7 @@ impl StartMemory<'_> {
         let poses = poses::requests(self.of.settings, self.of.photos.len());
         let device = bytes(&self.loss_requests(&self.sizes())) + readback + frame + bytes(&poses);
         // Frozen Gaussians have the plan's SH degree.
-        let frozen = match ScenePlan::new(limits, self.of.frozen, plan.sh_degree) {
+        let frozen = match self.parts.rows.plan(context, self.of.frozen, plan.sh_degree) {
             Ok(plan) if self.of.frozen > 0 => bytes(&planes::requests(&plan)),
             _ => 0,
         };
@@ -392,7 +399,7 @@ impl StartMemory<'_> {
         let free = limit.saturating_sub(held);
         let shape = self.shape(&self.sizes());
         let buffers = |capacity: u32, visible: u32| -> Result<RowBytes> {
-            let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
+            let plan = self.parts.rows.plan(context, capacity, sh_degree)?;
             let frame = self.frame(context, capacity, visible, shape);
             Ok(self.buffer_bytes(context, &plan, Some(frame)))
         };
@@ -438,7 +445,7 @@ impl StartMemory<'_> {
     /// True if the capacities of an earlier run hold the Gaussians and fit here.
     pub fn holds(&self, context: &Context, earlier: &Capacities) -> bool {
         let limits = context.limits();
-        let Ok(plan) = ScenePlan::new(limits, earlier.gaussians, self.of.settings.sh_degree) else {
+        let Ok(plan) = self.parts.rows.plan(context, earlier.gaussians, self.of.settings.sh_degree) else {
             return false;
         };
         let sizes = LaunchSizes::new(limits);

@@ -36,7 +36,7 @@ pub use photos::{PhotoSize, TrainView};
 pub use population::{Growth, Population};
 pub use record::{RecordedStep, StepReservation};
 pub use settings::{
-    ImportanceType, MomentsType, OptimizerType, Preset, SplitType, StrategyType, TrainSettings,
+    ImportanceType, MomentsType, OptimizerType, Preset, ShStorage, SplitType, StrategyType, TrainSettings,
 };
 pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, QuantilePlace, Reference};
 pub use strategy::Strategy;

@@ -334,7 +334,7 @@ impl Population<'_> {
         let (mut fits, mut beyond) = (plan.capacity, rows);
         while beyond.saturating_sub(fits) > (plan.capacity / 64).max(1) {
             let middle = fits + (beyond - fits) / 2;
-            let plan = ScenePlan::new(self.context.limits(), middle, plan.sh_degree)?;
+            let plan = self.rows.plan(self.context, middle, plan.sh_degree)?;
             if self.has_room(&plan) { fits = middle } else { beyond = middle }
         }
         Ok(fits)
@@ -354,7 +354,7 @@ impl Population<'_> {
     /// An error if they do not fit the memory: the old planes then still exist, but the next step allocates the old frame
     /// again.
     fn allocate_fresh(&mut self, capacity: u32) -> Result<Model> {
-        let plan = ScenePlan::new(self.context.limits(), capacity, self.model.scene.plan.sh_degree)?;
+        let plan = self.rows.plan(self.context, capacity, self.model.scene.plan.sh_degree)?;
         if !self.has_room(&plan) {
             return Err(Error::argument("densification", "the memory does not suffice"));
         }

@@ -293,10 +293,9 @@ impl Trainer {
     /// Allocates buffers for all views, clears the contents of earlier frames, and makes slots for the dispatches. Recordings
     /// that are never submitted create all objects that are otherwise made on first use.
     fn make_ready(&mut self, every_view: bool) -> Result<()> {
-        let capacity = self.state.model.scene.plan.capacity;
         let drawn = self.recorder.drawn();
         self.runner.reserve(
-            (capacity, &self.frozen),
+            (&self.state.model.scene.plan, &self.frozen),
             &self.run.cameras,
             self.run.settings.sh_degree,
             &drawn,
@@ -394,7 +393,7 @@ impl Trainer {
     /// still returns the whole state, and every later step is refused.
     pub(super) fn give_up_reserve(&mut self, needed: &State) -> Result<bool> {
         let scene = &self.state.model.scene;
-        let plan = ScenePlan::new(self.context.limits(), scene.count, scene.plan.sh_degree)?;
+        let plan = self.rows.plan(&self.context, scene.count, scene.plan.sh_degree)?;
         let smaller = (plan.chunks, plan.chunk_gaussians) != (scene.plan.chunks, scene.plan.chunk_gaussians);
         if !smaller || !self.recorded.slots.is_empty() || !self.has_room_without_reserve(needed, &plan) {
             return Ok(false);
@@ -405,7 +404,7 @@ impl Trainer {
         self.state.model.release();
         self.runner.store.forget();
         let arena = ("scene", self.rows.planes);
-        let scene = planes::upload(&self.context, arena, &kept.gaussians, plan.capacity, plan.sh_degree);
+        let scene = planes::upload_planned(&self.context, arena, &kept.gaussians, plan);
         let rebuilt =
             scene.and_then(|scene| Model::new(&self.context, scene, &self.rows)).and_then(|model| {
                 self.state.model = model;

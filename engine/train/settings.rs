@@ -50,6 +50,16 @@ choices! {
         Packed = "packed",
     }
 
+    /// Storage of SH coefficients while training. The program's files have floats.
+    ShStorage {
+        /// A float32 each.
+        #[default]
+        F32 = "f32",
+        /// A half each, which each step rounds up or down at random: 96 bytes per Gaussian of SH degree 3 in place of 192. Takes
+        /// packed moments.
+        Half = "half",
+    }
+
     /// Strategy of density control. A host can supply its own: [`super::TrainParts`].
     StrategyType {
         /// The reference implementation's: clone, split, prune, opacity reset.
@@ -432,6 +442,8 @@ options! {
         optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;
         /// Storage of Adam's moments: f32, or packed in a third of the memory
         moments: MomentsType = MomentsType::F32, Bounds::None;
+        /// Storage of SH coefficients: f32, or half, which takes packed moments
+        sh_storage: ShStorage = ShStorage::F32, Bounds::None;
         /// Seed of everything random: order of the views, split positions, random backgrounds
         seed: u32 = 0, Bounds::None;
     }
@@ -597,6 +609,9 @@ impl TrainSettings {
         }
         if self.depth_points > 0.0 {
             self.refuse_warm_up_with("depth_points")?;
+        }
+        if self.sh_storage == ShStorage::Half && self.moments != MomentsType::Packed {
+            return Err(Error::argument("sh_storage", "is half, which takes packed moments (moments)"));
         }
         match self.initial_opacity > 0.0 && self.initial_opacity < 1.0 {
             true => Ok(()),

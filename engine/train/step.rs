@@ -5,7 +5,7 @@ use super::memory::Model;
 use super::photos::{DepthMaps, Photos};
 use super::poses::Poses;
 use super::schedule::{IterationPlan, Progress, TrainingRun, WARM_UP_FACTORS};
-use super::settings::{MomentsType, OptimizerType, TrainSettings};
+use super::settings::{MomentsType, OptimizerType, ShStorage, TrainSettings};
 use super::strategy::{StepInputs, Strategy};
 use super::work::{StepOutcome, StepReport};
 use crate::error::Result;
@@ -34,6 +34,8 @@ pub(super) struct StepRecorder {
     sizes: LaunchSizes,
     appearance: Appearance,
     backward: Backward,
+    /// True if the scene stores SH in halves.
+    half_sh: bool,
     /// Render settings of frames, without the depths of the loss terms.
     drawn: RenderSettings,
     /// Index of the absolute statistic among all statistics.
@@ -132,15 +134,20 @@ impl StepRecorder {
         let targets = Self::targets_of(&terms);
         let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
         let poses = settings.pose_opt;
-        let packed = settings.moments == MomentsType::Packed;
-        let form =
-            OptimizerForm { packed, sparse, parameter_gradients: targets.parameters, moved_cameras: poses };
+        let form = OptimizerForm {
+            packed: settings.moments == MomentsType::Packed,
+            half_sh: settings.sh_storage == ShStorage::Half,
+            sparse,
+            parameter_gradients: targets.parameters,
+            moved_cameras: poses,
+        };
         Ok(Self {
             preparation: PhotoPreparation::new(context, settings)?,
             border: targets.rows().then(|| LayoutConverter::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
             appearance: Appearance::new(context, settings)?,
             backward: Backward::new(context),
+            half_sh: form.half_sh,
             drawn: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
             absolute,
             terms,
@@ -186,6 +193,7 @@ impl StepRecorder {
     /// Builds the missing kernels of any iteration at an SH degree.
     pub fn prepare(&mut self, sh_degree: u32, cameras: &[Camera]) -> Result<()> {
         for variant in FrameVariant::of_cameras(&self.drawn(), cameras, true) {
+            let variant = FrameVariant { half_sh: self.half_sh, ..variant };
             self.backward.prepare(sh_degree, variant, self.backward_form(false))?;
             if self.absolute.is_some() {
                 self.backward.prepare(sh_degree, variant, self.backward_form(true))?;
@@ -197,7 +205,8 @@ impl StepRecorder {
 
     /// Builds the missing kernels of this iteration: a short or resumed run needs few of them.
     pub fn prepare_for(&mut self, plan: &IterationPlan) -> Result<()> {
-        let variant = FrameVariant::of(&plan.settings, &plan.camera, true);
+        let half_sh = self.half_sh;
+        let variant = FrameVariant { half_sh, ..FrameVariant::of(&plan.settings, &plan.camera, true) };
         let absolute = self.absolute.is_some() && plan.work.accumulates;
         self.backward.prepare(plan.sh_degree, variant, self.backward_form(absolute))?;
         self.optimizer.prepare(plan.sh_degree, variant)

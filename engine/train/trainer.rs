@@ -206,7 +206,8 @@ impl Trainer {
         };
         drop(views);
         let sh_degree = run.settings.sh_degree;
-        let scene = planes::upload(context, ("scene", rows.planes), initial, capacity, sh_degree)?;
+        let plan = rows.plan(context, capacity, sh_degree)?;
+        let scene = planes::upload_planned(context, ("scene", rows.planes), initial, plan)?;
         let model = Model::new(context, scene, &rows)?;
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&run.cameras);
@@ -231,7 +232,8 @@ impl Trainer {
         };
         let mut frozen = Vec::new();
         if let Some(SceneBlock { frozen: around, .. }) = block.as_ref().filter(|own| !own.frozen.is_empty()) {
-            frozen.push(planes::upload(context, ("surroundings", rows.planes), around, 0, sh_degree)?);
+            let plan = rows.plan(context, to_u32(around.len() as u64)?, sh_degree)?;
+            frozen.push(planes::upload_planned(context, ("surroundings", rows.planes), around, plan)?);
         }
         if let Some(filter) = &filter {
             // Frozen Gaussians do not move, so once is enough.

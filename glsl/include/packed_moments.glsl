@@ -31,6 +31,16 @@ uvec2 to_bfloat16(vec4 values, uvec4 thresholds) {
     return bits.xz >> 16 | bits.yw & 0xFFFF0000u;
 }
 
+// Halves of values. Below 2^-14 only 0 and 2^-14 are used, because devices may take smaller halves for 0.
+uvec2 to_halves(vec4 values, uvec4 thresholds) {
+    const float least = 6.103515625e-5;
+    values = clamp(values, -65504.0, 65504.0);
+    vec4 normal = uintBitsToFloat(floatBitsToUint(values) + (thresholds >> 3) & 0xFFFFE000u);
+    vec4 small = mix(vec4(0.0), sign(values) * least, lessThan(vec4(thresholds) * (least / 65536.0), abs(values)));
+    values = mix(normal, small, lessThan(abs(values), vec4(least)));
+    return uvec2(packHalf2x16(values.xy), packHalf2x16(values.zw));
+}
+
 // Bound of SH's second moments, in the words of the log-scales' moments.
 float bound_of(uvec4 words) {
     return uintBitsToFloat(words.y & 0xFFFF0000u | words.w >> 16);

@@ -5,7 +5,8 @@
 // Without SPARSE, Gaussians out of view have a zero gradient, and their moments still decay. With SPARSE they do not change. SH
 // gradients are computed here from the colour's gradient. Planes above the active degree have neither gradient nor moments. A
 // Gaussian with a gradient that is not finite does not change, and is counted. If the frame overflowed, nothing changes. With PACKED
-// the moments are those of packed_moments.glsl, in the buffers of the first ones.
+// the moments are those of packed_moments.glsl, in the buffers of the first ones. With HALF_SH, SH coefficients are halves: each step is
+// computed in float32, then rounded up or down at random, so that steps below half a unit in the last place are not lost.
 //
 // invocation: one Gaussian
 // in: visible_index, gradients (PerVisible planes), parameter_gradients (PerGaussian planes), state, camera block
@@ -28,6 +29,8 @@ layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
 layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(constant_id = 8) const bool SH_LOOPS = false;
 layout(constant_id = 5) const bool PACKED = false;
+// Only with PACKED.
+layout(constant_id = 6) const bool HALF_SH = false;
 #ifdef LENSES
 layout(constant_id = 9) const uint PROJECTION = PROJECTION_BROWN;
 #endif
@@ -93,9 +96,12 @@ float sh_largest() {
     return sqrt((2.0 * float(SH_DEGREE) + 1.0) / 12.566370614359172);
 }
 
+vec4 stepped(vec4 p, vec4 m, vec4 root, vec4 rate, vec4 inverse_bias) {
+    return p - rate * (m / (root * inverse_bias + epsilon));
+}
+
 void step_parameters(uint at, vec4 m, vec4 root, vec4 rate, vec4 inverse_bias) {
-    vec4 p = VEC4_AT(old_parameters, at) - rate * (m / (root * inverse_bias + epsilon));
-    VEC4_PUT(parameters, at, p);
+    VEC4_PUT(parameters, at, stepped(VEC4_AT(old_parameters, at), m, root, rate, inverse_bias));
 }
 
 void update(uint at, vec4 g, vec4 rate, vec4 inverse_bias) {
@@ -146,13 +152,23 @@ uvec4 update_packed(uint plane, uint index, uvec4 words, vec4 g, vec4 rate, vec4
     return uvec4(to_bfloat16(m, thresholds_of(random.xy, turn)), to_bfloat16(v, thresholds_of(random.zw, turn)));
 }
 
-uvec2 update_packed_sh(uint plane, uint index, uvec2 words, vec4 g, vec2 highest) {
+// Returns the new words of the moments. `halves` are the plane's coefficients with HALF_SH.
+uvec2 update_packed_sh(uint plane, uint index, uvec2 words, vec4 g, vec2 highest, inout uvec2 halves) {
     vec4 m, root;
     unpack_sh(words, highest.x, m, root);
     m = beta_1 * m + one_minus_beta_1 * g;
     vec4 v = beta_2 * root * root + one_minus_beta_2 * g * g;
-    step_parameters(plane_at(PLANE_SH + plane, index, chunk_gaussians), m, sqrt(v), sh_rate(plane), vec4(inverse_bias_2));
-    return pack_sh(m, v, highest.y, random_words(index, PLANE_SH + plane), turn_of(iteration));
+    uvec4 random = random_words(index, PLANE_SH + plane);
+    uint turn = turn_of(iteration);
+    if (HALF_SH) {
+        vec4 p = vec4(unpackHalf2x16(halves.x), unpackHalf2x16(halves.y));
+        p = stepped(p, m, sqrt(v), sh_rate(plane), vec4(inverse_bias_2));
+        // Half a turn away from the threshold of the first moment, which is independent of these errors.
+        halves = to_halves(p, thresholds_of(random.zw, turn + 0x8000u));
+    } else {
+        step_parameters(plane_at(PLANE_SH + plane, index, chunk_gaussians), m, sqrt(v), sh_rate(plane), vec4(inverse_bias_2));
+    }
+    return pack_sh(m, v, highest.y, random, turn);
 }
 
 // Two groups of SH, whose moments are three planes.
@@ -163,13 +179,17 @@ void update_packed_groups(uint pair, uint index, vec3 d_color, vec3 direction, v
         if (plane < SH_PLANES) {
             uint at = half_plane_at(PLANE_SH + plane / 2, index, chunk_gaussians);
             uvec4 words = UVEC4_AT(old_moments_1, at);
+            uvec4 halves = HALF_SH ? floatBitsToUint(VEC4_AT(old_parameters, at)) : uvec4(0);
             vec4 g = sh_plane_gradient(k % 3, basis[k / 3], d_color);
-            words.xy = update_packed_sh(plane, index, words.xy, g, highest);
+            words.xy = update_packed_sh(plane, index, words.xy, g, highest, halves.xy);
             if (plane + 1 < SH_PLANES) {
                 g = sh_plane_gradient((k + 1) % 3, basis[(k + 1) / 3], d_color);
-                words.zw = update_packed_sh(plane + 1, index, words.zw, g, highest);
+                words.zw = update_packed_sh(plane + 1, index, words.zw, g, highest, halves.zw);
             }
             UVEC4_PUT(moments_1, at, words);
+            if (HALF_SH) {
+                VEC4_PUT(parameters, at, uintBitsToFloat(halves));
+            }
         }
     }
 }

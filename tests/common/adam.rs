@@ -1,12 +1,14 @@
 //! The optimiser's kernel with its state on the device.
 
+use super::engine;
 use super::gpu::Gpu;
-use super::layout::{pack, planes, room, unpack};
+use super::layout::{pack, planes as planes_of, room, unpack};
 use crate::reference::types::Gaussian;
+use ashsplat::frame::{SceneBuffers, ScenePlan, planes};
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_OVERFLOW};
 use ashsplat::kernels::optimizer::adam::{self, Push};
-use ashsplat::vk::{Buffer, Kernel};
+use ashsplat::vk::{Buffer, Kernel, MemoryKind};
 use std::cell::Cell;
 
 /// Gradients of a visible Gaussian, as the kernel reads them.
@@ -64,6 +66,8 @@ pub struct AdamState<'a> {
     pub room: usize,
     pub parameters: Buffer,
     pub moments: [Buffer; 2],
+    /// The parameters as a scene, if SH coefficients are halves.
+    halves: Option<SceneBuffers>,
     parameter_gradients: Option<Buffer>,
     steps: Cell<u32>,
 }
@@ -73,7 +77,7 @@ impl<'a> AdamState<'a> {
     pub fn new(gpu: &'a Gpu, gaussians: &[Gaussian], sh_degree: u32, sparse: bool) -> AdamState<'a> {
         let (count, coefficients) = (gaussians.len(), gaussians[0].sh.len());
         let room = room(count);
-        let zeros = || gpu.zeros::<[f32; 4]>("moments", planes(coefficients) * room);
+        let zeros = || gpu.zeros::<[f32; 4]>("moments", planes_of(coefficients) * room);
         let spec = adam::Spec {
             workgroup_size: gpu.workgroup(64),
             sh_degree,
@@ -95,6 +99,7 @@ impl<'a> AdamState<'a> {
             room,
             parameters: gpu.buffer("parameters", &pack(gaussians, room)),
             moments: [zeros(), zeros()],
+            halves: None,
         }
     }
 
@@ -109,6 +114,7 @@ impl<'a> AdamState<'a> {
             parameter_gradients: None,
             parameters,
             moments,
+            halves: None,
             steps: Cell::new(0),
             ..*self
         }
@@ -118,6 +124,23 @@ impl<'a> AdamState<'a> {
     pub fn packed(self) -> AdamState<'a> {
         let spec = adam::Spec { packed: true, ..self.spec };
         AdamState { spec, kernel: self.gpu.kernel(&spec), ..self }
+    }
+
+    /// Keeps SH coefficients in halves, rounded to the nearest at first.
+    pub fn halves(self) -> AdamState<'a> {
+        let (context, gaussians) = (&self.gpu.context, engine::gaussians(&self.gaussians()));
+        let plan = ScenePlan::stored(context.limits(), self.room as u32, gaussians.sh_degree, true);
+        let place = ("halves", MemoryKind::Device);
+        let scene =
+            planes::upload_planned(context, place, &gaussians, plan.expect("a plan")).expect("a scene");
+        let spec = adam::Spec { half_sh: true, ..self.spec };
+        AdamState {
+            spec,
+            kernel: self.gpu.kernel(&spec),
+            parameters: scene.chunks[0].clone(),
+            halves: Some(scene),
+            ..self
+        }
     }
 
     /// Adds gradients with respect to the parameters themselves: `direct`'s means, quaternions, scales and
@@ -222,10 +245,20 @@ impl<'a> AdamState<'a> {
         (index, rows)
     }
 
+    /// The parameters.
+    pub fn gaussians(&self) -> Vec<Gaussian> {
+        match &self.halves {
+            Some(scene) => {
+                engine::twins(&planes::download(&self.gpu.context, scene).expect("the parameters"))
+            }
+            None => self.download()[0].clone(),
+        }
+    }
+
     /// Parameters, first and second moments.
     pub fn download(&self) -> [Vec<Gaussian>; 3] {
         [&self.parameters, &self.moments[0], &self.moments[1]].map(|buffer| {
-            let words = self.gpu.read::<[f32; 4]>(buffer, planes(self.coefficients) * self.room);
+            let words = self.gpu.read::<[f32; 4]>(buffer, planes_of(self.coefficients) * self.room);
             unpack(&words, self.room, self.count, self.coefficients)
         })
     }

@@ -134,20 +134,27 @@ fn adam_of_every_degree_dense_and_sparse() {
     }
 }
 
-/// Packed moments are rounded at random. Parameters stray from exact steps by a small share of their way, to no side.
+/// Packed moments and halves are rounded at random. Parameters stray from exact steps by a small share of their way, to no side.
 #[test]
 fn adam_with_packed_moments_strays_little() {
     const STEPS: i32 = 300;
-    for (gpu, sh_degree, sparse) in
-        [(Gpu::new(), 3, false), (Gpu::without_texels(), 3, true), (Gpu::new(), 1, false)]
-    {
+    for (gpu, sh_degree, sparse, halves) in [
+        (Gpu::new(), 3, false, false),
+        (Gpu::without_texels(), 3, true, true),
+        (Gpu::new(), 1, false, false),
+        (Gpu::new(), 3, false, true),
+    ] {
         let mut random = Random::new(21);
         let gaussians = mixed_scene(&mut random, 150, 16);
-        let state = AdamState::new(&gpu, &gaussians, sh_degree, sparse).packed();
+        let mut state = AdamState::new(&gpu, &gaussians, sh_degree, sparse).packed();
+        if halves {
+            state = state.halves();
+        }
+        let gaussians = state.gaussians();
         let mut twins: Vec<Vec<Parameter>> = gaussians.iter().map(twin_of).collect();
         for number in 1..=STEPS {
             let gradients = random_gradients(&mut random, gaussians.len());
-            let [seen_from, ..] = state.download();
+            let seen_from = state.gaussians();
             assert_eq!(state.step(&gradients, &step(if sparse { 0 } else { number }), number == 7), 0);
             for ((twin, gradient), seen) in twins.iter_mut().zip(&gradients).zip(&seen_from) {
                 let Some(gradient) = gradient.filter(|_| number != 7) else { continue };
@@ -162,7 +169,7 @@ fn adam_with_packed_moments_strays_little() {
                 }
             }
         }
-        let [after, ..] = state.download();
+        let after = state.gaussians();
         let [mut way, mut off, mut sum] = [0.0; 3];
         for ((before, after), twin) in gaussians.iter().zip(&after).zip(&twins) {
             for (((before, rate), (after, _)), twin) in
@@ -175,7 +182,11 @@ fn adam_with_packed_moments_strays_little() {
             }
         }
         let (share, side) = (f64::sqrt(off / way), sum / f64::sqrt(off));
-        assert!(share < 0.1 && side.abs() < 4.0, "degree {sh_degree}: strays by {share}, to one side {side}");
+        let most = if halves { 0.2 } else { 0.1 };
+        assert!(
+            share < most && side.abs() < 4.0,
+            "degree {sh_degree}: strays by {share}, to one side {side}"
+        );
         let words: Vec<[u32; 4]> = gpu.read(&state.moments[0], 8);
         assert!(words[0] != [0; 4] && words[1] == [0; 4], "a Gaussian that no view sees has no moments");
     }
