@@ -2,9 +2,8 @@
 
 use crate::cli::{finish, program, refuse, succeed, text, write_dataset};
 use crate::common::splats::write_points;
-use crate::common::{assert_says, context, new_paths};
+use crate::common::{assert_says, new_paths};
 use crate::program::running::Running;
-use ashsplat::frame::max_trained_gaussians;
 use serde_json::Value;
 use std::path::Path;
 use tempfile::tempdir;
@@ -206,24 +205,6 @@ fn bench_without_timestamps_says_so() {
 }
 
 #[test]
-fn bench_scaling_fits_and_plots() {
-    let (_folder, [plot]) = new_paths(["plot.svg"]);
-    let sizes = ["--counts", "100,1000", "--widths", "32,64", "--plot", text(&plot)];
-    let few = ["bench", "scaling", "--gaussians", "400", "--iterations", "3", "--warmup", "1"];
-    let all = succeed(&[&few[..], &sizes].concat());
-    assert!(all.contains("exponent") && all.contains("tile sort") && all.contains("1,000"), "{all}");
-    let svg = std::fs::read_to_string(&plot).expect("a plot");
-    assert!(svg.starts_with("<svg") && svg.contains("blend") && svg.contains("pixels"), "{svg}");
-    let frames = succeed(&[&few[..], &sizes, &["--of", "frames"]].concat());
-    // Every kernel, by Gaussians and by pixels.
-    for (table, blended, optimised) in [(all, 4, 2), (frames, 2, 0)] {
-        assert_eq!(table.matches("\nblend: forward/blend").count(), blended, "{table}");
-        assert_eq!(table.matches("\nadam: optimizer/adam").count(), optimised, "{table}");
-    }
-    assert_eq!(svg.matches("rotate(-90)").count(), 4, "a panel each: {svg}");
-}
-
-#[test]
 fn bench_measures_files_and_refuses_bad_ones() {
     let (folder, [ply]) = new_paths(["scene.ply"]);
     write_points(&ply, (0..60u8).map(|i| [f32::from(i % 8), f32::from(i / 8), 0.0]).collect(), 1);
@@ -252,17 +233,7 @@ fn bench_measures_files_and_refuses_bad_ones() {
     refuse(&["bench", "render", "--gaussians", "0"], &["no Gaussians"]);
     let most = u32::MAX.to_string();
     refuse(&["bench", "render", "--gaussians", &most], &["--gaussians", "67108864"]);
-    refuse(&["bench", "scaling", "--counts", &most], &["--counts", "67108864"]);
-    refuse(&["bench", "scaling", "--gaussians", &most], &["--gaussians", "67108864"]);
     refuse(&["bench", "all", "--frames", &format!("{most}@9x9")], &["--frames", "67108864"]);
-    // Refused before any frame is measured, even if the memory could hold the scene.
-    let most = max_trained_gaussians(context().limits());
-    if most < 10_000_000 {
-        let (steps, counts) = (folder.path().join("steps.json"), format!("10,{}", most + 1));
-        let many = ["bench", "scaling", "--sh-degree", "0", "--counts", &counts, "--json", text(&steps)];
-        refuse(&many, &["Gaussians: this device trains at most", "--of frames"]);
-        assert!(!steps.exists());
-    }
     // The seed disturbs the scene that is trained on its own picture.
     let hash = |seed: &str| {
         let json = folder.path().join("step.json");
@@ -327,13 +298,9 @@ fn bench_refuses_results_that_cannot_be_written_at_once() {
     let (is_folder, below_file) = (at(""), at("file/result"));
     for bad in [is_folder.as_str(), &below_file, "/proc/result"] {
         refuse(&[&["bench", "render", "--json", bad], &LARGE[..]].concat(), &["error: "]);
-        refuse(&[&["bench", "scaling", "--plot", bad], &LARGE[..]].concat(), &["error: "]);
         refuse(&["profile", "--trace", bad, "--gaussians", "3000000", "--frames", "1000"], &["error: "]);
     }
     refuse(&["profile", "--dump", &below_file], &["is no folder"]);
-    let (one, other) = (at("one"), at("./one"));
-    let both = |a, b| [&["bench", "scaling", a, one.as_str(), b, &other], &LARGE[..]].concat();
-    refuse(&both("--json", "--plot"), &["--json and --plot: both name", "a file of its own"]);
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1, "nothing is left behind");
     // A missing folder is created.
     measure("scan", &["--quiet", "--json", &at("new/folder/a.json")]);
@@ -342,7 +309,7 @@ fn bench_refuses_results_that_cannot_be_written_at_once() {
 
 #[test]
 fn options_that_would_not_be_used_are_refused() {
-    let unused: [(&[&str], &[&str]); 12] = [
+    let unused: [(&[&str], &[&str]); 10] = [
         (&["render", "--windows", "100"], &["--windows", "`bench train`, `bench all`"]),
         (&["render", "--frames", "9@9x9"], &["--frames", "`bench all`"]),
         (&["render", "--elements", "9"], &["--elements", "`bench scan`, `bench sort`"]),
@@ -352,8 +319,6 @@ fn options_that_would_not_be_used_are_refused() {
         (&["train", "--dataset", "x", "--view", "1"], &["--view"]),
         (&["all", "--windows", "100"], &["--dataset"]),
         (&["all", "--view", "1"], &["--view"]),
-        (&["scaling", "--height", "9"], &["--height"]),
-        (&["scaling", "--scene", "x.ply"], &["--scene"]),
         (&["render", "--view", "1"], &["--dataset"]),
     ];
     for (arguments, words) in unused {

@@ -184,6 +184,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
     for (out, page) in [(scene_of(&blocks[0]).as_str(), "page.html"), ("aside.ply", "blocks.json")] {
         report(out, page).refused(&["is read; give another file"]);
     }
+    report("one.ply", "./one.ply").refused(&["--out and --report: both name", "a file of its own"]);
     assert!(place.read("blocks.json") == first);
     // Photos whose poses changed since the blocks were trained cannot measure the scene.
     let images = place.read("data/sparse/0/images.bin");

@@ -63,7 +63,7 @@ pub enum Command {
     Devices(devices::Arguments),
     /// Make a small data set, train on it and show the result
     Demo(demo::Arguments),
-    /// Time of every kernel: scan, sort, render, train-step; comparisons, scaling
+    /// Time of every kernel: scan, sort, render, train-step; comparisons, quality
     #[cfg(feature = "bench")]
     Bench(Box<ashsplat_bench::Arguments>),
     /// One frame or training step, kernel by kernel: page, trace, other constants, edited shaders

@@ -10,7 +10,7 @@ use ashsplat::vk::Context;
 use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_MEASUREMENTS};
 use ashsplat_program::output;
 use clap::Args;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Most values or pairs of a primitive.
 const MOST_ELEMENTS: i64 = 1 << 28;
@@ -56,9 +56,9 @@ impl OutputArguments {
         self.device.context_with(|options| options.timestamps = !self.host_clock)
     }
 
-    /// Refuses files that cannot be written, before anything is measured. `more`: the sub-command's further files.
-    pub fn check(&self, more: &[(&'static str, Option<&Path>)]) -> Result<()> {
-        output::check(&[&[("--json", self.json.as_deref())], more].concat())
+    /// Refuses a file that cannot be written, before anything is measured.
+    pub fn check(&self) -> Result<()> {
+        output::check(&[("--json", self.json.as_deref())])
     }
 
     /// Writes the file.

@@ -19,7 +19,6 @@ mod primitives;
 pub mod profile;
 mod quality;
 mod samples;
-mod scaling;
 mod schema;
 mod sizes;
 mod suite;
@@ -77,8 +76,6 @@ enum What {
     Quality(quality::Arguments),
     /// Recipes of training on many scenes: held-out PSNR, what each scene gains or loses
     Suite(suite::Arguments),
-    /// How each stage grows with the Gaussians and the pixels
-    Scaling(scaling::Arguments),
 }
 
 /// Which files, and when their difference is a failure.
@@ -119,7 +116,6 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         What::Compare(files) => return compare_files(files),
         What::Quality(a) => quality::run(a),
         What::Suite(a) => suite::run(a),
-        What::Scaling(sweep) => scaling::run(sweep),
     }?;
     Ok(ExitCode::SUCCESS)
 }
@@ -159,7 +155,7 @@ fn measure_all(
     (iterations, seed): (Iterations, u64),
     tasks: impl FnOnce(&Context) -> Result<Vec<Task>>,
 ) -> Result<()> {
-    output.check(&[])?;
+    output.check()?;
     // A missing device is reported before the scenes, which may have many photos, are read.
     let context = output.context()?;
     let tasks = tasks(&context)?;

@@ -6,18 +6,17 @@ use std::fmt::Write;
 /// Approximate number of marks on an axis.
 const MARKS: f64 = 5.0;
 
-/// An axis with marks at 1, 2 or 5 times a power of ten, or a logarithmic one with marks at powers of ten.
+/// An axis with marks at 1, 2 or 5 times a power of ten.
 #[derive(Clone, Copy)]
 pub struct Axis {
-    /// The ends and the distance of marks; of a logarithmic axis, decimal logarithms.
     pub low: f64,
     pub high: f64,
+    /// Distance of marks.
     pub step: f64,
-    pub logarithmic: bool,
 }
 
 impl Axis {
-    /// A linear axis that covers `low` to `high`.
+    /// An axis that covers `low` to `high`.
     pub fn new(low: f64, high: f64) -> Self {
         let span = (high - low).max(high.abs() * 0.05).max(1e-6);
         let rough = span / MARKS;
@@ -25,22 +24,11 @@ impl Axis {
         let step =
             [1.0, 2.0, 5.0, 10.0].map(|n| n * power).into_iter().find(|step| *step >= rough).unwrap_or(rough);
         let ends = ((low / step + 1e-9).floor() * step, (high / step - 1e-9).ceil() * step);
-        Self { low: ends.0, high: ends.1.max(ends.0 + step), step, logarithmic: false }
-    }
-
-    /// A logarithmic axis of whole decades around all positive values.
-    pub fn decades(values: impl Iterator<Item = f64>) -> Self {
-        let (low, high) = values
-            .filter(|value| *value > 0.0)
-            .map(f64::log10)
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), log| (low.min(log), high.max(log)));
-        let (low, high) = if low > high { (0.0, 1.0) } else { ((low + 1e-9).floor(), (high - 1e-9).ceil()) };
-        Self { low, high: high.max(low + 1.0), step: 1.0, logarithmic: true }
+        Self { low: ends.0, high: ends.1.max(ends.0 + step), step }
     }
 
     /// Position of a value: 0 at the beginning, 1 at the end.
     pub fn share(&self, value: f64) -> f64 {
-        let value = if self.logarithmic { value.log10() } else { value };
         (value - self.low) / (self.high - self.low)
     }
 
@@ -48,26 +36,17 @@ impl Axis {
     pub fn marks(&self) -> impl Iterator<Item = f64> {
         let (first, last) =
             ((self.low / self.step).ceil() as i64, (self.high / self.step + 1e-6).floor() as i64);
-        (first..=last).map(|n| n as f64 * self.step).map(
-            |at| {
-                if self.logarithmic { 10f64.powf(at) } else { at }
-            },
-        )
+        (first..=last).map(|n| n as f64 * self.step)
     }
 
     /// A value with as many digits as the marks need.
     pub fn mark(&self, value: f64) -> String {
-        // Marks of a logarithmic axis differ in their units.
-        let (largest, step) = match self.logarithmic {
-            true => (2.0 * value, value),
-            false => (self.high.abs(), self.step),
-        };
-        let (unit, divisor) = match largest {
+        let (unit, divisor) = match self.high.abs() {
             high if high >= 2e6 => ("M", 1e6),
             high if high >= 2e3 => ("k", 1e3),
             _ => ("", 1.0),
         };
-        let digits = (-((step / divisor).log10() + 1e-9).floor()).max(0.0) as usize;
+        let digits = (-((self.step / divisor).log10() + 1e-9).floor()).max(0.0) as usize;
         if value == 0.0 { "0".into() } else { format!("{:.*}{unit}", digits, value / divisor) }
     }
 }
@@ -260,10 +239,8 @@ mod tests {
         assert_eq!(marks(Axis::new(0.0, 0.23)), ["0", "0.05", "0.10", "0.15", "0.20", "0.25"]);
         assert_eq!(marks(Axis::new(17.3, 31.1)), ["15", "20", "25", "30", "35"]);
         assert_eq!(Axis::new(0.0, 30_000.0).mark(20_000.0), "20k");
-        assert_eq!(marks(Axis::decades([0.02, 1.5e6].into_iter()))[..3], ["0.01", "0.1", "1"]);
-        assert_eq!(marks(Axis::decades([9e3, 1e6].into_iter())), ["1k", "10k", "100k", "1M"]);
         // A single value, or only zeros.
-        for axis in [Axis::new(5.0, 5.0), Axis::new(0.0, 0.0), Axis::decades([0.0].into_iter())] {
+        for axis in [Axis::new(5.0, 5.0), Axis::new(0.0, 0.0)] {
             assert!(axis.marks().count() >= 2);
         }
     }
