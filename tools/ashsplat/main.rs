@@ -1,7 +1,6 @@
 //! `ashsplat`: train, render and examine 3D Gaussian Splatting scenes from the command line.
 //!
-//! Every failure is one line `error: …` on stderr and exit code 2. An interrupted training saves and exits with 130. A
-//! benchmark comparison exits with 1 if --fail-above finds something worse.
+//! Every failure is one line `error: …` on stderr and exit code 2. An interrupted training saves and exits with 130.
 
 #[macro_use]
 extern crate ashsplat_program;
@@ -38,9 +37,8 @@ fn main() -> ExitCode {
         Ok(command) => command,
         Err(stop) => return stop,
     };
-    let result = run(command).and_then(|code| output::check_stdout().map(|()| code));
-    match result {
-        Ok(code) => code,
+    match run(command).and_then(|()| output::check_stdout()) {
+        Ok(()) => ExitCode::SUCCESS,
         Err(Error::Interrupted) => ExitCode::from(INTERRUPTED),
         Err(error) => {
             tell!("error: {}", one_line(&error.to_string()));
@@ -61,9 +59,9 @@ fn survive_file_limits() {
     }
 }
 
-fn run(command: command_line::Command) -> Result<ExitCode> {
+fn run(command: command_line::Command) -> Result<()> {
     use command_line::Command;
-    let done = match command {
+    match command {
         Command::Train(arguments) => train::run(&arguments),
         Command::Poses(arguments) => poses::run(&arguments),
         Command::Render(arguments) => render::run(&arguments),
@@ -85,13 +83,12 @@ fn run(command: command_line::Command) -> Result<ExitCode> {
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
         #[cfg(feature = "bench")]
-        Command::Bench(arguments) => return ashsplat_bench::run(&arguments),
+        Command::Bench(arguments) => ashsplat_bench::run(&arguments),
         #[cfg(feature = "view")]
         Command::View(arguments) => ashsplat_view::run(&arguments),
         #[cfg(feature = "bench")]
         Command::Profile(arguments) => ashsplat_bench::profile::run(&arguments),
-    };
-    done.map(|()| ExitCode::SUCCESS)
+    }
 }
 
 /// Replaces line breaks, such as those of an operating system's message, by spaces.

@@ -1,17 +1,13 @@
-//! `bench compare`: two result files, kernel by kernel.
+//! Two measurements, kernel by kernel.
 
-use super::schema::{KernelResult, Report, Run, SCHEMA, Spread, Workload};
-use ashsplat::{Error, Result};
-use ashsplat_files::regular_file;
-use serde_json::Value;
-use std::path::Path;
+use super::schema::{KernelResult, Spread};
 
 /// Relative difference of times that counts as equal whatever their spread, because clocks and frequencies drift.
 const DRIFT: f64 = 0.10;
 /// Difference per call that counts as equal: the cost of a dispatch jitters by this much.
 const JITTER_US: f64 = 10.0;
 
-/// One kernel, or a whole iteration, in both files.
+/// One kernel, or a whole iteration, in both measurements.
 pub struct Line {
     pub run: String,
     pub scope: String,
@@ -58,110 +54,6 @@ impl Line {
     }
 }
 
-/// Reads a result file; refuses one of another schema.
-pub fn read(path: &Path) -> Result<Report> {
-    let text = regular_file::read_json(path)?;
-    let value: Value = serde_json::from_slice(&text).map_err(|e| {
-        Error::input(path, format!("is no JSON: {e}"), "give a file that `ashsplat bench` wrote")
-    })?;
-    let schema = value.get("schema").and_then(Value::as_str).unwrap_or("none");
-    if schema != SCHEMA {
-        let remedy = "measure again with this program, or compare with the one that wrote it";
-        return Err(Error::input(
-            path,
-            format!("has schema '{schema}', this program reads '{SCHEMA}'"),
-            remedy,
-        ));
-    }
-    let report: Report = serde_json::from_value(value)
-        .map_err(|e| Error::input(path, format!("does not follow {SCHEMA}: {e}"), ""))?;
-    match report.runs.iter().find_map(broken_spread) {
-        Some(problem) => Err(Error::input(path, problem, "measure again; the file was changed or damaged")),
-        None => Ok(report),
-    }
-}
-
-/// Names a spread of a run that no measurement can give; none if all are plausible.
-fn broken_spread(run: &Run) -> Option<String> {
-    let whole = [
-        ("wall_ms", Some(run.wall_ms)),
-        ("device_ms", run.device_ms),
-        ("between_submissions_ms", run.between_submissions_ms),
-        ("untimed_ms", run.untimed_ms),
-        ("cpu_seconds", run.cpu_seconds),
-    ];
-    let of_kernels = run.kernels.iter().map(|kernel| (kernel.kernel.as_str(), kernel.time_us));
-    let of_processor = run.cpu.iter().map(|sort| (sort.name.as_str(), Some(sort.time_ms)));
-    let mut all = whole.into_iter().chain(of_kernels).chain(of_processor);
-    let (name, Spread { min, median, p90, mean }) =
-        all.find_map(|(name, spread)| Some((name, spread.filter(|spread| !spread.is_plausible())?)))?;
-    Some(format!(
-        "{} of {} is no spread of times: min {min}, median {median}, p90 {p90}, mean {mean}",
-        name, run.name
-    ))
-}
-
-/// Pairs up two reports; refuses those of different workloads.
-pub fn compare(a: &Report, b: &Report) -> Result<Vec<Line>> {
-    let names = |report: &Report| report.runs.iter().map(|r| r.name.clone()).collect::<Vec<_>>().join(", ");
-    if names(a) != names(b) {
-        let problem = format!("one has {}, the other {}; compare like with like", names(a), names(b));
-        return Err(Error::argument("the runs differ", problem));
-    }
-    if a.runs.is_empty() {
-        return Err(Error::argument("the results", "hold no runs; measure again"));
-    }
-    if a.settings.clock != b.settings.clock {
-        let problem =
-            format!("one has times of the {}, the other of the {}", a.settings.clock, b.settings.clock);
-        return Err(Error::argument("the clocks differ", problem));
-    }
-    let mut lines = Vec::new();
-    for (a, b) in a.runs.iter().zip(&b.runs) {
-        check_workloads(a, b)?;
-        let (all_a, all_b) = match (a.device_ms, b.device_ms) {
-            (Some(a), Some(b)) => (a, b),
-            (None, None) => (a.wall_ms, b.wall_ms),
-            (one, _) => {
-                let which = if one.is_some() { "A" } else { "B" };
-                let problem = format!("only {which} has them; measure both by the same clock");
-                return Err(Error::argument(format!("the device's times of {}", a.name), problem));
-            }
-        };
-        lines.push(Line::whole(&a.name, "all", all_a.times(1e3), all_b.times(1e3)));
-        if let (Some(cpu_a), Some(cpu_b)) = (a.cpu_seconds, b.cpu_seconds) {
-            lines.push(Line::whole(&a.name, "processor time", cpu_a.times(1e6), cpu_b.times(1e6)));
-        }
-        lines.extend(kernels(&a.name, &a.kernels, &b.kernels));
-    }
-    Ok(lines)
-}
-
-/// Lists times that only one report has ("only in A: ..."), of kernels and of the processor. Also lists runs blended in
-/// different forms.
-pub fn unpaired(a: &Report, b: &Report) -> Vec<String> {
-    let mut found = Vec::new();
-    for (a, b) in a.runs.iter().zip(&b.runs) {
-        if let (Some(a_form), Some(b_form)) = (&a.workload.blending, &b.workload.blending)
-            && a_form != b_form
-        {
-            found.push(format!("{}: the form of blending is '{a_form}' in A, '{b_form}' in B", a.name));
-        }
-    }
-    for (name, one, other) in [("A", a, b), ("B", b, a)] {
-        for (one, other) in one.runs.iter().zip(&other.runs) {
-            if one.cpu_seconds.is_some() && other.cpu_seconds.is_none() {
-                found.push(format!("only in {name}: {} processor time", one.name));
-            }
-            let alone = alone(&one.kernels, &other.kernels);
-            found.extend(
-                alone.map(|(k, _)| format!("only in {name}: {} {} in '{}'", one.name, k.kernel, k.scope)),
-            );
-        }
-    }
-    found
-}
-
 /// Returns the time of the same kernel in the same stage.
 fn time_of_twin(kernel: &KernelResult, among: &[KernelResult]) -> Option<Spread> {
     among.iter().find(|k| (&k.scope, &k.kernel) == (&kernel.scope, &kernel.kernel))?.time_us
@@ -186,24 +78,6 @@ pub fn kernels(run: &str, a: &[KernelResult], b: &[KernelResult]) -> Vec<Line> {
         }
     }
     lines
-}
-
-fn check_workloads(a: &Run, b: &Run) -> Result<()> {
-    let (wa, wb) = (&a.workload, &b.workload);
-    // Training from points ends with as many Gaussians as it makes, so their number is no part of the workload.
-    let grows = a.name.starts_with("train") && !a.name.starts_with("train-step");
-    let gaussians = |w: &Workload| if grows { None } else { w.gaussians };
-    let size = |w: &Workload| (w.elements, gaussians(w), w.sh_degree, w.width, w.height);
-    if wa.hash == wb.hash && size(wa) == size(wb) {
-        return Ok(());
-    }
-    let (da, db) = (super::table::describe(wa), super::table::describe(wb));
-    let problem = if da == db {
-        format!("the same counts but other contents (hashes {} and {}): {da}", wa.hash, wb.hash)
-    } else {
-        format!("{da} against {db}")
-    };
-    Err(Error::argument(format!("the workloads of {} differ", a.name), problem))
 }
 
 pub fn table(lines: &[Line]) -> String {
@@ -232,12 +106,19 @@ pub fn table(lines: &[Line]) -> String {
     out
 }
 
-/// Lists kernels that became more than `limit` times slower, beyond their spread: "sort sort/sort_upsweep in 'sort' 2.00 times".
-pub fn slower(lines: &[Line], limit: f64) -> Vec<String> {
-    let slow = lines.iter().filter(|line| line.verdict() == Verdict::Slower && line.ratio() > limit);
-    let named = slow.map(|line| {
-        let stage = if line.scope.is_empty() { String::new() } else { format!(" in '{}'", line.scope) };
-        format!("{} {}{stage} {:.2} times", line.run, line.kernel, line.ratio())
-    });
-    named.collect()
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_differ_beyond_their_spread_drift_and_jitter() {
+        let verdict = |min: f64, p90: f64| {
+            let a_us = Spread { min: 1000.0, median: 1050.0, p90: 1100.0, mean: 1050.0 };
+            Line::whole("sort", "all", a_us, Spread { min, p90, ..a_us }).verdict()
+        };
+        assert_eq!(verdict(1210.0, 1300.0), Verdict::Same);
+        assert_eq!(verdict(1230.0, 1300.0), Verdict::Slower);
+        assert_eq!(verdict(850.0, 910.0), Verdict::Same);
+        assert_eq!(verdict(850.0, 890.0), Verdict::Faster);
+    }
 }

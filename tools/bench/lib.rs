@@ -31,16 +31,11 @@ mod workload;
 
 use arguments::{AllArguments, FrameArguments, OutputArguments, PrimitiveArguments, TrainArguments};
 use ashsplat::vk::Context;
-use ashsplat::{Error, Result};
+use ashsplat::Result;
 use clap::{Args, Subcommand};
 use measure::{Iterations, Yardsticks};
 use schema::{Report, Run, Settings};
-use std::path::PathBuf;
-use std::process::ExitCode;
 use tasks::Task;
-
-/// Exit code of a comparison that --fail-above fails. Other failures have another.
-const REGRESSION: u8 = 1;
 
 /// Measure: every kernel's time, workgroups and bytes, beside what this device copies per second.
 ///
@@ -70,29 +65,14 @@ enum What {
     /// Everything: the primitives at two sizes, two synthetic frames, one of them in both forms of blending, a step; --scene and
     /// --dataset besides
     All(AllArguments),
-    /// Two result files, kernel by kernel; exit code 1 where --fail-above finds something slower
-    Compare(CompareArguments),
     /// Trainings with several strategies and seeds: PSNR, SSIM, Gaussians, processor seconds and seconds along each
     Quality(quality::Arguments),
     /// Recipes of training on many scenes: held-out PSNR, what each scene gains or loses
     Suite(suite::Arguments),
 }
 
-/// Which files, and when their difference is a failure.
-#[derive(Args)]
-struct CompareArguments {
-    /// The result to compare with
-    a: PathBuf,
-    /// The result to judge
-    b: PathBuf,
-    /// End with exit code 1 where a kernel of B takes more than X times as long as in A, beyond the spread of both. A time that only
-    /// one of the files has is an error
-    #[arg(long, value_name = "X")]
-    fail_above: Option<f64>,
-}
-
 /// Runs the command.
-pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+pub fn run(arguments: &Arguments) -> Result<()> {
     let frames = |a: &FrameArguments, what, both| {
         let plan = (a.iterations.get(), a.scene.synthetic.seed());
         measure_all(&a.output, plan, |_| tasks::of_frames(a, what, both))
@@ -113,41 +93,9 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
             let plan = (a.iterations.get(), a.synthetic.seed());
             measure_all(&a.output, plan, |context| tasks::of_all(a, context.limits().tuning.is_slow))
         }
-        What::Compare(files) => return compare_files(files),
         What::Quality(a) => quality::run(a),
         What::Suite(a) => suite::run(a),
-    }?;
-    Ok(ExitCode::SUCCESS)
-}
-
-fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
-    if let Some(limit) = files.fail_above
-        && !(limit.is_finite() && limit > 0.0)
-    {
-        return Err(Error::argument(
-            "--fail-above",
-            format!("is {limit}, must be a positive ratio, say 1.15"),
-        ));
     }
-    let (a, b) = (compare::read(&files.a)?, compare::read(&files.b)?);
-    let lines = compare::compare(&a, &b)?;
-    for (name, report) in [("A", &a), ("B", &b)] {
-        let device = &report.device;
-        say!("{name}: {}, {}, {}", device.name, device.driver, report.program);
-    }
-    say!("{}", compare::table(&lines));
-    let unpaired = compare::unpaired(&a, &b);
-    unpaired.iter().for_each(|kernel| say!("{kernel}"));
-    let Some(limit) = files.fail_above else { return Ok(ExitCode::SUCCESS) };
-    if !unpaired.is_empty() {
-        return Err(Error::argument("times that cannot be compared", unpaired.join(", ")));
-    }
-    let slow = compare::slower(&lines, limit);
-    if slow.is_empty() {
-        return Ok(ExitCode::SUCCESS);
-    }
-    tell!("slower than {limit} times: {}", slow.join(", "));
-    Ok(ExitCode::from(REGRESSION))
 }
 
 fn measure_all(

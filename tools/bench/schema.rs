@@ -235,12 +235,6 @@ impl Spread {
         Some(Self { min, median, p90, mean: values.iter().sum::<f64>() / n as f64 })
     }
 
-    /// True if a measurement can give it: finite, not negative, in order.
-    pub fn is_plausible(&self) -> bool {
-        let Self { min, median, p90, mean } = *self;
-        0.0 <= min && min <= median && median <= p90 && p90.is_finite() && mean.is_finite() && mean >= 0.0
-    }
-
     /// Multiplies every value by a factor.
     pub fn times(self, factor: f64) -> Self {
         Self {
