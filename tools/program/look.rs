@@ -210,9 +210,4 @@ impl Drawn {
         self.held.values().for_each(|tile| all.append(tile));
         Ok(Some(all))
     }
-
-    /// Number of tiles for the last camera.
-    pub fn tiles(&self) -> usize {
-        self.held.len()
-    }
 }

@@ -1,27 +1,20 @@
 //! `ashsplat tiles`.
 
 mod likeness;
-mod measure;
 
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, WorldFrame};
-use ashsplat::vk::Context;
 use ashsplat::{Error, Renderer, Result};
-use ashsplat_files::splats::{self, ReadOptions};
-use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions, Tree};
-use ashsplat_files::{Progress, cameras_json};
+use ashsplat_files::Progress;
+use ashsplat_files::splats;
+use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions};
 use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_TILES};
-use ashsplat_program::config::CAMERAS_FILE;
-use ashsplat_program::look::{look_of, orbit_around};
+use ashsplat_program::look::look_of;
 use ashsplat_program::model::Model;
 use ashsplat_program::output;
 use ashsplat_program::progress::{counting, thousands};
 use ashsplat_program::session;
 use clap::Args;
-use glam::Vec3;
 use likeness::Likeness;
-use measure::Measurement;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Write a scene as a tree of tiles for viewers that stream: 3D Tiles 1.1 with KHR_gaussian_splatting in GLB.
 ///
@@ -44,10 +37,6 @@ pub struct Arguments {
     /// reads
     #[arg(long)]
     spz: bool,
-    /// Compare pictures of the tiles within 5 to 100 % of the scene's Gaussians with those of the scene itself: from 12 cameras of a
-    /// model folder, or around a file's Gaussians; needs the memory of the whole scene
-    #[arg(long)]
-    measure: bool,
     /// Drop the Gaussians whose parameters are not finite, instead of refusing them
     #[arg(long)]
     drop_invalid: bool,
@@ -106,53 +95,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             out.display()
         );
     }
-    if arguments.measure {
-        say!("{}", arguments.measured(&context, &model, &read, &stop)?.trim_end());
-    }
     arguments.device.report_validation(&context);
     Ok(())
-}
-
-/// Number of cameras of a measurement.
-const VIEWS: usize = 12;
-
-impl Arguments {
-    fn measured(
-        &self,
-        context: &Context,
-        model: &Model,
-        read: &ReadOptions,
-        stop: &AtomicBool,
-    ) -> Result<String> {
-        let mut scene = splats::read(&model.ply, read)?;
-        let settings = look_of(&model.settings, &scene.header);
-        let tree = Tree::open(&self.out)?.in_world_frame();
-        scene.express_in(&tree.frame());
-        let whole = &scene.gaussians;
-        let cameras = views(model, whole, &tree.frame())?;
-        let measurement = Measurement { tree: &tree, whole, cameras: &cameras, settings, read: *read };
-        measurement.table(&mut Renderer::new(context)?, &|| match stop.load(Ordering::Relaxed) {
-            true => Err(Error::Interrupted),
-            false => Ok(()),
-        })
-    }
-}
-
-/// Some of the training's cameras, or cameras around the scene.
-fn views(model: &Model, gaussians: &Gaussians, frame: &WorldFrame) -> Result<Vec<Camera>> {
-    let file = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
-    if let Some(file) = file.filter(|file| file.is_file()) {
-        let all = cameras_json::read(&file, frame)?;
-        if all.is_empty() {
-            return Err(Error::input(
-                file,
-                "has no cameras",
-                "leave out --measure, or give the file of Gaussians itself",
-            ));
-        }
-        let every = all.len().div_ceil(VIEWS);
-        return Ok(all.iter().step_by(every).map(|named| named.camera).collect());
-    }
-    let intrinsics = Intrinsics::from_fov_x(1.0, 960, 540);
-    Ok(orbit_around(gaussians, Vec3::NEG_Y, VIEWS as u32, intrinsics).cameras())
 }
