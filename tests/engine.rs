@@ -37,7 +37,6 @@ mod poses;
 mod properties;
 mod scan;
 mod several_scenes;
-mod soak;
 mod sort;
 mod splats;
 mod subgroup_widths;

@@ -1,12 +1,14 @@
-//! Memory of the process over a thousand frames of changing size and camera. The test has its own process, where no
+//! Memory of the process over a thousand frames of changing size and camera, and over a thousand training steps. The test has its own process, where no
 //! other test allocates, and no validation layer, which keeps records.
 
 use crate::child;
 use crate::frames::{changing_view, draw_a_thousand};
 use crate::stage::*;
+use crate::training::{settings, trainer};
 
+/// Number of frames, and of steps.
 const FRAMES: u32 = 1000;
-/// Number of frames after which allocators and the driver have settled.
+/// Number of frames or steps after which allocators and the driver have settled.
 const SETTLED: u32 = 200;
 
 /// Resident memory of the process, KiB; None if the system does not report it.
@@ -36,7 +38,7 @@ impl Measured {
     fn report(&self, path: &str) {
         let ([settled, end], [device, device_end]) = (self.resident_kib, self.device_bytes);
         println!(
-            "{path}: {settled} KiB resident after {SETTLED} frames, {end} after {FRAMES}; device memory {} KiB all along",
+            "{path}: {settled} KiB resident after {SETTLED} rounds, {end} after {FRAMES}; device memory {} KiB all along",
             device >> 10
         );
         assert!(end <= settled + 1024, "{path}: resident memory grows from {settled} to {end} KiB");
@@ -62,6 +64,16 @@ fn resident_memory_in_a_child() {
         }
         owned.note(&context, FRAMES);
         owned.report("owned");
+
+        // Densification ends before the memory is first noted.
+        let mut trainer = trainer(&context, TrainSettings { iterations: FRAMES, ..settings() });
+        let mut trained = Measured::default();
+        for number in 1..=FRAMES {
+            let step = trainer.step().expect("a step");
+            assert!(step.loss.is_finite() && step.skipped_non_finite == 0, "{step:?}");
+            trained.note(&context, number);
+        }
+        trained.report("trained");
     });
 }
 
@@ -74,5 +86,5 @@ fn resident_memory_does_not_grow() {
     let said = child::run(&["--exact", "resident::resident_memory_in_a_child"], 1, |_| {});
     let lines: Vec<&str> = said.lines().filter(|line| line.contains("KiB resident")).collect();
     println!("{}", lines.join("\n"));
-    assert_eq!(lines.len(), 2, "both paths were measured: {said}");
+    assert_eq!(lines.len(), 3, "all paths were measured: {said}");
 }
