@@ -45,7 +45,7 @@ fn bench_all_follows_its_schema() {
     let (_folder, [json]) = new_paths(["a.json"]);
     let table = measure("all", &["--json", text(&json), "--frames", "900@64x64"]);
     assert_says(&table, &["copy bandwidth", "untimed", "sort/sort_", "optimizer/adam"]);
-    assert_says(&table, &["workgroups", "std stable"]);
+    assert_says(&table, &["workgroups"]);
     let report = read(&json);
     assert_eq!(report["schema"], "ashsplat-bench/1");
     assert_eq!(report["settings"]["clock"], "timestamps");
@@ -70,8 +70,6 @@ fn bench_all_follows_its_schema() {
         let has_primitives = arenas.iter().any(|arena| arena["name"] == "primitive");
         assert_eq!(has_primitives, place < 3, "another run's memory: {arenas:?}");
     }
-    let sorts = runs(&report)[1]["cpu"].as_array().expect("sorts of the processor");
-    assert_eq!(sorts.len(), 4);
 }
 
 /// Checks that the parts add up, dispatches have grids, and the counts are those of a frame.

@@ -9,7 +9,6 @@ extern crate ashsplat_program;
 mod arguments;
 mod compare;
 mod compiled;
-mod cpu_sorts;
 mod forms;
 mod frames;
 mod kernels;
@@ -52,7 +51,7 @@ pub struct Arguments {
 enum What {
     /// The prefix sum alone
     Scan(PrimitiveArguments),
-    /// The radix sort alone, beside the processor's
+    /// The radix sort alone
     Sort(PrimitiveArguments),
     /// A frame
     Render(FrameArguments),

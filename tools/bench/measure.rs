@@ -156,7 +156,6 @@ impl Measured {
             cpu_seconds: self.cpu_seconds,
             kernels: self.kernels(traffic, copy),
             memory: memory(context),
-            cpu: Vec::new(),
         }
     }
 

@@ -1,10 +1,10 @@
-//! `bench scan` and `bench sort`: the primitives alone, checked, beside the processor's.
+//! `bench scan` and `bench sort`: the primitives alone, checked.
 
 use super::measure::{Iterations, Measured, measure};
-use super::schema::{CopyBandwidth, CpuResult, Run, Workload};
+use super::schema::{CopyBandwidth, Run, Workload};
 use super::traffic::Traffic;
+use super::synthetic;
 use super::workload::Fnv;
-use super::{cpu_sorts, synthetic};
 use ashsplat::passes::scan::{Scan, ScanBuffers, Workgroups};
 use ashsplat::passes::sort::{RadixSort, SortBuffers, Values};
 use ashsplat::vk::{Buffer, Context, MemoryKind};
@@ -26,7 +26,7 @@ impl Job<'_> {
         self.context.allocate("primitive", requests, MemoryKind::Device)
     }
 
-    fn run(&self, name: &str, input: &[u32], measured: &Measured, cpu: Vec<CpuResult>) -> Run {
+    fn run(&self, name: &str, input: &[u32], measured: &Measured) -> Run {
         let mut hash = Fnv::default();
         hash.add(bytemuck::cast_slice(input));
         let workload = Workload {
@@ -35,8 +35,7 @@ impl Job<'_> {
             elements: Some(self.elements.into()),
             ..Workload::default()
         };
-        let run = measured.run(self.context, name, workload, (&Traffic::bound(), self.copy));
-        Run { cpu, ..run }
+        measured.run(self.context, name, workload, (&Traffic::bound(), self.copy))
     }
 }
 
@@ -66,12 +65,13 @@ pub fn scan(job: &Job) -> Result<Run> {
         recorded.map(drop)
     };
     let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
-    let expected = cpu_sorts::prefix_sums(&values);
+    let next = |sum: &mut u32, &value: &u32| Some(std::mem::replace(sum, sum.wrapping_add(value)));
+    let expected = values.iter().scan(0, next);
     let prefix: Vec<u32> = download(job.context, &b[2], job.elements)?;
-    if prefix != expected {
+    if !expected.eq(prefix) {
         return Err(wrong("scan"));
     }
-    Ok(job.run("scan", &values, &measured, cpu_sorts::scans(&values)))
+    Ok(job.run("scan", &values, &measured))
 }
 
 /// Measures the stable sort of (u32 key, u32 value) pairs.
@@ -124,7 +124,7 @@ pub fn sort(job: &Job) -> Result<Run> {
     if !expected.iter().copied().eq(sorted_keys.into_iter().zip(sorted_values)) {
         return Err(wrong("sort"));
     }
-    Ok(job.run("sort", &keys, &measured, cpu_sorts::sorts(&keys)))
+    Ok(job.run("sort", &keys, &measured))
 }
 
 fn wrong(what: &str) -> Error {

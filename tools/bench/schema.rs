@@ -127,8 +127,6 @@ pub struct Run {
     pub kernels: Vec<KernelResult>,
     /// Device memory by arena.
     pub memory: Vec<Arena>,
-    /// The same work on the processor.
-    pub cpu: Vec<CpuResult>,
 }
 
 /// Parts of the mean wall time of an iteration; they add up to it.
@@ -204,14 +202,6 @@ pub struct KernelResult {
 pub struct Arena {
     pub name: String,
     pub peak_bytes: u64,
-}
-
-/// A sort or scan on the processor.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct CpuResult {
-    pub name: String,
-    pub threads: usize,
-    pub time_ms: Spread,
 }
 
 /// Minimum, median (of an even number, the mean of the middle two), 90th percentile by nearest rank, and mean.

@@ -120,11 +120,6 @@ fn one_run(out: &mut String, run: &Run) {
             );
         }
     }
-    for cpu in &run.cpu {
-        let threads =
-            if cpu.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", cpu.threads) };
-        let _ = writeln!(out, "  processor: {} ({threads}) {}", cpu.name, milliseconds(&cpu.time_ms));
-    }
     let arenas = run.memory.iter().map(|a| format!("{} {:.1}", a.name, a.peak_bytes as f64 / 1048576.0));
     let _ = writeln!(out, "  peak device memory, MiB: {}", arenas.collect::<Vec<_>>().join(", "));
 }
