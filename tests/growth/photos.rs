@@ -5,6 +5,7 @@ use super::{alone, assert_linear};
 use crate::HostMemory;
 use crate::images::{Photo, PhotoFileFormat, Request, read_as};
 use image::DynamicImage;
+use image::imageops::{FilterType, resize};
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use std::io::Write;
 use std::path::Path;
@@ -19,13 +20,14 @@ fn picture(width: u32, height: u32) -> DynamicImage {
     DynamicImage::from(image::RgbaImage::from_raw(width, height, values).unwrap())
 }
 
-/// Scaling during decoding gives the same bits as scaling the whole picture, in every colour type.
+/// Scaling during decoding gives the bits of the crate `image` for the whole picture, in every colour type.
 #[test]
 fn rows_have_the_bits_of_whole_photos() {
     let (_turn, _folder, path) = alone("a.png");
     let memory = HostMemory::default();
+    let small = picture(5, 1);
     let all = picture(61, 47);
-    let kinds: [(&str, DynamicImage); 10] = [
+    let kinds: [(&str, DynamicImage); 11] = [
         ("png", all.to_luma8().into()),
         ("png", all.to_luma_alpha8().into()),
         ("png", all.to_rgb8().into()),
@@ -36,6 +38,7 @@ fn rows_have_the_bits_of_whole_photos() {
         ("png", all.to_rgba16().into()),
         ("jpeg", all.to_rgb8().into()),
         ("jpeg", all.to_luma8().into()),
+        ("png", small.to_rgb8().into()),
     ];
     for (index, (kind, image)) in kinds.into_iter().enumerate() {
         image.save_with_format(&path, image::ImageFormat::from_extension(kind).unwrap()).unwrap();
@@ -45,11 +48,15 @@ fn rows_have_the_bits_of_whole_photos() {
             assert_eq!(whole.photo.rgb, image.to_rgb8().into_raw(), "kind {index}");
         }
         assert_eq!(whole.alpha.is_some(), image.color().has_alpha());
-        for (width, height) in [(61, 47), (30, 23), (7, 5), (100, 80)] {
-            let request = Request { scaled: Some((width, height)), size: Some((61, 47)), ..plain };
+        let size = (image.width(), image.height());
+        let rgb = image::RgbImage::from_raw(size.0, size.1, whole.photo.rgb.clone()).unwrap();
+        for (width, height) in [(61, 47), (30, 23), (7, 5), (100, 80), (1, 70), (122, 1), (1, 1)] {
+            let request = Request { scaled: Some((width, height)), size: Some(size), ..plain };
             let scaled = read_as(&path, &request).unwrap();
-            let expected = whole.photo.clone().scaled_to(width, height).unwrap();
-            assert!(scaled.photo == expected && scaled.alpha == whole.alpha, "{index}, {width}x{height}");
+            let expected = resize(&rgb, width, height, FilterType::CatmullRom).into_raw();
+            assert!(scaled.photo.rgb == expected, "{index}, {width}x{height}");
+            assert!(scaled.alpha == whole.alpha);
+            assert_eq!(whole.photo.clone().scaled_to(width, height).unwrap(), scaled.photo);
         }
     }
 }

@@ -52,11 +52,9 @@ fn every_colour_type_is_read() {
 }
 
 pub(super) fn png_chunk(kind: &[u8], data: &[u8]) -> Vec<u8> {
-    let body = [kind, data].concat();
-    let crc = !body.iter().fold(!0u32, |crc, &byte| {
-        (0..8).fold(crc ^ u32::from(byte), |c, _| (c >> 1) ^ (0xedb8_8320 & 0u32.wrapping_sub(c & 1)))
-    });
-    [&(data.len() as u32).to_be_bytes(), &*body, &crc.to_be_bytes()].concat()
+    let mut crc = flate2::Crc::new();
+    crc.update(&[kind, data].concat());
+    [&(data.len() as u32).to_be_bytes(), kind, data, &crc.sum().to_be_bytes()].concat()
 }
 
 /// A PNG of 2×1 pixels with a palette and transparency.

@@ -164,39 +164,3 @@ fn bilinear(photo: &Photo, x: f64, y: f64) -> Option<[u8; 3]> {
         ((1.0 - dy) * upper + dy * lower).round() as u8
     }))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::RowScaler;
-    use crate::growth::turn;
-    use image::RgbImage;
-    use image::imageops::{FilterType, resize};
-
-    /// Scales up and down, by whole numbers and by others, down to the smallest sizes.
-    #[test]
-    fn rows_give_the_bits_of_the_whole_picture() {
-        let _turn = turn();
-        let sizes = [[1, 1], [2, 3], [5, 1], [17, 9], [64, 64], [133, 77], [400, 31]];
-        for from in sizes {
-            let value = |i: u32| (i.wrapping_mul(2_654_435_761) >> 23) as u8;
-            let rgb: Vec<u8> = (0..3 * from[0] * from[1]).map(value).collect();
-            let image = RgbImage::from_raw(from[0], from[1], rgb.clone()).expect("a picture");
-            for to in sizes.into_iter().chain([[66, 38], [50, 15], [200, 15], [33, 32], [1, 70]]) {
-                if to == from {
-                    continue;
-                }
-                let expected = resize(&image, to[0], to[1], FilterType::CatmullRom).into_raw();
-                let mut scaler = RowScaler::new(from, to, Vec::new());
-                let mut most = 0;
-                for row in rgb.chunks(3 * from[0] as usize) {
-                    scaler.push(row);
-                    let floats: usize = scaler.open.iter().map(|open| open.sums.len()).sum();
-                    let weights: usize = scaler.columns.iter().map(|taps| taps.weights.len()).sum();
-                    most = most.max(4 * (floats + weights));
-                }
-                assert!(most as u64 <= RowScaler::bytes(from, to), "{from:?} to {to:?}: {most}");
-                assert!(scaler.finish() == expected, "{from:?} to {to:?}");
-            }
-        }
-    }
-}
