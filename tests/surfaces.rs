@@ -2,6 +2,7 @@
 
 use crate::common::engine::settings;
 use crate::common::prelude::*;
+use crate::common::splats::{directions, disks};
 use crate::kernels::surface::open_edges;
 use crate::reference::blend::{beside, is_median_depth};
 use crate::reference::pipeline::{self, pixels_of, tile_of};
@@ -55,32 +56,6 @@ fn surfaces_of_frames_equal_the_twins() {
     }
 }
 
-/// Disks on a ball of radius 1, red above and blue below.
-fn ball() -> Gaussians {
-    let count = 3000;
-    let mut ball = Gaussians::default();
-    for (index, normal) in directions(count).into_iter().enumerate() {
-        let turn = glam::Quat::from_rotation_arc(Vec3::Z, normal);
-        ball.means.push(normal.to_array());
-        ball.quats.push([turn.w, turn.x, turn.y, turn.z]);
-        ball.log_scales.push([-2.9, -2.9, -7.0]);
-        ball.opacity_logits.push(5.0);
-        ball.sh.push(if index < count / 2 { [1.7, -1.7, -1.7] } else { [-1.7, -1.7, 1.7] });
-    }
-    ball
-}
-
-/// Directions spread evenly, from +z to -z.
-fn directions(count: usize) -> Vec<Vec3> {
-    let direction = |index: usize| {
-        let z = 1.0 - (2.0 * index as f32 + 1.0) / count as f32;
-        let (sine, cosine) = (index as f32 * 2.399_963).sin_cos();
-        let radius = (1.0 - z * z).sqrt();
-        Vec3::new(radius * cosine, radius * sine, z)
-    };
-    (0..count).map(direction).collect()
-}
-
 fn cameras() -> Vec<Camera> {
     let intrinsics = Intrinsics::from_fov_x(0.7, 96, 96);
     let aside = |eye: Vec3| if eye.x.abs() < 2.0 { Vec3::X } else { Vec3::Y };
@@ -106,7 +81,7 @@ fn mesh_of(renderer: &mut Renderer, field: FieldSettings) -> Mesh {
 fn a_ball_becomes_a_closed_mesh() {
     let _gpu = Gpu::new();
     let mut renderer = renderer();
-    renderer.upload(&ball()).expect("a scene");
+    renderer.upload(&disks(Vec3::ZERO)).expect("a scene");
     let field = FieldSettings { truncation: 0.125, ..FieldSettings::new(0.05, 10.0) };
     let mut mesh = mesh_of(&mut renderer, field);
     assert_eq!(mesh, mesh_of(&mut renderer, field), "the same bits");

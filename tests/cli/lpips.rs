@@ -2,7 +2,7 @@
 
 use super::training::trained;
 use super::*;
-use crate::common::lpips_files::{Tensor, alexnet, vgg16, write};
+use crate::common::lpips_files::{alexnet, vgg16, write};
 use crate::reference::lpips::{ALEXNET, Step, VGG16, Weights, formula, lpips};
 
 /// LPIPS of two saved pictures by the twin.
@@ -98,27 +98,8 @@ fn lpips_weights_that_are_none_are_refused_before_the_work() {
         }
         assert!(!place.has("unweighted"));
     };
-    check(&["bad.safetensors: cannot read"], "");
     std::fs::write(&weights, "PK").expect("written");
     check(&["bad.safetensors: is truncated or no safetensors file"], "");
-    write(&weights, &alexnet(0).into_iter().filter(|t| t.name != "lin4.model.1.weight").collect::<Vec<_>>());
-    check(&["bad.safetensors: lacks the tensor 'lin4.model.1.weight'", "tools/lpips_weights.py"], "");
-    // Weights of another network, here ResNet's first tensor.
-    let mut other = alexnet(0);
-    other[0] = Tensor::new("net.0.weight", &[64, 3, 7, 7], vec![0.0; 64 * 147]);
-    write(&weights, &other);
-    check(&["bad.safetensors: has a tensor 'net.0.weight' of [64, 3, 7, 7]", "of AlexNet or"], "");
-    // Damaged weights, which would give 0 or no number.
-    for (name, value, words) in [
-        ("net.3.weight", 2e20, "value 2 is 2e20, more than any network has"),
-        ("lin4.model.1.weight", -0.25, "value 2 is -0.25, no head of LPIPS has one below 0"),
-    ] {
-        let mut tensors = alexnet(0);
-        let tensor = tensors.iter_mut().find(|tensor| tensor.name == name).expect("there");
-        tensor.values[2] = value;
-        write(&weights, &tensors);
-        check(&[&format!("bad.safetensors: tensor '{name}': {words}")], "");
-    }
     write(&weights, &alexnet(0));
     check(&["once more", "AlexNet"], "--lpips-weights @bad.safetensors");
 }

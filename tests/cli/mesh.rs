@@ -1,30 +1,14 @@
 //! `mesh`: files, errors, the same bytes.
 
 use super::*;
-
-/// Disks on a ball of radius 1 around a point, of two colours.
-fn ball(center: Vec3) -> Gaussians {
-    let mut ball = Gaussians::default();
-    for index in 0..3000 {
-        let z = 1.0 - (2.0 * index as f32 + 1.0) / 3000.0;
-        let (sine, cosine) = (index as f32 * 2.399_963).sin_cos();
-        let normal = vec3((1.0 - z * z).sqrt() * cosine, (1.0 - z * z).sqrt() * sine, z);
-        let turn = glam::Quat::from_rotation_arc(Vec3::Z, normal);
-        ball.means.push((center + normal).to_array());
-        ball.quats.push([turn.w, turn.x, turn.y, turn.z]);
-        ball.log_scales.push([-2.9, -2.9, -7.0]);
-        ball.opacity_logits.push(5.0);
-        ball.sh.push(if index < 1500 { [1.7, -1.7, -1.7] } else { [-1.7, -1.7, 1.7] });
-    }
-    ball
-}
+use crate::common::splats::disks;
 
 const VIEWS: &str = "--orbit 12 --width 96 --height 96 --fov 40";
 
 #[test]
 fn meshes_are_written_whole_and_alike() {
     let place = Place::empty();
-    place.write_scene("ball.ply", &ball(Vec3::ZERO));
+    place.write_scene("ball.ply", &disks(Vec3::ZERO));
     let told = place.run(format!("mesh @ball.ply -o @new/ball.obj {VIEWS} --voxel 0.06")).ok().stdout;
     assert_has(&told, &["ball.obj: ", " triangles, ", "voxels of 0.06"]);
     let lines = std::fs::read_to_string(place.at("new/ball.obj")).expect("an OBJ");
@@ -66,7 +50,7 @@ fn meshes_are_written_whole_and_alike() {
 #[test]
 fn meshes_have_the_scenes_origin() {
     let place = Place::empty();
-    place.write_scene("ball.ply", &ball(Vec3::ZERO));
+    place.write_scene("ball.ply", &disks(Vec3::ZERO));
     place.run("convert @ball.ply --translate 500000,4000000,100 -o @far.ply").ok();
     place.run(format!("mesh @far.ply -o @far.obj {VIEWS} --voxel 0.06 --quiet")).ok();
     let text = std::fs::read_to_string(place.at("far.obj")).expect("an OBJ");
@@ -95,7 +79,7 @@ fn meshes_have_the_scenes_origin() {
 #[test]
 fn meshes_that_cannot_be_made() {
     let place = Place::empty();
-    place.write_scene("ball.ply", &ball(Vec3::ZERO));
+    place.write_scene("ball.ply", &disks(Vec3::ZERO));
     place.write_scene("none.ply", &Gaussians::default());
     let refuses = |line: &str, words: &[&str]| {
         place.run(line).refused(words);
@@ -122,7 +106,7 @@ fn meshes_that_cannot_be_made() {
 #[test]
 fn normals_and_median_depths_are_rendered() {
     let place = Place::empty();
-    place.write_scene("ball.ply", &ball(Vec3::ZERO));
+    place.write_scene("ball.ply", &disks(Vec3::ZERO));
     place.run(format!("render @ball.ply -o @one {VIEWS} --normals --depth median --format exr --quiet")).ok();
     let exr = std::fs::read(place.at("one/00000.exr")).expect("an EXR");
     let header = String::from_utf8_lossy(&exr[..600]).into_owned();

@@ -149,6 +149,32 @@ pub fn ball(count: usize) -> Gaussians {
     gaussians
 }
 
+/// Disks on a ball of radius 1 around a point, red above and blue below.
+pub fn disks(center: Vec3) -> Gaussians {
+    let count = 3000;
+    let mut ball = Gaussians::default();
+    for (index, normal) in directions(count).into_iter().enumerate() {
+        let turn = glam::Quat::from_rotation_arc(Vec3::Z, normal);
+        ball.means.push((center + normal).to_array());
+        ball.quats.push([turn.w, turn.x, turn.y, turn.z]);
+        ball.log_scales.push([-2.9, -2.9, -7.0]);
+        ball.opacity_logits.push(5.0);
+        ball.sh.push(if index < count / 2 { [1.7, -1.7, -1.7] } else { [-1.7, -1.7, 1.7] });
+    }
+    ball
+}
+
+/// Directions spread evenly, from +z to -z.
+pub fn directions(count: usize) -> Vec<Vec3> {
+    let direction = |index: usize| {
+        let z = 1.0 - (2.0 * index as f32 + 1.0) / count as f32;
+        let (sine, cosine) = (index as f32 * 2.399_963).sin_cos();
+        let radius = (1.0 - z * z).sqrt();
+        Vec3::new(radius * cosine, radius * sine, z)
+    };
+    (0..count).map(direction).collect()
+}
+
 /// Writes the first Gaussians of orange points.
 pub fn write_points(path: &Path, positions: Vec<[f32; 3]>, sh_degree: u32) {
     let colors = vec![[230, 77, 26]; positions.len()];

@@ -77,6 +77,14 @@ fn lpips_weights_that_are_no_such_are_named() {
         &["[64, 3, 7, 7]", "[64, 3, 11, 11] of AlexNet", "[64, 3, 3, 3] of VGG16"],
     );
     check(&of("net.8.bias", |t| t.values[17] = f32::NAN), &["'net.8.bias': value 17 is NaN"]);
+    check(
+        &of("net.3.weight", |t| t.values[2] = 2e20),
+        &["tensor 'net.3.weight': value 2 is 2e20, more than any network has"],
+    );
+    check(
+        &of("lin4.model.1.weight", |t| t.values[2] = -0.25),
+        &["tensor 'lin4.model.1.weight': value 2 is -0.25, no head of LPIPS has one below 0"],
+    );
     check(&of("net.8.weight", |t| t.values.fill(0.0)), &["of convolution 8 are all 0"]);
     check(&of("lin2.model.1.weight", |t| t.values.fill(0.0)), &["'lin2.model.1.weight' are all 0"]);
     check(&of("net.8.bias", |t| t.kind = "I32"), &["'net.8.bias' of I32 [256]"]);
