@@ -89,17 +89,6 @@ fn zero_points_of_a_textured_scene_are_found_in_its_photos() {
     assert!(!run.stderr.contains("no points"), "{}", run.stderr);
 }
 
-#[test]
-fn ply_is_an_lfs_pointer() {
-    let place = Place::empty();
-    let hash = "0".repeat(64);
-    let pointer = format!("version https://git-lfs.github.com/spec/v1\noid sha256:{hash}\nsize 12345\n");
-    place.write("scene.ply", pointer);
-    place.run("info @scene.ply").refused(&["scene.ply", "LFS", "git lfs pull"]);
-    place.run("render @scene.ply --orbit 1 -o @out").refused(&["scene.ply", "LFS"]);
-    assert!(!place.has("out"));
-}
-
 /// The program must not wait for a pipe or read a device without end.
 #[cfg(unix)]
 #[test]

@@ -186,6 +186,22 @@ impl<'a> Backward<'a> {
         }
     }
 
+    /// Runs the kernel with the second of the matrices. `push` has the lens' plane.
+    fn run(&self, lens: bool, matrices: &Buffer, push: expose_backward::Push) {
+        let gpu = self.gpu;
+        let (workgroup_size, subgroup_size, strips) = (gpu.workgroup(64), gpu.subgroup(), self.strips);
+        let spec = expose_backward::Spec { workgroup_size, subgroup_size, strips, lens };
+        let ([image_width, image_height], background) = (self.size, BACKGROUND);
+        let push = expose_backward::Push { image_width, image_height, background, matrix: 1, ..push };
+        let bind = expose_backward::Bind {
+            rendered: &self.rendered,
+            matrices,
+            image_gradient: &self.gradient,
+            partials: &self.partials,
+        };
+        gpu.dispatch::<expose_backward::Interface>(&spec, &bind, &push, TERM_PARTIALS.into());
+    }
+
     /// Compares the gradients of the picture and of the rows with the twin's.
     fn check(&self, (of_picture, of_rows): (Vec<[f64; 3]>, Matrix), absolute: f64, relative: [f64; 2]) {
         let (gpu, sides, strips) = (self.gpu, sides(self.size), self.strips);
@@ -221,29 +237,14 @@ fn sum(parts: &[Floats]) -> Matrix {
 fn expose_backward_equals_its_twin() {
     let gpu = Gpu::new();
     for (size, strips) in Backward::layouts(&gpu) {
-        let ([image_width, image_height], sides) = (size, sides(size));
-        let mut random = Random::new(u64::from(image_width));
+        let sides = sides(size);
+        let mut random = Random::new(u64::from(size[0]));
         let (native, picture) = picture(&mut random, sides, strips);
         let exposures = matrices(&mut random, 3);
         let before: Vec<f32> = (0..values(sides)).map(|_| random.signed() as f32).collect();
         let g = colors(&before, sides, strips);
         let backward = Backward::new(&gpu, (size, strips), &native, before);
-        let spec = expose_backward::Spec {
-            workgroup_size: gpu.workgroup(64),
-            subgroup_size: gpu.subgroup(),
-            strips,
-            lens: false,
-        };
-        let background = BACKGROUND;
-        let push =
-            expose_backward::Push { image_width, image_height, background, matrix: 1, ..Default::default() };
-        let bind = expose_backward::Bind {
-            rendered: &backward.rendered,
-            matrices: &gpu.buffer("exposures", &exposures),
-            image_gradient: &backward.gradient,
-            partials: &backward.partials,
-        };
-        gpu.dispatch::<expose_backward::Interface>(&spec, &bind, &push, TERM_PARTIALS.into());
+        backward.run(false, &gpu.buffer("exposures", &exposures), Default::default());
         backward.check(twin::expose_backward(&picture, &wide(&exposures[1]), &g), 1e-6, [1e-6, 1e-5]);
     }
 }
@@ -252,8 +253,8 @@ fn expose_backward_equals_its_twin() {
 fn lens_backward_equals_its_twin() {
     let gpu = Gpu::new();
     for (size, strips) in Backward::layouts(&gpu) {
-        let ([image_width, image_height], sides) = (size, sides(size));
-        let mut random = Random::new(u64::from(image_width));
+        let sides = sides(size);
+        let mut random = Random::new(u64::from(size[0]));
         let (native, picture) = picture(&mut random, sides, strips);
         let all = lenses(&mut random, 3);
         let rows = wide(&all[1]);
@@ -266,28 +267,8 @@ fn lens_backward_equals_its_twin() {
         }
         let h = colors(&before, sides, strips);
         let backward = Backward::new(&gpu, (size, strips), &native, before);
-        let spec = expose_backward::Spec {
-            workgroup_size: gpu.workgroup(64),
-            subgroup_size: gpu.subgroup(),
-            strips,
-            lens: true,
-        };
-        let (background, matrix) = (BACKGROUND, 1);
-        let push = expose_backward::Push {
-            image_width,
-            image_height,
-            background,
-            matrix,
-            center_px,
-            inverse_square,
-        };
-        let bind = expose_backward::Bind {
-            rendered: &backward.rendered,
-            matrices: &gpu.buffer("lenses", &all),
-            image_gradient: &backward.gradient,
-            partials: &backward.partials,
-        };
-        gpu.dispatch::<expose_backward::Interface>(&spec, &bind, &push, TERM_PARTIALS.into());
+        let push = expose_backward::Push { center_px, inverse_square, ..Default::default() };
+        backward.run(true, &gpu.buffer("lenses", &all), push);
         backward.check(twin::lens_backward(&picture, &rows, &r2, &h), 1e-5, [2e-5, 2e-5]);
     }
 }
