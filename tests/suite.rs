@@ -10,5 +10,5 @@ mod compiled;
 mod host;
 mod profile;
 mod program;
-mod quality;
+mod recipes;
 mod viewer;

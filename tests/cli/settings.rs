@@ -224,10 +224,6 @@ fn settings_without_effect_are_refused() {
         place.run(train).refused(&[words[0], words[1], "no effect"]);
         assert!(!place.has("model"), "{options}");
     }
-    // One of several compared strategies may use it.
-    let bench = "bench quality @data -o @out --strategies=reference,mcmc";
-    place.run(format!("{bench} --pose-lr 1e-3")).refused(&["pose_lr", "no effect"]);
-    place.run(format!("{bench} --cap-max 7")).refused(&["cap_max", "400 Gaussians"]);
 }
 
 #[test]

@@ -16,7 +16,6 @@ mod machine;
 mod measure;
 mod primitives;
 pub mod profile;
-mod quality;
 mod samples;
 mod schema;
 mod sizes;
@@ -64,9 +63,7 @@ enum What {
     /// Everything: the primitives at two sizes, two synthetic frames, one of them in both forms of blending, a step; --scene and
     /// --dataset besides
     All(AllArguments),
-    /// Trainings with several strategies and seeds: PSNR, SSIM, Gaussians, processor seconds and seconds along each
-    Quality(quality::Arguments),
-    /// Recipes of training on many scenes: held-out PSNR, what each scene gains or loses
+    /// Recipes of training on scenes: held-out PSNR, what each scene gains or loses, time to a PSNR
     Suite(suite::Arguments),
 }
 
@@ -92,7 +89,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             let plan = (a.iterations.get(), a.synthetic.seed());
             measure_all(&a.output, plan, |context| tasks::of_all(a, context.limits().tuning.is_slow))
         }
-        What::Quality(a) => quality::run(a),
         What::Suite(a) => suite::run(a),
     }
 }

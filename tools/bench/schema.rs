@@ -12,7 +12,7 @@ use std::fmt;
 pub const SCHEMA: &str = "ashsplat-bench/1";
 
 /// One result file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// [`SCHEMA`].
     pub schema: String,
@@ -46,7 +46,7 @@ impl fmt::Display for Program {
 }
 
 /// The machine that holds the device.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Host {
     pub system: String,
     pub processor: Option<String>,
@@ -68,7 +68,7 @@ pub struct Device {
 }
 
 /// Settings of the measurement.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Requested number of measured iterations.
     pub iterations: u32,
@@ -80,7 +80,7 @@ pub struct Settings {
 }
 
 /// Copy bandwidth of the device, measured in the same run: the yardstick of every kernel.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CopyBandwidth {
     /// Size of the copied buffer, read once and written once.
     pub bytes: u64,
@@ -92,7 +92,7 @@ pub struct CopyBandwidth {
 }
 
 /// Arithmetic rate of the device, measured in the same run by multiply-adds on registers.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ArithmeticRate {
     /// Operations of the dispatch; a multiply-add counts as two.
     pub operations: u64,
@@ -104,7 +104,7 @@ pub struct ArithmeticRate {
 }
 
 /// Results of one workload.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Run {
     /// "scan", "sort", "render", "draw" (a frame that is not read back), "train-step" or "train". "render-regions" and
     /// "render-shared" ("draw-…") if both forms of blending are measured.
@@ -130,7 +130,7 @@ pub struct Run {
 }
 
 /// Parts of the mean wall time of an iteration; they add up to it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Split {
     /// Mean wall time.
     pub wall_ms: f64,
@@ -147,7 +147,7 @@ pub struct Split {
 }
 
 /// Inputs of a run.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Workload {
     /// "synthetic", or the files.
     pub source: String,
@@ -168,7 +168,7 @@ pub struct Workload {
 }
 
 /// A kernel within a stage, all of its dispatches together.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct KernelResult {
     pub scope: String,
     /// "sort/sort_upsweep", or "fill", "copy", "update".
@@ -198,14 +198,14 @@ pub struct KernelResult {
 }
 
 /// Device memory of one arena.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Arena {
     pub name: String,
     pub peak_bytes: u64,
 }
 
 /// Minimum, median (of an even number, the mean of the middle two), 90th percentile by nearest rank, and mean.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Spread {
     pub min: f64,
     pub median: f64,

@@ -1,4 +1,4 @@
-//! `bench suite`: recipes of training on many scenes, and what each scene gains or loses.
+//! `bench suite`: recipes of training on scenes, and what each scene gains or loses.
 
 use super::machine;
 use ashsplat::scene::PointCloud;
@@ -8,6 +8,8 @@ use ashsplat_files::{atomic, quoted, regular_file};
 use ashsplat_program::child::run_logged;
 use ashsplat_program::config::Split;
 use ashsplat_program::eval::RESULTS_FILE;
+use ashsplat_program::lock::{FolderLock, Work};
+use ashsplat_program::train_log::{LOG_FILE, Rows};
 use ashsplat_program::{output, session};
 use clap::Args;
 use glam::DVec3;
@@ -18,7 +20,9 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-/// Train many scenes by several recipes: a table of held-out PSNR with mean, worst loss and largest fall along a run.
+const MEASURING: Work = Work { file: ".suite.lock", what: "suite", option: "-o" };
+
+/// Train scenes by several recipes and seeds: a table of held-out PSNR with mean, worst loss and largest fall along a run.
 ///
 /// FILE lists scenes and recipes (tools/bench.md); tools/datasets has those of the field's data sets. Each run is an `ashsplat
 /// train --eval`, whose model folder stays in the folder. After Ctrl-C the same command continues the run that was stopped. A run
@@ -86,6 +90,8 @@ struct Scene {
     first: usize,
     /// Takes the photographs whose cameras are nearest to that of this one instead.
     near: Option<String>,
+    /// PSNR whose first reaching is timed, dB.
+    until: Option<f64>,
 }
 
 fn stored_size() -> i32 {
@@ -106,11 +112,21 @@ struct Recipe {
 struct Run {
     /// What the run depends on.
     setup: String,
+    /// Wall time of the whole command.
     seconds: f64,
-    /// Held-out PSNR by iteration, dB.
-    psnr: BTreeMap<u32, f64>,
+    /// Tests by iteration.
+    tests: BTreeMap<u32, Test>,
     /// Results of the last iteration.
     last: Quality,
+}
+
+/// A test of held-out photographs.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+struct Test {
+    /// dB.
+    psnr: f64,
+    /// Wall time of the iterations until then, without tests.
+    seconds: f64,
 }
 
 /// A run's entry in results.json.
@@ -135,6 +151,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let base = arguments.data.as_deref().or(arguments.suite.parent()).unwrap_or(Path::new(""));
     let program = std::env::current_exe().map_err(|e| Error::io("ashsplat", "find", e))?;
     atomic::create_folder(&arguments.out)?;
+    let _lock = FolderLock::take(&arguments.out, &MEASURING, None)?;
     let mut runs = BTreeMap::new();
     let all = suite.scenes.len() * suite.recipes.len() * suite.seeds.len();
     for &seed in &suite.seeds {
@@ -231,21 +248,44 @@ impl Suite {
         add("**mean**", &|by| change(means[by], by, means[0]));
         let least = |value: &dyn Fn(usize) -> f64| scenes().map(value).fold(f64::INFINITY, f64::min);
         add("largest loss", &|by| format!("{:+.2}", least(&|at| psnr(at, by) - psnr(at, 0)).min(0.0)));
-        let rise = |run: &Run| last(run) - run.psnr.values().copied().fold(f64::NEG_INFINITY, f64::max);
+        let best = |run: &Run| run.tests.values().map(|test| test.psnr).fold(f64::NEG_INFINITY, f64::max);
+        let rise = |run: &Run| last(run) - best(run);
         add("largest fall along a run", &|by| format!("{:+.2}", least(&|at| mean(&rise, at, by))));
+        for (at, scene) in self.scenes.iter().enumerate() {
+            let Some(until) = scene.until else { continue };
+            add(&format!("{} to {until} dB", scene.name), &|by| {
+                let costs = self.seeds.iter().filter_map(|&seed| runs[&(at, by, seed)].cost_of(until));
+                let costs: Vec<[f64; 2]> = costs.collect();
+                let count = costs.len();
+                let [iterations, seconds] =
+                    [0, 1].map(|of| costs.iter().map(|cost| cost[of]).sum::<f64>() / count as f64);
+                let part = if count < self.seeds.len() { format!(", {count} seeds") } else { String::new() };
+                match count {
+                    0 => "not reached".to_owned(),
+                    _ => format!("{iterations:.0} iterations, {seconds:.1} s{part}"),
+                }
+            });
+        }
         for (by, recipe) in self.recipes.iter().enumerate() {
             text += &format!("\nRecipe {}\n\n", recipe.name);
             let heads = ["scene", "PSNR", "SSIM", "LPIPS (VGG)", "CC-PSNR", "Gaussians", "minutes"];
             text += &row(heads.into_iter().map(String::from));
             text += &row(heads.into_iter().map(|_| "---".to_owned()));
             let line = |name: &str, scenes: std::ops::Range<usize>| {
+                let is_scene = scenes.len() == 1;
                 let runs: Vec<[f64; 6]> = scenes
                     .flat_map(|at| self.seeds.iter().map(move |&seed| (at, by, seed)))
                     .map(|key| runs[&key].columns())
                     .collect();
                 let cell = |(column, digits): (usize, usize)| {
-                    let mean = runs.iter().map(|columns| columns[column]).sum::<f64>() / runs.len() as f64;
-                    if mean.is_nan() { "–".to_owned() } else { format!("{mean:.digits$}") }
+                    let values = || runs.iter().map(|columns| columns[column]);
+                    let mean = values().sum::<f64>() / runs.len() as f64;
+                    let [low, high] = [values().fold(mean, f64::min), values().fold(mean, f64::max)];
+                    match column == 0 && is_scene && low < high {
+                        true => format!("{mean:.digits$} ({low:.digits$} to {high:.digits$})"),
+                        false if mean.is_nan() => "–".to_owned(),
+                        false => format!("{mean:.digits$}"),
+                    }
                 };
                 row(std::iter::once(name.to_owned())
                     .chain([2, 4, 4, 2, 0, 1].into_iter().enumerate().map(cell)))
@@ -368,10 +408,29 @@ impl Run {
         let entries: BTreeMap<String, Quality> =
             serde_json::from_slice(&regular_file::read_json(&path)?).map_err(|e| wrong(e.to_string()))?;
         let number = |name: &str| name.strip_prefix("ours_").and_then(|number| number.parse::<u32>().ok());
-        let psnr: BTreeMap<u32, f64> =
-            entries.iter().filter_map(|(name, entry)| Some((number(name)?, entry.psnr))).collect();
+        let log = Rows::read(&folder.join(LOG_FILE))?;
+        let seconds_until = |last: u32| {
+            let own = log.iterations.iter().zip(&log.milliseconds);
+            own.filter(|(iteration, _)| **iteration <= f64::from(last)).map(|(_, ms)| ms * 1e-3).sum::<f64>()
+        };
+        let test = |(name, entry): (&String, &Quality)| {
+            let iteration = number(name)?;
+            Some((iteration, Test { psnr: entry.psnr, seconds: seconds_until(iteration) }))
+        };
+        let tests: BTreeMap<u32, Test> = entries.iter().filter_map(test).collect();
         let last = entries.get(&format!("ours_{iterations}")).copied();
         let last = last.ok_or_else(|| wrong(format!("has no entry of iteration {iterations}")))?;
-        Ok(Run { setup, seconds, psnr, last })
+        Ok(Run { setup, seconds, tests, last })
+    }
+
+    /// Iterations and seconds of training until a PSNR is first reached, interpolated between tests.
+    fn cost_of(&self, psnr: f64) -> Option<[f64; 2]> {
+        let cost = |(&iteration, test): (&u32, &Test)| (test.psnr, [f64::from(iteration), test.seconds]);
+        let costs: Vec<(f64, [f64; 2])> = self.tests.iter().map(cost).collect();
+        let place = costs.iter().position(|(reached, _)| *reached >= psnr)?;
+        let (reached, end) = costs[place];
+        let Some((before, start)) = place.checked_sub(1).map(|before| costs[before]) else { return Some(end) };
+        let share = (psnr - before) / (reached - before);
+        Some([0, 1].map(|of| start[of] + share * (end[of] - start[of])))
     }
 }

@@ -1,6 +1,6 @@
-//! Charts as SVG: axes, lines with bands, and figures of several panels.
+//! Charts as SVG: axes, lines with bands.
 
-use crate::html::{COLORS, escape};
+use crate::html::escape;
 use std::fmt::Write;
 
 /// Approximate number of marks on an axis.
@@ -125,107 +125,6 @@ impl Chart {
             format!("{x:.1},{y:.1}")
         };
         points.map(place).collect::<Vec<_>>().join(" ")
-    }
-}
-
-/// A line of a panel.
-pub struct Line {
-    pub name: String,
-    pub points: Vec<(f64, f64)>,
-    /// The band around it, as for [`Chart::band`].
-    pub band: Vec<(f64, f64, f64)>,
-    pub width: f64,
-}
-
-/// One pair of axes of a figure.
-pub struct Panel {
-    pub title: String,
-    /// Names of the axes.
-    pub along: String,
-    pub upwards: &'static str,
-    pub x: Axis,
-    pub y: Axis,
-    pub lines: Vec<Line>,
-    /// Values of y that are marked by a dashed line, if they are within the axis.
-    pub levels: Vec<f64>,
-}
-
-const WIDTH: f64 = 470.0;
-const HEIGHT: f64 = 360.0;
-const ACROSS: [f64; 2] = [60.0, WIDTH - 22.0];
-const DOWN: [f64; 2] = [36.0, HEIGHT - 56.0];
-/// Height of the line with the title.
-const HEAD: f64 = 30.0;
-const LEGEND_WIDTH: f64 = 190.0;
-
-/// Draws panels, two in a row, with one legend for all; readable on light and dark pages.
-pub fn figure(title: &str, panels: &[Panel]) -> String {
-    let mut names: Vec<&str> = Vec::new();
-    for line in panels.iter().flat_map(|panel| &panel.lines) {
-        if !names.contains(&line.name.as_str()) {
-            names.push(&line.name);
-        }
-    }
-    let color =
-        |name: &str| COLORS[names.iter().position(|known| *known == name).unwrap_or(0) % COLORS.len()];
-    let legend_left = WIDTH * panels.len().min(2) as f64;
-    let width = legend_left + LEGEND_WIDTH;
-    let rows_height = HEIGHT * panels.len().div_ceil(2) as f64;
-    let height = HEAD + rows_height.max(50.0 + 20.0 * names.len() as f64);
-    let mut out = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" font-family=\"sans-serif\" \
-         font-size=\"12\" fill=\"#222222\">\n<rect width=\"{width}\" height=\"{height}\" fill=\"#ffffff\"/>\n\
-         <text x=\"{}\" y=\"20\" text-anchor=\"middle\" font-size=\"13\">{}</text>\n",
-        width / 2.0,
-        escape(title)
-    );
-    for (i, panel) in panels.iter().enumerate() {
-        let (x, y) = (WIDTH * (i % 2) as f64, HEAD + HEIGHT * (i / 2) as f64);
-        let _ = writeln!(out, "<g transform=\"translate({x} {y})\">");
-        panel.draw(&mut out, color);
-        out.push_str("</g>\n");
-    }
-    for (i, name) in names.iter().enumerate() {
-        let y = HEAD + DOWN[0] + 20.0 * i as f64;
-        let _ = writeln!(
-            out,
-            "<path d=\"M{legend_left} {y}h24\" stroke=\"{}\" stroke-width=\"2\"/><text x=\"{}\" y=\"{}\">{}</text>",
-            color(name),
-            legend_left + 30.0,
-            y + 4.0,
-            escape(name)
-        );
-    }
-    out + "</svg>\n"
-}
-
-impl Panel {
-    fn draw(&self, out: &mut String, color: impl Fn(&str) -> &'static str) {
-        let chart = Chart { x: self.x, y: self.y, across: ACROSS, down: DOWN };
-        let middle = (ACROSS[0] + ACROSS[1]) / 2.0;
-        let _ = writeln!(
-            out,
-            "<text x=\"{middle}\" y=\"20\" text-anchor=\"middle\">{}</text>\
-             <text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">{}</text>\
-             <text transform=\"translate(14 {}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
-            escape(&self.title),
-            DOWN[1] + 40.0,
-            escape(&self.along),
-            (DOWN[0] + DOWN[1]) / 2.0,
-            self.upwards
-        );
-        chart.grid(out, "#dddddd");
-        for &level in self.levels.iter().filter(|level| (0.0..=1.0).contains(&self.y.share(**level))) {
-            let [left, y] = chart.at((self.x.low, level));
-            let dashed = "stroke=\"#888888\" stroke-dasharray=\"5 4\"";
-            let _ = writeln!(out, "<path d=\"M{left} {y:.1}H{}\" {dashed}/>", ACROSS[1]);
-        }
-        for Line { name, points, band, width } in &self.lines {
-            let color = color(name);
-            chart.band(out, band, color);
-            chart.line(out, points, &format!("stroke=\"{color}\" stroke-width=\"{width}\""), name);
-            points.iter().for_each(|&point| chart.dot(out, point, 2.2, color));
-        }
     }
 }
 

@@ -10,7 +10,6 @@ mod unused;
 
 pub use data::{DataSettings, Outside, Split, When};
 pub use few_photos::Facts;
-pub use train_overrides::{Recipe, TrainOverrides, strategies};
 
 use crate::blocks::job::Job;
 use ashsplat::train::settings::TrainOption;
@@ -21,8 +20,9 @@ use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use toml::Table;
+use train_overrides::TrainOverrides;
 
-pub const PRESETS: [&str; 4] = ["fast", "default", "quality", "reference"];
+const PRESETS: [&str; 4] = ["fast", "default", "quality", "reference"];
 /// Name of the settings dump for `--config`.
 pub const SETTINGS_FILE: &str = "settings.toml";
 /// Name of the settings dump in the reference's format.

@@ -27,7 +27,7 @@ impl Settings {
     }
 
     /// Refuses a data set that lacks points and may not start from others.
-    pub fn check_points(&self, dataset: &Dataset) -> Result<()> {
+    fn check_points(&self, dataset: &Dataset) -> Result<()> {
         let requested = self.data.random_points || self.data.photo_points == When::On;
         if !dataset.points.is_empty() || requested || dataset.may_lack_points() {
             return Ok(());

@@ -1,28 +1,15 @@
 //! Training settings on the command line.
 
-use super::{Overrides, Settings};
-use ashsplat::Result;
 use ashsplat::train::TrainSettings;
 use ashsplat::train::settings::{OptionKind, OptionValue, TrainOption};
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, value_parser};
-use serde::Serialize;
 use toml::{Table, Value};
 
 /// Training settings that are given on the command line, by name. The options follow from
 /// [`TrainSettings::OPTIONS`].
-#[derive(Clone, Debug, Default, Serialize)]
-#[serde(transparent)]
-pub struct TrainOverrides(pub(super) Table);
-
-/// Source of a training's defaults.
-#[derive(Clone, Copy)]
-pub enum Recipe<'a> {
-    /// A value of `--strategy`.
-    Strategy(&'a str),
-    /// A value of `--preset`.
-    Preset(&'a str),
-}
+#[derive(Debug, Default)]
+pub(super) struct TrainOverrides(pub(super) Table);
 
 /// Earlier names of values: option, earlier name, current name.
 const EARLIER_NAMES: [(&str, &str, &str); 1] = [("strategy", "default", "reference")];
@@ -73,15 +60,6 @@ fn choices(option: &str, names: &'static [&'static str]) -> PossibleValuesParser
     PossibleValuesParser::new(names.iter().map(|name| PossibleValue::new(name).aliases(earlier(name))))
 }
 
-/// Parser of the strategies' names for `--strategy`.
-pub fn strategies() -> PossibleValuesParser {
-    let option = TrainSettings::OPTIONS.iter().find(|option| option.name == "strategy");
-    match option.map(|option| option.kind) {
-        Some(OptionKind::Choice(names)) => choices("strategy", names),
-        _ => PossibleValuesParser::new(Vec::<PossibleValue>::new()),
-    }
-}
-
 impl TrainOverrides {
     fn argument(option: &TrainOption) -> Arg {
         let about = option.about.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ");
@@ -116,24 +94,6 @@ impl TrainOverrides {
                 .default_missing_value("true")
                 .value_parser(value_parser!(bool)),
         }
-    }
-}
-
-impl TrainOverrides {
-    /// True if a setting was given.
-    pub fn has(&self, name: &str) -> bool {
-        self.0.contains_key(name)
-    }
-
-    /// Resolves and checks the settings of a training with this recipe and seed.
-    pub fn settings(&self, recipe: Recipe<'_>, seed: u32) -> Result<TrainSettings> {
-        let mut train = self.clone();
-        train.0.insert("seed".into(), i64::from(seed).into());
-        match recipe {
-            Recipe::Strategy(name) => train.0.insert("strategy".into(), name.into()),
-            Recipe::Preset(name) => train.0.insert("preset".into(), name.into()),
-        };
-        Ok(Settings::resolve(None, &Overrides(train.0))?.train)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Refuses given settings that the training would not use.
 
-use super::{Facts, Given, Settings, TrainOverrides, file};
+use super::{Facts, Given, Settings, file};
 use ashsplat::train::StrategyType::{Budget, Fixed, Mcmc, Reference};
 use ashsplat::train::TrainSettings;
 use ashsplat::{Error, Result};
@@ -60,17 +60,14 @@ const USES: [Use; 14] = [
     }),
 ];
 
-/// A given setting that none of the trainings uses, and whose value differs from the default in some of them; and its
-/// user.
+/// A given setting that the training does not use, and whose value differs from the default; and its user.
 type Unused = (&'static str, &'static str);
 
 /// All unused settings.
-fn unused(given: &Table, trainings: &[Settings]) -> Vec<Unused> {
+fn unused(given: &Table, training: &Settings) -> Vec<Unused> {
     let of = |of: &'static Use| of.names.iter().map(move |&name| (name, of));
     let all = USES.iter().flat_map(of).filter(|(name, of)| {
-        given.contains_key(*name)
-            && !trainings.iter().any(of.is_used)
-            && trainings.iter().any(|training| training.differs_in(name))
+        given.contains_key(*name) && !(of.is_used)(training) && training.differs_in(name)
     });
     all.map(|(name, of)| (name, of.by)).collect()
 }
@@ -84,14 +81,12 @@ fn refuse(first: Option<&Unused>, given: &Table) -> Result<()> {
 
 /// Refuses growth that ends before it begins, if both ends are given. One alone switches growth off, as in the
 /// reference.
-fn refuse_no_growth(given: &Table, trainings: &[Settings]) -> Result<()> {
+fn refuse_no_growth(given: &Table, train: &TrainSettings) -> Result<()> {
     let names = ["densify_from_iter", "densify_until_iter"];
-    let never =
-        |s: &&Settings| s.train.strategy != Fixed && s.train.densify_from_iter >= s.train.densify_until_iter;
-    let is_given = names.iter().all(|name| given.contains_key(*name));
-    let Some(Settings { train, .. }) = trainings.iter().find(never).filter(|_| is_given) else {
+    let never = train.strategy != Fixed && train.densify_from_iter >= train.densify_until_iter;
+    if !never || !names.iter().all(|name| given.contains_key(*name)) {
         return Ok(());
-    };
+    }
     let problem = format!(
         "is {}, not below densify_until_iter ({}): nothing would ever grow; give others, or --strategy fixed",
         train.densify_from_iter, train.densify_until_iter
@@ -99,35 +94,22 @@ fn refuse_no_growth(given: &Table, trainings: &[Settings]) -> Result<()> {
     Err(Error::argument(names[0], problem))
 }
 
-/// Refuses given settings that none of the trainings would use.
-fn check(given: &Table, trainings: &[Settings]) -> Result<()> {
-    refuse(unused(given, trainings).first(), given)?;
-    refuse_no_growth(given, trainings)
-}
-
-impl TrainOverrides {
-    /// Refuses settings that none of the trainings would use.
-    pub fn refuse_unused(&self, trainings: &[Settings]) -> Result<()> {
-        check(&self.0, trainings)
-    }
-}
-
 impl Given {
     /// Refuses settings without effect, on the command line or in a file. A dump lists all settings, used or not, so it
     /// is not checked. The command line may switch off what another file switches on.
     pub fn refuse_unused(&self, settings: &Settings) -> Result<()> {
-        let training = std::slice::from_ref(settings);
-        check(&self.of_line, training)?;
+        refuse(unused(&self.of_line, settings).first(), &self.of_line)?;
+        refuse_no_growth(&self.of_line, &settings.train)?;
         let Some(path) = &self.file else { return Ok(()) };
         if file::is_dump(path)? {
             return Ok(());
         }
         let given = &self.of_file;
-        refuse_no_growth(given, training)?;
+        refuse_no_growth(given, &settings.train)?;
         let alone = Settings::from_table(given.clone(), &Facts::default())
             .map_err(|e| Error::argument("settings", e))?;
-        let of_file = unused(given, &[alone]);
-        let here = unused(given, training);
+        let of_file = unused(given, &alone);
+        let here = unused(given, settings);
         refuse(here.iter().find(|unused| of_file.contains(unused)), given)
     }
 }
