@@ -2,7 +2,7 @@
 //!
 //! All failing shaders are reported at once, with file and line. OUT_DIR caches each compiled module under the hash of its
 //! sources, so that only changed shaders are compiled again.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::disallowed_methods, clippy::expect_used, clippy::unwrap_used)]
 
 #[path = "engine/kernels/compile.rs"]
 mod compile;

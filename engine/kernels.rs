@@ -13,6 +13,7 @@
 include!(concat!(env!("OUT_DIR"), "/kernels.rs"));
 
 #[cfg(feature = "hot-reload")]
+#[allow(clippy::disallowed_methods)]
 pub mod compile;
 // Tests use only a part of it.
 #[cfg(test)]
@@ -21,6 +22,7 @@ mod generate;
 #[cfg(any(test, feature = "hot-reload"))]
 mod reflect;
 #[cfg(feature = "hot-reload")]
+#[allow(clippy::disallowed_methods)]
 pub mod reload;
 
 #[cfg(test)]

@@ -38,6 +38,8 @@
 //! instances they make. So dispatches over them are indirect, and buffers have capacities. A frame that needs more reports
 //! it and is run again. The same inputs on the same device give the same bits, in training too.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::expect_used))]
+
 pub mod error;
 pub mod frame;
 pub mod guide;

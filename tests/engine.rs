@@ -1,5 +1,7 @@
 //! The engine by its kernels and as a whole: one binary, one Vulkan context.
 
+#![allow(clippy::disallowed_methods, clippy::expect_used)]
+
 extern crate ashsplat_reference as reference;
 
 mod address_space;

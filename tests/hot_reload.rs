@@ -1,6 +1,8 @@
 //! Shaders that are edited while the program runs: its feature `hot-reload`. A separate test program, because the
 //! feature recompiles the engine.
 
+#![allow(clippy::disallowed_methods, clippy::expect_used)]
+
 #[path = "common/slashes.rs"]
 mod common;
 #[allow(dead_code)]

@@ -4,6 +4,8 @@
 //! The data lie in `$ASHSPLAT_SHARED`, by default `../shared` beside the repository, but for a small part of the golden vectors in
 //! tests/golden/sets. Without them, one ignored trial per kind says so; with `ASHSPLAT_REQUIRE_SHARED=1` it fails.
 
+#![allow(clippy::disallowed_methods, clippy::expect_used)]
+
 extern crate ashsplat_reference as reference;
 
 mod common;

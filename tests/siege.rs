@@ -1,5 +1,7 @@
 //! The short form of `tools/siege` against the program built beside it.
 
+#![allow(clippy::expect_used)]
+
 /// It attacks for half a minute: `.ci/run` runs a copy of the same program during a build.
 #[cfg(target_os = "linux")]
 #[test]

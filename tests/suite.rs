@@ -1,5 +1,7 @@
 //! The program, the files that it reads and writes, and the rules of the house: one binary, one Vulkan context.
 
+#![allow(clippy::disallowed_methods, clippy::expect_used)]
+
 extern crate ashsplat_reference as reference;
 
 mod architecture;

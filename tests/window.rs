@@ -1,6 +1,8 @@
 //! `ashsplat view --window` on its own X server (Xvfb), drawn by the present device under the validation layer.
 //! Without Xvfb, the trial is listed as skipped.
 
+#![allow(clippy::disallowed_methods, clippy::expect_used)]
+
 #[path = "common/slashes.rs"]
 mod common;
 #[allow(dead_code)]

@@ -79,6 +79,7 @@ impl Unfinished {
         file.as_file().sync_all().writing(&named)?;
         file.persist(&target).map_err(|e| e.error).writing(&named)?;
         // The rename reaches the disk with the folder. Where folders cannot be synchronised, it reaches the disk later.
+        #[allow(clippy::disallowed_methods)]
         let _ = File::open(folder_of(&target)).and_then(|f| f.sync_all());
         Ok(())
     }

@@ -10,6 +10,8 @@
 //! [`Error::Argument`](ashsplat::Error::Argument) for an invalid argument, or for arguments that do not fit together;
 //! [`Error::Interrupted`](ashsplat::Error::Interrupted) when a [`Progress`] requests the stop.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::expect_used))]
+
 pub mod atomic;
 pub mod cameras_json;
 pub mod checkpoint;

@@ -37,6 +37,7 @@ impl<T> OnFile<T> for std::io::Result<T> {
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::Input`] for a folder, a device, a pipe or a socket.
+#[allow(clippy::disallowed_methods)]
 pub fn open(path: impl AsRef<Path>) -> Result<(File, u64)> {
     let path = path.as_ref();
     // Checked before opening, because opening a pipe waits for its writer.

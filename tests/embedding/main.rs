@@ -1,5 +1,7 @@
 //! Embedding: a host with its own device, and the guest on it. The host is that of the example `tools/embed`.
 
+#![allow(clippy::disallowed_methods, clippy::expect_used, unsafe_code)]
+
 // Modules of the example. No test uses all of them.
 #[allow(dead_code)]
 #[path = "../../tools/embed/allocator.rs"]

@@ -25,6 +25,7 @@ impl Running {
         {
             use windows_sys::Win32::System::Console::{CTRL_BREAK_EVENT, GenerateConsoleCtrlEvent};
             // SAFETY: both are numbers.
+            #[allow(unsafe_code)]
             let sent = unsafe { GenerateConsoleCtrlEvent(CTRL_BREAK_EVENT, self.id()) };
             assert_ne!(sent, 0, "{}", std::io::Error::last_os_error());
         }

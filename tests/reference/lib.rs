@@ -2,6 +2,8 @@
 //! its function here, written from the paper and the reference implementation's definitions without a line of the engine. Kernels that
 //! compute the same in another way share a twin.
 
+#![allow(clippy::expect_used)]
+
 // The names are those of the formulas.
 #![allow(missing_docs)]
 // Loops over indices read like the formulas.

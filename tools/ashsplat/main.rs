@@ -2,6 +2,8 @@
 //!
 //! Every failure is one line `error: …` on stderr and exit code 2. An interrupted training saves and exits with 130.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::expect_used))]
+
 #[macro_use]
 extern crate ashsplat_program;
 

@@ -4,6 +4,8 @@
 //! [`ashsplat_last_error`] has the message; no panic crosses the boundary. Vulkan's handles have the same types as in C on
 //! 64-bit machines: dispatchable ones are pointers, the others 64-bit numbers.
 
+#![allow(unsafe_code)]
+
 mod derivatives;
 mod foreign;
 mod frames;

@@ -5,6 +5,8 @@
 //! `guest.rs` is the part that a host engine writes; the other files are what it has already. It lights and blends in linear
 //! light, with a tone curve at the end, as engines do.
 
+#![allow(unsafe_code)]
+
 mod allocator;
 mod guest;
 mod host;

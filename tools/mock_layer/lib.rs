@@ -11,6 +11,8 @@
 //! `commands`). New memory holds 0xFF in every byte, where drivers on processors give zeros. Everything else is the
 //! driver's.
 
+#![allow(unsafe_code)]
+
 mod answers;
 mod commands;
 mod held;

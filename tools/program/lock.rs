@@ -85,6 +85,8 @@ impl FolderLock {
         let path = folder.join(work.file);
         loop {
             let mut options = File::options();
+            // A pipe that is open for reading and writing waits for nobody.
+            #[allow(clippy::disallowed_methods)]
             options.read(true).write(true).create(true).truncate(false);
             let file = options.open(&path).map_err(|e| Error::io(&path, "open", e))?;
             if let Some(tried) = Self::try_open(folder, file, work)? {

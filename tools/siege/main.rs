@@ -3,6 +3,8 @@
 //! `cargo build --release && target/release/siege` runs all attacks against the `ashsplat` beside it, in at most ten minutes;
 //! `--short` is for CI. The exit code is 1 if anything failed. Limits and peak memory need Linux.
 
+#![allow(clippy::disallowed_methods)]
+
 #[cfg(target_os = "linux")]
 mod attacks;
 #[cfg(target_os = "linux")]

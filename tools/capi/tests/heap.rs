@@ -1,5 +1,7 @@
 //! Heap allocations of recording in C.
 
+#![allow(clippy::disallowed_methods, clippy::expect_used, unsafe_code)]
+
 #[path = "../../../tests/embedding/counting.rs"]
 mod counting;
 

@@ -1,5 +1,7 @@
 //! Every call that the engine's messages advise has a name in C.
 
+#![allow(clippy::disallowed_methods, clippy::expect_used)]
+
 use ashsplat_c::CALLS;
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,8 @@
 //! A window's surface on the engine's device: swapchain, frames in flight, and commands that the engine lacks. The window is a
 //! raw Vulkan host, the only part of the program that is one.
 
+#![allow(unsafe_code)]
+
 mod choice;
 mod commands;
 mod swapchain;
