@@ -1,4 +1,4 @@
-//! The program, the files that it reads and writes, and the rules of the house: one binary, one Vulkan context.
+//! The program, the files that it reads and writes, and the order of modules: one binary, one Vulkan context.
 
 #![allow(clippy::disallowed_methods, clippy::expect_used)]
 

@@ -3,7 +3,6 @@
 //! compute the same in another way share a twin.
 
 #![allow(clippy::expect_used)]
-
 // The names are those of the formulas.
 #![allow(missing_docs)]
 // Loops over indices read like the formulas.

@@ -28,8 +28,8 @@ mod training;
 mod workload;
 
 use arguments::{AllArguments, FrameArguments, OutputArguments, PrimitiveArguments, TrainArguments};
-use ashsplat::vk::Context;
 use ashsplat::Result;
+use ashsplat::vk::Context;
 use clap::{Args, Subcommand};
 use measure::{Iterations, Yardsticks};
 use schema::{Report, Run, Settings};

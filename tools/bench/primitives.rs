@@ -2,8 +2,8 @@
 
 use super::measure::{Iterations, Measured, measure};
 use super::schema::{CopyBandwidth, Run, Workload};
-use super::traffic::Traffic;
 use super::synthetic;
+use super::traffic::Traffic;
 use super::workload::Fnv;
 use ashsplat::passes::scan::{Scan, ScanBuffers, Workgroups};
 use ashsplat::passes::sort::{RadixSort, SortBuffers, Values};

@@ -429,7 +429,9 @@ impl Run {
         let costs: Vec<(f64, [f64; 2])> = self.tests.iter().map(cost).collect();
         let place = costs.iter().position(|(reached, _)| *reached >= psnr)?;
         let (reached, end) = costs[place];
-        let Some((before, start)) = place.checked_sub(1).map(|before| costs[before]) else { return Some(end) };
+        let Some((before, start)) = place.checked_sub(1).map(|before| costs[before]) else {
+            return Some(end);
+        };
         let share = (psnr - before) / (reached - before);
         Some([0, 1].map(|of| start[of] + share * (end[of] - start[of])))
     }

@@ -1,7 +1,6 @@
 //! What the commands of the program `ashsplat` share: arguments, settings, progress, data sets, pages.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::expect_used))]
-
 // Used by the program alone.
 #![allow(missing_docs)]
 

@@ -1,7 +1,6 @@
 //! Scenes that are larger than one machine: `ashsplat partition`, `blocks`, `exchange`, `merge` and `tiles`.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::expect_used))]
-
 // Used by the program alone.
 #![allow(missing_docs)]
 

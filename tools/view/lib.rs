@@ -1,7 +1,6 @@
 //! `ashsplat view`, and what `train --view` shares with it.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::expect_used))]
-
 // Used by the program alone.
 #![allow(missing_docs)]
 
