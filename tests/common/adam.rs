@@ -248,9 +248,7 @@ impl<'a> AdamState<'a> {
     /// The parameters.
     pub fn gaussians(&self) -> Vec<Gaussian> {
         match &self.halves {
-            Some(scene) => {
-                engine::twins(&planes::download(&self.gpu.context, scene).expect("the parameters"))
-            }
+            Some(scene) => engine::twins(&planes::download(self.gpu.context, scene).expect("the parameters")),
             None => self.download()[0].clone(),
         }
     }
