@@ -5,7 +5,7 @@ use crate::common::prelude::*;
 use crate::photos::in_a_file;
 use ashsplat::frame::LaunchSizes;
 use ashsplat::passes::densify::{
-    Candidates, Chances, Densify, DensifyForm, Importance, Selection, SelectionBuffers, SelectionDraw,
+    Candidates, Chances, Densify, DensifyForm, Importance, UniqueDraw, UniqueDrawBuffers, UniqueDrawInputs,
 };
 use ashsplat::passes::loss::{LossTerm, PixelLayout, Targets, TermInputs};
 use ashsplat::scene::StoredPhoto;
@@ -365,7 +365,7 @@ const REMOVED: u32 = 9;
 struct Watching {
     absolute: bool,
     every: u32,
-    kernels: (Densify, Importance, Selection),
+    kernels: (Densify, Importance, UniqueDraw),
     /// Largest importance so far.
     largest: f32,
 }
@@ -375,7 +375,7 @@ impl Watching {
         let kernels = (
             Densify::new(context, DensifyForm::default()).expect("kernels"),
             Importance::new(context, &settings().render_settings()).expect("kernels"),
-            Selection::new(context).expect("kernels"),
+            UniqueDraw::new(context, absolute).expect("kernels"),
         );
         TrainParts {
             strategy: Box::new(Self { absolute, every, kernels, largest: 0.0 }),
@@ -401,7 +401,7 @@ impl Strategy for Watching {
     }
 
     fn between_steps(&mut self, population: &mut Population, _: Actions) -> Result<Changes> {
-        let (densify, importance, selection) = &self.kernels;
+        let (densify, importance, unique_draw) = &self.kernels;
         let before = population.count();
         let views: Vec<usize> = (0..population.cameras().len()).rev().collect();
         let Some(values) = population.importance(importance, &views)? else {
@@ -415,12 +415,12 @@ impl Strategy for Watching {
         self.largest = each.iter().copied().fold(self.largest, f32::max);
         let buffers = context.allocate(
             "densify",
-            &SelectionBuffers::requests(&LaunchSizes::new(context.limits()), before),
+            &UniqueDrawBuffers::requests(&LaunchSizes::new(context.limits()), before),
             MemoryKind::Device,
         )?;
-        let buffers = SelectionBuffers::from_allocated(buffers);
+        let buffers = UniqueDrawBuffers::from_allocated(buffers);
         let statistics = population.statistics();
-        let draw = SelectionDraw {
+        let draw = UniqueDrawInputs {
             count: before,
             wanted: REMOVED,
             candidates: Candidates {
@@ -431,10 +431,9 @@ impl Strategy for Watching {
             chances: Chances::Importance(&values),
             seed: population.settings().seed,
             iteration: population.iteration(),
-            explicit: None,
         };
         context.run("select", |r| {
-            selection.record(r, &draw, &buffers);
+            unique_draw.record(r, &draw, &buffers);
             Ok(())
         })?;
         let bytes = context.download(&buffers.selected.range(0, u64::from(before) * 4))?;

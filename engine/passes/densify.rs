@@ -19,11 +19,11 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 use glam::Vec3;
 pub use importance::{EdgePhoto, Importance, ImportanceBuffers};
 pub use relocation::{Draw, DrawBuffers, Relocation};
-pub use selection::{Candidates, Chances, Selection, SelectionBuffers, SelectionDraw};
+pub use unique_draw::{Candidates, Chances, UniqueDraw, UniqueDrawBuffers, UniqueDrawInputs};
 
 mod importance;
 mod relocation;
-mod selection;
+mod unique_draw;
 
 /// Largest opacity after the reset.
 pub const RESET_OPACITY: f64 = 0.01;
@@ -80,24 +80,13 @@ impl DensifyBuffers {
     const ROWS: u64 = 3;
 }
 
-/// Standard normal numbers from the caller, for comparisons with other implementations.
+/// Key of the random numbers of a densification or of noise.
 #[derive(Clone, Copy)]
-pub struct ExplicitNoise<'a> {
-    /// vec3 at `half * stride + Gaussian`.
-    pub buffer: &'a Buffer,
-    /// Number of Gaussians.
-    pub stride: u32,
-}
-
-/// Key of the random numbers of a densification.
-#[derive(Clone, Copy)]
-pub struct RandomKey<'a> {
+pub struct RandomKey {
     /// Seed of the run.
     pub seed: u32,
     /// Iteration of the densification.
     pub iteration: u32,
-    /// Numbers that replace the generator's.
-    pub explicit: Option<ExplicitNoise<'a>>,
 }
 
 /// Rows to copy from one set of planes to another.
@@ -130,7 +119,6 @@ pub struct Densify {
     classify: Kernel<classify::Interface>,
     scatter_sources: Kernel<scatter_sources::Interface>,
     gather: Kernel<gather::Interface>,
-    gather_explicit: Kernel<gather::Interface>,
     reset: Kernel<reset_opacity::Interface>,
     zorder: Kernel<zorder::Interface>,
     sort: RadixSort,
@@ -156,7 +144,6 @@ impl Densify {
             classify: Kernel::new(context, &classify)?,
             scatter_sources: Kernel::new(context, &scatter_sources::Spec { workgroup_size, subgroup_size })?,
             gather: Kernel::new(context, &gather)?,
-            gather_explicit: Kernel::new(context, &gather::Spec { explicit_noise: true, ..gather })?,
             reset: Kernel::new(context, &reset_opacity::Spec { workgroup_size })?,
             zorder: Kernel::new(context, &zorder::Spec { workgroup_size })?,
             sort: RadixSort::new(context)?,
@@ -203,8 +190,8 @@ impl Densify {
             // Three rows of one buffer. Each row is one dispatch, because their offsets may break the device's alignment.
             for decision in 0..3 {
                 r.barrier();
-                let row = (decision * all_blocks, all_blocks);
-                self.scan.record_block_sums(r, &buffers.blocks, row, &buffers.totals, decision);
+                let first = decision * all_blocks;
+                self.scan.record_block_sums(r, &buffers.blocks, first, all_blocks, &buffers.totals, decision);
             }
         });
     }
@@ -227,31 +214,23 @@ impl Densify {
 
     /// Records the new rows of the parameters, with random means of split Gaussians. Ends with a barrier.
     pub fn record_gather_parameters(&self, r: &mut Recorder, rows: &Gather, key: &RandomKey) {
-        let kernel = if key.explicit.is_some() { &self.gather_explicit } else { &self.gather };
-        self.record_gather(r, (kernel, key), rows, GATHER_MEAN_OPACITY, PLANE_MEAN_OPACITY);
-        self.record_gather(r, (kernel, key), rows, GATHER_LOG_SCALE, PLANE_LOG_SCALE);
+        self.record_gather(r, key, rows, GATHER_MEAN_OPACITY, PLANE_MEAN_OPACITY);
+        self.record_gather(r, key, rows, GATHER_LOG_SCALE, PLANE_LOG_SCALE);
         let changed = [PLANE_MEAN_OPACITY, PLANE_LOG_SCALE];
         for plane in (0..rows.from.plan.planes).filter(|plane| !changed.contains(plane)) {
-            self.record_gather(r, (kernel, key), rows, GATHER_COPIES, plane);
+            self.record_gather(r, key, rows, GATHER_COPIES, plane);
         }
     }
 
     /// Records the new rows of a set of moments, which are zero for new Gaussians. Ends with a barrier.
     pub fn record_gather_moments(&self, r: &mut Recorder, rows: &Gather) {
-        let key = RandomKey { seed: 0, iteration: 0, explicit: None };
+        let key = RandomKey { seed: 0, iteration: 0 };
         for plane in 0..rows.from.plan.planes {
-            self.record_gather(r, (&self.gather, &key), rows, GATHER_MOMENTS, plane);
+            self.record_gather(r, &key, rows, GATHER_MOMENTS, plane);
         }
     }
 
-    fn record_gather(
-        &self,
-        r: &mut Recorder,
-        (kernel, key): (&Kernel<gather::Interface>, &RandomKey),
-        rows: &Gather,
-        form: u32,
-        plane: u32,
-    ) {
+    fn record_gather(&self, r: &mut Recorder, key: &RandomKey, rows: &Gather, form: u32, plane: u32) {
         let Gather { from, to, sources, scratch } = *rows;
         let to_place = to.plan.plane_place(plane);
         let push = |from: (GaussianRange, [u32; 3]), to: (GaussianRange, [u32; 3]), form| gather::Push {
@@ -262,11 +241,10 @@ impl Densify {
             from_place: from.1,
             to_place: to.1,
             form,
-            noise_stride: key.explicit.map_or(0, |noise| noise.stride),
+            noise_stride: 0,
             seed: key.seed,
             iteration: key.iteration,
         };
-        let noise = key.explicit.map_or(sources, |noise| noise.buffer);
         // Scratch has one plane.
         let target_place = if scratch.is_empty() { to_place } else { [0, 1, 0] };
         let targets = if scratch.is_empty() { &to.chunks } else { scratch };
@@ -276,9 +254,10 @@ impl Densify {
                     r.barrier();
                 }
                 let (from_chunk, target_chunk) = (&from.chunks[source.chunk], &targets[target.chunk]);
-                let bind = gather::Bind { sources, from: from_chunk, to: target_chunk, noise };
+                // Only the kernel's form with explicit noise reads that binding.
+                let bind = gather::Bind { sources, from: from_chunk, to: target_chunk, noise: sources };
                 let push = push((source, from.plan.plane_place(plane)), (target, target_place), form);
-                r.dispatch(kernel, &bind, &push, self.sizes.groups(target.count));
+                r.dispatch(&self.gather, &bind, &push, self.sizes.groups(target.count));
             }
         }
         r.barrier();
@@ -287,9 +266,9 @@ impl Densify {
         }
         for target in to.plan.ranges(to.count) {
             let (from, to) = (&scratch[target.chunk], &to.chunks[target.chunk]);
-            let bind = gather::Bind { sources, from, to, noise };
+            let bind = gather::Bind { sources, from, to, noise: sources };
             let push = push((target, target_place), (target, to_place), GATHER_PLACES);
-            r.dispatch(kernel, &bind, &push, self.sizes.groups(target.count));
+            r.dispatch(&self.gather, &bind, &push, self.sizes.groups(target.count));
         }
         r.barrier();
     }
@@ -338,18 +317,32 @@ buffer_set! {
     pub digit_totals as "zorder_digit_totals": (1 << sizes.sort_digit_bits()) * 4;
 }
 
+/// Rows of a new set to sort along a curve.
+#[derive(Clone, Copy)]
+pub struct OrderInputs<'a> {
+    /// Old set, to which the sources refer.
+    pub scene: &'a SceneBuffers,
+    /// Number of rows.
+    pub rows: u32,
+    /// Source of each row; scratch of the sort.
+    pub sources: &'a Buffer,
+    /// Buffer whose fourth word is scratch.
+    pub totals: &'a Buffer,
+    /// The curve.
+    pub curve: Curve,
+}
+
 impl Densify {
-    /// Records the sort of `rows` sources and returns the buffer with the result. The fourth word of `totals` is scratch. A
-    /// barrier must precede it; it ends with one. Rows in the same cell of the curve keep their order.
+    /// Records the sort of the sources and returns the buffer with the result. A barrier must precede it; it ends with one. Rows in
+    /// the same cell of the curve keep their order.
     pub fn record_order<'a>(
         &self,
         r: &mut Recorder,
-        (scene, rows): (&SceneBuffers, u32),
-        (unordered, totals): (&'a Buffer, &Buffer),
+        inputs: &OrderInputs<'a>,
         order: &'a OrderBuffers,
-        curve: &Curve,
     ) -> &'a Buffer {
-        let sources = [unordered, &order.sources];
+        let OrderInputs { scene, rows, totals, curve, .. } = *inputs;
+        let sources = [inputs.sources, &order.sources];
         r.scope("order", |r| {
             r.fill(&totals.range(DensifyBuffers::ROWS * 4, 4), rows);
             scene.record_chunks(r, |r, range, parameters| {

@@ -182,16 +182,16 @@ impl Scan {
         self.record_spine(r, block_sums, &counted.frame.state, push, Some(counted));
     }
 
-    /// Records only the scan of `row.1` block sums, in place, from word `row.0` on. `totals[total_index]` receives their total.
+    /// Records only the scan of `count` block sums, in place, from word `first_sum` on. `totals[total_index]` receives their total.
     pub fn record_block_sums(
         &self,
         recorder: &mut Recorder,
         block_sums: &Buffer,
-        row: (u32, u32),
+        first_sum: u32,
+        count: u32,
         totals: &Buffer,
         total_index: u32,
     ) {
-        let (first_sum, count) = row;
         let push = scan_spine::Push { count, block_size: 1, total_index, first_sum, ..self.push };
         self.record_spine(recorder, block_sums, totals, push, None);
     }

@@ -218,7 +218,7 @@ impl Population<'_> {
         kernels: &Densify,
         key: &RandomKey,
         record_sources: impl FnOnce(&mut Recorder, &SceneBuffers) -> &'b Buffer,
-        record_changes: impl FnOnce(&mut Recorder, (&SceneBuffers, &Moments), &Buffer),
+        record_changes: impl FnOnce(&mut Recorder, &SceneBuffers, &Moments, &Buffer),
     ) -> Result<()> {
         let capacity = self.capacity_with(&growth);
         if rows > capacity {
@@ -240,7 +240,7 @@ impl Population<'_> {
             for (from, to) in old.moment_planes().zip(new.moment_planes()) {
                 kernels.record_gather_moments(r, &Gather { from: &from, to: &to, sources, scratch });
             }
-            record_changes(r, (&new.scene, &new.moments), sources);
+            record_changes(r, &new.scene, &new.moments, sources);
         })?;
         *self.model = new;
         let of_frame = |rows: u32| rows.saturating_add(frozen_capacity(self.frozen));
@@ -280,12 +280,12 @@ impl Population<'_> {
             r.barrier();
             &buffers[0]
         };
-        self.rebuild(kept.len() as u32, Growth(None), kernels, &key, sources, |_, _, _| {})
+        self.rebuild(kept.len() as u32, Growth(None), kernels, &key, sources, |_, _, _, _| {})
     }
 
     /// Key of the random numbers after an iteration.
-    pub(super) fn random_key(&self) -> RandomKey<'static> {
-        RandomKey { seed: self.run.settings.seed, iteration: self.iteration, explicit: None }
+    pub(super) fn random_key(&self) -> RandomKey {
+        RandomKey { seed: self.run.settings.seed, iteration: self.iteration }
     }
 
     /// Memory for the work between two steps. None if memory is short.

@@ -69,7 +69,7 @@ pub fn check(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let set = gaussians(&npz, "");
-    let border = LayoutConverter::new(gpu.context).expect("kernels");
+    let layout = LayoutConverter::new(gpu.context).expect("kernels");
     for (extent, _) in EXTENTS {
         let views = views(&npz, extent);
         let stages = Stages::new(&gpu, &set, &views);
@@ -92,7 +92,7 @@ pub fn check(path: &Path) -> Outcome {
             let own_absolute = gpu.zeros::<f32>("absolute_statistics", set.len());
             for (buffer, absolute) in [(&own, &own_absolute), (&sums, &absolute_sums)] {
                 stages.run(view, |r, inputs, backward| {
-                    border.record_gradient(r, inputs, &rows, &native, false);
+                    layout.record_gradient(r, inputs, &rows, &native, false);
                     r.barrier();
                     let statistics = Statistics { buffer, accumulate: true, absolute: Some(absolute) };
                     backward.record(

@@ -5,10 +5,9 @@ use super::sets::{EXTENTS, gaussians};
 use super::stages::{Stages, field, views};
 use crate::common::prelude::*;
 use crate::golden::npz::{Npz, rows};
-use ashsplat::frame::LaunchSizes;
-use ashsplat::passes::densify::{
-    Candidates, Chances, EdgePhoto, Importance, ImportanceBuffers, Selection, SelectionBuffers, SelectionDraw,
-};
+use ashsplat::kernels::constants::{CHANCE_IMPORTANCE, NOT_DRAWN};
+use ashsplat::kernels::densify::draw_keys;
+use ashsplat::passes::densify::{EdgePhoto, Importance, ImportanceBuffers};
 use ashsplat::passes::loss::{Windowing, photo_on_device};
 use ashsplat::passes::pixels::LayoutConverter;
 use std::path::Path;
@@ -27,7 +26,7 @@ pub fn check(path: &Path) -> Outcome {
     let gpu = Gpu::new();
     let set = gaussians(&npz, "");
     let kernels = Importance::new(gpu.context, &RenderSettings::default()).expect("kernels");
-    let border = LayoutConverter::new(gpu.context).expect("kernels");
+    let layout = LayoutConverter::new(gpu.context).expect("kernels");
     for (extent, _) in EXTENTS {
         let views = views(&npz, extent);
         let stages = Stages::new(&gpu, &set, &views);
@@ -46,7 +45,7 @@ pub fn check(path: &Path) -> Outcome {
             let native = gpu.zeros::<u8>("native", LayoutConverter::gradient_bytes(width, height) as usize);
             stages.run(view, |r, inputs, _| {
                 r.fill(&buffers.ranges, 0);
-                border.record_gradient(r, inputs, &used, &native, false);
+                layout.record_gradient(r, inputs, &used, &native, false);
                 r.barrier();
                 kernels.record_view(r, inputs, &native, &buffers, &sum, 1.0 / views.len() as f32);
             });
@@ -90,27 +89,34 @@ fn edges_of_device<'a>(
 }
 
 fn selection_of_device(gpu: &Gpu, npz: &Npz) -> Outcome {
-    let selection = Selection::new(gpu.context).expect("kernels");
     let single = |name: &str| npz.values(name).iter().map(|&x| x as f32).collect::<Vec<f32>>();
     let count = npz.values("u").len();
-    let requests = SelectionBuffers::requests(&LaunchSizes::new(gpu.context.limits()), count as u32);
-    let buffers = gpu.context.allocate("test", &requests, MemoryKind::Device);
-    let buffers = SelectionBuffers::from_allocated(buffers.expect("memory"));
     let statistics: Vec<[f32; 2]> =
         single("candidate").into_iter().map(|candidate| [candidate, 1.0]).collect();
-    let (statistics, importance) =
-        (gpu.buffer("statistics", &statistics), gpu.buffer("c", &single("importance")));
-    let uniforms = gpu.buffer("uniforms", &single("u"));
-    let draw = SelectionDraw {
-        count: count as u32,
-        wanted: npz.scalar("count") as u32,
-        candidates: Candidates { statistics: &statistics, absolute: None, threshold: 0.5 },
-        chances: Chances::Importance(&importance),
-        seed: 0,
-        iteration: 0,
-        explicit: Some(&uniforms),
+    let [keys, selected] = ["keys", "selected"].map(|name| gpu.untouched::<u32>(name, count));
+    let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
+    let spec = draw_keys::Spec { workgroup_size, subgroup_size, absolute: false, explicit_uniforms: true };
+    let statistics = gpu.buffer("statistics", &statistics);
+    let bind = draw_keys::Bind {
+        statistics: &statistics,
+        absolute_statistics: &statistics,
+        importance: &gpu.buffer("importance", &single("importance")),
+        uniforms: &gpu.buffer("uniforms", &single("u")),
+        keys: &keys,
+        selected: &selected,
+        totals: &gpu.zeros::<u32>("totals", 4),
     };
-    gpu.run(|r| selection.record(r, &draw, &buffers));
-    let selected: Vec<f64> = gpu.read_f64::<u32>(&buffers.selected, count);
+    let push = draw_keys::Push {
+        count: count as u32,
+        threshold: 0.5,
+        chances: CHANCE_IMPORTANCE,
+        ..draw_keys::Push::default()
+    };
+    gpu.dispatch_over::<draw_keys::Interface>(&spec, &bind, &push, count);
+    let keys = gpu.read::<u32>(&keys, count);
+    let mut sorted: Vec<usize> = (0..count).filter(|&i| keys[i] != NOT_DRAWN).collect();
+    sorted.sort_by_key(|&i| keys[i]);
+    let mut selected = vec![0.0; count];
+    sorted.iter().take(npz.scalar("count") as usize).for_each(|&i| selected[i] = 1.0);
     Ok(equal("selected", &selected, npz.values("selected"))?)
 }

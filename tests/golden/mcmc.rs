@@ -7,6 +7,8 @@ use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use ashsplat::frame::{LaunchSizes, SceneBuffers, planes};
 use ashsplat::kernels::constants::STATE_WORDS;
+use ashsplat::kernels::densify::draw_sources;
+use ashsplat::kernels::optimizer::add_noise;
 use ashsplat::passes::adam::Moments;
 use ashsplat::passes::densify::{Densify, DensifyForm, Draw, DrawBuffers, Gather, RandomKey, Relocation};
 use std::path::Path;
@@ -66,6 +68,22 @@ fn compare(npz: &Npz, prefix: &str, actual: &[Gaussian]) -> Outcome {
     Ok(equal("out SH", &column(|g| g.sh.as_flattened().to_vec()), field("sh"))?)
 }
 
+/// Draws again by the weights of a draw, with the vectors' uniform numbers, one per row.
+fn draw_again(gpu: &Gpu, draw: &Draw, count: u32, buffers: &DrawBuffers, uniforms: &Buffer) {
+    gpu.run(|r| r.fill(&buffers.draws, 0));
+    let spec = draw_sources::Spec { workgroup_size: gpu.workgroup(64), explicit_uniforms: true };
+    let bind = draw_sources::Bind {
+        weights: &buffers.weights,
+        prefix: &buffers.prefix,
+        totals: &buffers.totals,
+        uniforms,
+        sources: &buffers.sources,
+        draws: &buffers.draws,
+    };
+    let push = draw_sources::Push { count, rows: draw.rows, ..draw_sources::Push::default() };
+    gpu.dispatch_over::<draw_sources::Interface>(&spec, &bind, &push, draw.rows as usize);
+}
+
 pub fn relocation(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
@@ -93,24 +111,18 @@ pub fn relocation(path: &Path) -> Outcome {
     };
     // Parameters and both moments.
     let mut sets = [upload(&start), upload(&ones), upload(&ones)];
-    let key = RandomKey { seed: 0, iteration: 0, explicit: None };
+    let key = RandomKey { seed: 0, iteration: 0 };
     for (step, prefix) in steps(&npz).iter().zip(["mid", "out"]) {
         let count = sets[0].count;
         let requests = DrawBuffers::requests(&LaunchSizes::new(context.limits()), count, step.rows as u32);
         let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
         let buffers = DrawBuffers::from_allocated(buffers);
-        let uniforms = gpu.buffer("uniforms", &step.uniforms);
-        let draw = Draw {
-            rows: step.rows as u32,
-            replaces_dead: prefix == "mid",
-            seed: 0,
-            iteration: 0,
-            explicit: Some(&uniforms),
-        };
+        let draw = Draw { rows: step.rows as u32, replaces_dead: prefix == "mid", seed: 0, iteration: 0 };
         let after: [SceneBuffers; 3] =
             [0; 3].map(|_| SceneBuffers { count: step.rows as u32, ..upload(&ones) });
+        gpu.run(|r| relocation.record_draw(r, &sets[0], &draw, &buffers));
+        draw_again(&gpu, &draw, count, &buffers, &gpu.buffer("uniforms", &step.uniforms));
         gpu.run(|r| {
-            relocation.record_draw(r, &sets[0], &draw, &buffers);
             for (set, (from, to)) in sets.iter().zip(&after).enumerate() {
                 let gather = Gather { from, to, sources: &buffers.sources, scratch: &[] };
                 match set {
@@ -123,7 +135,7 @@ pub fn relocation(path: &Path) -> Outcome {
                 plan: after[1].plan,
                 sets: after[1..].iter().map(|set| set.chunks.clone()).collect(),
             };
-            relocation.record_relocate(r, (&after[0], &moments), &buffers.sources, &buffers.draws);
+            relocation.record_relocate(r, &after[0], &moments, &buffers.sources, &buffers.draws);
         });
         let sources = gpu.read::<u32>(&buffers.sources, step.rows).into_iter();
         let sources: Vec<f64> = sources.map(|source| f64::from(source & 0x3FFF_FFFF)).collect();
@@ -174,8 +186,10 @@ pub fn noise(path: &Path) -> Outcome {
         .expect("upload");
     let normals: Vec<[f32; 3]> = normals.iter().map(|normal| normal.map(|x| x as f32)).collect();
     let (normals, state) = (gpu.buffer("noise", &normals), gpu.zeros::<u32>("state", STATE_WORDS as usize));
-    let relocation = Relocation::new(gpu.context).expect("kernels");
-    gpu.run(|r| relocation.record_noise(r, (&scene, &state), (0, 0, rate as f32), Some(&normals)));
+    let spec = add_noise::Spec { workgroup_size: gpu.workgroup(64), explicit_noise: true };
+    let bind = add_noise::Bind { parameters: &scene.chunks[0], state: &state, noise: &normals };
+    let push = add_noise::Push { count: scene.count, rate: rate as f32, ..add_noise::Push::default() };
+    gpu.dispatch_over::<add_noise::Interface>(&spec, &bind, &push, scene.count as usize);
     let after = engine::twins(&planes::download(gpu.context, &scene).expect("download"));
     compare_noise(&npz, &after.iter().map(|g| g.mean).collect::<Vec<_>>())
 }

@@ -14,10 +14,11 @@ use crate::reference::tiles::alpha_unclamped;
 use crate::reference::types::ALPHA_MAX;
 use crate::reference::{schedule, sh};
 use ashsplat::frame::{LaunchSizes, SceneBuffers, Strips, planes};
+use ashsplat::kernels::constants::{GATHER_MEAN_OPACITY, PLANE_MEAN_OPACITY};
+use ashsplat::kernels::densify::gather;
 use ashsplat::passes::adam::Moments;
 use ashsplat::passes::densify::{
-    ClassifyInputs, Densify, DensifyBuffers, DensifyForm, DensifySettings, ExplicitNoise, Gather,
-    RESET_OPACITY, RandomKey,
+    ClassifyInputs, Densify, DensifyBuffers, DensifyForm, DensifySettings, Gather, RESET_OPACITY, RandomKey,
 };
 use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing};
 use libtest_mimic::Failed;
@@ -335,6 +336,23 @@ fn noise_of_gaussians(npz: &Npz) -> Vec<[f32; 3]> {
     by_gaussian
 }
 
+/// Replaces the means of split Gaussians, which have the generator's noise, by those of the vectors' noise.
+fn gather_means(gpu: &Gpu, scene: &SceneBuffers, target: &SceneBuffers, sources: &Buffer, noise: &Buffer) {
+    let spec =
+        gather::Spec { workgroup_size: gpu.workgroup(64), explicit_noise: true, ..gather::Spec::default() };
+    let bind = gather::Bind { sources, from: &scene.chunks[0], to: &target.chunks[0], noise };
+    let push = gather::Push {
+        from_count: scene.count,
+        to_count: target.count,
+        from_place: plane_place(PLANE_MEAN_OPACITY, scene.plan.chunk_gaussians as usize),
+        to_place: plane_place(PLANE_MEAN_OPACITY, target.plan.chunk_gaussians as usize),
+        form: GATHER_MEAN_OPACITY,
+        noise_stride: scene.count,
+        ..gather::Push::default()
+    };
+    gpu.dispatch_over::<gather::Interface>(&spec, &bind, &push, target.count as usize);
+}
+
 /// Densifies a set's Gaussians, compares their sources and returns them.
 pub(super) fn densified(
     gpu: &Gpu,
@@ -360,15 +378,15 @@ pub(super) fn densified(
         input.sh_degree,
     )?;
     let target = SceneBuffers { count: rows, ..target };
-    let noise = noise.map(|noise| gpu.buffer("noise", noise));
-    let explicit = noise.as_ref().map(|buffer| ExplicitNoise { buffer, stride: count });
-    let key = RandomKey { seed: 0, iteration: 0, explicit };
     gpu.run(|r| {
         densify.record_scatter_sources(r, count, rows, &buffers);
         r.barrier();
         let gather = Gather { from: &scene, to: &target, sources: &buffers.sources, scratch: &[] };
-        densify.record_gather_parameters(r, &gather, &key);
+        densify.record_gather_parameters(r, &gather, &RandomKey { seed: 0, iteration: 0 });
     });
+    if let Some(noise) = noise {
+        gather_means(gpu, &scene, &target, &buffers.sources, &gpu.buffer("noise", noise));
+    }
     let sources = gpu.read::<u32>(&buffers.sources, rows as usize);
     let parents: Vec<f64> = sources.iter().map(|source| f64::from(source & 0x3FFF_FFFF)).collect();
     equal("parent", &parents, npz.values("out_parent"))?;

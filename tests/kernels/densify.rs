@@ -22,7 +22,7 @@ use ashsplat::kernels::densify::{
     classify, gather, mask_outside, relocate, reset_opacity, scatter_sources, zorder,
 };
 use ashsplat::passes::densify::{
-    Curve, Densify, DensifyBuffers, DensifyForm, Gather, OrderBuffers, RandomKey,
+    Curve, Densify, DensifyBuffers, DensifyForm, Gather, OrderBuffers, OrderInputs, RandomKey,
 };
 
 const SCENE_EXTENT: f64 = 40.0;
@@ -509,7 +509,7 @@ fn gather_in_place_is_the_same_to_the_bit() {
         let buffer = buffer.expect("memory").remove(0);
         context.upload(&buffer, bytemuck::cast_slice(&sources)).expect("uploaded");
         let densify = Densify::new(context, DensifyForm::default()).expect("kernels");
-        let key = RandomKey { seed: 3, iteration: 9, explicit: None };
+        let key = RandomKey { seed: 3, iteration: 9 };
         let gathered = |from: &SceneBuffers, to: SceneBuffers, scratch: &[Buffer], moments: bool| {
             let to = SceneBuffers { count: rows, ..to };
             let rows = Gather { from, to: &to, sources: &buffer, scratch };
@@ -720,8 +720,9 @@ fn zorder_puts_rows_into_the_curves_order() {
         let curve = Curve { center: Vec3::from_array(CENTER.map(|x| x as f32)), extent: EXTENT as f32 };
         let mut sorted = None;
         let recorded = context.run("order", |recorder| {
-            let (rows, unordered) = ((&uploaded, rows), (&buffers.sources, &buffers.totals));
-            sorted = Some(densify.record_order(recorder, rows, unordered, &order, &curve).clone());
+            let DensifyBuffers { sources, totals, .. } = &buffers;
+            let inputs = OrderInputs { scene: &uploaded, rows, sources, totals, curve };
+            sorted = Some(densify.record_order(recorder, &inputs, &order).clone());
             Ok(())
         });
         recorded.expect("sorted");

@@ -15,7 +15,7 @@ use ashsplat::kernels::densify::{
     add_importance, draw_keys, draw_sources, draw_weights, edge_gradient, edge_response, mark_drawn,
     opacity_keys, sum_weights,
 };
-use ashsplat::passes::densify::{Candidates, Chances, Selection, SelectionBuffers, SelectionDraw};
+use ashsplat::passes::densify::{Candidates, Chances, UniqueDraw, UniqueDrawBuffers, UniqueDrawInputs};
 
 const KEY: [u32; 2] = [42, 700];
 const THRESHOLD: f32 = 0.5;
@@ -131,16 +131,16 @@ fn mark_drawn_equals_its_twin() {
     }
 }
 
-fn selection_buffers(context: &Context, count: u32) -> SelectionBuffers {
-    let requests = SelectionBuffers::requests(&LaunchSizes::new(context.limits()), count);
+fn unique_draw_buffers(context: &Context, count: u32) -> UniqueDrawBuffers {
+    let requests = UniqueDrawBuffers::requests(&LaunchSizes::new(context.limits()), count);
     let buffers = context.allocate("test", &requests, MemoryKind::Device);
-    SelectionBuffers::from_allocated(buffers.expect("memory"))
+    UniqueDrawBuffers::from_allocated(buffers.expect("memory"))
 }
 
 #[test]
-fn selection_is_that_of_the_twins() {
+fn unique_draw_is_that_of_the_twins() {
     let gpu = Gpu::new();
-    let selection = Selection::new(gpu.context).expect("kernels");
+    let draws = UniqueDraw::new(gpu.context, false).expect("kernels");
     for size in [1, 700, 5000] {
         // Every fifth Gaussian has no chance.
         let mut random = Random::new(size as u64);
@@ -150,17 +150,16 @@ fn selection_is_that_of_the_twins() {
         let statistics = gpu.buffer("statistics", &vec![[1.0_f32, 1.0]; size]);
         let importance = gpu.buffer("importance", &chances);
         for wanted in [0, size / 3, size] {
-            let buffers = selection_buffers(gpu.context, size as u32);
-            let draw = SelectionDraw {
+            let buffers = unique_draw_buffers(gpu.context, size as u32);
+            let draw = UniqueDrawInputs {
                 count: size as u32,
                 wanted: wanted as u32,
                 candidates: Candidates { statistics: &statistics, absolute: None, threshold: 0.5 },
                 chances: Chances::Importance(&importance),
                 seed: 3,
                 iteration: 11,
-                explicit: None,
             };
-            gpu.run(|r| selection.record(r, &draw, &buffers));
+            gpu.run(|r| draws.record(r, &draw, &buffers));
             let keys: Vec<_> = (chances.iter().zip(0..))
                 .map(|(&chance, i)| twin::key(chance.into(), twin::uniform([3, 11], i)))
                 .collect();
@@ -314,11 +313,11 @@ fn opacity_keys_put_opacities_into_their_order() {
     for (context, count) in [(gpu.context, 1), (gpu.context, 77), (gpu.context, 9000), (&in_chunks, 20_000)] {
         let scene = scene(count);
         let uploaded = uploaded(context, &scene);
-        let selection = Selection::new(context).expect("kernels");
-        let buffers = selection_buffers(context, count as u32);
+        let draws = UniqueDraw::new(context, false).expect("kernels");
+        let buffers = unique_draw_buffers(context, count as u32);
         let mut recorded = None;
         let ran = context.run("order opacities", |r| {
-            recorded = Some(selection.record_opacities(r, &uploaded, &buffers).clone());
+            recorded = Some(draws.record_opacities(r, &uploaded, &buffers).clone());
             Ok(())
         });
         ran.expect("sorted");

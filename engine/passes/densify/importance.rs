@@ -41,7 +41,7 @@ pub struct EdgePhoto<'a> {
 /// Kernels of the importance.
 pub struct Importance {
     sizes: LaunchSizes,
-    border: LayoutConverter,
+    layout: LayoutConverter,
     backward: Backward,
     response: Kernel<edge_response::Interface>,
     gradient: Kernel<edge_gradient::Interface>,
@@ -61,7 +61,7 @@ impl Importance {
         let sum = sum_weights::Spec { workgroup_size, subgroup_size, ..sum_weights::Spec::default() };
         let strips = sizes.strips;
         Ok(Self {
-            border: LayoutConverter::new(context)?,
+            layout: LayoutConverter::new(context)?,
             backward,
             response: Kernel::new(context, &edge_response::Spec { workgroup_size, subgroup_size })?,
             gradient: Kernel::new(context, &edge_gradient::Spec { workgroup_size, strips })?,
@@ -83,7 +83,7 @@ impl Importance {
         let groups = self.sizes.groups(u64::from(image_width) * u64::from(image_height));
         r.scope("edges", |r| {
             r.fill(&buffers.ranges, 0);
-            self.border.record_photo(r, photo.size, photo.masked, photo.texels, &buffers.rows);
+            self.layout.record_photo(r, photo.size, photo.masked, photo.texels, &buffers.rows);
             r.barrier();
             let bind = edge_response::Bind {
                 rows: &buffers.rows,

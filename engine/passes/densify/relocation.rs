@@ -1,6 +1,7 @@
 //! Relocation and growth of 3DGS-MCMC (Kheradmand et al. 2024, section 4): Gaussians are drawn in proportion to their opacity,
 //! and each shares its place with its copies.
 
+use super::RandomKey;
 use crate::error::Result;
 use crate::frame::{LaunchSizes, SceneBuffers, blocks, buffer_set};
 use crate::kernels::constants::RELOCATION_LEAST_OPACITY;
@@ -37,7 +38,7 @@ impl DrawBuffers {
 
 /// A draw of the sources of a new set.
 #[derive(Clone, Copy)]
-pub struct Draw<'a> {
+pub struct Draw {
     /// Number of rows of the new set, at least that of the old one.
     pub rows: u32,
     /// True if Gaussians with an opacity of at most 0.005 are replaced.
@@ -46,8 +47,6 @@ pub struct Draw<'a> {
     pub seed: u32,
     /// Iteration of the draw.
     pub iteration: u32,
-    /// Uniform numbers in [0, 1) per row that replace the generator's, for comparisons with other implementations.
-    pub explicit: Option<&'a Buffer>,
 }
 
 /// Kernels of relocation and noise.
@@ -56,10 +55,8 @@ pub struct Relocation {
     scan: Scan,
     weights: Kernel<draw_weights::Interface>,
     draw: Kernel<draw_sources::Interface>,
-    draw_explicit: Kernel<draw_sources::Interface>,
     relocate: Kernel<relocate::Interface>,
     noise: Kernel<add_noise::Interface>,
-    noise_explicit: Kernel<add_noise::Interface>,
 }
 
 impl Relocation {
@@ -74,10 +71,8 @@ impl Relocation {
             scan: Scan::new(context)?,
             weights: Kernel::new(context, &draw_weights::Spec { workgroup_size })?,
             draw: Kernel::new(context, &draw)?,
-            draw_explicit: Kernel::new(context, &draw_sources::Spec { explicit_uniforms: true, ..draw })?,
             relocate: Kernel::new(context, &relocate::Spec { workgroup_size })?,
             noise: Kernel::new(context, &noise)?,
-            noise_explicit: Kernel::new(context, &add_noise::Spec { explicit_noise: true, ..noise })?,
         })
     }
 
@@ -108,12 +103,12 @@ impl Relocation {
             };
             self.scan.record(r, &scan, Workgroups::Elements(count.into()));
             r.barrier();
-            let kernel = if draw.explicit.is_some() { &self.draw_explicit } else { &self.draw };
             let bind = draw_sources::Bind {
                 weights: &buffers.weights,
                 prefix: &buffers.prefix,
                 totals: &buffers.totals,
-                uniforms: draw.explicit.unwrap_or(&buffers.weights),
+                // Only the kernel's form with explicit numbers reads this binding.
+                uniforms: &buffers.weights,
                 sources: &buffers.sources,
                 draws: &buffers.draws,
             };
@@ -124,7 +119,7 @@ impl Relocation {
                 iteration: draw.iteration,
                 stream: if draw.replaces_dead { 2 } else { 3 },
             };
-            r.dispatch(kernel, &bind, &push, self.sizes.groups(draw.rows));
+            r.dispatch(&self.draw, &bind, &push, self.sizes.groups(draw.rows));
             r.barrier();
         });
     }
@@ -134,7 +129,8 @@ impl Relocation {
     pub fn record_relocate(
         &self,
         r: &mut Recorder,
-        (scene, moments): (&SceneBuffers, &Moments),
+        scene: &SceneBuffers,
+        moments: &Moments,
         sources: &Buffer,
         draws: &Buffer,
     ) {
@@ -160,25 +156,23 @@ impl Relocation {
         });
     }
 
-    /// Records the noise of an iteration, on a scene with the state of its frame. `rate`: learning rate of the means (world
-    /// units) times that of the noise; `explicit`: standard normal numbers that replace the generator's.
+    /// Records the noise of an iteration. `state`: [`FrameBuffers::state`](crate::frame::FrameBuffers) of the scene's frame.
+    /// `rate`: learning rate of the means (world units) times that of the noise.
     pub fn record_noise(
         &self,
         r: &mut Recorder,
-        (scene, state): (&SceneBuffers, &Buffer),
-        (seed, iteration, rate): (u32, u32, f32),
-        explicit: Option<&Buffer>,
+        scene: &SceneBuffers,
+        state: &Buffer,
+        key: &RandomKey,
+        rate: f32,
     ) {
-        let kernel = if explicit.is_some() { &self.noise_explicit } else { &self.noise };
+        let RandomKey { seed, iteration } = *key;
         r.scope("noise", |r| {
             for range in scene.plan.ranges(scene.count) {
-                let bind = add_noise::Bind {
-                    parameters: &scene.chunks[range.chunk],
-                    state,
-                    noise: explicit.unwrap_or(state),
-                };
+                // Only the kernel's form with explicit noise reads that binding.
+                let bind = add_noise::Bind { parameters: &scene.chunks[range.chunk], state, noise: state };
                 let push = add_noise::Push { first: range.first, count: range.count, seed, iteration, rate };
-                r.dispatch(kernel, &bind, &push, self.sizes.groups(range.count));
+                r.dispatch(&self.noise, &bind, &push, self.sizes.groups(range.count));
             }
         });
     }

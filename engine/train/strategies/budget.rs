@@ -6,7 +6,7 @@ use super::rebuild::{Decisions, check_cap, reset_opacity};
 use crate::error::{Error, Result};
 use crate::passes::densify::{
     Candidates, Chances, ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings, Importance,
-    RESET_OPACITY, Selection, SelectionBuffers, SelectionDraw,
+    RESET_OPACITY, UniqueDraw, UniqueDrawBuffers, UniqueDrawInputs,
 };
 use crate::train::population::Population;
 use crate::train::schedule::pool_views;
@@ -40,7 +40,7 @@ enum Pruned {
 /// `growth_curve`, `recovery`, `late_min_opacity`.
 pub struct Budget {
     kernels: Densify,
-    selection: Selection,
+    unique_draw: UniqueDraw,
     /// Built by the first densification with [`ImportanceType::Edges`], because a resumed run may have none left.
     importance: Option<Importance>,
     absolute: bool,
@@ -58,7 +58,7 @@ impl Budget {
             DensifyForm { long_axis: settings.split == SplitType::LongAxis, criterion: Criterion::Selected };
         Ok(Self {
             kernels: Densify::new(context, form)?,
-            selection: Selection::new(context)?,
+            unique_draw: UniqueDraw::new(context, settings.absgrad)?,
             importance: None,
             absolute: settings.absgrad,
             start: None,
@@ -164,11 +164,11 @@ impl Budget {
                 None => return Ok(unchanged),
             },
         };
-        let Some(buffers) = population.allocate(&SelectionBuffers::requests(&population.sizes(), before))?
+        let Some(buffers) = population.allocate(&UniqueDrawBuffers::requests(&population.sizes(), before))?
         else {
             return Ok(unchanged);
         };
-        let selection = SelectionBuffers::from_allocated(buffers);
+        let selection = UniqueDrawBuffers::from_allocated(buffers);
         // A Gaussian stays and is cloned, or is split into two.
         let most_rows = before.saturating_mul(2);
         let decisions = Decisions::new(population, most_rows, &self.kernels, settings)?;
@@ -211,14 +211,14 @@ impl Budget {
         population: &Population,
         importance: Option<&Buffer>,
         wanted: u32,
-        buffers: &SelectionBuffers,
+        buffers: &UniqueDrawBuffers,
     ) -> Result<u32> {
         let (context, settings) = (population.context(), population.settings());
         if wanted == 0 {
             context.run_commands("select none", |r| r.fill(&buffers.selected, 0))?;
             return Ok(0);
         }
-        let draw = SelectionDraw {
+        let draw = UniqueDrawInputs {
             count: population.count(),
             wanted,
             candidates: Candidates {
@@ -233,9 +233,8 @@ impl Budget {
             },
             seed: settings.seed,
             iteration: population.iteration(),
-            explicit: None,
         };
-        context.run_commands("select", |r| self.selection.record(r, &draw, buffers))?;
+        context.run_commands("select", |r| self.unique_draw.record(r, &draw, buffers))?;
         let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&context.download(&buffers.totals)?);
         Ok(totals[2])
     }
@@ -269,11 +268,11 @@ impl Budget {
     fn opacity_of_share(&self, population: &Population, share: f64) -> Result<Option<f64>> {
         let context = population.context();
         let buffers =
-            population.allocate(&SelectionBuffers::requests(&population.sizes(), population.count()))?;
-        let Some(buffers) = buffers.map(SelectionBuffers::from_allocated) else { return Ok(None) };
+            population.allocate(&UniqueDrawBuffers::requests(&population.sizes(), population.count()))?;
+        let Some(buffers) = buffers.map(UniqueDrawBuffers::from_allocated) else { return Ok(None) };
         let mut sorted = None;
         context.run_commands("order opacities", |r| {
-            sorted = Some(self.selection.record_opacities(r, population.scene(), &buffers))
+            sorted = Some(self.unique_draw.record_opacities(r, population.scene(), &buffers))
         })?;
         let Some(sorted) = sorted else { unreachable!("recorded") };
         let place = QuantilePlace::new(population.count(), share);

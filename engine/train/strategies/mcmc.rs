@@ -3,7 +3,7 @@
 
 use super::rebuild::{check_cap, order_buffers};
 use crate::error::Result;
-use crate::passes::densify::{Densify, DensifyForm, Draw, DrawBuffers, Relocation};
+use crate::passes::densify::{Densify, DensifyForm, Draw, DrawBuffers, OrderInputs, RandomKey, Relocation};
 use crate::train::population::Population;
 use crate::train::settings::TrainSettings;
 use crate::train::strategy::{Hooks, NOT_IN_OTHERS, StepInputs, Strategy};
@@ -61,9 +61,8 @@ impl Strategy for Mcmc {
     fn record_update(&self, r: &mut Recorder, step: &StepInputs) {
         let rate = (step.step.rates.mean * step.settings.noise_lr) as f32;
         if rate > 0.0 {
-            let key = (step.settings.seed, step.iteration, rate);
-            let drawn = (step.frame.scene(), &step.frame.frame.state);
-            self.relocation.record_noise(r, drawn, key, None);
+            let key = RandomKey { seed: step.settings.seed, iteration: step.iteration };
+            self.relocation.record_noise(r, step.frame.scene(), &step.frame.frame.state, &key, rate);
         }
     }
 
@@ -104,7 +103,7 @@ impl Mcmc {
         let growth = population.reserve_gaussians(rows)?;
         let rows = rows.min(population.capacity_with(&growth));
         let (seed, iteration) = (population.settings().seed, population.iteration());
-        let draw = Draw { rows, replaces_dead, seed, iteration, explicit: None };
+        let draw = Draw { rows, replaces_dead, seed, iteration };
         let (key, curve) = (population.random_key(), population.curve());
         population.rebuild(
             rows,
@@ -113,15 +112,18 @@ impl Mcmc {
             &key,
             |r, scene| {
                 self.relocation.record_draw(r, scene, &draw, &buffers);
+                let DrawBuffers { sources, totals, .. } = &buffers;
                 match &order {
-                    None => &buffers.sources,
+                    None => sources,
                     Some(order) => {
-                        let unordered = (&buffers.sources, &buffers.totals);
-                        self.kernels.record_order(r, (scene, rows), unordered, order, &curve)
+                        let inputs = OrderInputs { scene, rows, sources, totals, curve };
+                        self.kernels.record_order(r, &inputs, order)
                     }
                 }
             },
-            |r, new, sources| self.relocation.record_relocate(r, new, sources, &buffers.draws),
+            |r, scene, moments, sources| {
+                self.relocation.record_relocate(r, scene, moments, sources, &buffers.draws);
+            },
         )?;
         Ok(true)
     }

@@ -2,7 +2,9 @@
 
 use crate::error::{Error, Result};
 use crate::frame::SceneBuffers;
-use crate::passes::densify::{ClassifyInputs, Densify, DensifyBuffers, DensifySettings, OrderBuffers};
+use crate::passes::densify::{
+    ClassifyInputs, Densify, DensifyBuffers, DensifySettings, OrderBuffers, OrderInputs,
+};
 use crate::train::population::{Growth, Population};
 use crate::train::work::{Changes, Densified};
 use crate::vk::Recorder;
@@ -67,10 +69,13 @@ impl<'a> Decisions<'a> {
         let sources = |r: &mut Recorder, scene: &SceneBuffers| {
             self.kernels.record_scatter_sources(r, scene.count, rows, &self.buffers);
             r.barrier();
-            let unordered = (&self.buffers.sources, &self.buffers.totals);
+            let DensifyBuffers { sources, totals, .. } = &self.buffers;
             match &self.order {
-                Some(order) => self.kernels.record_order(r, (scene, rows), unordered, order, &curve),
-                None => unordered.0,
+                Some(order) => {
+                    let inputs = OrderInputs { scene, rows, sources, totals, curve };
+                    self.kernels.record_order(r, &inputs, order)
+                }
+                None => sources,
             }
         };
         population.rebuild(rows, growth, self.kernels, &key, sources, |_, _, _| {})

@@ -34,7 +34,7 @@ pub enum Chances<'a> {
 
 /// Parameters of a draw.
 #[derive(Clone, Copy)]
-pub struct SelectionDraw<'a> {
+pub struct UniqueDrawInputs<'a> {
     /// Number of Gaussians.
     pub count: u32,
     /// Number of Gaussians to draw; all candidates if there are fewer.
@@ -47,34 +47,32 @@ pub struct SelectionDraw<'a> {
     pub seed: u32,
     /// Iteration of the draw.
     pub iteration: u32,
-    /// Uniform numbers within (0, 1) per Gaussian that replace the generator's, for comparisons with other implementations.
-    pub explicit: Option<&'a Buffer>,
 }
 
 buffer_set! {
     /// Scratch and result of a draw among this number of Gaussians.
-    pub struct SelectionBuffers(sizes: &LaunchSizes, gaussians: u32) {
+    pub struct UniqueDrawBuffers(sizes: &LaunchSizes, gaussians: u32) {
         let words = u64::from(gaussians) * 4;
     }
     /// Per Gaussian: 1 if it was drawn, otherwise 0.
     pub selected: words;
     /// Numbers of Gaussians, of candidates with a positive chance, and of drawn Gaussians: TOTAL_* of the constants.
-    pub totals as "selection_totals": 16;
+    pub totals as "unique_draw_totals": 16;
     /// Sorting scratch: keys.
-    keys_a as "selection_keys_a": words;
+    keys_a as "unique_draw_keys_a": words;
     /// Sorting scratch: keys, in turn with the above.
-    keys_b as "selection_keys_b": words;
+    keys_b as "unique_draw_keys_b": words;
     /// Sorting scratch: Gaussians.
-    gaussians_a as "selection_gaussians_a": words;
+    gaussians_a as "unique_draw_gaussians_a": words;
     /// Sorting scratch: Gaussians, in turn with the above.
-    gaussians_b as "selection_gaussians_b": words;
+    gaussians_b as "unique_draw_gaussians_b": words;
     /// Sorting scratch: counts per digit and block, and per digit and run.
-    histogram as "selection_histogram": sizes.sort_histogram_words(gaussians.into(), u32::BITS) * 4;
+    histogram as "unique_draw_histogram": sizes.sort_histogram_words(gaussians.into(), u32::BITS) * 4;
     /// Sorting scratch: keys per digit.
-    digit_totals as "selection_digit_totals": (1 << sizes.sort_digit_bits()) * 4;
+    digit_totals as "unique_draw_digit_totals": (1 << sizes.sort_digit_bits()) * 4;
 }
 
-impl SelectionBuffers {
+impl UniqueDrawBuffers {
     /// Returns one of the totals. Each can be filled in the same step as another.
     fn total(&self, word: u32) -> Buffer {
         self.totals.range(u64::from(word) * 4, 4)
@@ -94,27 +92,26 @@ impl SelectionBuffers {
 }
 
 /// Kernels of draws and of sorted opacities.
-pub struct Selection {
+pub struct UniqueDraw {
     sizes: LaunchSizes,
     sort: RadixSort,
     opacity_keys: Kernel<opacity_keys::Interface>,
-    /// For the signed and for the absolute statistic; each from the generator and from explicit numbers.
-    keys: [[Kernel<draw_keys::Interface>; 2]; 2],
+    /// True if draws have [`Candidates::absolute`].
+    absolute: bool,
+    keys: Kernel<draw_keys::Interface>,
     mark: Kernel<mark_drawn::Interface>,
 }
 
-impl Selection {
-    /// Builds the kernels.
-    pub fn new(context: &Context) -> Result<Self> {
+impl UniqueDraw {
+    /// Builds the kernels; `absolute`: draws have [`Candidates::absolute`].
+    pub fn new(context: &Context, absolute: bool) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
-        let keys = |absolute, explicit_uniforms| {
-            let spec = draw_keys::Spec { workgroup_size, subgroup_size, absolute, explicit_uniforms };
-            Kernel::new(context, &spec)
-        };
+        let keys = draw_keys::Spec { workgroup_size, subgroup_size, absolute, explicit_uniforms: false };
         Ok(Self {
             sort: RadixSort::new(context)?,
-            keys: [[keys(false, false)?, keys(false, true)?], [keys(true, false)?, keys(true, true)?]],
+            absolute,
+            keys: Kernel::new(context, &keys)?,
             mark: Kernel::new(context, &mark_drawn::Spec { workgroup_size })?,
             opacity_keys: Kernel::new(context, &opacity_keys::Spec { workgroup_size })?,
             sizes,
@@ -122,8 +119,12 @@ impl Selection {
     }
 
     /// Records a draw: the `wanted` largest ln(u) / chance. A barrier must precede it; it ends with one.
-    pub fn record(&self, r: &mut Recorder, draw: &SelectionDraw, buffers: &SelectionBuffers) {
-        let SelectionDraw { count, candidates, chances, .. } = *draw;
+    ///
+    /// # Panics
+    /// If the absolute statistic is missing although the kernel was built for it, or the reverse.
+    pub fn record(&self, r: &mut Recorder, draw: &UniqueDrawInputs, buffers: &UniqueDrawBuffers) {
+        let UniqueDrawInputs { count, candidates, chances, .. } = *draw;
+        assert_eq!(candidates.absolute.is_some(), self.absolute, "the statistics that it was built for");
         let groups = self.sizes.groups(count);
         r.scope("select", |r| {
             r.fill(&buffers.total(c::TOTAL_GAUSSIANS), count);
@@ -134,13 +135,12 @@ impl Selection {
                 Chances::Statistic => (c::CHANCE_STATISTIC, candidates.statistics),
                 Chances::Equal => (c::CHANCE_EQUAL, candidates.statistics),
             };
-            let of_statistic = &self.keys[usize::from(candidates.absolute.is_some())];
-            let kernel = &of_statistic[usize::from(draw.explicit.is_some())];
             let bind = draw_keys::Bind {
                 statistics: candidates.statistics,
                 absolute_statistics: candidates.absolute.unwrap_or(candidates.statistics),
                 importance,
-                uniforms: draw.explicit.unwrap_or(candidates.statistics),
+                // Only the kernel's form with explicit numbers reads this binding.
+                uniforms: candidates.statistics,
                 keys: &buffers.keys_a,
                 selected: &buffers.selected,
                 totals: &buffers.totals,
@@ -152,7 +152,7 @@ impl Selection {
                 seed: draw.seed,
                 iteration: draw.iteration,
             };
-            r.dispatch(kernel, &bind, &push, groups);
+            r.dispatch(&self.keys, &bind, &push, groups);
             r.barrier();
             let elements = Workgroups::Elements(count.into());
             let end = self.sort.record(r, &buffers.pairs(), Values::Positions, u32::BITS, elements);
@@ -173,7 +173,7 @@ impl Selection {
         &self,
         r: &mut Recorder,
         scene: &SceneBuffers,
-        buffers: &'a SelectionBuffers,
+        buffers: &'a UniqueDrawBuffers,
     ) -> &'a Buffer {
         r.scope("order opacities", |r| {
             r.fill(&buffers.total(c::TOTAL_GAUSSIANS), scene.count);
