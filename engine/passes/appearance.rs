@@ -16,8 +16,6 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 /// Three rows of an exposure, or of lens effects.
 pub(crate) type Matrix = [[f32; 4]; 3];
 
-/// Adam's ε in the reference (the default of PyTorch).
-const EPSILON: f64 = 1e-8;
 /// Bytes of a matrix.
 const MATRIX_BYTES: u64 = size_of::<Matrix>() as u64;
 
@@ -199,11 +197,6 @@ impl AppearancePass {
         let push = exposure_step::Push {
             photographs: buffers.count() as u32,
             view: index,
-            beta_1: BETA_1 as f32,
-            beta_2: BETA_2 as f32,
-            one_minus_beta_1: (1.0 - BETA_1) as f32,
-            one_minus_beta_2: (1.0 - BETA_2) as f32,
-            epsilon: EPSILON as f32,
             rate: (step.rate / correction(BETA_1)) as f32,
             inverse_bias_2: correction(BETA_2).sqrt().recip() as f32,
             decay: step.decay as f32,

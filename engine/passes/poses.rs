@@ -17,8 +17,8 @@ use crate::passes::adam::{BETA_1, BETA_2};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// ε of Adam over poses, as in PyTorch.
-pub const EPSILON: f64 = 1e-8;
+/// Adam's ε on the host, for poses and lenses.
+const EPSILON: f64 = 1e-8;
 /// Weight decay of Adam over poses, added to the gradient (gsplat, `simple_trainer.py`).
 pub const WEIGHT_DECAY: f64 = 1e-6;
 /// Bytes of a pose's parameters ξ: six f32.
@@ -92,6 +92,14 @@ buffer_set! {
     pub gradient as "pose_gradient": GRADIENT_BYTES;
 }
 
+/// Takes a step of Adam on the host: updates the moments (m, v) and returns the change to subtract. `bias`: 1 - β₁ᵗ and 1 - β₂ᵗ.
+pub(crate) fn adam_on_host(moments: [&mut f64; 2], gradient: f64, bias: [f64; 2], rate: f64) -> f64 {
+    let [m, v] = moments;
+    *m = BETA_1 * *m + (1.0 - BETA_1) * gradient;
+    *v = BETA_2 * *v + (1.0 - BETA_2) * gradient * gradient;
+    rate * (*m / bias[0]) / ((*v / bias[1]).sqrt() + EPSILON)
+}
+
 /// Moves `camera` to a pose: the inverse of [`pose_of`].
 pub fn camera_at(camera: &Camera, pose: &[f32; 12]) -> Camera {
     let [a, b, c, d, e, f, g, h, i, x, y, z] = *pose;
@@ -130,11 +138,6 @@ impl PoseOptimizer {
             images,
             seen,
             makes_step: step.is_some().into(),
-            beta_1: BETA_1 as f32,
-            beta_2: BETA_2 as f32,
-            one_minus_beta_1: (1.0 - BETA_1) as f32,
-            one_minus_beta_2: (1.0 - BETA_2) as f32,
-            epsilon: EPSILON as f32,
             rate: (rate / (1.0 - BETA_1.powf(count as f64))) as f32,
             inverse_bias_2: (1.0 - BETA_2.powf(count as f64)).sqrt().recip() as f32,
             weight_decay: WEIGHT_DECAY as f32,

@@ -7,7 +7,7 @@ use crate::frame::{FrameVariant, RenderSettings};
 use crate::passes::adam::{BETA_1, BETA_2};
 use crate::passes::backward::{BackwardForm, Statistics};
 use crate::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes, photo_on_device};
-use crate::passes::poses::{EPSILON, GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
+use crate::passes::poses::{GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient, adam_on_host};
 use crate::scene::{Camera, StoredPhoto, Twist};
 use crate::vk::MemoryKind;
 use glam::DVec3;
@@ -52,17 +52,15 @@ impl Alignment {
         let pivot = DVec3::new(0.0, 0.0, adam.depth);
         let about_pivot = Twist { omega: gradient.omega - pivot.cross(gradient.nu), ..gradient };
         let gradient = adam.moved.gradient_of(about_pivot);
-        let correct = |beta: f64| 1.0 - beta.powi(adam.steps as i32);
-        let update = |m: &mut DVec3, v: &mut DVec3, g: DVec3, rate: f64| {
-            *m = BETA_1 * *m + (1.0 - BETA_1) * g;
-            *v = BETA_2 * *v + (1.0 - BETA_2) * g * g;
-            let corrected = *v / correct(BETA_2);
-            let root = DVec3::new(corrected.x.sqrt(), corrected.y.sqrt(), corrected.z.sqrt());
-            rate * decay * (*m / correct(BETA_1)) / (root + EPSILON)
-        };
+        let bias = [BETA_1, BETA_2].map(|beta| 1.0 - beta.powi(adam.steps as i32));
         let Adam { moved, first, second, depth, .. } = adam;
-        moved.nu -= update(&mut first.nu, &mut second.nu, gradient.nu, self.lr * *depth);
-        moved.omega -= update(&mut first.omega, &mut second.omega, gradient.omega, self.lr);
+        for k in 0..3 {
+            let change = |m: &mut DVec3, v: &mut DVec3, g: DVec3, lr: f64| {
+                adam_on_host([&mut m[k], &mut v[k]], g[k], bias, lr * decay)
+            };
+            moved.nu[k] -= change(&mut first.nu, &mut second.nu, gradient.nu, self.lr * *depth);
+            moved.omega[k] -= change(&mut first.omega, &mut second.omega, gradient.omega, self.lr);
+        }
     }
 }
 

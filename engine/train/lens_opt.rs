@@ -8,7 +8,7 @@ use super::schedule::IterationPlan;
 use super::step::LossValues;
 use crate::error::{Error, Result};
 use crate::passes::adam::{BETA_1, BETA_2};
-use crate::passes::poses::{EPSILON, WEIGHT_DECAY};
+use crate::passes::poses::{WEIGHT_DECAY, adam_on_host};
 use crate::scene::{Camera, LENS_PARAMETERS, Projection};
 
 /// Values of a lens in a checkpoint: see [`LensState`].
@@ -86,7 +86,7 @@ impl LensOptimizer {
         lens.step(drawn, &gradient, *rate);
         let parameters = lens.parameters();
         if cameras[*view].with_lens_parameters(&parameters).check().is_err() {
-            // The moments go on, so that later steps may be smaller.
+            // The moments keep the new values, so that later steps may be smaller.
             lens.state[..LENS_PARAMETERS].copy_from_slice(&before[..LENS_PARAMETERS]);
             self.refused += 1;
             return;
@@ -131,15 +131,14 @@ impl Lens {
         let state = &mut self.state;
         let count = f64::from(state[LENS_STATE_VALUES - 1]) + 1.0;
         state[LENS_STATE_VALUES - 1] = count as f32;
-        let [bias_1, bias_2] = [BETA_1, BETA_2].map(|beta| 1.0 - beta.powf(count));
+        let bias = [BETA_1, BETA_2].map(|beta| 1.0 - beta.powf(count));
         for k in 0..LENS_PARAMETERS {
-            let [change, first, second] = [0, 1, 2].map(|set| f64::from(state[set * LENS_PARAMETERS + k]));
+            let [change, mut first, mut second] =
+                [0, 1, 2].map(|set| f64::from(state[set * LENS_PARAMETERS + k]));
             let own: f64 =
                 gradient.iter().zip(&self.units).map(|(gradient, units)| gradient * units[k]).sum();
             let g = if own.abs() < 1e15 { own } else { 0.0 } + WEIGHT_DECAY * change;
-            let (first, second) =
-                (BETA_1 * first + (1.0 - BETA_1) * g, BETA_2 * second + (1.0 - BETA_2) * g * g);
-            let change = change - rate * (first / bias_1) / ((second / bias_2).sqrt() + EPSILON);
+            let change = change - adam_on_host([&mut first, &mut second], g, bias, rate);
             for (set, value) in [change, first, second].into_iter().enumerate() {
                 state[set * LENS_PARAMETERS + k] = value as f32;
             }

@@ -42,12 +42,6 @@ layout(set = 0, binding = 4, scalar) buffer Moments2 { vec4 moments_2[]; };
 layout(push_constant, scalar) uniform Push {
     uint photographs;
     uint view;
-    float beta_1;
-    float beta_2;
-    // 1 - b, rounded once.
-    float one_minus_beta_1;
-    float one_minus_beta_2;
-    float epsilon;
     // Divided by 1 - b1^t.
     float rate;
     // 1 / sqrt(1 - b2^t).
@@ -61,6 +55,7 @@ layout(push_constant, scalar) uniform Push {
 // Distance between a matrix and the identity: root of the sum of squares of all twelve numbers.
 const float FREE_DISTANCE = 0.05;
 
+#include "adam_constants.glsl"
 #include "exposure_sums.glsl"
 #include "finite.glsl"
 
@@ -102,12 +97,12 @@ void main() {
             vec4 pulled = e;
             pulled[k] *= CENTER ? 0.0 : 1.0;
             g += decay * pulled;
-            vec4 m = beta_1 * moments_1[at] + one_minus_beta_1 * g;
-            vec4 square = SHARES ? one_minus_beta_2 * squares[k] : one_minus_beta_2 * g * g;
-            vec4 v = beta_2 * moments_2[at] + square;
+            vec4 m = ADAM_BETA_1 * moments_1[at] + ADAM_ONE_MINUS_BETA_1 * g;
+            vec4 square = SHARES ? ADAM_ONE_MINUS_BETA_2 * squares[k] : ADAM_ONE_MINUS_BETA_2 * g * g;
+            vec4 v = ADAM_BETA_2 * moments_2[at] + square;
             moments_1[at] = m;
             moments_2[at] = v;
-            e -= rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
+            e -= rate * (m / (sqrt(v) * inverse_bias_2 + ADAM_EPSILON));
             if (!SPARSE) {
                 exposures[at] = e;
             }

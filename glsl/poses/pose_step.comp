@@ -43,12 +43,6 @@ layout(push_constant, scalar) uniform Push {
     uint seen;
     // Nonzero to make a step.
     uint makes_step;
-    float beta_1;
-    float beta_2;
-    // 1 - b, rounded once.
-    float one_minus_beta_1;
-    float one_minus_beta_2;
-    float epsilon;
     // Divided by 1 - b1^t.
     float rate;
     // 1 / sqrt(1 - b2^t).
@@ -56,6 +50,7 @@ layout(push_constant, scalar) uniform Push {
     float weight_decay;
 };
 
+#include "adam_constants.glsl"
 #include "dispatch.glsl"
 
 // Number of terms in the series of a, b and c in w^2. The next is below float32 for turns of up to a circle.
@@ -69,11 +64,11 @@ vec3 gradient_of(uint image, uint part) {
 
 // Step of nu (part 0) or omega (part 1).
 vec3 step_of(uint image, uint part, vec3 g) {
-    vec3 m = beta_1 * pose_moments[4 * image + part] + one_minus_beta_1 * g;
-    vec3 v = beta_2 * pose_moments[4 * image + 2 + part] + one_minus_beta_2 * g * g;
+    vec3 m = ADAM_BETA_1 * pose_moments[4 * image + part] + ADAM_ONE_MINUS_BETA_1 * g;
+    vec3 v = ADAM_BETA_2 * pose_moments[4 * image + 2 + part] + ADAM_ONE_MINUS_BETA_2 * g * g;
     pose_moments[4 * image + part] = m;
     pose_moments[4 * image + 2 + part] = v;
-    return rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
+    return rate * (m / (sqrt(v) * inverse_bias_2 + ADAM_EPSILON));
 }
 
 // (a, b, c) by their series, which avoid sines, because drivers' sines have 11 bits.

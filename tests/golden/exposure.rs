@@ -135,11 +135,6 @@ fn adam_of_device(gpu: &Gpu, npz: &Npz) -> Outcome {
         let push = exposure_step::Push {
             photographs: photographs as u32,
             view: *view as u32,
-            beta_1: 0.9,
-            beta_2: 0.999,
-            one_minus_beta_1: 0.1,
-            one_minus_beta_2: 0.001,
-            epsilon: 1e-8,
             rate: (rate / (1.0 - 0.9f64.powi(count))) as f32,
             inverse_bias_2: (1.0 - 0.999f64.powi(count)).sqrt().recip() as f32,
             decay: 0.0,

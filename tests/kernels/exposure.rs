@@ -359,11 +359,6 @@ impl Form {
             let push = exposure_step::Push {
                 photographs: photographs as u32,
                 view: *view,
-                beta_1: 0.9,
-                beta_2: 0.999,
-                one_minus_beta_1: 0.1,
-                one_minus_beta_2: 0.001,
-                epsilon: 1e-8,
                 rate: (0.01 / (1.0 - 0.9f64.powi(count))) as f32,
                 inverse_bias_2: (1.0 - 0.999f64.powi(count)).sqrt().recip() as f32,
                 decay: DECAY,
