@@ -43,7 +43,6 @@ mod sort;
 mod splats;
 mod subgroup_widths;
 mod surfaces;
-mod tile_lists;
 mod training;
 mod visible_memory;
 mod vk;

@@ -6,7 +6,6 @@ use super::runner::FrameRunner;
 use crate::error::{Error, Result};
 use crate::frame::{RenderSettings, first_frozen, tile_grid};
 use crate::kernels::constants as c;
-use crate::kernels::constants::TILE_SIZE;
 use crate::scene::Camera;
 
 /// One Gaussian blended at a pixel.
@@ -59,7 +58,7 @@ impl Renderer {
         }
         let visible = self.draw(camera, settings)?.visible;
         let (columns, _) = tile_grid(camera.width, camera.height);
-        let tile = u64::from(y / TILE_SIZE * columns + x / TILE_SIZE);
+        let tile = u64::from(y / c::TILE_SIZE * columns + x / c::TILE_SIZE);
         let range: Vec<u32> = self.read(&self.runner.store.current()?.tile_ranges, tile * 8, 8)?;
         let entries = self.entries(camera, range[0], range[1])?;
         let gaussians = self.visible_gaussians(visible)?;
@@ -151,64 +150,6 @@ impl Renderer {
     }
 }
 
-/// A visible Gaussian, as projected for blending.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ProjectedSplat {
-    /// Index in the scene. Indices of several scenes continue from one to the next.
-    pub gaussian: u32,
-    /// 2D mean, pixels.
-    pub mean2d_px: [f32; 2],
-    /// (A, B, C) of exp(−(A dx² + C dy²) / 2 − B dx dy), 1/px².
-    pub conic: [f32; 3],
-    /// Opacity.
-    pub opacity: f32,
-    /// Depth (z in the camera's frame), world units.
-    pub depth: f32,
-}
-
-/// Lists of Gaussians per tile of a frame.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct TileLists {
-    /// Tiles per row.
-    pub tiles_per_row: u32,
-    /// Begin and end in `entries` of each tile, row by row.
-    pub ranges: Vec<[u32; 2]>,
-    /// Indices into `splats`, tile by tile, each front to back.
-    pub entries: Vec<u32>,
-    /// Visible Gaussians in the scene's order.
-    pub splats: Vec<ProjectedSplat>,
-}
-
-impl Renderer {
-    /// Renders a frame and reads back what each tile blends, for studies of a frame's work and its kernels' memory
-    /// accesses. Takes about 40 bytes of host memory per visible Gaussian and 4 per instance.
-    ///
-    /// # Errors
-    /// Same as [`Renderer::render`].
-    pub fn tile_lists(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<TileLists> {
-        let stats = self.draw(camera, settings)?;
-        let (tiles_per_row, rows) = tile_grid(camera.width, camera.height);
-        let tiles = u64::from(tiles_per_row * rows);
-        let [means, conics, shades] = self.attributes(stats.visible)?;
-        let gaussians = self.visible_gaussians(stats.visible)?;
-        let splats = (gaussians.into_iter().zip(means).zip(conics).zip(shades)).map(
-            |(((gaussian, [x, y, ..]), [a, b, c, opacity]), [.., inverse_depth])| ProjectedSplat {
-                gaussian,
-                mean2d_px: [x, y],
-                conic: [a, b, c],
-                opacity,
-                depth: inverse_depth.recip(),
-            },
-        );
-        Ok(TileLists {
-            tiles_per_row,
-            ranges: self.read(&self.runner.store.current()?.tile_ranges, 0, tiles * 8)?,
-            entries: self.entries(camera, 0, stats.instances)?,
-            splats: splats.collect(),
-        })
-    }
-}
-
 /// Work of each tile of a frame, row-major.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TileReport {
@@ -242,7 +183,7 @@ impl Renderer {
         let mut blended = vec![0; tiles as usize];
         for (pixel, &entry) in last.iter().enumerate() {
             let (x, y) = (pixel as u32 % camera.width, pixel as u32 / camera.width);
-            let tile = &mut blended[(y / TILE_SIZE * columns + x / TILE_SIZE) as usize];
+            let tile = &mut blended[(y / c::TILE_SIZE * columns + x / c::TILE_SIZE) as usize];
             *tile = entry.max(*tile);
         }
         let entries = ranges.iter().map(|[begin, end]| end - begin).collect();

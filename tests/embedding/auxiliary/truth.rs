@@ -2,8 +2,10 @@
 
 use crate::scenes::appended;
 use crate::stage::*;
-use ashsplat::TileLists;
-use ashsplat::kernels::constants::{ALPHA_MAX, ALPHA_MIN, NOT_PICKED, TRANSMITTANCE_MIN};
+use ashsplat::kernels::constants::NOT_PICKED;
+use ashsplat_reference::pipeline::{Frame, render, tile_of};
+use ashsplat_reference::tiles::alpha_unclamped;
+use ashsplat_reference::types::{ALPHA_MAX, ALPHA_MIN, Drawn, Extent, Gaussian, TRANSMITTANCE_MIN, View};
 use glam::{DMat3, DVec3};
 
 pub const SIZE: [u32; 2] = [96, 70];
@@ -124,35 +126,42 @@ pub fn moved(mean: [f32; 3], [pose, before]: [&Pose; 2], [camera, camera_before]
     if z0 > 0.2 { [(x - x0).clamp(-w, w), (y - y0).clamp(-h, h)] } else { [0.0; 2] }
 }
 
-/// Weights blended at a pixel, as (Gaussian, weight, depth); none beyond the depth `limit`.
-pub fn weights(lists: &TileLists, [x, y]: [u32; 2], limit: f64) -> Vec<(usize, f64, f64)> {
-    let [begin, end] = lists.ranges[(y / 16 * lists.tiles_per_row + x / 16) as usize];
-    let (mut weights, mut transmittance) = (Vec::new(), 1.0);
-    for &entry in &lists.entries[begin as usize..end as usize] {
-        let splat = &lists.splats[entry as usize];
-        let depth = f64::from(splat.depth);
-        let [mx, my] = splat.mean2d_px.map(f64::from);
-        let [dx, dy] = [mx - f64::from(x), my - f64::from(y)];
-        let [a, b, c] = splat.conic.map(f64::from);
-        let alpha = f64::from(splat.opacity) * (-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy).exp();
-        let alpha = alpha.min(f64::from(ALPHA_MAX));
-        if depth > limit
-            || (alpha >= f64::from(ALPHA_MIN) && transmittance * (1.0 - alpha) < f64::from(TRANSMITTANCE_MIN))
-        {
-            break;
-        }
-        if alpha >= f64::from(ALPHA_MIN) {
-            weights.push((splat.gaussian as usize, alpha * transmittance, depth));
-            transmittance *= 1.0 - alpha;
-        }
+fn view_of(camera: &Camera) -> View {
+    let wide = |row: Vec3| row.to_array().map(f64::from);
+    let rows = camera.camera_from_world.transpose();
+    View {
+        camera_from_world: [rows.x_axis, rows.y_axis, rows.z_axis].map(wide),
+        translation: wide(camera.translation),
+        focal_px: [camera.fx, camera.fy].map(f64::from),
+        center_px: [camera.cx, camera.cy].map(f64::from),
+        size_px: [camera.width, camera.height],
+        background: [0.0; 3],
+        sh_degree: 0,
+        antialias: false,
+        antialias_detached: false,
+        filter_3d: 0.0,
+        symmetric_limit: false,
+        extent: Extent::Exact,
+        drawn: Drawn { orthographic: camera.is_orthographic(), ..Drawn::AS_THEY_ARE },
     }
-    weights
+}
+
+fn twins_of(gaussians: &Gaussians) -> Vec<Gaussian> {
+    let twin = |i: usize| Gaussian {
+        mean: gaussians.means[i].map(f64::from),
+        quat: gaussians.quats[i].map(f64::from),
+        log_scale: gaussians.log_scales[i].map(f64::from),
+        opacity_logit: gaussians.opacity_logits[i].into(),
+        sh: vec![gaussians.sh_of(i)[0].map(f64::from)],
+    };
+    (0..gaussians.len()).map(twin).collect()
 }
 
 /// Reference for a frame of round Gaussians: their indices and motions.
 pub struct Truth {
-    lists: TileLists,
-    /// Index in its scene, scene and motion of each Gaussian of the lists.
+    view: View,
+    frame: Frame,
+    /// Index in its scene, scene and motion of each Gaussian of the frame.
     pub who: Vec<(u32, u32, [f64; 2])>,
     pub limit: f64,
 }
@@ -166,10 +175,26 @@ impl Truth {
             let motion = |&mean: &[f32; 3]| moved(mean, [pose, before], cameras);
             who.extend((0..).zip(&gaussians.means).map(|(i, mean)| (i, *scene, motion(mean))));
         }
-        let mut renderer = Renderer::new(own_device()).expect("kernels");
-        renderer.upload(&all).expect("a scene");
-        let lists = renderer.tile_lists(cameras[0], &RenderSettings::default()).expect("lists");
-        Self { lists, who, limit: f64::INFINITY }
+        let view = view_of(cameras[0]);
+        Self { frame: render(&twins_of(&all), &view), view, who, limit: f64::INFINITY }
+    }
+
+    /// Weights blended at a pixel, as (Gaussian, weight, depth); none beyond the depth `limit`.
+    fn weights(&self, pixel: [u32; 2]) -> Vec<(usize, f64, f64)> {
+        let (mut weights, mut transmittance) = (Vec::new(), 1.0);
+        for &gaussian in &self.frame.lists[tile_of(&self.view, pixel)] {
+            let splat = self.frame.splats[gaussian as usize].as_ref().expect("listed");
+            let alpha = alpha_unclamped(splat, pixel).map_or(0.0, |alpha| alpha.min(ALPHA_MAX));
+            let blended = alpha >= ALPHA_MIN;
+            if splat.depth > self.limit || blended && transmittance * (1.0 - alpha) < TRANSMITTANCE_MIN {
+                break;
+            }
+            if blended {
+                weights.push((gaussian as usize, alpha * transmittance, splat.depth));
+                transmittance *= 1.0 - alpha;
+            }
+        }
+        weights
     }
 
     /// Compares all pixels. Returns the number of covered pixels. At most one of a hundred may differ by rounding.
@@ -191,7 +216,7 @@ impl Truth {
     fn compare(&self, shot: &Shot, [width, height]: [u32; 2]) -> [usize; 2] {
         let (mut covered, mut odd) = (0, 0);
         for index in 0..width * height {
-            let weights = weights(&self.lists, [index % width, index / width], self.limit);
+            let weights = self.weights([index % width, index / width]);
             let ([gaussian, scene, depth, weight], motion) =
                 (shot.picks[index as usize], shot.motions[index as usize]);
             let largest = weights.iter().map(|(_, weight, _)| *weight).fold(0.0, f64::max);
