@@ -25,14 +25,13 @@ fn numbers_out_of_their_range_are_refused() {
     assert!(read(&|_| ()).expect("whole") == whole);
     type Spoil<'a> = &'a dyn Fn(&mut Checkpoint);
     let kinds: &[(&str, Spoil)] = &[
-        ("room_blend_passes: is 100000000", &|c| c.capacities.blend_passes = 100_000_000),
-        ("room_backward: is 2", &|c| c.capacities.backward = 2),
-        ("room_gaussians: is 4294967295", &|c| c.capacities.gaussians = u32::MAX),
-        ("room_frame_gaussians: is 0", &|c| c.capacities.frame_gaussians = 0),
+        ("capacities.blend_passes: is 100000000", &|c| c.capacities.blend_passes = 100_000_000),
+        ("capacities.gaussians: is 4294967295", &|c| c.capacities.gaussians = u32::MAX),
+        ("capacities.frame_gaussians: is 0", &|c| c.capacities.frame_gaussians = 0),
         ("iteration: is 4294967295", &|c| c.iteration = u32::MAX),
         ("optimizer_steps: is 4", &|c| c.optimizer_steps = 4),
         ("opacity_steps: is 9", &|c| c.opacity_steps = 9),
-        ("left_out: is 5", &|c| c.skipped = 5),
+        ("skipped: is 5", &|c| c.skipped = 5),
         ("scene_extent: is inf", &|c| c.scene_extent = f32::INFINITY),
         ("sh_degree_interval: is 0", &|c| c.settings.sh_degree_interval = 0),
         ("means: value 4 is NaN", &|c| c.gaussians.means[1][1] = f32::NAN),
@@ -281,7 +280,7 @@ fn damaged_checkpoints_are_refused() {
     refuse_file(&path, &text(b"\"statistics\"", b"\"statistiks\""), &["lacks the tensor 'statistics'"]);
     refuse_file(&path, &text(b"densify_from_iter", b"densify_from_itre"), &["damaged", "metadata"]);
     refuse_file(&path, b"ply\nformat ascii 1.0\n", &["truncated or no safetensors"]);
-    // A header that claims to fill the memory.
+    // A header length of u64::MAX.
     let claims = [&u64::MAX.to_le_bytes(), whole.as_slice()].concat();
     refuse_file(&path, &claims, &["truncated or no safetensors"]);
 }

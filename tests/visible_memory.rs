@@ -86,7 +86,6 @@ fn steps_that_are_run_again_leave_the_bits_of_others() {
             frame_visible: from.capacities.gaussians,
             frame_instances: 1 << 20,
             blend_passes: 1,
-            backward: 1,
             ..from.capacities
         };
         let mut roomy = run.resume(&from);

@@ -118,9 +118,9 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     let settings = serde_json::to_string(&checkpoint.settings)
         .map_err(|e| Error::argument("settings", format!("cannot be written: {e}")))?;
     let views = checkpoint.views.max(1);
-    let mut room = checkpoint.capacities;
-    let max_memory = room.max_memory.map(|bytes| (MAX_MEMORY, bytes.to_string()));
-    let room = room_numbers(&mut room).map(|(name, number)| (name, number.to_string()));
+    let mut capacities = checkpoint.capacities;
+    let max_memory = capacities.max_memory.map(|bytes| (MAX_MEMORY, bytes.to_string()));
+    let capacities = capacity_numbers(&mut capacities).map(|(name, number)| (name, number.to_string()));
     let pairs = [
         ("format", FORMAT.to_owned()),
         ("version", checkpoint.version.clone()),
@@ -153,24 +153,23 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     let WorldFrame { origin, unit } = checkpoint.frame;
     let frame = [origin.x, origin.y, origin.z, unit].map(|value| value.to_string()).join(",");
     let frame = (!checkpoint.frame.is_identity()).then_some((FRAME, frame));
-    let named = pairs.into_iter().chain(room).chain(due).chain(others).chain(max_memory);
+    let named = pairs.into_iter().chain(capacities).chain(due).chain(others).chain(max_memory);
     let named = named.chain(frame).chain(block);
     let own = checkpoint.strategy.values.iter();
     let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
     Ok(named.map(|(name, value)| (name.to_owned(), value)).chain(own).collect())
 }
 
-/// The numbers of a room, with the names of their entries.
-fn room_numbers(room: &mut Capacities) -> [(&'static str, &mut u32); 8] {
+/// The capacities, with the names of their entries.
+fn capacity_numbers(capacities: &mut Capacities) -> [(&'static str, &mut u32); 7] {
     [
-        ("room_gaussians", &mut room.gaussians),
-        ("room_frame_gaussians", &mut room.frame_gaussians),
-        ("room_frame_visible", &mut room.frame_visible),
-        ("room_frame_instances", &mut room.frame_instances),
-        ("room_blend_passes", &mut room.blend_passes),
-        ("room_backward", &mut room.backward),
-        ("most_visible", &mut room.most_visible),
-        ("most_instances", &mut room.most_instances),
+        ("room_gaussians", &mut capacities.gaussians),
+        ("room_frame_gaussians", &mut capacities.frame_gaussians),
+        ("room_frame_visible", &mut capacities.frame_visible),
+        ("room_frame_instances", &mut capacities.frame_instances),
+        ("room_blend_passes", &mut capacities.blend_passes),
+        ("most_visible", &mut capacities.most_visible),
+        ("most_instances", &mut capacities.most_instances),
     ]
 }
 
@@ -237,7 +236,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         lens_opt: optional_values(&tensors, Checkpoint::LENS_OPT, &[LENS_STATE_VALUES])?,
         skipped: metadata.parsed(SKIPPED)?,
         block: metadata.block()?,
-        capacities: metadata.room()?,
+        capacities: metadata.capacities()?,
     };
     if !cfg!(fuzzing) && checkpoint.fingerprint() != metadata.hexadecimal("data_fingerprint")? {
         return Err("is damaged: its contents do not have the fingerprint that they were written with".into());
@@ -294,12 +293,12 @@ impl Metadata {
         Ok(Some(BlockState { core, frozen: self.parsed(frozen)?, fingerprint }))
     }
 
-    fn room(&self) -> Result<Capacities, String> {
-        let mut room = Capacities { max_memory: self.optional(MAX_MEMORY)?, ..Capacities::default() };
-        for (name, number) in room_numbers(&mut room) {
+    fn capacities(&self) -> Result<Capacities, String> {
+        let mut capacities = Capacities { max_memory: self.optional(MAX_MEMORY)?, ..Capacities::default() };
+        for (name, number) in capacity_numbers(&mut capacities) {
             *number = self.parsed(name)?;
         }
-        Ok(room)
+        Ok(capacities)
     }
 
     fn due(&self) -> Result<Actions, String> {

@@ -79,11 +79,11 @@ pub struct Checkpoint {
 pub enum MomentState {
     /// First and second moments, shaped like the parameters.
     F32([Gaussians; 2]),
-    /// Gaussian by Gaussian, [`packed_planes`] groups of four words of each (packed_moments.glsl).
+    /// [`packed_planes`] groups of four words per Gaussian, one Gaussian after the other (packed_moments.glsl).
     Packed(Vec<[u32; 4]>),
 }
 
-/// True if a step can go on from the packed words of a Gaussian: finite moments, and second ones not below 0.
+/// True if a step can continue with the packed words of a Gaussian: finite moments, and second ones not below 0.
 fn are_moments(planes: &[[u32; 4]]) -> bool {
     let is_finite =
         |word: u32| [word << 16, word & 0xFFFF_0000].iter().all(|&bits| f32::from_bits(bits).is_finite());
@@ -230,8 +230,6 @@ pub struct Capacities {
     pub frame_instances: u32,
     /// Number of blending passes.
     pub blend_passes: u32,
-    /// 1 if a frame has the buffers of the backward pass, else 0.
-    pub backward: u32,
     /// Peak number of visible Gaussians in a frame, scaled like [`Capacities::most_instances`].
     pub most_visible: u32,
     /// Peak number of instances in a frame. Each densification keeps the number per Gaussian, less a twentieth.
@@ -373,11 +371,10 @@ impl Checkpoint {
             ("iteration", iteration, 0, u64::from(u32::MAX) - 1),
             ("optimizer_steps", self.optimizer_steps, 0, iteration),
             ("opacity_steps", self.opacity_steps, 0, self.optimizer_steps),
-            ("left_out", self.skipped.into(), 0, iteration),
-            ("room_gaussians", capacities.gaussians.into(), 0, 1 << 30),
-            ("room_frame_gaussians", capacities.frame_gaussians.into(), least_frame, u32::MAX.into()),
-            ("room_blend_passes", capacities.blend_passes.into(), 0, most_passes.into()),
-            ("room_backward", capacities.backward.into(), 0, 1),
+            ("skipped", self.skipped.into(), 0, iteration),
+            ("capacities.gaussians", capacities.gaussians.into(), 0, 1 << 30),
+            ("capacities.frame_gaussians", capacities.frame_gaussians.into(), least_frame, u32::MAX.into()),
+            ("capacities.blend_passes", capacities.blend_passes.into(), 0, most_passes.into()),
         ];
         if let Some((name, value, least, most)) =
             ranges.into_iter().find(|(_, value, least, most)| !(least..=most).contains(&value))

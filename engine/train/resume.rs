@@ -213,7 +213,6 @@ impl Trainer {
             frame_visible: frame.visible,
             frame_instances: frame.instances,
             blend_passes: frame.blend_passes,
-            backward: frame.backward.into(),
             most_visible: self.state.peak.visible,
             most_instances: self.state.peak.instances,
             max_memory: self.context.max_memory(),
