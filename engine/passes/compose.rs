@@ -26,13 +26,15 @@ pub enum Background {
     Image,
 }
 
-/// A part of an image, with the frame's size.
+/// The part of an image that receives a frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Region<'a> {
     /// The image.
     pub image: &'a Image,
     /// Texel of the image that receives the frame's pixel (0, 0).
     pub offset: [u32; 2],
+    /// Width and height of the frame, pixels.
+    pub size: [u32; 2],
 }
 
 /// Kernels between a frame and a host's images.
@@ -128,7 +130,6 @@ impl Compose {
         &self,
         r: &mut Recorder,
         accumulated: &Buffer,
-        size: [u32; 2],
         region: Region<'_>,
         behind: Background,
         encoding: ColorEncoding,
@@ -138,7 +139,7 @@ impl Compose {
             Background::Nothing => (c::COMPOSE_PREMULTIPLIED, [0.0; 3]),
             Background::Image => (c::COMPOSE_OVER, [0.0; 3]),
         };
-        let ([image_width, image_height], [offset_x, offset_y]) = (size, region.offset);
+        let ([image_width, image_height], [offset_x, offset_y]) = (region.size, region.offset);
         let (word, exposure) = encoding_word(encoding, region.image.format());
         macro_rules! compose {
             ($interface:ident, $kernels:ident) => {{
@@ -152,7 +153,7 @@ impl Compose {
                     background,
                     exposure,
                 };
-                r.dispatch(&self.$kernels[word as usize], &bind, &push, self.workgroups(size));
+                r.dispatch(&self.$kernels[word as usize], &bind, &push, self.workgroups(region.size));
             }};
         }
         match region.image.format() {
@@ -171,15 +172,14 @@ impl Compose {
         r: &mut Recorder,
         region: Region<'_>,
         mapping: DepthMapping,
-        size: [u32; 2],
         depth_limits: &Buffer,
     ) {
-        let ([image_width, image_height], [offset_x, offset_y]) = (size, region.offset);
+        let ([image_width, image_height], [offset_x, offset_y]) = (region.size, region.offset);
         let DepthMapping { scale, offset, clear_value, linear } = mapping;
         let bind = depth_limit::Bind { depth_limits, depth: region.image };
         let push =
             depth_limit::Push { image_width, image_height, offset_x, offset_y, scale, offset, clear_value };
-        r.dispatch(&self.depth_limits[usize::from(linear)], &bind, &push, self.workgroups(size));
+        r.dispatch(&self.depth_limits[usize::from(linear)], &bind, &push, self.workgroups(region.size));
     }
 
     /// Records the expected depth sum(w z) / sum(w) of a frame that was blended with `expected_depth`, into an r32f image that is
@@ -187,15 +187,16 @@ impl Compose {
     pub fn record_expected_depth(
         &self,
         r: &mut Recorder,
-        [accumulated, depth_sums]: [&Buffer; 2],
-        size: [u32; 2],
+        accumulated: &Buffer,
+        depth_sums: &Buffer,
         region: Region<'_>,
-        [min_weight, empty]: [f32; 2],
+        min_weight: f32,
+        empty: f32,
     ) {
-        let ([image_width, image_height], [offset_x, offset_y]) = (size, region.offset);
+        let ([image_width, image_height], [offset_x, offset_y]) = (region.size, region.offset);
         let bind = expected_depth::Bind { accumulated, depth_sums, target: region.image };
         let push = expected_depth::Push { image_width, image_height, offset_x, offset_y, min_weight, empty };
-        r.dispatch(&self.expected_depth, &bind, &push, self.workgroups(size));
+        r.dispatch(&self.expected_depth, &bind, &push, self.workgroups(region.size));
     }
 
     /// Builds the missing kernels of outputs besides the picture.
@@ -215,14 +216,16 @@ impl Compose {
     pub fn record_picks(
         &self,
         r: &mut Recorder,
-        (frame, sizes): (&FrameBuffers, &LaunchSizes),
-        (camera, scenes): (&Camera, u32),
+        frame: &FrameBuffers,
+        sizes: &LaunchSizes,
+        camera: &Camera,
+        scenes: u32,
         region: Region<'_>,
     ) {
         let spec = picks::Spec { workgroup_size: self.workgroup };
         let Some(kernel) = self.picks.get(r, &spec) else { return };
         let splats = frame.splats();
-        let [offset_x, offset_y] = region.offset;
+        let ([image_width, image_height], [offset_x, offset_y]) = (region.size, region.offset);
         let bind = picks::Bind {
             picks: &frame.picks,
             tile_ranges: &frame.tile_ranges,
@@ -233,15 +236,15 @@ impl Compose {
             target: region.image,
         };
         let push = picks::Push {
-            image_width: camera.width,
-            image_height: camera.height,
+            image_width,
+            image_height,
             offset_x,
             offset_y,
-            tiles_per_row: tile_grid(camera.width, camera.height).0,
+            tiles_per_row: tile_grid(image_width, image_height).0,
             splat_stride: splats.stride,
             scenes,
         };
-        r.dispatch(kernel, &bind, &push, self.workgroups([camera.width, camera.height]));
+        r.dispatch(kernel, &bind, &push, self.workgroups(region.size));
     }
 
     /// Records the mean motion sum(w m) / sum(w), px, of a frame that was blended with motion, into an image of
@@ -250,14 +253,15 @@ impl Compose {
     pub fn record_motion(
         &self,
         r: &mut Recorder,
-        [accumulated, motion_sums]: [&Buffer; 2],
-        size: [u32; 2],
+        accumulated: &Buffer,
+        motion_sums: &Buffer,
         region: Region<'_>,
-        (min_weight, empty): (f32, Option<[f32; 2]>),
+        min_weight: f32,
+        empty: Option<[f32; 2]>,
     ) {
         let spec = mean_motion::Spec { workgroup_size: self.workgroup };
         let Some(kernel) = self.mean_motion.get(r, &spec) else { return };
-        let ([image_width, image_height], [offset_x, offset_y]) = (size, region.offset);
+        let ([image_width, image_height], [offset_x, offset_y]) = (region.size, region.offset);
         let bind = mean_motion::Bind { accumulated, motion_sums, target: region.image };
         let push = mean_motion::Push {
             image_width,
@@ -268,6 +272,6 @@ impl Compose {
             empty: empty.unwrap_or_default(),
             keeps: empty.is_none().into(),
         };
-        r.dispatch(kernel, &bind, &push, self.workgroups(size));
+        r.dispatch(kernel, &bind, &push, self.workgroups(region.size));
     }
 }

@@ -5,7 +5,9 @@
 
 use super::check::{check_capacity, check_views, in_view};
 use super::forward::Forward;
-use super::recorded_frame::{HostImage, PickTarget, RecordedFrame, Release, Target};
+use super::recorded_frame::{
+    DepthTarget, HostImage, MotionTarget, PickTarget, RecordedFrame, Release, Target,
+};
 use super::renderer::Renderer;
 use super::reservation::{Reservation, SlotReport};
 use super::slots::SlotMemory;
@@ -118,10 +120,10 @@ impl Renderer {
         }
         let forward = &self.runner.forward;
         let slot = self.slots.get(slot)?;
-        slot.commands.check_free()?;
-        let (mut rest, mut batched_scenes) = (placed.as_mut_slice(), 0);
+        slot.recording.check_free()?;
+        let (mut unchecked, mut batched_scenes) = (placed.as_mut_slice(), 0);
         for (index, frame) in views.iter().enumerate() {
-            let own = rest.split_off_mut(..frame.scenes.len()).unwrap_or_default();
+            let own = unchecked.split_off_mut(..frame.scenes.len()).unwrap_or_default();
             let checked = check_capacity(frame, own, &slot.upcoming().capacity, &reserved);
             checked.map_err(|error| in_view(error, index, views))?;
             // Motion needs a dispatch per scene, so its scenes are not batched.
@@ -137,24 +139,25 @@ impl Renderer {
         let (r, memory) = (&mut recorder, &slot.memory);
         self.staged.record(r);
         let recording = Recording { forward, compose, memory };
-        let (mut rest, mut sorts, mut sharing) = (placed.as_slice(), 0, 0..0);
+        let (mut unrecorded, mut sorts, mut sharing) = (placed.as_slice(), 0, 0..0);
         for (index, frame) in views.iter().enumerate() {
             if index > 0 {
                 r.barrier();
             }
             if !sharing.contains(&index) {
-                let shared = if reserved.shared_sort { with_one_order(&views[index..], rest) } else { 1 };
+                let shared =
+                    if reserved.shared_sort { with_one_order(&views[index..], unrecorded) } else { 1 };
                 (sharing, sorts) = (index..index + shared, sorts + 1);
             }
             let order = Order { views: sharing.len() as u32, number: (index - sharing.start) as u32 };
             let earlier = Earlier { frames: &views[..index], releases: &releases[..index] };
-            releases[index] = recording.record(r, frame, rest, order, earlier);
+            releases[index] = recording.record(r, frame, unrecorded, order, earlier);
             slot.record_counts(r, index as u32);
-            rest = &rest[frame.scenes.len()..];
+            unrecorded = &unrecorded[frame.scenes.len()..];
         }
         release_images(r, views, releases);
         (slot.host_report.sorts, slot.host_report.batched_scenes) = (sorts, batched_scenes);
-        slot.commands.end(recorder)
+        slot.recording.end(recorder)
     }
 }
 
@@ -209,16 +212,13 @@ impl Recording<'_> {
         earlier: Earlier<'_>,
     ) -> Release {
         let Self { forward, compose, memory } = *self;
-        let settings = RenderSettings {
-            inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
-            ..*frame.settings
-        };
+        let settings = frame.blended_settings();
         let mut occluder = None;
         if let (Some(o), Some(limits)) = (&frame.occluder, &memory.depth_limits) {
             occluder = Some(earlier.acquire(r, &o.depth));
             let size = [frame.camera.width, frame.camera.height];
             r.scope("depth limits", |r| {
-                compose.record_depth_limits(r, o.depth.region(), o.mapping, size, limits);
+                compose.record_depth_limits(r, o.depth.region(size), o.mapping, limits);
             });
         }
         let scenes = frame.scenes.len();
@@ -259,23 +259,25 @@ impl Recording<'_> {
         r.scope("compose", |r| {
             if let Target::Image { to, behind, encoding } = &frame.target {
                 release.color = Some(earlier.acquire(r, to));
-                compose.record_color(r, &f.accumulated, size, to.region(), *behind, *encoding);
+                compose.record_color(r, &f.accumulated, to.region(size), *behind, *encoding);
             }
             if let Some(depth) = &frame.depth {
                 release.depth = Some(earlier.acquire(r, &depth.to));
-                let (sums, limits) = ([&f.accumulated, &f.inverse_depth], [depth.min_weight, depth.empty]);
-                compose.record_expected_depth(r, sums, size, depth.to.region(), limits);
+                let DepthTarget { to, min_weight, empty } = depth;
+                let (accumulated, sums) = (&f.accumulated, &f.depth_sums);
+                compose.record_expected_depth(r, accumulated, sums, to.region(size), *min_weight, *empty);
             }
             if let Some(PickTarget { to }) = &frame.pick {
                 release.pick = Some(earlier.acquire(r, to));
                 let scenes = frame.scenes.len() as u32;
                 let sizes = &self.forward.sizes;
-                compose.record_picks(r, (f, sizes), (frame.camera, scenes), to.region());
+                compose.record_picks(r, f, sizes, frame.camera, scenes, to.region(size));
             }
             if let Some(motion) = &frame.motion {
                 release.motion = Some(earlier.acquire(r, &motion.to));
-                let others = (motion.min_weight, motion.empty);
-                compose.record_motion(r, [&f.accumulated, &f.motion_sums], size, motion.to.region(), others);
+                let MotionTarget { to, min_weight, empty, .. } = motion;
+                let (accumulated, sums) = (&f.accumulated, &f.motion_sums);
+                compose.record_motion(r, accumulated, sums, to.region(size), *min_weight, *empty);
             }
         });
         release
@@ -294,7 +296,7 @@ impl Earlier<'_> {
     fn last_use(&self, image: &Image) -> Option<ImageState> {
         let views = self.frames.iter().zip(self.releases).rev();
         views
-            .flat_map(|(frame, release)| frame.images().into_iter().zip(release.uses()))
+            .flat_map(|(frame, release)| frame.images().into_iter().zip(release.last_uses()))
             .find_map(|((_, host), last)| host.filter(|host| host.image.is_same_as(image)).and(last))
     }
 
@@ -308,9 +310,9 @@ impl Earlier<'_> {
 /// Releases images to the queue families that own them, each after its last use.
 fn release_images(r: &mut Recorder, frames: &[RecordedFrame<'_>], releases: &mut [Release]) {
     for (index, (frame, release)) in frames.iter().zip(releases).enumerate() {
-        for ((_, host), used) in frame.images().into_iter().zip(release.uses_mut()) {
+        for ((_, host), used) in frame.images().into_iter().zip(release.last_uses_mut()) {
             let (Some(host), Some(used)) = (host, used) else { continue };
-            if !frames[..index].iter().any(|earlier| earlier.uses(host.image)) {
+            if !frames[..index].iter().any(|earlier| earlier.has_image(host.image)) {
                 r.release_image(host.image, *used);
             }
             *used = host.image.left(*used);

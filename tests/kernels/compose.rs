@@ -55,8 +55,8 @@ fn composed(
     let (from, to) = (gpu.buffer("texels", texels), gpu.untouched::<u8>("texels", texels.len()));
     gpu.run(|r| {
         r.copy_to_image(&from.range(0, texels.len() as u64), &image);
-        let region = Region { image: &image, offset: OFFSET };
-        compose.record_color(r, &accumulated, SIZE, region, behind, encoding);
+        let region = Region { image: &image, offset: OFFSET, size: SIZE };
+        compose.record_color(r, &accumulated, region, behind, encoding);
         r.copy_from_image(&image, &to.range(0, texels.len() as u64));
     });
     gpu.read(&to, texels.len())
@@ -204,8 +204,8 @@ fn depth_limit_equals_its_twin() {
             let limits = gpu.untouched::<f32>("depth_limits", count + 4);
             gpu.run(|r| {
                 r.copy_to_image(&from.range(0, from.bytes()), &image);
-                let region = Region { image: &image, offset: OFFSET };
-                compose.record_depth_limits(r, region, mapping, SIZE, &limits);
+                let region = Region { image: &image, offset: OFFSET, size: SIZE };
+                compose.record_depth_limits(r, region, mapping, &limits);
             });
             let words = gpu.read::<f32>(&limits, count + 4);
             for (index, actual) in words[..count].iter().enumerate() {
@@ -235,7 +235,7 @@ fn over_image<T: Pod + PartialEq + std::fmt::Debug>(
     let (from, to) = (gpu.buffer("texels", &texels), gpu.untouched::<T>("texels", texels.len()));
     gpu.run(|r| {
         r.copy_to_image(&from.range(0, from.bytes()), &image);
-        record(r, Region { image: &image, offset: OFFSET });
+        record(r, Region { image: &image, offset: OFFSET, size: SIZE });
         r.copy_from_image(&image, &to.range(0, to.bytes()));
     });
     let after = gpu.read::<T>(&to, texels.len()).into_iter().enumerate();
@@ -255,7 +255,7 @@ fn expected_depth_equals_its_twin() {
     let (accumulated, depth_sums) = (gpu.buffer("accumulated", &pixels), gpu.buffer("depth_sums", &sums));
     for (min_weight, empty) in [(0.0, -1.0), (0.5, f32::INFINITY)] {
         let after = over_image(&gpu, (ashsplat::vk::DEPTH_FORMAT, ImageUse::Depth), -7.0_f32, |r, region| {
-            compose.record_expected_depth(r, [&accumulated, &depth_sums], SIZE, region, [min_weight, empty]);
+            compose.record_expected_depth(r, &accumulated, &depth_sums, region, min_weight, empty);
         });
         for (pixel, actual) in after.into_iter().map(f64::from).enumerate() {
             let expected =
@@ -283,7 +283,7 @@ fn mean_motion_equals_its_twin() {
     let mut kinds = [0; 2];
     for (min_weight, empty) in [(0.0, Some([0.5, -8.0])), (0.5, Some([0.0; 2])), (0.5, None)] {
         let after = over_image(&gpu, (ashsplat::vk::MOTION_FORMAT, ImageUse::Motion), before, |r, region| {
-            compose.record_motion(r, [&accumulated, &motion_sums], SIZE, region, (min_weight, empty));
+            compose.record_motion(r, &accumulated, &motion_sums, region, min_weight, empty);
         });
         for (pixel, actual) in after.into_iter().enumerate() {
             let mean = twin::mean_motion(pixels[pixel][3], sums[pixel], min_weight.into());

@@ -280,9 +280,9 @@ impl Picture {
             let Text { width, height, texels } = overlay.picture;
             let buffer = filled(&self.context, buffer, bytemuck::cast_slice(texels))?;
             state = recorder.acquire_image(canvas, state);
-            let region = Region { image: canvas, offset: overlay.corner };
-            let (size, behind) = ([*width, *height], Background::Image);
-            self.compose.record_color(&mut recorder, &buffer, size, region, behind, ColorEncoding::AsTrained);
+            let region = Region { image: canvas, offset: overlay.corner, size: [*width, *height] };
+            let (behind, encoding) = (Background::Image, ColorEncoding::AsTrained);
+            self.compose.record_color(&mut recorder, &buffer, region, behind, encoding);
         }
         records[1].end(recorder)?;
         Ok(state)
