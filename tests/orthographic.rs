@@ -73,7 +73,7 @@ fn orthographic_cameras_have_no_gradients() {
     let refused = renderer.gradients(&along_z(), &RenderSettings::default(), &ones, None);
     assert_says(refusal(refused), &["camera.projection", "orthographic"]);
     drop(renderer);
-    assert_says(refusal(Filter3d::new(context(), &[along_z()])), &["camera.projection"]);
+    assert_says(refusal(Filter3d::new(context(), &[along_z()], None)), &["camera.projection"]);
     let [width, height] = SIZE;
     let photo = Photo { width, height, rgb: vec![128; 3 * (width * height) as usize] };
     let run = Run::shared(vec![TrainView::new(along_z(), photo)], TrainSettings::reference());

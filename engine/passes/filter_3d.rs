@@ -34,11 +34,12 @@ impl Filter3d {
         [("filter_poses", cameras * POSE_BYTES), ("filter_bounds", cameras * 16), ("farthest", 4)]
     }
 
-    /// Builds the kernels and uploads the training cameras.
+    /// Builds the kernels and uploads the training cameras. `poses`: those that the device moves, [`POSE_BYTES`] per camera, in the
+    /// layout of [`FrameInputs::pose`](crate::frame::FrameInputs::pose).
     ///
     /// # Errors
     /// [`Error::Argument`] without cameras, and for an orthographic one; memory or device failures.
-    pub fn new(context: &Context, cameras: &[Camera]) -> Result<Self> {
+    pub fn new(context: &Context, cameras: &[Camera], poses: Option<Buffer>) -> Result<Self> {
         let longest = cameras.iter().map(|camera| camera.fx).fold(0.0, f32::max);
         if longest <= 0.0 {
             return Err(Error::argument("cameras", "there are none, and the 3D filter follows from them"));
@@ -46,9 +47,9 @@ impl Filter3d {
         cameras.iter().try_for_each(Camera::check_differentiable)?;
         let requests = Self::requests(cameras.len());
         let buffers = context.allocate("filter", &requests, MemoryKind::Device)?;
-        let [poses, bounds, farthest] = array_of(buffers);
-        let places: Vec<[f32; 12]> = cameras.iter().map(pose_of).collect();
-        context.upload(&poses, bytemuck::cast_slice(&places))?;
+        let [given_poses, bounds, farthest] = array_of(buffers);
+        let given: Vec<[f32; 12]> = cameras.iter().map(pose_of).collect();
+        context.upload(&given_poses, bytemuck::cast_slice(&given))?;
         let slopes: Vec<[[f32; 2]; 2]> = cameras.iter().map(shown).collect();
         context.upload(&bounds, bytemuck::cast_slice(&slopes))?;
         let sizes = LaunchSizes::new(context.limits());
@@ -57,19 +58,12 @@ impl Filter3d {
             nearest: Kernel::new(context, &nearest_depths::Spec { workgroup_size, subgroup_size })?,
             store: Kernel::new(context, &filter_sizes::Spec { workgroup_size })?,
             sizes,
-            poses,
+            poses: poses.unwrap_or(given_poses),
             bounds,
             farthest,
             count: to_u32(cameras.len() as u64)?,
             size_per_depth: (VARIANCE_PX2.sqrt() / f64::from(longest)) as f32,
         })
-    }
-
-    /// Uses cameras that the device has: [`POSE_BYTES`] per camera, in the layout of
-    /// [`FrameInputs::pose`](crate::frame::FrameInputs::pose).
-    #[must_use]
-    pub fn with_poses(self, poses: Buffer) -> Self {
-        Self { poses, ..self }
     }
 
     /// Records the computation of all sizes of a scene. If `state[STATE_OVERFLOW]` is set, nothing changes.

@@ -1,13 +1,12 @@
 //! Checks of a frame before it is recorded: all errors are reported before the first command.
 
 use super::device_scene::ELSEWHERE;
-use super::recorded_frame::{
-    HostImage, MotionTarget, PickTarget, Placed, Placing, RecordedFrame, Target, Update,
-};
+use super::recorded_frame::{HostImage, MotionTarget, PickTarget, Placed, Placing, RecordedFrame, Target};
 use super::renderer::Renderer;
 use super::reservation::{RESERVATION, Reservation, field_name};
+use super::updates::Update;
 use crate::error::{Error, Result};
-use crate::frame::{FrameCapacity, FrameVariant, PictureCapacity, PlacedScene, RenderSettings};
+use crate::frame::{FrameCapacity, PictureCapacity, PlacedScene, RenderSettings};
 use crate::kernels::constants as c;
 use crate::passes::compose::{Background, Compose};
 use crate::scene::{Camera, DepthMapping};
@@ -43,13 +42,6 @@ impl Renderer {
                 format!("{} of them, Reservation::scenes is {}", frame.scenes.len(), reserved.scenes);
             return Err(Error::argument("scenes", problem));
         }
-        let variant = FrameVariant {
-            inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
-            expected_depth: frame.depth.is_some(),
-            depth_limit: frame.occluder.is_some(),
-            outputs: frame.outputs(),
-            ..FrameVariant::of(frame.settings, frame.camera, false)
-        };
         // One pass over the scenes, because there may be thousands.
         let mut gaussians = 0;
         let mut placing = Placing::new(frame, self.runner.forward.sizes.elementwise_workgroup);
@@ -72,7 +64,7 @@ impl Renderer {
             return Err(Error::argument("motion", problem));
         }
         let previous = previous.map(|camera| camera.projection);
-        if let Some(fields) = reserved.lacks(variant, previous) {
+        if let Some(fields) = reserved.lacks(frame.variant(), previous) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }
         let others = [
@@ -92,7 +84,7 @@ impl Renderer {
     }
 
     fn check_images(&self, frame: &RecordedFrame<'_>, earlier: &[RecordedFrame<'_>]) -> Result<()> {
-        let is_new = |host: &HostImage<'_>| !earlier.iter().any(|view| view.uses(host.image));
+        let is_new = |host: &HostImage<'_>| !earlier.iter().any(|view| view.has_image(host.image));
         let context = &self.context;
         let size = [frame.camera.width, frame.camera.height];
         let check = |field: &str, host: &HostImage<'_>, purpose: ImageUse| {

@@ -28,7 +28,7 @@ pub struct FrameStore {
 
 /// Counts that a frame reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct State {
+pub struct FrameCounts {
     /// Visible Gaussians that the frame stores.
     pub visible: u32,
     /// Visible Gaussians that the frame needs. More than its capacity if it overflowed.
@@ -46,7 +46,7 @@ pub struct State {
     pub samples: BlendSamples,
 }
 
-impl State {
+impl FrameCounts {
     /// Returns the instances of all visible Gaussians. An estimate if visible Gaussians overflowed.
     pub fn all_instances(&self) -> u32 {
         let all = u64::from(self.instances) * u64::from(self.visible_needed.max(self.visible))
@@ -92,14 +92,10 @@ impl FrameStore {
         })
     }
 
-    /// Makes later allocations large enough for these pictures, before their frames come.
-    pub fn expect_pictures(&mut self, pictures: PictureCapacity) {
-        self.expected = pictures;
-    }
-
-    /// Makes later frames with backward include absolute gradients.
-    pub fn expect_absolute(&mut self) {
-        self.absolute = true;
+    /// Makes later allocations large enough for these pictures, before their frames come. `absolute`: frames with backward
+    /// include absolute gradients.
+    pub fn expect(&mut self, pictures: PictureCapacity, absolute: bool) {
+        (self.expected, self.absolute) = (pictures, absolute);
     }
 
     /// Returns buffers for these numbers of Gaussians and scenes, a camera and a variant. Reallocates them if the current ones are
@@ -268,44 +264,44 @@ impl FrameStore {
     }
 
     /// Returns the counts, after the frame has finished.
-    pub fn state(&self) -> Result<State> {
+    pub fn counts(&self) -> Result<FrameCounts> {
         let mut bytes = [0u8; c::STATE_WORDS as usize * 4];
         self.readback.read(0, &mut bytes)?;
-        Ok(State::of(&bytes))
+        Ok(FrameCounts::of(&bytes))
     }
 
     /// Grows the capacity if the frame overflowed. Returns true if the frame has to be run again.
-    pub fn grow(&mut self, state: &State) -> Result<bool> {
+    pub fn grow(&mut self, counts: &FrameCounts) -> Result<bool> {
         let mut capacity = self.capacity;
-        // With a reserve, because later frames will need other numbers.
-        if state.visible_needed > capacity.visible {
-            let reserve = state.visible_needed.saturating_add(state.visible_needed / 4);
-            capacity.visible = reserve.min(capacity.gaussians).max(state.visible_needed);
+        // Adds a reserve, because later frames will need other numbers.
+        if counts.visible_needed > capacity.visible {
+            let reserve = counts.visible_needed.saturating_add(counts.visible_needed / 4);
+            capacity.visible = reserve.min(capacity.gaussians).max(counts.visible_needed);
         }
-        if state.instances > capacity.instances {
-            capacity.instances = state.instances.saturating_add(state.instances / 2);
+        if counts.instances > capacity.instances {
+            capacity.instances = counts.instances.saturating_add(counts.instances / 2);
         }
-        let passes = state.longest_tile.div_ceil(self.sizes.entries_per_pass).max(1);
+        let passes = counts.longest_tile.div_ceil(self.sizes.entries_per_pass).max(1);
         capacity.blend_passes = capacity.blend_passes.max(passes);
         if capacity == self.capacity {
             return Ok(false);
         }
         // Needs of this frame alone, without those of earlier ones.
         let own = FrameCapacity {
-            visible: state.visible_needed.max(1),
-            instances: state.instances.max(1),
+            visible: counts.visible_needed.max(1),
+            instances: counts.instances.max(1),
             blend_passes: passes,
             ..self.requested
         };
         let Err(error) = self.allocate(capacity) else { return Ok(true) };
-        let more_visible = state.visible_needed > self.capacity.visible;
-        let more_instances = state.instances > self.capacity.instances;
+        let more_visible = counts.visible_needed > self.capacity.visible;
+        let more_instances = counts.instances > self.capacity.instances;
         // Retry without the reserves, which may be what did not fit.
         if more_visible {
-            capacity.visible = state.visible_needed;
+            capacity.visible = counts.visible_needed;
         }
         if more_instances {
-            capacity.instances = state.instances;
+            capacity.instances = counts.instances;
         }
         let smaller =
             [(more_visible || more_instances).then_some(capacity), (own != capacity).then_some(own)];
@@ -315,8 +311,9 @@ impl FrameStore {
                 result = self.allocate(capacity);
             }
         }
-        let instances = format!("{} (tile, Gaussian) instances (a smaller image has fewer)", state.instances);
-        let visible = format!("a frame of {} visible Gaussians", state.visible_needed);
+        let instances =
+            format!("{} (tile, Gaussian) instances (a smaller image has fewer)", counts.instances);
+        let visible = format!("a frame of {} visible Gaussians", counts.visible_needed);
         let named = match (more_visible, more_instances) {
             (true, true) => Some(format!("{visible} and more than {instances}")),
             (true, false) => Some(visible),

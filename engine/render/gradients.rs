@@ -93,7 +93,7 @@ impl Renderer {
         self.backward.prepare(sh_degree, variant, form)?;
         let pose_gradient = with_pose.then(|| PoseGradient::new(&self.context)).transpose()?;
         self.backward.prepare_expand(sh_degree, variant)?;
-        let border = LayoutConverter::new(&self.context)?;
+        let layout = LayoutConverter::new(&self.context)?;
         let count = u64::from(scene.count);
         let planes = planes::allocate(&self.context, ("gradients", MemoryKind::Device), &scene.plan)?;
         let target = (0..pixels).map(|i| {
@@ -116,24 +116,28 @@ impl Renderer {
             requests.push(("lens_gradient", LENS_SUM_BYTES));
         }
         let extra = self.context.allocate("gradients", &requests, MemoryKind::Device)?;
-        let [mean2d, statistics, target_rows, native, camera_gradients @ ..] = &extra[..] else {
+        let [mean2d, statistics, target_rows, native, of_camera @ ..] = &extra[..] else {
             unreachable!("one buffer per request")
+        };
+        let (pose_buffers, lens_buffer) = match of_camera {
+            [parameters, gradient, lens @ ..] => (Some((parameters, gradient)), lens.first()),
+            _ => (None, None),
         };
         self.context.upload(target_rows, target)?;
         let backward = &self.backward;
         let ran = self.runner.run(&Request::new(&scene, camera, settings, true), |r, inputs| {
             r.barrier();
-            border.record_gradient(r, inputs, target_rows, native, false);
+            layout.record_gradient(r, inputs, target_rows, native, false);
             r.barrier();
             let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
-            camera_gradients.iter().take(1).for_each(|parameters| r.fill(parameters, 0));
+            pose_buffers.iter().for_each(|(parameters, _)| r.fill(parameters, 0));
             backward.record(r, inputs, native, statistics, form);
-            if let Some(gradient) = &pose_gradient {
+            if let Some((kernel, (parameters, gradient))) = pose_gradient.as_ref().zip(pose_buffers) {
                 r.barrier();
-                gradient.record(r, inputs, &camera_gradients[0], 0, &camera_gradients[1]);
+                kernel.record(r, inputs, parameters, 0, gradient);
             }
-            if let Some(gradient) = &lens_gradient {
-                gradient.record(r, inputs, &camera_gradients[2]);
+            if let Some((kernel, gradient)) = lens_gradient.as_ref().zip(lens_buffer) {
+                kernel.record(r, inputs, gradient);
             }
             r.barrier();
             backward.record_expand_gradients(r, inputs, &planes, mean2d);
@@ -144,11 +148,11 @@ impl Renderer {
         let bytes = self.context.download(mean2d)?;
         let mut mean2d_px: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(&bytes);
         mean2d_px.truncate(parameters.len());
-        let pose = camera_gradients.get(1).map(|gradient| -> Result<[f32; 6]> {
+        let pose = pose_buffers.map(|(_, gradient)| -> Result<[f32; 6]> {
             let bytes = self.context.download(&gradient.range(0, GRADIENT_BYTES / 2))?;
             Ok(bytemuck::pod_read_unaligned(&bytes))
         });
-        let lens = camera_gradients.get(2).map(|gradient| -> Result<[f64; 16]> {
+        let lens = lens_buffer.map(|gradient| -> Result<[f64; 16]> {
             let bytes = self.context.download(&gradient.range(0, LENS_SUM_BYTES))?;
             Ok(camera.lens_gradient(&bytemuck::pod_read_unaligned(&bytes[..4 * LENS_PARAMETERS])))
         });

@@ -16,18 +16,19 @@ mod reservation;
 mod reserve;
 mod runner;
 mod slots;
+mod updates;
 
 pub use align::Alignment;
 pub use device_scene::DeviceScene;
 pub use forward::Forward;
 pub use frame::{BlendSamples, Frame, FrameStats, Surface};
-pub(crate) use frame_store::{FrameStore, State};
+pub(crate) use frame_store::{FrameCounts, FrameStore};
 pub use gradients::Gradients;
-pub use inspect::{PixelReport, ProjectedSplat, Sample, TileLists, TileReport};
+pub use inspect::{PixelReport, Sample, TileReport};
 pub use recorded_frame::{
     DepthTarget, HostImage, MotionTarget, Occluder, PickTarget, Placed, RecordedFrame, Release, Target,
-    Update,
 };
 pub use renderer::Renderer;
 pub use reservation::{Reservation, SlotReport};
 pub(crate) use runner::{Failed, FrameRun, FrameRunner, Request, frozen_capacity};
+pub use updates::Update;

@@ -1,16 +1,12 @@
-//! What a host gives for a recording, and what it gets back.
+//! Description of a recorded frame, and the state of its images afterwards.
 
 use super::device_scene::DeviceScene;
-use crate::error::Result;
-use crate::frame::{
-    Batch, Outputs, PlacedScene, PreviousView, RenderSettings, ScenePlan, SceneSettings, planes,
-};
-use crate::kernels::constants::PLANE_ROW;
+use super::updates::Update;
+use crate::frame::{Batch, FrameVariant, Outputs, PlacedScene, PreviousView, RenderSettings, SceneSettings};
 use crate::passes::compose::{Background, Region};
-use crate::scene::{Camera, ColorEncoding, DepthMapping, Gaussians, Pose};
-use crate::vk::{Buffer, Image, ImageState, Recorder};
+use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
+use crate::vk::{Image, ImageState};
 use ash::vk;
-use std::ops::Range;
 
 /// A scene with its pose and draw settings.
 #[derive(Clone, Copy)]
@@ -246,12 +242,29 @@ fn next_begin(first: u32, drawn: u32, alignment: u32) -> u32 {
 }
 
 impl<'a> HostImage<'a> {
-    pub(super) fn region(&self) -> Region<'a> {
-        Region { image: self.image, offset: self.offset }
+    /// Returns the part of the image that receives a frame of this size.
+    pub(super) fn region(&self, size: [u32; 2]) -> Region<'a> {
+        Region { image: self.image, offset: self.offset, size }
     }
 }
 
 impl<'a> RecordedFrame<'a> {
+    /// Returns the settings, with the depth that the frame's targets need.
+    pub(super) fn blended_settings(&self) -> RenderSettings {
+        let inverse_depth = self.settings.inverse_depth || self.depth.is_some();
+        RenderSettings { inverse_depth, ..*self.settings }
+    }
+
+    /// Returns the variant of the frame's kernels, without what only its scenes and a shared order have.
+    pub(super) fn variant(&self) -> FrameVariant {
+        FrameVariant {
+            expected_depth: self.depth.is_some(),
+            depth_limit: self.occluder.is_some(),
+            outputs: self.outputs(),
+            ..FrameVariant::of(&self.blended_settings(), self.camera, false)
+        }
+    }
+
     /// Returns the outputs besides the picture and its depth.
     pub(super) fn outputs(&self) -> Outputs {
         Outputs { pick: self.pick.is_some(), motion: self.motion.is_some(), surface: false }
@@ -272,160 +285,21 @@ impl<'a> RecordedFrame<'a> {
         ]
     }
 
-    pub(super) fn uses(&self, image: &Image) -> bool {
+    /// True if the image is one of [`RecordedFrame::images`].
+    pub(super) fn has_image(&self, image: &Image) -> bool {
         self.images().iter().any(|(_, host)| host.is_some_and(|host| host.image.is_same_as(image)))
     }
 }
 
 impl Release {
     /// Returns the last uses of [`RecordedFrame::images`].
-    pub(super) fn uses(&self) -> [Option<ImageState>; 5] {
+    pub(super) fn last_uses(&self) -> [Option<ImageState>; 5] {
         [self.color, self.occluder, self.depth, self.pick, self.motion]
     }
 
-    pub(super) fn uses_mut(&mut self) -> [&mut Option<ImageState>; 5] {
+    pub(super) fn last_uses_mut(&mut self) -> [&mut Option<ImageState>; 5] {
         [&mut self.color, &mut self.occluder, &mut self.depth, &mut self.pick, &mut self.motion]
     }
-}
-
-// New parameters for scenes, copied before a recorded frame.
-
-/// New parameters for some Gaussians of a scene, copied before the frame is rendered.
-#[derive(Clone, Copy)]
-pub struct Update<'a> {
-    /// The scene.
-    pub scene: &'a DeviceScene,
-    /// Index of the first replaced Gaussian.
-    pub first: u32,
-    /// The new Gaussians. SH above the scene's degree is dropped, missing SH is zero.
-    pub gaussians: &'a Gaussians,
-}
-
-impl Update<'_> {
-    /// True if both replace some of the same Gaussians. Clones of a scene share its buffers.
-    fn overlaps(&self, other: &Self) -> bool {
-        let range = |u: &Self| (u64::from(u.first), u64::from(u.first) + u.gaussians.len() as u64);
-        let ((first, end), (other_first, other_end)) = (range(self), range(other));
-        first < other_end && other_first < end && {
-            let (own, theirs) = (&self.scene.buffers.chunks, &other.scene.buffers.chunks);
-            own.iter().any(|chunk| theirs.iter().any(|their| their.handle() == chunk.handle()))
-        }
-    }
-}
-
-/// Copies of a frame's updates. The next frame reuses its memory.
-#[derive(Default)]
-pub(super) struct StagedUpdates {
-    words: Vec<[f32; 4]>,
-    copies: Vec<StagedCopy>,
-}
-
-/// A copy from staging memory to a scene.
-struct StagedCopy {
-    /// True if it needs a barrier: an update since the last barrier writes some of the same Gaussians.
-    behind_barrier: bool,
-    from: Buffer,
-    to: Buffer,
-}
-
-impl StagedUpdates {
-    /// Writes new parameters into the slot's staging memory, which must not be in use, and lists the copies from it.
-    pub(super) fn stage(&mut self, staging: Option<&Buffer>, updates: &[Update<'_>]) -> Result<()> {
-        self.copies.clear();
-        let Some(staging) = staging else { return Ok(()) };
-        let (mut offset, mut since_barrier) = (0, 0);
-        for (number, update) in updates.iter().enumerate() {
-            let mut behind_barrier =
-                updates[since_barrier..number].iter().any(|earlier| earlier.overlaps(update));
-            if behind_barrier {
-                since_barrier = number;
-            }
-            let (buffers, copies) = (&update.scene.buffers, &mut self.copies);
-            each_piece(update, &buffers.plan, &mut self.words, |chunk, at, words| {
-                let bytes = words.len() as u64 * 16;
-                staging.write(offset, bytemuck::cast_slice(words))?;
-                let (from, to) = (staging.range(offset, bytes), buffers.chunks[chunk].range(at, bytes));
-                copies.push(StagedCopy { behind_barrier, from, to });
-                behind_barrier = false;
-                offset += bytes;
-                Ok(())
-            })?;
-        }
-        Ok(())
-    }
-
-    /// Records the copies, and drops the buffers.
-    pub(super) fn record(&mut self, r: &mut Recorder) {
-        if self.copies.is_empty() {
-            return;
-        }
-        r.scope("scene updates", |r| {
-            for StagedCopy { behind_barrier, from, to } in self.copies.drain(..) {
-                if behind_barrier {
-                    r.barrier();
-                }
-                r.copy(&from, &to);
-            }
-            r.barrier();
-        });
-    }
-}
-
-/// Splits an update into pieces that are contiguous on the device: chunk, bytes from its start, vec4s.
-fn each_piece(
-    update: &Update<'_>,
-    plan: &ScenePlan,
-    words: &mut Vec<[f32; 4]>,
-    mut piece: impl FnMut(usize, u64, &[[f32; 4]]) -> Result<()>,
-) -> Result<()> {
-    let (first, end) = (update.first, update.first + update.gaussians.len() as u32);
-    for range in plan.ranges(end) {
-        let (begin, stop) = (first.max(range.first), range.first + range.count);
-        if begin >= stop {
-            continue;
-        }
-        let of_update = (begin - first) as usize..(stop - first) as usize;
-        // Packs them as a chunk of only the touched rows.
-        let of_chunk = begin - range.first..stop - range.first;
-        let rows = of_chunk.start / PLANE_ROW..of_chunk.end.div_ceil(PLANE_ROW);
-        let packed = ScenePlan { chunk_gaussians: rows.len() as u32 * PLANE_ROW, ..*plan };
-        let at = (of_chunk.start % PLANE_ROW) as usize;
-        planes::pack_into(words, update.gaussians, of_update, &packed, at);
-        each_run(plan, &packed, rows, of_chunk, |at, run| piece(range.chunk, 16 * at as u64, &words[run]))?;
-    }
-    Ok(())
-}
-
-/// Calls `run` for each contiguous run of texels in the planes of some Gaussians, with its index in their chunk, and its range in a
-/// chunk that holds only their rows.
-fn each_run(
-    plan: &ScenePlan,
-    packed: &ScenePlan,
-    rows: Range<u32>,
-    gaussians: Range<u32>,
-    mut run: impl FnMut(usize, Range<usize>) -> Result<()>,
-) -> Result<()> {
-    let mut last: Option<(usize, Range<usize>)> = None;
-    let groups = std::iter::successors(Some(plan.group(0)), |group| {
-        (group.end < plan.planes).then(|| plan.group(group.end))
-    });
-    for (planes, row) in groups.flat_map(|planes| rows.clone().map(move |row| (planes.clone(), row))) {
-        let from = gaussians.start.max(row * PLANE_ROW);
-        let count = (gaussians.end.min((row + 1) * PLANE_ROW) - from) as usize;
-        for plane in planes {
-            let at = plan.place(plane, from as usize);
-            let own = packed.place(plane, (from - rows.start * PLANE_ROW) as usize);
-            match &mut last {
-                Some((begun, run)) if *begun + run.len() == at && run.end == own => run.end += count,
-                _ => {
-                    if let Some((begun, whole)) = last.replace((at, own..own + count)) {
-                        run(begun, whole)?;
-                    }
-                }
-            }
-        }
-    }
-    last.map_or(Ok(()), |(begun, whole)| run(begun, whole))
 }
 
 #[cfg(test)]

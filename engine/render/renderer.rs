@@ -2,10 +2,10 @@
 
 use super::device_scene::{DeviceScene, ELSEWHERE};
 use super::frame::{Frame, FrameStats, Surface};
-use super::frame_store::State;
-use super::recorded_frame::StagedUpdates;
+use super::frame_store::FrameCounts;
 use super::runner::{Failed, FrameRun, FrameRunner, Request};
 use super::slots::Slots;
+use super::updates::StagedUpdates;
 use crate::error::{Error, Result};
 use crate::frame::{Blending, FrameBuffers, PlacedScene, RenderSettings, SceneBuffers, planes};
 use crate::passes::backward::Backward;
@@ -192,7 +192,7 @@ impl Renderer {
     /// # Errors
     /// [`Error::Argument`] if there is no scene or no camera; memory or device failures.
     pub fn compute_filters(&mut self, cameras: &[Camera]) -> Result<()> {
-        let filter = Filter3d::new(&self.context, cameras)?;
+        let filter = Filter3d::new(&self.context, cameras, None)?;
         loaded(&self.scenes)?;
         self.scenes.iter().try_for_each(|scene| filter.run(&self.context, scene))
     }
@@ -284,8 +284,8 @@ impl Renderer {
         let (scene, other_scenes) = loaded(&self.scenes)?;
         let request = Request { other_scenes, last_entries, ..Request::new(scene, camera, settings, false) };
         let ran = self.runner.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
-        let FrameRun { state, report, retries } = ran;
-        let State { visible, instances, longest_tile, samples, .. } = state;
+        let FrameRun { counts, report, retries } = ran;
+        let FrameCounts { visible, instances, longest_tile, samples, .. } = counts;
         let gaussians = self.scenes.iter().map(|scene| scene.count).sum();
         let scopes = report.scopes;
         Ok(FrameStats { gaussians, visible, instances, longest_tile, samples, scopes, retries })

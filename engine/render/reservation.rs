@@ -1,4 +1,4 @@
-//! What a host reserves for frames in flight, and what a finished frame reports of it.
+//! Reservation of frame slots, and the report of a finished frame.
 
 use crate::error::{Error, Result};
 use crate::frame::{
@@ -9,7 +9,7 @@ use crate::scene::{MAX_CUT_OUTS, Projection};
 use crate::vk::{Context, ScopeTime};
 
 /// Memory and kernels to prepare for recording: see [`super::Renderer::reserve`].
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reservation {
     /// Frames in flight.
     pub slots: u32,
@@ -82,34 +82,8 @@ impl Reservation {
 
     /// A reservation for one frame in flight of one scene, for one queue, with all options off.
     pub fn new(gaussians: u32, sh_degree: u32, width: u32, height: u32) -> Self {
-        Self {
-            slots: 1,
-            queues: 1,
-            views: 1,
-            shared_sort: false,
-            gaussians,
-            scenes: 1,
-            sh_degree,
-            instances: 0,
-            width,
-            height,
-            blend_passes: 0,
-            inverse_depth: false,
-            expected_depth: false,
-            occlusion: false,
-            filter_3d: false,
-            tint: false,
-            cut_outs: 0,
-            selection: false,
-            pick: false,
-            motion: false,
-            orthographic: false,
-            lens: None,
-            rolling_shutter: false,
-            half_sh: false,
-            images_only: false,
-            staging_bytes: 0,
-        }
+        let one = Self { slots: 1, queues: 1, views: 1, scenes: 1, ..Self::default() };
+        Self { gaussians, sh_degree, width, height, ..one }
     }
 
     /// Returns the staging bytes of an update of `gaussians` Gaussians of a scene with this SH degree.
@@ -125,7 +99,7 @@ impl Reservation {
         // The frame may have been recorded before the reservation grew.
         let counted = report.instances_needed != u32::MAX;
         if counted && report.instances_needed > report.instance_capacity.max(self.instances) {
-            // With a reserve of half, because later frames will need other numbers.
+            // Adds a reserve of half, because later frames will need other numbers.
             grown.instances = report.instances_needed.saturating_add(report.instances_needed / 2);
         }
         if report.blend_passes_needed > report.blend_passes.max(self.blend_passes) {
@@ -244,12 +218,16 @@ impl Reservation {
         let lacks = |field: &str, what: &str| {
             Err(Error::argument(field_name(field), format!("not reserved, and scenes[{index}] has {what}")))
         };
-        match () {
-            () if own.is_tinted() && !self.tint => lacks("tint", "a tint or an opacity"),
-            () if own.mask().is_some() && !self.selection => lacks("selection", "a selection"),
-            () if half_sh && !self.half_sh => lacks("half_sh", "SH in halves"),
-            () => Ok(()),
+        if own.is_tinted() && !self.tint {
+            return lacks("tint", "a tint or an opacity");
         }
+        if own.mask().is_some() && !self.selection {
+            return lacks("selection", "a selection");
+        }
+        if half_sh && !self.half_sh {
+            return lacks("half_sh", "SH in halves");
+        }
+        Ok(())
     }
 
     /// Returns the passes of blending of each frame. A tile has no more entries than there are Gaussians.

@@ -3,7 +3,7 @@
 use super::forward::Forward;
 use super::renderer::Renderer;
 use super::reservation::{Reservation, SlotReport};
-use super::slots::{Plan, Slot};
+use super::slots::{Slot, SlotLayout};
 use crate::error::{Error, Result};
 use crate::passes::compose::Compose;
 use crate::vk::{Buffer, Context, KernelJob, SlotRecording};
@@ -37,9 +37,9 @@ impl Renderer {
         wanted.check()?;
         self.slots.check_free()?;
         let context = self.context.clone();
-        let plan = Plan::new(&context, &self.runner.forward.sizes, wanted, block)?;
+        let layout = SlotLayout::new(&context, &self.runner.forward.sizes, wanted, block)?;
         self.prepare(wanted)?;
-        self.slots.reserve(&plan)
+        self.slots.reserve(&layout)
     }
 
     /// Same as [`Renderer::reserve`], but allowed while frames are in flight, and without waiting. Every slot switches to
@@ -69,9 +69,9 @@ impl Renderer {
             return self.prepare(wanted);
         }
         let context = self.context.clone();
-        let plan = Plan::new(&context, &self.runner.forward.sizes, wanted, block)?;
+        let layout = SlotLayout::new(&context, &self.runner.forward.sizes, wanted, block)?;
         self.prepare(wanted)?;
-        self.slots.grow(&plan)
+        self.slots.grow(&layout)
     }
 
     /// Returns the bytes of a reservation's block for [`Renderer::reserve_in`].
@@ -79,8 +79,8 @@ impl Renderer {
     /// # Errors
     /// Same as [`Renderer::reserve`], without allocating anything.
     pub fn reservation_bytes(&self, wanted: &Reservation) -> Result<u64> {
-        let plan = Plan::new(&self.context, &self.runner.forward.sizes, wanted, None)?;
-        Ok(plan.block_bytes())
+        let layout = SlotLayout::new(&self.context, &self.runner.forward.sizes, wanted, None)?;
+        Ok(layout.block_bytes())
     }
 
     /// Returns the kernels that [`Renderer::new`] and [`Renderer::reserve`] build. A host can build them ahead on its own
@@ -124,7 +124,7 @@ impl Renderer {
     /// # Errors
     /// Same as [`Renderer::slot_report`].
     pub fn slot_finished(&mut self, slot: u32) -> Result<bool> {
-        self.slots.get(slot)?.commands.finished()
+        self.slots.get(slot)?.recording.finished()
     }
 
     /// Releases the resources of a slot's last frame, once its command buffer has finished. Scenes and image views dropped
@@ -134,7 +134,7 @@ impl Renderer {
     /// [`Error::Argument`] for a slot that is not reserved or still in flight.
     pub fn release_slot(&mut self, slot: u32) -> Result<()> {
         let slot = self.slots.get(slot)?;
-        slot.commands.release()?;
+        slot.recording.release()?;
         // The host may still read pixels of the last frame.
         if !slot.memory.keeps_pixels {
             slot.take_over();
@@ -172,7 +172,7 @@ impl Renderer {
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved.
     pub fn slot_recording(&mut self, slot: u32) -> Result<SlotRecording<'_>> {
-        Ok(SlotRecording::new(&mut self.slots.get(slot)?.commands))
+        Ok(SlotRecording::new(&mut self.slots.get(slot)?.recording))
     }
 
     fn slot_with_pixels(&mut self, slot: u32) -> Result<&mut Slot> {

@@ -1,7 +1,7 @@
 //! Runs a frame until its capacities suffice.
 
 use super::forward::Forward;
-use super::frame_store::{FrameStore, State};
+use super::frame_store::{FrameCounts, FrameStore};
 use crate::error::{Error, Result};
 use crate::frame::{
     FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, PlacedScene, RenderSettings, SceneBuffers,
@@ -17,6 +17,7 @@ pub(crate) struct FrameRunner {
     pub(crate) store: FrameStore,
 }
 
+/// A frame for [`FrameRunner::run`] and [`FrameRunner::record`].
 #[derive(Clone, Copy)]
 pub(crate) struct Request<'a> {
     pub scene: &'a SceneBuffers,
@@ -83,16 +84,21 @@ impl<'a> Request<'a> {
     }
 }
 
+/// Result of [`FrameRunner::run`].
 pub(crate) struct FrameRun {
-    pub state: State,
+    pub counts: FrameCounts,
     pub report: RunReport,
     /// Number of times the frame was run again because a capacity had to grow.
     pub retries: u32,
 }
 
+/// Error of [`FrameRunner::run`].
 pub(crate) enum Failed {
-    /// The frame exceeds the available memory: its counts, and the error.
-    OutOfMemory(Box<(State, Error)>),
+    /// The frame exceeds the available memory.
+    OutOfMemory {
+        counts: Box<FrameCounts>,
+        error: Error,
+    },
     Other(Error),
 }
 
@@ -105,13 +111,13 @@ impl From<Error> for Failed {
 impl Failed {
     pub fn error(self) -> Error {
         match self {
-            Self::OutOfMemory(why) => why.1,
-            Self::Other(error) => error,
+            Self::OutOfMemory { error, .. } | Self::Other(error) => error,
         }
     }
 }
 
 impl FrameRunner {
+    /// Builds the kernels that every frame needs; allocates no frame.
     pub fn new(context: &Context) -> Result<Self> {
         let (forward, store) = (Forward::new(context)?, FrameStore::new(context)?);
         Ok(Self { context: context.clone(), forward, store })
@@ -151,12 +157,12 @@ impl FrameRunner {
                 store.record_readback(r, &frame);
                 Ok(())
             })?;
-            let state = store.state()?;
+            let counts = store.counts()?;
             // Growing frees its buffers before it allocates larger ones.
             drop(frame);
-            let grown = store.grow(&state);
-            if !grown.map_err(|error| Failed::OutOfMemory(Box::new((state, error))))? {
-                return Ok(FrameRun { state, report, retries });
+            let grown = store.grow(&counts);
+            if !grown.map_err(|error| Failed::OutOfMemory { counts: Box::new(counts), error })? {
+                return Ok(FrameRun { counts, report, retries });
             }
             retries += 1;
         }
@@ -167,7 +173,8 @@ impl FrameRunner {
     /// SH degree.
     pub fn reserve(
         &mut self,
-        (plan, frozen): (&ScenePlan, &[SceneBuffers]),
+        plan: &ScenePlan,
+        frozen: &[SceneBuffers],
         cameras: &[Camera],
         sh_degree: u32,
         settings: &RenderSettings,

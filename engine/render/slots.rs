@@ -1,6 +1,6 @@
 //! Frames in flight. Their memory is planned and allocated in advance.
 
-use super::frame_store::State;
+use super::frame_store::FrameCounts;
 use super::reservation::{Reservation, SlotReport, field_name};
 use crate::error::{Error, Result};
 use crate::frame::{
@@ -15,7 +15,7 @@ const STATE_BYTES: u64 = c::STATE_WORDS as u64 * 4;
 
 /// One frame in flight.
 pub(super) struct Slot {
-    pub commands: RecordSlot,
+    pub recording: RecordSlot,
     pub memory: SlotMemory,
     /// Memory reserved since the last recording.
     next: Option<SlotMemory>,
@@ -41,7 +41,7 @@ impl Slots {
     /// Returns an error while a frame is in flight.
     pub fn check_free(&self) -> Result<()> {
         for slot in &self.slots {
-            if !slot.commands.finished()? {
+            if !slot.recording.finished()? {
                 return Err(Error::argument("frame slots", "one is still in flight: wait for it first"));
             }
         }
@@ -49,14 +49,14 @@ impl Slots {
     }
 
     /// Allocates a reservation, which replaces the current one. No frame may be in flight.
-    pub fn reserve(&mut self, plan: &Plan<'_>) -> Result<()> {
+    pub fn reserve(&mut self, layout: &SlotLayout<'_>) -> Result<()> {
         // The old memory is freed first: both at once might not fit.
         self.slots.clear();
         self.reserved = None;
-        for memory in plan.allocate()? {
-            self.slots.push(Slot::new(plan, memory)?);
+        for memory in layout.allocate()? {
+            self.slots.push(Slot::new(layout, memory)?);
         }
-        self.reserved = Some(*plan.wanted);
+        self.reserved = Some(*layout.wanted);
         Ok(())
     }
 
@@ -78,15 +78,15 @@ impl Slots {
     }
 
     /// Allocates another reservation with as many slots. Each slot switches to it with its next recording.
-    pub fn grow(&mut self, plan: &Plan<'_>) -> Result<()> {
-        let memory = plan.allocate()?;
+    pub fn grow(&mut self, layout: &SlotLayout<'_>) -> Result<()> {
+        let memory = layout.allocate()?;
         for slot in &mut self.slots {
-            slot.commands.reserve(plan.dispatches)?;
+            slot.recording.reserve(layout.dispatches)?;
         }
         for (slot, memory) in self.slots.iter_mut().zip(memory) {
             slot.next = Some(memory);
         }
-        self.reserved = Some(*plan.wanted);
+        self.reserved = Some(*layout.wanted);
         Ok(())
     }
 
@@ -100,13 +100,13 @@ impl Slots {
 }
 
 impl Slot {
-    fn new(plan: &Plan<'_>, memory: SlotMemory) -> Result<Self> {
-        let request = [("state_readback", u64::from(plan.wanted.views) * STATE_BYTES)];
-        let mut host = plan.context.allocate("frame slot host", &request, MemoryKind::HostVisible)?;
-        let commands = RecordSlot::new(plan.context, plan.dispatches)?;
+    fn new(layout: &SlotLayout<'_>, memory: SlotMemory) -> Result<Self> {
+        let request = [("state_readback", u64::from(layout.wanted.views) * STATE_BYTES)];
+        let mut host = layout.context.allocate("frame slot host", &request, MemoryKind::HostVisible)?;
+        let recording = RecordSlot::new(layout.context, layout.dispatches)?;
         let host_report = memory.report(0);
         Ok(Self {
-            commands,
+            recording,
             memory,
             next: None,
             readback: host.remove(0),
@@ -130,20 +130,20 @@ impl Slot {
 
     /// Begins a recording of `views` views with up to `gaussians` Gaussians.
     pub fn begin(&mut self, commands: ForeignCommands, gaussians: u32, views: u32) -> Result<Recorder> {
-        let recorder = self.commands.begin(commands, "ashsplat")?;
+        let recorder = self.recording.begin(commands, "ashsplat")?;
         (self.views, self.host_report, self.report) = (views, self.memory.report(gaussians), None);
         Ok(recorder)
     }
 
     /// Returns the report of the last recording. None while it is in flight, or without a recording.
     pub fn report(&mut self, sizes: &LaunchSizes) -> Result<Option<SlotReport>> {
-        if !self.commands.is_recorded() || !self.commands.finished()? {
+        if !self.recording.is_recorded() || !self.recording.finished()? {
             return Ok(None);
         }
-        if self.report.is_some() || !self.commands.has_times()? {
+        if self.report.is_some() || !self.recording.has_times()? {
             return Ok(self.report.clone());
         }
-        self.report = Some(SlotReport { scopes: self.commands.times()?, ..self.counts(sizes, self.views)? });
+        self.report = Some(SlotReport { scopes: self.recording.times()?, ..self.counts(sizes, self.views)? });
         Ok(self.report.clone())
     }
 
@@ -159,7 +159,7 @@ impl Slot {
         for view in 0..views {
             let mut bytes = [0u8; STATE_BYTES as usize];
             self.readback.read(u64::from(view) * STATE_BYTES, &mut bytes)?;
-            let view = State::of(&bytes);
+            let view = FrameCounts::of(&bytes);
             report.visible = report.visible.max(view.visible);
             report.instances_needed = report.instances_needed.max(view.instances);
             report.longest_tile = report.longest_tile.max(view.longest_tile);
@@ -212,7 +212,7 @@ impl SlotMemory {
 }
 
 /// Requests of a reservation, in a host's block if there is one.
-pub(super) struct Plan<'a> {
+pub(super) struct SlotLayout<'a> {
     pub context: &'a Context,
     pub wanted: &'a Reservation,
     block: Option<&'a Buffer>,
@@ -226,8 +226,8 @@ pub(super) struct Plan<'a> {
     pixels: Requests,
 }
 
-impl<'a> Plan<'a> {
-    /// Returns the errors of [`Plan::allocate`] in advance, except a lack of memory.
+impl<'a> SlotLayout<'a> {
+    /// Returns the errors of [`SlotLayout::allocate`] in advance, except a lack of memory.
     pub fn new(
         context: &'a Context,
         sizes: &LaunchSizes,
@@ -242,7 +242,7 @@ impl<'a> Plan<'a> {
             pixels.push(("accumulated", count * 16));
             pixels.extend(wanted.keeps_depth().then_some(("inverse_depth", count * 4)));
         }
-        let plan = Self {
+        let layout = Self {
             context,
             wanted,
             block,
@@ -252,9 +252,9 @@ impl<'a> Plan<'a> {
             frame_requests: FrameBuffers::requests(&capacity, sizes).len(),
             pixels,
         };
-        plan.check_bindings(sizes)?;
-        block.map_or(Ok(()), |block| check_block(context, block, plan.block_bytes()))?;
-        Ok(plan)
+        layout.check_bindings(sizes)?;
+        block.map_or(Ok(()), |block| check_block(context, block, layout.block_bytes()))?;
+        Ok(layout)
     }
 
     /// Refuses a buffer that kernels cannot bind, and names the field that makes it too large. Runs before any memory is
@@ -340,7 +340,7 @@ impl<'a> Plan<'a> {
         Ok(memory)
     }
 
-    /// Assigns the buffers of [`Plan::scratch`].
+    /// Assigns the buffers of [`SlotLayout::scratch`].
     fn scratch_of(&self, mut buffers: std::vec::IntoIter<Buffer>) -> SlotMemory {
         let wanted = self.wanted;
         let frame = FrameBuffers::from_allocated(buffers.by_ref().take(self.frame_requests).collect());

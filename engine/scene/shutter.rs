@@ -166,13 +166,12 @@ impl Camera {
     /// Describes what is wrong with the shutter, if anything.
     pub(super) fn shutter_problem(&self) -> Option<&'static str> {
         let Shutter { turn, shift, .. } = self.shutter?;
-        match () {
-            () if self.is_orthographic() => Some("an orthographic camera has no rolling shutter"),
-            () if !(turn.is_finite() && shift.is_finite()) => {
-                Some("a motion of the shutter that is not finite")
-            }
-            () if turn.length() > 1.001 * PI => Some("a turn of the shutter beyond half a circle"),
-            () => None,
+        if self.is_orthographic() {
+            return Some("an orthographic camera has no rolling shutter");
         }
+        if !(turn.is_finite() && shift.is_finite()) {
+            return Some("a motion of the shutter that is not finite");
+        }
+        (turn.length() > 1.001 * PI).then_some("a turn of the shutter beyond half a circle")
     }
 }

@@ -29,6 +29,14 @@ pub(super) struct AppearanceInputs<'a> {
     pub run: &'a TrainingRun,
 }
 
+/// Exposures or lens effects of an iteration.
+struct Part<'a> {
+    pass: &'a AppearancePass,
+    /// Has the picture that it changes.
+    inputs: AppearancePassInputs<'a>,
+    step: &'a AppearanceStep,
+}
+
 impl Appearance {
     pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let (shares, sparse) = (settings.exposure_shared, settings.exposure_sparsity > 0.0);
@@ -63,11 +71,8 @@ impl Appearance {
         Ok(memory)
     }
 
-    /// The parts in order, each with the picture that it changes and its step.
-    fn parts<'a>(
-        &'a self,
-        inputs: &AppearanceInputs<'a>,
-    ) -> Vec<(&'a AppearancePass, AppearancePassInputs<'a>, &'a AppearanceStep)> {
+    /// The parts in order.
+    fn parts<'a>(&'a self, inputs: &AppearanceInputs<'a>) -> Vec<Part<'a>> {
         let AppearanceInputs { frame, rendered, memory, plan, run } = *inputs;
         let own = [(plan.view as u32, &plan.exposure), (run.lenses[plan.view], &plan.lens_step)];
         let mut picture = rendered;
@@ -75,7 +80,7 @@ impl Appearance {
             let (index, step) = own[usize::from(pass.is_lens)];
             let inputs = AppearancePassInputs { frame, picture, buffers, index };
             picture = &buffers.picture;
-            (pass, inputs, step)
+            Part { pass, inputs, step }
         };
         self.0.iter().zip(memory.all()).map(part).collect()
     }
@@ -84,26 +89,26 @@ impl Appearance {
     /// learned: the rendered picture is compared. Ends with a barrier.
     pub fn record<'a>(&'a self, r: &mut Recorder, inputs: &AppearanceInputs<'a>) -> Option<&'a Buffer> {
         let parts = self.parts(inputs);
-        for (pass, own, _) in &parts {
-            pass.record(r, own);
+        for Part { pass, inputs, .. } in &parts {
+            pass.record(r, inputs);
             r.barrier();
         }
-        parts.last().map(|(_, own, _)| &own.buffers.picture)
+        parts.last().map(|part| &part.inputs.buffers.picture)
     }
 
     /// Records the gradient's way back from that picture to the rendered one. Each part begins with a barrier.
     pub fn record_backward(&self, r: &mut Recorder, inputs: &AppearanceInputs, gradient: &Buffer) {
-        for (pass, own, _) in self.parts(inputs).iter().rev() {
+        for Part { pass, inputs, .. } in self.parts(inputs).iter().rev() {
             r.barrier();
-            pass.record_backward(r, own, gradient);
+            pass.record_backward(r, inputs, gradient);
         }
     }
 
     /// Records the steps. Each part begins with a barrier.
     pub fn record_step(&self, r: &mut Recorder, inputs: &AppearanceInputs) {
-        for (pass, own, step) in self.parts(inputs) {
+        for Part { pass, inputs, step } in self.parts(inputs) {
             r.barrier();
-            pass.record_step(r, &own, step);
+            pass.record_step(r, &inputs, step);
         }
     }
 }

@@ -16,7 +16,7 @@ use crate::frame::{
 use crate::kernels::constants::PLANE_SH;
 use crate::passes::adam::Moments;
 use crate::passes::filter_3d::Filter3d;
-use crate::render::{FrameStore, State};
+use crate::render::{FrameCounts, FrameStore};
 use crate::vk::{Buffer, Context, MemoryKind};
 use std::collections::HashMap;
 
@@ -36,7 +36,7 @@ pub(super) struct PeakCounts {
 
 impl PeakCounts {
     /// Estimates the counts of a full-size frame from those of the drawn frame.
-    pub fn of_whole_frame(plan: &IterationPlan, run: &TrainingRun, drawn: &State) -> Self {
+    pub fn of_whole_frame(plan: &IterationPlan, run: &TrainingRun, drawn: &FrameCounts) -> Self {
         let (visible, instances) = (drawn.visible_needed, drawn.all_instances());
         let camera = &run.cameras[plan.view];
         Self { visible, instances: whole_instances(camera, &plan.camera, instances, visible) }
@@ -253,14 +253,11 @@ impl Capacities {
 
     /// Frame capacity for a shape; None without a frame.
     pub(super) fn frame(&self, shape: FrameCapacity) -> Option<FrameCapacity> {
-        let backward = self.backward != 0;
         (self.frame_instances > 0).then(|| FrameCapacity {
             gaussians: self.frame_gaussians,
             visible: self.frame_visible,
             instances: self.frame_instances,
             blend_passes: self.blend_passes.max(1),
-            backward,
-            absolute: shape.absolute && backward,
             ..shape
         })
     }

@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::frame::{
     FrameCapacity, LaunchSizes, ScenePlan, frame_bytes, frame_fits_device, gaussians_with, planes,
 };
-use crate::render::{DeviceScene, Release, State, frozen_capacity};
+use crate::render::{DeviceScene, FrameCounts, Release, frozen_capacity};
 use crate::vk::{ForeignCommands, RecordSlot, Recorder, SlotRecording};
 use ash::vk;
 
@@ -101,7 +101,7 @@ impl Trainer {
             return Err(Error::argument("training steps", "are not reserved: call Trainer::reserve_steps"));
         }
         let index = self.slot_index(slot)?;
-        self.recorded.slots[index].record.check_free()?;
+        self.recorded.slots[index].recording.check_free()?;
         let is_due = self.maintenance_is_due()?;
         let progress = self.recorded.in_flight.back().map_or(self.state.progress, |last| last.after);
         let all = self.run.settings.iterations;
@@ -117,11 +117,11 @@ impl Trainer {
         }
         let plan = self.plan_after(&progress);
         self.runner.store.current()?;
-        let mut recorder = self.recorded.slots[index].record.begin(commands, "ashsplat training step")?;
+        let mut recorder = self.recorded.slots[index].recording.begin(commands, "ashsplat training step")?;
         let slot = &self.recorded.slots[index];
         self.record_plan(&mut recorder, &plan, slot)?;
         let slot = &mut self.recorded.slots[index];
-        slot.record.end(recorder)?;
+        slot.recording.end(recorder)?;
         slot.outcome = None;
         let (after, gaussians) = (progress.after(&plan), self.state.model.scene.count);
         self.recorded.in_flight.push_back(InFlight { slot: index, plan, after, gaussians });
@@ -142,7 +142,7 @@ impl Trainer {
         self.runner.record(r, &parts.frame(self.recorder.hides_masked_tiles()), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &slot.losses);
             r.barrier();
-            r.copy(&inputs.frame.state, &slot.state);
+            r.copy(&inputs.frame.state, &slot.counts);
         })
     }
 
@@ -157,30 +157,30 @@ impl Trainer {
         self.forget_discarded()?;
         while let Some(first) = self.recorded.in_flight.front() {
             let slot = &mut self.recorded.slots[first.slot];
-            if !slot.record.finished()? {
+            if !slot.recording.finished()? {
                 break;
             }
-            let state = slot.state()?;
-            slot.outcome = Some(if state.overflow {
-                let [_, most] = self.recorded.overflow.get_or_insert([state; 2]);
-                most.visible_needed = most.visible_needed.max(state.visible_needed);
-                most.instances = most.instances.max(state.instances);
-                most.longest_tile = most.longest_tile.max(state.longest_tile);
+            let counts = slot.counts()?;
+            slot.outcome = Some(if counts.overflow {
+                let [_, most] = self.recorded.overflow.get_or_insert([counts; 2]);
+                most.visible_needed = most.visible_needed.max(counts.visible_needed);
+                most.instances = most.instances.max(counts.instances);
+                most.longest_tile = most.longest_tile.max(counts.longest_tile);
                 StepOutcome::Overflowed {
                     iteration: first.plan.iteration,
-                    visible_needed: state.visible_needed,
+                    visible_needed: counts.visible_needed,
                     visible_capacity: self.runner.store.capacity().visible,
-                    instances_needed: state.instances,
+                    instances_needed: counts.instances,
                     instance_capacity: self.runner.store.capacity().instances,
                 }
             } else {
-                self.state.done(first.after, PeakCounts::of_whole_frame(&first.plan, &self.run, &state));
+                self.state.done(first.after, PeakCounts::of_whole_frame(&first.plan, &self.run, &counts));
                 let losses = self.recorder.read_losses(&slot.losses)?;
                 if let Some(lenses) = &mut self.lens_opt {
                     lenses.step(&mut self.run.cameras, &first.plan, &losses);
                     self.recorded.frame_is_ready = false;
                 }
-                StepOutcome::Done(StepReport::new(&first.plan, first.gaussians, &losses, &state))
+                StepOutcome::Done(StepReport::new(&first.plan, first.gaussians, &losses, &counts))
             });
             self.recorded.in_flight.pop_front();
         }
@@ -190,18 +190,19 @@ impl Trainer {
     /// Forgets steps whose command buffers were discarded.
     fn forget_discarded(&mut self) -> Result<()> {
         let RecordedSteps { slots, in_flight, .. } = &mut self.recorded;
-        let is_recorded = |step: &InFlight| slots[step.slot].record.is_recorded();
+        let is_recorded = |step: &InFlight| slots[step.slot].recording.is_recorded();
         let Some(first) = in_flight.iter().position(|step| !is_recorded(step)) else { return Ok(()) };
         if in_flight.range(first..).any(is_recorded) {
             self.state.broken = true;
-            let problem = "a step was thrown away, but not those recorded behind it; go on from a checkpoint";
+            let problem =
+                "a step was thrown away, but not those recorded behind it; continue from a checkpoint";
             return Err(Error::argument("training steps", problem));
         }
-        let late = in_flight.range(first..).any(|step| slots[step.slot].record.was_discarded_late());
+        let late = in_flight.range(first..).any(|step| slots[step.slot].recording.was_discarded_late());
         in_flight.truncate(first);
         if late {
             self.state.broken = true;
-            let problem = "a step was discarded after it had been executed; go on from a checkpoint";
+            let problem = "a step was discarded after it had been executed; continue from a checkpoint";
             return Err(Error::argument("training steps", problem));
         }
         Ok(())
@@ -219,10 +220,10 @@ impl Trainer {
         if let Some(StepOutcome::Done(report)) = &mut slot.outcome
             && report.scopes.is_empty()
         {
-            if !slot.record.has_times()? {
+            if !slot.recording.has_times()? {
                 return Ok(None);
             }
-            report.scopes = slot.record.times()?;
+            report.scopes = slot.recording.times()?;
         }
         Ok(slot.outcome.clone())
     }
@@ -265,7 +266,7 @@ impl Trainer {
         let mut done = Maintenance::default();
         self.recorded.frame_is_ready = false;
         // The slots hold buffers that are replaced now.
-        self.recorded.slots.iter_mut().try_for_each(|slot| slot.record.release())?;
+        self.recorded.slots.iter_mut().try_for_each(|slot| slot.recording.release())?;
         if let Some([first, most]) = self.recorded.overflow {
             // For all steps, or else for the first. If even that does not fit, it is skipped.
             let grown = match self.runner.store.grow(&most) {
@@ -294,17 +295,13 @@ impl Trainer {
     /// that are never submitted create all objects that are otherwise made on first use.
     fn make_ready(&mut self, every_view: bool) -> Result<()> {
         let drawn = self.recorder.drawn();
-        self.runner.reserve(
-            (&self.state.model.scene.plan, &self.frozen),
-            &self.run.cameras,
-            self.run.settings.sh_degree,
-            &drawn,
-        )?;
+        let (plan, sh_degree) = (&self.state.model.scene.plan, self.run.settings.sh_degree);
+        self.runner.reserve(plan, &self.frozen, &self.run.cameras, sh_degree, &drawn)?;
         let frame = self.runner.store.current()?;
         self.context.run_commands("clear state", |r| r.fill(&frame.state, 0))?;
         let dispatches = self.step_dispatches();
         for slot in self.recorded.slots.iter_mut().filter(|slot| slot.dispatches < dispatches) {
-            slot.record = RecordSlot::new(&self.context, dispatches)?;
+            slot.recording = RecordSlot::new(&self.context, dispatches)?;
             slot.dispatches = dispatches;
         }
         let progress = self.state.progress;
@@ -358,7 +355,7 @@ impl Trainer {
     /// [`Error::Argument`] for a slot that is not reserved.
     pub fn step_recording(&mut self, slot: u32) -> Result<SlotRecording<'_>> {
         let index = self.slot_index(slot)?;
-        Ok(SlotRecording::new(&mut self.recorded.slots[index].record))
+        Ok(SlotRecording::new(&mut self.recorded.slots[index].recording))
     }
 
     /// Fails while recorded steps are in flight, or if they have finished without a call of [`Trainer::settle`].
@@ -391,7 +388,7 @@ impl Trainer {
     /// # Errors
     /// When memory does not suffice after all, because another user holds or takes the freed part. [`Trainer::checkpoint`] then
     /// still returns the whole state, and every later step is refused.
-    pub(super) fn give_up_reserve(&mut self, needed: &State) -> Result<bool> {
+    pub(super) fn give_up_reserve(&mut self, needed: &FrameCounts) -> Result<bool> {
         let scene = &self.state.model.scene;
         let plan = self.rows.plan(&self.context, scene.count, scene.plan.sh_degree)?;
         let smaller = (plan.chunks, plan.chunk_gaussians) != (scene.plan.chunks, scene.plan.chunk_gaussians);
@@ -416,7 +413,7 @@ impl Trainer {
     }
 
     /// True if memory holds the frame beside planes of this plan, once the current planes are freed.
-    fn has_room_without_reserve(&self, needed: &State, plan: &ScenePlan) -> bool {
+    fn has_room_without_reserve(&self, needed: &FrameCounts, plan: &ScenePlan) -> bool {
         let (context, old) = (&self.context, &self.state.model.scene.plan);
         let Some((limit, _)) = context.memory_limit() else { return false };
         let sizes = LaunchSizes::new(context.limits());

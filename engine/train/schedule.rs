@@ -138,7 +138,7 @@ impl TrainSettings {
     /// from this iteration of a run with the settings `before`.
     pub(super) fn excuse_sh_degrees(&self, there: &mut Self, before: &Self, iteration: u32) {
         if self.iterations == SCHEDULE_ITERATIONS && before.iterations == SCHEDULE_ITERATIONS {
-            // Without effect here. Ignored, because later presets set it.
+            // Unused in runs of this length. Ignored, because later presets set it.
             there.scale_sh_degree = self.scale_sh_degree;
         }
         // `sh_degree_start_after` raised it.

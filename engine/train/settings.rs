@@ -310,7 +310,7 @@ options! {
         position_lr_init: f64 = 1.6e-4, Bounds::Positive;
         /// Learning rate of the means at the end, times the scene's extent
         position_lr_final: f64 = 1.6e-6, Bounds::Positive;
-        /// Without effect, as in the reference, whose delay lasts 0 steps
+        /// Unused, as in the reference, whose delay lasts 0 steps
         position_lr_delay_mult: f64 = 0.01, Bounds::NotNegative;
         /// Iteration at which position_lr_final is reached
         position_lr_max_steps: u32 = 30_000, Bounds::AtLeast(1);
@@ -430,13 +430,12 @@ options! {
         /// Optimise the poses of the training views with the scene; held-out ones are aligned to it before they are measured
         pose_opt: bool = false, Bounds::None;
         /// Learning rate of the poses at the start: of turns, radians; of displacements, times the mean depth of the Gaussians that the
-        /// camera sees at the start. A hundredth of it at the end
+        /// camera sees at the start. It falls to a hundredth
         pose_lr: f64 = 1e-5, Bounds::NotNegative;
         /// Optimise the lenses of the training views with the scene: focal lengths, principal point and distortion, which pinholes
         /// learn too. Held-out views with the same lens are measured with it
         lens_opt: bool = false, Bounds::None;
-        /// Learning rate of the lenses at the start, in focal lengths by which the picture's points move. A hundredth of it at the
-        /// end
+        /// Learning rate of the lenses at the start: displacement of the picture's points, in focal lengths. It falls to a hundredth
         lens_opt_lr: f64 = 1e-4, Bounds::NotNegative;
         /// Adam on all Gaussians, or on those seen only
         optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;
@@ -533,13 +532,13 @@ impl TrainSettings {
         }
     }
 
-    /// Number of photographs below which settings do not change any more.
+    /// Number of photographs below which [`TrainSettings::for_photos`] changes settings no further.
     pub const FEW_PHOTOS: usize = 12;
 
-    /// Adapts settings to few photographs, by measurement (tools/strategies.md). From 32 photographs on nothing changes, from
-    /// [`FEW_PHOTOS`](Self::FEW_PHOTOS) down everything, and in between each value changes by a share. Budget omits random
-    /// Gaussians from steps (DropGaussian), so that no photograph is fitted by Gaussians that no other shows. A weight on opacities
-    /// clears haze that no photograph disproves. The reference's growth ends early. The other strategies stay as they are.
+    /// Adapts settings to fewer than 32 photographs, by measurement (tools/strategies.md). Budget's values change linearly down to
+    /// [`FEW_PHOTOS`](Self::FEW_PHOTOS) photographs. It omits random Gaussians from steps (DropGaussian), so that no photograph is
+    /// fitted by Gaussians that no other shows. A weight on opacities clears haze that no photograph disproves. The reference's
+    /// growth ends at iteration 1500, with any such number of photographs. The other strategies stay as they are.
     #[must_use]
     pub fn for_photos(self, photos: usize) -> Self {
         let share = ((MANY_PHOTOS - photos as f64) / (MANY_PHOTOS - Self::FEW_PHOTOS as f64)).clamp(0.0, 1.0);

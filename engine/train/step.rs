@@ -20,7 +20,7 @@ use crate::passes::filter_3d::Filter3d;
 use crate::passes::lens::LensGradient;
 use crate::passes::loss::{LossTerm, Targets, TermInputs, Windowing, photo_bytes};
 use crate::passes::pixels::LayoutConverter;
-use crate::render::{Request, State};
+use crate::render::{FrameCounts, Request};
 use crate::scene::{Camera, LENS_PARAMETERS};
 use crate::vk::{Buffer, Context, Kernel, MemoryKind, RecordSlot, Recorder};
 use std::collections::VecDeque;
@@ -30,7 +30,7 @@ pub(super) struct StepRecorder {
     terms: Vec<Box<dyn LossTerm>>,
     targets: Targets,
     /// Converts pictures to rows, for terms that read them so.
-    border: Option<LayoutConverter>,
+    layout: Option<LayoutConverter>,
     sizes: LaunchSizes,
     appearance: Appearance,
     backward: Backward,
@@ -143,7 +143,7 @@ impl StepRecorder {
         };
         Ok(Self {
             preparation: PhotoPreparation::new(context, settings)?,
-            border: targets.rows().then(|| LayoutConverter::new(context)).transpose()?,
+            layout: targets.rows().then(|| LayoutConverter::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
             appearance: Appearance::new(context, settings)?,
             backward: Backward::new(context),
@@ -333,15 +333,15 @@ impl StepRecorder {
         let (photo, photo_is_masked) = (photos.of(plan.view), photos.is_masked(plan.view));
         let prepared = self.preparation.as_ref().and_then(|preparation| preparation.record(r, parts));
         let photo = prepared.unwrap_or(photo);
-        let rows = self.border.as_ref().zip(memory.rows.as_ref());
+        let rows = self.layout.as_ref().zip(memory.rows.as_ref());
         if self.targets.inverse_depth {
             r.fill(gradient, 0);
         }
         model.parameter_gradients.iter().for_each(|gradients| r.fill(gradients, 0));
-        if let Some((border, rows)) = rows {
-            border.record_picture(r, inputs, &rows.picture);
+        if let Some((layout, rows)) = rows {
+            layout.record_picture(r, inputs, &rows.picture);
             let size = (inputs.camera.width, inputs.camera.height);
-            border.record_photo(r, size, photo_is_masked, photo, &rows.photo);
+            layout.record_photo(r, size, photo_is_masked, photo, &rows.photo);
         }
         // The gradient of the inverse depth may be native, without rows.
         if self.targets.inverse_depth || self.targets.parameters || rows.is_some() {
@@ -383,9 +383,9 @@ impl StepRecorder {
             if row == 0 {
                 self.appearance.record_backward(r, &appearance, gradient);
             }
-            if let Some((border, rows)) = by_rows {
+            if let Some((layout, rows)) = by_rows {
                 r.barrier();
-                border.record_gradient(r, inputs.frame, &rows.gradient, gradient, true);
+                layout.record_gradient(r, inputs.frame, &rows.gradient, gradient, true);
             }
         }
     }
@@ -485,14 +485,14 @@ pub(super) struct RecordedSteps {
     pub slots: Vec<StepSlot>,
     pub in_flight: VecDeque<InFlight>,
     /// Counts of the first step that overflowed, and the maxima over all such steps. None once the capacity has grown.
-    pub overflow: Option<[State; 2]>,
+    pub overflow: Option<[FrameCounts; 2]>,
     /// True if the next recorded step may use the frame's buffers.
     pub frame_is_ready: bool,
 }
 
 pub(super) struct StepSlot {
-    pub record: RecordSlot,
-    pub state: Buffer,
+    pub recording: RecordSlot,
+    pub counts: Buffer,
     pub losses: Buffer,
     pub outcome: Option<StepOutcome>,
     /// Capacity in dispatches.
@@ -510,22 +510,33 @@ impl StepSlot {
     pub fn new(context: &Context, dispatches: usize, losses: (&'static str, u64)) -> Result<Self> {
         let host = [("state_readback", u64::from(STATE_WORDS) * 4), losses];
         let host = context.allocate("step slot", &host, MemoryKind::HostVisible)?;
-        let Ok([state, losses]) = <[Buffer; 2]>::try_from(host) else {
+        let Ok([counts, losses]) = <[Buffer; 2]>::try_from(host) else {
             unreachable!("one buffer per request")
         };
-        Ok(Self { record: RecordSlot::new(context, dispatches)?, state, losses, outcome: None, dispatches })
+        Ok(Self {
+            recording: RecordSlot::new(context, dispatches)?,
+            counts,
+            losses,
+            outcome: None,
+            dispatches,
+        })
     }
 
-    pub fn state(&self) -> Result<State> {
+    pub fn counts(&self) -> Result<FrameCounts> {
         let mut bytes = [0u8; STATE_WORDS as usize * 4];
-        self.state.read(0, &mut bytes)?;
-        Ok(State::of(&bytes))
+        self.counts.read(0, &mut bytes)?;
+        Ok(FrameCounts::of(&bytes))
     }
 }
 
 impl StepReport {
     /// Report of a finished step, without times.
-    pub(super) fn new(plan: &IterationPlan, gaussians: u32, losses: &LossValues, state: &State) -> Self {
+    pub(super) fn new(
+        plan: &IterationPlan,
+        gaussians: u32,
+        losses: &LossValues,
+        counts: &FrameCounts,
+    ) -> Self {
         // The photometric term comes first. Its own numbers are L1 and SSIM.
         let [_, l1, ssim, _] = losses.terms.first().map_or([f32::NAN; 4], |(_, row)| *row);
         Self {
@@ -535,11 +546,11 @@ impl StepReport {
             ssim,
             terms: losses.terms.iter().map(|(name, row)| (*name, row[0])).collect(),
             gaussians,
-            visible: state.visible_needed,
-            instances: state.all_instances(),
-            longest_tile: state.longest_tile,
-            samples: state.samples,
-            skipped_non_finite: state.non_finite,
+            visible: counts.visible_needed,
+            instances: counts.all_instances(),
+            longest_tile: counts.longest_tile,
+            samples: counts.samples,
+            skipped_non_finite: counts.non_finite,
             view: plan.view,
             ..Self::default()
         }

@@ -19,7 +19,7 @@ use crate::frame::{
     Blending, PictureCapacity, RenderSettings, SceneBuffers, gaussians_with, planes, subgroups, to_u32,
 };
 use crate::passes::filter_3d::Filter3d;
-use crate::render::{DeviceScene, Failed, Frame, FrameRun, FrameRunner, Renderer, State};
+use crate::render::{DeviceScene, Failed, Frame, FrameCounts, FrameRun, FrameRunner, Renderer};
 use crate::scene::{Camera, Exposure, Gaussians, LensEffects, Projection, Twist};
 use crate::vk::{ArenaMemory, Context};
 use std::slice;
@@ -92,7 +92,7 @@ impl RunState {
     /// Checks that the state of the scene is known.
     pub fn check_whole(&self) -> Result<()> {
         if self.broken {
-            let problem = "an earlier step was not finished; go on from a checkpoint, or anew";
+            let problem = "an earlier step was not finished; continue from a checkpoint, or anew";
             return Err(Error::argument("trainer", problem));
         }
         Ok(())
@@ -212,10 +212,7 @@ impl Trainer {
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&run.cameras);
         let shape = frame_shape(pictures, 1 + u32::from(frozen > 0), rows.absolute().is_some());
-        runner.store.expect_pictures(shape.pictures);
-        if shape.absolute {
-            runner.store.expect_absolute();
-        }
+        runner.store.expect(shape.pictures, shape.absolute);
         if any_masked {
             runner.forward.prepare_hiding(shape.absolute)?;
         }
@@ -225,11 +222,9 @@ impl Trainer {
         if let Some(frame) = earlier.filter(|_| fits_earlier).and_then(|earlier| earlier.frame(shape)) {
             runner.store.restore(frame)?;
         }
-        let filter = run.settings.filter_3d.then(|| Filter3d::new(context, &run.cameras)).transpose()?;
-        let filter = match &poses {
-            Some(poses) => filter.map(|filter| filter.with_poses(poses.all_cameras().clone())),
-            None => filter,
-        };
+        let moved = poses.as_ref().map(|poses| poses.all_cameras().clone());
+        let filter =
+            run.settings.filter_3d.then(|| Filter3d::new(context, &run.cameras, moved)).transpose()?;
         let mut frozen = Vec::new();
         if let Some(SceneBlock { frozen: around, .. }) = block.as_ref().filter(|own| !own.frozen.is_empty()) {
             let plan = rows.plan(context, to_u32(around.len() as u64)?, sh_degree)?;
@@ -489,7 +484,7 @@ impl Trainer {
         let plan = IterationPlan { work: Work { accumulates: false, ..plan.work }, ..plan };
         self.photos.prepare(&self.context, plan.iteration)?;
         match self.run_step(&plan) {
-            Err(Failed::OutOfMemory(why)) => self.skip(&plan, &why.0, why.1)?,
+            Err(Failed::OutOfMemory { counts, error }) => self.skip(&plan, &counts, error)?,
             ran => {
                 ran.map_err(Failed::error)?;
                 let losses = self.recorder.read_losses(&self.losses.readback)?;
@@ -514,26 +509,25 @@ impl Trainer {
             self.photos.prefetch(&self.context)?;
         }
         let mut ran = self.run_step(&plan);
-        if let Err(Failed::OutOfMemory(why)) = &ran
-            && self.give_up_reserve(&why.0)?
+        if let Err(Failed::OutOfMemory { counts, .. }) = &ran
+            && self.give_up_reserve(counts)?
         {
             ran = self.run_step(&plan);
         }
         let ran = match ran {
-            Err(Failed::OutOfMemory(why)) => {
-                let (state, error) = *why;
-                self.skip(&plan, &state, error)?;
+            Err(Failed::OutOfMemory { counts, error }) => {
+                self.skip(&plan, &counts, error)?;
                 let skipped = self.recorder.no_losses();
                 return Ok(StepReport {
                     skipped: true,
                     milliseconds: start.elapsed().as_secs_f64() * 1e3,
                     densified,
-                    ..StepReport::new(&plan, self.state.model.scene.count, &skipped, &state)
+                    ..StepReport::new(&plan, self.state.model.scene.count, &skipped, &counts)
                 });
             }
             ran => ran.map_err(Failed::error)?,
         };
-        self.state.done(progress.after(&plan), PeakCounts::of_whole_frame(&plan, &self.run, &ran.state));
+        self.state.done(progress.after(&plan), PeakCounts::of_whole_frame(&plan, &self.run, &ran.counts));
         let losses = self.recorder.read_losses(&self.losses.readback)?;
         if let Some(lenses) = &mut self.lens_opt {
             lenses.step(&mut self.run.cameras, &plan, &losses);
@@ -542,7 +536,7 @@ impl Trainer {
             milliseconds: start.elapsed().as_secs_f64() * 1e3,
             densified,
             scopes: ran.report.scopes,
-            ..StepReport::new(&plan, self.state.model.scene.count, &losses, &ran.state)
+            ..StepReport::new(&plan, self.state.model.scene.count, &losses, &ran.counts)
         })
     }
 
@@ -610,7 +604,7 @@ impl Trainer {
     /// # Errors
     /// The given error, if it has another cause, if no step has succeeded yet, or if every view was skipped since the last
     /// successful step. A training without progress must end.
-    pub(super) fn skip(&mut self, plan: &IterationPlan, needed: &State, error: Error) -> Result<()> {
+    pub(super) fn skip(&mut self, plan: &IterationPlan, needed: &FrameCounts, error: Error) -> Result<()> {
         let state = &mut self.state;
         // A view that fits may come first in one epoch and last in the next.
         let apart = 2 * (self.run.cameras.len() as u64 - 1);

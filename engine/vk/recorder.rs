@@ -431,11 +431,6 @@ impl Recorder {
         result
     }
 
-    /// Returns the device's limits.
-    pub fn limits(&self) -> &Limits {
-        &self.inner.limits
-    }
-
     /// Returns the number of calls of [`Recorder::barrier`].
     pub fn barriers(&self) -> u32 {
         self.barriers
