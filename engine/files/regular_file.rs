@@ -87,7 +87,7 @@ pub fn read(path: impl AsRef<Path>, growth: u64) -> Result<Vec<u8>> {
     contents(path, file, length)
 }
 
-/// Same as [`read`], within a memory budget. The lease holds the memory of the parsed contents.
+/// Same as [`read`], within a memory budget. The lease counts `growth` times the file's size until it is dropped.
 pub(crate) fn read_within(path: &Path, growth: u64, memory: &HostMemory) -> Result<(Vec<u8>, Lease)> {
     let (file, length) = open(path)?;
     let lease = memory.take(path, length.saturating_mul(growth))?;

@@ -404,7 +404,7 @@ fn turned(point: DVec3) -> DVec3 {
     dvec3(-point.x, -point.z, -point.y)
 }
 
-/// Centre and half axes of a box.
+/// Bounding volume of 3D Tiles: centre, then three half axes, in the frame of tiles.
 fn box_of(bounds: Bounds) -> [f64; 12] {
     let [a, b] = [bounds.min, bounds.max].map(|corner| turned(corner.as_dvec3()));
     let (centre, half) = (0.5 * (a + b), 0.5 * (a - b).abs());

@@ -124,7 +124,7 @@ buffer_set! {
     tiles_a: instances * 4;
     /// [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
     tiles_b: instances * 4;
-    /// Without backward, first [`Self::instance_visible`]. Then [`Self::tile_sort_values`], then perhaps
+    /// [`Self::instance_visible`] (frames without backward), [`Self::tile_sort_values`], then perhaps
     /// [`Self::sorted_instances`].
     sorted_a: instances * 4;
     /// [`Self::tile_sort_values`], then perhaps [`Self::sorted_instances`].

@@ -75,7 +75,8 @@ pub struct FrameInputs<'a> {
     pub keeps_overflow: bool,
     /// Further outputs besides the picture; none with `backward`.
     pub outputs: Outputs,
-    /// Which of some views with one order it is ([`Forward::record_first`](crate::render::Forward::record_first)); `None` alone.
+    /// Index among views that share one depth order ([`Forward::record_first`](crate::render::Forward::record_first)); `None` for a
+    /// view with its own.
     pub view: Option<u32>,
 }
 
@@ -128,8 +129,10 @@ impl<'a> FrameInputs<'a> {
         self.scenes[0].sh_degree
     }
 
+    /// Checks that a backward pass, if any, has the right gradients.
+    ///
     /// # Panics
-    /// If a backward pass would have wrong gradients.
+    /// If it has not.
     pub(crate) fn assert_differentiable(&self) {
         if !self.backward {
             return;
@@ -344,7 +347,7 @@ pub(crate) struct Part<'a> {
 /// View of a scene in its own axes.
 #[derive(Clone, Copy, Debug)]
 pub struct SceneView {
-    /// Camera in the scene's own axes and origin, in world units.
+    /// Camera relative to the scene's axes and origin. Its translation is in world units.
     pub camera: Camera,
     /// World units per unit of the scene.
     pub scale: f32,

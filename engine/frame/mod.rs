@@ -1,5 +1,4 @@
-//! What every pass of a frame shares: its buffers and their sizes, its scenes, the camera block, the settings, the device's
-//! tuning.
+//! Buffers, sizes, scenes, camera block, settings and tuning that all passes of a frame share.
 
 mod batches;
 mod buffers;

@@ -2,8 +2,7 @@
 
 use super::Outputs;
 use crate::error::{Error, Result};
-use crate::kernels::constants as c;
-use crate::kernels::constants::{DILATION_PX2, TINTED_COLOR_MAX};
+use crate::kernels::constants::{self as c, DILATION_PX2, TINTED_COLOR_MAX};
 use crate::scene::{Camera, Cut, CutOut, JacobianLimit, MAX_CUT_OUTS, Projection};
 use crate::vk::Buffer;
 

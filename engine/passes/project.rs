@@ -1,6 +1,5 @@
-//! Projection: screen-space attributes of the visible Gaussians (EWA splatting), and their motion
-//! or their normals if a frame has them. Culling
-//! runs the same projection before, for the visibility only.
+//! Projection: screen-space attributes of the visible Gaussians (EWA splatting), and their motion or their normals if a frame has
+//! them. Culling runs the same projection before, for the visibility only.
 
 use crate::error::Result;
 use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, Part, PlacedScene, SceneView};

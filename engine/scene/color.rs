@@ -29,7 +29,7 @@ pub fn linear_from_premultiplied([r, g, b]: [f32; 3], alpha: f32) -> [f32; 3] {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum ColorEncoding {
     /// Values of the training photographs, display-encoded by the curve of sRGB, and shown unchanged. An image of an sRGB
-    /// format receives them as its codes.
+    /// format stores them as they are, without encoding them again.
     #[default]
     AsTrained,
     /// Linear light with the primaries of sRGB, for hosts that light, blend and expose in it. The blended colour is decoded,

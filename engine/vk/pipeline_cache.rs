@@ -1,4 +1,4 @@
-//! What a device keeps to build pipelines only once: the pipelines themselves, and the VkPipelineCache between runs.
+//! Pipelines of a device, each built once, and the VkPipelineCache kept between runs.
 
 use super::debug::vk_error;
 use super::format::{Access, ImageKind, TexelFormat};

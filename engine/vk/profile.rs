@@ -87,9 +87,9 @@ pub struct CommandRecord {
 /// A buffer bound to a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BoundBuffer {
-    /// Its name in the kernel.
+    /// Name of the binding in the kernel.
     pub role: &'static str,
-    /// The name of its allocation.
+    /// Name of the buffer's allocation.
     pub name: &'static str,
     /// How the command may access it.
     pub access: Access,

@@ -55,7 +55,7 @@ void main() {
     }
     uvec2 range = tile_ranges[tile];
     uvec2 origin = TILE_SIZE * uvec2(tile % tiles_per_row, tile / tiles_per_row);
-    // In most tiles the first pixels count.
+    // Most tiles show one of their first pixels, so the loop ends at once.
     bool hidden = range.x < range.y;
     for (uint pixel = 0; hidden && pixel < TILE_SIZE * TILE_SIZE; pixel += SUBGROUP_SIZE) {
         uint own = pixel + gl_SubgroupInvocationID;

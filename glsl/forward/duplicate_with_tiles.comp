@@ -123,8 +123,7 @@ void put_unlisted(uint rank, uint visible_count, uint run_begin, uint run_end) {
             uint row_end = rows_begin + subgroupInclusiveAdd(width);
             uint row_begin = row_end - width;
             rows_begin = subgroupShuffle(row_end, SUBGROUP_SIZE - 1);
-            // The last row takes the remaining tiles. If the driver rounds differently here than in the count, each instance
-            // still gets a tile of the box.
+            // The box's last row takes all remaining instances, so each has a tile even if the count was rounded differently.
             uint last_lane = box.w - 1 - first_row;
             uint rows_end = last_lane < SUBGROUP_SIZE ? stop : min(rows_begin, stop);
             do {

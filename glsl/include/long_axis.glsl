@@ -24,7 +24,7 @@ vec3 long_axis_offset(vec3 log_scale) {
     return mix(vec3(0.0), vec3(offset), equal(uvec3(axis), uvec3(0, 1, 2)));
 }
 
-// Logit of LONG_AXIS_OPACITY times the opacity. Neither form overflows on its side.
+// Logit of LONG_AXIS_OPACITY times the opacity. exp of a non-positive number cannot overflow.
 float long_axis_logit(float logit) {
     float small = exp(-abs(logit));
     return logit > 0.0 ? log(LONG_AXIS_OPACITY / (1.0 - LONG_AXIS_OPACITY + small))

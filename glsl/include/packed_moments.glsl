@@ -13,7 +13,7 @@ float highest_step(float bound) {
     return MOMENT_STEPS * (float(floatBitsToUint(bound) >> 23) - 126.0);
 }
 
-// Thresholds in 1/65536 from the halves of two words; `turn` moves them.
+// Four rounding thresholds, in 1/65536, from the halves of two random words, advanced by `turn`.
 uvec4 thresholds_of(uvec2 random, uint turn) {
     return uvec4(random.x, random.x >> 16, random.y, random.y >> 16) + turn & 0xFFFFu;
 }

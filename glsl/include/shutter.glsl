@@ -49,7 +49,7 @@ Reading reading_of(vec3 at) {
     return reading;
 }
 
-// Centre, world, of the camera that reads a point.
+// World position of the camera's centre when the shutter reads a point.
 vec3 position_reading(vec3 world) {
     if (!SHUTTER) {
         return camera_position();

@@ -8,7 +8,7 @@ const STRATEGIES: [&str; 4] = [
     "--strategy budget --few-photos off",
     "--strategy mcmc --few-photos off",
     "--preset fast --few-photos off",
-    // Chosen automatically with so few photos.
+    // No strategy: few photographs select it.
     "--exposure",
 ];
 

@@ -60,7 +60,7 @@ pub fn inverse_depth_l1(
     (loss, added_to_fourth_plane(gpu, &gradient, size, (strips, before)))
 }
 
-/// What a kernel added to the fourth plane of a gradient that was `before` everywhere. The other planes must stay.
+/// Values that a kernel added to the fourth plane of a gradient that was `before` everywhere. The other planes must stay.
 pub fn added_to_fourth_plane(
     gpu: &Gpu,
     gradient: &Buffer,

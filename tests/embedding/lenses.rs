@@ -5,8 +5,8 @@ use ashsplat::scene::{Intrinsics, Projection, Readout, Shutter};
 
 const SIZE: [u32; 2] = [112, 56];
 
-/// Frames through lenses and rolling shutters equal [`Renderer::render`] to the bit, beside pinholes in the same reservation, and
-/// those of a batch of scenes those of single scenes. A lens and a shutter must be reserved.
+/// A frame through a lens or a rolling shutter equals [`Renderer::render`] to the bit. So does a pinhole frame in the same
+/// reservation. A batch of scenes equals the same scenes drawn singly. A lens or shutter that is not reserved is refused.
 #[test]
 fn a_hosts_lens_draws_what_the_owned_path_draws() {
     with_guest(|host, context| {

@@ -142,7 +142,7 @@ pub struct Page {
     pub greeting: Value,
 }
 
-/// What the server sends.
+/// Messages of the server.
 pub enum Heard {
     Frame(Shown),
     Message(Value),

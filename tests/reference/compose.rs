@@ -1,4 +1,4 @@
-//! What hosts' images show: the twins of `compose/compose_rgba32f`, `compose/compose_rgba8` (which clamps and rounds),
+//! Pixels of hosts' images: the twins of `compose/compose_rgba32f`, `compose/compose_rgba8` (which clamps and rounds),
 //! `compose/depth_limit`, `compose/expected_depth`, `compose/mean_motion` and `compose/picks`.
 
 /// (C, 1 - T) + T behind.

@@ -1,6 +1,6 @@
 //! A field of distances and the vertices of its mesh, the twins of `surface/*`.
 
-/// What views have said of a voxel.
+/// Sums of the views' observations of a voxel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Voxel {
     pub distance: f64,

@@ -22,7 +22,7 @@ struct CommandLine {
     command: Command,
 }
 
-/// What to do.
+/// Subcommands of the program.
 #[derive(Subcommand)]
 pub enum Command {
     /// Train a scene from a data set: COLMAP, transforms.json, or a ZIP of one

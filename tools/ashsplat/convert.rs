@@ -55,7 +55,7 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// What is read, where it is written, and the moves, as they are given.
+/// Input, output and moves as given.
 #[derive(Args)]
 struct Given {
     /// Files of Gaussians or model folders, and the new file, whose extension says the format

@@ -82,7 +82,7 @@ pub struct PrimitiveArguments {
     pub output: OutputArguments,
 }
 
-/// Whether frames end on the device.
+/// Choice of where frames end: on the device, or read back.
 #[derive(Args, Clone, Copy)]
 pub struct ReadBackArguments {
     /// Leave pictures on the device, as in an engine that draws into its own images. To copy a large one to the host and to compose it

@@ -110,7 +110,7 @@ struct Recipe {
 /// A finished run.
 #[derive(Serialize, Deserialize)]
 struct Run {
-    /// What the run depends on.
+    /// Properties on which the numbers of the run depend.
     setup: String,
     /// Wall time of the whole command.
     seconds: f64,

@@ -1503,7 +1503,7 @@ enum AshsplatStatus ashsplat_trainer_resume(const struct AshsplatContext *contex
                                             const char *settings_json,
                                             struct AshsplatTrainer **trainer);
 
-// Frees a trainer. No recorded step of it may still be executed.
+// Frees a trainer. None of its recorded steps may be pending or running.
 //
 // # Safety
 // `trainer` is NULL or of this library and not used afterwards.

@@ -431,7 +431,7 @@ pub(super) unsafe fn photo(camera: &Camera, rgb: *const u8, mask: *const u8) -> 
     }
 }
 
-/// Frees a trainer. No recorded step of it may still be executed.
+/// Frees a trainer. None of its recorded steps may be pending or running.
 ///
 /// # Safety
 /// `trainer` is NULL or of this library and not used afterwards.

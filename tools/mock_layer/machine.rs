@@ -17,7 +17,7 @@ const fn both(a: Flags, b: Flags) -> Flags {
 
 /// Size in bytes, at most the driver's, and true if it is device-local.
 pub(crate) type Heap = (u64, bool);
-/// Properties and heap.
+/// Property flags, index of the heap.
 pub(crate) type Type = (Flags, u32);
 
 /// Environment variable that names queues whose submissions wait for no semaphore: a fault that tests must find.

@@ -1,4 +1,4 @@
-//! What the commands of the program `ashsplat` share: arguments, settings, progress, data sets, pages.
+//! Parts that the commands of the program `ashsplat` share: arguments, settings, progress, data sets, pages.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::expect_used))]
 // Used by the program alone.

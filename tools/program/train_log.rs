@@ -19,7 +19,7 @@ const TRACKED: &str = "tracked_psnr";
 pub const LOG_FILE: &str = "train_log.csv";
 /// Largest number of lines that wait in memory.
 const FLUSH_INTERVAL: u32 = 100;
-/// Largest number of bytes that wait for a full disk: some ten thousand lines. Beyond it the log ends, because a gap
+/// Most bytes of lines that wait in memory while the disk is full: some ten thousand lines. Beyond it the log ends, because a gap
 /// would mislead.
 const MOST_WAITING: usize = 16 << 20;
 

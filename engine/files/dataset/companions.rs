@@ -198,7 +198,8 @@ fn mask_of(folders: &[PathBuf], name: &Path, photo: &Path, finder: &mut Finder) 
     found.or_else(|| [&own].into_iter().chain(&marked).find_map(|name| finder.photo(beside, name)))
 }
 
-/// The mask that a `transforms.json` names, or its counterpart in the folder that matches the photos' folder.
+/// The counterpart of a named mask in the folder that matches the photos' folder, such as `masks_4` for photos in `images_4`, if it
+/// exists; otherwise the mask that `transforms.json` names.
 pub(super) fn mask_in_folder(dataset: &Path, images: &str, named: &Path) -> PathBuf {
     let rest = named.strip_prefix(dataset.join("masks")).ok();
     let folder = dataset.join(format!("masks{}", ending_of(images)));

@@ -156,7 +156,7 @@ impl Gallery {
 
     /// Estimated bytes of the kept inverse-depth maps.
     pub(super) fn map_bytes(&self) -> u64 {
-        // A map's float per pixel takes as much as a texel.
+        // A map's float per pixel takes the four bytes of a texel.
         let kept = self.trained().filter(|(_, view)| view.map.is_some());
         kept.map(|(_, view)| view.texel_bytes(&self.options)).sum()
     }

@@ -210,7 +210,7 @@ fn unpack_sh(byte: u8) -> f32 {
 /// Distance of an outlier from the median, in median distances. It would share a chunk with 255 positions, whose steps
 /// would grow to this much of the scene's radius, divided by 1023.
 const OUTLIER: f64 = 8.0;
-/// [`OUTLIER`] for colours, whose steps are a 255th.
+/// Same as [`OUTLIER`] for colours, which have 8 bits: 255 steps.
 const COLOR_OUTLIER: f64 = 32.0;
 /// Largest number of groups with chunks of their own; outliers may have outliers themselves.
 const MAX_GROUPS: usize = 8;

@@ -52,7 +52,7 @@ pub enum Layout {
     NerfSynthetic,
 }
 
-/// Whether the data set has points to start from.
+/// Initial points of the data set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Points {
     /// As structure from motion would leave them; points3d.ply beside transforms_train.json
@@ -61,7 +61,7 @@ pub enum Points {
     None,
 }
 
-/// What is photographed.
+/// Subject of the photographs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Subject {
     /// Shapes on a terrace, from all around
@@ -71,7 +71,7 @@ pub enum Subject {
     City,
 }
 
-/// What of the data set can be chosen.
+/// Choices of the data set.
 #[derive(Args)]
 pub struct Choices {
     /// What is photographed

@@ -14,7 +14,7 @@ use ashsplat_program::output;
 use clap::Args;
 use std::path::{Path, PathBuf};
 
-/// What goes with --static.
+/// Options of --static.
 #[derive(Args, Default)]
 pub struct StaticArguments {
     /// Run nothing and ask the driver's compiler instead: registers, spills, shared memory, subgroups per SIMD, estimated cycles

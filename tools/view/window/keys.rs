@@ -13,7 +13,7 @@ pub enum Action {
     Mode(usize),
     /// Dragging looks around instead of orbiting.
     FlyMode,
-    /// A click lists the Gaussians of a pixel.
+    /// Switches inspection: a click then lists the Gaussians of a pixel.
     Inspect,
     /// Shows or hides the text.
     Panel,
