@@ -319,15 +319,15 @@ buffer_set! {
 
 /// Rows of a new set to sort along a curve.
 #[derive(Clone, Copy)]
-pub struct OrderInputs<'a> {
+pub struct OrderInputs<'a, 'b> {
     /// Old set, to which the sources refer.
-    pub scene: &'a SceneBuffers,
+    pub scene: &'b SceneBuffers,
     /// Number of rows.
     pub rows: u32,
     /// Source of each row; scratch of the sort.
     pub sources: &'a Buffer,
     /// Buffer whose fourth word is scratch.
-    pub totals: &'a Buffer,
+    pub totals: &'b Buffer,
     /// The curve.
     pub curve: Curve,
 }
@@ -338,7 +338,7 @@ impl Densify {
     pub fn record_order<'a>(
         &self,
         r: &mut Recorder,
-        inputs: &OrderInputs<'a>,
+        inputs: &OrderInputs<'a, '_>,
         order: &'a OrderBuffers,
     ) -> &'a Buffer {
         let OrderInputs { scene, rows, totals, curve, .. } = *inputs;

@@ -92,7 +92,7 @@ pub use format::{
 pub use image::{ForeignImage, Image, ImageState};
 pub(crate) use kernel::sealed::Generated;
 pub use kernel::{
-    ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelVisitor, PipelineStatistics,
+    ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelSet, KernelVisitor, PipelineStatistics,
 };
 #[cfg(feature = "testing")]
 pub use limits::LimitsOverride;
@@ -103,6 +103,6 @@ pub use open_device::QueueLock;
 pub use pipeline::KernelJob;
 pub use pipeline_cache::{BindingInfo, BindingKind, ImageInfo, PipelineCacheKey, PipelineCacheStore};
 pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
-pub use recorder::{KernelSet, MAX_UPDATE_BYTES, Recorder};
+pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use requirements::{Features, OptionalExtension, OptionalFeature, Requirements};
 pub use submit::{Pending, RunReport};

@@ -3,12 +3,10 @@
 use super::audit;
 use super::binding_numbers::BUFFERS;
 use super::commands::Commands;
-use super::context::Context;
 use super::format::{Access, ImageKind, TexelFormat};
 use super::hazard::Hazards;
 use super::image::{Image, ImageState};
 use super::kernel::{Kernel, KernelInterface};
-use super::limits::Limits;
 use super::lock::lock;
 use super::memory::{Block, Buffer};
 use super::open_device::Device;
@@ -767,43 +765,5 @@ impl Recorder {
     /// Returns the hazards found since [`Recorder::collect_hazards`].
     pub fn hazards(&self) -> &[String] {
         self.hazards.as_ref().and_then(|h| h.collected.as_deref()).unwrap_or_default()
-    }
-}
-
-/// The kernels of one shader by their specialization constants. They are built before recording.
-pub struct KernelSet<K: KernelInterface>(Vec<(K::Spec, Kernel<K>)>);
-
-impl<K: KernelInterface> Default for KernelSet<K> {
-    fn default() -> Self {
-        Self(Vec::new())
-    }
-}
-
-impl<K: KernelInterface> KernelSet<K> {
-    /// Builds the kernel with these constants unless it exists.
-    ///
-    /// # Errors
-    /// Same as [`Kernel::new`].
-    pub fn prepare(&mut self, context: &Context, spec: K::Spec) -> Result<()> {
-        if !self.contains(&spec) {
-            let kernel = Kernel::new(context, &spec)?;
-            self.0.push((spec, kernel));
-        }
-        Ok(())
-    }
-
-    /// True if the kernel with these constants is built.
-    pub fn contains(&self, spec: &K::Spec) -> bool {
-        self.0.iter().any(|(built, _)| built == spec)
-    }
-
-    /// The kernel with these constants. If it is not built, the recording fails with an error that names it.
-    pub fn get(&self, r: &mut Recorder, spec: &K::Spec) -> Option<&Kernel<K>> {
-        let found = self.0.iter().find(|(built, _)| built == spec);
-        if found.is_none() {
-            let problem = format!("{spec:?} is not built: prepare it before recording");
-            r.fail(Error::argument(format!("kernel {}", K::NAME), problem));
-        }
-        found.map(|(_, kernel)| kernel)
     }
 }

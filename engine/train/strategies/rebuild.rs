@@ -78,7 +78,7 @@ impl<'a> Decisions<'a> {
                 None => sources,
             }
         };
-        population.rebuild(rows, growth, self.kernels, &key, sources, |_, _, _| {})
+        population.rebuild(rows, growth, self.kernels, &key, sources, |_, _, _, _| {})
     }
 }
 
