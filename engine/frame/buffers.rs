@@ -142,8 +142,8 @@ buffer_set! {
     pub accumulated: pixels * 16;
     /// The composited picture as three planes in strips, if the backward pass reads strips.
     pub composited: 3 * strips * 4;
-    /// Per pixel: sum of weights / z.
-    pub inverse_depth: pixels * 4;
+    /// Per pixel: sum of weights / z, or of weights * z in frames with an expected or a linear depth.
+    pub depth_sums: pixels * 4;
     /// Per pixel: 1 + list index of the last blended entry of its tile.
     pub last_entries: pixels * 4;
     /// Gradient of the loss. Per pixel: dL/d(r, g, b, inverse depth); with strips, three planes of dL/d(r, g,

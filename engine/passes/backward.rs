@@ -83,7 +83,7 @@ macro_rules! blend_backward_arguments {
             conic_opacity: splats.conic_opacity,
             color_inverse_depth: splats.color_inverse_depth,
             rendered: f.rendered(sizes),
-            inverse_depth: &f.inverse_depth,
+            depth_sums: &f.depth_sums,
             last_entries: &f.last_entries,
             image_gradient: $gradient,
             backward_state: &f.backward_state,

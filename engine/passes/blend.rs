@@ -36,7 +36,7 @@ macro_rules! blend_bind {
             conic_opacity: splats.conic_opacity,
             color_inverse_depth: splats.color_inverse_depth,
             accumulated: &frame.accumulated,
-            inverse_depth: &frame.inverse_depth,
+            depth_sums: &frame.depth_sums,
             last_entries: &frame.last_entries,
             state: &frame.state,
             // Without a limit the kernel does not read this binding.

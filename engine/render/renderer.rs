@@ -233,7 +233,7 @@ impl Renderer {
             color.extend(texels.clone().map(|[x, y, z, t]| [x + t * r, y + t * g, z + t * b]));
             transmittance.extend(texels.map(|[.., t]| t));
         })?;
-        let depth = || self.read(&frame.inverse_depth, 0, pixels * 4);
+        let depth = || self.read(&frame.depth_sums, 0, pixels * 4);
         let inverse_depth = settings.inverse_depth.then(depth).transpose()?;
         let surface = settings.surface.then(|| self.read_surface(camera, pixels)).transpose()?;
         let [width, height] = [camera.width, camera.height];

@@ -161,7 +161,7 @@ impl Renderer {
     pub fn slot_inverse_depth(&mut self, slot: u32) -> Result<Buffer> {
         let memory = &self.slot_with_pixels(slot)?.memory;
         match memory.keeps_depth {
-            true => Ok(memory.frame.inverse_depth.clone()),
+            true => Ok(memory.frame.depth_sums.clone()),
             false => Err(Error::argument("inverse_depth", "not reserved")),
         }
     }

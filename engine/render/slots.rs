@@ -240,7 +240,7 @@ impl<'a> SlotLayout<'a> {
         let mut pixels = Vec::new();
         if !wanted.images_only {
             pixels.push(("accumulated", count * 16));
-            pixels.extend(wanted.keeps_depth().then_some(("inverse_depth", count * 4)));
+            pixels.extend(wanted.keeps_depth().then_some(("depth_sums", count * 4)));
         }
         let layout = Self {
             context,
@@ -327,7 +327,7 @@ impl<'a> SlotLayout<'a> {
                 if !self.pixels.is_empty() {
                     let mut pixels = groups.next().unwrap_or_default();
                     own.frame.accumulated = pixels.next().unwrap_or(own.frame.accumulated);
-                    own.frame.inverse_depth = pixels.next().unwrap_or(own.frame.inverse_depth);
+                    own.frame.depth_sums = pixels.next().unwrap_or(own.frame.depth_sums);
                 }
                 own
             };

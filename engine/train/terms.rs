@@ -97,7 +97,7 @@ impl LossTerm for InverseDepth {
         let weight = frame.camera.share_of_whole() * self.settings.depth_l1_weight(inputs.iteration);
         r.scope("inverse depth", |r| {
             let bind = inverse_depth_l1::Bind {
-                inverse_depth: &frame.frame.inverse_depth,
+                inverse_depth: &frame.frame.depth_sums,
                 target_map,
                 image_gradient: inputs.image_gradient,
                 partials,
@@ -235,7 +235,7 @@ impl LossTerm for SparseDepth {
         let weight =
             share * self.settings.depth_points_weight(inputs.iteration) * f64::from(self.scene_extent);
         let (image_width, image_height) = (frame.camera.width, frame.camera.height);
-        let (accumulated, depth_sums) = (&frame.frame.accumulated, &frame.frame.inverse_depth);
+        let (accumulated, depth_sums) = (&frame.frame.accumulated, &frame.frame.depth_sums);
         r.scope("sparse depth", |r| {
             let bind = sparse_depth::Bind {
                 points: &view.points,

@@ -13,7 +13,7 @@
 // invocation: COLUMNS x ROWS pixels; subgroup: a region of the tile; it culls Gaussians and broadcasts the hits as blend
 // does, then adds over its lanes by a transposing butterfly; workgroup: one tile; it adds its regions in shared memory
 // in: tile_ranges, sorted_visible, sorted_instances, PerVisible attributes, state[STATE_FIRST_SCENE_VISIBLE];
-//     PerPixel: accumulated, inverse_depth, last_entries, image_gradient (dL/d(r, g, b), dL/dinverse_depth)
+//     PerPixel: accumulated, depth_sums, last_entries, image_gradient (dL/d(r, g, b), dL/dinverse_depth)
 // out, PerInstance: instance_gradients_a (1, dx, dy, dx dx), instance_gradients_b (dx dy, dy dy, r, g),
 //     instance_gradients_c (b, inverse depth), with ABSOLUTE instance_gradients_d; with WEIGHTS only
 //     instance_gradients_c (weight, 0)

@@ -7,7 +7,7 @@
 // tile (tile_region.glsl): each lane tests one Gaussian against a region, then all lanes blend the hits, which are broadcast
 // by shuffles; workgroup: one tile
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
-// out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; inverse_depth, with LAST_ENTRIES
+// out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; depth_sums, with LAST_ENTRIES
 //     last_entries (1 + list index of the last blended entry of the tile, 0 if none); state[STATE_LONGEST_TILE]
 // shared: see splat_shuffle.glsl; subgroup sizes 4 to 128
 //

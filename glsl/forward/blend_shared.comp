@@ -9,7 +9,7 @@
 //
 // invocation: PIXELS pixels, and one Gaussian of each batch to fetch; workgroup: one tile, batches of WORKGROUP_SIZE
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
-// out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; inverse_depth, with LAST_ENTRIES
+// out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; depth_sums, with LAST_ENTRIES
 //     last_entries (1 + list index of the last blended entry of the tile, 0 if none); state[STATE_LONGEST_TILE]
 // shared: WORKGROUP_SIZE * 10 words and one; any subgroup size (no subgroup operations)
 //

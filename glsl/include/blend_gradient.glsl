@@ -18,7 +18,7 @@ VEC4_READS(4, ConicOpacity, conic_opacity);
 VEC4_READS(5, ColorInverseDepth, color_inverse_depth);
 // Per pixel (r, g, b without background, T); with STRIPS three planes of the composited picture.
 VEC4_READS(6, Rendered, rendered);
-FLOAT_READS(7, InverseDepth, inverse_depth);
+FLOAT_READS(7, DepthSums, depth_sums);
 UINT_READS(8, LastEntries, last_entries);
 // dL/d(r, g, b, inverse depth) per pixel; with STRIPS three planes of them, or four with INVERSE_DEPTH.
 VEC4_READS(9, ImageGradient, image_gradient);
@@ -179,7 +179,7 @@ uint load_pixels(uvec2 corner, bool tile_exists, uint first) {
         bool inside = tile_exists && is_pixel(at);
         uint index = inside ? at.y * image_width + at.x : 0;
         if (INVERSE_DEPTH) {
-            pixels[first + k].rest += pixels[first + k].gradient.w * FLOAT_AT(inverse_depth, index);
+            pixels[first + k].rest += pixels[first + k].gradient.w * FLOAT_AT(depth_sums, index);
         }
         // A pixel without a gradient, such as a masked one, adds nothing to any sum.
         bool counts = inside && pixels[first + k].gradient != vec4(0.0);

@@ -12,7 +12,7 @@ VEC4_READS(2, Mean2dExtent, mean2d_extent);
 VEC4_READS(3, ConicOpacity, conic_opacity);
 VEC4_READS(4, ColorInverseDepth, color_inverse_depth);
 layout(set = 0, binding = 5, scalar) buffer Accumulated { vec4 accumulated[]; };
-layout(set = 0, binding = 6, scalar) buffer InverseDepth { float inverse_depth[]; };
+layout(set = 0, binding = 6, scalar) buffer DepthSums { float depth_sums[]; };
 layout(set = 0, binding = 7, scalar) buffer LastEntries { uint last_entries[]; };
 layout(set = 0, binding = 8, scalar) buffer State { uint state[]; };
 // Per pixel: 1/z of the host's nearest opaque surface, 0 without one. Only read with DEPTH_LIMIT.
@@ -76,7 +76,7 @@ Pixel load_pixel(uvec2 at) {
             pixel.last = last_entries[index];
         }
         if (INVERSE_DEPTH) {
-            pixel.depth = inverse_depth[index];
+            pixel.depth = depth_sums[index];
         }
 #ifdef AUXILIARY
         load_extra(index, pixel.extra);
@@ -97,7 +97,7 @@ void store_pixel(uvec2 at, Pixel pixel, bool more) {
             last_entries[index] = pixel.last;
         }
         if (INVERSE_DEPTH) {
-            inverse_depth[index] = pixel.depth;
+            depth_sums[index] = pixel.depth;
         }
 #ifdef AUXILIARY
         store_extra(index, pixel.extra);

@@ -12,7 +12,7 @@ pub struct Blended {
     pub accumulated: Buffer,
     /// Three planes; only written in strips.
     pub composited: Buffer,
-    pub inverse_depth: Buffer,
+    pub depth_sums: Buffer,
     pub last_entries: Buffer,
 }
 
@@ -100,7 +100,7 @@ macro_rules! blend_lists {
         let blended = Blended {
             accumulated: gpu.untouched::<[f32; 4]>("accumulated", pixels),
             composited: gpu.untouched::<[f32; 3]>("composited", strips_of(lists).values() as usize),
-            inverse_depth: gpu.untouched::<f32>("inverse_depth", pixels),
+            depth_sums: gpu.untouched::<f32>("depth_sums", pixels),
             last_entries: gpu.untouched::<u32>("last_entries", pixels),
         };
         let bind = $kernel::Bind {
@@ -111,7 +111,7 @@ macro_rules! blend_lists {
             color_inverse_depth: &lists.frame.color_inverse_depth,
             accumulated: &blended.accumulated,
             composited: &blended.composited,
-            inverse_depth: &blended.inverse_depth,
+            depth_sums: &blended.depth_sums,
             last_entries: &blended.last_entries,
             state: &lists.state,
             depth_limits: $limits.unwrap_or(&lists.tile_ranges),
@@ -353,7 +353,7 @@ macro_rules! backward_of_lists {
             conic_opacity: &lists.frame.conic_opacity,
             color_inverse_depth: &lists.frame.color_inverse_depth,
             rendered: if strips { &blended.composited } else { &blended.accumulated },
-            inverse_depth: &blended.inverse_depth,
+            depth_sums: &blended.depth_sums,
             last_entries: &blended.last_entries,
             image_gradient: &image_gradient,
             backward_state: &backward_state,

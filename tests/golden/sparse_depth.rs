@@ -95,7 +95,7 @@ pub fn check(path: &Path) -> Outcome {
     for records in [false, true] {
         let mut drawn = None;
         stages.run(&view, |r, inputs, backward| {
-            drawn = Some((inputs.frame.inverse_depth.clone(), inputs.frame.accumulated.clone()));
+            drawn = Some((inputs.frame.depth_sums.clone(), inputs.frame.accumulated.clone()));
             if !records {
                 return;
             }

@@ -56,7 +56,7 @@ fn assert_pixels<'a>(
 fn assert_same_bits(gpu: &Gpu, [a, b]: [&Blended; 2], pixels: usize, what: &str) {
     for (a, b, words) in [
         (&a.accumulated, &b.accumulated, 4),
-        (&a.inverse_depth, &b.inverse_depth, 1),
+        (&a.depth_sums, &b.depth_sums, 1),
         (&a.last_entries, &b.last_entries, 1),
     ] {
         let [a, b] = [a, b].map(|buffer| gpu.read::<u32>(buffer, words * pixels));
@@ -98,7 +98,7 @@ fn check_strips(gpu: &Gpu, lists: &Lists, how: How) {
         }
     }
     let equal = |a, b, words: usize| assert_eq!(gpu.read::<u32>(a, words), gpu.read::<u32>(b, words));
-    equal(&usual.inverse_depth, &blended.inverse_depth, count);
+    equal(&usual.depth_sums, &blended.depth_sums, count);
     equal(&usual.last_entries, &blended.last_entries, count);
 }
 
@@ -119,12 +119,12 @@ fn check_one(gpu: &Gpu, lists: &Lists, how: How) {
         .unwrap_or_else(|error| panic!("{how:?}: {error}"));
 
     if how.inverse_depth {
-        let actual = gpu.read_f64::<f32>(&blended.inverse_depth, count);
+        let actual = gpu.read_f64::<f32>(&blended.depth_sums, count);
         let values: Vec<f64> = expected.iter().map(|p| p.inverse_depth).collect();
         pixels("inverse depth", &actual, &values, &unstable, TOLERANCE)
             .unwrap_or_else(|error| panic!("{how:?}: {error}"));
     } else {
-        assert!(gpu.read::<u32>(&blended.inverse_depth, count).iter().all(|&word| word == UNTOUCHED));
+        assert!(gpu.read::<u32>(&blended.depth_sums, count).iter().all(|&word| word == UNTOUCHED));
     }
     let last = gpu.read::<u32>(&blended.last_entries, count);
     for (index, (pixel, unstable)) in expected.iter().zip(&unstable).enumerate() {
@@ -260,7 +260,7 @@ pub fn blend_stops_at_the_depth_limit() {
         let blended = forward_limited(&gpu, &lists, how, linear_depth, Some(&buffer));
         let visible = |index: usize, list: Vec<_>| before(&list, limits[index].into()).to_vec();
         assert_pixels(&gpu, &lists, &blended, "with limits", visible);
-        let depths = gpu.read_f64::<f32>(&blended.inverse_depth, count);
+        let depths = gpu.read_f64::<f32>(&blended.depth_sums, count);
         for (index, at) in pixels_of(&lists.view).enumerate().filter(|&(index, _)| !unstable[index]) {
             let list = visible(index, lists.list_of(at));
             let expected: f64 = match linear_depth {
@@ -342,8 +342,7 @@ fn check_shared(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass:
 }
 
 fn assert_alike(gpu: &Gpu, [a, b]: [&Blended; 2], count: usize, what: &str) {
-    for (a, b, values) in
-        [(&a.accumulated, &b.accumulated, 4 * count), (&a.inverse_depth, &b.inverse_depth, count)]
+    for (a, b, values) in [(&a.accumulated, &b.accumulated, 4 * count), (&a.depth_sums, &b.depth_sums, count)]
     {
         let [a, b] = [a, b].map(|buffer| gpu.read::<f32>(buffer, values));
         assert_same(gpu.context, &a, &b, (what, 1e-5));

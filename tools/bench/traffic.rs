@@ -117,7 +117,7 @@ impl Traffic {
             _ if ["cut_outs", "selection"].contains(&buffer.role) => Some(0),
             ("planes", _) => planes,
             // Densification's statistics and the inverse depth are off in measured workloads.
-            ("statistics" | "inverse_depth", _) => Some(0),
+            ("statistics" | "depth_sums", _) => Some(0),
             // Expansion reads attributes only of Gaussians with more tiles than a list holds.
             _ if command.name == "forward/duplicate_with_tiles" && SPLAT_ROLES.contains(&buffer.role) => {
                 Some(0)
