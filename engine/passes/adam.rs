@@ -132,7 +132,7 @@ impl Optimizer {
         step: &Step,
     ) {
         let spec = self.adam_spec(inputs.sh_degree(), inputs.variant());
-        let Some(kernel) = self.adam.get(r, &spec) else { return };
+        let Some(kernel) = self.adam.get_or_fail(r, &spec) else { return };
         let f = inputs.frame;
         r.scope("adam", |r| {
             inputs.scene().record_chunks(r, |r, range, parameters| {

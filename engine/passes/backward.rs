@@ -257,7 +257,7 @@ impl Backward {
         let variant = inputs.variant();
         macro_rules! passes {
             ($kernels:ident, $spec:expr, $kernel:ident) => {{
-                let Some(kernel) = self.$kernels.get(r, $spec) else { return };
+                let Some(kernel) = self.$kernels.get_or_fail(r, $spec) else { return };
                 record_passes(r, inputs, &self.sizes, |r, pass, tiles| {
                     let (bind, push) = blend_backward_arguments!($kernel, self, inputs, image_gradient, pass);
                     r.dispatch(kernel, &bind, &push, tiles);
@@ -283,7 +283,7 @@ impl Backward {
         let (f, scene) = (inputs.frame, inputs.scene());
         let variant = FrameVariant { half_sh: scene.plan.half_sh, ..inputs.variant() };
         let spec = self.project_spec(inputs.sh_degree(), variant, form);
-        let Some(kernel) = self.project.get(r, &spec) else { return };
+        let Some(kernel) = self.project.get_or_fail(r, &spec) else { return };
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         scene.record_chunks(r, |r, range, parameters| {
             let push = project_backward::Push {
@@ -333,7 +333,7 @@ impl Backward {
     ) {
         let (f, scene) = (inputs.frame, inputs.scene());
         let spec = self.expand_spec(inputs.sh_degree(), inputs.variant());
-        let Some(kernel) = self.expand.get(r, &spec) else { return };
+        let Some(kernel) = self.expand.get_or_fail(r, &spec) else { return };
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         scene.record_chunks(r, |r, range, parameters| {
             let bind = expand_gradients::Bind {

@@ -138,7 +138,7 @@ impl Blend {
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &LaunchSizes) {
         macro_rules! passes {
             ($kernels:ident, $spec:expr, $kernel:ident $(, $auxiliary:ident)*) => {{
-                let Some(kernel) = self.$kernels.get(r, $spec) else { return };
+                let Some(kernel) = self.$kernels.get_or_fail(r, $spec) else { return };
                 record_passes(r, inputs, sizes, |r, push, tiles| {
                     let bind = blend_bind!($kernel, inputs, sizes $(, $auxiliary)*);
                     r.dispatch(kernel, &bind, &bytemuck::cast(push), tiles);

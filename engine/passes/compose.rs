@@ -223,7 +223,7 @@ impl Compose {
         region: Region<'_>,
     ) {
         let spec = picks::Spec { workgroup_size: self.workgroup };
-        let Some(kernel) = self.picks.get(r, &spec) else { return };
+        let Some(kernel) = self.picks.get_or_fail(r, &spec) else { return };
         let splats = frame.splats();
         let ([image_width, image_height], [offset_x, offset_y]) = (region.size, region.offset);
         let bind = picks::Bind {
@@ -260,7 +260,7 @@ impl Compose {
         empty: Option<[f32; 2]>,
     ) {
         let spec = mean_motion::Spec { workgroup_size: self.workgroup };
-        let Some(kernel) = self.mean_motion.get(r, &spec) else { return };
+        let Some(kernel) = self.mean_motion.get_or_fail(r, &spec) else { return };
         let ([image_width, image_height], [offset_x, offset_y]) = (region.size, region.offset);
         let bind = mean_motion::Bind { accumulated, motion_sums, target: region.image };
         let push = mean_motion::Push {

@@ -92,7 +92,7 @@ impl Cull {
         }
         for part in inputs.parts() {
             let variant = of_frame.of_scene(false, part.settings);
-            let Some(kernel) = self.scene.get(r, &self.spec(variant)) else { return };
+            let Some(kernel) = self.scene.get_or_fail(r, &self.spec(variant)) else { return };
             let push = cull::Push {
                 first: part.first_in_frame,
                 count: part.count,
@@ -128,7 +128,7 @@ impl Cull {
         first: &PlacedScene<'_>,
         variant: FrameVariant,
     ) {
-        let Some(kernel) = self.batch.get(r, &self.batch_spec(variant)) else { return };
+        let Some(kernel) = self.batch.get_or_fail(r, &self.batch_spec(variant)) else { return };
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
         let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
         let parameters = first.scene.chunks[0].whole();

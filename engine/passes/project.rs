@@ -119,7 +119,7 @@ impl Project {
         }
         for part in inputs.parts() {
             let variant = inputs.variant().of_scene(part.scene.plan.half_sh, part.settings);
-            let Some(kernel) = self.scene.get(r, &self.spec(part.sh_degree, variant)) else { return };
+            let Some(kernel) = self.scene.get_or_fail(r, &self.spec(part.sh_degree, variant)) else { return };
             let push = project::Push {
                 first: part.first_in_frame,
                 chunk_gaussians: part.scene.plan.chunk_gaussians,
@@ -163,7 +163,9 @@ impl Project {
         first: &PlacedScene<'_>,
         variant: FrameVariant,
     ) {
-        let Some(kernel) = self.batch.get(r, &self.batch_spec(first.sh_degree, variant)) else { return };
+        let Some(kernel) = self.batch.get_or_fail(r, &self.batch_spec(first.sh_degree, variant)) else {
+            return;
+        };
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
         let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
         let splats = f.splats();
@@ -205,7 +207,7 @@ impl Project {
         }
         let (f, SceneView { camera, scale }) = (inputs.frame, part.previous);
         let spec = self.motion_spec([inputs.camera.projection, camera.projection]);
-        let Some(kernel) = self.motion.get(r, &spec) else { return };
+        let Some(kernel) = self.motion.get_or_fail(r, &spec) else { return };
         let rows = camera.camera_from_world.transpose() * scale;
         let push = screen_motion::Push {
             first: part.first_in_frame,
@@ -233,7 +235,7 @@ impl Project {
             return;
         }
         let f = inputs.frame;
-        let Some(kernel) = self.surfaces.get(r, &self.surfaces_spec(inputs.camera.projection)) else {
+        let Some(kernel) = self.surfaces.get_or_fail(r, &self.surfaces_spec(inputs.camera.projection)) else {
             return;
         };
         let bind = splat_surfaces::Bind {

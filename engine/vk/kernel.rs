@@ -235,7 +235,7 @@ impl<K: KernelInterface> KernelSet<K> {
     }
 
     /// The kernel with these constants. If it is not built, the recording fails with an error that names it.
-    pub fn get(&self, r: &mut Recorder, spec: &K::Spec) -> Option<&Kernel<K>> {
+    pub fn get_or_fail(&self, r: &mut Recorder, spec: &K::Spec) -> Option<&Kernel<K>> {
         let found = self.0.iter().find(|(built, _)| built == spec);
         if found.is_none() {
             let problem = format!("{spec:?} is not built: prepare it before recording");
