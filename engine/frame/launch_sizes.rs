@@ -69,8 +69,6 @@ pub struct LaunchSizes {
     pub blend_backward_subgroup_per_tile: bool,
     /// Invocations of a tile's workgroup in blend_shared: at most one per pixel, or per column of pixels.
     pub tile_shared: u32,
-    /// True if loops over groups of SH coefficients are not unrolled.
-    pub sh_loops: bool,
     /// Invocations of a workgroup of the loss.
     pub loss: u32,
     /// Pixels per invocation, in a row, of the loss.
@@ -146,7 +144,6 @@ impl LaunchSizes {
             blend_backward_subgroup_per_tile: whole_tiles,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
             tile_shared: elementwise.min(TILE_SIZE * TILE_SIZE / tuning.shared_tile_pixels),
-            sh_loops: tuning.sh_loops,
             loss: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", invocations(tuning.loss_workgroup))),
             loss_strip: size("loss", "STRIP", tuning.loss_strip).min(TILE_SIZE),
             // There are few, long invocations: small workgroups spread them evenly.

@@ -105,7 +105,7 @@ impl Optimizer {
     fn adam_spec(&self, sh_degree: u32, variant: FrameVariant) -> adam::Spec {
         let OptimizerForm { packed, half_sh, sparse, parameter_gradients, moved_cameras: moved_camera } =
             self.form;
-        let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
+        let (workgroup_size, sh_loops) = (self.sizes.elementwise_workgroup, self.sizes.tuning.sh_loops);
         let (projection, lenses) = variant.direction_form();
         adam::Spec {
             workgroup_size,

@@ -197,7 +197,7 @@ impl Backward {
             lens_gradient,
             projection: projection as u32,
             lenses: variant.has_lens(),
-            sh_loops: self.sizes.sh_loops,
+            sh_loops: self.sizes.tuning.sh_loops,
             shutter,
             ..project_backward::Spec::default()
         }
@@ -209,7 +209,7 @@ impl Backward {
     }
 
     fn expand_spec(&self, sh_degree: u32, variant: FrameVariant) -> expand_gradients::Spec {
-        let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
+        let (workgroup_size, sh_loops) = (self.sizes.elementwise_workgroup, self.sizes.tuning.sh_loops);
         let (projection, lenses) = variant.direction_form();
         expand_gradients::Spec { workgroup_size, sh_degree, sh_loops, projection, lenses }
     }

@@ -68,7 +68,7 @@ impl Project {
             z_record,
             projection: projection as u32,
             lenses: variant.has_lens(),
-            sh_loops: self.sizes.sh_loops,
+            sh_loops: self.sizes.tuning.sh_loops,
             shared_order,
             half_sh,
             shutter,
@@ -84,7 +84,7 @@ impl Project {
             tinted,
             projection: projection as u32,
             lenses: variant.has_lens(),
-            sh_loops: self.sizes.sh_loops,
+            sh_loops: self.sizes.tuning.sh_loops,
             shared_order,
             shutter,
         }
