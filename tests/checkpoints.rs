@@ -213,7 +213,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
 fn checkpoints_lose_no_bit() {
     let sparse = TrainSettings { optimizer_type: OptimizerType::SparseAdam, ..settings() };
     let packed = TrainSettings { moments: MomentsType::Packed, decay_last: 0.4, ..settings() };
-    let halves = TrainSettings { sh_storage: ShStorage::Half, ..packed.clone() };
+    let halves = TrainSettings { sh_storage: ShStorage::Half, surface: true, ..packed.clone() };
     let stops: [&[u32]; 6] = [&[0], &[1], &[15], &[20], &[27], &[39]];
     for (settings, stops) in [
         (settings(), &stops[..]),

@@ -159,13 +159,16 @@ fn photographs_are_learned_through_their_lenses() {
         assert!(after > before + 2.0, "{:?}: {before} dB, then {after} dB", view.camera.projection);
     }
     drop(trainer);
+    let surface = TrainSettings { surface: true, ..settings.clone() };
+    let refused = refusal(Run::shared(views.clone(), surface).starting_at(&start).try_begin());
+    assert_says(refused, &["surface", "pinholes", "--undistort"]);
     let moved =
         TrainSettings { iterations: 20, pose_opt: true, lens_opt: true, densify_until_iter: 19, ..settings };
     Run::shared(views, moved).starting_at(&start).check_stops(&[&[9]]);
 }
 
 /// Views of a scene with their photographs.
-fn photographed(scene: &Gaussians, cameras: impl Iterator<Item = Camera>) -> Vec<TrainView> {
+pub fn photographed(scene: &Gaussians, cameras: impl Iterator<Item = Camera>) -> Vec<TrainView> {
     let mut renderer = loaded(context(), scene);
     let take = |camera: Camera| {
         let frame = renderer.render(&camera, &RenderSettings::default()).expect("a frame");

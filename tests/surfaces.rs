@@ -4,12 +4,14 @@ use crate::common::engine::settings;
 use crate::common::prelude::*;
 use crate::common::splats::{directions, disks};
 use crate::kernels::surface::open_edges;
+use crate::lenses::photographed;
 use crate::reference::blend::{beside, is_median_depth};
 use crate::reference::pipeline::{self, pixels_of, tile_of};
 use crate::reference::splat_surface::{depth_slope, splat_normal};
 use ashsplat::Surface;
 use ashsplat::scene::Intrinsics;
 use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, Mesh};
+use ashsplat::train::{MomentsType, ShStorage};
 use glam::{DVec3, Mat3};
 
 #[test]
@@ -101,6 +103,46 @@ fn a_ball_becomes_a_closed_mesh() {
         let [red, _, blue] = *color;
         assert!(position.z.abs() < 0.15 || (red > blue) == (position.z > 0.0), "{color:?} at {position}");
     }
+}
+
+/// With `surface`, Gaussians of a ball that begin in any direction come to lie on it, and their shortest axes shrink.
+#[test]
+fn surfaces_are_trained() {
+    let truth = disks(Vec3::ZERO);
+    let views = photographed(&truth, cameras().into_iter().take(8));
+    let mut start = truth;
+    let mut random = Random::new(3);
+    start.quats.iter_mut().for_each(|quat| *quat = [0; 4].map(|_| random.normal() as f32));
+    start.log_scales.fill([-3.1, -2.9, -3.3]);
+    let trained = |surface: bool| {
+        let settings = TrainSettings {
+            surface,
+            iterations: 120,
+            moments: MomentsType::Packed,
+            sh_storage: ShStorage::Half,
+            densify_until_iter: 1,
+            rotation_lr: 0.01,
+            scaling_lr: 0.01,
+            ..TrainSettings::reference()
+        };
+        let mut trainer = Run::shared(views.clone(), settings).starting_at(&start).begin();
+        trainer.finish();
+        let found = trainer.gaussians().expect("Gaussians");
+        let of_gaussian = |i: usize| {
+            let [w, x, y, z] = found.quats[i];
+            let turn = Mat3::from_quat(glam::Quat::from_xyzw(x, y, z, w).normalize());
+            let outwards = Vec3::from_array(found.means[i]).normalize();
+            let thickness = found.log_scales[i].into_iter().fold(f32::INFINITY, f32::min);
+            [turn.z_axis.dot(outwards).abs(), thickness]
+        };
+        let sum = (0..found.len()).map(of_gaussian).fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+        sum.map(|sum| sum / found.len() as f32)
+    };
+    let ([turned, thin], [plain_turned, plain_thin]) = (trained(true), trained(false));
+    assert!(
+        turned > plain_turned + 0.05 && thin < plain_thin - 0.05,
+        "{turned} for {plain_turned}, {thin} for {plain_thin}"
+    );
 }
 
 #[test]

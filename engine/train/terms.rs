@@ -4,7 +4,10 @@ use super::settings::TrainSettings;
 use crate::error::Result;
 use crate::frame::{LaunchSizes, blocks};
 use crate::kernels::constants::TERM_PARTIALS;
-use crate::kernels::loss::{inverse_depth_l1, regularize, sparse_depth, sparse_depth_gather, term_reduce};
+use crate::kernels::loss::{
+    inverse_depth_l1, regularize, sparse_depth, sparse_depth_gather, surface_alignment, surface_depth,
+    surface_planarity, term_reduce,
+};
 use crate::passes::loss::{LossTerm, PixelLayout, Targets, TermInputs};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -14,6 +17,9 @@ pub(super) fn of_settings(context: &Context, settings: &TrainSettings) -> Result
     let (opacity, scale) = (settings.opacity_reg, settings.scale_reg);
     if opacity > 0.0 || scale > 0.0 {
         terms.push(Box::new(Regularizers::new(context, opacity, scale)?));
+    }
+    if settings.surface {
+        terms.push(Box::new(Surface::new(context, settings)?));
     }
     Ok(terms)
 }
@@ -265,6 +271,119 @@ impl LossTerm for SparseDepth {
             let push = sparse_depth_gather::Push { image_width, image_height, count: view.pixel_count };
             let workgroups = blocks(view.pixel_count.into(), self.workgroup_size.into());
             r.dispatch(&self.gather, &bind, &push, workgroups);
+        });
+    }
+}
+
+/// Shapes the scene like surfaces: the rendered inverse depth becomes linear over the picture but for edges, and the visible
+/// Gaussians turn to it, flatten and move to it (surface_planarity.comp, surface_alignment.comp). Takes part in the second and
+/// third quarter of a run, because it needs a coarse scene first, and the photographs decide about the last details. Pinholes
+/// only. Reports the mean bend of the picture; the weighted value is without the alignment's.
+pub struct Surface {
+    depth: Kernel<surface_depth::Interface>,
+    planarity: Kernel<surface_planarity::Interface>,
+    alignment: Kernel<surface_alignment::Interface>,
+    sums: PartialSums,
+    sizes: LaunchSizes,
+    iterations: u32,
+}
+
+impl Surface {
+    /// Weights, by measurement (engine/guide/formats.md): of the planarity, and of a pixel's share of the alignment.
+    const PLANARITY: f32 = 0.05;
+    const TURN: f32 = 0.05;
+    const FLATTEN: f32 = 0.02;
+    const APPROACH: f32 = 0.02;
+
+    /// Builds the kernels.
+    pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
+        let (workgroup_size, subgroup_size) = group_sizes(context);
+        let sizes = LaunchSizes::new(context.limits());
+        let planarity = surface_planarity::Spec { workgroup_size, subgroup_size, strips: sizes.strips };
+        Ok(Self {
+            depth: Kernel::new(context, &surface_depth::Spec { workgroup_size })?,
+            planarity: Kernel::new(context, &planarity)?,
+            alignment: Kernel::new(context, &surface_alignment::Spec { workgroup_size })?,
+            sums: PartialSums::new(context)?,
+            sizes,
+            iterations: settings.iterations,
+        })
+    }
+}
+
+impl LossTerm for Surface {
+    fn name(&self) -> &'static str {
+        "surface"
+    }
+
+    fn targets(&self) -> Targets {
+        let picture = Some(PixelLayout::Native);
+        Targets { picture, inverse_depth: true, parameters: true, ..Targets::default() }
+    }
+
+    fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
+        let pixels = sizes.iter().map(|&(width, height)| u64::from(width) * u64::from(height));
+        vec![("surface_partials", PartialSums::BYTES), ("surface_depths", 4 * pixels.max().unwrap_or(1))]
+    }
+
+    fn record(&self, r: &mut Recorder, inputs: &TermInputs) {
+        let ([partials, surface_depths], frame) = (inputs.scratch, inputs.frame) else {
+            panic!("two scratch buffers of the surface");
+        };
+        let quarter = self.iterations / 4;
+        if !(quarter..3 * quarter).contains(&inputs.iteration) {
+            return record_none(r, inputs);
+        }
+        let (f, splats) = (frame.frame, frame.frame.splats());
+        let (image_width, image_height) = (frame.camera.width, frame.camera.height);
+        let pixels = image_width * image_height;
+        let share = frame.camera.share_of_whole() as f32;
+        let of_pixel = share / pixels as f32;
+        // Gaussians are wider than pixels, so differences over several pixels count, too.
+        let stride_px = 1 << (inputs.iteration % 3);
+        r.scope("surface", |r| {
+            let bind = surface_depth::Bind {
+                accumulated: &f.accumulated,
+                depth_sums: &f.depth_sums,
+                surface_depths,
+            };
+            let groups = self.sizes.groups(pixels);
+            r.dispatch(&self.depth, &bind, &surface_depth::Push { pixels }, groups);
+            r.barrier();
+            let bind = surface_planarity::Bind {
+                accumulated: &f.accumulated,
+                surface_depths,
+                image_gradient: inputs.image_gradient,
+                partials,
+            };
+            let weight = Self::PLANARITY * of_pixel;
+            let push = surface_planarity::Push { image_width, image_height, stride_px, weight };
+            r.dispatch(&self.planarity, &bind, &push, TERM_PARTIALS.into());
+            frame.scene().record_chunks(r, |r, range, parameters| {
+                let bind = surface_alignment::Bind {
+                    parameters,
+                    visible_ranges: &f.visible_ranges,
+                    visible_list: &f.visible_list,
+                    mean2d_extent: splats.mean2d_extent,
+                    conic_opacity: splats.conic_opacity,
+                    surface_depths,
+                    parameter_gradients: &inputs.parameter_gradients[range.chunk],
+                    camera_block: &f.camera_block(0),
+                };
+                let push = surface_alignment::Push {
+                    first: range.first,
+                    splat_stride: splats.stride,
+                    stride_px: stride_px.min(2),
+                    turn: Self::TURN * of_pixel,
+                    flatten: Self::FLATTEN * of_pixel,
+                    approach: Self::APPROACH * of_pixel,
+                };
+                let at = f.range_arguments(&self.sizes, range.first);
+                r.dispatch_indirect(&self.alignment, &bind, &push, &at);
+            });
+            r.barrier();
+            let weight = share * Self::PLANARITY;
+            self.sums.record(r, inputs, partials, [pixels as f32, 1.0], [weight, 0.0]);
         });
     }
 }

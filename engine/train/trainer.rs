@@ -195,6 +195,13 @@ impl Trainer {
             }
             cameras.iter_mut().for_each(|camera| *camera = with_own_lens(camera));
         }
+        let is_pinhole =
+            |camera: &Camera| camera.projection == Projection::Perspective && camera.shutter.is_none();
+        if settings.surface && !cameras.iter().all(is_pinhole) {
+            let problem =
+                "takes pinholes without rolling shutters (--undistort makes them), and fixed lenses";
+            return Err(Error::argument("surface", problem));
+        }
         let lens_opt = settings.lens_opt.then(|| LensOptimizer::new(&cameras));
         let poses = Poses::new(context, &settings, &cameras, initial)?;
         let run = TrainingRun {

@@ -4,8 +4,8 @@ use crate::stage::*;
 use ashsplat::frame::LEAST_VISIBLE;
 use ashsplat::scene::Bounds;
 use ashsplat::train::{
-    OptimizerType, Preset, SceneBlock, SplitType, StepOutcome, StepReservation, StrategyType, TrainParts,
-    Trainer,
+    MomentsType, OptimizerType, Preset, SceneBlock, ShStorage, SplitType, StepOutcome, StepReservation,
+    StrategyType, TrainParts, Trainer,
 };
 use ashsplat::{StepReport, TrainView};
 use ashsplat_files::{Photo, PhotoMemory, StoredPhoto};
@@ -127,8 +127,15 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
 
 #[test]
 fn recorded_training_is_the_owned_paths_to_the_bit() {
-    // Terms of the loss that depend directly on the parameters.
-    let weighted = TrainSettings { opacity_reg: 0.01, scale_reg: 0.01, ..settings() };
+    // Terms of the loss that depend directly on the parameters; halves.
+    let weighted = TrainSettings {
+        opacity_reg: 0.01,
+        scale_reg: 0.01,
+        surface: true,
+        moments: MomentsType::Packed,
+        sh_storage: ShStorage::Half,
+        ..settings()
+    };
     let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
     // Filters, whose sizes are computed between steps and within them.
     let filtered = TrainSettings {

@@ -23,3 +23,4 @@ pub mod sort;
 mod splat_surfaces;
 pub mod ssim;
 pub mod surface;
+mod surface_loss;

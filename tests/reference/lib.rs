@@ -46,6 +46,7 @@ pub mod sparse_depth_gather;
 pub mod splat_surface;
 pub mod ssim;
 pub mod surface;
+pub mod surface_loss;
 pub mod tiles;
 pub mod types;
 pub mod zorder;

@@ -39,7 +39,7 @@ const HEADINGS: [(&str, &[&str]); 4] = [
         ],
     ),
     ("Exposures, lenses and poses", &["exposure", "lens_", "pose_"]),
-    ("Loss", &["lambda_dssim", "opacity_reg", "scale_reg", "depth_", "dropout"]),
+    ("Loss", &["lambda_dssim", "opacity_reg", "scale_reg", "surface", "depth_", "dropout"]),
     (
         "Picture",
         &["white_background", "random_background", "antialiasing", "kernel_size", "filter_3d", "sh_degree"],
