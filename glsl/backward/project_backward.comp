@@ -50,14 +50,11 @@ layout(constant_id = 9) const bool Z_RECORD = false;
 layout(constant_id = 10) const bool SH_LOOPS = false;
 // Projection of the camera: see pinhole.glsl.
 layout(constant_id = 11) const uint PROJECTION = PROJECTION_PERSPECTIVE;
-// True if the scene stores its SH coefficients in halves.
-layout(constant_id = 12) const bool HALF_SH = false;
-#define HALVES
 #ifdef LENSES
 // True if the parameters of a lens have gradients.
-layout(constant_id = 13) const bool LENS_GRADIENT = false;
+layout(constant_id = 12) const bool LENS_GRADIENT = false;
 // True for a rolling shutter: see shutter.glsl.
-layout(constant_id = 14) const bool SHUTTER = false;
+layout(constant_id = 13) const bool SHUTTER = false;
 #endif
 layout(local_size_x_id = 0) in;
 
@@ -285,8 +282,7 @@ void main() {
     uint clamped_visible = exists ? visible : visible_range.x;
     uint gaussian = UINT_AT(visible_list, clamped_visible);
     uint index = exists ? gaussian - first : 0;
-    uint footprint = exists ? UVEC4_AT(footprints, splat_at(clamped_visible, SPLAT_FOOTPRINT)).w : 0;
-    uint instances = footprint & (1u << FOOTPRINT_TILES_BITS) - 1;
+    uint instances = exists ? UVEC4_AT(footprints, splat_at(clamped_visible, SPLAT_FOOTPRINT)).w : 0;
     // Instances beyond the capacity do not exist. The frame has then overflowed and will be repeated.
     uint begin = instances == 0 ? 0 : UINT_AT(first_instances, clamped_visible);
     instances = state[STATE_OVERFLOW] != 0 ? 0 : instances;
@@ -297,8 +293,7 @@ void main() {
     vec3 towards = mean_opacity.xyz - POSITION_SEEING(mean_opacity.xyz);
     float inverse_distance = inversesqrt(dot(towards, towards));
     vec3 direction = towards * inverse_distance;
-    bvec3 clamped = notEqual(footprint >> FOOTPRINT_TILES_BITS & uvec3(1, 2, 4), uvec3(0));
-    vec3 d_color = mix(vec3(sums.b.z, sums.b.w, sums.c.x), vec3(0.0), clamped);
+    vec3 d_color = mix(vec3(sums.b.z, sums.b.w, sums.c.x), vec3(0.0), lessThan(sh_color(index, direction), vec3(0.0)));
     vec3 d_direction = sh_direction_gradient(index, direction, d_color);
     vec3 d_towards = (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
 

@@ -71,7 +71,7 @@ void main() {
     uint visible = visible_index[exists ? index : 0];
     bool seen = exists && visible != NOT_VISIBLE;
     uint row = seen ? visible : 0;
-    uint instances = seen ? footprints[splat_at(row, SPLAT_FOOTPRINT)].w & (1u << FOOTPRINT_TILES_BITS) - 1 : 0;
+    uint instances = seen ? footprints[splat_at(row, SPLAT_FOOTPRINT)].w : 0;
     uint begin = instances == 0 ? 0 : first_instances[row];
     // Nonnegative, so its bits sort like its value.
     float weight = max(sum_instances(begin, instances), 0.0);

@@ -83,9 +83,6 @@ const uint SPLAT_COLOR_INVERSE_DEPTH = 2;
 const uint SPLAT_FOOTPRINT = 3;
 const uint SPLAT_PLANES = 4;
 
-// Bits of the number of tiles in the last word of a footprint. Those above say which channels of the colour the clamp at 0 cuts.
-const uint FOOTPRINT_TILES_BITS = 29;
-
 // Gradient planes of a visible Gaussian: plane p of visible Gaussian i lies at p * stride + i.
 const uint GRADIENT_MEAN_OPACITY = 0;
 const uint GRADIENT_QUAT = 1;

@@ -3,7 +3,7 @@
 // Needs constants.glsl and a push constant `extent`.
 //
 // A footprint is four words. Exact extent: shape of the rows (row_shape), number of tiles. Reference extent: x0 | x1 << 16
-// and y0 | y1 << 16 in tiles, the radius in px, number of tiles. Above the number are FOOTPRINT_TILES_BITS's flags.
+// and y0 | y1 << 16 in tiles, the radius in px, number of tiles.
 
 #include "tile_list.glsl"
 #ifdef LENSES

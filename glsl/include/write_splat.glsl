@@ -6,12 +6,6 @@ vec3 tinted(vec3 color) {
     return TINTED ? min(color * scene_tint, vec3(TINTED_COLOR_MAX)) : color;
 }
 
-// Bits of a footprint's last word for the channels that the clamp at 0 cuts.
-uint clamped_channels(vec3 color) {
-    uvec3 bits = mix(uvec3(0), uvec3(1, 2, 4), lessThan(color, vec3(0.0)));
-    return (bits.x | bits.y | bits.z) << FOOTPRINT_TILES_BITS;
-}
-
 // `index` is the index of the Gaussian in its range of parameters.
 void write_splat(uint visible, uint index) {
     vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
@@ -42,6 +36,6 @@ void write_splat(uint visible, uint index) {
     float depth = max(DEPTH_OF(p.mean_camera), NEAR_PLANE);
     uint depth_key = floatBitsToUint(depth) - floatBitsToUint(NEAR_PLANE);
     depth_keys[visible] = min(depth_key, (1u << DEPTH_KEY_BITS) - 1);
-    footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles_met(list) | clamped_channels(color));
+    footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles_met(list));
     tile_lists[visible] = list;
 }

@@ -8,7 +8,7 @@ use crate::reference::project::{color, project};
 use crate::reference::project_backward as twin;
 use crate::reference::types::DILATION;
 use ashsplat::kernels::backward::{expand_gradients, project_backward};
-use ashsplat::kernels::constants::{FOOTPRINT_TILES_BITS, GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBLE};
+use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBLE};
 
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 const QUATS: GradientTolerance = GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 };
@@ -119,12 +119,7 @@ fn run(gpu: &Gpu, scene: &Scene, modes: Modes) -> Output {
     let first_instances: Vec<u32> = (scene.sums.iter())
         .scan(0, |next, sums| Some(std::mem::replace(next, *next + sums.len() as u32)))
         .collect();
-    let footprint = |(sums, &gaussian): (&Vec<_>, &u32)| {
-        let (_, raw) = color(&scene.gaussians[gaussian as usize], view);
-        let clamped = (0..3).map(|channel| u32::from(raw[channel] < 0.0) << channel).sum::<u32>();
-        [0, 0, 0, sums.len() as u32 | clamped << FOOTPRINT_TILES_BITS]
-    };
-    let footprints: Vec<[u32; 4]> = scene.sums.iter().zip(&scene.visible).map(footprint).collect();
+    let footprints: Vec<[u32; 4]> = scene.sums.iter().map(|sums| [0, 0, 0, sums.len() as u32]).collect();
     let part = |from: usize| {
         flat.iter().map(|s| std::array::from_fn(|k| s[from + k] as f32)).collect::<Vec<[f32; 4]>>()
     };
