@@ -10,6 +10,7 @@ use super::strategies;
 use super::strategy::Strategy;
 use super::terms::{self, InverseDepth, SparseDepth};
 use crate::error::{Error, Result};
+use crate::frame::max_trained_among;
 use crate::passes::loss::{LossTerm, Photometric};
 use crate::vk::Context;
 
@@ -68,6 +69,29 @@ impl Forecast<'_> {
         // The extent only scales a weight.
         let parts = BuiltParts::new(context, self.settings, 1.0, parts, self.photos)?;
         self.capacity(context, &parts).map(drop)
+    }
+
+    /// Most Gaussians with which such a training can begin; 0 if it cannot. Those of the forecast, and its checkpoint, do not count.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for invalid settings and without photographs; [`Error::Vulkan`](crate::Error::Vulkan) from the device.
+    pub fn most_gaussians(&self, context: &Context) -> Result<u32> {
+        self.settings.check()?;
+        if self.photos.is_empty() {
+            return Err(Error::argument("photographs", "there are none to train on"));
+        }
+        let parts = TrainParts::of_settings(context, self.settings)?;
+        let parts = BuiltParts::new(context, self.settings, 1.0, parts, self.photos)?;
+        let (mut fits, mut beyond) = (0, max_trained_among(context.limits(), self.frozen).saturating_add(1));
+        while beyond - fits > 1 {
+            let gaussians = fits + (beyond - fits) / 2;
+            match (Forecast { gaussians, capacities: None, ..*self }).capacity(context, &parts) {
+                Ok(_) => fits = gaussians,
+                Err(Error::TooLarge { .. }) => beyond = gaussians,
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(fits)
     }
 
     /// Initial capacity in Gaussians, and true if it is the checkpoint's because all of its capacities fit.

@@ -330,7 +330,7 @@ options! {
         opacity_reg: f64 = 0.0, Bounds::NotNegative;
         /// Weight of the mean scale in the loss
         scale_reg: f64 = 0.0, Bounds::NotNegative;
-        /// Shape the scene like surfaces, for meshes and depths: planes in the picture, flat Gaussians on them. For pinholes only
+        /// Let Gaussians lie flat on surfaces, for better normals and depths, at some cost in PSNR. For pinholes only
         surface: bool = false, Bounds::None;
         /// Density control: the reference's, none, 3DGS-MCMC's, or budgeted growth; the last two set other defaults
         strategy: StrategyType = StrategyType::Reference, Bounds::None;

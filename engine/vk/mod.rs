@@ -62,6 +62,7 @@ mod format;
 mod hazard;
 mod image;
 mod kernel;
+mod kernel_set;
 mod limits;
 mod lock;
 mod memory;
@@ -92,8 +93,9 @@ pub use format::{
 pub use image::{ForeignImage, Image, ImageState};
 pub(crate) use kernel::sealed::Generated;
 pub use kernel::{
-    ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelSet, KernelVisitor, PipelineStatistics,
+    ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelVisitor, PipelineStatistics,
 };
+pub use kernel_set::KernelSet;
 #[cfg(feature = "testing")]
 pub use limits::LimitsOverride;
 pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};

@@ -50,11 +50,14 @@ layout(constant_id = 9) const bool Z_RECORD = false;
 layout(constant_id = 10) const bool SH_LOOPS = false;
 // Projection of the camera: see pinhole.glsl.
 layout(constant_id = 11) const uint PROJECTION = PROJECTION_PERSPECTIVE;
+// True if the scene stores its SH coefficients in halves.
+layout(constant_id = 12) const bool HALF_SH = false;
+#define HALVES
 #ifdef LENSES
 // True if the parameters of a lens have gradients.
-layout(constant_id = 12) const bool LENS_GRADIENT = false;
+layout(constant_id = 13) const bool LENS_GRADIENT = false;
 // True for a rolling shutter: see shutter.glsl.
-layout(constant_id = 13) const bool SHUTTER = false;
+layout(constant_id = 14) const bool SHUTTER = false;
 #endif
 layout(local_size_x_id = 0) in;
 

@@ -186,12 +186,6 @@ const float MAP_NOTHING = 1e30;
 // Minimum divisor of an expected depth, a sum of weights (gsplat).
 const float COVERAGE_MIN = 1e-10;
 
-// Terms of the loss that shape surfaces: least coverage of a pixel with a surface; second difference of the inverse depth at
-// which a bend has half of its greatest loss, and distance of a Gaussian from the surface, both relative to the depth.
-const float SURFACE_COVERAGE = 0.5;
-const float SURFACE_BEND = 0.02;
-const float SURFACE_REACH = 0.05;
-
 // Arithmetic benchmark: number of independent chains per invocation, and of steps per chain and round.
 const uint MULTIPLY_ADD_CHAINS = 8;
 const uint MULTIPLY_ADD_STEPS = 4;

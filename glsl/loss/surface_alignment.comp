@@ -47,6 +47,7 @@ layout(push_constant, scalar) uniform Push {
 #include "rotation.glsl"
 #include "quaternion_gradient.glsl"
 #include "splat_record.glsl"
+#include "surface_loss.glsl"
 
 float depth_at(ivec2 at) {
     return surface_depths[at.y * image_width + at.x];

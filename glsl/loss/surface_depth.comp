@@ -21,6 +21,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "dispatch.glsl"
+#include "surface_loss.glsl"
 
 void main() {
     uint index = linear_invocation();

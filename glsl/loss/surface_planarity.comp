@@ -36,6 +36,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "strips.glsl"
+#include "surface_loss.glsl"
 #include "workgroup_sum.glsl"
 
 float depth_at(ivec2 at) {

@@ -1,9 +1,11 @@
 //! `ashsplat info`.
 
 use ashsplat::scene::{Bounds, Gaussians, WorldFrame};
+use ashsplat::train::{Forecast, MomentsType, ShStorage, TrainSettings};
+use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Error, Result};
-use ashsplat_files::{Dataset, DatasetReport, quoted, splats};
-use ashsplat_program::args::HostArguments;
+use ashsplat_files::{Dataset, DatasetReport, Gallery, quoted, splats};
+use ashsplat_program::args::{HostArguments, bytes, size};
 use ashsplat_program::config::DataSettings;
 use ashsplat_program::model::Model;
 use ashsplat_program::progress::thousands;
@@ -40,6 +42,9 @@ pub struct Arguments {
     /// Drop the Gaussians whose parameters are not finite, instead of refusing the file
     #[arg(long)]
     drop_invalid: bool,
+    /// Say how many Gaussians training on a data set can begin with in this much device memory, with a unit: 800M, 6G
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    max_memory: Option<u64>,
     #[command(flatten)]
     host: HostArguments,
     /// Print JSON
@@ -96,13 +101,34 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         Dataset::inspect(&arguments.path, &options, progress)
     });
     session::check(&stop)?;
+    let fitting = match arguments.max_memory {
+        Some(most) if report.is_sound() => {
+            let data = DataSettings { source_path: arguments.path.clone(), ..data };
+            Some((most, fitting(&session::open(&data, &options, &stop)?, most)?))
+        }
+        _ => None,
+    };
     if arguments.json {
-        say!("{:#}", dataset_json(&report));
+        let mut all = dataset_json(&report);
+        if let Some((_, fitting)) = &fitting {
+            all["most_gaussians"] =
+                fitting.iter().map(|&(storage, most)| (storage.to_string(), json!(most))).collect();
+        }
+        say!("{all:#}");
     } else if report.model.is_some() {
         say!("{}", report.to_string().trim_end());
     }
     match report.problems.as_slice() {
         [] => {
+            if let Some((most, fitting)) = fitting.filter(|_| !arguments.json) {
+                for (storage, gaussians) in fitting {
+                    let gaussians = thousands(gaussians.into());
+                    say!(
+                        "memory    training in {} can begin with {gaussians} Gaussians: {storage}",
+                        size(most)
+                    );
+                }
+            }
             if !arguments.json {
                 let (dataset, model) = (&arguments.path, model::usual_folder(&arguments.path));
                 let mut command =
@@ -133,6 +159,30 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         [only] => Err(Error::argument("data set", only.clone())),
         [first, rest @ ..] => Err(Error::argument("data set", format!("{first} (and {} more)", rest.len()))),
     }
+}
+
+/// Storages of a training, and the most Gaussians that it can begin with in this much device memory.
+fn fitting(gallery: &Gallery, most: u64) -> Result<[(&'static str, u32); 3]> {
+    let context = Context::new(&ContextOptions { max_memory: Some(most), ..ContextOptions::default() })?;
+    let usual = TrainSettings::default();
+    let settings = [
+        ("--sh-storage half", TrainSettings { sh_storage: ShStorage::Half, ..usual.clone() }),
+        ("default", usual.clone()),
+        ("--moments f32", TrainSettings { moments: MomentsType::F32, ..usual }),
+    ];
+    let mut found = [("", 0); 3];
+    for (found, (storage, settings)) in found.iter_mut().zip(&settings) {
+        let forecast = Forecast {
+            settings,
+            photos: &gallery.train_photos(),
+            photo_memory: gallery.file_memory(),
+            gaussians: 0,
+            frozen: 0,
+            capacities: None,
+        };
+        *found = (storage, forecast.most_gaussians(&context)?);
+    }
+    Ok(found)
 }
 
 fn dataset_json(report: &DatasetReport) -> Value {
