@@ -1,7 +1,8 @@
-//! Dependencies between the engine's modules point one way.
+//! Dependencies between the engine's modules point one way, and links of documents lead somewhere.
 
 use crate::common::{files_below, root};
 use std::collections::HashMap;
+use std::path::PathBuf;
 
 /// A source of Rust: path from the root with forward slashes, and code without line comments. Strings stay.
 struct Source {
@@ -12,7 +13,7 @@ struct Source {
 fn sources(folder: &str) -> Vec<Source> {
     let mut files = files_below(&root().join(folder));
     files.retain(|path| path.extension().is_some_and(|extension| extension == "rs"));
-    let read = |path: std::path::PathBuf| {
+    let read = |path: PathBuf| {
         let text = std::fs::read_to_string(root().join(folder).join(&path)).expect("sources are text");
         let code = text.lines().map(|line| line.split("//").next().unwrap_or_default().to_owned() + "\n");
         Source { path: format!("{folder}/{}", path.display()).replace('\\', "/"), code: code.collect() }
@@ -105,4 +106,39 @@ fn dependencies_between_modules_point_one_way() {
     assert_none("arrows against the order of the modules", arrows);
     let vulkan = files.into_iter().filter(|source| source.code.contains("ashsplat::vk"));
     assert_none("files know no Vulkan", vulkan.map(|source| source.path).collect());
+}
+
+fn documents() -> Vec<PathBuf> {
+    let mut found = ["README.md", "CHANGELOG.md"].map(|name| root().join(name)).to_vec();
+    found.extend(["engine/guide", "tools"].iter().flat_map(|folder| files_below(&root().join(folder))));
+    found.retain(|path| path.extension().is_some_and(|extension| extension == "md"));
+    found
+}
+
+/// Targets of links outside of code, after `](` and `]: `. rustdoc checks the items that they name.
+fn links(text: &str) -> Vec<&str> {
+    let mut is_code = false;
+    let prose = text.lines().filter(|line| {
+        is_code ^= line.trim_start().starts_with("```");
+        !is_code
+    });
+    let mut found = Vec::new();
+    for line in prose {
+        found.extend(line.split("](").skip(1).filter_map(|rest| rest.split([')', '#']).next()));
+        let defined = line.starts_with('[').then(|| line.split_once("]: ")).flatten();
+        found.extend(defined.and_then(|(_, target)| target.split([' ', '#']).next()));
+    }
+    found.retain(|target| !target.is_empty() && !target.contains("://") && !target.contains("::"));
+    found
+}
+
+#[test]
+fn architecture_links_of_documents_lead_somewhere() {
+    for document in documents() {
+        let text = std::fs::read_to_string(&document).expect("text");
+        let folder = document.parent().expect("a folder");
+        for target in links(&text) {
+            assert!(folder.join(target).exists(), "{}: no {target}", document.display());
+        }
+    }
 }

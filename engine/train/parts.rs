@@ -8,7 +8,7 @@ use super::settings::TrainSettings;
 use super::step::StepRecorder;
 use super::strategies;
 use super::strategy::Strategy;
-use super::terms::{self, InverseDepth, SparseDepth};
+use super::terms::{self, InverseDepth, SparseDepth, Surface};
 use crate::error::{Error, Result};
 use crate::frame::max_trained_among;
 use crate::passes::loss::{LossTerm, Photometric};
@@ -175,7 +175,8 @@ fn check_depths(settings: &TrainSettings, terms: &[Box<dyn LossTerm>]) -> Result
         );
         return Err(Error::argument("depth_points", problem));
     }
-    match names.first() {
+    // Surfaces are those of the frame, whatever its size.
+    match names.iter().find(|name| **name != Surface::NAME) {
         Some(name) => settings.refuse_warm_up_with(&format!("depths ({name})")),
         None => Ok(()),
     }

@@ -329,7 +329,8 @@ impl Trainer {
     /// Maximum number of dispatches in a step.
     fn step_dispatches(&self) -> usize {
         const PER_STEP: u32 = 64;
-        // Per chunk of parameters: culling, projection, its backward pass, the optimiser, the strategy's update. Chunks of frozen
+        // Per chunk of parameters: culling, projection, its backward pass, the optimiser, the strategy's update, and two terms of
+        // the loss. Chunks of frozen
         // Gaussians have the first two, and share one dispatch for their ranges.
         let frozen = self.surroundings().map_or(0, |frozen| 2 * frozen.plan().chunks + 1);
         let frame = self.runner.store.capacity();
@@ -338,12 +339,13 @@ impl Trainer {
         let scene = &self.state.model.scene.plan;
         // The 3D filter has the nearest depths, and the sizes that follow from them.
         let filter = if self.run.settings.filter_3d { 2 * scene.chunks } else { 0 };
-        (PER_STEP + 5 * scene.chunks + filter + frozen + 2 * blending) as usize
+        (PER_STEP + 7 * scene.chunks + filter + frozen + 2 * blending) as usize
     }
 
     /// Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps; valid until the next
     /// [`Trainer::maintain`] or [`Trainer::step`]. Its [`SceneSettings::sh_degree`](crate::SceneSettings::sh_degree) should be
-    /// [`Trainer::sh_degree`], which rises during training. Excludes [`Trainer::surroundings`].
+    /// [`Trainer::sh_degree`], which rises during training. With [`sh_storage`](super::TrainSettings::sh_storage) of halves, the
+    /// reservation needs [`Reservation::half_sh`](crate::Reservation::half_sh). Excludes [`Trainer::surroundings`].
     pub fn scene(&self) -> DeviceScene {
         DeviceScene::new(&self.context, self.state.model.scene.clone())
     }

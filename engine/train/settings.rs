@@ -5,8 +5,8 @@
 //! [`TrainSettings::OPTIONS`] or serde.
 
 use crate::error::{Error, Result};
-use crate::scene::Gaussians;
 use crate::scene::gaussians::MAX_SH_DEGREE;
+use crate::scene::{Camera, Gaussians, Projection};
 
 /// Declares an enumeration that an option can have, with the names of its values.
 macro_rules! choices {
@@ -598,6 +598,22 @@ impl TrainSettings {
         Err(Error::argument("warm_up", problem))
     }
 
+    /// Checks that the settings allow the cameras to train on. The trainer calls this before photographs are uploaded.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a lens or a rolling shutter with [`surface`](Self::surface).
+    pub fn check_cameras<'a>(&self, mut cameras: impl Iterator<Item = &'a Camera>) -> Result<()> {
+        let is_pinhole =
+            |camera: &Camera| camera.projection == Projection::Perspective && camera.shutter.is_none();
+        match self.surface && !cameras.all(is_pinhole) {
+            true => {
+                let problem = "takes pinholes without rolling shutters: --undistort makes pinholes of lenses";
+                Err(Error::argument("surface", problem))
+            }
+            false => Ok(()),
+        }
+    }
+
     /// Checks that every value is within its bounds. The trainer calls this before any work.
     ///
     /// # Errors
@@ -612,7 +628,17 @@ impl TrainSettings {
             self.refuse_warm_up_with("depth_points")?;
         }
         if self.sh_storage == ShStorage::Half && self.moments != MomentsType::Packed {
-            return Err(Error::argument("sh_storage", "is half, which takes packed moments (moments)"));
+            return Err(Error::argument(
+                "sh_storage",
+                "is half, which needs packed moments: give moments packed",
+            ));
+        }
+        let others = [("depth_points", self.depth_points > 0.0), ("lens_opt", self.lens_opt)];
+        if let Some((name, _)) = others.into_iter().find(|(_, is_on)| self.surface && *is_on) {
+            return Err(Error::argument(
+                "surface",
+                format!("does not go together with {name}: leave one out"),
+            ));
         }
         match self.initial_opacity > 0.0 && self.initial_opacity < 1.0 {
             true => Ok(()),

@@ -168,6 +168,7 @@ impl Trainer {
         block.as_ref().map_or(Ok(()), |block| check_block(&settings, &*parts.strategy, block))?;
         let frozen = to_u32(block.as_ref().map_or(0, |block| block.frozen.len() as u64))?;
         photos::check(&views)?;
+        settings.check_cameras(views.iter().map(|view| &view.camera))?;
         let photo_sizes = photos::sizes_of(&views, &settings);
         let photo_memory = photos::memory_of_file(&views);
         let parts = BuiltParts::new(context, &settings, scene_extent, parts, &photo_sizes)?;
@@ -194,13 +195,6 @@ impl Trainer {
                 return Err(Error::argument("lens_opt", "all views are panoramas, which have no parameters"));
             }
             cameras.iter_mut().for_each(|camera| *camera = with_own_lens(camera));
-        }
-        let is_pinhole =
-            |camera: &Camera| camera.projection == Projection::Perspective && camera.shutter.is_none();
-        if settings.surface && !cameras.iter().all(is_pinhole) {
-            let problem =
-                "takes pinholes without rolling shutters (--undistort makes them), and fixed lenses";
-            return Err(Error::argument("surface", problem));
         }
         let lens_opt = settings.lens_opt.then(|| LensOptimizer::new(&cameras));
         let poses = Poses::new(context, &settings, &cameras, initial)?;

@@ -1,6 +1,6 @@
 // Planarity of a picture's surface. A pinhole shows a plane with an inverse depth d that is linear over the picture, so its second
 // differences h over `stride_px` pixels are 0, along both axes. The loss is the mean of s^2 / (1 + s^2) over the pixels, with
-// s = h / (d SURFACE_BEND). It is bounded, so that edges between surfaces stay. The factor 1 / (d (1 - T)) is a constant in
+// s = h / (d SURFACE_BEND). It is bounded, so that its gradient at edges between surfaces is small. The factor 1 / (d (1 - T)) is a constant in
 // gradients.
 //
 // invocation: every (number of invocations)-th pixel; the number of workgroups is TERM_PARTIALS

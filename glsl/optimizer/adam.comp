@@ -163,7 +163,7 @@ uvec2 update_packed_sh(uint plane, uint index, uvec2 words, vec4 g, vec2 highest
     if (HALF_SH) {
         vec4 p = vec4(unpackHalf2x16(halves.x), unpackHalf2x16(halves.y));
         p = stepped(p, m, sqrt(v), sh_rate(plane), vec4(inverse_bias_2));
-        // Half a turn away from the threshold of the first moment, which is independent of these errors.
+        // The threshold of the first moment, half a turn on, so that both do not round up together.
         halves = to_halves(p, thresholds_of(random.zw, turn + 0x8000u));
     } else {
         step_parameters(plane_at(PLANE_SH + plane, index, chunk_gaussians), m, sqrt(v), sh_rate(plane), vec4(inverse_bias_2));

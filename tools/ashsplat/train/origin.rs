@@ -272,6 +272,7 @@ fn scene_of(path: &Path, settings: &Settings, host: &HostArguments) -> Result<Sc
 /// Refuses a training that does not fit, by the sizes of the photos, before they are read.
 pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, origin: &Origin) -> Result<()> {
     let [gaussians, frozen] = origin.counts(settings, (gallery.points(), gallery.frame()))?;
+    settings.train.check_cameras(gallery.used_cameras()?.iter())?;
     Forecast {
         settings: &settings.train,
         photos: &gallery.train_photos(),
