@@ -110,7 +110,9 @@ fn dependencies_between_modules_point_one_way() {
 
 fn documents() -> Vec<PathBuf> {
     let mut found = ["README.md", "CHANGELOG.md"].map(|name| root().join(name)).to_vec();
-    found.extend(["engine/guide", "tools"].iter().flat_map(|folder| files_below(&root().join(folder))));
+    for folder in ["engine/guide", "tools"].map(|folder| root().join(folder)) {
+        found.extend(files_below(&folder).into_iter().map(|path| folder.join(path)));
+    }
     found.retain(|path| path.extension().is_some_and(|extension| extension == "md"));
     found
 }

@@ -1579,7 +1579,8 @@ enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
 
 // The Gaussians on the device, for ashsplat_record after recorded steps. Each call makes a scene that the host frees
 // (ashsplat_scene_free), before or after the trainer: it keeps the memory alive. It shows the trainer's Gaussians until the next
-// ashsplat_trainer_maintain or ashsplat_trainer_step: ask again then.
+// ashsplat_trainer_maintain or ashsplat_trainer_step: ask again then. With the setting sh_storage "half" frames that are recorded
+// need AshsplatReservation.half_sh.
 //
 // # Safety
 // `trainer` is alive, `scene` is valid for a write.
