@@ -1,8 +1,8 @@
 // Alignment of Gaussians with the picture's surface, by the pixel at a Gaussian's mean: its shortest axis n turns to the surface's
 // normal N, shrinks, and its mean moves to the surface. Adds the gradient of
 //   share (turn (1 - (n . N)^2) + flatten s + approach e^2 / SURFACE_REACH^2)
-// with s the shortest axis in pixels and e = z d - 1 the relative distance from the surface. N, d and `share` are constants in
-// gradients. The share is the area that the Gaussian covers, px^2, times its opacity and exp(-e^2 / SURFACE_REACH^2), so that
+// with s the shortest axis in pixels and e = z d - 1 the relative distance from the surface. N, d, `share` and the z in s are
+// constants in gradients. The share is the area that the Gaussian covers, px^2, times its opacity and exp(-e^2 / SURFACE_REACH^2), so that
 // Gaussians behind the surface stay as they are.
 //
 // invocation: one visible Gaussian of the bound parameter range

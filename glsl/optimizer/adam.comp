@@ -158,17 +158,15 @@ uvec2 update_packed_sh(uint plane, uint index, uvec2 words, vec4 g, vec2 highest
     unpack_sh(words, highest.x, m, root);
     m = beta_1 * m + one_minus_beta_1 * g;
     vec4 v = beta_2 * root * root + one_minus_beta_2 * g * g;
-    uvec4 random = random_words(index, PLANE_SH + plane);
-    uint turn = turn_of(iteration);
     if (HALF_SH) {
         vec4 p = vec4(unpackHalf2x16(halves.x), unpackHalf2x16(halves.y));
         p = stepped(p, m, sqrt(v), sh_rate(plane), vec4(inverse_bias_2));
         // The threshold of the first moment, half a turn on, so that both do not round up together.
-        halves = to_halves(p, thresholds_of(random.zw, turn + 0x8000u));
+        halves = to_halves(p, thresholds_of(random_words(index, PLANE_SH + plane).zw, turn_of(iteration) + 0x8000u));
     } else {
         step_parameters(plane_at(PLANE_SH + plane, index, chunk_gaussians), m, sqrt(v), sh_rate(plane), vec4(inverse_bias_2));
     }
-    return pack_sh(m, v, highest.y, random, turn);
+    return pack_sh(m, v, highest.y, random_words(index, PLANE_SH + plane), turn_of(iteration));
 }
 
 // Two groups of SH, whose moments are three planes.

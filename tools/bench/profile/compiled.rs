@@ -212,7 +212,7 @@ fn trainings(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
         reference.clone(),
         of(StrategyType::Budget),
         of(StrategyType::Mcmc),
-        TrainSettings { optimizer_type: OptimizerType::SparseAdam, ..reference.clone() },
+        TrainSettings { optimizer_type: OptimizerType::SparseAdam, surface: true, ..reference.clone() },
         TrainSettings { warm_up: 4, ..reference.clone() },
         TrainSettings {
             antialiasing: true,
