@@ -105,7 +105,7 @@ fn a_ball_becomes_a_closed_mesh() {
     }
 }
 
-/// With `surface`, Gaussians of a ball that begin in any direction come to lie on it, and their shortest axes shrink.
+/// Training with `surface` turns Gaussians of a ball, which begin in any direction, to its surface and shrinks their shortest axes.
 #[test]
 fn surfaces_are_trained() {
     let truth = disks(Vec3::ZERO);

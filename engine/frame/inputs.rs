@@ -119,6 +119,11 @@ impl<'a> FrameInputs<'a> {
         }
     }
 
+    /// Returns the variant of the kernels that differentiate or optimise the first scene.
+    pub(crate) fn trained_variant(&self) -> FrameVariant {
+        FrameVariant { half_sh: self.scene().plan.half_sh, ..self.variant() }
+    }
+
     /// The parameters of the first scene, which a backward pass differentiates.
     pub fn scene(&self) -> &'a SceneBuffers {
         self.scenes[0].scene

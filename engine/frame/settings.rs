@@ -419,7 +419,8 @@ pub struct FrameVariant {
     pub cut_outs: bool,
     /// A scene has a selection. Affects projection.
     pub selection: bool,
-    /// A scene stores SH in halves. Affects projection and its backward pass.
+    /// A scene stores SH in halves. Affects projection, its backward pass and the optimiser, which takes packed moments
+    /// then.
     pub half_sh: bool,
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable, unlike with
     /// `expected_depth`. Affects projection and its backward pass.

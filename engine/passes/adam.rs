@@ -72,8 +72,6 @@ impl Moments {
 pub struct OptimizerForm {
     /// The moments are packed.
     pub packed: bool,
-    /// The scene stores SH in halves ([`ScenePlan::half_sh`]). Only with `packed`.
-    pub half_sh: bool,
     /// Sparse Adam: does not change Gaussians out of view, and corrects no bias.
     pub sparse: bool,
     /// The loss has terms that depend on the parameters directly. [`Optimizer::record`] receives their gradient.
@@ -103,15 +101,14 @@ impl Optimizer {
     }
 
     fn adam_spec(&self, sh_degree: u32, variant: FrameVariant) -> adam::Spec {
-        let OptimizerForm { packed, half_sh, sparse, parameter_gradients, moved_cameras: moved_camera } =
-            self.form;
+        let OptimizerForm { packed, sparse, parameter_gradients, moved_cameras: moved_camera } = self.form;
         let (workgroup_size, sh_loops) = (self.sizes.elementwise_workgroup, self.sizes.tuning.sh_loops);
         let (projection, lenses) = variant.direction_form();
         adam::Spec {
             workgroup_size,
             sh_degree,
             packed,
-            half_sh,
+            half_sh: variant.half_sh,
             sparse,
             parameter_gradients,
             moved_camera,
@@ -131,7 +128,7 @@ impl Optimizer {
         parameter_gradients: &[Buffer],
         step: &Step,
     ) {
-        let spec = self.adam_spec(inputs.sh_degree(), inputs.variant());
+        let spec = self.adam_spec(inputs.sh_degree(), inputs.trained_variant());
         let Some(kernel) = self.adam.get_or_fail(r, &spec) else { return };
         let f = inputs.frame;
         r.scope("adam", |r| {

@@ -281,8 +281,7 @@ impl Backward {
         form: BackwardForm,
     ) {
         let (f, scene) = (inputs.frame, inputs.scene());
-        let variant = FrameVariant { half_sh: scene.plan.half_sh, ..inputs.variant() };
-        let spec = self.project_spec(inputs.sh_degree(), variant, form);
+        let spec = self.project_spec(inputs.sh_degree(), inputs.trained_variant(), form);
         let Some(kernel) = self.project.get_or_fail(r, &spec) else { return };
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         scene.record_chunks(r, |r, range, parameters| {

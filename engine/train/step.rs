@@ -136,7 +136,6 @@ impl StepRecorder {
         let poses = settings.pose_opt;
         let form = OptimizerForm {
             packed: settings.moments == MomentsType::Packed,
-            half_sh: settings.sh_storage == ShStorage::Half,
             sparse,
             parameter_gradients: targets.parameters,
             moved_cameras: poses,
@@ -147,7 +146,7 @@ impl StepRecorder {
             sizes: LaunchSizes::new(context.limits()),
             appearance: Appearance::new(context, settings)?,
             backward: Backward::new(context),
-            half_sh: form.half_sh,
+            half_sh: settings.sh_storage == ShStorage::Half,
             drawn: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
             absolute,
             terms,

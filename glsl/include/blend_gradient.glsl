@@ -120,7 +120,7 @@ struct Sums {
     vec3 quadratic;
     // Sums of r, g, b, inverse depth. With WEIGHTS the first is the sum of weight * r, and the others do not count.
     vec4 value;
-    // With ABSOLUTE: sum over pixels of |dL/d(mean2d)|, x and y.
+    // Sum over pixels of |dL/d(mean2d)|, x and y; only with ABSOLUTE.
     vec2 absolute;
 };
 

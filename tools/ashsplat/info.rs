@@ -120,16 +120,13 @@ fn dataset(arguments: &Arguments) -> Result<()> {
     }
     match report.problems.as_slice() {
         [] => {
-            if let Some((most, fitting)) = fitting.filter(|_| !arguments.json) {
-                for (storage, gaussians) in fitting {
-                    let gaussians = thousands(gaussians.into());
-                    say!(
-                        "memory    training in {} can begin with {gaussians} Gaussians: {storage}",
-                        size(most)
-                    );
-                }
-            }
             if !arguments.json {
+                if let Some((most, fitting)) = fitting {
+                    for (storage, gaussians) in fitting {
+                        let (most, gaussians) = (size(most), thousands(gaussians.into()));
+                        say!("memory    training in {most} can begin with {gaussians} Gaussians: {storage}");
+                    }
+                }
                 let (dataset, model) = (&arguments.path, model::usual_folder(&arguments.path));
                 let mut command =
                     format!("ashsplat train -s {} -m {}", quoted(&dataset.to_string_lossy()), quoted(&model));
@@ -170,11 +167,12 @@ fn fitting(gallery: &Gallery, most: u64) -> Result<[(&'static str, u32); 3]> {
         ("default", usual.clone()),
         ("--moments f32", TrainSettings { moments: MomentsType::F32, ..usual }),
     ];
+    let photos = gallery.train_photos();
     let mut found = [("", 0); 3];
     for (found, (storage, settings)) in found.iter_mut().zip(&settings) {
         let forecast = Forecast {
             settings,
-            photos: &gallery.train_photos(),
+            photos: &photos,
             photo_memory: gallery.file_memory(),
             gaussians: 0,
             frozen: 0,

@@ -85,7 +85,7 @@ impl FolderLock {
         let path = folder.join(work.file);
         loop {
             let mut options = File::options();
-            // A pipe that is open for reading and writing waits for nobody.
+            // The lint names methods that may wait at a pipe; opening one for reading and writing does not.
             #[allow(clippy::disallowed_methods)]
             options.read(true).write(true).create(true).truncate(false);
             let file = options.open(&path).map_err(|e| Error::io(&path, "open", e))?;

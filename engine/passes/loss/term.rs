@@ -57,8 +57,8 @@ pub struct Targets {
     /// True if the term writes the fourth component of the picture's gradient: dL/d(inverse depth). In the native layout of
     /// processors it is a fourth plane. `frame.frame.depth_sums` is the sum of weights / z per pixel, row by row.
     pub inverse_depth: bool,
-    /// With `inverse_depth`: `frame.frame.depth_sums` is the sum of weights * z, and the gradient is with respect to that
-    /// sum. The term may overwrite the value that the backward pass takes for the sum. Excludes other terms with
+    /// True if `frame.frame.depth_sums` is the sum of weights * z, and the gradient is with respect to that sum. Only with
+    /// `inverse_depth`. The term may overwrite the value that the backward pass takes for the sum. Excludes other terms with
     /// `inverse_depth`.
     pub linear_depth: bool,
     /// True if the term adds to [`TermInputs::parameter_gradients`].
