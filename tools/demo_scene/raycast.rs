@@ -1,7 +1,7 @@
 //! A small ray-caster: analytic intersections (sphere tracing for the torus), one jittered sun, Phong highlights.
 
-use crate::scene::{Object, SHININESS, SKY_RADIUS, Scene, Shape};
-use crate::view::View;
+use crate::scene::{Object, SHININESS, Scene, Shape};
+use crate::view::{Ray, View};
 use ashsplat::scene::srgb_from_linear;
 use ashsplat_files::Photo;
 use glam::{Mat3, Vec2, Vec3, vec3};
@@ -15,13 +15,6 @@ const SUN_RADIUS: f32 = 0.06;
 /// Distance up to which a hit is the surface that the ray starts on.
 const SKIN: f32 = 1e-3;
 
-/// A ray in world coordinates; the direction is of unit length.
-#[derive(Clone, Copy)]
-pub struct Ray {
-    pub(crate) origin: Vec3,
-    pub(crate) direction: Vec3,
-}
-
 /// Where a ray first meets the scene.
 pub struct Hit<'a> {
     /// Distance from the ray's origin.
@@ -29,20 +22,6 @@ pub struct Hit<'a> {
     /// Outward normal, of unit length.
     normal: Vec3,
     object: &'a Object,
-}
-
-impl Ray {
-    /// The point at a distance.
-    pub fn at(&self, distance: f32) -> Vec3 {
-        self.origin + self.direction * distance
-    }
-
-    /// Distance to the sky's dome, which is larger for rays that start far out.
-    pub fn sky_distance(&self) -> f32 {
-        let b = self.origin.dot(self.direction);
-        let radius = SKY_RADIUS.max(1.5 * self.origin.length());
-        -b + (b * b - self.origin.length_squared() + radius * radius).max(0.0).sqrt()
-    }
 }
 
 /// Photographs the scene: 8-bit sRGB, row-major.

@@ -1,8 +1,8 @@
 //! Cameras that photograph a scene: pinholes, lenses and rolling shutters.
 
-use crate::raycast::Ray;
+use crate::scene::SKY_RADIUS;
 use ashsplat::scene::Camera;
-use glam::{DMat3, DQuat, DVec2, DVec3, dvec2, vec3};
+use glam::{DMat3, DQuat, DVec2, DVec3, Vec3, dvec2, vec3};
 use std::f64::consts::PI;
 
 /// A camera that photographs a scene.
@@ -58,5 +58,26 @@ impl View {
         let turn = DQuat::from_scaled_axis(share * (to * from.inverse()).to_scaled_axis());
         let center = first.exact_position().lerp(last.exact_position(), share);
         Camera::at(center, DMat3::from_quat(turn * from), first.intrinsics())
+    }
+}
+
+/// A ray in world coordinates; the direction is of unit length.
+#[derive(Clone, Copy)]
+pub struct Ray {
+    pub(crate) origin: Vec3,
+    pub(crate) direction: Vec3,
+}
+
+impl Ray {
+    /// The point at a distance.
+    pub fn at(&self, distance: f32) -> Vec3 {
+        self.origin + self.direction * distance
+    }
+
+    /// Distance to the sky's dome, which is larger for rays that start far out.
+    pub fn sky_distance(&self) -> f32 {
+        let b = self.origin.dot(self.direction);
+        let radius = SKY_RADIUS.max(1.5 * self.origin.length());
+        -b + (b * b - self.origin.length_squared() + radius * radius).max(0.0).sqrt()
     }
 }

@@ -50,10 +50,8 @@ impl Model {
         let mut warnings: Vec<String> = source.warning.iter().cloned().collect();
         let points = points(source, &mut warnings)?;
         let cameras = by_id(&cameras, all_cameras)?;
-        let (source, notes) = (source.clone(), Vec::new());
-        let mut model = Self { source, cameras, images: all_images, points, warnings, notes };
-        rigs::tell(&mut model)?;
-        Ok(model)
+        let notes = rigs::compare(source, &all_images, &mut warnings)?.into_iter().collect();
+        Ok(Self { source: source.clone(), cameras, images: all_images, points, warnings, notes })
     }
 
     /// Path of the model's file for "cameras", "images" or "points3D".

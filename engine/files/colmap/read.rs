@@ -10,8 +10,7 @@ use std::str::FromStr;
 use bytemuck::Pod;
 use glam::DVec3;
 
-use super::records::{CameraModel, ColmapCamera, ColmapImage};
-use super::rigs::{Frame, Pose, Rig, Sensor};
+use super::records::{CameraModel, ColmapCamera, ColmapImage, Frame, Pose, Rig, Sensor};
 use crate::regular_file::{self, OnFile};
 use crate::{cost, host_memory, text};
 use ashsplat::scene::SourcePoints;

@@ -1,8 +1,9 @@
-//! The records of a sparse model: cameras and registered images.
+//! The records of a sparse model: cameras, registered images, rigs and their frames.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DQuat};
+use glam::{DMat3, DQuat, DVec3};
 
 use crate::names::{MAX_PATH_BYTES, ending, plain, stays_inside};
 use ashsplat::scene::{COLMAP_MODELS, Camera, colmap_parameters};
@@ -140,4 +141,45 @@ impl ColmapImage {
         let problem = format!("image {id}: the name {name:?} leads out of the images folder");
         Err(Error::input(model_file, problem, "names must be paths below the images folder"))
     }
+}
+
+/// A rotation as quaternion (w, x, y, z), and a translation.
+#[derive(Clone, Copy)]
+pub(super) struct Pose {
+    pub(super) quat: [f64; 4],
+    pub(super) translation: [f64; 3],
+}
+
+impl Pose {
+    pub(super) const IDENTITY: Self = Self { quat: [1.0, 0.0, 0.0, 0.0], translation: [0.0; 3] };
+
+    pub(super) fn of(image: &ColmapImage) -> Self {
+        Self { quat: image.quat, translation: image.translation }
+    }
+
+    pub(super) fn axes(self) -> (DMat3, DVec3) {
+        let [w, x, y, z] = self.quat;
+        let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+        (rotation, DVec3::from_array(self.translation))
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) struct Sensor {
+    /// False for an IMU or another sensor without images.
+    pub(super) is_camera: bool,
+    pub(super) id: u32,
+}
+
+/// Pose of each sensor in the rig; `None` if COLMAP does not know it.
+pub(super) type Rig = HashMap<Sensor, Option<Pose>>;
+
+/// Images that the sensors of a rig took at one time.
+pub(super) struct Frame {
+    pub(super) id: u32,
+    pub(super) rig: u32,
+    /// From the world to the rig.
+    pub(super) pose: Pose,
+    /// Each sensor with the id of its image.
+    pub(super) data: Vec<(Sensor, u64)>,
 }

@@ -6,71 +6,30 @@
 
 use std::collections::HashMap;
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DVec3};
 
-use super::model::Model;
+use super::find::ModelFolder;
 use super::read;
-use super::records::ColmapImage;
+use super::records::{ColmapImage, Pose};
 use ashsplat::Result;
 
-/// A rotation as quaternion (w, x, y, z), and a translation.
-#[derive(Clone, Copy)]
-pub(super) struct Pose {
-    pub(super) quat: [f64; 4],
-    pub(super) translation: [f64; 3],
-}
-
-impl Pose {
-    pub(super) const IDENTITY: Self = Self { quat: [1.0, 0.0, 0.0, 0.0], translation: [0.0; 3] };
-
-    fn of(image: &ColmapImage) -> Self {
-        Self { quat: image.quat, translation: image.translation }
-    }
-
-    fn axes(self) -> (DMat3, DVec3) {
-        let [w, x, y, z] = self.quat;
-        let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
-        (rotation, DVec3::from_array(self.translation))
-    }
-}
-
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
-pub(super) struct Sensor {
-    /// False for an IMU or another sensor without images.
-    pub(super) is_camera: bool,
-    pub(super) id: u32,
-}
-
-/// Pose of each sensor in the rig; `None` if COLMAP does not know it.
-pub(super) type Rig = HashMap<Sensor, Option<Pose>>;
-
-/// Images that the sensors of a rig took at one time.
-pub(super) struct Frame {
-    pub(super) id: u32,
-    pub(super) rig: u32,
-    /// From the world to the rig.
-    pub(super) pose: Pose,
-    /// Each sensor with the id of its image.
-    pub(super) data: Vec<(Sensor, u64)>,
-}
-
-/// Notes the rigs of a model, if any has several sensors, and warns where they contradict its images.
-pub(super) fn tell(model: &mut Model) -> Result<()> {
-    let [rigs_file, frames_file, used] = ["rigs", "frames", "images"].map(|part| model.file(part));
+/// Warns where the rigs of a model contradict its images. Returns a note of the rigs if any has several sensors.
+pub(super) fn compare(
+    source: &ModelFolder,
+    images: &[ColmapImage],
+    warnings: &mut Vec<String>,
+) -> Result<Option<String>> {
+    let [rigs_file, frames_file, used] = ["rigs", "frames", "images"].map(|part| source.file(part));
     if !rigs_file.is_file() || !frames_file.is_file() {
-        return Ok(());
+        return Ok(None);
     }
     let (rigs, frames) = (read::rigs(&rigs_file)?, read::frames(&frames_file)?);
     let used = used.file_name().unwrap_or_default().display();
     let most = rigs.values().map(HashMap::len).max().unwrap_or(0);
-    if most > 1 {
+    let note = (most > 1).then(|| {
         let (file, rigs, frames) = (rigs_file.display(), rigs.len(), frames.len());
-        let note = format!(
-            "{file}: {rigs} rigs of up to {most} sensors, {frames} frames: the poses are those of {used}"
-        );
-        model.notes.push(note);
-    }
-    let images = &model.images;
+        format!("{file}: {rigs} rigs of up to {most} sensors, {frames} frames: the poses are those of {used}")
+    });
     let by_id: HashMap<u64, &ColmapImage> = images.iter().map(|image| (image.id.into(), image)).collect();
     let tolerance = Tolerance::of(images);
     let (mut first, mut others) = (None, 0);
@@ -106,9 +65,9 @@ pub(super) fn tell(model: &mut Model) -> Result<()> {
     if let Some(first) = first {
         let more = if others > 0 { format!(" (and {others} more such images)") } else { String::new() };
         let file = frames_file.display();
-        model.warnings.push(format!("{file}: {first}{more}: the poses of {used} are used"));
+        warnings.push(format!("{file}: {first}{more}: the poses of {used} are used"));
     }
-    Ok(())
+    Ok(note)
 }
 
 /// Largest distance between two positions of a camera that are taken as one.

@@ -8,7 +8,6 @@ use rayon::prelude::*;
 use super::mask::is_scaled;
 use super::options::DatasetOptions;
 use super::planned_view::{FileSize, PlannedView};
-use super::read::{NO_PINHOLE, NO_PINHOLE_REMEDY};
 use crate::images::{Header, PhotoOrientation, header};
 use crate::names::{Finder, ending, has_photos, photos_below, photos_beside, plain, stays_inside};
 use crate::{colmap, regular_file};
@@ -30,6 +29,14 @@ pub(super) fn find_folder(dataset: &Path, images: &str) -> Result<PathBuf> {
         None => "put the photos there, or name their folder with --images".into(),
     };
     Err(Error::input(folder, "there is no folder with photos", remedy))
+}
+
+/// The error of a lens that no pinhole can replace. `place` names it in its file.
+pub(super) fn no_pinhole(file: &Path, place: &str) -> Error {
+    let problem = format!(
+        "{place} sees too much for a pinhole, or its distortion folds the photo over, so that one place appears twice"
+    );
+    Error::input(file, problem, "train without --undistort")
 }
 
 /// Width and height of the photo with this name or path, as stored, pixels.
@@ -103,8 +110,7 @@ pub(super) fn fit_lenses(
         match known.entry(format!("{lens:?}")).or_insert_with(|| options.used_lens(&lens)) {
             Some(used) => (view.lens, view.used) = (lens, *used),
             None => {
-                let problem = format!("its camera at the photo's size {NO_PINHOLE}");
-                *result = Err(Error::input(&view.photo_path, problem, NO_PINHOLE_REMEDY));
+                *result = Err(no_pinhole(&view.photo_path, "its camera at the photo's size"));
             }
         }
     }

@@ -22,11 +22,6 @@ use ashsplat::{Error, Result};
 /// Lenses and those of the pictures that are used, by the lens's debug text, which differs whenever a number does.
 type Lenses = BTreeMap<String, (PhotoLens, Option<PhotoLens>)>;
 
-/// The problem of a lens that no pinhole can replace.
-pub(super) const NO_PINHOLE: &str =
-    "sees too much for a pinhole, or its distortion folds the photo over, so that one place appears twice";
-pub(super) const NO_PINHOLE_REMEDY: &str = "train without --undistort";
-
 /// Reads the contents of a data set. Finds the photos without decoding them; opens those of unknown size.
 pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
     let files = transforms::find(path);
@@ -129,8 +124,8 @@ impl Plan {
         let view = |((image, photo_path), photo): ((&ColmapImage, Result<PathBuf>), FileSize)| {
             model.camera_of(image)?;
             let Some(&(lens, Some(used))) = lenses.get(&image.camera_id) else {
-                let problem = format!("camera {}: {NO_PINHOLE}", image.camera_id);
-                return Err(Error::input(model.file("cameras"), problem, NO_PINHOLE_REMEDY));
+                let place = format!("camera {}:", image.camera_id);
+                return Err(photos::no_pinhole(&model.file("cameras"), &place));
             };
             let photo_path = photo_path?;
             if !photo_path.is_file() {
@@ -323,8 +318,7 @@ impl Plan {
             if lens.projection == Projection::Perspective { "PINHOLE" } else { lens.projection.name() };
         *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
         let Some(used) = used else {
-            let problem = format!("frame {}: the camera {NO_PINHOLE}", frame.name);
-            return Err(Error::input(&self.list, problem, NO_PINHOLE_REMEDY));
+            return Err(photos::no_pinhole(&self.list, &format!("frame {}: the camera", frame.name)));
         };
         let camera = used.camera(frame.camera_from_source.as_mat3(), frame.translation.as_vec3());
         let camera = Camera { shutter: frame.shutter, ..camera };
