@@ -6,7 +6,6 @@ extern crate ashsplat_reference as reference;
 
 mod address_space;
 mod backends;
-mod barriers;
 mod blending_forms;
 mod blocks;
 mod budget;
@@ -41,7 +40,6 @@ mod scan;
 mod several_scenes;
 mod sort;
 mod splats;
-mod subgroup_widths;
 mod surfaces;
 mod training;
 mod visible_memory;

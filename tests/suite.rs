@@ -4,7 +4,6 @@
 
 extern crate ashsplat_reference as reference;
 
-mod architecture;
 mod bench;
 mod cli;
 mod common;

@@ -6,7 +6,6 @@ mod frames;
 mod http;
 mod opening;
 mod shapes;
-mod sibr;
 mod training;
 mod trees;
 #[allow(dead_code)]

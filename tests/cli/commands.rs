@@ -412,9 +412,9 @@ fn compiled_kernels_are_kept_between_runs() {
     let place = Place::empty();
     place.write_scene("scene.ply", &wall(0));
     let run = || {
-        let inspect = "inspect @scene.ply --pixel 8,8 --fx 20 --width 16 --height 16 --json";
-        let mut command = place.command(inspect);
-        finish(command.env("ASHSPLAT_PIPELINE_CACHE", place.at("caches/pipelines"))).ok().stdout
+        let mut command = place.command("render @scene.ply --orbit 1 --width 16 --height 16 -o @out");
+        finish(command.env("ASHSPLAT_PIPELINE_CACHE", place.at("caches/pipelines"))).ok();
+        place.read("out/00000.png")
     };
     let first = run();
     // One file for the device: the header of version one, 32 bytes, then the driver's data.

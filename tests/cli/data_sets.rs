@@ -45,7 +45,7 @@ fn archives_are_unpacked_once_and_removed() {
         .collect();
     pack(&place.at("data.zip"), files.iter().map(|(name, bytes)| (name.clone(), bytes.as_slice())));
     for (line, code) in [(format!("{TRAIN} --view=0"), 130), ("view @data.zip --port 0".into(), 0)] {
-        let server = Server::run(command(&place, &line), &[], "viewer at ");
+        let server = Server::run(command(&place, &line), &[]);
         // The page exists before the scene, and waits for it.
         server.page();
         assert_eq!(unpacked(&place), 1, "{line}");

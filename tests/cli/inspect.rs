@@ -28,7 +28,13 @@ fn example() -> Gaussians {
 fn the_gaussians_of_a_pixel_make_its_colour() {
     let place = Place::empty();
     place.write_scene("example.ply", &example());
-    let inspect = "inspect @example.ply --fx 500 --width 800 --height 800 --pixel";
+    let size = Intrinsics::from_fov_x(0.8, 800, 800);
+    let intrinsics = Intrinsics { fx: 500.0, fy: 500.0, cx: 400.0, cy: 400.0, ..size };
+    let camera = Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, intrinsics);
+    ashsplat_files::cameras_json::write(place.at("one.json"), [("a", &camera)], &Default::default())
+        .expect("written");
+    place.run("inspect @example.ply --pixel 1,1").refused(&["-s DATASET", "--path"]);
+    let inspect = "inspect @example.ply --path @one.json --pixel";
     let report = place.json_of(format!("{inspect} 420,420 --json"));
     let samples = report["samples"].as_array().expect("samples");
     assert_eq!(samples.len(), 3);
@@ -50,9 +56,6 @@ fn the_gaussians_of_a_pixel_make_its_colour() {
     let reported = DVec3::from_array(reported);
     assert!(reported.abs_diff_eq(color, 1e-5), "{reported} instead of {color}");
     // The report matches the picture: same pixel, same colour.
-    let size = Intrinsics::from_fov_x(0.8, 800, 800);
-    let intrinsics = Intrinsics { fx: 500.0, fy: 500.0, cx: 400.0, cy: 400.0, ..size };
-    let camera = Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, intrinsics);
     let mut renderer = crate::common::engine::renderer();
     renderer.upload(&example()).expect("uploaded");
     let frame = renderer.render(&camera, &RenderSettings::default()).expect("a frame");

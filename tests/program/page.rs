@@ -16,8 +16,8 @@ pub const PATIENCE: Duration = Duration::from_secs(120);
 
 pub struct Server {
     child: Running,
-    /// Lines printed before it was ready.
-    pub said: Vec<String>,
+    /// Line that names the page.
+    pub said: String,
     /// localhost:PORT.
     pub host: String,
 }
@@ -25,34 +25,29 @@ pub struct Server {
 impl Server {
     /// Starts the program and waits for the line that names the page.
     pub fn start(arguments: &[&str]) -> Server {
-        Server::run(program(), arguments, "viewer at ")
+        Server::run(program(), arguments)
     }
 
     /// Same as [`Server::start`], but in this folder and with these environment variables.
     pub fn start_in(folder: &Path, variables: &[(&str, &str)], arguments: &[&str]) -> Server {
         let mut command = program();
         command.current_dir(folder).envs(variables.iter().copied());
-        Server::run(command, arguments, "viewer at ")
+        Server::run(command, arguments)
     }
 
-    /// Adds arguments to a command, starts it and waits for a line that begins with `last`.
-    pub fn run(mut command: Command, arguments: &[&str], last: &str) -> Server {
+    /// Adds arguments to a command, starts it and waits for the line that names the page.
+    pub fn run(mut command: Command, arguments: &[&str]) -> Server {
         command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");
         let mut child = Running::start(command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()));
         let mut lines =
             BufReader::new(child.stdout.take().expect("its stdout")).lines().map_while(Result::ok);
-        let mut said: Vec<String> = Vec::new();
-        while !said.last().is_some_and(|line| line.starts_with(last)) {
-            let Some(line) = lines.next() else {
-                panic!("{arguments:?}: {said:?}, {}", String::from_utf8_lossy(&child.finish().stderr));
-            };
-            said.push(line);
-        }
-        let found = said.iter().find_map(|line| line.strip_prefix("viewer at http://"));
-        let host = found.map(|rest| rest.split('/').next().unwrap_or_default().to_owned());
+        let Some(said) = lines.find(|line| line.starts_with("viewer at ")) else {
+            panic!("{arguments:?}: {}", String::from_utf8_lossy(&child.finish().stderr));
+        };
+        let host = said["viewer at http://".len()..].split('/').next().unwrap_or_default().to_owned();
         // Drain the rest of the output, so that the program never blocks.
         std::thread::spawn(move || lines.for_each(drop));
-        Server { child, said, host: host.unwrap_or_default() }
+        Server { child, said, host }
     }
 
     /// Starts `view` on a free port and waits for the scene, unless the page needs a token.

@@ -81,7 +81,7 @@ fn viewer_films_take_turns_and_can_be_called_off() {
 /// Training does not wait for a film, but the program does at its end.
 #[test]
 fn viewer_films_of_a_training_are_made_to_their_end() {
-    let mut training = Training::start("150 --view=0 --view-share 0.05", "viewer at ");
+    let mut training = Training::start("150 --view-share 0.05");
     let mut page = training.server.page();
     page.send(&film(150, [32, 24]));
     let files = page.hears("files");

@@ -235,7 +235,7 @@ fn viewer_shows_views_as_they_were_photographed() {
 fn viewer_of_a_training_shows_its_exposures() {
     for learns in [true, false] {
         let more = if learns { "--exposure --exposure-lr-init=0.1" } else { "" };
-        let training = Training::start(&format!("1000000 --view=0 {more}"), "viewer at ");
+        let training = Training::start(&format!("1000000 {more}"));
         let mut page = training.server.page();
         let held_out = place_of(&page, "03.png");
         let photo = place_of(&page, "04.png");

@@ -12,15 +12,16 @@ pub struct Training {
 impl Training {
     /// Starts it with a page, and without an end.
     pub fn endless() -> Training {
-        Training::start("1000000 --view=0", "viewer at ")
+        Training::start("1000000")
     }
 
-    /// `more`: the number of iterations and other arguments. Waits for a line that begins with `last`.
-    pub fn start(more: &str, last: &str) -> Training {
+    /// `more`: the number of iterations and other arguments.
+    pub fn start(more: &str) -> Training {
         let place = Place::new();
-        let words = place.words(format!("train -s @data -m @model --eval --quiet --iterations {more}"));
+        let words =
+            place.words(format!("train -s @data -m @model --eval --quiet --view=0 --iterations {more}"));
         let words: Vec<&str> = words.iter().map(String::as_str).collect();
-        let server = Server::run(Command::new(env!("CARGO_BIN_EXE_ashsplat")), &words, last);
+        let server = Server::run(Command::new(env!("CARGO_BIN_EXE_ashsplat")), &words);
         Training { place, server }
     }
 }
@@ -108,8 +109,8 @@ fn viewer_of_a_training_shows_and_steers_it() {
 #[test]
 fn viewer_does_not_change_a_training() {
     let cloud = |watched: bool| {
-        let more = "200 --densify_from_iter 5 --densification_interval 10 --view=0";
-        let mut training = Training::start(more, "viewer at ");
+        let more = "200 --densify_from_iter 5 --densification_interval 10";
+        let mut training = Training::start(more);
         let mut page = watched.then(|| training.server.page());
         if let Some(page) = &mut page {
             let mut request = view(1, &camera(0.0), &json!({ "mode": "tiles" }));

@@ -1,6 +1,6 @@
 //! `ashsplat inspect`.
 
-use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
+use ashsplat::scene::{Camera, WorldFrame};
 use ashsplat::{Error, PixelReport, Renderer, Result};
 use ashsplat_files::cameras_json;
 use ashsplat_program::args::DeviceArguments;
@@ -9,14 +9,13 @@ use ashsplat_program::look::LookArguments;
 use ashsplat_program::model::Model;
 use ashsplat_program::{output, session};
 use clap::Args;
-use glam::{DVec3, Mat3};
 use serde_json::json;
 use std::path::PathBuf;
 
 /// The Gaussians blended at one pixel, front to back, and the colour that they give.
 ///
-/// The camera is one of the training's (the default for a model folder), of a data set (-s), of a camera path or
-/// cameras.json (--path), or stands at the origin and looks along +z (x right, y down) with --fx, --width and --height.
+/// The camera is one of the training's (the default for a model folder), of a data set (-s), or of a camera path or
+/// cameras.json (--path).
 #[derive(Args)]
 pub struct Arguments {
     /// A model folder or a PLY
@@ -34,24 +33,6 @@ pub struct Arguments {
     /// Which camera of the training, data set or path: its number from 0, or its name
     #[arg(long, alias = "frame", value_name = "N|NAME", default_value = "0")]
     camera: String,
-    /// Focal length of a camera at the origin, pixels
-    #[arg(long, value_name = "PIXELS", conflicts_with_all = ["source_path", "path"], requires_all = ["width", "height"])]
-    fx: Option<f32>,
-    /// Its vertical focal length [default: fx]
-    #[arg(long, value_name = "PIXELS", requires = "fx")]
-    fy: Option<f32>,
-    /// Its principal point [default: the middle]
-    #[arg(long, value_name = "PIXELS", requires = "fx")]
-    cx: Option<f32>,
-    /// Its principal point [default: the middle]
-    #[arg(long, value_name = "PIXELS", requires = "fx")]
-    cy: Option<f32>,
-    /// Width of its picture, pixels
-    #[arg(long, value_name = "PIXELS", requires = "fx")]
-    width: Option<u32>,
-    /// Height of its picture, pixels
-    #[arg(long, value_name = "PIXELS", requires = "fx")]
-    height: Option<u32>,
     #[command(flatten)]
     look: LookArguments,
     #[command(flatten)]
@@ -96,11 +77,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 impl Arguments {
     fn camera(&self, model: &Model, frame: &WorldFrame) -> Result<Camera> {
         let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
-        let own = own.filter(|path| self.fx.is_none() && path.is_file());
+        let own = own.filter(|path| path.is_file());
         let cameras = match (&self.source_path, self.path.as_ref().or(own.as_ref())) {
             (Some(dataset), _) => session::cameras(dataset, &model.settings.data, frame)?,
             (None, Some(path)) => cameras_json::read(path, frame)?,
-            (None, None) => return self.camera_at_origin(frame),
+            (None, None) => {
+                return Err(Error::argument("camera", "is not given: use -s DATASET or --path FILE"));
+            }
         };
         let by_number = || cameras.get(self.camera.parse::<usize>().ok()?);
         let found = cameras.iter().find(|named| named.name == self.camera).or_else(by_number);
@@ -109,25 +92,6 @@ impl Arguments {
                 format!("there is no '{}': numbers go from 0 to {}", self.camera, cameras.len().max(1) - 1);
             Error::argument("--camera", problem)
         })
-    }
-
-    fn camera_at_origin(&self, frame: &WorldFrame) -> Result<Camera> {
-        let (Some(fx), Some(width), Some(height)) = (self.fx, self.width, self.height) else {
-            let problem = "is not given: use -s DATASET, --path FILE, or --fx, --width and --height";
-            return Err(Error::argument("camera", problem));
-        };
-        let middle = |size: u32| size as f32 / 2.0;
-        let intrinsics = Intrinsics {
-            fx,
-            fy: self.fy.unwrap_or(fx),
-            cx: self.cx.unwrap_or(middle(width)),
-            cy: self.cy.unwrap_or(middle(height)),
-            width,
-            height,
-        };
-        let camera = Camera::with_pose(Mat3::IDENTITY, -frame.world(DVec3::ZERO), intrinsics);
-        camera.check()?;
-        Ok(camera)
     }
 }
 

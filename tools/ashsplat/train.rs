@@ -183,7 +183,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let from = rounds::start(arguments.start_checkpoint.as_ref(), stage.as_ref(), model);
     let lpips = read_weights(&settings.data.lpips_weights, &arguments.device.host)?;
-    let doors = if writes { arguments.live.open()? } else { None };
+    let door = if writes { arguments.live.open()? } else { None };
     // Open the device first, so that its absence is reported before the photos are loaded.
     let host = &arguments.device.host;
     let offload = arguments.offload.map(|size| size.unwrap_or_else(|| host.memory().limit()));
@@ -259,7 +259,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if let Some(stage) = &stage {
         run.stop_at_end_of(stage);
     }
-    run.look_on(doors, &context, gallery)?;
+    run.look_on(door, &context, gallery)?;
     // Nothing is trained yet, so Ctrl-C may end the run here.
     session::check(&stop)?;
     let interrupted = run.train(&stop)?;

@@ -26,7 +26,6 @@ pub use foreign::*;
 pub use frames::*;
 pub use kernels::*;
 pub use measures::*;
-pub use names::CALLS;
 pub use scenes::*;
 pub use slots::*;
 pub use structs::{Defaults, STRUCTS};

@@ -3,8 +3,7 @@
 use ashsplat::Error;
 
 /// Calls that messages advise, and their names in C.
-#[doc(hidden)]
-pub const CALLS: [(&str, &str); 8] = [
+const CALLS: [(&str, &str); 8] = [
     ("Context::new", "ashsplat_context_new"),
     ("DeviceScene::in_context", "ashsplat_scene_in_context"),
     ("DeviceScene::plan_for", "ashsplat_scene_plan"),

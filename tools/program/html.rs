@@ -8,12 +8,6 @@ use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use std::fmt::Write;
 
-/// Colours of curves and blocks.
-pub const COLORS: [&str; 18] = [
-    "#222222", "#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#00a5a5", "#f032e6", "#808000",
-    "#9a6324", "#808080", "#000075", "#5c0000", "#7fb800", "#e0a800", "#006b3c", "#b07aa1", "#0095ff",
-];
-
 /// Style of every page; light and dark.
 pub const STYLE: &str = "
 :root { color-scheme: light dark; --line: #8884; --text: #222; --page: #fff; --soft: #666; }

@@ -2,7 +2,6 @@
 
 mod cameras;
 mod likeness;
-mod plan;
 
 use ashsplat::scene::{Camera, Cells, Gaussians, scene_extent};
 use ashsplat::train::SceneBlock;
@@ -66,9 +65,6 @@ pub struct Arguments {
     /// neighbours have trained there, not the coarse model; better seams
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=MAX_ROUNDS.into()))]
     rounds: u32,
-    /// Draw cells, seams, margins, cameras and Gaussians from above; from the side as well, where cells lie one above another
-    #[arg(long, value_name = "FILE.svg")]
-    plot: Option<PathBuf>,
     #[command(flatten)]
     data: session::DataArguments,
     #[command(flatten)]
@@ -165,9 +161,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let _lock = FolderLock::take(folder_of(path), &WORK, None)?;
         let old = BlocksFile::read(path).ok();
         old.as_ref().map_or(Ok(()), |old| old.check_replaced(&division))?;
-        if let Some(plot) = &arguments.plot {
-            output::write_text(plot, &plan::svg(&division, &scene.gaussians, &cameras, &shares)?)?;
-        }
         if old.is_some_and(|old| old.division == division) {
             Ok(())
         } else {
@@ -253,7 +246,7 @@ fn check_likeness(
 impl Arguments {
     /// Refuses invalid arguments before the work.
     fn check(&self) -> Result<()> {
-        output::check(&[("--out", Some(&self.out)), ("--plot", self.plot.as_deref())])?;
+        output::check(&[("--out", Some(&self.out))])?;
         if self.out.extension().is_none_or(|extension| extension != "json") {
             let problem =
                 format!("{} does not end in .json; models go beside it, without", self.out.display());

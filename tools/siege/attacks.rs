@@ -13,14 +13,12 @@ use crate::siege::{Result, Siege};
 pub type Attack = fn(&Siege) -> Result<String>;
 
 /// Names and attacks, in order of execution.
-pub const ATTACKS: [(&str, Attack); 12] = [
+pub const ATTACKS: [(&str, Attack); 10] = [
     ("connections that say nothing, to a training", connections::silent),
     ("WebSockets whose hand-shake never ends", connections::unfinished),
-    ("SIBR clients that say nothing", connections::network_viewer),
     ("large photos asked for at once", photos::at_once),
     ("photos asked for by a foreign page", photos::foreign),
     ("pages that flood a training and read nothing", floods::pages),
-    ("SIBR clients that flood a training", floods::network_viewer),
     ("JSON beyond --max-host-memory", bombs::bounded_json),
     ("blocks.json with other values", bombs::damaged_blocks),
     ("a GLB of 60 MiB from a page", bombs::upload),

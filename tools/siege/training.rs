@@ -39,13 +39,6 @@ pub struct Training {
     pub model: PathBuf,
 }
 
-/// Port to attack.
-#[derive(Clone, Copy)]
-pub enum Door {
-    Page,
-    NetworkViewer,
-}
-
 /// Arguments of a training into a folder.
 pub fn arguments<'a>(data: &'a str, model: &'a str, more: &[&'a str]) -> Vec<&'a str> {
     [&["train", "-s", data, "-m", model], &SCHEDULE[..], &[CHECKPOINTS[3]], more].concat()
@@ -78,26 +71,15 @@ pub fn result_of(model: &Path) -> PathBuf {
 }
 
 impl Training {
-    /// Starts a training. `more`: further arguments.
-    pub fn start(siege: &Siege, limits: &Limits, more: &[&str]) -> Result<Training> {
+    /// Starts a training.
+    pub fn start(siege: &Siege, limits: &Limits) -> Result<Training> {
         // Runs first, so that its memory does not count for the attacked training.
         undisturbed(siege)?;
         let (data, model) = (data_of(siege)?, siege.new_folder("attacked")?);
-        let arguments = arguments(text(&data)?, text(&model)?, &[&["--view=0"], more].concat());
+        let arguments = arguments(text(&data)?, text(&model)?, &["--view=0"]);
         let mut program = Program::limited(siege, limits, &arguments)?;
         let host = program.host()?;
         Ok(Training { program, host, model })
-    }
-
-    /// Starts a training that also serves SIBR's network viewer; returns the address of the given door, too.
-    pub fn with_door(siege: &Siege, limits: &Limits, door: Door) -> Result<(Training, String)> {
-        let mut training = Training::start(siege, limits, &["--ip", "127.0.0.1", "--port", "0"])?;
-        let network_viewer = training.program.wait_for("network viewer at ")?;
-        let address = match door {
-            Door::Page => training.host.clone(),
-            Door::NetworkViewer => network_viewer,
-        };
-        Ok((training, address))
     }
 
     /// Replaces a page's error by its cause: the training may have ended.

@@ -1,8 +1,7 @@
 //! Requests of the pages, waiting for the one thread that renders.
 //!
 //! Each page has one waiting camera, its newest, and at most one frame under way. The next frame is rendered after the page has
-//! confirmed the last, so a slow page gets fewer frames, but never old ones. Pages, the film in progress and programs that
-//! speak the reference's protocol take turns.
+//! confirmed the last, so a slow page gets fewer frames, but never old ones. Pages and the film in progress take turns.
 
 mod outbox;
 
@@ -19,23 +18,12 @@ use tokio::sync::oneshot;
 
 /// Most pages; more are refused.
 const MOST_PAGES: usize = 24;
-/// Most waiting pictures for programs of the reference's protocol; more are refused.
-const MOST_REMOTE: usize = 8;
 /// Most waiting requests for the scene itself; more are refused.
 const MOST_SCENES: usize = 2;
 /// Most waiting picks of one page; more are refused.
 const MOST_PICKS: usize = 4;
 /// Most waiting training actions; more are refused.
 const MOST_ACTIONS: usize = 64;
-
-/// A picture for a program that speaks the reference's protocol; the answer is its RGB bytes.
-#[derive(Debug)]
-pub struct RemoteRequest {
-    pub camera: ashsplat::Camera,
-    pub scale: f32,
-    /// Channel of capacity one.
-    pub answer: std::sync::mpsc::SyncSender<Vec<u8>>,
-}
 
 /// Answer to a request for the current Gaussians, to write them to a file. An error says in words why there are none.
 pub type SceneAnswer = oneshot::Sender<Result<CurrentScene, String>>;
@@ -61,7 +49,6 @@ pub enum Task {
     },
     /// The next frame of the film in progress, or the first of a new film.
     Film,
-    Remote(RemoteRequest),
     Scene(SceneAnswer),
 }
 
@@ -85,11 +72,9 @@ struct State {
     clients: BTreeMap<u64, Client>,
     next_client: u64,
     turn: u64,
-    remote: VecDeque<RemoteRequest>,
     scenes: VecDeque<SceneAnswer>,
-    /// The turns in which a film and another program were served last.
+    /// Turn in which a film was served last.
     film_served: u64,
-    remote_served: u64,
     actions: VecDeque<TrainAction>,
     /// Waiting films, at most one of each page.
     films: VecDeque<(u64, FilmRequest)>,
@@ -193,11 +178,6 @@ impl Hub {
         self.change_client(client, |client| queue(&mut client.picks, pick, MOST_PICKS)).unwrap_or(false)
     }
 
-    /// Queues another program's request for a picture; false if too many wait.
-    pub fn ask_remotely(&self, request: RemoteRequest) -> bool {
-        self.change(|state| queue(&mut state.remote, request, MOST_REMOTE))
-    }
-
     /// Queues a request for the Gaussians; false if too many wait.
     pub fn ask_for_scene(&self, answer: SceneAnswer) -> bool {
         self.change(|state| queue(&mut state.scenes, answer, MOST_SCENES))
@@ -296,8 +276,7 @@ impl Hub {
     /// True if any request is waiting, or a film is in progress.
     pub fn is_wanted(&self) -> bool {
         let state = self.lock();
-        let requested = !state.remote.is_empty() || !state.scenes.is_empty();
-        requested || state.has_films() || state.clients.values().any(Client::waits)
+        !state.scenes.is_empty() || state.has_films() || state.clients.values().any(Client::waits)
     }
 
     /// Returns the next task; waits at most this long.
@@ -350,12 +329,6 @@ impl State {
         let page = self.clients.iter_mut().filter(|(_, client)| client.waits());
         let page = page.min_by_key(|(_, client)| client.served);
         let pages_turn = page.as_ref().map_or(u64::MAX, |(_, client)| client.served);
-        if self.remote_served <= pages_turn.min(films_turn)
-            && let Some(request) = self.remote.pop_front()
-        {
-            self.remote_served = self.turn;
-            return Some(Task::Remote(request));
-        }
         if films_turn < pages_turn {
             self.film_served = self.turn;
             return Some(Task::Film);

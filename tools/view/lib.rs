@@ -21,7 +21,6 @@ mod photos;
 pub mod protocol;
 pub mod render_thread;
 pub mod server;
-pub mod sibr;
 mod sizes;
 mod streamed;
 mod subject;

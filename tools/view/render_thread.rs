@@ -4,13 +4,12 @@ use super::appearances::PhotoAppearances;
 use super::cut;
 use super::draw::{self, Audience, Painter, Viewer};
 use super::film::Film;
-use super::hub::{CurrentScene, Hub, RemoteRequest, SceneAnswer, Task};
+use super::hub::{CurrentScene, Hub, SceneAnswer, Task};
 use super::protocol::{self, Look, ToPage, ViewRequest};
 use super::sizes::Sizes;
 use ashsplat::scene::WorldFrame;
 use ashsplat::{Error, RenderSettings, Result, Trainer};
 use ashsplat_files::splats::WriteOptions;
-use ashsplat_program::output;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -23,8 +22,6 @@ const MOST_ASSEMBLED: usize = 2;
 
 /// Pause before a film checks again for its next frame's tiles: pages are served meanwhile.
 const SHORTLY: Duration = Duration::from_millis(5);
-/// Page number of programs that speak the reference's protocol; real pages have others.
-const REMOTE: u64 = 0;
 
 /// Serves pages with pictures of any painter.
 pub struct RenderThread {
@@ -99,7 +96,6 @@ impl RenderThread {
                 self.reply(client, answer)?;
             }
             Task::Film => self.go_on_filming(painter)?,
-            Task::Remote(request) => self.answer_remotely(painter, &request)?,
             Task::Scene(answer) => self.hand_over(painter, answer)?,
         }
         Ok(())
@@ -147,7 +143,7 @@ impl RenderThread {
             budget: look.budget,
             is_there: &|viewer| match viewer.films {
                 true => self.film.is_some(),
-                false => viewer.page == REMOTE || self.hub.has_page(viewer.page),
+                false => self.hub.has_page(viewer.page),
             },
         });
     }
@@ -162,25 +158,6 @@ impl RenderThread {
             }
         }
         Ok(())
-    }
-
-    fn answer_remotely(&mut self, painter: &mut dyn Painter, request: &RemoteRequest) -> Result<()> {
-        self.attend(painter, REMOTE, &Look::default());
-        let settings = RenderSettings { scale_modifier: request.scale, ..self.base };
-        let mut camera = request.camera;
-        // The program sends coordinates of the files.
-        let rotation = camera.camera_from_world.as_dmat3();
-        camera.translation = self.frame.translation(rotation, camera.translation.as_dvec3());
-        let frame = painter.render(&camera, &settings).and_then(|frame| output::to_photo(&frame));
-        match frame {
-            Ok(photo) => {
-                self.drew(painter, [camera.width, camera.height]);
-                request.answer.try_send(photo.rgb).ok();
-                Ok(())
-            }
-            // Without an answer, the connection closes.
-            Err(error) => fatal(error),
-        }
     }
 
     /// Sends the scene to the thread that writes it to a file.

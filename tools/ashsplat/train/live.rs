@@ -1,4 +1,4 @@
-//! `train --view` and `--ip`: viewers of a running training, and their share of its time.
+//! `train --view`: the viewers of a running training, and their share of its time.
 
 mod curves;
 #[cfg(test)]
@@ -17,12 +17,11 @@ use ashsplat_view::hub::Hub;
 use ashsplat_view::protocol::{ToPage, TrainAction};
 use ashsplat_view::render_thread::RenderThread;
 use ashsplat_view::server::{ServeArguments, Server, Site};
-use ashsplat_view::sibr::Wishes;
-use ashsplat_view::{PhotoAppearances, Photos, Subject, announce, render_thread, server, sibr};
+use ashsplat_view::{PhotoAppearances, Photos, Subject, announce, render_thread, server};
 use clap::Args;
 use curves::Curves;
 use serde_json::json;
-use std::net::{IpAddr, TcpListener};
+use std::net::TcpListener;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -45,16 +44,6 @@ pub struct LiveArguments {
     /// Largest share of training's time that all viewers together may take, 0.01 to 0.9
     #[arg(long, value_name = "SHARE", default_value_t = 0.2, value_parser = share)]
     view_share: f64,
-    /// Answer the reference implementation's network viewer (SIBR), at this machine's own address: another one, as scripts for the
-    /// reference give, is taken for 127.0.0.1
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1")]
-    ip: Option<String>,
-    /// Answer it at this address instead, also for other machines; its protocol has no password
-    #[arg(long, value_name = "ADDRESS", requires = "ip")]
-    host: Option<String>,
-    /// Port for it; 0 takes a free one
-    #[arg(long, value_name = "N", default_value_t = 6009, requires = "ip")]
-    port: u16,
 }
 
 fn share(text: &str) -> Result<f64, String> {
@@ -68,47 +57,25 @@ impl LiveArguments {
         self.view.is_some()
     }
 
-    /// Opens the requested ports, if any.
-    pub fn open(&self) -> Result<Option<Doors>> {
-        if self.view.is_none() && self.ip.is_none() {
-            return Ok(None);
-        }
-        let page = self.view.map(|port| {
-            let (host, token) = (self.view_host.clone(), self.view_token.clone());
-            let allow_origin = self.view_allow_origin.clone();
-            let serve = ServeArguments { host, port, token, allow_origin, of_training: true };
-            Ok((server::open(&serve)?, serve))
-        });
-        let network_viewer = self.network_viewer_address().map(|address| sibr::open(address, self.port));
-        let (page, network_viewer) = (page.transpose()?, network_viewer.transpose()?);
-        Ok(Some(Doors { page, network_viewer, share: self.view_share }))
-    }
-
-    /// Scripts for the reference pass `--ip 0.0.0.0`, which alone admits no other machine.
-    fn network_viewer_address(&self) -> Option<&str> {
-        let ip = self.ip.as_deref()?;
-        if let Some(host) = &self.host {
-            return Some(host);
-        }
-        if ip == "localhost" || ip.parse().is_ok_and(|address: IpAddr| address.is_loopback()) {
-            return Some(ip);
-        }
-        tell!("note: the network viewer listens at {OWN}: --host {ip} lets others in, without a password");
-        Some(OWN)
+    /// Opens the requested port, if any.
+    pub fn open(&self) -> Result<Option<Door>> {
+        let Some(port) = self.view else { return Ok(None) };
+        let (host, token) = (self.view_host.clone(), self.view_token.clone());
+        let allow_origin = self.view_allow_origin.clone();
+        let serve = ServeArguments { host, port, token, allow_origin, of_training: true };
+        Ok(Some(Door { listener: server::open(&serve)?, serve, share: self.view_share }))
     }
 }
 
-/// Open ports that are not served yet; early connections wait. They are opened before anything is loaded, so that a port
+/// An open port that is not served yet; early connections wait. It is opened before anything is loaded, so that a port
 /// in use is an error at once.
-pub struct Doors {
-    page: Option<(TcpListener, ServeArguments)>,
-    network_viewer: Option<TcpListener>,
+pub struct Door {
+    listener: TcpListener,
+    serve: ServeArguments,
     /// See [`LiveArguments`].
     share: f64,
 }
 
-/// The loopback address.
-const OWN: &str = "127.0.0.1";
 /// Least time between two new pictures for pages that follow the training.
 const RENEWAL: Duration = Duration::from_millis(500);
 /// Time between two checks of a paused training.
@@ -125,8 +92,7 @@ struct TrainRequest {
 pub struct Live {
     render_thread: RenderThread,
     hub: Arc<Hub>,
-    _server: Option<Server>,
-    wishes: Option<Arc<Wishes>>,
+    _server: Server,
     curves: Arc<Mutex<Curves>>,
     allowance: Allowance,
     /// Begin of the current time in which training has the device to itself.
@@ -138,8 +104,8 @@ pub struct Live {
 }
 
 impl Live {
-    /// Accepts connections at the ports. `device`: the device's name.
-    fn start(doors: Doors, subject: Subject, device: &str, settings: &Settings) -> Result<Live> {
+    /// Accepts connections at the port. `device`: the device's name.
+    fn start(door: Door, subject: Subject, device: &str, settings: &Settings) -> Result<Live> {
         let hub = Arc::new(Hub::default());
         let (data, iterations) = (&settings.data, settings.train.iterations);
         hub.greet_with(subject.greeting(device, Some(iterations)).to_string());
@@ -149,28 +115,16 @@ impl Live {
         let films = data.model_path.join("films");
         let mut render_thread = RenderThread::new(hub.clone(), subject.base, films.clone());
         render_thread.show(subject.base, subject.appearances, subject.frame);
-        let mut server = None;
-        if let Some((listener, serve)) = doors.page {
-            let site = Site::new(hub.clone(), films, serve.clone());
-            site.show_photos(subject.photos);
-            let started = server::start(listener, site)?;
-            announce(started.address, &serve);
-            server = Some(started);
-        }
-        let mut wishes = None;
-        if let Some(listener) = doors.network_viewer {
-            let (address, shared) =
-                sibr::serve(listener, hub.clone(), data.source_path.to_string_lossy().into_owned())?;
-            say!("network viewer at {address}");
-            wishes = Some(shared);
-        }
+        let site = Site::new(hub.clone(), films, door.serve.clone());
+        site.show_photos(subject.photos);
+        let server = server::start(door.listener, site)?;
+        announce(server.address, &door.serve);
         Ok(Live {
             render_thread,
             hub,
             _server: server,
-            wishes,
             curves,
-            allowance: Allowance::new(doors.share),
+            allowance: Allowance::new(door.share),
             trains_since: Instant::now(),
             renewed: Instant::now(),
             paused: false,
@@ -222,18 +176,14 @@ impl Live {
     }
 
     fn waits(&self) -> bool {
-        let forbidden = self.wishes.as_ref().is_some_and(|wishes| !wishes.may_train());
-        forbidden || self.paused && self.steps == 0
+        self.paused && self.steps == 0
     }
 
-    /// After training, serves the network viewer until it leaves, and completes films.
+    /// After training, completes films.
     fn end(&mut self, trainer: &mut Trainer, stop: &AtomicBool) -> Result<()> {
         let message = "training has ended; `ashsplat view MODEL` shows the result";
         self.hub.broadcast(&ToPage::json(&json!({ "type": "ended", "message": message })));
-        let stays = |live: &Live| {
-            live.hub.has_films() || live.wishes.as_ref().is_some_and(|wishes| wishes.wants_to_stay())
-        };
-        while stays(self) && !stop.load(Ordering::Relaxed) {
+        while self.hub.has_films() && !stop.load(Ordering::Relaxed) {
             // Discards requests: training is over, and pending ones would end each wait at once.
             self.hub.actions();
             self.render_thread.serve(trainer, REST)?;
@@ -287,13 +237,8 @@ impl Live {
 
 impl Run {
     /// Starts the viewers, if requested.
-    pub fn look_on(
-        &mut self,
-        doors: Option<Doors>,
-        context: &Context,
-        gallery: Option<Gallery>,
-    ) -> Result<()> {
-        let Some(doors) = doors else { return Ok(()) };
+    pub fn look_on(&mut self, door: Option<Door>, context: &Context, gallery: Option<Gallery>) -> Result<()> {
+        let Some(door) = door else { return Ok(()) };
         let (data, train) = (&self.settings.data, &self.settings.train);
         let cameras = gallery.as_ref().map(|gallery| gallery.cameras()).unwrap_or_default();
         let learns = [train.exposure, train.lens_effects];
@@ -314,7 +259,7 @@ impl Run {
             file: Some(data.model_path.clone()),
             ..Subject::default()
         };
-        self.live = Some(Live::start(doors, subject, context.device_name(), &self.settings)?);
+        self.live = Some(Live::start(door, subject, context.device_name(), &self.settings)?);
         Ok(())
     }
 

@@ -3,31 +3,26 @@
 use crate::page::{self, Page};
 use crate::program::Limits;
 use crate::siege::{Result, Siege, ensure};
-use crate::training::{Door, Training};
+use crate::training::Training;
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 pub fn silent(siege: &Siege) -> Result<String> {
-    besiege(siege, Door::Page, b"", b"")
+    besiege(siege, b"", b"")
 }
 
 /// Headers without end, one at a time.
 pub fn unfinished(siege: &Siege) -> Result<String> {
     let begin = b"GET /socket HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n";
-    besiege(siege, Door::Page, begin, b"X: y\r\n")
-}
-
-/// A message of a megabyte, byte by byte.
-pub fn network_viewer(siege: &Siege) -> Result<String> {
-    besiege(siege, Door::NetworkViewer, &[0, 0, 16, 0], b"{")
+    besiege(siege, begin, b"X: y\r\n")
 }
 
 /// A training with too few descriptors for all connections. Meanwhile it answers its page, saves and finishes.
-fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<String> {
+fn besiege(siege: &Siege, begin: &[u8], more: &[u8]) -> Result<String> {
     let (descriptors, count) = siege.choose((150, 300), (1024, 1060));
     let limits = Limits { descriptors: Some(descriptors), ..Limits::default() };
-    let (mut training, host) = Training::with_door(siege, &limits, door)?;
+    let mut training = Training::start(siege, &limits)?;
     let mut page = training.held()?;
     let (mut connections, mut missing) = (Vec::new(), 0);
     for _ in 0..count {
@@ -35,7 +30,7 @@ fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<Strin
         if missing > 10 {
             break;
         }
-        let Ok(mut stream) = page::connect(&host, Duration::from_millis(300)) else {
+        let Ok(mut stream) = page::connect(&training.host, Duration::from_millis(300)) else {
             missing += 1;
             continue;
         };

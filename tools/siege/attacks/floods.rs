@@ -3,7 +3,7 @@
 use crate::page::{self, PATIENCE, Page};
 use crate::program::Limits;
 use crate::siege::{Result, Siege, ensure};
-use crate::training::{Door, Training};
+use crate::training::Training;
 use serde_json::json;
 use std::io::{ErrorKind, Write};
 use std::net::TcpStream;
@@ -37,6 +37,7 @@ fn flood(mut stream: &TcpStream, message: &[u8], over: &AtomicBool, sent: &Atomi
     }
 }
 
+/// Pages flood a training, each with one of the messages. Meanwhile, another page gets its pictures; then training runs to its end.
 pub fn pages(siege: &Siege) -> Result<String> {
     let messages = [
         json!({ "type": "nonsense" }),
@@ -46,41 +47,19 @@ pub fn pages(siege: &Siege) -> Result<String> {
         json!({ "type": "train", "action": "pause" }),
     ];
     let messages = messages.map(|message| page::frame(&message.to_string()));
-    besiege(siege, Door::Page, &messages, |host| Page::open(host)?.stream())
-}
-
-pub fn network_viewer(siege: &Siege) -> Result<String> {
-    let ask = json!({
-        "resolution_x": 320, "resolution_y": 200, "train": true, "fov_x": 1.0, "fov_y": 0.7, "z_far": 100.0,
-        "z_near": 0.01, "shs_python": false, "rot_scale_python": false, "keep_alive": false,
-        "scaling_modifier": 1.0, "view_matrix": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, -2.5, 1],
-        "view_projection_matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
-    })
-    .to_string();
-    let message = [&(ask.len() as u32).to_le_bytes()[..], ask.as_bytes()].concat();
-    besiege(siege, Door::NetworkViewer, &vec![message; 8], |host| page::connect(host, PATIENCE))
-}
-
-/// Clients flood a training, each with one of the messages. Meanwhile, another page gets its pictures; then training runs to its
-/// end. `open` connects a client.
-fn besiege(
-    siege: &Siege,
-    door: Door,
-    messages: &[Vec<u8>],
-    open: fn(&str) -> Result<TcpStream>,
-) -> Result<String> {
     let seconds = Duration::from_secs(siege.choose(2, 30));
-    let (mut training, host) = Training::with_door(siege, &Limits::default(), door)?;
+    let mut training = Training::start(siege, &Limits::default())?;
+    let host = training.host.clone();
     let mut page = training.held()?;
     page.look()?;
     let before = training.program.memory();
     let (over, sent) = (AtomicBool::new(false), AtomicU64::new(0));
     let looked = std::thread::scope(|scope| {
-        for message in messages {
+        for message in &messages {
             let (host, over, sent) = (&host, &over, &sent);
             scope.spawn(move || {
                 while !over.load(Ordering::Relaxed) {
-                    if let Ok(stream) = open(host) {
+                    if let Ok(stream) = Page::open(host).and_then(|page| page.stream()) {
                         flood(&stream, message, over, sent);
                     }
                     std::thread::sleep(Duration::from_millis(10));

@@ -21,7 +21,7 @@ pub fn full(siege: &Siege) -> Result<String> {
     }
     let disk = siege.place("attacked");
     let limits = Limits { disk: Some((disk.clone(), DISK)), ..Limits::default() };
-    let mut training = Training::start(siege, &limits, &[])?;
+    let mut training = Training::start(siege, &limits)?;
     // Only the program sees its disk. An open folder of it stays readable after the program ends.
     let inside = format!("/proc/{}/root{}", training.program.id(), disk.display());
     let held = File::open(inside)?;
@@ -66,7 +66,7 @@ fn fill(path: &Path) -> Result<()> {
 
 pub fn descriptors(siege: &Siege) -> Result<String> {
     let limits = Limits { descriptors: Some(40), ..Limits::default() };
-    let mut training = Training::start(siege, &limits, &[])?;
+    let mut training = Training::start(siege, &limits)?;
     let held = training.held().and_then(|mut page| page.act("resume").map(|()| page));
     let _page = training.explain(held)?;
     training.check_end(siege)?;

@@ -10,16 +10,13 @@ use std::net::TcpStream;
 use std::path::Path;
 use tungstenite::{Message, WebSocket};
 
-fn any_port() -> Doors {
+fn any_port() -> Door {
     let arguments = LiveArguments {
         view: Some(0),
         view_host: "127.0.0.1".into(),
         view_token: None,
         view_allow_origin: None,
         view_share: 0.2,
-        ip: None,
-        host: None,
-        port: 0,
     };
     arguments.open().expect("a port").expect("an open one")
 }
@@ -43,7 +40,7 @@ fn view() -> ViewRequest {
 /// A connected page.
 fn page(run: &Run) -> WebSocket<TcpStream> {
     let live = run.live.as_ref().expect("a viewer");
-    let address = live._server.as_ref().expect("a server").address;
+    let address = live._server.address;
     let stream = TcpStream::connect(address).expect("a connection");
     stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a time-out");
     let (mut page, _) = tungstenite::client(format!("ws://{address}/socket"), stream).expect("a page");
@@ -83,9 +80,6 @@ fn panics_and_ends_of_the_viewer_are_its_own() {
     while other.read().expect("an answer").to_text().is_ok_and(|text| text != "fine") {}
     train_and_save(&mut run);
     assert!(run.live.is_some());
-    // The server's thread ends.
-    run.live.as_mut().expect("a viewer")._server = None;
-    train_and_save(&mut run);
     // A panic on the training thread while it serves viewers: a share of 0 gives an infinite debt.
     run.live.as_mut().expect("a viewer").allowance = Allowance::new(0.0);
     let (page, _outbox) = hub.join().expect("room");
