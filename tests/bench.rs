@@ -330,16 +330,15 @@ fn bench_blending_measures_both_forms_in_turn() {
 #[test]
 fn bench_measures_the_form_that_is_asked_for() {
     let (_folder, [json]) = new_paths(["a.json"]);
-    for what in ["render", "train-step"] {
-        for (form, kernel) in [("regions", "forward/blend"), ("shared", "forward/blend_shared")] {
-            succeed(&[&["bench", what, "--blending", form, "--json", text(&json)], &BLENDED[..]].concat());
-            let report = read(&json);
-            let run = &runs(&report)[0];
-            assert_eq!((&run["name"], &run["workload"]["blending"]), (&what.into(), &form.into()));
-            assert_eq!(blended(run), [kernel]);
-            let blending = kernels(run).iter().find(|k| k["kernel"] == kernel).expect("blending");
-            assert!(number(&blending["operations"]) > 0.0);
-        }
+    let forms = [("render", "shared", "forward/blend_shared"), ("train-step", "regions", "forward/blend")];
+    for (what, form, kernel) in forms {
+        succeed(&[&["bench", what, "--blending", form, "--json", text(&json)], &BLENDED[..]].concat());
+        let report = read(&json);
+        let run = &runs(&report)[0];
+        assert_eq!((&run["name"], &run["workload"]["blending"]), (&what.into(), &form.into()));
+        assert_eq!(blended(run), [kernel]);
+        let blending = kernels(run).iter().find(|k| k["kernel"] == kernel).expect("blending");
+        assert!(number(&blending["operations"]) > 0.0);
     }
     let profiled = ["profile", "render", "--blending", "shared", "--gaussians", "400", "--width", "72"];
     let table = succeed(&[&profiled[..], &["--height", "48", "--frames", "2"]].concat());

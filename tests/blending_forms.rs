@@ -4,8 +4,8 @@ use crate::common::blending::assert_same;
 use crate::common::count_hits;
 use crate::common::engine::{derivatives, settings};
 use crate::common::prelude::*;
+use ashsplat::Blending;
 use ashsplat::frame::tuning::Backend;
-use ashsplat::{BlendSamples, Blending};
 
 /// A device that counts blended samples: the count reveals which kernel ran.
 fn counting() -> Context {
@@ -41,21 +41,6 @@ fn blending_forms_draw_the_same_picture_with_other_work() {
         // A region skips entries that miss it; the form with one tile per workgroup walks its whole list.
         assert!(samples(&regions.0) > 0 && samples(&shared.0) > samples(&regions.0), "seed {seed}");
     }
-}
-
-/// If nothing is opaque, no tile ends early: all pixels of a tile walk over each instance.
-#[test]
-fn blending_from_shared_memory_walks_over_whole_lists() {
-    let context = counting();
-    let mut scene = gaussians(&small_scene(&mut Random::new(33), 700, 1));
-    scene.opacity_logits.fill(-4.0);
-    let mut renderer = loaded(&context, &scene);
-    renderer.set_blending(Blending::SharedMemory);
-    let frame = renderer.render(&camera(&small_view([96, 64])), &RenderSettings::default());
-    let stats = frame.expect("a picture").stats;
-    assert!(stats.instances > 1000);
-    let expected = BlendSamples { forward: 256 * u64::from(stats.instances), backward: 0 };
-    assert_eq!(stats.samples, expected);
 }
 
 /// Trains with one form, and from an iteration on with another. Returns samples of each half and the results.

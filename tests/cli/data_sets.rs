@@ -80,21 +80,6 @@ fn load(dataset: &Path) -> Dataset {
     Dataset::load(dataset, &options, Progress::NONE).expect("a data set")
 }
 
-#[test]
-fn the_city_is_a_data_set_of_many_photos() {
-    let place = Place::empty();
-    place.run("demo --out @city --scene city --photo-width 64 --dataset-only --quiet").ok();
-    let dataset = load(&place.at("city/dataset"));
-    assert_eq!((dataset.train.len(), dataset.test.len()), (141, 21));
-    let camera = dataset.train[0].camera;
-    assert_eq!((camera.width, camera.height), (64, 48));
-    assert!(dataset.points.positions.len() > 1000);
-    for (option, value) in [("--lots", "12"), ("--photo-width", "64")] {
-        place.run(format!("demo --out @none {option} {value}")).refused(&[option, "city"]);
-        assert!(!place.has("none"));
-    }
-}
-
 /// Writes the city through a lens.
 fn write_city(place: &Place, lens: &str) -> PathBuf {
     let city = "--scene city --photo-width 64 --dataset-only --quiet";
@@ -196,10 +181,16 @@ fn rows_of_a_rolling_shutter_have_poses_of_their_own() {
     }
     assert!(off(47, 0.0) > 5.0 && off(0, 1.0) > 5.0, "nothing moves");
     place.run(format!("info {}", folder.display())).ok().says(&["rolling shutter"]);
+
+    let dataset = load(&folder);
+    assert_eq!((dataset.train.len(), dataset.test.len()), (141, 21));
+    let camera = dataset.train[0].camera;
+    assert_eq!((camera.width, camera.height), (64, 48));
+    assert!(dataset.points.positions.len() > 1000);
 }
 
 #[test]
-fn lenses_that_do_not_fit_are_refused() {
+fn options_of_the_demo_that_do_not_fit_are_refused() {
     let place = Place::empty();
     let refused = |line: &str, words: &[&str]| {
         place.run(format!("demo --out @none {line}")).refused(words);
@@ -207,6 +198,8 @@ fn lenses_that_do_not_fit_are_refused() {
     };
     refused("--lens opencv --layout nerf-synthetic --dataset-only", &["--lens", "nerf-synthetic"]);
     refused("--lens fov", &["--lens", "opencv-fisheye"]);
+    refused("--lots 12", &["--lots", "city"]);
+    refused("--photo-width 64", &["--photo-width", "city"]);
 }
 
 /// Fails unless both layouts load identically, to the bit.

@@ -95,13 +95,12 @@ fn cameras_of(place: &Place, model: &str) -> Vec<NamedCamera> {
 
 #[test]
 fn poses_of_the_demo_are_found_again() {
-    let place = Place::empty();
-    place.run("demo --out @demo --dataset-only --quiet").ok();
-    let [true_ones, moved] = perturb(&place.at("demo/dataset"));
+    let place = Place::with_demo();
+    let [true_ones, moved] = perturb(&place.at("demo"));
     // Fixed Gaussians, because new ones could fit a photograph at its wrong pose.
     let fixed = format!("--iterations {ITERATIONS} --position_lr_max_steps {ITERATIONS} --strategy fixed");
     let usual = "--eval -r 2 --quiet --sh_degree 0 --eval-share 0 --pose-opt --pose-lr 1e-3";
-    let stdout = place.run(format!("train -s @demo/dataset -m @on {usual} {fixed}")).ok().stdout;
+    let stdout = place.run(format!("train -s @demo -m @on {usual} {fixed}")).ok().stdout;
     let with = place.read_json("on/results.json")[format!("ours_{ITERATIONS}")].clone();
     let number =
         |entry: &Value, name: &str| entry[name].as_f64().unwrap_or_else(|| panic!("{name}: {entry}"));

@@ -225,14 +225,34 @@ fn inspect_takes_the_trainings_cameras() {
     assert!(own == first && own != second, "{own}{first}{second}");
 }
 
+/// The demo after a few iterations, and its stdout; created once, because photographing it takes seconds.
+fn demo() -> &'static (Place, String) {
+    static DEMO: OnceLock<(Place, String)> = OnceLock::new();
+    DEMO.get_or_init(|| {
+        let place = Place::lasting("demo");
+        let said = place.run("demo --out @demo --iterations 6 --quiet").ok().stdout;
+        (place, said)
+    })
+}
+
+impl Place {
+    /// A folder with the demo's data set as `demo`.
+    pub(super) fn with_demo() -> Place {
+        let (place, data) = (Place::empty(), Path::new("demo/dataset"));
+        for file in demo().0.files(data) {
+            place.write(Path::new("demo").join(&file), demo().0.read(data.join(file)));
+        }
+        place
+    }
+}
+
 #[test]
 fn demo_leaves_data_set_sheet_metrics_and_scene() {
-    let place = Place::empty();
-    let said = place.run("demo --out @demo --iterations 6 --quiet").ok().stdout;
+    let (place, said) = demo();
     for file in ["contact_sheet.png", "metrics.json", &point_cloud("model", 6)] {
         let path = place.at("demo").join(file);
         assert!(path.is_file(), "{file} in {:?}", place.files("demo"));
-        assert_has(&said, &[text(&path)]);
+        assert_has(said, &[text(&path)]);
     }
     let metrics = place.read_json("demo/metrics.json");
     assert_eq!(metrics["views"].as_array().map(Vec::len), Some(5));

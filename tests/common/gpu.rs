@@ -43,6 +43,11 @@ impl Gpu {
         matches!(self.machine, Machine::Interpreter { .. })
     }
 
+    /// A size for devices, or a smaller one for the interpreter, which is slower.
+    pub fn sized<T>(&self, usual: T, interpreted: T) -> T {
+        if self.is_interpreted() { interpreted } else { usual }
+    }
+
     pub fn limits(&self) -> &Limits {
         &self.limits
     }

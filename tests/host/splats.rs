@@ -201,8 +201,8 @@ fn a_cut_scene_is_written_as_a_conversion_writes_it() {
 #[test]
 fn merged_cells_are_the_scene() {
     let folder = Folder::new();
-    let original = scene(40_000, 2);
-    let cells = Cells::divide(&original.means, 9_000).unwrap();
+    let original = scene(10_000, 2);
+    let cells = Cells::divide(&original.means, 2_200).unwrap();
     let input = folder.join("in.ply");
     folder.write_with("in.ply", &original, &antialiased());
     let part = |within: &Bounds| Input { within: Some(*within), ..Input::new(&input) };
@@ -219,12 +219,12 @@ fn merged_cells_are_the_scene() {
     for format in Format::WRITTEN {
         let [merged, written] = folder.alike(format);
         let done = merge(&parts, &merged, &KEEP).unwrap();
-        assert_eq!((done.format, done.written), (format, 40_000));
+        assert_eq!((done.format, done.written), (format, 10_000));
         splats::write_cut(&written, &expected, &Cut::default(), 2, &antialiased()).unwrap();
         assert!(std::fs::read(&merged).unwrap() == std::fs::read(&written).unwrap(), "{format}");
     }
     // Many cells need no more memory than one.
-    let [few, many] = [40_000, 500].map(|most| {
+    let [few, many] = [10_000, 130].map(|most| {
         let cells = Cells::divide(&original.means, most).unwrap();
         let parts: Vec<Input<'_>> = cells.bounds().iter().map(part).collect();
         let work = || drop(merge(&parts, &folder.join("memory.ply"), &KEEP).unwrap());
@@ -254,7 +254,7 @@ fn merged_cells_are_the_scene() {
     refused("--drop-invalid");
     let all = [Input { within: Some(Cells::EVERYTHING), ..Input::new(&other) }];
     let done = merge(&all, &output, &DROP).unwrap();
-    assert_eq!(done.taken, [39_999]);
+    assert_eq!(done.taken, [9_999]);
     assert_one(&done.warnings, &["scale_1 = NaN is not finite"]);
 }
 

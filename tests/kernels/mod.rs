@@ -14,7 +14,6 @@ mod lpips;
 mod optimizer;
 mod pixels;
 pub mod poses;
-mod probes;
 mod project;
 pub mod project_backward;
 pub mod scan;

@@ -29,7 +29,6 @@ pub mod pipeline;
 pub mod pixels;
 pub mod pose_gradient;
 pub mod pose_step;
-pub mod probes;
 pub mod project;
 pub mod project_backward;
 pub mod regularize;

@@ -235,21 +235,3 @@ impl Spread {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn spread_is_least_median_and_ninetieth() {
-        let values: Vec<f64> = (0..=10).rev().map(f64::from).collect();
-        assert_eq!(Spread::of(values), Some(Spread { min: 0.0, median: 5.0, p90: 9.0, mean: 5.0 }));
-        assert_eq!(Spread::of(vec![2.0]), Some(Spread { min: 2.0, median: 2.0, p90: 2.0, mean: 2.0 }));
-        assert_eq!(Spread::of(vec![]), None);
-        let even = Spread::of(vec![4.0, 1.0, 3.0, 2.0]);
-        assert_eq!(even, Some(Spread { min: 1.0, median: 2.5, p90: 4.0, mean: 2.5 }));
-        // The nearest rank of 15 is the 14th, ceil(0.9 · 15); of 10 the 9th.
-        let p90 = |n: u32| Spread::of((1..=n).map(f64::from).collect()).map(|spread| spread.p90);
-        assert_eq!([p90(15), p90(10), p90(20), p90(5)], [Some(14.0), Some(9.0), Some(18.0), Some(5.0)]);
-    }
-}

@@ -111,7 +111,8 @@ fn light(scene: &Scene, ray: &Ray, sun_sample: u32) -> Vec3 {
     let to_sun = sun_point(scene.to_sun, sun_sample);
     let shadow_ray = Ray { origin: point + hit.normal * SKIN, direction: to_sun };
     let facing = hit.normal.dot(to_sun).max(0.0);
-    let sun = if facing > 0.0 && first_hit(scene, &shadow_ray).is_none() { scene.sun } else { Vec3::ZERO };
+    let is_free = || scene.objects.iter().all(|object| intersect(&object.shape, &shadow_ray).is_none());
+    let sun = if facing > 0.0 && is_free() { scene.sun } else { Vec3::ZERO };
     // The sky as a hemisphere: bluish from above, the terrace's reflected light from below.
     let ambient = vec3(0.25, 0.24, 0.22).lerp(vec3(0.40, 0.46, 0.55), 0.5 + 0.5 * hit.normal.z);
     let mirrored = ray.direction - 2.0 * ray.direction.dot(hit.normal) * hit.normal;
@@ -147,11 +148,11 @@ fn intersect(shape: &Shape, ray: &Ray) -> Option<(f32, Vec3)> {
             let (t, _) = sphere_roots(ray, *center, *radius)?;
             (t > SKIN).then(|| (t, (ray.at(t) - *center) / *radius))
         }
-        Shape::Box { center, half, local_from_world } if may_meet(ray, *center, half.length()) => {
+        Shape::Box { center, half, local_from_world } if may_meet(ray, *center, half.length_squared()) => {
             hit_box(ray, *center, *half, local_from_world)
         }
         Shape::Capsule { start, end, radius }
-            if may_meet(ray, start.midpoint(*end), 0.5 * start.distance(*end) + radius) =>
+            if may_meet(ray, start.midpoint(*end), (0.5 * start.distance(*end) + radius).powi(2)) =>
         {
             hit_capsule(ray, *start, *end, *radius)
         }
@@ -170,11 +171,12 @@ fn intersect(shape: &Shape, ray: &Ray) -> Option<(f32, Vec3)> {
     }
 }
 
-/// True if a ray may meet a ball: rejects most of a city's houses.
-fn may_meet(ray: &Ray, center: Vec3, radius: f32) -> bool {
+/// True if a ray may meet a ball: rejects most of a city's houses, without a root.
+fn may_meet(ray: &Ray, center: Vec3, squared_radius: f32) -> bool {
     let to_center = center - ray.origin;
-    let along = to_center.dot(ray.direction);
-    along > -radius && to_center.length_squared() - along * along <= 1.001 * radius * radius + 1e-4
+    let (along, far) = (to_center.dot(ray.direction), to_center.length_squared());
+    let within = 1.001 * squared_radius + 1e-4;
+    far - along * along <= within && (along > 0.0 || far <= within)
 }
 
 /// Both distances at which a line meets a sphere.

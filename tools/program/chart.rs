@@ -127,20 +127,3 @@ impl Chart {
         points.map(place).collect::<Vec<_>>().join(" ")
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn marks_are_round() {
-        let marks = |axis: Axis| axis.marks().map(|value| axis.mark(value)).collect::<Vec<_>>();
-        assert_eq!(marks(Axis::new(0.0, 0.23)), ["0", "0.05", "0.10", "0.15", "0.20", "0.25"]);
-        assert_eq!(marks(Axis::new(17.3, 31.1)), ["15", "20", "25", "30", "35"]);
-        assert_eq!(Axis::new(0.0, 30_000.0).mark(20_000.0), "20k");
-        // A single value, or only zeros.
-        for axis in [Axis::new(5.0, 5.0), Axis::new(0.0, 0.0)] {
-            assert!(axis.marks().count() >= 2);
-        }
-    }
-}

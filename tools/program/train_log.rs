@@ -192,20 +192,6 @@ mod tests {
         StepReport { iteration, loss: 0.5, gaussians: 7, milliseconds: 1.25, ..Default::default() }
     }
 
-    /// Neither a new log, a continued one nor the report waits for a pipe.
-    #[cfg(unix)]
-    #[test]
-    fn a_pipe_is_refused() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("log.csv");
-        nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).expect("a pipe");
-        for refused in
-            [TrainLog::create(&path).err(), TrainLog::go_on(&path, 3).err(), Rows::read(&path).err()]
-        {
-            assert!(refused.expect("refused").to_string().contains("log.csv: is no"));
-        }
-    }
-
     /// /dev/full refuses every write.
     #[cfg(target_os = "linux")]
     #[test]

@@ -122,15 +122,3 @@ impl Settings {
         option.is_some_and(|option| (option.value)(&self.train) != (option.value)(&usual))
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_name_is_that_of_a_setting() {
-        for name in USES.iter().flat_map(|of| of.names) {
-            assert!(TrainSettings::OPTIONS.iter().any(|option| option.name == *name), "{name}");
-        }
-    }
-}
