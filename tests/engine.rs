@@ -35,6 +35,7 @@ mod parts;
 mod photos;
 mod picture_parts;
 mod poses;
+mod properties;
 mod scan;
 mod several_scenes;
 mod sort;

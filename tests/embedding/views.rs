@@ -1,6 +1,7 @@
 //! Several views in one recording: layers of an array or rectangles of one image, each with its own sort or with a
 //! shared one.
 
+mod at_random;
 mod split_screen;
 
 use crate::array_image::ArrayImage;
