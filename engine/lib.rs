@@ -60,8 +60,8 @@ pub use glam;
 pub use passes::compose::Background;
 pub use render::{
     Alignment, BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, MotionTarget,
-    Occluder, PickTarget, PixelReport, Placed, RecordedFrame, Release, Renderer, Reservation, Sample,
-    SlotReport, Surface, Target, TileReport, Update,
+    Occluder, PixelReport, Placed, RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport,
+    Surface, Target, TileReport, Update,
 };
 pub use scene::{Camera, ColorEncoding, Gaussians, JacobianLimit};
 pub use train::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

@@ -298,8 +298,8 @@ fn lens_effects_resume_to_the_bit() {
         (all[1].camera_id, all[2].camera_id, all[3].camera_id) = (12, 5, 12);
         let run = Run::shared(all, settings);
         let mut end = run.check_stops(&[&[1], &[15], &[27]]);
-        assert_eq!(end.lenses.values.len(), 3);
-        assert!(end.lenses.values.iter().all(|rows| rows.as_flattened().iter().all(|&x| x != 0.0)));
+        assert_eq!(end.lens_effects.values.len(), 3);
+        assert!(end.lens_effects.values.iter().all(|rows| rows.as_flattened().iter().all(|&x| x != 0.0)));
         let mut trainer = run.begin();
         trainer.finish();
         let effects = trainer.lens_effects().expect("effects");
@@ -307,7 +307,7 @@ fn lens_effects_resume_to_the_bit() {
         end.iteration -= 1;
         let of_others = Run::shared(views(4, 40), run.settings.clone());
         assert_says(refusal(of_others.try_resume(&end)), &["other photographs or cameras"]);
-        end.lenses.first_moments.pop();
+        end.lens_effects.first_moments.pop();
         assert_says(refusal(run.try_resume(&end)), &["lenses"]);
     }
 }

@@ -373,7 +373,7 @@ fn memory_budget_is_trainings_whoever_looks_on() {
 fn limits_of_a_chunk_hold_every_plane_once() {
     let gpu = Gpu::new();
     for (sh_degree, planes) in [(0, 4), (1, 6), (2, 10), (3, 15)] {
-        let plan = ScenePlan::new(gpu.context.limits(), 700, sh_degree).expect("a plan");
+        let plan = ScenePlan::new(gpu.context.limits(), 700, sh_degree, false).expect("a plan");
         assert_eq!((plan.chunk_gaussians, plan.planes), (768, planes));
         let mut owners = vec![0; 768 * planes as usize];
         for (plane, index) in (0..planes).flat_map(|plane| (0..768).map(move |index| (plane, index))) {

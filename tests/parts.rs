@@ -7,7 +7,7 @@ use ashsplat::frame::LaunchSizes;
 use ashsplat::passes::densify::{
     Candidates, Chances, Densify, DensifyForm, Importance, UniqueDraw, UniqueDrawBuffers, UniqueDrawInputs,
 };
-use ashsplat::passes::loss::{LossTerm, PixelLayout, Targets, TermInputs};
+use ashsplat::passes::loss::{LossTerm, PixelLayout, TermData, TermInputs};
 use ashsplat::scene::StoredPhoto;
 use ashsplat::train::strategy::{ABSOLUTE_STATISTIC, Changes, Hooks, Statistic, StepInputs, Work};
 use ashsplat::train::{Actions, Densified, Population, Regularizers, Strategy, TrainParts};
@@ -226,8 +226,8 @@ impl LossTerm for Nearer {
         "nearer"
     }
 
-    fn targets(&self) -> Targets {
-        Targets { picture: Some(PixelLayout::Rows), inverse_depth: true, ..Targets::default() }
+    fn data(&self) -> TermData {
+        TermData { picture: Some(PixelLayout::Rows), inverse_depth: true, ..TermData::default() }
     }
 
     fn scratch_requests(&self, _: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
@@ -294,8 +294,8 @@ impl LossTerm for Probe {
         "probe"
     }
 
-    fn targets(&self) -> Targets {
-        Targets { picture: Some(PixelLayout::Rows), ..Targets::default() }
+    fn data(&self) -> TermData {
+        TermData { picture: Some(PixelLayout::Rows), ..TermData::default() }
     }
 
     fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {

@@ -4,15 +4,15 @@ use crate::common::engine::settings;
 use crate::common::prelude::*;
 use crate::common::training;
 use ashsplat::frame::Strips;
-use ashsplat::passes::loss::{Windowing, photo_bytes, photo_on_device};
+use ashsplat::passes::loss::{NativeLayout, photo_bytes, photo_on_device};
 use ashsplat_files::{PhotoMemory, StoredPhoto};
 
 /// Memory for `held` photographs on the device and, in the same form, on the host, while another is read.
 fn held_bytes(views: &[TrainView], held: u64) -> u64 {
-    let windowing = Windowing::for_device(Gpu::new().context.limits());
-    let bytes = |photo: &StoredPhoto| photo_bytes(windowing, photo.width, photo.height, photo.is_masked());
+    let layout = NativeLayout::of(Gpu::new().context.limits());
+    let bytes = |photo: &StoredPhoto| photo_bytes(layout, photo.width, photo.height, photo.is_masked());
     let largest = views.iter().map(|view| bytes(&view.photo)).max().expect("views");
-    let read = if windowing == Windowing::Sweeps { 4 * 40 * 30 } else { 0 };
+    let read = if layout == NativeLayout::Strips { 4 * 40 * 30 } else { 0 };
     held * largest + read
 }
 
@@ -85,10 +85,10 @@ fn photos_from_a_file_give_the_same_bits() {
 
 #[test]
 fn photos_without_memory_to_read_ahead_are_refused() {
-    let expected = match Windowing::for_device(context().limits()) {
-        Windowing::Blocks => "24000 bytes, more than 19200 (--photo-memory,",
+    let expected = match NativeLayout::of(context().limits()) {
+        NativeLayout::Rows => "24000 bytes, more than 19200 (--photo-memory,",
         // Four planes of four strips, and the pixels of the photograph being read.
-        Windowing::Sweeps => "31680 bytes, more than 26304 (--photo-memory,",
+        NativeLayout::Strips => "31680 bytes, more than 26304 (--photo-memory,",
     };
     assert_says(refusal(run(context(), in_a_file(&views(), 4)).try_begin()), &[expected]);
 }
@@ -122,11 +122,11 @@ fn photos_on_a_device_are_pixels_or_planes() {
     let mut random = Random::new(5);
     let rgbm: Vec<u8> = (0..4 * width * height).map(|_| random.below(256) as u8).collect();
     let value = |x: u32, y: u32, channel: u32| rgbm[4 * (y * width + x) as usize + channel as usize];
-    for windowing in [Windowing::Blocks, Windowing::Sweeps] {
+    for layout in [NativeLayout::Rows, NativeLayout::Strips] {
         for masked in [false, true] {
-            let bytes = photo_on_device(windowing, width, height, masked, rgbm.clone());
-            assert_eq!(bytes.len() as u64, photo_bytes(windowing, width, height, masked));
-            if windowing == Windowing::Blocks {
+            let bytes = photo_on_device(layout, width, height, masked, rgbm.clone());
+            assert_eq!(bytes.len() as u64, photo_bytes(layout, width, height, masked));
+            if layout == NativeLayout::Rows {
                 assert_eq!(bytes, rgbm);
                 continue;
             }

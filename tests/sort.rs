@@ -72,7 +72,7 @@ fn check(gpu: &Gpu, sort: &RadixSort, keys: &[u32], bits: u32) {
 fn sort_of_many_sizes() {
     let gpu = Gpu::new();
     for sort in sorts(&gpu) {
-        let block = sort.sizes.sort as usize;
+        let block = sort.sizes.sort_block as usize;
         let run = LaunchSizes::with_sort_method(gpu.context.limits(), SortMethod::Serial).sort_items as usize;
         let sizes = [0, 1, 2, 3, 4, 5, 31, 32, 33, run - 1, run, run + 1, 20_000];
         let of_blocks = [block - 1, block, block + 1, 2 * block - 1, 5 * block + 77];
@@ -90,7 +90,7 @@ fn sort_of_sizes_across_one_block() {
     let gpu = Gpu::with(&ContextOptions { overrides: vec![sort_constant("ITEMS", 16)], ..options() });
     for sort in sorts(&gpu) {
         let mut random = Random::new(1);
-        let block = sort.sizes.sort;
+        let block = sort.sizes.sort_block;
         for n in (0..=block + 1).filter(|n| *n < 70 || n % 13 == 0 || n + 34 > block) {
             // Few distinct keys, so that stability matters; one pass reveals a wrong size.
             let keys: Vec<u32> = (0..n).map(|_| random.below(40)).collect();
@@ -109,7 +109,7 @@ fn sort_constant(constant: &str, bits: u32) -> SpecOverride {
 fn sort_of_special_keys() {
     let gpu = Gpu::new();
     for sort in sorts(&gpu) {
-        let n = 3 * sort.sizes.sort as usize + 5;
+        let n = 3 * sort.sizes.sort_block as usize + 5;
         for key in [0, 7, u32::MAX] {
             check(&gpu, &sort, &vec![key; n], 32);
         }
@@ -138,7 +138,7 @@ fn sort_in_a_narrow_grid() {
     // The histogram scan has one workgroup per digit: with wide blocks more than the 25 of a 5 × 5 grid.
     for sort in sorts(&gpu) {
         let mut random = Random::new(4);
-        let keys: Vec<u32> = (0..23 * sort.sizes.sort).map(|_| random.below(8)).collect();
+        let keys: Vec<u32> = (0..23 * sort.sizes.sort_block).map(|_| random.below(8)).collect();
         check(&gpu, &sort, &keys, 3);
     }
 }
@@ -148,7 +148,7 @@ fn sort_of_more_than_65535_workgroups() {
     let overrides = vec![sort_constant("WORKGROUP_SIZE", 1), sort_constant("ITEMS", 1)];
     let gpu = Gpu::with(&ContextOptions { overrides, ..options() });
     for sort in sorts(&gpu) {
-        let n = 65_540 * sort.sizes.sort - 3;
+        let n = 65_540 * sort.sizes.sort_block - 3;
         let bits = 3;
         let mut random = Random::new(2);
         let keys: Vec<u32> = (0..n).map(|_| random.below(1 << bits)).collect();

@@ -231,7 +231,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             values: metadata.strategy(),
         },
         exposures: appearance_state(&tensors, Checkpoint::EXPOSURES)?,
-        lenses: appearance_state(&tensors, Checkpoint::LENSES)?,
+        lens_effects: appearance_state(&tensors, Checkpoint::LENS_EFFECTS)?,
         poses: poses(&tensors)?,
         lens_opt: optional_values(&tensors, Checkpoint::LENS_OPT, &[LENS_STATE_VALUES])?,
         skipped: metadata.parsed(SKIPPED)?,

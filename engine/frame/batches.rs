@@ -4,7 +4,7 @@
 //! can share a dispatch. A workgroup is a culling block of one scene, and finds that scene in the table of camera blocks
 //! (glsl/include/batch.glsl). It skips blocks of other scenes that lie between those of a batch.
 
-use super::inputs::{Batch, Parameters, PlacedScene};
+use super::inputs::PlacedScene;
 use crate::kernels::constants::NO_BATCH;
 
 /// Minimum number of scenes in a batch, and in a frame with batches.
@@ -17,104 +17,109 @@ const MOST_BETWEEN: u32 = 32;
 /// Number of batches that accept scenes at the same time.
 const OPEN: usize = 8;
 
-/// Properties that the scenes of a batch share.
-#[derive(Clone, Copy)]
-struct Open {
-    parameters: Parameters,
+/// Scenes of a frame that share a dispatch.
+#[derive(Clone, Copy, Debug)]
+pub struct Batch {
+    /// Index of the first scene.
+    pub(crate) first: u32,
+    /// Number of scenes.
+    pub(crate) scenes: u32,
+    /// First Gaussian in the frame.
+    begin: u32,
+    /// One past the last Gaussian in the frame.
+    end: u32,
+}
+
+impl Batch {
+    /// First culling block and one past the last, of `block` Gaussians each.
+    pub(crate) fn blocks(&self, block: u32) -> [u32; 2] {
+        [self.begin / block, self.end.div_ceil(block)]
+    }
+
+    /// True if few enough culling blocks separate the batch from a later scene that begins at this Gaussian.
+    fn is_near(&self, block: u32, begin: u32) -> bool {
+        begin - self.end.next_multiple_of(block) <= MOST_BETWEEN * block
+    }
+}
+
+/// Batches of a frame.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FrameBatches<'a> {
+    pub(crate) list: &'a [Batch],
+    /// True if they draw everything, so that recording need not scan thousands of scenes.
+    pub(crate) draw_all: bool,
+}
+
+/// Properties that the scenes of a batch share: VkBuffer of the parameters, SH degree, [kinds](super::SceneSettings::kinds).
+#[derive(Clone, Copy, PartialEq)]
+struct Shared {
+    memory: u64,
     sh_degree: u32,
     kinds: [bool; 3],
-    first: u32,
 }
 
-impl Open {
-    fn takes(&self, other: &Self) -> bool {
-        self.parameters.memory == other.parameters.memory
-            && self.sh_degree == other.sh_degree
-            && self.kinds == other.kinds
-    }
+/// A batch that accepts scenes.
+#[derive(Clone, Copy)]
+struct Open {
+    shared: Shared,
+    /// Index in the list of batches.
+    batch: usize,
+    /// True if the buffer of the first scene has no space for others.
+    is_full: bool,
 }
 
-/// Makes a batch the first one of the frame.
-fn prepend(scenes: &mut [PlacedScene<'_>], batch: u32) {
-    scenes[batch as usize].batch.next = scenes[0].batch.frame.head;
-    scenes[0].batch.frame.head = batch;
-}
-
-/// Dissolves batches with few scenes. Returns the number of scenes in the remaining batches.
-fn keep_large(scenes: &mut [PlacedScene<'_>]) -> u32 {
-    let (mut batched, mut ended) = (0, false);
-    let mut place = std::mem::replace(&mut scenes[0].batch.frame.head, NO_BATCH);
-    while let Some(Batch { scenes: count, next, .. }) = scenes.get(place as usize).map(|first| first.batch) {
-        if count < LEAST_SCENES {
-            ended = true;
-        } else {
-            batched += count;
-            prepend(scenes, place);
-        }
-        place = next;
-    }
-    for own in 0..if ended { scenes.len() } else { 0 } {
-        let first = scenes.get(scenes[own].batch.first as usize);
-        if first.is_some_and(|first| first.batch.scenes < LEAST_SCENES) {
-            scenes[own].batch.first = NO_BATCH;
-        }
-    }
-    batched
-}
-
-/// Assigns the scenes of a frame to batches and returns the number of scenes in batches. Blocks have `block` Gaussians.
-pub(crate) fn form_batches(block: u32, scenes: &mut [PlacedScene<'_>]) -> u32 {
+/// Assigns the scenes of a frame to batches, and adds these to `batches`. Blocks have `block` Gaussians. Returns true if the batches draw
+/// everything.
+pub(crate) fn form_batches(block: u32, scenes: &mut [PlacedScene<'_>], batches: &mut Vec<Batch>) -> bool {
     if scenes.len() < LEAST_SCENES as usize {
-        return 0;
+        return false;
     }
-    let drawn = assign(block, scenes);
-    let batched = keep_large(scenes);
-    scenes[0].batch.frame.all = batched == drawn;
-    batched
+    let own = batches.len();
+    let drawn = assign(block, scenes, batches);
+    for small in batches[own..].iter().filter(|batch| batch.scenes < LEAST_SCENES) {
+        let of_batch = scenes[small.first as usize..].iter_mut().filter(|placed| placed.batch == small.first);
+        of_batch.take(small.scenes as usize).for_each(|placed| placed.batch = NO_BATCH);
+    }
+    batches.retain(|batch| batch.scenes >= LEAST_SCENES);
+    batches[own..].iter().map(|batch| batch.scenes).sum::<u32>() == drawn
 }
 
 /// Assigns scenes to batches of any size and returns the number of drawn scenes.
-fn assign(block: u32, scenes: &mut [PlacedScene<'_>]) -> u32 {
+fn assign(block: u32, scenes: &mut [PlacedScene<'_>], batches: &mut Vec<Batch>) -> u32 {
     let (mut open, mut drawn) = ([None::<Open>; OPEN], 0);
-    for place in 0..scenes.len() {
-        let (begin, own_count) = (scenes[place].first, scenes[place].drawn());
-        drawn += u32::from(own_count > 0);
-        let Some(own) = batched(block, &scenes[place], place as u32) else { continue };
-        let known = open.iter().position(|batch| batch.is_some_and(|batch| batch.takes(&own)));
-        let is_near = |first: u32| {
-            let Batch { end, .. } = scenes[first as usize].batch;
-            begin - end.next_multiple_of(block) <= MOST_BETWEEN * block
-        };
-        let first = match known.and_then(|at| open[at]).map(|batch| batch.first) {
-            Some(first) if is_near(first) => first,
-            _ => {
-                // Replaces a batch that no scene can join any more, or that few scenes will join.
-                let worth = |batch: &Open| match scenes[batch.first as usize].batch.scenes {
-                    _ if !is_near(batch.first) => 0,
-                    1 if batch.parameters.alone => 1,
-                    scenes => 1 + scenes,
-                };
-                let least = || (0..OPEN).min_by_key(|&at| open[at].as_ref().map_or(0, worth)).unwrap_or(0);
-                open[known.unwrap_or_else(least)] = Some(own);
-                prepend(scenes, place as u32);
-                place as u32
-            }
-        };
-        scenes[place].batch.first = first;
-        let batch = &mut scenes[first as usize].batch;
-        (batch.scenes, batch.end) = (batch.scenes + 1, begin + own_count);
+    for (index, placed) in (0..).zip(scenes) {
+        let (begin, count) = (placed.first, placed.drawn_gaussians());
+        drawn += u32::from(count > 0);
+        let Some(shared) = shared(block, placed) else { continue };
+        let known = open.iter().position(|open| open.is_some_and(|open| open.shared == shared));
+        let joined = known.and_then(|at| open[at]).map(|open| open.batch);
+        let batch = joined.filter(|&batch| batches[batch].is_near(block, begin)).unwrap_or_else(|| {
+            // Replaces a batch that no scene can join any more, or that few scenes will join.
+            let worth = |open: &Open| match batches[open.batch] {
+                batch if !batch.is_near(block, begin) => 0,
+                Batch { scenes: 1, .. } if open.is_full => 1,
+                Batch { scenes, .. } => 1 + scenes,
+            };
+            let least = || (0..OPEN).min_by_key(|&at| open[at].as_ref().map_or(0, worth)).unwrap_or(0);
+            let at = known.unwrap_or_else(least);
+            open[at] = Some(Open { shared, batch: batches.len(), is_full: placed.parameters.is_full });
+            batches.push(Batch { first: index, scenes: 0, begin, end: begin });
+            batches.len() - 1
+        });
+        let batch = &mut batches[batch];
+        placed.batch = batch.first;
+        (batch.scenes, batch.end) = (batch.scenes + 1, begin + count);
     }
     drawn
 }
 
-/// Returns the properties that a scene needs of its batch; None if it cannot be in one.
-fn batched(block: u32, placed: &PlacedScene<'_>, first: u32) -> Option<Open> {
-    let drawn = placed.drawn();
-    let (parameters, kinds) = (placed.batch.parameters, placed.settings.kinds());
+/// Returns what a scene shares with the others of its batch; None if it cannot be in one.
+fn shared(block: u32, placed: &PlacedScene<'_>) -> Option<Shared> {
+    let (drawn, memory) = (placed.drawn_gaussians(), placed.parameters.memory);
     let fits = drawn > 0
         && drawn <= MOST_BLOCKS * block
-        && parameters.memory != 0
+        && memory != 0
         && placed.settings.mask().is_none()
         && !placed.scene.plan.half_sh;
-    fits.then_some(Open { parameters, sh_degree: placed.sh_degree, kinds, first })
+    fits.then(|| Shared { memory, sh_degree: placed.sh_degree, kinds: placed.settings.kinds() })
 }

@@ -53,23 +53,23 @@ pub(crate) use buffer_set;
 buffer_set! {
     /// Buffers of a frame. A buffer with one content is a field. A buffer that is reused within the frame has a method
     /// for each content, which says when it is valid.
-    pub struct FrameBuffers(capacity: &FrameCapacity, launch: &LaunchSizes) {
+    pub struct FrameBuffers(capacity: &FrameCapacity, sizes: &LaunchSizes) {
         let [gaussians, visible, instances] =
             [capacity.gaussians, capacity.visible, capacity.instances].map(u64::from);
         let PictureCapacity { pixels, tiles, strip_values, .. } = capacity.pictures;
-        let gaussian_blocks = blocks(gaussians, launch.elementwise_workgroup.into());
-        let depth_sort = launch.sort_histogram_words(visible, DEPTH_KEY_BITS);
+        let gaussian_blocks = blocks(gaussians, sizes.elementwise_workgroup.into());
+        let depth_sort = sizes.sort_histogram_words(visible, DEPTH_KEY_BITS);
         // A smaller image may use longer digits in fewer passes.
         let tile_bits = tile_bits(tiles.min(u32::MAX.into()) as u32);
-        let tile_sort = (1..=tile_bits).map(|bits| launch.sort_histogram_words(instances, bits)).max();
+        let tile_sort = (1..=tile_bits).map(|bits| sizes.sort_histogram_words(instances, bits)).max();
         // Visible Gaussians have records of all attributes, or a buffer for each attribute.
         let record = u64::from(SPLAT_PLANES);
-        let apart = u64::from(visible * 16 * record > launch.max_binding_bytes);
+        let apart = u64::from(visible * 16 * record > sizes.max_binding_bytes);
         let splat_stride = if apart == 0 { record } else { 1 };
         // 1 with the buffers of the backward pass, otherwise 0.
         let backward = u64::from(capacity.backward);
         let backward_instances = backward * instances;
-        let strips = backward * u64::from(launch.strips) * strip_values;
+        let strips = backward * u64::from(sizes.strips) * strip_values;
         let [pick, motion, surface] =
             [capacity.outputs.pick, capacity.outputs.motion, capacity.outputs.surface].map(u64::from);
     }
@@ -115,11 +115,11 @@ buffer_set! {
     /// Per rank: first instance.
     pub instance_offsets: visible * 4;
     /// Sums and offsets of the scan's blocks.
-    pub scan_blocks: blocks(visible, launch.scan.into()) * 4;
+    pub scan_blocks: blocks(visible, sizes.scan_block.into()) * 4;
     /// Sorting scratch: counts per digit and block, and per digit and run.
     pub histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)) * 4;
     /// Sorting scratch: keys per digit.
-    pub digit_totals: (1 << launch.sort_digit_bits()) * 4;
+    pub digit_totals: (1 << sizes.sort_digit_bits()) * 4;
     /// [`Self::instance_tiles`], [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
     tiles_a: instances * 4;
     /// [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
@@ -175,6 +175,54 @@ buffer_set! {
     pub surfaces: surface * pixels * 16;
 }
 
+/// Declares [`Outputs`].
+macro_rules! outputs {
+    ($($(#[$doc:meta])* $output:ident,)*) => {
+        /// Outputs of blending besides the picture (blend_auxiliary.glsl). By default there are none, and the kernels are those of a
+        /// plain frame.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        pub struct Outputs { $($(#[$doc])* pub $output: bool,)* }
+
+        impl Outputs {
+            /// Returns the outputs with their names.
+            pub(crate) fn named(self) -> impl IntoIterator<Item = (&'static str, bool)> {
+                [$((stringify!($output), self.$output)),*]
+            }
+
+            /// Returns the outputs of both.
+            #[must_use]
+            pub fn and(self, other: Self) -> Self {
+                Self { $($output: self.$output || other.$output,)* }
+            }
+
+            /// Returns every combination of these outputs.
+            pub(crate) fn subsets(self) -> impl Iterator<Item = Self> {
+                let mut all = vec![Self::default()];
+                $(if self.$output {
+                    all.extend(all.clone().into_iter().map(|outputs| Self { $output: true, ..outputs }));
+                })*
+                all.into_iter()
+            }
+        }
+    };
+}
+
+outputs! {
+    /// Gaussian of the largest weight per pixel.
+    pick,
+    /// Mean motion per pixel.
+    motion,
+    /// Normal and median depth per pixel.
+    surface,
+}
+
+impl Outputs {
+    /// True if there is an output.
+    pub fn any(self) -> bool {
+        self != Self::default()
+    }
+}
+
 /// Returns the `N` results of `N` requests.
 pub(crate) fn array_of<T, const N: usize>(all: Vec<T>) -> [T; N] {
     match all.try_into() {
@@ -194,14 +242,14 @@ pub(crate) fn first_lens_sum(capacity: &FrameCapacity) -> u32 {
 }
 
 /// Returns the bytes of all buffers of a frame, including the padding between them.
-pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {
-    packed_bytes(&FrameBuffers::requests(capacity, block))
+pub fn frame_bytes(capacity: &FrameCapacity, sizes: &LaunchSizes) -> u64 {
+    packed_bytes(&FrameBuffers::requests(capacity, sizes))
 }
 
 /// Returns the bytes of requests in one block, including the padding between them.
 pub(crate) fn packed_bytes(requests: &[(&'static str, u64)]) -> u64 {
-    let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
-    pack(&sizes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum())
+    let bytes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
+    pack(&bytes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum())
 }
 
 /// Bindings of the attributes of the visible Gaussians: see splat_record.glsl.
@@ -278,14 +326,14 @@ impl FrameBuffers {
     }
 
     /// Per depth rank: the visible Gaussian. Valid from the depth sort on.
-    pub fn depth_order(&self, block: &LaunchSizes) -> &Buffer {
-        self.depth_sort_values()[block.sorted_side(DEPTH_KEY_BITS)]
+    pub fn depth_order(&self, sizes: &LaunchSizes) -> &Buffer {
+        self.depth_sort_values()[sizes.sorted_side(DEPTH_KEY_BITS)]
     }
 
     /// Per instance before the tile sort: the visible Gaussian. Valid from duplication on with backward; otherwise until
     /// the tile sort, which reorders it.
-    pub fn instance_visible(&self, backward: bool) -> &Buffer {
-        if backward { &self.instance_visible } else { &self.sorted_a }
+    pub fn instance_visible(&self, keeps_instances: bool) -> &Buffer {
+        if keeps_instances { &self.instance_visible } else { &self.sorted_a }
     }
 
     /// Keys of the tile sort, alternately read and written. Valid until its end.
@@ -299,25 +347,25 @@ impl FrameBuffers {
     }
 
     /// Per sorted instance: its tile. Valid from the tile sort on.
-    pub fn sorted_tiles(&self, block: &LaunchSizes, camera: &Camera) -> &Buffer {
-        self.tile_sort_keys()[sorted_side(block, camera)]
+    pub fn sorted_tiles(&self, sizes: &LaunchSizes, camera: &Camera) -> &Buffer {
+        self.tile_sort_keys()[sorted_side(sizes, camera)]
     }
 
     /// Per sorted instance: its index before the tile sort; without backward, the visible Gaussian. Valid from the tile
     /// sort on.
-    pub fn sorted_instances(&self, block: &LaunchSizes, camera: &Camera) -> &Buffer {
-        self.tile_sort_values()[sorted_side(block, camera)]
+    pub fn sorted_instances(&self, sizes: &LaunchSizes, camera: &Camera) -> &Buffer {
+        self.tile_sort_values()[sorted_side(sizes, camera)]
     }
 
     /// Per sorted instance: the visible Gaussian. Valid from the ranges on; without backward, from the tile sort on.
-    pub fn sorted_visible(&self, block: &LaunchSizes, backward: bool, camera: &Camera) -> &Buffer {
-        if backward { &self.gathered_visible } else { self.sorted_instances(block, camera) }
+    pub fn sorted_visible(&self, sizes: &LaunchSizes, keeps_instances: bool, camera: &Camera) -> &Buffer {
+        if keeps_instances { &self.gathered_visible } else { self.sorted_instances(sizes, camera) }
     }
 
     /// The blended picture that the loss and the backward pass read: [`Self::composited`] with strips,
     /// otherwise [`Self::accumulated`].
-    pub fn rendered(&self, block: &LaunchSizes) -> &Buffer {
-        if block.strips { &self.composited } else { &self.accumulated }
+    pub fn rendered(&self, sizes: &LaunchSizes) -> &Buffer {
+        if sizes.strips { &self.composited } else { &self.accumulated }
     }
 
     /// Per instance before the tile sort: absolute gradients of the 2D mean. Unless `absolute`, another buffer, which is
@@ -353,8 +401,8 @@ impl FrameBuffers {
 ///
 /// # Errors
 /// [`Error::TooLarge`] with the number of workgroups.
-pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSizes) -> Result<()> {
-    let smallest = block.smallest();
+pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, sizes: &LaunchSizes) -> Result<()> {
+    let smallest = sizes.smallest();
     let PictureCapacity { pixels, tiles, side_tiles, .. } = capacity.pictures;
     let axis = u64::from(limits.max_workgroups_per_axis);
     let elements = u64::from(capacity.gaussians.max(capacity.instances));
@@ -375,14 +423,14 @@ pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSize
 }
 
 /// True if a device's limits allow the buffers and grids of a frame, regardless of memory.
-pub fn frame_fits_device(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSizes) -> bool {
+pub fn frame_fits_device(limits: &Limits, capacity: &FrameCapacity, sizes: &LaunchSizes) -> bool {
     let most = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
-    check_grids(limits, capacity, block).is_ok()
-        && FrameBuffers::requests(capacity, block).iter().all(|(_, bytes)| *bytes <= most)
+    check_grids(limits, capacity, sizes).is_ok()
+        && FrameBuffers::requests(capacity, sizes).iter().all(|(_, bytes)| *bytes <= most)
 }
 
 /// Index of the tile sort's buffer that holds its result, for an image of this size.
-pub(crate) fn sorted_side(block: &LaunchSizes, camera: &Camera) -> usize {
+pub(crate) fn sorted_side(sizes: &LaunchSizes, camera: &Camera) -> usize {
     let (columns, rows) = tile_grid(camera.width, camera.height);
-    block.sorted_side(tile_bits(columns * rows))
+    sizes.sorted_side(tile_bits(columns * rows))
 }

@@ -9,7 +9,7 @@ use super::CAMERA_BLOCK_BYTES;
 use super::inputs::{FrameInputs, PlacedScene};
 use super::settings::{DrawnShape, Dropout, RenderSettings};
 use crate::kernels::blocks::CameraBlock;
-use crate::kernels::{constants, constants as c};
+use crate::kernels::constants as c;
 use crate::scene::cut_out::Compared;
 use crate::scene::{Camera, CutLimits, CutOutLimits, Inside, MAX_CUT_OUTS, Projection};
 use crate::vk::{MAX_UPDATE_BYTES, Recorder};
@@ -24,10 +24,10 @@ const _: () = assert!(
         && offset_of!(CameraBlock, focal_px) as u64 == POSE_BYTES
 );
 
-const _: () = assert!(crate::scene::camera::NEAR_PLANE == constants::NEAR_PLANE);
+const _: () = assert!(crate::scene::camera::NEAR_PLANE == c::NEAR_PLANE);
 const _: () = assert!(
-    Projection::Orthographic as u32 == constants::PROJECTION_ORTHOGRAPHIC
-        && Projection::Equirectangular as u32 == constants::PROJECTION_EQUIRECTANGULAR
+    Projection::Orthographic as u32 == c::PROJECTION_ORTHOGRAPHIC
+        && Projection::Equirectangular as u32 == c::PROJECTION_EQUIRECTANGULAR
 );
 
 /// Pose of a camera in device layout: rows of the rotation from world to camera, then the translation.
@@ -48,7 +48,7 @@ const _: () = assert!(BLOCKS_PER_UPDATE * size_of::<Block>() <= MAX_UPDATE_BYTES
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Block {
     values: CameraBlock,
-    lens: [f32; constants::CAMERA_BLOCK_WORDS as usize - size_of::<CameraBlock>() / 4],
+    lens: [f32; c::CAMERA_BLOCK_WORDS as usize - size_of::<CameraBlock>() / 4],
 }
 const _: () = assert!(size_of::<Block>() as u64 == CAMERA_BLOCK_BYTES);
 
@@ -125,10 +125,10 @@ fn set_scene(block: &mut CameraBlock, placed: &PlacedScene<'_>) {
     block.selection_color = scene.selection.map_or([0.0; 3], |selection| selection.color);
     block.selection_share = scene.selection.map_or(0.0, |selection| selection.share);
     block.scene_first = placed.first;
-    block.scene_count = placed.drawn();
+    block.scene_count = placed.drawn_gaussians();
     block.scene_chunk_gaussians = placed.scene.plan.chunk_gaussians;
-    block.scene_batch = placed.batch.first;
-    block.scene_parameters = placed.batch.parameters.begin;
+    block.scene_batch = placed.batch;
+    block.scene_parameters = placed.parameters.begin;
     block.scene_first_cut_out = placed.first_cut_out;
     block.scene_cut_outs = scene.cut_out_count();
 }
@@ -152,7 +152,7 @@ pub(crate) fn record_cut_outs(r: &mut Recorder, inputs: &FrameInputs) {
         return;
     }
     let Some(buffer) = inputs.cut_outs.filter(|buffer| buffer.bytes() >= needed) else {
-        panic!("FrameInputs::cut_outs has no room for {end} cut-outs, which take {needed} bytes");
+        panic!("FrameInputs::cut_outs is too small for {end} cut-outs, which take {needed} bytes");
     };
     for placed in inputs.scenes.iter().filter(|placed| placed.settings.cut_out_count() > 0) {
         let mut words = [Words::default(); MAX_CUT_OUTS];
@@ -176,4 +176,25 @@ fn words_of(limits: &CutOutLimits) -> Words {
     let with = |[x, y, z]: [f32; 3], w: f32| [x, y, z, w];
     let [x, y, z] = [0, 1, 2].map(|axis| with(rows[axis], center[axis]));
     [x, y, z, with(bounds, (shape + removes) as f32)]
+}
+
+// Indices of the scenes' first Gaussians in the frame, by which picks find the scene.
+
+/// Number of indices that one command writes. They are gathered on the stack: 4 KiB.
+const FIRSTS_AT_ONCE: usize = 1024;
+
+/// Records the writes of all scenes' indices if the frame has picks. The caller places a barrier after it.
+///
+/// # Panics
+/// If the buffer is too small.
+pub(crate) fn record_scene_firsts(r: &mut Recorder, inputs: &FrameInputs) {
+    if !inputs.outputs.pick {
+        return;
+    }
+    let mut words = [0u32; FIRSTS_AT_ONCE];
+    for (scenes, first) in inputs.scenes.chunks(FIRSTS_AT_ONCE).zip((0..).step_by(4 * FIRSTS_AT_ONCE)) {
+        words.iter_mut().zip(scenes).for_each(|(word, placed)| *word = placed.first);
+        let bytes = bytemuck::cast_slice(&words[..scenes.len()]);
+        r.update(&inputs.buffers.scene_firsts.range(first, bytes.len() as u64), bytes);
+    }
 }

@@ -1,8 +1,8 @@
 //! Inputs of a frame: scenes with their transforms, a camera, settings.
 
 use super::{
-    CAMERA_BLOCK_BYTES, FrameBuffers, FrameCapacity, FrameVariant, GaussianRange, Outputs, RenderSettings,
-    ScenePlan, SceneSettings,
+    CAMERA_BLOCK_BYTES, FrameBatches, FrameBuffers, FrameCapacity, FrameVariant, GaussianRange, Outputs,
+    RenderSettings, ScenePlan, SceneSettings,
 };
 use crate::kernels::constants::NO_BATCH;
 use crate::scene::{Camera, Pose};
@@ -46,8 +46,10 @@ impl SceneBuffers {
 pub struct FrameInputs<'a> {
     /// The scenes, one behind the other in the frame's index space; at least one. A backward pass differentiates the first.
     pub scenes: &'a [PlacedScene<'a>],
+    /// Batches of these scenes.
+    pub batches: FrameBatches<'a>,
     /// The frame's buffers.
-    pub frame: &'a FrameBuffers,
+    pub buffers: &'a FrameBuffers,
     /// Capacity of the frame's buffers.
     pub capacity: &'a FrameCapacity,
     /// The camera in the axes of the first scene.
@@ -84,13 +86,14 @@ impl<'a> FrameInputs<'a> {
     /// A frame of these scenes, without backward and without further inputs or outputs.
     pub fn new(
         scenes: &'a [PlacedScene<'a>],
-        frame: &'a FrameBuffers,
+        buffers: &'a FrameBuffers,
         capacity: &'a FrameCapacity,
         settings: &'a RenderSettings,
     ) -> Self {
         Self {
             scenes,
-            frame,
+            batches: FrameBatches::default(),
+            buffers,
             capacity,
             camera: &scenes[0].camera,
             pose: None,
@@ -122,6 +125,12 @@ impl<'a> FrameInputs<'a> {
     /// Returns the variant of the kernels that differentiate or optimise the first scene.
     pub(crate) fn trained_variant(&self) -> FrameVariant {
         FrameVariant { half_sh: self.scene().plan.half_sh, ..self.variant() }
+    }
+
+    /// True if the tile sort keeps the index of each instance: the buffers are those of [`FrameCapacity::backward`]. Otherwise it
+    /// carries the visible Gaussian.
+    pub(crate) fn keeps_instances(&self) -> bool {
+        self.capacity.backward
     }
 
     /// The parameters of the first scene, which a backward pass differentiates.
@@ -164,32 +173,24 @@ impl<'a> FrameInputs<'a> {
     /// Camera blocks of all scenes of the frame.
     pub(crate) fn camera_blocks(&self) -> Buffer {
         let first = self.first_block() as u64 * CAMERA_BLOCK_BYTES;
-        self.frame.camera_blocks.range(first, self.scenes.len() as u64 * CAMERA_BLOCK_BYTES)
-    }
-
-    /// The first scenes of batches, with their places.
-    pub(crate) fn batches(&self) -> impl Iterator<Item = (u32, &'a PlacedScene<'a>)> + use<'a> {
-        let scenes = self.scenes;
-        let at = move |place: u32| Some((place, scenes.get(place as usize)?));
-        std::iter::successors(at(scenes[0].batch.frame.head), move |(_, placed)| at(placed.batch.next))
+        self.buffers.camera_blocks.range(first, self.scenes.len() as u64 * CAMERA_BLOCK_BYTES)
     }
 
     /// Dispatches over the parameters of scenes outside batches: chunk by chunk, scene by scene.
     pub(crate) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
         let (first_block, end, scenes) = (self.first_block(), self.index_count(), self.scenes);
-        // If batches draw everything, recording need not scan thousands of scenes.
-        let count = if scenes[0].batch.frame.all { 1 } else { scenes.len() };
-        let alone = scenes[..count].iter().enumerate().filter(|(_, placed)| placed.batch.first == NO_BATCH);
-        alone.flat_map(move |(place, placed)| {
-            let next = scenes.get(place + 1).map_or(end, |next| next.first);
+        let count = if self.batches.draw_all { 0 } else { scenes.len() };
+        let single = scenes[..count].iter().enumerate().filter(|(_, placed)| placed.batch == NO_BATCH);
+        single.flat_map(move |(index, placed)| {
+            let next = scenes.get(index + 1).map_or(end, |next| next.first);
             let now = SceneView { camera: placed.camera, scale: placed.scale };
             let previous = placed.previous.map_or(now, |previous| previous.view());
-            placed.scene.plan.ranges(placed.drawn()).map(move |range| {
+            placed.scene.plan.ranges(placed.drawn_gaussians()).map(move |range| {
                 let first_in_frame = placed.first + range.first;
-                let is_last = range.first + range.count == placed.drawn();
+                let is_last = range.first + range.count == placed.drawn_gaussians();
                 Part {
                     scene: placed.scene,
-                    block: first_block + place,
+                    block: first_block + index,
                     sh_degree: placed.sh_degree,
                     settings: placed.settings,
                     first_cut_out: placed.first_cut_out,
@@ -206,33 +207,8 @@ impl<'a> FrameInputs<'a> {
 
     /// Number of indices of all scenes together, including the gaps between them.
     pub(crate) fn index_count(&self) -> u32 {
-        self.scenes.last().map_or(0, |last| last.first + last.drawn())
+        self.scenes.last().map_or(0, |last| last.first + last.drawn_gaussians())
     }
-}
-
-/// The batch of a scene.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Batch {
-    /// Place of the batch's first scene in the frame; [`NO_BATCH`] for a scene outside batches.
-    pub first: u32,
-    /// Number of scenes in the batch. Only set for its first scene.
-    pub(super) scenes: u32,
-    /// One past the batch's last Gaussian in the frame. Only set for its first scene.
-    pub(super) end: u32,
-    /// Place of the first scene of the frame's next batch; [`NO_BATCH`] for none. Only set for the batch's first scene.
-    pub(super) next: u32,
-    pub(super) parameters: Parameters,
-    /// Batches of the frame. Only set for the frame's first scene.
-    pub(super) frame: FrameBatches,
-}
-
-/// Batches of a frame, so that recording need not scan all scenes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct FrameBatches {
-    /// Place of the first scene of the first batch; [`NO_BATCH`] for none.
-    pub(super) head: u32,
-    /// True if the batches draw everything.
-    pub(super) all: bool,
 }
 
 /// Location of a scene's parameters. A frame of thousands of scenes need not fetch each scene's list of buffers.
@@ -243,33 +219,22 @@ pub(crate) struct Parameters {
     /// First vec4 of the parameters in that buffer.
     pub(super) begin: u32,
     /// True if the buffer has no space for other scenes of this size.
-    pub(super) alone: bool,
+    pub(super) is_full: bool,
 }
 
 impl Parameters {
+    /// Parameters of a scene that cannot be in a batch.
+    const APART: Self = Self { memory: 0, begin: 0, is_full: true };
+
     pub fn new(context: &Context, scene: &SceneBuffers) -> Self {
         match &scene.chunks[..] {
             [own] if own.whole_is_bindable(context.limits()) => Self {
                 memory: own.memory_id(),
                 begin: (own.handle().1 / 16) as u32,
-                alone: own.fills_its_memory(),
+                is_full: own.fills_its_memory(),
             },
-            _ => Self { memory: 0, begin: 0, alone: true },
+            _ => Self::APART,
         }
-    }
-}
-
-impl Batch {
-    /// A scene outside batches.
-    pub const ALONE: Self = {
-        let parameters = Parameters { memory: 0, begin: 0, alone: true };
-        let frame = FrameBatches { head: NO_BATCH, all: false };
-        Self { first: NO_BATCH, scenes: 0, end: 0, next: NO_BATCH, parameters, frame }
-    };
-
-    /// A scene that may join a batch.
-    pub(crate) fn none_yet(parameters: Parameters) -> Self {
-        Self { parameters, ..Self::ALONE }
     }
 }
 
@@ -294,8 +259,10 @@ pub struct PlacedScene<'a> {
     pub first_cut_out: u32,
     /// View of the scene in the previous frame, for its motion; the current view if `None`.
     pub previous: Option<PreviousView<'a>>,
-    /// Batch that the scene's dispatches draw.
-    pub batch: Batch,
+    /// Location of the parameters, for batches.
+    pub(crate) parameters: Parameters,
+    /// Index of the first scene of the scene's batch; [`NO_BATCH`] outside batches.
+    pub(crate) batch: u32,
 }
 
 impl<'a> PlacedScene<'a> {
@@ -310,19 +277,15 @@ impl<'a> PlacedScene<'a> {
             first: 0,
             first_cut_out: 0,
             previous: None,
-            batch: Batch::ALONE,
+            parameters: Parameters::APART,
+            batch: NO_BATCH,
         }
     }
 
     /// Number of Gaussians that take part in the frame.
     #[inline]
-    pub fn drawn(&self) -> u32 {
+    pub fn drawn_gaussians(&self) -> u32 {
         if self.settings.draws() { self.scene.count } else { 0 }
-    }
-
-    /// First culling block of the batch and one past its last, of `block` Gaussians each. Only for the batch's first scene.
-    pub(crate) fn batch_blocks(&self, block: u32) -> [u32; 2] {
-        [self.first / block, self.batch.end.div_ceil(block)]
     }
 }
 

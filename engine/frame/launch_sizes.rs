@@ -1,7 +1,7 @@
 //! Sizes of workgroups and blocks on a device.
 
 use super::tuning::{ELEMENTWISE_WORKGROUP, SortMethod, Tuning, WorkgroupRule};
-use super::{STRIP_ROWS, Strips};
+use super::{NativeLayout, STRIP_ROWS};
 use crate::kernels::constants::{SORT_BINS, TILE_SIZE};
 use crate::kernels::sort::sort_downsweep;
 use crate::vk::{KernelInterface, Limits};
@@ -48,7 +48,7 @@ pub struct LaunchSizes {
     /// Keys per invocation of a sort.
     pub sort_items: u32,
     /// Keys per block of a sort.
-    pub sort: u32,
+    pub sort_block: u32,
     /// True if a single subgroup sorts few pairs: see [`LaunchSizes::sorts_in_single_subgroup`].
     pub sort_single_subgroup: bool,
     /// Invocations of a scan's workgroup.
@@ -58,7 +58,7 @@ pub struct LaunchSizes {
     /// Values per invocation of a scan.
     pub scan_items: u32,
     /// Values per block of a scan.
-    pub scan: u32,
+    pub scan_block: u32,
     /// Regions of forward blending.
     pub blend: BlendShape,
     /// Regions of backward blending, and of blending with outputs besides the picture.
@@ -70,12 +70,12 @@ pub struct LaunchSizes {
     /// Invocations of a tile's workgroup in blend_shared: at most one per pixel, or per column of pixels.
     pub tile_shared: u32,
     /// Invocations of a workgroup of the loss.
-    pub loss: u32,
+    pub loss_workgroup: u32,
     /// Pixels per invocation, in a row, of the loss.
     pub loss_strip: u32,
     /// Invocations of a workgroup of the sweeping loss, which uses no shared memory.
-    pub loss_sweep: u32,
-    /// True if blending, the loss and the backward pass exchange pictures in strips ([`Strips`]).
+    pub loss_sweep_workgroup: u32,
+    /// True if the native layout is [`NativeLayout::Strips`].
     pub strips: bool,
     /// Largest size of a buffer, bytes.
     pub max_binding_bytes: u64,
@@ -132,23 +132,27 @@ impl LaunchSizes {
             sort_method,
             sort_workgroup,
             sort_items,
-            sort: sort_workgroup * sort_items,
+            sort_block: sort_workgroup * sort_items,
             sort_single_subgroup: sort_method == SortMethod::Serial,
             scan_workgroup,
             scan_spine_workgroup: limits.workgroup_size(invocations(tuning.scan_spine_workgroup)),
             scan_items,
-            scan: scan_workgroup * scan_items,
+            scan_block: scan_workgroup * scan_items,
             blend,
             blend_heavy,
             regions_per_subgroup,
             blend_backward_subgroup_per_tile: whole_tiles,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
             tile_shared: elementwise.min(TILE_SIZE * TILE_SIZE / tuning.shared_tile_pixels),
-            loss: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", invocations(tuning.loss_workgroup))),
+            loss_workgroup: limits.workgroup_size(size(
+                "loss",
+                "WORKGROUP_SIZE",
+                invocations(tuning.loss_workgroup),
+            )),
             loss_strip: size("loss", "STRIP", tuning.loss_strip).min(TILE_SIZE),
             // There are few, long invocations: small workgroups spread them evenly.
-            loss_sweep: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", limits.subgroup_size)),
-            strips: Strips::suit(limits),
+            loss_sweep_workgroup: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", limits.subgroup_size)),
+            strips: NativeLayout::of(limits) == NativeLayout::Strips,
             max_binding_bytes: limits.max_storage_buffer_range.min(limits.max_allocation_bytes),
             // Some drivers limit the loop iterations of an invocation. An entry costs one iteration in each region of its
             // subgroup. It also costs a fraction of an iteration for its batch, at any subgroup size from 4.
@@ -160,9 +164,9 @@ impl LaunchSizes {
         }
     }
 
-    /// Number of dispatches of blending, forward or backward, for frames with up to `instances` instances.
-    pub fn blend_dispatches(&self, instances: u32, passes: u32) -> u32 {
-        instances.div_ceil(self.instances_per_dispatch).max(1).saturating_mul(passes)
+    /// Number of ranges into which blending, forward or backward, divides up to `instances` instances. Each has a dispatch per pass.
+    pub fn blend_ranges(&self, instances: u32) -> u32 {
+        instances.div_ceil(self.instances_per_dispatch).max(1)
     }
 
     /// Workgroups of an elementwise dispatch over `n` elements.
@@ -178,7 +182,7 @@ impl LaunchSizes {
 
     /// Elements of the smallest block of any dispatch.
     pub(super) fn smallest(&self) -> u32 {
-        self.elementwise_workgroup.min(self.sort).min(self.scan)
+        self.elementwise_workgroup.min(self.sort_block).min(self.scan_block)
     }
 }
 
@@ -262,7 +266,7 @@ impl LaunchSizes {
             SortMethod::Serial => 1 + u64::from(self.sort_workgroup),
         };
         let padding = BUFFER_ALIGNMENT / 4;
-        blocks(n, self.sort.into()).max(1) * histograms * self.sort_digits(key_bits) + padding
+        blocks(n, self.sort_block.into()).max(1) * histograms * self.sort_digits(key_bits) + padding
     }
 
     /// Number of digits of a sort of keys below 2^`key_bits`. At least four, because runs are counted in fours.

@@ -71,16 +71,11 @@ pub struct ScenePlan {
 }
 
 impl ScenePlan {
-    /// Plans for `capacity` Gaussians with SH up to `sh_degree`.
+    /// Plans for `capacity` Gaussians with SH up to `sh_degree`, in halves if `half_sh`.
     ///
     /// # Errors
     /// [`Error::TooLarge`] when the count exceeds 30-bit indices.
-    pub fn new(limits: &Limits, capacity: u32, sh_degree: u32) -> Result<Self> {
-        Self::stored(limits, capacity, sh_degree, false)
-    }
-
-    /// Same as [`ScenePlan::new`], with SH in halves if `half_sh`.
-    pub fn stored(limits: &Limits, capacity: u32, sh_degree: u32, half_sh: bool) -> Result<Self> {
+    pub fn new(limits: &Limits, capacity: u32, sh_degree: u32, half_sh: bool) -> Result<Self> {
         const MAX_GAUSSIANS: u32 = 1 << 30;
         if capacity > MAX_GAUSSIANS {
             let limit = (MAX_GAUSSIANS.into(), "30-bit indices");
@@ -231,17 +226,20 @@ pub fn max_trained_gaussians(limits: &Limits) -> u32 {
     (bytes / (16 * u64::from(GRADIENT_PLANES))).min(u32::MAX.into()) as u32
 }
 
-/// Index of the first frozen neighbour of a scene with `count` Gaussians, in a frame of both. It begins a culling block,
-/// because a culling block belongs to one scene.
-pub const fn first_frozen(count: u32) -> u32 {
-    count.next_multiple_of(ELEMENTWISE_WORKGROUP)
+/// Index of a frame's first Gaussian of the scene after one that ends before `end`. It begins a culling block, of `block` Gaussians,
+/// because a culling block belongs to one scene. `u32::MAX` for a begin beyond all indices, which exceeds any capacity.
+pub const fn next_scene_begin(end: u32, block: u32) -> u32 {
+    match end.checked_next_multiple_of(block) {
+        Some(begin) => begin,
+        None => u32::MAX,
+    }
 }
 
 /// Number of Gaussians in a frame of a scene with this capacity and `frozen` neighbours.
 pub const fn gaussians_with(capacity: u32, frozen: u32) -> u32 {
     match frozen {
         0 => capacity,
-        _ => first_frozen(capacity).saturating_add(frozen),
+        _ => next_scene_begin(capacity, ELEMENTWISE_WORKGROUP).saturating_add(frozen),
     }
 }
 

@@ -14,15 +14,11 @@ pub(crate) fn requests(plan: &ScenePlan) -> Vec<(&'static str, u64)> {
 }
 
 /// Allocates planes for a plan, one buffer per chunk.
-pub fn allocate(
-    context: &Context,
-    (arena, kind): (&str, MemoryKind),
-    plan: &ScenePlan,
-) -> Result<Vec<Buffer>> {
+pub fn allocate(context: &Context, arena: &str, kind: MemoryKind, plan: &ScenePlan) -> Result<Vec<Buffer>> {
     context.allocate(arena, &requests(plan), kind)
 }
 
-/// Uploads Gaussians into newly allocated planes with the given `capacity`, stored with SH up to `sh_degree`
+/// Uploads Gaussians into newly allocated planes in device memory, with the given `capacity`, stored with SH up to `sh_degree`
 /// (missing coefficients are zero).
 ///
 /// # Errors
@@ -30,26 +26,27 @@ pub fn allocate(
 /// the Gaussians' vectors differ in length.
 pub fn upload(
     context: &Context,
-    place: (&str, MemoryKind),
+    arena: &str,
     gaussians: &Gaussians,
     capacity: u32,
     sh_degree: u32,
 ) -> Result<SceneBuffers> {
     let count = to_u32(gaussians.len() as u64)?;
-    let plan = ScenePlan::new(context.limits(), capacity.max(count), sh_degree)?;
-    upload_planned(context, place, gaussians, plan)
+    let plan = ScenePlan::new(context.limits(), capacity.max(count), sh_degree, false)?;
+    upload_planned(context, arena, MemoryKind::Device, gaussians, plan)
 }
 
-/// Same as [`upload`], for a plan with room for the Gaussians.
+/// Same as [`upload`], for a plan whose capacity suffices, in memory of this kind.
 pub fn upload_planned(
     context: &Context,
-    place: (&str, MemoryKind),
+    arena: &str,
+    kind: MemoryKind,
     gaussians: &Gaussians,
     plan: ScenePlan,
 ) -> Result<SceneBuffers> {
     gaussians.check_shapes()?;
     let count = to_u32(gaussians.len() as u64)?;
-    let scene = SceneBuffers { chunks: allocate(context, place, &plan)?, plan, count };
+    let scene = SceneBuffers { chunks: allocate(context, arena, kind, &plan)?, plan, count };
     fill(context, &scene, gaussians)?;
     Ok(scene)
 }

@@ -4,6 +4,26 @@
 pub use crate::kernels::constants::STRIP_ROWS;
 use crate::vk::Limits;
 
+/// Layout of pictures, photographs and picture gradients in blending, the loss and the backward pass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NativeLayout {
+    /// Row by row, pixel by pixel.
+    Rows,
+    /// Planes in [`Strips`], on processors whose subgroups are small: their shared memory is ordinary memory and saves nothing.
+    Strips,
+}
+
+impl NativeLayout {
+    /// Returns the layout of a device.
+    pub fn of(limits: &Limits) -> Self {
+        let lanes = limits.tuning.strips_up_to_lanes;
+        match limits.prefers_texels() && lanes.is_some_and(|lanes| limits.subgroup_size <= lanes) {
+            true => Self::Strips,
+            false => Self::Rows,
+        }
+    }
+}
+
 /// Layout of an image's planes. The values of a strip's column are contiguous; columns, strips and planes follow in this
 /// order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,12 +35,6 @@ pub struct Strips {
 }
 
 impl Strips {
-    /// True if a device uses planes in strips: it reads texels, and its subgroups are small enough.
-    pub fn suit(limits: &Limits) -> bool {
-        let lanes = limits.tuning.strips_up_to_lanes;
-        limits.prefers_texels() && lanes.is_some_and(|lanes| limits.subgroup_size <= lanes)
-    }
-
     /// Number of strips of the image.
     pub fn count(self) -> u32 {
         self.height.div_ceil(STRIP_ROWS)

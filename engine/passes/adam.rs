@@ -118,7 +118,7 @@ impl Optimizer {
         }
     }
 
-    /// Records one step from `frame.gradients`, and from `parameter_gradients` ([`TermInputs`](crate::passes::loss::TermInputs))
+    /// Records one step from `inputs.buffers.gradients`, and from `parameter_gradients` ([`TermInputs`](crate::passes::loss::TermInputs))
     /// with [`OptimizerForm::parameter_gradients`].
     pub fn record(
         &self,
@@ -130,7 +130,7 @@ impl Optimizer {
     ) {
         let spec = self.adam_spec(inputs.sh_degree(), inputs.trained_variant());
         let Some(kernel) = self.adam.get_or_fail(r, &spec) else { return };
-        let f = inputs.frame;
+        let f = inputs.buffers;
         r.scope("adam", |r| {
             inputs.scene().record_chunks(r, |r, range, parameters| {
                 let [moments_1, moments_2] = moments.chunk(range.chunk);

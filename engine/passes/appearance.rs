@@ -90,7 +90,7 @@ pub(crate) struct AppearancePassInputs<'a> {
 pub(crate) struct AppearancePass {
     sizes: LaunchSizes,
     /// True for lens effects.
-    pub is_lens: bool,
+    pub is_lens_effects: bool,
     forward: Kernel<expose::Interface>,
     backward: Kernel<expose_backward::Interface>,
     step: Kernel<exposure_step::Interface>,
@@ -106,7 +106,7 @@ impl AppearancePass {
         let backward = expose_backward::Spec { workgroup_size, subgroup_size, strips, lens };
         let step = exposure_step::Spec { workgroup_size, subgroup_size, center, shares, sparse };
         Ok(Self {
-            is_lens: lens,
+            is_lens_effects: lens,
             forward: Kernel::new(context, &expose::Spec { workgroup_size, strips, lens })?,
             backward: Kernel::new(context, &backward)?,
             step: Kernel::new(context, &step)?,
@@ -116,13 +116,13 @@ impl AppearancePass {
 
     /// The matrix that changes nothing.
     pub fn identity(&self) -> Matrix {
-        if self.is_lens { [[0.0; 4]; 3] } else { Exposure::IDENTITY.rows }
+        if self.is_lens_effects { [[0.0; 4]; 3] } else { Exposure::IDENTITY.rows }
     }
 
     /// Names and bytes of the buffers, for photographs of these sizes (width, height). There is at most one lens per
     /// photograph.
     pub fn requests(&self, sizes: &[(u32, u32)]) -> [(&'static str, u64); AppearanceBuffers::COUNT] {
-        let [values, moments_1, moments_2, picture_name, partials] = match self.is_lens {
+        let [values, moments_1, moments_2, picture_name, partials] = match self.is_lens_effects {
             true => ["lenses", "lens_moments_1", "lens_moments_2", "shaded_picture", "lens_partials"],
             false => [
                 "exposures",
@@ -158,7 +158,7 @@ impl AppearancePass {
             center_px,
             inverse_square,
         };
-        let scope = if self.is_lens { "lens effects" } else { "exposure" };
+        let scope = if self.is_lens_effects { "lens effects" } else { "exposure" };
         let groups = self.sizes.picture_groups(image_width, image_height);
         r.scope(scope, |r| r.dispatch(&self.forward, &bind, &push, groups));
     }
@@ -178,7 +178,7 @@ impl AppearancePass {
             center_px,
             inverse_square,
         };
-        let scope = if self.is_lens { "lens backward" } else { "exposure backward" };
+        let scope = if self.is_lens_effects { "lens backward" } else { "exposure backward" };
         r.scope(scope, |r| r.dispatch(&self.backward, &bind, &push, TERM_PARTIALS.into()));
     }
 
@@ -189,7 +189,7 @@ impl AppearancePass {
         let correction = |beta: f64| 1.0 - beta.powf(step.count as f64);
         let bind = exposure_step::Bind {
             partials: &buffers.partials,
-            state: &frame.frame.state,
+            state: &frame.buffers.state,
             exposures: &buffers.values,
             moments_1: &buffers.first_moments,
             moments_2: &buffers.second_moments,
@@ -202,7 +202,7 @@ impl AppearancePass {
             decay: step.decay as f32,
             sparsity: step.sparsity as f32,
         };
-        let scope = if self.is_lens { "lens step" } else { "exposure step" };
+        let scope = if self.is_lens_effects { "lens step" } else { "exposure step" };
         r.scope(scope, |r| r.dispatch(&self.step, &bind, &push, 1));
     }
 }

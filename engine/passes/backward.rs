@@ -73,11 +73,11 @@ pub struct Statistics<'a> {
 /// Buffers and push constants of the backward blending, which both kernels share (blend_gradient.glsl).
 macro_rules! blend_backward_arguments {
     ($kernel:ident, $backward:expr, $inputs:expr, $gradient:expr, $pass:expr) => {{
-        let (sizes, f) = (&$backward.sizes, $inputs.frame);
+        let (sizes, f) = (&$backward.sizes, $inputs.buffers);
         let splats = f.splats();
         let bind = $kernel::Bind {
             tile_ranges: &f.tile_ranges,
-            sorted_visible: f.sorted_visible(sizes, $inputs.capacity.backward, $inputs.camera),
+            sorted_visible: f.sorted_visible(sizes, $inputs.keeps_instances(), $inputs.camera),
             sorted_instances: f.sorted_instances(sizes, $inputs.camera),
             mean2d_extent: splats.mean2d_extent,
             conic_opacity: splats.conic_opacity,
@@ -214,12 +214,12 @@ impl Backward {
         expand_gradients::Spec { workgroup_size, sh_degree, sh_loops, projection, lenses }
     }
 
-    /// Records the backward pass of the frame in the same buffers, from `image_gradient` to `frame.gradients`.
+    /// Records the backward pass of the frame in the same buffers, from `image_gradient` to `inputs.buffers.gradients`.
     ///
     /// `image_gradient` has the device's native layout: per pixel dL/d(r, g, b, inverse depth), row by row. Devices that use
     /// [`Strips`] have three planes, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth).
     /// [`LayoutConverter::record_gradient`](crate::passes::pixels::LayoutConverter::record_gradient) converts it from rows, which are the same
-    /// on all devices. Without inverse depth, the caller may pass `frame.image_gradient`. `form` must have been prepared.
+    /// on all devices. Without inverse depth, the caller may pass `inputs.buffers.image_gradient`. `form` must have been prepared.
     ///
     /// [`Strips`]: crate::frame::Strips
     pub fn record(
@@ -234,12 +234,12 @@ impl Backward {
             // Blocks without a visible Gaussian write no sum.
             let first = 12 * u64::from(first_lens_sum(inputs.capacity));
             let blocks = self.sizes.groups(inputs.scene().count);
-            r.fill(&inputs.frame.pose_sums().range(first, blocks * LENS_SUM_BYTES), 0);
+            r.fill(&inputs.buffers.pose_sums().range(first, blocks * LENS_SUM_BYTES), 0);
         }
         if form.pose {
             // Subgroups without a visible Gaussian write no sum.
             let sums = inputs.scene().count.div_ceil(self.context.limits().heavy_subgroup_size);
-            r.fill(&inputs.frame.pose_sums().range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
+            r.fill(&inputs.buffers.pose_sums().range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
         }
         r.scope("blend backward", |r| self.record_blend(r, inputs, image_gradient, form.sums()));
         r.barrier();
@@ -248,7 +248,7 @@ impl Backward {
 
     /// Records the weights of the Gaussians in the frame of the same buffers. A weight is the sum over the tile's pixels of e α
     /// T, with `image_gradient` = (e, …) per pixel in the native layout. It becomes the first word of each entry of
-    /// `frame.instance_gradients_c`, per instance before the tile sort. The frame must be without inverse depth.
+    /// `inputs.buffers.instance_gradients_c`, per instance before the tile sort. The frame must be without inverse depth.
     pub fn record_weights(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
         r.scope("blend weights", |r| self.record_blend(r, inputs, image_gradient, Sums::Weights));
     }
@@ -280,7 +280,7 @@ impl Backward {
         statistics: Statistics,
         form: BackwardForm,
     ) {
-        let (f, scene) = (inputs.frame, inputs.scene());
+        let (f, scene) = (inputs.buffers, inputs.scene());
         let spec = self.project_spec(inputs.sh_degree(), inputs.trained_variant(), form);
         let Some(kernel) = self.project.get_or_fail(r, &spec) else { return };
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
@@ -321,7 +321,7 @@ impl Backward {
         });
     }
 
-    /// Records the conversion of `frame.gradients` to gradients of all parameters of all Gaussians, in the layout of the
+    /// Records the conversion of `inputs.buffers.gradients` to gradients of all parameters of all Gaussians, in the layout of the
     /// scene's planes, and of the 2D means in pixels.
     pub fn record_expand_gradients(
         &self,
@@ -330,7 +330,7 @@ impl Backward {
         parameter_gradients: &[Buffer],
         mean2d_gradients: &Buffer,
     ) {
-        let (f, scene) = (inputs.frame, inputs.scene());
+        let (f, scene) = (inputs.buffers, inputs.scene());
         let spec = self.expand_spec(inputs.sh_degree(), inputs.variant());
         let Some(kernel) = self.expand.get_or_fail(r, &spec) else { return };
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();

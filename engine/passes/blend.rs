@@ -27,11 +27,11 @@ enum BlendKey {
 /// Buffers of blend_io.glsl, for all kernels; and those of blend_auxiliary.glsl, which must be bound even if they are not used.
 macro_rules! blend_bind {
     ($kernel:ident, $inputs:expr, $sizes:expr $(, $auxiliary:ident)*) => {{
-        let frame = $inputs.frame;
+        let frame = $inputs.buffers;
         let splats = frame.splats();
         $kernel::Bind {
             tile_ranges: &frame.tile_ranges,
-            sorted_visible: frame.sorted_visible($sizes, $inputs.capacity.backward, $inputs.camera),
+            sorted_visible: frame.sorted_visible($sizes, $inputs.keeps_instances(), $inputs.camera),
             mean2d_extent: splats.mean2d_extent,
             conic_opacity: splats.conic_opacity,
             color_inverse_depth: splats.color_inverse_depth,
@@ -173,12 +173,12 @@ pub(crate) fn record_passes(
     let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
     let passes = inputs.capacity.blend_passes;
     // The host only knows the capacity, not the number of instances.
-    let parts = sizes.blend_dispatches(inputs.capacity.instances, 1);
-    for (part, pass) in (0..parts).flat_map(|part| (0..passes).map(move |pass| (part, pass))) {
-        if part + pass > 0 {
+    let ranges = sizes.blend_ranges(inputs.capacity.instances);
+    for (range, pass) in (0..ranges).flat_map(|range| (0..passes).map(move |pass| (range, pass))) {
+        if range + pass > 0 {
             r.barrier();
         }
-        let first_instance = part * sizes.instances_per_dispatch;
+        let first_instance = range * sizes.instances_per_dispatch;
         let push = blend_shared::Push {
             image_width: inputs.camera.width,
             image_height: inputs.camera.height,
@@ -188,14 +188,14 @@ pub(crate) fn record_passes(
             max_entries: sizes.entries_per_pass,
             first_instance,
             // Empty tiles may begin after the last instance.
-            max_instances: if part + 1 == parts {
+            max_instances: if range + 1 == ranges {
                 u32::MAX - first_instance
             } else {
                 sizes.instances_per_dispatch
             },
             tile_row_interleave: sizes.tuning.tile_row_interleave,
             last_pass: (pass + 1 == passes).into(),
-            splat_stride: inputs.frame.splats().stride,
+            splat_stride: inputs.buffers.splats().stride,
             background: inputs.settings.background,
             whole_width: inputs.camera.whole().width,
         };

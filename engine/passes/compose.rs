@@ -2,13 +2,13 @@
 //! pixels into the host's images.
 
 use crate::error::{Error, Result};
-use crate::frame::{FrameBuffers, LaunchSizes, Outputs, tile_grid};
+use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, Outputs, tile_grid};
 use crate::kernels::compose::{
     compose_bgra8, compose_r11g11b10f, compose_rgb10a2, compose_rgba8, compose_rgba16f, compose_rgba32f,
     depth_limit, expected_depth, mean_motion, picks,
 };
 use crate::kernels::constants as c;
-use crate::scene::{Camera, ColorEncoding, DepthMapping};
+use crate::scene::{ColorEncoding, DepthMapping};
 use crate::vk::{Buffer, Context, Image, ImageUse, Kernel, KernelSet, Recorder};
 use ash::vk;
 
@@ -37,8 +37,92 @@ pub struct Region<'a> {
     pub size: [u32; 2],
 }
 
+/// Contents that a frame writes into a host's image: the list of a frame's outputs. [`ImageUse`] has the name and the formats of each,
+/// [`Contents::require`] the variant of blending, [`Compose::record`] the buffer and the kernel. Pixels with a sum of weights below
+/// `min_weight` are empty.
+#[derive(Clone, Copy)]
+pub(crate) enum Contents {
+    Color {
+        behind: Background,
+        encoding: ColorEncoding,
+    },
+    ExpectedDepth {
+        min_weight: f32,
+        empty: f32,
+    },
+    Picks,
+    /// Empty pixels keep their texels without `empty`.
+    MeanMotion {
+        min_weight: f32,
+        empty: Option<[f32; 2]>,
+    },
+}
+
+impl Contents {
+    /// Returns the purpose of images with these contents.
+    pub fn purpose(self) -> ImageUse {
+        match self {
+            Self::Color { .. } => ImageUse::Target,
+            Self::ExpectedDepth { .. } => ImageUse::Depth,
+            Self::Picks => ImageUse::Pick,
+            Self::MeanMotion { .. } => ImageUse::Motion,
+        }
+    }
+
+    /// Sets what blending computes for these contents.
+    pub fn require(self, variant: &mut FrameVariant) {
+        match self {
+            Self::Color { .. } => {}
+            Self::ExpectedDepth { .. } => (variant.inverse_depth, variant.expected_depth) = (true, true),
+            Self::Picks => variant.outputs.pick = true,
+            Self::MeanMotion { .. } => variant.outputs.motion = true,
+        }
+    }
+
+    /// True if some texels of the frame's region may keep their values.
+    pub fn keeps_texels(self) -> bool {
+        matches!(self, Self::Color { behind: Background::Image, .. } | Self::MeanMotion { empty: None, .. })
+    }
+
+    /// Checks the numbers, and the format of an image with this purpose.
+    pub fn check(self, image: &Image) -> Result<()> {
+        match self {
+            Self::Color { behind, encoding } => {
+                encoding.check().map_err(|error| error.within("encoding"))?;
+                check_background(behind, image)
+            }
+            Self::Picks => Ok(()),
+            Self::ExpectedDepth { min_weight, .. } | Self::MeanMotion { min_weight, .. }
+                if !min_weight.is_finite() =>
+            {
+                Err(Error::argument("min_weight", format!("{min_weight} is not finite")))
+            }
+            Self::MeanMotion { empty: Some(empty), .. }
+                if !empty.iter().all(|x| x.abs() <= c::MOTION_MAX) =>
+            {
+                Err(Error::argument("empty", format!("{empty:?}, each may be -{0} to {0}", c::MOTION_MAX)))
+            }
+            Self::ExpectedDepth { .. } | Self::MeanMotion { .. } => Ok(()),
+        }
+    }
+}
+
+fn check_background(behind: Background, image: &Image) -> Result<()> {
+    match behind {
+        Background::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {
+            Err(Error::argument("behind", format!("{color:?} is not finite")))
+        }
+        Background::Nothing if image.format() == vk::Format::B10G11R11_UFLOAT_PACK32 => {
+            let problem = format!("format {:?} has no alpha for premultiplied colours", image.format());
+            Err(Error::argument(format!("image '{}'", image.name()), problem))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Kernels between a frame and a host's images.
 pub struct Compose {
+    sizes: LaunchSizes,
     workgroup: u32,
     rgba8: ByEncoding<compose_rgba8::Interface>,
     bgra8: ByEncoding<compose_bgra8::Interface>,
@@ -86,6 +170,7 @@ impl Compose {
         }
         let limits = |linear| Kernel::new(context, &depth_limit::Spec { workgroup_size, linear });
         Ok(Self {
+            sizes: LaunchSizes::new(context.limits()),
             workgroup: workgroup_size,
             rgba8: by_encoding!(compose_rgba8, c::COMPOSE_LINEAR_IN_SRGB),
             bgra8: by_encoding!(compose_bgra8, c::COMPOSE_LINEAR_IN_SRGB),
@@ -100,32 +185,35 @@ impl Compose {
         })
     }
 
-    /// Checks that a frame can be written over this background into a [target](crate::vk::ImageUse::Target) with this encoding.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an image with another purpose, numbers that are not finite, an exposure that is not positive, or
-    /// premultiplied colours in a format without alpha.
-    pub fn check_frame(image: &Image, behind: Background, encoding: ColorEncoding) -> Result<()> {
-        image.check_purpose(ImageUse::Target)?;
-        encoding.check().map_err(|error| error.within("encoding"))?;
-        match behind {
-            Background::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {
-                Err(Error::argument("behind", format!("{color:?} is not finite")))
-            }
-            Background::Nothing if image.format() == vk::Format::B10G11R11_UFLOAT_PACK32 => {
-                let problem = format!("format {:?} has no alpha for premultiplied colours", image.format());
-                Err(Error::argument(format!("image '{}'", image.name()), problem))
-            }
-            _ => Ok(()),
-        }
-    }
-
     fn workgroups(&self, [width, height]: [u32; 2]) -> u64 {
         (u64::from(width) * u64::from(height)).div_ceil(self.workgroup.into())
     }
 
-    /// Records the colours of a frame into an image. [`Compose::check_frame`] must accept it with this background and encoding,
-    /// and it must be ready for kernels.
+    /// Records contents of a blended frame into an image that is ready for kernels. [`Contents::check`] must accept it.
+    pub(crate) fn record(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        region: Region<'_>,
+        contents: Contents,
+    ) {
+        let f = inputs.buffers;
+        match contents {
+            Contents::Color { behind, encoding } => {
+                self.record_color(r, &f.accumulated, region, behind, encoding)
+            }
+            Contents::ExpectedDepth { min_weight, empty } => {
+                self.record_expected_depth(r, &f.accumulated, &f.depth_sums, region, min_weight, empty);
+            }
+            Contents::Picks => self.record_picks(r, inputs, region),
+            Contents::MeanMotion { min_weight, empty } => {
+                self.record_motion(r, &f.accumulated, &f.motion_sums, region, min_weight, empty);
+            }
+        }
+    }
+
+    /// Records the colours of a frame into an image that is ready for kernels. A format without alpha excludes
+    /// [`Background::Nothing`].
     pub fn record_color(
         &self,
         r: &mut Recorder,
@@ -211,28 +299,20 @@ impl Compose {
         Ok(())
     }
 
-    /// Records the picks of a frame without backward that was blended with picks, into an image of [`PICK_FORMAT`](crate::vk::PICK_FORMAT)
-    /// that is ready for kernels. Each has the Gaussian, its scene, and the bits of its depth and of its weight.
-    pub fn record_picks(
-        &self,
-        r: &mut Recorder,
-        frame: &FrameBuffers,
-        sizes: &LaunchSizes,
-        camera: &Camera,
-        scenes: u32,
-        region: Region<'_>,
-    ) {
+    /// Records the picks of a frame without backward.
+    fn record_picks(&self, r: &mut Recorder, inputs: &FrameInputs, region: Region<'_>) {
         let spec = picks::Spec { workgroup_size: self.workgroup };
         let Some(kernel) = self.picks.get_or_fail(r, &spec) else { return };
-        let splats = frame.splats();
+        let f = inputs.buffers;
+        let splats = f.splats();
         let ([image_width, image_height], [offset_x, offset_y]) = (region.size, region.offset);
         let bind = picks::Bind {
-            picks: &frame.picks,
-            tile_ranges: &frame.tile_ranges,
-            sorted_visible: frame.sorted_visible(sizes, false, camera),
-            visible_list: &frame.visible_list,
+            picks: &f.picks,
+            tile_ranges: &f.tile_ranges,
+            sorted_visible: f.sorted_visible(&self.sizes, inputs.keeps_instances(), inputs.camera),
+            visible_list: &f.visible_list,
             color_inverse_depth: splats.color_inverse_depth,
-            scene_firsts: &frame.scene_firsts,
+            scene_firsts: &f.scene_firsts,
             target: region.image,
         };
         let push = picks::Push {
@@ -242,7 +322,7 @@ impl Compose {
             offset_y,
             tiles_per_row: tile_grid(image_width, image_height).0,
             splat_stride: splats.stride,
-            scenes,
+            scenes: inputs.scenes.len() as u32,
         };
         r.dispatch(kernel, &bind, &push, self.workgroups(region.size));
     }

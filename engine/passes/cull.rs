@@ -3,7 +3,7 @@
 
 use super::scan::{Counted, Scan};
 use crate::error::Result;
-use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, PlacedScene, blocks};
+use crate::frame::{Batch, FrameInputs, FrameVariant, LaunchSizes, blocks};
 use crate::kernels::constants as c;
 use crate::kernels::forward::{compact, cull, cull_scenes, write_visible_ranges};
 use crate::vk::{Context, Kernel, KernelSet, Recorder};
@@ -82,13 +82,13 @@ impl Cull {
     /// Records the flags of a view's visible Gaussians. With a shared order, each view after the first adds its visible
     /// Gaussians to those of earlier views. A barrier precedes each dispatch, also the first.
     pub fn record_flags(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let f = inputs.frame;
+        let f = inputs.buffers;
         let [extent, antialias] = inputs.settings.modes();
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         let of_frame = FrameVariant { shared_order: inputs.view > Some(0), ..inputs.variant() };
-        for (place, first) in inputs.batches() {
+        for batch in inputs.batches.list {
             r.barrier();
-            self.record_batch_flags(r, inputs, place, first, of_frame.of_scene(false, first.settings));
+            self.record_batch_flags(r, inputs, batch, of_frame);
         }
         for part in inputs.parts() {
             let variant = of_frame.of_scene(false, part.settings);
@@ -119,25 +119,26 @@ impl Cull {
         }
     }
 
-    /// Records the flags of the batch whose first scene is at `place`.
+    /// Records the flags of a batch in a frame of this variant.
     fn record_batch_flags(
         &self,
         r: &mut Recorder,
         inputs: &FrameInputs,
-        place: u32,
-        first: &PlacedScene<'_>,
-        variant: FrameVariant,
+        batch: &Batch,
+        of_frame: FrameVariant,
     ) {
-        let Some(kernel) = self.batch.get_or_fail(r, &self.batch_spec(variant)) else { return };
-        let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
-        let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
+        let first = &inputs.scenes[batch.first as usize];
+        let spec = self.batch_spec(of_frame.of_scene(false, first.settings));
+        let Some(kernel) = self.batch.get_or_fail(r, &spec) else { return };
+        let ([extent, antialias], f) = (inputs.settings.modes(), inputs.buffers);
+        let [first_block, end_block] = batch.blocks(self.sizes.elementwise_workgroup);
         let parameters = first.scene.chunks[0].whole();
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         let push = cull_scenes::Push {
             first_block,
             end_block,
             scenes: inputs.scenes.len() as u32,
-            batch: place,
+            batch: batch.first,
             index_count: inputs.index_count(),
             extent,
             antialias,
@@ -158,7 +159,7 @@ impl Cull {
 
     /// Records the compaction of the visible Gaussians, which keep their order.
     pub fn record_compaction(&self, r: &mut Recorder, inputs: &FrameInputs, scan: &Scan) {
-        let f = inputs.frame;
+        let f = inputs.buffers;
         let (count, block) = (inputs.index_count(), self.sizes.elementwise_workgroup);
         let culled_blocks = count.div_ceil(block);
         // The scan turns the counts into offsets, in place.
@@ -167,7 +168,7 @@ impl Cull {
             count: c::STATE_VISIBLE_NEEDED,
             capacity: inputs.capacity.visible,
             first_argument: c::ARGUMENTS_VISIBLE,
-            caller_block: self.sizes.scan,
+            caller_block: self.sizes.scan_block,
         };
         scan.record_counted_sums(r, f.visible_counts(), culled_blocks, counted);
         r.barrier();

@@ -21,7 +21,7 @@ pub(crate) struct Instances {
     duplicate: KernelSet<duplicate_with_tiles::Interface>,
     /// Constants of `duplicate` that all frames have.
     duplicate_spec: duplicate_with_tiles::Spec,
-    /// For frames without and with backward.
+    /// For frames that carry visible Gaussians through the tile sort, and that keep instances.
     ranges: [Kernel<ranges::Interface>; 2],
     hide: KernelSet<hide_tiles::Interface>,
 }
@@ -89,7 +89,7 @@ impl Instances {
     /// Records the tile counts of the visible Gaussians in depth order, their prefix sums, and the number of instances. The
     /// ordered lists (`list_heads`, `list_rows`) overwrite the sorted depths, which are no longer needed.
     pub fn record_count(&self, r: &mut Recorder, inputs: &FrameInputs, scan: &Scan) {
-        let f = inputs.frame;
+        let f = inputs.buffers;
         let bind = count::Bind {
             state: &f.state,
             order: f.depth_order(&self.sizes),
@@ -122,8 +122,8 @@ impl Instances {
 
     /// Records duplicate_with_tiles: one (tile, Gaussian) instance per touched tile.
     pub fn record_duplicate(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let f = inputs.frame;
-        let (for_backward, splats) = (inputs.capacity.backward, f.splats());
+        let f = inputs.buffers;
+        let (keeps_instances, splats) = (inputs.keeps_instances(), f.splats());
         let bind = duplicate_with_tiles::Bind {
             state: &f.state,
             order: f.depth_order(&self.sizes),
@@ -133,7 +133,7 @@ impl Instances {
             list_heads: f.list_heads(),
             list_rows: f.list_rows(),
             instance_tiles: f.instance_tiles(),
-            instance_visible: f.instance_visible(for_backward),
+            instance_visible: f.instance_visible(keeps_instances),
             first_instances: &f.first_instances,
         };
         let (tiles_per_row, tile_rows) = tile_grid(inputs.camera.width, inputs.camera.height);
@@ -147,7 +147,7 @@ impl Instances {
             image_width,
             whole_width,
         };
-        let spec = self.duplicate_spec(for_backward, inputs.camera.projection);
+        let spec = self.duplicate_spec(keeps_instances, inputs.camera.projection);
         let Some(kernel) = self.duplicate.get_or_fail(r, &spec) else { return };
         r.dispatch_indirect(kernel, &bind, &push, &f.arguments_at(c::ARGUMENTS_INSTANCES_EXPAND));
     }
@@ -155,7 +155,7 @@ impl Instances {
     /// Records the sort of the instances by tile. It is stable, so each tile keeps the depth order. The values are the instance
     /// indices before the tile sort, or without backward the visible Gaussians.
     pub fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let f = inputs.frame;
+        let f = inputs.buffers;
         let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
         let buffers = SortBuffers {
             counts: &f.state,
@@ -167,30 +167,30 @@ impl Instances {
         };
         let at = f.arguments_at(c::ARGUMENTS_INSTANCES_SORT);
         let bits = tile_bits(columns * rows);
-        let values = if inputs.capacity.backward { Values::Positions } else { Values::Given };
+        let values = if inputs.keeps_instances() { Values::Positions } else { Values::Given };
         let side = self.sort.record(r, &buffers, values, bits, Workgroups::Indirect(&at));
         assert_eq!(side, sorted_side(&self.sizes, inputs.camera), "FrameBuffers::sorted_tiles is elsewhere");
     }
 
     /// Records the begin and end of each tile's instances.
     pub fn record_ranges(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let f = inputs.frame;
+        let f = inputs.buffers;
         let bind = ranges::Bind {
             state: &f.state,
             sorted_tiles: f.sorted_tiles(&self.sizes, inputs.camera),
             sorted_instances: f.sorted_instances(&self.sizes, inputs.camera),
-            instance_visible: f.instance_visible(inputs.capacity.backward),
+            instance_visible: f.instance_visible(inputs.keeps_instances()),
             tile_ranges: &f.tile_ranges,
             sorted_visible: &f.gathered_visible,
         };
-        let kernel = &self.ranges[usize::from(inputs.capacity.backward)];
+        let kernel = &self.ranges[usize::from(inputs.keeps_instances())];
         r.dispatch_indirect(kernel, &bind, &ranges::Push {}, &f.arguments_at(c::ARGUMENTS_INSTANCES));
     }
 
     /// Records that the tiles in which a photograph's mask hides every pixel have no instances. The picture there is the
     /// background, and the gradients of these instances are 0.
     pub fn record_hiding(&self, r: &mut Recorder, inputs: &FrameInputs, photo: &Buffer) {
-        let f = inputs.frame;
+        let f = inputs.buffers;
         let bind = hide_tiles::Bind {
             photo,
             sorted_instances: f.sorted_instances(&self.sizes, inputs.camera),

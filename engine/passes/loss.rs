@@ -2,46 +2,34 @@
 //! (1 - SSIM).
 
 use crate::error::Result;
+pub use crate::frame::NativeLayout;
 use crate::frame::{LaunchSizes, Strips, blocks, tile_grid};
 use crate::kernels::loss::{
     loss_reduce, ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep,
 };
 use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
 pub(crate) use term::check_depth_points;
-pub use term::{DepthPoint, DepthPointBuffers, LossTerm, PixelLayout, Targets, TermInputs};
+pub use term::{DepthPoint, DepthPointBuffers, LossTerm, PixelLayout, TermData, TermInputs};
 
 mod term;
-
-/// Evaluation of SSIM's window. The results agree except for rounding; the cost depends on the device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Windowing {
-    /// Workgroups load blocks of 16×16 pixels into shared memory.
-    Blocks,
-    /// Each invocation moves along a strip of eight rows, with all values in registers.
-    Sweeps,
-}
-
-impl Windowing {
-    /// Sweeps on processors, where shared memory is ordinary memory and saves nothing.
-    pub fn for_device(limits: &Limits) -> Self {
-        if Strips::suit(limits) { Self::Sweeps } else { Self::Blocks }
-    }
-}
 
 /// Kernels of the loss.
 pub struct Loss {
     limits: Limits,
     sizes: LaunchSizes,
-    windowing: Windowing,
+    layout: NativeLayout,
     windows: Windows,
 }
 
+/// Kernels that evaluate SSIM's window. The results of both forms agree except for rounding.
 enum Windows {
+    /// Workgroups load blocks of 16×16 pixels into shared memory.
     Blocks {
         forward: Kernel<ssim_forward::Interface>,
         backward: Kernel<ssim_backward::Interface>,
         reduce: Kernel<loss_reduce::Interface>,
     },
+    /// Each invocation moves along a strip of eight rows, with all values in registers.
     Sweeps {
         forward: Kernel<ssim_forward_sweep::Interface>,
         backward: Kernel<ssim_backward_sweep::Interface>,
@@ -65,18 +53,18 @@ pub enum PhotoFormat {
 /// converts them to rows and back.
 ///
 /// # Examples
-/// Loss and gradient of a picture and a photograph by rows, with [`Windowing::Blocks`].
+/// Loss and gradient of a picture and a photograph by rows, with [`NativeLayout::Rows`].
 /// ```no_run
-/// use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
+/// use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, NativeLayout, photo_bytes};
 /// use ashsplat::vk::{Context, MemoryKind};
 ///
 /// fn loss(context: &Context, picture: &[u8], photo: &[u8], (width, height): (u32, u32)) -> ashsplat::Result<[f32; 4]> {
-///     let windowing = Windowing::Blocks;
-///     let loss = Loss::with_windowing(context, PhotoFormat::Rgba8, windowing)?;
+///     let layout = NativeLayout::Rows;
+///     let loss = Loss::with_layout(context, PhotoFormat::Rgba8, layout)?;
 ///     let texels = 16 * u64::from(width) * u64::from(height);
 ///     let mut requests = vec![
 ///         ("picture", texels),
-///         ("photograph", photo_bytes(windowing, width, height, false)),
+///         ("photograph", photo_bytes(layout, width, height, false)),
 ///         ("losses", 16),
 ///         ("gradient", texels),
 ///     ];
@@ -107,10 +95,10 @@ pub enum PhotoFormat {
 /// ```
 #[derive(Clone, Copy)]
 pub struct LossInputs<'a> {
-    /// Blended picture of a frame with backward. [`Windowing::Blocks`]: per pixel, premultiplied colour without background,
-    /// transmittance. [`Windowing::Sweeps`]: composited, three planes in [`Strips`], 0 below the picture.
+    /// Blended picture of a frame with backward. [`NativeLayout::Rows`]: per pixel, premultiplied colour without background,
+    /// transmittance. [`NativeLayout::Strips`]: composited, three planes in [`Strips`], 0 below the picture.
     pub rendered: &'a Buffer,
-    /// Photograph in the format given to [`Loss::new`]. [`Windowing::Blocks`]: per pixel. [`Windowing::Sweeps`]: planes in
+    /// Photograph in the format given to [`Loss::new`]. [`NativeLayout::Rows`]: per pixel. [`NativeLayout::Strips`]: planes in
     /// [`Strips`], see [`photo_on_device`].
     pub photo: &'a Buffer,
     /// Buffers of [`Loss::scratch_requests`], in their order.
@@ -119,14 +107,14 @@ pub struct LossInputs<'a> {
     pub losses: &'a Buffer,
     /// Index of the row of `losses` to write.
     pub row: u32,
-    /// Out: dL/d(r, g, b). [`Windowing::Blocks`]: per pixel, with a fourth component that is not written.
-    /// [`Windowing::Sweeps`]: three planes in [`Strips`].
+    /// Out: dL/d(r, g, b). [`NativeLayout::Rows`]: per pixel, with a fourth component that is not written.
+    /// [`NativeLayout::Strips`]: three planes in [`Strips`].
     pub image_gradient: &'a Buffer,
     /// Width of the image, pixels.
     pub width: u32,
     /// Height of the image, pixels.
     pub height: u32,
-    /// Background over which [`Windowing::Blocks`] composites the image.
+    /// Background over which [`NativeLayout::Rows`] composites the image.
     pub background: [f32; 3],
     /// Weight λ of 1 - SSIM.
     pub lambda_dssim: f32,
@@ -150,18 +138,18 @@ fn by_channels(r: &mut Recorder, derivatives: &[Buffer], record: impl Fn(&mut Re
 impl Loss {
     /// Builds the kernels for the device.
     pub fn new(context: &Context, photos: PhotoFormat) -> Result<Self> {
-        Self::with_windowing(context, photos, Windowing::for_device(context.limits()))
+        Self::with_layout(context, photos, NativeLayout::of(context.limits()))
     }
 
-    /// Builds the kernels with the given windowing.
-    pub fn with_windowing(context: &Context, photos: PhotoFormat, windowing: Windowing) -> Result<Self> {
+    /// Builds the kernels with the given layout.
+    pub fn with_layout(context: &Context, photos: PhotoFormat, layout: NativeLayout) -> Result<Self> {
         let (float_photo, masked) = (photos == PhotoFormat::Float, photos == PhotoFormat::MaskedRgba8);
         let limits = context.limits();
         let subgroup_size = limits.subgroup_size;
         let sizes = LaunchSizes::new(limits);
-        let windows = match windowing {
-            Windowing::Blocks => {
-                let (workgroup_size, strip) = (sizes.loss, sizes.loss_strip);
+        let windows = match layout {
+            NativeLayout::Rows => {
+                let (workgroup_size, strip) = (sizes.loss_workgroup, sizes.loss_strip);
                 let forward =
                     ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo, masked };
                 let backward = ssim_backward::Spec { workgroup_size, strip, float_photo, masked };
@@ -172,8 +160,8 @@ impl Loss {
                     reduce: Kernel::new(context, &reduce)?,
                 }
             }
-            Windowing::Sweeps => {
-                let workgroup_size = sizes.loss_sweep;
+            NativeLayout::Strips => {
+                let workgroup_size = sizes.loss_sweep_workgroup;
                 let forward = ssim_forward_sweep::Spec { workgroup_size, float_photo, masked };
                 let backward =
                     ssim_backward_sweep::Spec { workgroup_size, subgroup_size, float_photo, masked };
@@ -183,12 +171,12 @@ impl Loss {
                 }
             }
         };
-        Ok(Self { limits: limits.clone(), sizes, windowing, windows })
+        Ok(Self { limits: limits.clone(), sizes, layout, windows })
     }
 
     /// Scratch buffers of the loss, for images of these sizes (width, height).
     pub fn scratch_requests(&self, sizes: impl IntoIterator<Item = (u32, u32)>) -> Vec<(&'static str, u64)> {
-        let all = sizes.into_iter().map(|(width, height)| ScratchBytes::of(self.windowing, width, height));
+        let all = sizes.into_iter().map(|(width, height)| ScratchBytes::of(self.layout, width, height));
         let ScratchBytes { partials, derivatives } = all.fold(ScratchBytes::default(), |a, b| ScratchBytes {
             partials: a.partials.max(b.partials),
             derivatives: a.derivatives.max(b.derivatives),
@@ -237,15 +225,15 @@ impl Loss {
                     };
                     r.dispatch_3d(backward, &bind, &push, [columns, rows, channels]);
                 });
-                let partials =
-                    (ScratchBytes::of(self.windowing, image_width, image_height).partials / 8) as u32;
+                let partials = (ScratchBytes::of(self.layout, image_width, image_height).partials / 8) as u32;
                 let scale = 1.0 / (3.0 * image_width as f32 * image_height as f32);
                 let push = loss_reduce::Push { partials, loss_row, scale, lambda_dssim, weight };
                 r.dispatch(reduce, &loss_reduce::Bind { loss_partials, losses }, &push, 1);
             }
             Windows::Sweeps { forward, backward } => {
                 let Sweeps { columns, per_channel } = Sweeps::new(image_width, image_height);
-                let groups = |invocations: u32| blocks(invocations.into(), self.sizes.loss_sweep.into());
+                let groups =
+                    |invocations: u32| blocks(invocations.into(), self.sizes.loss_sweep_workgroup.into());
                 by_channels(r, derivatives, |r, first_channel, channels, derivatives| {
                     let bind = ssim_forward_sweep::Bind { rendered, photo, derivatives, loss_partials };
                     let invocations = channels * per_channel;
@@ -294,10 +282,10 @@ impl Loss {
 const TEXEL_BYTES: u64 = 16;
 
 /// Device bytes of a photograph with 8 bits per channel. `masked` is true for [`PhotoFormat::MaskedRgba8`].
-pub fn photo_bytes(windowing: Windowing, width: u32, height: u32, masked: bool) -> u64 {
-    match windowing {
-        Windowing::Blocks => 4 * u64::from(width) * u64::from(height),
-        Windowing::Sweeps => {
+pub fn photo_bytes(layout: NativeLayout, width: u32, height: u32, masked: bool) -> u64 {
+    match layout {
+        NativeLayout::Rows => 4 * u64::from(width) * u64::from(height),
+        NativeLayout::Strips => {
             let planes = if masked { 4 } else { 3 };
             (planes * Strips { width, height }.values()).next_multiple_of(TEXEL_BYTES)
         }
@@ -311,13 +299,13 @@ pub fn photo_bytes(windowing: Windowing, width: u32, height: u32, masked: bool) 
 /// # Panics
 /// If the number of pixels differs from the image's.
 pub fn photo_on_device(
-    windowing: Windowing,
+    layout: NativeLayout,
     width: u32,
     height: u32,
     masked: bool,
     rgbm: Vec<u8>,
 ) -> Vec<u8> {
-    if windowing == Windowing::Blocks {
+    if layout == NativeLayout::Rows {
         return rgbm;
     }
     let strips = Strips { width, height };
@@ -326,7 +314,7 @@ pub fn photo_on_device(
         true => strips.planes(pixels.map(|&pixel| if pixel[3] == 0 { [0; 4] } else { pixel })),
         false => strips.planes(pixels.map(|&[r, g, b, _]| [r, g, b])),
     };
-    planes.resize(photo_bytes(windowing, width, height, masked) as usize, 0);
+    planes.resize(photo_bytes(layout, width, height, masked) as usize, 0);
     planes
 }
 
@@ -351,8 +339,8 @@ impl LossTerm for Photometric {
         "photometric"
     }
 
-    fn targets(&self) -> Targets {
-        Targets { picture: Some(PixelLayout::Native), ..Targets::default() }
+    fn data(&self) -> TermData {
+        TermData { picture: Some(PixelLayout::Native), ..TermData::default() }
     }
 
     fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
@@ -381,7 +369,7 @@ impl LossTerm for Photometric {
     }
 }
 
-/// Maximum number of columns per invocation of [`Windowing::Sweeps`], which reads ten more.
+/// Maximum number of columns per invocation of [`NativeLayout::Strips`], which reads ten more.
 const SWEEP_COLUMNS: u32 = 160;
 
 /// Division of an image into sweeps.
@@ -409,15 +397,15 @@ struct ScratchBytes {
 }
 
 impl ScratchBytes {
-    fn of(windowing: Windowing, width: u32, height: u32) -> Self {
-        match windowing {
-            Windowing::Blocks => {
+    fn of(layout: NativeLayout, width: u32, height: u32) -> Self {
+        match layout {
+            NativeLayout::Rows => {
                 // Window blocks have the size of tiles.
                 let (columns, rows) = tile_grid(width, height);
                 let pixels = u64::from(width) * u64::from(height);
                 Self { partials: 3 * u64::from(columns * rows) * 8, derivatives: 12 * pixels }
             }
-            Windowing::Sweeps => Self {
+            NativeLayout::Strips => Self {
                 partials: 3 * u64::from(Sweeps::new(width, height).per_channel) * 8,
                 derivatives: 12 * Strips { width, height }.values(),
             },

@@ -43,7 +43,7 @@ impl LayoutConverter {
     /// frame must have backward.
     pub fn record_picture(&self, r: &mut Recorder, inputs: &FrameInputs, rows: &Buffer) {
         let (width, height) = (inputs.camera.width, inputs.camera.height);
-        let bind = picture_to_rows::Bind { rendered: inputs.frame.rendered(&self.sizes), rows };
+        let bind = picture_to_rows::Bind { rendered: inputs.buffers.rendered(&self.sizes), rows };
         let push = picture_to_rows::Push {
             image_width: width,
             image_height: height,

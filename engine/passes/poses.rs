@@ -17,8 +17,8 @@ use crate::passes::adam::{BETA_1, BETA_2};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// Adam's ε on the host, for poses and lenses.
-const EPSILON: f64 = 1e-8;
+/// Adam's ε for poses and lenses, on the host.
+const POSE_EPSILON: f64 = 1e-8;
 /// Weight decay of Adam over poses, added to the gradient (gsplat, `simple_trainer.py`).
 pub const WEIGHT_DECAY: f64 = 1e-6;
 /// Bytes of a pose's parameters ξ: six f32.
@@ -54,7 +54,7 @@ impl PoseGradient {
         gradient: &Buffer,
     ) {
         let bind = pose_gradient::Bind {
-            pose_sums: inputs.frame.pose_sums(),
+            pose_sums: inputs.buffers.pose_sums(),
             pose_parameters: parameters,
             pose_gradient: gradient,
         };
@@ -97,7 +97,7 @@ pub(crate) fn adam_on_host(moments: [&mut f64; 2], gradient: f64, bias: [f64; 2]
     let [m, v] = moments;
     *m = BETA_1 * *m + (1.0 - BETA_1) * gradient;
     *v = BETA_2 * *v + (1.0 - BETA_2) * gradient * gradient;
-    rate * (*m / bias[0]) / ((*v / bias[1]).sqrt() + EPSILON)
+    rate * (*m / bias[0]) / ((*v / bias[1]).sqrt() + POSE_EPSILON)
 }
 
 /// Moves `camera` to a pose: the inverse of [`pose_of`].

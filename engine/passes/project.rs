@@ -2,7 +2,7 @@
 //! them. Culling runs the same projection before, for the visibility only.
 
 use crate::error::Result;
-use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, Part, PlacedScene, SceneView};
+use crate::frame::{Batch, FrameInputs, FrameVariant, LaunchSizes, Part, SceneView};
 use crate::kernels::forward::{project, project_scenes, screen_motion, splat_surfaces};
 use crate::scene::Projection;
 use crate::vk::{Context, KernelSet, Recorder};
@@ -107,15 +107,15 @@ impl Project {
 
     /// Records the projection of all visible Gaussians.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let f = inputs.frame;
+        let f = inputs.buffers;
         let (splats, [extent, antialias]) = (f.splats(), inputs.settings.modes());
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         let mut is_first = true;
-        for (place, first) in inputs.batches() {
+        for batch in inputs.batches.list {
             if !std::mem::take(&mut is_first) {
                 r.barrier();
             }
-            self.record_batch(r, inputs, place, first, inputs.variant().of_scene(false, first.settings));
+            self.record_batch(r, inputs, batch);
         }
         for part in inputs.parts() {
             let variant = inputs.variant().of_scene(part.scene.plan.half_sh, part.settings);
@@ -154,27 +154,20 @@ impl Project {
         }
     }
 
-    /// Records the projection of the batch whose first scene is at `place`.
-    fn record_batch(
-        &self,
-        r: &mut Recorder,
-        inputs: &FrameInputs,
-        place: u32,
-        first: &PlacedScene<'_>,
-        variant: FrameVariant,
-    ) {
-        let Some(kernel) = self.batch.get_or_fail(r, &self.batch_spec(first.sh_degree, variant)) else {
-            return;
-        };
-        let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
-        let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
+    /// Records the projection of a batch.
+    fn record_batch(&self, r: &mut Recorder, inputs: &FrameInputs, batch: &Batch) {
+        let first = &inputs.scenes[batch.first as usize];
+        let spec = self.batch_spec(first.sh_degree, inputs.variant().of_scene(false, first.settings));
+        let Some(kernel) = self.batch.get_or_fail(r, &spec) else { return };
+        let ([extent, antialias], f) = (inputs.settings.modes(), inputs.buffers);
+        let [first_block, end_block] = batch.blocks(self.sizes.elementwise_workgroup);
         let splats = f.splats();
         let [shutter_turn, shutter_shift, shutter_rows] = inputs.camera.shutter_words();
         let push = project_scenes::Push {
             first_block,
             end_block,
             scenes: inputs.scenes.len() as u32,
-            batch: place,
+            batch: batch.first,
             blocks: inputs.index_count().div_ceil(self.sizes.elementwise_workgroup),
             extent,
             antialias,
@@ -205,7 +198,7 @@ impl Project {
         if !inputs.outputs.motion {
             return;
         }
-        let (f, SceneView { camera, scale }) = (inputs.frame, part.previous);
+        let (f, SceneView { camera, scale }) = (inputs.buffers, part.previous);
         let spec = self.motion_spec([inputs.camera.projection, camera.projection]);
         let Some(kernel) = self.motion.get_or_fail(r, &spec) else { return };
         let rows = camera.camera_from_world.transpose() * scale;
@@ -234,7 +227,7 @@ impl Project {
         if !inputs.outputs.surface {
             return;
         }
-        let f = inputs.frame;
+        let f = inputs.buffers;
         let Some(kernel) = self.surfaces.get_or_fail(r, &self.surfaces_spec(inputs.camera.projection)) else {
             return;
         };

@@ -98,10 +98,10 @@ impl Scan {
             spine: spine(false)?,
             counting_spine: spine(true)?,
             apply: Kernel::new(context, &apply)?,
-            block: sizes.scan,
+            block: sizes.scan_block,
             push: scan_spine::Push {
                 block_elementwise: sizes.elementwise_workgroup,
-                block_sort: sizes.sort,
+                block_sort: sizes.sort_block,
                 max_workgroups_per_axis: limits.max_workgroups_per_axis,
                 ..scan_spine::Push::default()
             },

@@ -19,9 +19,9 @@ pub struct RadixSort {
     /// Sizes of its blocks and buffers.
     pub sizes: LaunchSizes,
     kernels: Kernels,
-    scan: Kernel<sort_spine::Interface>,
+    spine: Kernel<sort_spine::Interface>,
     /// Sort in a single subgroup: with given values, and with the keys' indices as values.
-    alone: Option<[Kernel<sort_single_subgroup::Interface>; 2]>,
+    single_subgroup: Option<[Kernel<sort_single_subgroup::Interface>; 2]>,
     /// Number of digits per workgroup of the histogram's scan.
     rows: u32,
 }
@@ -29,12 +29,12 @@ pub struct RadixSort {
 /// Kernels that count, and that scatter with given values and with the keys' indices.
 enum Kernels {
     Matching {
-        count: Kernel<sort_upsweep::Interface>,
-        scatter: [Kernel<sort_downsweep::Interface>; 2],
+        upsweep: Kernel<sort_upsweep::Interface>,
+        downsweep: [Kernel<sort_downsweep::Interface>; 2],
     },
     Serial {
-        count: Kernel<sort_upsweep_serial::Interface>,
-        scatter: [Kernel<sort_downsweep_serial::Interface>; 2],
+        upsweep: Kernel<sort_upsweep_serial::Interface>,
+        downsweep: [Kernel<sort_downsweep_serial::Interface>; 2],
     },
 }
 
@@ -82,16 +82,20 @@ impl RadixSort {
         let subgroup_size = context.limits().subgroup_size;
         let whole_rows = sizes.sort_method == SortMethod::Matching;
         let workgroup_size = sizes.elementwise_workgroup;
-        let scan = sort_spine::Spec { workgroup_size, subgroup_size, whole_rows };
-        let alone = |identity_values| {
+        let spine = sort_spine::Spec { workgroup_size, subgroup_size, whole_rows };
+        let single = |identity_values| {
             let spec =
                 sort_single_subgroup::Spec { workgroup_size: subgroup_size, subgroup_size, identity_values };
             Kernel::new(context, &spec)
         };
         Ok(Self {
             kernels: Kernels::new(context, &sizes)?,
-            scan: Kernel::new(context, &scan)?,
-            alone: if sizes.sort_single_subgroup { Some([alone(false)?, alone(true)?]) } else { None },
+            spine: Kernel::new(context, &spine)?,
+            single_subgroup: if sizes.sort_single_subgroup {
+                Some([single(false)?, single(true)?])
+            } else {
+                None
+            },
             rows: if whole_rows { 1 } else { sizes.elementwise_workgroup / subgroup_size },
             sizes,
         })
@@ -114,10 +118,10 @@ impl RadixSort {
     ) -> usize {
         let passes = self.sizes.sort_passes(key_bits);
         let digit_bits = key_bits.div_ceil(passes);
-        let alone =
-            self.alone.as_ref().filter(|_| self.sizes.sorts_in_single_subgroup(buffers.capacity(), key_bits));
-        if let Some(alone) = alone {
-            let kernel = &alone[usize::from(values == Values::Positions)];
+        if let Some(kernels) = &self.single_subgroup
+            && self.sizes.sorts_in_single_subgroup(buffers.capacity(), key_bits)
+        {
+            let kernel = &kernels[usize::from(values == Values::Positions)];
             let bytes = u64::from(self.sizes.sort_workgroup) * self.sizes.sort_digits(key_bits) * 4;
             let bind = sort_single_subgroup::Bind {
                 counts: buffers.counts,
@@ -149,18 +153,18 @@ impl RadixSort {
 
     fn record_pass(&self, recorder: &mut Recorder, b: &SortBuffers, digit: Digit, workgroups: Workgroups) {
         let Digit { shift, bits, from, identity } = digit;
-        let (counts, count_index, block) = (b.counts, b.count_index, self.sizes.sort);
+        let (counts, count_index, block) = (b.counts, b.count_index, self.sizes.sort_block);
         let (keys, values, to) = (b.keys[from], b.values[from], 1 - from);
         // The blocks' histograms come first, then those of their runs.
         let blocks = blocks(b.capacity(), block.into()).max(1);
         let of_blocks = (blocks << bits) * 4;
         let of_runs = blocks * u64::from(self.sizes.sort_workgroup) * (1 << bits).max(4) * 4;
         match &self.kernels {
-            Kernels::Matching { count, scatter } => {
+            Kernels::Matching { upsweep, downsweep } => {
                 let bind = sort_upsweep::Bind { counts, keys, histogram: b.histogram };
                 let push = sort_upsweep::Push { count_index, shift, bits };
-                workgroups.dispatch(recorder, count, &bind, &push, block);
-                self.record_scan(recorder, b, b.histogram, bits);
+                workgroups.dispatch(recorder, upsweep, &bind, &push, block);
+                self.record_spine(recorder, b, b.histogram, bits);
                 let bind = sort_downsweep::Bind {
                     counts,
                     keys,
@@ -171,15 +175,15 @@ impl RadixSort {
                     sorted_values: b.values[to],
                 };
                 let push = sort_downsweep::Push { count_index, shift, bits };
-                workgroups.dispatch(recorder, &scatter[usize::from(identity)], &bind, &push, block);
+                workgroups.dispatch(recorder, &downsweep[usize::from(identity)], &bind, &push, block);
             }
-            Kernels::Serial { count, scatter } => {
+            Kernels::Serial { upsweep, downsweep } => {
                 let histogram = &b.histogram.range(0, of_blocks);
                 let run_counts = &b.histogram.range(LaunchSizes::sort_runs_offset(of_blocks), of_runs);
                 let bind = sort_upsweep_serial::Bind { counts, keys, histogram, run_counts };
                 let push = sort_upsweep_serial::Push { count_index, shift, bits };
-                workgroups.dispatch(recorder, count, &bind, &push, block);
-                self.record_scan(recorder, b, histogram, bits);
+                workgroups.dispatch(recorder, upsweep, &bind, &push, block);
+                self.record_spine(recorder, b, histogram, bits);
                 let bind = sort_downsweep_serial::Bind {
                     counts,
                     keys,
@@ -191,18 +195,18 @@ impl RadixSort {
                     sorted_values: b.values[to],
                 };
                 let push = sort_downsweep_serial::Push { count_index, shift, bits };
-                workgroups.dispatch(recorder, &scatter[usize::from(identity)], &bind, &push, block);
+                workgroups.dispatch(recorder, &downsweep[usize::from(identity)], &bind, &push, block);
             }
         }
     }
 
     /// Records the scan of each digit's row, between two barriers.
-    fn record_scan(&self, recorder: &mut Recorder, b: &SortBuffers, histogram: &Buffer, bits: u32) {
-        let (digits, block_size) = (1 << bits, self.sizes.sort);
+    fn record_spine(&self, recorder: &mut Recorder, b: &SortBuffers, histogram: &Buffer, bits: u32) {
+        let (digits, block_size) = (1 << bits, self.sizes.sort_block);
         let bind = sort_spine::Bind { counts: b.counts, histogram, digit_totals: b.digit_totals };
         let push = sort_spine::Push { count_index: b.count_index, block_size, digits };
         recorder.barrier();
-        recorder.dispatch(&self.scan, &bind, &push, blocks(digits.into(), self.rows.into()));
+        recorder.dispatch(&self.spine, &bind, &push, blocks(digits.into(), self.rows.into()));
         recorder.barrier();
     }
 }
@@ -213,23 +217,25 @@ impl Kernels {
         let subgroup_size = context.limits().subgroup_size;
         match sizes.sort_method {
             SortMethod::Matching => {
-                let scatter = |identity_values| {
+                let downsweep = |identity_values| {
                     let spec = sort_downsweep::Spec { workgroup_size, subgroup_size, items, identity_values };
                     Kernel::new(context, &spec)
                 };
-                let count = sort_upsweep::Spec { workgroup_size, items };
-                let (count, scatter) = (Kernel::new(context, &count)?, [scatter(false)?, scatter(true)?]);
-                Ok(Self::Matching { count, scatter })
+                let upsweep = sort_upsweep::Spec { workgroup_size, items };
+                let (upsweep, downsweep) =
+                    (Kernel::new(context, &upsweep)?, [downsweep(false)?, downsweep(true)?]);
+                Ok(Self::Matching { upsweep, downsweep })
             }
             SortMethod::Serial => {
-                let scatter = |identity_values| {
+                let downsweep = |identity_values| {
                     let spec =
                         sort_downsweep_serial::Spec { workgroup_size, subgroup_size, items, identity_values };
                     Kernel::new(context, &spec)
                 };
-                let count = sort_upsweep_serial::Spec { workgroup_size, subgroup_size, items };
-                let (count, scatter) = (Kernel::new(context, &count)?, [scatter(false)?, scatter(true)?]);
-                Ok(Self::Serial { count, scatter })
+                let upsweep = sort_upsweep_serial::Spec { workgroup_size, subgroup_size, items };
+                let (upsweep, downsweep) =
+                    (Kernel::new(context, &upsweep)?, [downsweep(false)?, downsweep(true)?]);
+                Ok(Self::Serial { upsweep, downsweep })
             }
         }
     }

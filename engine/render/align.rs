@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::frame::{FrameVariant, RenderSettings};
 use crate::passes::adam::{BETA_1, BETA_2};
 use crate::passes::backward::{BackwardForm, Statistics};
-use crate::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes, photo_on_device};
+use crate::passes::loss::{Loss, LossInputs, NativeLayout, PhotoFormat, photo_bytes, photo_on_device};
 use crate::passes::poses::{GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient, adam_on_host};
 use crate::scene::{Camera, StoredPhoto, Twist};
 use crate::vk::MemoryKind;
@@ -118,9 +118,9 @@ impl Renderer {
         let format = if masked { PhotoFormat::MaskedRgba8 } else { PhotoFormat::Rgba8 };
         let loss = Loss::new(&self.context, format)?;
         let (width, height) = (camera.width, camera.height);
-        let windowing = Windowing::for_device(self.context.limits());
+        let layout = NativeLayout::of(self.context.limits());
         let mut requests = vec![
-            ("photo", photo_bytes(windowing, width, height, masked)),
+            ("photo", photo_bytes(layout, width, height, masked)),
             ("losses", 16),
             ("statistics", u64::from(scene.count.max(1)) * 8),
             ("pose_parameters", PARAMETER_BYTES),
@@ -131,19 +131,19 @@ impl Renderer {
         let [target, losses, statistics, parameters, gradient, scratch @ ..] = &buffers[..] else {
             unreachable!("one buffer per request")
         };
-        let texels = photo_on_device(windowing, width, height, masked, photo.texels()?);
+        let texels = photo_on_device(layout, width, height, masked, photo.texels()?);
         self.context.upload(target, &texels)?;
         let (sizes, backward) = (self.runner.forward.sizes, &self.backward);
         let (start, mut moved) = (camera, *camera);
         for _ in 0..alignment.steps {
             let ran = self.runner.run(&Request::new(scene, &moved, settings, true), |r, inputs| {
                 let loss_inputs = LossInputs {
-                    rendered: inputs.frame.rendered(&sizes),
+                    rendered: inputs.buffers.rendered(&sizes),
                     photo: target,
                     scratch,
                     losses,
                     row: 0,
-                    image_gradient: &inputs.frame.image_gradient,
+                    image_gradient: &inputs.buffers.image_gradient,
                     width,
                     height,
                     background: settings.background,
@@ -155,7 +155,7 @@ impl Renderer {
                 loss.record(r, &loss_inputs);
                 r.barrier();
                 let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
-                backward.record(r, inputs, &inputs.frame.image_gradient, statistics, form);
+                backward.record(r, inputs, &inputs.buffers.image_gradient, statistics, form);
                 r.barrier();
                 pose_gradient.record(r, inputs, parameters, 0, gradient);
                 Ok(())

@@ -1,14 +1,12 @@
 //! Checks of a frame before it is recorded: all errors are reported before the first command.
 
 use super::device_scene::ELSEWHERE;
-use super::recorded_frame::{HostImage, MotionTarget, PickTarget, Placed, Placing, RecordedFrame, Target};
+use super::recorded_frame::{HostImage, MotionTarget, Placed, Placing, RecordedFrame, Target};
 use super::renderer::Renderer;
 use super::reservation::{RESERVATION, Reservation, field_name};
 use super::updates::Update;
 use crate::error::{Error, Result};
 use crate::frame::{FrameCapacity, PictureCapacity, PlacedScene, RenderSettings};
-use crate::kernels::constants as c;
-use crate::passes::compose::{Background, Compose};
 use crate::scene::{Camera, DepthMapping};
 use crate::vk::{Buffer, Context, ImageUse};
 use ash::vk;
@@ -49,7 +47,7 @@ impl Renderer {
             for (index, placed) in (number * SCENES_AT_ONCE..).zip(scenes) {
                 let degree = placed.active_degree(frame.settings);
                 check_scene(index, placed, degree, context, reserved)?;
-                gaussians += u64::from(placed.drawn());
+                gaussians += u64::from(placed.drawn_gaussians());
             }
             all.extend(scenes.iter().map(|scene| placing.place(scene)));
         }
@@ -63,17 +61,17 @@ impl Renderer {
             let problem = "takes pinholes or orthographic cameras, without a lens or a rolling shutter";
             return Err(Error::argument("motion", problem));
         }
-        let previous = previous.map(|camera| camera.projection);
-        if let Some(fields) = reserved.lacks(frame.variant(), previous) {
-            return Err(Error::argument(fields, "not reserved, and the frame needs it"));
-        }
-        let others = [
+        let unsupported = [
             ("settings.dropout", frame.settings.dropout.is_some(), "is of training"),
             ("settings.linear_depth", frame.settings.has_z_record(), "is of training"),
             ("settings.surface", frame.settings.surface, "is for frames that are waited for"),
         ];
-        if let Some((field, _, of)) = others.iter().find(|(_, set, _)| *set) {
+        if let Some((field, _, of)) = unsupported.iter().find(|(_, set, _)| *set) {
             return Err(Error::argument(*field, format!("{of}, no recorded frame has it")));
+        }
+        let previous = previous.map(|camera| camera.projection);
+        if let Some(fields) = reserved.lacks(frame.variant(), previous) {
+            return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }
         if self.slots.blending != self.blending() {
             let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";
@@ -84,42 +82,22 @@ impl Renderer {
     }
 
     fn check_images(&self, frame: &RecordedFrame<'_>, earlier: &[RecordedFrame<'_>]) -> Result<()> {
-        let is_new = |host: &HostImage<'_>| !earlier.iter().any(|view| view.has_image(host.image));
-        let context = &self.context;
         let size = [frame.camera.width, frame.camera.height];
-        let check = |field: &str, host: &HostImage<'_>, purpose: ImageUse| {
-            let bad = |problem: &str| Err(Error::argument(field_of(field, host), problem.to_owned()));
-            let [[x, y], [width, height]] = [host.offset, host.image.size()];
-            if !host.image.belongs_to(context) {
-                return bad("it belongs to another context");
-            }
-            in_field(field, host.image.check_purpose(purpose))?;
-            if x.saturating_add(size[0]) > width || y.saturating_add(size[1]) > height {
-                let [w, h] = size;
-                return bad(&format!("{w} x {h} pixels at ({x}, {y}) exceed its {width} x {height}"));
-            }
-            Ok(())
-        };
-        if let Target::Image { to, behind, encoding } = &frame.target {
-            check("target", to, ImageUse::Target)?;
-            in_field("target", Compose::check_frame(to.image, *behind, *encoding))?;
-            if *behind == Background::Image && is_new(to) {
-                check_is_defined("target", to)?;
-            }
+        let is_new = |host: &HostImage<'_>| earlier.iter().all(|view| view.purpose_of(host.image).is_none());
+        for (purpose, host) in frame.images() {
+            self.check_image(purpose, &host, size)?;
         }
-        if let Some(depth) = &frame.depth {
-            check("depth", &depth.to, ImageUse::Depth)?;
-            check_is_finite("depth.min_weight", depth.min_weight)?;
-        }
-        if let Some(PickTarget { to }) = &frame.pick {
-            check("pick", to, ImageUse::Pick)?;
+        for (host, contents) in frame.written() {
+            let field = contents.purpose().field();
+            in_field(field, contents.check(host.image))?;
+            if contents.keeps_texels() && is_new(&host) {
+                check_is_defined(field, &host)?;
+            }
         }
         if let Some(motion) = &frame.motion {
-            check("motion", &motion.to, ImageUse::Motion)?;
-            check_motion(motion, size, is_new(&motion.to))?;
+            check_previous_camera(motion, size)?;
         }
         if let Some(occluder) = &frame.occluder {
-            check("occluder", &occluder.depth, ImageUse::Occluder)?;
             if is_new(&occluder.depth) {
                 check_is_defined("occluder", &occluder.depth)?;
             }
@@ -141,12 +119,19 @@ impl Renderer {
         }
         Ok(())
     }
-}
 
-fn check_is_finite(field: &str, number: f32) -> Result<()> {
-    match number.is_finite() {
-        true => Ok(()),
-        false => Err(Error::argument(field, format!("{number} is not finite"))),
+    /// Checks an image that receives or hides a frame of this size, px.
+    fn check_image(&self, purpose: ImageUse, host: &HostImage<'_>, size: [u32; 2]) -> Result<()> {
+        let bad = |problem: String| Err(Error::argument(field_of(purpose.field(), host), problem));
+        let ([x, y], [width, height], [w, h]) = (host.offset, host.image.size(), size);
+        if !host.image.belongs_to(&self.context) {
+            return bad("it belongs to another context".into());
+        }
+        in_field(purpose.field(), host.image.check_purpose(purpose))?;
+        match x.saturating_add(w) > width || y.saturating_add(h) > height {
+            true => bad(format!("{w} x {h} pixels at ({x}, {y}) exceed its {width} x {height}")),
+            false => Ok(()),
+        }
     }
 }
 
@@ -165,24 +150,15 @@ fn in_field(field: &str, checked: Result<()>) -> Result<()> {
     })
 }
 
-/// Checks motion into an image that is valid otherwise, for a frame of this size.
-fn check_motion(motion: &MotionTarget<'_>, size: [u32; 2], is_new: bool) -> Result<()> {
+/// Checks the previous camera of motion, for a frame of this size.
+fn check_previous_camera(motion: &MotionTarget<'_>, [w, h]: [u32; 2]) -> Result<()> {
     let camera = motion.previous_camera;
     camera.check().map_err(|error| error.of("motion.previous_camera"))?;
-    if [camera.width, camera.height] != size {
-        let ([w, h], Camera { width, height, .. }) = (size, camera);
-        let problem = format!("is of {width} x {height} pixels, the frame of {w} x {h}");
-        return Err(Error::argument("motion.previous_camera", problem));
+    if [camera.width, camera.height] == [w, h] {
+        return Ok(());
     }
-    check_is_finite("motion.min_weight", motion.min_weight)?;
-    match motion.empty {
-        Some(empty) if !empty.iter().all(|x| x.abs() <= c::MOTION_MAX) => {
-            let problem = format!("{empty:?}, each may be -{0} to {0}", c::MOTION_MAX);
-            Err(Error::argument("motion.empty", problem))
-        }
-        None if is_new => check_is_defined("motion", &motion.to),
-        _ => Ok(()),
-    }
+    let problem = format!("is of {} x {} pixels, the frame of {w} x {h}", camera.width, camera.height);
+    Err(Error::argument("motion.previous_camera", problem))
 }
 
 /// Returns an error if the frame needs the image's contents but the layout UNDEFINED discards them.
@@ -277,9 +253,9 @@ pub(super) fn check_capacity(
         }
     }
     // If the last scene ends within the reserved Gaussians, the gaps between scenes fit too.
-    let end = placed.last().map_or(0, |last| u64::from(last.first) + u64::from(last.drawn()));
+    let end = placed.last().map_or(0, |last| u64::from(last.first) + u64::from(last.drawn_gaussians()));
     if end > u64::from(capacity.gaussians) {
-        let needed = frame.scenes.iter().map(|s| u64::from(s.drawn())).sum();
+        let needed = frame.scenes.iter().map(|s| u64::from(s.drawn_gaussians())).sum();
         let limit = (reserved.gaussians.into(), "Reservation::gaussians");
         return Err(Error::too_large(THE_FRAME, (needed, "Gaussians"), limit));
     }
@@ -300,7 +276,7 @@ pub(super) fn check_views(
         return Err(Error::argument("views", problem));
     }
     if releases != views.len() {
-        let problem = format!("room for {releases}, there are {} views", views.len());
+        let problem = format!("{releases} of them, there are {} views", views.len());
         return Err(Error::argument("releases", problem));
     }
     (0..views.len()).try_for_each(|index| {
@@ -325,10 +301,10 @@ fn check_beside(views: &[RecordedFrame<'_>], index: usize, reserved: &Reservatio
     if !earlier.is_empty() && !frame.updates.is_empty() {
         return Err(Error::argument("updates", "belong into views[0]: all views see them"));
     }
-    for (field, host) in frame.images().into_iter().filter_map(|(field, host)| Some((field, host?))) {
-        let others = earlier.iter().enumerate().flat_map(|(view, frame)| {
-            frame.images().into_iter().filter_map(move |(field, host)| Some((view, field, host?)))
-        });
+    for (purpose, host) in frame.images() {
+        let others = earlier.iter().map(RecordedFrame::images).enumerate();
+        let others =
+            others.flat_map(|(view, images)| images.map(move |(other, theirs)| (view, other, theirs)));
         for (view, other, theirs) in others.filter(|(.., theirs)| theirs.image.is_same_as(host.image)) {
             let differs = if theirs.image.purpose() != host.image.purpose() {
                 "one samples it and the other writes it"
@@ -337,8 +313,8 @@ fn check_beside(views: &[RecordedFrame<'_>], index: usize, reserved: &Reservatio
             } else {
                 continue;
             };
-            let problem = format!("is also views[{view}].{other}: {differs}");
-            return Err(Error::argument(field_of(field, host), problem));
+            let problem = format!("is also views[{view}].{}: {differs}", other.field());
+            return Err(Error::argument(field_of(purpose.field(), &host), problem));
         }
     }
     Ok(())
@@ -353,8 +329,7 @@ pub(super) fn in_view(error: Error, index: usize, views: &[RecordedFrame<'_>]) -
     match error {
         // The field belongs to the reservation; the frame and its scenes belong to the view.
         Error::Argument { what, problem } if what.starts_with(RESERVATION) => {
-            let problem = problem.replace("the frame", &view).replace("scenes[", &format!("{view}.scenes["));
-            Error::argument(what, problem)
+            Error::argument(what, format!("{problem}, in {view}"))
         }
         Error::TooLarge { what, needed, unit, limit, limit_name } => {
             Error::too_large(format!("{view}.{what}"), (needed, unit), (limit, limit_name))

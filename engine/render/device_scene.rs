@@ -35,8 +35,7 @@ impl DeviceScene {
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
     pub fn upload(context: &Context, gaussians: &Gaussians, capacity: u32) -> Result<Self> {
         gaussians.check_shapes().map_err(|error| error.within("gaussians"))?;
-        let buffers =
-            planes::upload(context, ("scene", MemoryKind::Device), gaussians, capacity, gaussians.sh_degree)?;
+        let buffers = planes::upload(context, "scene", gaussians, capacity, gaussians.sh_degree)?;
         Ok(Self::new(context, buffers))
     }
 
@@ -48,8 +47,8 @@ impl DeviceScene {
     pub fn upload_half(context: &Context, gaussians: &Gaussians, capacity: u32) -> Result<Self> {
         gaussians.check_shapes().map_err(|error| error.within("gaussians"))?;
         let capacity = capacity.max(to_u32(gaussians.len() as u64)?);
-        let plan = Self::half_plan_for(context, capacity, gaussians.sh_degree)?;
-        let buffers = planes::upload_planned(context, ("scene", MemoryKind::Device), gaussians, plan)?;
+        let plan = Self::plan_for(context, capacity, gaussians.sh_degree, true)?;
+        let buffers = planes::upload_planned(context, "scene", MemoryKind::Device, gaussians, plan)?;
         Ok(Self::new(context, buffers))
     }
 
@@ -69,7 +68,7 @@ impl DeviceScene {
     pub fn upload_all(context: &Context, scenes: &[&Gaussians]) -> Result<Vec<Self>> {
         let plan = |(index, gaussians): (usize, &&Gaussians)| {
             gaussians.check_shapes().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
-            ScenePlan::new(context.limits(), to_u32(gaussians.len() as u64)?, gaussians.sh_degree)
+            ScenePlan::new(context.limits(), to_u32(gaussians.len() as u64)?, gaussians.sh_degree, false)
         };
         let plans = scenes.iter().enumerate().map(plan).collect::<Result<Vec<_>>>()?;
         let requests: Vec<_> = plans.iter().flat_map(planes::requests).collect();
@@ -94,7 +93,7 @@ impl DeviceScene {
         let plan = self.buffers.plan;
         let shared = |chunk: &Buffer| chunk.in_context(context).map_err(|error| error.of("scene"));
         let chunks = self.buffers.chunks.iter().map(shared).collect::<Result<_>>()?;
-        if plan != Self::same_plan(context, &plan)? {
+        if plan != Self::plan_for(context, plan.capacity, plan.sh_degree, plan.half_sh)? {
             let problem = "the limits of the context ask for another plan of the scene's buffers";
             return Err(Error::argument("scene", problem));
         }
@@ -107,8 +106,8 @@ impl DeviceScene {
     /// # Errors
     /// [`Error::TooLarge`] or an allocation's failure.
     pub fn empty(context: &Context, capacity: u32, sh_degree: u32) -> Result<Self> {
-        let plan = Self::plan_for(context, capacity, sh_degree)?;
-        let chunks = planes::allocate(context, ("scene", MemoryKind::Device), &plan)?;
+        let plan = Self::plan_for(context, capacity, sh_degree, false)?;
+        let chunks = planes::allocate(context, "scene", MemoryKind::Device, &plan)?;
         Ok(Self::new(context, SceneBuffers { chunks, plan, count: 0 }))
     }
 
@@ -118,14 +117,14 @@ impl DeviceScene {
     ///
     /// # Errors
     /// [`Error::Argument`] for:
-    /// - a plan that is not [`DeviceScene::plan_for`] this device, or [`DeviceScene::half_plan_for`] it;
+    /// - a plan that is not [`DeviceScene::plan_for`] this device;
     /// - too few or too small buffers;
     /// - buffers of another context, with an unaligned offset, or that overlap;
     /// - more Gaussians than the plan's capacity.
     pub fn from_buffers(context: &Context, plan: ScenePlan, chunks: Vec<Buffer>, count: u32) -> Result<Self> {
         let bad = |field: &str, problem: String| Err(Error::argument(field, problem));
         // A plan depends on the device's limits. Another device's plan would be bound and indexed wrongly.
-        let own = Self::same_plan(context, &plan);
+        let own = Self::plan_for(context, plan.capacity, plan.sh_degree, plan.half_sh);
         if plan != own.map_err(|error| error.within("plan"))? {
             return bad("plan", "it is not the one that DeviceScene::plan_for makes on this device".into());
         }
@@ -133,7 +132,7 @@ impl DeviceScene {
             return bad("chunks", format!("{} of them, the plan has {}", chunks.len(), plan.chunks));
         }
         if count > plan.capacity {
-            return bad("count", format!("{count}, the plan has room for {}", plan.capacity));
+            return bad("count", format!("{count}, the plan's capacity is {}", plan.capacity));
         }
         let (chunk_bytes, alignment) = (plan.chunk_bytes(), context.limits().storage_alignment.max(16));
         for (index, chunk) in chunks.iter().enumerate() {
@@ -158,32 +157,15 @@ impl DeviceScene {
         Ok(Self::new(context, SceneBuffers { chunks, plan, count }))
     }
 
-    /// Returns the layout of the parameters of `capacity` Gaussians on this device.
+    /// Returns the layout of the parameters of `capacity` Gaussians on this device, with SH coefficients in halves if `half_sh`.
     ///
     /// # Errors
     /// [`Error::TooLarge`] for a capacity above the range of indices, [`Error::Argument`] for an SH degree above 3.
-    pub fn plan_for(context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
-        Self::planned(context, capacity, sh_degree, false)
-    }
-
-    /// Same as [`DeviceScene::plan_for`], with SH coefficients as halves.
-    ///
-    /// # Errors
-    /// Same as [`DeviceScene::plan_for`].
-    pub fn half_plan_for(context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
-        Self::planned(context, capacity, sh_degree, true)
-    }
-
-    fn planned(context: &Context, capacity: u32, sh_degree: u32, half_sh: bool) -> Result<ScenePlan> {
+    pub fn plan_for(context: &Context, capacity: u32, sh_degree: u32, half_sh: bool) -> Result<ScenePlan> {
         if sh_degree > 3 {
             return Err(Error::argument("sh_degree", format!("{sh_degree} is above 3")));
         }
-        ScenePlan::stored(context.limits(), capacity, sh_degree, half_sh)
-    }
-
-    /// This device's plan of the same kind.
-    fn same_plan(context: &Context, plan: &ScenePlan) -> Result<ScenePlan> {
-        Self::planned(context, plan.capacity, plan.sh_degree, plan.half_sh)
+        ScenePlan::new(context.limits(), capacity, sh_degree, half_sh)
     }
 
     /// Returns the layout of the parameters.
@@ -202,7 +184,7 @@ impl DeviceScene {
     /// [`Error::Argument`] for a count above the capacity.
     pub fn set_count(&mut self, count: u32) -> Result<()> {
         if count > self.buffers.plan.capacity {
-            let problem = format!("{count}, there is room for {}", self.buffers.plan.capacity);
+            let problem = format!("{count}, the capacity is {}", self.buffers.plan.capacity);
             return Err(Error::argument("count", problem));
         }
         self.buffers.count = count;

@@ -106,7 +106,7 @@ impl Forward {
     pub fn record_first<'a>(&self, r: &mut Recorder, views: u32, view: impl Fn(u32) -> FrameInputs<'a>) {
         let inputs = &view(0);
         inputs.assert_differentiable();
-        let f = inputs.frame;
+        let f = inputs.buffers;
         r.scope("clear", |r| {
             (0..views).for_each(|number| record_blocks(r, &view(number)));
             record_cut_outs(r, inputs);
@@ -138,7 +138,7 @@ impl Forward {
     /// # Panics
     /// Same as [`Forward::record`].
     pub fn record_next(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let f = inputs.frame;
+        let f = inputs.buffers;
         pass(r, "clear", |r| {
             record_scene_firsts(r, inputs);
             // Clears all counts but those of the visible Gaussians.

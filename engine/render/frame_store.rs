@@ -106,71 +106,80 @@ impl FrameStore {
         gaussians: u32,
         scenes: u32,
         camera: &Camera,
-        FrameVariant { backward, outputs, .. }: FrameVariant,
+        variant: FrameVariant,
     ) -> Result<(FrameBuffers, FrameCapacity)> {
-        let old = self.capacity;
-        let own = PictureCapacity::of_cameras([camera]);
-        let wanted = own.and(self.expected);
-        let pictures = if backward { wanted } else { wanted.without_backward() };
+        let FrameVariant { backward, outputs, .. } = variant;
+        let picture = PictureCapacity::of_cameras([camera]);
+        let all_pictures = picture.and(self.expected);
+        let pictures = if backward { all_pictures } else { all_pictures.without_backward() };
         let visible = initial_visible(gaussians);
-        let instances = initial_instances(self.context.limits(), visible, &pictures);
-        let absolute = backward && self.absolute;
-        self.requested = FrameCapacity {
+        let requested = FrameCapacity {
             gaussians,
             visible,
             scenes,
-            instances,
+            instances: initial_instances(self.context.limits(), visible, &pictures),
             pictures,
             backward,
-            absolute,
+            absolute: backward && self.absolute,
             outputs,
             ..FrameCapacity::default()
         };
-        let needed = FrameCapacity {
-            gaussians: gaussians.max(old.gaussians),
-            scenes: scenes.max(old.scenes),
-            pictures: pictures.and(old.pictures),
-            backward: backward || old.backward,
-            absolute: absolute || old.absolute,
-            outputs: outputs.and(old.outputs),
-            ..old
+        self.requested = requested;
+        let current = self.capacity;
+        // Counts of earlier frames replace the estimates.
+        let count = |counted: u32, estimate: u32| if counted > 0 { counted } else { estimate };
+        let gaussians = gaussians.max(current.gaussians);
+        let capacity = FrameCapacity {
+            gaussians,
+            visible: count(current.visible.min(gaussians), visible),
+            instances: count(current.instances, requested.instances),
+            scenes: scenes.max(current.scenes),
+            pictures: pictures.and(current.pictures),
+            blend_passes: current.blend_passes,
+            backward: backward || current.backward,
+            absolute: requested.absolute || current.absolute,
+            outputs: outputs.and(current.outputs),
         };
-        if let Some(frame) = self.frame.as_ref().filter(|_| needed == old) {
-            return Ok((frame.clone(), old));
+        if let Some(frame) = self.frame.as_ref().filter(|_| capacity == current) {
+            return Ok((frame.clone(), current));
         }
-        let mut capacity = FrameCapacity {
-            visible: if old.visible > 0 { old.visible.min(needed.gaussians) } else { visible },
-            instances: if old.instances > 0 { old.instances } else { instances },
-            ..needed
+        // The estimates may be what does not fit, and the frame may need less. If it needs more, it overflows.
+        let smaller = |capacity: &FrameCapacity| {
+            let FrameCapacity { visible, instances, .. } = *capacity;
+            (visible > LEAST_VISIBLE || instances > LEAST_INSTANCES).then(|| FrameCapacity {
+                visible: (visible / 4).max(visible.min(LEAST_VISIBLE)),
+                instances: (instances / 4).max(LEAST_INSTANCES),
+                ..*capacity
+            })
         };
-        let (mut estimated, mut is_minimal) = (old.instances == 0, capacity == self.requested);
-        loop {
-            match self.allocate(capacity) {
-                Ok(frame) => return Ok((frame, self.capacity)),
-                Err(error) if is_memory(&error) && !is_minimal => {
-                    (capacity, estimated, is_minimal) = (self.requested, true, true);
-                }
-                // The estimate may be what does not fit, and the frame may need less. If it needs more, it overflows.
-                Err(error)
-                    if is_memory(&error)
-                        && estimated
-                        && (capacity.instances > LEAST_INSTANCES || capacity.visible > LEAST_VISIBLE) =>
-                {
-                    capacity.visible = (capacity.visible / 4).max(capacity.visible.min(LEAST_VISIBLE));
-                    capacity.instances = (capacity.instances / 4).max(LEAST_INSTANCES);
-                }
-                Err(error) => {
-                    let others = if wanted == own { "" } else { ", and those larger ones that will follow" };
-                    let size = format!("an image of {}x{} pixels{others}", camera.width, camera.height);
-                    return Err(error.of_field(size));
-                }
-            }
-        }
+        let others = std::iter::successors(Some(requested), smaller).skip((capacity == requested).into());
+        let allocated = self.allocate_first(capacity, others).map_err(|error| {
+            let others =
+                if all_pictures == picture { "" } else { ", and those larger ones that will follow" };
+            error.of_field(format!("an image of {}x{} pixels{others}", camera.width, camera.height))
+        });
+        Ok((allocated?, self.capacity))
     }
 
     /// Returns the capacities of the frame's buffers.
     pub fn capacity(&self) -> FrameCapacity {
         self.capacity
+    }
+
+    /// Allocates the first of some capacities for which the memory suffices.
+    fn allocate_first(
+        &mut self,
+        first: FrameCapacity,
+        others: impl IntoIterator<Item = FrameCapacity>,
+    ) -> Result<FrameBuffers> {
+        let mut allocated = self.allocate(first);
+        for capacity in others {
+            match &allocated {
+                Err(error) if is_memory(error) => allocated = self.allocate(capacity),
+                _ => break,
+            }
+        }
+        allocated
     }
 
     fn allocate(&mut self, capacity: FrameCapacity) -> Result<FrameBuffers> {
@@ -272,55 +281,42 @@ impl FrameStore {
 
     /// Grows the capacity if the frame overflowed. Returns true if the frame has to be run again.
     pub fn grow(&mut self, counts: &FrameCounts) -> Result<bool> {
-        let mut capacity = self.capacity;
-        // Adds a reserve, because later frames will need other numbers.
-        if counts.visible_needed > capacity.visible {
-            let reserve = counts.visible_needed.saturating_add(counts.visible_needed / 4);
-            capacity.visible = reserve.min(capacity.gaussians).max(counts.visible_needed);
-        }
-        if counts.instances > capacity.instances {
-            capacity.instances = counts.instances.saturating_add(counts.instances / 2);
-        }
-        let passes = counts.longest_tile.div_ceil(self.sizes.entries_per_pass).max(1);
-        capacity.blend_passes = capacity.blend_passes.max(passes);
-        if capacity == self.capacity {
+        let (FrameCounts { visible_needed, instances, .. }, current) = (*counts, self.capacity);
+        let blend_passes = counts.longest_tile.div_ceil(self.sizes.entries_per_pass).max(1);
+        let exact = FrameCapacity {
+            visible: visible_needed.max(current.visible),
+            instances: instances.max(current.instances),
+            blend_passes: blend_passes.max(current.blend_passes),
+            ..current
+        };
+        if exact == current {
             return Ok(false);
         }
-        // Needs of this frame alone, without those of earlier ones.
-        let own = FrameCapacity {
-            visible: counts.visible_needed.max(1),
-            instances: counts.instances.max(1),
-            blend_passes: passes,
-            ..self.requested
-        };
-        let Err(error) = self.allocate(capacity) else { return Ok(true) };
-        let more_visible = counts.visible_needed > self.capacity.visible;
-        let more_instances = counts.instances > self.capacity.instances;
-        // Retry without the reserves, which may be what did not fit.
+        let (more_visible, more_instances) =
+            (visible_needed > current.visible, instances > current.instances);
+        // Reserves, because later frames will need other numbers. They may be what does not fit.
+        let mut ample = exact;
         if more_visible {
-            capacity.visible = counts.visible_needed;
+            let reserve = visible_needed.saturating_add(visible_needed / 4);
+            ample.visible = reserve.min(current.gaussians).max(visible_needed);
         }
         if more_instances {
-            capacity.instances = counts.instances;
+            ample.instances = instances.saturating_add(instances / 2);
         }
-        let smaller =
-            [(more_visible || more_instances).then_some(capacity), (own != capacity).then_some(own)];
-        let mut result = Err(error);
-        for capacity in smaller.into_iter().flatten() {
-            if result.is_err() {
-                result = self.allocate(capacity);
-            }
-        }
-        let instances =
-            format!("{} (tile, Gaussian) instances (a smaller image has fewer)", counts.instances);
-        let visible = format!("a frame of {} visible Gaussians", counts.visible_needed);
+        // Needs of this frame without those of earlier ones.
+        let (visible, instances) = (visible_needed.max(1), instances.max(1));
+        let this_frame = FrameCapacity { visible, instances, blend_passes, ..self.requested };
+        let others = [exact, this_frame].into_iter().filter(|other| *other != ample);
+        let allocated = self.allocate_first(ample, others);
+        let instances = format!("{instances} (tile, Gaussian) instances (a smaller image has fewer)");
+        let visible = format!("a frame of {visible_needed} visible Gaussians");
         let named = match (more_visible, more_instances) {
             (true, true) => Some(format!("{visible} and more than {instances}")),
             (true, false) => Some(visible),
             (false, true) => Some(format!("a frame of {instances}")),
             (false, false) => None,
         };
-        result.map(|_| true).map_err(|error| named.into_iter().fold(error, Error::of_field))
+        allocated.map(|_| true).map_err(|error| named.into_iter().fold(error, Error::of_field))
     }
 }
 

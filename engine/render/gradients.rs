@@ -95,7 +95,7 @@ impl Renderer {
         self.backward.prepare_expand(sh_degree, variant)?;
         let layout = LayoutConverter::new(&self.context)?;
         let count = u64::from(scene.count);
-        let planes = planes::allocate(&self.context, ("gradients", MemoryKind::Device), &scene.plan)?;
+        let planes = planes::allocate(&self.context, "gradients", MemoryKind::Device, &scene.plan)?;
         let target = (0..pixels).map(|i| {
             let [r, g, b] = image_gradient[i];
             [r, g, b, inverse_depth_gradient.map_or(0.0, |d| d[i])]

@@ -4,7 +4,8 @@ use super::frame::Frame;
 use super::renderer::Renderer;
 use super::runner::FrameRunner;
 use crate::error::{Error, Result};
-use crate::frame::{RenderSettings, first_frozen, tile_grid};
+use crate::frame::tuning::ELEMENTWISE_WORKGROUP;
+use crate::frame::{RenderSettings, next_scene_begin, tile_grid};
 use crate::kernels::constants as c;
 use crate::scene::Camera;
 
@@ -107,8 +108,8 @@ impl Renderer {
     /// Returns the visible Gaussians from `begin` to `end` in the sorted list of the last frame's instances.
     fn entries(&self, camera: &Camera, begin: u32, end: u32) -> Result<Vec<u32>> {
         let FrameRunner { store, forward, .. } = &self.runner;
-        let backward = store.capacity().backward;
-        let sorted = store.current()?.sorted_visible(&forward.sizes, backward, camera);
+        let keeps_instances = store.capacity().backward;
+        let sorted = store.current()?.sorted_visible(&forward.sizes, keeps_instances, camera);
         self.read(sorted, u64::from(begin) * 4, u64::from(end - begin) * 4)
     }
 
@@ -123,7 +124,7 @@ impl Renderer {
     fn without_gaps(&self, gaussian: u32) -> u32 {
         let (mut gaps, mut end) = (0, 0);
         for scene in &self.scenes {
-            let first = first_frozen(end);
+            let first = next_scene_begin(end, ELEMENTWISE_WORKGROUP);
             if gaussian < first {
                 break;
             }

@@ -5,18 +5,19 @@
 
 use super::check::{check_capacity, check_views, in_view};
 use super::forward::Forward;
-use super::recorded_frame::{
-    DepthTarget, HostImage, MotionTarget, PickTarget, RecordedFrame, Release, Target,
-};
+use super::recorded_frame::{HostImage, RecordedFrame, Release};
 use super::renderer::Renderer;
 use super::reservation::{Reservation, SlotReport};
 use super::slots::SlotMemory;
 use crate::error::{Error, Result};
-use crate::frame::{FrameInputs, PlacedScene, RenderSettings, form_batches};
+use crate::frame::{
+    Batch, FrameBatches, FrameInputs, FrameVariant, PlacedScene, RenderSettings, form_batches,
+};
 use crate::passes::compose::Compose;
 use crate::scene::Camera;
-use crate::vk::{ForeignCommands, Image, ImageState, Recorder};
+use crate::vk::{ForeignCommands, Recorder};
 use ash::vk;
+use std::ops::Range;
 use std::slice;
 
 impl Renderer {
@@ -90,20 +91,20 @@ impl Renderer {
         views: &[RecordedFrame<'_>],
         releases: &mut [Release],
     ) -> Result<()> {
-        let mut placed = emptied(std::mem::take(&mut self.placed));
-        let recorded = self.record_checked(commands, slot, views, releases, &mut placed);
-        self.placed = emptied(placed);
+        let mut lists = std::mem::take(&mut self.lists).emptied();
+        let recorded = self.record_checked(commands, slot, views, releases, &mut lists);
+        self.lists = lists.emptied();
         recorded
     }
 
-    /// Same as [`Self::record_views`], with an empty list for the scenes of all views.
+    /// Same as [`Self::record_views`], with empty lists.
     fn record_checked<'a>(
         &mut self,
         commands: ForeignCommands,
         slot: u32,
         views: &[RecordedFrame<'a>],
         releases: &mut [Release],
-        placed: &mut Vec<PlacedScene<'a>>,
+        lists: &mut RecordingLists<'a>,
     ) -> Result<()> {
         self.context.check_alive()?;
         let Some(reserved) = self.slots.reserved else {
@@ -115,21 +116,24 @@ impl Renderer {
         check_views(views, releases.len(), &reserved)?;
         let mut gaussians = 0;
         for (index, frame) in views.iter().enumerate() {
-            let checked = self.check_frame(frame, &views[..index], &reserved, placed);
+            let checked = self.check_frame(frame, &views[..index], &reserved, &mut lists.scenes);
             gaussians = checked.map_err(|error| in_view(error, index, views))?.max(gaussians);
         }
         let forward = &self.runner.forward;
         let slot = self.slots.get(slot)?;
         slot.recording.check_free()?;
-        let (mut unchecked, mut batched_scenes) = (placed.as_mut_slice(), 0);
         for (index, frame) in views.iter().enumerate() {
-            let own = unchecked.split_off_mut(..frame.scenes.len()).unwrap_or_default();
+            let first = lists.views.last().map_or(0, |view| view.scenes.end);
+            let scenes = first..first + frame.scenes.len();
+            let own = &mut lists.scenes[scenes.clone()];
             let checked = check_capacity(frame, own, &slot.upcoming().capacity, &reserved);
             checked.map_err(|error| in_view(error, index, views))?;
             // Motion needs a dispatch per scene, so its scenes are not batched.
-            if reserved.has_batches() && frame.motion.is_none() {
-                batched_scenes += form_batches(forward.sizes.elementwise_workgroup, own);
-            }
+            let (first, has_batches) =
+                (lists.batches.len(), reserved.has_batches() && frame.motion.is_none());
+            let draw_all =
+                has_batches && form_batches(forward.sizes.elementwise_workgroup, own, &mut lists.batches);
+            lists.views.push(ViewLists { scenes, batches: first..lists.batches.len(), draw_all });
         }
         let Some(compose) = &self.compose else { unreachable!("built by reserve") };
         slot.take_over();
@@ -138,45 +142,77 @@ impl Renderer {
         let mut recorder = slot.begin(commands, gaussians as u32, views.len() as u32)?;
         let (r, memory) = (&mut recorder, &slot.memory);
         self.staged.record(r);
-        let recording = Recording { forward, compose, memory };
-        let (mut unrecorded, mut sorts, mut sharing) = (placed.as_slice(), 0, 0..0);
-        for (index, frame) in views.iter().enumerate() {
+        let recording = Recording { forward, compose, memory, views, lists };
+        let (mut sorts, mut sharing) = (0, 0..0);
+        for index in 0..views.len() {
             if index > 0 {
                 r.barrier();
             }
             if !sharing.contains(&index) {
-                let shared =
-                    if reserved.shared_sort { with_one_order(&views[index..], unrecorded) } else { 1 };
+                let shared = if reserved.shared_sort { lists.with_one_order(views, index) } else { 1 };
                 (sharing, sorts) = (index..index + shared, sorts + 1);
             }
-            let order = Order { views: sharing.len() as u32, number: (index - sharing.start) as u32 };
-            let earlier = Earlier { frames: &views[..index], releases: &releases[..index] };
-            releases[index] = recording.record(r, frame, unrecorded, order, earlier);
+            releases[index] = recording.record(r, index, &sharing, &releases[..index]);
             slot.record_counts(r, index as u32);
-            unrecorded = &unrecorded[frame.scenes.len()..];
         }
         release_images(r, views, releases);
-        (slot.host_report.sorts, slot.host_report.batched_scenes) = (sorts, batched_scenes);
+        slot.host_report.sorts = sorts;
+        slot.host_report.batched_scenes = lists.batches.iter().map(|batch| batch.scenes).sum();
         slot.recording.end(recorder)
     }
 }
 
-/// Returns how many views, from the first on, can share one order. They have its scenes, its settings, and bit-identical
-/// depths. `placed`: scenes of all views.
-fn with_one_order(views: &[RecordedFrame<'_>], placed: &[PlacedScene<'_>]) -> usize {
-    let Some((first, others)) = views.split_first() else { return 0 };
-    let scenes = first.scenes.len();
-    let has_order = |(frame, own): &(&RecordedFrame<'_>, &[PlacedScene<'_>])| {
-        std::ptr::eq(frame.scenes, first.scenes)
-            && frame.settings == first.settings
-            && frame.camera.projection == first.camera.projection
-            && !first.camera.projection.orders_by_distance()
-            && [frame, first].iter().all(|view| view.camera.shutter.is_none())
-            && own.iter().zip(placed).all(|(own, first)| depth_bits(own) == depth_bits(first))
-    };
-    // Views before the first that differs have as many scenes.
-    let own = placed.chunks(scenes).skip(1);
-    1 + others.iter().zip(own).take_while(has_order).count()
+/// Lists of a recording. The next one reuses their memory: a test counts allocations.
+#[derive(Default)]
+pub(super) struct RecordingLists<'a> {
+    /// Scenes of all views.
+    scenes: Vec<PlacedScene<'a>>,
+    /// Batches of all views.
+    batches: Vec<Batch>,
+    views: Vec<ViewLists>,
+}
+
+/// Ranges of a view in the lists of a recording.
+struct ViewLists {
+    scenes: Range<usize>,
+    batches: Range<usize>,
+    /// True if the batches draw all scenes.
+    draw_all: bool,
+}
+
+impl<'a> RecordingLists<'a> {
+    fn scenes_of(&self, view: usize) -> &[PlacedScene<'a>] {
+        &self.scenes[self.views[view].scenes.clone()]
+    }
+
+    fn batches_of(&self, view: usize) -> FrameBatches<'_> {
+        let ViewLists { batches, draw_all, .. } = &self.views[view];
+        FrameBatches { list: &self.batches[batches.clone()], draw_all: *draw_all }
+    }
+
+    /// Returns how many views, from `first` on, can share one order. They have its scenes, its settings, and bit-identical depths.
+    fn with_one_order(&self, views: &[RecordedFrame<'_>], first: usize) -> usize {
+        let (frame, scenes) = (&views[first], self.scenes_of(first));
+        let has_order = |view: &usize| {
+            let own = &views[*view];
+            std::ptr::eq(own.scenes, frame.scenes)
+                && own.settings == frame.settings
+                && own.camera.projection == frame.camera.projection
+                && !frame.camera.projection.orders_by_distance()
+                && [own, frame].iter().all(|view| view.camera.shutter.is_none())
+                && self.scenes_of(*view).iter().map(depth_bits).eq(scenes.iter().map(depth_bits))
+        };
+        1 + (first + 1..views.len()).take_while(has_order).count()
+    }
+
+    /// Returns empty lists in the same memory, for scenes that live longer or shorter. Collecting into a list of the same type
+    /// reuses it.
+    fn emptied<'b>(self) -> RecordingLists<'b> {
+        let Self { mut scenes, mut batches, mut views } = self;
+        (scenes.clear(), batches.clear(), views.clear());
+        let scenes = scenes.into_iter().map(|_| unreachable!("it is empty")).collect();
+        RecordingLists { scenes, batches, views }
+    }
 }
 
 /// Returns the bits that determine the depth of a scene's Gaussians, beside the scene and its scale.
@@ -186,145 +222,87 @@ fn depth_bits(placed: &PlacedScene<'_>) -> [u32; 4] {
     [row.x, row.y, row.z, translation.z].map(f32::to_bits)
 }
 
-/// Position of a view among views that share an order.
-#[derive(Clone, Copy)]
-struct Order {
-    views: u32,
-    number: u32,
-}
-
 /// Resources that the views of a recording share.
 struct Recording<'a> {
     forward: &'a Forward,
     compose: &'a Compose,
     memory: &'a SlotMemory,
+    views: &'a [RecordedFrame<'a>],
+    lists: &'a RecordingLists<'a>,
 }
 
 impl Recording<'_> {
-    /// Records a frame, including its images. `placed` begins with its scenes, followed by those of the views with its
-    /// order. Ends without a barrier.
+    /// Records a view, including its images. `sharing`: the views that share its order. `releases`: those of earlier views. Ends
+    /// without a barrier.
     fn record(
         &self,
         r: &mut Recorder,
-        frame: &RecordedFrame<'_>,
-        placed: &[PlacedScene<'_>],
-        order: Order,
-        earlier: Earlier<'_>,
+        index: usize,
+        sharing: &Range<usize>,
+        releases: &[Release],
     ) -> Release {
-        let Self { forward, compose, memory } = *self;
-        let settings = frame.blended_settings();
-        let mut occluder = None;
-        if let (Some(o), Some(limits)) = (&frame.occluder, &memory.depth_limits) {
-            occluder = Some(earlier.acquire(r, &o.depth));
-            let size = [frame.camera.width, frame.camera.height];
-            r.scope("depth limits", |r| {
-                compose.record_depth_limits(r, o.depth.region(size), o.mapping, limits);
-            });
-        }
-        let scenes = frame.scenes.len();
-        let view = |number: u32| {
-            let own = &placed[(number - order.number) as usize * scenes..][..scenes];
-            FrameInputs {
-                depth_limits: frame.occluder.as_ref().and(memory.depth_limits.as_ref()),
-                expected_depth: frame.depth.is_some(),
-                outputs: frame.outputs(),
-                view: (order.views > 1).then_some(number),
-                ..memory.inputs(own, &settings)
-            }
+        let Self { forward, compose, memory, views, lists } = *self;
+        let frame = &views[index];
+        // The barrier between two views orders all kernels, so an image of an earlier view is ready.
+        let acquire = |r: &mut Recorder, host: &HostImage<'_>| {
+            let mut earlier = views.iter().zip(releases.iter().copied()).rev();
+            let used =
+                earlier.find_map(|(frame, mut release)| *release.last_use(frame.purpose_of(host.image)?));
+            used.unwrap_or_else(|| r.acquire_image(host.image, host.from))
         };
-        let inputs = view(order.number);
-        match order.number {
-            0 => forward.record_first(r, order.views, view),
-            _ => forward.record_next(r, &inputs),
-        }
-        r.barrier();
-        Release { occluder, ..self.record_targets(r, &inputs, frame, earlier) }
-    }
-
-    /// Records the writes of a frame into the host's images.
-    fn record_targets(
-        &self,
-        r: &mut Recorder,
-        inputs: &FrameInputs<'_>,
-        frame: &RecordedFrame<'_>,
-        earlier: Earlier<'_>,
-    ) -> Release {
-        let (compose, f) = (self.compose, inputs.frame);
         let size = [frame.camera.width, frame.camera.height];
         let mut release = Release {
             stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
             accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
             ..Release::default()
         };
+        let depth_limits = frame.occluder.as_ref().and(memory.depth_limits.as_ref());
+        if let (Some(occluder), Some(limits)) = (&frame.occluder, depth_limits) {
+            release.occluder = Some(acquire(r, &occluder.depth));
+            let region = occluder.depth.region(size);
+            r.scope("depth limits", |r| compose.record_depth_limits(r, region, occluder.mapping, limits));
+        }
+        let FrameVariant { inverse_depth, expected_depth, outputs, .. } = frame.variant();
+        let settings = RenderSettings { inverse_depth, linear_depth: false, ..*frame.settings };
+        let inputs_of = |number: u32| {
+            let view = sharing.start + number as usize;
+            FrameInputs {
+                batches: lists.batches_of(view),
+                depth_limits,
+                expected_depth,
+                outputs,
+                view: (sharing.len() > 1).then_some(number),
+                ..memory.inputs(lists.scenes_of(view), &settings)
+            }
+        };
+        let number = (index - sharing.start) as u32;
+        let inputs = inputs_of(number);
+        match number {
+            0 => forward.record_first(r, sharing.len() as u32, inputs_of),
+            _ => forward.record_next(r, &inputs),
+        }
+        r.barrier();
         r.scope("compose", |r| {
-            if let Target::Image { to, behind, encoding } = &frame.target {
-                release.color = Some(earlier.acquire(r, to));
-                compose.record_color(r, &f.accumulated, to.region(size), *behind, *encoding);
-            }
-            if let Some(depth) = &frame.depth {
-                release.depth = Some(earlier.acquire(r, &depth.to));
-                let DepthTarget { to, min_weight, empty } = depth;
-                let (accumulated, sums) = (&f.accumulated, &f.depth_sums);
-                compose.record_expected_depth(r, accumulated, sums, to.region(size), *min_weight, *empty);
-            }
-            if let Some(PickTarget { to }) = &frame.pick {
-                release.pick = Some(earlier.acquire(r, to));
-                let scenes = frame.scenes.len() as u32;
-                let sizes = &self.forward.sizes;
-                compose.record_picks(r, f, sizes, frame.camera, scenes, to.region(size));
-            }
-            if let Some(motion) = &frame.motion {
-                release.motion = Some(earlier.acquire(r, &motion.to));
-                let MotionTarget { to, min_weight, empty, .. } = motion;
-                let (accumulated, sums) = (&f.accumulated, &f.motion_sums);
-                compose.record_motion(r, accumulated, sums, to.region(size), *min_weight, *empty);
+            for (host, contents) in frame.written() {
+                *release.last_use(contents.purpose()) = Some(acquire(r, &host));
+                compose.record(r, &inputs, host.region(size), contents);
             }
         });
         release
     }
 }
 
-/// The earlier views of a recording, and the last uses of their images.
-#[derive(Clone, Copy)]
-struct Earlier<'a> {
-    frames: &'a [RecordedFrame<'a>],
-    releases: &'a [Release],
-}
-
-impl Earlier<'_> {
-    /// Returns the last use of an image in the recording.
-    fn last_use(&self, image: &Image) -> Option<ImageState> {
-        let views = self.frames.iter().zip(self.releases).rev();
-        views
-            .flat_map(|(frame, release)| frame.images().into_iter().zip(release.last_uses()))
-            .find_map(|((_, host), last)| host.filter(|host| host.image.is_same_as(image)).and(last))
-    }
-
-    /// Makes an image ready for kernels. An image of an earlier view is already ready: the barrier between two views orders
-    /// all kernels.
-    fn acquire(&self, r: &mut Recorder, host: &HostImage<'_>) -> ImageState {
-        self.last_use(host.image).unwrap_or_else(|| r.acquire_image(host.image, host.from))
-    }
-}
-
 /// Releases images to the queue families that own them, each after its last use.
 fn release_images(r: &mut Recorder, frames: &[RecordedFrame<'_>], releases: &mut [Release]) {
     for (index, (frame, release)) in frames.iter().zip(releases).enumerate() {
-        for ((_, host), used) in frame.images().into_iter().zip(release.last_uses_mut()) {
-            let (Some(host), Some(used)) = (host, used) else { continue };
-            if !frames[..index].iter().any(|earlier| earlier.has_image(host.image)) {
+        for (purpose, host) in frame.images() {
+            let Some(used) = release.last_use(purpose) else { continue };
+            if frames[..index].iter().all(|earlier| earlier.purpose_of(host.image).is_none()) {
                 r.release_image(host.image, *used);
             }
             *used = host.image.left(*used);
         }
     }
-}
-
-/// Returns an empty list that reuses the memory of another one, whose scenes may be gone. Collecting into a list of the
-/// same type reuses it; a test counts allocations.
-fn emptied<'a>(mut placed: Vec<PlacedScene<'_>>) -> Vec<PlacedScene<'a>> {
-    placed.clear();
-    placed.into_iter().map(|_| unreachable!("it is empty")).collect()
 }
 
 impl Renderer {

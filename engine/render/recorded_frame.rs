@@ -2,10 +2,13 @@
 
 use super::device_scene::DeviceScene;
 use super::updates::Update;
-use crate::frame::{Batch, FrameVariant, Outputs, PlacedScene, PreviousView, RenderSettings, SceneSettings};
-use crate::passes::compose::{Background, Region};
+use crate::frame::{
+    FrameVariant, PlacedScene, PreviousView, RenderSettings, SceneSettings, next_scene_begin,
+};
+use crate::kernels::constants::NO_BATCH;
+use crate::passes::compose::{Background, Contents, Region};
 use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
-use crate::vk::{Image, ImageState};
+use crate::vk::{Image, ImageState, ImageUse};
 use ash::vk;
 
 /// A scene with its pose and draw settings.
@@ -37,7 +40,7 @@ impl<'a> Placed<'a> {
 
     /// Returns the number of Gaussians that take part in the frame.
     #[inline]
-    pub(super) fn drawn(&self) -> u32 {
+    pub(super) fn drawn_gaussians(&self) -> u32 {
         if self.settings.draws() { self.scene.count() } else { 0 }
     }
 }
@@ -101,20 +104,6 @@ pub struct DepthTarget<'a> {
     pub empty: f32,
 }
 
-/// Target image of the pick at each pixel: the Gaussian with the largest blending weight alpha T; of equal ones, the
-/// nearest.
-#[derive(Clone, Copy)]
-pub struct PickTarget<'a> {
-    /// A storage image of format [`PICK_FORMAT`](crate::vk::PICK_FORMAT), rgba32ui. A texel holds:
-    /// - the index of the Gaussian in its scene;
-    /// - the index of the scene in [`RecordedFrame::scenes`];
-    /// - the f32 bits of the Gaussian's depth z in the camera's frame, world units;
-    /// - the f32 bits of its weight.
-    ///
-    /// Where nothing is blended, the first two are [`NOT_PICKED`](crate::kernels::constants::NOT_PICKED), the others 0.
-    pub to: HostImage<'a>,
-}
-
 /// Target image of motion: per pixel, the mean screen motion of the blended Gaussians since the previous frame, weighted as
 /// in blending. A Gaussian moves like its mean, at most by the picture's width and height. Its motion counts as 0 if its
 /// mean was not in front of the previous camera (z above 0.2), or too far away for an f32. Motion caused by [`Update`]s is
@@ -151,8 +140,15 @@ pub struct RecordedFrame<'a> {
     pub depth: Option<DepthTarget<'a>>,
     /// Parameter updates, applied before the frame.
     pub updates: &'a [Update<'a>],
-    /// Target of the picks.
-    pub pick: Option<PickTarget<'a>>,
+    /// Target of the pick at each pixel: the Gaussian with the largest blending weight alpha T; of equal ones, the nearest. A storage
+    /// image of format [`PICK_FORMAT`](crate::vk::PICK_FORMAT), rgba32ui. A texel holds:
+    /// - the index of the Gaussian in its scene;
+    /// - the index of the scene in [`RecordedFrame::scenes`];
+    /// - the f32 bits of the Gaussian's depth z in the camera's frame, world units;
+    /// - the f32 bits of its weight.
+    ///
+    /// Where nothing is blended, the first two are [`NOT_PICKED`](crate::kernels::constants::NOT_PICKED), the others 0.
+    pub pick: Option<HostImage<'a>>,
     /// Target of the motion.
     pub motion: Option<MotionTarget<'a>>,
 }
@@ -198,8 +194,8 @@ pub struct Release {
 /// Places scenes one after the other in the frame's index space.
 pub(super) struct Placing<'a, 'b> {
     frame: &'b RecordedFrame<'a>,
-    /// Every scene begins at a multiple of it.
-    alignment: u32,
+    /// Gaussians of a culling block.
+    block: u32,
     /// Begin of the next scene.
     first: u32,
     /// Number of cut-outs so far.
@@ -207,15 +203,15 @@ pub(super) struct Placing<'a, 'b> {
 }
 
 impl<'a, 'b> Placing<'a, 'b> {
-    pub fn new(frame: &'b RecordedFrame<'a>, alignment: u32) -> Self {
-        Self { frame, alignment, first: 0, cut_outs: 0 }
+    pub fn new(frame: &'b RecordedFrame<'a>, block: u32) -> Self {
+        Self { frame, block, first: 0, cut_outs: 0 }
     }
 
     /// Places the next scene.
     #[inline]
     pub fn place(&mut self, placed: &'a Placed<'a>) -> PlacedScene<'a> {
         let (frame, first, first_cut_out) = (self.frame, self.first, self.cut_outs);
-        self.first = next_begin(first, placed.drawn(), self.alignment);
+        self.first = next_scene_begin(first.saturating_add(placed.drawn_gaussians()), self.block);
         self.cut_outs += placed.settings.cut_out_count();
         PlacedScene {
             scene: &placed.scene.buffers,
@@ -229,16 +225,10 @@ impl<'a, 'b> Placing<'a, 'b> {
                 let pose = placed.previous_pose.as_ref().unwrap_or(&placed.pose);
                 PreviousView { camera: motion.previous_camera, pose }
             }),
-            batch: Batch::none_yet(placed.scene.parameters),
+            parameters: placed.scene.parameters,
+            batch: NO_BATCH,
         }
     }
-}
-
-/// Returns the begin of the scene after one with this first Gaussian and number of Gaussians. `u32::MAX` for a begin beyond
-/// all indices, which exceeds any capacity; the capacity is checked later.
-#[inline]
-fn next_begin(first: u32, drawn: u32, alignment: u32) -> u32 {
-    first.saturating_add(drawn).checked_next_multiple_of(alignment).unwrap_or(u32::MAX)
 }
 
 impl<'a> HostImage<'a> {
@@ -249,77 +239,58 @@ impl<'a> HostImage<'a> {
 }
 
 impl<'a> RecordedFrame<'a> {
-    /// Returns the settings, with the depth that the frame's targets need.
-    pub(super) fn blended_settings(&self) -> RenderSettings {
-        let inverse_depth = self.settings.inverse_depth || self.depth.is_some();
-        RenderSettings { inverse_depth, ..*self.settings }
-    }
-
     /// Returns the variant of the frame's kernels, without what only its scenes and a shared order have.
     pub(super) fn variant(&self) -> FrameVariant {
-        FrameVariant {
-            expected_depth: self.depth.is_some(),
-            depth_limit: self.occluder.is_some(),
-            outputs: self.outputs(),
-            ..FrameVariant::of(&self.blended_settings(), self.camera, false)
+        let mut variant = FrameVariant::of(self.settings, self.camera, false);
+        variant.depth_limit = self.occluder.is_some();
+        self.written().for_each(|(_, contents)| contents.require(&mut variant));
+        variant
+    }
+
+    /// Returns the images that the frame writes, in this order.
+    pub(super) fn written(&self) -> impl Iterator<Item = (HostImage<'a>, Contents)> + use<'a> {
+        let color = match self.target {
+            Target::Image { to, behind, encoding } => Some((to, Contents::Color { behind, encoding })),
+            Target::Slot => None,
+        };
+        let depth = self
+            .depth
+            .map(|DepthTarget { to, min_weight, empty }| (to, Contents::ExpectedDepth { min_weight, empty }));
+        let motion = self.motion.map(|MotionTarget { to, min_weight, empty, .. }| {
+            (to, Contents::MeanMotion { min_weight, empty })
+        });
+        let pick = self.pick.map(|to| (to, Contents::Picks));
+        [color, depth, pick, motion].into_iter().flatten()
+    }
+
+    /// Returns the image with a purpose.
+    fn image(&self, purpose: ImageUse) -> Option<HostImage<'a>> {
+        match purpose {
+            ImageUse::Occluder => self.occluder.map(|occluder| occluder.depth),
+            _ => self.written().find(|(_, contents)| contents.purpose() == purpose).map(|(to, _)| to),
         }
     }
 
-    /// Returns the outputs besides the picture and its depth.
-    pub(super) fn outputs(&self) -> Outputs {
-        Outputs { pick: self.pick.is_some(), motion: self.motion.is_some(), surface: false }
+    /// Returns all images that the frame uses.
+    pub(super) fn images(&self) -> impl Iterator<Item = (ImageUse, HostImage<'a>)> {
+        ImageUse::ALL.into_iter().filter_map(|purpose| Some((purpose, self.image(purpose)?)))
     }
 
-    /// Returns the host's images that the frame uses, by field.
-    pub(super) fn images(&self) -> [(&'static str, Option<&HostImage<'a>>); 5] {
-        let target = match &self.target {
-            Target::Image { to, .. } => Some(to),
-            Target::Slot => None,
-        };
-        [
-            ("target", target),
-            ("occluder", self.occluder.as_ref().map(|occluder| &occluder.depth)),
-            ("depth", self.depth.as_ref().map(|depth| &depth.to)),
-            ("pick", self.pick.as_ref().map(|pick| &pick.to)),
-            ("motion", self.motion.as_ref().map(|motion| &motion.to)),
-        ]
-    }
-
-    /// True if the image is one of [`RecordedFrame::images`].
-    pub(super) fn has_image(&self, image: &Image) -> bool {
-        self.images().iter().any(|(_, host)| host.is_some_and(|host| host.image.is_same_as(image)))
+    /// Returns the purpose of an image in the frame, if it is one of [`RecordedFrame::images`].
+    pub(super) fn purpose_of(&self, image: &Image) -> Option<ImageUse> {
+        self.images().find(|(_, host)| host.image.is_same_as(image)).map(|(purpose, _)| purpose)
     }
 }
 
 impl Release {
-    /// Returns the last uses of [`RecordedFrame::images`].
-    pub(super) fn last_uses(&self) -> [Option<ImageState>; 5] {
-        [self.color, self.occluder, self.depth, self.pick, self.motion]
-    }
-
-    pub(super) fn last_uses_mut(&mut self) -> [&mut Option<ImageState>; 5] {
-        [&mut self.color, &mut self.occluder, &mut self.depth, &mut self.pick, &mut self.motion]
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::next_begin;
-
-    #[test]
-    fn places_beyond_all_indices_do_not_begin_anew() {
-        let cases = [
-            (0, 0, 0),
-            (0, 5, 256),
-            (256, 256, 512),
-            (u32::MAX - 300, 5, u32::MAX - 255),
-            (u32::MAX - 10, 5, u32::MAX),
-            (1 << 31, 1 << 31, u32::MAX),
-            (u32::MAX, 0, u32::MAX),
-            (u32::MAX, 7, u32::MAX),
-        ];
-        for (first, drawn, next) in cases {
-            assert_eq!(next_begin(first, drawn, 256), next, "{drawn} Gaussians from {first} on");
+    /// Returns the last use of the image with a purpose.
+    pub(super) fn last_use(&mut self, purpose: ImageUse) -> &mut Option<ImageState> {
+        match purpose {
+            ImageUse::Target => &mut self.color,
+            ImageUse::Occluder => &mut self.occluder,
+            ImageUse::Depth => &mut self.depth,
+            ImageUse::Pick => &mut self.pick,
+            ImageUse::Motion => &mut self.motion,
         }
     }
 }

@@ -3,16 +3,17 @@
 use super::device_scene::{DeviceScene, ELSEWHERE};
 use super::frame::{Frame, FrameStats, Surface};
 use super::frame_store::FrameCounts;
+use super::record::RecordingLists;
 use super::runner::{Failed, FrameRun, FrameRunner, Request};
 use super::slots::Slots;
 use super::updates::StagedUpdates;
 use crate::error::{Error, Result};
-use crate::frame::{Blending, FrameBuffers, PlacedScene, RenderSettings, SceneBuffers, planes};
+use crate::frame::{Blending, FrameBuffers, RenderSettings, SceneBuffers, planes};
 use crate::passes::backward::Backward;
 use crate::passes::compose::Compose;
 use crate::passes::filter_3d::Filter3d;
 use crate::scene::{Camera, Gaussians};
-use crate::vk::{Buffer, Context, MemoryKind};
+use crate::vk::{Buffer, Context};
 use glam::Vec3;
 
 /// Renders a scene of Gaussians.
@@ -40,8 +41,8 @@ pub struct Renderer {
     /// Built by the first reservation.
     pub(super) compose: Option<Compose>,
     pub(super) slots: Slots,
-    /// Reused list of a recording's scenes.
-    pub(super) placed: Vec<PlacedScene<'static>>,
+    /// Reused lists of a recording.
+    pub(super) lists: RecordingLists<'static>,
     /// Reused lists of a recording's updates.
     pub(super) staged: StagedUpdates,
 }
@@ -63,7 +64,7 @@ impl Renderer {
             scenes: Vec::new(),
             compose: None,
             slots: Slots::default(),
-            placed: Vec::new(),
+            lists: RecordingLists::default(),
             staged: StagedUpdates::default(),
         })
     }
@@ -79,14 +80,7 @@ impl Renderer {
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
     pub fn upload(&mut self, gaussians: &Gaussians) -> Result<()> {
         self.scenes.clear();
-        let count = crate::frame::to_u32(gaussians.len() as u64)?;
-        self.scenes.push(planes::upload(
-            &self.context,
-            ("scene", MemoryKind::Device),
-            gaussians,
-            count,
-            gaussians.sh_degree,
-        )?);
+        self.scenes.push(DeviceScene::upload(&self.context, gaussians, 0)?.buffers);
         Ok(())
     }
 

@@ -8,7 +8,8 @@ use crate::frame::{
 use crate::scene::{MAX_CUT_OUTS, Projection};
 use crate::vk::{Context, ScopeTime};
 
-/// Memory and kernels to prepare for recording: see [`super::Renderer::reserve`].
+/// Memory and kernels to prepare for recording: see [`super::Renderer::reserve`]. Kernels are built for every combination of the
+/// features that are set, so each one doubles the kernels that it affects.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reservation {
     /// Frames in flight.
@@ -110,7 +111,7 @@ impl Reservation {
 
     /// Outputs of frames besides the picture and its depth.
     pub(super) fn outputs(&self) -> Outputs {
-        Outputs { pick: self.pick, motion: self.motion, surface: false }
+        Outputs { pick: self.pick, motion: self.motion, ..Outputs::default() }
     }
 
     /// True if slots keep a depth beside their pixels.
@@ -181,15 +182,16 @@ impl Reservation {
         let inverse = FrameVariant { inverse_depth: true, ..plain };
         let expected = FrameVariant { expected_depth: true, ..inverse };
         let depths = [(true, plain), (self.inverse_depth, inverse), (self.expected_depth, expected)];
-        let features: [Feature; 5] = [
+        let depths = depths.into_iter().filter(|(reserved, _)| *reserved).map(|(_, variant)| variant);
+        let with_outputs =
+            |variant| self.outputs().subsets().map(move |outputs| FrameVariant { outputs, ..variant });
+        let features: [Feature; 3] = [
             (self.lens.is_some_and(Projection::has_seam), |v| v.projection = Projection::Equirectangular),
             (self.occlusion, |v| v.depth_limit = true),
-            (self.pick, |v| v.outputs.pick = true),
-            (self.motion, |v| v.outputs.motion = true),
             // Any frame may draw ellipsoids.
             (true, |v| v.steep = true),
         ];
-        combined(depths.into_iter().filter(|(reserved, _)| *reserved).map(|(_, v)| v).collect(), &features)
+        combined(depths.flat_map(with_outputs).collect(), &features)
     }
 
     /// Returns the fields that a frame of this variant needs and that are not set, with commas; None if there are none.
@@ -201,13 +203,13 @@ impl Reservation {
             ("expected_depth", frame.expected_depth, self.expected_depth),
             ("inverse_depth", frame.inverse_depth && !frame.expected_depth, self.inverse_depth),
             ("filter_3d", frame.filter_3d, self.filter_3d),
-            ("pick", frame.outputs.pick, self.pick),
-            ("motion", frame.outputs.motion, self.motion),
             ("orthographic", has(Projection::Orthographic), self.orthographic),
             ("lens", frame.projection.is_lens(), self.lens == Some(frame.projection)),
             ("rolling_shutter", frame.shutter, self.rolling_shutter),
         ];
-        let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
+        let outputs = frame.outputs.named().into_iter().zip(self.outputs().named());
+        let needs = needs.into_iter().chain(outputs.map(|((field, needed), (_, set))| (field, needed, set)));
+        let lacking = needs.filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
         // Allocates no list, so that the usual case costs nothing.
         lacking.map(field_name).reduce(|all, field| all + ", " + &field)
     }
@@ -242,14 +244,14 @@ impl Reservation {
     pub(super) fn dispatches(&self, context: &Context, capacity: &FrameCapacity) -> Result<usize> {
         const PER_FRAME: u32 = 48;
         // Scenes may be stored with a higher degree than the evaluated one, in more chunks.
-        let plan = ScenePlan::new(context.limits(), self.gaussians, 3)
-            .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree))
+        let plan = ScenePlan::new(context.limits(), self.gaussians, 3, false)
+            .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree, false))
             .map_err(|error| error.of_field(field_name("gaussians")))?;
         // Per chunk of parameters: culling, projection and motion. Per scene: the ranges of its chunks.
         let of_chunk = 2 + u32::from(self.motion);
         let projection = of_chunk * (plan.chunks + self.scenes) + self.scenes;
         let sizes = LaunchSizes::new(context.limits());
-        let blending = sizes.blend_dispatches(capacity.instances, capacity.blend_passes);
+        let blending = sizes.blend_ranges(capacity.instances).saturating_mul(capacity.blend_passes);
         Ok((PER_FRAME + blending + projection) as usize * self.views as usize)
     }
 

@@ -3,9 +3,10 @@
 use super::forward::Forward;
 use super::frame_store::{FrameCounts, FrameStore};
 use crate::error::{Error, Result};
+use crate::frame::tuning::ELEMENTWISE_WORKGROUP;
 use crate::frame::{
     FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, PlacedScene, RenderSettings, SceneBuffers,
-    ScenePlan, first_frozen, gaussians_with,
+    ScenePlan, gaussians_with, next_scene_begin,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Recorder, RunReport};
@@ -65,7 +66,7 @@ impl<'a> Request<'a> {
         let alone = PlacedScene::alone(self.scene, self.camera, self.sh_degree);
         let mut end = self.scene.count;
         let placed = self.other_scenes.iter().map(|scene| {
-            let first = first_frozen(end);
+            let first = next_scene_begin(end, ELEMENTWISE_WORKGROUP);
             end = first.saturating_add(scene.count);
             PlacedScene { scene, first, ..alone }
         });

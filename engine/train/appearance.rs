@@ -66,7 +66,7 @@ impl Appearance {
             let none = vec![[[0.0; 4]; 3]; own.count()];
             upload(context, &own.first_moments, &none)?;
             upload(context, &own.second_moments, &none)?;
-            memory.0[usize::from(pass.is_lens)] = Some(own);
+            memory.0[usize::from(pass.is_lens_effects)] = Some(own);
         }
         Ok(memory)
     }
@@ -74,10 +74,10 @@ impl Appearance {
     /// The parts in order.
     fn parts<'a>(&'a self, inputs: &AppearanceInputs<'a>) -> Vec<Part<'a>> {
         let AppearanceInputs { frame, rendered, memory, plan, run } = *inputs;
-        let own = [(plan.view as u32, &plan.exposure), (run.lenses[plan.view], &plan.lens_step)];
+        let own = [(plan.view as u32, &plan.exposure), (run.lens_of_view[plan.view], &plan.lens_effects)];
         let mut picture = rendered;
         let part = |(pass, buffers): (&'a AppearancePass, &'a AppearanceBuffers)| {
-            let (index, step) = own[usize::from(pass.is_lens)];
+            let (index, step) = own[usize::from(pass.is_lens_effects)];
             let inputs = AppearancePassInputs { frame, picture, buffers, index };
             picture = &buffers.picture;
             Part { pass, inputs, step }

@@ -192,10 +192,14 @@ struct Sight<'a> {
 
 impl<'a> Sight<'a> {
     fn of(camera: &'a Camera) -> Self {
-        let least = |[low, high]: [f64; 2]| match () {
-            () if low > 0.0 => high,
-            () if high < 0.0 => -low,
-            () => 0.0,
+        let least = |[low, high]: [f64; 2]| {
+            if low > 0.0 {
+                high
+            } else if high < 0.0 {
+                -low
+            } else {
+                0.0
+            }
         };
         let slopes = camera.shown_slopes(EDGE_MARGIN).unwrap_or_default();
         Self { camera, least_slope: DVec2::from_array(slopes.map(least)) }

@@ -59,7 +59,7 @@ pub struct Checkpoint {
     /// Exposures of the views' photographs, if they are learned.
     pub exposures: ExposureState,
     /// Lens effects ([`LensEffects`](crate::scene::LensEffects)) in the order of the camera ids, if they are learned.
-    pub lenses: ExposureState,
+    pub lens_effects: ExposureState,
     /// Poses of the views, if they are optimised.
     pub poses: Option<PoseState>,
     /// Lenses of the views, if they are optimised.
@@ -291,7 +291,7 @@ impl Checkpoint {
             let shape = [values.len() / (*floats).max(1) as usize, *floats as usize];
             tensors.push(Tensor::new(format!("{}{name}", Self::STRATEGY), shape, values));
         }
-        for (state, own) in [(&self.exposures, Self::EXPOSURES), (&self.lenses, Self::LENSES)] {
+        for (state, own) in [(&self.exposures, Self::EXPOSURES), (&self.lens_effects, Self::LENS_EFFECTS)] {
             let sets = Self::SETS.into_iter().zip(state.sets());
             tensors.extend(sets.filter_map(|(prefix, rows)| Tensor::of_matrices(prefix, own, rows)));
         }
@@ -322,8 +322,8 @@ impl Checkpoint {
     /// Name of the exposures' tensor. Their moments add the prefixes.
     pub const EXPOSURES: &str = "exposures";
 
-    /// Name of the lenses' tensor. Their moments add the prefixes.
-    pub const LENSES: &str = "lenses";
+    /// Name of the lens effects' tensor. Their moments add the prefixes.
+    pub const LENS_EFFECTS: &str = "lenses";
 
     /// Names of the pose tensors: parameters, first moments, second moments. Only runs that optimise poses have them.
     pub const POSES: [&str; 3] = ["pose", "first_moment.pose", "second_moment.pose"];
@@ -432,7 +432,7 @@ impl Checkpoint {
         };
         let filters = if self.settings.filter_3d { gaussians } else { 0 };
         let exposures = if self.settings.exposure { self.views } else { 0 };
-        let lenses = self.lenses.sets().map(|set| set.len() as u64);
+        let lenses = self.lens_effects.sets().map(|set| set.len() as u64);
         let most = if self.settings.lens_effects { self.views } else { 0 };
         let lenses_fit = lenses == [lenses[0]; 3] && lenses[0] <= most && (most == 0 || lenses[0] > 0);
         let poses_fit = |poses: &PoseState| {

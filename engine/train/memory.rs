@@ -110,7 +110,7 @@ impl RowMemory {
 
     /// Plan of a set of Gaussians.
     pub fn plan(&self, context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
-        ScenePlan::stored(context.limits(), capacity, sh_degree, self.half_sh)
+        ScenePlan::new(context.limits(), capacity, sh_degree, self.half_sh)
     }
 
     /// Index of [`ABSOLUTE_STATISTIC`] among the statistics.
@@ -184,7 +184,7 @@ impl Model {
     /// Allocates the buffers that belong to a scene, without clearing them.
     pub fn allocate(context: &Context, scene: SceneBuffers, rows: &RowMemory) -> Result<Self> {
         let (plan, sets) = Moments::sets_of(&scene.plan, rows.packed_moments);
-        let sets = (0..sets).map(|_| planes::allocate(context, ("moments", rows.planes), &plan));
+        let sets = (0..sets).map(|_| planes::allocate(context, "moments", rows.planes, &plan));
         let moments = Moments { packed: rows.packed_moments, plan, sets: sets.collect::<Result<_>>()? };
         let scratch = context.allocate("scratch", &RowMemory::scratch_requests(&scene.plan), rows.planes)?;
         let statistics = rows.statistics_requests(scene.plan.capacity);

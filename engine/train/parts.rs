@@ -155,7 +155,7 @@ impl BuiltParts {
         all.extend(terms);
         all.extend(strategy.loss_terms(context, settings)?);
         check_depths(settings, &all)?;
-        let parameter_gradients = StepRecorder::targets_of(&all).parameters;
+        let parameter_gradients = StepRecorder::term_data_of(&all).parameters;
         let rows =
             RowMemory::new(strategy.statistics(), parameter_gradients, context.planes_memory(), settings);
         let recorder = StepRecorder::new(context, all, settings, rows.absolute())?;
@@ -166,9 +166,9 @@ impl BuiltParts {
 /// Refuses terms that need different kinds of depth in a frame, and a warm-up with depth terms, because their depths belong to
 /// the photographs' full-size pixels.
 fn check_depths(settings: &TrainSettings, terms: &[Box<dyn LossTerm>]) -> Result<()> {
-    let depths = terms.iter().filter(|term| term.targets().inverse_depth);
+    let depths = terms.iter().filter(|term| term.data().inverse_depth);
     let names: Vec<&str> = depths.map(|term| term.name()).collect();
-    if names.len() > 1 && terms.iter().any(|term| term.targets().linear_depth) {
+    if names.len() > 1 && terms.iter().any(|term| term.data().linear_depth) {
         let problem = format!(
             "does not go together with other depths ({}): take the sparse points or the maps (-d)",
             names.join(", ")

@@ -4,7 +4,7 @@ use super::schedule::ViewOrder;
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 use crate::passes::loss::{
-    DepthPoint, DepthPointBuffers, Windowing, check_depth_points, photo_bytes, photo_on_device,
+    DepthPoint, DepthPointBuffers, NativeLayout, check_depth_points, photo_bytes, photo_on_device,
 };
 use crate::scene::stored_photo::TEXEL_BYTES;
 use crate::scene::{Camera, Fingerprint, StoredPhoto};
@@ -39,12 +39,12 @@ struct Places {
 impl Places {
     /// Plans as many places as fit the file's budget, less the photographs that wait on the host. None if the photographs do not
     /// lie in a file: then all are on the device.
-    fn of(windowing: Windowing, photos: &[PhotoSize], file_memory: Option<u64>) -> Result<Option<Self>> {
+    fn of(layout: NativeLayout, photos: &[PhotoSize], file_memory: Option<u64>) -> Result<Option<Self>> {
         let Some(memory) = file_memory else { return Ok(None) };
         // Waiting photographs have the device's layout. The photograph being read has both layouts.
-        let bytes = photos.iter().map(|photo| photo.device_bytes(windowing)).max().unwrap_or(0).max(4);
+        let bytes = photos.iter().map(|photo| photo.device_bytes(layout)).max().unwrap_or(0).max(4);
         let read = photos.iter().map(|photo| TEXEL_BYTES * photo.pixels()).max().unwrap_or(0);
-        let read = if windowing == Windowing::Sweeps { read } else { 0 };
+        let read = if layout == NativeLayout::Strips { read } else { 0 };
         let held = memory.saturating_sub(read) / bytes;
         if held <= ON_HOST {
             let what = format!("reading ahead ({} of the largest photograph at a time)", ON_HOST + 1);
@@ -86,8 +86,8 @@ impl PhotoSize {
         u64::from(self.width) * u64::from(self.height)
     }
 
-    fn device_bytes(&self, windowing: Windowing) -> u64 {
-        photo_bytes(windowing, self.width, self.height, self.masked)
+    fn device_bytes(&self, layout: NativeLayout) -> u64 {
+        photo_bytes(layout, self.width, self.height, self.masked)
     }
 }
 
@@ -146,7 +146,7 @@ pub(super) fn device_bytes(
 ) -> Result<PhotoBytes> {
     let all = context.allocation_bytes(&requests(context, photos));
     let maps = context.allocation_bytes(&map_requests(photos));
-    Ok(match Places::of(windowing_of(context), photos, file_memory)? {
+    Ok(match Places::of(NativeLayout::of(context.limits()), photos, file_memory)? {
         None => PhotoBytes { held: all + maps, staging: 0, all, budget: None },
         Some(places) => PhotoBytes {
             held: maps + context.allocation_bytes(&places.requests()),
@@ -158,16 +158,11 @@ pub(super) fn device_bytes(
 }
 
 fn requests(context: &Context, photos: &[PhotoSize]) -> Vec<(&'static str, u64)> {
-    photos.iter().map(|photo| ("photo", photo.device_bytes(windowing_of(context)))).collect()
+    photos.iter().map(|photo| ("photo", photo.device_bytes(NativeLayout::of(context.limits())))).collect()
 }
 
-/// The same choice as [`Loss::new`](crate::passes::loss::Loss::new).
-fn windowing_of(context: &Context) -> Windowing {
-    Windowing::for_device(context.limits())
-}
-
-fn on_device(windowing: Windowing, photo: &StoredPhoto) -> Result<Vec<u8>> {
-    Ok(photo_on_device(windowing, photo.width, photo.height, photo.is_masked(), photo.texels()?))
+fn on_device(layout: NativeLayout, photo: &StoredPhoto) -> Result<Vec<u8>> {
+    Ok(photo_on_device(layout, photo.width, photo.height, photo.is_masked(), photo.texels()?))
 }
 
 /// Refuses views whose cameras and photographs differ in size.
@@ -202,14 +197,15 @@ impl Photos {
     /// Uploads the photographs of the views, which have these sizes, or allocates places for some of them. The seed determines
     /// the order of their use.
     pub fn new(context: &Context, views: &[TrainView], sizes: &[PhotoSize], seed: u32) -> Result<Self> {
-        let (texels, stream) = match Places::of(windowing_of(context), sizes, memory_of_file(views))? {
-            Some(places) => {
-                let photos = views.iter().map(|view| view.photo.clone()).collect();
-                let places = context.allocate("photos", &places.requests(), MemoryKind::Device)?;
-                (places, Some(Stream { photos, seed, running: None }))
-            }
-            None => (upload_all(context, views, sizes)?, None),
-        };
+        let (texels, stream) =
+            match Places::of(NativeLayout::of(context.limits()), sizes, memory_of_file(views))? {
+                Some(places) => {
+                    let photos = views.iter().map(|view| view.photo.clone()).collect();
+                    let places = context.allocate("photos", &places.requests(), MemoryKind::Device)?;
+                    (places, Some(Stream { photos, seed, running: None }))
+                }
+                None => (upload_all(context, views, sizes)?, None),
+            };
         Ok(Self {
             masked: views.iter().map(|view| view.photo.is_masked()).collect(),
             transparent: views.iter().map(|view| view.photo.is_transparent()).collect(),
@@ -252,7 +248,7 @@ impl Photos {
     /// Texels of any view, between steps: those on the device, or those of the file, uploaded to `place`.
     pub fn between_steps(&self, context: &Context, view: usize, place: &Buffer) -> Result<Buffer> {
         let Some(stream) = &self.stream else { return Ok(self.texels[view].clone()) };
-        let texels = on_device(windowing_of(context), &stream.photos[view])?;
+        let texels = on_device(NativeLayout::of(context.limits()), &stream.photos[view])?;
         context.upload(&place.range(0, texels.len() as u64), &texels)?;
         Ok(place.clone())
     }
@@ -271,7 +267,7 @@ impl Photos {
 fn upload_all(context: &Context, views: &[TrainView], sizes: &[PhotoSize]) -> Result<Vec<Buffer>> {
     let texels = context.allocate("photos", &requests(context, sizes), MemoryKind::Device)?;
     let begin = |(buffer, view): (_, &TrainView)| {
-        context.begin_upload(buffer, &on_device(windowing_of(context), &view.photo)?)
+        context.begin_upload(buffer, &on_device(NativeLayout::of(context.limits()), &view.photo)?)
     };
     let begun = texels.iter().zip(views).try_for_each(begin);
     // Also finishes uploads begun before a photograph that cannot be read, because they hold memory.
@@ -356,7 +352,7 @@ impl Stream {
     }
 
     fn start(&self, context: &Context, places: usize, iteration: u32) -> Result<Running> {
-        let windowing = windowing_of(context);
+        let layout = NativeLayout::of(context.limits());
         let order = ViewOrder::new(self.seed, self.photos.len());
         let schedule = Residency::new(order, places, iteration);
         let (mut ahead, photos) = (schedule.clone(), self.photos.clone());
@@ -367,7 +363,7 @@ impl Stream {
             while left > 0 {
                 let next = ahead.advance();
                 if next.load {
-                    let texels = on_device(windowing, &photos[next.view]);
+                    let texels = on_device(layout, &photos[next.view]);
                     left = if texels.is_ok() { left - 1 } else { 0 };
                     if sender.send(texels).is_err() {
                         return;

@@ -142,7 +142,7 @@ impl Population<'_> {
                 hidden_by: None,
             };
             let ran = self.runner.run(&request, |r, inputs| {
-                let gradient = &inputs.frame.image_gradient;
+                let gradient = &inputs.buffers.image_gradient;
                 r.barrier();
                 kernels.record_edges(r, &photo, &buffers, gradient);
                 r.barrier();
@@ -358,7 +358,7 @@ impl Population<'_> {
         if !self.has_room(&plan) {
             return Err(Error::argument("densification", "the memory does not suffice"));
         }
-        let chunks = planes::allocate(self.context, ("scene", self.rows.planes), &plan)?;
+        let chunks = planes::allocate(self.context, "scene", self.rows.planes, &plan)?;
         let fresh = Model::allocate(self.context, SceneBuffers { chunks, plan, count: 0 }, self.rows)?;
         self.runner.store.reserve_gaussians(gaussians_with(capacity, frozen_capacity(self.frozen)))?;
         Ok(fresh)

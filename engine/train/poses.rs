@@ -86,7 +86,7 @@ impl Poses {
         r.scope("poses", |r| {
             self.gradient.record(r, inputs, &self.buffers.parameters, view, &self.buffers.gradient);
             r.barrier();
-            self.optimizer.record(r, &self.buffers, &inputs.frame.state, Some((*step, view)));
+            self.optimizer.record(r, &self.buffers, &inputs.buffers.state, Some((*step, view)));
         });
     }
 

@@ -142,7 +142,7 @@ impl Trainer {
         self.runner.record(r, &parts.frame(self.recorder.hides_masked_tiles()), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &slot.losses);
             r.barrier();
-            r.copy(&inputs.frame.state, &slot.counts);
+            r.copy(&inputs.buffers.state, &slot.counts);
         })
     }
 
@@ -294,7 +294,7 @@ impl Trainer {
     /// Allocates buffers for all views, clears the contents of earlier frames, and makes slots for the dispatches. Recordings
     /// that are never submitted create all objects that are otherwise made on first use.
     fn make_ready(&mut self, every_view: bool) -> Result<()> {
-        let drawn = self.recorder.drawn();
+        let drawn = self.recorder.base_settings();
         let (plan, sh_degree) = (&self.state.model.scene.plan, self.run.settings.sh_degree);
         self.runner.reserve(plan, &self.frozen, &self.run.cameras, sh_degree, &drawn)?;
         let frame = self.runner.store.current()?;
@@ -335,7 +335,7 @@ impl Trainer {
         let frozen = self.surroundings().map_or(0, |frozen| 2 * frozen.plan().chunks + 1);
         let frame = self.runner.store.capacity();
         let blending =
-            LaunchSizes::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
+            LaunchSizes::new(self.context.limits()).blend_ranges(frame.instances) * frame.blend_passes;
         let scene = &self.state.model.scene.plan;
         // The 3D filter has the nearest depths, and the sizes that follow from them.
         let filter = if self.run.settings.filter_3d { 2 * scene.chunks } else { 0 };
@@ -402,8 +402,8 @@ impl Trainer {
         self.state.broken = true;
         self.state.model.release();
         self.runner.store.forget();
-        let arena = ("scene", self.rows.planes);
-        let scene = planes::upload_planned(&self.context, arena, &kept.gaussians, plan);
+        let kind = self.rows.planes;
+        let scene = planes::upload_planned(&self.context, "scene", kind, &kept.gaussians, plan);
         let rebuilt =
             scene.and_then(|scene| Model::new(&self.context, scene, &self.rows)).and_then(|model| {
                 self.state.model = model;

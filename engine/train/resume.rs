@@ -38,7 +38,7 @@ impl Trainer {
         let statistics = self.rows.statistics.iter().zip(&model.statistics).map(download);
         let mut statistics = statistics.collect::<Result<Vec<_>>>()?;
         let gradient = statistics.remove(0).values;
-        let [exposures, lenses] = self.appearance_states()?;
+        let [exposures, lens_effects] = self.appearance_states()?;
         Ok(Checkpoint {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             device: self.context.device_name().to_owned(),
@@ -64,7 +64,7 @@ impl Trainer {
                 values: self.strategy.state(),
             },
             exposures,
-            lenses,
+            lens_effects,
             poses: self.poses.as_ref().map(|poses| poses.state(&self.context)).transpose()?,
             lens_opt: self.lens_opt.as_ref().map(LensOptimizer::state).unwrap_or_default(),
             skipped: self.state.skipped,
@@ -132,7 +132,7 @@ impl Trainer {
         }
         trainer.check_statistics(from)?;
         trainer.restore_rows(from)?;
-        trainer.losses.appearance.restore(context, [&from.exposures, &from.lenses])?;
+        trainer.losses.appearance.restore(context, [&from.exposures, &from.lens_effects])?;
         if let Some(poses) = &trainer.poses {
             let lacks = || Error::argument("checkpoint", "lacks the poses of its views");
             poses.restore(context, from.poses.as_ref().ok_or_else(lacks)?)?;

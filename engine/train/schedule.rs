@@ -299,14 +299,14 @@ pub(super) struct TrainingRun {
     /// One per view.
     pub cameras: Vec<Camera>,
     /// Lens index of each view, counted from 0 in the order of the camera ids.
-    pub lenses: Vec<u32>,
+    pub lens_of_view: Vec<u32>,
     pub views_fingerprint: u64,
 }
 
 impl TrainingRun {
     /// Number of lenses.
     pub fn lens_count(&self) -> usize {
-        self.lenses.iter().max().map_or(0, |&last| last as usize + 1)
+        self.lens_of_view.iter().max().map_or(0, |&last| last as usize + 1)
     }
 }
 
@@ -349,7 +349,7 @@ pub(super) struct IterationPlan {
     pub computes_filters: bool,
     pub exposure: AppearanceStep,
     /// Step of the lens effects, if they are learned.
-    pub lens_step: AppearanceStep,
+    pub lens_effects: AppearanceStep,
     /// Step of the poses, if they are optimised.
     pub pose_step: PoseStep,
     /// Rate of the lenses, if they are optimised.
@@ -368,12 +368,12 @@ impl IterationPlan {
 pub(super) struct Schedule {
     order: ViewOrder,
     /// Render settings of training, without the random parts.
-    drawn: RenderSettings,
+    base_settings: RenderSettings,
 }
 
 impl Schedule {
-    pub fn new(run: &TrainingRun, drawn: &RenderSettings) -> Self {
-        Self { order: ViewOrder::new(run.settings.seed, run.cameras.len()), drawn: *drawn }
+    pub fn new(run: &TrainingRun, base_settings: &RenderSettings) -> Self {
+        Self { order: ViewOrder::new(run.settings.seed, run.cameras.len()), base_settings: *base_settings }
     }
 
     /// Plan of the next iteration. `work` is the strategy's choice for it.
@@ -398,12 +398,12 @@ impl Schedule {
             settings: RenderSettings {
                 background: background(s, iteration),
                 dropout: s.dropout_at(iteration),
-                ..self.drawn
+                ..self.base_settings
             },
             step: optimizer_step(run, iteration, progress, &work),
             computes_filters: s.computes_filters_at(iteration),
             exposure,
-            lens_step: AppearanceStep {
+            lens_effects: AppearanceStep {
                 rate: s.lens_lr(iteration),
                 decay: 2.0 * s.lens_reg,
                 sparsity: 0.0,

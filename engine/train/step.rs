@@ -18,7 +18,7 @@ use crate::passes::adam::{Optimizer, OptimizerForm};
 use crate::passes::backward::{Backward, BackwardForm, Statistics};
 use crate::passes::filter_3d::Filter3d;
 use crate::passes::lens::LensGradient;
-use crate::passes::loss::{LossTerm, Targets, TermInputs, Windowing, photo_bytes};
+use crate::passes::loss::{LossTerm, NativeLayout, TermData, TermInputs, photo_bytes};
 use crate::passes::pixels::LayoutConverter;
 use crate::render::{FrameCounts, Request};
 use crate::scene::{Camera, LENS_PARAMETERS};
@@ -28,7 +28,7 @@ use std::collections::VecDeque;
 /// Kernels of an iteration after its frame.
 pub(super) struct StepRecorder {
     terms: Vec<Box<dyn LossTerm>>,
-    targets: Targets,
+    term_data: TermData,
     /// Converts pictures to rows, for terms that read them so.
     layout: Option<LayoutConverter>,
     sizes: LaunchSizes,
@@ -37,7 +37,7 @@ pub(super) struct StepRecorder {
     /// True if the scene stores SH in halves.
     half_sh: bool,
     /// Render settings of frames, without the depths of the loss terms.
-    drawn: RenderSettings,
+    base_settings: RenderSettings,
     /// Index of the absolute statistic among all statistics.
     absolute: Option<usize>,
     optimizer: Optimizer,
@@ -131,26 +131,26 @@ impl StepRecorder {
         settings: &TrainSettings,
         absolute: Option<usize>,
     ) -> Result<Self> {
-        let targets = Self::targets_of(&terms);
+        let term_data = Self::term_data_of(&terms);
         let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
         let poses = settings.pose_opt;
         let form = OptimizerForm {
             packed: settings.moments == MomentsType::Packed,
             sparse,
-            parameter_gradients: targets.parameters,
+            parameter_gradients: term_data.parameters,
             moved_cameras: poses,
         };
         Ok(Self {
             preparation: PhotoPreparation::new(context, settings)?,
-            layout: targets.rows().then(|| LayoutConverter::new(context)).transpose()?,
+            layout: term_data.rows().then(|| LayoutConverter::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
             appearance: Appearance::new(context, settings)?,
             backward: Backward::new(context),
             half_sh: settings.sh_storage == ShStorage::Half,
-            drawn: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
+            base_settings: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
             absolute,
             terms,
-            targets,
+            term_data,
             optimizer: Optimizer::new(context, form),
             poses,
             lens: settings.lens_opt.then(|| LensGradient::new(context)).transpose()?,
@@ -159,7 +159,7 @@ impl StepRecorder {
 
     /// True if no term reads pixels that a photograph's mask hides: those besides the photometric one read no pictures.
     pub fn hides_masked_tiles(&self) -> bool {
-        let others = Self::targets_of(&self.terms[1..]);
+        let others = Self::term_data_of(&self.terms[1..]);
         others.picture.is_none() && !others.inverse_depth
     }
 
@@ -168,8 +168,8 @@ impl StepRecorder {
     }
 
     /// Gradients that the terms add to.
-    pub fn targets_of(terms: &[Box<dyn LossTerm>]) -> Targets {
-        terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()))
+    pub fn term_data_of(terms: &[Box<dyn LossTerm>]) -> TermData {
+        terms.iter().fold(TermData::default(), |all, term| all.and(term.data()))
     }
 
     /// Names of the terms.
@@ -184,14 +184,14 @@ impl StepRecorder {
     }
 
     /// Render settings of frames, without the random parts.
-    pub fn drawn(&self) -> RenderSettings {
-        let Targets { inverse_depth, linear_depth, .. } = self.targets;
-        RenderSettings { inverse_depth, linear_depth, ..self.drawn }
+    pub fn base_settings(&self) -> RenderSettings {
+        let TermData { inverse_depth, linear_depth, .. } = self.term_data;
+        RenderSettings { inverse_depth, linear_depth, ..self.base_settings }
     }
 
     /// Builds the missing kernels of any iteration at an SH degree.
     pub fn prepare(&mut self, sh_degree: u32, cameras: &[Camera]) -> Result<()> {
-        for variant in FrameVariant::of_cameras(&self.drawn(), cameras, true) {
+        for variant in FrameVariant::of_cameras(&self.base_settings(), cameras, true) {
             let variant = FrameVariant { half_sh: self.half_sh, ..variant };
             self.backward.prepare(sh_degree, variant, self.backward_form(false))?;
             if self.absolute.is_some() {
@@ -217,10 +217,10 @@ impl StepRecorder {
         requests.push(("losses", self.losses_bytes()));
         let largest =
             |bytes: fn(u32, u32) -> u64| sizes.iter().map(|&(width, height)| bytes(width, height)).max();
-        if self.targets.inverse_depth {
+        if self.term_data.inverse_depth {
             requests.push(("image_gradient", largest(LayoutConverter::gradient_bytes).unwrap_or(0)));
         }
-        if self.targets.rows() {
+        if self.term_data.rows() {
             let pixels = largest(|width, height| u64::from(width) * u64::from(height)).unwrap_or(0);
             requests.extend([
                 ("picture_rows", 16 * pixels),
@@ -253,9 +253,9 @@ impl StepRecorder {
         let host = context.allocate("readback", &[self.readback_request()], MemoryKind::HostVisible)?;
         match (device.next(), <[Buffer; 1]>::try_from(host)) {
             (Some(losses), Ok([readback])) => {
-                let image_gradient = self.targets.inverse_depth.then(|| device.next()).flatten();
+                let image_gradient = self.term_data.inverse_depth.then(|| device.next()).flatten();
                 let mut buffers = |count: usize| device.by_ref().take(count).collect::<Vec<_>>();
-                let rows = if self.targets.rows() { buffers(3) } else { Vec::new() };
+                let rows = if self.term_data.rows() { buffers(3) } else { Vec::new() };
                 let rows = <[Buffer; 3]>::try_from(rows).ok();
                 let rows = rows.map(|[picture, gradient, photo]| PixelRows { picture, gradient, photo });
                 let prepared = self.preparation.as_ref().and_then(|_| device.next());
@@ -279,7 +279,7 @@ impl StepRecorder {
     /// change.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, parts: &StepParts, losses: &Buffer) {
         let StepParts { model, plan, .. } = *parts;
-        let gradient = parts.memory.image_gradient.as_ref().unwrap_or(&inputs.frame.image_gradient);
+        let gradient = parts.memory.image_gradient.as_ref().unwrap_or(&inputs.buffers.image_gradient);
         r.barrier();
         self.record_loss(r, inputs, parts, gradient);
         r.barrier();
@@ -322,7 +322,7 @@ impl StepRecorder {
         }
         if let Some(filter) = parts.filter.filter(|_| plan.computes_filters) {
             r.barrier();
-            filter.record(r, inputs.scene(), &inputs.frame.state);
+            filter.record(r, inputs.scene(), &inputs.buffers.state);
         }
         r.copy(&parts.memory.losses, &losses.range(0, self.losses_bytes()));
     }
@@ -333,7 +333,7 @@ impl StepRecorder {
         let prepared = self.preparation.as_ref().and_then(|preparation| preparation.record(r, parts));
         let photo = prepared.unwrap_or(photo);
         let rows = self.layout.as_ref().zip(memory.rows.as_ref());
-        if self.targets.inverse_depth {
+        if self.term_data.inverse_depth {
             r.fill(gradient, 0);
         }
         model.parameter_gradients.iter().for_each(|gradients| r.fill(gradients, 0));
@@ -343,17 +343,17 @@ impl StepRecorder {
             layout.record_photo(r, size, photo_is_masked, photo, &rows.photo);
         }
         // The gradient of the inverse depth may be native, without rows.
-        if self.targets.inverse_depth || self.targets.parameters || rows.is_some() {
+        if self.term_data.inverse_depth || self.term_data.parameters || rows.is_some() {
             r.barrier();
         }
-        let rendered = inputs.frame.rendered(&self.sizes);
+        let rendered = inputs.buffers.rendered(&self.sizes);
         let appearance = self.appearance_inputs(inputs, parts);
         let as_photographed = self.appearance.record(r, &appearance);
         for (row, (term, scratch)) in self.terms.iter().zip(&memory.scratch).enumerate() {
             if row > 0 {
                 r.barrier();
             }
-            let by_rows = rows.filter(|_| term.targets().rows());
+            let by_rows = rows.filter(|_| term.data().rows());
             if let Some((_, rows)) = by_rows {
                 r.fill(&rows.gradient, 0);
                 r.barrier();
@@ -395,7 +395,7 @@ impl StepRecorder {
         parts: &StepParts<'a>,
     ) -> AppearanceInputs<'a> {
         let StepParts { run, memory, plan, .. } = *parts;
-        let rendered = frame.frame.rendered(&self.sizes);
+        let rendered = frame.buffers.rendered(&self.sizes);
         AppearanceInputs { frame, rendered, memory: &memory.appearance, plan, run }
     }
 
@@ -439,10 +439,10 @@ impl PhotoPreparation {
 
     /// Name and bytes of a prepared photograph, for photographs of these sizes (width, height).
     fn request(&self, sizes: &[(u32, u32)]) -> (&'static str, u64) {
-        let windowing = if self.sizes.strips { Windowing::Sweeps } else { Windowing::Blocks };
+        let layout = if self.sizes.strips { NativeLayout::Strips } else { NativeLayout::Rows };
         let factor = if self.whole { 1 } else { WARM_UP_FACTORS[1] };
         let bytes =
-            |&(width, height): &(u32, u32)| photo_bytes(windowing, width / factor, height / factor, true);
+            |&(width, height): &(u32, u32)| photo_bytes(layout, width / factor, height / factor, true);
         ("prepared_photo", sizes.iter().map(bytes).max().unwrap_or(0).max(4))
     }
 

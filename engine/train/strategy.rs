@@ -26,7 +26,7 @@ pub struct Hooks {
 /// Inputs of a step for a strategy's recordings.
 #[derive(Clone, Copy)]
 pub struct StepInputs<'a> {
-    /// Frame of the step. Its gradients are `frame.frame.gradients`.
+    /// Frame of the step. Its gradients are `frame.buffers.gradients`.
     pub frame: &'a FrameInputs<'a>,
     /// Adam's moments.
     pub moments: &'a Moments,

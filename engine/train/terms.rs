@@ -8,7 +8,7 @@ use crate::kernels::loss::{
     inverse_depth_l1, regularize, sparse_depth, sparse_depth_gather, surface_alignment, surface_depth,
     surface_planarity, term_reduce,
 };
-use crate::passes::loss::{LossTerm, PixelLayout, Targets, TermInputs};
+use crate::passes::loss::{LossTerm, PixelLayout, TermData, TermInputs};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Returns the terms with a weight above 0.
@@ -85,8 +85,8 @@ impl LossTerm for InverseDepth {
         "inverse_depth"
     }
 
-    fn targets(&self) -> Targets {
-        Targets { picture: Some(PixelLayout::Native), inverse_depth: true, ..Targets::default() }
+    fn data(&self) -> TermData {
+        TermData { picture: Some(PixelLayout::Native), inverse_depth: true, ..TermData::default() }
     }
 
     fn scratch_requests(&self, _: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
@@ -103,7 +103,7 @@ impl LossTerm for InverseDepth {
         let weight = frame.camera.share_of_whole() * self.settings.depth_l1_weight(inputs.iteration);
         r.scope("inverse depth", |r| {
             let bind = inverse_depth_l1::Bind {
-                inverse_depth: &frame.frame.depth_sums,
+                inverse_depth: &frame.buffers.depth_sums,
                 target_map,
                 image_gradient: inputs.image_gradient,
                 partials,
@@ -141,8 +141,8 @@ impl LossTerm for Regularizers {
         "regularizers"
     }
 
-    fn targets(&self) -> Targets {
-        Targets { parameters: true, ..Targets::default() }
+    fn data(&self) -> TermData {
+        TermData { parameters: true, ..TermData::default() }
     }
 
     fn scratch_requests(&self, _: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
@@ -220,9 +220,9 @@ impl LossTerm for SparseDepth {
         "sparse_depth"
     }
 
-    fn targets(&self) -> Targets {
+    fn data(&self) -> TermData {
         let picture = Some(PixelLayout::Native);
-        Targets { picture, inverse_depth: true, linear_depth: true, ..Targets::default() }
+        TermData { picture, inverse_depth: true, linear_depth: true, ..TermData::default() }
     }
 
     fn scratch_requests(&self, _: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
@@ -241,7 +241,7 @@ impl LossTerm for SparseDepth {
         let weight =
             share * self.settings.depth_points_weight(inputs.iteration) * f64::from(self.scene_extent);
         let (image_width, image_height) = (frame.camera.width, frame.camera.height);
-        let (accumulated, depth_sums) = (&frame.frame.accumulated, &frame.frame.depth_sums);
+        let (accumulated, depth_sums) = (&frame.buffers.accumulated, &frame.buffers.depth_sums);
         r.scope("sparse depth", |r| {
             let bind = sparse_depth::Bind {
                 points: &view.points,
@@ -320,9 +320,9 @@ impl LossTerm for Surface {
         Self::NAME
     }
 
-    fn targets(&self) -> Targets {
+    fn data(&self) -> TermData {
         let picture = Some(PixelLayout::Native);
-        Targets { picture, inverse_depth: true, parameters: true, ..Targets::default() }
+        TermData { picture, inverse_depth: true, parameters: true, ..TermData::default() }
     }
 
     fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
@@ -338,7 +338,7 @@ impl LossTerm for Surface {
         if !(quarter..3 * quarter).contains(&inputs.iteration) {
             return record_none(r, inputs);
         }
-        let (f, splats) = (frame.frame, frame.frame.splats());
+        let (f, splats) = (frame.buffers, frame.buffers.splats());
         let (image_width, image_height) = (frame.camera.width, frame.camera.height);
         let pixels = image_width * image_height;
         let share = frame.camera.share_of_whole() as f32;

@@ -1,7 +1,7 @@
 //! The trainer: its state, its iterations, and what it can say and draw between two of them.
 
 use super::appearance::lenses_of;
-use super::block::{Block, SceneBlock};
+use super::block::Block;
 use super::checkpoint::{Capacities, Checkpoint, ExposureState};
 use super::lens_opt::{LensOptimizer, with_own_lens};
 use super::memory::{Model, PeakCounts, RowMemory, frame_shape};
@@ -199,7 +199,7 @@ impl Trainer {
         let lens_opt = settings.lens_opt.then(|| LensOptimizer::new(&cameras));
         let poses = Poses::new(context, &settings, &cameras, initial)?;
         let run = TrainingRun {
-            lenses: lenses_of(&views),
+            lens_of_view: lenses_of(&views),
             views_fingerprint: fingerprint_of(&views, settings.lens_effects),
             settings,
             scene_extent,
@@ -208,7 +208,7 @@ impl Trainer {
         drop(views);
         let sh_degree = run.settings.sh_degree;
         let plan = rows.plan(context, capacity, sh_degree)?;
-        let scene = planes::upload_planned(context, ("scene", rows.planes), initial, plan)?;
+        let scene = planes::upload_planned(context, "scene", rows.planes, initial, plan)?;
         let model = Model::new(context, scene, &rows)?;
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&run.cameras);
@@ -227,9 +227,9 @@ impl Trainer {
         let filter =
             run.settings.filter_3d.then(|| Filter3d::new(context, &run.cameras, moved)).transpose()?;
         let mut frozen = Vec::new();
-        if let Some(SceneBlock { frozen: around, .. }) = block.as_ref().filter(|own| !own.frozen.is_empty()) {
-            let plan = rows.plan(context, to_u32(around.len() as u64)?, sh_degree)?;
-            frozen.push(planes::upload_planned(context, ("surroundings", rows.planes), around, plan)?);
+        if let Some(block) = block.as_ref().filter(|block| !block.frozen.is_empty()) {
+            let plan = rows.plan(context, to_u32(block.frozen.len() as u64)?, sh_degree)?;
+            frozen.push(planes::upload_planned(context, "surroundings", rows.planes, &block.frozen, plan)?);
         }
         if let Some(filter) = &filter {
             // Frozen Gaussians do not move, so once is enough.
@@ -241,7 +241,7 @@ impl Trainer {
             losses: recorder.allocate(context, &sizes)?,
             poses,
             lens_opt,
-            schedule: Schedule::new(&run, &recorder.drawn()),
+            schedule: Schedule::new(&run, &recorder.base_settings()),
             pictures: Renderer::new(context)?,
             context: context.clone(),
             run,
@@ -449,9 +449,9 @@ impl Trainer {
     /// Same as [`Trainer::checkpoint`].
     pub fn lens_effects(&self) -> Result<Vec<LensEffects>> {
         self.check_readable()?;
-        let [_, lenses] = self.appearance_states()?;
-        let of = |&lens: &u32| lenses.values.get(lens as usize).map(|&rows| LensEffects { rows });
-        Ok(self.run.lenses.iter().filter_map(of).collect())
+        let [_, lens_effects] = self.appearance_states()?;
+        let of = |&lens: &u32| lens_effects.values.get(lens as usize).map(|&rows| LensEffects { rows });
+        Ok(self.run.lens_of_view.iter().filter_map(of).collect())
     }
 
     /// Runs one iteration. The iteration is skipped if its frame has more visible Gaussians or instances than the device or the

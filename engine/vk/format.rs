@@ -46,11 +46,25 @@ pub enum ImageKind {
 }
 
 impl ImageUse {
+    /// All purposes.
+    pub const ALL: [Self; 5] = [Self::Target, Self::Occluder, Self::Depth, Self::Pick, Self::Motion];
+
+    /// Returns the name of the field of a recorded frame.
+    pub fn field(self) -> &'static str {
+        match self {
+            Self::Target => "target",
+            Self::Occluder => "occluder",
+            Self::Depth => "depth",
+            Self::Pick => "pick",
+            Self::Motion => "motion",
+        }
+    }
+
     /// How kernels bind it.
     pub fn kind(self) -> ImageKind {
         match self {
-            Self::Target | Self::Depth | Self::Pick | Self::Motion => ImageKind::Storage,
             Self::Occluder => ImageKind::Sampled,
+            _ => ImageKind::Storage,
         }
     }
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::common::gpu::Gpu;
-use ashsplat::passes::loss::Windowing;
+use ashsplat::passes::loss::NativeLayout;
 use glam::{Mat3, Quat};
 use std::sync::OnceLock;
 
@@ -384,7 +384,7 @@ fn photos_may_stay_on_disk() {
     let left = std::fs::read_dir(place.at("")).expect("the folder").count();
     assert_eq!(left, 3, "the file goes with the program");
     // In planes (as on CPUs), or pixel by pixel.
-    let planes = Windowing::for_device(Gpu::new().context.limits()) == Windowing::Sweeps;
+    let planes = NativeLayout::of(Gpu::new().context.limits()) == NativeLayout::Strips;
     let needed = if planes { "30144 bytes" } else { "30720 bytes" };
     let refused = place.run("train -s @data -m @refused --photo-memory 20K");
     refused.refused(&["reading ahead", needed, "20480"]);

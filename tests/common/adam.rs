@@ -129,7 +129,7 @@ impl<'a> AdamState<'a> {
     /// Keeps SH coefficients in halves, rounded to the nearest at first.
     pub fn halves(self) -> AdamState<'a> {
         let (context, gaussians) = (&self.gpu.context, engine::gaussians(&self.gaussians()));
-        let plan = ScenePlan::stored(context.limits(), self.room as u32, gaussians.sh_degree, true);
+        let plan = ScenePlan::new(context.limits(), self.room as u32, gaussians.sh_degree, true);
         let place = ("halves", MemoryKind::Device);
         let scene =
             planes::upload_planned(context, place, &gaussians, plan.expect("a plan")).expect("a scene");

@@ -6,7 +6,7 @@ use super::machine::{self, Machine};
 use super::{assert_silent, context, options};
 use crate::reference::types::Gaussian;
 use ashsplat::kernels::constants::STATE_WORDS;
-use ashsplat::passes::loss::Windowing;
+use ashsplat::passes::loss::NativeLayout;
 use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, KernelInterface, Limits, MemoryKind, Recorder};
 use bytemuck::Pod;
 use std::sync::OnceLock;
@@ -61,9 +61,9 @@ impl Gpu {
         has
     }
 
-    pub fn windowings(&self) -> impl Iterator<Item = Windowing> {
-        let sweeps = self.has_texels("the loss by sweeps").then_some(Windowing::Sweeps);
-        std::iter::once(Windowing::Blocks).chain(sweeps)
+    pub fn layouts(&self) -> impl Iterator<Item = NativeLayout> {
+        let sweeps = self.has_texels("the loss by sweeps").then_some(NativeLayout::Strips);
+        std::iter::once(NativeLayout::Rows).chain(sweeps)
     }
 
     /// The same device without push descriptors and hence without texels: kernels read storage buffers instead.

@@ -175,7 +175,7 @@ fn picks_and_motion_go_into_a_part_of_an_image() {
             empty: None,
             ..whole.motion(&before)
         };
-        let pick = PickTarget { to: HostImage { from: WRITTEN, offset, ..whole.to(0) } };
+        let pick = HostImage { from: WRITTEN, offset, ..whole.to(0) };
         let pixels =
             rendered(host, &mut renderer, &RecordedFrame { pick: Some(pick), motion: Some(motion), ..frame });
         assert!(pixels == shot.pixels);
@@ -216,7 +216,7 @@ fn bad_picks_and_motions_are_refused_by_name() {
         let small = Screens::new(host, &context, [SIZE[0], SIZE[1] - 1]);
         let placed = [Placed::from(&scene)];
         let good = frame_of(&placed, &view);
-        let pick = |to| RecordedFrame { pick: Some(PickTarget { to }), ..good };
+        let pick = |to| RecordedFrame { pick: Some(to), ..good };
         let usual = screens.motion(&view);
         let motion = |motion| RecordedFrame { motion: Some(motion), ..good };
         let wider = Camera { width: SIZE[0] + 1, ..view };

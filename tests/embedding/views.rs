@@ -115,14 +115,14 @@ fn bad_views_are_refused_by_name() {
             (
                 &[good, RecordedFrame { settings: &deep, ..good }],
                 2,
-                "Reservation::inverse_depth: not reserved, and views[1] needs it",
+                "Reservation::inverse_depth: not reserved, and the frame needs it, in views[1]",
             ),
             (
                 &[good, RecordedFrame { scenes: &tinted, ..good }],
                 2,
-                "Reservation::tint: not reserved, and views[1].scenes[0] has a tint",
+                "Reservation::tint: not reserved, and scenes[0] has a tint or an opacity, in views[1]",
             ),
-            (&[good; 2], 1, "releases: room for 1, there are 2 views"),
+            (&[good; 2], 1, "releases: 1 of them, there are 2 views"),
             (&[good, slot], 2, "views[1].target: is the slot's own buffer"),
             (&[slot, good], 2, "views[0].target: is the slot's own buffer"),
             (&[good, updated], 2, "views[1].updates: belong into views[0]"),

@@ -10,7 +10,7 @@ use crate::golden::npz::{Npz, rows};
 use crate::reference::exposure::{Exposures, Matrix};
 use ashsplat::kernels::constants::{STATE_WORDS, TERM_PARTIALS};
 use ashsplat::kernels::exposure::{expose, expose_backward, exposure_step};
-use ashsplat::passes::loss::Windowing;
+use ashsplat::passes::loss::NativeLayout;
 use std::path::Path;
 
 struct Computed {
@@ -56,14 +56,14 @@ fn judge_steps(actual: &[Matrix], expected: &[Matrix]) -> Outcome {
 pub fn check(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
-    for windowing in gpu.windowings() {
-        judge(&npz, &compute(&gpu, &npz, windowing))?;
+    for layout in gpu.layouts() {
+        judge(&npz, &compute(&gpu, &npz, layout))?;
     }
     adam_of_device(&gpu, &npz)
 }
 
-fn compute(gpu: &Gpu, npz: &Npz, windowing: Windowing) -> Computed {
-    let strips = windowing == Windowing::Sweeps;
+fn compute(gpu: &Gpu, npz: &Npz, layout: NativeLayout) -> Computed {
+    let strips = layout == NativeLayout::Strips;
     let shape = &npz.array("img").shape;
     let size = [shape[1], shape[0]];
     let (width, height) = (shape[1] as u32, shape[0] as u32);
@@ -86,7 +86,7 @@ fn compute(gpu: &Gpu, npz: &Npz, windowing: Windowing) -> Computed {
     gpu.run(|r| r.dispatch(&kernel, &bind, &push, pixels.div_ceil(workgroup_size.into())));
     let out = colors(&gpu.read::<f32>(&exposed, values(size)), size, strips);
     let pictures = [out.as_flattened(), npz.values("gt")];
-    let ([loss, ..], of_out) = device_loss(gpu, windowing, pictures, [width, height]);
+    let ([loss, ..], of_out) = device_loss(gpu, layout, pictures, [width, height]);
     let g = gpu.buffer("image_gradient", &native(&of_out));
     let partials = gpu.untouched::<[[f32; 4]; 3]>("partials", TERM_PARTIALS as usize);
     let spec = expose_backward::Spec { workgroup_size, subgroup_size: gpu.subgroup(), strips, lens: false };

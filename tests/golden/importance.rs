@@ -8,7 +8,7 @@ use crate::golden::npz::{Npz, rows};
 use ashsplat::kernels::constants::{CHANCE_IMPORTANCE, NOT_DRAWN};
 use ashsplat::kernels::densify::draw_keys;
 use ashsplat::passes::densify::{EdgePhoto, Importance, ImportanceBuffers};
-use ashsplat::passes::loss::{Windowing, photo_on_device};
+use ashsplat::passes::loss::{NativeLayout, photo_on_device};
 use ashsplat::passes::pixels::LayoutConverter;
 use std::path::Path;
 
@@ -69,8 +69,8 @@ fn edges_of_device<'a>(
 ) -> Outcome {
     let [width, height] = view.size_px;
     let rgbm = rows::<3>(of("photo")).into_iter().flat_map(|[r, g, b]| [r, g, b, 255.0].map(|x| x as u8));
-    let windowing = Windowing::for_device(gpu.context.limits());
-    let texels = photo_on_device(windowing, width, height, false, rgbm.collect());
+    let layout = NativeLayout::of(gpu.context.limits());
+    let texels = photo_on_device(layout, width, height, false, rgbm.collect());
     let texels = &gpu.buffer("photo", &texels);
     let photo = EdgePhoto { texels, size: (width, height), masked: false, cut_sides: [false; 4] };
     let native = gpu.zeros::<u8>("native", LayoutConverter::gradient_bytes(width, height) as usize);
@@ -79,9 +79,9 @@ fn edges_of_device<'a>(
     equal("edge_raw", &raw, of("edge_raw"))?;
     let native = gpu.read::<f32>(&native, native.bytes() as usize / 4);
     let strips = ashsplat::frame::Strips { width, height };
-    let place = |i: u32| match windowing {
-        Windowing::Blocks => 4 * i as usize,
-        Windowing::Sweeps => strips.index(0, i % width, i / width),
+    let place = |i: u32| match layout {
+        NativeLayout::Rows => 4 * i as usize,
+        NativeLayout::Strips => strips.index(0, i % width, i / width),
     };
     let edges: Vec<f64> = (0..width * height).map(|i| native[place(i)].into()).collect();
     elementwise("edge", &edges, of("edge"), 1e-6, 0.0)?;

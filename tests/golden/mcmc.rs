@@ -106,8 +106,7 @@ pub fn relocation(path: &Path) -> Outcome {
         })
         .collect();
     let upload = |set: &[Gaussian]| {
-        planes::upload(context, ("test", MemoryKind::Device), &engine::gaussians(set), rows as u32, degree)
-            .expect("upload")
+        planes::upload(context, "test", &engine::gaussians(set), rows as u32, degree).expect("upload")
     };
     // Parameters and both moments.
     let mut sets = [upload(&start), upload(&ones), upload(&ones)];
@@ -182,8 +181,7 @@ pub fn noise(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let (set, normals, rate) = noise_set(&npz);
-    let scene = planes::upload(gpu.context, ("test", MemoryKind::Device), &engine::gaussians(&set), 0, 0)
-        .expect("upload");
+    let scene = planes::upload(gpu.context, "test", &engine::gaussians(&set), 0, 0).expect("upload");
     let normals: Vec<[f32; 3]> = normals.iter().map(|normal| normal.map(|x| x as f32)).collect();
     let (normals, state) = (gpu.buffer("noise", &normals), gpu.zeros::<u32>("state", STATE_WORDS as usize));
     let spec = add_noise::Spec { workgroup_size: gpu.workgroup(64), explicit_noise: true };

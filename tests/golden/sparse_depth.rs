@@ -89,13 +89,13 @@ pub fn check(path: &Path) -> Outcome {
         gpu.zeros::<u8>("image_gradient", LayoutConverter::gradient_bytes(size.0, size.1) as usize);
     let statistics = gpu.zeros::<[f32; 2]>("statistics", set.len());
     let mean2d = gpu.zeros::<[f32; 2]>("mean2d_gradients", set.len());
-    let chunks = planes::allocate(context, ("gradients", MemoryKind::Device), &stages.scene.plan)?;
+    let chunks = planes::allocate(context, "gradients", MemoryKind::Device, &stages.scene.plan)?;
     let pixels = view.pixels();
     let [mut sums, mut transmittances] = [Vec::new(), Vec::new()];
     for records in [false, true] {
         let mut drawn = None;
         stages.run(&view, |r, inputs, backward| {
-            drawn = Some((inputs.frame.depth_sums.clone(), inputs.frame.accumulated.clone()));
+            drawn = Some((inputs.buffers.depth_sums.clone(), inputs.buffers.accumulated.clone()));
             if !records {
                 return;
             }

@@ -46,8 +46,7 @@ impl<'a> Stages<'a> {
         let context = gpu.context;
         let sh_degree = views[0].sh_degree;
         let input = gaussians(set);
-        let scene = planes::upload(context, ("test", MemoryKind::Device), &input, 0, input.sh_degree)
-            .expect("upload");
+        let scene = planes::upload(context, "test", &input, 0, input.sh_degree).expect("upload");
         let cameras: Vec<_> = views.iter().map(camera).collect();
         let pictures = PictureCapacity::of_cameras(&cameras);
         let tiles = views.iter().map(|view| view.tiles()[0] * view.tiles()[1]).max().expect("a view");

@@ -20,7 +20,7 @@ use ashsplat::passes::adam::Moments;
 use ashsplat::passes::densify::{
     ClassifyInputs, Densify, DensifyBuffers, DensifyForm, DensifySettings, Gather, RESET_OPACITY, RandomKey,
 };
-use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing};
+use ashsplat::passes::loss::{Loss, LossInputs, NativeLayout, PhotoFormat};
 use libtest_mimic::Failed;
 use std::path::Path;
 
@@ -94,23 +94,23 @@ fn departing(gaussians: &[Gaussian], view: &View, frame: &TwinFrame) -> Vec<bool
 /// Loss, L1, SSIM and gradient of a picture against float ground truth.
 pub(super) fn device_loss(
     gpu: &Gpu,
-    windowing: Windowing,
+    layout: NativeLayout,
     [image, truth]: [&[f64]; 2],
     [width, height]: [u32; 2],
 ) -> ([f64; 3], Vec<f64>) {
-    let loss = Loss::with_windowing(gpu.context, PhotoFormat::Float, windowing).expect("kernels");
+    let loss = Loss::with_layout(gpu.context, PhotoFormat::Float, layout).expect("kernels");
     let strips = Strips { width, height };
     let [image, truth] = [image, truth].map(|x| {
         let pixels: Vec<[f32; 3]> = rows::<3>(x).iter().map(|pixel| pixel.map(|x| x as f32)).collect();
         pixels
     });
-    let (rendered, photo) = match windowing {
+    let (rendered, photo) = match layout {
         // The transmittance is 0, so no background shows.
-        Windowing::Blocks => {
+        NativeLayout::Rows => {
             let texels: Vec<[f32; 4]> = image.iter().map(|&[r, g, b]| [r, g, b, 0.0]).collect();
             (texels.into_flattened(), truth.into_flattened())
         }
-        Windowing::Sweeps => (strips.planes(image), strips.planes(truth)),
+        NativeLayout::Strips => (strips.planes(image), strips.planes(truth)),
     };
     let (rendered, photo) = (gpu.buffer("rendered", &rendered), gpu.buffer("photo", &photo));
     let scratch: Vec<_> = (loss.scratch_requests([(width, height)]).into_iter())
@@ -139,9 +139,9 @@ pub(super) fn device_loss(
     });
     let [value, l1, ssim, _] = gpu.read::<[f32; 4]>(&losses, 2)[1];
     let gradient = gpu.read::<f32>(&image_gradient, words);
-    let place = |i: u32, channel: u32| match windowing {
-        Windowing::Blocks => 4 * i as usize + channel as usize,
-        Windowing::Sweeps => strips.index(channel, i % width, i / width),
+    let place = |i: u32, channel: u32| match layout {
+        NativeLayout::Rows => 4 * i as usize + channel as usize,
+        NativeLayout::Strips => strips.index(channel, i % width, i / width),
     };
     let gradient = (0..width * height).flat_map(|i| [0, 1, 2].map(|c| f64::from(gradient[place(i, c)])));
     let gradient = gradient.collect();
@@ -153,9 +153,9 @@ pub fn loss(path: &Path) -> Outcome {
     let shape = &npz.array("img").shape;
     let size = [shape[1] as u32, shape[0] as u32];
     let gpu = Gpu::new();
-    for windowing in gpu.windowings() {
+    for layout in gpu.layouts() {
         let ([loss, l1, ssim], d_img) =
-            device_loss(&gpu, windowing, [npz.values("img"), npz.values("gt")], size);
+            device_loss(&gpu, layout, [npz.values("img"), npz.values("gt")], size);
         elementwise("loss", &[loss], npz.values("loss"), 0.0, ROUNDING)?;
         elementwise("l1", &[l1], npz.values("l1"), 0.0, ROUNDING)?;
         elementwise("ssim", &[ssim], npz.values("ssim"), ROUNDING, ROUNDING)?;
@@ -363,20 +363,14 @@ pub(super) fn densified(
 ) -> Result<Vec<Gaussian>, Failed> {
     let input = engine::gaussians(&gaussians(npz, "in_"));
     let count = input.len() as u32;
-    let scene = planes::upload(gpu.context, ("test", MemoryKind::Device), &input, count, input.sh_degree)?;
+    let scene = planes::upload(gpu.context, "test", &input, count, input.sh_degree)?;
     let requests = DensifyBuffers::requests(&LaunchSizes::new(gpu.context.limits()), count, 2 * count);
     let buffers = requests.into_iter().map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize));
     let buffers = DensifyBuffers::from_allocated(buffers.collect());
     gpu.run(|r| densify.record_classify(r, &scene, inputs, &buffers, settings));
     let totals = gpu.read::<u32>(&buffers.totals, 3);
     let rows = totals[0] + totals[1] + 2 * totals[2];
-    let target = planes::upload(
-        gpu.context,
-        ("test", MemoryKind::Device),
-        &ashsplat::Gaussians::default(),
-        rows,
-        input.sh_degree,
-    )?;
+    let target = planes::upload(gpu.context, "test", &ashsplat::Gaussians::default(), rows, input.sh_degree)?;
     let target = SceneBuffers { count: rows, ..target };
     gpu.run(|r| {
         densify.record_scatter_sources(r, count, rows, &buffers);
@@ -400,7 +394,7 @@ pub fn reset_opacity(path: &Path) -> Outcome {
     let gpu = Gpu::new();
     let before = as_gaussians("opacity", npz.values("logits"));
     let input = engine::gaussians(&before);
-    let upload = || planes::upload(gpu.context, ("test", MemoryKind::Device), &input, 0, 1).expect("upload");
+    let upload = || planes::upload(gpu.context, "test", &input, 0, 1).expect("upload");
     // Moments are planes as well; copies of the scene take their place.
     let (scene, first, second) = (upload(), upload(), upload());
     let moments = Moments {
@@ -452,7 +446,7 @@ pub fn train(path: &Path) -> Outcome {
         pixels("image", &image, npz.values(&field("image")), &unstable, SINGLE.image)?;
         let ([loss, ..], d_img) = device_loss(
             &gpu,
-            Windowing::for_device(gpu.context.limits()),
+            NativeLayout::of(gpu.context.limits()),
             [&image, npz.values("gt")],
             view.size_px,
         );

@@ -500,8 +500,7 @@ fn gather_in_place_is_the_same_to_the_bit() {
     {
         let stored = gaussians(&mixed_scene(&mut random, count as usize, 4));
         let upload = || {
-            let place = ("scene", MemoryKind::Device);
-            frame::planes::upload(context, place, &stored, count.max(rows), stored.sh_degree)
+            frame::planes::upload(context, "scene", &stored, count.max(rows), stored.sh_degree)
                 .expect("a scene")
         };
         let sources: Vec<u32> = (0..rows).map(|_| random.below(count) | random.below(4) << 30).collect();

@@ -11,7 +11,7 @@ use ashsplat::kernels::backward::hide_tiles;
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::STATE_FIRST_SCENE_VISIBLE;
 use ashsplat::kernels::forward::{compact, count, duplicate_with_tiles, ranges, write_visible_ranges};
-use ashsplat::passes::loss::{Windowing, photo_on_device};
+use ashsplat::passes::loss::{NativeLayout, photo_on_device};
 use std::ops::Range;
 
 #[test]
@@ -412,8 +412,8 @@ fn hide_tiles_empties_what_a_mask_hides() {
     ranges[4] = [0, 0];
     let order = shuffled(instances);
     for (strips, absolute) in [(false, false), (false, true), (true, false), (true, true)] {
-        let windowing = if strips { Windowing::Sweeps } else { Windowing::Blocks };
-        let photo = photo_on_device(windowing, width, height, true, texels.clone());
+        let layout = if strips { NativeLayout::Strips } else { NativeLayout::Rows };
+        let photo = photo_on_device(layout, width, height, true, texels.clone());
         let tile_ranges = gpu.buffer("tile_ranges", &ranges);
         let [a, b] = ["a", "b"].map(|name| gpu.buffer(name, &vec![[1.0_f32; 4]; instances]));
         let [c, d] = ["c", "d"].map(|name| gpu.buffer(name, &vec![[1.0_f32; 2]; instances]));

@@ -5,7 +5,7 @@ use crate::common::prelude::*;
 use crate::reference::pixels as twin;
 use ashsplat::frame::Strips;
 use ashsplat::kernels::pixels::{gradient_from_rows, photo_reduced, photo_to_rows, picture_to_rows};
-use ashsplat::passes::loss::{Windowing, photo_bytes, photo_on_device};
+use ashsplat::passes::loss::{NativeLayout, photo_bytes, photo_on_device};
 
 /// Sizes at and around the borders of strips.
 pub const SIZES: [[u32; 2]; 6] = [[1, 1], [2, 8], [3, 9], [66, 17], [130, 41], [257, 64]];
@@ -88,7 +88,8 @@ fn photo_to_rows_equals_its_twin_and_is_the_inverse_of_the_upload() {
                 false => pixel[3] = 255,
             }
         }
-        let planes = photo_on_device(Windowing::Sweeps, width, height, masked, rgbm.as_flattened().to_vec());
+        let planes =
+            photo_on_device(NativeLayout::Strips, width, height, masked, rgbm.as_flattened().to_vec());
         let rows = gpu.untouched::<[u8; 4]>("rows", pixels);
         let bind = photo_to_rows::Bind { photo: &gpu.buffer("photo", &planes), rows: &rows };
         let push = photo_to_rows::Push { image_width: width, image_height: height };
@@ -117,7 +118,7 @@ fn photo_reduced_equals_its_twin() {
             masked,
             transparent: change.is_some(),
         };
-        let windowing = if strips { Windowing::Sweeps } else { Windowing::Blocks };
+        let layout = if strips { NativeLayout::Strips } else { NativeLayout::Rows };
         // One of sixteen pixels does not count. Without a mask, transparent photographs have any opacity in the
         // others.
         let mut mask = || match (masked && random.unit() < 1.0 / 16.0, change) {
@@ -134,11 +135,11 @@ fn photo_reduced_equals_its_twin() {
             }
         };
         let rows: Vec<[u8; 4]> = masks.into_iter().map(&mut pixel).collect();
-        let photo = photo_on_device(windowing, width, height, masked, rows.as_flattened().to_vec());
+        let photo = photo_on_device(layout, width, height, masked, rows.as_flattened().to_vec());
         let from = gpu.buffer("photo", &photo);
         for factor in [1, 2, 4] {
             let (reduced_width, reduced_height) = (width / factor, height / factor);
-            let bytes = photo_bytes(windowing, reduced_width, reduced_height, masked) as usize;
+            let bytes = photo_bytes(layout, reduced_width, reduced_height, masked) as usize;
             let reduced = gpu.zeros::<u8>("reduced", bytes);
             let background_change = change.unwrap_or_default();
             let push =
@@ -147,7 +148,7 @@ fn photo_reduced_equals_its_twin() {
             gpu.dispatch_over::<photo_reduced::Interface>(&spec, &bind, &push, bytes / 4);
             let expected = twin::photo_reduced(&rows, sides(size), factor as usize, masked, change);
             let expected = expected.as_flattened().to_vec();
-            let expected = photo_on_device(windowing, reduced_width, reduced_height, masked, expected);
+            let expected = photo_on_device(layout, reduced_width, reduced_height, masked, expected);
             let case = format!("{width}x{height} / {factor}, strips {strips}, masked {masked}");
             // Single and double precision may round halves differently.
             let tolerance = u8::from(change.is_some());

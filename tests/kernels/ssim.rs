@@ -6,7 +6,7 @@ use crate::reference::loss_reduce::LAMBDA_DSSIM;
 use crate::reference::ssim::{Plane, SsimPlane, ssim_backward, ssim_forward};
 use ashsplat::frame::Strips;
 use ashsplat::kernels::loss::{self as kernels, loss_reduce};
-use ashsplat::passes::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_on_device};
+use ashsplat::passes::loss::{Loss, LossInputs, NativeLayout, PhotoFormat, photo_on_device};
 
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.75];
 
@@ -81,32 +81,32 @@ impl Pictures {
     }
 
     /// The rendered picture in the layout of this form of the loss.
-    fn rendered(&self, windowing: Windowing) -> Vec<f32> {
+    fn rendered(&self, layout: NativeLayout) -> Vec<f32> {
         let composited = |t: &[f32; 4]| [0, 1, 2].map(|c| t[c] + t[3] * BACKGROUND[c] as f32);
-        match windowing {
-            Windowing::Blocks => self.accumulated.as_flattened().to_vec(),
-            Windowing::Sweeps => self.strips().planes(self.accumulated.iter().map(composited)),
+        match layout {
+            NativeLayout::Rows => self.accumulated.as_flattened().to_vec(),
+            NativeLayout::Strips => self.strips().planes(self.accumulated.iter().map(composited)),
         }
     }
 
     /// The photograph in the layout of this form of the loss.
-    fn photo(&self, windowing: Windowing) -> Vec<u8> {
+    fn photo(&self, layout: NativeLayout) -> Vec<u8> {
         let [width, height] = self.size;
-        photo_on_device(windowing, width, height, self.masked, bytemuck::cast_slice(&self.photo).to_vec())
+        photo_on_device(layout, width, height, self.masked, bytemuck::cast_slice(&self.photo).to_vec())
     }
 
-    fn gradient_words(&self, windowing: Windowing) -> usize {
-        match windowing {
-            Windowing::Blocks => 4 * self.pixels(),
-            Windowing::Sweeps => 3 * self.strips().values() as usize,
+    fn gradient_words(&self, layout: NativeLayout) -> usize {
+        match layout {
+            NativeLayout::Rows => 4 * self.pixels(),
+            NativeLayout::Strips => 3 * self.strips().values() as usize,
         }
     }
 
     /// The gradient per pixel; the fourth component is only that of blocks.
-    fn gradient(&self, windowing: Windowing, words: &[f32]) -> Vec<[f32; 4]> {
-        match windowing {
-            Windowing::Blocks => words.as_chunks::<4>().0.to_vec(),
-            Windowing::Sweeps => (0..self.pixels() as u32)
+    fn gradient(&self, layout: NativeLayout, words: &[f32]) -> Vec<[f32; 4]> {
+        match layout {
+            NativeLayout::Rows => words.as_chunks::<4>().0.to_vec(),
+            NativeLayout::Strips => (0..self.pixels() as u32)
                 .map(|i| {
                     let (x, y) = (i % self.size[0], i / self.size[0]);
                     let [r, g, b] = [0, 1, 2].map(|plane| words[self.strips().index(plane, x, y)]);
@@ -130,10 +130,10 @@ enum Window {
 }
 
 impl Window {
-    fn windowing(self) -> Windowing {
+    fn layout(self) -> NativeLayout {
         match self {
-            Self::Block { .. } => Windowing::Blocks,
-            Self::Sweep { .. } => Windowing::Sweeps,
+            Self::Block { .. } => NativeLayout::Rows,
+            Self::Sweep { .. } => NativeLayout::Strips,
         }
     }
 
@@ -180,8 +180,8 @@ impl Window {
 
 /// Runs the forward kernel. Returns derivatives of SSIM per channel and pixel, and partial sums.
 fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffer) {
-    let rendered = &gpu.buffer("rendered", &pictures.rendered(window.windowing()));
-    let photo = &gpu.buffer("photo", &pictures.photo(window.windowing()));
+    let rendered = &gpu.buffer("rendered", &pictures.rendered(window.layout()));
+    let photo = &gpu.buffer("photo", &pictures.photo(window.layout()));
     let count = 3 * window.partials(pictures);
     let derivatives = gpu.untouched::<f32>("derivatives", window.derivative_words(pictures));
     let loss_partials = gpu.untouched::<[f32; 2]>("loss_partials", count);
@@ -238,9 +238,9 @@ fn backward(
     window: Window,
     lambda_dssim: f32,
 ) -> Vec<[f32; 4]> {
-    let rendered = &gpu.buffer("rendered", &pictures.rendered(window.windowing()));
-    let photo = &gpu.buffer("photo", &pictures.photo(window.windowing()));
-    let words = pictures.gradient_words(window.windowing());
+    let rendered = &gpu.buffer("rendered", &pictures.rendered(window.layout()));
+    let photo = &gpu.buffer("photo", &pictures.photo(window.layout()));
+    let words = pictures.gradient_words(window.layout());
     let image_gradient = gpu.untouched::<f32>("image_gradient", words);
     let [image_width, image_height] = pictures.size;
     let background = BACKGROUND.map(|x| x as f32);
@@ -296,7 +296,7 @@ fn backward(
             gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
         }
     }
-    pictures.gradient(window.windowing(), &gpu.read::<f32>(&image_gradient, words))
+    pictures.gradient(window.layout(), &gpu.read::<f32>(&image_gradient, words))
 }
 
 /// Image sizes around the block and apron sizes.
@@ -445,14 +445,14 @@ pub fn loss_reduce_equals_its_twin() {
 }
 
 /// Losses and gradient by the engine, on a device whose buffers hold at most `largest` bytes.
-fn engine_loss(pictures: &Pictures, windowing: Windowing, largest: Option<u64>) -> (Vec<f32>, Vec<f32>) {
+fn engine_loss(pictures: &Pictures, layout: NativeLayout, largest: Option<u64>) -> (Vec<f32>, Vec<f32>) {
     let limits = LimitsOverride { max_storage_buffer_range: largest, ..LimitsOverride::default() };
     let options = ContextOptions { limits_override: Some(limits), ..options() };
     let context = Context::new(&options).expect("a device");
     let format = if pictures.masked { PhotoFormat::MaskedRgba8 } else { PhotoFormat::Rgba8 };
-    let loss = Loss::with_windowing(&context, format, windowing).expect("kernels");
+    let loss = Loss::with_layout(&context, format, layout).expect("kernels");
     let [width, height] = pictures.size;
-    let (rendered_values, photo_values) = (pictures.rendered(windowing), pictures.photo(windowing));
+    let (rendered_values, photo_values) = (pictures.rendered(layout), pictures.photo(layout));
     let mut requests = loss.scratch_requests([(width, height)]);
     let parts = requests.len();
     let derivatives = requests.iter().filter(|(name, _)| *name == "ssim_derivatives").count();
@@ -461,7 +461,7 @@ fn engine_loss(pictures: &Pictures, windowing: Windowing, largest: Option<u64>) 
         ("losses", 16),
         ("rendered", 4 * rendered_values.len() as u64),
         ("photo", photo_values.len() as u64),
-        ("image_gradient", 4 * pictures.gradient_words(windowing) as u64),
+        ("image_gradient", 4 * pictures.gradient_words(layout) as u64),
     ]);
     let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("buffers");
     let (scratch, others) = buffers.split_at(parts);
@@ -493,7 +493,7 @@ fn engine_loss(pictures: &Pictures, windowing: Windowing, largest: Option<u64>) 
         bytemuck::pod_collect_to_vec(&context.download(buffer).expect("a download"))
     };
     let words = floats(image_gradient);
-    let gradient = pictures.gradient(windowing, &words[..pictures.gradient_words(windowing)]);
+    let gradient = pictures.gradient(layout, &words[..pictures.gradient_words(layout)]);
     (floats(losses), gradient.into_flattened())
 }
 
@@ -502,23 +502,23 @@ fn engine_loss(pictures: &Pictures, windowing: Windowing, largest: Option<u64>) 
 #[test]
 fn loss_in_one_buffer_or_three() {
     let pictures = Pictures::random([67, 41]);
-    for windowing in Gpu::new().windowings() {
-        let at_once = engine_loss(&pictures, windowing, None);
-        assert!(at_once == engine_loss(&pictures, windowing, Some(63_000)), "{windowing:?}");
+    for layout in Gpu::new().layouts() {
+        let at_once = engine_loss(&pictures, layout, None);
+        assert!(at_once == engine_loss(&pictures, layout, Some(63_000)), "{layout:?}");
     }
 }
 
 /// A mask that keeps everything changes nothing, to the bit. Masked pixels do not matter, to the bit.
 #[test]
 fn loss_under_masks() {
-    for windowing in Gpu::new().windowings() {
+    for layout in Gpu::new().layouts() {
         let mut pictures = Pictures::random([67, 41]);
-        let unmasked = engine_loss(&pictures, windowing, None);
+        let unmasked = engine_loss(&pictures, layout, None);
         pictures.masked = true;
         pictures.photo.iter_mut().for_each(|word| *word |= 0xFF00_0000);
-        assert!(engine_loss(&pictures, windowing, None) == unmasked, "{windowing:?}");
+        assert!(engine_loss(&pictures, layout, None) == unmasked, "{layout:?}");
         let mut pictures = Pictures::masked([67, 41]);
-        let masked = engine_loss(&pictures, windowing, None);
+        let masked = engine_loss(&pictures, layout, None);
         assert!(masked != unmasked);
         let hidden: Vec<usize> = (0..pictures.pixels()).filter(|&i| !pictures.counts(i)).collect();
         for i in hidden {
@@ -526,7 +526,7 @@ fn loss_under_masks() {
             pictures.accumulated[i] = [0.9, 0.1, 1.5, 0.7];
             assert_eq!(masked.1[4 * i..4 * i + 3], [0.0; 3]);
         }
-        assert!(engine_loss(&pictures, windowing, None) == masked, "{windowing:?}");
+        assert!(engine_loss(&pictures, layout, None) == masked, "{layout:?}");
     }
 }
 
@@ -537,7 +537,7 @@ fn loss_by_blocks_and_by_sweeps() {
     }
     let pictures = Pictures::random([90, 70]);
     let [blocks, sweeps] =
-        [Windowing::Blocks, Windowing::Sweeps].map(|windowing| engine_loss(&pictures, windowing, None));
+        [NativeLayout::Rows, NativeLayout::Strips].map(|layout| engine_loss(&pictures, layout, None));
     for (a, b) in blocks.0.iter().zip(&sweeps.0) {
         assert!((a - b).abs() <= 1e-6, "{a} {b}");
     }
@@ -551,9 +551,9 @@ fn loss_by_blocks_and_by_sweeps() {
 fn loss_without_texels() {
     let options = ContextOptions { push_descriptors: false, ..options() };
     let context = Context::new(&options).expect("a device");
-    assert_eq!(Windowing::for_device(context.limits()), Windowing::Blocks);
+    assert_eq!(NativeLayout::of(context.limits()), NativeLayout::Rows);
     assert!(Loss::new(&context, PhotoFormat::Rgba8).is_ok());
-    let refused = Loss::with_windowing(&context, PhotoFormat::Rgba8, Windowing::Sweeps).err();
+    let refused = Loss::with_layout(&context, PhotoFormat::Rgba8, NativeLayout::Strips).err();
     let message = refused.expect("no texels").to_string();
     let names = message.contains("loss/ssim_forward_sweep") && message.contains("VK_KHR_push_descriptor");
     assert!(names, "{message}");

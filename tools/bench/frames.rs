@@ -228,7 +228,7 @@ fn counts(
     sh_degree: u32,
     (width, height): (u32, u32),
 ) -> Result<Counts> {
-    let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
+    let plan = ScenePlan::new(context.limits(), capacity, sh_degree, false)?;
     let chunks = plan.ranges(gaussians).count() as u64;
     Ok(Counts { gaussians, visible: 0, instances: 0, width, height, sh_degree, chunks })
 }

@@ -1077,8 +1077,8 @@ enum AshsplatStatus ashsplat_merge_features(void *vulkan12,
 enum AshsplatStatus ashsplat_context_from_foreign(const struct AshsplatForeignDevice *host,
                                                   struct AshsplatContext **context);
 
-// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after that: 'target',
-// 'occluder', 'depth', 'pick' or 'motion'.
+// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after the field of
+// AshsplatRecordedFrame: 'target', 'occluder' and so on.
 //
 // # Safety
 // The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and

@@ -127,8 +127,8 @@ unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
     }
 }
 
-/// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after that: 'target',
-/// 'occluder', 'depth', 'pick' or 'motion'.
+/// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after the field of
+/// AshsplatRecordedFrame: 'target', 'occluder' and so on.
 ///
 /// # Safety
 /// The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and
@@ -142,7 +142,7 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
 ) -> AshsplatStatus {
     guarded!({
         let (context, host) = (borrowed(context, "context")?, read(host, "host")?);
-        let (purpose, name) = one_of("purpose", purpose, &IMAGE_USES)?;
+        let purpose = one_of("purpose", purpose, &ImageUse::ALL)?;
         let foreign = ForeignImage {
             image: vk::Image::from_raw(host.image),
             format: vk::Format::from_raw(host.format),
@@ -153,18 +153,11 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
             flags: vk::ImageCreateFlags::from_raw(host.flags),
             samples: vk::SampleCountFlags::from_raw(host.samples),
         };
-        give(image, "image", || Image::adopt(&context.0, name, &foreign, purpose).map(AshsplatImage))
+        give(image, "image", || {
+            Image::adopt(&context.0, purpose.field(), &foreign, purpose).map(AshsplatImage)
+        })
     })
 }
-
-/// Purposes in the order of their numbers in C. In messages and debuggers, an image is called after the frame's field.
-const IMAGE_USES: [(ImageUse, &str); 5] = [
-    (ImageUse::Target, "target"),
-    (ImageUse::Occluder, "occluder"),
-    (ImageUse::Depth, "depth"),
-    (ImageUse::Pick, "pick"),
-    (ImageUse::Motion, "motion"),
-];
 
 /// Says that queues of another family own the image between recordings. A recording acquires it from them and releases it to them; the
 /// host records the other halves in a queue of that family, ordered by semaphores in all stages. Before the recording: a barrier from the

@@ -7,8 +7,8 @@ use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::Pose;
 use ashsplat::vk::ImageState;
 use ashsplat::{
-    Background, ColorEncoding, DepthTarget, HostImage, MotionTarget, Occluder, PickTarget, Placed,
-    RecordedFrame, Release, SlotReport, Target, Update,
+    Background, ColorEncoding, DepthTarget, HostImage, MotionTarget, Occluder, Placed, RecordedFrame,
+    Release, SlotReport, Target, Update,
 };
 use std::ffi::c_void;
 
@@ -299,7 +299,7 @@ unsafe fn recorded<'b>(
             recorded.depth = Some(DepthTarget { to: used(&to, "depth.to.image")?, min_weight, empty });
         }
         if let Some(AshsplatPickTarget { to, .. }) = read_if(f.pick, "pick")? {
-            recorded.pick = Some(PickTarget { to: used(&to, "pick.to.image")? });
+            recorded.pick = Some(used(&to, "pick.to.image")?);
         }
         if let Some(motion) = read_if(f.motion, "motion")? {
             let AshsplatMotionTarget { to, min_weight, empty, keeps_empty, previous_camera, .. } = motion;

@@ -370,7 +370,7 @@ pub unsafe extern "C" fn ashsplat_scene_plan(
     plan: *mut AshsplatScenePlan,
 ) -> AshsplatStatus {
     guarded!({
-        let made = DeviceScene::plan_for(&borrowed(context, "context")?.0, capacity, sh_degree)?;
+        let made = DeviceScene::plan_for(&borrowed(context, "context")?.0, capacity, sh_degree, false)?;
         let told = same_fields!(made => AshsplatScenePlan { chunks, planes, chunk_gaussians } with {
             chunk_bytes: made.chunk_bytes(),
             ..AshsplatScenePlan::default()
@@ -407,7 +407,7 @@ pub unsafe extern "C" fn ashsplat_scene_from_buffers(
             };
             let adopt = |(place, b)| adopt(b).map_err(named(format_args!("buffers[{place}]")));
             let chunks: Result<Vec<Buffer>> = buffers.iter().enumerate().map(adopt).collect();
-            let plan = DeviceScene::plan_for(context, capacity, sh_degree)?;
+            let plan = DeviceScene::plan_for(context, capacity, sh_degree, false)?;
             let scene = DeviceScene::from_buffers(context, plan, chunks?, count)?;
             Ok(AshsplatScene::of(scene))
         })

@@ -5,23 +5,6 @@ use ashsplat::Reservation;
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::vk::Buffer;
 
-impl From<&AshsplatReservation> for Reservation {
-    fn from(w: &AshsplatReservation) -> Self {
-        same_fields!(w => Self {
-            slots, queues, scenes, instances, blend_passes, inverse_depth, occlusion, expected_depth, images_only, tint,
-            cut_outs, selection, pick, motion, orthographic, staging_bytes,
-        } with {
-            views: w.views.max(1),
-            shared_sort: w.shared_sort != 0,
-            filter_3d: w.filter_3d != 0,
-            rolling_shutter: w.rolling_shutter != 0,
-            half_sh: w.half_sh != 0,
-            lens: ashsplat::scene::Projection::ALL.get(w.lens as usize).copied().filter(|lens| lens.is_lens()),
-            ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
-        })
-    }
-}
-
 /// Allocates frame slots and builds all kernels that frames of this kind need. Replaces the previous slots,
 /// whose command buffers must have finished.
 ///

@@ -5,7 +5,7 @@ use super::*;
 use ashsplat::ash::vk;
 use ashsplat::scene::{Camera, DepthMapping, Pose, Projection, Readout, Shutter};
 use ashsplat::vk::ImageState;
-use ashsplat::{Extent, JacobianLimit, Shape};
+use ashsplat::{Extent, JacobianLimit, Reservation, Shape};
 use glam::{Mat3, Vec3};
 use std::ffi::c_void;
 
@@ -363,6 +363,23 @@ pub struct AshsplatReservation {
     pub rolling_shutter: u64,
     /// Not 0: scenes of frames will store SH in halves (ashsplat_scene_half), beside others.
     pub half_sh: u64,
+}
+
+impl From<&AshsplatReservation> for Reservation {
+    fn from(w: &AshsplatReservation) -> Self {
+        same_fields!(w => Self {
+            slots, queues, scenes, instances, blend_passes, inverse_depth, occlusion, expected_depth, images_only, tint,
+            cut_outs, selection, pick, motion, orthographic, staging_bytes,
+        } with {
+            views: w.views.max(1),
+            shared_sort: w.shared_sort != 0,
+            filter_3d: w.filter_3d != 0,
+            rolling_shutter: w.rolling_shutter != 0,
+            half_sh: w.half_sh != 0,
+            lens: Projection::ALL.get(w.lens as usize).copied().filter(|lens| lens.is_lens()),
+            ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
+        })
+    }
 }
 
 /// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference

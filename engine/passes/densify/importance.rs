@@ -116,7 +116,7 @@ impl Importance {
         importance: &Buffer,
         share: f32,
     ) {
-        let (f, count) = (inputs.frame, inputs.scene().count);
+        let (f, count) = (inputs.buffers, inputs.scene().count);
         let groups = self.sizes.groups(count);
         self.backward.record_weights(r, inputs, image_gradient);
         r.scope("importance", |r| {

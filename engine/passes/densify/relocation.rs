@@ -26,7 +26,7 @@ buffer_set! {
     /// Number of Gaussians, sum of the weights, number of sorted rows.
     pub totals as "draw_totals": 16;
     /// Scratch of the prefix sum.
-    pub block_sums as "draw_block_sums": blocks(gaussians.into(), sizes.scan.into()) * 4;
+    pub block_sums as "draw_block_sums": blocks(gaussians.into(), sizes.scan_block.into()) * 4;
     /// Source of each row of the new set.
     pub sources: u64::from(rows) * 4;
 }

@@ -28,7 +28,7 @@ pub struct TermInputs<'a> {
     /// Iteration, counted from 1.
     pub iteration: u32,
     /// Per chunk of the scene: dL/d(mean, opacity logit), dL/d(quaternion), dL/d(log-scale), laid out like the
-    /// scene's first three planes. Empty unless a term has [`Targets::parameters`].
+    /// scene's first three planes. Empty unless a term has [`TermData::parameters`].
     pub parameter_gradients: &'a [Buffer],
     /// Buffers of [`LossTerm::scratch_requests`].
     pub scratch: &'a [Buffer],
@@ -44,20 +44,20 @@ pub enum PixelLayout {
     /// Row by row, pixel by pixel, the same on all devices. On processors the trainer converts to and from rows.
     #[default]
     Rows,
-    /// Layout of the blending kernels: by rows, or in [`Strips`](crate::frame::Strips).
+    /// [Layout](crate::frame::NativeLayout) of the device.
     Native,
 }
 
 /// Data that a term reads and adds to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Targets {
+pub struct TermData {
     /// Layout of the picture, the photograph and the picture's gradient. None for a term that uses none of them; a gradient of
     /// the inverse depth is then by rows.
     pub picture: Option<PixelLayout>,
     /// True if the term writes the fourth component of the picture's gradient: dL/d(inverse depth). In the native layout of
-    /// processors it is a fourth plane. `frame.frame.depth_sums` is the sum of weights / z per pixel, row by row.
+    /// processors it is a fourth plane. `frame.buffers.depth_sums` is the sum of weights / z per pixel, row by row.
     pub inverse_depth: bool,
-    /// True if `frame.frame.depth_sums` is the sum of weights * z, and the gradient is with respect to that sum. Only with
+    /// True if `frame.buffers.depth_sums` is the sum of weights * z, and the gradient is with respect to that sum. Only with
     /// `inverse_depth`. The term may overwrite the value that the backward pass takes for the sum. Excludes other terms with
     /// `inverse_depth`.
     pub linear_depth: bool,
@@ -65,7 +65,7 @@ pub struct Targets {
     pub parameters: bool,
 }
 
-impl Targets {
+impl TermData {
     /// Returns the union of both; pictures are by rows if either needs rows.
     #[must_use]
     pub fn and(self, other: Self) -> Self {
@@ -96,8 +96,8 @@ pub trait LossTerm: Send {
     fn name(&self) -> &'static str;
 
     /// Data that the term reads and adds to.
-    fn targets(&self) -> Targets {
-        Targets::default()
+    fn data(&self) -> TermData {
+        TermData::default()
     }
 
     /// Names and bytes of the scratch buffers, for views of these sizes (width, height).

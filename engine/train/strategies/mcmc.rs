@@ -62,7 +62,7 @@ impl Strategy for Mcmc {
         let rate = (step.step.rates.mean * step.settings.noise_lr) as f32;
         if rate > 0.0 {
             let key = RandomKey { seed: step.settings.seed, iteration: step.iteration };
-            self.relocation.record_noise(r, step.frame.scene(), &step.frame.frame.state, &key, rate);
+            self.relocation.record_noise(r, step.frame.scene(), &step.frame.buffers.state, &key, rate);
         }
     }
 

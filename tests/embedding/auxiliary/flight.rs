@@ -27,11 +27,7 @@ impl<'a> Flight<'a> {
     ) -> RecordedFrame<'b> {
         let to = |which: usize| host_image(&self.screens.pictures[which].image, self.last[which]);
         let moved = MotionTarget { to: to(1), ..self.screens.motion(previous) };
-        RecordedFrame {
-            pick: pick.then(|| PickTarget { to: to(0) }),
-            motion: motion.then_some(moved),
-            ..frame
-        }
+        RecordedFrame { pick: pick.then(|| to(0)), motion: motion.then_some(moved), ..frame }
     }
 
     /// Records the reads after the frame, in its command buffer.

@@ -33,8 +33,8 @@ impl<'a> Screens<'a> {
         self.pictures[which].unused()
     }
 
-    pub fn pick(&self) -> PickTarget<'_> {
-        PickTarget { to: self.to(0) }
+    pub fn pick(&self) -> HostImage<'_> {
+        self.to(0)
     }
 
     pub fn shot(&self, renderer: &mut Renderer, frame: &RecordedFrame<'_>, previous: &Camera) -> Shot {

@@ -44,7 +44,7 @@ impl<'a> Split<'a> {
             },
             occluder: Some(Occluder { depth: to(occluder, last.occluder), mapping }),
             depth: Some(DepthTarget { to: to(depth, last.depth), min_weight: 0.5, empty: 0.0 }),
-            pick: Some(PickTarget { to: to(picks, last.pick) }),
+            pick: Some(to(picks, last.pick)),
             motion: Some(MotionTarget {
                 to: to(motions, last.motion),
                 previous_camera: frame.camera,

@@ -34,7 +34,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         statistics: vec![[0.0; 2]; count],
         gaussians,
         exposures: Default::default(),
-        lenses: Default::default(),
+        lens_effects: Default::default(),
         poses: None,
         lens_opt: Vec::new(),
         block: None,
