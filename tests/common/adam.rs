@@ -130,9 +130,9 @@ impl<'a> AdamState<'a> {
     pub fn halves(self) -> AdamState<'a> {
         let (context, gaussians) = (&self.gpu.context, engine::gaussians(&self.gaussians()));
         let plan = ScenePlan::new(context.limits(), self.room as u32, gaussians.sh_degree, true);
-        let place = ("halves", MemoryKind::Device);
         let scene =
-            planes::upload_planned(context, place, &gaussians, plan.expect("a plan")).expect("a scene");
+            planes::upload_planned(context, "scene", MemoryKind::Device, &gaussians, plan.expect("a plan"))
+                .expect("a scene");
         let spec = adam::Spec { half_sh: true, ..self.spec };
         AdamState {
             spec,

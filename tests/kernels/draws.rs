@@ -298,8 +298,7 @@ pub fn in_chunks() -> Context {
 /// Uploads a scene, in several chunks on a device of [`in_chunks`].
 pub fn uploaded(context: &Context, scene: &[Gaussian]) -> SceneBuffers {
     let stored = gaussians(scene);
-    let uploaded =
-        planes::upload(context, ("scene", MemoryKind::Device), &stored, scene.len() as u32, stored.sh_degree);
+    let uploaded = planes::upload(context, "scene", &stored, scene.len() as u32, stored.sh_degree);
     let uploaded = uploaded.expect("a scene");
     assert_eq!(uploaded.plan.chunks > 1, context.limits().max_storage_buffer_range == 1 << 20);
     uploaded
