@@ -61,6 +61,7 @@ impl Blend {
     }
 
     fn key(&self, sizes: &LaunchSizes, variant: FrameVariant) -> BlendKey {
+        // The kernels' LINEAR_DEPTH is the expected depth. `RenderSettings::linear_depth` stores z in the splats' records instead.
         let FrameVariant { inverse_depth, expected_depth: linear_depth, depth_limit, steep, outputs, .. } =
             variant;
         let last_entries = variant.backward || variant.last_entries;

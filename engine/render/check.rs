@@ -1,12 +1,12 @@
 //! Checks of a frame before it is recorded: all errors are reported before the first command.
 
 use super::device_scene::ELSEWHERE;
-use super::recorded_frame::{HostImage, MotionTarget, Placed, Placing, RecordedFrame, Target};
+use super::recorded_frame::{HostImage, MotionTarget, Placed, RecordedFrame, Target};
 use super::renderer::Renderer;
 use super::reservation::{RESERVATION, Reservation, field_name};
 use super::updates::Update;
 use crate::error::{Error, Result};
-use crate::frame::{FrameCapacity, PictureCapacity, PlacedScene, RenderSettings};
+use crate::frame::{FrameCapacity, PictureCapacity, PlacedScene, RenderSettings, next_scene_begin};
 use crate::scene::{Camera, DepthMapping};
 use crate::vk::{Buffer, Context, ImageUse};
 use ash::vk;
@@ -41,20 +41,25 @@ impl Renderer {
             return Err(Error::argument("scenes", problem));
         }
         // One pass over the scenes, because there may be thousands.
-        let mut gaussians = 0;
-        let mut placing = Placing::new(frame, self.runner.forward.sizes.elementwise_workgroup);
+        let block = self.runner.forward.sizes.elementwise_workgroup;
+        let (mut gaussians, mut first, mut cut_outs) = (0, 0, 0);
         for (number, scenes) in frame.scenes.chunks(SCENES_AT_ONCE).enumerate() {
             for (index, placed) in (number * SCENES_AT_ONCE..).zip(scenes) {
                 let degree = placed.active_degree(frame.settings);
                 check_scene(index, placed, degree, context, reserved)?;
                 gaussians += u64::from(placed.drawn_gaussians());
             }
-            all.extend(scenes.iter().map(|scene| placing.place(scene)));
+            all.extend(scenes.iter().map(|placed| {
+                let in_frame = placed.in_frame(frame, first, cut_outs);
+                first = next_scene_begin(first.saturating_add(placed.drawn_gaussians()), block);
+                cut_outs += placed.settings.cut_out_count();
+                in_frame
+            }));
         }
         self.check_images(frame, earlier)?;
-        if placing.cut_outs > reserved.cut_outs {
+        if cut_outs > reserved.cut_outs {
             let limit = (reserved.cut_outs.into(), "Reservation::cut_outs");
-            return Err(Error::too_large(THE_FRAME, (placing.cut_outs.into(), "cut-outs"), limit));
+            return Err(Error::too_large(THE_FRAME, (cut_outs.into(), "cut-outs"), limit));
         }
         let previous = frame.motion.map(|motion| motion.previous_camera);
         if previous.is_some_and(|previous| previous.has_lens() || frame.camera.has_lens()) {

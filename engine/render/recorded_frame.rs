@@ -2,9 +2,7 @@
 
 use super::device_scene::DeviceScene;
 use super::updates::Update;
-use crate::frame::{
-    FrameVariant, PlacedScene, PreviousView, RenderSettings, SceneSettings, next_scene_begin,
-};
+use crate::frame::{FrameVariant, PlacedScene, PreviousView, RenderSettings, SceneSettings};
 use crate::kernels::constants::NO_BATCH;
 use crate::passes::compose::{Background, Contents, Region};
 use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
@@ -36,6 +34,31 @@ impl<'a> Placed<'a> {
     pub(super) fn active_degree(&self, frame: &RenderSettings) -> u32 {
         let stored = self.scene.buffers.active_degree(frame);
         self.settings.sh_degree.map_or(stored, |degree| degree.min(stored))
+    }
+
+    /// Returns the scene in a frame, with the indices of its first Gaussian and of its first cut-out there.
+    #[inline]
+    pub(super) fn in_frame(
+        &'a self,
+        frame: &RecordedFrame<'a>,
+        first: u32,
+        first_cut_out: u32,
+    ) -> PlacedScene<'a> {
+        PlacedScene {
+            scene: &self.scene.buffers,
+            camera: self.pose.camera_in_object(frame.camera),
+            scale: self.pose.scale,
+            sh_degree: self.active_degree(frame.settings),
+            settings: &self.settings,
+            first,
+            first_cut_out,
+            previous: frame.motion.map(|motion| {
+                let pose = self.previous_pose.as_ref().unwrap_or(&self.pose);
+                PreviousView { camera: motion.previous_camera, pose }
+            }),
+            parameters: self.scene.parameters,
+            batch: NO_BATCH,
+        }
     }
 
     /// Returns the number of Gaussians that take part in the frame.
@@ -189,46 +212,6 @@ pub struct Release {
     pub pick: Option<ImageState>,
     /// Last use of the motion image.
     pub motion: Option<ImageState>,
-}
-
-/// Places scenes one after the other in the frame's index space.
-pub(super) struct Placing<'a, 'b> {
-    frame: &'b RecordedFrame<'a>,
-    /// Gaussians of a culling block.
-    block: u32,
-    /// Begin of the next scene.
-    first: u32,
-    /// Number of cut-outs so far.
-    pub cut_outs: u32,
-}
-
-impl<'a, 'b> Placing<'a, 'b> {
-    pub fn new(frame: &'b RecordedFrame<'a>, block: u32) -> Self {
-        Self { frame, block, first: 0, cut_outs: 0 }
-    }
-
-    /// Places the next scene.
-    #[inline]
-    pub fn place(&mut self, placed: &'a Placed<'a>) -> PlacedScene<'a> {
-        let (frame, first, first_cut_out) = (self.frame, self.first, self.cut_outs);
-        self.first = next_scene_begin(first.saturating_add(placed.drawn_gaussians()), self.block);
-        self.cut_outs += placed.settings.cut_out_count();
-        PlacedScene {
-            scene: &placed.scene.buffers,
-            camera: placed.pose.camera_in_object(frame.camera),
-            scale: placed.pose.scale,
-            sh_degree: placed.active_degree(frame.settings),
-            settings: &placed.settings,
-            first,
-            first_cut_out,
-            previous: frame.motion.map(|motion| {
-                let pose = placed.previous_pose.as_ref().unwrap_or(&placed.pose);
-                PreviousView { camera: motion.previous_camera, pose }
-            }),
-            parameters: placed.scene.parameters,
-            batch: NO_BATCH,
-        }
-    }
 }
 
 impl<'a> HostImage<'a> {
