@@ -209,7 +209,9 @@ impl<'a> RecordingLists<'a> {
     /// reuses it.
     fn emptied<'b>(self) -> RecordingLists<'b> {
         let Self { mut scenes, mut batches, mut views } = self;
-        (scenes.clear(), batches.clear(), views.clear());
+        scenes.clear();
+        batches.clear();
+        views.clear();
         let scenes = scenes.into_iter().map(|_| unreachable!("it is empty")).collect();
         RecordingLists { scenes, batches, views }
     }
