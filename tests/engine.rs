@@ -6,6 +6,7 @@ extern crate ashsplat_reference as reference;
 
 mod address_space;
 mod backends;
+mod barriers;
 mod blending_forms;
 mod blocks;
 mod budget;

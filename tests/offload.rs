@@ -96,7 +96,7 @@ fn offload_changes_no_bit_of_any_strategy() {
 fn offload_is_bounded() {
     let start = start(6000);
     let settings = TrainSettings { densify_grad_threshold: 0.0, ..settings() };
-    let planes = 6144 * (3 * SET + 16);
+    let planes = 6144 * 3 * SET;
     let error = train(&start, &settings, (None, Some(planes - 1))).expect_err("too little");
     let Error::TooLarge { needed, limit, limit_name, .. } = error else { panic!("{error}") };
     assert_eq!((needed, limit, limit_name), (planes, planes - 1, "--offload"));

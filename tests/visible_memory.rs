@@ -3,9 +3,10 @@
 use crate::common::device::kept_for_transfers;
 use crate::common::prelude::*;
 use crate::common::training::{forecast, photo_size};
-use ashsplat::frame::initial_visible;
+use ashsplat::frame::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, initial_visible};
 use ashsplat::scene::Bounds;
 use ashsplat::train::{Capacities, MomentsType, SceneBlock, ShStorage};
+use ashsplat::vk::{Life, pack};
 
 const SIZE: [u32; 2] = [64, 48];
 const COUNT: u32 = 24_000;
@@ -100,6 +101,53 @@ fn steps_that_are_run_again_leave_the_bits_of_others() {
         }
         assert!(repeated, "no frame had less room than it needed");
     }
+}
+
+/// A frame takes about what its largest pass takes, without the backward pass and with it.
+#[test]
+fn buffers_of_different_passes_share_memory() {
+    let limits = context().limits();
+    let whole = PictureCapacity::of(3840, 2160);
+    for (backward, visible, instances) in
+        [(false, 1_000_000, 6_000_000), (false, 2_200_000, 9_000_000), (true, 1_000_000, 6_000_000)]
+    {
+        let pictures = if backward { whole } else { whole.without_backward() };
+        let usual = FrameCapacity { backward, trained: backward, ..FrameCapacity::default() };
+        let capacity = FrameCapacity { gaussians: 2_200_000, visible, instances, pictures, ..usual };
+        let requests = FrameBuffers::requests(&capacity, &LaunchSizes::new(limits));
+        let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
+        let bytes = |lives: &[Life]| pack(&sizes, lives, u64::MAX).expect("one block").blocks[0];
+        let (shared, apart) = (bytes(FrameBuffers::LIVES), bytes(&[]));
+        let most = if backward { 0.8 } else { 0.68 };
+        assert!((shared as f64) < most * apart as f64, "{shared} of {apart}, {capacity:?}");
+    }
+}
+
+/// Guard bands keep all buffers apart. The bits of a training with densification are the same.
+#[test]
+fn sharing_memory_changes_no_bit() {
+    let settings = TrainSettings {
+        iterations: 12,
+        sh_degree: 1,
+        scale_schedule: false,
+        densify_from_iter: 2,
+        densification_interval: 3,
+        densify_until_iter: 9,
+        moments: MomentsType::Packed,
+        pose_opt: true,
+        ..TrainSettings::of_strategy(StrategyType::Budget)
+    };
+    let [shared, apart] = [false, true].map(|guard_bands| {
+        let context = Context::new(&ContextOptions { guard_bands, ..options() }).expect("a device");
+        let mut trainer = run(&context, settings.clone()).begin();
+        let reports = trainer.steps(12);
+        assert!(reports.iter().any(|report| report.densified.is_some()));
+        assert!(context.breached_guards().expect("read").is_empty());
+        assert_silent(&context);
+        (trainer.state().fingerprint(), arena_peak(&context, "frame"))
+    });
+    assert!(shared.0 == apart.0);
+    assert!(shared.1 * 4 < apart.1 * 3, "{} bytes, apart {}", shared.1, apart.1);
 }
 
 /// Settings whose seed begins twice with the view that shows few Gaussians.

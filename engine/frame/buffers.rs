@@ -1,14 +1,15 @@
-//! Buffers of a frame: their contents, their bytes, and which are reused for other contents within a frame.
+//! Buffers of a frame: their contents, their bytes, and the passes between which they live. Buffers that never live at the same
+//! time share memory ([`pack`]).
 
 use super::{FrameCapacity, LaunchSizes, PictureCapacity, blocks, tile_bits, tile_grid};
 use crate::error::{Error, Result};
 use crate::kernels::blocks::CameraBlock;
 use crate::kernels::constants::{
-    ARGUMENTS_COUNT, CAMERA_BLOCK_WORDS, DEPTH_KEY_BITS, GRADIENT_PLANES, LENS_SUMS, SPLAT_PLANES,
+    ARGUMENTS_COUNT, CAMERA_BLOCK_WORDS, DEPTH_KEY_BITS, GRADIENT_PLANES, LENS_SUMS, PLANE_ROW, SPLAT_PLANES,
     STATE_WORDS,
 };
 use crate::scene::Camera;
-use crate::vk::{Buffer, Limits, PLACEMENT_ALIGNMENT, pack};
+use crate::vk::{Buffer, Life, Limits, PLACEMENT_ALIGNMENT, pack};
 
 /// Bytes from one scene's camera block to the next. It leaves space for more members, meets the required offset alignment
 /// of uniform blocks, and is far below their size limit. It is no larger because a frame of thousands of scenes writes as
@@ -20,12 +21,16 @@ const _: () = assert!(
 );
 
 /// Declares buffers that are allocated together: a struct, its `requests` of names and bytes, and the assignment of the
-/// allocated buffers. Each line has a field, the buffer's name if it differs, and the bytes.
+/// allocated buffers. Each line has a field, the buffer's name if it differs, and the bytes. In a set with `lives`, a line may
+/// end with the first and the last [`Pass`] of the buffer's life; without them it lives always.
 macro_rules! buffer_set {
     (
         $(#[$about:meta])*
-        $set_vis:vis struct $set:ident($($argument:ident: $kind:ty),*) { $($sizes:tt)* }
-        $($(#[$doc:meta])* $vis:vis $field:ident $(as $name:literal)?: $bytes:expr;)*
+        $set_vis:vis struct $set:ident($($argument:ident: $kind:ty),*) $(with $lives:ident)? { $($sizes:tt)* }
+        $(
+            $(#[$doc:meta])*
+            $vis:vis $field:ident $(as $name:literal)?: $bytes:expr $(, $first:ident..=$last:ident)?;
+        )*
     ) => {
         $(#[$about])*
         #[derive(Clone)]
@@ -38,6 +43,8 @@ macro_rules! buffer_set {
                 vec![$(($crate::frame::buffer_set!(@name $field $($name)?), $bytes),)*]
             }
 
+            $crate::frame::buffer_set! { @lives ($($lives)?) $(($($first $last)?))* }
+
             /// Assigns the buffers that were allocated for the requests, in the same order.
             $set_vis fn from_allocated(buffers: Vec<$crate::vk::Buffer>) -> Self {
                 let [$($field),*] = $crate::frame::array_of(buffers);
@@ -45,15 +52,42 @@ macro_rules! buffer_set {
             }
         }
     };
+    (@lives () $($lives:tt)*) => {};
+    (@lives (lives) $(($($first:ident $last:ident)?))*) => {
+        /// Lives of the buffers, in order.
+        pub const LIVES: &[$crate::vk::Life] = &[$($crate::frame::buffer_set!(@life $($first $last)?)),*];
+    };
+    (@life) => { $crate::vk::Life::ALWAYS };
+    (@life $first:ident $last:ident) => {
+        $crate::vk::Life { first: $crate::frame::Pass::$first as u8, last: $crate::frame::Pass::$last as u8 }
+    };
     (@name $field:ident) => { stringify!($field) };
     (@name $field:ident $name:literal) => { $name };
 }
 pub(crate) use buffer_set;
 
+/// Passes of a frame and of a training step, in order. Views that share one depth order run those from projection to blending in
+/// turn. A frame without a backward pass ends with its blending.
+#[derive(Clone, Copy)]
+pub(crate) enum Pass {
+    Cull,
+    Project,
+    DepthSort,
+    Count,
+    Duplicate,
+    TileSort,
+    Ranges,
+    Blend,
+    Loss,
+    BlendBackward,
+    ProjectBackward,
+    Update,
+    BetweenSteps,
+}
+
 buffer_set! {
-    /// Buffers of a frame. A buffer with one content is a field. A buffer that is reused within the frame has a method
-    /// for each content, which says when it is valid.
-    pub struct FrameBuffers(capacity: &FrameCapacity, sizes: &LaunchSizes) {
+    /// Buffers of a frame. Each is valid in the passes of its life.
+    pub struct FrameBuffers(capacity: &FrameCapacity, sizes: &LaunchSizes) with lives {
         let [gaussians, visible, instances] =
             [capacity.gaussians, capacity.visible, capacity.instances].map(u64::from);
         let PictureCapacity { pixels, tiles, strip_values, .. } = capacity.pictures;
@@ -70,6 +104,8 @@ buffer_set! {
         let backward = u64::from(capacity.backward);
         let backward_instances = backward * instances;
         let strips = backward * u64::from(sizes.strips) * strip_values;
+        let [depth, last_entries, trained] =
+            [capacity.depth, capacity.last_entries, capacity.trained].map(u64::from);
         let [pick, motion, surface] =
             [capacity.outputs.pick, capacity.outputs.motion, capacity.outputs.surface].map(u64::from);
     }
@@ -83,96 +119,104 @@ buffer_set! {
     /// blocks.
     pub visible_ranges: gaussian_blocks.max(1) * 32;
     /// Per Gaussian: 1 if visible.
-    pub visible_flags: gaussians * 4;
-    /// [`Self::visible_counts`], then [`Self::visible_offsets`].
-    visible_blocks: gaussian_blocks * 4;
+    pub visible_flags: gaussians * 4, Cull..=Cull;
+    /// Per culling block: number of visible Gaussians, which the scan replaces by the index of its first one.
+    pub visible_blocks: gaussian_blocks * 4;
     /// Per visible Gaussian: index of the Gaussian.
-    pub visible_list: visible * 4;
+    pub visible_list: visible * 4, Cull..=ProjectBackward;
     /// Per Gaussian: its index among the visible Gaussians.
-    pub visible_index: gaussians * 4;
+    pub visible_index: gaussians * 4, Cull..=Update;
     /// Per visible Gaussian: mean and half extents, px. Or records of all four attributes, see [`FrameBuffers::splats`].
-    splats: visible * 16 * splat_stride;
+    splats: visible * 16 * splat_stride, Project..=ProjectBackward;
     /// Per visible Gaussian: conic and opacity.
-    conic_opacity: apart * visible * 16;
+    conic_opacity: apart * visible * 16, Project..=ProjectBackward;
     /// Per visible Gaussian: colour and 1/z.
-    color_inverse_depth: apart * visible * 16;
+    color_inverse_depth: apart * visible * 16, Project..=ProjectBackward;
     /// Per visible Gaussian: shape of its rows of tiles, number of tiles (tile_span.glsl).
-    footprints: apart * visible * 16;
-    /// [`Self::tile_lists`], then [`Self::pose_sums`].
-    tile_lists: (visible * 8).max(
-        backward * (u64::from(first_lens_sum(capacity)) * 12 + gaussian_blocks * LENS_SUM_BYTES),
-    );
-    /// [`Self::depth_keys`], [`Self::depth_sort_keys`], then [`Self::list_heads`].
-    depth_keys_a: visible * 4;
-    /// [`Self::depth_sort_keys`], then [`Self::list_rows`].
-    depth_keys_b: visible * 4;
-    /// [`Self::depth_sort_values`], then perhaps [`Self::depth_order`].
-    order_a: visible * 4;
-    /// [`Self::depth_sort_values`], then perhaps [`Self::depth_order`].
-    order_b: visible * 4;
+    footprints: apart * visible * 16, Project..=ProjectBackward;
+    /// Per visible Gaussian: the list of its tiles if they are few, otherwise their number (tile_list.glsl).
+    pub tile_lists: visible * 8, Project..=Count;
+    /// [`Self::depth_sort_keys`].
+    sorted_depths: visible * 4, Project..=DepthSort;
+    /// [`Self::depth_sort_keys`].
+    other_depths: visible * 4, Project..=DepthSort;
+    /// Per depth rank: the visible Gaussian. Views with one order read it again.
+    pub depth_order: visible * 4, DepthSort..=Blend;
+    /// [`Self::depth_sort_values`].
+    other_order: visible * 4, DepthSort..=DepthSort;
+    /// Per depth rank: first word of the Gaussian's list of tiles.
+    pub list_heads: visible * 4, Count..=Duplicate;
+    /// Per depth rank: second word of the list.
+    pub list_rows: visible * 4, Count..=Duplicate;
     /// Per rank: number of tiles touched.
-    pub tiles_touched: visible * 4;
+    pub tiles_touched: visible * 4, Count..=Count;
     /// Per rank: first instance.
-    pub instance_offsets: visible * 4;
+    pub instance_offsets: visible * 4, Count..=Duplicate;
     /// Sums and offsets of the scan's blocks.
-    pub scan_blocks: blocks(visible, sizes.scan_block.into()) * 4;
+    pub scan_blocks: blocks(visible, sizes.scan_block.into()) * 4, Count..=Count;
     /// Sorting scratch: counts per digit and block, and per digit and run.
-    pub histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)) * 4;
+    pub histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)) * 4, DepthSort..=TileSort;
     /// Sorting scratch: keys per digit.
-    pub digit_totals: (1 << sizes.sort_digit_bits()) * 4;
-    /// [`Self::instance_tiles`], [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
-    tiles_a: instances * 4;
-    /// [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
-    tiles_b: instances * 4;
-    /// [`Self::instance_visible`] (frames without backward), [`Self::tile_sort_values`], then perhaps
-    /// [`Self::sorted_instances`].
-    sorted_a: instances * 4;
-    /// [`Self::tile_sort_values`], then perhaps [`Self::sorted_instances`].
-    sorted_b: instances * 4;
-    /// [`Self::instance_visible`] with backward.
-    instance_visible: backward_instances * 4;
+    pub digit_totals: (1 << sizes.sort_digit_bits()) * 4, DepthSort..=TileSort;
+    /// Per sorted instance: its tile.
+    pub sorted_tiles: instances * 4, Duplicate..=Ranges;
+    /// [`Self::tile_sort_keys`].
+    other_tiles: instances * 4, Duplicate..=TileSort;
+    /// Per sorted instance: its index before the tile sort; without backward, the visible Gaussian.
+    pub sorted_instances: instances * 4, Duplicate..=BlendBackward;
+    /// [`Self::tile_sort_values`].
+    other_instances: instances * 4, Duplicate..=TileSort;
+    /// Per instance before the tile sort: the visible Gaussian. Without backward it is in [`Self::tile_sort_values`].
+    pub instance_visible: backward_instances * 4, Duplicate..=Ranges;
     /// [`Self::sorted_visible`] with backward, gathered by the kernel that finds the ranges.
-    pub gathered_visible: backward_instances * 4;
+    pub gathered_visible: backward_instances * 4, Ranges..=BlendBackward;
     /// Per visible Gaussian: its first instance.
-    pub first_instances: backward * visible * 4;
+    pub first_instances: backward * visible * 4, Duplicate..=ProjectBackward;
     /// Per tile: begin and end in the sorted instances.
     pub tile_ranges: tiles * 8;
     /// Per pixel: premultiplied colour without background, transmittance. With backward in strips it is written only
     /// between passes, and with the inverse depth.
-    pub accumulated: pixels * 16;
+    pub accumulated: pixels * 16, Blend..=BlendBackward;
     /// The composited picture as three planes in strips, if the backward pass reads strips.
-    pub composited: 3 * strips * 4;
+    pub composited: 3 * strips * 4, Blend..=BlendBackward;
     /// Per pixel: sum of weights / z, or of weights * z in frames with an expected or a linear depth.
-    pub depth_sums: pixels * 4;
+    pub depth_sums: depth * pixels * 4, Blend..=BlendBackward;
     /// Per pixel: 1 + list index of the last blended entry of its tile.
-    pub last_entries: pixels * 4;
-    /// Gradient of the loss. Per pixel: dL/d(r, g, b, inverse depth); with strips, three planes of dL/d(r, g,
-    /// b).
+    pub last_entries: (last_entries | backward) * pixels * 4, Blend..=BlendBackward;
+    /// Gradient of the loss. Per pixel: dL/d(r, g, b, inverse depth); with strips, three planes of dL/d(r, g, b). It lives always,
+    /// because what no kernel writes must stay 0.
     pub image_gradient: if strips > 0 { 3 * strips * 4 } else { backward * pixels * 16 };
     /// Per pixel: state between passes of the backward blending.
-    pub backward_state: backward * u64::from(capacity.blend_passes > 1) * pixels * 8;
+    pub backward_state: backward * u64::from(capacity.blend_passes > 1) * pixels * 8, BlendBackward..=BlendBackward;
     /// Per instance before the tile sort: moments 1, dx, dy, dx dx.
-    pub instance_gradients_a: backward_instances * 16;
+    pub instance_gradients_a: backward_instances * 16, BlendBackward..=ProjectBackward;
     /// Per instance before the tile sort: moments dx dy, dy dy; d red, d green.
-    pub instance_gradients_b: backward_instances * 16;
+    pub instance_gradients_b: backward_instances * 16, BlendBackward..=ProjectBackward;
     /// Per instance before the tile sort: d blue, d inverse depth.
-    pub instance_gradients_c: backward_instances * 8;
+    pub instance_gradients_c: backward_instances * 8, BlendBackward..=ProjectBackward;
     /// [`Self::absolute_gradients`].
-    instance_gradients_d: backward_instances * u64::from(capacity.absolute) * 8;
+    instance_gradients_d: backward_instances * u64::from(capacity.absolute) * 8, BlendBackward..=ProjectBackward;
     /// Per visible Gaussian: planes named GRADIENT_*.
-    pub gradients: backward * visible * 16 * u64::from(GRADIENT_PLANES);
+    pub gradients: backward * visible * 16 * u64::from(GRADIENT_PLANES), ProjectBackward..=Update;
+    /// Per subgroup of visible Gaussians, indexed as subgroups of all Gaussians: sums of dL/dν and dL/dω of the camera's
+    /// pose, two vec3. Behind them, from `first_lens_sum` on, per culling block of visible Gaussians: sums of the gradient of the
+    /// lens.
+    pub pose_sums: backward * (u64::from(first_lens_sum(capacity)) * 12 + gaussian_blocks * LENS_SUM_BYTES),
+        BlendBackward..=Update;
+    /// Per Gaussian: a plane through which densification moves the others.
+    pub moved_plane: trained * gaussians.next_multiple_of(PLANE_ROW.into()) * 16, BetweenSteps..=BetweenSteps;
     /// Per pixel: 1 + index of the picked Gaussian in its tile's list, 0 for none; bits of its weight.
-    pub picks: pick * pixels * 8;
+    pub picks: pick * pixels * 8, Blend..=Blend;
     /// Per scene: index of its first Gaussian in the frame, for picks.
     pub scene_firsts: pick * u64::from(capacity.scenes) * 4;
     /// Per visible Gaussian: motion on the screen, px.
-    pub motions: motion * visible * 8;
+    pub motions: motion * visible * 8, Project..=Blend;
     /// Per pixel: sum of weights * motions, px.
-    pub motion_sums: motion * pixels * 8;
+    pub motion_sums: motion * pixels * 8, Blend..=Blend;
     /// Per visible Gaussian: its normal in the camera's frame; slope of its depth over the picture, as two half floats.
-    pub splat_surfaces: surface * visible * 16;
+    pub splat_surfaces: surface * visible * 16, Project..=Blend;
     /// Per pixel: sum of weights * normals, in the camera's frame; median depth, world units, 0 without one.
-    pub surfaces: surface * pixels * 16;
+    pub surfaces: surface * pixels * 16, Blend..=Blend;
 }
 
 /// Declares [`Outputs`].
@@ -241,15 +285,10 @@ pub(crate) fn first_lens_sum(capacity: &FrameCapacity) -> u32 {
     capacity.gaussians.div_ceil(4) * (POSE_SUM_BYTES / 12) as u32
 }
 
-/// Returns the bytes of all buffers of a frame, including the padding between them.
-pub fn frame_bytes(capacity: &FrameCapacity, sizes: &LaunchSizes) -> u64 {
-    packed_bytes(&FrameBuffers::requests(capacity, sizes))
-}
-
-/// Returns the bytes of requests in one block, including the padding between them.
-pub(crate) fn packed_bytes(requests: &[(&'static str, u64)]) -> u64 {
+/// Returns the bytes of requests with these lives in one block, including the padding between them.
+pub(crate) fn packed_bytes(requests: &[(&'static str, u64)], lives: &[Life]) -> u64 {
     let bytes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
-    pack(&bytes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum())
+    pack(&bytes, lives, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum())
 }
 
 /// Bindings of the attributes of the visible Gaussians: see splat_record.glsl.
@@ -267,38 +306,19 @@ pub struct Splats<'a> {
     pub stride: u32,
 }
 
-macro_rules! contents {
-    ($($(#[$doc:meta])* $content:ident: $buffer:ident;)*) => {
-        impl FrameBuffers {
-            $($(#[$doc])* pub fn $content(&self) -> &Buffer { &self.$buffer })*
-        }
-    };
-}
-
-contents! {
-    /// Per culling block: number of visible Gaussians. Valid from culling to the scan of these numbers.
-    visible_counts: visible_blocks;
-    /// Per culling block: index of its first visible Gaussian. Valid from the scan on.
-    visible_offsets: visible_blocks;
-    /// Per visible Gaussian: key of its depth, below 2^[`DEPTH_KEY_BITS`]. Valid from projection to the depth sort.
-    depth_keys: depth_keys_a;
-    /// Per visible Gaussian: the list of its tiles if they are few, otherwise their number (tile_list.glsl). Valid from
-    /// projection to duplication.
-    tile_lists: tile_lists;
-    /// Per subgroup of visible Gaussians, indexed as subgroups of all Gaussians: sums of dL/dν and dL/dω of the camera's
-    /// pose, two vec3. Behind them, from `first_lens_sum` on, per culling block of visible Gaussians: sums of the gradient of the
-    /// lens. Valid from the backward projection on, if it writes them.
-    pose_sums: tile_lists;
-    /// Per depth rank: first word of the Gaussian's list of tiles. Valid from counting to duplication; the sorted depths
-    /// are not needed then.
-    list_heads: depth_keys_a;
-    /// Per depth rank: second word of the list. Valid as long as [`Self::list_heads`].
-    list_rows: depth_keys_b;
-    /// Per instance: its tile. Valid from duplication to the tile sort.
-    instance_tiles: tiles_a;
-}
-
 impl FrameBuffers {
+    /// Requests of a frame, then those of the scratch of a loss, and the lives of all.
+    pub(crate) fn requests_with(
+        capacity: &FrameCapacity,
+        launch: &LaunchSizes,
+        loss_scratch: &[(&'static str, u64)],
+    ) -> (Vec<(&'static str, u64)>, Vec<Life>) {
+        let requests = [&Self::requests(capacity, launch), loss_scratch].concat();
+        let mut lives = Self::LIVES.to_vec();
+        lives.resize(requests.len(), Life { first: Pass::Loss as u8, last: Pass::Loss as u8 });
+        (requests, lives)
+    }
+
     /// Camera block of a scene, by its place in the frame.
     pub(crate) fn camera_block(&self, scene: usize) -> Buffer {
         self.camera_blocks.range(scene as u64 * CAMERA_BLOCK_BYTES, CAMERA_BLOCK_BYTES)
@@ -315,51 +335,30 @@ impl FrameBuffers {
         self.visible_ranges.range(32 * u64::from(first_in_frame / sizes.elementwise_workgroup), 12)
     }
 
-    /// Keys of the depth sort, alternately read and written. Valid until its end.
-    pub fn depth_sort_keys(&self) -> [&Buffer; 2] {
-        [&self.depth_keys_a, &self.depth_keys_b]
+    /// Keys of the depth sort, alternately read and written; the first has the depths, below 2^[`DEPTH_KEY_BITS`].
+    pub fn depth_sort_keys(&self, sizes: &LaunchSizes) -> [&Buffer; 2] {
+        ending_in(&self.sorted_depths, &self.other_depths, sizes, DEPTH_KEY_BITS)
     }
 
-    /// Values of the depth sort, alternately read and written. Valid until its end.
-    pub fn depth_sort_values(&self) -> [&Buffer; 2] {
-        [&self.order_a, &self.order_b]
+    /// Values of the depth sort, alternately read and written. They end in [`Self::depth_order`].
+    pub fn depth_sort_values(&self, sizes: &LaunchSizes) -> [&Buffer; 2] {
+        ending_in(&self.depth_order, &self.other_order, sizes, DEPTH_KEY_BITS)
     }
 
-    /// Per depth rank: the visible Gaussian. Valid from the depth sort on.
-    pub fn depth_order(&self, sizes: &LaunchSizes) -> &Buffer {
-        self.depth_sort_values()[sizes.sorted_side(DEPTH_KEY_BITS)]
+    /// Keys of the tile sort, alternately read and written; the first has the instances' tiles. They end in
+    /// [`Self::sorted_tiles`].
+    pub fn tile_sort_keys(&self, sizes: &LaunchSizes, camera: &Camera) -> [&Buffer; 2] {
+        ending_in(&self.sorted_tiles, &self.other_tiles, sizes, bits_of_tiles(camera))
     }
 
-    /// Per instance before the tile sort: the visible Gaussian. Valid from duplication on with backward; otherwise until
-    /// the tile sort, which reorders it.
-    pub fn instance_visible(&self, keeps_instances: bool) -> &Buffer {
-        if keeps_instances { &self.instance_visible } else { &self.sorted_a }
-    }
-
-    /// Keys of the tile sort, alternately read and written. Valid until its end.
-    pub fn tile_sort_keys(&self) -> [&Buffer; 2] {
-        [&self.tiles_a, &self.tiles_b]
-    }
-
-    /// Values of the tile sort, alternately read and written. Valid until its end.
-    pub fn tile_sort_values(&self) -> [&Buffer; 2] {
-        [&self.sorted_a, &self.sorted_b]
-    }
-
-    /// Per sorted instance: its tile. Valid from the tile sort on.
-    pub fn sorted_tiles(&self, sizes: &LaunchSizes, camera: &Camera) -> &Buffer {
-        self.tile_sort_keys()[sorted_side(sizes, camera)]
-    }
-
-    /// Per sorted instance: its index before the tile sort; without backward, the visible Gaussian. Valid from the tile
-    /// sort on.
-    pub fn sorted_instances(&self, sizes: &LaunchSizes, camera: &Camera) -> &Buffer {
-        self.tile_sort_values()[sorted_side(sizes, camera)]
+    /// Values of the tile sort, alternately read and written. They end in [`Self::sorted_instances`].
+    pub fn tile_sort_values(&self, sizes: &LaunchSizes, camera: &Camera) -> [&Buffer; 2] {
+        ending_in(&self.sorted_instances, &self.other_instances, sizes, bits_of_tiles(camera))
     }
 
     /// Per sorted instance: the visible Gaussian. Valid from the ranges on; without backward, from the tile sort on.
-    pub fn sorted_visible(&self, sizes: &LaunchSizes, keeps_instances: bool, camera: &Camera) -> &Buffer {
-        if keeps_instances { &self.gathered_visible } else { self.sorted_instances(sizes, camera) }
+    pub fn sorted_visible(&self, backward: bool) -> &Buffer {
+        if backward { &self.gathered_visible } else { &self.sorted_instances }
     }
 
     /// The blended picture that the loss and the backward pass read: [`Self::composited`] with strips,
@@ -429,8 +428,20 @@ pub fn frame_fits_device(limits: &Limits, capacity: &FrameCapacity, sizes: &Laun
         && FrameBuffers::requests(capacity, sizes).iter().all(|(_, bytes)| *bytes <= most)
 }
 
-/// Index of the tile sort's buffer that holds its result, for an image of this size.
-pub(crate) fn sorted_side(sizes: &LaunchSizes, camera: &Camera) -> usize {
+/// Bits of the tiles' indices of a camera's image.
+pub(crate) fn bits_of_tiles(camera: &Camera) -> u32 {
     let (columns, rows) = tile_grid(camera.width, camera.height);
-    sizes.sorted_side(tile_bits(columns * rows))
+    tile_bits(columns * rows)
+}
+
+/// Two buffers in the order in which a sort of keys below 2^`key_bits` ends in `result`. The other one is then free.
+fn ending_in<'a>(
+    result: &'a Buffer,
+    other: &'a Buffer,
+    sizes: &LaunchSizes,
+    key_bits: u32,
+) -> [&'a Buffer; 2] {
+    let mut pair = [result, other];
+    pair.rotate_left(sizes.sorted_side(key_bits));
+    pair
 }

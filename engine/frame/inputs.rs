@@ -77,6 +77,9 @@ pub struct FrameInputs<'a> {
     pub keeps_overflow: bool,
     /// Further outputs besides the picture; none with `backward`.
     pub outputs: Outputs,
+    /// Buffers of the loss terms' scratch, in a training: [`LossTerm::scratch_requests`](crate::passes::loss::LossTerm::scratch_requests)
+    /// of each in turn.
+    pub loss_scratch: &'a [Buffer],
     /// Index among views that share one depth order ([`Forward::record_first`](crate::render::Forward::record_first)); `None` for a
     /// view with its own.
     pub view: Option<u32>,
@@ -106,6 +109,7 @@ impl<'a> FrameInputs<'a> {
             last_entries: false,
             keeps_overflow: false,
             outputs: settings.outputs(),
+            loss_scratch: &[],
             view: None,
         }
     }

@@ -14,11 +14,9 @@ pub mod tuning;
 
 pub use batches::{Batch, FrameBatches};
 pub(crate) use batches::{LEAST_SCENES, form_batches};
-pub use buffers::{
-    CAMERA_BLOCK_BYTES, FrameBuffers, Outputs, Splats, check_grids, frame_bytes, frame_fits_device,
-};
+pub use buffers::{CAMERA_BLOCK_BYTES, FrameBuffers, Outputs, Splats, check_grids, frame_fits_device};
 pub(crate) use buffers::{
-    LENS_SUM_BYTES, POSE_SUM_BYTES, array_of, buffer_set, first_lens_sum, packed_bytes, sorted_side,
+    LENS_SUM_BYTES, POSE_SUM_BYTES, Pass, array_of, bits_of_tiles, buffer_set, first_lens_sum, packed_bytes,
 };
 pub(crate) use camera_block::{CUT_OUT_BYTES, record_blocks, record_cut_outs, record_scene_firsts};
 pub use camera_block::{POSE_BYTES, pose_of};

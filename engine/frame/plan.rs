@@ -159,6 +159,12 @@ pub struct FrameCapacity {
     pub backward: bool,
     /// True if these include the absolute gradients of the 2D means.
     pub absolute: bool,
+    /// True if the frame has [`FrameBuffers::depth_sums`](super::FrameBuffers::depth_sums).
+    pub depth: bool,
+    /// True if the frame has [`FrameBuffers::last_entries`](super::FrameBuffers::last_entries) also without `backward`.
+    pub last_entries: bool,
+    /// True if densification works in the frame's memory between steps.
+    pub trained: bool,
     /// Outputs besides the picture.
     pub outputs: Outputs,
 }
@@ -175,6 +181,9 @@ impl Default for FrameCapacity {
             blend_passes: 1,
             backward: false,
             absolute: false,
+            depth: false,
+            last_entries: false,
+            trained: false,
             outputs: Outputs::default(),
         }
     }

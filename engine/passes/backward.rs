@@ -77,8 +77,8 @@ macro_rules! blend_backward_arguments {
         let splats = f.splats();
         let bind = $kernel::Bind {
             tile_ranges: &f.tile_ranges,
-            sorted_visible: f.sorted_visible(sizes, $inputs.keeps_instances(), $inputs.camera),
-            sorted_instances: f.sorted_instances(sizes, $inputs.camera),
+            sorted_visible: f.sorted_visible($inputs.keeps_instances()),
+            sorted_instances: &f.sorted_instances,
             mean2d_extent: splats.mean2d_extent,
             conic_opacity: splats.conic_opacity,
             color_inverse_depth: splats.color_inverse_depth,
@@ -234,12 +234,19 @@ impl Backward {
             // Blocks without a visible Gaussian write no sum.
             let first = 12 * u64::from(first_lens_sum(inputs.capacity));
             let blocks = self.sizes.groups(inputs.scene().count);
-            r.fill(&inputs.buffers.pose_sums().range(first, blocks * LENS_SUM_BYTES), 0);
+            r.fill(&inputs.buffers.pose_sums.range(first, blocks * LENS_SUM_BYTES), 0);
         }
         if form.pose {
             // Subgroups without a visible Gaussian write no sum.
             let sums = inputs.scene().count.div_ceil(self.context.limits().heavy_subgroup_size);
-            r.fill(&inputs.buffers.pose_sums().range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
+            r.fill(&inputs.buffers.pose_sums.range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
+        }
+        if inputs.hidden_by.is_some() {
+            // Instances of hidden tiles are not blended, and their gradients are 0.
+            let f = inputs.buffers;
+            let sums = [&f.instance_gradients_a, &f.instance_gradients_b, &f.instance_gradients_c];
+            sums.into_iter().chain([f.absolute_gradients(true)]).for_each(|sums| r.fill(sums, 0));
+            r.barrier();
         }
         r.scope("blend backward", |r| self.record_blend(r, inputs, image_gradient, form.sums()));
         r.barrier();
@@ -314,7 +321,7 @@ impl Backward {
                 // Without the absolute statistic the kernel does not write this binding.
                 absolute_statistics: statistics.absolute.unwrap_or(statistics.buffer),
                 // Without a gradient of the pose the kernel does not write this binding.
-                pose_sums: f.pose_sums(),
+                pose_sums: &f.pose_sums,
                 camera_block: &f.camera_block(0),
             };
             r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, range.first));

@@ -31,7 +31,7 @@ macro_rules! blend_bind {
         let splats = frame.splats();
         $kernel::Bind {
             tile_ranges: &frame.tile_ranges,
-            sorted_visible: frame.sorted_visible($sizes, $inputs.keeps_instances(), $inputs.camera),
+            sorted_visible: frame.sorted_visible($inputs.keeps_instances()),
             mean2d_extent: splats.mean2d_extent,
             conic_opacity: splats.conic_opacity,
             color_inverse_depth: splats.color_inverse_depth,

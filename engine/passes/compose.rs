@@ -2,7 +2,7 @@
 //! pixels into the host's images.
 
 use crate::error::{Error, Result};
-use crate::frame::{FrameInputs, FrameVariant, LaunchSizes, Outputs, tile_grid};
+use crate::frame::{FrameInputs, FrameVariant, Outputs, tile_grid};
 use crate::kernels::compose::{
     compose_bgra8, compose_r11g11b10f, compose_rgb10a2, compose_rgba8, compose_rgba16f, compose_rgba32f,
     depth_limit, expected_depth, mean_motion, picks,
@@ -122,7 +122,6 @@ fn check_background(behind: Background, image: &Image) -> Result<()> {
 
 /// Kernels between a frame and a host's images.
 pub struct Compose {
-    sizes: LaunchSizes,
     workgroup: u32,
     rgba8: ByEncoding<compose_rgba8::Interface>,
     bgra8: ByEncoding<compose_bgra8::Interface>,
@@ -170,7 +169,6 @@ impl Compose {
         }
         let limits = |linear| Kernel::new(context, &depth_limit::Spec { workgroup_size, linear });
         Ok(Self {
-            sizes: LaunchSizes::new(context.limits()),
             workgroup: workgroup_size,
             rgba8: by_encoding!(compose_rgba8, c::COMPOSE_LINEAR_IN_SRGB),
             bgra8: by_encoding!(compose_bgra8, c::COMPOSE_LINEAR_IN_SRGB),
@@ -309,7 +307,7 @@ impl Compose {
         let bind = picks::Bind {
             picks: &f.picks,
             tile_ranges: &f.tile_ranges,
-            sorted_visible: f.sorted_visible(&self.sizes, inputs.keeps_instances(), inputs.camera),
+            sorted_visible: f.sorted_visible(inputs.keeps_instances()),
             visible_list: &f.visible_list,
             color_inverse_depth: splats.color_inverse_depth,
             scene_firsts: &f.scene_firsts,

@@ -109,7 +109,7 @@ impl Cull {
             let bind = cull::Bind {
                 parameters: &part.scene.chunks[part.chunk],
                 visible_flags: &f.visible_flags,
-                block_counts: f.visible_counts(),
+                block_counts: &f.visible_blocks,
                 // Without cut-outs the kernel does not read this binding. With cut-outs, `record` has checked the buffer.
                 cut_outs: inputs.cut_outs.unwrap_or(&part.scene.chunks[part.chunk]),
                 camera_block: &f.camera_block(part.block),
@@ -149,7 +149,7 @@ impl Cull {
         let bind = cull_scenes::Bind {
             parameters: &parameters,
             visible_flags: &f.visible_flags,
-            block_counts: f.visible_counts(),
+            block_counts: &f.visible_blocks,
             // Same as for a single scene.
             cut_outs: inputs.cut_outs.unwrap_or(&parameters),
             scene_blocks: &inputs.camera_blocks(),
@@ -170,13 +170,13 @@ impl Cull {
             first_argument: c::ARGUMENTS_VISIBLE,
             caller_block: self.sizes.scan_block,
         };
-        scan.record_counted_sums(r, f.visible_counts(), culled_blocks, counted);
+        scan.record_counted_sums(r, &f.visible_blocks, culled_blocks, counted);
         r.barrier();
         r.dispatch(
             &self.compact,
             &compact::Bind {
                 visible_flags: &f.visible_flags,
-                block_offsets: f.visible_offsets(),
+                block_offsets: &f.visible_blocks,
                 visible_list: &f.visible_list,
                 visible_index: &f.visible_index,
             },
@@ -189,7 +189,7 @@ impl Cull {
             &self.write_visible_ranges,
             &write_visible_ranges::Bind {
                 state: &f.state,
-                block_offsets: f.visible_offsets(),
+                block_offsets: &f.visible_blocks,
                 visible_ranges: &f.visible_ranges,
                 scene_blocks: &inputs.camera_blocks(),
             },

@@ -7,7 +7,7 @@
 use super::scan::{Counted, Scan, ScanBuffers, Workgroups};
 use super::sort::{RadixSort, SortBuffers, Values};
 use crate::error::Result;
-use crate::frame::{FrameBuffers, FrameInputs, LaunchSizes, sorted_side, tile_bits, tile_grid};
+use crate::frame::{FrameBuffers, FrameInputs, LaunchSizes, bits_of_tiles, tile_grid};
 use crate::kernels::backward::hide_tiles;
 use crate::kernels::constants as c;
 use crate::kernels::forward::{count, duplicate_with_tiles, ranges};
@@ -58,14 +58,14 @@ impl Instances {
         specs.into_iter().try_for_each(|spec| self.duplicate.prepare(context, spec))
     }
 
-    /// Builds the kernel for masked photographs. `absolute`: frames have absolute gradients.
-    pub fn prepare_hiding(&mut self, context: &Context, absolute: bool) -> Result<()> {
-        self.hide.prepare(context, self.hide_spec(absolute))
+    /// Builds the kernel for masked photographs.
+    pub fn prepare_hiding(&mut self, context: &Context) -> Result<()> {
+        self.hide.prepare(context, self.hide_spec())
     }
 
-    fn hide_spec(&self, absolute: bool) -> hide_tiles::Spec {
+    fn hide_spec(&self) -> hide_tiles::Spec {
         let (subgroup_size, strips) = (self.duplicate_spec.subgroup_size, self.sizes.strips);
-        hide_tiles::Spec { workgroup_size: subgroup_size, subgroup_size, strips, absolute }
+        hide_tiles::Spec { workgroup_size: subgroup_size, subgroup_size, strips }
     }
 
     fn duplicate_spec(&self, for_backward: bool, projection: Projection) -> duplicate_with_tiles::Spec {
@@ -77,8 +77,8 @@ impl Instances {
         let buffers = SortBuffers {
             counts: &f.state,
             count_index: c::STATE_VISIBLE,
-            keys: f.depth_sort_keys(),
-            values: f.depth_sort_values(),
+            keys: f.depth_sort_keys(&self.sizes),
+            values: f.depth_sort_values(&self.sizes),
             histogram: &f.histogram,
             digit_totals: &f.digit_totals,
         };
@@ -86,17 +86,17 @@ impl Instances {
         self.sort.record(r, &buffers, Values::Positions, c::DEPTH_KEY_BITS, Workgroups::Indirect(&at));
     }
 
-    /// Records the tile counts of the visible Gaussians in depth order, their prefix sums, and the number of instances. The
-    /// ordered lists (`list_heads`, `list_rows`) overwrite the sorted depths, which are no longer needed.
+    /// Records the tile counts and lists of the visible Gaussians in depth order, prefix sums of the counts, and the number of
+    /// instances.
     pub fn record_count(&self, r: &mut Recorder, inputs: &FrameInputs, scan: &Scan) {
         let f = inputs.buffers;
         let bind = count::Bind {
             state: &f.state,
-            order: f.depth_order(&self.sizes),
-            tile_lists: f.tile_lists(),
+            order: &f.depth_order,
+            tile_lists: &f.tile_lists,
             tiles_touched: &f.tiles_touched,
-            list_heads: f.list_heads(),
-            list_rows: f.list_rows(),
+            list_heads: &f.list_heads,
+            list_rows: &f.list_rows,
             block_sums: &f.scan_blocks,
         };
         let at = f.arguments_at(c::ARGUMENTS_VISIBLE_SCAN);
@@ -124,16 +124,17 @@ impl Instances {
     pub fn record_duplicate(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.buffers;
         let (keeps_instances, splats) = (inputs.keeps_instances(), f.splats());
+        let values = f.tile_sort_values(&self.sizes, inputs.camera);
         let bind = duplicate_with_tiles::Bind {
             state: &f.state,
-            order: f.depth_order(&self.sizes),
+            order: &f.depth_order,
             instance_offsets: &f.instance_offsets,
             mean2d_extent: splats.mean2d_extent,
             footprints: splats.footprints,
-            list_heads: f.list_heads(),
-            list_rows: f.list_rows(),
-            instance_tiles: f.instance_tiles(),
-            instance_visible: f.instance_visible(keeps_instances),
+            list_heads: &f.list_heads,
+            list_rows: &f.list_rows,
+            instance_tiles: f.tile_sort_keys(&self.sizes, inputs.camera)[0],
+            instance_visible: if keeps_instances { &f.instance_visible } else { values[0] },
             first_instances: &f.first_instances,
         };
         let (tiles_per_row, tile_rows) = tile_grid(inputs.camera.width, inputs.camera.height);
@@ -156,57 +157,46 @@ impl Instances {
     /// indices before the tile sort, or without backward the visible Gaussians.
     pub fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.buffers;
-        let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
         let buffers = SortBuffers {
             counts: &f.state,
             count_index: c::STATE_INSTANCES,
-            keys: f.tile_sort_keys(),
-            values: f.tile_sort_values(),
+            keys: f.tile_sort_keys(&self.sizes, inputs.camera),
+            values: f.tile_sort_values(&self.sizes, inputs.camera),
             histogram: &f.histogram,
             digit_totals: &f.digit_totals,
         };
         let at = f.arguments_at(c::ARGUMENTS_INSTANCES_SORT);
-        let bits = tile_bits(columns * rows);
+        let bits = bits_of_tiles(inputs.camera);
         let values = if inputs.keeps_instances() { Values::Positions } else { Values::Given };
-        let side = self.sort.record(r, &buffers, values, bits, Workgroups::Indirect(&at));
-        assert_eq!(side, sorted_side(&self.sizes, inputs.camera), "FrameBuffers::sorted_tiles is elsewhere");
+        self.sort.record(r, &buffers, values, bits, Workgroups::Indirect(&at));
     }
 
     /// Records the begin and end of each tile's instances.
     pub fn record_ranges(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.buffers;
+        let keeps_instances = inputs.keeps_instances();
         let bind = ranges::Bind {
             state: &f.state,
-            sorted_tiles: f.sorted_tiles(&self.sizes, inputs.camera),
-            sorted_instances: f.sorted_instances(&self.sizes, inputs.camera),
-            instance_visible: f.instance_visible(inputs.keeps_instances()),
+            sorted_tiles: &f.sorted_tiles,
+            sorted_instances: &f.sorted_instances,
+            // Without backward the kernel does not read this binding.
+            instance_visible: if keeps_instances { &f.instance_visible } else { &f.sorted_instances },
             tile_ranges: &f.tile_ranges,
             sorted_visible: &f.gathered_visible,
         };
-        let kernel = &self.ranges[usize::from(inputs.keeps_instances())];
+        let kernel = &self.ranges[usize::from(keeps_instances)];
         r.dispatch_indirect(kernel, &bind, &ranges::Push {}, &f.arguments_at(c::ARGUMENTS_INSTANCES));
     }
 
     /// Records that the tiles in which a photograph's mask hides every pixel have no instances. The picture there is the
-    /// background, and the gradients of these instances are 0.
+    /// background.
     pub fn record_hiding(&self, r: &mut Recorder, inputs: &FrameInputs, photo: &Buffer) {
-        let f = inputs.buffers;
-        let bind = hide_tiles::Bind {
-            photo,
-            sorted_instances: f.sorted_instances(&self.sizes, inputs.camera),
-            tile_ranges: &f.tile_ranges,
-            instance_gradients_a: &f.instance_gradients_a,
-            instance_gradients_b: &f.instance_gradients_b,
-            instance_gradients_c: &f.instance_gradients_c,
-            instance_gradients_d: f.absolute_gradients(inputs.capacity.absolute),
-        };
+        let bind = hide_tiles::Bind { photo, tile_ranges: &inputs.buffers.tile_ranges };
         let (image_width, image_height) = (inputs.camera.width, inputs.camera.height);
         let (tiles_per_row, tile_rows) = tile_grid(image_width, image_height);
         let tile_count = tiles_per_row * tile_rows;
         let push = hide_tiles::Push { image_width, image_height, tiles_per_row, tile_count };
-        let Some(kernel) = self.hide.get_or_fail(r, &self.hide_spec(inputs.capacity.absolute)) else {
-            return;
-        };
+        let Some(kernel) = self.hide.get_or_fail(r, &self.hide_spec()) else { return };
         r.dispatch(kernel, &bind, &push, tile_count.into());
     }
 }

@@ -138,9 +138,9 @@ impl Project {
                 mean2d_extent: splats.mean2d_extent,
                 conic_opacity: splats.conic_opacity,
                 color_inverse_depth: splats.color_inverse_depth,
-                depth_keys: f.depth_keys(),
+                depth_keys: f.depth_sort_keys(&self.sizes)[0],
                 footprints: splats.footprints,
-                tile_lists: f.tile_lists(),
+                tile_lists: &f.tile_lists,
                 // Without a selection the kernel does not read this binding.
                 selection: part.settings.mask().unwrap_or(&f.visible_list),
                 camera_block: &f.camera_block(part.block),
@@ -178,14 +178,14 @@ impl Project {
         };
         let bind = project_scenes::Bind {
             parameters: &first.scene.chunks[0].whole(),
-            block_offsets: f.visible_offsets(),
+            block_offsets: &f.visible_blocks,
             visible_list: &f.visible_list,
             mean2d_extent: splats.mean2d_extent,
             conic_opacity: splats.conic_opacity,
             color_inverse_depth: splats.color_inverse_depth,
-            depth_keys: f.depth_keys(),
+            depth_keys: f.depth_sort_keys(&self.sizes)[0],
             footprints: splats.footprints,
-            tile_lists: f.tile_lists(),
+            tile_lists: &f.tile_lists,
             state: &f.state,
             scene_blocks: &inputs.camera_blocks(),
         };

@@ -59,9 +59,9 @@ impl Forward {
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
 
-    /// Builds the kernel that frames with [`FrameInputs::hidden_by`] need. `absolute`: they have absolute gradients.
-    pub(crate) fn prepare_hiding(&mut self, absolute: bool) -> Result<()> {
-        self.instances.prepare_hiding(&self.context, absolute)
+    /// Builds the kernel that frames with [`FrameInputs::hidden_by`] need.
+    pub(crate) fn prepare_hiding(&mut self) -> Result<()> {
+        self.instances.prepare_hiding(&self.context)
     }
 
     /// Builds the missing kernels of culling and projection for an SH degree and a variant. `batches`: also those of

@@ -4,11 +4,11 @@ use super::frame::BlendSamples;
 use crate::error::{Error, Result};
 use crate::frame::{
     FrameBuffers, FrameCapacity, FrameVariant, LEAST_INSTANCES, LEAST_VISIBLE, LaunchSizes, PictureCapacity,
-    check_grids, frame_bytes, initial_instances, initial_visible,
+    check_grids, initial_instances, initial_visible, packed_bytes,
 };
 use crate::kernels::constants as c;
 use crate::scene::Camera;
-use crate::vk::{Buffer, Context, MemoryKind, Recorder};
+use crate::vk::{Buffer, Context, Life, MemoryKind, Recorder};
 
 /// Buffers of a frame, which grow on demand. Allocations fail when the memory or a limit of the device does not suffice,
 /// before any work; the next frame then allocates the previous capacity.
@@ -16,14 +16,23 @@ pub struct FrameStore {
     context: Context,
     sizes: LaunchSizes,
     readback: Buffer,
-    /// Pictures for which every later allocation is large enough.
-    expected: PictureCapacity,
-    /// True if frames with backward include absolute gradients.
-    absolute: bool,
+    /// Shape for which every later allocation is large enough.
+    expected: FrameCapacity,
+    /// Requests of the scratch of a training's loss.
+    loss_scratch: Vec<(&'static str, u64)>,
     /// Capacity that the last frame requested. Earlier frames may have needed more.
     requested: FrameCapacity,
     capacity: FrameCapacity,
-    frame: Option<FrameBuffers>,
+    frame: Option<FrameMemory>,
+}
+
+/// Buffers in the memory of a frame.
+#[derive(Clone)]
+pub struct FrameMemory {
+    /// Buffers of the frame's passes.
+    pub buffers: FrameBuffers,
+    /// See [`FrameInputs::loss_scratch`](crate::frame::FrameInputs::loss_scratch).
+    pub loss_scratch: Vec<Buffer>,
 }
 
 /// Counts that a frame reports.
@@ -84,18 +93,18 @@ impl FrameStore {
             context: context.clone(),
             sizes: LaunchSizes::new(context.limits()),
             readback,
-            expected: PictureCapacity::NONE,
-            absolute: false,
+            expected: FrameCapacity::default(),
+            loss_scratch: Vec::new(),
             requested: FrameCapacity::default(),
             capacity: FrameCapacity::default(),
             frame: None,
         })
     }
 
-    /// Makes later allocations large enough for these pictures, before their frames come. `absolute`: frames with backward
-    /// include absolute gradients.
-    pub fn expect(&mut self, pictures: PictureCapacity, absolute: bool) {
-        (self.expected, self.absolute) = (pictures, absolute);
+    /// Makes later allocations large enough for a training's frames, before they come: their pictures, absolute gradients,
+    /// scratch of the loss, and memory between steps.
+    pub fn expect(&mut self, shape: FrameCapacity, loss_scratch: Vec<(&'static str, u64)>) {
+        (self.expected, self.loss_scratch) = (shape, loss_scratch);
     }
 
     /// Returns buffers for these numbers of Gaussians and scenes, a camera and a variant. Reallocates them if the current ones are
@@ -107,10 +116,10 @@ impl FrameStore {
         scenes: u32,
         camera: &Camera,
         variant: FrameVariant,
-    ) -> Result<(FrameBuffers, FrameCapacity)> {
-        let FrameVariant { backward, outputs, .. } = variant;
+    ) -> Result<(FrameMemory, FrameCapacity)> {
+        let FrameVariant { backward, outputs, inverse_depth: depth, last_entries, .. } = variant;
         let picture = PictureCapacity::of_cameras([camera]);
-        let all_pictures = picture.and(self.expected);
+        let all_pictures = picture.and(self.expected.pictures);
         let pictures = if backward { all_pictures } else { all_pictures.without_backward() };
         let visible = initial_visible(gaussians);
         let requested = FrameCapacity {
@@ -120,7 +129,10 @@ impl FrameStore {
             instances: initial_instances(self.context.limits(), visible, &pictures),
             pictures,
             backward,
-            absolute: backward && self.absolute,
+            absolute: backward && self.expected.absolute,
+            depth,
+            last_entries,
+            trained: self.expected.trained,
             outputs,
             ..FrameCapacity::default()
         };
@@ -138,6 +150,9 @@ impl FrameStore {
             blend_passes: current.blend_passes,
             backward: backward || current.backward,
             absolute: requested.absolute || current.absolute,
+            depth: depth || current.depth,
+            last_entries: last_entries || current.last_entries,
+            trained: requested.trained,
             outputs: outputs.and(current.outputs),
         };
         if let Some(frame) = self.frame.as_ref().filter(|_| capacity == current) {
@@ -171,7 +186,7 @@ impl FrameStore {
         &mut self,
         first: FrameCapacity,
         others: impl IntoIterator<Item = FrameCapacity>,
-    ) -> Result<FrameBuffers> {
+    ) -> Result<FrameMemory> {
         let mut allocated = self.allocate(first);
         for capacity in others {
             match &allocated {
@@ -182,17 +197,23 @@ impl FrameStore {
         allocated
     }
 
-    fn allocate(&mut self, capacity: FrameCapacity) -> Result<FrameBuffers> {
+    /// Requests of the buffers for a capacity, and their lives.
+    fn requests(&self, capacity: &FrameCapacity) -> (Vec<(&'static str, u64)>, Vec<Life>) {
+        FrameBuffers::requests_with(capacity, &self.sizes, &self.loss_scratch)
+    }
+
+    fn allocate(&mut self, capacity: FrameCapacity) -> Result<FrameMemory> {
         check_grids(self.context.limits(), &capacity, &self.sizes)?;
         // The old buffers are freed first: both sets at once might not fit.
         self.frame = None;
-        let requests = FrameBuffers::requests(&capacity, &self.sizes);
-        let buffers = self.context.allocate("frame", &requests, MemoryKind::Device)?;
-        let frame = FrameBuffers::from_allocated(buffers);
+        let (requests, lives) = self.requests(&capacity);
+        let mut buffers = self.context.allocate_shared("frame", &requests, &lives, MemoryKind::Device)?;
+        let loss_scratch = buffers.split_off(buffers.len() - self.loss_scratch.len());
+        let frame = FrameMemory { buffers: FrameBuffers::from_allocated(buffers), loss_scratch };
         if capacity.backward {
             // The fourth component of each pixel is never written and must be 0.
             self.context.run_commands("clear gradient", |r| {
-                r.fill(&frame.image_gradient, 0);
+                r.fill(&frame.buffers.image_gradient, 0);
             })?;
         }
         self.capacity = capacity;
@@ -239,7 +260,13 @@ impl FrameStore {
 
     /// Bytes of the frame's buffers with the current capacity.
     pub fn bytes(&self) -> u64 {
-        self.frame.as_ref().map_or(0, |_| frame_bytes(&self.capacity, &self.sizes))
+        self.frame.as_ref().map_or(0, |_| self.bytes_of(&self.capacity))
+    }
+
+    /// Bytes of the buffers of a frame with this capacity.
+    pub fn bytes_of(&self, capacity: &FrameCapacity) -> u64 {
+        let (requests, lives) = self.requests(capacity);
+        packed_bytes(&requests, &lives)
     }
 
     /// Sets the capacity in instances, and forces a new allocation at the next frame.
@@ -263,6 +290,11 @@ impl FrameStore {
 
     /// Returns the buffers of the last frame.
     pub fn current(&self) -> Result<&FrameBuffers> {
+        Ok(&self.memory()?.buffers)
+    }
+
+    /// Same as [`FrameStore::current`], with the scratch of the loss.
+    pub fn memory(&self) -> Result<&FrameMemory> {
         self.frame.as_ref().ok_or_else(|| Error::argument("frame", "none was rendered yet"))
     }
 

@@ -2,7 +2,6 @@
 
 use super::frame::Frame;
 use super::renderer::Renderer;
-use super::runner::FrameRunner;
 use crate::error::{Error, Result};
 use crate::frame::tuning::ELEMENTWISE_WORKGROUP;
 use crate::frame::{RenderSettings, next_scene_begin, tile_grid};
@@ -61,7 +60,7 @@ impl Renderer {
         let (columns, _) = tile_grid(camera.width, camera.height);
         let tile = u64::from(y / c::TILE_SIZE * columns + x / c::TILE_SIZE);
         let range: Vec<u32> = self.read(&self.runner.store.current()?.tile_ranges, tile * 8, 8)?;
-        let entries = self.entries(camera, range[0], range[1])?;
+        let entries = self.entries(range[0], range[1])?;
         let gaussians = self.visible_gaussians(visible)?;
         let [means, conics, shades] = self.attributes(visible)?;
         let mut report = PixelReport { transmittance: 1.0, ..PixelReport::default() };
@@ -106,10 +105,9 @@ impl Renderer {
     }
 
     /// Returns the visible Gaussians from `begin` to `end` in the sorted list of the last frame's instances.
-    fn entries(&self, camera: &Camera, begin: u32, end: u32) -> Result<Vec<u32>> {
-        let FrameRunner { store, forward, .. } = &self.runner;
-        let keeps_instances = store.capacity().backward;
-        let sorted = store.current()?.sorted_visible(&forward.sizes, keeps_instances, camera);
+    fn entries(&self, begin: u32, end: u32) -> Result<Vec<u32>> {
+        let store = &self.runner.store;
+        let sorted = store.current()?.sorted_visible(store.capacity().backward);
         self.read(sorted, u64::from(begin) * 4, u64::from(end - begin) * 4)
     }
 

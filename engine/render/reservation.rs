@@ -272,6 +272,7 @@ impl Reservation {
             scenes: self.scenes * if self.shared_sort { self.views } else { 1 },
             pictures,
             blend_passes: self.passes(sizes),
+            depth: self.inverse_depth || self.expected_depth,
             outputs: self.outputs(),
             ..FrameCapacity::default()
         };

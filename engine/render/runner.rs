@@ -1,12 +1,12 @@
 //! Runs a frame until its capacities suffice.
 
 use super::forward::Forward;
-use super::frame_store::{FrameCounts, FrameStore};
+use super::frame_store::{FrameCounts, FrameMemory, FrameStore};
 use crate::error::{Error, Result};
 use crate::frame::tuning::ELEMENTWISE_WORKGROUP;
 use crate::frame::{
-    FrameBuffers, FrameCapacity, FrameInputs, FrameVariant, PlacedScene, RenderSettings, SceneBuffers,
-    ScenePlan, gaussians_with, next_scene_begin,
+    FrameCapacity, FrameInputs, FrameVariant, PlacedScene, RenderSettings, SceneBuffers, ScenePlan,
+    gaussians_with, next_scene_begin,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Recorder, RunReport};
@@ -75,13 +75,14 @@ impl<'a> Request<'a> {
 
     fn inputs(
         &self,
-        frame: &'a FrameBuffers,
+        memory: &'a FrameMemory,
         capacity: &'a FrameCapacity,
         scenes: &'a [PlacedScene<'a>],
     ) -> FrameInputs<'a> {
-        let inputs = FrameInputs::new(scenes, frame, capacity, self.settings);
+        let inputs = FrameInputs::new(scenes, &memory.buffers, capacity, self.settings);
         let Self { pose, backward, last_entries, hidden_by, .. } = *self;
-        FrameInputs { pose, backward, last_entries, hidden_by, ..inputs }
+        let loss_scratch = &memory.loss_scratch;
+        FrameInputs { pose, backward, last_entries, hidden_by, loss_scratch, ..inputs }
     }
 }
 
@@ -150,17 +151,18 @@ impl FrameRunner {
         let scenes = request.scenes();
         let mut retries = 0;
         loop {
-            let (frame, capacity) = store.ensure(gaussians, scenes.len() as u32, camera, variant)?;
-            let inputs = request.inputs(&frame, &capacity, &scenes);
+            let variant = FrameVariant { last_entries: request.last_entries, ..variant };
+            let (memory, capacity) = store.ensure(gaussians, scenes.len() as u32, camera, variant)?;
+            let inputs = request.inputs(&memory, &capacity, &scenes);
             let report = context.run("frame", |r| {
                 forward.record(r, &inputs);
                 record_more(r, &inputs)?;
-                store.record_readback(r, &frame);
+                store.record_readback(r, &memory.buffers);
                 Ok(())
             })?;
             let counts = store.counts()?;
             // Growing frees its buffers before it allocates larger ones.
-            drop(frame);
+            drop(memory);
             let grown = store.grow(&counts);
             if !grown.map_err(|error| Failed::OutOfMemory { counts: Box::new(counts), error })? {
                 return Ok(FrameRun { counts, report, retries });
@@ -197,9 +199,9 @@ impl FrameRunner {
         request: &Request,
         record_more: impl FnOnce(&mut Recorder, &FrameInputs),
     ) -> Result<()> {
-        let (frame, capacity) = (self.store.current()?, self.store.capacity());
+        let (memory, capacity) = (self.store.memory()?, self.store.capacity());
         let scenes = request.scenes();
-        let inputs = FrameInputs { keeps_overflow: true, ..request.inputs(frame, &capacity, &scenes) };
+        let inputs = FrameInputs { keeps_overflow: true, ..request.inputs(memory, &capacity, &scenes) };
         self.forward.record(r, &inputs);
         record_more(r, &inputs);
         Ok(())

@@ -8,7 +8,9 @@ use crate::frame::{
     PlacedScene, RenderSettings, packed_bytes,
 };
 use crate::kernels::constants as c;
-use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, PLACEMENT_ALIGNMENT, RecordSlot, Recorder};
+use crate::vk::{
+    Buffer, Context, ForeignCommands, Life, MemoryKind, PLACEMENT_ALIGNMENT, RecordSlot, Recorder,
+};
 
 /// Bytes of a view's counts.
 const STATE_BYTES: u64 = c::STATE_WORDS as u64 * 4;
@@ -221,6 +223,7 @@ pub(super) struct SlotLayout<'a> {
     capacity: FrameCapacity,
     /// Once for each queue: the frame's requests, then optional ones.
     scratch: Requests,
+    scratch_lives: Vec<Life>,
     frame_requests: usize,
     /// For each slot but the first of its queue, whose pixels stay in the queue's scratch.
     pixels: Requests,
@@ -242,13 +245,20 @@ impl<'a> SlotLayout<'a> {
             pixels.push(("accumulated", count * 16));
             pixels.extend(wanted.keeps_depth().then_some(("depth_sums", count * 4)));
         }
+        // Pixels that stay while another slot's frame runs share no memory.
+        let stays = |name| wanted.slots > wanted.queues && pixels.iter().any(|(pixels, _)| *pixels == name);
+        let scratch = scratch_requests(wanted, &capacity, sizes);
+        let lives = scratch.iter().zip(FrameBuffers::LIVES);
+        let scratch_lives =
+            lives.map(|((name, _), life)| if stays(*name) { Life::ALWAYS } else { *life }).collect();
         let layout = Self {
             context,
             wanted,
             block,
             dispatches: wanted.dispatches(context, &capacity)?,
             capacity,
-            scratch: scratch_requests(wanted, &capacity, sizes),
+            scratch,
+            scratch_lives,
             frame_requests: FrameBuffers::requests(&capacity, sizes).len(),
             pixels,
         };
@@ -286,18 +296,18 @@ impl<'a> SlotLayout<'a> {
         too_large(format!("{}: buffer '{name}'", field_name(field)), needed)
     }
 
-    /// Returns the groups to allocate, in order.
-    fn groups(&self) -> impl Iterator<Item = &Requests> {
+    /// Returns the groups to allocate, in order, with the lives of their buffers.
+    fn groups(&self) -> impl Iterator<Item = (&Requests, &[Life])> {
         let wanted = self.wanted;
         let queues = wanted.queues.min(wanted.slots);
         let own = if self.pixels.is_empty() { 0 } else { wanted.slots - queues };
-        let scratch = std::iter::repeat_n(&self.scratch, queues as usize);
-        scratch.chain(std::iter::repeat_n(&self.pixels, own as usize))
+        let scratch = std::iter::repeat_n((&self.scratch, &self.scratch_lives[..]), queues as usize);
+        scratch.chain(std::iter::repeat_n((&self.pixels, &[][..]), own as usize))
     }
 
     /// Returns the bytes of a block for all groups.
     pub fn block_bytes(&self) -> u64 {
-        self.groups().map(group_bytes).fold(0, u64::saturating_add)
+        self.groups().map(|(requests, lives)| group_bytes(requests, lives)).fold(0, u64::saturating_add)
     }
 
     /// Allocates the memory of all slots.
@@ -305,12 +315,14 @@ impl<'a> SlotLayout<'a> {
         let Self { context, wanted, block, .. } = *self;
         let mut at = 0;
         let mut groups = Vec::new();
-        for requests in self.groups() {
+        for (requests, lives) in self.groups() {
             groups.push(match block {
-                None => context.allocate("frame slot", requests, MemoryKind::Device)?.into_iter(),
+                None => {
+                    context.allocate_shared("frame slot", requests, lives, MemoryKind::Device)?.into_iter()
+                }
                 Some(block) => {
-                    let bytes = group_bytes(requests);
-                    let group = block.range(at, bytes).split(requests);
+                    let bytes = group_bytes(requests, lives);
+                    let group = block.range(at, bytes).split(requests, lives);
                     at += bytes;
                     group.into_iter()
                 }
@@ -367,8 +379,8 @@ fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &Laun
 }
 
 /// Returns the bytes of a group in one block.
-fn group_bytes(requests: &Requests) -> u64 {
-    packed_bytes(requests).checked_next_multiple_of(PLACEMENT_ALIGNMENT).unwrap_or(u64::MAX)
+fn group_bytes(requests: &Requests, lives: &[Life]) -> u64 {
+    packed_bytes(requests, lives).checked_next_multiple_of(PLACEMENT_ALIGNMENT).unwrap_or(u64::MAX)
 }
 
 fn check_block(context: &Context, block: &Buffer, needed: u64) -> Result<()> {

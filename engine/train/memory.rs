@@ -85,7 +85,7 @@ pub(super) struct RowMemory {
     /// All statistics, the gradient's first.
     pub statistics: Vec<Statistic>,
     parameter_gradients: bool,
-    /// Memory kind of parameters, moments and the scratch.
+    /// Memory kind of parameters and moments.
     pub planes: MemoryKind,
     packed_moments: bool,
     half_sh: bool,
@@ -131,16 +131,11 @@ impl RowMemory {
         vec![("parameter_gradients", bytes); chunks]
     }
 
-    /// Parameters, the sets of moments, and scratch of one plane: each is an allocation.
+    /// Parameters and the sets of moments: each is an allocation.
     fn plane_requests(&self, plan: &ScenePlan) -> Vec<Requests> {
         let (moments, sets) = Moments::sets_of(plan, self.packed_moments);
         let moments = std::iter::repeat_n(planes::requests(&moments), sets);
-        let all = std::iter::once(planes::requests(plan)).chain(moments);
-        all.chain([Self::scratch_requests(plan)]).collect()
-    }
-
-    fn scratch_requests(plan: &ScenePlan) -> Requests {
-        vec![("scratch", u64::from(plan.chunk_gaussians) * 16); plan.chunks as usize]
+        std::iter::once(planes::requests(plan)).chain(moments).collect()
     }
 
     /// Bytes of the buffers for a plan's capacity, without allocation padding: the cost of one capacity beside another.
@@ -172,8 +167,6 @@ impl RowMemory {
 pub(super) struct Model {
     pub scene: SceneBuffers,
     pub moments: Moments,
-    /// One plane per chunk, through which densification moves the others.
-    pub scratch: Vec<Buffer>,
     /// Per Gaussian: see [`super::strategy::StepInputs::statistics`].
     pub statistics: Vec<Buffer>,
     /// Per chunk: see [`crate::passes::loss::TermInputs::parameter_gradients`].
@@ -186,7 +179,6 @@ impl Model {
         let (plan, sets) = Moments::sets_of(&scene.plan, rows.packed_moments);
         let sets = (0..sets).map(|_| planes::allocate(context, "moments", rows.planes, &plan));
         let moments = Moments { packed: rows.packed_moments, plan, sets: sets.collect::<Result<_>>()? };
-        let scratch = context.allocate("scratch", &RowMemory::scratch_requests(&scene.plan), rows.planes)?;
         let statistics = rows.statistics_requests(scene.plan.capacity);
         let statistics = context.allocate("statistics", &statistics, MemoryKind::Device)?;
         let gradients = rows.gradient_requests(&scene.plan);
@@ -194,7 +186,7 @@ impl Model {
             true => Vec::new(),
             false => context.allocate("gradients", &gradients, MemoryKind::Device)?,
         };
-        Ok(Self { scene, moments, scratch, statistics, parameter_gradients })
+        Ok(Self { scene, moments, statistics, parameter_gradients })
     }
 
     /// Same as [`Model::allocate`], and clears moments and statistics.
@@ -216,16 +208,22 @@ impl Model {
     /// Frees all memory and becomes empty; the caller replaces the model.
     pub fn release(&mut self) {
         self.scene.count = 0;
-        let Self { scene, moments, scratch, statistics, parameter_gradients } = self;
-        let others = [&mut scene.chunks, scratch, statistics, parameter_gradients];
+        let Self { scene, moments, statistics, parameter_gradients } = self;
+        let others = [&mut scene.chunks, statistics, parameter_gradients];
         others.into_iter().chain(&mut moments.sets).for_each(Vec::clear);
     }
 }
 
 /// Returns the capacity of a training's frames, except for the counts. `scenes`: 2 with frozen Gaussians. `absolute`: the
-/// backward pass accumulates absolute gradients.
-pub(super) fn frame_shape(pictures: PictureCapacity, scenes: u32, absolute: bool) -> FrameCapacity {
-    FrameCapacity { pictures, scenes, absolute, backward: true, ..FrameCapacity::default() }
+/// backward pass accumulates absolute gradients. `depth`: a loss term reads depths.
+pub(super) fn frame_shape(
+    pictures: PictureCapacity,
+    scenes: u32,
+    absolute: bool,
+    depth: bool,
+) -> FrameCapacity {
+    let usual = FrameCapacity { backward: true, trained: true, ..FrameCapacity::default() };
+    FrameCapacity { pictures, scenes, absolute, depth, ..usual }
 }
 
 impl Capacities {
@@ -278,8 +276,11 @@ impl StartMemory<'_> {
         let bytes = |requests: &[Request]| context.allocation_bytes(requests);
         // Counts of training frames and of drawn frames.
         let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.parts.recorder.readback_request()]);
-        let frame =
-            frame.map_or(0, |frame| bytes(&FrameBuffers::requests(&frame, &LaunchSizes::new(limits))));
+        let scratch = self.parts.recorder.scratch_requests(&self.sizes());
+        let frame = frame.map_or(0, |frame| {
+            let (requests, lives) = FrameBuffers::requests_with(&frame, &LaunchSizes::new(limits), &scratch);
+            context.shared_bytes(&requests, &lives)
+        });
         let poses = poses::requests(self.of.settings, self.of.photos.len());
         let device = bytes(&self.loss_requests(&self.sizes())) + readback + frame + bytes(&poses);
         // Frozen Gaussians have the plan's SH degree.
@@ -310,7 +311,9 @@ impl StartMemory<'_> {
     fn shape(&self, sizes: &[Size]) -> FrameCapacity {
         let each = sizes.iter().map(|&(width, height)| PictureCapacity::of(width, height));
         let pictures = each.fold(PictureCapacity::NONE, PictureCapacity::and);
-        frame_shape(pictures, 1 + u32::from(self.of.frozen > 0), self.parts.rows.absolute().is_some())
+        let (absolute, depth) =
+            (self.parts.rows.absolute().is_some(), self.parts.recorder.base_settings().inverse_depth);
+        frame_shape(pictures, 1 + u32::from(self.of.frozen > 0), absolute, depth)
     }
 
     /// A frame for `capacity` trained Gaussians, of which up to `visible` are visible.
@@ -362,6 +365,7 @@ impl StartMemory<'_> {
             requests.into_iter().map(move |(name, bytes)| (arena, name, bytes))
         };
         let requests = named("frame", FrameBuffers::requests(&frame, &launches))
+            .chain(named("frame", self.parts.recorder.scratch_requests(&[size])))
             .chain(named("loss", self.loss_requests(&[size])));
         let most = [
             (limits.max_storage_buffer_range, "maxStorageBufferRange"),

@@ -7,9 +7,10 @@ use super::schedule::TrainingRun;
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 use crate::frame::{
-    FrameCapacity, LaunchSizes, PictureCapacity, RenderSettings, SceneBuffers, ScenePlan, frame_bytes,
+    FrameCapacity, GaussianRange, LaunchSizes, PictureCapacity, RenderSettings, SceneBuffers, ScenePlan,
     gaussians_with, max_trained_among, max_trained_instances, planes,
 };
+use crate::kernels::constants::PLANE_ROW;
 use crate::passes::adam::Moments;
 use crate::passes::densify::{Curve, Densify, EdgePhoto, Gather, Importance, ImportanceBuffers, RandomKey};
 use crate::render::{Failed, FrameRunner, Renderer, Request, frozen_capacity};
@@ -226,19 +227,20 @@ impl Population<'_> {
             return Err(Error::argument("rows", problem));
         }
         let (old, before) = (&*self.model, self.count());
-        // A set within its capacity changes in place: each plane moves through the scratch.
-        let (mut new, scratch) = match growth.0 {
-            Some(new) => (new, &[][..]),
-            None => (old.clone(), &old.scratch[..]),
+        // A set within its capacity changes in place: each plane moves through another one.
+        let (mut new, moved) = match growth.0 {
+            Some(new) => (new, Vec::new()),
+            None => (old.clone(), self.moved_planes()?),
         };
         new.scene.count = rows;
         self.context.run_commands("densify: gather", |r| {
             let sources = record_sources(r, &old.scene);
             new.statistics.iter().for_each(|statistic| r.fill(statistic, 0));
-            let gather = Gather { from: &old.scene, to: &new.scene, sources, scratch };
+            let gather = Gather { from: &old.scene, to: &new.scene, sources, scratch: &moved };
             kernels.record_gather_parameters(r, &gather, key);
             for (from, to) in old.moment_planes().zip(new.moment_planes()) {
-                kernels.record_gather_moments(r, &Gather { from: &from, to: &to, sources, scratch });
+                let gather = Gather { from: &from, to: &to, ..gather };
+                kernels.record_gather_moments(r, &gather);
             }
             record_changes(r, &new.scene, &new.moments, sources);
         })?;
@@ -283,6 +285,22 @@ impl Population<'_> {
         self.rebuild(kept.len() as u32, Growth(None), kernels, &key, sources, |_, _, _, _| {})
     }
 
+    /// One plane per chunk, in the memory of the frame, which is idle between steps, or in its own if there is no frame.
+    fn moved_planes(&self) -> Result<Vec<Buffer>> {
+        let (plan, rows) = (&self.model.scene.plan, PLANE_ROW);
+        let bytes = u64::from(plan.capacity.next_multiple_of(rows)) * 16;
+        let of_frame = self.runner.store.current().map(|frame| frame.moved_plane.clone());
+        let all = match of_frame {
+            Ok(plane) if plane.bytes() >= bytes => plane,
+            _ => self.context.allocate("scratch", &[("moved_plane", bytes)], MemoryKind::Device)?.remove(0),
+        };
+        let of_chunk = |range: GaussianRange| {
+            let [first, count] = [range.first, range.count.next_multiple_of(rows)].map(u64::from);
+            all.range(first * 16, count * 16)
+        };
+        Ok(plan.ranges(plan.capacity).map(of_chunk).collect())
+    }
+
     /// Key of the random numbers after an iteration.
     pub(super) fn random_key(&self) -> RandomKey {
         RandomKey { seed: self.run.settings.seed, iteration: self.iteration }
@@ -309,7 +327,7 @@ impl Population<'_> {
             return false;
         }
         let Some((limit, _)) = context.memory_limit() else { return true };
-        let (sizes, frame) = (self.sizes(), self.frame_capacity());
+        let (store, frame) = (&self.runner.store, self.frame_capacity());
         let of = |plan: &ScenePlan| gaussians_with(plan.capacity, frozen);
         let grown = FrameCapacity { gaussians: of(plan), ..frame };
         // The visible Gaussians and instances grow with the number of Gaussians.
@@ -322,9 +340,9 @@ impl Population<'_> {
             instances: grow(frame.instances, max_trained_instances(limits)),
             ..grown
         };
-        let beside = (context.held_bytes() + new.device).saturating_sub(self.runner.store.bytes());
-        let during = beside + frame_bytes(&grown, &sizes);
-        let after = (beside + frame_bytes(&full, &sizes)).saturating_sub(present.device);
+        let beside = (context.held_bytes() + new.device).saturating_sub(store.bytes());
+        let during = beside + store.bytes_of(&grown);
+        let after = (beside + store.bytes_of(&full)).saturating_sub(present.device);
         during.max(after) <= limit
     }
 
@@ -347,7 +365,7 @@ impl Population<'_> {
         let visible = self.peak.visible.min(frame.gaussians).max(frame.visible);
         let full = FrameCapacity { visible, instances: self.peak.instances.max(frame.instances), ..frame };
         let beside = self.context.held_bytes().saturating_sub(self.runner.store.bytes());
-        full == frame || beside + frame_bytes(&full, &self.sizes()) <= limit
+        full == frame || beside + self.runner.store.bytes_of(&full) <= limit
     }
 
     /// Allocates planes for parameters and moments with the given capacity, their statistics, and a frame.

@@ -10,9 +10,7 @@ use super::step::{InFlight, RecordedSteps, StepParts, StepSlot};
 use super::trainer::Trainer;
 use super::work::{Maintenance, StepOutcome, StepReport};
 use crate::error::{Error, Result};
-use crate::frame::{
-    FrameCapacity, LaunchSizes, ScenePlan, frame_bytes, frame_fits_device, gaussians_with, planes,
-};
+use crate::frame::{FrameCapacity, LaunchSizes, ScenePlan, frame_fits_device, gaussians_with, planes};
 use crate::render::{DeviceScene, FrameCounts, Release, frozen_capacity};
 use crate::vk::{ForeignCommands, RecordSlot, Recorder, SlotRecording};
 use ash::vk;
@@ -427,7 +425,7 @@ impl Trainer {
             ..self.runner.store.capacity()
         };
         let freed = self.rows.bytes(old).device + self.runner.store.bytes();
-        let taken = self.rows.allocation_bytes(context, plan).device + frame_bytes(&frame, &sizes);
+        let taken = self.rows.allocation_bytes(context, plan).device + self.runner.store.bytes_of(&frame);
         frame_fits_device(context.limits(), &frame, &sizes)
             && context.held_bytes().saturating_sub(freed) + taken <= limit
     }

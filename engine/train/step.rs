@@ -49,8 +49,8 @@ pub(super) struct StepRecorder {
 
 /// Memory of the loss.
 pub(super) struct LossMemory {
-    /// Buffers of [`LossTerm::scratch_requests`], per term.
-    scratch: Vec<Vec<Buffer>>,
+    /// Number of buffers of [`LossTerm::scratch_requests`], per term.
+    scratch_counts: Vec<usize>,
     losses: Buffer,
     /// Replaces the frame's, which does not hold the gradient of the inverse depth on all devices.
     image_gradient: Option<Buffer>,
@@ -211,10 +211,14 @@ impl StepRecorder {
         self.optimizer.prepare(plan.sh_degree, variant)
     }
 
-    /// Device buffers of the loss for views of these sizes, one per view: scratch of the terms, the losses, and the exposures.
+    /// Scratch of the terms for views of these sizes, in a frame's memory: see [`FrameInputs::loss_scratch`].
+    pub fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
+        self.terms.iter().flat_map(|term| term.scratch_requests(sizes)).collect()
+    }
+
+    /// Further device buffers of the loss for views of these sizes, one per view.
     pub fn device_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
-        let mut requests: Vec<_> = self.terms.iter().flat_map(|term| term.scratch_requests(sizes)).collect();
-        requests.push(("losses", self.losses_bytes()));
+        let mut requests = vec![("losses", self.losses_bytes())];
         let largest =
             |bytes: fn(u32, u32) -> u64| sizes.iter().map(|&(width, height)| bytes(width, height)).max();
         if self.term_data.inverse_depth {
@@ -247,9 +251,7 @@ impl StepRecorder {
         let mut device = context.allocate("loss", &self.device_requests(sizes), MemoryKind::Device)?;
         let lens_gradient = self.lens.as_ref().and_then(|_| device.pop());
         let mut device = device.into_iter();
-        let scratch = (self.terms.iter())
-            .map(|term| device.by_ref().take(term.scratch_requests(sizes).len()).collect())
-            .collect();
+        let scratch_counts = self.terms.iter().map(|term| term.scratch_requests(sizes).len()).collect();
         let host = context.allocate("readback", &[self.readback_request()], MemoryKind::HostVisible)?;
         match (device.next(), <[Buffer; 1]>::try_from(host)) {
             (Some(losses), Ok([readback])) => {
@@ -261,7 +263,7 @@ impl StepRecorder {
                 let prepared = self.preparation.as_ref().and_then(|_| device.next());
                 let appearance = self.appearance.allocated(context, device)?;
                 Ok(LossMemory {
-                    scratch,
+                    scratch_counts,
                     losses,
                     image_gradient,
                     rows,
@@ -349,7 +351,10 @@ impl StepRecorder {
         let rendered = inputs.buffers.rendered(&self.sizes);
         let appearance = self.appearance_inputs(inputs, parts);
         let as_photographed = self.appearance.record(r, &appearance);
-        for (row, (term, scratch)) in self.terms.iter().zip(&memory.scratch).enumerate() {
+        let mut scratches = inputs.loss_scratch;
+        for (row, (term, &count)) in self.terms.iter().zip(&memory.scratch_counts).enumerate() {
+            let (scratch, others) = scratches.split_at(count);
+            scratches = others;
             if row > 0 {
                 r.barrier();
             }

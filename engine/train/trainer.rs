@@ -212,10 +212,12 @@ impl Trainer {
         let model = Model::new(context, scene, &rows)?;
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&run.cameras);
-        let shape = frame_shape(pictures, 1 + u32::from(frozen > 0), rows.absolute().is_some());
-        runner.store.expect(shape.pictures, shape.absolute);
+        let (absolute, depth) = (rows.absolute().is_some(), recorder.base_settings().inverse_depth);
+        let shape = frame_shape(pictures, 1 + u32::from(frozen > 0), absolute, depth);
+        let sizes: Vec<_> = run.cameras.iter().map(|camera| (camera.width, camera.height)).collect();
+        runner.store.expect(shape, recorder.scratch_requests(&sizes));
         if any_masked {
-            runner.forward.prepare_hiding(shape.absolute)?;
+            runner.forward.prepare_hiding()?;
         }
         let first =
             |earlier: &Capacities| earlier.first_frame(context, gaussians_with(capacity, frozen), shape);
@@ -236,7 +238,6 @@ impl Trainer {
             frozen.iter().try_for_each(|scene| filter.run(context, scene))?;
         }
         let block = block.map(|block| Block::new(context, &block, shape.absolute)).transpose()?.flatten();
-        let sizes: Vec<_> = run.cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let mut trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             poses,

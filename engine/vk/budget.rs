@@ -4,7 +4,7 @@ use super::context::Context;
 use super::lock::lock;
 #[cfg(feature = "testing")]
 use super::memory::GUARD_BYTES;
-use super::memory::{Block, Buffer, MAX_MEMORY, UNBOUNDED};
+use super::memory::{Block, Buffer, Life, MAX_MEMORY, UNBOUNDED};
 use super::memory_types::{ArenaMemory, MemoryKind};
 use super::recorder::Recorder;
 use super::staging;
@@ -31,7 +31,22 @@ impl Context {
         requests: &[(&'static str, u64)],
         kind: MemoryKind,
     ) -> Result<Vec<Buffer>> {
-        let allocate = || self.device.allocate(arena, requests, kind, self.staging_reserve(kind));
+        self.allocate_shared(arena, requests, &[], kind)
+    }
+
+    /// Same as [`Context::allocate`], but buffers share memory if their `lives`, one per request, have no step in common.
+    /// Requests without an entry share none.
+    ///
+    /// # Errors
+    /// Same as [`Context::allocate`].
+    pub fn allocate_shared(
+        &self,
+        arena: &str,
+        requests: &[(&'static str, u64)],
+        lives: &[Life],
+        kind: MemoryKind,
+    ) -> Result<Vec<Buffer>> {
+        let allocate = || self.device.allocate(arena, (requests, lives), kind, self.staging_reserve(kind));
         let buffers = match allocate() {
             Err(Error::TooLarge { .. }) if self.free_staging() => allocate()?,
             allocated => allocated?,
@@ -71,14 +86,23 @@ impl Context {
 
     /// Returns the bytes that [`Context::allocate`] takes for these requests. If it would refuse them, returns their sum.
     pub(crate) fn allocation_bytes(&self, requests: &[(&'static str, u64)]) -> u64 {
-        self.device.allocation_bytes(requests)
+        self.device.allocation_bytes(requests, &[])
+    }
+
+    /// Returns the bytes that [`Context::allocate_shared`] takes. If it would refuse the requests, returns their sum.
+    pub(crate) fn shared_bytes(&self, requests: &[(&'static str, u64)], lives: &[Life]) -> u64 {
+        self.device.allocation_bytes(requests, lives)
     }
 
     fn clear_if_audited(&self, buffers: &[Buffer], kind: MemoryKind) -> Result<()> {
         if !self.is_audited() || kind == MemoryKind::HostVisible {
             return Ok(());
         }
-        let clear = |recorder: &mut Recorder| buffers.iter().for_each(|buffer| recorder.fill(buffer, 0));
+        // Buffers may share memory.
+        let mut blocks: Vec<Buffer> = buffers.iter().map(Buffer::whole).collect();
+        blocks.sort_by_key(Buffer::memory_id);
+        blocks.dedup_by_key(|block| block.memory_id());
+        let clear = |recorder: &mut Recorder| blocks.iter().for_each(|block| recorder.fill(block, 0));
         self.run_commands("clear", clear).map(drop)
     }
 

@@ -3,7 +3,7 @@
 use super::context::Context;
 use super::debug::vk_error;
 use super::lock::lock;
-use super::memory::{Block, Buffer, PLACEMENT_ALIGNMENT, pack, padded};
+use super::memory::{Block, Buffer, Life, PLACEMENT_ALIGNMENT, pack, padded};
 use super::open_device::Device;
 use super::pipeline::DescriptorSets;
 use super::profile::{MAX_SCOPES, Profiler, ScopeTime};
@@ -366,10 +366,10 @@ impl Buffer {
         Ok(Self::new(block, self.offset(), self.bytes(), self.name()))
     }
 
-    /// Splits the buffer into buffers of these names and sizes, bytes, placed by [`pack`].
-    pub(crate) fn split(&self, requests: &[(&'static str, u64)]) -> Vec<Self> {
+    /// Splits the buffer into buffers of these names, sizes (bytes) and lives, placed by [`pack`].
+    pub(crate) fn split(&self, requests: &[(&'static str, u64)], lives: &[Life]) -> Vec<Self> {
         let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
-        let Ok(packing) = pack(&sizes, u64::MAX) else { unreachable!("no size is above the largest") };
+        let Ok(packing) = pack(&sizes, lives, u64::MAX) else { unreachable!("no size is above the largest") };
         let places = requests.iter().zip(packing.places);
         let parts = places.map(|(&(name, bytes), (_, offset))| {
             let part = self.range(offset, padded(bytes));

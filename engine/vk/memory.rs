@@ -24,14 +24,9 @@ pub const SMALLEST_BUFFER: u64 = 16;
 const CACHE_WAY: u64 = 64 << 10;
 /// Smallest size, bytes, of buffers that are staggered.
 const STAGGERED: u64 = 1 << 20;
-/// Offset of each buffer in those sets from the previous buffer, bytes. It exceeds the distance of one digit's keys from
-/// their expected position. The keys and values that a sort writes are two such offsets apart.
+/// Offset of each buffer in those sets from that of the request before, bytes. It exceeds the distance of one digit's keys
+/// from their expected position. The keys and values that a sort writes are two such offsets apart.
 const STAGGER: u64 = 33 * PLACEMENT_ALIGNMENT;
-
-const fn stagger_behind(bytes: u64) -> u64 {
-    let apart = bytes.next_multiple_of(PLACEMENT_ALIGNMENT) % CACHE_WAY;
-    if bytes < STAGGERED { 0 } else { (CACHE_WAY + STAGGER - apart) % CACHE_WAY }
-}
 
 /// Position of each request.
 #[derive(Debug, PartialEq)]
@@ -47,31 +42,70 @@ pub(super) fn padded(bytes: u64) -> u64 {
     bytes.max(SMALLEST_BUFFER).next_multiple_of(4)
 }
 
-/// Packs buffers of the given sizes into blocks of at most `largest_block` bytes, in order.
+/// First and last step of a sequence of work between which a buffer has contents. Buffers of one allocation share memory if
+/// their lives have no step in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Life {
+    /// First step that writes the buffer.
+    pub first: u8,
+    /// Last step that reads or writes it.
+    pub last: u8,
+}
+
+impl Life {
+    /// Life of a buffer that shares its memory with no other one.
+    pub const ALWAYS: Self = Self { first: 0, last: u8::MAX };
+
+    fn meets(self, other: Self) -> bool {
+        self.first <= other.last && other.first <= self.last
+    }
+}
+
+/// Packs buffers of the given sizes into blocks of at most `largest_block` bytes, each at the lowest place that is free
+/// during its life. Buffers without an entry in `lives` live always; they come first, in order. Of the others, those come
+/// first that hold most bytes for most steps, because the later ones then fill the gaps.
 ///
 /// # Errors
 /// Index of the first request that is larger than a block.
-pub fn pack(sizes: &[u64], largest_block: u64) -> Result<Packing, usize> {
-    let mut packing = Packing { blocks: Vec::new(), places: Vec::with_capacity(sizes.len()) };
-    let mut stagger = 0;
-    for (index, &bytes) in sizes.iter().enumerate() {
-        let bytes = padded(bytes);
-        if bytes > largest_block {
-            return Err(index);
-        }
-        let last = packing.blocks.len().wrapping_sub(1);
-        let begin = |block: u64| block.next_multiple_of(PLACEMENT_ALIGNMENT) + stagger;
-        match packing.blocks.last_mut() {
-            Some(block) if begin(*block) + bytes <= largest_block => {
-                packing.places.push((last, begin(*block)));
-                *block = begin(*block) + bytes;
+pub fn pack(sizes: &[u64], lives: &[Life], largest_block: u64) -> Result<Packing, usize> {
+    if let Some(large) = sizes.iter().position(|&bytes| padded(bytes) > largest_block) {
+        return Err(large);
+    }
+    let mut order: Vec<usize> = (0..sizes.len()).collect();
+    order.sort_by_key(|&index| {
+        let steps = lives.get(index).map(|life| u64::from(life.last - life.first) + 1);
+        std::cmp::Reverse(steps.map_or(u64::MAX, |steps| sizes[index].saturating_mul(steps)))
+    });
+    let mut packing = Packing { blocks: Vec::new(), places: vec![(0, 0); sizes.len()] };
+    // Per block: offset, bytes and life of its buffers, by offset.
+    let mut taken: Vec<Vec<(u64, u64, Life)>> = Vec::new();
+    for index in order {
+        let (bytes, life) = (padded(sizes[index]), lives.get(index).copied().unwrap_or(Life::ALWAYS));
+        let stagger = index as u64 * STAGGER % CACHE_WAY;
+        let begin = |at: u64| match bytes < STAGGERED {
+            true => at.next_multiple_of(PLACEMENT_ALIGNMENT),
+            false => at + (CACHE_WAY + stagger - at % CACHE_WAY) % CACHE_WAY,
+        };
+        let free = |taken: &Vec<(u64, u64, Life)>| {
+            let mut at = begin(0);
+            for &(offset, others, _) in taken.iter().filter(|(.., other)| other.meets(life)) {
+                if at + bytes <= offset {
+                    break;
+                }
+                at = begin(offset + others).max(at);
             }
-            _ => {
-                packing.places.push((packing.blocks.len(), 0));
-                packing.blocks.push(bytes);
-            }
-        }
-        stagger = stagger_behind(bytes);
+            at
+        };
+        let fits = |(_, at): &(usize, u64)| at + bytes <= largest_block;
+        let (block, at) = taken.iter().map(free).enumerate().find(fits).unwrap_or_else(|| {
+            packing.blocks.push(0);
+            (packing.blocks.len() - 1, 0)
+        });
+        taken.resize(packing.blocks.len(), Vec::new());
+        let place = taken[block].partition_point(|(offset, ..)| *offset <= at);
+        taken[block].insert(place, (at, bytes, life));
+        packing.blocks[block] = packing.blocks[block].max(at + bytes);
+        packing.places[index] = (block, at);
     }
     Ok(packing)
 }
@@ -499,11 +533,16 @@ impl Device {
         requests.iter().map(|(_, bytes)| padded(*bytes) + 2 * self.guard()).collect()
     }
 
+    /// Guard bands tell buffers apart, so that none share memory.
+    fn shared<'a>(&self, lives: &'a [Life]) -> &'a [Life] {
+        if self.guard_bands { &[] } else { lives }
+    }
+
     /// Returns the bytes that [`Device::allocate`] takes for these requests. If it would refuse them, returns their sum.
-    pub(super) fn allocation_bytes(&self, requests: &[(&'static str, u64)]) -> u64 {
+    pub(super) fn allocation_bytes(&self, requests: &[(&'static str, u64)], lives: &[Life]) -> u64 {
         let sizes = self.sizes(requests);
-        let blocks = pack(&sizes, self.limits.max_allocation_bytes).map_or(sizes, |packing| packing.blocks);
-        blocks.iter().sum()
+        let packing = pack(&sizes, self.shared(lives), self.limits.max_allocation_bytes);
+        packing.map_or(sizes, |packing| packing.blocks).iter().sum()
     }
 
     pub(super) fn max_memory(&self) -> Option<u64> {
@@ -514,12 +553,12 @@ impl Device {
         Some(self.offload.load(Ordering::Relaxed)).filter(|&bytes| bytes > 0)
     }
 
-    /// Same as [`Context::allocate`](super::Context::allocate), but without guard bands' contents and audits. `kept_free`:
+    /// Same as [`Context::allocate_shared`](super::Context::allocate_shared), but without guard bands' contents and audits. `kept_free`:
     /// bytes below the bound that remain for the next transfer.
     pub(super) fn allocate(
         self: &Arc<Self>,
         arena: &str,
-        requests: &[(&'static str, u64)],
+        (requests, lives): (&[(&'static str, u64)], &[Life]),
         kind: MemoryKind,
         kept_free: u64,
     ) -> Result<Vec<Buffer>> {
@@ -531,7 +570,7 @@ impl Device {
         }
         let guard = self.guard();
         let sizes = self.sizes(requests);
-        let packing = match pack(&sizes, limits.max_allocation_bytes) {
+        let packing = match pack(&sizes, self.shared(lives), limits.max_allocation_bytes) {
             Ok(packing) => packing,
             Err(i) => {
                 let limit = (limits.max_allocation_bytes, "maxMemoryAllocationSize");

@@ -99,7 +99,7 @@ pub use kernel_set::KernelSet;
 #[cfg(feature = "testing")]
 pub use limits::LimitsOverride;
 pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
-pub use memory::{Buffer, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
+pub use memory::{Buffer, Life, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use memory_types::{ArenaMemory, HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 pub use open_device::QueueLock;
 pub use pipeline::KernelJob;

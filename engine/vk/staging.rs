@@ -50,7 +50,7 @@ impl Ring {
         }
         // If memory is bounded, use what is left.
         loop {
-            let made = device.allocate("staging", &[("ring", wanted)], MemoryKind::HostVisible, 0);
+            let made = device.allocate("staging", (&[("ring", wanted)], &[]), MemoryKind::HostVisible, 0);
             match (made, &self.buffer) {
                 (Ok(mut made), _) => {
                     let buffer = made.swap_remove(0);
@@ -200,7 +200,7 @@ fn least_bytes(device: &Device) -> u64 {
 }
 
 pub(super) fn least_room(device: &Device) -> u64 {
-    device.allocation_bytes(&[("ring", least_bytes(device))])
+    device.allocation_bytes(&[("ring", least_bytes(device))], &[])
 }
 
 /// Returns the common part of both barriers of an ownership transfer, from the copy queue to the main queue.

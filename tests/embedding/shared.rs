@@ -27,11 +27,14 @@ fn slots_of_a_queue_share_what_lives_within_a_frame() {
             bytes
         };
         let one = bytes(1, 1, true);
-        assert!(one > 250 << 20, "{one}");
+        // With memory of its own for each buffer, the frame would take 278 MiB.
+        assert!((150 << 20..220 << 20).contains(&one), "{one}");
         // The limit is 1.15 times one slot.
         assert_eq!([bytes(2, 1, true), bytes(3, 1, true)], [one; 2]);
-        // The pixels belong to the host until it records the slot again.
-        assert_eq!([bytes(1, 1, false), bytes(3, 1, false)], [one, one + 2 * 16 * 1920 * 1080]);
+        // The pixels belong to the host until it records the slot again, so other slots' frames leave them alone.
+        let (pixels, three) = (16 * 1920 * 1080, bytes(3, 1, false));
+        assert_eq!(bytes(1, 1, false), one);
+        assert!((one + 2 * pixels..one + 3 * pixels + (1 << 20)).contains(&three), "{three}");
         // One queue per slot, and more queues than slots.
         assert_eq!([bytes(2, 2, true), bytes(2, 7, false)], [2 * one; 2]);
     });

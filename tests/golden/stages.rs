@@ -57,6 +57,7 @@ impl<'a> Stages<'a> {
             pictures,
             backward: true,
             absolute: true,
+            depth: true,
             ..FrameCapacity::default()
         };
         let requests = FrameBuffers::requests(&capacity, &LaunchSizes::new(context.limits()));

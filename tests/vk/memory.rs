@@ -4,7 +4,7 @@ use crate::common;
 use ash::vk;
 use ashsplat::Error;
 use ashsplat::vk::{
-    Context, ContextOptions, Image, ImageUse, LimitsOverride, MemoryKind, PLACEMENT_ALIGNMENT, pack,
+    Context, ContextOptions, Image, ImageUse, Life, LimitsOverride, MemoryKind, PLACEMENT_ALIGNMENT, pack,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -18,7 +18,7 @@ fn requests() -> impl Strategy<Value = (Vec<u64>, u64)> {
 proptest! {
     #[test]
     fn packing_holds_everything((sizes, block) in requests()) {
-        let packing = pack(&sizes, block).expect("each fits");
+        let packing = pack(&sizes, &[], block).expect("each fits");
         let mut taken: Vec<(usize, u64, u64)> = (packing.places.iter().zip(&sizes))
             .map(|(&(block, offset), &bytes)| (block, offset, offset + bytes.max(16)))
             .collect();
@@ -29,12 +29,42 @@ proptest! {
         for pair in taken.windows(2) {
             prop_assert!(pair[0].0 < pair[1].0 || pair[0].2 <= pair[1].1);
         }
-        for (k, pair) in packing.places.windows(2).enumerate() {
-            let is_staggered = pair[1].1.wrapping_sub(pair[0].1) % 65_536 == 8448;
-            prop_assert!(sizes[k] < 1 << 20 || pair[0].0 < pair[1].0 || is_staggered);
-        }
+        // Large buffers of a block begin in different cache sets.
+        let large = packing.places.iter().zip(&sizes).filter(|(_, bytes)| **bytes >= 1 << 20);
+        let mut sets: Vec<(usize, u64)> = large.map(|((block, at), _)| (*block, at % 65_536)).collect();
+        sets.sort_unstable();
+        prop_assert!(sets.windows(2).all(|pair| pair[0] != pair[1]));
         prop_assert!(packing.blocks.iter().all(|b| *b <= block));
-        prop_assert_eq!(pack(&[sizes, vec![block + 1]].concat(), block), Err(packing.places.len()));
+        prop_assert_eq!(pack(&[sizes, vec![block + 1]].concat(), &[], block), Err(packing.places.len()));
+    }
+}
+
+proptest! {
+    /// Only buffers that never live at the same time share bytes.
+    #[test]
+    fn packing_shares_what_lives_apart(
+        (sizes, block) in requests(),
+        steps in vec((0_u8..12, 0_u8..12), 0..20),
+    ) {
+        let lives: Vec<Life> =
+            steps.iter().map(|&(a, b)| Life { first: a.min(b), last: a.max(b) }).take(sizes.len()).collect();
+        let life = |index: usize| lives.get(index).copied().unwrap_or(Life::ALWAYS);
+        let packing = pack(&sizes, &lives, block).expect("each fits");
+        let taken = |index: usize| {
+            let (block, offset) = packing.places[index];
+            (block, offset..offset + sizes[index].max(16))
+        };
+        for (a, b) in (0..sizes.len()).flat_map(|b| (0..b).map(move |a| (a, b))) {
+            let ((block_a, a_at), (block_b, b_at)) = (taken(a), taken(b));
+            let apart = block_a != block_b || a_at.end <= b_at.start || b_at.end <= a_at.start;
+            let lives_apart = life(a).last < life(b).first || life(b).last < life(a).first;
+            prop_assert!(apart || lives_apart, "{a} and {b}");
+        }
+        for (index, _) in sizes.iter().enumerate() {
+            let (block, at) = taken(index);
+            prop_assert!(at.start % PLACEMENT_ALIGNMENT == 0 && at.end <= packing.blocks[block]);
+        }
+        prop_assert!(packing.blocks.iter().all(|bytes| *bytes <= block));
     }
 }
 

@@ -128,4 +128,9 @@ impl<'a> Outputs<'a> {
         let words = |which: usize, asked: bool| if asked { self.staging[which].read() } else { Vec::new() };
         [words(0, wanted.target.is_some()), words(1, wanted.depth)]
     }
+
+    /// Reads the expected depth after a frame that has finished and that recorded no reads.
+    pub fn depths(&self) -> Vec<u32> {
+        self.pictures[1].texture.read(WRITTEN)
+    }
 }

@@ -15,12 +15,12 @@ const SMALL: usize = 9;
 /// Largest number of Gaussians of an update.
 const MOST: u32 = 12;
 /// Value of the host's depth, and the z that it means.
-const HIDES: (f32, f32) = (0.25, 4.0);
+pub const HIDES: (f32, f32) = (0.25, 4.0);
 
-struct Random(u32);
+pub struct Random(pub u32);
 
 impl Random {
-    fn below(&mut self, most: u32) -> u32 {
+    pub fn below(&mut self, most: u32) -> u32 {
         self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (self.0 >> 16) % most
     }
@@ -28,21 +28,21 @@ impl Random {
 
 /// Features of the frames. A reservation with all has so many kernels that short runs test a part each.
 #[derive(Clone, Copy)]
-struct Kinds {
+pub struct Kinds {
     /// The host's depth, expected depth, tints, and cut-outs if not all frames have them.
-    surfaces: bool,
+    pub surfaces: bool,
     /// Picks, motion, parallel rays, selections.
-    tools: bool,
+    pub tools: bool,
     /// Inverse depth, filters.
-    others: bool,
+    pub others: bool,
 }
 
 impl Kinds {
-    const SURFACES: Self = Self { surfaces: true, tools: false, others: false };
-    const TOOLS: Self = Self { surfaces: false, tools: true, others: false };
-    const ALL: Self = Self { surfaces: true, tools: true, others: true };
+    pub const SURFACES: Self = Self { surfaces: true, tools: false, others: false };
+    pub const TOOLS: Self = Self { surfaces: false, tools: true, others: false };
+    pub const ALL: Self = Self { surfaces: true, tools: true, others: true };
 
-    fn of(self, wanted: Reservation) -> Reservation {
+    pub fn of(self, wanted: Reservation) -> Reservation {
         Reservation {
             occlusion: self.surfaces,
             expected_depth: self.surfaces,
@@ -59,13 +59,13 @@ impl Kinds {
 }
 
 /// A camera with parallel rays at the position of a pinhole camera.
-fn parallel(camera: &Camera) -> Camera {
+pub fn parallel(camera: &Camera) -> Camera {
     let half = camera.width as f32 / 5.0;
     Camera { projection: Projection::Orthographic, fx: half, fy: half, ..*camera }
 }
 
 /// Mapping whose depth hides everything farther than the middle.
-fn mapping(camera: &Camera) -> DepthMapping {
+pub fn mapping(camera: &Camera) -> DepthMapping {
     let (value, z) = HIDES;
     let linear = camera.is_orthographic();
     let scale = if linear { z / value } else { 1.0 / (z * value) };
