@@ -1,6 +1,7 @@
 //! `ashsplat view` and `train --view`, with a client that acts like the page, without a browser.
 
 mod cuts;
+mod edits;
 mod films;
 mod frames;
 mod http;

@@ -204,7 +204,7 @@ fn check_scene(
 }
 
 /// Checks that a mask has a bit for each of the scene's Gaussians.
-fn check_mask(mask: &Buffer, gaussians: u32, context: &Context) -> Result<()> {
+pub(super) fn check_mask(mask: &Buffer, gaussians: u32, context: &Context) -> Result<()> {
     let bad = |problem| Err(Error::argument(format!("selection.mask (buffer '{}')", mask.name()), problem));
     if !mask.belongs_to(context) {
         return bad("it belongs to another context".to_owned());

@@ -4,7 +4,7 @@ use super::frame::Frame;
 use super::renderer::Renderer;
 use crate::error::{Error, Result};
 use crate::frame::tuning::ELEMENTWISE_WORKGROUP;
-use crate::frame::{RenderSettings, next_scene_begin, tile_grid};
+use crate::frame::{RenderSettings, SceneSettings, next_scene_begin, tile_grid};
 use crate::kernels::constants as c;
 use crate::scene::Camera;
 
@@ -172,7 +172,7 @@ impl Renderer {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<(Frame, TileReport)> {
-        let picture = self.render_frame(camera, settings, true)?;
+        let picture = self.render_frame(camera, settings, &SceneSettings::USUAL, true)?;
         let frame = self.runner.store.current()?;
         let (columns, rows) = tile_grid(camera.width, camera.height);
         let tiles = u64::from(columns) * u64::from(rows);

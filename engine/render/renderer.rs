@@ -1,5 +1,6 @@
 //! A renderer that owns its submissions.
 
+use super::check::check_mask;
 use super::device_scene::{DeviceScene, ELSEWHERE};
 use super::frame::{Frame, FrameStats, Surface};
 use super::frame_store::FrameCounts;
@@ -8,7 +9,9 @@ use super::runner::{Failed, FrameRun, FrameRunner, Request};
 use super::slots::Slots;
 use super::updates::StagedUpdates;
 use crate::error::{Error, Result};
-use crate::frame::{Blending, FrameBuffers, RenderSettings, SceneBuffers, planes};
+use crate::frame::{
+    Blending, FrameBuffers, RenderSettings, SceneBuffers, SceneSettings, Selection, planes,
+};
 use crate::passes::backward::Backward;
 use crate::passes::compose::Compose;
 use crate::passes::filter_3d::Filter3d;
@@ -206,17 +209,36 @@ impl Renderer {
     /// # Errors
     /// [`Error::Argument`] without a scene or with an invalid camera; memory or device failures.
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
-        self.render_frame(camera, settings, false)
+        self.render_frame(camera, settings, &SceneSettings::USUAL, false)
     }
 
-    /// [`Renderer::render`]; `last_entries` as in [`Request`].
+    /// Same as [`Renderer::render`], with the selected Gaussians in the selection's colour.
+    ///
+    /// # Errors
+    /// Same as [`Renderer::render`]; [`Error::Argument`] if several scenes are loaded, and for a mask that is too small or of
+    /// another context.
+    pub fn render_selected(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        selection: Selection<'_>,
+    ) -> Result<Frame> {
+        let count = self.only_scene("a selection is")?.count;
+        check_mask(selection.mask, count, &self.context)?;
+        let own = SceneSettings { selection: Some(selection), ..SceneSettings::USUAL };
+        own.check()?;
+        self.render_frame(camera, settings, &own, false)
+    }
+
+    /// [`Renderer::render`]; `own` and `last_entries` as in [`Request`].
     pub(super) fn render_frame(
         &mut self,
         camera: &Camera,
         settings: &RenderSettings,
+        own: &SceneSettings<'_>,
         last_entries: bool,
     ) -> Result<Frame> {
-        let stats = self.draw_frame(camera, settings, last_entries)?;
+        let stats = self.draw_frame(camera, settings, own, last_entries)?;
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         let frame = self.runner.store.current()?;
         let [r, g, b] = settings.background;
@@ -266,17 +288,19 @@ impl Renderer {
     /// # Errors
     /// Same as [`Renderer::render`].
     pub fn draw(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<FrameStats> {
-        self.draw_frame(camera, settings, false)
+        self.draw_frame(camera, settings, &SceneSettings::USUAL, false)
     }
 
     fn draw_frame(
         &mut self,
         camera: &Camera,
         settings: &RenderSettings,
+        own: &SceneSettings<'_>,
         last_entries: bool,
     ) -> Result<FrameStats> {
         let (scene, other_scenes) = loaded(&self.scenes)?;
-        let request = Request { other_scenes, last_entries, ..Request::new(scene, camera, settings, false) };
+        let alone = Request::new(scene, camera, settings, false);
+        let request = Request { other_scenes, of_scenes: own, last_entries, ..alone };
         let ran = self.runner.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
         let FrameRun { counts, report, retries } = ran;
         let FrameCounts { visible, instances, longest_tile, samples, .. } = counts;

@@ -5,7 +5,7 @@ use super::frame_store::{FrameCounts, FrameMemory, FrameStore};
 use crate::error::{Error, Result};
 use crate::frame::tuning::ELEMENTWISE_WORKGROUP;
 use crate::frame::{
-    FrameCapacity, FrameInputs, FrameVariant, PlacedScene, RenderSettings, SceneBuffers, ScenePlan,
+    FrameCapacity, FrameInputs, FrameVariant, PlacedScene, RenderSettings, SceneBuffers, ScenePlan, SceneSettings,
     gaussians_with, next_scene_begin,
 };
 use crate::scene::Camera;
@@ -28,6 +28,8 @@ pub(crate) struct Request<'a> {
     /// See [`FrameInputs::pose`].
     pub pose: Option<&'a Buffer>,
     pub settings: &'a RenderSettings,
+    /// Settings of the scene and the others.
+    pub of_scenes: &'a SceneSettings<'a>,
     /// Evaluated SH degree.
     pub sh_degree: u32,
     /// True if the frame has the buffers of the backward pass.
@@ -54,6 +56,7 @@ impl<'a> Request<'a> {
             camera,
             pose,
             settings,
+            of_scenes: &SceneSettings::USUAL,
             sh_degree,
             backward,
             last_entries,
@@ -64,6 +67,7 @@ impl<'a> Request<'a> {
     /// The scene and the others, one behind the other in the frame's index space.
     fn scenes(&self) -> Vec<PlacedScene<'a>> {
         let alone = PlacedScene::alone(self.scene, self.camera, self.sh_degree);
+        let alone = PlacedScene { settings: self.of_scenes, ..alone };
         let mut end = self.scene.count;
         let placed = self.other_scenes.iter().map(|scene| {
             let first = next_scene_begin(end, ELEMENTWISE_WORKGROUP);
@@ -145,8 +149,8 @@ impl FrameRunner {
         let Self { context, forward, store } = self;
         let variant = FrameVariant::of(settings, camera, backward);
         for scene in std::iter::once(scene).chain(other_scenes) {
-            let (last_entries, half_sh) = (request.last_entries, scene.plan.half_sh);
-            forward.prepare(sh_degree, FrameVariant { last_entries, half_sh, ..variant })?;
+            let variant = FrameVariant { last_entries: request.last_entries, ..variant };
+            forward.prepare(sh_degree, variant.of_scene(scene.plan.half_sh, request.of_scenes))?;
         }
         let scenes = request.scenes();
         let mut retries = 0;

@@ -1,6 +1,6 @@
 //! Moves, turns, scales and thins out sets of Gaussians.
 
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec3, EulerRot};
 
 use super::gaussians::{Gaussians, sh_coefficients};
 use super::points::Bounds;
@@ -25,6 +25,13 @@ impl Default for Similarity {
 }
 
 impl Similarity {
+    /// Rotates about the x, then the y, then the z axis by angles in degrees, then scales, then translates.
+    pub fn of_angles(degrees: DVec3, scale: f64, translation: DVec3) -> Self {
+        let [x, y, z] = degrees.to_array().map(f64::to_radians);
+        // The last rotation is applied first.
+        Self { rotation: DQuat::from_euler(EulerRot::ZYX, z, y, x), scale, translation }
+    }
+
     /// Converts the world coordinates of one frame to those of another.
     pub fn between(from: &WorldFrame, to: &WorldFrame) -> Self {
         Self {

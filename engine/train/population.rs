@@ -7,7 +7,7 @@ use super::schedule::TrainingRun;
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 use crate::frame::{
-    FrameCapacity, GaussianRange, LaunchSizes, PictureCapacity, RenderSettings, SceneBuffers, ScenePlan,
+    FrameCapacity, GaussianRange, LaunchSizes, PictureCapacity, RenderSettings, SceneBuffers, ScenePlan, SceneSettings,
     gaussians_with, max_trained_among, max_trained_instances, planes,
 };
 use crate::kernels::constants::PLANE_ROW;
@@ -137,6 +137,7 @@ impl Population<'_> {
                 camera,
                 pose: self.poses.map(|poses| poses.camera(view)),
                 settings: &settings,
+                of_scenes: &SceneSettings::USUAL,
                 sh_degree: 0,
                 backward: true,
                 last_entries: false,

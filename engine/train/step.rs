@@ -10,7 +10,8 @@ use super::strategy::{StepInputs, Strategy};
 use super::work::{StepOutcome, StepReport};
 use crate::error::Result;
 use crate::frame::{
-    FrameInputs, FrameVariant, LENS_SUM_BYTES, LaunchSizes, RenderSettings, SceneBuffers, Strips, blocks,
+    FrameInputs, FrameVariant, LENS_SUM_BYTES, LaunchSizes, RenderSettings, SceneBuffers, SceneSettings,
+    Strips, blocks,
 };
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::pixels::photo_reduced;
@@ -114,6 +115,7 @@ impl<'a> StepParts<'a> {
             camera: &self.plan.camera,
             pose: self.poses.map(|poses| poses.camera(self.plan.view)),
             settings: &self.plan.settings,
+            of_scenes: &SceneSettings::USUAL,
             sh_degree: self.plan.sh_degree,
             backward: true,
             last_entries: false,

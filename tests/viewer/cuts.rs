@@ -145,6 +145,9 @@ fn viewer_exports_what_it_understands_to_who_may_have_it() {
         ("/export/a.glb?token=sesame", 200),
         // A format of two files.
         ("/export/a.gltf?token=sesame", 404),
+        ("/export/a.usda?token=sesame", 200),
+        // A format that is only read.
+        ("/export/a.ksplat?token=sesame", 404),
         ("/export/a.png?token=sesame", 404),
         ("/export/..%2f..%2fa.ply%2fb?token=sesame", 404),
         ("/export/a.ply?token=sesame&low=1,2", 400),
@@ -181,4 +184,18 @@ fn viewer_exports_what_it_understands_to_who_may_have_it() {
         String::from_utf8_lossy(&start[9..]).into_owned()
     });
     assert!(codes.all(|code| ["200", "503"].contains(&code.as_str())));
+}
+
+/// A placed scene is exported as `convert` with the page's options places it, byte for byte, after the cut.
+#[test]
+fn viewer_places_as_convert_does() {
+    let (place, server) = view_ball(COUNT, &[]);
+    let options = "--rotate=10.5,-20,90 --scale=2.5 --translate=0,-3,0.25 --min-opacity=0.3 --crop-box=-inf,-inf,-inf,0.5,inf,inf";
+    place.run(format!("convert @ball.ply @placed.ply {options}")).ok();
+    let query = "rotate=10.5,-20,90&scale=2.5&translate=0,-3,0.25&min_opacity=0.3&high=0.5,,";
+    let (code, _, body) = server.get(&format!("/export/a.ply?{query}"), &[]);
+    assert!(code == 200 && body == place.read("placed.ply"));
+    for query in ["rotate=1,2", "rotate=1,2,x", "translate=0,0,1e9", "scale=0", "scale=-1", "scale=nan"] {
+        assert_eq!(server.get(&format!("/export/a.ply?{query}"), &[]).0, 400, "{query}");
+    }
 }

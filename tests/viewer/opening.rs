@@ -249,3 +249,66 @@ fn viewer_ends_with_what_is_wrong_with_its_scene() {
     let (code, stderr) = Server::start(&["view", text(&path), "--port", "0"]).wait();
     assert!(code == Some(2) && stderr.starts_with("error: ") && stderr.contains("bad.ply"), "{stderr}");
 }
+
+/// A folder of scenes is listed, and its paths are completed; nothing outside the folder is.
+#[test]
+fn viewer_lists_a_folder_of_scenes() {
+    let place = Place::empty();
+    place.create_folder("scenes/more");
+    for (name, count) in
+        [("scenes/b.ply", 40), ("scenes/a.spz", 30), ("scenes/more/c.splat", 20), ("outside.ply", 10)]
+    {
+        splats::write(place.at(name), &ball(count), &WriteOptions::default()).expect("written");
+    }
+    place.write("scenes/notes.txt", b"no scene");
+    let server = Server::view(&place.at("scenes"), &[]);
+    let mut page = server.page();
+    assert_eq!(page.greeting["empty"], true);
+    let list = |begin: &str| {
+        let (code, _, body) = server.post("/paths", &[JSON], json!({ "path": begin }).to_string().as_bytes());
+        assert_eq!(code, 200);
+        serde_json::from_slice::<Value>(&body).expect("JSON")
+    };
+    assert_eq!(list(""), json!(["a.spz", "b.ply", "more/"]));
+    assert_eq!((list("m"), list("more/")), (json!(["more/"]), json!(["more/c.splat"])));
+    for outside in ["../", "../out", "/", "nosuch/"] {
+        assert_eq!(list(outside), json!([]), "{outside}");
+    }
+    for (path, count) in [("more/c.splat", 20), ("b.ply", 40)] {
+        assert_eq!(server.post("/open", &[JSON], json!({ "path": path }).to_string().as_bytes()).0, 202);
+        assert_eq!(page.opened().expect("a scene")["gaussians"], count);
+    }
+    assert_eq!(server.post("/open", &[JSON], b"{\"path\": \"../outside.ply\"}").0, 404);
+    // A viewer of one scene lists nothing.
+    let server = Server::view(&place.at("scenes/b.ply"), &[]);
+    assert_eq!(server.post("/paths", &[JSON], b"{\"path\": \"\"}").0, 403);
+}
+
+/// Files that are added lie beside the open scene: one picture, parts that can be selected, and the command that joins the files.
+#[test]
+fn viewer_opens_several_scenes_together() {
+    let empty = Empty::start(&[]);
+    let mut page = empty.server.page();
+    let upload = |page: &mut Page, name: &str, count: usize| {
+        assert_eq!(empty.server.post(&format!("/upload/{name}"), &[BINARY], &bytes_of(count, ".ply")).0, 202);
+        page.opened().expect("a scene")
+    };
+    // There is nothing yet that it could join.
+    assert_eq!(upload(&mut page, "a.ply?add=1", 80)["scenes"], json!([]));
+    let both = upload(&mut page, "b.ply?add=1", 50);
+    assert_eq!((&both["name"], &both["gaussians"]), (&json!("a.ply + b.ply"), &json!(130)));
+    assert_eq!(both["scenes"], json!([{ "name": "a.ply", "count": 80 }, { "name": "b.ply", "count": 50 }]));
+    assert_eq!(both["convert"], "ashsplat convert a.ply b.ply a_cut.ply");
+    let mut joined = ball(80);
+    joined.append(&ball(50));
+    let shown = |page: &mut Page| page.look(&camera(0.0), &json!({ "quality": 0 }));
+    assert!(shown(&mut page).rgb() == rendered(&joined, &camera(0.0), &RenderSettings::default()));
+    let region = json!({ "kind": "range", "first": 80, "count": 50 });
+    page.send(&json!({ "type": "edit", "op": "select", "region": region, "how": "set" }));
+    assert_eq!(shown(&mut page).header["edits"]["selected"], 50);
+    page.send(&json!({ "type": "edit", "op": "delete" }));
+    assert!(shown(&mut page).rgb() == rendered(&ball(80), &camera(0.0), &RenderSettings::default()));
+    // What was deleted stays so when another joins.
+    assert_eq!(upload(&mut page, "c.ply?add=1", 20)["scenes"][1], json!({ "name": "b.ply", "count": 0 }));
+    assert_eq!(upload(&mut page, "d.ply", 70)["gaussians"], 70);
+}

@@ -8,7 +8,7 @@ use ashsplat_program::look::parse_target;
 use ashsplat_program::model::Model;
 use ashsplat_program::progress::thousands;
 use clap::{ArgMatches, Args, FromArgMatches};
-use glam::{DQuat, DVec3, EulerRot};
+use glam::DVec3;
 use std::path::PathBuf;
 
 /// Convert Gaussians between formats, change them on the way, and join several files into one.
@@ -157,13 +157,7 @@ fn similarity(steps: &[Step]) -> Result<Similarity, String> {
     if !(scale.is_finite() && scale > 0.0) {
         return Err(format!("--scale {scale} is not a positive number"));
     }
-    let [x, y, z] = rotate.unwrap_or_default().to_array().map(f64::to_radians);
-    Ok(Similarity {
-        // The last rotation is applied first.
-        rotation: DQuat::from_euler(EulerRot::ZYX, z, y, x),
-        scale,
-        translation: translate.unwrap_or_default(),
-    })
+    Ok(Similarity::of_angles(rotate.unwrap_or_default(), scale, translate.unwrap_or_default()))
 }
 
 /// Parses `N` comma-separated numbers.

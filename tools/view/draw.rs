@@ -1,5 +1,6 @@
 //! One picture of the scene in one of the modes, and its bytes.
 
+use super::edits::{Edit, Part};
 use super::protocol::{Look, Mode};
 use ashsplat::kernels::constants::TILE_SIZE;
 use ashsplat::{
@@ -25,9 +26,15 @@ pub struct Audience<'a> {
     pub viewer: Viewer,
     /// Most Gaussians of a picture of a tree of tiles. None: the program's own setting.
     pub budget: Option<u64>,
+    /// True if the selected Gaussians are drawn in the selection's colour.
+    pub selection: bool,
     /// True if that viewer is still connected.
     pub is_there: &'a dyn Fn(&Viewer) -> bool,
 }
+
+/// Problem of an edit that nothing can take.
+pub const NOT_EDITED: &str =
+    "only a scene that is loaded whole can be edited, no training and no tree of tiles";
 
 /// A scene to look at: finished, or in training.
 pub trait Painter {
@@ -40,7 +47,15 @@ pub trait Painter {
     fn inspect(&mut self, camera: &Camera, settings: &RenderSettings, pixel: [u32; 2])
     -> Result<PixelReport>;
     /// Returns the current Gaussians.
-    fn gaussians(&self) -> Result<Gaussians>;
+    fn gaussians(&self, part: Part) -> Result<Gaussians>;
+    /// Applies a page's edit.
+    fn edit(&mut self, _: &Edit) -> Result<()> {
+        Err(Error::argument("edit", NOT_EDITED))
+    }
+    /// Figures of the edits, if there are any.
+    fn edits(&self) -> Option<Value> {
+        None
+    }
     /// Frees the memory of pictures. The next picture allocates what it needs.
     fn shrink(&mut self);
     /// The training whose scene it is, if it is in training.
@@ -83,7 +98,10 @@ impl Painter for Trainer {
         self.draw(|renderer| renderer.inspect(camera, &settings, pixel))
     }
 
-    fn gaussians(&self) -> Result<Gaussians> {
+    fn gaussians(&self, part: Part) -> Result<Gaussians> {
+        if part == Part::Selection {
+            return Err(Error::argument("part", NOT_EDITED));
+        }
         self.baked_gaussians()
     }
 

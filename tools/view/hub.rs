@@ -5,6 +5,7 @@
 
 mod outbox;
 
+use super::edits::{Edit, Part};
 use super::protocol::{FilmRequest, Pick, ToPage, TrainAction, ViewRequest};
 use ashsplat::Gaussians;
 use ashsplat_files::splats::WriteOptions;
@@ -22,6 +23,8 @@ const MOST_PAGES: usize = 24;
 const MOST_SCENES: usize = 2;
 /// Most waiting picks of one page; more are refused.
 const MOST_PICKS: usize = 4;
+/// Most waiting edits; more are refused.
+const MOST_EDITS: usize = 16;
 /// Most waiting training actions; more are refused.
 const MOST_ACTIONS: usize = 64;
 
@@ -49,7 +52,14 @@ pub enum Task {
     },
     /// The next frame of the film in progress, or the first of a new film.
     Film,
-    Scene(SceneAnswer),
+    Scene {
+        part: Part,
+        answer: SceneAnswer,
+    },
+    Edit {
+        client: u64,
+        edit: Edit,
+    },
 }
 
 /// One page.
@@ -72,7 +82,8 @@ struct State {
     clients: BTreeMap<u64, Client>,
     next_client: u64,
     turn: u64,
-    scenes: VecDeque<SceneAnswer>,
+    scenes: VecDeque<(Part, SceneAnswer)>,
+    edits: VecDeque<(u64, Edit)>,
     /// Turn in which a film was served last.
     film_served: u64,
     actions: VecDeque<TrainAction>,
@@ -179,8 +190,13 @@ impl Hub {
     }
 
     /// Queues a request for the Gaussians; false if too many wait.
-    pub fn ask_for_scene(&self, answer: SceneAnswer) -> bool {
-        self.change(|state| queue(&mut state.scenes, answer, MOST_SCENES))
+    pub fn ask_for_scene(&self, part: Part, answer: SceneAnswer) -> bool {
+        self.change(|state| queue(&mut state.scenes, (part, answer), MOST_SCENES))
+    }
+
+    /// Queues a page's edit; false if too many wait.
+    pub fn edit(&self, client: u64, edit: Edit) -> bool {
+        self.change(|state| queue(&mut state.edits, (client, edit), MOST_EDITS))
     }
 
     /// Requests new frames for the pages that follow the scene's changes.
@@ -276,7 +292,8 @@ impl Hub {
     /// True if any request is waiting, or a film is in progress.
     pub fn is_wanted(&self) -> bool {
         let state = self.lock();
-        !state.scenes.is_empty() || state.has_films() || state.clients.values().any(Client::waits)
+        let requested = !state.scenes.is_empty() || !state.edits.is_empty();
+        requested || state.has_films() || state.clients.values().any(Client::waits)
     }
 
     /// Returns the next task; waits at most this long.
@@ -321,8 +338,11 @@ impl State {
     /// Takes the request of the page that has waited longest for a turn.
     fn take_task(&mut self) -> Option<Task> {
         // Scene requests are few: each is written and sent before its page asks again.
-        if let Some(request) = self.scenes.pop_front() {
-            return Some(Task::Scene(request));
+        if let Some((part, answer)) = self.scenes.pop_front() {
+            return Some(Task::Scene { part, answer });
+        }
+        if let Some((client, edit)) = self.edits.pop_front() {
+            return Some(Task::Edit { client, edit });
         }
         self.turn += 1;
         let films_turn = if self.has_films() { self.film_served } else { u64::MAX };

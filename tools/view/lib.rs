@@ -11,6 +11,7 @@ mod appearances;
 mod assets;
 mod cut;
 mod draw;
+mod edits;
 mod film;
 pub mod hub;
 mod labels;
@@ -32,14 +33,17 @@ pub use photos::Photos;
 pub use subject::Subject;
 
 use ashsplat::{Error, RenderSettings, Renderer, Result};
+use ashsplat_files::transforms;
 use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_VIEWER};
 use ashsplat_program::look::{LookArguments, parse_direction};
-use ashsplat_program::{output, session};
+use ashsplat_program::{model, output, session};
 use clap::Args;
+use draw::Painter;
+use edits::Part;
 use glam::Vec3;
 use hub::Hub;
 use loading::Loading;
-use openings::{OpenRequest, Openings};
+use openings::{OpenRequest, Openings, Reach};
 use protocol::ToPage;
 use render_thread::RenderThread;
 use server::{ServeArguments, Site};
@@ -60,8 +64,8 @@ use subject::SceneArguments;
 #[derive(Args)]
 #[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_VIEWER)))]
 pub struct Arguments {
-    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF, SOG), a model folder, a folder of `ashsplat tiles`, or a data
-    /// set (its points) [default: the page takes files that are dropped on it, and paths in this folder or below]
+    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF, SOG), a model folder, a folder of `ashsplat tiles`, a data set
+    /// (its points), or a folder of such files, of which the page chooses one [default: the page takes files that are dropped on it, and paths in this folder or below]
     #[arg(value_name = "PATH")]
     path: Option<PathBuf>,
     #[command(flatten)]
@@ -130,6 +134,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     say!(
         "{}; Ctrl-C ends the viewer",
         match &name {
+            Some(name) if openings.is_some() => format!("the page chooses a scene of {name}"),
             Some(name) => format!("it shows {name}"),
             None => "nothing is open: drop a file of Gaussians onto the page, or give a path there".into(),
         }
@@ -171,20 +176,31 @@ impl<'a> Stage<'a> {
             name: path.display().to_string(),
             ..OpenRequest::default()
         };
-        let mut loading = arguments.path.as_ref().map(request).map(begin).transpose()?;
+        let scene = arguments.path.as_ref().filter(|_| arguments.folder_of_scenes().is_none());
+        let mut loading = scene.map(request).map(begin).transpose()?;
         // The device opens while the scene is read.
         let context = arguments.device.context()?;
         let mut scenery = Scenery::new(Renderer::new(&context)?);
         let mut render_thread = RenderThread::new(hub.clone(), RenderSettings::default(), out);
         let first = loading.take().map_or_else(|| Ok(Subject::nothing()), Loading::finish)?;
+        let mut shown = first.shown();
         self.show(first, &mut scenery, &mut render_thread)?;
         while !stop.load(Ordering::Relaxed) {
             if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
-                let (name, room) = (read.request.name.clone(), read.request.room());
+                let (name, room, add) = (read.request.name.clone(), read.request.room(), read.request.add);
                 let shown = read.finish().and_then(|subject| {
                     // Commands name the file that the page has sent, not its copy here.
                     let file = if room.is_some() { Some(PathBuf::from(&name)) } else { subject.file };
-                    let subject = Subject { name: name.clone(), file, ..subject };
+                    let mut subject = Subject { name: name.clone(), file, ..subject };
+                    if add && shown.parts.iter().any(|part| part.count > 0) {
+                        if subject.tree.is_some() {
+                            return Err(Error::argument(&name, "is a tree of tiles, which is drawn alone"));
+                        }
+                        let mut shown = shown.clone();
+                        scenery.keep_drawn(&mut shown.parts);
+                        subject = subject.beside(shown, scenery.gaussians(Part::Seen)?);
+                    }
+                    shown = subject.shown();
                     self.show(subject, &mut scenery, &mut render_thread)
                 });
                 // The previous scene stays.
@@ -240,9 +256,25 @@ impl Arguments {
     /// Limits of what pages may open; none if the viewer was started with a scene.
     fn openings(&self, listener: &TcpListener) -> Option<Arc<Openings>> {
         let most_bytes = self.device.host.memory().limit();
-        let open =
-            || Openings::new(std::env::current_dir().ok(), server::reach(listener, &self.serve), most_bytes);
-        self.path.is_none().then(|| Arc::new(open()))
+        let folder = match self.path {
+            // Whoever sees the page may see a folder that was named for it, but not the one of the shell.
+            Some(_) => self.folder_of_scenes().map(Path::to_owned),
+            None => std::env::current_dir()
+                .ok()
+                .filter(|_| server::reach(listener, &self.serve) == Reach::ThisMachine),
+        };
+        (self.path.is_none() || folder.is_some()).then(|| Arc::new(Openings::new(folder, most_bytes)))
+    }
+
+    /// The path, if it is a folder of which pages choose a scene.
+    fn folder_of_scenes(&self) -> Option<&Path> {
+        let path = self.path.as_deref().filter(|path| path.is_dir() && model::is_dataset(path))?;
+        let parts = ["sparse", "images", "colmap", "cameras.bin", "cameras.txt"];
+        if transforms::find(path).is_some() || parts.iter().any(|part| path.join(part).exists()) {
+            return None;
+        }
+        let mut names = std::fs::read_dir(path).ok()?.flatten().map(|entry| entry.file_name());
+        names.any(|name| openings::format_of(&name.to_string_lossy()).is_some()).then_some(path)
     }
 }
 

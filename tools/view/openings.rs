@@ -32,6 +32,8 @@ pub struct OpenRequest {
     pub path: PathBuf,
     /// Name for people.
     pub name: String,
+    /// True if it joins the scenes that are open, instead of replacing them.
+    pub add: bool,
     /// Folder in which all files that are read for it must lie.
     pub within: Option<PathBuf>,
     /// Folder of an uploaded file, removed when this is dropped.
@@ -49,18 +51,15 @@ impl OpenRequest {
 }
 
 impl Openings {
-    /// Paths below `folder` may be opened only if no other machine reaches the viewer. `most_bytes` is the host memory that
-    /// reading may take: a larger file could not be read.
-    pub fn new(folder: Option<PathBuf>, reach: Reach, most_bytes: u64) -> Openings {
-        let folder = folder
-            .filter(|_| reach == Reach::ThisMachine)
-            .and_then(|folder| dunce::canonicalize(folder).ok());
+    /// Pages may name paths in `folder` or below. `most_bytes` is the host memory that reading may take: a larger file could not be read.
+    pub fn new(folder: Option<PathBuf>, most_bytes: u64) -> Openings {
+        let folder = folder.and_then(|folder| dunce::canonicalize(folder).ok());
         Openings { folder, most_bytes, turn: Arc::new(Semaphore::new(1)), request: Mutex::default() }
     }
 
     /// Describes the limits to a page.
     pub fn described(&self) -> Value {
-        json!({ "folder": self.folder, "bytes": self.most_bytes, "formats": FORMATS.map(Format::extension) })
+        json!({ "folder": self.folder, "bytes": self.most_bytes, "formats": single_files(&Format::ALL) })
     }
 
     /// Takes the right to open a scene. None while another page has it.
@@ -89,13 +88,45 @@ impl Openings {
         let missing = || format!("{name}: is not in {} or below it", folder.display());
         found.map(|path| (path, folder.as_path())).ok_or_else(missing)
     }
+
+    /// Paths that begin like this: folders, with a `/` at the end, and files that one format reads. Sorted, [`MOST_LISTED`] at most.
+    pub fn list(&self, begin: &str) -> Vec<String> {
+        let (prefix, name) = begin.split_at(begin.rfind('/').map_or(0, |slash| slash + 1));
+        let Ok((folder, _)) = self.find(prefix) else { return Vec::new() };
+        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().take(MOST_READ);
+        let path = |entry: std::fs::DirEntry| {
+            let own = entry.file_name().into_string().ok()?;
+            let path = format!("{prefix}{own}");
+            let is_shown = own.starts_with(name) && !own.starts_with('.');
+            let (found, _) = is_shown.then(|| self.find(&path).ok()).flatten()?;
+            match found.is_dir() {
+                true => Some(path + "/"),
+                false => format_of(&own).map(|_| path),
+            }
+        };
+        let mut paths: Vec<String> = entries.filter_map(path).collect();
+        paths.sort_unstable();
+        paths.truncate(MOST_LISTED);
+        paths
+    }
 }
 
-/// Formats that consist of one file.
-const FORMATS: [Format; 6] =
-    [Format::Ply, Format::CompressedPly, Format::Splat, Format::Spz, Format::Glb, Format::Sog];
+/// Most paths that are listed for a page.
+const MOST_LISTED: usize = 200;
+/// Most entries of a folder that are looked at for a list.
+const MOST_READ: usize = 10_000;
 
-/// The format that a file's name says, if it consists of one file.
+/// True if a scene in this format is one file.
+fn is_single_file(format: &Format) -> bool {
+    *format != Format::Gltf
+}
+
+/// The endings of those formats of which a scene is one file.
+pub fn single_files(formats: &[Format]) -> Vec<&'static str> {
+    formats.iter().filter(|format| is_single_file(format)).map(|format| format.extension()).collect()
+}
+
+/// The format that a file's name says, if a scene in it is one file.
 pub fn format_of(name: &str) -> Option<Format> {
-    Format::of_extension(name).ok().filter(|format| FORMATS.contains(format))
+    Format::of_extension(name).ok().filter(is_single_file)
 }

@@ -2,6 +2,7 @@
 //! (u32, little-endian), the header, the encoded picture.
 
 use super::cut::CutMessage;
+use super::edits::Edit;
 use ashsplat::scene::{Camera, Coefficients, Intrinsics, Projection};
 use ashsplat::{Error, PixelReport, Result, Shape};
 use ashsplat_program::output::samples;
@@ -122,6 +123,8 @@ pub struct Look {
     pub cut: CutMessage,
     /// Most Gaussians of a picture of a tree of tiles. None: the program's own setting.
     pub budget: Option<u64>,
+    /// True if the selected Gaussians are drawn in the selection's colour.
+    pub selection: bool,
 }
 
 impl Default for Look {
@@ -134,6 +137,7 @@ impl Default for Look {
             quality: 90,
             cut: CutMessage::default(),
             budget: None,
+            selection: false,
         }
     }
 }
@@ -211,6 +215,8 @@ pub enum FromPage {
     Film(FilmRequest),
     /// Cancels the film.
     Cancel,
+    /// Changes the selection, or what is drawn of the scene, for all pages.
+    Edit(Edit),
 }
 
 /// Controls of training.

@@ -3,6 +3,7 @@
 use super::appearances::PhotoAppearances;
 use super::cut;
 use super::draw::{self, Audience, Painter, Viewer};
+use super::edits::Part;
 use super::film::Film;
 use super::hub::{CurrentScene, Hub, SceneAnswer, Task};
 use super::protocol::{self, Look, ToPage, ViewRequest};
@@ -96,7 +97,11 @@ impl RenderThread {
                 self.reply(client, answer)?;
             }
             Task::Film => self.go_on_filming(painter)?,
-            Task::Scene(answer) => self.hand_over(painter, answer)?,
+            Task::Scene { part, answer } => self.hand_over(painter, part, answer)?,
+            Task::Edit { client, edit } => match painter.edit(&edit) {
+                Ok(()) => self.hub.renew(),
+                Err(error) => self.reply(client, Err(error))?,
+            },
         }
         Ok(())
     }
@@ -122,6 +127,7 @@ impl RenderThread {
             "format": if request.look.quality == 0 { "image/png" } else { "image/jpeg" },
             "render_ms": render_ms, "encode_ms": encode_ms, "stats": stats, "legend": drawn.legend,
             "iteration": painter.trainer().map(Trainer::iteration), "tree": painter.tree(),
+            "edits": painter.edits(),
             // Options and address that make the same cut of the file.
             "convert": cut::options(&settings, &self.frame),
             "export": cut::query(&settings),
@@ -141,6 +147,7 @@ impl RenderThread {
         painter.attend(&Audience {
             viewer: Viewer { page, films: false },
             budget: look.budget,
+            selection: look.selection,
             is_there: &|viewer| match viewer.films {
                 true => self.film.is_some(),
                 false => self.hub.has_page(viewer.page),
@@ -161,13 +168,13 @@ impl RenderThread {
     }
 
     /// Sends the scene to the thread that writes it to a file.
-    fn hand_over(&self, painter: &dyn Painter, answer: SceneAnswer) -> Result<()> {
+    fn hand_over(&self, painter: &dyn Painter, part: Part, answer: SceneAnswer) -> Result<()> {
         // The requester may have gone.
         if answer.is_closed() {
             return Ok(());
         }
         let marks = WriteOptions { frame: self.frame, ..WriteOptions::marking(&self.base) };
-        match painter.gaussians() {
+        match painter.gaussians(part) {
             Ok(gaussians) => drop(answer.send(Ok(CurrentScene { gaussians, marks }))),
             Err(error) => {
                 drop(answer.send(Err(error.to_string())));
@@ -188,7 +195,8 @@ impl RenderThread {
             return Ok(());
         }
         let viewer = Viewer { page: film.client, films: true };
-        painter.attend(&Audience { viewer, budget: film.request.look.budget, is_there: &|_| true });
+        let budget = film.request.look.budget;
+        painter.attend(&Audience { viewer, budget, selection: false, is_there: &|_| true });
         match film.advance(painter, &self.base) {
             Err(error) => {
                 self.cancel(&film);

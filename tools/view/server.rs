@@ -213,6 +213,7 @@ fn router(site: Arc<Site>) -> Router {
         .route("/count", get(export::count))
         .route("/upload/{name}", post(opening::upload))
         .route("/open", post(opening::open))
+        .route("/paths", post(opening::paths))
         .fallback(asset)
         .layer(middleware::from_fn_with_state(site.clone(), access::guard))
         .with_state(site)

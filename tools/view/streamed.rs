@@ -3,11 +3,13 @@
 mod loader;
 mod residency;
 
-use super::draw::{Audience, Painter, Viewer};
-use super::subject::Streamed;
+use super::draw::{Audience, NOT_EDITED, Painter, Viewer};
+use super::edits::{Edit, Edits, Part};
+use super::subject::{ScenePart, Streamed};
 use ashsplat::scene::Gaussians;
+use ashsplat::vk::{Buffer, MemoryKind};
 use ashsplat::{
-    Camera, DeviceScene, Error, Frame, PixelReport, RenderSettings, Renderer, Result, TileReport,
+    Camera, DeviceScene, Error, Frame, PixelReport, RenderSettings, Renderer, Result, Selection, TileReport,
 };
 use ashsplat_files::tiles::{Demand, Tree};
 use loader::Loader;
@@ -19,7 +21,16 @@ use std::sync::Arc;
 pub struct Scenery {
     pub renderer: Renderer,
     streaming: Option<Streaming>,
+    /// From the first edit on.
+    edits: Option<Edits>,
+    /// Mask of the selection, a bit per drawn Gaussian.
+    mask: Option<Buffer>,
+    /// True if the next picture shows the selection.
+    shows_selection: bool,
 }
+
+/// Colour of the selection, and its share of a Gaussian's colour.
+const SELECTION: ([f32; 3], f32) = ([1.0, 0.45, 0.0], 0.65);
 
 /// Called on any thread: with a message for people, or with none when a tile was loaded or has failed, so that the picture is drawn again.
 pub type Onlooker = Arc<dyn Fn(Option<String>) + Send + Sync>;
@@ -43,12 +54,12 @@ struct Streaming {
 impl Scenery {
     /// Shows the renderer's scene.
     pub fn new(renderer: Renderer) -> Scenery {
-        Scenery { renderer, streaming: None }
+        Scenery { renderer, streaming: None, edits: None, mask: None, shows_selection: false }
     }
 
     /// Shows a scene, or the tree whose coarsest tile it is.
     pub fn show(&mut self, gaussians: &Gaussians, tree: Option<&Streamed>, onlooker: Onlooker) -> Result<()> {
-        self.streaming = None;
+        (self.streaming, self.edits, self.mask) = (None, None, None);
         if !gaussians.is_empty() {
             self.renderer.upload(gaussians)?;
         }
@@ -66,6 +77,17 @@ impl Scenery {
             shown: Value::Null,
         });
         Ok(())
+    }
+
+    /// Counts the Gaussians of each scene that are drawn.
+    pub fn keep_drawn(&self, parts: &mut [ScenePart]) {
+        let Some(edits) = &self.edits else { return };
+        let mut first = 0;
+        for part in parts {
+            let end = first + part.count;
+            part.count = edits.drawn().filter(|index| (first..end).contains(index)).count();
+            first = end;
+        }
     }
 
     /// Draws the loaded parts. If the device has no memory for the picture, tiles are removed: first those that nobody wants,
@@ -175,7 +197,12 @@ impl Streaming {
 
 impl Painter for Scenery {
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
-        self.draw(camera, |renderer| renderer.render(camera, settings))
+        let (color, share) = SELECTION;
+        let mask = self.mask.clone().filter(|_| self.shows_selection);
+        self.draw(camera, |renderer| match &mask {
+            Some(mask) => renderer.render_selected(camera, settings, Selection { mask, color, share }),
+            None => renderer.render(camera, settings),
+        })
     }
 
     fn render_with_tiles(
@@ -192,15 +219,55 @@ impl Painter for Scenery {
         settings: &RenderSettings,
         pixel: [u32; 2],
     ) -> Result<PixelReport> {
-        self.draw(camera, |renderer| renderer.inspect(camera, settings, pixel))
+        let mut report = self.draw(camera, |renderer| renderer.inspect(camera, settings, pixel))?;
+        // The device has only the Gaussians that are drawn.
+        if let Some(edits) = &self.edits {
+            let drawn: Vec<usize> = edits.drawn().collect();
+            for sample in &mut report.samples {
+                sample.gaussian = drawn[sample.gaussian as usize] as u32;
+            }
+        }
+        Ok(report)
     }
 
-    fn gaussians(&self) -> Result<Gaussians> {
+    fn gaussians(&self, part: Part) -> Result<Gaussians> {
         if self.streaming.is_some() {
             let problem = "is not saved from here: it is not whole; `ashsplat convert` reads the scene that it was made of";
             return Err(Error::argument("a tree of tiles", problem));
         }
-        self.renderer.gaussians()
+        match (&self.edits, part) {
+            (Some(edits), _) => edits.part(part),
+            (None, Part::Seen) => self.renderer.gaussians(),
+            (None, Part::Selection) => Err(Error::argument("part", "nothing is selected")),
+        }
+    }
+
+    fn edit(&mut self, edit: &Edit) -> Result<()> {
+        if self.streaming.is_some() {
+            return Err(Error::argument("edit", NOT_EDITED));
+        }
+        let mut edits = match self.edits.take() {
+            Some(edits) => edits,
+            None => Edits::of(self.renderer.gaussians()?),
+        };
+        let applied = edits.apply(edit);
+        let edits = self.edits.insert(edits);
+        if applied? {
+            self.renderer.upload(&edits.part(Part::Seen)?)?;
+        }
+        self.mask = None;
+        if let Some(mask) = edits.mask() {
+            let (context, bytes) = (self.renderer.context(), bytemuck::cast_slice(&mask));
+            let buffers =
+                context.allocate("selection", &[("mask", bytes.len() as u64)], MemoryKind::Device)?;
+            context.upload(&buffers[0], bytes)?;
+            self.mask = buffers.into_iter().next();
+        }
+        Ok(())
+    }
+
+    fn edits(&self) -> Option<Value> {
+        self.edits.as_ref().map(Edits::described)
     }
 
     fn shrink(&mut self) {
@@ -208,6 +275,7 @@ impl Painter for Scenery {
     }
 
     fn attend(&mut self, audience: &Audience<'_>) {
+        self.shows_selection = audience.selection;
         let Some(streaming) = &mut self.streaming else { return };
         let requested = audience.budget.map(|budget| usize::try_from(budget).unwrap_or(usize::MAX));
         streaming.current = (audience.viewer, requested.unwrap_or(streaming.budget));

@@ -2,9 +2,10 @@
 
 use super::appearances::PhotoAppearances;
 use super::labels::labels;
+use super::openings;
 use super::photos::Photos;
 use super::protocol::CameraMessage;
-use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit, WorldFrame, without_strays};
+use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit, Similarity, WorldFrame, without_strays};
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::quoted;
@@ -49,10 +50,28 @@ pub struct Subject {
     pub note: Option<String>,
     /// Its file or folder, for commands; none if there is none.
     pub file: Option<PathBuf>,
+    /// Scenes that are drawn together, in the order of their Gaussians; empty for one alone.
+    pub parts: Vec<ScenePart>,
     /// Tree of tiles; the Gaussians are its coarsest tile.
     pub tree: Option<Streamed>,
     /// Up direction, if it differs from the cameras'.
     pub up: Option<Vec3>,
+}
+
+/// One of several scenes.
+#[derive(Clone, Debug)]
+pub struct ScenePart {
+    pub name: String,
+    pub file: Option<PathBuf>,
+    pub count: usize,
+}
+
+/// What a scene that is added must know of those that are open.
+#[derive(Clone)]
+pub struct Shown {
+    pub parts: Vec<ScenePart>,
+    pub frame: WorldFrame,
+    pub base: RenderSettings,
 }
 
 /// A tree of tiles, of which the viewer loads the visible ones.
@@ -236,6 +255,37 @@ impl Subject {
         })
     }
 
+    /// What a scene that is added later must know.
+    pub fn shown(&self) -> Shown {
+        let alone =
+            || ScenePart { name: self.name.clone(), file: self.file.clone(), count: self.gaussians.len() };
+        let parts = if self.parts.is_empty() { vec![alone()] } else { self.parts.clone() };
+        Shown { parts, frame: self.frame, base: self.base }
+    }
+
+    /// This scene behind those that are open, whose Gaussians are `all`. It is drawn with their settings.
+    pub fn beside(self, mut shown: Shown, all: Gaussians) -> Subject {
+        let degree = self.gaussians.sh_degree.max(all.sh_degree);
+        shown.parts.extend(self.shown().parts);
+        let mut own = self.gaussians.with_sh_degree(degree);
+        own.transform(&Similarity::between(&self.frame, &shown.frame));
+        let mut gaussians = all.with_sh_degree(degree);
+        gaussians.append(&own);
+        let names: Vec<&str> = shown.parts.iter().map(|part| part.name.as_str()).collect();
+        let trained = |base: &RenderSettings| (base.antialias, base.dilation_px2);
+        let differs = trained(&self.base) != trained(&shown.base);
+        let note = differs.then_some("they were trained differently, and are drawn as the first");
+        Subject {
+            name: names.join(" + "),
+            note: note.map(str::to_owned),
+            gaussians,
+            frame: shown.frame,
+            base: shown.base,
+            parts: shown.parts,
+            ..Subject::default()
+        }
+    }
+
     /// The orbit that shows the scene, and the camera of the first picture.
     pub fn first_view(&self) -> (Orbit, Option<Camera>) {
         let [width, height] = START_SIZE;
@@ -276,7 +326,10 @@ impl Subject {
             "bounds": tree.and_then(|tree| Some(tree.tree.tiles().first()?.bounds)).or(statistics.bounds).map(corners),
             "central_bounds": statistics.central_bounds.map(corners),
             "densities": statistics.density_percentiles,
+            "scenes": self.parts.iter().map(|part| json!({ "name": part.name, "count": part.count })).collect::<Vec<_>>(),
             "stem": self.stem(),
+            // Those of exports.
+            "formats": openings::single_files(&Format::WRITTEN),
             "convert": self.convert_command(),
             "background": self.base.background,
             "device": device,
@@ -293,7 +346,8 @@ impl Subject {
 
     /// The scene's name without its ending, for new files.
     fn stem(&self) -> String {
-        let name = Path::new(&self.name).file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name = self.parts.first().map_or(&self.name, |first| &first.name);
+        let name = Path::new(name).file_name().unwrap_or_default().to_string_lossy().into_owned();
         let ending = Format::of_extension(&name).map_or(0, |format| format.extension().len());
         let stem = name[..name.len() - ending].trim_start_matches('.');
         if stem.is_empty() { "scene".into() } else { stem.into() }
@@ -301,9 +355,11 @@ impl Subject {
 
     /// Start of a command that cuts the scene.
     fn convert_command(&self) -> Option<String> {
-        let file = self.file.as_ref()?.to_string_lossy().into_owned();
+        let named = |file: &PathBuf| quoted(&file.to_string_lossy());
+        let files: Option<Vec<String>> =
+            self.shown().parts.iter().map(|part| part.file.as_ref().map(named)).collect();
         let cut = format!("{}_cut.ply", self.stem());
-        Some(format!("ashsplat convert {} {}", quoted(&file), quoted(&cut)))
+        Some(format!("ashsplat convert {} {}", files?.join(" "), quoted(&cut)))
     }
 }
 

@@ -4,14 +4,17 @@ use super::access::query_value;
 use super::open_connections::OpenConnection;
 use super::{Site, busy, files, refusal};
 use crate::cut::CutMessage;
+use crate::edits::Part;
 use crate::hub::CurrentScene;
 use crate::openings;
+use ashsplat::scene::Similarity;
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::{self, Format, WriteOptions};
 use axum::Extension;
 use axum::extract::{Path as UrlPath, State};
 use axum::http::{StatusCode, Uri, header};
 use axum::response::{self, IntoResponse, Response};
+use glam::DVec3;
 use serde_json::json;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -23,27 +26,34 @@ use tokio::sync::{OwnedSemaphorePermit, oneshot};
 pub(super) const MOST_EXPORTS: usize = 2;
 /// Longest wait for the rendering thread.
 const PATIENCE: Duration = Duration::from_secs(120);
+/// Largest number of a place: positions in single precision are coarse farther away.
+const FARTHEST: f64 = 1e5;
 
-/// The cut and SH degree that a page wants.
+/// The part, cut, SH degree and place that a page wants.
 #[derive(Clone, Copy)]
 struct Export {
+    part: Part,
     cut: CutMessage,
     sh_degree: u32,
+    /// In the coordinates of the scene's file.
+    place: Similarity,
 }
 
-/// `/export/NAME.ply?min_opacity=X&min_density=X&low=X,X,X&high=X,X,X&sh_degree=N`
+/// `/export/NAME.ply?min_opacity=X&min_density=X&low=X,X,X&high=X,X,X&sh_degree=N&part=selection&rotate=X,Y,Z&scale=X&translate=X,Y,Z`:
+/// all is optional, and the last three are those of `ashsplat convert`.
 pub async fn export(
     State(site): State<Arc<Site>>,
     Extension(connection): Extension<Arc<OpenConnection>>,
     UrlPath(name): UrlPath<String>,
     uri: Uri,
 ) -> response::Result<Response> {
-    let format = openings::format_of(&name).ok_or(StatusCode::NOT_FOUND)?;
+    let format = openings::format_of(&name).filter(|format| Format::WRITTEN.contains(format));
+    let format = format.ok_or(StatusCode::NOT_FOUND)?;
     let wanted =
         Export::of_query(&uri).map_err(|error| refusal(StatusCode::BAD_REQUEST, &error.to_string()))?;
-    let (scene, turn) = scene_of(&site, &connection).await?;
+    let (scene, turn) = scene_of(&site, &connection, wanted.part).await?;
     // The turn lasts until the file is written, even if the page has gone.
-    let work = move || wanted.write(&scene, format).map(|(folder, path)| (path, (folder, turn)));
+    let work = move || wanted.write(scene, format).map(|(folder, path)| (path, (folder, turn)));
     let written = connection.waits_for(tokio::task::spawn_blocking(work)).await;
     let (path, kept) = written
         .map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?
@@ -68,7 +78,7 @@ pub async fn count(
         Export::of_query(&uri).map_err(|error| refusal(StatusCode::BAD_REQUEST, &error.to_string()))?;
     let format =
         query_value(&uri, "format").and_then(|ending| openings::format_of(&format!("scene.{ending}")));
-    let (scene, turn) = scene_of(&site, &connection).await?;
+    let (scene, turn) = scene_of(&site, &connection, wanted.part).await?;
     let work = move || {
         let _turn = turn;
         let (limits, all) = (wanted.cut.cut().limits(), scene.gaussians.len());
@@ -89,11 +99,12 @@ pub async fn count(
 async fn scene_of(
     site: &Site,
     connection: &OpenConnection,
+    part: Part,
 ) -> response::Result<(CurrentScene, OwnedSemaphorePermit)> {
     let busy = || busy("other exports are being made: ask again in a while");
     let turn = site.exports.clone().try_acquire_owned().map_err(|_| busy())?;
     let (answer, scene) = oneshot::channel();
-    if !site.hub.ask_for_scene(answer) {
+    if !site.hub.ask_for_scene(part, answer) {
         return Err(busy().into());
     }
     match connection.waits_for(tokio::time::timeout(PATIENCE, scene)).await {
@@ -128,16 +139,50 @@ impl Export {
         cut.cut().check()?;
         let degree = query_value(uri, "sh_degree").unwrap_or("3".into()).parse::<u32>();
         let sh_degree = degree.ok().filter(|degree| *degree <= 3).ok_or_else(|| bad("sh_degree"))?;
-        Ok(Export { cut, sh_degree })
+        let part = match query_value(uri, "part").as_deref() {
+            None => Part::Seen,
+            Some("selection") => Part::Selection,
+            Some(_) => return Err(bad("part")),
+        };
+        let numbers = |name: &str| -> Result<Option<[f64; 3]>> {
+            let Some(text) = query_value(uri, name) else { return Ok(None) };
+            let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.parse().ok()).collect();
+            let numbers = numbers.and_then(|numbers| numbers.try_into().ok());
+            numbers
+                .filter(|all: &[f64; 3]| all.iter().all(|v| v.abs() <= FARTHEST))
+                .ok_or_else(|| bad(name))
+                .map(Some)
+        };
+        let scale = query_value(uri, "scale").unwrap_or("1".into()).parse::<f64>().ok();
+        let scale = scale.filter(|scale| (1e-6..=1e6).contains(scale)).ok_or_else(|| bad("scale"))?;
+        let [rotate, translate] = ["rotate", "translate"].map(numbers);
+        let [rotate, translate] = [rotate?, translate?].map(|v| DVec3::from_array(v.unwrap_or_default()));
+        let place = Similarity::of_angles(rotate, scale, translate);
+        Ok(Export { part, cut, sh_degree, place })
     }
 
     /// Writes a file into a new temporary folder.
-    fn write(&self, scene: &CurrentScene, format: Format) -> Result<(TempDir, PathBuf)> {
+    fn write(&self, mut scene: CurrentScene, format: Format) -> Result<(TempDir, PathBuf)> {
         let room = std::env::temp_dir();
         let folder = tempfile::tempdir().map_err(|e| Error::io(&room, "write a temporary file", e))?;
         let path = folder.path().join(format!("scene{}", format.extension()));
+        let mut cut = self.cut.cut();
+        if self.place != Similarity::default() {
+            // The cut is in the old axes.
+            let limits = std::mem::take(&mut cut).limits();
+            scene.gaussians.retain(|all, index| limits.keeps(all, index));
+            let frame = &mut scene.marks.frame;
+            let old = std::mem::replace(&mut frame.origin, DVec3::ZERO);
+            let moved = self.place.apply(old);
+            // A scene at the origin of its file stays there.
+            if old != DVec3::ZERO {
+                frame.origin = moved;
+            }
+            let translation = (moved - frame.origin) / frame.unit;
+            scene.gaussians.transform(&Similarity { translation, ..self.place });
+        }
         let options = WriteOptions { format: Some(format), ..scene.marks };
-        splats::write_cut(&path, &scene.gaussians, &self.cut.cut(), self.sh_degree, &options)?;
+        splats::write_cut(&path, &scene.gaussians, &cut, self.sh_degree, &options)?;
         Ok((folder, path))
     }
 }

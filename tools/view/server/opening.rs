@@ -1,7 +1,8 @@
 //! Files that pages send, and paths that they name: see [`openings`].
 
+use super::access::query_value;
 use super::{Site, busy, refusal};
-use crate::openings::{self, OpenRequest};
+use crate::openings::{self, OpenRequest, Openings};
 use ashsplat_files::splats::Format;
 use axum::body::{Body, Bytes, to_bytes};
 use axum::extract::{Path as UrlPath, Request, State};
@@ -32,14 +33,15 @@ const LONGEST_STEM: usize = 60;
 /// Most letters of a file's name on the page.
 const LONGEST_NAME: usize = 200;
 
-/// `POST /upload/NAME.ply` with the file's bytes.
+/// `POST /upload/NAME.ply` with the file's bytes; `?add=1` opens it beside the scenes that are open.
 pub async fn upload(
     State(site): State<Arc<Site>>,
     UrlPath(name): UrlPath<String>,
     request: Request,
 ) -> Response {
     let (head, mut body) = request.into_parts();
-    match take_in(&site, &name, &head.headers, &mut body).await {
+    let add = query_value(&head.uri, "add").is_some();
+    match take_in(&site, (&name, add), &head.headers, &mut body).await {
         Ok(()) => StatusCode::ACCEPTED.into_response(),
         Err(refused) => {
             drain(&mut body).await;
@@ -49,7 +51,12 @@ pub async fn upload(
 }
 
 /// On refusal, part of the body may be left unread.
-async fn take_in(site: &Site, name: &str, headers: &HeaderMap, body: &mut Body) -> Result<(), Response> {
+async fn take_in(
+    site: &Site,
+    (name, add): (&str, bool),
+    headers: &HeaderMap,
+    body: &mut Body,
+) -> Result<(), Response> {
     let openings = site.openings.as_ref().ok_or_else(not_here)?;
     // Foreign pages cannot send this content type without a preflight request.
     if !is_kind(headers, "application/octet-stream") {
@@ -73,7 +80,7 @@ async fn take_in(site: &Site, name: &str, headers: &HeaderMap, body: &mut Body) 
     let path = folder.path().join(plain(name, format));
     receive(body, &path, length).await?;
     let name = name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
-    openings.ask(OpenRequest { path, name, within: None, upload: Some(folder), turn: Some(turn) });
+    openings.ask(OpenRequest { path, name, add, within: None, upload: Some(folder), turn: Some(turn) });
     Ok(())
 }
 
@@ -86,6 +93,19 @@ fn plain(name: &str, format: Format) -> String {
 
 /// `POST /open` with `{"path": "…"}`.
 pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Result<StatusCode, Response> {
+    let (openings, name) = named(&site, request).await?;
+    let name = name.trim();
+    let found = openings.find(name);
+    let (path, folder) = found.map_err(|problem| refusal(StatusCode::NOT_FOUND, &problem))?;
+    let within = Some(folder.to_owned());
+    let turn = openings.turn().ok_or_else(occupied)?;
+    let (name, turn) = (name.to_owned(), Some(turn));
+    openings.ask(OpenRequest { path, name, within, turn, ..OpenRequest::default() });
+    Ok(StatusCode::ACCEPTED)
+}
+
+/// The path that a request has, and the bounds of what pages may open.
+async fn named(site: &Site, request: Request) -> Result<(&Openings, String), Response> {
     let openings = site.openings.as_ref().ok_or_else(not_here)?;
     if !is_kind(request.headers(), "application/json") {
         return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a path as application/json"));
@@ -93,14 +113,16 @@ pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Result<Sta
     let message = tokio::time::timeout(GRACE, to_bytes(request.into_body(), LONGEST_MESSAGE)).await;
     let message =
         message.ok().and_then(Result::ok).and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok());
-    let name = message.as_ref().and_then(|message| message["path"].as_str()).map(str::trim);
+    let name = message.as_ref().and_then(|message| message["path"].as_str());
     let name = name.ok_or_else(|| refusal(StatusCode::BAD_REQUEST, "expected {\"path\": \"…\"}"))?;
-    let found = openings.find(name);
-    let (path, folder) = found.map_err(|problem| refusal(StatusCode::NOT_FOUND, &problem))?;
-    let within = Some(folder.to_owned());
-    let turn = openings.turn().ok_or_else(occupied)?;
-    openings.ask(OpenRequest { path, name: name.to_owned(), within, upload: None, turn: Some(turn) });
-    Ok(StatusCode::ACCEPTED)
+    Ok((openings, name.to_owned()))
+}
+
+/// `POST /paths` with `{"path": "…"}`: the paths that begin like this, as JSON.
+pub async fn paths(State(site): State<Arc<Site>>, request: Request) -> Result<Response, Response> {
+    let (openings, begin) = named(&site, request).await?;
+    let kind = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
+    Ok((kind, Value::from(openings.list(&begin)).to_string()).into_response())
 }
 
 /// Waits for the next piece of an upload.

@@ -146,6 +146,11 @@ fn heed(hub: &Hub, client: u64, text: &str) {
                 hub.send(client, ToPage::film_is_cancelled());
             }
         }
+        Ok(FromPage::Edit(edit)) => {
+            if !hub.edit(client, edit) {
+                refuse("too many edits wait: try again in a moment");
+            }
+        }
         Err(error) => refuse(&format!("not understood: {error}")),
     }
 }

@@ -4,6 +4,8 @@ import { add, clamp, dot, length, looking, normalize, orthonormal, quaternion, r
 
 /** How near the poles an orbit may come, radians. */
 const POLE = 0.02;
+/** The engine draws what is farther, world units. */
+const NEAR = 0.2;
 /** Widest angle of view that is taken over from a lens, radians. */
 const WIDEST = 1.4;
 
@@ -18,6 +20,8 @@ export class Camera {
         this.radius = 3;
         /** A photo's own camera while the view is exactly its. */
         this.lens = null;
+        /** Shares of the page that tools and panel cover; the view's middle is that of the rest. */
+        this.covered = { left: 0, right: 0, top: 0, bottom: 0 };
         this.changed = () => {};
     }
 
@@ -120,11 +124,52 @@ export class Camera {
         this.touch();
     }
 
+    /** As the end of an address, in the coordinates of the scene's file: position, pivot, quaternion, field of view. */
+    link({ origin, unit }) {
+        const inFile = (place) => add(origin, times(place, unit));
+        const numbers = [...inFile(this.position), ...inFile(this.pivot), ...quaternion(this.rotation), this.fovY];
+        return `#view=${numbers.map((value) => Number(value.toPrecision(10))).join(',')}`;
+    }
+
+    /** Takes the view of such an address; false if it has none. */
+    takeLink(text, { origin, unit }) {
+        const numbers = text.startsWith('#view=') ? text.slice(6).split(',').map(Number) : [];
+        const [fov] = numbers.slice(10), turned = Math.hypot(...numbers.slice(6, 10));
+        if (numbers.length !== 11 || !numbers.every(Number.isFinite) || turned < 0.5 || !(fov > 0.01 && fov < 3)) return false;
+        const inScene = (place) => times(sub(place, origin), 1 / unit);
+        this.position = inScene(numbers.slice(0, 3));
+        this.pivot = inScene(numbers.slice(3, 6));
+        this.rotation = rows(numbers.slice(6, 10).map((value) => value / turned));
+        this.fovY = fov;
+        this.touch();
+        return true;
+    }
+
     /** Where the photo lies in a picture of a size: scale and corner. */
     frame(width, height) {
-        const { width: w, height: h } = this.lens;
-        const scale = Math.min(width / w, height / h);
-        return { scale, x: 0.5 * (width - w * scale), y: 0.5 * (height - h * scale), width: w * scale, height: h * scale };
+        const { width: w, height: h } = this.lens, free = this.free(width, height);
+        const scale = Math.min(free.width / w, free.height / h);
+        return { scale, x: free.x - 0.5 * w * scale, y: free.y - 0.5 * h * scale, width: w * scale, height: h * scale };
+    }
+
+    /** Middle and size of what is not covered, of a picture of a size. */
+    free(width, height) {
+        const { left, right, top, bottom } = this.covered;
+        return { x: 0.5 * width * (1 + left - right), y: 0.5 * height * (1 + top - bottom), width: width * (1 - left - right), height: height * (1 - top - bottom) };
+    }
+
+    /** Goes back until a box lies whole within what is not covered, and turns around its middle. */
+    fit([low, high], width, height) {
+        const { fx, fy } = this.message(width, height), free = this.free(width, height);
+        this.pivot = times(add(low, high), 0.5);
+        const half = times(sub(high, low), 0.5);
+        const corners = Array.from({ length: 8 }, (_, bits) => half.map((value, axis) => (bits >> axis & 1 ? value : -value)));
+        const far = corners.map((corner) => {
+            const [x, y, z] = this.rotation.map((row) => dot(row, corner));
+            return Math.max(2 * fx * Math.abs(x) / free.width, 2 * fy * Math.abs(y) / free.height, NEAR) - z;
+        });
+        this.position = sub(this.pivot, times(this.forward, 1.04 * Math.max(...far)));
+        this.touch();
     }
 
     /** As the engine wants it, for a picture of a size. */
@@ -136,7 +181,8 @@ export class Camera {
             return { ...common, fx: fx * scale, fy: fy * scale, cx: x + cx * scale, cy: y + cy * scale, lens: this.lens.lens };
         }
         const f = 0.5 * height / Math.tan(0.5 * this.fovY);
-        return { ...common, fx: f, fy: f, cx: 0.5 * width, cy: 0.5 * height };
+        const { x, y } = this.free(width, height);
+        return { ...common, fx: f, fy: f, cx: x, cy: y };
     }
 
     /** Pixel of a point; null behind the camera, and while the view is that of a lens that bends lines. */

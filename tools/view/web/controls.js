@@ -11,7 +11,10 @@ const TURN_KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], Ar
 const ZOOM_KEYS = { Equal: -1, NumpadAdd: -1, Minus: 1, NumpadSubtract: 1 };
 
 export class Controls {
-    /** `actions`: click(x, y, event), double(x, y), key(code, event) → handled; covered(event) → handled, while a dialog is open. */
+    /**
+     * `actions`: click(x, y, event), double(x, y), key(code, event) → handled; command(code, event) → handled, with Ctrl; covered(event)
+     * → handled, while a dialog is open; begin(x, y, event) → a stroke { move, end, cancel } of a tool, or nothing to move the view.
+     */
     constructor(surface, camera, actions) {
         Object.assign(this, { surface, camera, actions, flying: false, held: new Set(), pointers: new Map(), last: 0, clicked: null });
         surface.addEventListener('pointerdown', (e) => this.down(e));
@@ -29,15 +32,19 @@ export class Controls {
         this.surface.focus({ preventScroll: true });
         this.pointers.set(e.pointerId, { x: e.clientX, y: e.clientY });
         this.moved = this.pointers.size > 1 ? Infinity : 0;
+        // A second finger moves the view.
+        this.stroke?.cancel();
+        this.stroke = this.pointers.size === 1 && e.button === 0 && !e.ctrlKey ? this.actions.begin(e.clientX, e.clientY, e) : null;
         this.surface.classList.add('dragging');
         if (e.button === 1) e.preventDefault();
     }
 
     move(e) {
         const pointer = this.pointers.get(e.pointerId);
-        if (!pointer) return;
+        if (!pointer) return this.actions.hover(e.clientX, e.clientY);
         const [dx, dy] = [e.clientX - pointer.x, e.clientY - pointer.y];
-        if (this.pointers.size === 2) this.pinch(e, dx, dy);
+        if (this.stroke) this.stroke.move(e.clientX, e.clientY);
+        else if (this.pointers.size === 2) this.pinch(e, dx, dy);
         else if (this.pointers.size === 1) this.drag(e, dx, dy);
         Object.assign(pointer, { x: e.clientX, y: e.clientY });
     }
@@ -64,6 +71,11 @@ export class Controls {
     up(e) {
         if (!this.pointers.delete(e.pointerId)) return;
         this.surface.classList.remove('dragging');
+        if (this.stroke) {
+            const { stroke } = this;
+            this.stroke = null;
+            return e.type === 'pointerup' ? stroke.end() : stroke.cancel();
+        }
         if (e.type !== 'pointerup' || this.moved >= CLICK || e.button > 0) return;
         // When it happened, not when a busy page comes to hear of it.
         const now = e.timeStamp, { clicked } = this;
@@ -92,6 +104,7 @@ export class Controls {
             return;
         }
         const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(e.target.tagName) && !['range', 'checkbox', 'color'].includes(e.target.type);
+        if (!typing && (e.ctrlKey || e.metaKey) && this.actions.command(e.code, e)) return e.preventDefault();
         if (typing || e.metaKey || e.ctrlKey && e.code !== 'ControlLeft') return;
         const steers = e.code in FLY_KEYS || e.code in TURN_KEYS || e.code in ZOOM_KEYS;
         if (steers && (e.target.type !== 'range' || e.code in FLY_KEYS)) {

@@ -4,6 +4,9 @@ import { between } from './camera.js';
 import { download } from './frames.js';
 import { add, sub, times } from './maths.js';
 
+/** Widest GIF of the program, pixels. */
+const GIF_WIDTH = 640;
+
 const find = (id) => document.getElementById(id);
 
 export class Film {
@@ -18,7 +21,16 @@ export class Film {
         find('film-file').onchange = () => this.load();
         link.on('film', (progress) => this.progress(progress));
         link.on('close', () => this.stopped());
+        for (const id of ['film-seconds', 'film-fps', 'film-size']) find(id).addEventListener('input', () => this.note());
         this.list();
+        this.note();
+    }
+
+    /** What the files will be. */
+    note() {
+        const { seconds, frames_per_second: rate, width, height } = this.settings();
+        const small = Math.min(width, GIF_WIDTH), gif = `${small}×${Math.floor(height * small / width)}`;
+        find('film-note').textContent = `${Math.max(1, Math.round(seconds * rate))} frames of ${width}×${height}${small < width ? `; the GIF has ${gif}` : ''}`;
     }
 
     settings() {

@@ -28,7 +28,7 @@ export class Filter {
         }));
         find('filter-reset').onclick = () => this.reset();
         find('command-copy').onclick = () => this.copy();
-        for (const format of ['ply', 'spz']) find(`export-${format}`).onclick = () => this.save(format);
+        find('export-save').onclick = () => this.save(find('export-format').value);
         this.show();
     }
 
@@ -39,6 +39,7 @@ export class Filter {
         find('filter').hidden = scene.empty;
         // Only a part of a tree is ever there: it is neither counted nor saved.
         find('exports').hidden = Boolean(scene.tree);
+        if (first) find('export-format').replaceChildren(...scene.formats.map((format) => new Option(format.slice(1), format)));
         this.median = scene.densities?.[3] || 1;
         this.ranges = scene.central_bounds && this.rangesOf(scene);
         if (first) this.reset();
@@ -53,6 +54,9 @@ export class Filter {
             return b > a ? [a, b] : [a - 0.5, a + 0.5];
         });
     }
+
+    /** The box that the sliders span; none for a scene without one. */
+    get whole() { return this.ranges && [0, 1].map((end) => this.ranges.map((range) => range[end])); }
 
     /** A slider at its end leaves the side open. */
     side(axis, end) {
@@ -145,11 +149,19 @@ export class Filter {
     }
 
     /** A frame says what it shows. */
-    showFrame({ convert, export: address }) {
-        this.shown = address;
-        const command = convert && this.scene?.convert ? `${this.scene.convert} ${convert}` : '';
+    showFrame({ convert, export: address, edits }) {
+        Object.assign(this, { shown: address, convert });
+        // What was selected by hand, no command repeats.
+        this.edited = Boolean(edits?.hidden || edits?.deleted);
+        this.showCommand();
+        this.count(convert && !this.scene?.tree ? `${address}&edits=${edits?.undo ?? 0}` : null);
+    }
+
+    /** The command that makes the same file: the cut, and the scene's new place. */
+    showCommand() {
+        const options = `${this.convert ?? ''}${this.placement.options}`.trim();
+        const command = options && this.scene?.convert && !this.edited ? `${this.scene.convert} ${options}` : '';
         find('command').hidden = !command;
-        this.count(convert && !this.scene?.tree ? address : null);
         if (find('command-text').textContent === command) return;
         // Lines end between words, not within options.
         const words = command.split(' ').map((word) => Object.assign(document.createElement('span'), { textContent: word }));
@@ -191,11 +203,12 @@ export class Filter {
     /** The file is made of what was shown last, and saved by the browser as it comes. */
     async save(format) {
         if (this.shown === null || !this.scene || this.scene.empty) return;
-        const cut = find('command').hidden ? '' : '_cut';
-        const name = `${this.scene.stem}${cut}.${format}`;
-        download(`export/${encodeURIComponent(name)}?${this.shown}`, name);
+        const part = find('export-part').value;
+        const mark = part ? '_selection' : this.edited || !find('command').hidden ? '_cut' : '';
+        const name = `${this.scene.stem}${mark}${format}`, query = `${this.shown}${this.placement.query}${part && `&part=${part}`}`;
+        download(`export/${encodeURIComponent(name)}?${query}`, name);
         this.say(`${name} is made; the browser saves it as it comes`);
-        const answer = await fetch(`count?${this.shown}&format=${format}`).catch(() => null);
+        const answer = await fetch(`count?${query}&format=${format.slice(1)}`).catch(() => null);
         const { losses } = answer?.ok ? await answer.json() : { losses: [] };
         const { origin } = this.scene.frame;
         if (origin.some(Boolean)) losses.push(`positions are relative to ${origin.join(', ')}`);

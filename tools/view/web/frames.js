@@ -19,7 +19,6 @@ export class Frames {
         this.shots = new Set();
         this.resolution = 1;
         this.quality = 92;
-        this.follow = false;
         /** The photo whose light pictures are to have. */
         this.light = () => null;
         this.rate = [];
@@ -48,11 +47,11 @@ export class Frames {
         return [Math.max(16, Math.round(innerWidth * ratio)), Math.max(16, Math.round(innerHeight * ratio))];
     }
 
-    request(scale, quality, extra = {}) {
+    request(scale, quality, look = this.look()) {
         const [width, height] = this.size.map((side) => Math.max(16, Math.round(side * scale)));
         const seq = ++this.seq;
-        const message = { type: 'view', seq, camera: this.camera.message(width, height), look: { ...this.look(), quality }, as_photo: this.light(), follow: this.follow && scale === 1 };
-        if (this.link.send(message)) this.sent.set(seq, { time: performance.now(), scale, ...extra });
+        const message = { type: 'view', seq, camera: this.camera.message(width, height), look: { ...look, quality }, as_photo: this.light(), follow: scale === 1 };
+        if (this.link.send(message)) this.sent.set(seq, { time: performance.now(), scale });
         return seq;
     }
 
@@ -71,7 +70,7 @@ export class Frames {
 
     screenshot() {
         this.sharp = true;
-        this.shots.add(this.request(1, 0));
+        this.shots.add(this.request(1, 0, { ...this.look(), selection: false }));
     }
 
     async show(header, blob) {
@@ -83,8 +82,8 @@ export class Frames {
         this.rate.push(now);
         while (this.rate.length > 1 && (now - this.rate[0] > 2000 || this.rate.length > 40)) this.rate.shift();
         if (this.shots.delete(header.seq)) {
-            // What follows training is not to be a screenshot each time.
-            if (this.follow) this.sharp = false;
+            // The program draws a view again when the scene changes: not as a screenshot each time.
+            this.sharp = false;
             download(blob, `ashsplat-${new Date().toISOString().slice(0, 19).replaceAll(':', '-')}.png`);
         }
         // A view that came after a screenshot's was rendered in its place.

@@ -3,15 +3,18 @@
 import { Camera } from './camera.js';
 import { Controls } from './controls.js';
 import { Detail } from './detail.js';
+import { Edit } from './edit.js';
 import { Film } from './film.js';
 import { Filter } from './filter.js';
 import { Frames } from './frames.js';
 import { Link } from './link.js';
 import { Overlay } from './overlay.js';
 import { Panel } from './panel.js';
+import { Place } from './place.js';
 import { Photos } from './photos.js';
 import { Picker } from './pick.js';
 import { Stage } from './stage.js';
+import { Tape } from './tape.js';
 import { Training } from './training.js';
 
 export const find = (id) => document.getElementById(id);
@@ -23,22 +26,34 @@ const overlay = new Overlay(find('overlay'), camera);
 const filter = new Filter(overlay, say);
 const detail = new Detail();
 const look = () => ({ ...panel.look(), cut: filter.cut, budget: detail.budget });
-const frames = new Frames(link, camera, find('picture'), look);
+const shownLook = () => ({ ...look(), selection: true });
+const frames = new Frames(link, camera, find('picture'), shownLook);
 const picker = new Picker(link, camera, frames, look, overlay);
+const edit = new Edit(link, camera, frames, picker, overlay, filter);
+const place = new Place(camera, overlay, picker, panel, say);
+const tape = new Tape(picker, overlay, place, say);
 const photos = new Photos(camera, overlay, frames);
 frames.light = () => photos.light;
 const film = new Film(link, camera, look);
 const training = new Training(link);
 const stage = new Stage(link, say);
 let scene = null;
+/** Tools that draw with the pointer. */
+const STROKES = ['lasso', 'brush', 'sphere'];
+const TOOL_KEYS = { KeyG: 'lasso', KeyB: 'brush', KeyN: 'sphere', KeyM: 'tape' };
 
 const controls = new Controls(find('overlay'), camera, {
     click(x, y, event) {
-        if (panel.inspecting || event.altKey) picker.pick(x, y);
+        if (panel.tool === 'tape') tape.click(x, y);
+        else if (panel.tool === 'level') place.click(x, y);
+        else if (panel.tool === 'inspect' || event.altKey) picker.pick(x, y);
         else photos.jumpTo(overlay.cameraAt(x, y));
     },
     double: (x, y) => picker.pivot(x, y),
+    begin: (x, y, event) => (STROKES.includes(panel.tool) ? edit.begin(panel.tool, x, y, event) : null),
+    hover(x, y) { if (panel.tool === 'brush') edit.hover([x, y]); },
     key,
+    command,
     covered
 });
 
@@ -55,25 +70,59 @@ panel.fovChanged = (fov) => { camera.fovY = fov; camera.touch(); };
 panel.toggled = (name, on) => {
     if (name === 'fly') controls.flying = on;
     if (name === 'cameras') { overlay.showsCameras = on; overlay.draw(); }
-    find('overlay').classList.toggle('inspecting', panel.inspecting);
+    edit.hover(null);
+    if (name === 'level') { place.points.length = 0; place.show(); }
+    find('overlay').classList.toggle('inspecting', Boolean(panel.tool));
 };
 panel.rendering = ({ resolution, quality }) => { Object.assign(frames, { resolution, quality }); frames.leap(); };
 filter.changed = () => frames.touch();
+filter.placement = place;
+place.changed = () => { filter.showCommand(); tape.show(); };
 detail.changed = () => frames.leap();
 find('home').onclick = home;
 find('shot').onclick = () => frames.screenshot();
+find('link').onclick = copyLink;
 find('help').onclick = listKeys;
-find('panel-toggle').onclick = () => document.body.classList.toggle('bare');
+// An address that is entered in an open page.
+addEventListener('hashchange', () => { if (scene && camera.takeLink(location.hash, scene.frame)) frames.leap(); });
+find('panel-toggle').onclick = togglePanel;
 find('fullscreen').hidden = !document.fullscreenEnabled;
 find('fullscreen').onclick = fullscreen;
 addEventListener('fullscreenchange', () => find('fullscreen').classList.toggle('on', document.fullscreenElement !== null));
 // On a phone the picture comes first.
 document.body.classList.toggle('bare', innerWidth <= 760 || innerHeight <= 500);
-addEventListener('resize', () => { frames.touch(); photos.follow(); overlay.draw(); });
+addEventListener('resize', cover);
+cover();
+
+function togglePanel() {
+    document.body.classList.toggle('bare');
+    cover();
+}
+
+/** Measures what tools and panel cover. Where they slide, their places are those at the end. */
+function cover() {
+    const [tools, side] = [find('tools'), find('panel')], wide = innerWidth > 760, bare = document.body.classList.contains('bare');
+    const share = (pixels, all) => Math.min(0.7, Math.max(0, pixels / all));
+    const left = wide ? share(tools.offsetLeft + tools.offsetWidth, innerWidth) : 0;
+    const right = wide && !bare ? share(innerWidth - side.offsetLeft, innerWidth) : 0;
+    const top = wide ? 0 : share(tools.offsetTop + tools.offsetHeight, innerHeight);
+    const bottom = share(innerHeight - (wide || bare ? find('status') : side).offsetTop, innerHeight);
+    camera.covered = { left, right, top, bottom };
+    camera.changed();
+}
 
 function fullscreen() {
     if (document.fullscreenElement) document.exitFullscreen();
     else document.documentElement.requestFullscreen().catch((error) => say(`no whole screen: ${error.message}`));
+}
+
+/** The address of the page with this view; a token in it stays. */
+async function copyLink() {
+    if (!scene || scene.empty) return;
+    history.replaceState(null, '', camera.link(scene.frame));
+    const token = location.search.includes('token=') ? ', with the token in it' : '';
+    const copied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
+    say(copied ? `copied: the page's address with this view${token}` : `the page's address has this view now${token}: copy it`);
 }
 
 function listKeys() {
@@ -93,6 +142,9 @@ function home() {
     camera.pivot = scene.pivot;
     camera.take(scene.start);
     camera.touch();
+    // The first photo's view, if there are photos; else the whole scene.
+    const box = scene.cameras.length ? null : filter.whole;
+    if (box) camera.fit(box, innerWidth, innerHeight);
     frames.leap();
 }
 
@@ -103,7 +155,9 @@ function key(code, event) {
     else if (code === 'KeyV') panel.toggle('fly');
     else if (code === 'KeyI') panel.toggle('inspect');
     else if (code === 'KeyC') panel.toggle('cameras');
-    else if (code === 'KeyH') document.body.classList.toggle('bare');
+    else if (code in TOOL_KEYS) panel.toggle(TOOL_KEYS[code]);
+    else if (code === 'Delete' || code === 'Backspace') edit.send('delete');
+    else if (code === 'KeyH') togglePanel();
     else if (code === 'KeyP') frames.screenshot();
     else if (code === 'KeyK') film.add();
     else if (code === 'KeyF' && event.shiftKey) fullscreen();
@@ -114,10 +168,26 @@ function key(code, event) {
     else if (code === 'BracketLeft') photos.step(-1);
     else if (code === 'BracketRight') photos.step(1);
     else if (code === 'KeyL') photos.toggleLight();
-    else if (code === 'Escape') { photos.close(); picker.close(); }
+    else if (code === 'Escape') escape();
     else if (code === 'Space' && scene?.training !== null) training.toggle();
     else return false;
     return true;
+}
+
+/** With Ctrl. */
+function command(code, event) {
+    if (!edit.allowed) return false;
+    if (code === 'KeyZ') edit.send(event.shiftKey ? 'redo' : 'undo');
+    else if (code === 'KeyY') edit.send('redo');
+    else if (code === 'KeyA') edit.select({ kind: 'all' }, 'set');
+    else return false;
+    return true;
+}
+
+function escape() {
+    if (panel.tool) return panel.toggle(panel.tool);
+    photos.close();
+    picker.close();
 }
 
 link.on('open', () => {
@@ -140,20 +210,22 @@ link.on('scene', (message) => {
     document.title = `${message.name.split('/').filter(Boolean).at(-1) ?? ''} · ashsplat`;
     find('device').textContent = message.device;
     if (message.empty) find('welcome-note').replaceChildren(...marked(message.note ?? ''));
-    // Tiles that come later belong to the picture, too.
-    frames.follow = message.training !== null || Boolean(message.tree);
     panel.unit = picker.unit = message.frame.unit;
     film.frame = message.frame;
     panel.open(message);
     filter.open(message, first);
     detail.open(message, first);
+    edit.open(message);
+    place.open(message, first);
+    if (first) tape.clear();
     training.open(message.training);
     if (first) {
         // Frames that are on their way may be of the scene before.
         frames.shownSeq = frames.seq + 1;
         Object.assign(camera, { up: message.up, radius: message.radius || 1 });
         overlay.cameras = message.cameras;
-        home();
+        if (camera.takeLink(location.hash, message.frame)) frames.leap();
+        else home();
     }
     if (photos.run !== message.run) photos.open(message);
     frames.leap();
@@ -164,6 +236,7 @@ frames.onShown = (header) => {
     stage.picture();
     panel.showFrame(header, frames.framesPerSecond);
     filter.showFrame(header);
+    edit.showFrame(header);
     detail.showFrame(header);
     photos.drawn(header);
     window.ashsplat.shown = header;
@@ -194,6 +267,6 @@ function tick(now) {
 }
 
 // For tests, and for the curious.
-window.ashsplat = { camera, frames, link, panel, photos, picker, film, training, overlay, filter, detail, stage, shown: null };
+window.ashsplat = { camera, frames, link, panel, photos, picker, film, training, overlay, filter, detail, edit, place, tape, stage, shown: null };
 link.open();
 requestAnimationFrame(tick);

@@ -8,7 +8,7 @@ const FRUSTUM = 0.055;
 
 export class Overlay {
     constructor(canvas, camera) {
-        Object.assign(this, { canvas, camera, context: canvas.getContext('2d'), cameras: [], showsCameras: false, current: -1, pixel: null, box: null, flash: 0, spots: [] });
+        Object.assign(this, { canvas, camera, context: canvas.getContext('2d'), cameras: [], showsCameras: false, current: -1, pixel: null, box: null, shape: null, tape: null, grid: null, points: [], flash: 0, spots: [] });
     }
 
     draw() {
@@ -25,10 +25,58 @@ export class Overlay {
         c.setTransform(ratio, 0, 0, ratio, 0, 0);
         c.clearRect(0, 0, width, height);
         this.spots = [];
+        if (this.grid) this.lines(this.grid, width, height);
         if (this.showsCameras) this.cameras.forEach((entry, index) => this.frustum(entry.camera, index, width, height));
         if (this.box) this.edges(this.box, width, height);
         this.axes(width, height);
         this.marks(width, height);
+        if (this.points.length) this.measure({ points: this.points }, width, height);
+        if (this.tape) this.measure(this.tape, width, height);
+        if (this.shape) this.stroke(this.shape);
+    }
+
+    /** The tape, with its length in the middle. */
+    measure({ points, text }, width, height) {
+        const { context: c, camera } = this;
+        const ends = points.map((point) => camera.project(point, width, height)).filter(Boolean);
+        for (const [color, thick] of [['#000a', 4], ['#ffd43b', 2]]) {
+            c.strokeStyle = c.fillStyle = color;
+            c.lineWidth = thick;
+            c.beginPath();
+            ends.forEach((end) => c.lineTo(...end));
+            c.stroke();
+            for (const end of ends) { c.beginPath(); c.arc(...end, 2 + thick, 0, 2 * Math.PI); c.fill(); }
+        }
+        if (ends.length < 2 || !text) return;
+        const [x, y] = [0, 1].map((axis) => (ends[0][axis] + ends[1][axis]) / 2);
+        c.font = '600 13px system-ui, sans-serif';
+        c.textAlign = 'center';
+        c.textBaseline = 'middle';
+        const wide = c.measureText(text).width / 2 + 7;
+        c.fillStyle = '#000c';
+        c.beginPath(); c.roundRect(x - wide, y - 11, 2 * wide, 22, 6); c.fill();
+        c.fillStyle = '#ffd43b';
+        c.fillText(text, x, y + 0.5);
+    }
+
+    /** A tool's shape while it is drawn: a lasso, a brush stroke of a radius, or a circle. */
+    stroke({ points, circle, radius }) {
+        const { context: c } = this;
+        c.beginPath();
+        if (circle) c.arc(...circle, radius, 0, 2 * Math.PI);
+        else points.forEach((point) => c.lineTo(...point));
+        if (!circle && radius) {
+            c.lineCap = c.lineJoin = 'round';
+            c.lineWidth = 2 * radius;
+            c.strokeStyle = '#f0883e66';
+            if (points.length === 1) c.lineTo(points[0][0] + 0.01, points[0][1]);
+        } else {
+            c.fillStyle = '#f0883e22';
+            c.fill();
+            c.lineWidth = 1.5;
+            c.strokeStyle = '#f0883e';
+        }
+        c.stroke();
     }
 
     frustum(photo, index, width, height) {
@@ -54,6 +102,24 @@ export class Overlay {
         c.stroke();
         const middle = [0, 1].map((k) => corners.reduce((sum, p) => sum + p[k], 0) / 4);
         this.spots.push({ index, x: middle[0], y: middle[1] });
+    }
+
+    /** Lines of the scene, as far as they are in front of the camera. */
+    lines(lines, width, height) {
+        const { context: c, camera } = this, near = 1e-2 * camera.radius;
+        c.beginPath();
+        for (const ends of lines) {
+            const [a, b] = ends.map((end) => camera.toCamera(end)[2]);
+            if (Math.max(a, b) <= near) continue;
+            const between = (share) => add(times(ends[0], 1 - share), times(ends[1], share)), cut = between((a - near) / (a - b));
+            const shown = [a < near ? cut : ends[0], b < near ? cut : ends[1]].map((end) => camera.project(end, width, height));
+            if (!shown.every(Boolean)) continue;
+            c.moveTo(...shown[0]);
+            c.lineTo(...shown[1]);
+        }
+        c.strokeStyle = '#ffffff40';
+        c.lineWidth = 1;
+        c.stroke();
     }
 
     /** The box of the filter. */

@@ -1,13 +1,15 @@
 // The tools on the left, the appearance on the right, the line at the bottom.
 
 const find = (id) => document.getElementById(id);
+/** Tools of the pointer, of which one at most is on. */
+const TOOLS = ['inspect', 'lasso', 'brush', 'sphere', 'tape', 'level'];
 const UNITS = { depth: 'depth, scene units', tiles: 'Gaussians per tile' };
 
 export class Panel {
     constructor() {
         this.mode = 'splats';
         this.background = null;
-        this.on = { fly: false, inspect: false, cameras: false };
+        this.on = { fly: false, cameras: false, inspect: false, lasso: false, brush: false, sphere: false, tape: false, level: false };
         this.changed = this.leapt = this.fovChanged = this.toggled = this.rendering = () => {};
         for (const button of document.querySelectorAll('#modes button')) button.onclick = () => this.choose(button.dataset.mode);
         for (const name of Object.keys(this.on)) find(name).onclick = () => this.toggle(name);
@@ -32,7 +34,8 @@ export class Panel {
         show();
     }
 
-    get inspecting() { return this.on.inspect; }
+    /** The tool of the pointer; undefined to move the view. */
+    get tool() { return TOOLS.find((name) => this.on[name]); }
 
     open({ sh_degree: degree, background }) {
         const sh = find('sh');
@@ -63,6 +66,9 @@ export class Panel {
     }
 
     toggle(name) {
+        if (find(name).hidden) return;
+        const before = TOOLS.includes(name) && this.tool;
+        if (before && before !== name) this.toggle(before);
         this.on[name] = !this.on[name];
         find(name).classList.toggle('on', this.on[name]);
         find(name).setAttribute('aria-pressed', this.on[name]);

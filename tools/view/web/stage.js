@@ -7,7 +7,7 @@ const LONG = 1500;
 export class Stage {
     /** `say` tells people something. */
     constructor(link, say) {
-        Object.assign(this, { link, say, text: 'connecting', since: performance.now(), failed: false, pictured: false, waits: true, opens: null });
+        Object.assign(this, { link, say, text: 'connecting', since: performance.now(), failed: false, pictured: false, waits: true, opens: null, others: [] });
         setInterval(() => this.show(), 500);
         link.on('loading', ({ name, failed }) => (failed ? this.fail(failed) : this.wait(name ? `reading ${name}` : 'starting')));
         link.on('open', () => { if (this.waits && !this.failed) this.wait('waiting for the scene'); });
@@ -16,11 +16,12 @@ export class Stage {
         link.on('unreachable', (problem) => { if (!this.pictured) this.fail(`no connection, trying again: ${problem}`); });
         link.on('close', () => { if (!this.pictured && !this.failed) this.wait('no connection, trying again'); });
         find('opener').onsubmit = (event) => { event.preventDefault(); this.openPath(find('path').value.trim()); };
+        find('path').oninput = () => this.complete();
         find('choose').onclick = () => find('choose-file').click();
         find('choose-file').onchange = () => {
-            const [file] = find('choose-file').files;
+            const files = [...find('choose-file').files];
             find('choose-file').value = '';
-            if (file) this.send(file);
+            this.sendAll(files, false);
         };
         // What went wrong stays until it is read.
         find('stage-state').onclick = () => { if (this.closes) this.rest(); };
@@ -40,24 +41,27 @@ export class Stage {
             event.preventDefault();
             depth = 0;
             find('dropping').hidden = true;
-            const [file, more] = event.dataTransfer.files;
-            if (more) this.say('one file at a time');
-            else if (file) this.send(file);
+            this.sendAll([...event.dataTransfer.files], event.shiftKey);
         });
     }
 
     /** A scene is there; its first picture is not. */
     open(scene) {
         this.opens = scene.open ?? null;
+        const [next, ...others] = scene.empty || scene.run === this.run ? [] : this.others;
+        this.others = others;
+        if (next) this.send(next, true);
         find('welcome').hidden = !scene.empty;
         document.body.classList.toggle('empty', scene.empty && !scene.cameras.length);
         find('opener').hidden = !this.opens;
         if (this.opens) {
-            const formats = this.opens.formats.filter((format) => format !== '.compressed.ply');
+            const { formats } = this.opens;
             find('drop-formats').textContent = formats.join(', ');
             find('choose-file').accept = formats.join(',');
             find('open-path').hidden = this.opens.folder === null;
             find('open-folder').textContent = this.opens.folder ?? '';
+            this.complete();
+            this.list(scene.name);
         }
         // A connection that came back has its picture still.
         this.pictured &&= scene.run === this.run;
@@ -80,6 +84,7 @@ export class Stage {
     }
 
     fail(text) {
+        this.others = [];
         Object.assign(this, { text, share: null, failed: true, waits: true });
         this.show();
     }
@@ -114,13 +119,20 @@ export class Stage {
         if (this.mayOpen()) find('choose-file').click();
     }
 
-    send(file) {
+    /** Several files are scenes side by side; `add`: beside those that are open. Each is sent when the one before is there. */
+    sendAll([file, ...rest], add) {
+        if (!file) return;
+        this.others = rest;
+        this.send(file, add);
+    }
+
+    send(file, add) {
         if (!this.mayOpen()) return;
         if (!this.opens.formats.some((format) => file.name.toLowerCase().endsWith(format))) return this.say(`${file.name} is none of ${this.opens.formats.join(', ')}`);
         if (file.size > this.opens.bytes) return this.say(`${file.name} has ${size(file.size)}; reading may take ${size(this.opens.bytes)} here (--max-host-memory)`);
         // fetch() does not say how far it is.
         const request = new XMLHttpRequest();
-        request.open('POST', `upload/${encodeURIComponent(file.name)}`);
+        request.open('POST', `upload/${encodeURIComponent(file.name)}${add ? '?add=1' : ''}`);
         request.setRequestHeader('Content-Type', 'application/octet-stream');
         request.upload.onprogress = ({ loaded, total }) => this.wait(`sending ${file.name}`, total ? loaded / total : null);
         request.onload = () => this.answered(request.status, request.responseText);
@@ -129,11 +141,38 @@ export class Stage {
         request.send(file);
     }
 
+    /** Paths that go on from the beginning of one. */
+    async paths(begin) {
+        if (!this.opens?.folder) return [];
+        const answer = await post('paths', begin).catch(() => null);
+        return answer?.ok ? answer.json() : [];
+    }
+
+    async complete() {
+        const begin = find('path').value;
+        const paths = await this.paths(begin);
+        if (begin === find('path').value) find('paths').replaceChildren(...paths.map((path) => new Option('', path)));
+    }
+
+    /** The files of the folder, if it is one of scenes. */
+    async list(shown) {
+        const files = (await this.paths('')).filter((path) => !path.endsWith('/'));
+        for (const place of document.querySelectorAll('.scenes')) {
+            place.hidden = !files.length;
+            const title = Object.assign(document.createElement('h2'), { textContent: 'Scenes in this folder' });
+            place.replaceChildren(title, ...files.map((path) => {
+                const button = Object.assign(document.createElement('button'), { textContent: path, onclick: () => this.openPath(path) });
+                button.classList.toggle('on', path === shown);
+                return button;
+            }));
+        }
+    }
+
     async openPath(path) {
         if (!path || !this.mayOpen()) return;
         this.wait(`opening ${path}`);
         try {
-            const answer = await fetch('open', { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify({ path }) });
+            const answer = await post('open', path);
             this.answered(answer.status, await answer.text());
         } catch {
             this.answered(0, `${path} could not be asked for`);
@@ -146,6 +185,8 @@ export class Stage {
         this.fail(text.trim().replace(/^\d+: /, '') || `refused (${status})`);
     }
 }
+
+const post = (route, path) => fetch(route, { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify({ path }) });
 
 function size(bytes) {
     return bytes < 1e9 ? `${(bytes / 1e6).toFixed(1)} MB` : `${(bytes / 1e9).toFixed(1)} GB`;

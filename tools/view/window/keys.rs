@@ -69,10 +69,15 @@ pub const KEYS: [(&str, Action); 34] = [
 ];
 
 /// Keys of the page that the window lacks, and why.
-pub const ONLY_PAGE: [(&str, &str); 5] = [
+pub const ONLY_PAGE: [(&str, &str); 10] = [
     ("KeyC", "cameras are not drawn"),
     ("KeyK", "films are made on the page"),
     ("KeyX", "scenes are cut on the page"),
+    ("KeyG", "lassos are drawn on the page"),
+    ("KeyB", "brushes paint on the page"),
+    ("KeyN", "spheres are drawn on the page"),
+    ("KeyM", "the tape is on the page"),
+    ("Delete", "Gaussians are deleted on the page"),
     ("KeyO", "files are opened on the page"),
     ("Space", "no training runs"),
 ];
