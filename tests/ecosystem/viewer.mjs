@@ -7,6 +7,7 @@ import assert from 'node:assert/strict';
 import { spawn } from 'node:child_process';
 import { createRequire } from 'node:module';
 import { readFileSync } from 'node:fs';
+import { createServer, request } from 'node:http';
 import { join, resolve } from 'node:path';
 import { createInterface } from 'node:readline';
 
@@ -163,6 +164,112 @@ const slide = (page, selector, value) => page.locator(selector).evaluate((input,
     input.dispatchEvent(new Event('input'));
 }, value);
 
+/** Saves what is shown or selected as `exported.FORMAT`. */
+async function saves(page, part, format, name) {
+    await page.selectOption('#export-part', part);
+    await page.selectOption('#export-format', `.${format}`);
+    const [saved] = await Promise.all([page.waitForEvent('download'), page.click('#export-save')]);
+    assert.equal(saved.suggestedFilename(), name);
+    await saved.saveAs(join(folder, `exported.${format}`));
+}
+
+const rows = () => Number(readFileSync(join(folder, 'exported.ply'), 'latin1').match(/element vertex (\d+)/)[1]);
+
+/** Lasso, brush and sphere select; what is deleted comes back with undo. */
+async function selects(page) {
+    await page.keyboard.press('Home');
+    await sharp(page);
+    const whole = await picture(page), stem = await page.evaluate(() => document.title.split(' ')[0].replace(/\.\w+$/, ''));
+    const selected = () => page.evaluate(() => ashsplat.shown.edits?.selected ?? 0);
+    const counts = new Set();
+    for (const [key, path] of [['g', [[460, 200], [640, 220], [620, 500], [470, 480]]], ['b', [[500, 300], [600, 400]]], ['n', [[540, 350], [590, 350]]]]) {
+        await page.keyboard.press(key);
+        const before = await selected();
+        await page.mouse.move(...path[0]);
+        await page.mouse.down();
+        for (const point of path.slice(1)) await page.mouse.move(...point, { steps: 6 });
+        await shot(page, `tool_${key}`);
+        await page.mouse.up();
+        await page.waitForFunction((before) => ![0, before].includes(ashsplat.shown.edits?.selected ?? 0), before);
+        await sharp(page);
+        counts.add(await selected());
+        await page.keyboard.press(key);
+    }
+    assert.equal(counts.size, 3);
+    assert.notEqual((await picture(page)).places, whole.places, 'the selection has its colour');
+    await shot(page, 'selected');
+    const count = await selected();
+    await saves(page, 'selection', 'ply', `${stem}_selection.ply`);
+    assert.equal(rows(), count);
+    await page.locator('#overlay').focus();
+    await page.keyboard.press('Delete');
+    await page.waitForFunction((count) => ashsplat.shown.edits.deleted === count, count);
+    await sharp(page);
+    await shot(page, 'deleted');
+    for (let steps = 4; steps > 0; --steps) {
+        await page.keyboard.press('Control+z');
+        await page.waitForFunction((steps) => ashsplat.shown.edits.undo === steps, steps - 1);
+    }
+    await sharp(page);
+    assert.equal((await picture(page)).places, whole.places, 'all is undone');
+}
+
+/** The tape's known length scales, three clicks level, and a link has the view. */
+async function places(page, address) {
+    const command = (option) => page.waitForFunction((option) => document.getElementById('command-text').textContent.includes(option), option);
+    await page.keyboard.press('m');
+    for (const point of [[530, 250], [550, 400]]) {
+        await page.mouse.click(...point);
+        await page.waitForTimeout(500);
+    }
+    await page.waitForFunction(() => ashsplat.tape.measured > 0);
+    await page.keyboard.press('m');
+    await page.fill('#tape-known input', '10');
+    await page.press('#tape-known input', 'Enter');
+    await command('--scale=');
+    assert(Math.abs(await page.evaluate(() => ashsplat.tape.measured) - 10) < 1e-3);
+    await shot(page, 'tape');
+    await page.click('#level');
+    for (const point of [[530, 300], [545, 390], [520, 450]]) {
+        await page.mouse.click(...point);
+        await page.waitForTimeout(600);
+    }
+    await command('--rotate=');
+    await sharp(page);
+    await page.locator('#place').scrollIntoViewIfNeeded();
+    await shot(page, 'level');
+    await page.click('#place-reset');
+    await page.waitForFunction(() => ashsplat.place.isIdentity);
+    await page.click('#link');
+    await page.waitForFunction(() => location.hash.startsWith('#view='));
+    const other = await open(address + await page.evaluate(() => location.hash));
+    await sharp(other);
+    const [here, there] = [await state(page), await state(other)];
+    assert(Math.hypot(...here.position.map((value, axis) => value - there.position[axis])) < 1e-4 * distance(here), 'a link has the view');
+    await other.close();
+}
+
+/** Below a path of a proxy, which takes it off. */
+async function worksBelowAPath(address) {
+    const [upstream, prefix] = [new URL(address), '/a/deep/path'];
+    const options = ({ url, method, headers }) => ({ port: upstream.port, path: url.slice(prefix.length), method, headers });
+    const proxy = createServer((asked, answer) => {
+        asked.pipe(request(options(asked), (got) => { answer.writeHead(got.statusCode, got.headers); got.pipe(answer); }));
+    });
+    proxy.on('upgrade', (asked, socket) => {
+        request(options(asked)).on('upgrade', (got, there) => {
+            const head = Object.entries(got.headers).map(([name, value]) => `${name}: ${value}\r\n`).join('');
+            socket.write(`HTTP/1.1 101 Switching Protocols\r\n${head}\r\n`);
+            there.pipe(socket).pipe(there);
+        }).end();
+    });
+    await new Promise((done) => proxy.listen(0, '127.0.0.1', done));
+    const page = await open(`http://127.0.0.1:${proxy.address().port}${prefix}/`);
+    await sharp(page);
+    await page.close();
+    proxy.close();
+}
+
 /** What is cut goes from the picture at once; the command and the file say the same. */
 async function cuts(page) {
     await page.keyboard.press('Home');
@@ -185,12 +292,9 @@ async function cuts(page) {
     await page.locator('#command').scrollIntoViewIfNeeded();
     await shot(page, 'filter');
     for (const format of ['ply', 'spz']) {
-        const [saved] = await Promise.all([page.waitForEvent('download'), page.click(`#export-${format}`)]);
-        assert.equal(saved.suggestedFilename(), `model_cut.${format}`);
-        await saved.saveAs(join(folder, `exported.${format}`));
+        await saves(page, '', format, `model_cut.${format}`);
     }
-    const rows = readFileSync(join(folder, 'exported.ply'), 'latin1').match(/element vertex (\d+)/)[1];
-    assert.equal(stay, Number(rows), 'the page counts what the file holds');
+    assert.equal(stay, rows(), 'the page counts what the file holds');
     // Off, on, and gone.
     await page.keyboard.press('x');
     await page.waitForSelector('#command', { state: 'hidden' });
@@ -270,6 +374,8 @@ async function opensFiles() {
     await page.waitForSelector('#stage-state.failed');
     assert.match(await page.textContent('#stage-text'), /is not in /);
     await page.click('#stage-state');
+    await page.fill('#path', 'mo');
+    await page.waitForFunction(() => [...document.getElementById('paths').options].some(({ value }) => value === 'model/'));
     await page.fill('#path', 'model');
     await page.press('#path', 'Enter');
     await page.waitForSelector('#welcome', { state: 'hidden' });
@@ -286,6 +392,11 @@ async function opensFiles() {
     await sharp(page);
     assert((await picture(page)).deviation > 8, 'an empty picture');
     await shot(page, 'dropped');
+    // Two files are scenes side by side.
+    const two = ['one', 'two'].map((name) => ({ name: `${name}.spz`, mimeType: 'application/octet-stream', buffer: readFileSync(join(folder, 'exported.spz')) }));
+    await page.setInputFiles('#choose-file', two);
+    await page.waitForFunction(() => document.querySelectorAll('#edit-scenes button').length === 2);
+    await sharp(page);
     await page.setInputFiles('#choose-file', { name: 'bad.ply', mimeType: 'application/octet-stream', buffer: Buffer.from('nonsense') });
     await page.waitForSelector('#stage-state.failed');
     assert.match(await page.textContent('#stage-text'), /^bad\.ply: /);
@@ -393,6 +504,9 @@ try {
     const page = await open(served.address);
     await looksThrough(page);
     await cuts(page);
+    await selects(page);
+    await places(page, served.address);
+    await worksBelowAPath(served.address);
     await feelsTouch(served.address);
     await fits(served.address);
     await comesBack(page, served, args);

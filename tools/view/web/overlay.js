@@ -146,7 +146,7 @@ export class Overlay {
     axes(width, height) {
         const { context: c, camera } = this;
         // Beside the tools and above the legend, where these take the corner.
-        const low = height <= 600 && width > 760;
+        const low = height <= 780 && width > 760;
         const [x0, y0, arm] = [low ? 176 : 52, height - (low ? 136 : 92), 30];
         const drawn = AXES.map(([name, color], i) => ({ name, color, to: camera.rotation.map((row) => row[i]) }));
         drawn.sort((a, b) => b.to[2] - a.to[2]);
