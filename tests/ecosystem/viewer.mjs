@@ -220,7 +220,7 @@ async function places(page, address) {
     await page.keyboard.press('m');
     for (const point of [[530, 250], [550, 400]]) {
         await page.mouse.click(...point);
-        await page.waitForTimeout(500);
+        await page.waitForTimeout(800);
     }
     await page.waitForFunction(() => ashsplat.tape.measured > 0);
     await page.keyboard.press('m');

@@ -1,6 +1,6 @@
 // What lies over the picture: where the photos were taken, the pivot, the axes, the pixel that was picked.
 
-import { add, clamp, times } from './maths.js';
+import { add, clamp, dot, times } from './maths.js';
 
 const AXES = [['x', '#ff6b6b'], ['y', '#69db7c'], ['z', '#74a9ff']];
 /** A photo's size in the scene, share of the scene's radius. */
@@ -8,7 +8,7 @@ const FRUSTUM = 0.055;
 
 export class Overlay {
     constructor(canvas, camera) {
-        Object.assign(this, { canvas, camera, context: canvas.getContext('2d'), cameras: [], showsCameras: false, current: -1, pixel: null, box: null, shape: null, tape: null, grid: null, points: [], flash: 0, spots: [] });
+        Object.assign(this, { canvas, camera, context: canvas.getContext('2d'), cameras: [], showsCameras: false, current: -1, pixel: null, box: null, shape: null, tape: null, grid: null, points: [], axis: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], flash: 0, spots: [] });
     }
 
     draw() {
@@ -148,7 +148,7 @@ export class Overlay {
         // Beside the tools and above the legend, where these take the corner.
         const low = height <= 780 && width > 760;
         const [x0, y0, arm] = [low ? 176 : 52, height - (low ? 136 : 92), 30];
-        const drawn = AXES.map(([name, color], i) => ({ name, color, to: camera.rotation.map((row) => row[i]) }));
+        const drawn = AXES.map(([name, color], i) => ({ name, color, to: camera.rotation.map((row) => dot(row, this.axis[i])) }));
         drawn.sort((a, b) => b.to[2] - a.to[2]);
         c.font = '600 10px system-ui, sans-serif';
         c.textAlign = 'center';

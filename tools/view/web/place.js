@@ -57,14 +57,14 @@ export class Place {
         this.set(sound ? values : {});
     }
 
-    /** Takes other values. The view goes with the grid, so that the scene moves in it. */
+    /** Takes other values. The view goes with the grid, so that the scene turns and moves in it; a scale changes the grid. */
     set(values) {
-        const { camera } = this, before = { ...this };
+        const { camera } = this, before = { ...this, scale: values.scale ?? this.scale };
         Object.assign(this, values, { rows: rotation(values.turn ?? this.turn) });
         const turned = (v) => apply(transposed(this.rows), apply(before.rows, v));
         const moved = (place) => this.inScene(this.inAxes.call(before, place));
         const [position, pivot] = [moved(camera.position), moved(camera.pivot)];
-        Object.assign(camera, { position, pivot, rotation: camera.rotation.map(turned), up: turned(camera.up), radius: camera.radius * before.scale[0] / this.scale[0] });
+        Object.assign(camera, { position, pivot, rotation: camera.rotation.map(turned), up: turned(camera.up) });
         find('place-grid').checked ||= !this.isIdentity;
         camera.touch();
         this.show();
@@ -136,6 +136,7 @@ export class Place {
         for (const [kind, inputs] of Object.entries(this.inputs)) inputs.forEach((input, index) => { input.value = this[kind][index]; });
         find('place-reset').disabled = this.isIdentity;
         this.overlay.points = this.points;
+        this.overlay.axis = this.rows;
         this.overlay.grid = find('place-grid').checked ? this.grid() : null;
         this.overlay.draw();
         this.changed();

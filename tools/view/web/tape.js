@@ -20,6 +20,7 @@ export class Tape {
             if (!point) return this.say('nothing is there to measure from');
             this.points = this.points.length === 1 ? [this.points[0], point] : [point];
             this.show();
+            find('measure').scrollIntoView({ block: 'nearest' });
         });
     }
 
