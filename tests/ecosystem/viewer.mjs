@@ -257,9 +257,10 @@ async function worksBelowAPath(address) {
         asked.pipe(request(options(asked), (got) => { answer.writeHead(got.statusCode, got.headers); got.pipe(answer); }));
     });
     proxy.on('upgrade', (asked, socket) => {
-        request(options(asked)).on('upgrade', (got, there) => {
+        request(options(asked)).on('upgrade', (got, there, first) => {
             const head = Object.entries(got.headers).map(([name, value]) => `${name}: ${value}\r\n`).join('');
             socket.write(`HTTP/1.1 101 Switching Protocols\r\n${head}\r\n`);
+            socket.write(first);
             there.pipe(socket).pipe(there);
         }).end();
     });
