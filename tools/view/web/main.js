@@ -101,11 +101,12 @@ function togglePanel() {
 
 /** Measures what tools and panel cover. Where they slide, their places are those at the end. */
 function cover() {
-    const [tools, side] = [find('tools'), find('panel')], wide = innerWidth > 760, bare = document.body.classList.contains('bare');
+    const [tools, side, title] = ['tools', 'panel', 'title'].map(find), wide = innerWidth > 760, bare = document.body.classList.contains('bare');
     const share = (pixels, all) => Math.min(0.7, Math.max(0, pixels / all));
     const left = wide ? share(tools.offsetLeft + tools.offsetWidth, innerWidth) : 0;
     const right = wide && !bare ? share(innerWidth - side.offsetLeft, innerWidth) : 0;
-    const top = wide ? 0 : share(tools.offsetTop + tools.offsetHeight, innerHeight);
+    // On a low screen the title lies beside the tools.
+    const above = wide ? title : tools, top = wide && title.offsetLeft === tools.offsetLeft ? 0 : share(above.offsetTop + above.offsetHeight, innerHeight);
     const bottom = share(innerHeight - (wide || bare ? find('status') : side).offsetTop, innerHeight);
     camera.covered = { left, right, top, bottom };
     camera.changed();
