@@ -279,6 +279,9 @@ fn viewer_lists_a_folder_of_scenes() {
         assert_eq!(page.opened().expect("a scene")["gaussians"], count);
     }
     assert_eq!(server.post("/open", &[JSON], b"{\"path\": \"../outside.ply\"}").0, 404);
+    // A folder that was named is for all who may see the page; that of the shell is not.
+    let others = ["--allow-origin", "https://viewer.example"];
+    assert!(Server::view(&place.at("scenes"), &others).page().greeting["open"]["folder"].is_string());
     // A viewer of one scene lists nothing.
     let server = Server::view(&place.at("scenes/b.ply"), &[]);
     assert_eq!(server.post("/paths", &[JSON], b"{\"path\": \"\"}").0, 403);

@@ -53,7 +53,7 @@ pub trait Painter {
         Err(Error::argument("edit", NOT_EDITED))
     }
     /// Figures of the edits, if there are any.
-    fn edits(&self) -> Option<Value> {
+    fn edits(&self) -> Option<&Value> {
         None
     }
     /// Frees the memory of pictures. The next picture allocates what it needs.

@@ -97,6 +97,7 @@ pub struct Edits {
     states: Vec<u8>,
     done: VecDeque<Step>,
     undone: Vec<Step>,
+    figures: Value,
 }
 
 /// An edit that can be undone: these bits of these Gaussians' states were flipped.
@@ -109,7 +110,7 @@ struct Step {
 impl Edits {
     pub fn of(all: Gaussians) -> Edits {
         let states = vec![0; all.len()];
-        Edits { all, states, done: VecDeque::new(), undone: Vec::new() }
+        Edits { all, states, done: VecDeque::new(), undone: Vec::new(), figures: Value::Null }
     }
 
     /// Applies an edit. True if other Gaussians are drawn than before.
@@ -117,6 +118,16 @@ impl Edits {
     /// # Errors
     /// [`Error::Argument`] for an invalid region, and if there is nothing to hide, show, delete, undo or redo.
     pub fn apply(&mut self, edit: &Edit) -> Result<bool> {
+        let redraws = self.act(edit)?;
+        let count = |state: u8| self.states.iter().filter(|own| **own == state).count();
+        self.figures = json!({
+            "selected": count(SELECTED), "hidden": count(HIDDEN), "deleted": count(DELETED),
+            "undo": self.done.len(), "redo": self.undone.len(),
+        });
+        Ok(redraws)
+    }
+
+    fn act(&mut self, edit: &Edit) -> Result<bool> {
         let none = |what: &str| Error::argument("edit", format!("nothing is {what}"));
         match edit {
             Edit::Select { region, how, cut } => {
@@ -216,13 +227,9 @@ impl Edits {
         Ok(self.all.select(&indices))
     }
 
-    /// Figures for the pages.
-    pub fn described(&self) -> Value {
-        let count = |state: u8| self.states.iter().filter(|own| **own == state).count();
-        json!({
-            "selected": count(SELECTED), "hidden": count(HIDDEN), "deleted": count(DELETED),
-            "undo": self.done.len(), "redo": self.undone.len(),
-        })
+    /// Counts for the pages: `selected`, `hidden`, `deleted`, and steps to `undo` and `redo`.
+    pub fn figures(&self) -> &Value {
+        &self.figures
     }
 }
 

@@ -266,8 +266,8 @@ impl Painter for Scenery {
         Ok(())
     }
 
-    fn edits(&self) -> Option<Value> {
-        self.edits.as_ref().map(Edits::described)
+    fn edits(&self) -> Option<&Value> {
+        self.edits.as_ref().map(Edits::figures)
     }
 
     fn shrink(&mut self) {
