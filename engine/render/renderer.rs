@@ -9,9 +9,7 @@ use super::runner::{Failed, FrameRun, FrameRunner, Request};
 use super::slots::Slots;
 use super::updates::StagedUpdates;
 use crate::error::{Error, Result};
-use crate::frame::{
-    Blending, FrameBuffers, RenderSettings, SceneBuffers, SceneSettings, Selection, planes,
-};
+use crate::frame::{Blending, FrameBuffers, RenderSettings, SceneBuffers, SceneSettings, Selection, planes};
 use crate::passes::backward::Backward;
 use crate::passes::compose::Compose;
 use crate::passes::filter_3d::Filter3d;
