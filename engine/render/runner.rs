@@ -5,8 +5,8 @@ use super::frame_store::{FrameCounts, FrameMemory, FrameStore};
 use crate::error::{Error, Result};
 use crate::frame::tuning::ELEMENTWISE_WORKGROUP;
 use crate::frame::{
-    FrameCapacity, FrameInputs, FrameVariant, PlacedScene, RenderSettings, SceneBuffers, ScenePlan, SceneSettings,
-    gaussians_with, next_scene_begin,
+    FrameCapacity, FrameInputs, FrameVariant, PlacedScene, RenderSettings, SceneBuffers, ScenePlan,
+    SceneSettings, gaussians_with, next_scene_begin,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Recorder, RunReport};

@@ -7,8 +7,8 @@ use super::schedule::TrainingRun;
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 use crate::frame::{
-    FrameCapacity, GaussianRange, LaunchSizes, PictureCapacity, RenderSettings, SceneBuffers, ScenePlan, SceneSettings,
-    gaussians_with, max_trained_among, max_trained_instances, planes,
+    FrameCapacity, GaussianRange, LaunchSizes, PictureCapacity, RenderSettings, SceneBuffers, ScenePlan,
+    SceneSettings, gaussians_with, max_trained_among, max_trained_instances, planes,
 };
 use crate::kernels::constants::PLANE_ROW;
 use crate::passes::adam::Moments;
