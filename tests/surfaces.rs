@@ -5,13 +5,13 @@ use crate::common::prelude::*;
 use crate::common::splats::{directions, disks};
 use crate::kernels::surface::open_edges;
 use crate::lenses::photographed;
-use crate::reference::blend::{beside, is_median_depth};
+use crate::reference::blend::{beside, is_surface_depth};
 use crate::reference::pipeline::{self, pixels_of, tile_of};
 use crate::reference::splat_surface::{depth_slope, splat_normal};
-use ashsplat::Surface;
 use ashsplat::scene::Intrinsics;
 use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, Mesh};
 use ashsplat::train::{MomentsType, ShStorage};
+use ashsplat::{Surface, SurfaceDepth};
 use glam::{DVec3, Mat3};
 
 #[test]
@@ -31,30 +31,35 @@ fn surfaces_of_frames_equal_the_twins() {
             .unzip();
         let mut renderer = renderer();
         renderer.upload(&gaussians(&scene)).expect("a scene");
-        let wanted = RenderSettings { surface: true, inverse_depth: false, ..settings(&view) };
-        let frame = renderer.render(&camera(&view), &wanted).expect("a frame");
-        let Surface { median_depth, normals: shown } = frame.surface.expect("asked for");
+        let wanted = |surface| RenderSettings { surface, inverse_depth: false, ..settings(&view) };
         let plain = renderer.render(&camera(&view), &settings(&view)).expect("a frame");
-        assert!(plain.color == frame.color && plain.surface.is_none(), "the same picture");
-        let (mut off, mut covered) = (0, 0);
-        for (index, pixel) in pixels_of(&view).enumerate() {
-            let list = &expected.lists[tile_of(&view, pixel)];
-            let splats: Vec<_> =
-                list.iter().map(|&g| expected.splats[g as usize].as_ref().expect("shown")).collect();
-            let of_list = |g: &u32| (normals[*g as usize], slopes[*g as usize]);
-            let (normals, slopes): (Vec<_>, Vec<_>) = list.iter().map(of_list).unzip();
-            let (sums, _) = beside(&splats, (&vec![[0.0; 2]; list.len()], &normals), pixel);
-            let world =
-                camera(&view).camera_from_world.as_dmat3().transpose() * DVec3::from_array(sums.normal);
-            let shown = DVec3::from_array(shown[index].map(f64::from));
-            let depth = f64::from(median_depth[index]);
-            let right = is_median_depth(depth, (&splats, &slopes), pixel, 1e-4)
-                && shown.distance(world.normalize_or_zero()) < 1e-2;
-            off += usize::from(!right);
-            covered += usize::from(depth > 0.0);
+        for (kind, limit) in [(SurfaceDepth::Median, 0.5), (SurfaceDepth::Front, 0.7)] {
+            let frame = renderer.render(&camera(&view), &wanted(Some(kind))).expect("a frame");
+            let Surface { depth: depths, normals: shown } = frame.surface.expect("asked for");
+            assert!(plain.color == frame.color && plain.surface.is_none(), "the same picture");
+            let (mut off, mut covered) = (0, 0);
+            for (index, pixel) in pixels_of(&view).enumerate() {
+                let list = &expected.lists[tile_of(&view, pixel)];
+                let splats: Vec<_> =
+                    list.iter().map(|&g| expected.splats[g as usize].as_ref().expect("shown")).collect();
+                let of_list = |g: &u32| (normals[*g as usize], slopes[*g as usize]);
+                let (normals, slopes): (Vec<_>, Vec<_>) = list.iter().map(of_list).unzip();
+                let (sums, _) = beside(&splats, (&vec![[0.0; 2]; list.len()], &normals), pixel);
+                let world =
+                    camera(&view).camera_from_world.as_dmat3().transpose() * DVec3::from_array(sums.normal);
+                let shown = DVec3::from_array(shown[index].map(f64::from));
+                let depth = f64::from(depths[index]);
+                let right = is_surface_depth(depth, limit, (&splats, &slopes), pixel, 1e-4)
+                    && shown.distance(world.normalize_or_zero()) < 1e-2;
+                off += usize::from(!right);
+                covered += usize::from(depth > 0.0);
+            }
+            // Decisions that depend on rounding.
+            assert!(
+                off <= expected.pixels.len() / 50 && covered > 500,
+                "{kind:?}: {off} of {covered} pixels"
+            );
         }
-        // Decisions that depend on rounding.
-        assert!(off <= expected.pixels.len() / 50 && covered > 500, "{off} of {covered} pixels");
     }
 }
 
@@ -66,7 +71,7 @@ fn cameras() -> Vec<Camera> {
 }
 
 fn mesh_of(renderer: &mut Renderer, field: FieldSettings) -> Mesh {
-    let settings = RenderSettings { surface: true, ..RenderSettings::default() };
+    let settings = RenderSettings { surface: Some(SurfaceDepth::Median), ..RenderSettings::default() };
     let mut blocks = FieldBlocks::new(renderer.context(), field).expect("settings");
     for camera in &cameras() {
         let frame = renderer.render(camera, &settings).expect("a frame");
@@ -177,8 +182,7 @@ fn fields_refuse_what_they_cannot_fuse() {
     let pinhole = cameras()[0];
     assert_says(blocks.add(&pinhole.orthographic(), &Surface::default()).err(), &["is no pinhole"]);
     assert_says(blocks.add(&pinhole, &Surface::default()).err(), &["96x96 pixels"]);
-    let median_depth = vec![2.0; 96 * 96];
-    let surface = Surface { median_depth, normals: Vec::new() };
+    let surface = Surface { depth: vec![2.0; 96 * 96], normals: Vec::new() };
     blocks.add(&pinhole, &surface).expect("blocks");
     assert!(blocks.len() > 4);
     let mut tiny = FieldBlocks::new(gpu.context, FieldSettings::new(1e-8, 10.0)).expect("settings");

@@ -31,7 +31,7 @@ pub use plan::{
 };
 pub use settings::{
     Blending, Dropout, ELLIPSOID_SIGMAS, Extent, FrameVariant, MAX_TINT, POINT_RADIUS_PX, RenderSettings,
-    SceneSettings, Selection, Shape,
+    SceneSettings, Selection, Shape, SurfaceDepth,
 };
 pub use strips::{NativeLayout, STRIP_ROWS, Strips};
 pub use tuning::SortMethod;

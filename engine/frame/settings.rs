@@ -51,8 +51,29 @@ pub struct RenderSettings {
     /// With `inverse_depth`: renders the sum of weights * z instead, which is also differentiable. Not for recorded frames,
     /// which have depth images of their own.
     pub linear_depth: bool,
-    /// Also renders normals and the median depth ([`Surface`](crate::Surface)). Not for gradients and recorded frames.
-    pub surface: bool,
+    /// Also renders normals and this depth ([`Surface`](crate::Surface)). Not for gradients and recorded frames.
+    pub surface: Option<SurfaceDepth>,
+}
+
+/// Depth at which a pixel's surface lies.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SurfaceDepth {
+    /// The median depth: the transmittance falls below a half.
+    #[default]
+    Median,
+    /// The transmittance falls below 0.7. Training on colours leaves Gaussians behind the surfaces that they show, because in front
+    /// they would stick out. So this depth is nearer to the truth than the median (`engine/guide/formats.md`, Meshes).
+    Front,
+}
+
+impl SurfaceDepth {
+    /// Transmittance behind the surface.
+    pub(crate) fn transmittance(self) -> f32 {
+        match self {
+            Self::Median => 0.5,
+            Self::Front => 0.7,
+        }
+    }
 }
 
 /// Random omission of Gaussians, each with the same probability (DropGaussian, Park et al. 2025, section 3.2). The opacities of
@@ -97,7 +118,7 @@ impl Default for RenderSettings {
             cut: Cut::default(),
             dropout: None,
             linear_depth: false,
-            surface: false,
+            surface: None,
         }
     }
 }
@@ -148,7 +169,7 @@ impl RenderSettings {
 
     /// Outputs besides the picture and its depth.
     pub(crate) fn outputs(&self) -> Outputs {
-        Outputs { surface: self.surface, ..Outputs::default() }
+        Outputs { surface: self.surface.is_some(), ..Outputs::default() }
     }
 
     /// Values on which culling and projection branch: extent and antialias.
@@ -427,6 +448,8 @@ pub struct FrameVariant {
     pub z_record: bool,
     /// Outputs besides the picture. Motion and surface also affect projection.
     pub outputs: Outputs,
+    /// Depth of an output surface.
+    pub surface_depth: SurfaceDepth,
     /// Projection of the camera. Affects culling, projection and its backward pass.
     pub projection: Projection,
     /// The camera has a rolling shutter. Affects culling, projection, its backward pass and the optimiser.
@@ -450,6 +473,7 @@ impl FrameVariant {
             dropout: settings.dropout.is_some(),
             z_record: settings.has_z_record(),
             outputs: settings.outputs(),
+            surface_depth: settings.surface.unwrap_or_default(),
             ..Self::default()
         }
     }

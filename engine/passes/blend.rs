@@ -62,13 +62,21 @@ impl Blend {
 
     fn key(&self, sizes: &LaunchSizes, variant: FrameVariant) -> BlendKey {
         // The kernels' LINEAR_DEPTH is the expected depth. `RenderSettings::linear_depth` stores z in the splats' records instead.
-        let FrameVariant { inverse_depth, expected_depth: linear_depth, depth_limit, steep, outputs, .. } =
-            variant;
+        let FrameVariant {
+            inverse_depth,
+            expected_depth: linear_depth,
+            depth_limit,
+            steep,
+            outputs,
+            surface_depth,
+            ..
+        } = variant;
         let last_entries = variant.backward || variant.last_entries;
         let Self { broadcast, shared_splats, .. } = *self;
         let LaunchSizes { tile_shared, regions_per_subgroup, tuning, .. } = *sizes;
         let (incremental_exp, strips) = (tuning.incremental_exp && !steep, variant.backward && sizes.strips);
         let Outputs { pick, motion, surface } = outputs;
+        let surface_transmittance = surface_depth.transmittance();
         let lenses = variant.projection.has_seam();
         // Only the overrides of a context set it.
         let count_hits = false;
@@ -118,11 +126,16 @@ impl Blend {
                 sizes.blend_heavy,
                 pick,
                 motion,
-                surface
+                surface,
+                surface_transmittance
             )),
-            (Blending::SharedMemory, true) => {
-                BlendKey::SharedAuxiliary(shared!(blend_shared_auxiliary, pick, motion, surface))
-            }
+            (Blending::SharedMemory, true) => BlendKey::SharedAuxiliary(shared!(
+                blend_shared_auxiliary,
+                pick,
+                motion,
+                surface,
+                surface_transmittance
+            )),
         }
     }
 

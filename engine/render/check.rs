@@ -69,7 +69,7 @@ impl Renderer {
         let unsupported = [
             ("settings.dropout", frame.settings.dropout.is_some(), "is of training"),
             ("settings.linear_depth", frame.settings.has_z_record(), "is of training"),
-            ("settings.surface", frame.settings.surface, "is for frames that are waited for"),
+            ("settings.surface", frame.settings.surface.is_some(), "is for frames that are waited for"),
         ];
         if let Some((field, _, of)) = unsupported.iter().find(|(_, set, _)| *set) {
             return Err(Error::argument(*field, format!("{of}, no recorded frame has it")));

@@ -17,7 +17,7 @@ pub struct Frame {
     /// Sum of weights / z, if requested; with [`linear_depth`](crate::RenderSettings::linear_depth), sum of weights * z. The
     /// expected depth is the latter over 1 − transmittance.
     pub inverse_depth: Option<Vec<f32>>,
-    /// Normals and median depth, if requested.
+    /// Normals and depth of the surface, if requested.
     pub surface: Option<Surface>,
     /// Counts and times of the frame.
     pub stats: FrameStats,
@@ -26,10 +26,10 @@ pub struct Frame {
 /// Depth and normal of the surface at each pixel of a frame, row-major.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
-    /// Depth of the Gaussian behind which the transmittance is below a half, along the view axis (in a panorama along the ray),
-    /// world units. 0 where the transmittance stays above. It is the depth at which the Gaussian is densest on the pixel's ray,
-    /// to first order; for lenses, that of its mean.
-    pub median_depth: Vec<f32>,
+    /// Depth of the Gaussian behind which the transmittance is below that of [`SurfaceDepth`](crate::SurfaceDepth), along the view axis
+    /// (in a panorama along the ray), world units. 0 where the transmittance stays above. It is the depth at which the Gaussian is
+    /// densest on the pixel's ray, to first order; for lenses, that of its mean.
+    pub depth: Vec<f32>,
     /// Mean of the Gaussians' normals, weighted as in blending, of unit length, in the scene's axes. A Gaussian's normal is its
     /// shortest axis, turned towards the camera. 0 where nothing is blended, or normals cancel out.
     pub normals: Vec<[f32; 3]>,

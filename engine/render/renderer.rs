@@ -249,7 +249,7 @@ impl Renderer {
         })?;
         let depth = || self.read(&frame.depth_sums, 0, pixels * 4);
         let inverse_depth = settings.inverse_depth.then(depth).transpose()?;
-        let surface = settings.surface.then(|| self.read_surface(camera, pixels)).transpose()?;
+        let surface = settings.surface.map(|_| self.read_surface(camera, pixels)).transpose()?;
         let [width, height] = [camera.width, camera.height];
         Ok(Frame { width, height, color, transmittance, inverse_depth, surface, stats })
     }
@@ -260,7 +260,8 @@ impl Renderer {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<FrameBuffers> {
-        self.draw(camera, &RenderSettings { surface: true, ..*settings })?;
+        let surface = Some(settings.surface.unwrap_or_default());
+        self.draw(camera, &RenderSettings { surface, ..*settings })?;
         self.runner.store.current().cloned()
     }
 
@@ -269,7 +270,7 @@ impl Renderer {
         let words: Vec<[f32; 4]> = self.read(&self.runner.store.current()?.surfaces, 0, pixels * 16)?;
         let normal = |sum: Vec3| (world_from_camera * sum).normalize_or_zero().to_array();
         Ok(Surface {
-            median_depth: words.iter().map(|[.., depth]| *depth).collect(),
+            depth: words.iter().map(|[.., depth]| *depth).collect(),
             normals: words.iter().map(|&[x, y, z, _]| normal(Vec3::new(x, y, z))).collect(),
         })
     }

@@ -140,7 +140,7 @@ impl FrameRunner {
         camera.check()?;
         if backward {
             camera.check_differentiable()?;
-            if settings.surface {
+            if settings.surface.is_some() {
                 return Err(Error::argument("settings.surface", "has no gradients").into());
             }
         }

@@ -68,13 +68,13 @@ impl FieldBlocks {
     pub fn add(&mut self, camera: &Camera, surface: &Surface) -> Result<()> {
         check_pinhole(camera)?;
         let [width, height] = [camera.width, camera.height];
-        if surface.median_depth.len() as u64 != u64::from(width) * u64::from(height) {
+        if surface.depth.len() as u64 != u64::from(width) * u64::from(height) {
             return Err(Error::argument("surface", format!("has not {width}x{height} pixels")));
         }
         let (points, mut last) = (camera.points(), None);
         let block = self.settings.voxel * FIELD_SIDE as f32;
         let margin = Vec3::splat(MARGIN / FIELD_SIDE as f32);
-        for (index, &depth) in surface.median_depth.iter().enumerate() {
+        for (index, &depth) in surface.depth.iter().enumerate() {
             if !(depth > 0.0 && depth < self.settings.max_depth) {
                 continue;
             }

@@ -47,10 +47,10 @@ buffer_set! {
 /// # Examples
 /// ```no_run
 /// use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings, Mesh};
-/// use ashsplat::{Camera, RenderSettings, Renderer};
+/// use ashsplat::{Camera, RenderSettings, Renderer, SurfaceDepth};
 ///
 /// fn mesh_of(renderer: &mut Renderer, cameras: &[Camera]) -> ashsplat::Result<Mesh> {
-///     let settings = RenderSettings { surface: true, ..RenderSettings::default() };
+///     let settings = RenderSettings { surface: Some(SurfaceDepth::Front), ..RenderSettings::default() };
 ///     let mut blocks = FieldBlocks::new(renderer.context(), FieldSettings::new(0.01, 10.0))?;
 ///     for camera in cameras {
 ///         blocks.add(camera, &renderer.render(camera, &settings)?.surface.unwrap_or_default())?;
@@ -116,7 +116,8 @@ impl DistanceField {
         })
     }
 
-    /// Renders the renderer's scene in a view, and adds its median depths and colours to the field.
+    /// Renders the renderer's scene in a view, and adds its depths and colours to the field. Without
+    /// [`RenderSettings::surface`], depths are medians.
     ///
     /// # Errors
     /// Same as [`Renderer::render`]; [`Error::Argument`] for a camera that is no pinhole.

@@ -3,8 +3,8 @@
 //
 //   with PICK    the splat with the largest weight alpha T, the nearest among equals
 //   with MOTION  sum of alpha T m, where m is the splat's motion on the screen (screen_motion.comp)
-//   with SURFACE sum of alpha T n, where n is the splat's normal, and the median depth: that of the splat behind which T is below
-//                a half, at the pixel (splat_surfaces.comp)
+//   with SURFACE sum of alpha T n, where n is the splat's normal, and the surface's depth: that of the splat behind which T is
+//                below SURFACE_TRANSMITTANCE, at the pixel (splat_surfaces.comp)
 //
 // in, PerVisible: with MOTION motions, with SURFACE splat_surfaces; out, PerPixel: with PICK picks, with MOTION motion_sums, with
 //     SURFACE surfaces
@@ -14,6 +14,7 @@
 layout(constant_id = 11) const bool PICK = false;
 layout(constant_id = 12) const bool MOTION = false;
 layout(constant_id = 15) const bool SURFACE = false;
+layout(constant_id = 16) const float SURFACE_TRANSMITTANCE = 0.5;
 
 // Per pixel: 1 + index of the splat in the tile's list, 0 for none; bits of its weight.
 layout(set = 0, binding = 11, scalar) buffer Picks { uvec2 picks[]; };
@@ -23,7 +24,7 @@ VEC2_READS(12, Motions, motions);
 layout(set = 0, binding = 13, scalar) buffer MotionSums { vec2 motion_sums[]; };
 // Per visible Gaussian: normal in the camera's frame; slope of its depth, world units per px, as two half floats.
 VEC4_READS(14, SplatSurfaces, splat_surfaces);
-// Per pixel: sum of weighted normals, in the camera's frame; median depth, world units, 0 where T is not below a half.
+// Per pixel: sum of weighted normals, in the camera's frame; depth of the surface, world units, 0 without one.
 layout(set = 0, binding = 15, scalar) buffer Surfaces { vec4 surfaces[]; };
 
 // Values of a splat besides those of its record, and true if there are any.
@@ -40,7 +41,7 @@ struct PixelExtra {
     uint picked;
     // Sum of weighted motions.
     vec2 motion;
-    // Sum of weighted normals, median depth.
+    // Sum of weighted normals, depth of the surface.
     vec4 surface;
 };
 
@@ -75,10 +76,10 @@ void note_splat(
     }
     if (SURFACE) {
         pixel.surface.xyz += weight * extra.surface.xyz;
-        bool halves = abs(transmittance) < 0.5 && pixel.surface.w == 0.0;
+        bool is_surface = abs(transmittance) < SURFACE_TRANSMITTANCE && pixel.surface.w == 0.0;
         vec2 slope = unpackHalf2x16(floatBitsToUint(extra.surface.w));
         float depth = 1.0 / splat.inverse_z + dot(slope, px - splat.mean);
-        pixel.surface.w = halves ? max(depth, NEAR_PLANE) : pixel.surface.w;
+        pixel.surface.w = is_surface ? max(depth, NEAR_PLANE) : pixel.surface.w;
     }
 }
 

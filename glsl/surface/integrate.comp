@@ -1,11 +1,11 @@
-// Adds a view's median depths and colours to the distance field (Curless and Levoy 1996).
+// Adds a view's depths of surfaces and colours to the distance field (Curless and Levoy 1996).
 //
 //   s = depth - z at the pixel that shows the voxel; nothing changes for s < -truncation, behind the surface
 //   d <- (W d + w min(s, truncation)) / (W + w), W <- W + w, with w = the square of the voxel's size in pixels, because errors
 //   of depth grow with z. Colours likewise, from views with |s| <= truncation only.
 //
 // invocation: one voxel
-// in, PerPixel: surfaces (.w: median depth, 0 for none), accumulated; blocks; in/out, per voxel: distances, colors
+// in, PerPixel: surfaces (.w: depth, 0 for none), accumulated; blocks; in/out, per voxel: distances, colors
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require

@@ -7,7 +7,7 @@ use crate::common::blending::{
 };
 use crate::common::frame::Lists;
 use crate::common::prelude::*;
-use crate::reference::blend::{Pixel, before, beside, blend, is_median_depth, samples};
+use crate::reference::blend::{Pixel, before, beside, blend, is_surface_depth, samples};
 use crate::reference::pipeline::{pixels_of, tile_of};
 use ashsplat::frame::{LaunchSizes, Outputs};
 use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW};
@@ -451,7 +451,7 @@ fn assert_auxiliary(gpu: &Gpu, lists: &Lists, auxiliary: &Beside, motions: &[[f3
         assert!(picked && close(0) && close(1), "{what}, pixel {index}: {expected:?}, {:?}", picks[index]);
         let [x, y, z, median] = surfaces[index].map(f64::from);
         let close = [x, y, z].into_iter().zip(expected.normal).all(|(a, b)| (a - b).abs() < 2e-3);
-        let surface = close && is_median_depth(median, (&lists.list_of(pixel), &slopes), pixel, 1e-4);
+        let surface = close && is_surface_depth(median, 0.5, (&lists.list_of(pixel), &slopes), pixel, 1e-4);
         assert!(surface, "{what}, pixel {index}: {expected:?}, {:?}", surfaces[index]);
     }
 }

@@ -103,24 +103,25 @@ pub fn beside(
     (result, weights)
 }
 
-/// True if a depth is that of the splat behind which the transmittance is below a half, 0 for none, with a tolerance of the
+/// True if a depth is that of the splat behind which the transmittance is below `limit`, 0 for none, with a tolerance of the
 /// transmittance. `slopes`: change of the depth per px of each splat of the list.
-pub fn is_median_depth(
+pub fn is_surface_depth(
     depth: f64,
+    limit: f64,
     (list, slopes): (&[&Splat], &[[f64; 2]]),
     pixel: [u32; 2],
     tolerance: f64,
 ) -> bool {
     let (samples, behind) = samples(list, pixel);
     if depth == 0.0 {
-        return behind > 0.5 - tolerance;
+        return behind > limit - tolerance;
     }
     samples.iter().any(|sample| {
-        let halves = sample.transmittance > 0.5 - tolerance
-            && sample.transmittance * (1.0 - sample.alpha) < 0.5 + tolerance;
+        let falls = sample.transmittance > limit - tolerance
+            && sample.transmittance * (1.0 - sample.alpha) < limit + tolerance;
         let (splat, [x, y]) = (list[sample.entry], slopes[sample.entry]);
         let [dx, dy] = [0, 1].map(|axis| f64::from(pixel[axis]) - splat.mean2d_px[axis]);
-        halves && (depth - (splat.depth + x * dx + y * dy).max(NEAR)).abs() < 1e-4 * splat.depth.max(depth)
+        falls && (depth - (splat.depth + x * dx + y * dy).max(NEAR)).abs() < 1e-4 * splat.depth.max(depth)
     })
 }
 

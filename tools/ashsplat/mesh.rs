@@ -3,7 +3,7 @@
 use crate::render::views;
 use ashsplat::scene::Camera;
 use ashsplat::surface::{DistanceField, FieldBlocks, FieldSettings};
-use ashsplat::{Error, RenderSettings, Renderer, Result, Surface};
+use ashsplat::{Error, RenderSettings, Renderer, Result, Surface, SurfaceDepth};
 use ashsplat_files::mesh::MeshFormat;
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::look::{LookArguments, NOTHING_SHOWN};
@@ -13,7 +13,7 @@ use ashsplat_program::{output, session};
 use clap::Args;
 use std::path::PathBuf;
 
-/// Make a mesh of a trained scene, with coloured vertices: median depths of the training's views, fused into a field of distances.
+/// Make a mesh of a trained scene, with coloured vertices: depths of the training's views, fused into a field of distances.
 ///
 /// Coordinates are the data set's. The mesh is at most as fine as the views' pixels. Surfaces that fewer than three views show, or
 /// six of thirty and more, are missing.
@@ -79,7 +79,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         say!("{note}");
     }
     let look = arguments.look.settings(&model.settings, &scene.header)?;
-    let settings = RenderSettings { surface: true, ..look };
+    let settings = RenderSettings { surface: Some(SurfaceDepth::Front), ..look };
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
@@ -96,7 +96,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     each(&mut |renderer, camera| {
         // Medians need no sharp pictures.
         let small = camera.scaled_to(camera.width.div_ceil(4), camera.height.div_ceil(4));
-        let depths = surface_of(renderer, &small, &settings)?.median_depth;
+        let depths = surface_of(renderer, &small, &settings)?.depth;
         seen.extend(depths.into_iter().filter(|&depth| depth > 0.0).map(|depth| [depth, depth / camera.fx]));
         Ok(())
     })?;

@@ -1,7 +1,7 @@
 //! `ashsplat render`, and the options that choose how pictures are drawn.
 
 use ashsplat::scene::LensEffects;
-use ashsplat::{Error, Frame, Renderer, Result};
+use ashsplat::{Error, Frame, Renderer, Result, SurfaceDepth};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::lens_json::{LENS_FILE, LensFile};
 use ashsplat_files::splats::Target;
@@ -125,7 +125,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::input(&arguments.out, problem, "name a folder, or a film (.mp4, .webm, .gif)"));
     }
     let mut settings = arguments.look.settings(&model.settings, &scene.header)?;
-    settings.surface = arguments.normals;
+    settings.surface = arguments.normals.then_some(SurfaceDepth::Median);
     if format != Format::Png {
         settings = arguments.depth().requested(settings);
     } else if arguments.depth.is_some() {

@@ -1,7 +1,7 @@
 //! Writes the files of commands: whole or not at all, in folders that are created as needed.
 
 use ashsplat::scene::{linear_from_premultiplied, linear_from_srgb};
-use ashsplat::{Error, Frame, PixelReport, RenderSettings, Result, Sample, Surface};
+use ashsplat::{Error, Frame, PixelReport, RenderSettings, Result, Sample, Surface, SurfaceDepth};
 use ashsplat_files::{Photo, PhotoFileFormat, atomic, regular_file};
 use clap::ValueEnum;
 use exr::prelude::{
@@ -289,7 +289,7 @@ pub enum Depth {
 impl Depth {
     /// Settings for frames with this depth.
     pub fn requested(self, settings: RenderSettings) -> RenderSettings {
-        let surface = settings.surface || self == Self::Median;
+        let surface = settings.surface.or((self == Self::Median).then_some(SurfaceDepth::Median));
         RenderSettings { inverse_depth: true, linear_depth: self == Self::Mean, surface, ..settings }
     }
 
@@ -297,13 +297,13 @@ impl Depth {
     pub fn scale(self, frame: &mut Frame, factor: f32) {
         let own = if self == Self::Mean { factor } else { factor.recip() };
         frame.inverse_depth.iter_mut().flatten().for_each(|sum| *sum *= own);
-        frame.surface.iter_mut().flat_map(|own| &mut own.median_depth).for_each(|depth| *depth *= factor);
+        frame.surface.iter_mut().flat_map(|own| &mut own.depth).for_each(|depth| *depth *= factor);
     }
 
     /// Depth of each pixel of such a frame: infinite for transparent pixels.
     pub fn of(self, frame: &Frame) -> Vec<f32> {
-        if let (Self::Median, Some(Surface { median_depth, .. })) = (self, &frame.surface) {
-            return median_depth.iter().map(|&z| if z > 0.0 { z } else { f32::INFINITY }).collect();
+        if let (Self::Median, Some(Surface { depth, .. })) = (self, &frame.surface) {
+            return depth.iter().map(|&z| if z > 0.0 { z } else { f32::INFINITY }).collect();
         }
         let Some(sums) = &frame.inverse_depth else { return vec![f32::INFINITY; frame.color.len()] };
         let depth = |(&sum, &transmittance): (&f32, &f32)| match (sum > 0.0, self) {
