@@ -220,7 +220,7 @@ fn camera_of(view: usize) -> u32 {
 const KNOWN: LensEffects = LensEffects {
     rows: [[-0.30, -0.10, -0.05, 0.14], [-0.30, -0.10, -0.05, 0.10], [-0.36, -0.16, -0.04, 0.06]],
 };
-/// One view of each camera.
+/// Indices of two views: 4 is of camera 7, 7 of camera 9.
 const HELD_OUT: [usize; 2] = [4, 7];
 
 fn taken(shown: &[Photo]) -> Vec<Photo> {

@@ -31,7 +31,7 @@ fn run<'a>(context: &'a Context, start: &Gaussians, settings: &TrainSettings) ->
     Run::new(context, views(3, 9), settings.clone()).starting_at(start)
 }
 
-/// The end of a run; then the device memory at the end, its peak, and the peak of the host memory, bytes.
+/// Trains to the end. Returns the last checkpoint, then in bytes the device memory, its peak, and the peak of the host memory.
 fn train(
     start: &Gaussians,
     settings: &TrainSettings,

@@ -24,7 +24,7 @@ use crate::{cost, ply, regular_file, text};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
-pub use frame::{Frame, Optics, opengl_rows};
+pub use frame::{Frame, Optics, lens_keys, opengl_rows};
 
 /// Files of the synthetic NeRF scenes: for training, and for testing (the first that exists).
 const SPLIT_FILES: [&str; 3] = ["transforms_train.json", "transforms_test.json", "transforms_val.json"];

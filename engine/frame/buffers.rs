@@ -140,8 +140,8 @@ buffer_set! {
     sorted_depths: visible * 4, Project..=DepthSort;
     /// [`Self::depth_sort_keys`].
     other_depths: visible * 4, Project..=DepthSort;
-    /// Per depth rank: the visible Gaussian. Views with one order read it again.
-    pub depth_order: visible * 4, DepthSort..=Blend;
+    /// Per depth rank: the visible Gaussian. Of views with one order, the first sorts it before the projections of the others.
+    pub depth_order: visible * 4, Project..=Blend;
     /// [`Self::depth_sort_values`].
     other_order: visible * 4, DepthSort..=DepthSort;
     /// Per depth rank: first word of the Gaussian's list of tiles.
@@ -215,7 +215,7 @@ buffer_set! {
     pub motion_sums: motion * pixels * 8, Blend..=Blend;
     /// Per visible Gaussian: its normal in the camera's frame; slope of its depth over the picture, as two half floats.
     pub splat_surfaces: surface * visible * 16, Project..=Blend;
-    /// Per pixel: sum of weights * normals, in the camera's frame; median depth, world units, 0 without one.
+    /// Per pixel: sum of weights * normals, in the camera's frame; depth of the surface, world units, 0 without one.
     pub surfaces: surface * pixels * 16, Blend..=Blend;
 }
 
@@ -256,7 +256,7 @@ outputs! {
     pick,
     /// Mean motion per pixel.
     motion,
-    /// Normal and median depth per pixel.
+    /// Normal and depth of the surface per pixel.
     surface,
 }
 
@@ -310,10 +310,10 @@ impl FrameBuffers {
     /// Requests of a frame, then those of the scratch of a loss, and the lives of all.
     pub(crate) fn requests_with(
         capacity: &FrameCapacity,
-        launch: &LaunchSizes,
+        sizes: &LaunchSizes,
         loss_scratch: &[(&'static str, u64)],
     ) -> (Vec<(&'static str, u64)>, Vec<Life>) {
-        let requests = [&Self::requests(capacity, launch), loss_scratch].concat();
+        let requests = [&Self::requests(capacity, sizes), loss_scratch].concat();
         let mut lives = Self::LIVES.to_vec();
         lives.resize(requests.len(), Life { first: Pass::Loss as u8, last: Pass::Loss as u8 });
         (requests, lives)
@@ -357,8 +357,8 @@ impl FrameBuffers {
     }
 
     /// Per sorted instance: the visible Gaussian. Valid from the ranges on; without backward, from the tile sort on.
-    pub fn sorted_visible(&self, backward: bool) -> &Buffer {
-        if backward { &self.gathered_visible } else { &self.sorted_instances }
+    pub fn sorted_visible(&self, keeps_instances: bool) -> &Buffer {
+        if keeps_instances { &self.gathered_visible } else { &self.sorted_instances }
     }
 
     /// The blended picture that the loss and the backward pass read: [`Self::composited`] with strips,

@@ -245,7 +245,8 @@ impl Backward {
             // Instances of hidden tiles are not blended, and their gradients are 0.
             let f = inputs.buffers;
             let sums = [&f.instance_gradients_a, &f.instance_gradients_b, &f.instance_gradients_c];
-            sums.into_iter().chain([f.absolute_gradients(true)]).for_each(|sums| r.fill(sums, 0));
+            let absolute = form.absolute.then(|| f.absolute_gradients(true));
+            sums.into_iter().chain(absolute).for_each(|sums| r.fill(sums, 0));
             r.barrier();
         }
         r.scope("blend backward", |r| self.record_blend(r, inputs, image_gradient, form.sums()));

@@ -26,7 +26,7 @@ enum BlendKey {
 
 /// Buffers of blend_io.glsl, for all kernels; and those of blend_auxiliary.glsl, which must be bound even if they are not used.
 macro_rules! blend_bind {
-    ($kernel:ident, $inputs:expr, $sizes:expr $(, $auxiliary:ident)*) => {{
+    ($kernel:ident, $inputs:expr $(, $auxiliary:ident)*) => {{
         let frame = $inputs.buffers;
         let splats = frame.splats();
         $kernel::Bind {
@@ -154,7 +154,7 @@ impl Blend {
             ($kernels:ident, $spec:expr, $kernel:ident $(, $auxiliary:ident)*) => {{
                 let Some(kernel) = self.$kernels.get_or_fail(r, $spec) else { return };
                 record_passes(r, inputs, sizes, |r, push, tiles| {
-                    let bind = blend_bind!($kernel, inputs, sizes $(, $auxiliary)*);
+                    let bind = blend_bind!($kernel, inputs $(, $auxiliary)*);
                     r.dispatch(kernel, &bind, &bytemuck::cast(push), tiles);
                 });
             }};

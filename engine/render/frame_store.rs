@@ -4,7 +4,7 @@ use super::frame::BlendSamples;
 use crate::error::{Error, Result};
 use crate::frame::{
     FrameBuffers, FrameCapacity, FrameVariant, LEAST_INSTANCES, LEAST_VISIBLE, LaunchSizes, PictureCapacity,
-    check_grids, initial_instances, initial_visible, packed_bytes,
+    check_grids, initial_instances, initial_visible,
 };
 use crate::kernels::constants as c;
 use crate::scene::Camera;
@@ -266,7 +266,7 @@ impl FrameStore {
     /// Bytes of the buffers of a frame with this capacity.
     pub fn bytes_of(&self, capacity: &FrameCapacity) -> u64 {
         let (requests, lives) = self.requests(capacity);
-        packed_bytes(&requests, &lives)
+        self.context.shared_bytes(&requests, &lives)
     }
 
     /// Sets the capacity in instances, and forces a new allocation at the next frame.

@@ -248,6 +248,7 @@ impl<'a> SlotLayout<'a> {
         // Pixels that stay while another slot's frame runs share no memory.
         let stays = |name| wanted.slots > wanted.queues && pixels.iter().any(|(pixels, _)| *pixels == name);
         let scratch = scratch_requests(wanted, &capacity, sizes);
+        debug_assert!(pixels.iter().all(|(name, _)| scratch.iter().any(|(own, _)| own == name)));
         let lives = scratch.iter().zip(FrameBuffers::LIVES);
         let scratch_lives =
             lives.map(|((name, _), life)| if stays(*name) { Life::ALWAYS } else { *life }).collect();

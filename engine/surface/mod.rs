@@ -1,4 +1,4 @@
-//! Meshes of scenes: median depths of many views, fused into a field of signed distances (Curless and Levoy 1996), whose zero level
+//! Meshes of scenes: depths of many views, fused into a field of signed distances (Curless and Levoy 1996), whose zero level
 //! marching cubes (Lorensen and Cline 1987) makes a mesh of. Everything per voxel happens on the device.
 //!
 //! 1. [`FieldBlocks::add`] for each view collects the blocks of voxels near a surface.

@@ -206,8 +206,8 @@ impl Population<'_> {
     }
 
     /// Replaces the set by `rows` rows in one submission: either all of it executes or the old set stays. `record_sources`
-    /// records and returns the source of each row. That is a Gaussian, with the row's kind in the bits from `KIND_SHIFT` on:
-    /// kept, clone, first or second half of a split. It ends with a barrier. Statistics are cleared after it. Kept Gaussians
+    /// records a buffer with a word per new row, and ends with a barrier. The word is the index of an old Gaussian; its bits from
+    /// `KIND_SHIFT` on say what the row is: kept, clone, first or second half of a split. Statistics are cleared then. Kept Gaussians
     /// keep their moments; those of new ones are zero. Then `record_changes` records changes to the new set, behind a barrier,
     /// from the set and the sources of its rows.
     ///

@@ -51,9 +51,9 @@ impl Context {
             Err(Error::TooLarge { .. }) if self.free_staging() => allocate()?,
             allocated => allocated?,
         };
+        self.clear_if_audited(&buffers, kind)?;
         #[cfg(feature = "testing")]
         self.raise_guards(&buffers)?;
-        self.clear_if_audited(&buffers, kind)?;
         Ok(buffers)
     }
 

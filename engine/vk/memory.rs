@@ -62,8 +62,8 @@ impl Life {
 }
 
 /// Packs buffers of the given sizes into blocks of at most `largest_block` bytes, each at the lowest place that is free
-/// during its life. Buffers without an entry in `lives` live always; they come first, in order. Of the others, those come
-/// first that hold most bytes for most steps, because the later ones then fill the gaps.
+/// during its life. Buffers without an entry in `lives` live always; they come first, in order. The others are
+/// placed by bytes times steps, largest first, because the later ones then fill the gaps.
 ///
 /// # Errors
 /// Index of the first request that is larger than a block.

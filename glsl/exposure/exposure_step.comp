@@ -1,7 +1,7 @@
-// Adam over the exposures of all photographs as one tensor, or over the effects of all lenses (lens_effects.glsl). Matrices of
-// other views also move, and their moments decay. Only the view's own has a gradient: the sum of the partials, or 0 if that is
-// not finite. All gradients include `decay` times the value. With CENTER, for exposures, the diagonal does not: it is a gain
-// per channel, and all else is pulled to 0.
+// Adam over the exposures of all photographs as one tensor, or over the effects of all lenses (lens_effects.glsl). It steps all
+// matrices, also those without a gradient: only the current view's has one, the sum of the partials, or 0 if that is not finite.
+// Weight decay adds `decay` times each value to its gradient. With CENTER, for exposures, it leaves out the diagonal, which holds
+// the gains per channel.
 //
 // With SHARES all photographs share the second moments: their squared gradients add up, without the parts of `decay`. Otherwise
 // Adam moves photographs that fit as fast as those that do not.

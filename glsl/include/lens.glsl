@@ -4,8 +4,9 @@
 //   D: g(s) m, s = m . m, and with BENDS tangential and thin-prism terms
 //
 // Means and covariances on the screen are those of the unscented transform, or where one of its points is not shown, of the
-// lens's Jacobian at the mean. A family of lenses is a PROJECTION_ constant, a file below lens/
-// with its g and two derivatives, its case in radial_at, and the host's file below engine/scene/lens/.
+// lens's Jacobian at the mean. A family of lenses is a PROJECTION_ constant; a file below lens/ with g, its two derivatives and the
+// gradient of its coefficients; a case in radial_at and in radial_backward; ANGULAR and BENDS below; the host's file below
+// engine/scene/lens/ and its lines in lens.rs; its keys in engine/files/transforms/frame.rs; and C's enum.
 // Matrices are stored by rows: M v is `v * M`, and A B is `B * A`.
 // Needs constants.glsl, camera.glsl, camera_block.glsl, PROJECTION, and the requirements of shutter.glsl.
 
@@ -25,6 +26,29 @@ const bool BENDS = PROJECTION == PROJECTION_BROWN || PROJECTION == PROJECTION_FI
 // Largest distance from the middle of the picture, focal lengths, of a point of the unscented transform of a lens on the plane; 0 without
 // a limit.
 #define LENS_FAR jacobian_limits.z
+
+#ifdef DIFFERENTIATES_LENS
+// Gradient of a lens's parameters: focal lengths, principal point, then the words of lens_members.glsl. Its sum over the points of
+// the invocation's Gaussian is `d_lens`.
+const uint LENS_WORDS = LENS_SUMS - 6;
+
+struct LensGradient {
+    vec2 focal;
+    vec2 center;
+    float words[LENS_WORDS];
+};
+
+LensGradient d_lens;
+
+// Gradient of the coefficients of g and of its derivative by s, which are weighted with `of_g` and `of_slope`.
+void add_polynomial(uint word, uint power, float s, float of_g, float of_slope) {
+    float below = 1.0;
+    for (uint k = 1; k < power; ++k) {
+        below *= s;
+    }
+    d_lens.words[word] += of_g * below * s + of_slope * float(power) * below;
+}
+#endif
 
 #include "lens/arctan.glsl"
 #include "lens/brown.glsl"
@@ -47,6 +71,20 @@ vec3 radial_at(float s) {
     default: return thin_prism_fisheye_radial(s);
     }
 }
+
+#ifdef DIFFERENTIATES_LENS
+// Adds the gradient of the coefficients of g, from those of g and of its derivative.
+void radial_backward(float s, float of_g, float of_slope) {
+    switch (PROJECTION) {
+    case PROJECTION_BROWN: brown_backward(s, radial_at(s), of_g, of_slope); break;
+    case PROJECTION_FOV: fov_backward(s, radial_at(s), of_g, of_slope); break;
+    case PROJECTION_DIVISION: division_backward(s, radial_at(s), of_g, of_slope); break;
+    case PROJECTION_EUCM: eucm_backward(s, radial_at(s), of_g, of_slope); break;
+    case PROJECTION_FISHEYE: fisheye_backward(s, of_g, of_slope); break;
+    case PROJECTION_THIN_PRISM_FISHEYE: thin_prism_fisheye_backward(s, of_g, of_slope); break;
+    }
+}
+#endif
 
 // Coefficients p1, p2 of the tangential term (2 p1 a b + p2 (s + 2 a^2), 2 p2 a b + p1 (s + 2 b^2)).
 vec2 tangential() {

@@ -109,7 +109,8 @@ Filtered filter_3d(vec4 log_scale, float opacity_logit) {
         vec3 ratio = filter_ratio(log_scale);
         f.log_scale = log(log_scale.w) + 0.5 * log(1.0 + ratio * ratio);
         f.shrink = filter_shrink(ratio);
-        // logit(s(x) c) = -log((1 + exp(-x)) / c - 1); with x < 0 the exponential is taken out.
+        // The logit of shrink * sigmoid(opacity_logit). Negative logits multiply both sides of the fraction by their exponential, so
+        // that nothing overflows.
         float e = exp(-abs(opacity_logit));
         float numerator = opacity_logit < 0.0 ? e * f.shrink : f.shrink;
         f.opacity_logit = log(numerator / (1.0 + e - numerator));

@@ -98,7 +98,7 @@ fn held_out_views_are_trained_on_their_left_half() {
     place.run("train -s @data -m @model --train-test-exp").refused(&["train_test_exp", "--eval"]);
     train(&place, "model", "--eval --train_test_exp");
     assert_eq!(exposure_json::read(place.at("model/exposure.json")).expect("the exposures").len(), 9);
-    // The test's pictures are halves.
+    // Saved pictures of held-out views show the right half only.
     for kind in ["gt", "renders"] {
         let saved = place.at(format!("model/test/ours_40/{kind}/00000.png"));
         let size = ashsplat_files::images::photo_size(saved).expect("a picture");

@@ -94,7 +94,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let mut seen = Vec::new();
     each(&mut |renderer, camera| {
-        // Medians need no sharp pictures.
+        // The medians of all views need no sharp pictures.
         let small = camera.scaled_to(camera.width.div_ceil(4), camera.height.div_ceil(4));
         let depths = surface_of(renderer, &small, &settings)?.depth;
         seen.extend(depths.into_iter().filter(|&depth| depth > 0.0).map(|depth| [depth, depth / camera.fx]));

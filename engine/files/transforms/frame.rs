@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::{Document, below, values};
 use crate::names::{Finder, MAX_PATH_BYTES, ending, has_photo_ending, plain, stays_inside};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
-use ashsplat::scene::{PhotoLens, Projection, Readout, Shutter};
+use ashsplat::scene::{Camera, PhotoLens, Projection, Readout, Shutter};
 use ashsplat::{Error, Result};
 
 /// Largest relative deviation of a pose's `R Rᵀ` from a multiple of the identity.
@@ -504,6 +504,20 @@ impl Reader<'_> {
             _ => coefficients[..9].copy_from_slice(&[k1, k2, p1, p2, k3, 0.0, 0.0, 0.0, k4]),
         }
         Ok((projection, coefficients))
+    }
+}
+
+/// Returns a camera's lens as the file has it: `camera_model`, `k1` to `k4`, `p1` and `p2`. None for lenses that it cannot hold.
+pub fn lens_keys(camera: &Camera) -> Option<(&'static str, [f32; 4], [f32; 2])> {
+    let [k1, k2, p1, p2, k3, k4, third, fourth, n4, ..] = camera.coefficients;
+    match camera.projection {
+        Projection::Perspective => Some(("PINHOLE", [0.0; 4], [0.0; 2])),
+        Projection::Brown if [k4, third, fourth] == [0.0; 3] => Some(("OPENCV", [k1, k2, k3, n4], [p1, p2])),
+        Projection::Fisheye if [p1, p2, third, fourth] == [0.0; 4] => {
+            Some(("OPENCV_FISHEYE", [k1, k2, k3, k4], [0.0; 2]))
+        }
+        Projection::Equirectangular => Some(("EQUIRECTANGULAR", [0.0; 4], [0.0; 2])),
+        _ => None,
     }
 }
 

@@ -100,7 +100,7 @@ pub trait LossTerm: Send {
         TermData::default()
     }
 
-    /// Names and bytes of the scratch buffers, for views of these sizes (width, height).
+    /// Names and bytes of the scratch buffers, for views of these sizes (width, height). Other passes overwrite them after the loss.
     fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)>;
 
     /// Records the value and the gradient. A frame that overflowed is repeated, so the term must not change anything that

@@ -6,3 +6,12 @@ vec3 fisheye_radial(float s) {
         k.x + s * (2.0 * k.y + s * (3.0 * k.z + s * 4.0 * k.w)),
         2.0 * k.y + s * (6.0 * k.z + s * 12.0 * k.w));
 }
+
+#ifdef DIFFERENTIATES_LENS
+void fisheye_backward(float s, float of_g, float of_slope) {
+    add_polynomial(0, 1, s, of_g, of_slope);
+    add_polynomial(1, 2, s, of_g, of_slope);
+    add_polynomial(4, 3, s, of_g, of_slope);
+    add_polynomial(5, 4, s, of_g, of_slope);
+}
+#endif

@@ -8,3 +8,11 @@ vec3 thin_prism_fisheye_radial(float s) {
         k.x + s * (2.0 * k.y + s * (3.0 * k.z + s * (4.0 * k.w + s * (5.0 * l.x + s * 6.0 * l.y)))),
         2.0 * k.y + s * (6.0 * k.z + s * (12.0 * k.w + s * (20.0 * l.x + s * 30.0 * l.y))));
 }
+
+#ifdef DIFFERENTIATES_LENS
+void thin_prism_fisheye_backward(float s, float of_g, float of_slope) {
+    [[unroll]] for (uint k = 0; k < 6; ++k) {
+        add_polynomial(k, k + 1, s, of_g, of_slope);
+    }
+}
+#endif

@@ -200,7 +200,7 @@ impl Run {
         let mut places: String =
             relative.map(|(option, path)| format!(" {option} {}", absolute(path))).collect();
         if data.lpips_weights.iter().any(|path| path.is_relative()) {
-            // Given weights replace all weights of the settings.
+            // On a command line, --lpips-weights replaces the whole list of the settings, so absolute paths are repeated too.
             places
                 .extend(data.lpips_weights.iter().map(|path| format!(" --lpips-weights {}", absolute(path))));
         }

@@ -130,7 +130,7 @@ fn keep_earlier(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// True for a folder, false for a link to one, which stays because it may be relative.
+/// True for a folder. A link to one is not moved, because a relative target would no longer be found.
 fn is_folder(path: &Path) -> bool {
     path.symlink_metadata().is_ok_and(|found| found.is_dir())
 }

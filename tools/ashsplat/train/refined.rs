@@ -1,10 +1,10 @@
 //! The folder `refined`: optimised cameras as data sets that this and other programs read, without photographs and points.
 
 use ashsplat::Result;
-use ashsplat::scene::{Camera, PointCloud, Projection, WorldFrame};
+use ashsplat::scene::{Camera, PointCloud, WorldFrame};
 use ashsplat_files::cameras_json::NamedCamera;
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
-use ashsplat_files::transforms::opengl_rows;
+use ashsplat_files::transforms::{lens_keys, opengl_rows};
 use ashsplat_program::output;
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -47,16 +47,7 @@ fn source_of(frame: &WorldFrame, camera: &Camera) -> DVec3 {
 
 /// A frame of nerfstudio's `transforms.json`; None for lenses that it does not know.
 fn frame_of(path: &str, camera: &Camera, world: &WorldFrame) -> Option<Value> {
-    let [k1, k2, p1, p2, k3, k4, third, fourth, n4, ..] = camera.coefficients;
-    let (model, k, p) = match camera.projection {
-        Projection::Perspective => ("PINHOLE", [0.0; 4], [0.0; 2]),
-        Projection::Brown if [k4, third, fourth] == [0.0; 3] => ("OPENCV", [k1, k2, k3, n4], [p1, p2]),
-        Projection::Fisheye if [p1, p2, third, fourth] == [0.0; 4] => {
-            ("OPENCV_FISHEYE", [k1, k2, k3, k4], [0.0; 2])
-        }
-        Projection::Equirectangular => ("EQUIRECTANGULAR", [0.0; 4], [0.0; 2]),
-        _ => return None,
-    };
+    let (model, k, p) = lens_keys(camera)?;
     let pose = |time: f64| {
         let at = camera.at_time(time);
         json!(opengl_rows(at.camera_from_world.as_dmat3(), source_of(world, &at)))
