@@ -127,10 +127,11 @@ fn viewer_refuses_what_is_no_tree() {
 fn viewer_draws_fewer_tiles_where_a_picture_finds_no_memory() {
     let (place, _) = with_tree();
     // Enough for all tiles, but not for a picture of them, which needs 1 MiB in all.
-    let server = Server::view(&place.at("tree"), &["--budget", "100%", "--max-memory", "800K"]);
+    let server = Server::view(&place.at("tree"), &["--budget", "100%", "--max-memory", "875K"]);
     let mut page = server.page();
     for turn in [0.3, 1.9, 0.3] {
-        let (_, shown, said) = settled(&mut page, &camera(turn), &json!({ "quality": 0 }));
+        let (_, shown, said) =
+            settled(&mut page, &camera(turn).scaled_to(192, 128), &json!({ "quality": 0 }));
         let tree = &shown.header["tree"];
         let (drawn, budget) = (tree["drawn"].as_u64(), tree["budget"].as_u64());
         assert!(drawn > Some(1) && budget < Some(COUNT as u64), "{tree}");
