@@ -10,8 +10,7 @@ mod records;
 mod rigs;
 mod write;
 
-pub(crate) use find::is_data_set;
-pub use find::{ModelFolder, POSES_LOG, UNFINISHED_POSES, exists, find};
+pub use find::{ModelFolder, POSES_LOG, UNFINISHED_POSES, exists, find, is_data_set};
 pub(crate) use model::contradiction;
 pub use model::{Model, observations, tracks};
 pub use records::{CameraModel, ColmapCamera, ColmapImage};

@@ -28,15 +28,15 @@ use convert::changed;
 use validation::PackingLoss;
 
 pub(super) use convert::OriginSample;
-pub use convert::{ConvertOptions, Converted, Input, Target, convert, join};
+pub use convert::{ConvertOptions, Converted, Input, Target, convert, join, place};
 pub(crate) use format::{FARTHEST, MAX_COMPRESSED_LOG_SCALE};
 pub use format::{Format, foreign, is_sog};
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION, mirrored};
 pub(super) use gltf_write::glb_head;
 pub(super) use stream::{
-    BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, is_kernel_size, row_bytes,
+    BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, is_kernel_size,
 };
-pub use stream::{Header, ReadOptions, Scene, WriteOptions};
+pub use stream::{Header, ReadOptions, Scene, WriteOptions, row_bytes};
 
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.
 ///

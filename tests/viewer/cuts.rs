@@ -195,7 +195,13 @@ fn viewer_places_as_convert_does() {
     let query = "rotate=10.5,-20,90&scale=2.5&translate=0,-3,0.25&min_opacity=0.3&high=0.5,,";
     let (code, _, body) = server.get(&format!("/export/a.ply?{query}"), &[]);
     assert!(code == 200 && body == place.read("placed.ply"));
-    for query in ["rotate=1,2", "rotate=1,2,x", "translate=0,0,1e9", "scale=0", "scale=-1", "scale=nan"] {
+    // Far from zero, the file gets an origin of its own.
+    place.run("convert @ball.ply @placed.ply --translate=500000,4600000.5,0").ok();
+    let (code, _, body) = server.get("/export/a.ply?translate=500000,4600000.5,0", &[]);
+    assert!(code == 200 && body == place.read("placed.ply"));
+    let losses = json_body(&server, "/count?translate=500000,4600000.5,0&format=ply")["losses"].to_string();
+    assert!(losses.contains("relative to 500000, 46000"), "{losses}");
+    for query in ["rotate=1,2", "rotate=1,2,x", "translate=0,0,1e19", "scale=0", "scale=-1", "scale=nan"] {
         assert_eq!(server.get(&format!("/export/a.ply?{query}"), &[]).0, 400, "{query}");
     }
 }

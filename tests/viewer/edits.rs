@@ -8,6 +8,7 @@ const COUNT: usize = 900;
 fn edit(page: &mut Page, message: Value) {
     let mut message = message;
     message["type"] = "edit".into();
+    message["run"] = page.greeting["run"].clone();
     page.send(&message);
 }
 
@@ -132,7 +133,8 @@ fn viewer_hides_and_deletes_with_undo() {
     assert!(drawn(&mut page) == expected(&left_alone));
     assert!(exported(&server, "") == ball(COUNT).select(&left_alone));
     let (deleted, hidden) = (COUNT - without_right.len(), without_right.len() - left_alone.len());
-    let figures = json!({ "selected": 0, "hidden": hidden, "deleted": deleted, "undo": 4, "redo": 0 });
+    let figures =
+        json!({ "selected": 0, "hidden": hidden, "deleted": deleted, "undo": 4, "redo": 0, "revision": 4 });
     assert_eq!(counts(&mut page), figures);
     // Pixels list the scene's own indices.
     page.send(&json!({ "type": "pick", "id": 1, "camera": message(&camera), "pixel": [48, 32] }));
@@ -144,6 +146,7 @@ fn viewer_hides_and_deletes_with_undo() {
     assert!(drawn(&mut page) == expected(&without_right));
     for _ in 0..5 {
         edit(&mut page, json!({ "op": "undo" }));
+        counts(&mut page);
     }
     assert!(drawn(&mut page) == whole && counts(&mut page)["redo"] == 5);
     for _ in 0..2 {
@@ -180,6 +183,8 @@ fn viewer_bounds_edits() {
         let problem = page.wait_for_problem();
         assert!(problem.contains("nothing is"), "{op}: {problem}");
     }
+    page.send(&json!({ "type": "edit", "run": "another", "op": "undo" }));
+    assert!(page.wait_for_problem().contains("the scene has changed"));
     assert_eq!(server.get("/export/a.ply?part=selection", &[]).0, 422);
     assert_eq!(server.get("/export/a.ply?part=all", &[]).0, 400);
     // The last 64 edits can be undone.

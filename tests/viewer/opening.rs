@@ -76,15 +76,16 @@ fn viewer_shows_files_that_are_dropped() {
         assert_eq!((&scene["gaussians"], &scene["empty"]), (&json!(count), &json!(false)), "{ending}");
         assert_eq!(scene["name"], format!("my ball{ending}"));
         assert_eq!(scene["stem"], "my ball");
-        assert_eq!(scene["convert"], format!("ashsplat convert 'my ball{ending}' 'my ball_cut.ply'"));
+        assert_eq!(scene["convert"], format!("ashsplat convert \"my ball{ending}\" \"my ball_cut.ply\""));
         // All pages see the scene, and the upload is deleted after reading.
         assert_eq!(other.opened().expect("a scene")["run"], scene["run"]);
         assert!(!page.look(&camera(0.0), &json!({})).picture.is_empty());
         assert_eq!(empty.left(), 0, "{ending}");
     }
-    // A name leads nowhere.
+    // A name leads nowhere, and is in no command: another system may read it otherwise.
     let (code, ..) = empty.server.post("/upload/..%2f..%2fa.ply", &[BINARY], &bytes_of(60, ".ply"));
-    assert_eq!((code, &page.opened().expect("a scene")["gaussians"]), (202, &json!(60)));
+    let scene = page.opened().expect("a scene");
+    assert_eq!((code, &scene["gaussians"], &scene["convert"]), (202, &json!(60), &Value::Null));
     assert!(other.opened().is_ok() && !empty.place.has("a.ply") && !empty.place.has("../a.ply"));
     // The exported scene is the uploaded one.
     let (_, _, back) = empty.server.get("/export/back.compressed.ply", &[]);
@@ -145,6 +146,11 @@ fn viewer_bounds_what_is_sent() {
     assert!(packed.len() < 65_536);
     assert_eq!(empty.post("/upload/large.spz", &[BINARY], &packed).0, 202);
     assert!(page.opened().expect_err("too large").contains("--max-host-memory"));
+    // Two scenes fit, but not together: the first stays, and a smaller one joins it.
+    assert_eq!(empty.post("/upload/more.spz?add=1", &[BINARY], &bytes_of(650, ".spz")).0, 202);
+    assert!(page.opened().expect_err("too large").contains("--max-host-memory"));
+    assert_eq!(empty.post("/upload/ball.ply?add=1", &[BINARY], &ball).0, 202);
+    assert_eq!(page.opened().expect("a scene")["gaussians"], 200);
 }
 
 #[test]
@@ -171,6 +177,7 @@ fn viewer_opens_paths_of_its_folder_only() {
     let scene = page.opened().expect("a scene");
     assert_eq!((&scene["gaussians"], scene["cameras"].as_array().map(Vec::len)), (&json!(400), Some(9)));
     assert_eq!(empty.server.get("/photo/0", &[]).0, 200);
+    assert_eq!(scene["open"]["folder"], "started");
     // A model may name its data set, but only inside the start folder.
     place.write(point_cloud("started/model", 7), bytes_of(30, ".ply"));
     write_dataset(&outer.join("data"));
@@ -269,10 +276,11 @@ fn viewer_lists_a_folder_of_scenes() {
         assert_eq!(code, 200);
         serde_json::from_slice::<Value>(&body).expect("JSON")
     };
-    assert_eq!(list(""), json!(["a.spz", "b.ply", "more/"]));
-    assert_eq!((list("m"), list("more/")), (json!(["more/"]), json!(["more/c.splat"])));
+    let listed = |paths: Value| json!({ "paths": paths, "more": false });
+    assert_eq!(list(""), listed(json!(["a.spz", "b.ply", "more/"])));
+    assert_eq!((list("m"), list("more/")), (listed(json!(["more/"])), listed(json!(["more/c.splat"]))));
     for outside in ["../", "../out", "/", "nosuch/"] {
-        assert_eq!(list(outside), json!([]), "{outside}");
+        assert_eq!(list(outside), listed(json!([])), "{outside}");
     }
     for (path, count) in [("more/c.splat", 20), ("b.ply", 40)] {
         assert_eq!(server.post("/open", &[JSON], json!({ "path": path }).to_string().as_bytes()).0, 202);
@@ -282,6 +290,17 @@ fn viewer_lists_a_folder_of_scenes() {
     // A folder that was named is for all who may see the page; that of the shell is not.
     let others = ["--allow-origin", "https://viewer.example"];
     assert!(Server::view(&place.at("scenes"), &others).page().greeting["open"]["folder"].is_string());
+    // A data set that a user names beside the folder need not lie in it.
+    write_dataset(&place.at("data"));
+    let server = Server::view(&place.at("scenes"), &["-s", text(&place.at("data"))]);
+    let mut page = server.page();
+    assert_eq!(server.post("/open", &[JSON], b"{\"path\": \"b.ply\"}").0, 202);
+    assert_eq!(page.opened().expect("a scene")["has_photos"], true);
+    // Files of cameras make a folder a data set.
+    place.write("scenes/cameras.xml", "<document/>");
+    let said = Server::start(&["view", text(&place.at("scenes")), "--port", "0"]).wait().1;
+    assert!(said.contains("cameras.xml"), "{said}");
+    place.remove("scenes/cameras.xml");
     // A viewer of one scene lists nothing.
     let server = Server::view(&place.at("scenes/b.ply"), &[]);
     assert_eq!(server.post("/paths", &[JSON], b"{\"path\": \"\"}").0, 403);
@@ -298,6 +317,9 @@ fn viewer_opens_several_scenes_together() {
     };
     // There is nothing yet that it could join.
     assert_eq!(upload(&mut page, "a.ply?add=1", 80)["scenes"], json!([]));
+    let same = upload(&mut page, "a.ply?add=1", 10);
+    assert_eq!((&same["gaussians"], &same["convert"]), (&json!(90), &Value::Null));
+    upload(&mut page, "a.ply", 80);
     let both = upload(&mut page, "b.ply?add=1", 50);
     assert_eq!((&both["name"], &both["gaussians"]), (&json!("a.ply + b.ply"), &json!(130)));
     assert_eq!(both["scenes"], json!([{ "name": "a.ply", "count": 80 }, { "name": "b.ply", "count": 50 }]));
@@ -307,11 +329,21 @@ fn viewer_opens_several_scenes_together() {
     let shown = |page: &mut Page| page.look(&camera(0.0), &json!({ "quality": 0 }));
     assert!(shown(&mut page).rgb() == rendered(&joined, &camera(0.0), &RenderSettings::default()));
     let region = json!({ "kind": "range", "first": 80, "count": 50 });
-    page.send(&json!({ "type": "edit", "op": "select", "region": region, "how": "set" }));
-    assert_eq!(shown(&mut page).header["edits"]["selected"], 50);
-    page.send(&json!({ "type": "edit", "op": "delete" }));
-    assert!(shown(&mut page).rgb() == rendered(&ball(80), &camera(0.0), &RenderSettings::default()));
-    // What was deleted stays so when another joins.
-    assert_eq!(upload(&mut page, "c.ply?add=1", 20)["scenes"][1], json!({ "name": "b.ply", "count": 0 }));
+    let edit = |page: &mut Page, op: &str| {
+        let run = &both["run"];
+        page.send(&json!({ "type": "edit", "run": run, "op": op, "region": region, "how": "set" }));
+        shown(page)
+    };
+    assert_eq!(edit(&mut page, "select").header["edits"]["selected"], 50);
+    // Hidden Gaussians would be lost.
+    edit(&mut page, "hide");
+    assert_eq!(empty.server.post("/upload/c.ply?add=1", &[BINARY], &bytes_of(20, ".ply")).0, 202);
+    assert!(page.opened().expect_err("refused").contains("show or delete them first"));
+    edit(&mut page, "undo");
+    assert!(edit(&mut page, "delete").rgb() == rendered(&ball(80), &camera(0.0), &RenderSettings::default()));
+    // What was deleted stays so when another joins, and no command brings it back.
+    let three = upload(&mut page, "c.ply?add=1", 20);
+    assert_eq!(three["scenes"][1], json!({ "name": "b.ply", "count": 0 }));
+    assert!(three["convert"].is_null());
     assert_eq!(upload(&mut page, "d.ply", 70)["gaussians"], 70);
 }

@@ -97,6 +97,8 @@ pub struct Edits {
     states: Vec<u8>,
     done: VecDeque<Step>,
     undone: Vec<Step>,
+    /// Number of edits that were applied.
+    revision: u64,
     figures: Value,
 }
 
@@ -110,7 +112,7 @@ struct Step {
 impl Edits {
     pub fn of(all: Gaussians) -> Edits {
         let states = vec![0; all.len()];
-        Edits { all, states, done: VecDeque::new(), undone: Vec::new(), figures: Value::Null }
+        Edits { all, states, done: VecDeque::new(), undone: Vec::new(), revision: 0, figures: Value::Null }
     }
 
     /// Applies an edit. True if other Gaussians are drawn than before.
@@ -119,12 +121,23 @@ impl Edits {
     /// [`Error::Argument`] for an invalid region, and if there is nothing to hide, show, delete, undo or redo.
     pub fn apply(&mut self, edit: &Edit) -> Result<bool> {
         let redraws = self.act(edit)?;
+        self.revision += 1;
         let count = |state: u8| self.states.iter().filter(|own| **own == state).count();
         self.figures = json!({
             "selected": count(SELECTED), "hidden": count(HIDDEN), "deleted": count(DELETED),
-            "undo": self.done.len(), "redo": self.undone.len(),
+            "undo": self.done.len(), "redo": self.undone.len(), "revision": self.revision,
         });
         Ok(redraws)
+    }
+
+    /// Takes back the edit that was applied last.
+    pub fn take_back(&mut self, edit: &Edit) -> Result<()> {
+        self.apply(if matches!(edit, Edit::Undo) { &Edit::Redo } else { &Edit::Undo }).map(drop)
+    }
+
+    /// Number of hidden Gaussians.
+    pub fn hidden(&self) -> usize {
+        self.states.iter().filter(|state| **state == HIDDEN).count()
     }
 
     fn act(&mut self, edit: &Edit) -> Result<bool> {
@@ -227,7 +240,8 @@ impl Edits {
         Ok(self.all.select(&indices))
     }
 
-    /// Counts for the pages: `selected`, `hidden`, `deleted`, and steps to `undo` and `redo`.
+    /// Figures for the pages: numbers of Gaussians that are `selected`, `hidden` and `deleted`, steps to `undo` and `redo`, and the
+    /// `revision`, a number that each edit raises.
     pub fn figures(&self) -> &Value {
         &self.figures
     }

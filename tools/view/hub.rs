@@ -6,12 +6,12 @@
 mod outbox;
 
 use super::edits::{Edit, Part};
-use super::protocol::{FilmRequest, Pick, ToPage, TrainAction, ViewRequest};
+use super::protocol::{EditRequest, FilmRequest, Pick, ToPage, TrainAction, ViewRequest};
 use ashsplat::Gaussians;
 use ashsplat_files::splats::WriteOptions;
 use ashsplat_program::session::locked;
 use outbox::Outbox;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
@@ -23,8 +23,8 @@ const MOST_PAGES: usize = 24;
 const MOST_SCENES: usize = 2;
 /// Most waiting picks of one page; more are refused.
 const MOST_PICKS: usize = 4;
-/// Most waiting edits; more are refused.
-const MOST_EDITS: usize = 16;
+/// Most waiting edits of one page; more are refused.
+const MOST_EDITS: usize = 2;
 /// Most waiting training actions; more are refused.
 const MOST_ACTIONS: usize = 64;
 
@@ -73,6 +73,7 @@ struct Client {
     /// True if a frame is under way.
     on_the_way: bool,
     picks: VecDeque<Pick>,
+    edits: VecDeque<Edit>,
     /// Turn in which it was served last.
     served: u64,
 }
@@ -83,7 +84,6 @@ struct State {
     next_client: u64,
     turn: u64,
     scenes: VecDeque<(Part, SceneAnswer)>,
-    edits: VecDeque<(u64, Edit)>,
     /// Turn in which a film was served last.
     film_served: u64,
     actions: VecDeque<TrainAction>,
@@ -97,6 +97,8 @@ struct State {
     film_files: BTreeSet<String>,
     /// First message to every page.
     greeting: String,
+    /// The scene's `run` in this message.
+    run: String,
     /// Describes training's progress; see [`Hub::set_status`].
     status: Option<Box<dyn Fn(u32) -> String + Send>>,
 }
@@ -119,9 +121,13 @@ impl Hub {
         result
     }
 
-    /// Sets the first message to every page.
-    pub fn greet_with(&self, greeting: String) {
-        self.change(|state| state.greeting = greeting);
+    /// Sets the first message to every page. Edits of another scene that still wait are dropped.
+    pub fn greet_with(&self, greeting: &Value) {
+        self.change(|state| {
+            state.greeting = greeting.to_string();
+            state.run = greeting["run"].as_str().unwrap_or_default().into();
+            state.clients.values_mut().for_each(|client| client.edits.clear());
+        });
     }
 
     /// Sets the function that describes training's progress from an iteration on.
@@ -194,9 +200,19 @@ impl Hub {
         self.change(|state| queue(&mut state.scenes, (part, answer), MOST_SCENES))
     }
 
-    /// Queues a page's edit; false if too many wait.
-    pub fn edit(&self, client: u64, edit: Edit) -> bool {
-        self.change(|state| queue(&mut state.edits, (client, edit), MOST_EDITS))
+    /// Queues a page's edit.
+    ///
+    /// # Errors
+    /// In words, if the edit is of another scene, and if too many edits of the page wait.
+    pub fn edit(&self, client: u64, EditRequest { run, edit }: EditRequest) -> Result<(), &'static str> {
+        self.change(|state| {
+            if run != state.run {
+                return Err("the scene has changed: select again");
+            }
+            let Some(client) = state.clients.get_mut(&client) else { return Ok(()) };
+            let queued = queue(&mut client.edits, edit, MOST_EDITS);
+            queued.then_some(()).ok_or("too many edits wait: try again in a moment")
+        })
     }
 
     /// Requests new frames for the pages that follow the scene's changes.
@@ -292,8 +308,7 @@ impl Hub {
     /// True if any request is waiting, or a film is in progress.
     pub fn is_wanted(&self) -> bool {
         let state = self.lock();
-        let requested = !state.scenes.is_empty() || !state.edits.is_empty();
-        requested || state.has_films() || state.clients.values().any(Client::waits)
+        !state.scenes.is_empty() || state.has_films() || state.clients.values().any(Client::waits)
     }
 
     /// Returns the next task; waits at most this long.
@@ -318,7 +333,7 @@ impl Hub {
 
 impl Client {
     fn waits(&self) -> bool {
-        !self.picks.is_empty() || self.stale && !self.on_the_way
+        !self.picks.is_empty() || !self.edits.is_empty() || self.stale && !self.on_the_way
     }
 }
 
@@ -341,9 +356,6 @@ impl State {
         if let Some((part, answer)) = self.scenes.pop_front() {
             return Some(Task::Scene { part, answer });
         }
-        if let Some((client, edit)) = self.edits.pop_front() {
-            return Some(Task::Edit { client, edit });
-        }
         self.turn += 1;
         let films_turn = if self.has_films() { self.film_served } else { u64::MAX };
         let page = self.clients.iter_mut().filter(|(_, client)| client.waits());
@@ -355,6 +367,9 @@ impl State {
         }
         let (&id, client) = page?;
         client.served = self.turn;
+        if let Some(edit) = client.edits.pop_front() {
+            return Some(Task::Edit { client: id, edit });
+        }
         if let Some(pick) = client.picks.pop_front() {
             return Some(Task::Pick { client: id, pick });
         }

@@ -33,7 +33,7 @@ pub use photos::Photos;
 pub use subject::Subject;
 
 use ashsplat::{Error, RenderSettings, Renderer, Result};
-use ashsplat_files::transforms;
+use ashsplat_files::{colmap, splats};
 use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_VIEWER};
 use ashsplat_program::look::{LookArguments, parse_direction};
 use ashsplat_program::{model, output, session};
@@ -55,7 +55,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Scope;
 use std::time::Duration;
 use streamed::{Onlooker, Scenery};
-use subject::SceneArguments;
+use subject::{SceneArguments, Shown, is_plain_name};
 
 /// Look at a scene, a trained model, a tree of tiles or a data set in a browser, also on a machine without a screen; or in a window.
 ///
@@ -126,7 +126,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let openings = arguments.openings(&listener);
     let hub = Arc::new(Hub::default());
     let name = arguments.path.as_ref().map(|path| path.display().to_string());
-    hub.greet_with(loading::message(name.as_deref().unwrap_or_default()).to_string());
+    hub.greet_with(&loading::message(name.as_deref().unwrap_or_default()));
     let site = Site::new(hub.clone(), out.clone(), arguments.serve.clone());
     let site = Arc::new(site.with_openings(openings.clone()));
     let server = server::start(listener, site.clone())?;
@@ -184,27 +184,30 @@ impl<'a> Stage<'a> {
         let mut render_thread = RenderThread::new(hub.clone(), RenderSettings::default(), out);
         let first = loading.take().map_or_else(|| Ok(Subject::nothing()), Loading::finish)?;
         let mut shown = first.shown();
-        self.show(first, &mut scenery, &mut render_thread)?;
+        self.show(first, &mut shown, &mut scenery, &mut render_thread)?;
         while !stop.load(Ordering::Relaxed) {
             if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
                 let (name, room, add) = (read.request.name.clone(), read.request.room(), read.request.add);
-                let shown = read.finish().and_then(|subject| {
-                    // Commands name the file that the page has sent, not its copy here.
-                    let file = if room.is_some() { Some(PathBuf::from(&name)) } else { subject.file };
+                let (is_upload, within) = (read.request.upload.is_some(), read.request.within.clone());
+                let opened = read.finish().and_then(|subject| {
+                    let base = arguments.path.as_deref().unwrap_or(Path::new("."));
+                    let file = match (&within, subject.file) {
+                        // Commands name the file that the page has sent, not its copy here.
+                        _ if is_upload => Some(PathBuf::from(&name)).filter(|_| is_plain_name(&name)),
+                        // Pages do not see where the folder lies.
+                        (Some(folder), Some(file)) => {
+                            file.strip_prefix(folder).map(|below| base.join(below)).ok()
+                        }
+                        (_, file) => file,
+                    };
                     let mut subject = Subject { name: name.clone(), file, ..subject };
                     if add && shown.parts.iter().any(|part| part.count > 0) {
-                        if subject.tree.is_some() {
-                            return Err(Error::argument(&name, "is a tree of tiles, which is drawn alone"));
-                        }
-                        let mut shown = shown.clone();
-                        scenery.keep_drawn(&mut shown.parts);
-                        subject = subject.beside(shown, scenery.gaussians(Part::Seen)?);
+                        subject = self.joined(subject, shown.clone(), &scenery)?;
                     }
-                    shown = subject.shown();
-                    self.show(subject, &mut scenery, &mut render_thread)
+                    self.show(subject, &mut shown, &mut scenery, &mut render_thread)
                 });
                 // The previous scene stays.
-                if let Err(error) = shown {
+                if let Err(error) = opened {
                     hub.broadcast(&loading::failure(&name, &error, room.as_deref()));
                     render_thread::fatal(error)?;
                 }
@@ -219,7 +222,33 @@ impl<'a> Stage<'a> {
         Ok(())
     }
 
-    fn show(&self, subject: Subject, scenery: &mut Scenery, render_thread: &mut RenderThread) -> Result<()> {
+    /// A scene beside those that are open.
+    fn joined(&self, subject: Subject, mut shown: Shown, scenery: &Scenery) -> Result<Subject> {
+        let name = &subject.name;
+        if subject.tree.is_some() || scenery.tree().is_some() {
+            return Err(Error::argument(name, "is not added: a tree of tiles is drawn alone"));
+        }
+        scenery.keep_drawn(name, &mut shown.parts)?;
+        let all = scenery.gaussians(Part::Seen)?;
+        let degree = subject.gaussians.sh_degree.max(all.sh_degree);
+        let needed = (all.len() + subject.gaussians.len()) as u64 * splats::row_bytes(degree);
+        let limit = self.arguments.device.host.memory().limit();
+        if needed > limit {
+            let what = format!("{name} beside the open scene");
+            let (unit, limit_name) = ("bytes of host memory", "--max-host-memory");
+            return Err(Error::TooLarge { what, needed, unit, limit, limit_name });
+        }
+        Ok(subject.beside(shown, all))
+    }
+
+    /// Shows a scene. If it does not fit, those that it joins are shown again, or nothing.
+    fn show(
+        &self,
+        subject: Subject,
+        shown: &mut Shown,
+        scenery: &mut Scenery,
+        render_thread: &mut RenderThread,
+    ) -> Result<()> {
         let mut greeting = subject.greeting(scenery.renderer.context().device_name(), None);
         greeting["open"] = self.openings.as_ref().map(|openings| openings.described()).into();
         let hub = self.hub.clone();
@@ -229,14 +258,14 @@ impl<'a> Stage<'a> {
         });
         if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), onlooker) {
             // The previous scene is already gone.
-            self.show(Subject::nothing(), scenery, render_thread)?;
+            self.show(subject.without_last(), shown, scenery, render_thread)?;
             return Err(error);
         }
+        *shown = subject.shown();
         render_thread.show(subject.base, subject.appearances, subject.frame);
         self.site.show_photos(subject.photos);
-        let greeting = greeting.to_string();
-        self.hub.greet_with(greeting.clone());
-        self.hub.broadcast(&ToPage::Text(greeting));
+        self.hub.greet_with(&greeting);
+        self.hub.broadcast(&ToPage::json(&greeting));
         Ok(())
     }
 }
@@ -269,8 +298,7 @@ impl Arguments {
     /// The path, if it is a folder of which pages choose a scene.
     fn folder_of_scenes(&self) -> Option<&Path> {
         let path = self.path.as_deref().filter(|path| path.is_dir() && model::is_dataset(path))?;
-        let parts = ["sparse", "images", "colmap", "cameras.bin", "cameras.txt"];
-        if transforms::find(path).is_some() || parts.iter().any(|part| path.join(part).exists()) {
+        if colmap::is_data_set(path) {
             return None;
         }
         let mut names = std::fs::read_dir(path).ok()?.flatten().map(|entry| entry.file_name());

@@ -23,6 +23,8 @@ pub struct Openings {
     /// Largest file that a page may send, bytes.
     pub most_bytes: u64,
     turn: Arc<Semaphore>,
+    /// For the one list that is made at a time.
+    pub listing: Arc<Semaphore>,
     request: Mutex<Option<OpenRequest>>,
 }
 
@@ -43,10 +45,10 @@ pub struct OpenRequest {
 }
 
 impl OpenRequest {
-    /// Folder of a file that a page has sent: its path means nothing to people.
+    /// Folder of a file that a page has sent or named: pages see paths in it without it.
     pub fn room(&self) -> Option<String> {
-        let upload = self.upload.as_ref()?;
-        Some(format!("{}{}", upload.path().display(), std::path::MAIN_SEPARATOR))
+        let folder = self.upload.as_ref().map(TempDir::path).or(self.within.as_deref())?;
+        Some(format!("{}{}", folder.display(), std::path::MAIN_SEPARATOR))
     }
 }
 
@@ -54,12 +56,13 @@ impl Openings {
     /// Pages may name paths in `folder` or below. `most_bytes` is the host memory that reading may take: a larger file could not be read.
     pub fn new(folder: Option<PathBuf>, most_bytes: u64) -> Openings {
         let folder = folder.and_then(|folder| dunce::canonicalize(folder).ok());
-        Openings { folder, most_bytes, turn: Arc::new(Semaphore::new(1)), request: Mutex::default() }
+        let [turn, listing] = [1, 1].map(|permits| Arc::new(Semaphore::new(permits)));
+        Openings { folder, most_bytes, turn, listing, request: Mutex::default() }
     }
 
     /// Describes the limits to a page.
     pub fn described(&self) -> Value {
-        json!({ "folder": self.folder, "bytes": self.most_bytes, "formats": single_files(&Format::ALL) })
+        json!({ "folder": self.folder.as_deref().map(name_of), "bytes": self.most_bytes, "formats": single_files(&Format::ALL) })
     }
 
     /// Takes the right to open a scene. None while another page has it.
@@ -85,19 +88,23 @@ impl Openings {
         let found = dunce::canonicalize(folder.join(name)).ok().filter(|path| path.starts_with(folder));
         // Opening a pipe would wait for its writer.
         let found = found.filter(|path| path.is_file() || path.is_dir());
-        let missing = || format!("{name}: is not in {} or below it", folder.display());
+        let missing = || format!("{name}: is not in {} or below it", name_of(folder));
         found.map(|path| (path, folder.as_path())).ok_or_else(missing)
     }
 
-    /// Paths that begin like this: folders, with a `/` at the end, and files that one format reads. Sorted, [`MOST_LISTED`] at most.
-    pub fn list(&self, begin: &str) -> Vec<String> {
+    /// `paths` that begin like this: folders, with a `/` at the end, and files that one format reads. Sorted, [`MOST_LISTED`] at most;
+    /// `more` is true if there may be others.
+    pub fn list(&self, begin: &str) -> Value {
         let (prefix, name) = begin.split_at(begin.rfind('/').map_or(0, |slash| slash + 1));
-        let Ok((folder, _)) = self.find(prefix) else { return Vec::new() };
+        let Ok((folder, _)) = self.find(prefix) else { return json!({ "paths": [], "more": false }) };
+        let mut read = 0;
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().take(MOST_READ);
         let path = |entry: std::fs::DirEntry| {
+            read += 1;
             let own = entry.file_name().into_string().ok()?;
             let path = format!("{prefix}{own}");
-            let is_shown = own.starts_with(name) && !own.starts_with('.');
+            let other = format_of(&own).is_none() && entry.file_type().is_ok_and(|kind| kind.is_file());
+            let is_shown = own.starts_with(name) && !own.starts_with('.') && !other;
             let (found, _) = is_shown.then(|| self.find(&path).ok()).flatten()?;
             match found.is_dir() {
                 true => Some(path + "/"),
@@ -106,9 +113,15 @@ impl Openings {
         };
         let mut paths: Vec<String> = entries.filter_map(path).collect();
         paths.sort_unstable();
+        let more = read == MOST_READ || paths.len() > MOST_LISTED;
         paths.truncate(MOST_LISTED);
-        paths
+        json!({ "paths": paths, "more": more })
     }
+}
+
+/// A folder's name: pages need not know where it lies.
+fn name_of(folder: &Path) -> String {
+    folder.file_name().unwrap_or(folder.as_os_str()).to_string_lossy().into_owned()
 }
 
 /// Most paths that are listed for a page.

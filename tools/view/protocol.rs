@@ -216,7 +216,15 @@ pub enum FromPage {
     /// Cancels the film.
     Cancel,
     /// Changes the selection, or what is drawn of the scene, for all pages.
-    Edit(Edit),
+    Edit(EditRequest),
+}
+
+/// An edit, and the `run` of the scene that its page shows.
+#[derive(Clone, Debug, Deserialize)]
+pub struct EditRequest {
+    pub run: String,
+    #[serde(flatten)]
+    pub edit: Edit,
 }
 
 /// Controls of training.

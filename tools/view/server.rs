@@ -142,7 +142,8 @@ pub fn start(listener: TcpListener, site: impl Into<Arc<Site>>) -> Result<Server
     let address = listener.local_addr().map_err(failed)?;
     listener.set_nonblocking(true).map_err(failed)?;
     let runtime = tokio::runtime::Builder::new_current_thread()
-        .max_blocking_threads(WORKERS + export::MOST_EXPORTS)
+        // The last lists paths.
+        .max_blocking_threads(WORKERS + export::MOST_EXPORTS + 1)
         .enable_all()
         .build()
         .map_err(failed)?;
@@ -291,7 +292,7 @@ mod tests {
     #[test]
     fn silent_pages_are_given_up() {
         let hub = Arc::new(Hub::default());
-        hub.greet_with("{}".into());
+        hub.greet_with(&serde_json::json!({}));
         let (host, of_training) = ("127.0.0.1".into(), false);
         let serve = ServeArguments { host, port: 0, token: None, allow_origin: None, of_training };
         let site = Site::new(hub.clone(), PathBuf::new(), serve.clone());

@@ -79,15 +79,27 @@ impl Scenery {
         Ok(())
     }
 
-    /// Counts the Gaussians of each scene that are drawn.
-    pub fn keep_drawn(&self, parts: &mut [ScenePart]) {
-        let Some(edits) = &self.edits else { return };
+    /// Counts the Gaussians of each scene that are drawn, before `added` joins them. A scene that has lost some is no longer that of
+    /// its file.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if Gaussians are hidden: they would be lost.
+    pub fn keep_drawn(&self, added: &str, parts: &mut [ScenePart]) -> Result<()> {
+        let Some(edits) = &self.edits else { return Ok(()) };
+        if edits.hidden() > 0 {
+            let problem =
+                "is not added while Gaussians of the open scene are hidden: show or delete them first";
+            return Err(Error::argument(added, problem));
+        }
         let mut first = 0;
         for part in parts {
             let end = first + part.count;
-            part.count = edits.drawn().filter(|index| (first..end).contains(index)).count();
+            let count = edits.drawn().filter(|index| (first..end).contains(index)).count();
+            part.file.take_if(|_| count < part.count);
+            part.count = count;
             first = end;
         }
+        Ok(())
     }
 
     /// Draws the loaded parts. If the device has no memory for the picture, tiles are removed: first those that nobody wants,
@@ -252,8 +264,10 @@ impl Painter for Scenery {
         };
         let applied = edits.apply(edit);
         let edits = self.edits.insert(edits);
-        if applied? {
+        if applied? && let Err(error) = self.renderer.upload(&edits.part(Part::Seen)?) {
+            edits.take_back(edit)?;
             self.renderer.upload(&edits.part(Part::Seen)?)?;
+            return Err(error);
         }
         self.mask = None;
         if let Some(mask) = edits.mask() {

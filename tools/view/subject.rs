@@ -70,6 +70,8 @@ pub struct ScenePart {
 #[derive(Clone)]
 pub struct Shown {
     pub parts: Vec<ScenePart>,
+    /// True if cameras are shown, which a scene that is added removes.
+    pub has_cameras: bool,
     pub frame: WorldFrame,
     pub base: RenderSettings,
 }
@@ -188,7 +190,10 @@ impl Subject {
         }
         let requested = wanted.source_path.is_some() || wanted.images.is_some();
         let white = model.settings.train.white_background;
-        if within.is_some_and(|folder| !lies_within(&data, folder)) {
+        // The user's own data set is no stranger's; the name of its photos' folder may be.
+        let own = wanted.source_path.as_ref().and_then(|source| dunce::canonicalize(source).ok());
+        let is_users = own.is_some() && wanted.images.is_some();
+        if within.is_some_and(|folder| !is_users && !lies_within(&data, own.as_deref().unwrap_or(folder))) {
             data.source_path = PathBuf::new();
         }
         let gallery = match (requested, photos_of(&data, (white, &scene.frame), host, stop)) {
@@ -260,28 +265,55 @@ impl Subject {
         let alone =
             || ScenePart { name: self.name.clone(), file: self.file.clone(), count: self.gaussians.len() };
         let parts = if self.parts.is_empty() { vec![alone()] } else { self.parts.clone() };
-        Shown { parts, frame: self.frame, base: self.base }
+        Shown { parts, has_cameras: !self.cameras.is_empty(), frame: self.frame, base: self.base }
     }
 
     /// This scene behind those that are open, whose Gaussians are `all`. It is drawn with their settings.
     pub fn beside(self, mut shown: Shown, all: Gaussians) -> Subject {
         let degree = self.gaussians.sh_degree.max(all.sh_degree);
-        shown.parts.extend(self.shown().parts);
+        let trained = |base: &RenderSettings| (base.antialias, base.dilation_px2);
+        let differs = trained(&self.base) != trained(&shown.base);
+        let mut added = self.shown();
+        // `convert` joins no such files.
+        added.parts.iter_mut().filter(|_| differs).for_each(|part| part.file = None);
+        let notes = [
+            (differs, "they were trained differently, and are drawn as the first"),
+            (
+                shown.has_cameras || added.has_cameras,
+                "cameras and photographs are only shown for a scene alone",
+            ),
+        ];
+        let notes: Vec<&str> = notes.iter().filter(|(is_so, _)| *is_so).map(|(_, note)| *note).collect();
+        shown.parts.extend(added.parts);
         let mut own = self.gaussians.with_sh_degree(degree);
         own.transform(&Similarity::between(&self.frame, &shown.frame));
         let mut gaussians = all.with_sh_degree(degree);
         gaussians.append(&own);
         let names: Vec<&str> = shown.parts.iter().map(|part| part.name.as_str()).collect();
-        let trained = |base: &RenderSettings| (base.antialias, base.dilation_px2);
-        let differs = trained(&self.base) != trained(&shown.base);
-        let note = differs.then_some("they were trained differently, and are drawn as the first");
         Subject {
             name: names.join(" + "),
-            note: note.map(str::to_owned),
+            note: (!notes.is_empty()).then(|| notes.join("; ")),
             gaussians,
             frame: shown.frame,
             base: shown.base,
             parts: shown.parts,
+            up: self.up,
+            ..Subject::default()
+        }
+    }
+
+    /// The scenes that this one was shown beside; nothing if it is alone.
+    pub fn without_last(&self) -> Subject {
+        let Some((_, parts @ [_, ..])) = self.parts.split_last() else { return Subject::nothing() };
+        let count = parts.iter().map(|part| part.count).sum();
+        let names: Vec<&str> = parts.iter().map(|part| part.name.as_str()).collect();
+        Subject {
+            name: names.join(" + "),
+            gaussians: self.gaussians.select(&(0..count).collect::<Vec<_>>()),
+            frame: self.frame,
+            base: self.base,
+            parts: parts.to_vec(),
+            up: self.up,
             ..Subject::default()
         }
     }
@@ -355,12 +387,37 @@ impl Subject {
 
     /// Start of a command that cuts the scene.
     fn convert_command(&self) -> Option<String> {
-        let named = |file: &PathBuf| quoted(&file.to_string_lossy());
-        let files: Option<Vec<String>> =
-            self.shown().parts.iter().map(|part| part.file.as_ref().map(named)).collect();
+        let parts = self.shown().parts;
+        let files: Option<Vec<&str>> = parts.iter().map(|part| part.file.as_ref()?.to_str()).collect();
+        let files = files?;
+        // Files of one name may have been sent from two folders.
+        let is_alone = |(index, file): (usize, &&str)| !files[..index].contains(file);
         let cut = format!("{}_cut.ply", self.stem());
-        Some(format!("ashsplat convert {} {}", files?.join(" "), quoted(&cut)))
+        let words: Option<Vec<String>> = files.iter().copied().chain([&*cut]).map(word_of).collect();
+        words
+            .filter(|_| files.iter().enumerate().all(is_alone))
+            .map(|w| format!("ashsplat convert {}", w.join(" ")))
     }
+}
+
+/// True for a name that can be typed on any system.
+pub fn is_plain_name(name: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_. -".contains(c);
+    name.chars().all(plain) && !name.starts_with('-')
+}
+
+/// A path for any shell of this system, and a plain name for that of any other. None where their quotes differ.
+fn word_of(path: &str) -> Option<String> {
+    if is_plain_name(path) && path.contains(' ') {
+        return Some(format!("\"{path}\""));
+    }
+    if cfg!(windows)
+        && path.contains(['$', '`', '%', '\u{2018}', '\u{2019}', '\u{201c}', '\u{201d}', '\u{201e}'])
+    {
+        return None;
+    }
+    // These letters begin an option or have a meaning for a shell.
+    Some(if path.starts_with(['-', '=', '@']) { quoted(&format!("./{path}")) } else { quoted(path) })
 }
 
 /// A word unique to this run, so that no browser reuses another run's photos.

@@ -78,7 +78,7 @@ pub fn exists(dataset: impl AsRef<Path>) -> bool {
 }
 
 /// True if a folder has a model, or the cameras of a transforms.json or of a photogrammetry program.
-pub(crate) fn is_data_set(folder: &Path) -> bool {
+pub fn is_data_set(folder: &Path) -> bool {
     exists(folder) || transforms::find(folder).is_some() || !photogrammetry::find(folder, "images").is_empty()
 }
 

@@ -229,6 +229,31 @@ fn relative(similarity: &Similarity, from: DVec3, to: DVec3) -> Similarity {
     Similarity { translation: moved - to, ..*similarity }
 }
 
+/// Most attempts to choose an origin: rounding may move it between two.
+const ATTEMPTS: usize = 3;
+
+/// Moves a scene in memory by a similarity of source coordinates, and chooses its origin, both as [`convert()`] does. The unit stays.
+pub fn place(gaussians: &mut Gaussians, frame: &mut WorldFrame, similarity: &Similarity) {
+    let (from, unit) = (frame.origin, frame.unit);
+    let step = OriginSample::step(gaussians.len() as u64);
+    let sampled = gaussians.select(&(0..gaussians.len()).step_by(step).collect::<Vec<_>>()).with_sh_degree(0);
+    frame.origin = if from == DVec3::ZERO { DVec3::ZERO } else { similarity.apply(from) };
+    for _ in 0..ATTEMPTS {
+        let mut in_source = sampled.clone();
+        let moved = relative(similarity, from, frame.origin);
+        in_source.transform(&Similarity { scale: moved.scale * unit, ..moved });
+        let mut sample = OriginSample::default();
+        sample.add(&in_source, 1);
+        let chosen = sample.origin(frame.origin);
+        if chosen == frame.origin || !chosen.is_finite() {
+            break;
+        }
+        frame.origin = chosen;
+    }
+    let moved = relative(similarity, from, frame.origin);
+    gaussians.transform(&Similarity { translation: moved.translation / unit, ..moved });
+}
+
 /// A sample of the Gaussians, from which a scene's origin is chosen.
 #[derive(Default)]
 pub(crate) struct OriginSample {

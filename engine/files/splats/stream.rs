@@ -186,7 +186,7 @@ pub(crate) fn in_source_units(bounds: Option<Bounds>, frame: &WorldFrame) -> Opt
 }
 
 /// Bytes of a Gaussian in memory.
-pub(crate) fn row_bytes(sh_degree: u32) -> u64 {
+pub fn row_bytes(sh_degree: u32) -> u64 {
     (size_of::<f32>() * (11 + 3 * sh_coefficients(sh_degree))) as u64
 }
 

@@ -108,7 +108,7 @@ impl Live {
     fn start(door: Door, subject: Subject, device: &str, settings: &Settings) -> Result<Live> {
         let hub = Arc::new(Hub::default());
         let (data, iterations) = (&settings.data, settings.train.iterations);
-        hub.greet_with(subject.greeting(device, Some(iterations)).to_string());
+        hub.greet_with(&subject.greeting(device, Some(iterations)));
         let curves = Arc::new(Mutex::new(Curves::new(iterations)));
         let asked = curves.clone();
         hub.set_status(move |since| locked(&asked).status(since).to_string());

@@ -7,7 +7,7 @@ use crate::cut::CutMessage;
 use crate::edits::Part;
 use crate::hub::CurrentScene;
 use crate::openings;
-use ashsplat::scene::Similarity;
+use ashsplat::scene::{Cut, Similarity};
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::{self, Format, WriteOptions};
 use axum::Extension;
@@ -15,7 +15,7 @@ use axum::extract::{Path as UrlPath, State};
 use axum::http::{StatusCode, Uri, header};
 use axum::response::{self, IntoResponse, Response};
 use glam::DVec3;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -26,8 +26,8 @@ use tokio::sync::{OwnedSemaphorePermit, oneshot};
 pub(super) const MOST_EXPORTS: usize = 2;
 /// Longest wait for the rendering thread.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Largest number of a place: positions in single precision are coarse farther away.
-const FARTHEST: f64 = 1e5;
+/// Largest number of a place: files hold no positions that lie farther away.
+const FARTHEST: f64 = 1e18;
 
 /// The part, cut, SH degree and place that a page wants.
 #[derive(Clone, Copy)]
@@ -68,7 +68,7 @@ pub async fn export(
 }
 
 /// `/count?min_opacity=X&…`, same as for an export: counts the Gaussians that remain, `{"kept":N,"of":N,"losses":[]}`. With
-/// `format=spz`, `losses` says in words what that format cannot hold.
+/// `format=spz`, `losses` says in words what that format cannot hold, and what the positions are relative to.
 pub async fn count(
     State(site): State<Arc<Site>>,
     Extension(connection): Extension<Arc<OpenConnection>>,
@@ -81,16 +81,13 @@ pub async fn count(
     let (scene, turn) = scene_of(&site, &connection, wanted.part).await?;
     let work = move || {
         let _turn = turn;
-        let (limits, all) = (wanted.cut.cut().limits(), scene.gaussians.len());
-        let kept = (0..all).filter(|&index| limits.keeps(&scene.gaussians, index)).count();
-        let losses = format.map(|format| {
-            splats::cut_losses(format, &scene.gaussians, &wanted.cut.cut(), wanted.sh_degree, &scene.marks)
-        });
-        let losses = losses.transpose().ok().flatten();
-        json!({ "kept": kept, "of": all, "losses": losses.unwrap_or_default() }).to_string()
+        wanted.count(scene, format)
     };
     let counts = connection.waits_for(tokio::task::spawn_blocking(work)).await;
-    let counts = counts.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?;
+    let counts = counts
+        .map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?
+        .map_err(|error| refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()))?
+        .to_string();
     let kind = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
     Ok((kind, counts).into_response())
 }
@@ -161,26 +158,39 @@ impl Export {
         Ok(Export { part, cut, sh_degree, place })
     }
 
+    /// Moves the scene to its place. Returns the cut that is still to be made.
+    fn place(&self, scene: &mut CurrentScene) -> Cut {
+        if self.place == Similarity::default() {
+            return self.cut.cut();
+        }
+        // The cut is in the old axes.
+        let limits = self.cut.cut().limits();
+        scene.gaussians.retain(|all, index| limits.keeps(all, index));
+        splats::place(&mut scene.gaussians, &mut scene.marks.frame, &self.place);
+        Cut::default()
+    }
+
+    fn count(&self, mut scene: CurrentScene, format: Option<Format>) -> Result<Value> {
+        let (limits, of) = (self.cut.cut().limits(), scene.gaussians.len());
+        let kept = (0..of).filter(|&index| limits.keeps(&scene.gaussians, index)).count();
+        let mut losses = Vec::new();
+        if let Some(format) = format {
+            let cut = self.place(&mut scene);
+            losses = splats::cut_losses(format, &scene.gaussians, &cut, self.sh_degree, &scene.marks)?;
+            let DVec3 { x, y, z } = scene.marks.frame.origin;
+            if [x, y, z] != [0.0; 3] {
+                losses.push(format!("positions are relative to {x}, {y}, {z}"));
+            }
+        }
+        Ok(json!({ "kept": kept, "of": of, "losses": losses }))
+    }
+
     /// Writes a file into a new temporary folder.
     fn write(&self, mut scene: CurrentScene, format: Format) -> Result<(TempDir, PathBuf)> {
         let room = std::env::temp_dir();
         let folder = tempfile::tempdir().map_err(|e| Error::io(&room, "write a temporary file", e))?;
         let path = folder.path().join(format!("scene{}", format.extension()));
-        let mut cut = self.cut.cut();
-        if self.place != Similarity::default() {
-            // The cut is in the old axes.
-            let limits = std::mem::take(&mut cut).limits();
-            scene.gaussians.retain(|all, index| limits.keeps(all, index));
-            let frame = &mut scene.marks.frame;
-            let old = std::mem::replace(&mut frame.origin, DVec3::ZERO);
-            let moved = self.place.apply(old);
-            // A scene at the origin of its file stays there.
-            if old != DVec3::ZERO {
-                frame.origin = moved;
-            }
-            let translation = (moved - frame.origin) / frame.unit;
-            scene.gaussians.transform(&Similarity { translation, ..self.place });
-        }
+        let cut = self.place(&mut scene);
         let options = WriteOptions { format: Some(format), ..scene.marks };
         splats::write_cut(&path, &scene.gaussians, &cut, self.sh_degree, &options)?;
         Ok((folder, path))

@@ -105,7 +105,7 @@ pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Result<Sta
 }
 
 /// The path that a request has, and the bounds of what pages may open.
-async fn named(site: &Site, request: Request) -> Result<(&Openings, String), Response> {
+async fn named(site: &Site, request: Request) -> Result<(&Arc<Openings>, String), Response> {
     let openings = site.openings.as_ref().ok_or_else(not_here)?;
     if !is_kind(request.headers(), "application/json") {
         return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a path as application/json"));
@@ -118,11 +118,19 @@ async fn named(site: &Site, request: Request) -> Result<(&Openings, String), Res
     Ok((openings, name.to_owned()))
 }
 
-/// `POST /paths` with `{"path": "…"}`: the paths that begin like this, as JSON.
+/// `POST /paths` with `{"path": "…"}`: the paths that begin like this, `{"paths": ["…"], "more": false}`.
 pub async fn paths(State(site): State<Arc<Site>>, request: Request) -> Result<Response, Response> {
     let (openings, begin) = named(&site, request).await?;
+    let openings = openings.clone();
+    let failed = || StatusCode::INTERNAL_SERVER_ERROR.into_response();
+    let turn = openings.listing.clone().acquire_owned().await.map_err(|_| failed())?;
+    let work = move || {
+        let _turn = turn;
+        openings.list(&begin).to_string()
+    };
+    let list = tokio::task::spawn_blocking(work).await.map_err(|_| failed())?;
     let kind = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
-    Ok((kind, Value::from(openings.list(&begin)).to_string()).into_response())
+    Ok((kind, list).into_response())
 }
 
 /// Waits for the next piece of an upload.

@@ -147,8 +147,8 @@ fn heed(hub: &Hub, client: u64, text: &str) {
             }
         }
         Ok(FromPage::Edit(edit)) => {
-            if !hub.edit(client, edit) {
-                refuse("too many edits wait: try again in a moment");
+            if let Err(problem) = hub.edit(client, edit) {
+                refuse(problem);
             }
         }
         Err(error) => refuse(&format!("not understood: {error}")),

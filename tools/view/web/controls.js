@@ -12,7 +12,7 @@ const ZOOM_KEYS = { Equal: -1, NumpadAdd: -1, Minus: 1, NumpadSubtract: 1 };
 
 export class Controls {
     /**
-     * `actions`: click(x, y, event), double(x, y), key(code, event) → handled; command(code, event) → handled, with Ctrl; covered(event)
+     * `actions`: click(x, y, event), double(x, y), key(code, event) → handled; command(event) → handled, with Ctrl; covered(event)
      * → handled, while a dialog is open; begin(x, y, event) → a stroke { move, end, cancel } of a tool, or nothing to move the view.
      */
     constructor(surface, camera, actions) {
@@ -103,11 +103,11 @@ export class Controls {
             if (this.actions.covered(e)) e.preventDefault();
             return;
         }
-        const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(e.target.tagName) && !['range', 'checkbox', 'color'].includes(e.target.type);
-        if (!typing && (e.ctrlKey || e.metaKey) && this.actions.command(e.code, e)) return e.preventDefault();
+        const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(e.target.tagName) && !['range', 'checkbox', 'radio', 'color'].includes(e.target.type);
+        if (!typing && (e.ctrlKey || e.metaKey) && this.actions.command(e)) return e.preventDefault();
         if (typing || e.metaKey || e.ctrlKey && e.code !== 'ControlLeft') return;
         const steers = e.code in FLY_KEYS || e.code in TURN_KEYS || e.code in ZOOM_KEYS;
-        if (steers && (e.target.type !== 'range' || e.code in FLY_KEYS)) {
+        if (steers && (!['range', 'radio'].includes(e.target.type) || e.code in FLY_KEYS)) {
             e.preventDefault();
             if (!this.held.size) this.last = 0;
             this.held.add(e.code);

@@ -15,7 +15,8 @@ export class Edit {
         Object.assign(this, { link, camera, frames, picker, overlay, filter, allowed: false });
         for (const op of COMMANDS) find(`edit-${op}`).onclick = () => this.send(op);
         find('select-all').onclick = () => this.select({ kind: 'all' }, 'set');
-        find('select-none').onclick = () => this.select({ kind: 'all' }, 'remove');
+        // Also what the cut hides.
+        find('select-none').onclick = () => this.send('select', { region: { kind: 'all' }, how: 'remove' });
         find('select-invert').onclick = () => this.select({ kind: 'all' }, 'toggle');
         find('brush-size').oninput = () => this.showSize();
         overlay.canvas.addEventListener('pointerleave', () => this.hover(null));
@@ -23,6 +24,7 @@ export class Edit {
     }
 
     open(scene) {
+        this.run = scene.run;
         this.allowed = !scene.empty && !scene.tree && scene.training === null;
         find('edit').hidden = !this.allowed;
         for (const tool of ['lasso', 'brush', 'sphere']) find(tool).hidden = !this.allowed;
@@ -37,7 +39,7 @@ export class Edit {
     }
 
     send(op, more = {}) {
-        if (this.allowed) this.link.send({ type: 'edit', op, ...more });
+        if (this.allowed) this.link.send({ type: 'edit', run: this.run, op, ...more });
     }
 
     select(region, how) {

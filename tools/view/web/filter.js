@@ -28,6 +28,7 @@ export class Filter {
         }));
         find('filter-reset').onclick = () => this.reset();
         find('command-copy').onclick = () => this.copy();
+        find('export-part').onchange = () => this.showCommand();
         find('export-save').onclick = () => this.save(find('export-format').value);
         this.show();
     }
@@ -154,13 +155,14 @@ export class Filter {
         // What was selected by hand, no command repeats.
         this.edited = Boolean(edits?.hidden || edits?.deleted);
         this.showCommand();
-        this.count(convert && !this.scene?.tree ? `${address}&edits=${edits?.undo ?? 0}` : null);
+        const { tree, run } = this.scene ?? {};
+        this.count(convert && !tree ? `${address}&run=${run}&revision=${edits?.revision ?? 0}` : null);
     }
 
     /** The command that makes the same file: the cut, and the scene's new place. */
     showCommand() {
         const options = `${this.convert ?? ''}${this.placement.options}`.trim();
-        const command = options && this.scene?.convert && !this.edited ? `${this.scene.convert} ${options}` : '';
+        const command = options && this.scene?.convert && !this.edited && !find('export-part').value ? `${this.scene.convert} ${options}` : '';
         find('command').hidden = !command;
         if (find('command-text').textContent === command) return;
         // Lines end between words, not within options.
@@ -206,13 +208,11 @@ export class Filter {
         const part = find('export-part').value;
         const mark = part ? '_selection' : this.edited || !find('command').hidden ? '_cut' : '';
         const name = `${this.scene.stem}${mark}${format}`, query = `${this.shown}${this.placement.query}${part && `&part=${part}`}`;
-        download(`export/${encodeURIComponent(name)}?${query}`, name);
-        this.say(`${name} is made; the browser saves it as it comes`);
         const answer = await fetch(`count?${query}&format=${format.slice(1)}`).catch(() => null);
-        const { losses } = answer?.ok ? await answer.json() : { losses: [] };
-        const { origin } = this.scene.frame;
-        if (origin.some(Boolean)) losses.push(`positions are relative to ${origin.join(', ')}`);
-        if (losses.length > 0) this.say(losses.join('; '));
+        if (!answer?.ok) return this.say(answer ? (await answer.text()).trim().replace(/^\d+: /, '') : 'no answer: has the viewer ended?');
+        const { losses } = await answer.json();
+        download(`export/${encodeURIComponent(name)}?${query}`, name);
+        this.say([`${name} is made; the browser saves it as it comes`, ...losses].join('; '));
     }
 }
 

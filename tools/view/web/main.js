@@ -38,6 +38,8 @@ const film = new Film(link, camera, look);
 const training = new Training(link);
 const stage = new Stage(link, say);
 let scene = null;
+/** View of the page's address, for the first scene alone. */
+let linked = location.hash;
 /** Tools that draw with the pointer. */
 const STROKES = ['lasso', 'brush', 'sphere'];
 const TOOL_KEYS = { KeyG: 'lasso', KeyB: 'brush', KeyN: 'sphere', KeyM: 'tape' };
@@ -175,13 +177,16 @@ function key(code, event) {
     return true;
 }
 
-/** With Ctrl. */
-function command(code, event) {
-    if (!edit.allowed) return false;
-    if (code === 'KeyZ') edit.send(event.shiftKey ? 'redo' : 'undo');
-    else if (code === 'KeyY') edit.send('redo');
-    else if (code === 'KeyA') edit.select({ kind: 'all' }, 'set');
-    else return false;
+/** With Ctrl. The letter counts, which layouts have on different keys; where they have none, its usual key. */
+function command(event) {
+    const letter = (/^[a-z]$/i.test(event.key) ? event.key : event.code.slice(-1)).toLowerCase();
+    const act = {
+        z: () => edit.send(event.shiftKey ? 'redo' : 'undo'),
+        y: () => edit.send('redo'),
+        a: () => edit.select({ kind: 'all' }, 'set')
+    }[letter];
+    if (!edit.allowed || !act) return false;
+    if (!event.repeat) act();
     return true;
 }
 
@@ -202,6 +207,7 @@ link.on('close', () => {
 link.on('page', ({ page }) => { photos.page = page; });
 link.on('scene', (message) => {
     // Where pages open scenes, two of them may have one name.
+    const added = scene && message.name.startsWith(`${scene.name} + `) && `${message.frame.origin}` === `${scene.frame.origin}` && message.frame.unit === scene.frame.unit;
     const first = scene === null || scene.name !== message.name || (message.open && scene.run !== message.run);
     scene = message;
     find('scene-name').textContent = `\u200e${message.name}`;
@@ -217,16 +223,22 @@ link.on('scene', (message) => {
     filter.open(message, first);
     detail.open(message, first);
     edit.open(message);
-    place.open(message, first);
-    if (first) tape.clear();
+    // Beside an added scene, place and view stay.
+    place.open(message, first && !added);
+    if (first && !added) tape.clear();
     training.open(message.training);
     if (first) {
         // Frames that are on their way may be of the scene before.
         frames.shownSeq = frames.seq + 1;
-        Object.assign(camera, { up: message.up, radius: message.radius || 1 });
         overlay.cameras = message.cameras;
-        if (camera.takeLink(location.hash, message.frame)) frames.leap();
-        else home();
+    }
+    if (first && !added) {
+        Object.assign(camera, { up: message.up, radius: message.radius || 1 });
+        if (message.empty || !camera.takeLink(linked, message.frame)) home();
+    }
+    if (first && !message.empty) {
+        linked = '';
+        history.replaceState(null, '', location.pathname + location.search);
     }
     if (photos.run !== message.run) photos.open(message);
     frames.leap();
@@ -236,8 +248,8 @@ link.on('note', ({ message }) => say(message));
 frames.onShown = (header) => {
     stage.picture();
     panel.showFrame(header, frames.framesPerSecond);
-    filter.showFrame(header);
     edit.showFrame(header);
+    filter.showFrame(header);
     detail.showFrame(header);
     photos.drawn(header);
     window.ashsplat.shown = header;

@@ -8,8 +8,8 @@ const DEGREE = Math.PI / 180;
 const AXES = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
 const apply = (rows, v) => rows.map((row) => dot(row, v));
 const transposed = (rows) => [0, 1, 2].map((i) => rows.map((row) => row[i]));
-/** Few digits, so that command and file are those of the fields. */
-const rounded = (value) => Number(value.toPrecision(7));
+/** So many digits that a distant scene keeps its millimetres; command and file are those of the fields. */
+export const rounded = (value) => Number(value.toPrecision(12));
 
 /** The rotation about x, then y, then z by angles in degrees, as `convert --rotate` has it. */
 function rotation(angles) {
@@ -46,6 +46,7 @@ export class Place {
     }
 
     forget() {
+        this.points.length = 0;
         Object.assign(this, { turn: [0, 0, 0], scale: [1], move: [0, 0, 0], rows: AXES });
     }
 

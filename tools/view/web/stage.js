@@ -3,6 +3,8 @@
 const find = (id) => document.getElementById(id);
 /** What takes longer than this is told with its time, ms. */
 const LONG = 1500;
+/** Pause in typing after which a path is completed, ms. */
+const PAUSE = 150;
 
 export class Stage {
     /** `say` tells people something. */
@@ -16,7 +18,10 @@ export class Stage {
         link.on('unreachable', (problem) => { if (!this.pictured) this.fail(`no connection, trying again: ${problem}`); });
         link.on('close', () => { if (!this.pictured && !this.failed) this.wait('no connection, trying again'); });
         find('opener').onsubmit = (event) => { event.preventDefault(); this.openPath(find('path').value.trim()); };
-        find('path').oninput = () => this.complete();
+        find('path').oninput = () => {
+            clearTimeout(this.typed);
+            this.typed = setTimeout(() => this.complete(), PAUSE);
+        };
         find('choose').onclick = () => find('choose-file').click();
         find('choose-file').onchange = () => {
             const files = [...find('choose-file').files];
@@ -141,25 +146,24 @@ export class Stage {
         request.send(file);
     }
 
-    /** Paths that go on from the beginning of one. */
+    /** Paths that go on from the beginning of one; `more` if there are others. */
     async paths(begin) {
-        if (!this.opens?.folder) return [];
-        const answer = await post('paths', begin).catch(() => null);
-        return answer?.ok ? answer.json() : [];
+        const answer = this.opens?.folder ? await post('paths', begin).catch(() => null) : null;
+        return answer?.ok ? answer.json() : { paths: [], more: false };
     }
 
     async complete() {
         const begin = find('path').value;
-        const paths = await this.paths(begin);
+        const { paths } = await this.paths(begin);
         if (begin === find('path').value) find('paths').replaceChildren(...paths.map((path) => new Option('', path)));
     }
 
     /** The files of the folder, if it is one of scenes. */
     async list(shown) {
-        const files = (await this.paths('')).filter((path) => !path.endsWith('/'));
+        const { paths, more } = await this.paths(''), files = paths.filter((path) => !path.endsWith('/'));
         for (const place of document.querySelectorAll('.scenes')) {
             place.hidden = !files.length;
-            const title = Object.assign(document.createElement('h2'), { textContent: 'Scenes in this folder' });
+            const title = Object.assign(document.createElement('h2'), { textContent: `Scenes in this folder${more ? ', not all' : ''}` });
             place.replaceChildren(title, ...files.map((path) => {
                 const button = Object.assign(document.createElement('button'), { textContent: path, onclick: () => this.openPath(path) });
                 button.classList.toggle('on', path === shown);

@@ -1,6 +1,7 @@
 // A tape between two points of the scene, each on the surface under a click.
 
 import { length, sub } from './maths.js';
+import { rounded } from './place.js';
 
 const find = (id) => document.getElementById(id);
 
@@ -11,7 +12,7 @@ export class Tape {
         const known = this.known = find('tape-known').querySelector('input');
         known.onchange = () => {
             const { measured } = this, length = Number(known.value);
-            if (measured && length > 0) place.set({ scale: [Number((place.scale[0] * length / measured).toPrecision(7))] });
+            if (measured && length > 0) place.set({ scale: [rounded(place.scale[0] * length / measured)] });
         };
     }
 
