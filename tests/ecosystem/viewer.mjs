@@ -246,6 +246,7 @@ async function places(page, address) {
     await sharp(other);
     const [here, there] = [await state(page), await state(other)];
     assert(Math.hypot(...here.position.map((value, axis) => value - there.position[axis])) < 1e-4 * distance(here), 'a link has the view');
+    assert.equal(await other.evaluate(() => location.hash), '', 'the link is for one scene');
     await other.close();
 }
 
@@ -398,6 +399,14 @@ async function opensFiles() {
     await page.setInputFiles('#choose-file', two);
     await page.waitForFunction(() => document.querySelectorAll('#edit-scenes button').length === 2);
     await sharp(page);
+    // Another joins them, and the placement stays.
+    await page.evaluate((file) => {
+        ashsplat.place.set({ scale: [2] });
+        ashsplat.stage.send(new File([Uint8Array.from(atob(file), (c) => c.charCodeAt(0))], 'three.spz'), true);
+    }, file);
+    await page.waitForFunction(() => document.querySelectorAll('#edit-scenes button').length === 3);
+    await sharp(page);
+    assert.equal(await page.evaluate(() => document.getElementById('command-text').textContent), 'ashsplat convert one.spz two.spz three.spz one_cut.ply --scale=2');
     await page.setInputFiles('#choose-file', { name: 'bad.ply', mimeType: 'application/octet-stream', buffer: Buffer.from('nonsense') });
     await page.waitForSelector('#stage-state.failed');
     assert.match(await page.textContent('#stage-text'), /^bad\.ply: /);
