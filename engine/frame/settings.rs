@@ -4,7 +4,7 @@ use super::Outputs;
 use crate::error::{Error, Result};
 use crate::kernels::constants::{self as c, DILATION_PX2, TINTED_COLOR_MAX};
 use crate::scene::{Camera, Cut, CutOut, JacobianLimit, MAX_CUT_OUTS, Projection};
-use crate::vk::Buffer;
+use crate::vk::{Buffer, Context};
 
 /// Pixels at which a Gaussian counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -376,6 +376,21 @@ impl<'a> SceneSettings<'a> {
         self.selection
             .filter(|selection| self.draws() && selection.share > 0.0)
             .map(|selection| selection.mask)
+    }
+
+    /// Checks that a visible selection's mask belongs to the context and has a bit for each of the scene's Gaussians.
+    pub(crate) fn check_mask(&self, gaussians: u32, context: &Context) -> Result<()> {
+        let Some(mask) = self.mask() else { return Ok(()) };
+        let bad =
+            |problem| Err(Error::argument(format!("selection.mask (buffer '{}')", mask.name()), problem));
+        if !mask.belongs_to(context) {
+            return bad("it belongs to another context".to_owned());
+        }
+        let bytes = 4 * u64::from(gaussians.div_ceil(32));
+        match mask.bytes() < bytes {
+            true => bad(format!("has {} bytes, {gaussians} Gaussians take {bytes}", mask.bytes())),
+            false => Ok(()),
+        }
     }
 
     /// Features that need kernel variants: a tint or an opacity, cut-outs, a selection.

@@ -8,7 +8,7 @@ use super::updates::Update;
 use crate::error::{Error, Result};
 use crate::frame::{FrameCapacity, PictureCapacity, PlacedScene, RenderSettings, next_scene_begin};
 use crate::scene::{Camera, DepthMapping};
-use crate::vk::{Buffer, Context, ImageUse};
+use crate::vk::{Context, ImageUse};
 use ash::vk;
 
 /// Number of scenes that are checked and then placed together, so that they stay in the processor's first cache.
@@ -193,27 +193,12 @@ fn check_scene(
     }
     let named = |error: Error| error.within(format_args!("scenes[{index}].settings"));
     placed.settings.check().map_err(named)?;
-    if let Some(mask) = placed.settings.mask() {
-        check_mask(mask, placed.scene.count(), context).map_err(named)?;
-    }
+    placed.settings.check_mask(placed.scene.count(), context).map_err(named)?;
     if placed.settings.draws() && degree > reserved.sh_degree {
         let problem = format!("is {}, and scenes[{index}] is drawn with degree {degree}", reserved.sh_degree);
         return Err(Error::argument(field_name("sh_degree"), problem));
     }
     reserved.check_scene(index, placed.scene.plan().half_sh, &placed.settings)
-}
-
-/// Checks that a mask has a bit for each of the scene's Gaussians.
-pub(super) fn check_mask(mask: &Buffer, gaussians: u32, context: &Context) -> Result<()> {
-    let bad = |problem| Err(Error::argument(format!("selection.mask (buffer '{}')", mask.name()), problem));
-    if !mask.belongs_to(context) {
-        return bad("it belongs to another context".to_owned());
-    }
-    let bytes = 4 * u64::from(gaussians.div_ceil(32));
-    match mask.bytes() < bytes {
-        true => bad(format!("has {} bytes, {gaussians} Gaussians take {bytes}", mask.bytes())),
-        false => Ok(()),
-    }
 }
 
 fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservation) -> Result<()> {

@@ -11,6 +11,7 @@ mod gradients;
 mod inspect;
 mod record;
 mod recorded_frame;
+mod recording_lists;
 mod renderer;
 mod reservation;
 mod reserve;

@@ -1,10 +1,9 @@
 //! A renderer that owns its submissions.
 
-use super::check::check_mask;
 use super::device_scene::{DeviceScene, ELSEWHERE};
 use super::frame::{Frame, FrameStats, Surface};
 use super::frame_store::FrameCounts;
-use super::record::RecordingLists;
+use super::recording_lists::RecordingLists;
 use super::runner::{Failed, FrameRun, FrameRunner, Request};
 use super::slots::Slots;
 use super::updates::StagedUpdates;
@@ -222,9 +221,9 @@ impl Renderer {
         selection: Selection<'_>,
     ) -> Result<Frame> {
         let count = self.only_scene("a selection is")?.count;
-        check_mask(selection.mask, count, &self.context)?;
         let own = SceneSettings { selection: Some(selection), ..SceneSettings::USUAL };
         own.check()?;
+        own.check_mask(count, &self.context)?;
         self.render_frame(camera, settings, &own, false)
     }
 

@@ -1,7 +1,7 @@
 //! One picture of the scene in one of the modes, and its bytes.
 
-use super::edits::{Edit, Part};
-use super::protocol::{Look, Mode};
+use super::edits::Part;
+use super::protocol::{Edit, Look, Mode};
 use ashsplat::kernels::constants::TILE_SIZE;
 use ashsplat::{
     Camera, Error, Frame, FrameStats, Gaussians, PixelReport, RenderSettings, Result, TileReport, Trainer,

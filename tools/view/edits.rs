@@ -1,11 +1,9 @@
 //! Edits of a scene: which of its Gaussians are selected, hidden or deleted, with undo. No file changes; a page exports the result.
 
-use super::cut::CutMessage;
-use super::protocol::CameraMessage;
+use super::protocol::{Edit, How, Region};
 use ashsplat::scene::{Camera, Gaussians, NEAR_PLANE};
 use ashsplat::{Error, Result};
 use glam::Vec3;
-use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::VecDeque;
 
@@ -22,65 +20,6 @@ const MOST_STEPS: usize = 64;
 const SELECTED: u8 = 1;
 const HIDDEN: u8 = 2;
 const DELETED: u8 = 4;
-
-/// An edit as a page sends it.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(tag = "op", rename_all = "lowercase")]
-pub enum Edit {
-    /// Changes the selection among the Gaussians that are drawn and that the page's cut keeps.
-    Select {
-        region: Region,
-        how: How,
-        #[serde(default)]
-        cut: CutMessage,
-    },
-    /// Hides the selected Gaussians.
-    Hide,
-    /// Shows all hidden Gaussians.
-    Show,
-    /// Deletes the selected Gaussians.
-    Delete,
-    Undo,
-    Redo,
-}
-
-/// A part of the scene, by the means of its Gaussians.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(tag = "kind", rename_all = "lowercase")]
-pub enum Region {
-    All,
-    /// Pixels inside a polygon (even-odd); corners in pixels, the first pixel's centre at 0.5.
-    Lasso {
-        camera: Box<CameraMessage>,
-        points: Vec<[f32; 2]>,
-    },
-    /// Pixels at most `radius` from a line.
-    Brush {
-        camera: Box<CameraMessage>,
-        points: Vec<[f32; 2]>,
-        radius: f32,
-    },
-    /// Gaussians by their index: one of several scenes.
-    Range {
-        first: usize,
-        count: usize,
-    },
-    /// A ball, world units.
-    Sphere {
-        center: [f32; 3],
-        radius: f32,
-    },
-}
-
-/// Effect of a region on the selection.
-#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
-#[serde(rename_all = "lowercase")]
-pub enum How {
-    Set,
-    Add,
-    Remove,
-    Toggle,
-}
 
 /// The Gaussians to export.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -5,8 +5,8 @@
 
 mod outbox;
 
-use super::edits::{Edit, Part};
-use super::protocol::{EditRequest, FilmRequest, Pick, ToPage, TrainAction, ViewRequest};
+use super::edits::Part;
+use super::protocol::{Edit, EditRequest, FilmRequest, Pick, ToPage, TrainAction, ViewRequest};
 use ashsplat::Gaussians;
 use ashsplat_files::splats::WriteOptions;
 use ashsplat_program::session::locked;

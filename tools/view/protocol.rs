@@ -2,7 +2,6 @@
 //! (u32, little-endian), the header, the encoded picture.
 
 use super::cut::CutMessage;
-use super::edits::Edit;
 use ashsplat::scene::{Camera, Coefficients, Intrinsics, Projection};
 use ashsplat::{Error, PixelReport, Result, Shape};
 use ashsplat_program::output::samples;
@@ -12,6 +11,65 @@ use serde_json::{Value, json};
 
 /// Most pixels of a requested picture.
 pub const MOST_PIXELS: u64 = 3840 * 2400;
+
+/// An edit as a page sends it.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(tag = "op", rename_all = "lowercase")]
+pub enum Edit {
+    /// Changes the selection among the Gaussians that are drawn and that the page's cut keeps.
+    Select {
+        region: Region,
+        how: How,
+        #[serde(default)]
+        cut: CutMessage,
+    },
+    /// Hides the selected Gaussians.
+    Hide,
+    /// Shows all hidden Gaussians.
+    Show,
+    /// Deletes the selected Gaussians.
+    Delete,
+    Undo,
+    Redo,
+}
+
+/// A part of the scene, by the means of its Gaussians.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(tag = "kind", rename_all = "lowercase")]
+pub enum Region {
+    All,
+    /// Pixels inside a polygon (even-odd); corners in pixels, the first pixel's centre at 0.5.
+    Lasso {
+        camera: Box<CameraMessage>,
+        points: Vec<[f32; 2]>,
+    },
+    /// Pixels at most `radius` from a line.
+    Brush {
+        camera: Box<CameraMessage>,
+        points: Vec<[f32; 2]>,
+        radius: f32,
+    },
+    /// Gaussians by their index: one of several scenes.
+    Range {
+        first: usize,
+        count: usize,
+    },
+    /// A ball, world units.
+    Sphere {
+        center: [f32; 3],
+        radius: f32,
+    },
+}
+
+/// Effect of a region on the selection.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "lowercase")]
+pub enum How {
+    Set,
+    Add,
+    Remove,
+    Toggle,
+}
 
 /// The page's camera: x right, y down, z forward.
 #[derive(Clone, Debug, Deserialize, Serialize)]

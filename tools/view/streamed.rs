@@ -4,7 +4,8 @@ mod loader;
 mod residency;
 
 use super::draw::{Audience, NOT_EDITED, Painter, Viewer};
-use super::edits::{Edit, Edits, Part};
+use super::edits::{Edits, Part};
+use super::protocol::Edit;
 use super::subject::{ScenePart, Streamed};
 use ashsplat::scene::Gaussians;
 use ashsplat::vk::{Buffer, MemoryKind};
