@@ -179,7 +179,7 @@ impl Instances {
             state: &f.state,
             sorted_tiles: &f.sorted_tiles,
             sorted_instances: &f.sorted_instances,
-            // Without backward the kernel does not read this binding.
+            // The kernel does not read this binding without backward.
             instance_visible: if keeps_instances { &f.instance_visible } else { &f.sorted_instances },
             tile_ranges: &f.tile_ranges,
             sorted_visible: &f.gathered_visible,

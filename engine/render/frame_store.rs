@@ -16,7 +16,7 @@ pub struct FrameStore {
     context: Context,
     sizes: LaunchSizes,
     readback: Buffer,
-    /// Shape for which every later allocation is large enough.
+    /// Pictures, absolute gradients and memory between steps that a training's frames need.
     expected: FrameCapacity,
     /// Requests of the scratch of a training's loss.
     loss_scratch: Vec<(&'static str, u64)>,

@@ -170,7 +170,7 @@ pub struct RecordedFrame<'a> {
     /// - the f32 bits of the Gaussian's depth z in the camera's frame, world units;
     /// - the f32 bits of its weight.
     ///
-    /// Where nothing is blended, the first two are [`NOT_PICKED`](crate::kernels::constants::NOT_PICKED), the others 0.
+    /// The first two are [`NOT_PICKED`](crate::kernels::constants::NOT_PICKED) and the others 0 where nothing is blended.
     pub pick: Option<HostImage<'a>>,
     /// Target of the motion.
     pub motion: Option<MotionTarget<'a>>,

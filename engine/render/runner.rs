@@ -148,14 +148,13 @@ impl FrameRunner {
         let gaussians = gaussians_with(scene.plan.capacity, frozen_capacity(other_scenes));
         let Self { context, forward, store } = self;
         let variant = FrameVariant::of(settings, camera, backward);
+        let variant = FrameVariant { last_entries: request.last_entries, ..variant };
         for scene in std::iter::once(scene).chain(other_scenes) {
-            let variant = FrameVariant { last_entries: request.last_entries, ..variant };
             forward.prepare(sh_degree, variant.of_scene(scene.plan.half_sh, request.of_scenes))?;
         }
         let scenes = request.scenes();
         let mut retries = 0;
         loop {
-            let variant = FrameVariant { last_entries: request.last_entries, ..variant };
             let (memory, capacity) = store.ensure(gaussians, scenes.len() as u32, camera, variant)?;
             let inputs = request.inputs(&memory, &capacity, &scenes);
             let report = context.run("frame", |r| {

@@ -72,7 +72,7 @@ impl Commands {
         let mut copies = Vec::new();
         for from in written {
             let request = [("snapshot", from.bytes())];
-            match inner.allocate("audit", (&request, &[]), MemoryKind::HostVisible, 0) {
+            match inner.allocate("audit", &request, &[], MemoryKind::HostVisible, 0) {
                 Err(error) => self.failure = self.failure.take().or(Some(error)),
                 Ok(mut allocated) => {
                     let to = allocated.swap_remove(0).range(0, from.bytes());

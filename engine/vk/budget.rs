@@ -46,7 +46,7 @@ impl Context {
         lives: &[Life],
         kind: MemoryKind,
     ) -> Result<Vec<Buffer>> {
-        let allocate = || self.device.allocate(arena, (requests, lives), kind, self.staging_reserve(kind));
+        let allocate = || self.device.allocate(arena, requests, lives, kind, self.staging_reserve(kind));
         let buffers = match allocate() {
             Err(Error::TooLarge { .. }) if self.free_staging() => allocate()?,
             allocated => allocated?,
@@ -86,7 +86,7 @@ impl Context {
 
     /// Returns the bytes that [`Context::allocate`] takes for these requests. If it would refuse them, returns their sum.
     pub(crate) fn allocation_bytes(&self, requests: &[(&'static str, u64)]) -> u64 {
-        self.device.allocation_bytes(requests, &[])
+        self.shared_bytes(requests, &[])
     }
 
     /// Returns the bytes that [`Context::allocate_shared`] takes. If it would refuse the requests, returns their sum.

@@ -558,7 +558,8 @@ impl Device {
     pub(super) fn allocate(
         self: &Arc<Self>,
         arena: &str,
-        (requests, lives): (&[(&'static str, u64)], &[Life]),
+        requests: &[(&'static str, u64)],
+        lives: &[Life],
         kind: MemoryKind,
         kept_free: u64,
     ) -> Result<Vec<Buffer>> {

@@ -133,7 +133,7 @@ impl Commands {
         let spare = lock(&log.spare).pop();
         let readback = match spare {
             Some(buffer) => buffer,
-            None => inner.allocate("profile", (&request, &[]), MemoryKind::HostVisible, 0)?.swap_remove(0),
+            None => inner.allocate("profile", &request, &[], MemoryKind::HostVisible, 0)?.swap_remove(0),
         };
         Ok(Self { log, records: Vec::new(), indirect: Vec::new(), readback, begun })
     }

@@ -50,7 +50,7 @@ impl Ring {
         }
         // If memory is bounded, use what is left.
         loop {
-            let made = device.allocate("staging", (&[("ring", wanted)], &[]), MemoryKind::HostVisible, 0);
+            let made = device.allocate("staging", &[("ring", wanted)], &[], MemoryKind::HostVisible, 0);
             match (made, &self.buffer) {
                 (Ok(mut made), _) => {
                     let buffer = made.swap_remove(0);

@@ -27,7 +27,7 @@ fn slots_of_a_queue_share_what_lives_within_a_frame() {
             bytes
         };
         let one = bytes(1, 1, true);
-        // With memory of its own for each buffer, the frame would take 278 MiB.
+        // The frame would take 278 MiB if each buffer had memory of its own.
         assert!((150 << 20..220 << 20).contains(&one), "{one}");
         // The limit is 1.15 times one slot.
         assert_eq!([bytes(2, 1, true), bytes(3, 1, true)], [one; 2]);

@@ -155,7 +155,7 @@ fn viewer_hides_and_deletes_with_undo() {
     assert!(drawn(&mut page) == expected(&without_right));
 }
 
-/// What is wrong or too much is answered with one error, and changes nothing.
+/// A wrong edit, and one too many, gets one error and changes nothing.
 #[test]
 fn viewer_bounds_edits() {
     let (_place, server) = view_ball(100, &[]);

@@ -341,7 +341,7 @@ fn viewer_opens_several_scenes_together() {
     assert!(page.opened().expect_err("refused").contains("show or delete them first"));
     edit(&mut page, "undo");
     assert!(edit(&mut page, "delete").rgb() == rendered(&ball(80), &camera(0.0), &RenderSettings::default()));
-    // What was deleted stays so when another joins, and no command brings it back.
+    // Deleted Gaussians stay deleted when another scene joins, and no command brings them back.
     let three = upload(&mut page, "c.ply?add=1", 20);
     assert_eq!(three["scenes"][1], json!({ "name": "b.ply", "count": 0 }));
     assert!(three["convert"].is_null());

@@ -61,9 +61,8 @@ impl Edits {
     pub fn apply(&mut self, edit: &Edit) -> Result<bool> {
         let redraws = self.act(edit)?;
         self.revision += 1;
-        let count = |state: u8| self.states.iter().filter(|own| **own == state).count();
         self.figures = json!({
-            "selected": count(SELECTED), "hidden": count(HIDDEN), "deleted": count(DELETED),
+            "selected": self.count(SELECTED), "hidden": self.hidden(), "deleted": self.count(DELETED),
             "undo": self.done.len(), "redo": self.undone.len(), "revision": self.revision,
         });
         Ok(redraws)
@@ -76,7 +75,11 @@ impl Edits {
 
     /// Number of hidden Gaussians.
     pub fn hidden(&self) -> usize {
-        self.states.iter().filter(|state| **state == HIDDEN).count()
+        self.count(HIDDEN)
+    }
+
+    fn count(&self, state: u8) -> usize {
+        self.states.iter().filter(|own| **own == state).count()
     }
 
     fn act(&mut self, edit: &Edit) -> Result<bool> {
@@ -160,9 +163,9 @@ impl Edits {
 
     /// A bit per drawn Gaussian: selected or not. None without a selection.
     pub fn mask(&self) -> Option<Vec<u32>> {
-        let drawn: Vec<usize> = self.drawn().collect();
-        let mut mask = vec![0u32; drawn.len().div_ceil(32)];
-        for (place, &index) in drawn.iter().enumerate() {
+        let mut mask = Vec::new();
+        for (place, index) in self.drawn().enumerate() {
+            mask.resize(place / 32 + 1, 0u32);
             mask[place / 32] |= u32::from(self.states[index] == SELECTED) << (place % 32);
         }
         mask.iter().any(|word| *word != 0).then_some(mask)

@@ -286,7 +286,7 @@ impl Arguments {
     fn openings(&self, listener: &TcpListener) -> Option<Arc<Openings>> {
         let most_bytes = self.device.host.memory().limit();
         let folder = match self.path {
-            // Whoever sees the page may see a folder that was named for it, but not the one of the shell.
+            // Everyone who sees the page may list a folder that the command names. The shell's folder is for this machine only.
             Some(_) => self.folder_of_scenes().map(Path::to_owned),
             None => std::env::current_dir()
                 .ok()

@@ -237,6 +237,12 @@ fn refusal(code: StatusCode, problem: &str) -> Response {
     (code, format!("{}: {problem}\n", code.as_u16())).into_response()
 }
 
+/// Answers with JSON that no cache keeps.
+fn json_answer(text: String) -> Response {
+    let kind = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
+    (kind, text).into_response()
+}
+
 /// Asks the page to try again soon.
 fn busy(problem: &str) -> Response {
     ([(header::RETRY_AFTER, "1")], refusal(StatusCode::SERVICE_UNAVAILABLE, problem)).into_response()

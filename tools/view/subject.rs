@@ -66,7 +66,7 @@ pub struct ScenePart {
     pub count: usize,
 }
 
-/// What a scene that is added must know of those that are open.
+/// State of the open scenes that a joining scene needs.
 #[derive(Clone)]
 pub struct Shown {
     pub parts: Vec<ScenePart>,
@@ -260,7 +260,7 @@ impl Subject {
         })
     }
 
-    /// What a scene that is added later must know.
+    /// Returns the state that a joining scene needs.
     pub fn shown(&self) -> Shown {
         let alone =
             || ScenePart { name: self.name.clone(), file: self.file.clone(), count: self.gaussians.len() };

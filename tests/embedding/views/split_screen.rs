@@ -151,7 +151,7 @@ fn rectangles_have_the_bits_of_recordings_alone() {
 
 #[test]
 fn views_take_nothing_from_the_heap() {
-    // Without push descriptors there are sets to allocate.
+    // A device without push descriptors has descriptor sets to allocate.
     with_host(&HostOptions { push_descriptors: false, ..HostOptions::default() }, |host| {
         let context = shipped(host, true);
         let scene = uploaded(&context, &cloud(300, 7));

@@ -2,7 +2,7 @@
 
 use super::access::query_value;
 use super::open_connections::OpenConnection;
-use super::{Site, busy, files, refusal};
+use super::{Site, busy, files, json_answer, refusal};
 use crate::cut::CutMessage;
 use crate::edits::Part;
 use crate::hub::CurrentScene;
@@ -88,8 +88,7 @@ pub async fn count(
         .map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?
         .map_err(|error| refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()))?
         .to_string();
-    let kind = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
-    Ok((kind, counts).into_response())
+    Ok(json_answer(counts))
 }
 
 /// Returns the current scene and its turn, held until it is dropped; or the answer that refuses the page.

@@ -1,7 +1,7 @@
 //! Files that pages send, and paths that they name: see [`openings`].
 
 use super::access::query_value;
-use super::{Site, busy, refusal};
+use super::{Site, busy, json_answer, refusal};
 use crate::openings::{self, OpenRequest, Openings};
 use ashsplat_files::splats::Format;
 use axum::body::{Body, Bytes, to_bytes};
@@ -129,8 +129,7 @@ pub async fn paths(State(site): State<Arc<Site>>, request: Request) -> Result<Re
         openings.list(&begin).to_string()
     };
     let list = tokio::task::spawn_blocking(work).await.map_err(|_| failed())?;
-    let kind = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
-    Ok((kind, list).into_response())
+    Ok(json_answer(list))
 }
 
 /// Waits for the next piece of an upload.
