@@ -133,7 +133,7 @@ impl Training {
         };
         let others = self.others.split_first_chunk().expect("as many as were asked for");
         let ([photo, losses, statistics, mean2d_gradients, image_gradient], scratch) = others;
-        let statistics = Statistics { buffer: statistics, accumulate: true, absolute: None };
+        let statistics = Statistics { buffer: statistics, accumulate: true };
         self.forward.record(recorder, &inputs);
         recorder.barrier();
         if kind == Kind::Gradients {

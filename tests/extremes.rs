@@ -243,7 +243,6 @@ fn extremes_of_harmonics_are_packed_to_the_nearest() {
 /// because a driver drops writes outside the binding.
 #[test]
 fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
-    use ashsplat::kernels::constants::CRITERION_GRADIENT;
     use ashsplat::kernels::densify::classify;
     use ashsplat::vk::Kernel;
     const ROWS: u32 = 256;
@@ -258,7 +257,7 @@ fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
         workgroup_size: limits.workgroup_size(256),
         subgroup_size: limits.subgroup_size,
         long_axis: false,
-        criterion: CRITERION_GRADIENT,
+        selected: false,
     };
     let kernel = Kernel::<classify::Interface>::new(&context, &spec).expect("a kernel");
     for (count, breached) in [(ROWS, &[][..]), (ROWS + 1, &["decisions"][..])] {
@@ -277,8 +276,8 @@ fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
                     r.fill(buffer, 0);
                 }
                 r.barrier();
-                let criteria = statistics;
-                let bind = classify::Bind { parameters, statistics, decisions, block_counts, criteria };
+                let bind =
+                    classify::Bind { parameters, statistics, decisions, block_counts, selected: statistics };
                 r.dispatch(&kernel, &bind, &push, count.div_ceil(spec.workgroup_size).into());
                 Ok(())
             })

@@ -9,7 +9,7 @@ use ashsplat::passes::densify::{
 };
 use ashsplat::passes::loss::{LossTerm, PixelLayout, TermData, TermInputs};
 use ashsplat::scene::StoredPhoto;
-use ashsplat::train::strategy::{ABSOLUTE_STATISTIC, Changes, Hooks, Statistic, StepInputs, Work};
+use ashsplat::train::strategy::{Changes, Hooks, Statistic, StepInputs, Work};
 use ashsplat::train::{Actions, Densified, Population, Regularizers, Strategy, TrainParts};
 use ashsplat::vk::{Buffer, Recorder};
 use std::sync::{Arc, Mutex};
@@ -375,7 +375,7 @@ impl Watching {
         let kernels = (
             Densify::new(context, DensifyForm::default()).expect("kernels"),
             Importance::new(context, &settings().render_settings()).expect("kernels"),
-            UniqueDraw::new(context, absolute).expect("kernels"),
+            UniqueDraw::new(context).expect("kernels"),
         );
         TrainParts {
             strategy: Box::new(Self { absolute, every, kernels, largest: 0.0 }),
@@ -396,8 +396,11 @@ impl Strategy for Watching {
     }
 
     fn statistics(&self) -> Vec<Statistic> {
-        let other = Statistic { name: "other", floats: 2 };
-        if self.absolute { vec![other, ABSOLUTE_STATISTIC] } else { vec![] }
+        vec![Statistic { name: "other", floats: 2 }]
+    }
+
+    fn absolute_gradients(&self) -> bool {
+        self.absolute
     }
 
     fn between_steps(&mut self, population: &mut Population, _: Actions) -> Result<Changes> {
@@ -423,11 +426,7 @@ impl Strategy for Watching {
         let draw = UniqueDrawInputs {
             count: before,
             wanted: REMOVED,
-            candidates: Candidates {
-                statistics: &statistics[0],
-                absolute: self.absolute.then(|| &statistics[2]),
-                threshold: 0.0,
-            },
+            candidates: Candidates { statistics: &statistics[0], threshold: 0.0 },
             chances: Chances::Importance(&values),
             seed: population.settings().seed,
             iteration: population.iteration(),
@@ -464,19 +463,17 @@ fn run(
     Run::new(context, views, settings()).with_parts(&parts).end(stops)
 }
 
-/// Absolute statistics are never below the signed ones, and change no bit of the training.
+/// Sums of absolute gradients are never below those of signed ones, and change no bit of the training.
 #[test]
-fn absolute_statistics_leave_the_training_as_it_is() {
+fn absolute_gradients_leave_the_training_as_it_is() {
     let of = |absolute| run(context(), views(3, 9), (absolute, u32::MAX), &[]);
     let (without, with) = (of(false), of(true));
     assert!(without.gaussians == with.gaussians && without.moments == with.moments);
-    assert!(without.statistics == with.statistics);
-    let [other, absolute] = &with.strategy.statistics[..] else { panic!("two statistics") };
-    assert_eq!((absolute.name.as_str(), absolute.floats), ("absolute_statistics", 1));
+    let [other] = &with.strategy.statistics[..] else { panic!("one statistic of its own") };
     assert!(other.values.iter().all(|&value| value == 0.0));
-    let pairs = || with.statistics.iter().zip(&absolute.values);
-    assert!(pairs().all(|(&[signed, _], &absolute)| absolute >= signed * 0.9999));
-    assert!(pairs().filter(|(statistic, absolute)| **absolute > 1.5 * statistic[0]).count() > 20);
+    let pairs = || without.statistics.iter().zip(&with.statistics);
+    assert!(pairs().all(|([signed, views], [absolute, seen])| *absolute >= signed * 0.9999 && views == seen));
+    assert!(pairs().filter(|([signed, _], [absolute, _])| *absolute > 1.5 * signed).count() > 20);
     // Same number of views: three of the iterations do not count.
     let most = with.statistics.iter().fold(0.0_f32, |most, statistic| most.max(statistic[1]));
     assert_eq!(most, (settings().iterations - 3) as f32);

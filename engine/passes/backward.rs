@@ -41,7 +41,9 @@ enum Sums {
 /// Outputs of the backward pass besides the gradients of all parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BackwardForm {
-    /// Absolute gradients of the 2D means, for [`Statistics::absolute`].
+    /// Statistics of the absolute gradients of the 2D means: norms of (W/2 Σ|g_x|, H/2 Σ|g_y|), with g = dL/d(2D mean in pixels)
+    /// of each pixel alone (AbsGS, Ye et al. 2024). Needs a frame with
+    /// [`FrameCapacity::absolute`](crate::frame::FrameCapacity::absolute).
     pub absolute: bool,
     /// Sums from which [`PoseGradient`](crate::passes::poses::PoseGradient) computes the gradient of the camera's pose. The scene
     /// must have the scale 1.
@@ -64,10 +66,6 @@ pub struct Statistics<'a> {
     pub buffer: &'a Buffer,
     /// True if the pass updates it.
     pub accumulate: bool,
-    /// f32 per Gaussian: the sum of the norms of (W/2 Σ|g_x|, H/2 Σ|g_y|), with g = dL/d(2D mean in pixels) of
-    /// each pixel alone (AbsGS, Ye et al. 2024). Needs [`BackwardForm::absolute`] and a frame with
-    /// [`FrameCapacity::absolute`](crate::frame::FrameCapacity::absolute); is updated with `buffer`.
-    pub absolute: Option<&'a Buffer>,
 }
 
 /// Buffers and push constants of the backward blending, which both kernels share (blend_gradient.glsl).
@@ -319,8 +317,6 @@ impl Backward {
                 instance_gradients_d: f.absolute_gradients(inputs.capacity.absolute),
                 gradients: &f.gradients,
                 statistics: statistics.buffer,
-                // Without the absolute statistic the kernel does not write this binding.
-                absolute_statistics: statistics.absolute.unwrap_or(statistics.buffer),
                 // Without a gradient of the pose the kernel does not write this binding.
                 pose_sums: &f.pose_sums,
                 camera_block: &f.camera_block(0),

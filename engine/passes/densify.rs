@@ -7,8 +7,8 @@
 use crate::error::Result;
 use crate::frame::{GaussianRange, LaunchSizes, SceneBuffers, buffer_set};
 use crate::kernels::constants::{
-    CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED, GATHER_COPIES, GATHER_LOG_SCALE,
-    GATHER_MEAN_OPACITY, GATHER_MOMENTS, GATHER_PLACES, PLANE_LOG_SCALE, PLANE_MEAN_OPACITY, ZORDER_BITS,
+    GATHER_COPIES, GATHER_LOG_SCALE, GATHER_MEAN_OPACITY, GATHER_MOMENTS, GATHER_PLACES, PLANE_LOG_SCALE,
+    PLANE_MEAN_OPACITY, ZORDER_BITS,
 };
 use crate::kernels::densify::{classify, gather, mask_outside, reset_opacity, scatter_sources, zorder};
 use crate::passes::adam::Moments;
@@ -33,20 +33,8 @@ pub const RESET_OPACITY: f64 = 0.01;
 pub struct DensifyForm {
     /// True if Gaussians are split along their longest axis (long_axis.glsl).
     pub long_axis: bool,
-    /// Criterion that selects Gaussians to clone or split.
-    pub criterion: Criterion,
-}
-
-/// Criterion of densification.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Criterion {
-    /// Mean norm of the gradient.
-    #[default]
-    Gradient,
-    /// Mean norm of absolute gradients: one f32 per Gaussian, their sum over the views of the statistics.
-    Absolute,
-    /// A selection: one u32 per Gaussian, nonzero for a split. No Gaussian is cloned.
-    Selected,
+    /// True if a selection decides what is split, in place of the mean norm of the gradient. No Gaussian is then cloned.
+    pub selected: bool,
 }
 
 /// Thresholds of a densification.
@@ -107,8 +95,8 @@ pub struct Gather<'a> {
 pub struct ClassifyInputs<'a> {
     /// vec2 per Gaussian: sum of gradient norms, number of views.
     pub statistics: &'a Buffer,
-    /// Values for the form's [`Criterion`]; None for [`Criterion::Gradient`].
-    pub criteria: Option<&'a Buffer>,
+    /// u32 per Gaussian with [`DensifyForm::selected`]: nonzero for a split.
+    pub selected: Option<&'a Buffer>,
 }
 
 /// The kernels of densification.
@@ -131,12 +119,7 @@ impl Densify {
         let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
         let long_axis = form.long_axis;
         let gather = gather::Spec { workgroup_size, explicit_noise: false, long_axis };
-        let criterion = match form.criterion {
-            Criterion::Gradient => CRITERION_GRADIENT,
-            Criterion::Absolute => CRITERION_ABSOLUTE,
-            Criterion::Selected => CRITERION_SELECTED,
-        };
-        let classify = classify::Spec { workgroup_size, subgroup_size, long_axis, criterion };
+        let classify = classify::Spec { workgroup_size, subgroup_size, long_axis, selected: form.selected };
         Ok(Self {
             form,
             sizes,
@@ -150,11 +133,11 @@ impl Densify {
         })
     }
 
-    /// Records the classification by the form's [`Criterion`]: the decisions, and in `buffers.totals` the numbers of Gaussians that
+    /// Records the classification : the decisions, and in `buffers.totals` the numbers of Gaussians that
     /// stay, are cloned and are split.
     ///
     /// # Panics
-    /// If the values for the form's criterion are missing.
+    /// If the selection is missing although the kernels were built for one, or the reverse.
     pub fn record_classify(
         &self,
         r: &mut Recorder,
@@ -163,9 +146,8 @@ impl Densify {
         buffers: &DensifyBuffers,
         settings: &DensifySettings,
     ) {
-        let needs_criteria = self.form.criterion != Criterion::Gradient;
-        assert_eq!(inputs.criteria.is_some(), needs_criteria, "the values of {:?}", self.form.criterion);
-        let ClassifyInputs { statistics, criteria } = inputs;
+        let ClassifyInputs { statistics, selected } = inputs;
+        assert_eq!(selected.is_some(), self.form.selected, "the form that it was built for");
         let all_blocks = scene.count.div_ceil(self.sizes.elementwise_workgroup);
         r.scope("classify", |r| {
             scene.record_chunks(r, |r, range, parameters| {
@@ -174,7 +156,7 @@ impl Densify {
                     statistics,
                     decisions: &buffers.decisions,
                     block_counts: &buffers.blocks,
-                    criteria: criteria.unwrap_or(statistics),
+                    selected: selected.unwrap_or(statistics),
                 };
                 let push = classify::Push {
                     first: range.first,
@@ -378,38 +360,22 @@ pub struct MaskOutside {
     sizes: LaunchSizes,
     mask: Kernel<mask_outside::Interface>,
     core: CutLimits,
-    absolute: bool,
 }
 
 impl MaskOutside {
-    /// Builds the kernel for a box, whose sides may be infinite; `absolute`: it masks both statistics.
-    pub fn new(context: &Context, core: Bounds, absolute: bool) -> Result<Self> {
+    /// Builds the kernel for a box, whose sides may be infinite.
+    pub fn new(context: &Context, core: Bounds) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
-        let mask = mask_outside::Spec { workgroup_size: sizes.elementwise_workgroup, absolute };
+        let mask = mask_outside::Spec { workgroup_size: sizes.elementwise_workgroup };
         let core = Cut { bounds: Some(core), ..Cut::default() }.limits();
-        Ok(Self { mask: Kernel::new(context, &mask)?, sizes, core, absolute })
+        Ok(Self { mask: Kernel::new(context, &mask)?, sizes, core })
     }
 
     /// Records the mask, which sets the sums of Gaussians with means outside the box below every threshold. The sums lie in
-    /// `statistics` (vec2 per Gaussian: sum of norms, number of views) and in `absolute` (f32 per Gaussian).
-    ///
-    /// # Panics
-    /// If the absolute statistic is missing although the kernel was built for it.
-    pub fn record(
-        &self,
-        r: &mut Recorder,
-        scene: &SceneBuffers,
-        statistics: &Buffer,
-        absolute: Option<&Buffer>,
-    ) {
-        assert_eq!(absolute.is_some(), self.absolute, "the statistics that it was built for");
+    /// `statistics` (vec2 per Gaussian: sum of norms, number of views).
+    pub fn record(&self, r: &mut Recorder, scene: &SceneBuffers, statistics: &Buffer) {
         scene.record_chunks(r, |r, range, parameters| {
-            let bind = mask_outside::Bind {
-                parameters,
-                statistics,
-                // Without the absolute statistic the kernel does not write this binding.
-                absolute_statistics: absolute.unwrap_or(statistics),
-            };
+            let bind = mask_outside::Bind { parameters, statistics };
             let push = mask_outside::Push {
                 first: range.first,
                 count: range.count,

@@ -154,7 +154,7 @@ impl Renderer {
                 r.fill(parameters, 0);
                 loss.record(r, &loss_inputs);
                 r.barrier();
-                let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
+                let statistics = Statistics { buffer: statistics, accumulate: false };
                 backward.record(r, inputs, &inputs.buffers.image_gradient, statistics, form);
                 r.barrier();
                 pose_gradient.record(r, inputs, parameters, 0, gradient);

@@ -129,7 +129,7 @@ impl Renderer {
             r.barrier();
             layout.record_gradient(r, inputs, target_rows, native, false);
             r.barrier();
-            let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
+            let statistics = Statistics { buffer: statistics, accumulate: false };
             pose_buffers.iter().for_each(|(parameters, _)| r.fill(parameters, 0));
             backward.record(r, inputs, native, statistics, form);
             if let Some((kernel, (parameters, gradient))) = pose_gradient.as_ref().zip(pose_buffers) {

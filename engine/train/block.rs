@@ -268,11 +268,11 @@ pub(super) struct Block {
 }
 
 impl Block {
-    /// None if the block is the whole scene. `absolute`: true if absolute gradients are masked too.
-    pub fn new(context: &Context, block: &SceneBlock, absolute: bool) -> Result<Option<Self>> {
+    /// None if the block is the whole scene.
+    pub fn new(context: &Context, block: &SceneBlock) -> Result<Option<Self>> {
         let Some(state) = block.state() else { return Ok(None) };
         let bordered = !SceneBlock::is_everything(block.core);
-        let mask = bordered.then(|| MaskOutside::new(context, block.core, absolute)).transpose()?;
+        let mask = bordered.then(|| MaskOutside::new(context, block.core)).transpose()?;
         Ok(Some(Self { state, mask }))
     }
 }

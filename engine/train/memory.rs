@@ -6,7 +6,7 @@ use super::photos::{PhotoBytes, PhotoSize};
 use super::poses;
 use super::schedule::{IterationPlan, TrainingRun, whole_instances};
 use super::settings::{MomentsType, ShStorage, TrainSettings};
-use super::work::{ABSOLUTE_STATISTIC, GRADIENT_STATISTIC, Statistic};
+use super::work::{GRADIENT_STATISTIC, Statistic};
 use crate::error::{Error, Result};
 use crate::frame::{
     FrameBuffers, FrameCapacity, LEAST_INSTANCES, LaunchSizes, PictureCapacity, SceneBuffers, ScenePlan,
@@ -111,11 +111,6 @@ impl RowMemory {
     /// Plan of a set of Gaussians.
     pub fn plan(&self, context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
         ScenePlan::new(context.limits(), capacity, sh_degree, self.half_sh)
-    }
-
-    /// Index of [`ABSOLUTE_STATISTIC`] among the statistics.
-    pub fn absolute(&self) -> Option<usize> {
-        self.statistics.iter().position(|statistic| *statistic == ABSOLUTE_STATISTIC)
     }
 
     fn statistics_requests(&self, capacity: u32) -> Requests {
@@ -312,7 +307,7 @@ impl StartMemory<'_> {
         let each = sizes.iter().map(|&(width, height)| PictureCapacity::of(width, height));
         let pictures = each.fold(PictureCapacity::NONE, PictureCapacity::and);
         let (absolute, depth) =
-            (self.parts.rows.absolute().is_some(), self.parts.recorder.base_settings().inverse_depth);
+            (self.parts.recorder.absolute, self.parts.recorder.base_settings().inverse_depth);
         frame_shape(pictures, 1 + u32::from(self.of.frozen > 0), absolute, depth)
     }
 

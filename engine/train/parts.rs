@@ -158,7 +158,7 @@ impl BuiltParts {
         let parameter_gradients = StepRecorder::term_data_of(&all).parameters;
         let rows =
             RowMemory::new(strategy.statistics(), parameter_gradients, context.planes_memory(), settings);
-        let recorder = StepRecorder::new(context, all, settings, rows.absolute())?;
+        let recorder = StepRecorder::new(context, all, settings, strategy.absolute_gradients())?;
         Ok(Self { strategy, recorder, rows })
     }
 }

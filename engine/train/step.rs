@@ -39,8 +39,8 @@ pub(super) struct StepRecorder {
     half_sh: bool,
     /// Render settings of frames, without the depths of the loss terms.
     base_settings: RenderSettings,
-    /// Index of the absolute statistic among all statistics.
-    absolute: Option<usize>,
+    /// See [`Strategy::absolute_gradients`].
+    pub absolute: bool,
     optimizer: Optimizer,
     poses: bool,
     /// None unless lenses are optimised.
@@ -125,13 +125,12 @@ impl<'a> StepParts<'a> {
 }
 
 impl StepRecorder {
-    /// The first term writes the picture's gradient. `absolute`: index of
-    /// [`ABSOLUTE_STATISTIC`](super::work::ABSOLUTE_STATISTIC) among all statistics.
+    /// The first term writes the picture's gradient. `absolute`: [`Strategy::absolute_gradients`].
     pub fn new(
         context: &Context,
         terms: Vec<Box<dyn LossTerm>>,
         settings: &TrainSettings,
-        absolute: Option<usize>,
+        absolute: bool,
     ) -> Result<Self> {
         let term_data = Self::term_data_of(&terms);
         let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
@@ -196,7 +195,7 @@ impl StepRecorder {
         for variant in FrameVariant::of_cameras(&self.base_settings(), cameras, true) {
             let variant = FrameVariant { half_sh: self.half_sh, ..variant };
             self.backward.prepare(sh_degree, variant, self.backward_form(false))?;
-            if self.absolute.is_some() {
+            if self.absolute {
                 self.backward.prepare(sh_degree, variant, self.backward_form(true))?;
             }
             self.optimizer.prepare(sh_degree, variant)?;
@@ -208,7 +207,7 @@ impl StepRecorder {
     pub fn prepare_for(&mut self, plan: &IterationPlan) -> Result<()> {
         let half_sh = self.half_sh;
         let variant = FrameVariant { half_sh, ..FrameVariant::of(&plan.settings, &plan.camera, true) };
-        let absolute = self.absolute.is_some() && plan.work.accumulates;
+        let absolute = self.absolute && plan.work.accumulates;
         self.backward.prepare(plan.sh_degree, variant, self.backward_form(absolute))?;
         self.optimizer.prepare(plan.sh_degree, variant)
     }
@@ -288,10 +287,15 @@ impl StepRecorder {
         self.record_loss(r, inputs, parts, gradient);
         r.barrier();
         let accumulate = plan.work.accumulates;
-        let absolute = self.absolute.filter(|_| accumulate).map(|place| &model.statistics[place]);
-        let statistics = Statistics { buffer: &model.statistics[0], accumulate, absolute };
+        let statistics = Statistics { buffer: &model.statistics[0], accumulate };
         let hooks = parts.strategy.records();
-        self.backward.record(r, inputs, gradient, statistics, self.backward_form(absolute.is_some()));
+        self.backward.record(
+            r,
+            inputs,
+            gradient,
+            statistics,
+            self.backward_form(self.absolute && accumulate),
+        );
         let step = StepInputs {
             frame: inputs,
             moments: &model.moments,

@@ -4,7 +4,7 @@
 //! the parameters and the loss. It declares its memory and its part of the checkpoint. [`Reference`](super::Reference) is the
 //! strategy of Kerbl et al. 2023.
 
-pub use super::work::{ABSOLUTE_STATISTIC, Actions, Changes, Densified, GRADIENT_STATISTIC, Statistic, Work};
+pub use super::work::{Actions, Changes, Densified, GRADIENT_STATISTIC, Statistic, Work};
 
 use super::population::Population;
 use super::settings::TrainSettings;
@@ -68,9 +68,14 @@ pub trait Strategy: Send {
     }
 
     /// Statistics of the strategy besides [`GRADIENT_STATISTIC`]. The trainer allocates their memory and keeps them in the
-    /// checkpoint. The backward pass accumulates [`ABSOLUTE_STATISTIC`] if it is among them.
+    /// checkpoint.
     fn statistics(&self) -> Vec<Statistic> {
         Vec::new()
+    }
+
+    /// True if [`GRADIENT_STATISTIC`] sums norms of absolute gradients.
+    fn absolute_gradients(&self) -> bool {
+        false
     }
 
     /// Recordings that the strategy uses. The trainer does not call the others.
@@ -78,7 +83,7 @@ pub trait Strategy: Send {
         Hooks::default()
     }
 
-    /// True if the strategy selects the Gaussians that it adds by [`GRADIENT_STATISTIC`] or [`ABSOLUTE_STATISTIC`]. In training
+    /// True if the strategy selects the Gaussians that it adds by [`GRADIENT_STATISTIC`]. In training
     /// of a [block](super::SceneBlock) Gaussians outside the core are then below every threshold.
     fn grows_by_statistics(&self) -> bool {
         true

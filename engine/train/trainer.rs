@@ -212,7 +212,7 @@ impl Trainer {
         let model = Model::new(context, scene, &rows)?;
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&run.cameras);
-        let (absolute, depth) = (rows.absolute().is_some(), recorder.base_settings().inverse_depth);
+        let (absolute, depth) = (recorder.absolute, recorder.base_settings().inverse_depth);
         let shape = frame_shape(pictures, 1 + u32::from(frozen > 0), absolute, depth);
         let sizes: Vec<_> = run.cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         runner.store.expect(shape, recorder.scratch_requests(&sizes));
@@ -237,7 +237,7 @@ impl Trainer {
             // Frozen Gaussians do not move, so once is enough.
             frozen.iter().try_for_each(|scene| filter.run(context, scene))?;
         }
-        let block = block.map(|block| Block::new(context, &block, shape.absolute)).transpose()?.flatten();
+        let block = block.map(|block| Block::new(context, &block)).transpose()?.flatten();
         let mut trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             poses,
@@ -423,10 +423,8 @@ impl Trainer {
         let mask = self.block.as_ref().and_then(|block| block.mask.as_ref());
         let Some(mask) = mask.filter(|_| action == Actions::DENSIFY) else { return Ok(()) };
         let model = &self.state.model;
-        let absolute = self.rows.absolute().map(|place| &model.statistics[place]);
-        self.context.run_commands("mask statistics", |r| {
-            mask.record(r, &model.scene, &model.statistics[0], absolute)
-        })?;
+        self.context
+            .run_commands("mask statistics", |r| mask.record(r, &model.scene, &model.statistics[0]))?;
         Ok(())
     }
 

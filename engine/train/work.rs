@@ -107,14 +107,11 @@ pub struct Statistic {
 }
 
 /// Norm of the 2D mean's gradient (NDC) summed over views, and the number of views. The backward pass accumulates it if
-/// [`Work::accumulates`] is set. The first of every trainer's statistics.
+/// [`Work::accumulates`] is set. The first of every trainer's statistics. With
+/// [`Strategy::absolute_gradients`](super::Strategy::absolute_gradients) the norm is that of the absolute gradients:
+/// ‖(W/2 Σ|g_x|, H/2 Σ|g_y|)‖, where g is the gradient with respect to the 2D mean in pixels through one pixel alone (AbsGS, Ye
+/// et al. 2024).
 pub const GRADIENT_STATISTIC: Statistic = Statistic { name: "statistics", floats: 2 };
-
-/// Norm of the absolute gradients of the 2D mean (NDC), summed over the same views: ‖(W/2 Σ|g_x|, H/2 Σ|g_y|)‖. Here g is the
-/// gradient with respect to the 2D mean in pixels through one pixel alone (AbsGS, Ye et al. 2024). A strategy that lists it in
-/// [`Strategy::statistics`](super::Strategy::statistics) need not record it: the backward pass accumulates it beside
-/// [`GRADIENT_STATISTIC`].
-pub const ABSOLUTE_STATISTIC: Statistic = Statistic { name: "absolute_statistics", floats: 1 };
 
 /// Report of a step.
 #[derive(Clone, Debug, Default)]

@@ -8,8 +8,7 @@
 // out: gradients, PerVisible planes: (d mean, d opacity logit), d quaternion, (d log-scale, dL/dx px),
 //      (d colour before its clamp at 0, dL/dy px)
 // in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) if `accumulate` is set, nothing overflowed
-//         and the norm is finite; with ABSOLUTE absolute_statistics[Gaussian] += (norm of the sums of |dL/d(mean2d)| in NDC),
-//         and both norms must be finite
+//         and the norm is finite; with ABSOLUTE the norm of the sums of |dL/d(mean2d)|, and both norms must be finite
 // out, with POSE_GRADIENT: pose_sums[subgroup] = sums of dL/d(nu), dL/d(omega) over the subgroup's Gaussians. They are dL/d(delta)
 //         at delta = 0 of the pose exp(delta^) T, delta = (nu, omega), T from world to camera. A turn about the camera's centre
 //         keeps the directions of the colours. Gaussians with a contribution that is not finite are excluded. With a rolling
@@ -34,7 +33,7 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // A Gaussian with more instances is summed by its whole subgroup.
 layout(constant_id = 3) const uint LANE_INSTANCES = 64;
-// True to update the statistic of the absolute gradients of the 2D mean as well.
+// True if the statistics have the absolute gradients of the 2D mean.
 layout(constant_id = 4) const bool ABSOLUTE = false;
 // True if the camera's pose has a gradient.
 layout(constant_id = 6) const bool POSE_GRADIENT = false;
@@ -75,8 +74,7 @@ UVEC4_READS(11, VisibleRanges, visible_ranges);
 layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 // Only used with ABSOLUTE.
 VEC2_READS(12, InstanceGradientsD, instance_gradients_d);
-layout(set = 0, binding = 13, scalar) buffer AbsoluteStatistics { float absolute_statistics[]; };
-layout(set = 0, binding = 14, scalar) writeonly buffer PoseSums { vec3 pose_sums[]; };
+layout(set = 0, binding = 13, scalar) writeonly buffer PoseSums { vec3 pose_sums[]; };
 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
@@ -432,10 +430,7 @@ void main() {
             float absolute_norm = ABSOLUTE ? length(sums.absolute * 0.5 * vec2(whole_width, whole_height)) : 0.0;
             // A norm that is not finite would spoil the statistics permanently, so it is skipped.
             bool counts = is_finite(norm) && is_finite(absolute_norm);
-            statistics[gaussian] += counts ? vec2(norm, 1.0) : vec2(0.0);
-            if (ABSOLUTE) {
-                absolute_statistics[gaussian] += counts ? absolute_norm : 0.0;
-            }
+            statistics[gaussian] += counts ? vec2(ABSOLUTE ? absolute_norm : norm, 1.0) : vec2(0.0);
         }
     }
 }

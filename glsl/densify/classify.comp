@@ -1,12 +1,10 @@
 // Classification for adaptive density control (paper, section 5.2; reference densify_and_prune): decides which Gaussians stay,
 // are cloned, or are split. Excludes Gaussians that the reference prunes later.
 //
-// With CRITERION_ABSOLUTE the mean gradient is that of absolute values over pixels (AbsGS, Ye et al. 2024). With
-// CRITERION_SELECTED the selected Gaussians are split at any scale, and none is cloned (Improved-GS).
+// With SELECTED the selected Gaussians are split at any scale, and none is cloned (Improved-GS).
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
-// in: parameters (PerGaussian planes), statistics (sum of NDC gradient norms, views), criteria (per Gaussian: sum of absolute
-//     norms as float bits, or nonzero if selected; not read with CRITERION_GRADIENT)
+// in: parameters (PerGaussian planes), statistics (sum of NDC gradient norms, views), with SELECTED selected (nonzero for a split)
 // out: decisions[Gaussian] = bit 0 stays, bit 1 cloned, bit 2 split into two;
 //      block_counts[decision * blocks + block], blocks = ceil(total / WORKGROUP_SIZE)
 // shared: one word per subgroup; any subgroup size
@@ -22,14 +20,14 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 // The children of a split are those of long_axis.glsl.
 layout(constant_id = 2) const bool LONG_AXIS = false;
-layout(constant_id = 3) const uint CRITERION = 0;
+layout(constant_id = 3) const bool SELECTED = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Parameters { vec4 parameters[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Statistics { vec2 statistics[]; };
 layout(set = 0, binding = 2, scalar) writeonly buffer Decisions { uint decisions[]; };
 layout(set = 0, binding = 3, scalar) writeonly buffer BlockCounts { uint block_counts[]; };
-layout(set = 0, binding = 4, scalar) readonly buffer Criteria { uint criteria[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer Selected { uint selected[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint first;
@@ -57,15 +55,12 @@ void main() {
     vec3 scale = exp(parameters[geometry_at(PLANE_LOG_SCALE, index)].xyz);
     float largest = max(scale.x, max(scale.y, scale.z));
     vec2 statistic = statistics[first + index];
-    if (CRITERION == CRITERION_ABSOLUTE) {
-        statistic.x = uintBitsToFloat(criteria[first + index]);
-    }
     float gradient = statistic.y > 0.0 ? statistic.x / statistic.y : 0.0;
 
     bool grows = gradient >= gradient_threshold;
     bool splits = grows && largest > clone_scale;
-    if (CRITERION == CRITERION_SELECTED) {
-        grows = criteria[first + index] != 0;
+    if (SELECTED) {
+        grows = selected[first + index] != 0;
         splits = grows;
     }
     bool clones = grows && !splits;

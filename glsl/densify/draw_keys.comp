@@ -3,7 +3,7 @@
 // bits sort like its value.
 //
 // invocation: one Gaussian
-// in: statistics (sum, views), with ABSOLUTE absolute_statistics (sum); importance; with EXPLICIT_UNIFORMS uniforms[Gaussian]
+// in: statistics (sum, views); importance; with EXPLICIT_UNIFORMS uniforms[Gaussian]
 // out: keys[Gaussian], NOT_DRAWN for those that cannot be drawn; selected[Gaussian] = 0;
 //      totals[TOTAL_CANDIDATES] += number of those that can
 // shared: none; any subgroup size
@@ -17,17 +17,15 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
-layout(constant_id = 2) const bool ABSOLUTE = false;
-layout(constant_id = 3) const bool EXPLICIT_UNIFORMS = false;
+layout(constant_id = 2) const bool EXPLICIT_UNIFORMS = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Statistics { vec2 statistics[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer AbsoluteStatistics { float absolute_statistics[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer Importance { float importance[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer Uniforms { float uniforms[]; };
-layout(set = 0, binding = 4, scalar) writeonly buffer Keys { uint keys[]; };
-layout(set = 0, binding = 5, scalar) writeonly buffer Selected { uint selected[]; };
-layout(set = 0, binding = 6, scalar) buffer Totals { uint totals[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer Importance { float importance[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer Uniforms { float uniforms[]; };
+layout(set = 0, binding = 3, scalar) writeonly buffer Keys { uint keys[]; };
+layout(set = 0, binding = 4, scalar) writeonly buffer Selected { uint selected[]; };
+layout(set = 0, binding = 5, scalar) buffer Totals { uint totals[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint count;
@@ -63,8 +61,7 @@ void main() {
     bool exists = index < count;
     uint gaussian = exists ? index : 0;
     vec2 statistic = statistics[gaussian];
-    float sum = ABSOLUTE ? absolute_statistics[gaussian] : statistic.x;
-    float mean = statistic.y > 0.0 ? sum / statistic.y : 0.0;
+    float mean = statistic.y > 0.0 ? statistic.x / statistic.y : 0.0;
     float chance = chances == CHANCE_IMPORTANCE ? importance[gaussian] : chances == CHANCE_STATISTIC ? mean : 1.0;
     bool can = exists && statistic.y > 0.0 && mean >= threshold && chance > 0.0;
     uint bits = pcg4d(uvec4(seed, iteration, gaussian, STREAM)).x;

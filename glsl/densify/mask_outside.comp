@@ -2,8 +2,7 @@
 // gradient norms becomes OUTSIDE_STATISTIC, which lies below every threshold. The numbers of views stay.
 //
 // invocation: one Gaussian of a chunk
-// in: parameters (PerGaussian planes); in/out: statistics[Gaussian] (sum of norms, views), with ABSOLUTE
-//     absolute_statistics[Gaussian] (sum of absolute norms)
+// in: parameters (PerGaussian planes); in/out: statistics[Gaussian] (sum of norms, views)
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -12,12 +11,10 @@
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-layout(constant_id = 2) const bool ABSOLUTE = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Parameters { vec4 parameters[]; };
 layout(set = 0, binding = 1, scalar) writeonly buffer Statistics { vec2 statistics[]; };
-layout(set = 0, binding = 2, scalar) writeonly buffer AbsoluteStatistics { float absolute_statistics[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint first;
@@ -40,7 +37,4 @@ void main() {
         return;
     }
     statistics[first + index].x = OUTSIDE_STATISTIC;
-    if (ABSOLUTE) {
-        absolute_statistics[first + index] = OUTSIDE_STATISTIC;
-    }
 }

@@ -136,10 +136,6 @@ const float OUTSIDE_STATISTIC = -3e38;
 // A split along the longest axis (long_axis.glsl): the share d, and the children's share of the opacity.
 const float LONG_AXIS_SHARE = 0.45;
 const float LONG_AXIS_OPACITY = 0.6;
-// Criterion of densification: the mean gradient norm, that of absolute values, or a previous selection.
-const uint CRITERION_GRADIENT = 0;
-const uint CRITERION_ABSOLUTE = 1;
-const uint CRITERION_SELECTED = 2;
 // Kind of a row of the new set at densification.
 const uint KIND_KEPT = 0;
 const uint KIND_CLONE = 1;

@@ -73,9 +73,8 @@ pub fn check(path: &Path) -> Outcome {
     for (extent, _) in EXTENTS {
         let views = views(&npz, extent);
         let stages = Stages::new(&gpu, &set, &views);
-        // Sums over single views, and over all.
-        let sums = gpu.zeros::<[f32; 2]>("statistics", set.len());
-        let absolute_sums = gpu.zeros::<f32>("absolute_statistics", set.len());
+        // Sums over all views, of signed and of absolute gradients.
+        let sums = [(); 2].map(|()| gpu.zeros::<[f32; 2]>("statistics", set.len()));
         let mut all: Vec<Norms> = Vec::new();
         for (view, colors) in views.iter().zip(image_gradients(&npz, &views)) {
             let rows: Vec<[f32; 4]> = colors
@@ -88,37 +87,34 @@ pub fn check(path: &Path) -> Outcome {
             let rows = gpu.buffer("rows", &rows);
             let [width, height] = view.size_px;
             let native = gpu.zeros::<u8>("native", LayoutConverter::gradient_bytes(width, height) as usize);
-            let own = gpu.zeros::<[f32; 2]>("statistics", set.len());
-            let own_absolute = gpu.zeros::<f32>("absolute_statistics", set.len());
-            for (buffer, absolute) in [(&own, &own_absolute), (&sums, &absolute_sums)] {
-                stages.run(view, |r, inputs, backward| {
-                    layout.record_gradient(r, inputs, &rows, &native, false);
-                    r.barrier();
-                    let statistics = Statistics { buffer, accumulate: true, absolute: Some(absolute) };
-                    backward.record(
-                        r,
-                        inputs,
-                        &native,
-                        statistics,
-                        BackwardForm { absolute: true, ..BackwardForm::default() },
-                    );
-                });
+            let own = [(); 2].map(|()| gpu.zeros::<[f32; 2]>("statistics", set.len()));
+            for (all, own, absolute) in [(&sums[0], &own[0], false), (&sums[1], &own[1], true)] {
+                for buffer in [all, own] {
+                    stages.run(view, |r, inputs, backward| {
+                        layout.record_gradient(r, inputs, &rows, &native, false);
+                        r.barrier();
+                        let statistics = Statistics { buffer, accumulate: true };
+                        let form = BackwardForm { absolute, ..BackwardForm::default() };
+                        backward.record(r, inputs, &native, statistics, form);
+                    });
+                }
             }
-            let own = gpu.read::<[f32; 2]>(&own, set.len());
-            let own_absolute = gpu.read::<f32>(&own_absolute, set.len());
-            let norms = own.iter().zip(own_absolute);
-            all.push(norms.map(|(&[signed, seen], a)| (signed.into(), a.into(), seen == 1.0)).collect());
+            let [signed, absolute] = own.map(|own| gpu.read::<[f32; 2]>(&own, set.len()));
+            let norms = signed.iter().zip(absolute);
+            all.push(norms.map(|(&[s, seen], [a, _])| (s.into(), a.into(), seen == 1.0)).collect());
         }
         let part = SINGLE.gradient.relative_l2;
         judge(&npz, &set, extent, &all, part)?;
-        let sums = gpu.read::<[f32; 2]>(&sums, set.len());
-        let absolute: Vec<f64> = gpu.read_f64::<f32>(&absolute_sums, set.len());
-        let signed: Vec<f64> = sums.iter().map(|sum| sum[0].into()).collect();
+        let sums = sums.map(|sums| gpu.read::<[f32; 2]>(&sums, set.len()));
+        let [signed, absolute] =
+            sums.each_ref().map(|sums| sums.iter().map(|sum| sum[0].into()).collect::<Vec<f64>>());
         relative("sums of signed norms", &signed, npz.values(&field(extent, "acc_signed")), part)?;
         relative("sums of absolute norms", &absolute, npz.values(&field(extent, "acc_abs")), part)?;
         if extent == Extent::Reference {
-            let views: Vec<f64> = sums.iter().map(|sum| sum[1].into()).collect();
-            equal("views", &views, npz.values(&field(extent, "acc_views")))?;
+            for sums in &sums {
+                let views: Vec<f64> = sums.iter().map(|sum| sum[1].into()).collect();
+                equal("views", &views, npz.values(&field(extent, "acc_views")))?;
+            }
         }
     }
     Ok(())

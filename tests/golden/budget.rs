@@ -5,7 +5,7 @@ use super::training::{compare_parameters, densified};
 use crate::common::prelude::*;
 use crate::golden::npz::Npz;
 use crate::reference::linear::sigmoid;
-use ashsplat::passes::densify::{ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings};
+use ashsplat::passes::densify::{ClassifyInputs, Densify, DensifyForm, DensifySettings};
 use ashsplat::train::{GrowthSchedule, QuantilePlace};
 use std::path::Path;
 
@@ -15,12 +15,12 @@ const DEVICE: f64 = 2e-6;
 pub fn split(path: &Path) -> Outcome {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
-    let form = DensifyForm { long_axis: true, criterion: Criterion::Selected };
+    let form = DensifyForm { long_axis: true, selected: true };
     let densify = Densify::new(gpu.context, form)?;
     let selected: Vec<u32> = npz.values("selected").iter().map(|&x| x as u32).collect();
     let statistics = gpu.zeros::<[f32; 2]>("statistics", selected.len());
     let selected = gpu.buffer("selected", &selected);
-    let inputs = ClassifyInputs { statistics: &statistics, criteria: Some(&selected) };
+    let inputs = ClassifyInputs { statistics: &statistics, selected: Some(&selected) };
     // Nothing is pruned.
     let settings =
         DensifySettings { gradient_threshold: 0.0, clone_scale: 0.0, min_opacity: 0.0, max_scale: 0.0 };

@@ -95,11 +95,10 @@ fn selection_of_device(gpu: &Gpu, npz: &Npz) -> Outcome {
         single("candidate").into_iter().map(|candidate| [candidate, 1.0]).collect();
     let [keys, selected] = ["keys", "selected"].map(|name| gpu.untouched::<u32>(name, count));
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
-    let spec = draw_keys::Spec { workgroup_size, subgroup_size, absolute: false, explicit_uniforms: true };
+    let spec = draw_keys::Spec { workgroup_size, subgroup_size, explicit_uniforms: true };
     let statistics = gpu.buffer("statistics", &statistics);
     let bind = draw_keys::Bind {
         statistics: &statistics,
-        absolute_statistics: &statistics,
         importance: &gpu.buffer("importance", &single("importance")),
         uniforms: &gpu.buffer("uniforms", &single("u")),
         keys: &keys,

@@ -299,7 +299,6 @@ pub fn of_device(path: &Path) -> Outcome {
         instance_gradients_d: &last,
         gradients: &gradients,
         statistics: &statistics,
-        absolute_statistics: &statistics,
         pose_sums: &pose_sums,
         camera_block: &camera_block,
     };

@@ -117,7 +117,7 @@ pub fn check(path: &Path) -> Outcome {
                 },
             );
             r.barrier();
-            let statistics = Statistics { buffer: &statistics, accumulate: false, absolute: None };
+            let statistics = Statistics { buffer: &statistics, accumulate: false };
             backward.record(r, inputs, &gradient, statistics, BackwardForm::default());
             r.barrier();
             backward.record_expand_gradients(r, inputs, &chunks, &mean2d);

@@ -306,7 +306,7 @@ pub fn densify(path: &Path) -> Outcome {
     let sums = npz.values("in_grad_accum").iter().zip(npz.values("in_denom"));
     let statistics: Vec<[f32; 2]> = sums.map(|(&sum, &views)| [sum as f32, views as f32]).collect();
     let statistics = gpu.buffer("statistics", &statistics);
-    let inputs = ClassifyInputs { statistics: &statistics, criteria: None };
+    let inputs = ClassifyInputs { statistics: &statistics, selected: None };
     let densify = Densify::new(gpu.context, DensifyForm::default()).expect("the kernels of densification");
     let noise = noise_of_gaussians(&npz);
     let after = densified(&gpu, &npz, &densify, (inputs, &settings), Some(&noise))?;

@@ -15,8 +15,7 @@ use crate::reference::scatter_sources::{Densify as DensifyTwin, Kind, place as p
 use crate::reference::zorder::{cell, zorder as zorder_twin};
 use ashsplat::frame::{self, LaunchSizes, SceneBuffers};
 use ashsplat::kernels::constants::{
-    CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED, GATHER_COPIES, GATHER_LOG_SCALE,
-    GATHER_MEAN_OPACITY, GATHER_MOMENTS, PLANE_LOG_SCALE, PLANE_MEAN_OPACITY,
+    GATHER_COPIES, GATHER_LOG_SCALE, GATHER_MEAN_OPACITY, GATHER_MOMENTS, PLANE_LOG_SCALE, PLANE_MEAN_OPACITY,
 };
 use ashsplat::kernels::densify::{
     classify, gather, mask_outside, relocate, reset_opacity, scatter_sources, zorder,
@@ -63,29 +62,31 @@ fn counts_of_bits(decisions: &[u32], block: usize) -> [Vec<u32>; 3] {
 struct Decisions {
     gaussians: Vec<Gaussian>,
     statistics: Vec<[f32; 2]>,
-    criteria: Vec<u32>,
+    /// Nonzero for a split; empty if the gradient decides.
+    selected: Vec<u32>,
     expected: Vec<u32>,
 }
 
 impl Decisions {
-    /// `criterion` other than the gradient: with children along the long axis.
-    fn check(&self, gpu: &Gpu, criterion: u32, prune_big: bool) {
+    fn check(&self, gpu: &Gpu, long_axis: bool, prune_big: bool) {
+        let selected = !self.selected.is_empty();
         let spec = classify::Spec {
             workgroup_size: gpu.workgroup(64),
             subgroup_size: gpu.subgroup(),
-            long_axis: criterion != CRITERION_GRADIENT,
-            criterion,
+            long_axis,
+            selected,
         };
         let (size, block) = (self.gaussians.len(), spec.workgroup_size as usize);
         let blocks = size.div_ceil(block);
         let decisions = gpu.untouched::<u32>("decisions", size + 1);
         let counts = gpu.untouched::<u32>("block_counts", 3 * blocks + 1);
+        let statistics = gpu.buffer("statistics", &self.statistics);
         let bind = classify::Bind {
             parameters: &gpu.gaussians("parameters", &self.gaussians),
-            statistics: &gpu.buffer("statistics", &self.statistics),
+            statistics: &statistics,
             decisions: &decisions,
             block_counts: &counts,
-            criteria: &gpu.buffer("criteria", &self.criteria),
+            selected: &if selected { gpu.buffer("selected", &self.selected) } else { statistics.clone() },
         };
         let push = classify::Push {
             first: 0,
@@ -97,7 +98,7 @@ impl Decisions {
             max_scale: if prune_big { (0.1 * SCENE_EXTENT) as f32 } else { 0.0 },
         };
         gpu.dispatch::<classify::Interface>(&spec, &bind, &push, blocks as u64 + 1);
-        let case = format!("{size}, criterion {criterion}, {prune_big}");
+        let case = format!("{size}, {spec:?}, {prune_big}");
         gpu.assert_values(&decisions, &self.expected, &case);
         gpu.assert_values(&counts, &counts_of_bits(&self.expected, block).concat(), &case);
     }
@@ -126,18 +127,16 @@ pub fn classify_equals_its_twin() {
                 decision_bits(gaussian, statistic, prune_big)
             })
             .collect();
-        let criteria = vec![0; size];
-        Decisions { gaussians, statistics, criteria, expected }.check(&gpu, CRITERION_GRADIENT, prune_big);
+        Decisions { gaussians, statistics, selected: Vec::new(), expected }.check(&gpu, false, prune_big);
     }
 }
 
-/// Decisions by absolute statistics and by a selection, with children along the long axis.
+/// Decisions with children along the long axis, by the gradient and by a selection.
 #[test]
-pub fn classify_by_other_criteria_equals_its_twin() {
+pub fn classify_along_the_long_axis_equals_its_twin() {
     let gpu = Gpu::new();
-    for (size, (criterion, prune_big)) in sizes(gpu.workgroup(64) as usize)
-        .into_iter()
-        .flat_map(|n| [(n, (CRITERION_ABSOLUTE, true)), (n, (CRITERION_SELECTED, false))])
+    for (size, by_selection) in
+        sizes(gpu.workgroup(64) as usize).into_iter().flat_map(|n| [(n, false), (n, true)])
     {
         let mut random = Random::new(size as u64);
         let mut gaussians = mixed_scene(&mut random, size, 1);
@@ -152,26 +151,25 @@ pub fn classify_by_other_criteria_equals_its_twin() {
             }
         }
         let views: Vec<f32> = (0..size).map(|_| random.below(10) as f32).collect();
-        let criteria: Vec<u32> = match criterion {
-            CRITERION_SELECTED => (0..size).map(|_| random.below(2) * 7).collect(),
-            _ => views.iter().map(|views| (views * random.between(0.0, 4e-4) as f32).to_bits()).collect(),
-        };
-        let decision = |i: usize| {
-            let gradient = if views[i] == 0.0 { 0.0 } else { f32::from_bits(criteria[i]) / views[i] };
-            match criterion {
-                CRITERION_SELECTED if criteria[i] > 0 => Decision::Split,
-                CRITERION_SELECTED => Decision::Keep,
-                _ => {
-                    let statistic = Statistic { gradient: gradient.into(), views: 1.0 };
-                    decide(gaussians[i].log_scale, statistic, SCENE_EXTENT)
-                }
+        let selected: Vec<u32> = (0..size).map(|_| random.below(2) * 7).collect();
+        // A selection ignores the gradients.
+        let mut sum = |views: f32| if by_selection { 1e9 } else { views * random.between(0.0, 4e-4) as f32 };
+        let statistics: Vec<[f32; 2]> = views.into_iter().map(|views| [sum(views), views]).collect();
+        let decision = |i: usize| match by_selection {
+            true if selected[i] > 0 => Decision::Split,
+            true => Decision::Keep,
+            false => {
+                let [sum, views] = statistics[i];
+                let gradient = if views == 0.0 { 0.0 } else { sum / views };
+                let statistic = Statistic { gradient: gradient.into(), views: 1.0 };
+                decide(gaussians[i].log_scale, statistic, SCENE_EXTENT)
             }
         };
+        let prune_big = !by_selection;
         let expected_of = |(i, g)| bits(g, &long_axis_child(g, 0), decision(i), prune_big);
         let expected = gaussians.iter().enumerate().map(expected_of).collect();
-        // The sums of the signed norms must be ignored.
-        let statistics = views.iter().map(|&views| [1e9, views]).collect();
-        Decisions { gaussians, statistics, criteria, expected }.check(&gpu, criterion, prune_big);
+        let selected = if by_selection { selected } else { Vec::new() };
+        Decisions { gaussians, statistics, selected, expected }.check(&gpu, true, prune_big);
     }
 }
 
@@ -580,50 +578,38 @@ fn mask_outside_equals_its_twin() {
     let gpu = Gpu::new();
     // The second of two chunks.
     const FIRST: usize = 5;
-    for absolute in [false, true] {
-        let spec = mask_outside::Spec { workgroup_size: gpu.workgroup(64), absolute };
-        let mut found = [0; 2];
-        for size in sizes(spec.workgroup_size as usize) {
-            let mut gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);
-            // Means on a side, and just outside.
-            for (gaussian, x) in gaussians.iter_mut().zip([-0.5, -0.500_000_06, 0.75, 0.750_000_06]) {
-                gaussian.mean = [f64::from(x as f32), 0.25, -1.0];
-            }
-            let all = size + FIRST + 1;
-            let before: Vec<[f32; 2]> = (0..all).map(|i| [i as f32 * 0.5, i as f32]).collect();
-            let sums: Vec<f32> = (0..all).map(|i| i as f32 * 0.25).collect();
-            let statistics = gpu.buffer("statistics", &before);
-            let absolutes = gpu.buffer("absolute_statistics", &sums);
-            let bind = mask_outside::Bind {
-                parameters: &gpu.gaussians("parameters", &gaussians),
-                statistics: &statistics,
-                absolute_statistics: &absolutes,
-            };
-            let push = mask_outside::Push {
-                first: FIRST as u32,
-                count: size as u32,
-                core_low: low,
-                core_high: high,
-            };
-            gpu.dispatch_over::<mask_outside::Interface>(&spec, &bind, &push, size);
-            let after: Vec<[f32; 2]> = gpu.read(&statistics, all);
-            let sums_after: Vec<f32> = gpu.read(&absolutes, all);
-            let corners = [low, high].map(|corner| corner.map(f64::from));
-            for i in 0..all {
-                let mean = i.checked_sub(FIRST).and_then(|i| gaussians.get(i)).map(|gaussian| gaussian.mean);
-                let expected = |sum: f32| match mean {
-                    Some(mean) => masked(f64::from(sum), mean.map(|x| f64::from(x as f32)), corners),
-                    None => f64::from(sum),
-                };
-                assert_eq!(f64::from(after[i][0]), expected(before[i][0]), "{i}");
-                assert_eq!(after[i][1], before[i][1], "{i}");
-                let expected = if absolute { expected(sums[i]) } else { f64::from(sums[i]) };
-                assert_eq!(f64::from(sums_after[i]), expected, "absolute {absolute}, {i}");
-                found[usize::from(after[i] == before[i])] += usize::from(mean.is_some());
-            }
+    let spec = mask_outside::Spec { workgroup_size: gpu.workgroup(64) };
+    let mut found = [0; 2];
+    for size in sizes(spec.workgroup_size as usize) {
+        let mut gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);
+        // Means on a side, and just outside.
+        for (gaussian, x) in gaussians.iter_mut().zip([-0.5, -0.500_000_06, 0.75, 0.750_000_06]) {
+            gaussian.mean = [f64::from(x as f32), 0.25, -1.0];
         }
-        assert!(found[0] > 20 && found[1] > 20, "{found:?}");
+        let all = size + FIRST + 1;
+        let before: Vec<[f32; 2]> = (0..all).map(|i| [i as f32 * 0.5, i as f32]).collect();
+        let statistics = gpu.buffer("statistics", &before);
+        let bind = mask_outside::Bind {
+            parameters: &gpu.gaussians("parameters", &gaussians),
+            statistics: &statistics,
+        };
+        let push =
+            mask_outside::Push { first: FIRST as u32, count: size as u32, core_low: low, core_high: high };
+        gpu.dispatch_over::<mask_outside::Interface>(&spec, &bind, &push, size);
+        let after: Vec<[f32; 2]> = gpu.read(&statistics, all);
+        let corners = [low, high].map(|corner| corner.map(f64::from));
+        for i in 0..all {
+            let mean = i.checked_sub(FIRST).and_then(|i| gaussians.get(i)).map(|gaussian| gaussian.mean);
+            let expected = |sum: f32| match mean {
+                Some(mean) => masked(f64::from(sum), mean.map(|x| f64::from(x as f32)), corners),
+                None => f64::from(sum),
+            };
+            assert_eq!(f64::from(after[i][0]), expected(before[i][0]), "{i}");
+            assert_eq!(after[i][1], before[i][1], "{i}");
+            found[usize::from(after[i] == before[i])] += usize::from(mean.is_some());
+        }
     }
+    assert!(found[0] > 20 && found[1] > 20, "{found:?}");
 }
 
 const CENTER: [f64; 3] = [0.5, -1.25, 2.0];

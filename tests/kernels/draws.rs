@@ -27,21 +27,19 @@ fn wide(values: &[f32]) -> Vec<f64> {
 #[derive(Clone, Copy)]
 struct Row {
     statistic: [f32; 2],
-    absolute: f32,
     importance: f32,
     uniform: f32,
 }
 
-fn check_keys(gpu: &Gpu, rows: &[Row], absolute: bool, explicit_uniforms: bool, chances: u32) {
+fn check_keys(gpu: &Gpu, rows: &[Row], explicit_uniforms: bool, chances: u32) {
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
-    let spec = draw_keys::Spec { workgroup_size, subgroup_size, absolute, explicit_uniforms };
+    let spec = draw_keys::Spec { workgroup_size, subgroup_size, explicit_uniforms };
     let column = |of: fn(&Row) -> f32| rows.iter().map(of).collect::<Vec<f32>>();
     let statistics: Vec<[f32; 2]> = rows.iter().map(|row| row.statistic).collect();
     let [keys, selected] = ["keys", "selected"].map(|name| gpu.untouched::<u32>(name, rows.len() + 1));
     let totals = gpu.buffer("totals", &[rows.len() as u32, 0, 0, 0]);
     let bind = draw_keys::Bind {
         statistics: &gpu.buffer("statistics", &statistics),
-        absolute_statistics: &gpu.buffer("absolute_statistics", &column(|row| row.absolute)),
         importance: &gpu.buffer("importance", &column(|row| row.importance)),
         uniforms: &gpu.buffer("uniforms", &column(|row| row.uniform)),
         keys: &keys,
@@ -56,7 +54,6 @@ fn check_keys(gpu: &Gpu, rows: &[Row], absolute: bool, explicit_uniforms: bool, 
     let mut expected_candidates = 0;
     for (i, (row, actual)) in rows.iter().zip(gpu.read::<u32>(&keys, rows.len())).enumerate() {
         let [sum, views] = row.statistic.map(f64::from);
-        let sum = if absolute { f64::from(row.absolute) } else { sum };
         let mean = if views > 0.0 { sum / views } else { 0.0 };
         let chance = match chances {
             CHANCE_IMPORTANCE => f64::from(row.importance),
@@ -85,7 +82,6 @@ pub fn draw_keys_equals_its_twin() {
         let mut row = || Row {
             // Means on both sides of the threshold, none within rounding of it. Some Gaussians were never visible.
             statistic: [(random.below(16) * 2 + 1) as f32 / 8.0, random.below(4) as f32],
-            absolute: (random.below(16) * 2 + 1) as f32 / 8.0,
             importance: if random.below(5) == 0 { 0.0 } else { random.unit() as f32 },
             uniform: 0.0,
         };
@@ -97,8 +93,8 @@ pub fn draw_keys_equals_its_twin() {
             row.uniform = edges.get(i).copied().unwrap_or_else(|| (1e-6 + 0.999_99 * random.unit()) as f32);
         }
         for chances in [CHANCE_IMPORTANCE, CHANCE_STATISTIC, CHANCE_EQUAL] {
-            for (absolute, explicit) in [(false, false), (false, true), (true, false), (true, true)] {
-                check_keys(&gpu, &rows, absolute, explicit, chances);
+            for explicit in [false, true] {
+                check_keys(&gpu, &rows, explicit, chances);
             }
         }
     }
@@ -140,7 +136,7 @@ fn unique_draw_buffers(context: &Context, count: u32) -> UniqueDrawBuffers {
 #[test]
 fn unique_draw_is_that_of_the_twins() {
     let gpu = Gpu::new();
-    let draws = UniqueDraw::new(gpu.context, false).expect("kernels");
+    let draws = UniqueDraw::new(gpu.context).expect("kernels");
     for size in [1, 700, 5000] {
         // Every fifth Gaussian has no chance.
         let mut random = Random::new(size as u64);
@@ -154,7 +150,7 @@ fn unique_draw_is_that_of_the_twins() {
             let draw = UniqueDrawInputs {
                 count: size as u32,
                 wanted: wanted as u32,
-                candidates: Candidates { statistics: &statistics, absolute: None, threshold: 0.5 },
+                candidates: Candidates { statistics: &statistics, threshold: 0.5 },
                 chances: Chances::Importance(&importance),
                 seed: 3,
                 iteration: 11,
@@ -312,7 +308,7 @@ fn opacity_keys_put_opacities_into_their_order() {
     for (context, count) in [(gpu.context, 1), (gpu.context, 77), (gpu.context, 9000), (&in_chunks, 20_000)] {
         let scene = scene(count);
         let uploaded = uploaded(context, &scene);
-        let draws = UniqueDraw::new(context, false).expect("kernels");
+        let draws = UniqueDraw::new(context).expect("kernels");
         let buffers = unique_draw_buffers(context, count as u32);
         let mut recorded = None;
         let ran = context.run("order opacities", |r| {

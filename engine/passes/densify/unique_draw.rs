@@ -13,10 +13,8 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 /// Gaussians that may be drawn: those that any view showed, with a mean statistic of at least `threshold`.
 #[derive(Clone, Copy)]
 pub struct Candidates<'a> {
-    /// vec2 per Gaussian: sum of the signed norms, number of views.
+    /// vec2 per Gaussian: sum of gradient norms, number of views.
     pub statistics: &'a Buffer,
-    /// f32 per Gaussian: sum of the absolute norms, which replaces the signed ones.
-    pub absolute: Option<&'a Buffer>,
     /// Minimum mean over the views.
     pub threshold: f32,
 }
@@ -96,21 +94,18 @@ pub struct UniqueDraw {
     sizes: LaunchSizes,
     sort: RadixSort,
     opacity_keys: Kernel<opacity_keys::Interface>,
-    /// True if draws have [`Candidates::absolute`].
-    absolute: bool,
     keys: Kernel<draw_keys::Interface>,
     mark: Kernel<mark_drawn::Interface>,
 }
 
 impl UniqueDraw {
-    /// Builds the kernels; `absolute`: draws have [`Candidates::absolute`].
-    pub fn new(context: &Context, absolute: bool) -> Result<Self> {
+    /// Builds the kernels.
+    pub fn new(context: &Context) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
-        let keys = draw_keys::Spec { workgroup_size, subgroup_size, absolute, explicit_uniforms: false };
+        let keys = draw_keys::Spec { workgroup_size, subgroup_size, explicit_uniforms: false };
         Ok(Self {
             sort: RadixSort::new(context)?,
-            absolute,
             keys: Kernel::new(context, &keys)?,
             mark: Kernel::new(context, &mark_drawn::Spec { workgroup_size })?,
             opacity_keys: Kernel::new(context, &opacity_keys::Spec { workgroup_size })?,
@@ -119,12 +114,8 @@ impl UniqueDraw {
     }
 
     /// Records a draw: the `wanted` largest ln(u) / chance. A barrier must precede it; it ends with one.
-    ///
-    /// # Panics
-    /// If the absolute statistic is missing although the kernel was built for it, or the reverse.
     pub fn record(&self, r: &mut Recorder, draw: &UniqueDrawInputs, buffers: &UniqueDrawBuffers) {
         let UniqueDrawInputs { count, candidates, chances, .. } = *draw;
-        assert_eq!(candidates.absolute.is_some(), self.absolute, "the statistics that it was built for");
         let groups = self.sizes.groups(count);
         r.scope("select", |r| {
             r.fill(&buffers.total(c::TOTAL_GAUSSIANS), count);
@@ -137,7 +128,6 @@ impl UniqueDraw {
             };
             let bind = draw_keys::Bind {
                 statistics: candidates.statistics,
-                absolute_statistics: candidates.absolute.unwrap_or(candidates.statistics),
                 importance,
                 // Only the kernel's form with explicit numbers reads this binding.
                 uniforms: candidates.statistics,

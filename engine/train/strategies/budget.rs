@@ -5,14 +5,14 @@
 use super::rebuild::{Decisions, check_cap, reset_opacity};
 use crate::error::{Error, Result};
 use crate::passes::densify::{
-    Candidates, Chances, ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings, Importance,
-    RESET_OPACITY, UniqueDraw, UniqueDrawBuffers, UniqueDrawInputs,
+    Candidates, Chances, Densify, DensifyForm, DensifySettings, Importance, RESET_OPACITY, UniqueDraw,
+    UniqueDrawBuffers, UniqueDrawInputs,
 };
 use crate::train::population::Population;
 use crate::train::schedule::pool_views;
 use crate::train::settings::{ImportanceType, SplitType, TrainSettings};
 use crate::train::strategy::{Strategy, unknown};
-use crate::train::work::{ABSOLUTE_STATISTIC, Actions, Changes, Densified, Statistic, Work};
+use crate::train::work::{Actions, Changes, Densified, Work};
 use crate::vk::{Buffer, Context};
 
 /// Pruning of Gaussians that are still faint after the start.
@@ -54,11 +54,10 @@ const START: &str = "start";
 impl Budget {
     /// Builds the kernels for these settings.
     pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
-        let form =
-            DensifyForm { long_axis: settings.split == SplitType::LongAxis, criterion: Criterion::Selected };
+        let form = DensifyForm { long_axis: settings.split == SplitType::LongAxis, selected: true };
         Ok(Self {
             kernels: Densify::new(context, form)?,
-            unique_draw: UniqueDraw::new(context, settings.absgrad)?,
+            unique_draw: UniqueDraw::new(context)?,
             importance: None,
             absolute: settings.absgrad,
             start: None,
@@ -103,8 +102,8 @@ impl Strategy for Budget {
         }
     }
 
-    fn statistics(&self) -> Vec<Statistic> {
-        if self.absolute { vec![ABSOLUTE_STATISTIC] } else { Vec::new() }
+    fn absolute_gradients(&self) -> bool {
+        self.absolute
     }
 
     fn between_steps(&mut self, population: &mut Population, action: Actions) -> Result<Changes> {
@@ -175,11 +174,7 @@ impl Budget {
         let Some(mut decisions) = decisions else { return Ok(unchanged) };
         let drawn = self.select(population, importance.as_ref(), wanted, &selection)?;
         let classify = |decisions: &Decisions, population: &Population| {
-            let inputs = ClassifyInputs {
-                statistics: &population.statistics()[0],
-                criteria: Some(&selection.selected),
-            };
-            decisions.classify(population, inputs)
+            decisions.classify(population, Some(&selection.selected))
         };
         let mut densified = classify(&decisions, population)?;
         let Some(growth) = decisions.reserve_gaussians(population, before + drawn)? else {
@@ -223,7 +218,6 @@ impl Budget {
             wanted,
             candidates: Candidates {
                 statistics: &population.statistics()[0],
-                absolute: self.absolute.then(|| &population.statistics()[1]),
                 threshold: settings.densify_grad_threshold as f32,
             },
             chances: match (importance, settings.importance) {

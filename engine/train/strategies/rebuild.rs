@@ -7,7 +7,7 @@ use crate::passes::densify::{
 };
 use crate::train::population::{Growth, Population};
 use crate::train::work::{Changes, Densified};
-use crate::vk::Recorder;
+use crate::vk::{Buffer, Recorder};
 
 /// A densification by decisions per Gaussian.
 pub(super) struct Decisions<'a> {
@@ -31,9 +31,10 @@ impl<'a> Decisions<'a> {
         Ok(buffers.map(|buffers| Self { kernels, settings, buffers, order: None }))
     }
 
-    /// Decides what happens to each Gaussian.
-    pub fn classify(&self, population: &Population, inputs: ClassifyInputs) -> Result<Densified> {
+    /// Decides what happens to each Gaussian. `selected`: see [`ClassifyInputs::selected`].
+    pub fn classify(&self, population: &Population, selected: Option<&Buffer>) -> Result<Densified> {
         let context = population.context();
+        let inputs = ClassifyInputs { statistics: &population.statistics()[0], selected };
         context.run_commands("densify: classify", |r| {
             let scene = population.scene();
             self.kernels.record_classify(r, scene, inputs, &self.buffers, &self.settings);
@@ -43,14 +44,12 @@ impl<'a> Decisions<'a> {
         Ok(Densified { before, kept: totals[0], cloned: totals[1], split: totals[2], limited: false })
     }
 
-    /// Decides which Gaussians stay, without clones and splits, by
-    /// [`Criterion::Selected`](crate::passes::densify::Criterion::Selected).
+    /// Decides which Gaussians stay, without clones and splits, with [`DensifyForm::selected`](crate::passes::densify::DensifyForm::selected).
     pub fn classify_kept(&self, population: &Population) -> Result<Densified> {
         // The buffer is zero until sources are written, so no Gaussian is selected.
         let none = &self.buffers.sources;
         population.context().run_commands("select none", |r| r.fill(none, 0))?;
-        let statistics = &population.statistics()[0];
-        self.classify(population, ClassifyInputs { statistics, criteria: Some(none) })
+        self.classify(population, Some(none))
     }
 
     /// Allocates memory for a new set of up to `rows` rows, and for its order along the curve. The capacity may be less

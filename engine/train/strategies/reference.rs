@@ -3,20 +3,18 @@
 
 use super::rebuild::{Decisions, reset_opacity};
 use crate::error::Result;
-use crate::passes::densify::{
-    ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings, RESET_OPACITY,
-};
+use crate::passes::densify::{Densify, DensifyForm, DensifySettings, RESET_OPACITY};
 use crate::train::population::Population;
 use crate::train::settings::{SplitType, TrainSettings};
 use crate::train::strategy::{Strategy, unknown};
-use crate::train::work::{ABSOLUTE_STATISTIC, Actions, Changes, Densified, Statistic, Work};
+use crate::train::work::{Actions, Changes, Densified, Work};
 use crate::vk::Context;
 
 /// Scales above this share of the scene's extent are pruned after the first opacity reset (reference).
 const LARGE_SCALE_SHARE: f64 = 0.1;
 
 /// Clone, split, prune and opacity reset of the reference implementation. Two parts are replaceable. [`TrainSettings::absgrad`]
-/// densifies by the absolute statistic (like gsplat, with one threshold for clones and splits), and [`TrainSettings::split`]
+/// densifies by absolute gradients (like gsplat, with one threshold for clones and splits), and [`TrainSettings::split`]
 /// selects the split.
 pub struct Reference {
     kernels: Densify,
@@ -31,12 +29,8 @@ impl Reference {
 
     /// Builds the kernels for these settings.
     pub fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Self> {
-        let absolute = settings.absgrad;
-        let form = DensifyForm {
-            long_axis: settings.split == SplitType::LongAxis,
-            criterion: if absolute { Criterion::Absolute } else { Criterion::Gradient },
-        };
-        Ok(Self { kernels: Densify::new(context, form)?, absolute })
+        let form = DensifyForm { long_axis: settings.split == SplitType::LongAxis, selected: false };
+        Ok(Self { kernels: Densify::new(context, form)?, absolute: settings.absgrad })
     }
 }
 
@@ -63,8 +57,8 @@ impl Strategy for Reference {
         }
     }
 
-    fn statistics(&self) -> Vec<Statistic> {
-        if self.absolute { vec![ABSOLUTE_STATISTIC] } else { Vec::new() }
+    fn absolute_gradients(&self) -> bool {
+        self.absolute
     }
 
     fn between_steps(&mut self, population: &mut Population, action: Actions) -> Result<Changes> {
@@ -90,7 +84,7 @@ impl Reference {
         let most_rows = before.saturating_mul(2);
         let decisions = Decisions::new(population, most_rows, &self.kernels, settings)?;
         let Some(mut decisions) = decisions else { return Ok(unchanged) };
-        let wanted = decisions.classify(population, self.inputs(population))?;
+        let wanted = decisions.classify(population, None)?;
         let most = population.most_rows();
         let rows = wanted.rows().min(most);
         let Some(growth) = decisions.reserve_gaussians(population, rows)? else { return Ok(unchanged) };
@@ -101,11 +95,6 @@ impl Reference {
         };
         decisions.rebuild(population, densified, growth)?;
         Ok(densified)
-    }
-
-    fn inputs<'a>(&self, population: &'a Population) -> ClassifyInputs<'a> {
-        let statistics = population.statistics();
-        ClassifyInputs { statistics: &statistics[0], criteria: self.absolute.then(|| &statistics[1]) }
     }
 
     /// Classifies with the lowest threshold that fits the capacity, found by bisection, so that the Gaussians with the largest
@@ -122,7 +111,7 @@ impl Reference {
         let (mut low, mut high) = (least.to_bits(), f32::INFINITY.to_bits());
         let mut classify = |bits: u32| {
             decisions.settings.gradient_threshold = f32::from_bits(bits);
-            decisions.classify(population, self.inputs(population))
+            decisions.classify(population, None)
         };
         for _ in 0..ROUNDS {
             let middle = low + (high - low) / 2;
