@@ -165,10 +165,12 @@ impl Machine {
         for (to, from) in properties.device_name.iter_mut().zip(name.bytes().take(room)) {
             *to = from as std::ffi::c_char;
         }
+        let limits = &mut properties.limits;
+        // Software drivers say 128 MiB and take more.
+        limits.max_storage_buffer_range = u32::MAX;
         if !self.small {
             return;
         }
-        let limits = &mut properties.limits;
         let sizes = limits.max_compute_work_group_size;
         limits.max_compute_work_group_size = [sizes[0].min(256), sizes[1].min(256), sizes[2].min(64)];
         let least = |limit: &mut u32, least: u32| *limit = (*limit).min(least);
