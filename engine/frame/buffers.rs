@@ -183,9 +183,8 @@ buffer_set! {
     pub depth_sums: depth * pixels * 4, Blend..=BlendBackward;
     /// Per pixel: 1 + list index of the last blended entry of its tile.
     pub last_entries: (last_entries | backward) * pixels * 4, Blend..=BlendBackward;
-    /// Gradient of the loss. Per pixel: dL/d(r, g, b, inverse depth); with strips, three planes of dL/d(r, g, b). It lives always,
-    /// because what no kernel writes must stay 0.
-    pub image_gradient: if strips > 0 { 3 * strips * 4 } else { backward * pixels * 16 };
+    /// Gradient of the loss. Per pixel: dL/d(r, g, b), a word that nothing reads; with strips, three planes of dL/d(r, g, b).
+    pub image_gradient: if strips > 0 { 3 * strips * 4 } else { backward * pixels * 16 }, Loss..=BlendBackward;
     /// Per pixel: state between passes of the backward blending.
     pub backward_state: backward * u64::from(capacity.blend_passes > 1) * pixels * 8, BlendBackward..=BlendBackward;
     /// Per instance before the tile sort: moments 1, dx, dy, dx dx.

@@ -210,12 +210,6 @@ impl FrameStore {
         let mut buffers = self.context.allocate_shared("frame", &requests, &lives, MemoryKind::Device)?;
         let loss_scratch = buffers.split_off(buffers.len() - self.loss_scratch.len());
         let frame = FrameMemory { buffers: FrameBuffers::from_allocated(buffers), loss_scratch };
-        if capacity.backward {
-            // The fourth component of each pixel is never written and must be 0.
-            self.context.run_commands("clear gradient", |r| {
-                r.fill(&frame.buffers.image_gradient, 0);
-            })?;
-        }
         self.capacity = capacity;
         self.frame = Some(frame.clone());
         Ok(frame)
