@@ -43,7 +43,7 @@ const L: u8 = 46;
 const SLASH: u8 = 61;
 const SHIFT: u8 = 50;
 const CONTROL: u8 = 37;
-const DIGITS: [u8; 5] = [10, 11, 12, 13, 14];
+const DIGITS: [u8; 6] = [10, 11, 12, 13, 14, 15];
 const HOME: u8 = 110;
 
 fn main() -> ExitCode {
@@ -226,7 +226,9 @@ fn shows_what_render_draws() {
     press(H, "splats", &expected[0]);
     // Every mode gives another picture; the first one returns.
     let mut seen = vec![expected[0].clone()];
-    for (digit, mode) in DIGITS.iter().zip(["splats", "centres", "ellipsoids", "depth", "tiles"]).skip(1) {
+    for (digit, mode) in
+        DIGITS.iter().zip(["splats", "centres", "ellipsoids", "depth", "tiles", "normals"]).skip(1)
+    {
         desk.key(*digit);
         let shown = wait(mode, &|shown| {
             seen.iter().all(|other| difference(shown, other).is_some_and(|(_, mean)| mean > 1.0))

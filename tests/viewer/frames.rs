@@ -52,7 +52,7 @@ fn viewer_has_modes_with_legends() {
     let mut page = server.page();
     let camera = camera(0.0);
     let mut seen = Vec::new();
-    for mode in ["splats", "centres", "ellipsoids", "depth", "tiles"] {
+    for mode in ["splats", "centres", "ellipsoids", "depth", "tiles", "normals"] {
         let shown = page.look(&camera, &json!({ "quality": 0, "mode": mode }));
         let legend: Option<Vec<f64>> =
             serde_json::from_value(shown.header["legend"].clone()).expect("numbers, or null");

@@ -153,8 +153,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
         let mut frame = renderer.render(&named.camera, &settings)?;
         appearance.apply(&named.camera, &mut frame);
-        if let (Format::Png, true, Some(surface)) = (format, arguments.normals, &frame.surface) {
-            frame.color = surface.normals.iter().map(|normal| normal.map(|n| 0.5 + 0.5 * n)).collect();
+        if format == Format::Png && arguments.normals {
+            output::show_normals(&mut frame);
         }
         arguments.depth().scale(&mut frame, scene.frame.unit as f32);
         let milliseconds = start.elapsed().as_secs_f64() * 1e3;

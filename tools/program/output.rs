@@ -237,6 +237,12 @@ pub fn to_rgba(frame: &Frame) -> image::RgbaImage {
     image::RgbaImage::from_fn(frame.width, frame.height, pixel)
 }
 
+/// Replaces the picture of a frame with a surface by its normals: (1 + n) / 2, in the scene's axes.
+pub fn show_normals(frame: &mut Frame) {
+    let normals = frame.surface.iter().flat_map(|surface| &surface.normals);
+    frame.color.iter_mut().zip(normals).for_each(|(color, normal)| *color = normal.map(|n| 0.5 + 0.5 * n));
+}
+
 /// Writes a 32-bit float EXR with the channels R G B (linear light: the sRGB curve of the photographs is undone), A
 /// (1 − transmittance) and Z (depth along the view axis, world units). The colours are on the
 /// frame's background; those of a frame on black may also be premultiplied by alpha, as EXR requires for pictures

@@ -4,7 +4,8 @@ use super::edits::Part;
 use super::protocol::{Edit, Look, Mode};
 use ashsplat::kernels::constants::TILE_SIZE;
 use ashsplat::{
-    Camera, Error, Frame, FrameStats, Gaussians, PixelReport, RenderSettings, Result, TileReport, Trainer,
+    Camera, Error, Frame, FrameStats, Gaussians, PixelReport, RenderSettings, Result, SurfaceDepth,
+    TileReport, Trainer,
 };
 use ashsplat_files::Photo;
 use ashsplat_program::appearance::Appearance;
@@ -129,6 +130,7 @@ pub fn settings(base: &RenderSettings, look: &Look) -> RenderSettings {
         background: look.background.unwrap_or(base.background),
         sh_degree: look.sh_degree.or(base.sh_degree),
         shape: look.mode.shape(),
+        surface: (look.mode == Mode::Normals).then_some(SurfaceDepth::Median),
         scale_modifier: look.scale,
         cut: look.cut.cut(),
         ..base
@@ -153,6 +155,9 @@ pub fn draw(
     };
     if let (Mode::Splats, Some((taken, appearance))) = (look.mode, &appearance) {
         appearance.apply_as_taken(taken, camera, &mut frame);
+    }
+    if look.mode == Mode::Normals {
+        output::show_normals(&mut frame);
     }
     let (photo, legend) = match (look.mode, tiles) {
         (Mode::Ellipsoids, _) => (outlined(&frame)?, None),

@@ -154,6 +154,8 @@ pub enum Mode {
     Depth,
     /// Number of Gaussians in each tile, in colours.
     Tiles,
+    /// Normals as colours: (1 + n) / 2, in the scene's axes.
+    Normals,
 }
 
 impl Mode {

@@ -2,7 +2,7 @@
 //!
 //! The window is a host that shares the engine's device, whose context has the window's extensions. Frames are recorded into
 //! the window's command buffers and copied to its images on the device. The modes that the processor colours (ellipsoids,
-//! depth, tiles) are drawn as for the page, and uploaded.
+//! depth, tiles, normals) are drawn as for the page, and uploaded.
 
 mod app;
 mod comparison;

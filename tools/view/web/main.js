@@ -152,8 +152,8 @@ function home() {
 }
 
 function key(code, event) {
-    const digit = /^(?:Digit|Numpad)([1-5])$/.exec(code);
-    if (digit) panel.choose(['splats', 'centres', 'ellipsoids', 'depth', 'tiles'][digit[1] - 1]);
+    const digit = /^(?:Digit|Numpad)([1-6])$/.exec(code);
+    if (digit) panel.choose(['splats', 'centres', 'ellipsoids', 'depth', 'tiles', 'normals'][digit[1] - 1]);
     else if (event.key === '?') listKeys();
     else if (code === 'KeyV') panel.toggle('fly');
     else if (code === 'KeyI') panel.toggle('inspect');

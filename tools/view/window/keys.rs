@@ -31,7 +31,7 @@ pub enum Action {
 }
 
 /// The keys that the page has too.
-pub const KEYS: [(&str, Action); 34] = [
+pub const KEYS: [(&str, Action); 36] = [
     ("KeyW", Action::Fly([0.0, 0.0, 1.0])),
     ("KeyS", Action::Fly([0.0, 0.0, -1.0])),
     ("KeyA", Action::Fly([-1.0, 0.0, 0.0])),
@@ -51,11 +51,13 @@ pub const KEYS: [(&str, Action); 34] = [
     ("Digit3", Action::Mode(2)),
     ("Digit4", Action::Mode(3)),
     ("Digit5", Action::Mode(4)),
+    ("Digit6", Action::Mode(5)),
     ("Numpad1", Action::Mode(0)),
     ("Numpad2", Action::Mode(1)),
     ("Numpad3", Action::Mode(2)),
     ("Numpad4", Action::Mode(3)),
     ("Numpad5", Action::Mode(4)),
+    ("Numpad6", Action::Mode(5)),
     ("KeyV", Action::FlyMode),
     ("KeyI", Action::Inspect),
     ("KeyH", Action::Panel),
@@ -92,7 +94,7 @@ pub const HELP: [(&str, &str); 19] = [
     ("W A S D, Q E", "fly; Shift faster, Alt slower"),
     ("arrows", "orbit"),
     ("+ −", "closer, farther"),
-    ("1 … 5", "splats, centres, ellipsoids, depth, tiles"),
+    ("1 … 6", "splats, centres, ellipsoids, depth, tiles, normals"),
     ("V, I", "fly, inspect"),
     ("F, Home", "face the pivot, first view"),
     ("Shift F", "whole screen"),

@@ -23,7 +23,8 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
 
 /// Modes in the page's order; the processor colours the last three.
-const MODES: [Mode; 5] = [Mode::Splats, Mode::Centres, Mode::Ellipsoids, Mode::Depth, Mode::Tiles];
+const MODES: [Mode; 6] =
+    [Mode::Splats, Mode::Centres, Mode::Ellipsoids, Mode::Depth, Mode::Tiles, Mode::Normals];
 /// Display time of a message.
 const SAID: Duration = Duration::from_secs(6);
 /// Window rows per unit of text scale.

@@ -11,7 +11,7 @@ const LISTED: usize = 16;
 const WIDEST: usize = 64;
 
 /// Modes as the page names them.
-pub const MODES: [&str; 5] = ["splats", "centres", "ellipsoids", "depth", "tiles"];
+pub const MODES: [&str; 6] = ["splats", "centres", "ellipsoids", "depth", "tiles", "normals"];
 
 /// Figures of a frame.
 #[derive(Clone, Debug, Default)]
