@@ -61,7 +61,7 @@ pub use passes::compose::Background;
 pub use render::{
     Alignment, BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, MotionTarget,
     Occluder, PixelReport, Placed, RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport,
-    Surface, Target, TileReport, Update,
+    Surface, SurfaceTarget, Target, TileReport, Update,
 };
 pub use scene::{Camera, ColorEncoding, Gaussians, JacobianLimit};
 pub use train::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

@@ -51,7 +51,8 @@ pub struct RenderSettings {
     /// With `inverse_depth`: renders the sum of weights * z instead, which is also differentiable. Not for recorded frames,
     /// which have depth images of their own.
     pub linear_depth: bool,
-    /// Also renders normals and this depth ([`Surface`](crate::Surface)). Not for gradients and recorded frames.
+    /// Also renders normals and this depth ([`Surface`](crate::Surface)). Not for gradients; recorded frames have
+    /// [`RecordedFrame::surface`](crate::RecordedFrame::surface).
     pub surface: Option<SurfaceDepth>,
 }
 

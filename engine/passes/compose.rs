@@ -2,10 +2,10 @@
 //! pixels into the host's images.
 
 use crate::error::{Error, Result};
-use crate::frame::{FrameInputs, FrameVariant, Outputs, tile_grid};
+use crate::frame::{FrameInputs, FrameVariant, Outputs, SurfaceDepth, tile_grid};
 use crate::kernels::compose::{
     compose_bgra8, compose_r11g11b10f, compose_rgb10a2, compose_rgba8, compose_rgba16f, compose_rgba32f,
-    depth_limit, expected_depth, mean_motion, picks,
+    depth_limit, expected_depth, mean_motion, picks, surface_rgba16f, surface_rgba32f,
 };
 use crate::kernels::constants as c;
 use crate::scene::{ColorEncoding, DepthMapping};
@@ -56,6 +56,7 @@ pub(crate) enum Contents {
         min_weight: f32,
         empty: Option<[f32; 2]>,
     },
+    Surface(SurfaceDepth),
 }
 
 impl Contents {
@@ -66,6 +67,7 @@ impl Contents {
             Self::ExpectedDepth { .. } => ImageUse::Depth,
             Self::Picks => ImageUse::Pick,
             Self::MeanMotion { .. } => ImageUse::Motion,
+            Self::Surface(_) => ImageUse::Surface,
         }
     }
 
@@ -76,6 +78,7 @@ impl Contents {
             Self::ExpectedDepth { .. } => (variant.inverse_depth, variant.expected_depth) = (true, true),
             Self::Picks => variant.outputs.pick = true,
             Self::MeanMotion { .. } => variant.outputs.motion = true,
+            Self::Surface(depth) => (variant.outputs.surface, variant.surface_depth) = (true, depth),
         }
     }
 
@@ -91,7 +94,7 @@ impl Contents {
                 encoding.check().map_err(|error| error.within("encoding"))?;
                 check_background(behind, image)
             }
-            Self::Picks => Ok(()),
+            Self::Picks | Self::Surface(_) => Ok(()),
             Self::ExpectedDepth { min_weight, .. } | Self::MeanMotion { min_weight, .. }
                 if !min_weight.is_finite() =>
             {
@@ -136,6 +139,10 @@ pub struct Compose {
     picks: KernelSet<picks::Interface>,
     /// Built on request.
     mean_motion: KernelSet<mean_motion::Interface>,
+    /// Built on request, for images of halves.
+    surfaces_16: KernelSet<surface_rgba16f::Interface>,
+    /// Built on request, for images of floats.
+    surfaces_32: KernelSet<surface_rgba32f::Interface>,
 }
 
 /// One kernel for each of `COMPOSE_AS_TRAINED`, `COMPOSE_LINEAR` and, if the format can be display-encoded,
@@ -180,6 +187,8 @@ impl Compose {
             expected_depth: Kernel::new(context, &expected_depth::Spec { workgroup_size })?,
             picks: KernelSet::default(),
             mean_motion: KernelSet::default(),
+            surfaces_16: KernelSet::default(),
+            surfaces_32: KernelSet::default(),
         })
     }
 
@@ -207,6 +216,7 @@ impl Compose {
             Contents::MeanMotion { min_weight, empty } => {
                 self.record_motion(r, &f.accumulated, &f.motion_sums, region, min_weight, empty);
             }
+            Contents::Surface(_) => self.record_surface(r, &f.surfaces, region),
         }
     }
 
@@ -294,6 +304,10 @@ impl Compose {
         if outputs.motion {
             self.mean_motion.prepare(context, mean_motion::Spec { workgroup_size })?;
         }
+        if outputs.surface {
+            self.surfaces_16.prepare(context, surface_rgba16f::Spec { workgroup_size })?;
+            self.surfaces_32.prepare(context, surface_rgba32f::Spec { workgroup_size })?;
+        }
         Ok(())
     }
 
@@ -351,5 +365,26 @@ impl Compose {
             keeps: empty.is_none().into(),
         };
         r.dispatch(kernel, &bind, &push, self.workgroups(region.size));
+    }
+
+    /// Records the surface of a frame that was blended with surfaces, into an image of one of
+    /// [`SURFACE_FORMATS`](crate::vk::SURFACE_FORMATS) that is ready for kernels. Pixels without a surface receive zeros.
+    fn record_surface(&self, r: &mut Recorder, surfaces: &Buffer, region: Region<'_>) {
+        let ([image_width, image_height], [offset_x, offset_y]) = (region.size, region.offset);
+        let workgroup_size = self.workgroup;
+        macro_rules! compose {
+            ($interface:ident, $kernels:ident) => {{
+                let Some(kernel) = self.$kernels.get_or_fail(r, &$interface::Spec { workgroup_size }) else {
+                    return;
+                };
+                let bind = $interface::Bind { surfaces, target: region.image };
+                let push = $interface::Push { image_width, image_height, offset_x, offset_y };
+                r.dispatch(kernel, &bind, &push, self.workgroups(region.size));
+            }};
+        }
+        match region.image.format() {
+            vk::Format::R16G16B16A16_SFLOAT => compose!(surface_rgba16f, surfaces_16),
+            _ => compose!(surface_rgba32f, surfaces_32),
+        }
     }
 }

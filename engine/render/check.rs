@@ -1,7 +1,7 @@
 //! Checks of a frame before it is recorded: all errors are reported before the first command.
 
 use super::device_scene::ELSEWHERE;
-use super::recorded_frame::{HostImage, MotionTarget, Placed, RecordedFrame, Target};
+use super::recorded_frame::{HostImage, MotionTarget, Placed, RecordedFrame, SurfaceTarget, Target};
 use super::renderer::Renderer;
 use super::reservation::{RESERVATION, Reservation, field_name};
 use super::updates::Update;
@@ -69,10 +69,15 @@ impl Renderer {
         let unsupported = [
             ("settings.dropout", frame.settings.dropout.is_some(), "is of training"),
             ("settings.linear_depth", frame.settings.has_z_record(), "is of training"),
-            ("settings.surface", frame.settings.surface.is_some(), "is for frames that are waited for"),
+            ("settings.surface", frame.settings.surface.is_some(), "is RecordedFrame::surface here"),
         ];
         if let Some((field, _, of)) = unsupported.iter().find(|(_, set, _)| *set) {
             return Err(Error::argument(*field, format!("{of}, no recorded frame has it")));
+        }
+        if let Some(SurfaceTarget { depth, .. }) = frame.surface
+            && reserved.surface.is_some_and(|reserved| reserved != depth)
+        {
+            return Err(Error::argument("surface.depth", "is not Reservation::surface"));
         }
         let previous = previous.map(|camera| camera.projection);
         if let Some(fields) = reserved.lacks(frame.variant(), previous) {

@@ -27,7 +27,7 @@ pub(crate) use frame_store::{FrameCounts, FrameStore};
 pub use gradients::Gradients;
 pub use inspect::{PixelReport, Sample, TileReport};
 pub use recorded_frame::{
-    DepthTarget, HostImage, MotionTarget, Occluder, Placed, RecordedFrame, Release, Target,
+    DepthTarget, HostImage, MotionTarget, Occluder, Placed, RecordedFrame, Release, SurfaceTarget, Target,
 };
 pub use renderer::Renderer;
 pub use reservation::{Reservation, SlotReport};

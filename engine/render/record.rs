@@ -126,9 +126,9 @@ impl Renderer {
             let own = &mut lists.scenes[scenes.clone()];
             let checked = check_capacity(frame, own, &slot.upcoming().capacity, &reserved);
             checked.map_err(|error| in_view(error, index, views))?;
-            // Motion needs a dispatch per scene, so its scenes are not batched.
-            let (first, has_batches) =
-                (lists.batches.len(), reserved.has_batches() && frame.motion.is_none());
+            // Motion and surfaces need a dispatch per scene, so their scenes are not batched.
+            let single = frame.motion.is_some() || frame.surface.is_some();
+            let (first, has_batches) = (lists.batches.len(), reserved.has_batches() && !single);
             let draw_all =
                 has_batches && form_batches(forward.sizes.elementwise_workgroup, own, &mut lists.batches);
             lists.views.push(ViewLists { scenes, batches: first..lists.batches.len(), draw_all });
@@ -201,7 +201,8 @@ impl Recording<'_> {
             r.scope("depth limits", |r| compose.record_depth_limits(r, region, occluder.mapping, limits));
         }
         let FrameVariant { inverse_depth, expected_depth, outputs, .. } = frame.variant();
-        let settings = RenderSettings { inverse_depth, linear_depth: false, ..*frame.settings };
+        let surface = frame.surface.map(|target| target.depth);
+        let settings = RenderSettings { inverse_depth, linear_depth: false, surface, ..*frame.settings };
         let inputs_of = |number: u32| {
             let view = sharing.start + number as usize;
             FrameInputs {

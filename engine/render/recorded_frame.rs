@@ -2,7 +2,7 @@
 
 use super::device_scene::DeviceScene;
 use super::updates::Update;
-use crate::frame::{FrameVariant, PlacedScene, PreviousView, RenderSettings, SceneSettings};
+use crate::frame::{FrameVariant, PlacedScene, PreviousView, RenderSettings, SceneSettings, SurfaceDepth};
 use crate::kernels::constants::NO_BATCH;
 use crate::passes::compose::{Background, Contents, Region};
 use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
@@ -146,6 +146,18 @@ pub struct MotionTarget<'a> {
     pub empty: Option<[f32; 2]>,
 }
 
+/// Target image of the surface of each pixel: its normal and its depth.
+#[derive(Clone, Copy)]
+pub struct SurfaceTarget<'a> {
+    /// A storage image of a format of [`SURFACE_FORMATS`](crate::vk::SURFACE_FORMATS), rgba16f or rgba32f. A texel holds the mean
+    /// of the Gaussians' normals, weighted as in blending, of unit length in the camera's frame (x right, y down, z forward), and
+    /// the surface's depth z there, world units. All are 0 where there is no surface. A Gaussian's normal is its shortest axis,
+    /// turned towards the camera.
+    pub to: HostImage<'a>,
+    /// Depth at which the surface lies; the reserved one ([`Reservation::surface`](super::Reservation::surface)).
+    pub depth: SurfaceDepth,
+}
+
 /// A frame to record.
 #[derive(Clone, Copy)]
 pub struct RecordedFrame<'a> {
@@ -174,6 +186,8 @@ pub struct RecordedFrame<'a> {
     pub pick: Option<HostImage<'a>>,
     /// Target of the motion.
     pub motion: Option<MotionTarget<'a>>,
+    /// Target of normals and depths of the surface.
+    pub surface: Option<SurfaceTarget<'a>>,
 }
 
 impl<'a> RecordedFrame<'a> {
@@ -189,6 +203,7 @@ impl<'a> RecordedFrame<'a> {
             updates: &[],
             pick: None,
             motion: None,
+            surface: None,
         }
     }
 }
@@ -212,6 +227,8 @@ pub struct Release {
     pub pick: Option<ImageState>,
     /// Last use of the motion image.
     pub motion: Option<ImageState>,
+    /// Last use of the surface image.
+    pub surface: Option<ImageState>,
 }
 
 impl<'a> HostImage<'a> {
@@ -243,7 +260,8 @@ impl<'a> RecordedFrame<'a> {
             (to, Contents::MeanMotion { min_weight, empty })
         });
         let pick = self.pick.map(|to| (to, Contents::Picks));
-        [color, depth, pick, motion].into_iter().flatten()
+        let surface = self.surface.map(|SurfaceTarget { to, depth }| (to, Contents::Surface(depth)));
+        [color, depth, pick, motion, surface].into_iter().flatten()
     }
 
     /// Returns the image with a purpose.
@@ -274,6 +292,7 @@ impl Release {
             ImageUse::Depth => &mut self.depth,
             ImageUse::Pick => &mut self.pick,
             ImageUse::Motion => &mut self.motion,
+            ImageUse::Surface => &mut self.surface,
         }
     }
 }

@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::frame::{
     FrameCapacity, FrameVariant, LEAST_SCENES, LaunchSizes, Outputs, PictureCapacity, ScenePlan,
-    SceneSettings, check_grids, initial_instances,
+    SceneSettings, SurfaceDepth, check_grids, initial_instances,
 };
 use crate::scene::{MAX_CUT_OUTS, Projection};
 use crate::vk::{Context, ScopeTime};
@@ -60,6 +60,9 @@ pub struct Reservation {
     /// True if frames will write motion ([`RecordedFrame::motion`](super::RecordedFrame::motion)), which takes 8 bytes per
     /// pixel and 8 per Gaussian.
     pub motion: bool,
+    /// Depth of the surfaces that frames will write ([`RecordedFrame::surface`](super::RecordedFrame::surface)), which take 16
+    /// bytes per pixel and 16 per Gaussian; none without.
+    pub surface: Option<SurfaceDepth>,
     /// True if frames will have orthographic cameras
     /// ([`Projection::Orthographic`](crate::scene::Projection::Orthographic)), beside pinholes. Includes previous cameras
     /// ([`MotionTarget::previous_camera`](super::MotionTarget::previous_camera)).
@@ -111,7 +114,7 @@ impl Reservation {
 
     /// Outputs of frames besides the picture and its depth.
     pub(super) fn outputs(&self) -> Outputs {
-        Outputs { pick: self.pick, motion: self.motion, ..Outputs::default() }
+        Outputs { pick: self.pick, motion: self.motion, surface: self.surface.is_some() }
     }
 
     /// True if slots keep a depth beside their pixels.
@@ -178,7 +181,8 @@ impl Reservation {
 
     /// Returns the variants of blending that frames may need.
     pub(super) fn blend_variants(&self) -> Vec<FrameVariant> {
-        let plain = FrameVariant::default();
+        let plain =
+            FrameVariant { surface_depth: self.surface.unwrap_or_default(), ..FrameVariant::default() };
         let inverse = FrameVariant { inverse_depth: true, ..plain };
         let expected = FrameVariant { expected_depth: true, ..inverse };
         let depths = [(true, plain), (self.inverse_depth, inverse), (self.expected_depth, expected)];
@@ -247,8 +251,8 @@ impl Reservation {
         let plan = ScenePlan::new(context.limits(), self.gaussians, 3, false)
             .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree, false))
             .map_err(|error| error.of_field(field_name("gaussians")))?;
-        // Per chunk of parameters: culling, projection and motion. Per scene: the ranges of its chunks.
-        let of_chunk = 2 + u32::from(self.motion);
+        // Per chunk of parameters: culling, projection, motion and surfaces. Per scene: the ranges of its chunks.
+        let of_chunk = 2 + u32::from(self.motion) + u32::from(self.surface.is_some());
         let projection = of_chunk * (plan.chunks + self.scenes) + self.scenes;
         let sizes = LaunchSizes::new(context.limits());
         let blending = sizes.blend_ranges(capacity.instances).saturating_mul(capacity.blend_passes);

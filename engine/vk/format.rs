@@ -33,6 +33,8 @@ pub enum ImageUse {
     Pick,
     /// Kernels write the motion of each pixel.
     Motion,
+    /// Kernels write the normal and the depth of the surface at each pixel.
+    Surface,
 }
 
 /// How kernels bind an image.
@@ -47,7 +49,8 @@ pub enum ImageKind {
 
 impl ImageUse {
     /// All purposes.
-    pub const ALL: [Self; 5] = [Self::Target, Self::Occluder, Self::Depth, Self::Pick, Self::Motion];
+    pub const ALL: [Self; 6] =
+        [Self::Target, Self::Occluder, Self::Depth, Self::Pick, Self::Motion, Self::Surface];
 
     /// Returns the name of the field of a recorded frame.
     pub fn field(self) -> &'static str {
@@ -57,6 +60,7 @@ impl ImageUse {
             Self::Depth => "depth",
             Self::Pick => "pick",
             Self::Motion => "motion",
+            Self::Surface => "surface",
         }
     }
 
@@ -76,6 +80,7 @@ impl ImageUse {
             Self::Depth => &[DEPTH_FORMAT],
             Self::Pick => &[PICK_FORMAT],
             Self::Motion => &[MOTION_FORMAT],
+            Self::Surface => &SURFACE_FORMATS,
         }
     }
 
@@ -136,6 +141,9 @@ pub const PICK_FORMAT: F = F::R32G32B32A32_UINT;
 
 /// Format of motion images that kernels write.
 pub const MOTION_FORMAT: F = F::R16G16_SFLOAT;
+
+/// Formats of surface images that kernels write.
+pub const SURFACE_FORMATS: [F; 2] = [F::R16G16B16A16_SFLOAT, F::R32G32B32A32_SFLOAT];
 
 /// Formats of a host's depth image, each read as one float.
 pub const HOST_DEPTH_FORMATS: [F; 9] = [

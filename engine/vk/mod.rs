@@ -88,7 +88,7 @@ pub use faults::{Fault, Faults};
 pub use foreign::{ForeignCommands, RecordSlot, SlotRecording};
 pub use format::{
     Access, COLOR_FORMATS, DEPTH_FORMAT, HOST_DEPTH_FORMATS, ImageKind, ImageUse, MOTION_FORMAT, PICK_FORMAT,
-    TexelFormat,
+    SURFACE_FORMATS, TexelFormat,
 };
 pub use image::{ForeignImage, Image, ImageState};
 pub(crate) use kernel::sealed::Generated;

@@ -50,6 +50,7 @@ mod shared;
 mod splats_in_depth;
 mod stage;
 mod streaming;
+mod surfaces;
 mod table;
 mod times;
 mod training;

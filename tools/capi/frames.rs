@@ -8,7 +8,7 @@ use ashsplat::scene::Pose;
 use ashsplat::vk::ImageState;
 use ashsplat::{
     Background, ColorEncoding, DepthTarget, HostImage, MotionTarget, Occluder, Placed, RecordedFrame,
-    Release, SlotReport, Target, Update,
+    Release, SlotReport, SurfaceDepth, SurfaceTarget, Target, Update,
 };
 use std::ffi::c_void;
 
@@ -136,6 +136,36 @@ pub struct AshsplatMotionTarget {
     pub to: AshsplatHostImage,
 }
 
+/// Depth at which a pixel's surface lies.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatSurfaceDepth {
+    /// The transmittance falls below a half.
+    Median = 0,
+    /// The transmittance falls below 0.7, which is nearer to the surfaces of scenes that were trained on colours alone.
+    Front = 1,
+}
+
+/// The engine's depths in the order of AshsplatSurfaceDepth.
+pub(super) fn surface_depths() -> [SurfaceDepth; 2] {
+    [SurfaceDepth::Median, SurfaceDepth::Front]
+}
+
+/// An image of surfaces: for each pixel the normal and the depth of the surface.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct AshsplatSurfaceTarget {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// AshsplatSurfaceDepth, the one of AshsplatReservation.surface.
+    pub depth: u32,
+    /// A storage image of format R16G16B16A16_SFLOAT or R32G32B32A32_SFLOAT. A texel is the mean of the Gaussians' normals, weighted
+    /// as in blending, of unit length in the camera's frame (x right, y down, z forward), and the surface's depth z there, world
+    /// units. All are 0 where there is no surface. A Gaussian's normal is its shortest axis, turned towards the camera. Its image is
+    /// never NULL: AshsplatRecordedFrame.surface is NULL in a frame without surfaces.
+    pub to: AshsplatHostImage,
+}
+
 /// A frame to record.
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -164,6 +194,8 @@ pub struct AshsplatRecordedFrame {
     pub pick: *const AshsplatPickTarget,
     /// The image that motion is written to, or NULL: then none is computed.
     pub motion: *const AshsplatMotionTarget,
+    /// The image that normals and depths of the surface are written to, or NULL: then none are computed.
+    pub surface: *const AshsplatSurfaceTarget,
 }
 
 /// The state after a recording. The next user of its results waits for these stages and accesses, and finds
@@ -187,6 +219,8 @@ pub struct AshsplatRelease {
     pub pick: AshsplatImageState,
     /// Last use of the image of motion.
     pub motion: AshsplatImageState,
+    /// Last use of the image of surfaces.
+    pub surface: AshsplatImageState,
 }
 
 impl From<&Release> for AshsplatRelease {
@@ -200,6 +234,7 @@ impl From<&Release> for AshsplatRelease {
             depth: state(r.depth),
             pick: state(r.pick),
             motion: state(r.motion),
+            surface: state(r.surface),
             ..Self::default()
         }
     }
@@ -307,6 +342,10 @@ unsafe fn recorded<'b>(
             let previous_camera = scratch.alloc(read(previous_camera, name)?.known(name)?);
             let (to, empty) = (used(&to, "motion.to.image")?, (!keeps_empty).then_some(empty));
             recorded.motion = Some(MotionTarget { to, previous_camera, min_weight, empty });
+        }
+        if let Some(AshsplatSurfaceTarget { to, depth, .. }) = read_if(f.surface, "surface")? {
+            let depth = one_of("surface.depth", depth, &surface_depths())?;
+            recorded.surface = Some(SurfaceTarget { to: used(&to, "surface.to.image")?, depth });
         }
         Ok(recorded)
     }

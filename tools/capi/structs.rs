@@ -100,16 +100,17 @@ structs! {
     AshsplatPickTarget, to..to, {};
     AshsplatPlaced, scale..previous_pose, { world_from_object: UPRIGHT, scale: 1.0 };
     AshsplatPose, scale..scale, { world_from_object: UPRIGHT, scale: 1.0 };
-    AshsplatRecordedFrame, motion..motion, {};
-    AshsplatRelease, motion..motion, {};
+    AshsplatRecordedFrame, motion..surface, {};
+    AshsplatRelease, motion..surface, {};
     AshsplatRenderSettings, scale_modifier..filter_3d, { sh_degree: 3, scale_modifier: 1.0 };
-    AshsplatReservation, staging_bytes..half_sh, { slots: 1, queues: 1, scenes: 1 };
+    AshsplatReservation, staging_bytes..surface, { slots: 1, queues: 1, scenes: 1 };
     AshsplatScenePlan, chunk_bytes..chunk_bytes, {};
     AshsplatSceneSettings, selection_share..selection_share, {
         visible: true, tint: [1.0, 1.0, 1.0], opacity: 1.0, sh_degree: 3, selection_color: [1.0, 1.0, 1.0], selection_share: 0.5
     };
     AshsplatSlotReport, visible..entries_per_pass, {};
     AshsplatStep, view..view, {};
+    AshsplatSurfaceTarget, to..to, {};
     AshsplatTarget, to..to, { exposure: 1.0 };
     AshsplatTile, max..max, {};
     AshsplatTrainView, rgb..camera_id, {};

@@ -272,6 +272,8 @@ pub enum AshsplatImageUse {
     Pick = 3,
     /// The motion of each pixel is written into it. R16G16_SFLOAT.
     Motion = 4,
+    /// The normal and the depth of the surface at each pixel are written into it. R16G16B16A16_SFLOAT or R32G32B32A32_SFLOAT.
+    Surface = 5,
 }
 
 /// How an image is being used at some point of a command buffer.
@@ -363,6 +365,9 @@ pub struct AshsplatReservation {
     pub rolling_shutter: u64,
     /// Not 0: scenes of frames will store SH in halves (ashsplat_scene_half), beside others.
     pub half_sh: u64,
+    /// 0: frames will have no surfaces. Else 1 + the AshsplatSurfaceDepth of all of them: 16 bytes of memory per pixel and 16 per
+    /// Gaussian.
+    pub surface: u64,
 }
 
 impl From<&AshsplatReservation> for Reservation {
@@ -376,6 +381,7 @@ impl From<&AshsplatReservation> for Reservation {
             filter_3d: w.filter_3d != 0,
             rolling_shutter: w.rolling_shutter != 0,
             half_sh: w.half_sh != 0,
+            surface: surface_depths().get((w.surface as usize).wrapping_sub(1)).copied(),
             lens: Projection::ALL.get(w.lens as usize).copied().filter(|lens| lens.is_lens()),
             ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
         })

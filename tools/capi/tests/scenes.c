@@ -182,12 +182,15 @@ static void own(char **arguments) {
     HostBuffer *depths = host_buffer(host, 4 * PIXELS, USAGE_BUFFER_COPIES);
     HostBuffer *picks = host_buffer(host, 16 * PIXELS, USAGE_BUFFER_COPIES);
     HostBuffer *motions = host_buffer(host, 4 * PIXELS, USAGE_BUFFER_COPIES);
+    HostTexture *shape = host_texture(host, FORMAT_RGBA16F, USAGE, WIDTH, HEIGHT);
+    HostBuffer *surfaces = host_buffer(host, 8 * PIXELS, USAGE_BUFFER_COPIES);
     refused_images(context, color, depth);
     AshsplatImage *target = stage_image(&stage, color, AshsplatImageUse_Target);
     AshsplatImage *walls = stage_image(&stage, depth, AshsplatImageUse_Occluder);
     AshsplatImage *distances = stage_image(&stage, expected, AshsplatImageUse_Depth);
     AshsplatImage *picked = stage_image(&stage, who, AshsplatImageUse_Pick);
     AshsplatImage *moved = stage_image(&stage, speed, AshsplatImageUse_Motion);
+    AshsplatImage *shaped = stage_image(&stage, shape, AshsplatImageUse_Surface);
 
     AshsplatReservation *wanted = &stage.wanted;
     wanted->scenes = 5;
@@ -199,6 +202,7 @@ static void own(char **arguments) {
     wanted->expected_depth = true;
     wanted->pick = true;
     wanted->motion = true;
+    wanted->surface = 1 + AshsplatSurfaceDepth_Median;
     wanted->staging_bytes = ashsplat_update_bytes(OWN, wanted->sh_degree);
     stage_reserve(&stage);
 
@@ -279,6 +283,8 @@ static void own(char **arguments) {
     AshsplatMotionTarget motion = ASHSPLAT_INIT(AshsplatMotionTarget);
     motion.min_weight = 0.5f;
     motion.empty[1] = -1;
+    AshsplatSurfaceTarget surface = ASHSPLAT_INIT(AshsplatSurfaceTarget);
+    surface.depth = AshsplatSurfaceDepth_Median;
     AshsplatRecordedFrame *frame = &stage.frame;
     frame->scenes = placed;
     frame->scene_count = 5;
@@ -287,6 +293,7 @@ static void own(char **arguments) {
     frame->depth = &z;
     frame->pick = &pick;
     frame->motion = &motion;
+    frame->surface = &surface;
     frame->updates = &update;
     frame->update_count = 1;
 
@@ -294,6 +301,7 @@ static void own(char **arguments) {
     pick.to.image = picked;
     motion.to.image = moved;
     motion.previous_camera = &before;
+    surface.to.image = shaped;
     REFUSED_WITH(update.first, gaussians, stage_record(&stage), "");
     REFUSED_WITH(to.to.image, distances, stage_record(&stage), "");
     REFUSED_WITH(stage.camera.fx, -1, stage_record(&stage), "");
@@ -315,21 +323,26 @@ static void own(char **arguments) {
     REFUSED_WITH(before.projection, 9, stage_record(&stage), "motion.previous_camera.projection: 9, there are 0 to 8");
     REFUSED_WITH(before.projection, AshsplatProjection_Brown, stage_record(&stage), "motion: takes pinholes");
     REFUSED_WITH(before.width, 1, stage_record(&stage), "motion.previous_camera: is of 1 x 120");
+    REFUSED_WITH(surface.to.image, NULL, stage_record(&stage), "surface.to.image: the pointer is null");
+    REFUSED_WITH(surface.depth, 2, stage_record(&stage), "surface.depth: 2, there are 0 to 1");
+    REFUSED_WITH(surface.depth, AshsplatSurfaceDepth_Front, stage_record(&stage),
+                 "surface.depth: is not AshsplatReservation.surface");
     REFUSED_WITH(lower.scale, 0, stage_record(&stage), "scenes[3].previous_pose: a scale of 0");
     check(stage_record(&stage), "recording");
     host_read(host, color, stage.release.color.layout, pixels);
     host_read(host, expected, stage.release.depth.layout, depths);
     host_read(host, who, stage.release.pick.layout, picks);
     host_read(host, speed, stage.release.motion.layout, motions);
+    host_read(host, shape, stage.release.surface.layout, surfaces);
     stage_finish(&stage);
     EXPECT(!stage.report.overflow && stage.report.gaussians == 2 * gaussians + OWN + OWN / 2);
 
     write_picture(arguments[1], WIDTH, HEIGHT, pixels->mapped);
     write_file(arguments[2], depths->mapped, 4 * PIXELS);
     const uint32_t counts[5] = {gaussians, gaussians, OWN, OWN / 2, 0}, (*pixel)[4] = picks->mapped;
-    const uint16_t(*half_floats)[2] = motions->mapped;
+    const uint16_t(*half_floats)[2] = motions->mapped, (*texel)[4] = surfaces->mapped;
     const float *distance = depths->mapped;
-    int somebody = 0, rising = 0;
+    int somebody = 0, rising = 0, solid = 0;
     for (int i = 0; i < PIXELS; ++i) {
         float pick_z, weight;
         memcpy(&pick_z, &pixel[i][2], sizeof pick_z);
@@ -340,6 +353,15 @@ static void own(char **arguments) {
             EXPECT(pixel[i][1] < 5 && pixel[i][0] < counts[pixel[i][1]]);
             EXPECT(pick_z > 2 && pick_z < wall_z && weight > 0 && weight <= 1);
             ++somebody;
+        }
+        /* A surface is where the splats cover half of the pixel. Its normal is a unit vector towards the camera. */
+        float x = of_half(texel[i][0]), y = of_half(texel[i][1]), z = of_half(texel[i][2]), at = of_half(texel[i][3]);
+        if (at > 0) {
+            float squared = x * x + y * y + z * z;
+            EXPECT(distance[i] > 0 && at > 2 && at < wall_z && squared > 0.99f && squared < 1.01f);
+            ++solid;
+        } else {
+            EXPECT(x == 0 && y == 0 && z == 0 && at == 0);
         }
         /* (0, -1) where less than half of the pixel is covered. */
         float right = of_half(half_floats[i][0]), down = of_half(half_floats[i][1]);
@@ -357,7 +379,7 @@ static void own(char **arguments) {
             EXPECT(share < 1 - weight + 0.01f);
         }
     }
-    EXPECT(rising > 100 && somebody > PIXELS / 10);
+    EXPECT(rising > 100 && somebody > PIXELS / 10 && solid > PIXELS / 20);
     printf("%u of %u Gaussians visible\n", stage.report.visible, stage.report.gaussians);
     draw_together(host, context);
     ashsplat_scene_free(adopted);
