@@ -86,10 +86,11 @@ impl ScenePlan {
         let bytes_per_gaussian = u64::from(planes) * 16;
         let largest =
             limits.max_storage_buffer_range.min(limits.max_allocation_bytes) / bytes_per_gaussian / align;
+        // Chunks of one size, so that the last one wastes little.
         let wanted = blocks(u64::from(capacity).max(1), align);
-        let chunk_gaussians = wanted.min(largest.max(1)) * align;
-        let chunks = to_u32(blocks(u64::from(capacity).max(1), chunk_gaussians))?;
-        Ok(Self { capacity, sh_degree, half_sh, planes, chunk_gaussians: to_u32(chunk_gaussians)?, chunks })
+        let chunks = blocks(wanted, largest.max(1));
+        let chunk_gaussians = to_u32(blocks(wanted, chunks) * align)?;
+        Ok(Self { capacity, sh_degree, half_sh, planes, chunk_gaussians, chunks: to_u32(chunks)? })
     }
 
     /// Bytes of one chunk.

@@ -1,5 +1,6 @@
 //! Properties that the layer reports in the driver's place.
 
+use super::machine::Machine;
 use super::state::{InstanceState, heap_usage, in_chain, slice};
 use ash::vk;
 use std::ffi::{CStr, c_char};
@@ -43,21 +44,15 @@ pub unsafe extern "system" fn properties2(
     }
 }
 
-fn write_memory(
-    state: &InstanceState,
-    physical: vk::PhysicalDevice,
-    memory: &mut vk::PhysicalDeviceMemoryProperties,
-) {
+fn write_memory(machine: &Machine, memory: &mut vk::PhysicalDeviceMemoryProperties) {
     *memory = vk::PhysicalDeviceMemoryProperties::default();
-    let machine = state.machine;
     (memory.memory_type_count, memory.memory_heap_count) =
         (machine.types.len() as u32, machine.heaps.len() as u32);
     for (to, &(property_flags, heap_index)) in memory.memory_types.iter_mut().zip(machine.types) {
         *to = vk::MemoryType { property_flags, heap_index };
     }
-    let heaps = machine.heaps.iter().zip(state.heap_sizes(physical));
-    for (to, ((_, local), size)) in memory.memory_heaps.iter_mut().zip(heaps) {
-        let flags = if *local { vk::MemoryHeapFlags::DEVICE_LOCAL } else { vk::MemoryHeapFlags::empty() };
+    for (to, &(size, local)) in memory.memory_heaps.iter_mut().zip(machine.heaps) {
+        let flags = if local { vk::MemoryHeapFlags::DEVICE_LOCAL } else { vk::MemoryHeapFlags::empty() };
         *to = vk::MemoryHeap { size, flags };
     }
 }
@@ -67,7 +62,7 @@ pub unsafe extern "system" fn memory(
     memory: *mut vk::PhysicalDeviceMemoryProperties,
 ) {
     // SAFETY: the caller's struct.
-    write_memory(&InstanceState::of(physical), physical, unsafe { &mut *memory });
+    write_memory(InstanceState::of(physical).machine, unsafe { &mut *memory });
 }
 
 pub unsafe extern "system" fn memory2(
@@ -79,7 +74,7 @@ pub unsafe extern "system" fn memory2(
     unsafe {
         (state.v11.get_physical_device_memory_properties2)(physical, memory);
         let properties = &mut (*memory).memory_properties;
-        write_memory(&state, physical, properties);
+        write_memory(state.machine, properties);
         let budget = in_chain::<vk::PhysicalDeviceMemoryBudgetPropertiesEXT<'_>>((*memory).p_next);
         let Some(budget) = budget.as_mut() else { return };
         for (heap, described) in properties.memory_heaps_as_slice().iter().enumerate() {

@@ -15,7 +15,7 @@ const fn both(a: Flags, b: Flags) -> Flags {
     Flags::from_raw(a.as_raw() | b.as_raw())
 }
 
-/// Size in bytes, at most the driver's, and true if it is device-local.
+/// Size in bytes, and true if it is device-local.
 pub(crate) type Heap = (u64, bool);
 /// Property flags, index of the heap.
 pub(crate) type Type = (Flags, u32);
@@ -166,7 +166,7 @@ impl Machine {
             *to = from as std::ffi::c_char;
         }
         let limits = &mut properties.limits;
-        // Software drivers say 128 MiB and take more.
+        // Software drivers say 128 MiB, and heaps of 2 GiB, and take more.
         limits.max_storage_buffer_range = u32::MAX;
         if !self.small {
             return;

@@ -1,7 +1,7 @@
 //! Memory: the machine's types over the driver's first, limited heaps, mappings of host-visible memory, garbage in new memory; and
 //! buffers and images, which the driver's one family owns.
 
-use super::state::{Callbacks, DeviceState, InstanceState, heap_usage, passed_on};
+use super::state::{Callbacks, DeviceState, heap_usage, passed_on};
 use ash::vk::{self, Handle};
 use std::ffi::c_void;
 use std::ptr::null;
@@ -22,7 +22,7 @@ pub unsafe extern "system" fn allocate(
     let mut own = unsafe { *info };
     let kind = own.memory_type_index;
     let (_, heap) = state.machine.types[kind as usize];
-    let size = InstanceState::of(state.physical).heap_sizes(state.physical)[heap as usize];
+    let (size, _) = state.machine.heaps[heap as usize];
     let bytes = own.allocation_size;
     if heap_usage(state.physical, heap).saturating_add(bytes) > size {
         return vk::Result::ERROR_OUT_OF_DEVICE_MEMORY;

@@ -66,15 +66,6 @@ impl InstanceState {
         INSTANCES.add(instance, state);
     }
 
-    /// Bytes of the machine's heaps, at most the driver's.
-    pub fn heap_sizes(&self, physical: vk::PhysicalDevice) -> Vec<u64> {
-        let mut real = vk::PhysicalDeviceMemoryProperties::default();
-        // SAFETY: a plain query.
-        unsafe { (self.functions.get_physical_device_memory_properties)(physical, &raw mut real) };
-        let most = real.memory_heaps_as_slice().iter().map(|heap| heap.size).max().unwrap_or(0);
-        self.machine.heaps.iter().map(|(bytes, _)| most.min(*bytes)).collect()
-    }
-
     /// State of an instance or a physical device.
     pub fn of<H: Handle>(handle: H) -> Arc<Self> {
         INSTANCES.find(handle)
