@@ -83,6 +83,8 @@ typedef enum AshsplatImageUse {
   AshsplatImageUse_Pick = 3,
   // The motion of each pixel is written into it. R16G16_SFLOAT.
   AshsplatImageUse_Motion = 4,
+  // The normal and the depth of the surface at each pixel are written into it. R16G16B16A16_SFLOAT or R32G32B32A32_SFLOAT.
+  AshsplatImageUse_Surface = 5,
 } AshsplatImageUse;
 
 // Directions within which the projection is linearised at the Gaussian itself. Outside, it is linearised at
@@ -140,6 +142,14 @@ typedef enum AshsplatShape {
   // An opaque dot.
   AshsplatShape_Point = 2,
 } AshsplatShape;
+
+// Depth at which a pixel's surface lies.
+typedef enum AshsplatSurfaceDepth {
+  // The transmittance falls below a half.
+  AshsplatSurfaceDepth_Median = 0,
+  // The transmittance falls below 0.7, which is nearer to the surfaces of scenes that were trained on colours alone.
+  AshsplatSurfaceDepth_Front = 1,
+} AshsplatSurfaceDepth;
 
 // The shape of a volume.
 typedef enum AshsplatVolume {
@@ -619,6 +629,19 @@ typedef struct AshsplatMotionTarget {
   struct AshsplatHostImage to;
 } AshsplatMotionTarget;
 
+// An image of surfaces: for each pixel the normal and the depth of the surface.
+typedef struct AshsplatSurfaceTarget {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
+  // AshsplatSurfaceDepth, the one of AshsplatReservation.surface.
+  uint32_t depth;
+  // A storage image of format R16G16B16A16_SFLOAT or R32G32B32A32_SFLOAT. A texel is the mean of the Gaussians' normals, weighted
+  // as in blending, of unit length in the camera's frame (x right, y down, z forward), and the surface's depth z there, world
+  // units. All are 0 where there is no surface. A Gaussian's normal is its shortest axis, turned towards the camera. Its image is
+  // never NULL: AshsplatRecordedFrame.surface is NULL in a frame without surfaces.
+  struct AshsplatHostImage to;
+} AshsplatSurfaceTarget;
+
 // A frame to record.
 typedef struct AshsplatRecordedFrame {
   // Set by ASHSPLAT_INIT.
@@ -645,6 +668,8 @@ typedef struct AshsplatRecordedFrame {
   const struct AshsplatPickTarget *pick;
   // The image that motion is written to, or NULL: then none is computed.
   const struct AshsplatMotionTarget *motion;
+  // The image that normals and depths of the surface are written to, or NULL: then none are computed.
+  const struct AshsplatSurfaceTarget *surface;
 } AshsplatRecordedFrame;
 
 // The state after a recording. The next user of its results waits for these stages and accesses, and finds
@@ -666,6 +691,8 @@ typedef struct AshsplatRelease {
   struct AshsplatImageState pick;
   // Last use of the image of motion.
   struct AshsplatImageState motion;
+  // Last use of the image of surfaces.
+  struct AshsplatImageState surface;
 } AshsplatRelease;
 
 // Resources that are allocated in advance for recording.
@@ -731,6 +758,9 @@ typedef struct AshsplatReservation {
   uint64_t rolling_shutter;
   // Not 0: scenes of frames will store SH in halves (ashsplat_scene_half), beside others.
   uint64_t half_sh;
+  // 0: frames will have no surfaces. Else 1 + the AshsplatSurfaceDepth of all of them: 16 bytes of memory per pixel and 16 per
+  // Gaussian.
+  uint64_t surface;
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
@@ -1866,6 +1896,13 @@ static inline AshsplatSlotReport AshsplatSlotReport_init(void) {
 
 static inline AshsplatStep AshsplatStep_init(void) {
   AshsplatStep it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatSurfaceTarget AshsplatSurfaceTarget_init(void) {
+  AshsplatSurfaceTarget it;
   memset(&it, 0, sizeof it);
   it.struct_size = (uint32_t)sizeof it;
   return it;

@@ -136,7 +136,7 @@ static AshsplatScene *scene_of_arrays(const AshsplatContext *context) {
 static void refused_images(const AshsplatContext *context, const HostTexture *color, const HostTexture *depth) {
     AshsplatImage *wrong = NULL;
     REFUSED(ashsplat_image_adopt(context, &color->description, AshsplatImageUse_Occluder, &wrong), "");
-    REFUSED(ashsplat_image_adopt(context, &color->description, 5, &wrong), "purpose: 5, there are 0 to 4");
+    REFUSED(ashsplat_image_adopt(context, &color->description, 6, &wrong), "purpose: 6, there are 0 to 5");
     AshsplatForeignImage multisampled = depth->description;
     multisampled.samples = 4;
     REFUSED(ashsplat_image_adopt(context, &multisampled, AshsplatImageUse_Occluder, &wrong),
