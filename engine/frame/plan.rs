@@ -86,7 +86,7 @@ impl ScenePlan {
         let bytes_per_gaussian = u64::from(planes) * 16;
         let largest =
             limits.max_storage_buffer_range.min(limits.max_allocation_bytes) / bytes_per_gaussian / align;
-        // Chunks of one size, so that the last one wastes little.
+        // All chunks have one size, so that the last one wastes little.
         let wanted = blocks(u64::from(capacity).max(1), align);
         let chunks = blocks(wanted, largest.max(1));
         let chunk_gaussians = to_u32(blocks(wanted, chunks) * align)?;

@@ -1,7 +1,7 @@
 //! Blending, in two forms.
 
 use crate::error::Result;
-use crate::frame::{Blending, FrameInputs, FrameVariant, LaunchSizes, Outputs, tile_grid};
+use crate::frame::{Blending, FrameInputs, FrameVariant, LaunchSizes, Outputs, SurfaceDepth, tile_grid};
 use crate::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary};
 use crate::vk::{Context, KernelSet, Limits, Recorder};
 
@@ -76,7 +76,9 @@ impl Blend {
         let LaunchSizes { tile_shared, regions_per_subgroup, tuning, .. } = *sizes;
         let (incremental_exp, strips) = (tuning.incremental_exp && !steep, variant.backward && sizes.strips);
         let Outputs { pick, motion, surface } = outputs;
-        let surface_transmittance = surface_depth.transmittance();
+        // Kernels without surfaces do not depend on it.
+        let surface_transmittance =
+            if surface { surface_depth } else { SurfaceDepth::default() }.transmittance();
         let lenses = variant.projection.has_seam();
         // Only the overrides of a context set it.
         let count_hits = false;

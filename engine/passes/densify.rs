@@ -133,7 +133,7 @@ impl Densify {
         })
     }
 
-    /// Records the classification : the decisions, and in `buffers.totals` the numbers of Gaussians that
+    /// Records the classification: the decisions, and in `buffers.totals` the numbers of Gaussians that
     /// stay, are cloned and are split.
     ///
     /// # Panics

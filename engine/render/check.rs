@@ -67,17 +67,30 @@ impl Renderer {
             return Err(Error::argument("motion", problem));
         }
         let unsupported = [
-            ("settings.dropout", frame.settings.dropout.is_some(), "is of training"),
-            ("settings.linear_depth", frame.settings.has_z_record(), "is of training"),
-            ("settings.surface", frame.settings.surface.is_some(), "is RecordedFrame::surface here"),
+            (
+                "settings.dropout",
+                frame.settings.dropout.is_some(),
+                "is of training, no recorded frame has it",
+            ),
+            (
+                "settings.linear_depth",
+                frame.settings.has_z_record(),
+                "is of training, no recorded frame has it",
+            ),
+            (
+                "settings.surface",
+                frame.settings.surface.is_some(),
+                "give RecordedFrame::surface in its place",
+            ),
         ];
-        if let Some((field, _, of)) = unsupported.iter().find(|(_, set, _)| *set) {
-            return Err(Error::argument(*field, format!("{of}, no recorded frame has it")));
+        if let Some((field, _, problem)) = unsupported.iter().find(|(_, set, _)| *set) {
+            return Err(Error::argument(*field, *problem));
         }
-        if let Some(SurfaceTarget { depth, .. }) = frame.surface
-            && reserved.surface.is_some_and(|reserved| reserved != depth)
+        if let (Some(SurfaceTarget { depth, .. }), Some(reserved)) = (frame.surface, reserved.surface)
+            && reserved != depth
         {
-            return Err(Error::argument("surface.depth", "is not Reservation::surface"));
+            let problem = format!("is {depth:?}, and {reserved:?} is reserved (Reservation::surface)");
+            return Err(Error::argument("surface.depth", problem));
         }
         let previous = previous.map(|camera| camera.projection);
         if let Some(fields) = reserved.lacks(frame.variant(), previous) {
@@ -119,12 +132,13 @@ impl Renderer {
                 let problem = "has a scale of 0: all depths would be one; HostView::camera gives the mapping of a projection";
                 return Err(Error::argument("occluder.mapping", problem));
             }
-            // The colour target cannot be either image: its format differs from both.
-            if let Some(depth) = &frame.depth
-                && depth.to.image.is_same_as(occluder.depth.image)
-            {
-                let field = field_of("depth", &depth.to);
-                return Err(Error::argument(field, "is also the depth that hides splats"));
+        }
+        for (index, (purpose, host)) in frame.images().enumerate() {
+            let mut before = frame.images().take(index);
+            if let Some((other, _)) = before.find(|(_, other)| other.image.is_same_as(host.image)) {
+                let problem =
+                    format!("is also its {}: a frame takes an image for one purpose", other.field());
+                return Err(Error::argument(field_of(purpose.field(), &host), problem));
             }
         }
         Ok(())
@@ -302,7 +316,7 @@ fn check_beside(views: &[RecordedFrame<'_>], index: usize, reserved: &Reservatio
             others.flat_map(|(view, images)| images.map(move |(other, theirs)| (view, other, theirs)));
         for (view, other, theirs) in others.filter(|(.., theirs)| theirs.image.is_same_as(host.image)) {
             let differs = if theirs.image.purpose() != host.image.purpose() {
-                "one samples it and the other writes it"
+                "the views take it for different purposes"
             } else if theirs.image.other_family() != host.image.other_family() {
                 "they say that other queue families own it"
             } else {

@@ -58,7 +58,7 @@ impl DeviceScene {
     /// Frames cull and project small scenes of one buffer together, as a batch, with the same bits. A batch has 8 scenes or
     /// more, each of at most 16 culling blocks (4096 Gaussians on usual devices). Its scenes have the same evaluated SH
     /// degree, and all or none have a tint or opacity, and cut-outs. Scenes with a selection, with SH in halves, or of a frame with
-    /// motion, are drawn alone. At most 32 culling blocks of other scenes may separate two scenes of a batch, so scenes ordered by
+    /// motion or a surface, are drawn alone. At most 32 culling blocks of other scenes may separate two scenes of a batch, so scenes ordered by
     /// kind need the fewest dispatches.
     /// To batch scenes in a host's buffer, adopt it once ([`Buffer::adopt`]) and give each scene a range of it. Scenes
     /// adopted one by one are drawn alone.

@@ -151,8 +151,10 @@ pub struct MotionTarget<'a> {
 pub struct SurfaceTarget<'a> {
     /// A storage image of a format of [`SURFACE_FORMATS`](crate::vk::SURFACE_FORMATS), rgba16f or rgba32f. A texel holds the mean
     /// of the Gaussians' normals, weighted as in blending, of unit length in the camera's frame (x right, y down, z forward), and
-    /// the surface's depth z there, world units. All are 0 where there is no surface. A Gaussian's normal is its shortest axis,
-    /// turned towards the camera.
+    /// the surface's depth z there, world units. All are 0 where there is no surface, and the normal where normals cancel out. A
+    /// Gaussian's normal is its shortest axis, turned towards the camera. Halves have depths to 1 in 2000, below 65504. Fisheyes and
+    /// panoramas have the distance from the camera in place of z, all lenses at the Gaussian's mean, and rolling shutters the
+    /// normals of the pose halfway.
     pub to: HostImage<'a>,
     /// Depth at which the surface lies; the reserved one ([`Reservation::surface`](super::Reservation::surface)).
     pub depth: SurfaceDepth,

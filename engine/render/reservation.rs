@@ -155,7 +155,7 @@ impl Reservation {
 
     /// Returns the variants of culling and projection that scenes may need.
     pub(super) fn scene_variants(&self) -> Vec<FrameVariant> {
-        // Kernels of motion belong to the projection, and depend on nothing but the cameras.
+        // Kernels of motion and of surfaces belong to the projection, and depend on nothing but the cameras.
         let outputs = self.outputs();
         let plain = |projection| FrameVariant { projection, outputs, ..FrameVariant::default() };
         let features: [Feature; 7] = [
@@ -251,9 +251,10 @@ impl Reservation {
         let plan = ScenePlan::new(context.limits(), self.gaussians, 3, false)
             .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree, false))
             .map_err(|error| error.of_field(field_name("gaussians")))?;
-        // Per chunk of parameters: culling, projection, motion and surfaces. Per scene: the ranges of its chunks.
+        // Per chunk of parameters: culling, projection, motion and surfaces. A scene's chunks may be half as large as others'.
+        // Per scene: the ranges of its chunks.
         let of_chunk = 2 + u32::from(self.motion) + u32::from(self.surface.is_some());
-        let projection = of_chunk * (plan.chunks + self.scenes) + self.scenes;
+        let projection = of_chunk * (2 * plan.chunks + self.scenes) + self.scenes;
         let sizes = LaunchSizes::new(context.limits());
         let blending = sizes.blend_ranges(capacity.instances).saturating_mul(capacity.blend_passes);
         Ok((PER_FRAME + blending + projection) as usize * self.views as usize)

@@ -252,8 +252,8 @@ const KINDS: [Option<(u32, vk::DescriptorType)>; 4] = [
 ];
 /// Number of kinds that most dispatches use; they come first.
 const FREQUENT_KINDS: usize = 2;
-/// At most one in this many dispatches has an image: a view has 48 or more dispatches, and writes four images.
-const DISPATCHES_PER_IMAGE: usize = 12;
+/// At most one in this many dispatches has an image: a view has 48 or more dispatches, and writes five images.
+const DISPATCHES_PER_IMAGE: usize = 9;
 
 /// Returns the kind of set for a kernel with these resources; None if no kind fits.
 fn kind_of(bindings: &[vk::DescriptorSetLayoutBinding<'_>]) -> Option<usize> {

@@ -3,7 +3,7 @@
 //
 // invocation: one pixel
 // in: responses (edge_response.comp), ranges (edges.glsl)
-// out: image_gradient in blending's layout: with STRIPS its first plane (strips.glsl), otherwise (edge, 0, 0, 0) per pixel
+// out: image_gradient in blending's layout: with STRIPS three planes (strips.glsl), otherwise a vec4 per pixel: the edge, then zeros
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -38,6 +38,8 @@ void main() {
     float edge = float(responses[index] - low) / float(max(span, 1u));
     if (STRIPS) {
         image_gradient[strip_value(0, at)] = edge;
+        image_gradient[strip_value(1, at)] = 0.0;
+        image_gradient[strip_value(2, at)] = 0.0;
     } else {
         image_gradient[4 * index] = edge;
         image_gradient[4 * index + 1] = 0.0;

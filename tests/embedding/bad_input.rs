@@ -254,7 +254,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (
                 RecordedFrame { depth: expected(0.5), ..hidden(depth, mapping) },
                 "depth (image 'target')",
-                "is also the depth",
+                "is also its occluder",
             ),
             (RecordedFrame { target: exposed(0.0), ..good }, "target.encoding.exposure", "is 0, must be"),
             (RecordedFrame { target: exposed(f32::INFINITY), ..good }, "target.encoding.exposure", "is inf"),

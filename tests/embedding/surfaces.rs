@@ -1,6 +1,6 @@
 //! Normals and depths of surfaces in recorded frames, compared with those of frames that are waited for.
 
-use crate::auxiliary::truth::of_half;
+use crate::auxiliary::truth::{Screens, of_half};
 use crate::scene_settings::HIDDEN;
 use crate::stage::*;
 use ashsplat::scene::Similarity;
@@ -35,6 +35,20 @@ fn recorded_surfaces_equal_those_of_waited_frames() {
             let wanted = Reservation { scenes: 12, surface: Some(depth), ..wanted };
             let mut renderer = reserved(&context, &wanted);
             let plain = rendered(host, &mut renderer, &frame);
+            // With other outputs, whichever of them a frame has.
+            let screens = Screens::new(host, &context, SIZE);
+            let mut all = reserved(&context, &Reservation { pick: true, motion: true, ..wanted });
+            let picture =
+                Picture::new(host, &context, ("surface", ImageUse::Surface), SURFACE_FORMATS[0], SIZE);
+            for outputs in 0..8 {
+                let frame = RecordedFrame {
+                    pick: (outputs & 1 != 0).then(|| screens.pick()),
+                    motion: (outputs & 2 != 0).then(|| screens.motion(&view)),
+                    surface: (outputs & 4 != 0).then(|| SurfaceTarget { to: picture.unused(), depth }),
+                    ..frame
+                };
+                assert!(rendered(host, &mut all, &frame) == plain, "outputs {outputs}");
+            }
             for format in SURFACE_FORMATS {
                 let picture = Picture::new(host, &context, ("surface", ImageUse::Surface), format, SIZE);
                 let surface = Some(SurfaceTarget { to: picture.unused(), depth });
@@ -78,9 +92,23 @@ fn bad_surfaces_are_refused_by_name() {
         let frame = RecordedFrame { surface: Some(target), ..frame_of(&placed, &view) };
         assert_argument(&refused(host, &mut renderer, &frame), "Reservation::surface: not reserved");
         renderer.reserve(&Reservation { surface: Some(SurfaceDepth::Front), ..plain }).expect("memory");
-        assert_argument(&refused(host, &mut renderer, &frame), "surface.depth: is not Reservation::surface");
+        assert_argument(
+            &refused(host, &mut renderer, &frame),
+            "surface.depth: is Median, and Front is reserved",
+        );
+        let color = picture.texture.adopt(&context, "color", ImageUse::Target);
+        let target = SurfaceTarget { depth: SurfaceDepth::Front, ..target };
+        let both = RecordedFrame {
+            target: into(&color, Background::Nothing, [0; 2]),
+            surface: Some(target),
+            ..frame_of(&placed, &view)
+        };
+        assert_argument(&refused(host, &mut renderer, &both), "is also its target");
         let settings = RenderSettings { surface: Some(SurfaceDepth::Front), ..*SETTINGS };
         let frame = RecordedFrame { settings: &settings, ..frame_of(&placed, &view) };
-        assert_argument(&refused(host, &mut renderer, &frame), "settings.surface: is RecordedFrame::surface");
+        assert_argument(
+            &refused(host, &mut renderer, &frame),
+            "settings.surface: give RecordedFrame::surface",
+        );
     });
 }

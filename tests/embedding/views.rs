@@ -133,7 +133,7 @@ fn bad_views_are_refused_by_name() {
             (
                 &[RecordedFrame { depth: Some(writes), ..good }, hides],
                 2,
-                "views[1].occluder (image 'both'): is also views[0].depth: one samples it",
+                "views[1].occluder (image 'both'): is also views[0].depth: the views take it for different purposes",
             ),
         ];
         let in_flight = Commands::new(host);

@@ -161,7 +161,9 @@ pub struct AshsplatSurfaceTarget {
     pub depth: u32,
     /// A storage image of format R16G16B16A16_SFLOAT or R32G32B32A32_SFLOAT. A texel is the mean of the Gaussians' normals, weighted
     /// as in blending, of unit length in the camera's frame (x right, y down, z forward), and the surface's depth z there, world
-    /// units. All are 0 where there is no surface. A Gaussian's normal is its shortest axis, turned towards the camera. Its image is
+    /// units. All are 0 where there is no surface, and the normal where normals cancel out. A Gaussian's normal is its shortest axis,
+    /// turned towards the camera. Halves have depths to 1 in 2000, below 65504. Fisheyes and panoramas have the distance from the
+    /// camera in place of z, all lenses at the Gaussian's mean, and rolling shutters the normals of the pose halfway. Its image is
     /// never NULL: AshsplatRecordedFrame.surface is NULL in a frame without surfaces.
     pub to: AshsplatHostImage,
 }

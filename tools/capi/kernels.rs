@@ -22,7 +22,7 @@ pub unsafe extern "C" fn ashsplat_kernels_new(
         let (context, wanted) = (borrowed(context, "context")?, read(wanted, "wanted")?);
         let count = borrowed_mut(count, "count")?;
         give(kernels, "kernels", || {
-            let jobs = Renderer::kernel_jobs(&context.0, &(&wanted).into())?;
+            let jobs = Renderer::kernel_jobs(&context.0, &wanted.checked()?)?;
             *count = jobs.len() as u32;
             Ok(AshsplatKernels(jobs))
         })

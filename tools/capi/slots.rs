@@ -17,7 +17,7 @@ pub unsafe extern "C" fn ashsplat_reserve(
 ) -> AshsplatStatus {
     guarded!({
         let (renderer, wanted) = (borrowed_mut(renderer, "renderer")?, read(wanted, "wanted")?);
-        renderer.0.reserve(&(&wanted).into())
+        renderer.0.reserve(&wanted.checked()?)
     })
 }
 
@@ -34,7 +34,7 @@ pub unsafe extern "C" fn ashsplat_grow(
 ) -> AshsplatStatus {
     guarded!({
         let (renderer, wanted) = (borrowed_mut(renderer, "renderer")?, read(wanted, "wanted")?);
-        renderer.0.grow(&(&wanted).into())
+        renderer.0.grow(&wanted.checked()?)
     })
 }
 
@@ -51,8 +51,7 @@ pub unsafe extern "C" fn ashsplat_reservation_grown(
 ) -> AshsplatStatus {
     guarded!({
         let (reservation, report) = (read(reservation, "reservation")?, read(report, "report")?);
-        let Reservation { instances, blend_passes, .. } =
-            Reservation::from(&reservation).grown(&(&report).into());
+        let Reservation { instances, blend_passes, .. } = reservation.checked()?.grown(&(&report).into());
         write(grown, "grown", AshsplatReservation { instances, blend_passes, ..reservation })
     })
 }
@@ -69,7 +68,7 @@ pub unsafe extern "C" fn ashsplat_reservation_bytes(
 ) -> AshsplatStatus {
     guarded!({
         let (renderer, wanted) = (borrowed(renderer, "renderer")?, read(wanted, "wanted")?);
-        put(bytes, "bytes", renderer.0.reservation_bytes(&(&wanted).into())?)
+        put(bytes, "bytes", renderer.0.reservation_bytes(&wanted.checked()?)?)
     })
 }
 
@@ -89,7 +88,7 @@ pub unsafe extern "C" fn ashsplat_reserve_in(
 ) -> AshsplatStatus {
     guarded!({
         let renderer = &mut borrowed_mut(renderer, "renderer")?.0;
-        let (wanted, block) = ((&read(wanted, "wanted")?).into(), borrowed(block, "block")?);
+        let (wanted, block) = (read(wanted, "wanted")?.checked()?, borrowed(block, "block")?);
         let raw = vk::Buffer::from_raw(block.buffer);
         let block = Buffer::adopt(renderer.context(), "frame slots", raw, block.offset, block.bytes)?;
         if grow { renderer.grow_in(&wanted, &block) } else { renderer.reserve_in(&wanted, &block) }

@@ -370,9 +370,24 @@ pub struct AshsplatReservation {
     pub surface: u64,
 }
 
-impl From<&AshsplatReservation> for Reservation {
-    fn from(w: &AshsplatReservation) -> Self {
-        same_fields!(w => Self {
+impl AshsplatReservation {
+    /// Converts to the engine's reservation.
+    pub(super) fn checked(&self) -> Result<Reservation> {
+        let w = self;
+        let unknown = |what: &str, number: u64, all: &str| {
+            Error::argument(format!("wanted.{what}"), format!("{number} is none of {all}"))
+        };
+        let place = |number: u64| usize::try_from(number).unwrap_or(usize::MAX);
+        let lens = Projection::ALL.get(place(w.lens)).copied().filter(|lens| w.lens == 0 || lens.is_lens());
+        let lens = lens.ok_or_else(|| unknown("lens", w.lens, "AshsplatProjection's lenses"))?;
+        let surface = match w.surface.checked_sub(1) {
+            None => None,
+            Some(depth) => {
+                let depth = surface_depths().get(place(depth)).copied();
+                Some(depth.ok_or_else(|| unknown("surface", w.surface, "1 + AshsplatSurfaceDepth"))?)
+            }
+        };
+        Ok(same_fields!(w => Reservation {
             slots, queues, scenes, instances, blend_passes, inverse_depth, occlusion, expected_depth, images_only, tint,
             cut_outs, selection, pick, motion, orthographic, staging_bytes,
         } with {
@@ -381,10 +396,10 @@ impl From<&AshsplatReservation> for Reservation {
             filter_3d: w.filter_3d != 0,
             rolling_shutter: w.rolling_shutter != 0,
             half_sh: w.half_sh != 0,
-            surface: surface_depths().get((w.surface as usize).wrapping_sub(1)).copied(),
-            lens: Projection::ALL.get(w.lens as usize).copied().filter(|lens| lens.is_lens()),
-            ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
-        })
+            surface,
+            lens: Some(lens).filter(|lens| lens.is_lens()),
+            ..Reservation::new(w.gaussians, w.sh_degree, w.width, w.height)
+        }))
     }
 }
 

@@ -166,7 +166,7 @@ impl Machine {
             *to = from as std::ffi::c_char;
         }
         let limits = &mut properties.limits;
-        // Software drivers say 128 MiB, and heaps of 2 GiB, and take more.
+        // Software drivers say 128 MiB and take more.
         limits.max_storage_buffer_range = u32::MAX;
         if !self.small {
             return;

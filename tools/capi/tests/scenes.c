@@ -326,7 +326,7 @@ static void own(char **arguments) {
     REFUSED_WITH(surface.to.image, NULL, stage_record(&stage), "surface.to.image: the pointer is null");
     REFUSED_WITH(surface.depth, 2, stage_record(&stage), "surface.depth: 2, there are 0 to 1");
     REFUSED_WITH(surface.depth, AshsplatSurfaceDepth_Front, stage_record(&stage),
-                 "surface.depth: is not AshsplatReservation.surface");
+                 "surface.depth: is Front, and Median is reserved (AshsplatReservation.surface)");
     REFUSED_WITH(lower.scale, 0, stage_record(&stage), "scenes[3].previous_pose: a scale of 0");
     check(stage_record(&stage), "recording");
     host_read(host, color, stage.release.color.layout, pixels);

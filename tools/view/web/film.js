@@ -78,6 +78,7 @@ export class Film {
             if (path.frames_per_second) find('film-fps').value = path.frames_per_second;
             find('film-closed').checked = Boolean(path.closed);
             this.list();
+            this.note();
         } catch (error) {
             this.link.emit('problem', { message: `${file.name} is not a camera path of this page: ${error.message}` });
         }

@@ -22,7 +22,7 @@ use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
 
-/// Modes in the page's order; the processor colours the last three.
+/// Modes in the page's order; the processor colours the last four.
 const MODES: [Mode; 6] =
     [Mode::Splats, Mode::Centres, Mode::Ellipsoids, Mode::Depth, Mode::Tiles, Mode::Normals];
 /// Display time of a message.
