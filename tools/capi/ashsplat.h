@@ -922,7 +922,7 @@ const char *ashsplat_last_error(void);
 // until the next.
 const char *ashsplat_last_loss(void);
 
-// The version of the library, "0.1.0".
+// The version of the library, MAJOR.MINOR.PATCH.
 const char *ashsplat_version(void);
 
 // Opens a device by its number or part of its name. For NULL, the environment variable ASHSPLAT_DEVICE

@@ -156,7 +156,7 @@ pub extern "C" fn ashsplat_last_loss() -> *const c_char {
     LAST_LOSS.with(|last| last.borrow().as_ptr())
 }
 
-/// The version of the library, "0.1.0".
+/// The version of the library, MAJOR.MINOR.PATCH.
 #[unsafe(no_mangle)]
 pub extern "C" fn ashsplat_version() -> *const c_char {
     const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "\0");

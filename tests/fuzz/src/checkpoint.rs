@@ -15,7 +15,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         sh: vec![[1.0; 3]; gaussians.sh.len()],
     };
     Checkpoint {
-        version: "0.1.0".into(),
+        version: "0.2.0".into(),
         device: "a device".into(),
         driver: "a driver".into(),
         kernels: "gpu, subgroups of 32".into(),
