@@ -37,32 +37,11 @@ fn module_of(path: &str) -> &str {
     below.split('/').next().unwrap_or(below).trim_end_matches(".rs")
 }
 
-/// The first names behind each `crate::`, also within braces.
+/// The first name behind each `crate::`. Groups in braces, which would hide names, are refused.
 fn names_used(code: &str) -> Vec<String> {
-    let mut names = Vec::new();
-    for (at, found) in code.match_indices("crate::").filter(|(at, _)| !code[..*at].ends_with('$')) {
-        let rest = &code[at + found.len()..];
-        let Some(group) = rest.strip_prefix('{') else {
-            names.extend(first_name(rest));
-            continue;
-        };
-        let (mut depth, mut start) = (0, 0);
-        for (place, c) in group.char_indices() {
-            match c {
-                '{' => depth += 1,
-                '}' if depth > 0 => depth -= 1,
-                ',' | '}' if depth == 0 => {
-                    names.extend(first_name(&group[start..place]));
-                    start = place + 1;
-                    if c == '}' {
-                        break;
-                    }
-                }
-                _ => {}
-            }
-        }
-    }
-    names
+    let paths = code.match_indices("crate::").filter(|(at, _)| !code[..*at].ends_with('$'));
+    let name = |(at, found): (usize, &str)| first_name(&code[at + found.len()..]);
+    paths.map(|path| name(path).expect("a name, not a group, behind `crate::`")).collect()
 }
 
 fn first_name(text: &str) -> Option<String> {

@@ -23,7 +23,7 @@ mod settings;
 mod tiles;
 mod training;
 
-use crate::common::with_slashes;
+use crate::common::{assert_says, with_slashes};
 use crate::program::running::Running;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::train::Checkpoint;
@@ -54,14 +54,6 @@ pub(crate) fn succeed(arguments: &[&str]) -> String {
 #[track_caller]
 pub(crate) fn refuse(arguments: &[&str], words: &[&str]) {
     finish(program().args(arguments)).refused(words);
-}
-
-#[track_caller]
-pub(crate) fn assert_has(text: &str, words: &[&str]) {
-    let plain = with_slashes(text);
-    for word in words {
-        assert!(plain.contains(&with_slashes(word)), "no '{word}' in: {text}");
-    }
 }
 
 /// Writes a COLMAP data set of a coloured wall, photographed from nine positions; a formula gives every pixel.

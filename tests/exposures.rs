@@ -36,14 +36,7 @@ fn truth() -> Gaussians {
 fn gray(share: usize) -> Gaussians {
     let all = truth();
     let kept: Vec<usize> = (0..all.len()).filter(|i| i % share == 0).collect();
-    Gaussians {
-        sh_degree: 0,
-        means: kept.iter().map(|&i| all.means[i]).collect(),
-        quats: kept.iter().map(|&i| all.quats[i]).collect(),
-        log_scales: kept.iter().map(|&i| all.log_scales[i]).collect(),
-        opacity_logits: vec![1.0; kept.len()],
-        sh: vec![[0.0; 3]; kept.len()],
-    }
+    Gaussians { opacity_logits: vec![1.0; kept.len()], sh: vec![[0.0; 3]; kept.len()], ..all.select(&kept) }
 }
 
 fn photographs(gpu: &Gpu) -> Vec<Photo> {

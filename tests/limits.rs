@@ -3,7 +3,7 @@
 use crate::common::device::{assert_uses_all, planned_peak};
 use crate::common::prelude::*;
 use ashsplat::frame::tuning::Backend;
-use ashsplat::frame::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan};
+use ashsplat::frame::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity};
 use ashsplat::scene::Intrinsics;
 
 fn render(context: &Context) -> Result<Vec<[f32; 3]>> {
@@ -96,10 +96,12 @@ fn limits_of_large_images_are_named() {
     let context = with_range(128 << 20);
     let mut renderer = loaded(&context, &start());
     let lens = Intrinsics::from_fov_x(0.8, 7680, 4320);
-    let camera = Camera::look_at(Vec3::NEG_Z * 4.0, Vec3::ZERO, Vec3::NEG_Y, lens);
-    let refused = renderer.render(&camera, &RenderSettings::default());
+    let large = Camera::look_at(Vec3::NEG_Z * 4.0, Vec3::ZERO, Vec3::NEG_Y, lens);
+    let refused = renderer.render(&large, &RenderSettings::default());
     let words = ["7680x4320", "accumulated", "530841600", "134217728", "maxStorageBufferRange"];
     assert_says(refusal(refused), &words);
+    // The renderer still draws pictures that fit.
+    renderer.render(&camera(&small_view([33, 18])), &RenderSettings::default()).expect("a frame");
     assert_silent(&context);
 }
 
@@ -366,22 +368,4 @@ fn memory_budget_is_trainings_whoever_looks_on() {
     let (looked_at, also_limited, [most, _], seen) = train(bytes, true);
     assert!(looked_at == alone && also_limited == limited, "looking on changes what is grown");
     assert!(Some(most) <= bytes && seen == 10, "{most} bytes, {seen} pictures");
-}
-
-/// Every vec4 of a chunk belongs to one plane of one Gaussian, and a row of a plane is contiguous.
-#[test]
-fn limits_of_a_chunk_hold_every_plane_once() {
-    let gpu = Gpu::new();
-    for (sh_degree, planes) in [(0, 4), (1, 6), (2, 10), (3, 15)] {
-        let plan = ScenePlan::new(gpu.context.limits(), 700, sh_degree, false).expect("a plan");
-        assert_eq!((plan.chunk_gaussians, plan.planes), (768, planes));
-        let mut owners = vec![0; 768 * planes as usize];
-        for (plane, index) in (0..planes).flat_map(|plane| (0..768).map(move |index| (plane, index))) {
-            let place = plan.place(plane, index);
-            assert_eq!(place, crate::common::layout::place(plane, index, 768), "{plane}, {index}");
-            owners[place] += 1;
-            assert_eq!(place - plan.place(plane, index - index % 8), index % 8);
-        }
-        assert!(owners.iter().all(|&count| count == 1), "{plan:?}");
-    }
 }

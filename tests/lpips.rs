@@ -55,10 +55,12 @@ fn lpips_has_the_same_bits_in_small_bindings() {
 /// Sizes that windows do not divide evenly, one picture after another with the same kernels.
 #[test]
 fn lpips_of_pictures_of_any_size() {
-    let gpu = Gpu::new();
-    let own = formula(&ALEXNET, 0);
-    let mut measure = Lpips::new(gpu.context, &weights(Network::AlexNet)).expect("kernels");
-    for size @ [width, height] in [[31, 31], [40, 33], [33, 40], [70, 36]] {
+    let (own, weights) = (formula(&ALEXNET, 0), weights(Network::AlexNet));
+    let [mut texels, mut stored] =
+        [Gpu::new(), Gpu::without_texels()].map(|gpu| Lpips::new(gpu.context, &weights).expect("kernels"));
+    let sizes = [[31, 31], [40, 33], [33, 40], [70, 36]];
+    for (size @ [width, height], with_texels) in sizes.into_iter().flat_map(|n| [(n, true), (n, false)]) {
+        let measure = if with_texels { &mut texels } else { &mut stored };
         let (a, b) = (picture(size, 3), picture(size, 4));
         let parts =
             measure.distances([&a, &b], (width, height), InputRange::MinusOneToOne).expect("a measurement");

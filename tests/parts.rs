@@ -26,7 +26,7 @@ struct RandomPrune {
 impl RandomPrune {
     fn parts(context: &Context) -> TrainParts {
         let kernels = Densify::new(context, DensifyForm::default()).expect("kernels");
-        TrainParts { strategy: Box::new(Self { kernels, pruned: 0 }), terms: Vec::new(), block: None }
+        parts_of(Self { kernels, pruned: 0 })
     }
 }
 
@@ -84,6 +84,10 @@ fn settings() -> TrainSettings {
         seed: 4,
         ..TrainSettings::reference()
     }
+}
+
+fn parts_of(strategy: impl Strategy + 'static) -> TrainParts {
+    TrainParts { strategy: Box::new(strategy), terms: Vec::new(), block: None }
 }
 
 /// Work of a step that optimises everything, followed by these actions.
@@ -151,7 +155,7 @@ impl<F: FnMut(&mut Population) -> Result<()> + Send> Strategy for Between<F> {
 }
 
 fn between(act: impl FnMut(&mut Population) -> Result<()> + Send + 'static) -> TrainParts {
-    TrainParts { strategy: Box::new(Between(act)), terms: Vec::new(), block: None }
+    parts_of(Between(act))
 }
 
 /// Keeping a missing Gaussian, or none, is refused, and the set stays.
@@ -377,11 +381,7 @@ impl Watching {
             Importance::new(context, &settings().render_settings()).expect("kernels"),
             UniqueDraw::new(context).expect("kernels"),
         );
-        TrainParts {
-            strategy: Box::new(Self { absolute, every, kernels, largest: 0.0 }),
-            terms: Vec::new(),
-            block: None,
-        }
+        parts_of(Self { absolute, every, kernels, largest: 0.0 })
     }
 }
 

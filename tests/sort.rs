@@ -114,7 +114,9 @@ fn sort_of_special_keys() {
             check(&gpu, &sort, &vec![key; n], 32);
         }
         let alternating = (0..n as u32).map(|i| if i % 2 == 0 { u32::MAX } else { 0 }).collect();
-        let keys: [Vec<u32>; 3] = [(0..n as u32).collect(), (0..n as u32).rev().collect(), alternating];
+        let halves = (0..n).map(|i| if i < n / 2 { u32::MAX } else { 0 }).collect();
+        let keys: [Vec<u32>; 4] =
+            [(0..n as u32).collect(), (0..n as u32).rev().collect(), alternating, halves];
         keys.iter().for_each(|keys| check(&gpu, &sort, keys, 32));
     }
 }

@@ -32,7 +32,7 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
         // A run from its settings alone.
         let written = place.read_text(format!("{parts}/settings.toml"));
         let block = "block = [-inf, -inf, -inf, -0.2, inf, inf]";
-        assert_has(&written, &[block, "margin = 0.1", "scene_extent = 1.5"]);
+        assert_says(&written, &[block, "margin = 0.1", "scene_extent = 1.5"]);
         place.run(format!("train --config @{parts}/settings.toml -m @again --quiet")).ok();
         assert!(place.ply(&whole, 30) == place.ply("again", 30), "other bits");
         // The frozen neighbours must be unchanged.
@@ -99,7 +99,7 @@ fn a_block_is_trained_with_the_rest_of_its_scene_masked() {
     run("parts", "30 --start_checkpoint latest").refused(&["chkpnt20"]);
     run("parts", "30 --start_checkpoint latest --outside masked").ok();
     assert!(place.ply("masked", 30) == place.ply("parts", 30), "other bits");
-    assert_has(&place.read_text("masked/settings.toml"), &["outside = \"masked\""]);
+    assert_says(&place.read_text("masked/settings.toml"), &["outside = \"masked\""]);
     // There are no frozen neighbours, on the device either.
     let surrounded = |model: &str| place.read_text(format!("{model}/report.html")).contains(">surroundings<");
     assert!(surrounded("drawn") && !surrounded("masked"));

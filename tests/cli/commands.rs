@@ -8,9 +8,9 @@ use exr::prelude::{LineOrder, MetaData, read_first_flat_layer_from_file};
 fn devices_are_listed_with_their_limits_and_requirements() {
     let list = succeed(&["devices"]);
     assert!(list.starts_with("0: "), "{list}");
-    assert_has(&list, &["subgroups", "shared memory", "per allocation", "usable"]);
+    assert_says(&list, &["subgroups", "shared memory", "per allocation", "usable"]);
     let list = succeed(&["devices", "--requirements"]);
-    assert_has(&list, &["Vulkan               1.3", "maintenance4", "optional", "VK_KHR_push_descriptor"]);
+    assert_says(&list, &["Vulkan               1.3", "maintenance4", "optional", "VK_KHR_push_descriptor"]);
 }
 
 #[test]

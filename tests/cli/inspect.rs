@@ -66,7 +66,7 @@ fn the_gaussians_of_a_pixel_make_its_colour() {
     let rows: Vec<&str> = table.lines().collect();
     assert_eq!(rows.len(), 5, "{table}");
     for (row, depth) in rows[1..4].iter().zip(["1.8000", "2.5000", "3.2000"]) {
-        assert_has(row, &[depth]);
+        assert_says(row, &[depth]);
     }
     assert!(rows[4].starts_with("final colour "), "{table}");
     place.run(format!("{inspect} 800,0")).refused(&["800,0", "800x800"]);

@@ -45,9 +45,9 @@ fn lpips_of_eval_is_that_of_the_twin() {
     let timed = json["mean"]["frame_ms"].as_f64() > Some(0.0);
     assert!(json["gaussians"].as_u64() > Some(100) && timed, "{json}");
     let table = eval("--lpips-weights @twin_vgg");
-    assert_has(&table, &["lpips_vgg_unscaled", "Gaussians, ", "ms per frame on "]);
+    assert_says(&table, &["lpips_vgg_unscaled", "Gaussians, ", "ms per frame on "]);
     assert!(!table.contains("lpips_alex") && !table.contains("not measured"), "{table}");
-    assert_has(&eval(""), &["LPIPS is not measured"]);
+    assert_says(&eval(""), &["LPIPS is not measured"]);
 }
 
 #[test]
@@ -60,7 +60,7 @@ fn lpips_of_training_is_in_its_results_and_its_report() {
         (said, place.read_json(format!("{model}/results.json")))
     };
     let (said, results) = train("model", "--test-iterations 2 --lpips-weights @alex");
-    assert_has(&said, &[", lpips_alex 0."]);
+    assert_says(&said, &[", lpips_alex 0."]);
     let value = results["ours_4"]["lpips_alex"].as_f64().expect("a number");
     assert!(value > 0.0 && results["ours_2"]["lpips_alex"].is_null(), "the last test alone: {results}");
     assert_eq!(results["ours_4"]["scene_bytes"], place.ply("model", 4).len());

@@ -118,7 +118,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
     let coarse = place.gaussians(point_cloud("coarse", 12));
     assert!(blocks.len() > 2, "{division}");
     let told = place.run("blocks @blocks.json").ok().stdout;
-    assert_has(&told, &[&format!("block 2: waiting, 0/{}\n", blocks[1]["iterations"])]);
+    assert_says(&told, &[&format!("block 2: waiting, 0/{}\n", blocks[1]["iterations"])]);
     assert!(told.ends_with(&format!("\n0 of {} blocks trained\n", blocks.len())), "{told}");
     for block in blocks {
         let inside = coarse.means.iter().filter(|&&mean| in_core(block, mean)).count();
@@ -146,7 +146,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
     place.run("blocks @blocks.json --json --growth 0.5").refused(&["--growth", "1 or more"]);
     let told = place.run("blocks @blocks.json").ok().stdout;
     for line in told.lines().take(blocks.len()) {
-        assert_has(line, &["trained", " dB, ", " it/s, ", " Gaussians"]);
+        assert_says(line, &["trained", " dB, ", " it/s, ", " Gaussians"]);
     }
     // `--watch` ends when all blocks are trained.
     place.run("blocks @blocks.json --watch 1").ok();
@@ -160,7 +160,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
         own.retain(|own, index| in_core(block, own.means[index]));
         let left = own.len();
         assert!(left < all && left > 20, "the margin is trained, and left out: {left} {all}");
-        assert_has(&merged.stdout, &[&format!("block {}: {left} Gaussians", block["number"])]);
+        assert_says(&merged.stdout, &[&format!("block {}: {left} Gaussians", block["number"])]);
         union.append(&own);
     }
     let scene = place.gaussians("new/scene.ply");
@@ -250,7 +250,7 @@ fn check_quality(place: &Place) {
         let (least, most) = (inside.min(seam), inside.max(seam));
         assert!((least..=most).contains(&part("psnr")) && least < most, "{results}");
         let line = format!("{name}: PSNR {:.2} dB on 2 held-out views", part("mean_psnr"));
-        assert_has(&said, &[&line]);
+        assert_says(&said, &[&line]);
     }
     let seams = list(&results, "seams");
     let psnr: Vec<f64> = seams.iter().filter_map(|seam| seam["psnr"].as_f64()).collect();

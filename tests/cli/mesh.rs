@@ -10,7 +10,7 @@ fn meshes_are_written_whole_and_alike() {
     let place = Place::empty();
     place.write_scene("ball.ply", &disks(Vec3::ZERO));
     let told = place.run(format!("mesh @ball.ply -o @new/ball.obj {VIEWS} --voxel 0.06")).ok().stdout;
-    assert_has(&told, &["ball.obj: ", " triangles, ", "voxels of 0.06"]);
+    assert_says(&told, &["ball.obj: ", " triangles, ", "voxels of 0.06"]);
     let lines = std::fs::read_to_string(place.at("new/ball.obj")).expect("an OBJ");
     let numbers = |start: &str| -> Vec<Vec<f64>> {
         let lines = lines.lines().filter_map(|line| line.strip_prefix(start));
@@ -32,7 +32,7 @@ fn meshes_are_written_whole_and_alike() {
     assert_eq!(bytes, ply("again.ply"), "the same bytes");
     let header = String::from_utf8_lossy(&bytes[..400]).into_owned();
     let counts = [format!("element vertex {}", vertices.len()), format!("element face {}", triangles.len())];
-    assert_has(&header, &[&counts[0], &counts[1], "property list uchar int vertex_indices"]);
+    assert_says(&header, &[&counts[0], &counts[1], "property list uchar int vertex_indices"]);
     let end = header.find("end_header\n").expect("its end") + "end_header\n".len();
     assert_eq!(bytes.len(), end + 15 * vertices.len() + 13 * triangles.len());
 
@@ -110,7 +110,7 @@ fn normals_and_median_depths_are_rendered() {
     place.run(format!("render @ball.ply -o @one {VIEWS} --normals --depth median --format exr --quiet")).ok();
     let exr = std::fs::read(place.at("one/00000.exr")).expect("an EXR");
     let header = String::from_utf8_lossy(&exr[..600]).into_owned();
-    assert_has(&header, &["N.X", "N.Y", "N.Z"]);
+    assert_says(&header, &["N.X", "N.Y", "N.Z"]);
     place
         .run("render @ball.ply -o @normals.png --orbit 1 --width 96 --height 96 --fov 40 --normals --quiet")
         .ok();

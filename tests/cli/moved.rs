@@ -96,7 +96,7 @@ fn an_origin_that_a_scene_has_lost_is_found_or_told() {
     place.write(point_cloud("model", 12), &lost);
     let (restored, said) = measured(&place);
     assert_eq!(restored, whole);
-    assert_has(&said, &["names no origin 500000,5000000,120: ", "cameras.json"]);
+    assert_says(&said, &["names no origin 500000,5000000,120: ", "cameras.json"]);
     // Outside the model folder the origin is lost.
     place.write("lost.ply", &lost);
     let begin = |scene: &str| {

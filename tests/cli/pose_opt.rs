@@ -125,13 +125,13 @@ fn poses_of_the_demo_are_found_again() {
     assert!(after[1] < 0.2 * before[1], "{before:?} before, {after:?} after");
 
     // Printed and written results.
-    assert_has(&stdout, &["poses turned by "]);
+    assert_says(&stdout, &["poses turned by "]);
     let poses = place.read_json("on/poses.json");
     let xi = poses["xi"].as_object().expect("poses");
     assert_eq!(xi.len(), 35);
     assert!(xi.values().all(|xi| xi.as_array().is_some_and(|xi| xi.len() == 6)), "{poses}");
     assert!((0.1..5.0).contains(&number(&poses["degrees"], "mean")), "{poses}");
-    assert_has(&place.read_text("on/report.html"), &["poses turned, mean", "cameras aligned"]);
+    assert_says(&place.read_text("on/report.html"), &["poses turned, mean", "cameras aligned"]);
 
     // `eval` of the saved model gives the same numbers.
     let again = place.json_of("eval @on --json --quiet");

@@ -108,8 +108,8 @@ fn photographs_stay_and_are_linked() {
     let calls = place.calls();
     assert_eq!(calls.len(), 3);
     assert!(calls[0].starts_with("feature_extractor ") && calls[1].starts_with("exhaustive_matcher "));
-    assert_has(&calls[0], &["single_camera 1"]);
-    assert_has(&calls[1], &["SiftMatching.use_gpu 0"]);
+    assert_says(&calls[0], &["single_camera 1"]);
+    assert_says(&calls[1], &["SiftMatching.use_gpu 0"]);
     place.fails(place.ashsplat("poses photos"), &["photos_dataset/sparse: is there already", "another -o"]);
     place.fails(place.ashsplat("poses photos --every 2"), &["--every", "for videos"]);
     place.run("poses photos -o other --matcher sequential --cameras each").ok();
@@ -228,9 +228,9 @@ fn without_its_gpu_colmap_takes_the_processor() {
     let run = finish(place.ashsplat("poses photos").env("CUDA", "with")).ok();
     run.warns(&["failed on the GPU", "on the processor"]);
     let calls = place.calls();
-    assert_has(&calls[0], &["SiftExtraction.use_gpu 1"]);
-    assert_has(&calls[1], &["SiftExtraction.use_gpu 0", "SiftExtraction.max_image_size 2000"]);
-    assert_has(&calls[2], &["SiftMatching.use_gpu 0"]);
+    assert_says(&calls[0], &["SiftExtraction.use_gpu 1"]);
+    assert_says(&calls[1], &["SiftExtraction.use_gpu 0", "SiftExtraction.max_image_size 2000"]);
+    assert_says(&calls[2], &["SiftMatching.use_gpu 0"]);
     // Only matching fails on the GPU; a resumed run does not extract features again.
     let place = Photographs::new("photos");
     let mut command = place.ashsplat("poses photos");

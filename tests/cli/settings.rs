@@ -119,8 +119,8 @@ fn few_photos_are_noticed_and_said() {
         line
     };
     let said = line_of(train(&place, "auto", "")).expect("a line");
-    assert_has(&said, &["--dropout 0.1", "--opacity-reg 0.003", "--decay-last 0.25"]);
-    assert_has(&said, &["9 photos to train on", "--few-photos off"]);
+    assert_says(&said, &["--dropout 0.1", "--opacity-reg 0.003", "--decay-last 0.25"]);
+    assert_says(&said, &["9 photos to train on", "--few-photos off"]);
     let kinds = |model: &str| ["strategy", "dropout"].map(|name| setting(model, name));
     assert_eq!(kinds("auto"), ["\"budget\"", "0.1"]);
     assert_eq!(setting("auto", "few_photos"), "\"auto\"");
@@ -135,7 +135,7 @@ fn few_photos_are_noticed_and_said() {
     }
     let reference = "--few-photos on --strategy reference";
     let said = line_of(train(&place, "given", reference)).expect("a line");
-    assert_has(&said, &["--densify-until-iter 1500"]);
+    assert_says(&said, &["--densify-until-iter 1500"]);
     assert_eq!(kinds("given"), ["\"reference\"", "0.0"]);
     let given = format!("{reference} --densify-until-iter 9");
     assert_eq!(line_of(train(&place, "given", &given)), None);
@@ -169,7 +169,7 @@ fn presets_learn_exposures_where_photos_differ_in_them() {
     }
     let begun = "--checkpoint-every 3 --start-checkpoint auto --iterations";
     let said = run("dark", &format!("{begun} 6"));
-    assert_has(&said, &["photos differ in exposure", "--exposure=false"]);
+    assert_says(&said, &["photos differ in exposure", "--exposure=false"]);
     assert!(!run("dark", &format!("{begun} 8")).contains("differ in exposure"));
     assert_eq!(setting(&place, "dark", "exposure"), "true");
     assert!(!run("off", "--iterations 6 --exposure=false").contains("differ in exposure"));
@@ -260,9 +260,9 @@ fn settings_that_are_listed_without_effect_are_read() {
     };
     // With few photos the strategy is budget, which has a bound.
     let dump = train("first", "--cap-max 500 --pose-opt --pose-lr 1e-4");
-    assert_has(&dump, &["cap_max = 500\n", "strategy = \"budget\""]);
+    assert_says(&dump, &["cap_max = 500\n", "strategy = \"budget\""]);
     let dump = train("again", "--config @first/settings.toml --pose-opt=false");
-    assert_has(&dump, &["pose_opt = false", "pose_lr = 0.0001"]);
+    assert_says(&dump, &["pose_opt = false", "pose_lr = 0.0001"]);
     place.write("own.toml", "pose_opt = true\npose_lr = 0.0001\n");
     train("own", "--config @own.toml --pose-opt=false");
     train("preset", "--preset fast --cap-max 500 --pose-lr 1e-5");

@@ -39,13 +39,13 @@ fn a_scene_becomes_tiles_whose_errors_are_measured() {
     let (mut gaussians, mut tiles) = (0, 0);
     check(&root, &mut gaussians, &mut tiles);
     assert_eq!(gaussians, 400);
-    assert_has(&told, &["400 Gaussians", &format!("{tiles} tiles")]);
+    assert_says(&told, &["400 Gaussians", &format!("{tiles} tiles")]);
     // Pictures 20 units wide, whose channels differ by less than 1, and 3 levels.
     assert!((0.1..80.0).contains(&error), "{error}");
     // Packed: smaller files of the same tree and the same scene.
     let (packed, ..) = tree("scene.ply", "packed", &format!("{small} --spz"));
     let extension = "KHR_gaussian_splatting_compression_spz_2";
-    assert_has(&place.read_text("packed/tileset.json"), &[extension]);
+    assert_says(&place.read_text("packed/tileset.json"), &[extension]);
     let (mut of_packed, mut tiles_of_packed) = (0, 0);
     check(&packed, &mut of_packed, &mut tiles_of_packed);
     assert_eq!((of_packed, tiles_of_packed), (gaussians, tiles));

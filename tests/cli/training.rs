@@ -98,15 +98,15 @@ fn info_says_how_many_gaussians_fit() {
     assert!(halves > usual && usual > floats && floats > 0, "{halves} {usual} {floats}");
     assert!(more[1] > usual, "{more:?}");
     let said = trained().run("info @data --max-memory 64M").ok().stdout;
-    assert_has(&said, &["training in 64M can begin with", "--sh-storage half", "--moments f32"]);
+    assert_says(&said, &["training in 64M can begin with", "--sh-storage half", "--moments f32"]);
 }
 
 #[test]
 fn reports_speed_and_quality() {
     let said = trained().read_text("stdout");
-    assert_has(&said, &["iteration 30: PSNR", "held-out views", "it/s", "all 30 iterations"]);
+    assert_says(&said, &["iteration 30: PSNR", "held-out views", "it/s", "all 30 iterations"]);
     if cfg!(target_os = "linux") {
-        assert_has(&said, &["CPU-seconds per iteration"]);
+        assert_says(&said, &["CPU-seconds per iteration"]);
     }
 }
 
@@ -252,7 +252,7 @@ fn demo_leaves_data_set_sheet_metrics_and_scene() {
     for file in ["contact_sheet.png", "metrics.json", &point_cloud("model", 6)] {
         let path = place.at("demo").join(file);
         assert!(path.is_file(), "{file} in {:?}", place.files("demo"));
-        assert_has(said, &[text(&path)]);
+        assert_says(said, &[text(&path)]);
     }
     let metrics = place.read_json("demo/metrics.json");
     assert_eq!(metrics["views"].as_array().map(Vec::len), Some(5));
@@ -324,7 +324,7 @@ fn ctrl_c_saves() {
     let mut training =
         place.start("train -s @data -m @out --iterations 1000000 --max-memory 2048M --offload 1G");
     let first = training.wait_for("100/1000000");
-    assert_has(&first, &["it/s", "Gaussians", "left"]);
+    assert_says(&first, &["it/s", "Gaussians", "left"]);
     let rest = training.interrupt();
     assert!(rest.iter().any(|line| line.starts_with("interrupted: saved ")), "{rest:?}");
     let log = place.read_text("out/train_log.csv");
@@ -334,7 +334,7 @@ fn ctrl_c_saves() {
         assert!(place.at(&file).is_file(), "{file} in {:?}", place.files("out"));
     }
     let stopped = format!("stopped after {last} of 1,000,000 iterations");
-    assert_has(&place.read_text("out/report.html"), &[&stopped]);
+    assert_says(&place.read_text("out/report.html"), &[&stopped]);
     let advice = rest.iter().find(|line| line.starts_with("interrupted: to go on, ")).expect("how to go on");
     // The printed command works, with --offload and --max-memory.
     let typed = advice.split(", ashsplat ").nth(1).expect("a command");
@@ -343,7 +343,7 @@ fn ctrl_c_saves() {
     place.run(format!("{typed} --iterations {next} --quiet")).ok();
     assert!(place.at(point_cloud("out", next)).is_file());
     // The curves begin with the first run.
-    assert_has(&place.read_text("out/report.html"), &[&format!("\">{next} iterations</span>"), ",1,\""]);
+    assert_says(&place.read_text("out/report.html"), &[&format!("\">{next} iterations</span>"), ",1,\""]);
 }
 
 /// A scene that cannot be saved is a warning, because the checkpoint has everything. SIGTERM acts like Ctrl-C.
@@ -379,7 +379,7 @@ fn photos_may_stay_on_disk() {
     let (in_memory, said) = train("memory", "");
     assert!(!said.contains("kept in a file"), "{said}");
     let (on_disk, said) = train("disk", "--photo-memory 40K");
-    assert_has(&said, &["are kept in a file in"]);
+    assert_says(&said, &["are kept in a file in"]);
     assert!(in_memory == on_disk);
     let left = std::fs::read_dir(place.at("")).expect("the folder").count();
     assert_eq!(left, 3, "the file goes with the program");
@@ -413,7 +413,7 @@ fn a_training_begins_with_a_scene() {
     assert_eq!((&same.opacity_logits, &same.log_scales), (&first.opacity_logits, &first.log_scales));
     assert!(!place.has("degree1/input.ply"));
     // The scene's SH degree is active at once.
-    assert_has(&place.read_text("degree1/settings.toml"), &["sh_degree_start = 1"]);
+    assert_says(&place.read_text("degree1/settings.toml"), &["sh_degree_start = 1"]);
     assert_eq!(cut.sh.len(), first.means.len());
     let rows = more.sh.chunks_exact(9).zip(first.sh.chunks_exact(4));
     assert!(rows.into_iter().all(|(more, first)| more[..4] == *first && more[4..] == [[0.0; 3]; 5]));

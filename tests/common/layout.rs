@@ -18,8 +18,7 @@ pub fn room(count: usize) -> usize {
     (count + 3).next_multiple_of(256)
 }
 
-/// Index of a Gaussian in plane `plane`. Geometry and each SH degree lie apart, in rows of eight Gaussians. Tests
-/// compare `ScenePlan::place` with it.
+/// Index of a Gaussian in plane `plane`. Geometry and each SH degree lie apart, in rows of eight Gaussians.
 pub fn place(plane: u32, index: usize, room: usize) -> usize {
     let [first, planes, own] = plane_place(plane, room).map(|part| part as usize);
     first + (index / 8 * planes + own) * 8 + index % 8

@@ -265,7 +265,7 @@ fn bad_picks_and_motions_are_refused_by_name() {
 }
 
 /// Orthographic camera with the pixels per unit of a pinhole at a distance of 4.
-fn parallel(camera: &Camera) -> Camera {
+pub fn parallel(camera: &Camera) -> Camera {
     Camera { fx: camera.fx / 4.0, fy: camera.fy / 4.0, ..camera.orthographic() }
 }
 

@@ -71,10 +71,11 @@ fn batches_have_the_bits_of_single_scenes() {
         let mut orthographic = camera(0.3, 110, 70);
         orthographic.projection = ashsplat::scene::Projection::Orthographic;
         (orthographic.fx, orthographic.fy) = (20.0, 20.0);
-        let usual = RenderSettings::default();
+        let (usual, extent) = (RenderSettings::default(), ashsplat::Extent::Reference);
         let frames = [
             (camera(0.3, 110, 70), usual),
             (camera(2.0, 110, 70), RenderSettings { filter_3d: true, ..usual }),
+            (camera(1.2, 110, 70), RenderSettings { extent, antialias: true, ..usual }),
             (orthographic, usual),
         ];
         for (camera, own) in &frames {

@@ -1,9 +1,10 @@
 //! Costs of frames for the host: heap allocations of `record`.
 
+use crate::auxiliary::flight::{Outputs, Wanted};
 use crate::auxiliary::truth::Screens;
 use crate::counting::allocations;
+use crate::cut_outs::HIDES;
 use crate::stage::*;
-use crate::table::Images;
 
 pub fn shipped(host: &Host, timestamps: bool) -> Context {
     let options = ContextOptions { timestamps, hazard_check: false, ..ContextOptions::default() };
@@ -61,7 +62,7 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
         let cut_outs = [CutOut { volume, pose: Pose::IDENTITY, inside: Inside::Kept }; 2];
         let bits = mask_of(&context, &[0x55; 8]);
         let selection = Some(Selection { mask: &bits, color: [1.0, 0.5, 0.0], share: 0.5 });
-        let images = Images::new(host, &context);
+        let (mut images, wanted) = (Outputs::new(host, &context, [96, 64], HIDES.0), Wanted::hidden(&view));
         let screens = Screens::new(host, &context, [96, 64]);
         let in_flight = Commands::new(host);
         let updates = [Update { scene: &scenes[0], first: 0, gaussians: &gaussians }];
@@ -77,10 +78,10 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
                 Placed { settings: SceneSettings { selection, ..tinted }, ..(&scenes[2]).into() },
             ];
             let (pick, motion) = (Some(screens.pick()), Some(screens.motion(&view)));
-            let frame = RecordedFrame { pick, motion, ..frame_of(&placed, &view) };
-            let frame = images.used_by(frame, &updates);
+            let frame = RecordedFrame { pick, motion, updates: &updates, ..frame_of(&placed, &view) };
+            let frame = images.with(frame, &wanted);
             let (count, recorded) = allocations(|| renderer.record(commands, slot, &frame));
-            recorded.expect("a recording");
+            images.note(&recorded.expect("a recording"));
             in_flight.finish();
             let report = report_of(&mut renderer, slot);
             assert!(report.visible > 100 && !report.overflow, "{report:?}");

@@ -4,7 +4,7 @@ mod at_random;
 
 use crate::scene_settings::{HIDDEN, Stage, USUAL};
 use crate::stage::*;
-pub use at_random::{HIDES, Kinds, Random, mapping, parallel};
+pub use at_random::{HIDES, Kinds, Random, mapping};
 
 fn pose(turn: f32, translation: Vec3, scale: f32) -> Pose {
     let turn = Quat::from_euler(glam::EulerRot::XYZ, turn, -2.0 * turn, 0.5 * turn);

@@ -1,6 +1,6 @@
 //! Hosts with orthographic projections: pictures, occlusion and expected depth.
 
-use crate::scenes::assert_nearly_equal;
+use crate::scenes::{assert_nearly_equal, sheet};
 use crate::stage::*;
 use ashsplat::glam;
 use ashsplat::glam::camera::rh::view::look_at_mat4;
@@ -122,19 +122,10 @@ fn expected_depth_of_parallel_rays_is_z() {
     with_scene(|host, renderer, _, _| {
         let context = renderer.context().clone();
         // A sheet of opaque Gaussians, half as large in the file, across the view at one z.
-        let mut sheet = Gaussians { sh_degree: 0, ..Gaussians::default() };
         let (camera, mapping): (_, DepthMapping) = view(true).camera().expect("a camera");
         let right = camera.camera_from_world.row(0);
         let down = camera.camera_from_world.row(1);
-        for i in 0..100 {
-            let (x, y) = ((i % 10) as f32 * 0.2 - 0.9, (i / 10) as f32 * 0.2 - 0.9);
-            let mean = right * x + down * y;
-            sheet.means.push((0.5 * mean).to_array());
-            sheet.quats.push([1.0, 0.0, 0.0, 0.0]);
-            sheet.log_scales.push([-2.7; 3]);
-            sheet.opacity_logits.push(4.0);
-            sheet.sh.push([0.5; 3]);
-        }
+        let sheet = sheet(10, -2.7, |[x, y]| 0.1 * (right * x + down * y));
         let scene = uploaded(&context, &sheet);
         let picture =
             Picture::new(host, &context, ("expected", ImageUse::Depth), vk::Format::R32_SFLOAT, SIZE);

@@ -6,11 +6,7 @@ use ashsplat::scene::Similarity;
 
 pub fn appended(a: &Gaussians, b: &Gaussians) -> Gaussians {
     let mut both = a.clone();
-    both.means.extend(&b.means);
-    both.quats.extend(&b.quats);
-    both.log_scales.extend(&b.log_scales);
-    both.opacity_logits.extend(&b.opacity_logits);
-    both.sh.extend(&b.sh);
+    both.append(b);
     both
 }
 
@@ -170,20 +166,28 @@ pub fn planes(g: &Gaussians, room: usize) -> Vec<u8> {
     bytemuck::cast_slice(&planes).to_vec()
 }
 
+/// Opaque Gaussians in `side` rows and columns; `place` gets the column and the row, counted from the middle.
+pub fn sheet(side: usize, log_scale: f32, place: impl Fn([f32; 2]) -> Vec3) -> Gaussians {
+    let from_middle = |at: usize| at as f32 - (side - 1) as f32 / 2.0;
+    let count = side * side;
+    Gaussians {
+        sh_degree: 0,
+        means: (0..count).map(|i| place([i % side, i / side].map(from_middle)).to_array()).collect(),
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
+        log_scales: vec![[log_scale; 3]; count],
+        opacity_logits: vec![4.0; count],
+        sh: vec![[0.5; 3]; count],
+    }
+}
+
 #[test]
 fn expected_depth_is_the_depth_of_a_wall() {
     with_guest(|host, context| {
         let camera = camera(0.0, 64, 48);
-        let mut wall = Gaussians { sh_degree: 0, ..Gaussians::default() };
-        for i in 0..400 {
-            let at = Vec3::new((i % 20) as f32 * 0.1 - 0.95, (i / 20) as f32 * 0.1 - 0.95, 3.5);
-            let world = camera.camera_from_world.transpose() * (at - camera.translation);
-            wall.means.push(world.to_array());
-            wall.quats.push([1.0, 0.0, 0.0, 0.0]);
-            wall.log_scales.push([-2.5; 3]);
-            wall.opacity_logits.push(3.0);
-            wall.sh.push([1.0; 3]);
-        }
+        let wall = sheet(20, -2.5, |[x, y]| {
+            let at = Vec3::new(0.1 * x, 0.1 * y, 3.5);
+            camera.camera_from_world.transpose() * (at - camera.translation)
+        });
         let scene = uploaded(&context, &wall);
         let reservation = Reservation { expected_depth: true, ..Reservation::new(400, 0, 64, 48) };
         let mut renderer = reserved(&context, &reservation);
@@ -219,16 +223,9 @@ fn a_hosts_depth_hides_what_lies_behind_it() {
         let depth = |g: usize| camera.project(Vec3::from(gaussians.means[g])).2;
         // A wall between the Gaussians, in reversed depth with an infinite far plane: d = near / z.
         let (near, wall) = (0.1, 4.2);
-        let front: Vec<usize> = (0..gaussians.len()).filter(|&g| depth(g) < wall).collect();
-        assert!((100..500).contains(&front.len()));
-        let mut kept = Gaussians { sh_degree: 1, ..Gaussians::default() };
-        for &g in &front {
-            kept.means.push(gaussians.means[g]);
-            kept.quats.push(gaussians.quats[g]);
-            kept.log_scales.push(gaussians.log_scales[g]);
-            kept.opacity_logits.push(gaussians.opacity_logits[g]);
-            kept.sh.extend(&gaussians.sh[4 * g..4 * g + 4]);
-        }
+        let mut kept = gaussians.clone();
+        kept.retain(|_, g| depth(g) < wall);
+        assert!((100..500).contains(&kept.len()));
         let placed = [Placed::from(&scene)];
         let plain = frame_of(&placed, &camera);
         let mapping = DepthMapping { scale: 1.0 / near, offset: 0.0, clear_value: 0.0, linear: false };

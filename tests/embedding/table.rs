@@ -3,6 +3,8 @@
 //! Each function of the guest's table is passed through, counted or absent. The first kind is `vkCmd*`, and four
 //! others that only touch the guest's own descriptors and events. A call of an absent function panics.
 
+use crate::auxiliary::flight::{Outputs, Wanted};
+use crate::cut_outs::HIDES;
 use crate::stage::*;
 use ashsplat::ash::vk::Handle;
 use ashsplat::train::StepOutcome;
@@ -116,7 +118,7 @@ fn record_and_count(host_options: &HostOptions) {
             ..Reservation::new(600, 1, 96, 64)
         };
         renderer.reserve(&reservation).expect("memory");
-        let images = Images::new(host, &context);
+        let (mut images, wanted) = (Outputs::new(host, &context, [96, 64], HIDES.0), Wanted::hidden(&camera));
         let placed = [Placed::from(&scene)];
         let updates = [Update { scene: &scene, first: 0, gaussians: &gaussians }];
         assert!(take_calls().iter().any(|(name, _)| *name == "vkAllocateMemory"), "the table counts");
@@ -125,10 +127,12 @@ fn record_and_count(host_options: &HostOptions) {
         for number in 0..4 {
             let slot = number % 2;
             let commands = in_flight.begun(&context);
-            let frame = images.used_by(frame_of(&placed, &camera), &updates);
+            let frame = RecordedFrame { updates: &updates, ..frame_of(&placed, &camera) };
+            let frame = images.with(frame, &wanted);
             take_calls();
-            renderer.record(commands, slot, &frame).expect("a recording");
+            let release = renderer.record(commands, slot, &frame).expect("a recording");
             assert_eq!(take_calls(), [], "frame {number}: record only records");
+            images.note(&release);
             in_flight.finish();
             let report = report_of(&mut renderer, slot);
             assert!(report.visible > 100 && !report.overflow, "{report:?}");
@@ -194,49 +198,6 @@ fn training_steps(context: &Context, in_flight: &Commands<'_>) {
         assert!(asked.iter().all(|(name, _)| *name == "vkGetQueryPoolResults"), "asking: {asked:?}");
     }
     assert_eq!(maintained, 5, "densified after 3, 6, 9, reset after 5 and 10");
-}
-
-/// Images of a frame that draws into a host's image, behind a host's depth.
-pub struct Images<'a> {
-    views: [Image; 2],
-    _textures: [Texture<'a>; 2],
-}
-
-/// State of the depth before and after every frame.
-const READ_ONLY: ImageState = ImageState {
-    layout: vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL,
-    stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
-    accesses: vk::AccessFlags2::SHADER_SAMPLED_READ,
-};
-
-impl<'a> Images<'a> {
-    pub fn new(host: &'a Host, context: &Context) -> Self {
-        let new = |format, usage| Texture::new(host, format, usage, [96, 64]);
-        let color = new(vk::Format::R16G16B16A16_SFLOAT, vk::ImageUsageFlags::STORAGE);
-        let usage = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
-        let depth = new(vk::Format::D32_SFLOAT, usage);
-        let made = host.run(|commands| {
-            depth.barrier(host, commands, used(ImageState::UNDEFINED), used(READ_ONLY));
-            Ok(())
-        });
-        made.expect("a layout");
-        let target = color.adopt(context, "color", ImageUse::Target);
-        let views = [target, depth.adopt(context, "depth", ImageUse::Occluder)];
-        Self { views, _textures: [color, depth] }
-    }
-
-    /// A frame with the images, and with updates.
-    pub fn used_by<'b>(&'b self, frame: RecordedFrame<'b>, updates: &'b [Update<'b>]) -> RecordedFrame<'b> {
-        // Nothing draws into the depth image; its contents do not matter.
-        let mapping = DepthMapping { scale: 1e-9, offset: 0.0, clear_value: 2.0, linear: false };
-        let target = Target::Image {
-            to: host_image(&self.views[0], ImageState::UNDEFINED),
-            behind: Background::Nothing,
-            encoding: ColorEncoding::LINEAR,
-        };
-        let depth = host_image(&self.views[1], READ_ONLY);
-        RecordedFrame { target, occluder: Some(Occluder { depth, mapping }), updates, ..frame }
-    }
 }
 
 /// Both kinds of descriptors in one test, because the counters are shared.

@@ -68,20 +68,13 @@ pub fn step(trainer: &mut Trainer, context: &Context, in_flight: &Commands<'_>) 
 /// Steps of a preset's run of 440 iterations that begin with the prunings due after 300 and 308.
 const LATE_PRUNINGS: [usize; 2] = [301, 309];
 
-/// Trains with one step in flight per slot, and runs maintenance whenever due.
-fn train_recorded(host: &Host, settings: &TrainSettings) {
+/// Trains with one step in flight per slot, and runs maintenance whenever due. Returns the reports of the owned path, and
+/// the number of densifications that changed something.
+fn train_recorded(host: &Host, make: &dyn Fn(&Context) -> Trainer, steps: usize) -> (Vec<StepReport>, u32) {
     const SLOTS: usize = 3;
-    // Trains until the special events of these settings have occurred.
-    let steps = match settings {
-        s if s.late_min_opacity > 0.0 => 312,
-        s if s.filter_3d => 104,
-        s if s.strategy == StrategyType::Budget => 100,
-        _ => 62,
-    };
     let context = guest(host);
-    let mut owned = trainer(own_device(), settings.clone());
+    let (mut owned, mut recorded) = (make(own_device()), make(&context));
     let expected: Vec<StepReport> = (0..steps).map(|_| owned.step().expect("a step")).collect();
-    let mut recorded = trainer(&context, settings.clone());
     recorded
         .reserve_steps(&StepReservation { slots: SLOTS as u32, instances: 0, visible: 0 })
         .expect("memory");
@@ -89,7 +82,8 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
     let (mut pending, mut densifications) = (Vec::<(usize, u32)>::new(), 0);
     let check = |trainer: &mut Trainer, (slot, iteration): (usize, u32)| {
         frames[slot].wait();
-        let (got, wanted) = (done(trainer, slot as u32), &expected[iteration as usize - 1]);
+        let (got, first) = (done(trainer, slot as u32), expected[0].iteration);
+        let wanted = &expected[(iteration - first) as usize];
         assert_eq!(got.iteration, iteration);
         let sizes = |r: &StepReport| (r.gaussians, r.visible, r.instances, r.skipped_non_finite);
         let numbers = |r: &StepReport| (r.iteration, r.view, r.loss.to_bits(), sizes(r));
@@ -115,14 +109,10 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
     for step in pending.drain(..) {
         check(&mut recorded, step);
     }
-    assert!(densifications >= 3, "{densifications} densifications changed something");
-    if settings.late_min_opacity > 0.0 {
-        let pruned = |step: usize| expected[step - 1].densified.is_some_and(|d| d.kept < d.before);
-        assert!(LATE_PRUNINGS.iter().all(|&step| pruned(step)), "nothing was pruned late");
-    }
     assert_eq!(recorded.settle().expect("an answer"), 0);
     let (got, wanted) = (recorded.checkpoint().expect("a state"), owned.checkpoint().expect("a state"));
     assert!(got == wanted, "after {} iterations: other bits", got.iteration);
+    (expected, densifications)
 }
 
 #[test]
@@ -181,7 +171,21 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let usual =
         [settings(), mcmc, filtered, exposed, budget, few, sparse, preset].map(|settings| (true, settings));
     for (push_descriptors, settings) in usual.into_iter().chain(plain) {
-        with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
+        // Until the special events of these settings have occurred.
+        let steps = match &settings {
+            s if s.late_min_opacity > 0.0 => 312,
+            s if s.filter_3d => 104,
+            s if s.strategy == StrategyType::Budget => 100,
+            _ => 62,
+        };
+        with_host(&HostOptions { push_descriptors, ..options() }, |host| {
+            let make = |context: &Context| trainer(context, settings.clone());
+            let (reports, densifications) = train_recorded(host, &make, steps);
+            assert!(densifications >= 3, "{densifications} densifications changed something");
+            let pruned = |&step: &usize| reports[step - 1].densified.is_some_and(|d| d.kept < d.before);
+            let prunes = settings.late_min_opacity > 0.0;
+            assert!(!prunes || LATE_PRUNINGS.iter().all(pruned), "nothing was pruned late");
+        });
     }
 }
 
@@ -508,25 +512,14 @@ fn warm_up_trainer(context: &Context) -> Trainer {
 
 #[test]
 fn recorded_steps_of_a_warm_up_have_the_owned_paths_bits() {
-    with_guest(|host, context| {
+    with_host(&options(), |host| {
         for begun in [0, 2, 6, 10] {
-            let (mut owned, mut recorded) = (warm_up_trainer(&context), warm_up_trainer(&context));
-            for trainer in [&mut owned, &mut recorded] {
+            let make = |context: &Context| {
+                let mut trainer = warm_up_trainer(context);
                 (0..begun).for_each(|_| drop(trainer.step().expect("a step")));
-            }
-            recorded.reserve_steps(&ONE_SLOT).expect("memory");
-            let frame = Commands::new(host);
-            for _ in begun..ITERATIONS {
-                let expected = owned.step().expect("a step");
-                if recorded.maintenance_is_due().expect("an answer") {
-                    recorded.maintain().expect("maintained");
-                }
-                execute(&mut recorded, &context, &frame);
-                recorded.settle().expect("an answer");
-                assert_eq!(recorded.iteration(), expected.iteration);
-            }
-            let states = [&recorded, &owned].map(|trainer| trainer.checkpoint().expect("a state"));
-            assert!(states[0] == states[1], "recorded after {begun}: other bits");
+                trainer
+            };
+            train_recorded(host, &make, (ITERATIONS - begun) as usize);
         }
     });
 }
@@ -543,24 +536,10 @@ fn block_trainer(context: &Context) -> Trainer {
 
 #[test]
 fn recorded_training_of_a_block_is_the_owned_paths_to_the_bit() {
-    with_each_guest(|host, context| {
-        let mut owned = block_trainer(own_device());
-        let mut recorded = block_trainer(&context);
-        recorded.reserve_steps(&ONE_SLOT).expect("memory");
-        let in_flight = Commands::new(host);
-        let mut added = 0;
-        for _ in 0..45 {
-            let expected = owned.step().expect("a step");
-            if recorded.maintenance_is_due().expect("an answer") {
-                let densified = recorded.maintain().expect("maintained").densified;
-                added += densified.map_or(0, |densified| densified.cloned + densified.split);
-            }
-            let got = step(&mut recorded, &context, &in_flight);
-            assert_eq!((got.iteration, got.gaussians), (expected.iteration, expected.gaussians));
-            assert_eq!(got.loss.to_bits(), expected.loss.to_bits(), "iteration {}", got.iteration);
-        }
-        assert!(added > 0, "nothing was added");
-        let states = [&recorded, &owned].map(|trainer| trainer.checkpoint().expect("a state"));
-        assert!(states[0] == states[1], "other bits");
-    });
+    for push_descriptors in [true, false] {
+        with_host(&HostOptions { push_descriptors, ..options() }, |host| {
+            let (_, densifications) = train_recorded(host, &block_trainer, 45);
+            assert!(densifications > 0, "nothing was added");
+        });
+    }
 }

@@ -521,9 +521,11 @@ fn check_ties(gpu: &Gpu, how: How) {
 #[test]
 fn blend_auxiliary_picks_the_nearest_of_equal_weights() {
     let gpu = Gpu::new();
-    for how in [CHAINED, UNCHAINED, LOW, SHARED, How { entries_per_pass: 2, ..CHAINED }] {
+    let in_passes = How { entries_per_pass: 2, ..CHAINED };
+    for how in [CHAINED, UNCHAINED, LOW, SHARED, in_passes] {
         check_ties(&gpu, how);
     }
+    [CHAINED, UNCHAINED, in_passes].into_iter().for_each(|how| check_ties(&gpu, shared(32, how)));
 }
 
 #[test]
@@ -547,14 +549,6 @@ fn blend_auxiliary_equals_its_twin_in_passes_and_regions() {
     }
     for parts in region_counts(&gpu) {
         check_auxiliary(&gpu, &lists, How { parts, entries_per_pass: 128, ..CHAINED });
-    }
-}
-
-#[test]
-fn blend_shared_auxiliary_picks_the_nearest_of_equal_weights() {
-    let gpu = Gpu::new();
-    for how in [CHAINED, UNCHAINED, How { entries_per_pass: 2, ..CHAINED }] {
-        check_ties(&gpu, shared(32, how));
     }
 }
 

@@ -1,44 +1,21 @@
 //! The kernels of `compose/`, which write a host's images, against their twins: `compose/compose_rgba8`,
 //! `compose/compose_bgra8`, `compose/compose_rgb10a2`, `compose/compose_rgba16f`, `compose/compose_rgba32f`,
-//! `compose/compose_r11g11b10f`, `compose/depth_limit`, `compose/expected_depth`, `compose/mean_motion` and
-//! `compose/picks`.
+//! `compose/compose_r11g11b10f`, `compose/depth_limit`, `compose/expected_depth` and `compose/mean_motion`.
 
 use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::scenes::Random;
 use crate::reference::compose as twin;
 use ashsplat::ColorEncoding;
 use ashsplat::ColorEncoding::AsTrained;
 use ashsplat::ash::vk::Format;
-use ashsplat::frame::Outputs;
-use ashsplat::kernels::compose::picks;
-use ashsplat::kernels::constants::NOT_PICKED;
 use ashsplat::passes::compose::{Background, Compose, Region};
 use ashsplat::scene::DepthMapping;
-use ashsplat::vk::{Image, ImageUse, Recorder};
-use bytemuck::Pod;
+use ashsplat::vk::{Image, ImageUse};
 
 /// Size of the frame, smaller than the image.
 const SIZE: [u32; 2] = [21, 13];
 /// Position of the frame in the image.
 const OFFSET: [u32; 2] = [5, 2];
 const IMAGE: [u32; 2] = [32, 17];
-
-/// Pixels as blending leaves them: premultiplied colour, transmittance.
-fn pixels() -> Vec<[f32; 4]> {
-    let mut random = Random::new(5);
-    (0..SIZE[0] * SIZE[1])
-        .map(|i| {
-            let transmittance = match i % 5 {
-                0 => 1.0,
-                1 => 1e-4,
-                _ => random.unit() as f32,
-            };
-            let covered = f64::from(1.0 - transmittance);
-            let [r, g, b] = [0; 3].map(|_| (covered * random.unit()) as f32);
-            [r, g, b, transmittance]
-        })
-        .collect()
-}
 
 /// Composes pixels over an image of `texels`. Returns the image's bytes.
 fn composed(
@@ -94,29 +71,16 @@ fn compose_rgba8_leaves_what_nothing_covers() {
     keeps_what_nothing_covers(&Gpu::new(), Format::R8G8B8A8_SRGB, &texels, LINEAR);
 }
 
-fn texels_of_rgb10a2() -> Vec<u32> {
-    (0..TEXELS).map(|i| i.wrapping_mul(0x9e37_79b9)).collect()
-}
-
 /// Uncovered texels keep their bits.
 #[test]
 fn compose_rgb10a2_leaves_what_nothing_covers() {
     let gpu = Gpu::new();
     for (round, encoding) in (0..8_u32).flat_map(|round| [(round, AsTrained), (round, LINEAR)]) {
-        let texels: Vec<u32> = texels_of_rgb10a2().iter().map(|t| t.rotate_left(4 * round) ^ round).collect();
+        let random = (0..TEXELS).map(|i| i.wrapping_mul(0x9e37_79b9));
+        let texels: Vec<u32> = random.map(|t| t.rotate_left(4 * round) ^ round).collect();
         let bytes = bytemuck::cast_slice(&texels);
         keeps_what_nothing_covers(&gpu, Format::A2B10G10R10_UNORM_PACK32, bytes, encoding);
     }
-}
-
-/// Value of a half float that is finite.
-pub fn from_half(bits: u16) -> f64 {
-    let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
-    let size = match exponent {
-        0 => mantissa * 2f64.powi(-24),
-        _ => (1024.0 + mantissa) * 2f64.powi(exponent - 25),
-    };
-    if bits >> 15 == 1 { -size } else { size }
 }
 
 /// Colours above the format's largest number become that number, not infinity.
@@ -218,148 +182,6 @@ fn depth_limit_equals_its_twin() {
                 assert!(close, "{format:?} ({x}, {y}) of depth {depth}: {actual}, expected {expected}");
             }
             assert!(words[count..].iter().all(|word| word.to_bits() == UNTOUCHED));
-        }
-    }
-}
-
-/// Records into a region of an image whose texels are all `before`. Returns the region's texels; the others must stay.
-fn over_image<T: Pod + PartialEq + std::fmt::Debug>(
-    gpu: &Gpu,
-    (format, usage): (Format, ImageUse),
-    before: T,
-    record: impl FnOnce(&mut Recorder, Region<'_>),
-) -> Vec<T> {
-    let image = Image::new(gpu.context, "target", format, IMAGE, usage).expect("an image");
-    let texels = vec![before; TEXELS as usize];
-    let (from, to) = (gpu.buffer("texels", &texels), gpu.untouched::<T>("texels", texels.len()));
-    gpu.run(|r| {
-        r.copy_to_image(&from.range(0, from.bytes()), &image);
-        record(r, Region { image: &image, offset: OFFSET, size: SIZE });
-        r.copy_from_image(&image, &to.range(0, to.bytes()));
-    });
-    let after = gpu.read::<T>(&to, texels.len()).into_iter().enumerate();
-    let (inside, outside): (Vec<_>, Vec<_>) = after.partition(|(index, _)| is_inside(position(*index)));
-    for (index, texel) in outside {
-        assert_eq!(texel, before, "{:?} lies outside", position(index));
-    }
-    inside.into_iter().map(|(_, texel)| texel).collect()
-}
-
-#[test]
-fn expected_depth_equals_its_twin() {
-    let gpu = Gpu::new();
-    let compose = Compose::new(gpu.context).expect("kernels");
-    let pixels = pixels();
-    let sums: Vec<f32> = pixels.iter().enumerate().map(|(i, p)| (1.0 - p[3]) * (i + 1) as f32).collect();
-    let (accumulated, depth_sums) = (gpu.buffer("accumulated", &pixels), gpu.buffer("depth_sums", &sums));
-    for (min_weight, empty) in [(0.0, -1.0), (0.5, f32::INFINITY)] {
-        let after = over_image(&gpu, (ashsplat::vk::DEPTH_FORMAT, ImageUse::Depth), -7.0_f32, |r, region| {
-            compose.record_expected_depth(r, &accumulated, &depth_sums, region, min_weight, empty);
-        });
-        for (pixel, actual) in after.into_iter().map(f64::from).enumerate() {
-            let expected =
-                twin::expected_depth(pixels[pixel][3], sums[pixel], min_weight.into(), empty.into());
-            let close = actual == expected || (actual - expected).abs() < 1e-3 * expected.abs();
-            assert!(close, "{pixel}: {actual}, expected {expected}");
-        }
-    }
-}
-
-#[test]
-fn mean_motion_equals_its_twin() {
-    let gpu = Gpu::new();
-    let mut compose = Compose::new(gpu.context).expect("kernels");
-    compose.prepare(gpu.context, Outputs { motion: true, ..Outputs::default() }).expect("a kernel");
-    let pixels = pixels();
-    let sum = |i: usize, p: &[f32; 4]| {
-        let large = if i.is_multiple_of(11) { 1e6 } else { 1.0 };
-        [(1.0 - p[3]) * (i as f32 - 40.0) * large, (p[3] - 1.0) * 0.125]
-    };
-    let sums: Vec<[f32; 2]> = pixels.iter().enumerate().map(|(i, p)| sum(i, p)).collect();
-    let (accumulated, motion_sums) = (gpu.buffer("accumulated", &pixels), gpu.buffer("motion_sums", &sums));
-    // 1 and -2.
-    let before = [0x3C00u16, 0xC000];
-    let mut kinds = [0; 2];
-    for (min_weight, empty) in [(0.0, Some([0.5, -8.0])), (0.5, Some([0.0; 2])), (0.5, None)] {
-        let after = over_image(&gpu, (ashsplat::vk::MOTION_FORMAT, ImageUse::Motion), before, |r, region| {
-            compose.record_motion(r, &accumulated, &motion_sums, region, min_weight, empty);
-        });
-        for (pixel, actual) in after.into_iter().enumerate() {
-            let mean = twin::mean_motion(pixels[pixel][3], sums[pixel], min_weight.into());
-            kinds[usize::from(mean.is_some())] += 1;
-            let empty = empty.map_or(before.map(from_half), |empty| empty.map(f64::from));
-            for (actual, expected) in actual.map(from_half).into_iter().zip(mean.unwrap_or(empty)) {
-                let close = (actual - expected).abs() <= 1e-3 * expected.abs() + 1e-6;
-                assert!(close, "{pixel}: {actual}, expected {expected}");
-            }
-        }
-    }
-    assert!(kinds.iter().all(|&count| count > 5), "{kinds:?}");
-}
-
-/// Scenes without Gaussians at the front, in the middle and at the end, and a scene of one Gaussian.
-#[test]
-fn picks_equal_their_twin() {
-    let gpu = Gpu::new();
-    for counts in [vec![64], vec![0, 0, 10, 0, 1, 0, 0, 53, 0], vec![1; 64]] {
-        let firsts: Vec<u32> = (0..counts.len()).map(|scene| counts[..scene].iter().sum()).collect();
-        let (columns, rows) = (SIZE[0].div_ceil(16), SIZE[1].div_ceil(16));
-        let tiles = columns * rows;
-        // Each tile lists the visible Gaussians in another order; every second Gaussian is visible.
-        let (visible, entries) = (32, 32);
-        let list: Vec<u32> = (0..visible).map(|i| 2 * i).collect();
-        let ranges: Vec<[u32; 2]> = (0..tiles).map(|tile| [tile * entries, (tile + 1) * entries]).collect();
-        let sorted: Vec<u32> =
-            (0..tiles).flat_map(|tile| (0..entries).map(move |i| (i * 5 + tile) % visible)).collect();
-        let depth = |visible: u32| 0.5 + visible as f32;
-        let shades: Vec<[f32; 4]> = (0..visible).map(|i| [0.0, 0.0, 0.0, 1.0 / depth(i)]).collect();
-        let pixels = SIZE[0] * SIZE[1];
-        let picked: Vec<[u32; 2]> = (0..pixels)
-            .map(|i| if i % 7 == 0 { [0, 0] } else { [1 + i % entries, (i as f32).to_bits()] })
-            .collect();
-        let spec = picks::Spec { workgroup_size: gpu.workgroup(64) };
-        let kernel = gpu.kernel::<picks::Interface>(&spec);
-        let push = picks::Push {
-            image_width: SIZE[0],
-            image_height: SIZE[1],
-            offset_x: OFFSET[0],
-            offset_y: OFFSET[1],
-            tiles_per_row: columns,
-            splat_stride: 1,
-            scenes: counts.len() as u32,
-        };
-        let [visible_list, scene_firsts] =
-            [("visible_list", &list), ("scene_firsts", &firsts)].map(|(name, words)| gpu.buffer(name, words));
-        let (picks, tile_ranges) = (gpu.buffer("picks", &picked), gpu.buffer("tile_ranges", &ranges));
-        let sorted_visible = gpu.buffer("sorted_visible", &sorted);
-        let color_inverse_depth = gpu.buffer("color_inverse_depth", &shades);
-        let after = over_image(&gpu, (ashsplat::vk::PICK_FORMAT, ImageUse::Pick), [7_u32; 4], |r, region| {
-            let bind = picks::Bind {
-                picks: &picks,
-                tile_ranges: &tile_ranges,
-                sorted_visible: &sorted_visible,
-                visible_list: &visible_list,
-                color_inverse_depth: &color_inverse_depth,
-                scene_firsts: &scene_firsts,
-                target: region.image,
-            };
-            r.dispatch(&kernel, &bind, &push, u64::from(pixels).div_ceil(u64::from(spec.workgroup_size)));
-        });
-        for (pixel, actual) in after.into_iter().enumerate() {
-            let [place, weight] = picked[pixel];
-            let expected = match place {
-                0 => [NOT_PICKED, NOT_PICKED, 0, 0],
-                _ => {
-                    let [x, y] = [pixel as u32 % SIZE[0], pixel as u32 / SIZE[0]];
-                    let tile = y / 16 * columns + x / 16;
-                    let visible = ((place - 1) * 5 + tile) % visible;
-                    let [gaussian, scene] = twin::scene_of(2 * visible, &counts);
-                    let z = f32::from_bits(actual[2]);
-                    assert!((z - depth(visible)).abs() < 1e-5 * z, "{z}");
-                    [gaussian, scene, actual[2], weight]
-                }
-            };
-            assert_eq!(actual, expected, "{pixel}");
         }
     }
 }

@@ -17,9 +17,7 @@ use ashsplat::frame::{self, LaunchSizes, SceneBuffers};
 use ashsplat::kernels::constants::{
     GATHER_COPIES, GATHER_LOG_SCALE, GATHER_MEAN_OPACITY, GATHER_MOMENTS, PLANE_LOG_SCALE, PLANE_MEAN_OPACITY,
 };
-use ashsplat::kernels::densify::{
-    classify, gather, mask_outside, relocate, reset_opacity, scatter_sources, zorder,
-};
+use ashsplat::kernels::densify::{classify, gather, mask_outside, relocate, reset_opacity, scatter_sources};
 use ashsplat::passes::densify::{
     Curve, Densify, DensifyBuffers, DensifyForm, Gather, OrderBuffers, OrderInputs, RandomKey,
 };
@@ -636,42 +634,6 @@ fn inside_cells(count: usize) -> Vec<Gaussian> {
         }
     }
     scene
-}
-
-#[test]
-fn zorder_equals_its_twin() {
-    let gpu = Gpu::new();
-    let spec = zorder::Spec { workgroup_size: gpu.workgroup(64) };
-    for size in sizes(spec.workgroup_size as usize) {
-        let scene = inside_cells(size.max(8));
-        let mut random = Random::new(3);
-        let sources: Vec<u32> =
-            (0..size).map(|_| random.below(scene.len() as u32) | random.below(4) << 30).collect();
-        // Two ranges of Gaussians, as with parameters in two buffers.
-        let half = scene.len() / 2;
-        let keys = gpu.buffer("keys", &vec![u32::MAX; size + 1]);
-        for (first, range) in [(0, &scene[..half]), (half, &scene[half..])] {
-            let bind = zorder::Bind {
-                sources: &gpu.buffer("sources", &sources),
-                parameters: &gpu.gaussians("parameters", range),
-                keys: &keys,
-            };
-            let push = zorder::Push {
-                first: first as u32,
-                count: range.len() as u32,
-                rows: size as u32,
-                center: CENTER.map(|x| x as f32),
-                extent: EXTENT as f32,
-            };
-            gpu.dispatch_over::<zorder::Interface>(&spec, &bind, &push, size);
-        }
-        let keys = gpu.read::<u32>(&keys, size + 1);
-        assert_eq!(keys[size], u32::MAX, "written behind the rows");
-        for (source, key) in sources.iter().zip(&keys) {
-            let mean = scene[(source & 0x3FFF_FFFF) as usize].mean;
-            assert_eq!(*key, zorder_twin(mean, CENTER, EXTENT), "{mean:?}");
-        }
-    }
 }
 
 /// Rows are sorted by their keys, and rows of one key keep their order. There are more rows than one workgroup sorts

@@ -6,23 +6,18 @@ use super::pixels::{SIZES, layouts};
 use crate::common::prelude::*;
 use crate::reference::draws as twin;
 use crate::reference::gather::pcg4d;
-use crate::reference::linear::sigmoid;
+use crate::reference::linear::wide;
 use ashsplat::frame::{LaunchSizes, SceneBuffers, Strips, planes};
 use ashsplat::kernels::constants::{
     CHANCE_EQUAL, CHANCE_IMPORTANCE, CHANCE_STATISTIC, NOT_DRAWN, NOT_VISIBLE, STATE_OVERFLOW,
 };
 use ashsplat::kernels::densify::{
-    add_importance, draw_keys, draw_sources, draw_weights, edge_gradient, edge_response, mark_drawn,
-    opacity_keys, sum_weights,
+    add_importance, draw_keys, draw_sources, draw_weights, edge_gradient, edge_response, sum_weights,
 };
 use ashsplat::passes::densify::{Candidates, Chances, UniqueDraw, UniqueDrawBuffers, UniqueDrawInputs};
 
 const KEY: [u32; 2] = [42, 700];
 const THRESHOLD: f32 = 0.5;
-
-fn wide(values: &[f32]) -> Vec<f64> {
-    values.iter().copied().map(f64::from).collect()
-}
 
 #[derive(Clone, Copy)]
 struct Row {
@@ -100,33 +95,6 @@ pub fn draw_keys_equals_its_twin() {
     }
 }
 
-#[test]
-fn mark_drawn_equals_its_twin() {
-    let gpu = Gpu::new();
-    let spec = mark_drawn::Spec { workgroup_size: gpu.workgroup(64) };
-    for size in sizes(spec.workgroup_size as usize).into_iter().filter(|&size| size > 0) {
-        // Keys with ties; a third cannot be drawn.
-        let mut random = Random::new(size as u64);
-        let mut any = || (random.below(3) > 0).then(|| f64::from(random.below(9)));
-        let keys: Vec<Option<f64>> = (0..size).map(|_| any()).collect();
-        let mut sorted: Vec<u32> = (0..size as u32).collect();
-        let key = |i: u32| keys[i as usize].unwrap_or(f64::INFINITY);
-        sorted.sort_by(|&a, &b| key(a).total_cmp(&key(b)));
-        let candidates = keys.iter().flatten().count();
-        for wanted in [0, 1, candidates.saturating_sub(1), candidates, size, usize::MAX >> 32] {
-            let totals = gpu.buffer("totals", &[size as u32, candidates as u32, UNTOUCHED, 7]);
-            let selected = gpu.zeros::<u32>("selected", size);
-            let sorted = gpu.buffer("sorted", &sorted);
-            let bind = mark_drawn::Bind { sorted: &sorted, totals: &totals, selected: &selected };
-            let push = mark_drawn::Push { count: size as u32, wanted: wanted as u32 };
-            gpu.dispatch_over::<mark_drawn::Interface>(&spec, &bind, &push, size);
-            assert_eq!(gpu.read::<u32>(&selected, size), twin::mark(&keys, wanted), "{size}, {wanted}");
-            let drawn = candidates.min(wanted) as u32;
-            assert_eq!(gpu.read::<u32>(&totals, 4), [size as u32, candidates as u32, drawn, 7]);
-        }
-    }
-}
-
 fn unique_draw_buffers(context: &Context, count: u32) -> UniqueDrawBuffers {
     let requests = UniqueDrawBuffers::requests(&LaunchSizes::new(context.limits()), count);
     let buffers = context.allocate("test", &requests, MemoryKind::Device);
@@ -145,7 +113,7 @@ fn unique_draw_is_that_of_the_twins() {
         let candidates = chances.iter().filter(|&&chance| chance > 0.0).count();
         let statistics = gpu.buffer("statistics", &vec![[1.0_f32, 1.0]; size]);
         let importance = gpu.buffer("importance", &chances);
-        for wanted in [0, size / 3, size] {
+        for wanted in [0, 1, size / 3, candidates, size, usize::MAX >> 32] {
             let buffers = unique_draw_buffers(gpu.context, size as u32);
             let draw = UniqueDrawInputs {
                 count: size as u32,
@@ -264,25 +232,6 @@ fn scene(count: usize) -> Vec<Gaussian> {
 #[track_caller]
 fn assert_opacities(actual: &[f32], expected: &[f64]) {
     elementwise("opacity", &wide(actual), expected, 1e-37, 4e-6).expect("opacities");
-}
-
-#[test]
-fn opacity_keys_equal_their_twin() {
-    let gpu = Gpu::new();
-    let spec = opacity_keys::Spec { workgroup_size: gpu.workgroup(64) };
-    // The second of two chunks.
-    const FIRST: usize = 3;
-    for size in sizes(spec.workgroup_size as usize) {
-        let scene = scene(size);
-        let keys = gpu.untouched::<u32>("keys", FIRST + size + 1);
-        let bind = opacity_keys::Bind { parameters: &gpu.gaussians("parameters", &scene), keys: &keys };
-        let push = opacity_keys::Push { first: FIRST as u32, count: size as u32 };
-        gpu.dispatch_over::<opacity_keys::Interface>(&spec, &bind, &push, size);
-        let keys = gpu.read::<u32>(&keys, FIRST + size + 1);
-        assert_eq!((&keys[..FIRST], keys[FIRST + size]), (&[UNTOUCHED; FIRST][..], UNTOUCHED));
-        let expected: Vec<f64> = scene.iter().map(|gaussian| sigmoid(gaussian.opacity_logit)).collect();
-        assert_opacities(bytemuck::cast_slice(&keys[FIRST..FIRST + size]), &expected);
-    }
 }
 
 /// A device on which scenes lie in several buffers.

@@ -1,7 +1,7 @@
 //! The kernels of `exposure/` against their twins: `exposure/expose` and `exposure/expose_backward`, of exposures and of lens
 //! effects, and `exposure/exposure_step`.
 
-use super::pixels::{SIZES, layouts};
+use super::pixels::{SIZES, layouts, sides};
 use crate::common::prelude::*;
 use crate::common::terms::{colors, place, values};
 use crate::reference::exposure::{self as twin, Exposures, IDENTITY, Matrix, Rows};
@@ -47,10 +47,6 @@ fn plane([width, height]: [u32; 2]) -> ([f32; 2], f32, Vec<f64>) {
 
 /// Three rows of an exposure or a lens.
 type Floats = [[f32; 4]; 3];
-
-fn sides(size: [u32; 2]) -> [usize; 2] {
-    size.map(|side| side as usize)
-}
 
 /// Number of values that a kernel writes in both layouts: whole strips.
 fn padded(size: [u32; 2], strips: bool) -> usize {

@@ -42,6 +42,16 @@ fn twin_of(gaussian: &Gaussian) -> Vec<Parameter> {
     scalars(gaussian).into_iter().map(|(value, _)| Parameter { value, ..Parameter::default() }).collect()
 }
 
+/// Makes a step of a Gaussian's parameters: step `number`, or a sparse one.
+fn advance(twin: &mut [Parameter], gaussian: &Gaussian, gradient: Vec<f64>, number: Option<u32>) {
+    for ((parameter, gradient), (_, rate)) in twin.iter_mut().zip(gradient).zip(scalars(gaussian)) {
+        match number {
+            None => adam_sparse(parameter, gradient, rate),
+            Some(number) => adam(parameter, gradient, rate, number),
+        }
+    }
+}
+
 /// A step of the rates above; `count` is 0 for sparse steps.
 fn step(count: i32) -> Step {
     Step { rates: RATES, count, camera_position: CAMERA }
@@ -92,13 +102,7 @@ fn check_adam(gpu: &Gpu, size: usize, [sh_degree, stored]: [u32; 2], sparse: boo
                 expected_skipped += 1;
                 continue;
             }
-            let rates = scalars(&gaussians[i]).into_iter().map(|(_, rate)| rate);
-            for ((parameter, gradient), rate) in twin.iter_mut().zip(gradient).zip(rates) {
-                match sparse {
-                    true => adam_sparse(parameter, gradient, rate),
-                    false => adam(parameter, gradient, rate, number as u32),
-                }
-            }
+            advance(twin, &gaussians[i], gradient, (!sparse).then_some(number as u32));
         }
         assert_eq!(skipped, expected_skipped, "step {number}");
         compare_adam(&state, &twins);
@@ -115,18 +119,13 @@ fn compare_adam(state: &AdamState, twins: &[Vec<Parameter>]) {
     elementwise("second moment", &second, &column(|p| p.moment2), 1e-12, 1e-5).expect("second moments");
 }
 
+/// All sizes, and all degrees, dense and sparse.
 #[test]
 fn adam_equals_its_twin() {
     for gpu in [Gpu::new(), Gpu::without_texels()] {
         for size in sizes(gpu.workgroup(64) as usize).into_iter().filter(|&size| size > 0) {
             check_adam(&gpu, size, [3, 3], false);
         }
-    }
-}
-
-#[test]
-fn adam_of_every_degree_dense_and_sparse() {
-    for gpu in [Gpu::new(), Gpu::without_texels()] {
         for degrees in [[0, 0], [0, 3], [1, 1], [1, 3], [2, 2], [2, 3], [3, 3]] {
             check_adam(&gpu, 100, degrees, false);
             check_adam(&gpu, 100, degrees, true);
@@ -159,14 +158,7 @@ fn adam_with_packed_moments_strays_little() {
             for ((twin, gradient), seen) in twins.iter_mut().zip(&gradients).zip(&seen_from) {
                 let Some(gradient) = gradient.filter(|_| number != 7) else { continue };
                 let gradient = gradient_scalars(&gradient, seen.mean, sh_degree, 16);
-                for ((parameter, gradient), (_, rate)) in
-                    twin.iter_mut().zip(gradient).zip(scalars(&gaussians[0]))
-                {
-                    match sparse {
-                        true => adam_sparse(parameter, gradient, rate),
-                        false => adam(parameter, gradient, rate, number as u32),
-                    }
-                }
+                advance(twin, &gaussians[0], gradient, (!sparse).then_some(number as u32));
             }
         }
         let after = state.gaussians();
@@ -252,12 +244,8 @@ fn adam_adds_gradients_of_the_parameters() {
                 let own = scalars(&Gaussian { sh: vec![[0.0; 3]; 16], ..direct.clone() });
                 sum.iter_mut().zip(own).for_each(|(sum, (own, _))| *sum += own);
                 let mut twin = twin_of(gaussian);
-                for ((parameter, gradient), (_, rate)) in twin.iter_mut().zip(sum).zip(scalars(gaussian)) {
-                    match (sparse, seen.mean != [0.0; 3]) {
-                        (true, true) => adam_sparse(parameter, gradient, rate),
-                        (true, false) => {}
-                        (false, _) => adam(parameter, gradient, rate, 1),
-                    }
+                if !sparse || gradient.is_some() {
+                    advance(&mut twin, gaussian, sum, (!sparse).then_some(1));
                 }
                 twin
             })

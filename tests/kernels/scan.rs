@@ -168,36 +168,3 @@ pub fn scan_apply_equals_its_twin() {
         }
     }
 }
-
-/// The three steps with the smallest blocks, so that the workgroups exceed one axis of the grid.
-#[test]
-fn scan_of_more_than_65535_workgroups() {
-    let gpu = Gpu::new();
-    let (workgroup_size, subgroup_size) = (gpu.subgroup(), gpu.subgroup());
-    let block = workgroup_size * 4;
-    let size = 65_540 * block - 3;
-    let blocks = u64::from(size.div_ceil(block));
-    let mut random = Random::new(1);
-    let values: Vec<u32> = (0..size).map(|_| random.below(1 << 10)).collect();
-    let counts = gpu.buffer("counts", &[size]);
-    let totals = gpu.buffer("totals", &[0]);
-    let input = gpu.buffer("values", &values);
-    let sums = gpu.untouched::<u32>("sums", blocks as usize);
-    let prefix = gpu.untouched::<u32>("prefix", size as usize);
-    let spec = scan_reduce::Spec { workgroup_size, subgroup_size, items: 4 };
-    let bind = scan_reduce::Bind { counts: &counts, values: &input, block_sums: &sums };
-    let push = scan_reduce::Push { count_index: 0 };
-    gpu.dispatch::<scan_reduce::Interface>(&spec, &bind, &push, blocks);
-    let spec =
-        scan_spine::Spec { items: 1, workgroup_size: gpu.workgroup(256), subgroup_size, arguments: false };
-    let bind = scan_spine::Bind { block_sums: &sums, totals: &totals, arguments: &totals };
-    let push = scan_spine::Push { count: size, block_size: block, ..scan_spine::Push::default() };
-    gpu.dispatch::<scan_spine::Interface>(&spec, &bind, &push, 1);
-    let spec = scan_apply::Spec { workgroup_size, subgroup_size, items: 4 };
-    let bind = scan_apply::Bind { counts: &counts, values: &input, block_offsets: &sums, prefix: &prefix };
-    let push = scan_apply::Push { count_index: 0 };
-    gpu.dispatch::<scan_apply::Interface>(&spec, &bind, &push, blocks);
-    let (expected, total) = twin::exclusive_scan(&values);
-    assert!(gpu.read::<u32>(&prefix, size as usize) == expected, "the prefix sums differ");
-    assert_eq!(gpu.read::<u32>(&totals, 1), [total]);
-}

@@ -1,7 +1,6 @@
-//! `forward/screen_motion` against its twin.
+//! `forward/screen_motion` of extreme means and cameras. Tests of embedding compare its motions with the host's own.
 
 use crate::common::prelude::*;
-use crate::reference::screen_motion::screen_motion;
 use ashsplat::kernels::forward::screen_motion::{Bind, Interface, Push, Spec};
 
 /// The kernel's motions of every second Gaussian of a range that begins behind others.
@@ -40,49 +39,6 @@ fn moved(gpu: &Gpu, gaussians: &[Gaussian], view: &View, before: &View) -> Vec<[
     let words = gpu.read::<u32>(&motions, 2 * (end as usize + 2));
     assert!(words[..6].iter().chain(&words[2 * end as usize..]).all(|&word| word == UNTOUCHED));
     gpu.read::<[f32; 2]>(&motions, end as usize).split_off(3)
-}
-
-#[test]
-fn screen_motion_equals_its_twin() {
-    let gpu = Gpu::new();
-    let now = small_view([53, 37]);
-    let earlier = View {
-        translation: [0.125, -0.0625, 3.875],
-        focal_px: [60.0, 62.0],
-        center_px: [26.25, 18.75],
-        ..now.clone()
-    };
-    // Pixels per unit instead of a focal length.
-    let parallel = |view: &View, scale: f64| View {
-        drawn: Drawn { orthographic: true, ..Drawn::AS_THEY_ARE },
-        focal_px: view.focal_px.map(|f| f * scale),
-        ..view.clone()
-    };
-    let [now_parallel, earlier_parallel] =
-        [(&now, 0.25), (&earlier, 0.3)].map(|(v, scale)| parallel(v, scale));
-    let pairs = [
-        (&now, &earlier),
-        (&now_parallel, &earlier_parallel),
-        (&now, &earlier_parallel),
-        (&now_parallel, &earlier),
-    ];
-    for (size, (view, before)) in pairs.into_iter().flat_map(|pair| [1, 33, 500].map(|size| (size, pair))) {
-        let gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);
-        let (mut some, mut none) = (0, 0);
-        for (gaussian, motion) in gaussians.iter().step_by(2).zip(moved(&gpu, &gaussians, view, before)) {
-            let expected = screen_motion(gaussian.mean, view, before);
-            for axis in 0..2 {
-                let (actual, expected) = (f64::from(motion[axis]), expected[axis]);
-                // Positions are that large, and rounded.
-                let tolerance = 1e-3 + 1e-5 * expected.abs();
-                assert!((actual - expected).abs() < tolerance, "{actual}, expected {expected}");
-            }
-            if expected == [0.0; 2] { none += 1 } else { some += 1 }
-        }
-        assert!(size < 500 || some > 200, "{some} move, {none} do not");
-        let still = moved(&gpu, &gaussians, view, view);
-        assert!(still.iter().all(|motion| *motion == [0.0; 2]), "what stands still moves");
-    }
 }
 
 /// Means behind the previous camera, close to its plane, far aside, and NaN.

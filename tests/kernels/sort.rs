@@ -1,14 +1,10 @@
-//! The kernels of `sort/` against their twins: `sort/sort_upsweep`, `sort/sort_upsweep_serial`, `sort/sort_spine`,
-//! `sort/sort_downsweep`, `sort/sort_downsweep_serial` and `sort/sort_single_subgroup`. The twins do the other steps of
-//! a pass.
+//! `sort/sort_upsweep`, `sort/sort_spine` and `sort/sort_downsweep` against their twins, which do the other steps of a
+//! pass. Tests of the whole sort cover the kernels of single subgroups.
 
 use super::scan::random_words;
 use crate::common::prelude::*;
 use crate::reference::sort as twin;
-use ashsplat::kernels::sort::{
-    sort_downsweep, sort_downsweep_serial, sort_single_subgroup, sort_spine, sort_upsweep,
-    sort_upsweep_serial,
-};
+use ashsplat::kernels::sort::{sort_downsweep, sort_spine, sort_upsweep};
 
 /// All keys equal; two keys alternating; two keys in halves.
 fn equal_and_extreme(size: usize) -> Vec<Vec<u32>> {
@@ -20,18 +16,6 @@ fn equal_and_extreme(size: usize) -> Vec<Vec<u32>> {
 
 /// Shift and bits of the digits to sort by.
 const DIGITS: [[u32; 2]; 4] = [[0, 8], [24, 8], [8, 5], [31, 1]];
-/// Same for the kernels of single subgroups, which also have wider digits.
-const SERIAL_DIGITS: [[u32; 2]; 5] = [[0, 8], [24, 8], [8, 5], [31, 1], [3, 10]];
-/// Keys of one lane in the kernels of single subgroups.
-const RUN: u32 = 12;
-
-/// Key counts around multiples of a block and of a lane's run.
-fn serial_sizes(gpu: &Gpu) -> Vec<usize> {
-    let run = RUN as usize;
-    let few = [3, 4, 5, run - 1, run, run + 1, 2 * run + 7];
-    sizes((gpu.subgroup() * RUN) as usize).into_iter().chain(few).collect()
-}
-
 #[test]
 pub fn sort_upsweep_equals_its_twin() {
     let gpu = Gpu::new();
@@ -54,35 +38,6 @@ pub fn check_upsweep(gpu: &Gpu, spec: sort_upsweep::Spec) {
         gpu.dispatch::<sort_upsweep::Interface>(&spec, &bind, &push, blocks as u64 + 1);
         let expected = twin::sort_upsweep(&keys, shift, bits, block);
         gpu.assert_values(&histogram, &expected, &format!("size {size}, {bits} bits at {shift}"));
-    }
-}
-
-#[test]
-fn sort_upsweep_serial_equals_its_twin() {
-    let gpu = Gpu::new();
-    let lanes = gpu.subgroup();
-    let spec = sort_upsweep_serial::Spec { workgroup_size: lanes, subgroup_size: lanes, items: RUN };
-    let block = (lanes * RUN) as usize;
-    for (size, [shift, bits]) in
-        serial_sizes(&gpu).into_iter().flat_map(|size| SERIAL_DIGITS.map(|digit| (size, digit)))
-    {
-        let keys = random_words(size);
-        let blocks = size.div_ceil(block);
-        let run_words = blocks * lanes as usize * (1 << bits).max(4);
-        let histogram = gpu.untouched::<u32>("histogram", (blocks << bits) + 2);
-        let run_counts = gpu.untouched::<u32>("run_counts", run_words + 2);
-        let bind = sort_upsweep_serial::Bind {
-            counts: &gpu.buffer("counts", &[0, size as u32]),
-            keys: &gpu.buffer("keys", &keys),
-            histogram: &histogram,
-            run_counts: &run_counts,
-        };
-        let push = sort_upsweep_serial::Push { count_index: 1, shift, bits };
-        gpu.dispatch::<sort_upsweep_serial::Interface>(&spec, &bind, &push, blocks as u64 + 1);
-        let case = format!("size {size}, {bits} bits at {shift}");
-        gpu.assert_values(&histogram, &twin::sort_upsweep(&keys, shift, bits, block), &case);
-        let expected = twin::sort_upsweep_serial(&keys, [shift, bits], RUN as usize, lanes as usize);
-        gpu.assert_values(&run_counts, &expected.concat(), &case);
     }
 }
 
@@ -217,118 +172,5 @@ pub fn sort_downsweep_of_equal_and_extreme_keys() {
     let spec = downsweep_spec(&gpu, false);
     for keys in equal_and_extreme((3 * spec.workgroup_size * spec.items + 5) as usize) {
         check_downsweep(&gpu, spec, &keys, [0, 8]);
-    }
-}
-
-fn check_downsweep_serial(gpu: &Gpu, identity_values: bool, keys: &[u32], [shift, bits]: [u32; 2]) {
-    let (size, subgroup) = (keys.len(), gpu.subgroup());
-    let (lanes, run) = (subgroup as usize, RUN as usize);
-    let spec = sort_downsweep_serial::Spec {
-        workgroup_size: subgroup,
-        subgroup_size: subgroup,
-        items: RUN,
-        identity_values,
-    };
-    let blocks = size.div_ceil(lanes * run);
-    let pairs = Pairs::new(keys, identity_values);
-    let [histogram, digit_totals] = pairs.histogram(gpu, [shift, bits], lanes * run);
-    let counts_of_runs = twin::sort_upsweep_serial(keys, [shift, bits], run, lanes);
-    let run_counts = gpu.buffer("run_counts", &counts_of_runs.concat());
-    let [input, values] = pairs.upload(gpu, ["keys", "values"]);
-    let [sorted_keys, sorted_values] =
-        ["sorted_keys", "sorted_values"].map(|name| gpu.untouched::<u32>(name, size + 2));
-    let bind = sort_downsweep_serial::Bind {
-        counts: &gpu.buffer("counts", &[size as u32]),
-        keys: &input,
-        values: &values,
-        histogram: &histogram,
-        digit_totals: &digit_totals,
-        run_counts: &run_counts,
-        sorted_keys: &sorted_keys,
-        sorted_values: &sorted_values,
-    };
-    let push = sort_downsweep_serial::Push { count_index: 0, shift, bits };
-    gpu.dispatch::<sort_downsweep_serial::Interface>(&spec, &bind, &push, blocks as u64 + 1);
-    let case = format!("size {size}, {bits} bits at {shift}");
-    pairs.check_scattered(gpu, [&sorted_keys, &sorted_values], [shift, bits], &case);
-    // The kernel turns the runs' counts into the positions after their last keys.
-    let digits = 1 << bits;
-    let ends = twin::sort_downsweep_serial(&counts_of_runs, digits);
-    let read = gpu.read::<u32>(&run_counts, ends.concat().len());
-    for (read, end) in read.chunks(digits.max(4)).zip(ends) {
-        assert_eq!(read[..digits], end[..digits], "{case}");
-    }
-}
-
-#[test]
-fn sort_downsweep_serial_equals_its_twin() {
-    let gpu = Gpu::new();
-    for size in serial_sizes(&gpu) {
-        let keys = random_words(size);
-        for (identity_values, digit) in [false, true].into_iter().flat_map(|i| SERIAL_DIGITS.map(|d| (i, d)))
-        {
-            check_downsweep_serial(&gpu, identity_values, &keys, digit);
-        }
-    }
-}
-
-#[test]
-fn sort_downsweep_serial_of_equal_and_extreme_keys() {
-    let gpu = Gpu::new();
-    for keys in equal_and_extreme((3 * gpu.subgroup() * RUN + 5) as usize) {
-        check_downsweep_serial(&gpu, false, &keys, [0, 8]);
-    }
-}
-
-/// Sorts and compares the pairs, and checks that nothing behind them changes.
-fn check_single_subgroup(gpu: &Gpu, identity_values: bool, keys: &[u32], [digit_bits, passes]: [u32; 2]) {
-    let (size, subgroup) = (keys.len(), gpu.subgroup());
-    let spec =
-        sort_single_subgroup::Spec { workgroup_size: subgroup, subgroup_size: subgroup, identity_values };
-    let pairs = Pairs::new(keys, identity_values);
-    let a = pairs.upload(gpu, ["keys_a", "values_a"]);
-    let b = ["keys_b", "values_b"].map(|name| gpu.untouched::<u32>(name, size + 2));
-    let run_words = subgroup as usize * (1 << digit_bits).max(4);
-    let run_counts = gpu.untouched::<u32>("run_counts", run_words + 1);
-    let bind = sort_single_subgroup::Bind {
-        counts: &gpu.buffer("counts", &[7, size as u32]),
-        keys_a: &a[0],
-        values_a: &a[1],
-        keys_b: &b[0],
-        values_b: &b[1],
-        run_counts: &run_counts,
-    };
-    let push = sort_single_subgroup::Push { count_index: 1, digit_bits, passes };
-    gpu.dispatch::<sort_single_subgroup::Interface>(&spec, &bind, &push, 1);
-    let case = format!("size {size}, {passes} passes of {digit_bits} bits");
-    let (expected_keys, expected_values) =
-        twin::sort_single_subgroup(keys, &pairs.values, digit_bits, passes);
-    let [sorted_keys, sorted_values] = if passes.is_multiple_of(2) { a } else { b };
-    gpu.assert_values(&sorted_keys, &expected_keys, &case);
-    gpu.assert_values(&sorted_values, &expected_values, &case);
-    assert_eq!(gpu.read::<u32>(&run_counts, run_words + 1)[run_words], UNTOUCHED, "{case}");
-}
-
-#[test]
-fn sort_single_subgroup_equals_its_twin() {
-    let gpu = Gpu::new();
-    for size in sizes(4 * gpu.subgroup() as usize).into_iter().chain([3, 4, 5, 1003]) {
-        let keys = random_words(size);
-        for digits in [[8, 4], [10, 1], [10, 3], [5, 2], [1, 1], [1, 3]] {
-            check_single_subgroup(&gpu, false, &keys, digits);
-            check_single_subgroup(&gpu, true, &keys, digits);
-        }
-    }
-}
-
-#[test]
-fn sort_single_subgroup_of_equal_and_extreme_keys() {
-    let gpu = Gpu::new();
-    let size = 501;
-    let turns: Vec<u32> = (0..size as u32).map(|i| if i % 2 == 0 { u32::MAX } else { 0 }).collect();
-    let halves: Vec<u32> = (0..size).map(|i| if i < size / 2 { u32::MAX } else { 0 }).collect();
-    let equal = [0, 0x0101_0101, u32::MAX].map(|key| vec![key; size]);
-    for keys in [equal.as_slice(), &[turns, halves]].concat() {
-        check_single_subgroup(&gpu, false, &keys, [8, 4]);
     }
 }

@@ -302,27 +302,19 @@ fn backward(
 /// Image sizes around the block and apron sizes.
 const SIZES: [[u32; 2]; 8] = [[1, 1], [5, 3], [16, 16], [17, 5], [15, 33], [31, 48], [64, 10], [90, 70]];
 
-/// Columns per invocation of the sweeping kernels.
-const SWEEPS: [u32; 3] = [3, 7, 48];
-
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 2e-5, max_over_max: 2e-5 };
 
-const BLOCKS: [Window; 3] =
-    [Window::Block { strip: 2 }, Window::Block { strip: 4 }, Window::Block { strip: 8 }];
-
-/// Windows of the sweeping kernels, none where the device cannot run them.
-fn sweeps(gpu: &Gpu) -> Vec<Window> {
-    match gpu.has_texels("the loss by sweeps") {
-        true => SWEEPS.map(|columns| Window::Sweep { columns }).to_vec(),
-        false => Vec::new(),
-    }
-}
-
-/// Checks windows over pictures of all sizes, with and without a mask.
-fn check_all(gpu: &Gpu, windows: &[Window], check: fn(&Gpu, &Pictures, Window)) {
+/// Checks windows, by sweeps only where the device can run them, over pictures of all sizes, with and without a mask.
+fn check_all(sweeps: bool, check: fn(&Gpu, &Pictures, Window)) {
+    let gpu = Gpu::new();
+    let windows = match sweeps {
+        false => [2, 4, 8].map(|strip| Window::Block { strip }),
+        true if gpu.has_texels("the loss by sweeps") => [3, 7, 48].map(|columns| Window::Sweep { columns }),
+        true => return,
+    };
     for (size, &window) in SIZES.into_iter().flat_map(|size| windows.iter().map(move |w| (size, w))) {
-        check(gpu, &Pictures::random(size), window);
-        check(gpu, &Pictures::masked(size), window);
+        check(&gpu, &Pictures::random(size), window);
+        check(&gpu, &Pictures::masked(size), window);
     }
 }
 
@@ -354,13 +346,12 @@ fn check_forward(gpu: &Gpu, pictures: &Pictures, window: Window) {
 
 #[test]
 fn ssim_forward_equals_its_twin() {
-    check_all(&Gpu::new(), &BLOCKS, check_forward);
+    check_all(false, check_forward);
 }
 
 #[test]
 fn ssim_forward_sweep_equals_its_twin() {
-    let gpu = Gpu::new();
-    check_all(&gpu, &sweeps(&gpu), check_forward);
+    check_all(true, check_forward);
 }
 
 fn check_backward(gpu: &Gpu, pictures: &Pictures, window: Window) {
@@ -406,13 +397,12 @@ fn check_backward(gpu: &Gpu, pictures: &Pictures, window: Window) {
 
 #[test]
 fn ssim_backward_equals_its_twin() {
-    check_all(&Gpu::new(), &BLOCKS, check_backward);
+    check_all(false, check_backward);
 }
 
 #[test]
 fn ssim_backward_sweep_equals_its_twin() {
-    let gpu = Gpu::new();
-    check_all(&gpu, &sweeps(&gpu), check_backward);
+    check_all(true, check_backward);
 }
 
 /// Reduces partial sums into row 1 of 3.
@@ -528,22 +518,6 @@ fn loss_under_masks() {
         }
         assert!(engine_loss(&pictures, layout, None) == masked, "{layout:?}");
     }
-}
-
-#[test]
-fn loss_by_blocks_and_by_sweeps() {
-    if !Gpu::new().has_texels("the loss by sweeps") {
-        return;
-    }
-    let pictures = Pictures::random([90, 70]);
-    let [blocks, sweeps] =
-        [NativeLayout::Rows, NativeLayout::Strips].map(|layout| engine_loss(&pictures, layout, None));
-    for (a, b) in blocks.0.iter().zip(&sweeps.0) {
-        assert!((a - b).abs() <= 1e-6, "{a} {b}");
-    }
-    let largest = blocks.1.iter().fold(0.0_f32, |largest, x| largest.max(x.abs()));
-    let difference = blocks.1.iter().zip(&sweeps.1).fold(0.0_f32, |worst, (a, b)| worst.max((a - b).abs()));
-    assert!(difference <= 2e-5 * largest && largest > 0.0, "{difference} of {largest}");
 }
 
 /// Texels need push descriptors: without them, the loss uses its other form.

@@ -1,6 +1,5 @@
 //! `surface/*` against their twins.
 
-use super::compose::from_half;
 use crate::common::prelude::*;
 use crate::reference::linear::apply;
 use crate::reference::surface::{Voxel, crossing, integrate as twin};
@@ -13,6 +12,16 @@ use std::collections::HashMap;
 
 const SIDE: i32 = FIELD_SIDE as i32;
 const VOXELS: usize = FIELD_VOXELS as usize;
+
+/// Value of a half float that is finite.
+fn from_half(bits: u16) -> f64 {
+    let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
+    let size = match exponent {
+        0 => mantissa * 2f64.powi(-24),
+        _ => (1024.0 + mantissa) * 2f64.powi(exponent - 25),
+    };
+    if bits >> 15 == 1 { -size } else { size }
+}
 
 /// Directed edges of triangles without one in the other direction.
 pub fn open_edges(triangles: &[[u32; 3]]) -> usize {

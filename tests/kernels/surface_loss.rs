@@ -3,6 +3,7 @@
 use super::pixels::{SIZES, layouts};
 use crate::common::prelude::*;
 use crate::common::terms::{added_to_fourth_plane, values};
+use crate::reference::linear::wide;
 use crate::reference::project::project;
 use crate::reference::surface_loss::{Surface, planarity, surface_depths};
 use ashsplat::kernels::constants::{PLANE_SH, TERM_PARTIALS};
@@ -24,10 +25,6 @@ fn picture(random: &mut Random, [width, height]: [usize; 2]) -> [Vec<f32>; 2] {
 fn accumulated(gpu: &Gpu, transmittances: &[f32]) -> Buffer {
     let colors: Vec<[f32; 4]> = transmittances.iter().map(|&t| [0.5, 0.25, 0.125, t]).collect();
     gpu.buffer("accumulated", &colors)
-}
-
-fn wide(values: &[f32]) -> Vec<f64> {
-    values.iter().map(|&x| f64::from(x)).collect()
 }
 
 #[test]

@@ -46,29 +46,3 @@ pub fn depth_limit(depth: f32, (scale, offset): (f64, f64), linear: bool, clear_
         true => f64::INFINITY,
     }
 }
-
-/// sum(w z) / sum(w), or `empty` if the weights sum to less than `min_weight`.
-pub fn expected_depth(transmittance: f32, depth_sum: f32, min_weight: f64, empty: f64) -> f64 {
-    let weight = 1.0 - f64::from(transmittance);
-    if weight >= min_weight && weight > 0.0 { f64::from(depth_sum) / weight } else { empty }
-}
-
-/// sum(w m) / sum(w), px; None if the weights sum to less than `min_weight`.
-pub fn mean_motion(transmittance: f32, sum: [f32; 2], min_weight: f64) -> Option<[f64; 2]> {
-    let weight = 1.0 - f64::from(transmittance);
-    (weight >= min_weight && weight > 0.0)
-        .then(|| sum.map(|x| (f64::from(x) / weight).clamp(-65504.0, 65504.0)))
-}
-
-/// Scene of a frame's Gaussian and its index in the scene. `counts`: number of Gaussians of each scene in the
-/// frame's indices; 0 if the scene is not drawn.
-pub fn scene_of(gaussian: u32, counts: &[u32]) -> [u32; 2] {
-    let mut left = gaussian;
-    for (scene, &count) in counts.iter().enumerate() {
-        if left < count {
-            return [left, scene as u32];
-        }
-        left -= count;
-    }
-    panic!("no scene has Gaussian {gaussian}");
-}

@@ -37,7 +37,6 @@ pub mod reset_opacity;
 pub mod scan;
 pub mod scatter_sources;
 pub mod schedule;
-pub mod screen_motion;
 pub mod sh;
 pub mod sort;
 pub mod sparse_depth;

@@ -3,6 +3,10 @@
 /// A row-major 3×3 matrix.
 pub type Mat3 = [[f64; 3]; 3];
 
+pub fn wide(values: &[f32]) -> Vec<f64> {
+    values.iter().copied().map(f64::from).collect()
+}
+
 pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }

@@ -1,6 +1,8 @@
 //! LPIPS, and weights by the formula of the golden vectors. Its layers are the twins of `lpips/convolve`,
 //! `lpips/max_pool` and `lpips/feature_difference`.
 
+use super::linear::wide;
+
 /// Features of a picture: channels, rows, columns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features {
@@ -197,10 +199,6 @@ pub fn formula(steps: &[Step], tags: u32) -> Weights {
         }
     }
     weights
-}
-
-pub fn wide(values: &[f32]) -> Vec<f64> {
-    values.iter().map(|&value| f64::from(value)).collect()
 }
 
 /// LPIPS of two pictures, one part per tap. Values are in the network's range: [0, 1] or [-1, 1].

@@ -1,5 +1,4 @@
-//! Layouts of pictures: the twins of `pixels/picture_to_rows`, `pixels/gradient_from_rows`, `pixels/photo_to_rows` and
-//! `pixels/photo_reduced`.
+//! Layouts of pictures: the twins of `pixels/picture_to_rows`, `pixels/gradient_from_rows` and `pixels/photo_reduced`.
 
 /// Index of a pixel's value in planes in strips of eight rows: a column of a strip is contiguous, and columns are padded
 /// to the next number that is 2 more than a multiple of four.
@@ -42,15 +41,6 @@ pub fn gradient_from_rows(
             native[at] += gradient[plane];
         }
     }
-}
-
-pub fn photo_to_rows(planes: &[u8], size: [usize; 2], masked: bool) -> Vec<[u8; 4]> {
-    let [width, height] = size;
-    let value = |plane, pixel| planes[strip_index(plane, [pixel % width, pixel / width], size)];
-    let mask = |pixel| if masked { value(3, pixel) } else { 255 };
-    (0..width * height)
-        .map(|pixel| [value(0, pixel), value(1, pixel), value(2, pixel), mask(pixel)])
-        .collect()
 }
 
 /// Returns (r, g, b, mask) per pixel: rounded means of squares of `factor` pixels. With `masked`, a square has mask

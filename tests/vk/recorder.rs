@@ -176,29 +176,6 @@ fn one_memory_by_two_bindings_is_declared_in_the_shader() {
 }
 
 #[test]
-fn the_validation_layer_sees_an_omitted_barrier_too() {
-    if !common::options().validation {
-        return eprintln!("SKIPPED: no validation layer");
-    }
-    let options = ContextOptions { hazard_check: false, ..common::options() };
-    let context = Context::new(&options).expect("a context");
-    let [a, b] = allocate(&context, [("a", 64), ("b", 64)]);
-    let copy = |r: &mut Recorder| {
-        r.fill(&a, 1);
-        r.barrier();
-        r.copy(&a, &b);
-    };
-    run(&context, copy);
-    common::assert_silent(&context);
-    run(&context, |r| {
-        r.omit_barrier(0);
-        copy(r);
-    });
-    let messages = context.validation_messages();
-    assert!(messages.iter().any(|m| m.contains("SYNC-HAZARD")), "{messages:?}");
-}
-
-#[test]
 fn what_a_submission_uses_may_be_dropped_and_is_not_accessible_before_it_is_done() {
     let context = common::context();
     let sums = BlockSums::new(context, 100_000);

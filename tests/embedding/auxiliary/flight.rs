@@ -1,6 +1,7 @@
 //! A host's images of frames in flight, which are used repeatedly, and the buffers that read them.
 
 use super::truth::Screens;
+use crate::cut_outs::mapping;
 use crate::stage::*;
 
 /// Texels of picks and of motion; empty unless requested.
@@ -62,6 +63,14 @@ pub struct Wanted {
     pub depth: bool,
     /// The host's depth, which hides splats.
     pub occluder: Option<DepthMapping>,
+}
+
+impl Wanted {
+    /// A picture in linear light, in which the host's depth hides splats.
+    pub fn hidden(camera: &Camera) -> Self {
+        let target = Some((Background::Nothing, ColorEncoding::LINEAR));
+        Self { target, depth: false, occluder: Some(mapping(camera)) }
+    }
 }
 
 pub type Seen = [Vec<u32>; 2];

@@ -2,12 +2,12 @@
 
 use super::{filtered, pose, removing, volumes};
 use crate::auxiliary::flight::{Beside, Flight, Outputs, Seen, Wanted};
+use crate::auxiliary::parallel;
 use crate::auxiliary::truth::shifted;
 use crate::scene_settings::{SIZE, Stage, placed};
 use crate::stage::*;
 use crate::updates::replace;
 use ashsplat::kernels::constants::NOT_PICKED;
-use ashsplat::scene::Projection;
 
 /// Numbers of scenes that are drawn alone, and of small ones in one buffer, which are batched.
 const LARGE: usize = 3;
@@ -56,12 +56,6 @@ impl Kinds {
             ..wanted
         }
     }
-}
-
-/// A camera with parallel rays at the position of a pinhole camera.
-pub fn parallel(camera: &Camera) -> Camera {
-    let half = camera.width as f32 / 5.0;
-    Camera { projection: Projection::Orthographic, fx: half, fy: half, ..*camera }
 }
 
 /// Mapping whose depth hides everything farther than the middle.

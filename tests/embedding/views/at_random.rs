@@ -3,8 +3,9 @@
 use super::{BLACK, SIZE, hard_cloud};
 use crate::array_image::ArrayImage;
 use crate::auxiliary::flight::{Flight, Outputs, Wanted};
+use crate::auxiliary::parallel;
 use crate::auxiliary::truth::shifted;
-use crate::cut_outs::{HIDES, Kinds, Random, mapping, parallel};
+use crate::cut_outs::{HIDES, Kinds, Random, mapping};
 use crate::stage::*;
 use std::ops::Range;
 
