@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 
 use crate::host_memory::HostMemory;
 use crate::splats::Format;
-use crate::{atomic, cost, regular_file};
+use crate::{atomic, cost, regular_file, text};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Fingerprint, Gaussians, WorldFrame};
 use ashsplat::train::checkpoint::{
@@ -270,9 +270,8 @@ impl Metadata {
     /// The identity is not stored.
     fn frame(&self) -> Result<WorldFrame, String> {
         let Some(text) = self.0.get(FRAME) else { return Ok(WorldFrame::default()) };
-        let values: Option<Vec<f64>> = text.split(',').map(|value| value.parse().ok()).collect();
-        match values.as_deref() {
-            Some(&[x, y, z, unit]) if DVec3::new(x, y, z).is_finite() && unit > 0.0 && unit.is_finite() => {
+        match text::numbers(text) {
+            Some([x, y, z, unit]) if DVec3::new(x, y, z).is_finite() && unit > 0.0 && unit.is_finite() => {
                 Ok(WorldFrame { origin: DVec3::new(x, y, z), unit })
             }
             _ => Err(format!("has '{text}' as the metadata '{FRAME}'")),

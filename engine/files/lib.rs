@@ -44,7 +44,7 @@ pub use dataset::{AlphaUse, Dataset, DatasetOptions, DatasetReport, EvalSplit, G
 pub use host_memory::HostMemory;
 pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use init::initial_gaussians;
-pub use names::{has_photo_ending, has_video_ending, quoted};
+pub use names::{has_other_picture_ending, has_photo_ending, has_video_ending, quoted};
 pub use progress::Progress;
 pub use regular_file::file_hash;
 

@@ -14,9 +14,9 @@ use crate::{cost, text};
 const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
 
 /// Extensions of pictures that must be converted.
-const OTHER_ENDINGS: [&str; 16] = [
+const OTHER_ENDINGS: [&str; 18] = [
     "webp", "tif", "tiff", "heic", "heif", "avif", "bmp", "gif", "jxl", "jp2", "dng", "cr2", "cr3", "nef",
-    "arw", "raf",
+    "arw", "raf", "orf", "rw2",
 ];
 
 const VIDEO_ENDINGS: [&str; 11] =
@@ -55,6 +55,11 @@ pub(super) fn ending(name: &str) -> String {
 /// True for the extension of a readable photo: `.jpg`, `.jpeg` or `.png`, in any case.
 pub fn has_photo_ending(name: &Path) -> bool {
     has_one_of(name, &ENDINGS)
+}
+
+/// True for the extension of a picture that must be converted to be read.
+pub fn has_other_picture_ending(name: &Path) -> bool {
+    has_one_of(name, &OTHER_ENDINGS)
 }
 
 /// True for the extension of a video.

@@ -1,11 +1,10 @@
 //! Decodes text of other programs: with a byte-order mark, in Latin-1, with decimal commas.
 
-use std::path::Path;
-
-use serde::de::DeserializeOwned;
-
 use crate::regular_file;
 use ashsplat::{Error, Result};
+use serde::de::DeserializeOwned;
+use std::path::Path;
+use std::str::FromStr;
 
 /// Reads the text of a whole JSON file, without its byte-order mark.
 pub(crate) fn read(path: &Path) -> Result<String> {
@@ -34,6 +33,12 @@ pub(crate) const MARK: char = '\u{feff}';
 pub(crate) fn decoded(bytes: Vec<u8>) -> String {
     String::from_utf8(bytes)
         .unwrap_or_else(|error| error.as_bytes().iter().copied().map(char::from).collect())
+}
+
+/// Parses this many numbers with commas between them.
+pub fn numbers<T: FromStr, const N: usize>(text: &str) -> Option<[T; N]> {
+    let numbers: Option<Vec<T>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    numbers?.try_into().ok()
 }
 
 /// Hint about a word that is not a number, if it has a decimal comma.

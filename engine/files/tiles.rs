@@ -16,7 +16,7 @@ use crate::progress::Progress;
 use crate::regular_file::{self, OnFile};
 use crate::splats::{self, EXTENSION, Format, OriginSample, PACKED_EXTENSION, ReadOptions, WriteOptions};
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Bounds, Cells, Cut, Gaussians, Similarity};
+use ashsplat::scene::{Bounds, Cells, Gaussians, Similarity};
 use ashsplat::{Error, Result};
 
 pub use tree::{Demand, TILESET_FILE, Tile as TreeTile, Tree};
@@ -326,15 +326,14 @@ impl TileWriter<'_, '_> {
             spz_version: self.options.packed.then_some(2),
             ..WriteOptions::default()
         };
-        let (path, degree) = (self.folder.join(&name), gaussians.sh_degree);
-        let written = splats::write_cut(path, &gaussians, &Cut::default(), degree, &write);
-        let (_, loss) = written.map_err(|e| match e {
-            // The folder still has its temporary name, and the scene is the cause, so the error names the input.
-            Error::Input { problem, remedy, .. } => {
-                Error::input(self.input, format!("{name}: {problem}"), remedy)
-            }
-            other => other,
-        })?;
+        let loss =
+            splats::write_changed(self.folder.join(&name), &gaussians, &write).map_err(|e| match e {
+                // The folder still has its temporary name, and the scene is the cause, so the error names the input.
+                Error::Input { problem, remedy, .. } => {
+                    Error::input(self.input, format!("{name}: {problem}"), remedy)
+                }
+                other => other,
+            })?;
         match &mut self.loss {
             Some((_, others)) => *others += usize::from(loss.is_some()),
             first => *first = loss.map(|line| (format!("{name}: {line}"), 0)),

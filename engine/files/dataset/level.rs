@@ -7,6 +7,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::plan::{Plan, centers};
 use super::planned_view::PlannedView;
+use crate::text;
 use ashsplat::scene::{Camera, SourcePoints, level_up, median_ball};
 use ashsplat::{Error, Result};
 
@@ -60,9 +61,8 @@ impl FromStr for Level {
             "on" => return Ok(Self::On),
             _ => {}
         }
-        let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
-        let numbers = numbers.and_then(|numbers| <[f64; 6]>::try_from(numbers).ok()).ok_or_else(wrong)?;
-        let [up, pivot] = [0, 3].map(|at| DVec3::from_slice(&numbers[at..]));
+        let [a, b, c, x, y, z] = text::numbers(text).ok_or_else(wrong)?;
+        let (up, pivot) = (DVec3::new(a, b, c), DVec3::new(x, y, z));
         let up = up.try_normalize().filter(|_| pivot.is_finite()).ok_or_else(wrong)?;
         Ok(Self::Turn { up, pivot })
     }

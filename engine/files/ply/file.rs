@@ -8,7 +8,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use crate::regular_file::{self, OnFile};
+use crate::regular_file::{self, OnFile, damaged};
 use crate::splats::{self, FARTHEST, Format, Outline, is_kernel_size};
 use crate::{cost, text};
 use ashsplat::{Error, Result};
@@ -404,7 +404,7 @@ impl<'a> PlyFile<'a> {
     }
 
     pub(crate) fn error(&self, problem: impl Into<String>) -> Error {
-        Error::input(self.path, problem, "the file is damaged or was cut short: write or download it again")
+        damaged(self.path, problem)
     }
 
     /// Skips the elements before `name` and returns it. The caller must read its rows before the next call.
