@@ -19,12 +19,9 @@ mod validation;
 
 use std::path::Path;
 
-use glam::Vec3;
-
 use super::ply;
-use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity};
+use ashsplat::scene::Gaussians;
 use ashsplat::{Error, Result};
-use convert::changed;
 use validation::PackingLoss;
 
 pub(super) use convert::OriginSample;
@@ -33,9 +30,7 @@ pub(crate) use format::{FARTHEST, MAX_COMPRESSED_LOG_SCALE};
 pub use format::{Format, foreign, is_sog};
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION, mirrored};
 pub(super) use gltf_write::glb_head;
-pub(super) use stream::{
-    BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, is_kernel_size,
-};
+pub(super) use stream::{BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, is_kernel_size};
 pub use stream::{Header, ReadOptions, Scene, WriteOptions, row_bytes};
 
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.
@@ -66,66 +61,45 @@ pub fn write(
     gaussians: &Gaussians,
     options: &WriteOptions,
 ) -> Result<Option<String>> {
-    gaussians.check_shapes()?;
-    let path = path.as_ref();
-    let format = Format::chosen(options.format, path)?;
-    let outline = Outline::of(gaussians, options);
-    write_blocks(path, format, &outline, &mut |sink| in_blocks(gaussians, options.frame.unit, sink))
+    write_with(write_blocks, path.as_ref(), gaussians, options)
 }
 
-/// Same as [`write()`], but only for the Gaussians that a cut keeps, in their order, with spherical harmonics up to a
-/// degree. Needs the memory of one block in addition. Returns the number of written Gaussians and the warning of
-/// [`write()`]. The file has the same bytes as that of [`convert()`].
-pub fn write_cut(
+/// Same as [`write()`], but refuses Gaussians that could not be read again, since they were changed after reading. The file has the
+/// bytes of a [`convert()`] that makes the same changes.
+pub fn write_changed(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
-    cut: &Cut,
-    sh_degree: u32,
     options: &WriteOptions,
-) -> Result<(u64, Option<String>)> {
-    gaussians.check_shapes()?;
-    let path = path.as_ref();
-    let format = Format::chosen(options.format, path)?;
-    let sh_degree = sh_degree.min(gaussians.sh_degree).min(format.max_sh_degree());
-    let to_source = Similarity { scale: options.frame.unit, ..Default::default() };
-    cut.check()?;
-    let limits = cut.limits();
-    let kept = |index: &usize| *cut == Cut::default() || limits.keeps(gaussians, *index);
-    let (mut count, mut means) = (0, (0..gaussians.len()).filter(kept));
-    let bounds = Bounds::of(means.by_ref().map(|index| {
-        count += 1;
-        Vec3::from_array(gaussians.means[index])
-    }));
-    let bounds = in_source_units(bounds, &options.frame);
-    let outline = Outline { count, sh_degree, bounds, ..Outline::of(gaussians, options) };
-    let loss = write_readable(path, format, &outline, &mut |sink| {
-        in_blocks(gaussians, 1.0, &mut |block| sink(changed(block, sh_degree, cut, &to_source)))
-    })?;
-    Ok((count, loss))
+) -> Result<Option<String>> {
+    write_with(write_readable, path.as_ref(), gaussians, options)
 }
 
-/// Names the losses of a file of [`write_cut()`] in a format, one line each.
-pub fn cut_losses(
-    format: Format,
+/// Writes the blocks of a scene in a format. Returns a warning about the format's losses.
+type WriteBlocks = fn(&Path, Format, &Outline, &mut Produce<'_>) -> Result<Option<String>>;
+
+fn write_with(
+    write: WriteBlocks,
+    path: &Path,
     gaussians: &Gaussians,
-    cut: &Cut,
-    sh_degree: u32,
     options: &WriteOptions,
-) -> Result<Vec<String>> {
+) -> Result<Option<String>> {
     gaussians.check_shapes()?;
-    cut.check()?;
-    let sh_degree = sh_degree.min(gaussians.sh_degree);
-    let mut losses = format.losses(sh_degree, (options.antialiased, options.kernel_size, options.is_2dgs));
+    let format = Format::chosen(options.format, path)?;
+    let outline = Outline::of(gaussians, options);
+    write(path, format, &outline, &mut |sink| in_blocks(gaussians, options.frame.unit, sink))
+}
+
+/// Names what Gaussians lose in a format, one line each.
+pub fn losses(format: Format, gaussians: &Gaussians, options: &WriteOptions) -> Result<Vec<String>> {
+    gaussians.check_shapes()?;
+    let marks = (options.antialiased, options.kernel_size, options.is_2dgs);
+    let mut losses = format.losses(gaussians.sh_degree, marks);
     if let Some(mut loss) = PackingLoss::of(format, options.spz_version) {
-        let to_source = Similarity { scale: options.frame.unit, ..Default::default() };
-        let mut outline = Outline { bounds: None, ..Outline::of(gaussians, options) };
-        in_blocks(gaussians, 1.0, &mut |block| {
-            let block = changed(block, sh_degree, cut, &to_source);
-            outline.bounds = convert::around(outline.bounds, block.bounds());
+        in_blocks(gaussians, options.frame.unit, &mut |block| {
             loss.add(&block);
             Ok(())
         })?;
-        losses.extend(loss.line(format, &outline));
+        losses.extend(loss.line(format, &Outline::of(gaussians, options)));
     }
     Ok(losses)
 }

@@ -183,16 +183,19 @@ fn a_cut_scene_is_written_as_a_conversion_writes_it() {
     folder.write_with("in.ply", &original, &antialiased());
     let (min, max) = (Vec3::splat(f32::NEG_INFINITY), Vec3::new(4.0, f32::INFINITY, 6.0));
     let cut = Cut { min_opacity: 0.2, bounds: Some(Bounds { min, max }), min_density: 0.3 };
+    let limits = cut.limits();
+    let mut kept = original.clone().with_sh_degree(2);
+    kept.retain(|all, index| limits.keeps(all, index));
+    assert!(kept.len() > 1000 && kept.len() < 39_000);
     for format in Format::WRITTEN {
         let [converted, written] = folder.alike(format);
         let options = ConvertOptions { sh_degree: Some(2), cut, ..Default::default() };
         let done = splats::convert(&input, &converted, &options).unwrap();
-        let (count, _) = splats::write_cut(&written, &original, &cut, 2, &antialiased()).unwrap();
-        assert!(count > 1000 && count < 39_000 && count == done.written, "{format}: {count}");
+        splats::write_changed(&written, &kept, &antialiased()).unwrap();
+        assert_eq!(done.written, kept.len() as u64, "{format}");
         assert!(std::fs::read(&converted).unwrap() == std::fs::read(&written).unwrap(), "{format}");
     }
     let (odd, path) = (Cut { min_opacity: 2.0, ..Default::default() }, folder.join("odd.ply"));
-    assert!(splats::write_cut(&path, &original, &odd, 3, &WriteOptions::default()).is_err());
     assert!(splats::convert(&input, &path, &ConvertOptions { cut: odd, ..Default::default() }).is_err());
     assert!(!path.exists());
 }
@@ -220,7 +223,7 @@ fn merged_cells_are_the_scene() {
         let [merged, written] = folder.alike(format);
         let done = merge(&parts, &merged, &KEEP).unwrap();
         assert_eq!((done.format, done.written), (format, 10_000));
-        splats::write_cut(&written, &expected, &Cut::default(), 2, &antialiased()).unwrap();
+        splats::write_changed(&written, &expected, &antialiased()).unwrap();
         assert!(std::fs::read(&merged).unwrap() == std::fs::read(&written).unwrap(), "{format}");
     }
     // Many cells need no more memory than one.
@@ -626,7 +629,7 @@ fn formats_go_by_the_size_of_the_scene() {
     let warnings = |scene: &Gaussians, format: Format| {
         folder.write("scene.ply", scene);
         let done = folder.convert("scene.ply", &named("scene", format));
-        let losses = splats::cut_losses(format, scene, &Cut::default(), 3, &WriteOptions::default()).unwrap();
+        let losses = splats::losses(format, scene, &WriteOptions::default()).unwrap();
         assert_eq!(done.warnings, losses);
         losses
     };

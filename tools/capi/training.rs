@@ -4,7 +4,7 @@ use super::scenes::gaussians;
 use super::*;
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::passes::loss::DepthPoint;
-use ashsplat::scene::{Camera, Cut, PointCloud, StoredPhoto};
+use ashsplat::scene::{Camera, PointCloud, StoredPhoto};
 use ashsplat::train::{Checkpoint, Maintenance, Preset, StepOutcome, StepReservation};
 use ashsplat::{StepReport, TrainSettings, TrainView, Trainer};
 use ashsplat_files::{CheckpointFile, ply};
@@ -138,7 +138,7 @@ pub unsafe extern "C" fn ashsplat_trainer_save(
             format => {
                 let gaussians = trainer.baked_gaussians()?;
                 splats::write(path, &gaussians, &options)?;
-                splats::cut_losses(format, &gaussians, &Cut::default(), gaussians.sh_degree, &options)?
+                splats::losses(format, &gaussians, &options)?
             }
         };
         LAST_LOSS.set(c_text(&losses.join("\n")));
@@ -362,26 +362,11 @@ fn settings_of(json: &str, photos: usize) -> Result<TrainSettings> {
     let problem = |error: serde_json::Error| refused(error.to_string());
     let given: Value = serde_json::from_str(json).map_err(problem)?;
     let Value::Object(mut given) = given else { return Err(refused("is no object".into())) };
-    let preset = match given.remove("preset") {
-        None => None,
-        Some(Value::String(name)) => match name.as_str() {
-            "fast" => Some(Preset::Fast),
-            "default" => Some(Preset::Default),
-            "quality" => Some(Preset::Quality),
-            "reference" => Some(Preset::Reference),
-            other => {
-                return Err(refused(format!(
-                    "preset: '{other}' is none of fast, default, quality, reference"
-                )));
-            }
-        },
-        Some(other) => return Err(refused(format!("preset: {other} is no text"))),
-    };
-    let photos = match given.remove("few_photos") {
-        None | Some(Value::Bool(false)) => usize::MAX,
-        Some(Value::Bool(true)) => photos,
-        Some(other) => return Err(refused(format!("few_photos: {other} is neither true nor false"))),
-    };
+    let mut take = |name: &str| given.remove(name).unwrap_or_default();
+    let of = |name: &'static str| move |error: serde_json::Error| refused(format!("{name}: {error}"));
+    let preset: Option<Preset> = serde_json::from_value(take("preset")).map_err(of("preset"))?;
+    let few: Option<bool> = serde_json::from_value(take("few_photos")).map_err(of("few_photos"))?;
+    let photos = if few == Some(true) { photos } else { usize::MAX };
     let strategy =
         serde_json::from_value::<TrainSettings>(Value::Object(given.clone())).map_err(problem)?.strategy;
     let usual = match preset {

@@ -290,7 +290,7 @@ impl OriginSample {
 }
 
 /// Applies SH degree, cut and similarity to a block.
-pub(super) fn changed(mut block: Gaussians, sh_degree: u32, cut: &Cut, similarity: &Similarity) -> Gaussians {
+fn changed(mut block: Gaussians, sh_degree: u32, cut: &Cut, similarity: &Similarity) -> Gaussians {
     if sh_degree != block.sh_degree {
         block = block.with_sh_degree(sh_degree);
     }
@@ -302,6 +302,6 @@ pub(super) fn changed(mut block: Gaussians, sh_degree: u32, cut: &Cut, similarit
     block
 }
 
-pub(super) fn around(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
+fn around(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
     Bounds::of(a.into_iter().chain(b).flat_map(|bounds| [bounds.min, bounds.max]))
 }

@@ -158,11 +158,14 @@ pub(crate) type Produce<'a> = dyn FnMut(&mut Sink<'_>) -> Result<()> + 'a;
 impl Outline {
     /// Outline of Gaussians in the options' frame; they are written in source units.
     pub(crate) fn of(gaussians: &Gaussians, options: &WriteOptions) -> Self {
+        let scaled = |corner: Vec3| (options.frame.unit * corner.as_dvec3()).as_vec3();
         Self {
             count: gaussians.len() as u64,
             sh_degree: gaussians.sh_degree,
             options: *options,
-            bounds: in_source_units(gaussians.bounds(), &options.frame),
+            bounds: gaussians
+                .bounds()
+                .map(|Bounds { min, max }| Bounds { min: scaled(min), max: scaled(max) }),
             double_positions: false,
         }
     }
@@ -179,12 +182,6 @@ impl Outline {
     }
 }
 
-/// Scales a box from world to source units; it stays relative to the origin.
-pub(crate) fn in_source_units(bounds: Option<Bounds>, frame: &WorldFrame) -> Option<Bounds> {
-    let scaled = |corner: Vec3| (frame.unit * corner.as_dvec3()).as_vec3();
-    bounds.map(|Bounds { min, max }| Bounds { min: scaled(min), max: scaled(max) })
-}
-
 /// Bytes of a Gaussian in memory.
 pub fn row_bytes(sh_degree: u32) -> u64 {
     (size_of::<f32>() * (11 + 3 * sh_coefficients(sh_degree))) as u64
@@ -193,17 +190,9 @@ pub fn row_bytes(sh_degree: u32) -> u64 {
 /// Passes Gaussians to a sink in blocks, enlarged by a factor.
 pub(crate) fn in_blocks(gaussians: &Gaussians, scale: f64, sink: &mut Sink<'_>) -> Result<()> {
     let similarity = Similarity { scale, ..Default::default() };
-    let coefficients = sh_coefficients(gaussians.sh_degree);
     for start in (0..gaussians.len()).step_by(BLOCK) {
-        let rows = start..(start + BLOCK).min(gaussians.len());
-        let mut block = Gaussians {
-            sh_degree: gaussians.sh_degree,
-            means: gaussians.means[rows.clone()].to_vec(),
-            quats: gaussians.quats[rows.clone()].to_vec(),
-            log_scales: gaussians.log_scales[rows.clone()].to_vec(),
-            opacity_logits: gaussians.opacity_logits[rows.clone()].to_vec(),
-            sh: gaussians.sh[rows.start * coefficients..rows.end * coefficients].to_vec(),
-        };
+        let rows: Vec<usize> = (start..(start + BLOCK).min(gaussians.len())).collect();
+        let mut block = gaussians.select(&rows);
         block.transform(&similarity);
         sink(block)?;
     }

@@ -57,8 +57,8 @@ static void learns(const AshsplatContext *context, const AshsplatTrainView *plai
     REFUSED(ashsplat_trainer_cameras(whole, NULL, VIEWS), "cameras: ");
     REFUSED(ashsplat_trainer_resume(context, views, 2, checkpoint, 0, settings, &none), "views");
     REFUSED(ashsplat_trainer_new(context, views, VIEWS, NULL, 0, "{}", &none), "initial: ");
-    const char *wrong[][2] = {{"[]", "is no object"}, {"{\"preset\": \"slow\"}", "'slow' is none of"}, {"{\"preset\": 3}", "preset: 3"},
-                              {"{\"few_photos\": 1}", "few_photos: 1"}, {"{\"preset\": \"fast\", \"strategy\": \"mcmc\"}", "strategy"}};
+    const char *wrong[][2] = {{"[]", "is no object"}, {"{\"preset\": \"slow\"}", "preset: unknown variant `slow`"}, {"{\"preset\": 3}", "preset: invalid type"},
+                              {"{\"few_photos\": 1}", "few_photos: invalid type"}, {"{\"preset\": \"fast\", \"strategy\": \"mcmc\"}", "strategy"}};
     for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; ++i) {
         REFUSED(of_points(context, views, wrong[i][0], &none), wrong[i][1]);
     }

@@ -10,6 +10,7 @@ use crate::openings;
 use ashsplat::scene::{Cut, Similarity};
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::{self, Format, WriteOptions};
+use ashsplat_files::text;
 use axum::Extension;
 use axum::extract::{Path as UrlPath, State};
 use axum::http::{StatusCode, Uri, header};
@@ -49,16 +50,10 @@ pub async fn export(
 ) -> response::Result<Response> {
     let format = openings::format_of(&name).filter(|format| Format::WRITTEN.contains(format));
     let format = format.ok_or(StatusCode::NOT_FOUND)?;
-    let wanted =
-        Export::of_query(&uri).map_err(|error| refusal(StatusCode::BAD_REQUEST, &error.to_string()))?;
-    let (scene, turn) = scene_of(&site, &connection, wanted.part).await?;
-    // The turn lasts until the file is written, even if the page has gone.
-    let work = move || wanted.write(scene, format).map(|(folder, path)| (path, (folder, turn)));
-    let written = connection.waits_for(tokio::task::spawn_blocking(work)).await;
-    let (path, kept) = written
-        .map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?
-        .map_err(|error| refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()))?;
-    let body = files::body_of(&path, kept).ok_or(StatusCode::NOT_FOUND)?;
+    let ((folder, path), turn) =
+        made(&site, &connection, &uri, move |wanted, scene| wanted.write(scene, format)).await?;
+    // Both last until the file is sent.
+    let body = files::body_of(&path, (folder, turn)).ok_or(StatusCode::NOT_FOUND)?;
     let kind = [
         (header::CONTENT_TYPE, "application/octet-stream"),
         (header::CONTENT_DISPOSITION, "attachment"),
@@ -74,21 +69,27 @@ pub async fn count(
     Extension(connection): Extension<Arc<OpenConnection>>,
     uri: Uri,
 ) -> response::Result<Response> {
-    let wanted =
-        Export::of_query(&uri).map_err(|error| refusal(StatusCode::BAD_REQUEST, &error.to_string()))?;
     let format =
         query_value(&uri, "format").and_then(|ending| openings::format_of(&format!("scene.{ending}")));
-    let (scene, turn) = scene_of(&site, &connection, wanted.part).await?;
-    let work = move || {
-        let _turn = turn;
-        wanted.count(scene, format)
-    };
-    let counts = connection.waits_for(tokio::task::spawn_blocking(work)).await;
-    let counts = counts
-        .map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?
-        .map_err(|error| refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()))?
-        .to_string();
-    Ok(json_answer(counts))
+    let (counts, _) =
+        made(&site, &connection, &uri, move |wanted, scene| wanted.count(scene, format)).await?;
+    Ok(json_answer(counts.to_string()))
+}
+
+/// Works on the scene that an address wants, on a thread of its own. Returns the result and the turn, which lasts until the work is
+/// done, even if the page has gone; or the answer that refuses the page.
+async fn made<T: Send + 'static>(
+    site: &Site,
+    connection: &OpenConnection,
+    uri: &Uri,
+    work: impl FnOnce(Export, CurrentScene) -> Result<T> + Send + 'static,
+) -> response::Result<(T, OwnedSemaphorePermit)> {
+    let refused = |code: StatusCode| move |error: Error| refusal(code, &error.to_string());
+    let wanted = Export::of_query(uri).map_err(refused(StatusCode::BAD_REQUEST))?;
+    let (scene, turn) = scene_of(site, connection, wanted.part).await?;
+    let work = tokio::task::spawn_blocking(move || work(wanted, scene).map(|done| (done, turn)));
+    let done = connection.waits_for(work).await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?;
+    Ok(done.map_err(refused(StatusCode::UNPROCESSABLE_ENTITY))?)
 }
 
 /// Returns the current scene and its turn, held until it is dropped; or the answer that refuses the page.
@@ -140,48 +141,45 @@ impl Export {
             Some("selection") => Part::Selection,
             Some(_) => return Err(bad("part")),
         };
-        let numbers = |name: &str| -> Result<Option<[f64; 3]>> {
-            let Some(text) = query_value(uri, name) else { return Ok(None) };
-            let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.parse().ok()).collect();
-            let numbers = numbers.and_then(|numbers| numbers.try_into().ok());
-            numbers
-                .filter(|all: &[f64; 3]| all.iter().all(|v| v.abs() <= FARTHEST))
-                .ok_or_else(|| bad(name))
-                .map(Some)
+        let vector = |name: &str| -> Result<DVec3> {
+            let near = |all: &[f64; 3]| all.iter().all(|v| v.abs() <= FARTHEST);
+            let text = query_value(uri, name).unwrap_or("0,0,0".into());
+            text::numbers(&text).filter(near).map(DVec3::from_array).ok_or_else(|| bad(name))
         };
         let scale = query_value(uri, "scale").unwrap_or("1".into()).parse::<f64>().ok();
         let scale = scale.filter(|scale| (1e-6..=1e6).contains(scale)).ok_or_else(|| bad("scale"))?;
-        let [rotate, translate] = ["rotate", "translate"].map(numbers);
-        let [rotate, translate] = [rotate?, translate?].map(|v| DVec3::from_array(v.unwrap_or_default()));
-        let place = Similarity::of_angles(rotate, scale, translate);
+        let place = Similarity::of_angles(vector("rotate")?, scale, vector("translate")?);
         Ok(Export { part, cut, sh_degree, place })
     }
 
-    /// Moves the scene to its place. Returns the cut that is still to be made.
-    fn place(&self, scene: &mut CurrentScene) -> Cut {
-        if self.place == Similarity::default() {
-            return self.cut.cut();
+    /// Makes the cut, then moves the scene to its place: the cut is in the old axes.
+    fn apply(&self, scene: &mut CurrentScene) {
+        let cut = self.cut.cut();
+        if cut != Cut::default() {
+            let limits = cut.limits();
+            scene.gaussians.retain(|all, index| limits.keeps(all, index));
         }
-        // The cut is in the old axes.
-        let limits = self.cut.cut().limits();
-        scene.gaussians.retain(|all, index| limits.keeps(all, index));
-        splats::place(&mut scene.gaussians, &mut scene.marks.frame, &self.place);
-        Cut::default()
+        if self.place != Similarity::default() {
+            splats::place(&mut scene.gaussians, &mut scene.marks.frame, &self.place);
+        }
+        if self.sh_degree < scene.gaussians.sh_degree {
+            scene.gaussians = scene.gaussians.with_sh_degree(self.sh_degree);
+        }
     }
 
     fn count(&self, mut scene: CurrentScene, format: Option<Format>) -> Result<Value> {
-        let (limits, of) = (self.cut.cut().limits(), scene.gaussians.len());
-        let kept = (0..of).filter(|&index| limits.keeps(&scene.gaussians, index)).count();
+        let of = scene.gaussians.len();
+        self.apply(&mut scene);
+        let CurrentScene { gaussians, marks } = scene;
         let mut losses = Vec::new();
         if let Some(format) = format {
-            let cut = self.place(&mut scene);
-            losses = splats::cut_losses(format, &scene.gaussians, &cut, self.sh_degree, &scene.marks)?;
-            let DVec3 { x, y, z } = scene.marks.frame.origin;
+            losses = splats::losses(format, &gaussians, &marks)?;
+            let DVec3 { x, y, z } = marks.frame.origin;
             if [x, y, z] != [0.0; 3] {
                 losses.push(format!("positions are relative to {x}, {y}, {z}"));
             }
         }
-        Ok(json!({ "kept": kept, "of": of, "losses": losses }))
+        Ok(json!({ "kept": gaussians.len(), "of": of, "losses": losses }))
     }
 
     /// Writes a file into a new temporary folder.
@@ -189,9 +187,9 @@ impl Export {
         let room = std::env::temp_dir();
         let folder = tempfile::tempdir().map_err(|e| Error::io(&room, "write a temporary file", e))?;
         let path = folder.path().join(format!("scene{}", format.extension()));
-        let cut = self.place(&mut scene);
+        self.apply(&mut scene);
         let options = WriteOptions { format: Some(format), ..scene.marks };
-        splats::write_cut(&path, &scene.gaussians, &cut, self.sh_degree, &options)?;
+        splats::write_changed(&path, &scene.gaussians, &options)?;
         Ok((folder, path))
     }
 }
