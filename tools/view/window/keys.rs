@@ -1,5 +1,7 @@
 //! The keys of the window: the same as on the page. Their names are those of the web standard, which winit shares.
 
+use super::super::protocol::Mode;
+
 /// Action of a key.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
@@ -9,8 +11,7 @@ pub enum Action {
     Turn([f64; 2]),
     /// While it is held, goes closer (-1) or farther (1).
     Zoom(f64),
-    /// Chooses a mode by its position on the page.
-    Mode(usize),
+    Mode(Mode),
     /// Dragging looks around instead of orbiting.
     FlyMode,
     /// Switches inspection: a click then lists the Gaussians of a pixel.
@@ -46,18 +47,18 @@ pub const KEYS: [(&str, Action); 36] = [
     ("NumpadAdd", Action::Zoom(-1.0)),
     ("Minus", Action::Zoom(1.0)),
     ("NumpadSubtract", Action::Zoom(1.0)),
-    ("Digit1", Action::Mode(0)),
-    ("Digit2", Action::Mode(1)),
-    ("Digit3", Action::Mode(2)),
-    ("Digit4", Action::Mode(3)),
-    ("Digit5", Action::Mode(4)),
-    ("Digit6", Action::Mode(5)),
-    ("Numpad1", Action::Mode(0)),
-    ("Numpad2", Action::Mode(1)),
-    ("Numpad3", Action::Mode(2)),
-    ("Numpad4", Action::Mode(3)),
-    ("Numpad5", Action::Mode(4)),
-    ("Numpad6", Action::Mode(5)),
+    ("Digit1", Action::Mode(Mode::Splats)),
+    ("Digit2", Action::Mode(Mode::Centres)),
+    ("Digit3", Action::Mode(Mode::Ellipsoids)),
+    ("Digit4", Action::Mode(Mode::Depth)),
+    ("Digit5", Action::Mode(Mode::Tiles)),
+    ("Digit6", Action::Mode(Mode::Normals)),
+    ("Numpad1", Action::Mode(Mode::Splats)),
+    ("Numpad2", Action::Mode(Mode::Centres)),
+    ("Numpad3", Action::Mode(Mode::Ellipsoids)),
+    ("Numpad4", Action::Mode(Mode::Depth)),
+    ("Numpad5", Action::Mode(Mode::Tiles)),
+    ("Numpad6", Action::Mode(Mode::Normals)),
     ("KeyV", Action::FlyMode),
     ("KeyI", Action::Inspect),
     ("KeyH", Action::Panel),
@@ -70,22 +71,8 @@ pub const KEYS: [(&str, Action); 36] = [
     ("Escape", Action::Close),
 ];
 
-/// Keys of the page that the window lacks, and why.
-pub const ONLY_PAGE: [(&str, &str); 10] = [
-    ("KeyC", "cameras are not drawn"),
-    ("KeyK", "films are made on the page"),
-    ("KeyX", "scenes are cut on the page"),
-    ("KeyG", "lassos are drawn on the page"),
-    ("KeyB", "brushes paint on the page"),
-    ("KeyN", "spheres are drawn on the page"),
-    ("KeyM", "the tape is on the page"),
-    ("Delete", "Gaussians are deleted on the page"),
-    ("KeyO", "files are opened on the page"),
-    ("Space", "no training runs"),
-];
-
 /// The list of keys, in the page's words where both have the key; "?" shows it.
-pub const HELP: [(&str, &str); 19] = [
+pub const HELP: [(&str, &str); 20] = [
     ("left or middle drag", "orbit (look around in fly mode)"),
     ("right, Shift or Shift-middle drag", "pan"),
     ("wheel, Ctrl drag", "closer, farther"),
@@ -105,6 +92,7 @@ pub const HELP: [(&str, &str); 19] = [
     ("?", "these lines"),
     ("Esc", "close what is open, then the window"),
     ("Ctrl Q", "close the window"),
+    ("on the page only", "cameras, films, cuts, edits, the tape, opening files"),
 ];
 
 /// Returns the action of a key's name.

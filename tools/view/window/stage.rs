@@ -22,9 +22,6 @@ use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
 
-/// Modes in the page's order; the processor colours the last four.
-const MODES: [Mode; 6] =
-    [Mode::Splats, Mode::Centres, Mode::Ellipsoids, Mode::Depth, Mode::Tiles, Mode::Normals];
 /// Display time of a message.
 const SAID: Duration = Duration::from_secs(6);
 /// Window rows per unit of text scale.
@@ -48,7 +45,7 @@ pub struct Stage {
     picture: Picture,
     pub view: Navigation,
     pub pace: Pace,
-    mode: usize,
+    mode: Mode,
     /// The scene, without its Gaussians.
     subject: Subject,
     /// True if photos' views are drawn with their exposure and lens effects.
@@ -87,7 +84,7 @@ impl Stage {
             picture,
             view,
             pace: Pace::new(),
-            mode: 0,
+            mode: Mode::Splats,
             lit: false,
             device: device.to_owned(),
             start,
@@ -128,7 +125,7 @@ impl Stage {
     }
 
     fn look(&self) -> Look {
-        Look { mode: MODES[self.mode], quality: 0, ..Look::default() }
+        Look { mode: self.mode, quality: 0, ..Look::default() }
     }
 
     /// Shows a message for a while.
@@ -173,7 +170,7 @@ impl Stage {
 
     /// Exposure and lens effects for the picture, if the view is exactly a photo's.
     fn photo_appearance(&self) -> Result<Option<(Camera, Appearance)>> {
-        let lit = self.lit && self.mode == 0 && self.view.is_photo();
+        let lit = self.lit && self.mode == Mode::Splats && self.view.is_photo();
         let photo = self.current.filter(|photo| lit && self.subject.appearances.has(*photo));
         photo.map(|photo| self.subject.appearances.of(photo, None)).transpose()
     }
@@ -383,14 +380,14 @@ impl Stage {
             return Ok(None);
         }
         let appearance = self.photo_appearance()?;
-        if appearance.is_none() && matches!(MODES[self.mode], Mode::Splats | Mode::Centres) {
+        if appearance.is_none() && matches!(self.mode, Mode::Splats | Mode::Centres) {
             let whole = self.view.camera(self.size);
             self.picture.prepare(present, &whole, settings)?;
             return Ok(None);
         }
         let look = self.look();
         let drawn = draw::draw(self.picture.painter(), camera, &self.subject.base, &look, appearance)?;
-        let unit = if MODES[self.mode] == Mode::Depth { self.unit } else { 1.0 };
+        let unit = if self.mode == Mode::Depth { self.unit } else { 1.0 };
         let legend = drawn.legend.map(|ends| ends.map(|end| end * unit));
         let milliseconds = self.measured.milliseconds;
         let stats = FrameStats { scopes: Vec::new(), ..drawn.stats };

@@ -1,6 +1,7 @@
 //! Texts of the window, line by line.
 
-use super::keys::{HELP, ONLY_PAGE};
+use super::super::protocol::Mode;
+use super::keys::HELP;
 use ashsplat::{FrameStats, PixelReport};
 use ashsplat_program::progress::thousands;
 use serde_json::Value;
@@ -9,9 +10,6 @@ use serde_json::Value;
 const LISTED: usize = 16;
 /// Most letters of a line of running text.
 const WIDEST: usize = 64;
-
-/// Modes as the page names them.
-pub const MODES: [&str; 6] = ["splats", "centres", "ellipsoids", "depth", "tiles", "normals"];
 
 /// Figures of a frame.
 #[derive(Clone, Debug, Default)]
@@ -26,13 +24,11 @@ pub struct Measured {
 }
 
 /// Permanent text: scene, frame, stages, device.
-pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measured) -> Vec<String> {
+pub fn status(scene: &str, device: &str, mode: Mode, rate: f64, frame: &Measured) -> Vec<String> {
     let [width, height] = frame.size;
     let rate = if rate > 0.0 { format!(" · {rate:.1} frames/s") } else { String::new() };
-    let mut lines = vec![
-        scene.to_owned(),
-        format!("{width}×{height} · {:.1} ms{rate} · {}", frame.milliseconds, MODES[mode]),
-    ];
+    let mut lines =
+        vec![scene.to_owned(), format!("{width}×{height} · {:.1} ms{rate} · {mode:?}", frame.milliseconds)];
     let FrameStats { gaussians, visible, instances, scopes, .. } = &frame.stats;
     if *gaussians > 0 {
         let [visible, all, instances] =
@@ -46,8 +42,8 @@ pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measure
         lines.extend(stages.iter().map(|s| format!("  {:14}{:8.2} ms", s.name, s.nanoseconds * 1e-6)));
     }
     if let Some([low, high]) = frame.legend {
-        lines.push(match MODES[mode] {
-            "depth" => format!("red {low:.3} … blue {high:.3} units of the scene"),
+        lines.push(match mode {
+            Mode::Depth => format!("red {low:.3} … blue {high:.3} units of the scene"),
             _ => format!("blue {low:.0} … red {high:.0} Gaussians per tile"),
         });
     }
@@ -99,12 +95,7 @@ pub fn wrapped(text: &str) -> Vec<String> {
 /// Lines of help.
 pub fn help() -> Vec<String> {
     let widest = HELP.iter().map(|(key, _)| key.chars().count()).max().unwrap_or(0);
-    let mut lines: Vec<_> = HELP.iter().map(|(key, meaning)| format!("{key:widest$}  {meaning}")).collect();
-    lines.extend(ONLY_PAGE.iter().map(|(key, why)| {
-        let key = key.trim_start_matches("Key");
-        format!("{key:widest$}  not here: {why}")
-    }));
-    lines
+    HELP.iter().map(|(key, meaning)| format!("{key:widest$}  {meaning}")).collect()
 }
 
 /// Lines about the Gaussians blended at a pixel.
