@@ -93,7 +93,6 @@ fn meshes_that_cannot_be_made() {
         &format!("mesh @ball.ply -o @out/a.ply {VIEWS} --max-depth 0.5"),
         &["--max-depth", "lies beyond"],
     );
-    refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --min-part 99999999"), &["--min-part", "so many"]);
     let tight = format!("mesh @ball.ply -o @out/a.ply {VIEWS} --max-memory 100M --voxel 0.001");
     refuses(&tight, &["--voxel: 0.00100 makes more than ", "(--max-memory)", "try 0.00200"]);
     refuses(&format!("mesh @ball.ply -o @out/a.ply {VIEWS} --voxel 9"), &["ball.ply", "larger than a voxel"]);

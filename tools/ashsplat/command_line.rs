@@ -117,42 +117,25 @@ fn summary(error: &clap::Error) -> String {
     }
     let text = error.to_string();
     let first = crate::one_line(text.split("\n\n").next().unwrap_or_default());
-    let owners = match (error.kind(), error.get(ContextKind::InvalidArg)) {
-        (ErrorKind::UnknownArgument, Some(ContextValue::String(option))) => owners(option),
-        _ => Vec::new(),
+    let option: &str = match error.get(ContextKind::InvalidArg) {
+        Some(ContextValue::String(option)) if error.kind() == ErrorKind::UnknownArgument => option,
+        _ => "",
     };
-    if let Some(folder) = folder_of_training(error) {
-        return format!("{first}; did you mean '-s {folder}'? see --help");
-    }
-    if let Some(place) = place_of_options(error, &owners) {
-        return format!("{first}{place}; see --help");
-    }
-    let suggestion = suggestion(error).map(|word| format!("; did you mean '{word}'?")).unwrap_or_default();
-    // A similar option of this command is likelier than an option of another command.
-    if !suggestion.is_empty() || owners.is_empty() {
-        let end = if suggestion.is_empty() { ";" } else { "" };
-        return format!("{first}{suggestion}{end} see --help");
-    }
-    format!("{first}: it is an option of `{}`; leave it out here, see --help", owners.join("`, `"))
+    let owners = owners(option);
+    // An option of another command is likelier than one of this command that begins differently.
+    let begin = |word: &str| word.chars().take(LIKE).collect::<String>();
+    let suggestion = suggestion(error).filter(|word| owners.is_empty() || begin(word) == begin(option));
+    let meant = folder_of_training(error).map(|folder| format!("-s {folder}")).or(suggestion);
+    let hint = match meant {
+        Some(meant) => format!("; did you mean '{meant}'?"),
+        None if owners.is_empty() => ";".to_owned(),
+        None => format!(": it is an option of `{}`, and comes after the command;", owners.join("`, `")),
+    };
+    format!("{first}{hint} see --help")
 }
 
-/// Where an option belongs that is given before the command; `None` if it may be one of the program's own.
-fn place_of_options(error: &clap::Error, owners: &[String]) -> Option<String> {
-    /// Number of first letters that a typing error leaves intact.
-    const SAME: usize = 3;
-    let usage = error.get(ContextKind::Usage)?.to_string();
-    let ContextValue::String(option) = error.get(ContextKind::InvalidArg)? else { return None };
-    let begin = |word: &str| word.chars().filter(|&c| c != '-').take(SAME).collect::<String>();
-    // Usage within a command: "Usage: ashsplat train …".
-    let within = usage.split("ashsplat ").nth(1).is_some_and(|rest| rest.starts_with(char::is_alphabetic));
-    if within || suggestion(error).is_some_and(|word| begin(&word) == begin(option)) {
-        return None;
-    }
-    Some(match owners {
-        [] => ": options come after a command, as in `ashsplat train --iterations 7000`".to_owned(),
-        _ => format!(": it is an option of `{}`; put it after the command", owners.join("`, `")),
-    })
-}
+/// Number of first letters of an option, hyphens among them, that a typing error leaves intact.
+const LIKE: usize = 5;
 
 /// A folder after `train` without an option, which is how other programs take the data set.
 fn folder_of_training(error: &clap::Error) -> Option<&str> {
@@ -224,7 +207,7 @@ mod tests {
         assert!(early.contains("`render`") && !early.contains("--version"), "{early}");
         let early = said(&["--iterations", "100"]);
         assert!(early.contains("`train`") && early.contains("after the command"), "{early}");
-        assert!(said(&["--xyzzy"]).contains("after a command"), "{}", said(&["--xyzzy"]));
+        assert!(said(&["--xyzzy"]).ends_with("found; see --help"), "{}", said(&["--xyzzy"]));
         assert!(said(&["--versoin"]).contains("did you mean '--version'?"), "{}", said(&["--versoin"]));
     }
 }

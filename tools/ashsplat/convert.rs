@@ -3,6 +3,7 @@
 use ashsplat::scene::{Cut, Similarity};
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::{self, ConvertOptions, Format, Header, Input, Target};
+use ashsplat_files::text::numbers;
 use ashsplat_program::args::HostArguments;
 use ashsplat_program::look::parse_target;
 use ashsplat_program::model::Model;
@@ -160,20 +161,15 @@ fn similarity(steps: &[Step]) -> Result<Similarity, String> {
     Ok(Similarity::of_angles(rotate.unwrap_or_default(), scale, translate.unwrap_or_default()))
 }
 
-/// Parses `N` comma-separated numbers.
-fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
-    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
-    numbers.ok()?.try_into().ok()
-}
-
+/// Parses two opposite corners.
 fn parse_box(text: &str) -> Result<[DVec3; 2], String> {
-    let corners = parse_numbers(text).filter(|numbers: &[f64; 6]| !numbers.iter().any(|v| v.is_nan()));
+    let corners = numbers(text).filter(|numbers: &[f64; 6]| !numbers.iter().any(|v| v.is_nan()));
     let [a, b, c, x, y, z] = corners.ok_or("expected six numbers with commas between them")?;
     Ok([DVec3::new(a, b, c), DVec3::new(x, y, z)])
 }
 
 fn parse_point(text: &str) -> Result<DVec3, String> {
-    let point = parse_numbers(text).map(DVec3::from_array).filter(|point| point.is_finite());
+    let point = numbers(text).map(DVec3::from_array).filter(|point| point.is_finite());
     point.ok_or_else(|| "expected three numbers with commas between them".into())
 }
 

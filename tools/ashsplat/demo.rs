@@ -7,24 +7,22 @@ mod sheet;
 use crate::train::{Run, describe_start, say_what_next};
 use ashsplat::train::TrainSettings;
 use ashsplat::{Error, Result};
-use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING};
+use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::config::{DataSettings, Settings};
 use ashsplat_program::look::settings_of;
 use ashsplat_program::model::point_cloud_path;
 use ashsplat_program::{output, session};
 use clap::Args;
-use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Make a small data set, train on it and show the result: a contact sheet of the held-out views (photo, render,
-/// difference), the metrics and the PLY.
+/// difference) and the PLY.
 ///
 /// The data set is a procedural scene, photographed by ray casting from 40 sides, with a sparse, noisy point cloud, as a
 /// COLMAP folder: `ashsplat train -s OUT/dataset` and every other program that reads COLMAP can use it too. With --scene city it
 /// is a city of many houses in 162 small photographs from above: to be trained in blocks. --lots makes it larger.
 #[derive(Args)]
-#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TRAINING)))]
 pub struct Arguments {
     /// Folder for everything
     #[arg(short, long, value_name = "DIR", default_value = "out/demo")]
@@ -49,6 +47,7 @@ pub struct Arguments {
 
 /// Number of iterations that takes two processor cores without a GPU little more than a minute.
 const ITERATIONS: u32 = 1200;
+const SHEET_FILE: &str = "contact_sheet.png";
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.choices.check()?;
@@ -78,12 +77,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     run.repeat(&arguments.device, None, None);
     let interrupted = run.train(&stop)?;
     if !interrupted {
-        finish(&mut run, folder, arguments.iterations)?;
+        write_sheet(&mut run, &folder.join(SHEET_FILE))?;
         run.report();
         say!("data set        {}", data.display());
         say!("PLY             {}", point_cloud_path(&model, arguments.iterations).display());
-        say!("metrics         {}", folder.join("metrics.json").display());
-        say!("contact sheet   {}", folder.join("contact_sheet.png").display());
+        say!("contact sheet   {}", folder.join(SHEET_FILE).display());
         say_what_next(&model, true);
         say!("total           {:.1} s", start.elapsed().as_secs_f64());
     }
@@ -104,23 +102,15 @@ fn settings(dataset: &Path, model: &Path, iterations: u32, seed: u32) -> Setting
     Settings { data, train: TrainSettings { iterations, seed, ..TrainSettings::default() } }
 }
 
-/// Writes the contact sheet and the metrics.
-fn finish(run: &mut Run, folder: &Path, iterations: u32) -> Result<()> {
+/// Writes the contact sheet.
+fn write_sheet(run: &mut Run, path: &Path) -> Result<()> {
     let settings = settings_of(&run.settings);
     let Some(evaluation) = run.evaluations.last().map(|tested| &tested.evaluation) else { return Ok(()) };
-    let metrics = json!({
-        "iterations": iterations,
-        "gaussians": run.gaussians,
-        "psnr": evaluation.psnr(),
-        "ssim": evaluation.ssim(),
-        "views": evaluation.views.iter().map(|v| json!({"name": v.name, "psnr": v.psnr, "ssim": v.ssim})).collect::<Vec<_>>(),
-    });
     let quality: Vec<(f64, f64)> = evaluation.views.iter().map(|v| (v.psnr, v.ssim)).collect();
     let mut rows = Vec::with_capacity(quality.len());
     for (view, (psnr, ssim)) in run.views.test.clone().into_iter().zip(quality) {
         let frame = run.trainer.render(&view.camera, &settings)?;
         rows.push(sheet::Row { render: output::to_photo(&frame)?, photo: view.photo.photo()?, psnr, ssim });
     }
-    output::write_png(&folder.join("contact_sheet.png"), &sheet::contact_sheet(&rows))?;
-    output::write_json(&folder.join("metrics.json"), &metrics)
+    output::write_png(path, &sheet::contact_sheet(&rows))
 }

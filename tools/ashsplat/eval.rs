@@ -62,7 +62,7 @@ pub struct Arguments {
 const UNLIKE_DB: f64 = 10.0;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let model = Model::locate(arguments.model.path()?, arguments.model.iteration)?;
+    let model = arguments.model.locate()?;
     let mut data = arguments.data.applied_to(&model.settings.data)?;
     if model.folder.is_none() {
         // A bare PLY does not record its split.

@@ -3,8 +3,8 @@
 use ashsplat::scene::{Camera, WorldFrame};
 use ashsplat::{Error, PixelReport, Renderer, Result};
 use ashsplat_files::cameras_json;
+use ashsplat_files::text::numbers;
 use ashsplat_program::args::DeviceArguments;
-use ashsplat_program::config::CAMERAS_FILE;
 use ashsplat_program::look::LookArguments;
 use ashsplat_program::model::Model;
 use ashsplat_program::{output, session};
@@ -43,9 +43,7 @@ pub struct Arguments {
 }
 
 fn parse_pixel(text: &str) -> Result<[u32; 2], String> {
-    let numbers =
-        text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
-    numbers.ok_or_else(|| "expected two whole numbers with a comma between them".into())
+    numbers(text).ok_or_else(|| "expected two whole numbers with a comma between them".into())
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -76,8 +74,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 impl Arguments {
     fn camera(&self, model: &Model, frame: &WorldFrame) -> Result<Camera> {
-        let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
-        let own = own.filter(|path| path.is_file());
+        let own = model.cameras_file();
         let cameras = match (&self.source_path, self.path.as_ref().or(own.as_ref())) {
             (Some(dataset), _) => session::cameras(dataset, &model.settings.data, frame)?,
             (None, Some(path)) => cameras_json::read(path, frame)?,

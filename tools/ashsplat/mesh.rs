@@ -7,7 +7,7 @@ use ashsplat::{Error, RenderSettings, Renderer, Result, Surface, SurfaceDepth};
 use ashsplat_files::mesh::MeshFormat;
 use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::look::{LookArguments, NOTHING_SHOWN};
-use ashsplat_program::model::{Model, ModelArguments};
+use ashsplat_program::model::ModelArguments;
 use ashsplat_program::progress::{counting, significant, thousands};
 use ashsplat_program::{output, session};
 use clap::Args;
@@ -30,9 +30,6 @@ pub struct Arguments {
     /// Depth beyond which nothing is meshed, in the data set's units [default: twice the median depth]
     #[arg(long, value_name = "DEPTH", value_parser = positive)]
     max_depth: Option<f32>,
-    /// Triangles of the smallest connected part that is kept [default: a thousandth of the mesh]
-    #[arg(long, value_name = "TRIANGLES")]
-    min_part: Option<usize>,
     #[command(flatten)]
     views: views::Arguments,
     #[command(flatten)]
@@ -46,6 +43,8 @@ pub struct Arguments {
 
 /// Views that must have seen a voxel, of few views and of many: surfaces that fewer views show are mostly floaters.
 const LEAST_VIEWS: [u32; 2] = [3, 6];
+/// Connected parts with fewer triangles than the mesh's over this are left out.
+const SMALLEST_PART: usize = 1000;
 
 fn positive(text: &str) -> Result<f32, String> {
     let number = text.parse().ok().filter(|number: &f32| *number > 0.0 && number.is_finite());
@@ -56,7 +55,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let format = MeshFormat::of(&arguments.out)?;
     output::check(&[("--out", Some(&arguments.out))])?;
     arguments.views.check()?;
-    let model = Model::locate(arguments.model.path()?, arguments.model.iteration)?;
+    let model = arguments.model.locate()?;
     output::check_apart(&[("--out", Some(&arguments.out))], std::slice::from_ref(&model.ply))?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let views = arguments.views.choose(&model, &scene, None)?;
@@ -130,13 +129,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     each(&mut |renderer, camera| field.integrate(renderer, camera, &settings))?;
     let mut mesh = field.mesh().map_err(named)?;
     bar.finish_and_clear();
+    let removed = mesh.keep_parts(mesh.triangles.len() / SMALLEST_PART);
     if mesh.triangles.is_empty() {
         let problem = format!("{least_views} views see no surface together that is larger than a voxel");
         return Err(Error::input(&model.ply, problem, "give other views, or a smaller --voxel"));
-    }
-    let removed = mesh.keep_parts(arguments.min_part.unwrap_or(mesh.triangles.len() / 1000));
-    if mesh.triangles.is_empty() {
-        return Err(Error::argument("--min-part", "no part of the mesh has so many triangles"));
     }
     session::check(&stop)?;
     output::in_folder(&arguments.out, |path| format.write(path, &mesh, &scene.frame))?;

@@ -99,7 +99,7 @@ enum Format {
 const FILM_RATE: u32 = 30;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let path = folder_of_tiles(arguments.model.path()?);
+    let path = folder_of_tiles(&arguments.model.model);
     arguments.views.check()?;
     let film = arguments.film()?;
     let picture = arguments.picture()?;

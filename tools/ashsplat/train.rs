@@ -30,7 +30,7 @@ use ashsplat::train::{StepReport, StrategyType, TrainSettings, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::Dataset;
-use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING, bytes};
+use ashsplat_program::args::{DeviceArguments, bytes};
 use ashsplat_program::blocks::job::Job;
 use ashsplat_program::blocks::result;
 use ashsplat_program::blocks::rounds::Stage;
@@ -64,8 +64,7 @@ use tracking::Tracking;
 /// already reset. Neither is saved if the device is lost or too slow, because the state of the Gaussians is
 /// then unknown. A run that resumes from a checkpoint ends with the same bits as one that was never stopped.
 #[derive(Args)]
-#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TRAINING)), mut_args(in_short_help))]
-#[command(after_help = EXAMPLES)]
+#[command(mut_args(in_short_help), after_help = EXAMPLES)]
 pub struct Arguments {
     #[command(flatten)]
     overrides: Overrides,

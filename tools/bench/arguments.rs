@@ -7,7 +7,7 @@ use super::sizes::{FrameSize, parse_size};
 use super::workload::{SceneArguments, SyntheticArguments};
 use ashsplat::Result;
 use ashsplat::vk::Context;
-use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_MEASUREMENTS};
+use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::output;
 use clap::Args;
 use std::path::PathBuf;
@@ -35,7 +35,6 @@ impl IterationArguments {
 
 /// The measured device, its clock, and the files for the result.
 #[derive(Args)]
-#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_MEASUREMENTS)))]
 pub struct OutputArguments {
     /// Write the result here (JSON)
     #[arg(long, value_name = "FILE")]

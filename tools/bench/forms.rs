@@ -3,32 +3,20 @@
 use super::schema::{KernelResult, Run, Spread};
 use super::table;
 use ashsplat::Blending;
-use clap::{Args, ValueEnum};
-
-/// A form of blending.
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Form {
-    /// Subgroups that cull per region of a tile
-    Regions,
-    /// The paper's batches in shared memory
-    Shared,
-}
+use clap::Args;
 
 /// Which form.
-#[derive(Args, Clone, Copy, Default)]
+#[derive(Args, Clone, Default)]
 pub struct FormArguments {
-    /// How tiles are blended: the same picture, at a time that depends on the device [default: what was measured to be faster on
-    /// such devices]
-    #[arg(long, value_name = "FORM", value_enum)]
-    blending: Option<Form>,
+    /// How tiles are blended: by subgroups that cull per region of a tile (regions), or by the paper's batches in shared memory (shared):
+    /// the same picture, at a time that depends on the device [default: what was measured to be faster on such devices]
+    #[arg(long, value_name = "FORM", value_parser = ["regions", "shared"])]
+    blending: Option<String>,
 }
 
 impl FormArguments {
-    pub fn get(self) -> Option<Blending> {
-        self.blending.map(|form| match form {
-            Form::Regions => Blending::Regions,
-            Form::Shared => Blending::SharedMemory,
-        })
+    pub fn get(&self) -> Option<Blending> {
+        Blending::ALL.into_iter().find(|form| self.blending.as_deref() == Some(name(*form)))
     }
 }
 

@@ -15,7 +15,7 @@ use crate::workload::SceneArguments;
 use crate::{assemble, frames, table};
 use ashsplat::vk::{Context, Profile, SpecOverride, is_kernel_of};
 use ashsplat::{Error, Result};
-use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_MEASUREMENTS};
+use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::output;
 use clap::Args;
 use std::path::PathBuf;
@@ -42,7 +42,6 @@ const NOT_WITH_DUMP: [&str; 12] = [
 /// Without further options, a table. Settings of shaders are tried with --spec and --ab; with the cargo feature
 /// hot-reload, --watch compiles edited shaders again while it runs.
 #[derive(Args)]
-#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_MEASUREMENTS)))]
 pub struct Arguments {
     /// What to profile [default: render; with --static both]
     #[arg(value_enum)]

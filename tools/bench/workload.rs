@@ -3,11 +3,12 @@
 use super::schema::Workload;
 use super::synthetic;
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit, WorldFrame};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, WorldFrame};
 use ashsplat::{Error, RenderSettings, Result, TrainView};
 use ashsplat_files::cameras_json;
 use ashsplat_files::{Dataset, DatasetOptions, Gallery, Progress, splats};
 use ashsplat_program::args::HostArguments;
+use ashsplat_program::look::orbit_around;
 use clap::Args;
 use glam::Vec3;
 use std::path::{Path, PathBuf};
@@ -226,13 +227,8 @@ fn named_camera(place: &str, frame: &WorldFrame) -> Result<Camera> {
 
 /// A camera that sees the middle nine tenths of a scene.
 fn overview(gaussians: &Gaussians) -> Camera {
-    let bounds = gaussians.statistics().central_bounds;
-    let center = bounds.map_or(Vec3::ZERO, |b| b.center());
-    let half_diagonal = bounds.map_or(1.0, |b| 0.5 * b.size().length()).max(1e-3);
     let intrinsics = Intrinsics::from_fov_x(1.0, 960, 540);
-    let radius = 0.75 * half_diagonal / (0.5 * 540.0 / intrinsics.fx).atan().sin();
-    let orbit = Orbit { center, up: Vec3::NEG_Y, radius, elevation: 0.35, count: 1, intrinsics };
-    orbit.cameras().swap_remove(0)
+    orbit_around(gaussians, Vec3::NEG_Y, 1, intrinsics).cameras().swap_remove(0)
 }
 
 impl Scene {

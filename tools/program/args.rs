@@ -17,8 +17,8 @@ pub struct DeviceArguments {
     /// Run under the Khronos validation layer, with synchronisation validation; its messages go to stderr
     #[arg(long)]
     pub validation: bool,
-    /// Most device memory to use, with a unit: 800M, 6G; a scene or a frame that needs more is refused [default: what the device
-    /// has]
+    /// Most device memory to use, with a unit: 800M, 6G; what needs more is refused, and a training adds no Gaussians beyond it
+    /// [default: what the device has]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub max_memory: Option<u64>,
     /// Invocations of a subgroup, where the device lets them be chosen [default: by a table, else the device's own]
@@ -31,26 +31,6 @@ pub struct DeviceArguments {
     #[command(flatten)]
     pub host: HostArguments,
 }
-
-/// Help of `--max-memory` in commands that train.
-pub const MAX_MEMORY_IN_TRAINING: &str = "Most device memory to use, with a unit: 800M, 6G; densification stops adding Gaussians \
-    there, and what does not fit from the start is refused before photos are read [default: what the device has]";
-/// Help of `--max-memory` in commands that serve pages.
-pub const MAX_MEMORY_IN_VIEWER: &str = "Most device memory to use, with a unit: 800M, 6G; a scene that needs more is refused, and a \
-    picture that does is refused to the page that asked for it [default: what the device has]";
-/// Help of `--max-memory` in commands that measure time.
-pub const MAX_MEMORY_IN_MEASUREMENTS: &str = "Most device memory to use, with a unit: 800M, 6G; a measurement that needs more ends \
-    with an error [default: what the device has]";
-
-/// Help of `--max-memory` in `tiles`.
-pub const MAX_MEMORY_IN_TILES: &str = "Most device memory to use, with a unit: 800M, 6G; the pictures that tell a tile's error are \
-    drawn within it, and where one needs more the command ends with an error [default: what the device has]";
-/// Help of `--max-memory` in `partition`.
-pub const MAX_MEMORY_IN_PARTITION: &str = "Most device memory to use, with a unit: 800M, 6G; the coarse model is drawn within it, once \
-    for each photo, and where that needs more the command ends with an error [default: what the device has]";
-/// Help of `--max-memory` in `merge`.
-pub const MAX_MEMORY_IN_MERGE: &str = "Most device memory to use, with a unit: 800M, 6G; the report draws the merged scene within it, \
-    and where that needs more there is no report; merging itself needs none [default: what the device has]";
 
 /// How much memory of the machine itself is used.
 #[derive(Args, Clone, Copy, Default)]

@@ -20,7 +20,6 @@ use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use toml::Table;
-use train_overrides::TrainOverrides;
 
 const PRESETS: [&str; 4] = ["fast", "default", "quality", "reference"];
 /// Name of the settings dump for `--config`.
@@ -42,7 +41,7 @@ impl Args for Overrides {
             "Settings for a purpose: fast (fewer Gaussians, small pictures first), default, quality (more Gaussians), reference \
              (the article's recipe). What is given otherwise wins [default: default; with --strategy: the strategy's own settings]",
         );
-        TrainOverrides::augment_args(DataSettings::augment_args_for_update(command).arg(preset))
+        DataSettings::augment_args_for_update(command).arg(preset).args(train_overrides::arguments())
     }
 
     fn augment_args_for_update(command: Command) -> Command {
@@ -65,7 +64,7 @@ impl FromArgMatches for Overrides {
         self.0.extend(data.into_iter().filter(|(name, _)| matches.contains_id(name)));
         let preset = matches.get_one::<String>("preset");
         self.0.extend(preset.map(|name| ("preset".to_owned(), name.clone().into())));
-        self.0.extend(TrainOverrides::from_arg_matches(matches)?.0);
+        self.0.extend(train_overrides::given(matches));
         Ok(())
     }
 }
@@ -100,7 +99,7 @@ impl Given {
         let of_files = of_file.get("job").filter(|_| !of_file.contains_key("source_path"));
         let job = of_line.remove("job").or(of_files.cloned());
         let job = job.as_ref().and_then(toml::Value::as_str);
-        let of_job = job.map_or_else(|| Ok(Table::new()), |job| Ok(Job::find(job)?.settings()))?;
+        let of_job = job.map_or_else(|| Ok(Table::new()), |job| Job::find(job)?.settings())?;
         Ok(Given { file: file.map(Path::to_owned), of_file, of_job, of_line })
     }
 
@@ -311,7 +310,7 @@ mod tests {
         let file = Table::try_from(TrainSettings::reference()).expect("a table");
         let options = TrainSettings::OPTIONS;
         assert_eq!(file.len(), options.len());
-        let command = TrainOverrides::augment_args(Command::new("train"));
+        let command = Command::new("train").args(train_overrides::arguments());
         for option in options {
             let argument = command.get_arguments().find(|argument| argument.get_id() == option.name);
             let argument = argument.expect("an argument");
@@ -328,8 +327,7 @@ mod tests {
             };
             let arguments = ["train".to_owned(), format!("--{}={given}", option.name.replace('_', "-"))];
             let matches = command.clone().try_get_matches_from(arguments).expect("accepted");
-            let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
-            let mut table = overrides.0;
+            let mut table = train_overrides::given(&matches);
             table.entry("strategy").or_insert("reference".into());
             let settings = Settings::from_table(table, &Facts::default()).expect("settings").train;
             assert_eq!((option.value)(&settings).to_string(), given, "{}", option.name);

@@ -1,11 +1,10 @@
 //! Parts of self-contained pages: style, pictures, histograms.
 
-use ashsplat::{Error, Result};
+use crate::output;
+use ashsplat::Result;
 use ashsplat_files::Photo;
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder};
 use std::fmt::Write;
 
 /// Style of every page; light and dark.
@@ -86,12 +85,7 @@ pub fn memory(arenas: &[(&str, u64)]) -> String {
 
 /// A photo as a small data URL.
 pub fn jpeg(photo: &Photo) -> Result<String> {
-    let mut bytes = Vec::new();
-    let encoder = JpegEncoder::new_with_quality(&mut bytes, 90);
-    encoder
-        .write_image(&photo.rgb, photo.width, photo.height, ExtendedColorType::Rgb8)
-        .map_err(|error| Error::argument("picture of the page", format!("cannot be encoded: {error}")))?;
-    Ok(format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(bytes)))
+    Ok(format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(output::to_jpeg(photo, 90)?)))
 }
 
 /// A colour from dark blue over purple and orange to light yellow. Its brightness rises, so it reads in grey too.

@@ -6,8 +6,9 @@ use ashsplat::kernels::constants::NEAR_PLANE;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, Extent, RenderSettings, Result};
 use ashsplat_files::splats::{self, ReadOptions, Target};
+use ashsplat_files::text::numbers;
 use ashsplat_files::tiles::{TILESET_FILE, Tree};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use glam::Vec3;
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -26,20 +27,14 @@ pub struct LookArguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=3))]
     sh_degree: Option<u32>,
     /// Where a Gaussian ends: at alpha 1/255, or at the reference renderer's tile square
-    #[arg(long, value_enum, default_value = "exact")]
-    extent: ExtentName,
+    #[arg(long, value_parser = ["exact", "reference"], value_name = "EXTENT", default_value = "exact")]
+    extent: String,
     /// Compensate the opacity for the screen-space dilation (Mip-Splatting) [default: as in training, or as the file says]
     #[arg(long)]
     antialiasing: bool,
     /// Low-pass filter: variance added on the screen, square pixels [default: as in training, or as the file says, else 0.3]
     #[arg(long, value_name = "PX2")]
     kernel_size: Option<f32>,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum ExtentName {
-    Exact,
-    Reference,
 }
 
 impl LookArguments {
@@ -66,10 +61,7 @@ impl LookArguments {
             }
             settings.dilation_px2 = kernel_size;
         }
-        settings.extent = match self.extent {
-            ExtentName::Exact => Extent::Exact,
-            ExtentName::Reference => Extent::Reference,
-        };
+        settings.extent = if self.extent == "exact" { Extent::Exact } else { Extent::Reference };
         Ok(settings)
     }
 }
@@ -102,11 +94,8 @@ pub fn look_of(trained: &Settings, header: &splats::Header) -> RenderSettings {
 
 /// Parses three comma-separated numbers.
 fn parse_vector(text: &str) -> Result<Vec3, String> {
-    let numbers: Result<Vec<f32>, _> = text.split(',').map(|part| part.trim().parse()).collect();
-    match numbers.ok().and_then(|n| <[f32; 3]>::try_from(n).ok()) {
-        Some(vector) if vector.iter().all(|v| v.is_finite()) => Ok(Vec3::from_array(vector)),
-        _ => Err("expected three numbers with commas between them".into()),
-    }
+    let vector = numbers(text).map(Vec3::from_array).filter(|vector| vector.is_finite());
+    vector.ok_or_else(|| "expected three numbers with commas between them".into())
 }
 
 /// Parses a direction in the world: any three numbers that are not all 0.

@@ -1,6 +1,6 @@
 //! Locates a trained scene: a PLY, or a model folder.
 
-use crate::config::Settings;
+use crate::config::{CAMERAS_FILE, Settings};
 use crate::output;
 use ashsplat::{Error, Result};
 use ashsplat_files::Dataset;
@@ -13,20 +13,17 @@ use std::path::{Path, PathBuf};
 #[derive(Args)]
 pub struct ModelArguments {
     /// A model folder or a file of Gaussians
-    #[arg(value_name = "MODEL", required_unless_present = "model_path")]
-    model: Option<PathBuf>,
-    /// The same, under the reference's name
-    #[arg(short, long, value_name = "MODEL", conflicts_with = "model")]
-    model_path: Option<PathBuf>,
+    #[arg(value_name = "MODEL")]
+    pub model: PathBuf,
     /// Iteration of the model folder's PLY [default: what was saved last]
     #[arg(long, value_name = "N")]
     pub iteration: Option<u32>,
 }
 
 impl ModelArguments {
-    pub fn path(&self) -> Result<&Path> {
-        let path = self.model.as_deref().or(self.model_path.as_deref());
-        path.ok_or_else(|| Error::argument("MODEL", "is missing"))
+    /// Finds the scene.
+    pub fn locate(&self) -> Result<Model> {
+        Model::locate(&self.model, self.iteration)
     }
 }
 
@@ -70,6 +67,12 @@ impl Model {
         let ply = point_cloud_path(path, iteration);
         std::fs::metadata(&ply).map_err(|e| Error::io(&ply, "read", e))?;
         Ok(Model { ply, folder: Some((path.to_owned(), iteration)), settings: Settings::of_model(path)? })
+    }
+
+    /// The list of the training's cameras, if it is there.
+    pub fn cameras_file(&self) -> Option<PathBuf> {
+        let (folder, _) = self.folder.as_ref()?;
+        Some(folder.join(CAMERAS_FILE)).filter(|path| path.is_file())
     }
 }
 

@@ -7,6 +7,9 @@ use clap::ValueEnum;
 use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, LineOrder, SmallVec, WritableImage,
 };
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::io::{Cursor, ErrorKind, Write};
@@ -212,12 +215,19 @@ pub fn write_png(path: &Path, picture: &Photo) -> Result<()> {
 
 /// Writes an 8-bit PNG with opacity.
 pub fn write_rgba_png(path: &Path, picture: &image::RgbaImage) -> Result<()> {
-    use image::ImageEncoder;
     write_whole(path, |out| {
-        let encoder = image::codecs::png::PngEncoder::new(out);
-        let color = image::ExtendedColorType::Rgba8;
+        let (encoder, color) = (PngEncoder::new(out), ExtendedColorType::Rgba8);
         encoder.write_image(picture, picture.width(), picture.height(), color).map_err(std::io::Error::other)
     })
+}
+
+/// A photo as JPEG of quality 1 to 100.
+pub fn to_jpeg(photo: &Photo, quality: u8) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, quality)
+        .encode(&photo.rgb, photo.width, photo.height, ExtendedColorType::Rgb8)
+        .map_err(|e| Error::argument("picture", format!("cannot be encoded: {e}")))?;
+    Ok(bytes)
 }
 
 /// A frame's colours at 8 bits per channel.

@@ -59,17 +59,11 @@ impl DataArguments {
             // The job lists the photos of another data set.
             data.job.clear();
         }
-        if let Some(images) = &self.images {
-            data.images.clone_from(images);
-        }
+        data.images = self.images.clone().unwrap_or(data.images);
         data.resolution = self.resolution.unwrap_or(data.resolution);
-        if let Some(orientation) = &self.orientation {
-            data.orientation.clone_from(orientation);
-        }
+        data.orientation = self.orientation.clone().unwrap_or(data.orientation);
         data.undistort = self.undistort.unwrap_or(data.undistort);
-        if let Some(alpha) = &self.alpha {
-            data.alpha.clone_from(alpha);
-        }
+        data.alpha = self.alpha.clone().unwrap_or(data.alpha);
         data.eval |= self.eval;
         if data.source_path.as_os_str().is_empty() {
             return Err(Error::argument(

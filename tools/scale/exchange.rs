@@ -6,6 +6,7 @@ use ashsplat::{Error, Result};
 use ashsplat_files::splats::WriteOptions;
 use ashsplat_files::{CheckpointFile, splats};
 use ashsplat_program::args::HostArguments;
+use ashsplat_program::blocks::result::Unfit;
 use ashsplat_program::blocks::rounds::exchanged_checkpoint;
 use ashsplat_program::blocks::{Block, BlocksFile};
 use ashsplat_program::lock::{FolderLock, Work};
@@ -14,7 +15,6 @@ use ashsplat_program::output;
 use ashsplat_program::progress::{counting, thousands};
 use clap::Args;
 use glam::Vec3;
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Between two rounds of training in blocks (`partition --rounds`): give each block what its neighbours have trained.
@@ -78,7 +78,7 @@ struct Exchange<'a> {
 impl<'a> Exchange<'a> {
     /// Refuses a division with blocks that have not ended the round, and names them.
     fn new(file: &'a BlocksFile, round: u32, arguments: &'a Arguments) -> Result<Self> {
-        let mut missing = BTreeMap::<&'static str, Vec<String>>::new();
+        let mut unfit = Unfit::new();
         for block in &file.division.blocks {
             let folder = file.at(&block.folder);
             let iteration = file.division.round_end(block, round);
@@ -95,9 +95,9 @@ impl<'a> Exchange<'a> {
                 }
                 Some(_) => continue,
             };
-            missing.entry(problem).or_default().push(block.number.to_string());
+            unfit.entry(problem).or_default().push(block.number.to_string());
         }
-        file.check_none_missing(&format!("round {round}: "), &missing, |why| why)?;
+        file.check_none_unfit(&format!("round {round}: "), &unfit)?;
         Ok(Exchange { file, round, arguments })
     }
 

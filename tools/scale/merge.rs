@@ -6,15 +6,14 @@ mod seams;
 use ashsplat::Result;
 use ashsplat::scene::WorldFrame;
 use ashsplat_files::splats::{self, ConvertOptions, Format, Input};
-use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_MERGE};
+use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::blocks::BlocksFile;
-use ashsplat_program::blocks::result::{Missing, scene_of};
+use ashsplat_program::blocks::result::{Unfit, scene_of};
 use ashsplat_program::lock::{FolderLock, Work};
 use ashsplat_program::output;
 use ashsplat_program::progress::{counting, thousands};
 use clap::Args;
 use report::Ready;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Merge the trained blocks of `ashsplat partition` into one scene.
@@ -26,7 +25,7 @@ use std::path::{Path, PathBuf};
 #[command(
     mut_arg("device", |argument| argument.requires("report")),
     mut_arg("validation", |argument| argument.requires("report")),
-    mut_arg("max_memory", |argument| argument.requires("report").help(MAX_MEMORY_IN_MERGE)),
+    mut_arg("max_memory", |argument| argument.requires("report")),
     mut_arg("subgroup_size", |argument| argument.requires("report")),
     mut_arg("backend", |argument| argument.requires("report"))
 )]
@@ -117,15 +116,15 @@ impl Arguments {
 fn scenes(file: &BlocksFile, quiet: bool) -> Result<Vec<PathBuf>> {
     let blocks = &file.division.blocks;
     let bar = counting("blocks checked", blocks.len() as u64, quiet);
-    let (mut scenes, mut missing) = (Vec::new(), BTreeMap::<Missing, Vec<String>>::new());
+    let (mut scenes, mut unfit) = (Vec::new(), Unfit::new());
     for block in blocks {
         match scene_of(file, block)? {
             Ok(scene) => scenes.push(scene),
-            Err(why) => missing.entry(why).or_default().push(block.number.to_string()),
+            Err(why) => unfit.entry(why).or_default().push(block.number.to_string()),
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
-    file.check_none_missing("", &missing, Missing::describe)?;
+    file.check_none_unfit("", &unfit)?;
     Ok(scenes)
 }

@@ -8,12 +8,12 @@ use ashsplat::train::SceneBlock;
 use ashsplat::{Error, RenderSettings, Renderer, Result};
 use ashsplat_files::cameras_json::NamedCamera;
 use ashsplat_files::{Gallery, cameras_json, file_hash, splats};
-use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_PARTITION};
+use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::blocks::rounds::MAX_ROUNDS;
 use ashsplat_program::blocks::{
     Block, BlocksFile, Coarse, Core, DatasetOfBlocks, Division, MAX_BLOCKS, cameras_hash, stored,
 };
-use ashsplat_program::config::{CAMERAS_FILE, DataSettings, Split, When};
+use ashsplat_program::config::{DataSettings, Split, When};
 use ashsplat_program::lock::{FolderLock, Work};
 use ashsplat_program::look::look_of;
 use ashsplat_program::model::Model;
@@ -32,7 +32,6 @@ use std::path::{Path, PathBuf};
 /// photos of which its cell covers --min-share: by the depths of the coarse model, which is drawn once per photo. A photo that
 /// shows no cell so much goes to the one that it shows most of. The same input gives the same file.
 #[derive(Args)]
-#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_PARTITION)))]
 pub struct Arguments {
     /// Data set [default: that of the coarse model's training]
     #[arg(value_name = "DATASET", conflicts_with = "source_path")]
@@ -191,11 +190,7 @@ fn folder_of(path: &Path) -> &Path {
 
 /// Refuses a model folder whose cameras are not those of the data set.
 fn check_same_scene(coarse: &Model, gallery: &Gallery, data: &DataSettings) -> Result<()> {
-    let Some((folder, _)) = &coarse.folder else { return Ok(()) };
-    let file = folder.join(CAMERAS_FILE);
-    if !file.is_file() {
-        return Ok(());
-    }
+    let Some(file) = coarse.cameras_file() else { return Ok(()) };
     let own = cameras_json::read(&file, gallery.frame())?;
     let cameras = gallery.cameras();
     let by_name: BTreeMap<&str, &Camera> =

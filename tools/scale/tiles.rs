@@ -6,7 +6,7 @@ use ashsplat::{Error, Renderer, Result};
 use ashsplat_files::Progress;
 use ashsplat_files::splats;
 use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions};
-use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_TILES};
+use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::look::look_of;
 use ashsplat_program::model::Model;
 use ashsplat_program::output;
@@ -22,7 +22,6 @@ use std::path::PathBuf;
 /// ones is measured by rendering both, and is its geometric error: its screen-space error is the root of the squared difference, summed
 /// over the pixels that the tile covers.
 #[derive(Args)]
-#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TILES)))]
 pub struct Arguments {
     /// A file of Gaussians or a model folder
     #[arg(value_name = "SCENE")]

@@ -5,24 +5,17 @@ use crate::siege::Siege;
 use clap::Parser;
 use std::error::Error;
 use std::io::ErrorKind;
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// Attack a running trainer and viewer: connections, floods, bombs, a full disk, limits.
+/// Attack a running trainer and viewer, the ashsplat beside this program: connections, floods, bombs, a full disk, limits.
 #[derive(Parser)]
 #[command(name = "siege", version)]
 struct Arguments {
-    /// The program that is attacked [default: the ashsplat beside this one]
-    #[arg(long, value_name = "PATH")]
-    program: Option<PathBuf>,
     /// Fewer and shorter attacks, on smaller data: half a minute
     #[arg(long)]
     short: bool,
-    /// Only the attacks whose name contains this
-    #[arg(long, value_name = "WORDS")]
-    only: Option<String>,
 }
 
 /// No attack starts after this time.
@@ -34,7 +27,7 @@ const FAILURE: u8 = 2;
 /// Runs the command.
 pub fn run() -> ExitCode {
     let arguments = Arguments::parse();
-    let siege = match begin(&arguments) {
+    let siege = match begin(arguments.short) {
         Ok(siege) => siege,
         Err(error) => {
             eprintln!("error: {error}");
@@ -44,8 +37,7 @@ pub fn run() -> ExitCode {
     let start = Instant::now();
     println!("| attack | outcome | peak memory | time | |\n|---|---|---|---|---|");
     let (mut passed, mut skipped, mut failed) = (0, 0, 0);
-    let chosen = |name: &str| arguments.only.as_ref().is_none_or(|words| name.contains(words));
-    for (name, attack) in ATTACKS.into_iter().filter(|(name, _)| chosen(name)) {
+    for (name, attack) in ATTACKS {
         siege.peak.store(0, Ordering::Relaxed);
         let begun = Instant::now();
         let outcome = match start.elapsed() < LONGEST {
@@ -73,16 +65,11 @@ fn is_impossible(error: &(dyn Error + 'static)) -> bool {
     error.downcast_ref::<std::io::Error>().is_some_and(|error| error.kind() == ErrorKind::Unsupported)
 }
 
-fn begin(arguments: &Arguments) -> crate::siege::Result<Siege> {
-    let program = match &arguments.program {
-        Some(program) => program.clone(),
-        None => std::env::current_exe()?.with_file_name("ashsplat"),
-    };
-    let program = program.canonicalize().map_err(|error| {
-        format!(
-            "{}: {error}; build it with cargo build --release, or name it with --program",
-            program.display()
-        )
-    })?;
-    Siege::new(program, arguments.short)
+/// The siege of the program beside this one.
+fn begin(short: bool) -> crate::siege::Result<Siege> {
+    let program = std::env::current_exe()?.with_file_name("ashsplat");
+    if !program.is_file() {
+        return Err(format!("{} is missing: cargo build --release", program.display()).into());
+    }
+    Siege::new(program, short)
 }

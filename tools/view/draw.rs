@@ -10,7 +10,6 @@ use ashsplat::{
 use ashsplat_files::Photo;
 use ashsplat_program::appearance::Appearance;
 use ashsplat_program::output::{self, Depth};
-use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use serde_json::Value;
@@ -170,15 +169,13 @@ pub fn draw(
 
 /// Encodes a JPEG of quality 1 to 100, or a PNG for 0.
 pub fn encode(photo: &Photo, quality: u8) -> Result<Vec<u8>> {
+    if quality > 0 {
+        return output::to_jpeg(photo, quality.min(100));
+    }
     let mut bytes = Vec::new();
-    let (width, height, color) = (photo.width, photo.height, ExtendedColorType::Rgb8);
-    let written = match quality {
-        0 => PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
-            .write_image(&photo.rgb, width, height, color),
-        quality => JpegEncoder::new_with_quality(&mut bytes, quality.min(100))
-            .write_image(&photo.rgb, width, height, color),
-    };
-    written.map_err(|e| Error::argument("picture", format!("cannot be encoded: {e}")))?;
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
+        .write_image(&photo.rgb, photo.width, photo.height, ExtendedColorType::Rgb8)
+        .map_err(|e| Error::argument("picture", format!("cannot be encoded: {e}")))?;
     Ok(bytes)
 }
 

@@ -2,16 +2,14 @@
 
 use ashsplat::{Error, Result};
 use ashsplat_files::images::existing_folder;
-use ashsplat_files::{Dataset, colmap, has_photo_ending, has_video_ending, quoted, regular_file, transforms};
+use ashsplat_files::{
+    Dataset, colmap, has_other_picture_ending, has_photo_ending, has_video_ending, quoted, regular_file,
+    transforms,
+};
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Extensions of pictures that are not read.
-const OTHER_PICTURES: [&str; 17] = [
-    "heic", "heif", "avif", "webp", "tif", "tiff", "bmp", "gif", "jxl", "dng", "cr2", "cr3", "nef", "arw",
-    "raf", "orf", "rw2",
-];
 /// Largest depth of nested folders that are searched.
 const MAX_DEPTH: usize = 32;
 
@@ -141,7 +139,6 @@ impl Listing {
                 continue;
             }
             let (path, name) = (place.join(&name), below.join(&name));
-            let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
             if path.is_dir() {
                 if depth > 0 && !path.is_symlink() {
                     self.add(folder, &name, depth - 1)?;
@@ -151,7 +148,7 @@ impl Listing {
                 self.photos.push(name);
             } else if has_video_ending(&path) {
                 self.videos.push(name);
-            } else if ending.is_some_and(|ending| OTHER_PICTURES.contains(&ending.as_str())) {
+            } else if has_other_picture_ending(&path) {
                 self.others.push(name);
             }
         }

@@ -4,7 +4,7 @@ use super::sharpness::sharpness;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Photo, atomic};
 use ashsplat_program::child::{INSTALL_FFMPEG, Running, not_started};
-use image::codecs::jpeg::JpegEncoder;
+use ashsplat_program::output;
 use std::ffi::{OsStr, OsString};
 use std::io::{BufReader, ErrorKind, Read, Seek};
 use std::path::Path;
@@ -100,7 +100,9 @@ impl Reader<'_> {
         let (mut picker, mut written) = (Picker::default(), 0);
         let mut write = |photo: Photo| {
             written += 1;
-            write_jpeg(&folder.join(format!("frame_{written:05}.jpg")), &photo)
+            let (path, jpeg) =
+                (folder.join(format!("frame_{written:05}.jpg")), output::to_jpeg(&photo, QUALITY)?);
+            atomic::write(&path, |out| out.write_all(&jpeg))
         };
         self.read(command, |stdout| {
             let mut input = BufReader::with_capacity(1 << 20, stdout);
@@ -292,14 +294,6 @@ fn read_ppm(input: &mut impl Read, most_bytes: u64) -> std::io::Result<Option<Ph
     let mut rgb = vec![0; bytes as usize];
     input.read_exact(&mut rgb)?;
     Ok(Some(Photo { width, height, rgb }))
-}
-
-fn write_jpeg(path: &Path, photo: &Photo) -> Result<()> {
-    atomic::write(path, |out| {
-        let color = image::ExtendedColorType::Rgb8;
-        let mut encoder = JpegEncoder::new_with_quality(out, QUALITY);
-        encoder.encode(&photo.rgb, photo.width, photo.height, color).map_err(std::io::Error::other)
-    })
 }
 
 #[cfg(test)]

@@ -1,9 +1,8 @@
 //! Chooses the views that `ashsplat render` renders.
 
-use ashsplat::scene::{COLMAP_MODELS, Camera, Intrinsics, Motion, Orbit, WorldFrame, tour};
+use ashsplat::scene::{Camera, Intrinsics, Motion, Orbit, WorldFrame, tour};
 use ashsplat::{Error, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
-use ashsplat_files::colmap::CameraModel;
 use ashsplat_files::splats::Scene;
 use ashsplat_program::config::CAMERAS_FILE;
 use ashsplat_program::film_file::Container;
@@ -29,9 +28,10 @@ pub struct Arguments {
     /// Render N views around the scene, where the cameras of the training saw it [default for films: 240]
     #[arg(long, value_name = "N", conflicts_with = "path", value_parser = clap::value_parser!(u32).range(1..=MOST_FRAMES))]
     orbit: Option<u32>,
-    /// How an orbit moves [default: as suits the training's cameras]
-    #[arg(long, value_enum, conflicts_with = "path")]
-    motion: Option<MotionName>,
+    /// How an orbit moves: in a full circle (orbit), the part of it in which there are cameras (arc), or a smooth curve along the cameras
+    /// (path) [default: as suits the training's cameras]
+    #[arg(long, value_parser = ["orbit", "arc", "path"], value_name = "NAME", conflicts_with = "path")]
+    motion: Option<String>,
     /// Render the views of a camera path (JSON)
     #[arg(long, value_name = "FILE")]
     path: Option<PathBuf>,
@@ -55,36 +55,16 @@ fn parse_fov(text: &str) -> Result<f32, String> {
 
 /// Widest field of view of a pinhole, degrees.
 const WIDEST: f32 = 179.0;
-/// Numbers of COLMAP's camera models that are fisheyes, and of panoramas.
-const FISHEYES: [u32; 7] = [5, 8, 9, 10, 11, 14, 15];
-const PANORAMA: u32 = 17;
-/// Numbers of fisheyes with one focal length.
-const ONE_FOCAL: [u32; 3] = [8, 9, 14];
 
-fn parse_camera_model(name: &str) -> Result<u32, String> {
-    let found = COLMAP_MODELS.iter().position(|model| model.eq_ignore_ascii_case(name));
-    found.map(|number| number as u32).ok_or_else(|| format!("expected one of {}", COLMAP_MODELS.join(", ")))
-}
-
-/// [`Motion`] on the command line.
-#[derive(Clone, Copy, ValueEnum)]
-enum MotionName {
-    /// A full circle
-    Orbit,
-    /// The part of the circle in which there are cameras
-    Arc,
-    /// A smooth curve along the cameras
-    Path,
-}
-
-impl From<MotionName> for Motion {
-    fn from(name: MotionName) -> Self {
-        match name {
-            MotionName::Orbit => Self::Orbit,
-            MotionName::Arc => Self::Arc,
-            MotionName::Path => Self::Path,
-        }
-    }
+/// A lens in place of the cameras' own, by COLMAP's name.
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Lens {
+    /// A panorama of all directions
+    #[value(name = "EQUIRECTANGULAR")]
+    Panorama,
+    /// A fisheye without distortion that shows --fov, 180, from left to right
+    #[value(name = "OPENCV_FISHEYE")]
+    Fisheye,
 }
 
 /// Size and field of view, where they differ from the cameras' own.
@@ -101,20 +81,9 @@ pub struct SizeArguments {
     /// Horizontal field of view, degrees [default: the cameras'; for an orbit as much as they show, at most 60]
     #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, value_parser = parse_fov)]
     fov: Option<f32>,
-    /// Lens of the pictures, by COLMAP's name of a camera model: EQUIRECTANGULAR for a panorama of all directions, OPENCV_FISHEYE,
-    /// OPENCV and others [default: the cameras' own]
-    #[arg(long, value_name = "MODEL", value_parser = parse_camera_model)]
-    camera_model: Option<u32>,
-    /// Parameters of --camera-model in COLMAP's order, pixels of these pictures, such as fx,fy,cx,cy,k1,k2,k3,k4 [default: a
-    /// fisheye without distortion that shows --fov, 180, from left to right]
-    #[arg(
-        long,
-        value_name = "P,…",
-        value_delimiter = ',',
-        allow_hyphen_values = true,
-        requires = "camera_model"
-    )]
-    camera_params: Vec<f64>,
+    /// Lens of the pictures [default: the cameras' own]
+    #[arg(long, value_enum, ignore_case = true)]
+    camera_model: Option<Lens>,
 }
 
 /// The views to render.
@@ -138,10 +107,17 @@ impl Arguments {
         }
     }
 
+    fn motion(&self) -> Option<Motion> {
+        Some(match self.motion.as_deref()? {
+            "orbit" => Motion::Orbit,
+            "arc" => Motion::Arc,
+            _ => Motion::Path,
+        })
+    }
+
     /// The requested views.
     pub fn choose(&self, model: &Model, scene: &Scene, film: Option<Container>) -> Result<Views> {
-        let own =
-            model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE)).filter(|path| path.is_file());
+        let own = model.cameras_file();
         let unsaid = film.is_some() && self.source_path.is_none() && self.path.is_none();
         if let Some(count) = self.orbit.or_else(|| (unsaid || self.motion.is_some()).then_some(FILM_FRAMES)) {
             return self.around(count, own.as_deref(), scene, film);
@@ -234,7 +210,7 @@ impl Arguments {
             None => Vec::new(),
         };
         let intrinsics = self.size.of_orbit(&seen, film)?;
-        if seen.is_empty() && self.motion.is_some_and(|motion| Motion::from(motion) != Motion::Orbit) {
+        if seen.is_empty() && self.motion().is_some_and(|motion| motion != Motion::Orbit) {
             return Err(Error::argument(
                 "--motion",
                 "needs the training's cameras: a model folder with cameras.json",
@@ -245,7 +221,7 @@ impl Arguments {
             let problem = format!("is for files without cameras: {cameras} says where up is");
             return Err(Error::argument("--up", problem));
         }
-        let motion = self.motion.map_or_else(|| Motion::of(&seen), Motion::from);
+        let motion = self.motion().unwrap_or_else(|| Motion::of(&seen));
         let cameras = match motion {
             Motion::Arc | Motion::Path if !seen.is_empty() => {
                 motion.cameras(&seen, count, film.is_some(), intrinsics)
@@ -319,7 +295,7 @@ impl SizeArguments {
         let upright = 2 * seen.iter().filter(|c| c.height > c.width).count() > seen.len();
         let long = if film == Some(Container::Gif) { 640 } else { 1280 };
         let [wide, high] = match self.camera_model {
-            Some(PANORAMA) => [2, 1],
+            Some(Lens::Panorama) => [2, 1],
             _ if upright => [9, 16],
             _ => [16, 9],
         };
@@ -347,8 +323,8 @@ impl SizeArguments {
     /// The requested field of view, unless it is a fisheye's.
     fn pinhole_fov(&self) -> Result<Option<f32>> {
         match self.fov {
-            _ if self.camera_model.is_some_and(|model| FISHEYES.contains(&model)) => Ok(None),
-            Some(_) if self.camera_model == Some(PANORAMA) => {
+            _ if self.camera_model == Some(Lens::Fisheye) => Ok(None),
+            Some(_) if self.camera_model == Some(Lens::Panorama) => {
                 Err(Error::argument("--fov", "is not for panoramas, which show all directions"))
             }
             Some(fov) if fov > WIDEST => {
@@ -362,32 +338,19 @@ impl SizeArguments {
 
     /// The camera with the requested lens.
     fn through_lens(&self, camera: Camera) -> Result<Camera> {
-        let Some(model) = self.camera_model else { return Ok(camera) };
-        let name = COLMAP_MODELS[model as usize];
+        let Some(lens) = self.camera_model else { return Ok(camera) };
         if camera.is_orthographic() {
             return Err(Error::argument("--camera-model", "is not for orthographic cameras"));
         }
         let [width, height] = [camera.width, camera.height].map(f64::from);
-        let mut all = self.camera_params.clone();
-        if all.is_empty() && model == PANORAMA {
-            all = vec![width, height];
-        } else if all.is_empty() && FISHEYES.contains(&model) {
-            let focal = width / f64::from(self.fov.unwrap_or(180.0)).to_radians();
-            let middle = [0.5 * width, 0.5 * height];
-            let optics = match ONE_FOCAL.contains(&model) {
-                true => [&[focal][..], &middle].concat(),
-                false => [&[focal; 2][..], &middle].concat(),
-            };
-            // A fisheye's other parameters are distortion.
-            let parameters = CameraModel::from_number(model.into()).map_or(0, CameraModel::parameters);
-            all = optics;
-            all.resize(parameters, 0.0);
-        }
-        let camera = camera.with_colmap_lens(model, &all).ok_or_else(|| {
-            let problem =
-                format!("{} numbers are not the parameters of {name}, in COLMAP's order", all.len());
-            Error::argument("--camera-params", problem)
-        })?;
+        let focal = width / f64::from(self.fov.unwrap_or(180.0)).to_radians();
+        let (cx, cy) = (0.5 * width, 0.5 * height);
+        // The models' numbers and parameters.
+        let drawn = match lens {
+            Lens::Panorama => camera.with_colmap_lens(17, &[width, height]),
+            Lens::Fisheye => camera.with_colmap_lens(5, &[focal, focal, cx, cy, 0.0, 0.0, 0.0, 0.0]),
+        };
+        let camera = drawn.unwrap_or(camera);
         camera.check()?;
         Ok(camera)
     }
@@ -398,8 +361,8 @@ impl SizeArguments {
             ((f64::from(size) * f64::from(by) / f64::from(of)).round() as u32).max(1)
         };
         match (self.width, self.height) {
-            (Some(width), None) if self.camera_model == Some(PANORAMA) => [width, (width / 2).max(1)],
-            (None, height) if self.camera_model == Some(PANORAMA) => {
+            (Some(width), None) if self.camera_model == Some(Lens::Panorama) => [width, (width / 2).max(1)],
+            (None, height) if self.camera_model == Some(Lens::Panorama) => {
                 let height = height.unwrap_or(camera.height);
                 [height.saturating_mul(2), height]
             }

@@ -4,7 +4,7 @@ use super::{Block, BlocksFile};
 use ashsplat::{Error, Result};
 use ashsplat_files::{Gallery, file_hash};
 use std::path::Path;
-use toml::Table;
+use toml::{Table, Value};
 
 /// A block to be trained.
 pub struct Job {
@@ -44,34 +44,29 @@ impl Job {
     }
 
     /// Settings of the job, by their names in settings.toml.
-    pub fn settings(&self) -> Table {
+    pub fn settings(&self) -> Result<Table> {
         let (division, block) = (&self.file.division, self.block());
         let absolute = |path: &Path| {
             let path = self.file.at(path);
             std::path::absolute(&path).unwrap_or(path).to_string_lossy().into_owned()
         };
-        let sides = block.core.corners().map(|corner| corner.to_array()).concat();
         let path = std::path::absolute(&self.file.path).unwrap_or_else(|_| self.file.path.clone());
-        let mut table = Table::new();
-        table.insert("job".into(), format!("{}:{}@{}", path.display(), block.number, self.file.hash).into());
-        table.insert("source_path".into(), absolute(&division.dataset.path).into());
-        table.insert("model_path".into(), absolute(&block.folder).into());
-        table.insert("images".into(), division.dataset.images.clone().into());
-        table.insert("resolution".into(), i64::from(division.dataset.resolution).into());
-        table.insert("orientation".into(), division.dataset.orientation.clone().into());
-        table.insert("undistort".into(), division.dataset.undistort.into());
-        table.insert("alpha".into(), division.dataset.alpha.clone().into());
-        table.insert("level".into(), division.dataset.level.clone().into());
-        table.insert("eval".into(), division.dataset.eval.into());
-        table.insert("eval_split".into(), "reference".into());
-        // A block is part of a large scene and does not begin with points.
-        table.insert("few_photos".into(), "off".into());
-        table.insert("init".into(), absolute(&division.coarse.path).into());
-        table.insert("block".into(), sides.into());
-        table.insert("margin".into(), f64::from(division.margin).into());
-        table.insert("scene_extent".into(), f64::from(division.scene_extent).into());
-        table.insert("iterations".into(), i64::from(block.iterations).into());
-        table
+        let own: [(&str, Value); 10] = [
+            ("job", format!("{}:{}@{}", path.display(), block.number, self.file.hash).into()),
+            ("source_path", absolute(&division.dataset.path).into()),
+            ("model_path", absolute(&block.folder).into()),
+            ("eval_split", "reference".into()),
+            // A block is part of a large scene and does not begin with points.
+            ("few_photos", "off".into()),
+            ("init", absolute(&division.coarse.path).into()),
+            ("block", block.core.corners().map(|corner| corner.to_array()).concat().into()),
+            ("margin", f64::from(division.margin).into()),
+            ("scene_extent", f64::from(division.scene_extent).into()),
+            ("iterations", i64::from(block.iterations).into()),
+        ];
+        let all = Table::try_from(&division.dataset).map_err(|e| Error::argument("job", e.to_string()))?;
+        let of_dataset = all.into_iter().filter(|(name, _)| !["path", "cameras"].contains(&name.as_str()));
+        Ok(of_dataset.chain(own.map(|(name, value)| (name.to_owned(), value))).collect())
     }
 
     /// Removes all photos except the block's. Refuses a data set with other cameras.

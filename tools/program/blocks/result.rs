@@ -58,35 +58,14 @@ fn read(folder: &Path) -> Result<Option<Trained>> {
     serde_json::from_str(&text).map(Some).map_err(damaged)
 }
 
-/// Reason why a block cannot be merged.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Missing {
-    NotTrained,
-    OtherDivision,
-    Damaged,
-}
-
-impl Missing {
-    pub fn describe(self) -> &'static str {
-        match self {
-            Missing::NotTrained => "not trained to the end",
-            Missing::OtherDivision => "trained for another division",
-            Missing::Damaged => "damaged (its scene is not as training left it)",
-        }
-    }
-}
+/// Blocks that cannot be used, by their numbers, for each reason.
+pub type Unfit = BTreeMap<&'static str, Vec<String>>;
 
 impl BlocksFile {
     /// Refuses a division with unsuitable blocks, and names them by reason. `before` is the beginning of the error.
-    pub fn check_none_missing<Why: Copy + Ord>(
-        &self,
-        before: &str,
-        missing: &BTreeMap<Why, Vec<String>>,
-        describe: impl Fn(Why) -> &'static str,
-    ) -> Result<()> {
-        let Some(first) = missing.values().next().map(|numbers| &numbers[0]) else { return Ok(()) };
-        let reported =
-            missing.iter().map(|(why, numbers)| format!("{} {}", numbers.join(", "), describe(*why)));
+    pub fn check_none_unfit(&self, before: &str, unfit: &Unfit) -> Result<()> {
+        let Some(first) = unfit.values().next().map(|numbers| &numbers[0]) else { return Ok(()) };
+        let reported = unfit.iter().map(|(why, numbers)| format!("{} {why}", numbers.join(", ")));
         let reported = reported.collect::<Vec<_>>().join("; ");
         let problem = format!("{before}of its {} blocks {reported}", self.division.blocks.len());
         let remedy = format!("train them: `ashsplat train --job {}:{first}`", self.path.display());
@@ -94,20 +73,21 @@ impl BlocksFile {
     }
 }
 
-/// The scene of a trained block, after a check of its hash.
-pub fn scene_of(file: &BlocksFile, block: &Block) -> Result<Result<PathBuf, Missing>> {
+/// The scene of a trained block, after a check of its hash; or why it cannot be merged.
+pub fn scene_of(file: &BlocksFile, block: &Block) -> Result<Result<PathBuf, &'static str>> {
+    const DAMAGED: &str = "damaged (its scene is not as training left it)";
     let folder = file.at(&block.folder);
     let trained = match read(&folder) {
         Ok(Some(trained)) => trained,
-        Ok(None) => return Ok(Err(Missing::NotTrained)),
-        Err(_) => return Ok(Err(Missing::Damaged)),
+        Ok(None) => return Ok(Err("not trained to the end")),
+        Err(_) => return Ok(Err(DAMAGED)),
     };
     if trained.blocks != file.hash || trained.block != block.number {
-        return Ok(Err(Missing::OtherDivision));
+        return Ok(Err("trained for another division"));
     }
     let path = model::point_cloud_path(&folder, trained.iteration);
     if !path.is_file() {
-        return Ok(Err(Missing::Damaged));
+        return Ok(Err(DAMAGED));
     }
-    Ok(if file_hash(&path)? == trained.hash { Ok(path) } else { Err(Missing::Damaged) })
+    Ok(if file_hash(&path)? == trained.hash { Ok(path) } else { Err(DAMAGED) })
 }
