@@ -319,8 +319,9 @@ fn viewer_opens_several_scenes_together() {
     assert_eq!(upload(&mut page, "a.ply?add=1", 80)["scenes"], json!([]));
     let same = upload(&mut page, "a.ply?add=1", 10);
     assert_eq!((&same["gaussians"], &same["convert"]), (&json!(90), &Value::Null));
-    upload(&mut page, "a.ply", 80);
+    let alone = upload(&mut page, "a.ply", 80);
     let both = upload(&mut page, "b.ply?add=1", 50);
+    assert_eq!((&alone["joined"], &both["joined"]), (&Value::Null, &alone["run"]));
     assert_eq!((&both["name"], &both["gaussians"]), (&json!("a.ply + b.ply"), &json!(130)));
     assert_eq!(both["scenes"], json!([{ "name": "a.ply", "count": 80 }, { "name": "b.ply", "count": 50 }]));
     assert_eq!(both["convert"], "ashsplat convert a.ply b.ply a_cut.ply");

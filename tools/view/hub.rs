@@ -130,6 +130,11 @@ impl Hub {
         });
     }
 
+    /// Returns the scene's `run` in the first message.
+    pub fn run(&self) -> String {
+        self.lock().run.clone()
+    }
+
     /// Sets the function that describes training's progress from an iteration on.
     pub fn set_status(&self, status: impl Fn(u32) -> String + Send + 'static) {
         self.change(|state| state.status = Some(Box::new(status)));

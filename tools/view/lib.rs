@@ -34,7 +34,7 @@ pub use subject::Subject;
 
 use ashsplat::{Error, RenderSettings, Renderer, Result};
 use ashsplat_files::{colmap, splats};
-use ashsplat_program::args::{DeviceArguments, MAX_MEMORY_IN_VIEWER};
+use ashsplat_program::args::DeviceArguments;
 use ashsplat_program::look::{LookArguments, parse_direction};
 use ashsplat_program::{model, output, session};
 use clap::Args;
@@ -62,7 +62,6 @@ use subject::{SceneArguments, Shown, is_plain_name};
 /// The pictures are rendered here and streamed to the page, as many as each page can take. From elsewhere, forward the
 /// port (ssh -L 8090:localhost:8090 HOST), or use --host with --token.
 #[derive(Args)]
-#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_VIEWER)))]
 pub struct Arguments {
     /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF, SOG), a model folder, a folder of `ashsplat tiles`, a data set
     /// (its points), or a folder of such files, of which the page chooses one [default: the page takes files that are dropped on it, and paths in this folder or below]
@@ -182,33 +181,25 @@ impl<'a> Stage<'a> {
         let context = arguments.device.context()?;
         let mut scenery = Scenery::new(Renderer::new(&context)?);
         let mut render_thread = RenderThread::new(hub.clone(), RenderSettings::default(), out);
-        let first = loading.take().map_or_else(|| Ok(Subject::nothing()), Loading::finish)?;
+        let first = loading.take().map_or_else(|| Ok(Subject::nothing()), |loading| loading.finish().1)?;
         let mut shown = first.shown();
         self.show(first, &mut shown, &mut scenery, &mut render_thread)?;
         while !stop.load(Ordering::Relaxed) {
             if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
-                let (name, room, add) = (read.request.name.clone(), read.request.room(), read.request.add);
-                let (is_upload, within) = (read.request.upload.is_some(), read.request.within.clone());
-                let opened = read.finish().and_then(|subject| {
-                    let base = arguments.path.as_deref().unwrap_or(Path::new("."));
-                    let file = match (&within, subject.file) {
-                        // Commands name the file that the page has sent, not its copy here.
-                        _ if is_upload => Some(PathBuf::from(&name)).filter(|_| is_plain_name(&name)),
-                        // Pages do not see where the folder lies.
-                        (Some(folder), Some(file)) => {
-                            file.strip_prefix(folder).map(|below| base.join(below)).ok()
-                        }
-                        (_, file) => file,
-                    };
-                    let mut subject = Subject { name: name.clone(), file, ..subject };
-                    if add && shown.parts.iter().any(|part| part.count > 0) {
+                let (mut request, read) = read.finish();
+                // Pages may open the next scene.
+                request.turn = None;
+                let opened = read.and_then(|subject| {
+                    let (name, file) = (request.name.clone(), self.file_for_commands(&request, subject.file));
+                    let mut subject = Subject { name, file, ..subject };
+                    if request.add && shown.parts.iter().any(|part| part.count > 0) {
                         subject = self.joined(subject, shown.clone(), &scenery)?;
                     }
                     self.show(subject, &mut shown, &mut scenery, &mut render_thread)
                 });
                 // The previous scene stays.
                 if let Err(error) = opened {
-                    hub.broadcast(&loading::failure(&name, &error, room.as_deref()));
+                    hub.broadcast(&loading::failure(&request.name, &error, request.room().as_deref()));
                     render_thread::fatal(error)?;
                 }
             }
@@ -220,6 +211,20 @@ impl<'a> Stage<'a> {
         }
         arguments.device.report_validation(&context);
         Ok(())
+    }
+
+    /// The path of an opened file in commands that pages show; none if it has none that a person could type.
+    fn file_for_commands(&self, request: &OpenRequest, file: Option<PathBuf>) -> Option<PathBuf> {
+        let base = self.arguments.path.as_deref().unwrap_or(Path::new("."));
+        match (&request.within, file) {
+            // Commands name the file that the page has sent, not its copy here.
+            _ if request.upload.is_some() => {
+                is_plain_name(&request.name).then(|| PathBuf::from(&request.name))
+            }
+            // Pages do not see where the folder lies.
+            (Some(folder), Some(file)) => Some(base.join(file.strip_prefix(folder).ok()?)),
+            (_, file) => file,
+        }
     }
 
     /// A scene beside those that are open.
@@ -238,7 +243,7 @@ impl<'a> Stage<'a> {
             let (unit, limit_name) = ("bytes of host memory", "--max-host-memory");
             return Err(Error::TooLarge { what, needed, unit, limit, limit_name });
         }
-        Ok(subject.beside(shown, all))
+        Ok(Subject { joined: Some(self.hub.run()), ..subject.beside(shown, all) })
     }
 
     /// Shows a scene. If it does not fit, those that it joins are shown again, or nothing.

@@ -9,8 +9,7 @@ use serde_json::{Value, json};
 use std::thread::{Scope, ScopedJoinHandle};
 
 pub struct Loading<'scope> {
-    /// Kept until the scene is read.
-    pub request: OpenRequest,
+    request: OpenRequest,
     thread: ScopedJoinHandle<'scope, Result<Subject>>,
 }
 
@@ -32,9 +31,12 @@ impl<'scope> Loading<'scope> {
         self.thread.is_finished()
     }
 
-    pub fn finish(self) -> Result<Subject> {
-        let failed = |_| Err(Error::argument("viewer", format!("reading {} has failed", self.request.name)));
-        self.thread.join().unwrap_or_else(failed)
+    /// Returns the request, which holds the files until it is dropped.
+    pub fn finish(self) -> (OpenRequest, Result<Subject>) {
+        let Self { request, thread } = self;
+        let failed = |_| Err(Error::argument("viewer", format!("reading {} has failed", request.name)));
+        let read = thread.join().unwrap_or_else(failed);
+        (request, read)
     }
 }
 

@@ -14,7 +14,7 @@ use ashsplat_files::tiles::Tree;
 use ashsplat_files::{DatasetOptions, Gallery};
 use ashsplat_program::appearance::Appearances;
 use ashsplat_program::args::HostArguments;
-use ashsplat_program::config::{CAMERAS_FILE, DataSettings, Settings};
+use ashsplat_program::config::{DataSettings, Settings};
 use ashsplat_program::look::{LookArguments, gaussians_of, orbit_around, parse_target, tree_of};
 use ashsplat_program::model::Model;
 use ashsplat_program::progress::thousands;
@@ -52,6 +52,8 @@ pub struct Subject {
     pub file: Option<PathBuf>,
     /// Scenes that are drawn together, in the order of their Gaussians; empty for one alone.
     pub parts: Vec<ScenePart>,
+    /// `run` in the greeting of the scene that it has joined, whose frame it keeps.
+    pub joined: Option<String>,
     /// Tree of tiles; the Gaussians are its coarsest tile.
     pub tree: Option<Streamed>,
     /// Up direction, if it differs from the cameras'.
@@ -185,9 +187,7 @@ impl Subject {
         if let Some(source) = &wanted.source_path {
             data.source_path.clone_from(source);
         }
-        if let Some(images) = &wanted.images {
-            data.images.clone_from(images);
-        }
+        data.images = wanted.images.clone().unwrap_or(data.images);
         let requested = wanted.source_path.is_some() || wanted.images.is_some();
         let white = model.settings.train.white_background;
         // The user's own data set is no stranger's; the name of its photos' folder may be.
@@ -202,8 +202,7 @@ impl Subject {
             // The training's data set may be gone.
             (false, gallery) => gallery.ok(),
         };
-        let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
-        let cameras = match (&gallery, own.filter(|own| own.is_file())) {
+        let cameras = match (&gallery, model.cameras_file()) {
             (Some(gallery), _) => gallery.cameras(),
             (None, Some(own)) => cameras_of(&own, &scene.frame)?,
             (None, None) => Vec::new(),
@@ -349,6 +348,7 @@ impl Subject {
             "type": "scene",
             "name": self.name,
             "run": run_name(),
+            "joined": self.joined,
             "note": self.note,
             "frame": { "origin": self.frame.origin.to_array(), "unit": self.frame.unit },
             "empty": self.gaussians.is_empty(),

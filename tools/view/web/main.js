@@ -206,8 +206,8 @@ link.on('close', () => {
 });
 link.on('page', ({ page }) => { photos.page = page; });
 link.on('scene', (message) => {
+    const added = scene && message.joined === scene.run;
     // Where pages open scenes, two of them may have one name.
-    const added = scene && message.name.startsWith(`${scene.name} + `) && `${message.frame.origin}` === `${scene.frame.origin}` && message.frame.unit === scene.frame.unit;
     const first = scene === null || scene.name !== message.name || (message.open && scene.run !== message.run);
     scene = message;
     find('scene-name').textContent = `\u200e${message.name}`;
