@@ -99,7 +99,7 @@ fn a_block_is_trained_with_the_rest_of_its_scene_masked() {
     run("parts", "30 --start_checkpoint latest").refused(&["chkpnt20"]);
     run("parts", "30 --start_checkpoint latest --outside masked").ok();
     assert!(place.ply("masked", 30) == place.ply("parts", 30), "other bits");
-    assert_says(&place.read_text("masked/settings.toml"), &["outside = \"masked\""]);
+    assert_says(place.read_text("masked/settings.toml"), &["outside = \"masked\""]);
     // There are no frozen neighbours, on the device either.
     let surrounded = |model: &str| place.read_text(format!("{model}/report.html")).contains(">surroundings<");
     assert!(surrounded("drawn") && !surrounded("masked"));

@@ -136,7 +136,7 @@ fn offload_gives_the_same_scene() {
     for name in ["there", "resumed"] {
         assert!(place.ply(name, 8) == place.ply("here", 8), "{name}: another scene");
     }
-    assert_says(&place.read_text("there/report.html"), &["lie in the machine's memory"]);
+    assert_says(place.read_text("there/report.html"), &["lie in the machine's memory"]);
     let refused = place.attempt("refused", format!("{usual} --offload 1K")).warns(&["--offload"]);
     assert_eq!(refused.code, Some(2));
     assert!(!place.has("refused"));
@@ -273,7 +273,7 @@ fn what_cannot_be_saved_is_tried_again() {
         assert!(line.starts_with("warning: ") && line.contains(what) && line.contains("goes on"), "{line}");
     }
     // The measurements are saved without the pictures.
-    assert_says(&place.read_text("model/results.json"), &["ours_5"]);
+    assert_says(place.read_text("model/results.json"), &["ours_5"]);
     place.remove("model/point_cloud");
     wait_until("nothing is saved", || {
         let files = place.files("model");

@@ -17,10 +17,10 @@ fn filters_go_from_training_into_files_and_pictures() {
         let end = bytes.windows(10).position(|word| word == b"end_header").expect("a header");
         String::from_utf8_lossy(&bytes[..end]).into_owned()
     };
-    assert_says(&header(&ply), &["property float filter_3D\n", "comment SplatRenderMode: mip"]);
+    assert_says(header(&ply), &["property float filter_3D\n", "comment SplatRenderMode: mip"]);
     // A converted file has the filtered Gaussians, and the mark.
     place.run(format!("convert @{ply} @baked.ply")).ok();
-    assert_says(&header("baked.ply"), &["comment SplatRenderMode: mip"]);
+    assert_says(header("baked.ply"), &["comment SplatRenderMode: mip"]);
     assert!(!header("baked.ply").contains("filter_3D"));
     // A model folder has the training's settings; a single file needs options.
     let measured = |scene: &str| -> f64 {

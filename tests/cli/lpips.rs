@@ -47,7 +47,7 @@ fn lpips_of_eval_is_that_of_the_twin() {
     let table = eval("--lpips-weights @twin_vgg");
     assert_says(&table, &["lpips_vgg_unscaled", "Gaussians, ", "ms per frame on "]);
     assert!(!table.contains("lpips_alex") && !table.contains("not measured"), "{table}");
-    assert_says(&eval(""), &["LPIPS is not measured"]);
+    assert_says(eval(""), &["LPIPS is not measured"]);
 }
 
 #[test]

@@ -131,7 +131,7 @@ fn poses_of_the_demo_are_found_again() {
     assert_eq!(xi.len(), 35);
     assert!(xi.values().all(|xi| xi.as_array().is_some_and(|xi| xi.len() == 6)), "{poses}");
     assert!((0.1..5.0).contains(&number(&poses["degrees"], "mean")), "{poses}");
-    assert_says(&place.read_text("on/report.html"), &["poses turned, mean", "cameras aligned"]);
+    assert_says(place.read_text("on/report.html"), &["poses turned, mean", "cameras aligned"]);
 
     // `eval` of the saved model gives the same numbers.
     let again = place.json_of("eval @on --json --quiet");

@@ -45,7 +45,7 @@ fn a_scene_becomes_tiles_whose_errors_are_measured() {
     // Packed: smaller files of the same tree and the same scene.
     let (packed, ..) = tree("scene.ply", "packed", &format!("{small} --spz"));
     let extension = "KHR_gaussian_splatting_compression_spz_2";
-    assert_says(&place.read_text("packed/tileset.json"), &[extension]);
+    assert_says(place.read_text("packed/tileset.json"), &[extension]);
     let (mut of_packed, mut tiles_of_packed) = (0, 0);
     check(&packed, &mut of_packed, &mut tiles_of_packed);
     assert_eq!((of_packed, tiles_of_packed), (gaussians, tiles));

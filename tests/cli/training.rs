@@ -333,7 +333,7 @@ fn ctrl_c_saves() {
         assert!(place.at(&file).is_file(), "{file} in {:?}", place.files("out"));
     }
     let stopped = format!("stopped after {last} of 1,000,000 iterations");
-    assert_says(&place.read_text("out/report.html"), &[&stopped]);
+    assert_says(place.read_text("out/report.html"), &[&stopped]);
     let advice = rest.iter().find(|line| line.starts_with("interrupted: to go on, ")).expect("how to go on");
     // The printed command works, with --offload and --max-memory.
     let typed = advice.split(", ashsplat ").nth(1).expect("a command");
@@ -342,7 +342,7 @@ fn ctrl_c_saves() {
     place.run(format!("{typed} --iterations {next} --quiet")).ok();
     assert!(place.at(point_cloud("out", next)).is_file());
     // The curves begin with the first run.
-    assert_says(&place.read_text("out/report.html"), &[&format!("\">{next} iterations</span>"), ",1,\""]);
+    assert_says(place.read_text("out/report.html"), &[&format!("\">{next} iterations</span>"), ",1,\""]);
 }
 
 /// A scene that cannot be saved is a warning, because the checkpoint has everything. SIGTERM acts like Ctrl-C.
@@ -412,7 +412,7 @@ fn a_training_begins_with_a_scene() {
     assert_eq!((&same.opacity_logits, &same.log_scales), (&first.opacity_logits, &first.log_scales));
     assert!(!place.has("degree1/input.ply"));
     // The scene's SH degree is active at once.
-    assert_says(&place.read_text("degree1/settings.toml"), &["sh_degree_start = 1"]);
+    assert_says(place.read_text("degree1/settings.toml"), &["sh_degree_start = 1"]);
     assert_eq!(cut.sh.len(), first.means.len());
     let rows = more.sh.chunks_exact(9).zip(first.sh.chunks_exact(4));
     assert!(rows.into_iter().all(|(more, first)| more[..4] == *first && more[4..] == [[0.0; 3]; 5]));
