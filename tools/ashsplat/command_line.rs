@@ -129,7 +129,10 @@ fn summary(error: &clap::Error) -> String {
     let hint = match meant {
         Some(meant) => format!("; did you mean '{meant}'?"),
         None if owners.is_empty() => ";".to_owned(),
-        None => format!(": it is an option of `{}`, and comes after the command;", owners.join("`, `")),
+        None => format!(
+            ": it is an option of `{}`; leave it out, or give it after the command;",
+            owners.join("`, `")
+        ),
     };
     format!("{first}{hint} see --help")
 }
