@@ -90,9 +90,10 @@ fn batches_have_the_bits_of_single_scenes() {
                 pictures.push(rendered(host, &mut renderer, &RecordedFrame::new(&placed, camera, own)));
                 let report = report_of(&mut renderer, 0);
                 assert!(report.visible > 1000 && !report.overflow, "{report:?}");
-                // Three batches: 25 scenes, 15 of SH degree 0, 10 with a tint. The others are in separate buffers,
-                // hidden, selected, too large, or too few.
-                assert_eq!(report.batched_scenes, if is_apart { 0 } else { 50 });
+                // Three batches: 25 scenes, 15 of SH degree 0, 10 with a tint; fewer where culling blocks are small. The
+                // others are in separate buffers, hidden, selected, too large, or too few.
+                let expected = if is_apart { 0..=0 } else { 45..=50 };
+                assert!(expected.contains(&report.batched_scenes), "{report:?}");
             }
             assert!(pictures[0] == pictures[1], "{camera:?}");
             assert!(pictures[0].iter().any(|pixel| pixel[3] < 0.5));
