@@ -6,6 +6,7 @@ use super::photos::{PhotoBytes, PhotoSize};
 use super::poses;
 use super::schedule::{IterationPlan, TrainingRun, whole_instances};
 use super::settings::{MomentsType, ShStorage, TrainSettings};
+use super::step::StepRecorder;
 use super::work::{GRADIENT_STATISTIC, Statistic};
 use crate::error::{Error, Result};
 use crate::frame::{
@@ -209,14 +210,9 @@ impl Model {
     }
 }
 
-/// Returns the capacity of a training's frames, except for the counts. `scenes`: 2 with frozen Gaussians. `absolute`: the
-/// backward pass accumulates absolute gradients. `depth`: a loss term reads depths.
-pub(super) fn frame_shape(
-    pictures: PictureCapacity,
-    scenes: u32,
-    absolute: bool,
-    depth: bool,
-) -> FrameCapacity {
+/// Returns the capacity of a training's frames, except for the counts. `scenes`: 2 with frozen Gaussians.
+pub(super) fn frame_shape(pictures: PictureCapacity, scenes: u32, recorder: &StepRecorder) -> FrameCapacity {
+    let (absolute, depth) = (recorder.absolute, recorder.base_settings().inverse_depth);
     let usual = FrameCapacity { backward: true, trained: true, ..FrameCapacity::default() };
     FrameCapacity { pictures, scenes, absolute, depth, ..usual }
 }
@@ -306,9 +302,7 @@ impl StartMemory<'_> {
     fn shape(&self, sizes: &[Size]) -> FrameCapacity {
         let each = sizes.iter().map(|&(width, height)| PictureCapacity::of(width, height));
         let pictures = each.fold(PictureCapacity::NONE, PictureCapacity::and);
-        let (absolute, depth) =
-            (self.parts.recorder.absolute, self.parts.recorder.base_settings().inverse_depth);
-        frame_shape(pictures, 1 + u32::from(self.of.frozen > 0), absolute, depth)
+        frame_shape(pictures, 1 + u32::from(self.of.frozen > 0), &self.parts.recorder)
     }
 
     /// A frame for `capacity` trained Gaussians, of which up to `visible` are visible.

@@ -212,8 +212,7 @@ impl Trainer {
         let model = Model::new(context, scene, &rows)?;
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&run.cameras);
-        let (absolute, depth) = (recorder.absolute, recorder.base_settings().inverse_depth);
-        let shape = frame_shape(pictures, 1 + u32::from(frozen > 0), absolute, depth);
+        let shape = frame_shape(pictures, 1 + u32::from(frozen > 0), &recorder);
         let sizes: Vec<_> = run.cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         runner.store.expect(shape, recorder.scratch_requests(&sizes));
         if any_masked {

@@ -1,7 +1,7 @@
 // Classification for adaptive density control (paper, section 5.2; reference densify_and_prune): decides which Gaussians stay,
 // are cloned, or are split. Excludes Gaussians that the reference prunes later.
 //
-// With SELECTED the selected Gaussians are split at any scale, and none is cloned (Improved-GS).
+// SELECTED splits the selected Gaussians at any scale, and clones none (Improved-GS).
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
 // in: parameters (PerGaussian planes), statistics (sum of NDC gradient norms, views), with SELECTED selected (nonzero for a split)

@@ -10,6 +10,18 @@ pub fn appended(a: &Gaussians, b: &Gaussians) -> Gaussians {
     both
 }
 
+pub fn similarity(turn: Quat, scale: f32, shift: Vec3) -> Similarity {
+    Similarity { rotation: turn.as_dquat(), scale: scale.into(), translation: shift.as_dvec3() }
+}
+
+/// An object with a similarity applied, and another one.
+pub fn joined(object: &Gaussians, by: &Similarity, other: &Gaussians) -> Gaussians {
+    let mut both = object.clone();
+    both.transform(by);
+    both.append(other);
+    both
+}
+
 pub fn renderer(context: &Context, gaussians: u32, staging_bytes: u64) -> Renderer {
     let reservation = Reservation { scenes: 3, staging_bytes, ..Reservation::new(gaussians, 1, 110, 70) };
     reserved(context, &reservation)
@@ -39,13 +51,7 @@ fn a_pose_scales_a_scene() {
         let camera = camera(0.7, 110, 70);
         for scale in [0.25f32, 0.7, 1.0, 1.9] {
             let shift = Vec3::new(0.3, -0.2, 0.5);
-            let mut both = object.clone();
-            both.transform(&Similarity {
-                rotation: turn.as_dquat(),
-                scale: scale.into(),
-                translation: shift.as_dvec3(),
-            });
-            both.append(&other);
+            let both = joined(&object, &similarity(turn, scale, shift), &other);
             let expected = owned(&both, &camera, &settings);
             let matrix = glam::Mat4::from_scale_rotation_translation(Vec3::splat(scale), turn, shift);
             let pose = Pose::from_matrix(matrix).expect("a uniform scale");

@@ -2,8 +2,8 @@
 
 use crate::auxiliary::truth::{Screens, of_half};
 use crate::scene_settings::HIDDEN;
+use crate::scenes::{joined, similarity};
 use crate::stage::*;
-use ashsplat::scene::Similarity;
 use ashsplat::vk::SURFACE_FORMATS;
 use ashsplat::{SurfaceDepth, SurfaceTarget};
 
@@ -18,13 +18,7 @@ fn recorded_surfaces_equal_those_of_waited_frames() {
         let scenes = [&object, &other].map(|gaussians| uploaded(&context, gaussians));
         let (turn, shift, scale) = (Quat::from_rotation_z(0.5), Vec3::new(0.3, -0.2, 0.5), 1.25);
         let pose = Pose { world_from_object: Mat3::from_quat(turn), translation: shift, scale };
-        let mut both = object.clone();
-        both.transform(&Similarity {
-            rotation: turn.as_dquat(),
-            scale: scale.into(),
-            translation: shift.as_dvec3(),
-        });
-        both.append(&other);
+        let both = joined(&object, &similarity(turn, scale, shift), &other);
         let mut placed = vec![Placed::at(&scenes[0], pose), Placed::from(&scenes[1])];
         placed.extend([Placed { settings: HIDDEN, ..Placed::from(&scenes[1]) }; 10]);
         let frame = frame_of(&placed, &view);
@@ -35,7 +29,7 @@ fn recorded_surfaces_equal_those_of_waited_frames() {
             let wanted = Reservation { scenes: 12, surface: Some(depth), ..wanted };
             let mut renderer = reserved(&context, &wanted);
             let plain = rendered(host, &mut renderer, &frame);
-            // With other outputs, whichever of them a frame has.
+            // The picture stays the same, whichever outputs a frame has.
             let screens = Screens::new(host, &context, SIZE);
             let mut all = reserved(&context, &Reservation { pick: true, motion: true, ..wanted });
             let picture =
