@@ -184,7 +184,7 @@ impl Matcher {
 /// Progress of a stage by COLMAP's output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Heard {
-    /// This many of that many steps.
+    /// Finished steps, and all steps.
     Of(u64, u64),
     /// Number of photographs with a camera.
     Registered(u64),

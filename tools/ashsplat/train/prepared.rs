@@ -56,7 +56,6 @@ pub fn split(dataset: Dataset, settings: &Settings) -> (Data, Views) {
     (Data { train, scene_extent }, Views { trained, test, cameras, used, frame, takers, held_out })
 }
 
-/// Makes the training view of a view.
 fn train_view(view: View) -> TrainView {
     TrainView::new(view.camera, view.photo)
         .taken_by(view.camera_id)
