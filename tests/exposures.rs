@@ -7,7 +7,7 @@ use ashsplat::train::{OptimizerType, Preset};
 use ashsplat_files::metrics;
 
 const VIEWS: usize = 10;
-/// Views with known gains of their channels. Their mean is 1, as the mean of all exposures stays.
+/// Views with known gains of their channels. Their mean is 1, because training keeps the mean of all exposures.
 const CHANGED: [(usize, [f32; 3]); 3] =
     [(1, [0.75, 0.75, 0.75]), (4, [0.95, 1.0, 1.05]), (8, [1.3, 1.25, 1.2])];
 

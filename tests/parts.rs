@@ -244,7 +244,7 @@ impl LossTerm for Nearer {
     }
 }
 
-/// The parts of these settings, with another loss term.
+/// The parts of these settings, with `term` as their only loss term.
 fn with_term(context: &Context, settings: &TrainSettings, term: impl LossTerm + 'static) -> TrainParts {
     TrainParts { terms: vec![Box::new(term)], ..TrainParts::of_settings(context, settings).expect("parts") }
 }

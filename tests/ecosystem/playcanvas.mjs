@@ -29,7 +29,7 @@ const engine = () => {
     return text;
 };
 
-// Milliseconds of processors that the browser's processes have had: all that descend from this one.
+// Processor milliseconds of the browser's processes, which all descend from this one.
 const cpuMilliseconds = () => {
     const parents = new Map();
     for (const id of readdirSync('/proc').filter((name) => /^\d+$/.test(name))) {
@@ -37,7 +37,7 @@ const cpuMilliseconds = () => {
             const stat = readFileSync(`/proc/${id}/stat`, 'utf8');
             parents.set(id, stat.slice(stat.lastIndexOf(')') + 2).split(' ')[1]);
         } catch (error) {
-            // It has ended.
+            // The process has ended.
         }
     }
     const descends = (id) => {
@@ -51,7 +51,7 @@ const cpuMilliseconds = () => {
                 sum += Number(readFileSync(`/proc/${id}/task/${task}/schedstat`, 'utf8').split(' ')[0]);
             }
         } catch (error) {
-            // It has ended.
+            // The process has ended.
         }
     }
     return String(sum * 1e-6);
