@@ -46,7 +46,7 @@ layout(push_constant, scalar) uniform Push {
     float rate;
     // 1 / sqrt(1 - b2^t).
     float inverse_bias_2;
-    // Factor of each value in its gradient.
+    // Weight decay: factor of each value in its gradient.
     float decay;
     // With SPARSE: distance per rate.
     float sparsity;

@@ -347,7 +347,7 @@ struct Spread {
     vec3 row_y;
     vec3 bend_x;
     vec3 bend_y;
-    // m
+    // m, the motion of the mean.
     vec2 shift;
 };
 
@@ -361,7 +361,7 @@ vec2 offset_of(vec3 at, vec2 center) {
     return offset;
 }
 
-// True for points far outside the picture of a lens on the plane. There a lens's polynomial grows as no lens does, and
+// True for points far outside the picture of a planar lens. There a lens's polynomial grows as no real lens does, and
 // positions of pinholes have no bound, so Gaussians beside the camera would cover the picture.
 bool is_far(vec3 at) {
     float s = dot(at.xy, at.xy) / (at.z * at.z);

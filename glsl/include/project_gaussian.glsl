@@ -37,7 +37,7 @@ struct ProjectedGaussian {
     float det;             // determinant after the dilation
 #ifdef LENSES
     Spread spread;         // its rows replace those of the Jacobian if it is valid
-    // In the space of the camera halfway; those above are in that of the camera that reads the mean, at `time`.
+    // In the space of the camera halfway. mean_camera and axes_camera are in that of the camera at `time`.
     vec3 mean_halfway;
     mat3 axes_halfway;
     float time;

@@ -30,8 +30,8 @@ pub mod views;
 /// at it from one side, else a path along them (--motion).
 ///
 /// EXR files hold linear light (R G B: the sRGB curve of the photographs undone, on the background), A = 1 - transmittance,
-/// and Z = depth along the view axis in the scene's units, infinite where nothing was blended (--depth). To be composed over
-/// For compositing, use --transparent: R G B are then premultiplied by A.
+/// and Z = depth along the view axis in the scene's units, infinite where nothing was blended (--depth). For compositing,
+/// use --transparent: R G B are then premultiplied by A.
 ///
 /// A camera path is a JSON list in the format of a model folder's cameras.json: [{"id", "img_name", "width",
 /// "height", "position": [x, y, z], "rotation": 3 rows of the rotation from camera (x right, y down, z forward) to

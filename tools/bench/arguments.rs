@@ -105,7 +105,7 @@ pub struct FrameArguments {
     pub output: OutputArguments,
 }
 
-/// `train`. Its windows say how many iterations are measured.
+/// Arguments of `train`. Its windows determine how many iterations are measured.
 #[derive(Args)]
 pub struct TrainArguments {
     /// The data set

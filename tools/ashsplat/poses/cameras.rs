@@ -140,7 +140,7 @@ impl Cameras<'_> {
         let cameras = if cameras == 1 { "1 camera".into() } else { format!("{cameras} cameras") };
         let log = work.path(LOG_FILE);
         let wanted = self.gpu;
-        // Features from the processor are as good: an earlier run may have found that the GPU fails.
+        // Also accepts features from the processor: an earlier run may have found that the GPU fails.
         for gpu in [false, wanted] {
             self.gpu = gpu;
             if work.has_features(&self.key(work)?) {

@@ -369,7 +369,7 @@ static void own(char **arguments) {
             EXPECT(right == 0 && down == -1);
             continue;
         }
-        /* The rising scene's share lies between the weight of its picked Gaussian and what the others leave. */
+        /* The mean motion gives the rising scene's share of the weights, which the pick of this or another scene bounds. */
         float share = -down / rise;
         EXPECT(right > 2.99f && right < 3.01f && share > -0.01f && share < 1.01f);
         if (pixel[i][1] == 3) {

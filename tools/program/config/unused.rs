@@ -10,7 +10,7 @@ use toml::Table;
 struct Use {
     names: &'static [&'static str],
     is_used: fn(&Settings) -> bool,
-    /// Name of what uses them.
+    /// The option or kind of training that uses them.
     by: &'static str,
 }
 
