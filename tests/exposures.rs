@@ -31,8 +31,8 @@ fn truth() -> Gaussians {
     gaussians(&scene)
 }
 
-/// Every `share`-th Gaussian of the same scene, gray and faint. All of them can reproduce the photographs, a third
-/// cannot: exposures then compensate. With a third, those of unchanged photographs were off by 3.4 %, at any rate.
+/// Every `share`-th Gaussian of the same scene, gray and faint. All of them can reproduce the photographs, a third cannot:
+/// exposures then compensate. With a third, exposures of unchanged photographs were off by 3.4 %, at any learning rate.
 fn gray(share: usize) -> Gaussians {
     let all = truth();
     let kept: Vec<usize> = (0..all.len()).filter(|i| i % share == 0).collect();
@@ -112,7 +112,7 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     let restless = TrainSettings { exposure_sparsity: 0.0, ..with.clone() };
     let (_, moving) = train(&gpu, &few, [&taken, &shown], &restless);
     let (_, exposures) = train(&gpu, &gray(1), [&taken, &shown], &with);
-    // Exposed mean colour of the photograph.
+    // Compares exposed mean colours of photographs.
     let mut worst: f32 = 0.0;
     for (view, gains) in CHANGED {
         let pixels = shown[view].to_f32();

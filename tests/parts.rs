@@ -158,7 +158,7 @@ fn between(act: impl FnMut(&mut Population) -> Result<()> + Send + 'static) -> T
     parts_of(Between(act))
 }
 
-/// Keeping a missing Gaussian, or none, is refused, and the set stays.
+/// A strategy that keeps a missing Gaussian, or no Gaussian at all, is refused, and the set stays.
 #[test]
 fn a_strategy_cannot_keep_what_does_not_exist() {
     let parts = || {

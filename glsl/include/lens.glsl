@@ -40,7 +40,7 @@ struct LensGradient {
 
 LensGradient d_lens;
 
-// Gradient of the coefficients of g and of its derivative by s, which are weighted with `of_g` and `of_slope`.
+// Adds the gradients of the coefficients of g: `of_g` is dL/dg, `of_slope` is dL/d(dg/ds).
 void add_polynomial(uint word, uint power, float s, float of_g, float of_slope) {
     float below = 1.0;
     for (uint k = 1; k < power; ++k) {

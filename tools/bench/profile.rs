@@ -96,7 +96,7 @@ pub struct Arguments {
 impl Arguments {
     /// Default number of measured iterations.
     const FRAMES: u32 = 20;
-    /// Default number of iterations before them.
+    /// Default number of iterations before the measured ones.
     const WARMUP: u32 = 3;
 
     fn what(&self) -> What {
