@@ -25,7 +25,6 @@ const SAID: usize = 3;
 const ADVICE: &str = "take more photographs: each overlapping the next by two thirds, from places some steps apart (not turning \
                       on the spot), sharp, of a scene that has texture and does not move";
 
-/// Finds cameras.
 pub struct Cameras<'a> {
     pub arguments: &'a Arguments,
     pub colmap: &'a Colmap,
@@ -42,7 +41,6 @@ pub struct Found {
     pub model: PathBuf,
     pub registered: HashSet<String>,
     pub points: usize,
-    /// Number of models.
     pub models: usize,
 }
 

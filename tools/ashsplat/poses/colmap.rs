@@ -20,7 +20,6 @@ const MAX_SIDE_WITHOUT_GPU: u32 = 2000;
 /// Number of blocks of photographs that are compared with each other.
 const BLOCKS: usize = 6;
 
-/// An installed COLMAP.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Colmap {
     program: OsString,

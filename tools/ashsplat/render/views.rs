@@ -115,7 +115,6 @@ impl Arguments {
         })
     }
 
-    /// The requested views.
     pub fn choose(&self, model: &Model, scene: &Scene, film: Option<Container>) -> Result<Views> {
         let own = model.cameras_file();
         let unsaid = film.is_some() && self.source_path.is_none() && self.path.is_none();

@@ -38,7 +38,6 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
     }
 }
 
-/// One connection.
 async fn attend(stream: Watched, router: Router) {
     let (connection, limits) = (stream.connection.clone(), *stream.connections.limits());
     let answering = connection.clone();
