@@ -53,12 +53,13 @@ pub fn trials() -> Vec<Trial> {
         let name = format!("gltf_validator_accepts_our_{}", ending(format));
         cases.push((name, format, the_validator_accepts_ours));
     }
-    let others: [(&str, Check); 4] = [
+    let others: [(&str, Check); 5] = [
         ("splat_transform_writes_sog_for_us", |modules, _| we_decode_their_sog(modules)),
         ("splat_transform_moves_as_we_do_ply", we_move_alike),
         ("playcanvas_shows_a_trained_scene_ply", |modules, _| {
             playcanvas::shows_a_trained_scene(modules, &trained_scene());
         }),
+        ("playcanvas_shows_our_streamed_sog", |modules, _| playcanvas::shows_our_streamed_sog(modules)),
         ("viewer_in_chromium_ply", viewer_works_in_chromium),
     ];
     for (name, check) in others.into_iter().chain(cesium::TRIALS).chain(tiles::TRIALS) {

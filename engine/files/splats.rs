@@ -14,6 +14,7 @@ mod ksplat;
 mod sog;
 mod spz;
 mod stream;
+mod streamed_sog;
 mod usda;
 mod validation;
 
@@ -26,12 +27,14 @@ use validation::PackingLoss;
 
 pub(super) use convert::OriginSample;
 pub use convert::{ConvertOptions, Converted, Input, Target, convert, join, place};
-pub(crate) use format::{FARTHEST, MAX_COMPRESSED_LOG_SCALE};
+pub(crate) use format::{FARTHEST, LOD_META, MAX_COMPRESSED_LOG_SCALE, write_origin};
 pub use format::{Format, foreign, is_sog};
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION, mirrored};
 pub(super) use gltf_write::glb_head;
+pub(super) use sog::write_folder as write_sog_folder;
 pub(super) use stream::{BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, is_kernel_size};
 pub use stream::{Header, ReadOptions, Scene, WriteOptions, row_bytes};
+pub(super) use streamed_sog::{Asset, Bound, LodMeta, Region, Run};
 
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.
 ///
@@ -168,7 +171,7 @@ fn write_blocks(
 
 pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
     if path.is_dir() && is_sog(path) {
-        return Ok(Reader::new(path, Box::new(sog::Sog::open(&path.join(format::META), options)?), options));
+        return Ok(Reader::new(path, sog::open(path, options)?, options));
     }
     let source: Box<dyn Source + 'a> = match Format::of_file(path)? {
         Format::Ply => Box::new(ply::GaussianRows::open(path)?),
@@ -176,7 +179,7 @@ pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'
         Format::Splat => Box::new(dot_splat::DotSplat::open(path)?),
         Format::Spz => Box::new(spz::Spz::open(path)?),
         format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format, options)?),
-        Format::Sog => Box::new(sog::Sog::open(path, options)?),
+        Format::Sog => sog::open(path, options)?,
         Format::Usda => Box::new(usda::Usda::open(path, options)?),
         Format::Ksplat => Box::new(ksplat::Ksplat::open(path)?),
     };

@@ -1,6 +1,7 @@
 //! A scene as a tree of tiles in which coarser tiles are merged from finer ones: 3D Tiles 1.1 with
 //! `KHR_gaussian_splatting` in GLB.
 
+mod streamed_sog;
 mod tree;
 
 use std::fs::{self, File};
@@ -19,6 +20,7 @@ use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Bounds, Cells, Gaussians, Similarity};
 use ashsplat::{Error, Result};
 
+pub use streamed_sog::write_streamed_sog;
 pub use tree::{Demand, TILESET_FILE, Tile as TreeTile, Tree};
 
 /// Number of Gaussians of finer tiles that become one of the coarser tile: on surfaces, half of the resolution.
@@ -85,11 +87,30 @@ pub fn write(
     measure: &mut Measure<'_>,
     progress: &Progress<'_>,
 ) -> Result<Tiling> {
+    in_new_folder(folder, |folder| {
+        let spill = Spill::of(input, folder, options.most, read, progress)?;
+        let done = Tiling {
+            gaussians: spill.means.len() as u64,
+            warnings: spill.warnings.clone(),
+            ..Tiling::default()
+        };
+        let losses = PartLosses::default();
+        let mut writer = TileWriter { spill, input, folder, options, measure, progress, done, losses };
+        let steps = steps(&writer.spill.means, &writer.spill.cells, options.most)?;
+        let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
+        write_tileset(&folder.join(TILESET_FILE), &root, writer.spill.origin, options.packed)?;
+        let mut done = Tiling { levels: root.levels, ..writer.done };
+        done.warnings.extend(writer.losses.line("tiles"));
+        Ok(done)
+    })
+}
+
+/// Makes a folder beside its later place, and moves it there when it is whole. Its [`ROWS`] are removed.
+fn in_new_folder<T>(folder: &Path, fill: impl FnOnce(&Path) -> Result<T>) -> Result<T> {
     let is_empty = |folder: &Path| fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
     if folder.symlink_metadata().is_ok() && !is_empty(folder) {
         return Err(Error::input(folder, "is there already", "give another folder, or remove it"));
     }
-    // The tree is written beside the folder and renamed at the end.
     if folder.is_symlink() || folder.file_name().is_none() {
         return Err(Error::input(folder, "cannot be replaced by a new folder", "give the name of one"));
     }
@@ -100,19 +121,7 @@ pub fn write(
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
     let unfinished = builder.prefix(".tiles").tempdir_in(beside);
     let unfinished = unfinished.on(beside, "write into")?;
-    let spill = Spill::of(input, unfinished.path(), options.most, read, progress)?;
-    let done =
-        Tiling { gaussians: spill.means.len() as u64, warnings: spill.warnings.clone(), ..Tiling::default() };
-    let mut writer =
-        TileWriter { spill, input, folder: unfinished.path(), options, measure, progress, done, loss: None };
-    let steps = steps(&writer.spill.means, &writer.spill.cells, options.most)?;
-    let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
-    write_tileset(&unfinished.path().join(TILESET_FILE), &root, writer.spill.origin, options.packed)?;
-    let mut done = Tiling { levels: root.levels, ..writer.done };
-    done.warnings.extend(writer.loss.map(|(line, others)| match others {
-        0 => line,
-        others => format!("{line}; the same for {others} other tiles"),
-    }));
+    let filled = fill(unfinished.path())?;
     fs::remove_dir(unfinished.path().join(ROWS)).writing(folder)?;
     let whole = unfinished.keep();
     let renamed = if is_empty(folder) { fs::remove_dir(folder) } else { Ok(()) };
@@ -120,7 +129,27 @@ pub fn write(
         fs::remove_dir_all(&whole).ok();
         Error::input(folder, format!("cannot be written: {e}"), "give a folder that is not there yet")
     })?;
-    Ok(done)
+    Ok(filled)
+}
+
+/// The first warning about losses in a part of a scene, and the number of further ones.
+#[derive(Default)]
+struct PartLosses(Option<(String, usize)>);
+
+impl PartLosses {
+    fn add(&mut self, part: &str, line: String) {
+        match &mut self.0 {
+            Some((_, others)) => *others += 1,
+            first => *first = Some((format!("{part}: {line}"), 0)),
+        }
+    }
+
+    fn line(self, parts: &str) -> Option<String> {
+        self.0.map(|(line, others)| match others {
+            0 => line,
+            others => format!("{line}; the same for {others} other {parts}"),
+        })
+    }
 }
 
 /// Folder of the scene's rows until their tile is written.
@@ -276,8 +305,7 @@ struct TileWriter<'a, 'm> {
     measure: &'a mut Measure<'m>,
     progress: &'a Progress<'a>,
     done: Tiling,
-    /// The first warning about losses in a tile, and the number of further tiles with losses.
-    loss: Option<(String, usize)>,
+    losses: PartLosses,
 }
 
 impl TileWriter<'_, '_> {
@@ -334,9 +362,8 @@ impl TileWriter<'_, '_> {
                 }
                 other => other,
             })?;
-        match &mut self.loss {
-            Some((_, others)) => *others += usize::from(loss.is_some()),
-            first => *first = loss.map(|line| (format!("{name}: {line}"), 0)),
+        if let Some(line) = loss {
+            self.losses.add(&name, line);
         }
         self.done.tiles += 1;
         self.done.leaves += usize::from(children.is_empty());
@@ -355,12 +382,18 @@ fn enclosing(a: Bounds, b: Bounds) -> Bounds {
 
 /// The box that the Gaussians reach.
 fn reach(all: &Gaussians) -> Bounds {
+    box_around(all, |index| {
+        let covariance = covariance_of(all, index);
+        DVec3::from_array([0, 1, 2].map(|axis| REACH * covariance.col(axis)[axis].sqrt()))
+    })
+}
+
+/// The box of Gaussians that have these half sides.
+fn box_around(all: &Gaussians, half: impl Fn(usize) -> DVec3) -> Bounds {
     let nothing = Bounds { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
     let own = |index: usize| {
-        let covariance = covariance_of(all, index);
-        let half = [0, 1, 2].map(|axis| (REACH * covariance.col(axis)[axis].sqrt()).min(MOST_REACH) as f32);
-        let (mean, half) = (Vec3::from_array(all.means[index]), Vec3::from_array(half));
-        Bounds { min: mean - half, max: mean + half }
+        let (mean, half) = (Vec3::from_array(all.means[index]), half(index).min(DVec3::splat(MOST_REACH)));
+        Bounds { min: mean - half.as_vec3(), max: mean + half.as_vec3() }
     };
     (0..all.len()).map(own).fold(nothing, enclosing)
 }

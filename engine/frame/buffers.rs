@@ -199,9 +199,9 @@ buffer_set! {
     pub gradients: backward * visible * 16 * u64::from(GRADIENT_PLANES), ProjectBackward..=Update;
     /// Per subgroup of visible Gaussians, indexed as subgroups of all Gaussians: sums of dL/dν and dL/dω of the camera's
     /// pose, two vec3. Behind them, from `first_lens_sum` on, per culling block of visible Gaussians: sums of the gradient of the
-    /// lens.
-    pub pose_sums: backward * (u64::from(first_lens_sum(capacity)) * 12 + gaussian_blocks * LENS_SUM_BYTES),
-        BlendBackward..=Update;
+    /// lens. See [`Self::camera_sums`].
+    pose_sums: backward * u64::from(capacity.camera_sums)
+        * (u64::from(first_lens_sum(capacity)) * 12 + gaussian_blocks * LENS_SUM_BYTES), BlendBackward..=Update;
     /// Per Gaussian: a plane through which densification moves the others.
     pub moved_plane: trained * gaussians.next_multiple_of(PLANE_ROW.into()) * 16, BetweenSteps..=BetweenSteps;
     /// Per pixel: 1 + index of the picked Gaussian in its tile's list, 0 for none; bits of its weight.
@@ -370,6 +370,12 @@ impl FrameBuffers {
     /// bound but neither read nor written.
     pub fn absolute_gradients(&self, absolute: bool) -> &Buffer {
         if absolute { &self.instance_gradients_d } else { &self.instance_gradients_c }
+    }
+
+    /// Sums for the gradients of the camera's pose and lens. Unless the frame has them, another buffer, which is bound but neither
+    /// read nor written.
+    pub fn camera_sums(&self, capacity: &FrameCapacity) -> &Buffer {
+        if capacity.camera_sums { &self.pose_sums } else { &self.gradients }
     }
 
     /// The attributes of the visible Gaussians.

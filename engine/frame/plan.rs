@@ -160,6 +160,8 @@ pub struct FrameCapacity {
     pub backward: bool,
     /// True if these include the absolute gradients of the 2D means.
     pub absolute: bool,
+    /// True if these include the sums for the gradients of the camera's pose and lens.
+    pub camera_sums: bool,
     /// True if the frame has [`FrameBuffers::depth_sums`](super::FrameBuffers::depth_sums).
     pub depth: bool,
     /// True if the frame has [`FrameBuffers::last_entries`](super::FrameBuffers::last_entries) also without `backward`.
@@ -182,6 +184,7 @@ impl Default for FrameCapacity {
             blend_passes: 1,
             backward: false,
             absolute: false,
+            camera_sums: false,
             depth: false,
             last_entries: false,
             trained: false,

@@ -46,10 +46,10 @@ pub struct BackwardForm {
     /// [`FrameCapacity::absolute`](crate::frame::FrameCapacity::absolute).
     pub absolute: bool,
     /// Sums from which [`PoseGradient`](crate::passes::poses::PoseGradient) computes the gradient of the camera's pose. The scene
-    /// must have the scale 1.
+    /// must have the scale 1, and the frame [`FrameCapacity::camera_sums`](crate::frame::FrameCapacity::camera_sums).
     pub pose: bool,
     /// Sums from which [`LensGradient`](crate::passes::lens::LensGradient) computes the gradient of the lens. The camera must have
-    /// one.
+    /// one, and the frame the same sums.
     pub lens: bool,
 }
 
@@ -228,16 +228,17 @@ impl Backward {
         statistics: Statistics,
         form: BackwardForm,
     ) {
+        let sums = inputs.buffers.camera_sums(inputs.capacity);
         if form.lens {
             // Blocks without a visible Gaussian write no sum.
             let first = 12 * u64::from(first_lens_sum(inputs.capacity));
             let blocks = self.sizes.groups(inputs.scene().count);
-            r.fill(&inputs.buffers.pose_sums.range(first, blocks * LENS_SUM_BYTES), 0);
+            r.fill(&sums.range(first, blocks * LENS_SUM_BYTES), 0);
         }
         if form.pose {
             // Subgroups without a visible Gaussian write no sum.
-            let sums = inputs.scene().count.div_ceil(self.context.limits().heavy_subgroup_size);
-            r.fill(&inputs.buffers.pose_sums.range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
+            let subgroups = inputs.scene().count.div_ceil(self.context.limits().heavy_subgroup_size);
+            r.fill(&sums.range(0, u64::from(subgroups) * POSE_SUM_BYTES), 0);
         }
         if inputs.hidden_by.is_some() {
             // Instances of hidden tiles are not blended, and their gradients are 0.
@@ -317,8 +318,7 @@ impl Backward {
                 instance_gradients_d: f.absolute_gradients(inputs.capacity.absolute),
                 gradients: &f.gradients,
                 statistics: statistics.buffer,
-                // Without a gradient of the pose the kernel does not write this binding.
-                pose_sums: &f.pose_sums,
+                pose_sums: f.camera_sums(inputs.capacity),
                 camera_block: &f.camera_block(0),
             };
             r.dispatch_indirect(kernel, &bind, &push, &f.range_arguments(&self.sizes, range.first));

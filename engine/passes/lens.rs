@@ -23,7 +23,8 @@ impl LensGradient {
     /// Records the gradient after [`Backward::record`](crate::passes::backward::Backward::record) with a lens. `gradient` receives
     /// eighteen f32; [`Camera::lens_gradient`](crate::Camera::lens_gradient) converts the first sixteen.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, gradient: &Buffer) {
-        let bind = lens_gradient::Bind { lens_sums: &inputs.buffers.pose_sums, lens_gradient: gradient };
+        let lens_sums = inputs.buffers.camera_sums(inputs.capacity);
+        let bind = lens_gradient::Bind { lens_sums, lens_gradient: gradient };
         let (begin, sums) =
             (3 * first_lens_sum(inputs.capacity), inputs.scene().count.div_ceil(self.sum_gaussians));
         r.dispatch(&self.kernel, &bind, &lens_gradient::Push { begin, sums }, 1);

@@ -54,7 +54,7 @@ impl PoseGradient {
         gradient: &Buffer,
     ) {
         let bind = pose_gradient::Bind {
-            pose_sums: &inputs.buffers.pose_sums,
+            pose_sums: inputs.buffers.camera_sums(inputs.capacity),
             pose_parameters: parameters,
             pose_gradient: gradient,
         };

@@ -93,7 +93,8 @@ impl FrameStore {
             context: context.clone(),
             sizes: LaunchSizes::new(context.limits()),
             readback,
-            expected: FrameCapacity::default(),
+            // Any frame of a renderer may get the gradient of its camera.
+            expected: FrameCapacity { camera_sums: true, ..FrameCapacity::default() },
             loss_scratch: Vec::new(),
             requested: FrameCapacity::default(),
             capacity: FrameCapacity::default(),
@@ -101,7 +102,7 @@ impl FrameStore {
         })
     }
 
-    /// Makes later allocations large enough for a training's frames, before they come: their pictures, absolute gradients,
+    /// Makes later allocations large enough for a training's frames, before they come: their pictures, sums of gradients,
     /// scratch of the loss, and memory between steps.
     pub fn expect(&mut self, shape: FrameCapacity, loss_scratch: Vec<(&'static str, u64)>) {
         (self.expected, self.loss_scratch) = (shape, loss_scratch);
@@ -130,6 +131,7 @@ impl FrameStore {
             pictures,
             backward,
             absolute: backward && self.expected.absolute,
+            camera_sums: backward && self.expected.camera_sums,
             depth,
             last_entries,
             trained: self.expected.trained,
@@ -150,6 +152,7 @@ impl FrameStore {
             blend_passes: current.blend_passes,
             backward: backward || current.backward,
             absolute: requested.absolute || current.absolute,
+            camera_sums: requested.camera_sums || current.camera_sums,
             depth: depth || current.depth,
             last_entries: last_entries || current.last_entries,
             trained: requested.trained,

@@ -212,9 +212,16 @@ impl Model {
 
 /// Returns the capacity of a training's frames, except for the counts. `scenes`: 2 with frozen Gaussians.
 pub(super) fn frame_shape(pictures: PictureCapacity, scenes: u32, recorder: &StepRecorder) -> FrameCapacity {
-    let (absolute, depth) = (recorder.absolute, recorder.base_settings().inverse_depth);
-    let usual = FrameCapacity { backward: true, trained: true, ..FrameCapacity::default() };
-    FrameCapacity { pictures, scenes, absolute, depth, ..usual }
+    FrameCapacity {
+        pictures,
+        scenes,
+        backward: true,
+        absolute: recorder.absolute,
+        camera_sums: recorder.differentiates_cameras(),
+        depth: recorder.base_settings().inverse_depth,
+        trained: true,
+        ..FrameCapacity::default()
+    }
 }
 
 impl Capacities {

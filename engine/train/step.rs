@@ -164,6 +164,11 @@ impl StepRecorder {
         others.picture.is_none() && !others.inverse_depth
     }
 
+    /// True if steps have the gradient of the camera's pose or lens.
+    pub fn differentiates_cameras(&self) -> bool {
+        self.poses || self.lens.is_some()
+    }
+
     fn backward_form(&self, absolute: bool) -> BackwardForm {
         BackwardForm { absolute, pose: self.poses, lens: self.lens.is_some() }
     }

@@ -134,7 +134,6 @@ fn scenes_of_other_programs_are_named() {
     pack("model.ckpt", &[("archive/data.pkl", b"")]);
     pack("set.zip", &[("points.ply", &ply), ("images/a.jpg", b"")]);
     place.write("sog/scene.json", meta);
-    place.write("streamed/lod-meta.json", br#"{"lodLevels":4}"#);
     place.write("foreign/tileset.json", br#"{"asset":{"version":"1.1"},"geometricError":9,"root":{}}"#);
     place.write("scene.ply.gz", &gzip);
     place.write("packed.ply", &gzip);
@@ -144,7 +143,6 @@ fn scenes_of_other_programs_are_named() {
     let unpack = format!("`gzip -dc {} > {}`", named("scene.ply.gz"), named("scene.ply"));
     for (name, words) in [
         ("sog/scene.json", &["describes a SOG under another name", "name it meta.json"][..]),
-        ("streamed", &["is a streamed SOG", "splat-transform --select-lod 0"]),
         ("foreign", &["is no tree of Gaussians", "one .glb of it"]),
         ("foreign/tileset.json", &["is no tree of Gaussians", "one .glb of it"]),
         ("capture.zip", &["is a ZIP with a scene, a/point_cloud.ply", "`unzip "]),

@@ -11,7 +11,7 @@
 // A timed frame is `app.render()` and the reading of its pixels, which waits for them. The engine sorts in a worker when the
 // camera moves; here it stands still, so no sort is timed. The median is printed.
 import { readFileSync, readdirSync } from 'node:fs';
-import { basename, join } from 'node:path';
+import { basename, dirname, join } from 'node:path';
 import { BEGIN, show } from './browser.mjs';
 
 const [modules, scene, cameraFile, output] = process.argv.slice(2);
@@ -87,7 +87,7 @@ await new Promise((resolve, reject) => {
     app.assets.load(asset);
 });
 const splats = new pc.Entity('splats');
-splats.addComponent('gsplat', { asset: isGlb ? asset.resource.gsplats[0] : asset });
+splats.addComponent('gsplat', { asset: isGlb ? asset.resource.gsplats[0] : asset, unified: ${sceneName === 'lod-meta.json'} });
 // glTF has y up: x and y point the other way than in a PLY.
 if (isGlb) splats.setLocalEulerAngles(0, 0, 180);
 app.root.addChild(splats);
@@ -131,8 +131,10 @@ const files = {
     '/cpu': ['text/plain', cpuMilliseconds],
     ['/' + sceneName]: ['application/octet-stream', () => readFileSync(scene)]
 };
+// A streamed SOG has files beside it.
+const beside = (url) => ['application/octet-stream', () => readFileSync(join(dirname(scene), url))];
 const content = (url) => {
-    const [type, body] = files[url] ?? [];
+    const [type, body] = files[url] ?? beside(url);
     return type && [type, body()];
 };
 show(content, output);

@@ -5,7 +5,9 @@ use crate::common::engine::renderer;
 use crate::common::splats::scene;
 use ashsplat::RenderSettings;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat_files::Progress;
 use ashsplat_files::splats::{self, Format, WriteOptions};
+use ashsplat_files::tiles;
 use ashsplat_files::{Photo, PhotoFileFormat};
 use glam::{Mat3, Quat, Vec3};
 use std::path::Path;
@@ -28,6 +30,22 @@ pub fn shows_the_same(modules: &Path, format: Format) {
     });
     let bright = ours.rgb.iter().filter(|&&v| v > 60).count();
     assert!(bright > ours.rgb.len() / 4, "an empty picture proves nothing");
+}
+
+/// PlayCanvas streams our levels of detail. Near the scene it draws the finest.
+pub fn shows_our_streamed_sog(modules: &Path) {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene.ply");
+    splats::write(&scene, &ball(), &WriteOptions::default()).unwrap();
+    let tree = folder.path().join("tree");
+    tiles::write_streamed_sog(&scene, &tree, 1000, &Default::default(), &Progress::NONE).unwrap();
+    let (camera, picture) = (camera(), folder.path().join("playcanvas.png"));
+    let ours = render(&read(&tree), &camera);
+    once_more_with_patience(STILL_FRAMES, |still_frames| {
+        draw(modules, &tree.join("lod-meta.json"), &camera, &picture, (false, still_frames));
+        let theirs = Photo::read(&picture, [0.0; 3]).unwrap();
+        compare_at_least(LEAST_PSNR, "playcanvas_streamed_sog", &ours, &theirs)
+    });
 }
 
 /// Gaussians that fill the picture, with soft colours, because clamping differs at the limits of 8 bits.

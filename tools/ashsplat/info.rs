@@ -27,6 +27,9 @@ pub struct Arguments {
     /// Folder of a data set's photos
     #[arg(short, long, value_name = "NAME", default_value = "images")]
     images: String,
+    /// Sizes of a data set's photos as with train's -r
+    #[arg(short, long, value_name = "N", allow_negative_numbers = true, default_value = "-1")]
+    resolution: i32,
     /// Read a data set's photos as stored, or turned as their metadata (Exif) say
     #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME", default_value = "auto")]
     orientation: String,
@@ -89,6 +92,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn dataset(arguments: &Arguments) -> Result<()> {
     let data = DataSettings {
         images: arguments.images.clone(),
+        resolution: arguments.resolution,
         orientation: arguments.orientation.clone(),
         undistort: arguments.undistort,
         alpha: arguments.alpha.clone(),
@@ -139,6 +143,9 @@ fn dataset(arguments: &Arguments) -> Result<()> {
                 }
                 if arguments.images != "images" {
                     command += &format!(" --images {}", quoted(&arguments.images));
+                }
+                if arguments.resolution != -1 {
+                    command += &format!(" -r {}", arguments.resolution);
                 }
                 if arguments.orientation != "auto" {
                     command += &format!(" --orientation {}", quoted(&arguments.orientation));

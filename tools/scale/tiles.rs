@@ -16,7 +16,7 @@ use clap::Args;
 use likeness::Likeness;
 use std::path::PathBuf;
 
-/// Write a scene as a tree of tiles for viewers that stream: 3D Tiles 1.1 with KHR_gaussian_splatting in GLB.
+/// Write a scene as a tree of tiles for viewers that stream: 3D Tiles 1.1 with KHR_gaussian_splatting in GLB, or streamed SOG.
 ///
 /// Distant tiles are drawn with fewer Gaussians, merged from the others. A tile's geometric error is the difference between
 /// its picture and that of its finer tiles, measured by rendering both: its screen-space error is the root of the squared
@@ -36,6 +36,9 @@ pub struct Arguments {
     /// only form that CesiumJS reads
     #[arg(long)]
     spz: bool,
+    /// Write the streamed SOG of PlayCanvas instead, lod-meta.json: regions of so many Gaussians with several levels of detail
+    #[arg(long, conflicts_with = "spz")]
+    sog: bool,
     /// Drop the Gaussians whose parameters are not finite, instead of refusing them
     #[arg(long)]
     drop_invalid: bool,
@@ -59,26 +62,26 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::input(&arguments.out, "is a file", "give a folder that is not there yet"));
     }
     let stop = session::stop_on_ctrl_c()?;
-    let context = arguments.device.context()?;
     let read = arguments.device.host.reading(arguments.drop_invalid);
-    let look = look_of(&model.settings, &splats::header(&model.ply, &read)?);
-    let mut likeness = Likeness::new(Renderer::new(&context)?, look);
     let bar = counting("tiles", 0, arguments.quiet);
     let report = |done: usize, total: usize| {
         bar.set_length(total as u64);
         bar.set_position(done as u64);
     };
     let progress = Progress { report: Some(&report), interrupted: Some(&stop) };
-    let options = TileOptions { most: arguments.max_gaussians, packed: arguments.spz };
+    let most = arguments.max_gaussians;
     let done = output::in_folder(&arguments.out, |out| {
-        tiles::write(
-            &model.ply,
-            out,
-            &options,
-            &read,
-            &mut |fine, merged| likeness.difference(fine, merged),
-            &progress,
-        )
+        if arguments.sog {
+            return tiles::write_streamed_sog(&model.ply, out, most, &read, &progress);
+        }
+        let context = arguments.device.context()?;
+        let look = look_of(&model.settings, &splats::header(&model.ply, &read)?);
+        let mut likeness = Likeness::new(Renderer::new(&context)?, look);
+        let options = TileOptions { most, packed: arguments.spz };
+        let mut measure = |fine: &_, merged: &_| likeness.difference(fine, merged);
+        let done = tiles::write(&model.ply, out, &options, &read, &mut measure, &progress);
+        arguments.device.report_validation(&context);
+        done
     });
     bar.finish_and_clear();
     let done = done?;
@@ -86,7 +89,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         tell!("warning: {warning}");
     }
     if !arguments.quiet {
-        let out = arguments.out.join(TILESET_FILE);
+        let out = arguments.out.join(if arguments.sog { "lod-meta.json" } else { TILESET_FILE });
         let (tiles, leaves, levels) = (done.tiles, done.leaves, done.levels);
         let [own, written] = [done.gaussians, done.written].map(thousands);
         say!(
@@ -94,6 +97,5 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             out.display()
         );
     }
-    arguments.device.report_validation(&context);
     Ok(())
 }

@@ -9,6 +9,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::Outline;
+use super::streamed_sog::is_lod_meta;
 use crate::names::{has_photo_ending, quoted};
 use crate::regular_file;
 use crate::{atomic, ply};
@@ -160,8 +161,8 @@ impl Format {
             Self::Sog => Traits {
                 extension: ".sog",
                 name: "SOG",
-                read: "versions 1, 2, also the folder of a meta.json",
-                written: "version 2",
+                read: "versions 1, 2, also the folder of a meta.json, and the finest level of a lod-meta.json",
+                written: "version 2; with levels of detail by `ashsplat tiles --sog`",
                 rounded: "positions to 16 bits, the rest to bytes and palettes",
                 kernel_size: false,
                 ..USUAL
@@ -359,7 +360,7 @@ pub(super) fn read_origin(path: &Path) -> Result<DVec3> {
 }
 
 /// Writes the origin of a newly written file. A zero origin removes an earlier origin file.
-pub(super) fn write_origin(path: &Path, origin: DVec3) -> Result<()> {
+pub(crate) fn write_origin(path: &Path, origin: DVec3) -> Result<()> {
     let beside = origin_path(path);
     if origin == DVec3::ZERO {
         return match fs::remove_file(&beside) {
@@ -407,7 +408,7 @@ const CONVERTED: [(&str, &str, &str); 5] = [
 /// The error for a file or folder with a scene in an unread format; `None` for anything else.
 pub fn foreign(path: &Path) -> Option<Error> {
     if path.is_dir() {
-        return json(&path.join("lod-meta.json"));
+        return None;
     }
     let start = regular_file::start(path, MAGIC_BYTES).ok()?;
     if start.starts_with(b"PK\x03\x04") {
@@ -458,18 +459,10 @@ fn converted(path: &Path, ending: &str) -> Option<Error> {
     Some(Error::input(path, format!("{problem}, which is not read"), remedy))
 }
 
-/// The error for the description of a streamed SOG, or of a SOG under another name.
+/// The error for the description of a SOG under another name.
 fn json(path: &Path) -> Option<Error> {
     let text = start_of_text(path)?;
-    let has = |word: &str| text.contains(word);
-    let is_streamed = path.file_name().is_some_and(|name| name == "lod-meta.json") && has("\"lodLevels\"");
-    if is_streamed {
-        let out = path.with_file_name("scene.ply");
-        let remedy =
-            format!("make a PLY of it: `splat-transform --select-lod 0 {} {}`", shell(path), shell(&out));
-        return Some(Error::input(path, "is a streamed SOG, which is not read", remedy));
-    }
-    let describes_sog = has("\"means\"") && has(".webp\"");
+    let describes_sog = text.contains("\"means\"") && text.contains(".webp\"");
     (describes_sog && !is_meta(path))
         .then(|| Error::input(path, "describes a SOG under another name", "name it meta.json"))
 }
@@ -480,18 +473,23 @@ fn start_of_text(path: &Path) -> Option<String> {
 
 /// Name of the description of a SOG, in the ZIP or in the folder.
 pub(super) const META: &str = "meta.json";
+/// Name of the description of a streamed SOG.
+pub(crate) const LOD_META: &str = "lod-meta.json";
 
 /// True for the name of a description.
 pub(super) fn is_meta(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.eq_ignore_ascii_case(META))
 }
 
-/// True for a SOG: its ZIP, its `meta.json`, or the folder of that.
+/// True for a SOG: its ZIP, its `meta.json`, the `lod-meta.json` of a streamed one, or the folder of either.
 pub fn is_sog(path: &Path) -> bool {
     if path.is_dir() {
         // A model folder or a data set may hold one besides.
         let others = ["point_cloud", "sparse", "transforms.json", "transforms_train.json"];
-        return !others.iter().any(|name| path.join(name).exists()) && is_sog(&path.join(META));
+        return !others.iter().any(|name| path.join(name).exists()) && sog_in(path).is_some();
+    }
+    if is_lod_meta(path) {
+        return start_of_text(path).is_some_and(|text| text.contains("\"lodLevels\""));
     }
     if is_meta(path) {
         return start_of_text(path)
@@ -501,6 +499,11 @@ pub fn is_sog(path: &Path) -> bool {
         let has = |file: &str| names.iter().any(|name| name.rsplit('/').next() == Some(file));
         has(META) && (has("means_l.webp") || Format::by_name(path) == Some(Format::Sog))
     })
+}
+
+/// The description of a SOG in a folder.
+pub(super) fn sog_in(folder: &Path) -> Option<PathBuf> {
+    [META, LOD_META].map(|name| folder.join(name)).into_iter().find(|path| is_sog(path))
 }
 
 /// `None` for no ZIP: without its first bytes, the file is not searched for a directory.

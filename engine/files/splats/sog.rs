@@ -4,7 +4,7 @@
 //! Format: developer.playcanvas.com, "The SOG Format". Pixel `i` of each picture, row by row, belongs to Gaussian `i`.
 
 use std::cell::RefCell;
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{BufReader, Cursor, Read, Write};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -16,8 +16,10 @@ use zip::{CompressionMethod, System, ZipArchive, ZipWriter};
 
 use super::codebook::{LEVELS, Palette, scalar_codebook};
 use super::dot_splat::opacity_logit;
-use super::format::{META, is_meta, read_origin};
-use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, row_bytes};
+use super::format::{META, is_meta, read_origin, sog_in};
+use super::streamed_sog::{StreamedSog, is_lod_meta};
+use super::validation::check_readable;
+use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, WriteOptions, row_bytes};
 use crate::ply::{morton_order, pack_unorm, rotation_of_shares, shares_of_rotation};
 use crate::regular_file::{self, OnFile, damaged};
 use crate::{atomic, cost, host_memory};
@@ -115,6 +117,16 @@ pub(super) struct Sog {
     members: Members,
     meta: Meta,
     header: Header,
+}
+
+/// Opens a SOG or a streamed one: its ZIP, its description, or the folder of that.
+pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn Source>> {
+    let description = sog_in(path).filter(|_| path.is_dir());
+    let path = description.as_deref().unwrap_or(path);
+    Ok(match is_lod_meta(path) {
+        true => Box::new(StreamedSog::open(path, options)?),
+        false => Box::new(Sog::open(path, options)?),
+    })
 }
 
 /// RGBA of each pixel of a decoded picture, row by row.
@@ -411,7 +423,7 @@ pub(super) fn log_step(Bounds { min, max }: Bounds) -> f64 {
 pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     // Beside the Gaussians: the pictures, sorted values, SH vectors.
     let all = outline.in_memory(path, row_bytes(outline.sh_degree) + 64, produce)?;
-    let members = members(path, &all, outline)?;
+    let members = members(path, &all, &morton_order(&all.means), outline)?;
     atomic::write_seekable(path, |writer| {
         let mut archive = ZipWriter::new(writer);
         // By default an archive names the system that wrote it, and its bytes would differ between systems.
@@ -425,9 +437,29 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
     })
 }
 
-/// Names and contents of the files, the description last.
-fn members(path: &Path, all: &Gaussians, outline: &Outline) -> Result<Vec<(&'static str, Vec<u8>)>> {
-    let order = morton_order(&all.means);
+/// Writes Gaussians in this order into a new folder, as a description and the pictures beside it.
+pub(crate) fn write_folder(
+    folder: &Path,
+    all: &Gaussians,
+    order: &[usize],
+    options: &WriteOptions,
+) -> Result<()> {
+    check_readable(folder, all)?;
+    fs::create_dir(folder).on(folder, "create")?;
+    for (name, bytes) in members(folder, all, order, &Outline::of(all, options))? {
+        let path = folder.join(name);
+        fs::write(&path, bytes).writing(&path)?;
+    }
+    Ok(())
+}
+
+/// Names and contents of the files, the description last. `order` has an index of each Gaussian.
+fn members(
+    path: &Path,
+    all: &Gaussians,
+    order: &[usize],
+    outline: &Outline,
+) -> Result<Vec<(&'static str, Vec<u8>)>> {
     let count = order.len();
     let width = ((count as f64).sqrt() / 4.0).ceil().max(1.0) as usize * 4;
     let size = (width, count.div_ceil(width).max(1).next_multiple_of(4));
@@ -463,7 +495,7 @@ fn members(path: &Path, all: &Gaussians, outline: &Outline) -> Result<Vec<(&'sta
     let coefficients = sh_coefficients(all.sh_degree);
     let (color_book, colors) = scalar_codebook(&in_order(&all.sh, coefficients));
     let opacity = |&i: &usize| (255.0 * all.opacity(i)).round() as u8;
-    let colors = colors.as_chunks::<3>().0.iter().zip(&order).map(|(&[r, g, b], i)| [r, g, b, opacity(i)]);
+    let colors = colors.as_chunks::<3>().0.iter().zip(order).map(|(&[r, g, b], i)| [r, g, b, opacity(i)]);
     let quats = order.iter().map(|&i| pack_rotation(all.quats[i]));
     let mut files = vec![
         ("means_l.webp", Picture::rgb(&half(0), size).packed()),

@@ -1,0 +1,175 @@
+//! PlayCanvas' streamed SOG: regions with several levels of detail, whose Gaussians are runs of rows in SOG files.
+//!
+//! Format: `lod-meta.json`, version 1, as splat-transform 2.7 writes it. Level 0 is the finest. An environment, if there is one,
+//! is drawn with every level.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Component, Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::format::{LOD_META, read_origin};
+use super::sog::Sog;
+use super::{Format, Header, ReadOptions, Sink, Source};
+use crate::regular_file::{self, damaged};
+use ashsplat::{Error, Result};
+
+/// `lod-meta.json`.
+#[derive(Deserialize, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct LodMeta {
+    pub(crate) version: u32,
+    #[serde(default)]
+    pub(crate) asset: Asset,
+    /// Number of Gaussians of all levels, and of each.
+    #[serde(default)]
+    pub(crate) count: u64,
+    #[serde(default)]
+    pub(crate) counts: Vec<u64>,
+    pub(crate) lod_levels: u32,
+    /// A SOG beside the levels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) environment: Option<String>,
+    /// Descriptions of SOGs, relative to this file.
+    pub(crate) filenames: Vec<String>,
+    pub(crate) tree: Region,
+}
+
+#[derive(Default, Deserialize, Serialize)]
+pub(crate) struct Asset {
+    #[serde(default)]
+    pub(crate) generator: String,
+}
+
+/// A node of the tree: it has children, or levels.
+#[derive(Default, Deserialize, Serialize)]
+pub(crate) struct Region {
+    #[serde(default)]
+    pub(crate) bound: Bound,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) children: Vec<Region>,
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub(crate) lods: BTreeMap<u32, Run>,
+}
+
+/// Box around the Gaussians of all levels.
+#[derive(Clone, Copy, Default, Deserialize, Serialize)]
+pub(crate) struct Bound {
+    pub(crate) min: [f32; 3],
+    pub(crate) max: [f32; 3],
+}
+
+/// Consecutive Gaussians of a file.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+pub(crate) struct Run {
+    pub(crate) file: usize,
+    pub(crate) offset: u64,
+    pub(crate) count: u64,
+}
+
+impl LodMeta {
+    pub(crate) const VERSION: u32 = 1;
+
+    /// Rows of the finest level of each region, by file.
+    fn finest(&self) -> BTreeMap<usize, Vec<Range<u64>>> {
+        let mut rows = BTreeMap::<usize, Vec<Range<u64>>>::new();
+        let mut open = vec![&self.tree];
+        while let Some(region) = open.pop() {
+            open.extend(&region.children);
+            if let Some(run) = region.lods.values().find(|run| run.count > 0) {
+                rows.entry(run.file).or_default().push(run.offset..run.offset.saturating_add(run.count));
+            }
+        }
+        rows
+    }
+}
+
+/// An open streamed SOG. Its finest level is read.
+pub(super) struct StreamedSog {
+    options: ReadOptions,
+    header: Header,
+    /// SOGs with the rows that are read, in order and without overlaps.
+    parts: Vec<(PathBuf, Vec<Range<u64>>)>,
+}
+
+impl StreamedSog {
+    pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self> {
+        let text = regular_file::read_json(path)?;
+        let meta: LodMeta = serde_json::from_slice(&text).map_err(|e| damaged(path, e.to_string()))?;
+        if meta.version != LodMeta::VERSION {
+            let problem = format!("is version {} of a streamed SOG; 1 is known", meta.version);
+            return Err(Error::input(path, problem, "write it again as version 1"));
+        }
+        let mut header = Header::new(Format::Sog, 0, 0);
+        header.origin = read_origin(path)?;
+        if meta.lod_levels > 1 {
+            header.warnings.push(format!("the finest of {} levels of detail is used", meta.lod_levels));
+        }
+        let mut parts = Vec::new();
+        let whole = meta.environment.iter().map(|name| (name, vec![0..u64::MAX]));
+        let levels = meta.finest().into_iter().map(|(file, rows)| match meta.filenames.get(file) {
+            Some(name) => Ok((name, rows)),
+            None => Err(damaged(path, format!("a region is in file {file}, which filenames do not list"))),
+        });
+        for part in levels.chain(whole.map(Ok)) {
+            let (name, rows) = part?;
+            let inside = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+            if !inside || name.contains([':', '\\']) {
+                return Err(damaged(path, format!("{name:?} does not lie in its folder")));
+            }
+            let file = path.with_file_name(name);
+            let sog = Sog::open(&file, options)?;
+            let Header { count, sh_degree, antialiased, .. } = *sog.header();
+            let rows = joined(rows, count);
+            let rows =
+                rows.ok_or_else(|| damaged(path, format!("a region ends behind the end of {name}")))?;
+            header.count += rows.iter().map(|rows| rows.end - rows.start).sum::<u64>();
+            header.sh_degree = header.sh_degree.max(sh_degree);
+            if antialiased != header.antialiased && !parts.is_empty() {
+                return Err(damaged(path, "only some of its files want antialiasing"));
+            }
+            header.antialiased = antialiased;
+            parts.push((file, rows));
+        }
+        Ok(Self { options: *options, header, parts })
+    }
+}
+
+/// Sorts rows and joins those that touch or overlap. `None` if there are fewer; a range without end is that of all rows.
+fn joined(mut all: Vec<Range<u64>>, count: u64) -> Option<Vec<Range<u64>>> {
+    all.sort_by_key(|rows| rows.start);
+    let mut joined = Vec::<Range<u64>>::new();
+    for Range { start, end } in all {
+        let end = if end == u64::MAX { count } else { end };
+        match joined.last_mut().filter(|last| start <= last.end) {
+            Some(last) => last.end = last.end.max(end),
+            None => joined.push(start..end),
+        }
+    }
+    joined.last().is_none_or(|last| last.end <= count).then_some(joined)
+}
+
+impl Source for StreamedSog {
+    fn header(&self) -> &Header {
+        &self.header
+    }
+
+    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
+        for (file, rows) in &self.parts {
+            let mut first = 0;
+            Sog::open(file, &self.options)?.blocks(&mut |mut block| {
+                let begin = first;
+                first += block.len() as u64;
+                block.retain(|_, index| rows.iter().any(|rows| rows.contains(&(begin + index as u64))));
+                sink(block.with_sh_degree(self.header.sh_degree))
+            })?;
+        }
+        Ok(())
+    }
+}
+
+/// True for the name of a description.
+pub(super) fn is_lod_meta(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.eq_ignore_ascii_case(LOD_META))
+}

@@ -1,0 +1,177 @@
+//! Writes a scene as PlayCanvas' streamed SOG.
+
+use std::path::Path;
+
+use glam::{DMat3, DQuat, DVec3};
+
+use super::{MERGED, PartLosses, Spill, Tiling, box_around, enclosing, in_new_folder};
+use crate::atomic;
+use crate::decimate::decimate;
+use crate::ply::morton_order;
+use crate::progress::Progress;
+use crate::splats::{
+    self, Asset, Bound, Format, LOD_META, LodMeta, ReadOptions, Region, Run, WriteOptions, write_origin,
+    write_sog_folder,
+};
+use ashsplat::Result;
+use ashsplat::scene::{Bounds, Gaussians};
+
+/// Number of Gaussians at which a file ends. It holds several regions of one level.
+const FULL_FILE: usize = 1 << 19;
+/// Smallest number of Gaussians of a level, unless the scene has fewer.
+const LEAST_IN_LEVEL: usize = 4096;
+
+/// Writes a scene as a streamed SOG into a new folder: `lod-meta.json`, and SOGs in folders beside it. The same scene gives the
+/// same bytes.
+///
+/// A k-d tree ([`Cells`](ashsplat::scene::Cells)) divides the scene into regions of at most `most` Gaussians. Each level of a region
+/// has a quarter of the Gaussians of the finer one, merged by [`decimate`].
+///
+/// # Errors
+/// As [`super::write`].
+pub fn write_streamed_sog(
+    input: &Path,
+    folder: &Path,
+    most: usize,
+    read: &ReadOptions,
+    progress: &Progress<'_>,
+) -> Result<Tiling> {
+    in_new_folder(folder, |folder| {
+        let spill = Spill::of(input, folder, most, read, progress)?;
+        let gaussians = spill.means.len();
+        let levels = 1 + std::iter::successors(Some(gaussians / MERGED), |count| Some(count / MERGED))
+            .take_while(|count| *count >= LEAST_IN_LEVEL)
+            .count();
+        let options = WriteOptions {
+            antialiased: spill.antialiased,
+            kernel_size: spill.kernel_size,
+            ..WriteOptions::default()
+        };
+        let mut writer = LevelWriter {
+            folder,
+            options,
+            levels: (0..levels).map(|_| Level::default()).collect(),
+            filenames: Vec::new(),
+            bounds: Vec::new(),
+            losses: PartLosses::default(),
+        };
+        let mut tree = Region::default();
+        let regions = spill.cells.bounds().len();
+        for cell in 0..regions {
+            progress.check()?;
+            tree.children.push(writer.region(spill.take(cell)?)?);
+            progress.step(cell + 1, regions);
+        }
+        for level in 0..levels {
+            writer.finish_file(level)?;
+        }
+        tree.bound = writer.bounds.into_iter().reduce(enclosing).map(Bound::from).unwrap_or_default();
+        let counts: Vec<u64> = writer.levels.iter().map(|level| level.count).collect();
+        let meta = LodMeta {
+            version: LodMeta::VERSION,
+            asset: Asset { generator: concat!("ashsplat ", env!("CARGO_PKG_VERSION")).into() },
+            count: counts.iter().sum(),
+            counts,
+            lod_levels: levels as u32,
+            environment: None,
+            filenames: writer.filenames,
+            tree,
+        };
+        let path = folder.join(LOD_META);
+        atomic::write(&path, |out| Ok(serde_json::to_writer(out, &meta)?))?;
+        write_origin(&path, spill.origin)?;
+        let mut warnings = spill.warnings;
+        warnings.extend(writer.losses.line("files"));
+        let (tiles, written) = (levels * regions, meta.count);
+        Ok(Tiling { gaussians: gaussians as u64, tiles, leaves: regions, levels, written, warnings })
+    })
+}
+
+/// The file of a level that is being filled.
+#[derive(Default)]
+struct Level {
+    file: Gaussians,
+    /// Order of the Gaussians within the file, region by region.
+    order: Vec<usize>,
+    /// Number of the level's files that are written.
+    files: usize,
+    /// Index of the file that is being filled, if it has a name.
+    name: Option<usize>,
+    /// Number of the level's Gaussians.
+    count: u64,
+}
+
+struct LevelWriter<'a> {
+    folder: &'a Path,
+    options: WriteOptions,
+    levels: Vec<Level>,
+    filenames: Vec<String>,
+    /// Boxes of the regions.
+    bounds: Vec<Bounds>,
+    losses: PartLosses,
+}
+
+impl LevelWriter<'_> {
+    /// Adds all levels of a region.
+    fn region(&mut self, mut gaussians: Gaussians) -> Result<Region> {
+        let mut bounds = one_deviation(&gaussians);
+        let mut region = Region::default();
+        for index in 0..self.levels.len() {
+            if index > 0 {
+                let fewer = (gaussians.len() / MERGED).max(1);
+                decimate(&mut gaussians, fewer);
+                bounds = enclosing(bounds, one_deviation(&gaussians));
+            }
+            let level = &mut self.levels[index];
+            let file = *level.name.get_or_insert_with(|| {
+                self.filenames.push(format!("{index}_{}/meta.json", level.files));
+                self.filenames.len() - 1
+            });
+            let first = level.file.len();
+            level.file.sh_degree = gaussians.sh_degree;
+            level.file.append(&gaussians);
+            level.order.extend(morton_order(&gaussians.means).into_iter().map(|own| first + own));
+            level.count += gaussians.len() as u64;
+            region
+                .lods
+                .insert(index as u32, Run { file, offset: first as u64, count: gaussians.len() as u64 });
+            if level.file.len() >= FULL_FILE {
+                self.finish_file(index)?;
+            }
+        }
+        region.bound = bounds.into();
+        self.bounds.push(bounds);
+        Ok(region)
+    }
+
+    /// Writes the file of a level, if there is one.
+    fn finish_file(&mut self, index: usize) -> Result<()> {
+        let Level { file, order, files, name, count } = std::mem::take(&mut self.levels[index]);
+        let written = name.is_some();
+        if written {
+            let name = format!("{index}_{files}");
+            for line in splats::losses(Format::Sog, &file, &self.options)? {
+                self.losses.add(&name, line);
+            }
+            write_sog_folder(&self.folder.join(&name), &file, &order, &self.options)?;
+        }
+        self.levels[index] = Level { files: files + usize::from(written), count, ..Level::default() };
+        Ok(())
+    }
+}
+
+/// The box around all Gaussians, to one standard deviation, as other writers of the format have it: viewers choose levels by it.
+fn one_deviation(all: &Gaussians) -> Bounds {
+    box_around(all, |index| {
+        let [w, x, y, z] = all.quats[index].map(f64::from);
+        let turned = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+        let sizes = DVec3::from_array(all.log_scales[index].map(f64::from)).exp();
+        turned.x_axis.abs() * sizes.x + turned.y_axis.abs() * sizes.y + turned.z_axis.abs() * sizes.z
+    })
+}
+
+impl From<Bounds> for Bound {
+    fn from(Bounds { min, max }: Bounds) -> Self {
+        Self { min: min.into(), max: max.into() }
+    }
+}
