@@ -107,9 +107,9 @@ impl StreamedSog {
             header.warnings.push(format!("the finest of {} levels of detail is used", meta.lod_levels));
         }
         let mut parts = Vec::new();
-        let whole = meta.environment.iter().map(|name| (name, vec![0..u64::MAX]));
+        let whole = meta.environment.iter().map(|name| (name, None));
         let levels = meta.finest().into_iter().map(|(file, rows)| match meta.filenames.get(file) {
-            Some(name) => Ok((name, rows)),
+            Some(name) => Ok((name, Some(rows))),
             None => Err(damaged(path, format!("a region is in file {file}, which filenames do not list"))),
         });
         for part in levels.chain(whole.map(Ok)) {
@@ -121,7 +121,7 @@ impl StreamedSog {
             let file = path.with_file_name(name);
             let sog = Sog::open(&file, options)?;
             let Header { count, sh_degree, antialiased, .. } = *sog.header();
-            let rows = joined(rows, count);
+            let rows = rows.map_or_else(|| Some(vec![0..count]), |rows| joined(rows, count));
             let rows =
                 rows.ok_or_else(|| damaged(path, format!("a region ends behind the end of {name}")))?;
             header.count += rows.iter().map(|rows| rows.end - rows.start).sum::<u64>();
@@ -136,12 +136,11 @@ impl StreamedSog {
     }
 }
 
-/// Sorts rows and joins those that touch or overlap. `None` if there are fewer; a range without end is that of all rows.
+/// Sorts rows and joins those that touch or overlap. `None` if they end behind `count`.
 fn joined(mut all: Vec<Range<u64>>, count: u64) -> Option<Vec<Range<u64>>> {
     all.sort_by_key(|rows| rows.start);
     let mut joined = Vec::<Range<u64>>::new();
     for Range { start, end } in all {
-        let end = if end == u64::MAX { count } else { end };
         match joined.last_mut().filter(|last| start <= last.end) {
             Some(last) => last.end = last.end.max(end),
             None => joined.push(start..end),
