@@ -89,8 +89,8 @@ impl LodMeta {
 pub(super) struct StreamedSog {
     options: ReadOptions,
     header: Header,
-    /// SOGs with the rows that are read, in order and without overlaps.
-    parts: Vec<(PathBuf, Vec<Range<u64>>)>,
+    /// SOGs with the rows that are read, in order and without overlaps; `None` for all.
+    parts: Vec<(PathBuf, Option<Vec<Range<u64>>>)>,
 }
 
 impl StreamedSog {
@@ -121,10 +121,12 @@ impl StreamedSog {
             let file = path.with_file_name(name);
             let sog = Sog::open(&file, options)?;
             let Header { count, sh_degree, antialiased, .. } = *sog.header();
-            let rows = rows.map_or_else(|| Some(vec![0..count]), |rows| joined(rows, count));
-            let rows =
-                rows.ok_or_else(|| damaged(path, format!("a region ends behind the end of {name}")))?;
-            header.count += rows.iter().map(|rows| rows.end - rows.start).sum::<u64>();
+            let rows = rows.map(joined);
+            let taken = rows.iter().flatten();
+            if taken.clone().any(|rows| rows.end > count) {
+                return Err(damaged(path, format!("a region ends behind the end of {name}")));
+            }
+            header.count += rows.as_ref().map_or(count, |_| taken.map(|rows| rows.end - rows.start).sum());
             header.sh_degree = header.sh_degree.max(sh_degree);
             if antialiased != header.antialiased && !parts.is_empty() {
                 return Err(damaged(path, "only some of its files want antialiasing"));
@@ -136,8 +138,8 @@ impl StreamedSog {
     }
 }
 
-/// Sorts rows and joins those that touch or overlap. `None` if they end behind `count`.
-fn joined(mut all: Vec<Range<u64>>, count: u64) -> Option<Vec<Range<u64>>> {
+/// Sorts rows and joins those that touch or overlap.
+fn joined(mut all: Vec<Range<u64>>) -> Vec<Range<u64>> {
     all.sort_by_key(|rows| rows.start);
     let mut joined = Vec::<Range<u64>>::new();
     for Range { start, end } in all {
@@ -146,7 +148,7 @@ fn joined(mut all: Vec<Range<u64>>, count: u64) -> Option<Vec<Range<u64>>> {
             None => joined.push(start..end),
         }
     }
-    joined.last().is_none_or(|last| last.end <= count).then_some(joined)
+    joined
 }
 
 impl Source for StreamedSog {
@@ -160,7 +162,9 @@ impl Source for StreamedSog {
             Sog::open(file, &self.options)?.blocks(&mut |mut block| {
                 let begin = first;
                 first += block.len() as u64;
-                block.retain(|_, index| rows.iter().any(|rows| rows.contains(&(begin + index as u64))));
+                if let Some(rows) = rows {
+                    block.retain(|_, index| rows.iter().any(|rows| rows.contains(&(begin + index as u64))));
+                }
                 sink(block.with_sh_degree(self.header.sh_degree))
             })?;
         }
