@@ -1,7 +1,8 @@
 //! Arbitrary bytes as a file of Gaussians in any format.
 #![no_main]
 
-use ashsplat_files::splats::{self, WriteOptions};
+use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
+use ashsplat_files::{Progress, tiles};
 use ashsplat_fuzz::{check_gaussians, folder, gaussians, leave_seed};
 use flate2::{Compression, write::GzEncoder};
 use libfuzzer_sys::fuzz_target;
@@ -10,8 +11,19 @@ use std::path::PathBuf;
 use std::sync::LazyLock;
 
 /// The first byte of an input chooses the name. For the last one, the rest is the unpacked content of an SPZ.
-const NAMES: [&str; 10] =
-    ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf", "a.sog", "a.usda", "b.ksplat", "packed.spz"];
+const NAMES: [&str; 11] = [
+    "a.ply",
+    "a.compressed.ply",
+    "a.splat",
+    "a.spz",
+    "a.glb",
+    "a.gltf",
+    "a.sog",
+    "a.usda",
+    "streamed/lod-meta.json",
+    "b.ksplat",
+    "packed.spz",
+];
 
 static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| folder("splats"));
 
@@ -24,6 +36,13 @@ fn seeds() {
             leave_seed(&format!("{name}{degree}"), &[&[kind as u8], &bytes[..]].concat());
         }
     }
+    // Inputs are other descriptions of its files.
+    let streamed = FOLDER.join("streamed");
+    drop(std::fs::remove_dir_all(&streamed));
+    tiles::write_streamed_sog(&FOLDER.join("a.ply"), &streamed, 1, &ReadOptions::default(), &Progress::NONE)
+        .expect("written");
+    let meta = std::fs::read(streamed.join("lod-meta.json")).expect("there");
+    leave_seed("streamed", &[&[NAMES.len() as u8 - 3], &meta[..]].concat());
     for level in 0..3 {
         // Two Gaussians of degree 1 in a bucket of their own; one number repeats after the headers.
         let mut ksplat = vec![0; 1 + 4096 + 1024];
