@@ -10,12 +10,12 @@ mod read;
 mod write;
 
 pub(super) use compressed::{
-    CompressedPly, morton_order, pack_unorm, rotation_of_shares, shares_of_rotation, typical_step,
+    morton_order, open as open_compressed, pack_unorm, rotation_of_shares, shares_of_rotation, typical_step,
     write_blocks as write_compressed_blocks,
 };
 pub use file::Encoding;
 pub(crate) use file::{Scalar, decode};
 pub use read::read_points;
-pub(super) use read::{GaussianRows, claimed_points, is_compressed};
+pub(super) use read::{claimed_points, is_compressed, open};
 pub(super) use write::{write_blocks, write_frame};
 pub use write::{write_filtered, write_points};

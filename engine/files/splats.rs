@@ -3,6 +3,9 @@
 //! All are converted to and from the frame and the raw parameters of the reference implementation's PLY.
 //! Reading and writing proceed block by block, so that a conversion needs little memory if the formats allow
 //! it. Compressed PLY and SOG are sorted, so they are written from memory.
+//!
+//! A format is a file here: `open` returns the header and what produces the Gaussians ([`Opened`]), `write` takes an
+//! [`Outline`] and what produces them.
 
 mod codebook;
 mod convert;
@@ -30,7 +33,7 @@ pub(crate) use format::{FARTHEST, MAX_COMPRESSED_LOG_SCALE};
 pub use format::{Format, foreign, is_sog};
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION, mirrored};
 pub(super) use gltf_write::glb_head;
-pub(super) use stream::{BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, is_kernel_size};
+pub(super) use stream::{BLOCK, Blocks, Opened, Outline, Produce, Reader, Sink, in_blocks, is_kernel_size};
 pub use stream::{Header, ReadOptions, Scene, WriteOptions, row_bytes};
 
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.
@@ -51,7 +54,7 @@ pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
 
 /// Reads the properties of a file without its Gaussians.
 pub fn header(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Header> {
-    Ok(open(path.as_ref(), options)?.header().clone())
+    Ok(open(path.as_ref(), options)?.header)
 }
 
 /// Writes Gaussians in the format of the path's extension, or in a given one. Returns a warning about visible losses of
@@ -167,18 +170,21 @@ fn write_blocks(
 }
 
 pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
-    if path.is_dir() && is_sog(path) {
-        return Ok(Reader::new(path, Box::new(sog::Sog::open(&path.join(format::META), options)?), options));
-    }
-    let source: Box<dyn Source + 'a> = match Format::of_file(path)? {
-        Format::Ply => Box::new(ply::GaussianRows::open(path)?),
-        Format::CompressedPly => Box::new(ply::CompressedPly::open(path)?),
-        Format::Splat => Box::new(dot_splat::DotSplat::open(path)?),
-        Format::Spz => Box::new(spz::Spz::open(path)?),
-        format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format, options)?),
-        Format::Sog => Box::new(sog::Sog::open(path, options)?),
-        Format::Usda => Box::new(usda::Usda::open(path, options)?),
-        Format::Ksplat => Box::new(ksplat::Ksplat::open(path)?),
+    let is_folder = path.is_dir() && is_sog(path);
+    let file = if is_folder { path.join(format::META) } else { path.to_owned() };
+    let format = if is_folder { Format::Sog } else { Format::of_file(path)? };
+    let (mut header, produce) = match format {
+        Format::Ply => ply::open(path)?,
+        Format::CompressedPly => ply::open_compressed(path)?,
+        Format::Splat => dot_splat::open(path)?,
+        Format::Spz => spz::open(path)?,
+        Format::Glb | Format::Gltf => gltf::open(path, format, options)?,
+        Format::Sog => sog::open(&file, options)?,
+        Format::Usda => usda::open(path, options)?,
+        Format::Ksplat => ksplat::open(path)?,
     };
-    Ok(Reader::new(path, source, options))
+    if format.has_origin_file() {
+        header.origin = format::read_origin(&file)?;
+    }
+    Ok(Reader { path, header, produce, options: *options, warnings: Vec::new() })
 }

@@ -148,7 +148,7 @@ impl Spill {
         progress: &Progress<'_>,
     ) -> Result<Spill> {
         let mut reader = splats::open(input, read)?;
-        let header = reader.header().clone();
+        let header = reader.header.clone();
         let (mut means, mut sample) = (Vec::new(), OriginSample::default());
         let step = OriginSample::step(header.count);
         reader.blocks(&mut |block| {

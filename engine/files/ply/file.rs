@@ -474,12 +474,21 @@ impl<'a> PlyFile<'a> {
                 }
                 Ok(())
             }
-            encoding => self.binary_rows(element, |index, bytes| {
-                for (value, column) in values.iter_mut().zip(&columns) {
-                    *value = decode(&bytes[column.offset..], column.scalar, encoding);
-                }
-                row(index, &values)
-            }),
+            encoding => {
+                // The size is zero for elements without properties, which have no columns.
+                let row_bytes = element.row_bytes().filter(|bytes| *bytes > 0);
+                let Some(row_bytes) = row_bytes else { return self.skip_element(element) };
+                let mut index = 0..;
+                let size = (element.count, row_bytes as usize);
+                regular_file::rows(self.path, &mut self.reader, size, |bytes| {
+                    for (value, column) in values.iter_mut().zip(&columns) {
+                        *value = decode(&bytes[column.offset..], column.scalar, encoding);
+                    }
+                    row(index.next().unwrap_or(0), &values)
+                })?;
+                self.remaining = self.remaining.saturating_sub(element.count * row_bytes);
+                Ok(())
+            }
         }
     }
 
@@ -501,33 +510,6 @@ impl<'a> PlyFile<'a> {
             }
         }
         Err(Error::input(self.path, format!("property {name} of element {} is missing", element.name), ""))
-    }
-
-    fn binary_rows(
-        &mut self,
-        element: &Element,
-        mut row: impl FnMut(u64, &[u8]) -> Result<()>,
-    ) -> Result<()> {
-        // The size is zero for lists and elements without properties; the caller has excluded both.
-        let row_bytes = element.row_bytes().unwrap_or(0) as usize;
-        if row_bytes == 0 {
-            return self.skip_element(element);
-        }
-        let rows_at_once = (BUFFER_BYTES / row_bytes).max(1) as u64;
-        let mut buffer = vec![0; row_bytes * rows_at_once.min(element.count) as usize];
-        let mut index = 0;
-        while index < element.count {
-            let rows = rows_at_once.min(element.count - index);
-            let bytes = &mut buffer[..rows as usize * row_bytes];
-            self.reader.read_exact(bytes).reading(self.path)?;
-            self.remaining = self.remaining.saturating_sub(bytes.len() as u64);
-            for bytes in bytes.chunks_exact(row_bytes) {
-                cost::step();
-                row(index, bytes)?;
-                index += 1;
-            }
-        }
-        Ok(())
     }
 
     fn ascii_row(

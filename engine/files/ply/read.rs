@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::DVec3;
 
 use super::file::{DISKS, Element, FILTER, Kind, PlyFile, Property, RenderMode, Scalar};
-use crate::splats::{BLOCK, Format, Header, Sink, Source};
+use crate::splats::{BLOCK, Blocks, Format, Header, Opened, Sink};
 use crate::{cameras_json, host_memory};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
@@ -24,67 +24,63 @@ pub(crate) fn is_compressed(path: &Path) -> Result<bool> {
     Ok(file.header.elements.iter().any(|e| e.name == "vertex" && e.has("packed_position")))
 }
 
-pub(crate) struct GaussianRows<'a> {
-    file: PlyFile<'a>,
-    element: Element,
-    layout: Layout,
-    /// Origin that is subtracted from the file's positions.
-    shift: DVec3,
-    header: Header,
-}
-
-impl<'a> GaussianRows<'a> {
-    pub(crate) fn open(path: &'a Path) -> Result<Self> {
-        let mut file = PlyFile::open(path)?;
-        let element = file.seek_element("vertex")?;
-        let mut layout = Layout::new(path, &element)?;
-        file.check_no_list(&element)?;
-        let restored = restore_frame(path, &mut file.header, || first_positions(path))?;
-        let marks = &file.header.marks;
-        let mut warnings: Vec<String> = marks.warning().into_iter().collect();
-        if layout.is_flat && warnings.is_empty() {
-            warnings.push(DISKS.into());
-        }
-        warnings.extend(restored);
-        if layout.filtered && marks.mode == RenderMode::Default && marks.kernel_size.is_none() {
-            warnings.push(format!(
+/// Opens a file of Gaussians in the layout of the reference implementation.
+pub(crate) fn open(path: &Path) -> Result<Opened<'_>> {
+    let mut file = PlyFile::open(path)?;
+    let element = file.seek_element("vertex")?;
+    let mut layout = Layout::new(path, &element)?;
+    file.check_no_list(&element)?;
+    let restored = restore_frame(path, &mut file.header, || first_positions(path))?;
+    let marks = &file.header.marks;
+    let mut warnings: Vec<String> = marks.warning().into_iter().collect();
+    if layout.is_flat && warnings.is_empty() {
+        warnings.push(DISKS.into());
+    }
+    warnings.extend(restored);
+    if layout.filtered && marks.mode == RenderMode::Default && marks.kernel_size.is_none() {
+        warnings.push(format!(
                 "{FILTER} is applied, but nothing says how the scene was antialiased: one of Mip-Splatting needs `--antialiasing \
                  --kernel-size 0.1`"
             ));
-        }
-        let named_axis =
-            |up| format!("names its vertical axis: `--up {up}` makes orbits and the page follow it");
-        warnings.extend(marks.up.map(named_axis));
-        if let Some([red, green, blue]) = layout.rgb {
-            let white = white(path, &element, [red, green, blue])?;
-            layout.white = Some(white);
-            warnings
-                .push(format!("has no f_dc: its {red} {green} {blue} (0 to {white}) are used as colours"));
-        }
-        warnings.extend(unused_properties(&element, &layout));
-        warnings.extend(raw_values_doubtful(path, layout.rgb.is_none() && !layout.is_flat));
-        let count = element.count;
-        warnings.extend(file.bytes_behind(&element).map(|bytes| {
-            format!(
-                "{bytes} bytes behind the {count} Gaussians of its header are not read: are two files joined?"
-            )
-        }));
-        let is_double =
-            |p: &Property| ["x", "y", "z"].contains(&p.name.as_str()) && p.kind == Kind::Scalar(Scalar::F64);
-        let double_positions = element.properties.iter().any(is_double);
-        let shift = match double_positions {
-            true => WorldFrame::around(&first_positions(path)?).origin,
-            false => DVec3::ZERO,
-        };
-        let header = Header {
-            is_2dgs: marks.mode == RenderMode::Disks || layout.is_flat,
-            origin: file.header.origin + shift,
-            double_positions,
-            warnings,
-            ..file.header.of_gaussians(Format::Ply, element.count, layout.sh_degree)
-        };
-        Ok(Self { file, element, layout, shift, header })
     }
+    let named_axis = |up| format!("names its vertical axis: `--up {up}` makes orbits and the page follow it");
+    warnings.extend(marks.up.map(named_axis));
+    if let Some([red, green, blue]) = layout.rgb {
+        let white = white(path, &element, [red, green, blue])?;
+        layout.white = Some(white);
+        warnings.push(format!("has no f_dc: its {red} {green} {blue} (0 to {white}) are used as colours"));
+    }
+    warnings.extend(unused_properties(&element, &layout));
+    warnings.extend(raw_values_doubtful(path, layout.rgb.is_none() && !layout.is_flat));
+    let count = element.count;
+    warnings.extend(file.bytes_behind(&element).map(|bytes| {
+        format!(
+            "{bytes} bytes behind the {count} Gaussians of its header are not read: are two files joined?"
+        )
+    }));
+    let is_double =
+        |p: &Property| ["x", "y", "z"].contains(&p.name.as_str()) && p.kind == Kind::Scalar(Scalar::F64);
+    let double_positions = element.properties.iter().any(is_double);
+    let shift = match double_positions {
+        true => WorldFrame::around(&first_positions(path)?).origin,
+        false => DVec3::ZERO,
+    };
+    let header = Header {
+        is_2dgs: marks.mode == RenderMode::Disks || layout.is_flat,
+        origin: file.header.origin + shift,
+        double_positions,
+        warnings,
+        ..file.header.of_gaussians(Format::Ply, element.count, layout.sh_degree)
+    };
+    let produce = move |sink: &mut Sink<'_>| {
+        let mut blocks = Blocks::new(layout.sh_degree, element.count, sink);
+        file.for_each_row(&element, &layout.names, |_, row| {
+            layout.push(row, shift, blocks.next()?);
+            Ok(())
+        })?;
+        blocks.finish()
+    };
+    Ok((header, Box::new(produce)))
 }
 
 /// Names unused properties, such as those of moving Gaussians or of Gaussians with another shape.
@@ -195,22 +191,6 @@ pub(super) fn restore_frame(
     }
     let line = || format!("names no {}: {} has it", used.join(" and "), cameras.display());
     Ok((!used.is_empty()).then(line))
-}
-
-impl Source for GaussianRows<'_> {
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        let empty = || Gaussians::with_capacity(self.layout.sh_degree, BLOCK.min(capacity(&self.element)));
-        let mut block = empty();
-        self.file.for_each_row(&self.element, &self.layout.names, |_, row| {
-            self.layout.push(row, self.shift, &mut block);
-            if block.len() < BLOCK { Ok(()) } else { sink(std::mem::replace(&mut block, empty())) }
-        })?;
-        sink(block)
-    }
 }
 
 /// Property names of colours; the last are those of Gaussians.

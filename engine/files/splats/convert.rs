@@ -96,7 +96,7 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
 pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Result<Converted> {
     let format = Format::chosen(options.format, output)?;
     options.cut.check()?;
-    let headers = inputs.iter().map(|input| Ok(open(input.path, &options.read)?.header().clone()));
+    let headers = inputs.iter().map(|input| Ok(open(input.path, &options.read)?.header));
     let headers = headers.collect::<Result<Vec<Header>>>()?;
     let (Some(first), Some(all)) = (headers.first(), inputs.first()) else {
         return Err(Error::argument("inputs", "there are none"));

@@ -6,17 +6,16 @@ mod document;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::DVec3;
 
 use super::spz::Spz;
-use super::stream::origin_near;
-use super::{BLOCK, Format, Header, ReadOptions, Sink, Source, is_kernel_size};
+use super::{BLOCK, Format, Header, Opened, ReadOptions, Sink, is_kernel_size};
 use crate::cost;
 use crate::regular_file::damaged;
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
-use ashsplat::scene::{Gaussians, Similarity};
+use ashsplat::scene::{Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 pub(super) use document::similarity;
 use document::{Accessor, Buffer, Buffers, Compression, Document, Mesh, Primitive, SplatsExtension};
@@ -37,18 +36,10 @@ const FREE_GAUSSIANS: u64 = 1 << 20;
 /// Largest number of uses of each byte of the file, if there are more Gaussians than these.
 const MOST_USES: u64 = 16;
 
-pub(super) struct Gltf {
-    buffers: Buffers,
-    parts: Vec<Part>,
-    header: Header,
-    path: PathBuf,
-}
-
 /// A primitive of Gaussians at a node.
 struct Part {
     placement: Similarity,
-    count: u64,
-    sh_degree: u32,
+    header: Header,
     /// Number of bytes in the file.
     bytes: u64,
     rows: Rows,
@@ -71,90 +62,104 @@ struct PlainRows {
     sh: Vec<Accessor>,
 }
 
-impl Gltf {
-    pub(super) fn open(path: &Path, format: Format, options: &ReadOptions) -> Result<Self> {
-        let (document, buffers) = Document::open(path, format, options.max_host_memory)?;
-        let mut header = Header::new(format, 0, 0);
-        let shown = path.display();
-        for name in document.unread_extensions() {
-            header.warnings.push(format!("{shown}: requires {name}, which is not read"));
-        }
-        let mut parts = Vec::new();
-        let (held, mut used, mut others) = (buffers.bytes(), 0_u64, 0);
-        let mut uses: BTreeMap<(usize, usize), u64> = BTreeMap::new();
-        // Many nodes may share a mesh, which may have many other primitives.
-        let splats: Vec<Vec<_>> = document.meshes.iter().map(splats_of).collect();
-        for (mesh_index, placement) in document.placed_meshes(path)? {
-            let Some(mesh) = splats.get(mesh_index) else {
-                let problem = format!("a node has mesh {mesh_index}, there are {}", document.meshes.len());
-                return Err(damaged(path, problem));
-            };
-            others += document.meshes[mesh_index].primitives.len() - mesh.len();
-            for &(index, primitive, extension) in mesh {
-                cost::step();
-                let place = &format!("mesh {mesh_index}, primitive {index}");
-                let mut warn = |what: String| header.warnings.push(format!("{shown}: {place}: {what}"));
-                match extension.color_space.as_deref() {
-                    None | Some("srgb_rec709_display") => {}
-                    Some("lin_rec709_display") => {
-                        warn("colours are linear; they are used as they are".into())
-                    }
-                    Some(other) => warn(format!("colours of the space {other:?} are used as sRGB")),
-                }
-                if let Some(kernel) = extension.kernel.as_deref().filter(|&kernel| kernel != "ellipse") {
-                    warn(format!("the kernel {kernel:?} is drawn as an ellipse"));
-                }
-                header.antialiased |= extension.extras.antialiased;
-                let kernel_size = extension.extras.kernel_size.map(|size| size as f32);
-                header.kernel_size = kernel_size.filter(is_kernel_size).or(header.kernel_size);
-                let (document, buffers) = (&document, &buffers);
-                let attributes = Attributes { path, place, document, buffers, primitive, extension };
-                let part = attributes.part(placement)?;
-                if let Rows::Packed { spz, .. } = &part.rows {
-                    *uses.entry((mesh_index, index)).or_insert(0) += 1;
-                    header.warnings.extend(spz.header().warnings.iter().cloned());
-                    header.antialiased |= spz.header().antialiased;
-                }
-                used = used.saturating_add(part.bytes);
-                header.count = header.count.saturating_add(part.count);
-                parts.push(part);
-                // A few bytes could claim any number of Gaussians, placed at many nodes. Packed ones are unpacked for
-                // each node.
-                let copies = header.count > FREE_GAUSSIANS && used / MOST_USES > held
-                    || uses.get(&(mesh_index, index)).is_some_and(|&uses| uses > MOST_USES);
-                if copies || parts.len() > MOST_PARTS {
-                    let (count, places) = (header.count, parts.len());
-                    let problem = format!(
-                        "places the same Gaussians again and again: {count} or more at {places} places from {held} bytes"
-                    );
-                    let remedy =
-                        format!("place each at most {MOST_USES} times, at {MOST_PARTS} places in all");
-                    return Err(Error::input(path, problem, remedy));
-                }
+pub(super) fn open(path: &Path, format: Format, options: &ReadOptions) -> Result<Opened<'static>> {
+    let (document, mut buffers) = Document::open(path, format, options.max_host_memory)?;
+    let mut header = Header::new(format, 0, 0);
+    let shown = path.display();
+    for name in document.unread_extensions() {
+        header.warnings.push(format!("{shown}: requires {name}, which is not read"));
+    }
+    let mut parts = Vec::new();
+    let (held, mut used, mut others) = (buffers.bytes(), 0_u64, 0);
+    let mut uses: BTreeMap<(usize, usize), u64> = BTreeMap::new();
+    // Many nodes may share a mesh, which may have many other primitives.
+    let splats: Vec<Vec<_>> = document.meshes.iter().map(splats_of).collect();
+    for (mesh_index, placement) in document.placed_meshes(path)? {
+        let Some(mesh) = splats.get(mesh_index) else {
+            let problem = format!("a node has mesh {mesh_index}, there are {}", document.meshes.len());
+            return Err(damaged(path, problem));
+        };
+        others += document.meshes[mesh_index].primitives.len() - mesh.len();
+        for &(index, primitive, extension) in mesh {
+            cost::step();
+            let place = &format!("mesh {mesh_index}, primitive {index}");
+            let mut warn = |what: String| header.warnings.push(format!("{shown}: {place}: {what}"));
+            match extension.color_space.as_deref() {
+                None | Some("srgb_rec709_display") => {}
+                Some("lin_rec709_display") => warn("colours are linear; they are used as they are".into()),
+                Some(other) => warn(format!("colours of the space {other:?} are used as sRGB")),
+            }
+            if let Some(kernel) = extension.kernel.as_deref().filter(|&kernel| kernel != "ellipse") {
+                warn(format!("the kernel {kernel:?} is drawn as an ellipse"));
+            }
+            header.antialiased |= extension.extras.antialiased;
+            let kernel_size = extension.extras.kernel_size.map(|size| size as f32);
+            header.kernel_size = kernel_size.filter(is_kernel_size).or(header.kernel_size);
+            let (document, buffers) = (&document, &buffers);
+            let attributes = Attributes { path, place, document, buffers, primitive, extension };
+            let part = attributes.part(placement)?;
+            *uses.entry((mesh_index, index)).or_insert(0) += u64::from(part.rows.are_packed());
+            header.warnings.extend(part.header.warnings.iter().cloned());
+            header.antialiased |= part.header.antialiased;
+            used = used.saturating_add(part.bytes);
+            header.count = header.count.saturating_add(part.header.count);
+            parts.push(part);
+            // A few bytes could claim any number of Gaussians, placed at many nodes. Packed ones are unpacked for
+            // each node.
+            let copies = header.count > FREE_GAUSSIANS && used / MOST_USES > held
+                || uses.get(&(mesh_index, index)).is_some_and(|&uses| uses > MOST_USES);
+            if copies || parts.len() > MOST_PARTS {
+                let (count, places) = (header.count, parts.len());
+                let problem = format!(
+                    "places the same Gaussians again and again: {count} or more at {places} places from {held} bytes"
+                );
+                let remedy = format!("place each at most {MOST_USES} times, at {MOST_PARTS} places in all");
+                return Err(Error::input(path, problem, remedy));
             }
         }
-        if parts.is_empty() {
-            let problem = format!("has no Gaussians (no placed primitive with {EXTENSION})");
-            return Err(Error::input(path, problem, "is it a mesh?"));
-        }
-        if others > 0 {
-            header.warnings.push(format!("{shown}: {others} primitives that are no Gaussians are not used"));
-        }
-        header.sh_degree = parts.iter().map(|part| part.sh_degree).max().unwrap_or(0);
-        let mut gltf = Self { buffers, parts, header, path: path.to_owned() };
-        gltf.header.origin = gltf.origin_of_nodes();
-        Ok(gltf)
     }
+    if parts.is_empty() {
+        let problem = format!("has no Gaussians (no placed primitive with {EXTENSION})");
+        return Err(Error::input(path, problem, "is it a mesh?"));
+    }
+    if others > 0 {
+        header.warnings.push(format!("{shown}: {others} primitives that are no Gaussians are not used"));
+    }
+    header.sh_degree = parts.iter().map(|part| part.header.sh_degree).max().unwrap_or(0);
+    let placements: Vec<Similarity> = parts.iter().map(|part| part.placement).collect();
+    let path = path.to_owned();
+    let mut read = move |origin: DVec3, sink: &mut Sink<'_>| {
+        let blocks = |part: &mut Part| part.read(&path, &mut buffers, origin, sink);
+        parts.iter_mut().try_for_each(blocks)
+    };
+    let origin = origin_of(&placements, &mut read);
+    header.origin = origin;
+    Ok((header, Box::new(move |sink| read(origin, sink))))
+}
 
-    /// Chooses an origin near the first block of Gaussians if nodes move it far from 0.
-    fn origin_of_nodes(&mut self) -> DVec3 {
-        let Some(placed) = self.parts.iter().find(|part| part.placement.translation != DVec3::ZERO) else {
-            return DVec3::ZERO;
-        };
-        let near = mirrored(placed.placement.translation);
-        self.header.origin = near;
-        origin_near(near, self)
-    }
+/// Chooses an origin near the first block of Gaussians if a node moves its Gaussians; zero otherwise. `read` passes the
+/// Gaussians relative to an origin.
+pub(super) fn origin_of(
+    placements: &[Similarity],
+    mut read: impl FnMut(DVec3, &mut Sink<'_>) -> Result<()>,
+) -> DVec3 {
+    let moved = placements.iter().find(|placement| placement.translation != DVec3::ZERO);
+    let Some(near) = moved.map(|placement| mirrored(placement.translation)) else { return DVec3::ZERO };
+    let mut points = Vec::new();
+    // The error stops the reading after the first block. The main reader reports any other error again.
+    drop(read(near, &mut |block| {
+        points = block.means.iter().map(|mean| near + DVec3::from_array(mean.map(f64::from))).collect();
+        Err(Error::Interrupted)
+    }));
+    WorldFrame::around(&points).origin
+}
+
+/// Moves Gaussians from a node of glTF's axes to this crate's, relative to an origin.
+pub(super) fn placed(mut block: Gaussians, placement: &Similarity, origin: DVec3) -> Gaussians {
+    let translation = placement.translation - mirrored(origin);
+    block.transform(&Similarity { translation, ..*placement });
+    block.mirror(MIRRORED);
+    block
 }
 
 /// Converts a point from glTF's axes to this crate's, and back.
@@ -184,11 +189,10 @@ struct Attributes<'a> {
 impl Attributes<'_> {
     fn part(&self, placement: Similarity) -> Result<Part> {
         if let Some(packed) = self.extension.extensions.get(PACKED_EXTENSION) {
-            let (mut spz, bytes) = self.packed(packed)?;
+            let (header, mut spz, bytes) = self.packed(packed)?;
             let has_own_axes = self.extension.kernel.is_some();
             spz.mirrored = spz.mirrored.map(|is_mirrored| is_mirrored && has_own_axes);
-            let &Header { count, sh_degree, .. } = spz.header();
-            return Ok(Part { placement, count, sh_degree, bytes, rows: Rows::Packed { spz, has_own_axes } });
+            return Ok(Part { placement, header, bytes, rows: Rows::Packed { spz, has_own_axes } });
         }
         let own = |name: &str| format!("{EXTENSION}:{name}");
         let rows = PlainRows {
@@ -205,12 +209,12 @@ impl Attributes<'_> {
             return Err(damaged(self.path, problem));
         }
         let bytes = all().map(Accessor::bytes).sum();
-        let (count, sh_degree) = (count as u64, rows.sh_degree());
-        Ok(Part { placement, count, sh_degree, bytes, rows: Rows::Plain(rows) })
+        let header = Header::new(Format::Gltf, count as u64, rows.sh_degree());
+        Ok(Part { placement, header, bytes, rows: Rows::Plain(rows) })
     }
 
     /// The SPZ of a packed primitive, and its number of bytes.
-    fn packed(&self, packed: &Compression) -> Result<(Spz, u64)> {
+    fn packed(&self, packed: &Compression) -> Result<(Header, Spz, u64)> {
         let Self { path, place, document, .. } = *self;
         let wrong = |problem: &str| damaged(path, format!("{place}: {PACKED_EXTENSION}: {problem}"));
         let view = packed.buffer_view.and_then(|index| document.buffer_views.get(index));
@@ -223,14 +227,14 @@ impl Attributes<'_> {
             let problem = format!("{place}: an SPZ inside the JSON is not read");
             return Err(Error::input(path, problem, "write it as .glb, or with a .bin"));
         };
-        let spz = Spz::inside(file, offset + view.byte_offset, view.byte_length)?;
-        let found = spz.header().count;
+        let (header, spz) = Spz::inside(file, offset + view.byte_offset, view.byte_length)?;
+        let found = header.count;
         let positions = self.primitive.attributes.get("POSITION").and_then(|&at| document.accessors.get(at));
         match positions.map_or(found, |accessor| accessor.count) {
             expected if expected != found => {
                 Err(wrong(&format!("{found} Gaussians, where {expected} are due")))
             }
-            _ => Ok((spz, view.byte_length)),
+            _ => Ok((header, spz, view.byte_length)),
         }
     }
 
@@ -266,40 +270,32 @@ impl Attributes<'_> {
     }
 }
 
-impl Source for Gltf {
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        let (buffers, sh_degree, origin) = (&mut self.buffers, self.header.sh_degree, self.header.origin);
-        for part in &mut self.parts {
-            let mut placement = part.placement;
-            placement.translation -= mirrored(origin);
-            let mut placed = |mut block: Gaussians| {
-                block.transform(&placement);
-                block.mirror(MIRRORED);
-                if block.sh_degree < sh_degree {
-                    block = block.with_sh_degree(sh_degree);
-                }
-                sink(block)
-            };
-            match &mut part.rows {
-                Rows::Plain(rows) => {
-                    let count = rows.position.count;
-                    for start in (0..count).step_by(BLOCK) {
-                        placed(rows.read(&self.path, buffers, start..(start + BLOCK).min(count))?)?;
-                    }
-                }
-                Rows::Packed { spz, has_own_axes } => spz.blocks(&mut |mut block| {
-                    if *has_own_axes {
-                        block.mirror(MIRRORED);
-                    }
-                    placed(block)
-                })?,
+impl Part {
+    /// Passes the Gaussians to a sink, relative to an origin.
+    fn read(&mut self, path: &Path, buffers: &mut Buffers, origin: DVec3, sink: &mut Sink<'_>) -> Result<()> {
+        let placement = &self.placement;
+        match &self.rows {
+            Rows::Plain(rows) => {
+                let count = rows.position.count;
+                let mut starts = (0..count).step_by(BLOCK);
+                starts.try_for_each(|start| {
+                    let block = rows.read(path, buffers, start..(start + BLOCK).min(count))?;
+                    sink(placed(block, placement, origin))
+                })
             }
+            Rows::Packed { spz, has_own_axes } => spz.read(&mut |mut block| {
+                if *has_own_axes {
+                    block.mirror(MIRRORED);
+                }
+                sink(placed(block, placement, origin))
+            }),
         }
-        Ok(())
+    }
+}
+
+impl Rows {
+    fn are_packed(&self) -> bool {
+        matches!(self, Self::Packed { .. })
     }
 }
 

@@ -16,8 +16,8 @@ use zip::{CompressionMethod, System, ZipArchive, ZipWriter};
 
 use super::codebook::{LEVELS, Palette, scalar_codebook};
 use super::dot_splat::opacity_logit;
-use super::format::{META, is_meta, read_origin};
-use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, row_bytes};
+use super::format::{META, is_meta};
+use super::{Blocks, Format, Header, Opened, Outline, Produce, ReadOptions, Sink, row_bytes};
 use crate::ply::{morton_order, pack_unorm, rotation_of_shares, shares_of_rotation};
 use crate::regular_file::{self, OnFile, damaged};
 use crate::{atomic, cost, host_memory};
@@ -111,38 +111,37 @@ impl Numbers {
 }
 
 /// An open SOG. Its pictures are decoded when the Gaussians are read.
-pub(super) struct Sog {
+struct Sog {
     members: Members,
     meta: Meta,
-    header: Header,
+    count: u64,
 }
 
 /// RGBA of each pixel of a decoded picture, row by row.
 type Pixels = Vec<[u8; 4]>;
 
-impl Sog {
-    pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self> {
-        let members = Members::open(path, options)?;
-        let text = members.read(META, MOST_META_BYTES)?;
-        regular_file::check_json(path, &text, options.max_host_memory)?;
-        let meta: Meta = serde_json::from_slice(&text).map_err(|e| damaged(path, format!("{META}: {e}")))?;
-        if !(1..=VERSION).contains(&meta.version) {
-            let problem = format!("is SOG version {}; 1 and 2 are known", meta.version);
-            return Err(Error::input(path, problem, "write it again as version 2"));
-        }
-        let count = if meta.version == 1 { meta.means.shape.first().copied() } else { meta.count };
-        let most = (MOST_SIDE * MOST_SIDE) as u64;
-        let count = count.filter(|count| *count <= most).ok_or_else(|| {
-            damaged(path, format!("{META}: the number of Gaussians is missing or above {most}"))
-        })?;
-        let mut header = Header::new(Format::Sog, count, 0);
-        header.antialiased = meta.antialias;
-        header.origin = read_origin(path)?;
-        let mut sog = Self { members, meta, header };
-        sog.header.sh_degree = sog.degree()?;
-        Ok(sog)
+pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>> {
+    let members = Members::open(path, options)?;
+    let text = members.read(META, MOST_META_BYTES)?;
+    regular_file::check_json(path, &text, options.max_host_memory)?;
+    let meta: Meta = serde_json::from_slice(&text).map_err(|e| damaged(path, format!("{META}: {e}")))?;
+    if !(1..=VERSION).contains(&meta.version) {
+        let problem = format!("is SOG version {}; 1 and 2 are known", meta.version);
+        return Err(Error::input(path, problem, "write it again as version 2"));
     }
+    let count = if meta.version == 1 { meta.means.shape.first().copied() } else { meta.count };
+    let most = (MOST_SIDE * MOST_SIDE) as u64;
+    let count = count.filter(|count| *count <= most).ok_or_else(|| {
+        damaged(path, format!("{META}: the number of Gaussians is missing or above {most}"))
+    })?;
+    let antialiased = meta.antialias;
+    let sog = Sog { members, meta, count };
+    let sh_degree = sog.degree()?;
+    let header = Header { antialiased, ..Header::new(Format::Sog, count, sh_degree) };
+    Ok((header, Box::new(move |sink| sog.read(sh_degree, sink))))
+}
 
+impl Sog {
     /// SH degree of the palette. Version 1 tells it by the width of the picture alone.
     fn degree(&self) -> Result<u32> {
         let Some(palette) = &self.meta.higher else { return Ok(0) };
@@ -164,7 +163,7 @@ impl Sog {
     fn packed<'a>(&self, attribute: &'a Attribute, index: usize) -> Result<(&'a str, Vec<u8>)> {
         let name =
             attribute.files.get(index).ok_or_else(|| self.damaged(format!("{META} names too few files")))?;
-        let most = 8 * (self.header.count + SPARE_PIXELS) + 4 * (MOST_VECTORS * 16) as u64;
+        let most = 8 * (self.count + SPARE_PIXELS) + 4 * (MOST_VECTORS * 16) as u64;
         Ok((name, self.members.read(name, most)?))
     }
 
@@ -227,16 +226,10 @@ impl Sog {
         let ends = attribute.mins.at(channel).zip(attribute.maxs.at(channel));
         ends.ok_or_else(|| self.damaged(format!("{META}: {name} has no mins and maxs")))
     }
-}
 
-impl Source for Sog {
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
+    fn read(&self, sh_degree: u32, sink: &mut Sink<'_>) -> Result<()> {
         let Meta { version, means, scales, quats, sh0, higher, .. } = &self.meta;
-        let (count, sh_degree) = (self.header.count, self.header.sh_degree);
+        let count = self.count;
         let pixels = |attribute, index| {
             Ok::<_, Error>(self.decoded(attribute, index, count..=2 * count + SPARE_PIXELS)?.1)
         };
@@ -277,33 +270,29 @@ impl Source for Sog {
             let found: Option<&[[f32; 3]]> = palette.get(first..first + coefficients);
             found.ok_or_else(|| self.damaged("an index lies beyond the palette of spherical harmonics"))
         };
-        for start in (0..count as usize).step_by(BLOCK) {
-            let rows = start..(start + BLOCK).min(count as usize);
-            let mut block = Gaussians::with_capacity(sh_degree, rows.len());
-            for i in rows {
-                block.means.push(std::array::from_fn(|axis| {
-                    let share = f64::from(u16::from_le_bytes([low[i][axis], high[i][axis]])) / 65_535.0;
-                    let (min, max) = ranges[axis];
-                    let logarithm = min + (max - min) * share;
-                    (libm::expm1(logarithm.abs()) * logarithm.signum()) as f32
-                }));
-                block
-                    .log_scales
-                    .push(std::array::from_fn(|axis| scale_levels[axis][usize::from(scales[i][axis])]));
-                let no_index =
-                    || self.damaged(format!("the quaternion of Gaussian {i} does not say what it omits"));
-                block.quats.push(unpack_rotation(quats[i]).ok_or_else(no_index)?);
-                block.opacity_logits.push(logits[usize::from(sh0[i][3])]);
-                block
-                    .sh
-                    .push(std::array::from_fn(|channel| color_levels[channel][usize::from(sh0[i][channel])]));
-                if let Some(label) = labels.get(i) {
-                    block.sh.extend_from_slice(sh_of(*label)?);
-                }
+        let mut blocks = Blocks::new(sh_degree, count, sink);
+        for i in 0..count as usize {
+            let block = blocks.next()?;
+            block.means.push(std::array::from_fn(|axis| {
+                let share = f64::from(u16::from_le_bytes([low[i][axis], high[i][axis]])) / 65_535.0;
+                let (min, max) = ranges[axis];
+                let logarithm = min + (max - min) * share;
+                (libm::expm1(logarithm.abs()) * logarithm.signum()) as f32
+            }));
+            let level = |levels: &[[f32; LEVELS]; 3], pixel: [u8; 4]| -> [f32; 3] {
+                std::array::from_fn(|channel| levels[channel][usize::from(pixel[channel])])
+            };
+            block.log_scales.push(level(&scale_levels, scales[i]));
+            let no_index =
+                || self.damaged(format!("the quaternion of Gaussian {i} does not say what it omits"));
+            block.quats.push(unpack_rotation(quats[i]).ok_or_else(no_index)?);
+            block.opacity_logits.push(logits[usize::from(sh0[i][3])]);
+            block.sh.push(level(&color_levels, sh0[i]));
+            if let Some(label) = labels.get(i) {
+                block.sh.extend_from_slice(sh_of(*label)?);
             }
-            sink(block)?;
         }
-        Ok(())
+        blocks.finish()
     }
 }
 

@@ -9,8 +9,7 @@ use std::path::{Path, PathBuf};
 use flate2::bufread::GzDecoder;
 use flate2::write::GzEncoder;
 
-use super::format::read_origin;
-use super::{BLOCK, Format, Header, Outline, Produce, Sink, Source};
+use super::{BLOCK, Format, Header, Opened, Outline, Produce, Sink};
 use crate::regular_file::{self, OnFile, u32_at};
 use crate::{atomic, cost};
 use ashsplat::scene::Gaussians;
@@ -41,7 +40,7 @@ pub(super) struct Spz {
     layout: Layout,
     /// Axes to mirror after unpacking.
     pub(super) mirrored: [bool; 3],
-    header: Header,
+    count: u64,
 }
 
 /// A reader that ends at the end of the SPZ.
@@ -54,16 +53,15 @@ enum Layout {
     Zstd([Option<(u64, u64)>; PLANES]),
 }
 
-impl Spz {
-    pub(super) fn open(path: &Path) -> Result<Self> {
-        let (_, bytes) = regular_file::open(path)?;
-        let mut spz = Self::inside(path, 0, bytes)?;
-        spz.header.origin = read_origin(path)?;
-        Ok(spz)
-    }
+pub(super) fn open(path: &Path) -> Result<Opened<'static>> {
+    let (_, bytes) = regular_file::open(path)?;
+    let (header, spz) = Spz::inside(path, 0, bytes)?;
+    Ok((header, Box::new(move |sink| spz.read(sink))))
+}
 
+impl Spz {
     /// Opens an SPZ inside a file: `bytes` bytes from `offset`.
-    pub(super) fn inside(path: &Path, offset: u64, bytes: u64) -> Result<Self> {
+    pub(super) fn inside(path: &Path, offset: u64, bytes: u64) -> Result<(Header, Self)> {
         let file = SpzFile { path: path.to_owned(), offset, bytes };
         let mut reader = file.from(0)?;
         let mut start = Vec::new();
@@ -82,7 +80,7 @@ impl Spz {
         let mut before = OLD_HEADER_BYTES as u64;
         let mut planes = Vec::new();
         for (index, row_bytes) in self.packing.row_bytes().into_iter().enumerate() {
-            let bytes = self.header.count * row_bytes as u64;
+            let bytes = self.count * row_bytes as u64;
             let name = NAMES[index];
             let stream: Box<dyn Read> = match &self.layout {
                 Layout::Zstd(places) => match places[index] {
@@ -119,7 +117,7 @@ impl Spz {
             let rest = io::copy(&mut (&mut plane.stream).take(limit + 1), &mut io::sink());
             let rest = rest.map_err(|e| plane.broken(&e))?;
             if rest > limit {
-                let (name, bytes, count) = (plane.name, plane.bytes, self.header.count);
+                let (name, bytes, count) = (plane.name, plane.bytes, self.count);
                 return Err(self.file.damaged(match self.layout {
                     Layout::Gzip { .. } => format!("holds more data than its {count} Gaussians need"),
                     Layout::Zstd(_) => format!("{name}: unpacks to more than {bytes} bytes"),
@@ -128,21 +126,9 @@ impl Spz {
         }
         Ok(())
     }
-}
 
-/// Largest window of a plane's decoder, as a power of two. All planes are decoded at once, and zstd's own bound would
-/// be 128 MiB for each. The minimum suffices for its levels up to 19 at any length.
-fn window_log(bytes: u64) -> u32 {
-    bytes.max(1).next_power_of_two().trailing_zeros().clamp(23, 27)
-}
-
-impl Source for Spz {
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        let count = self.header.count as usize;
+    pub(super) fn read(&self, sink: &mut Sink<'_>) -> Result<()> {
+        let count = self.count as usize;
         let row_bytes = self.packing.row_bytes();
         let mut planes = self.planes()?;
         let mut packed: [Vec<u8>; PLANES] = Default::default();
@@ -157,6 +143,12 @@ impl Source for Spz {
         }
         self.finish(planes)
     }
+}
+
+/// Largest window of a plane's decoder, as a power of two. All planes are decoded at once, and zstd's own bound would
+/// be 128 MiB for each. The minimum suffices for its levels up to 19 at any length.
+fn window_log(bytes: u64) -> u32 {
+    bytes.max(1).next_power_of_two().trailing_zeros().clamp(23, 27)
 }
 
 /// One attribute of all Gaussians, while it is unpacked.
@@ -244,7 +236,7 @@ impl SpzFile {
         Ok((packing, header, bytes[14] & FLAG_EXTENSIONS != 0))
     }
 
-    fn gzip(self, reader: Bytes) -> Result<Spz> {
+    fn gzip(self, reader: Bytes) -> Result<(Header, Spz)> {
         let mut stream = GzDecoder::new(reader);
         let mut start = [0; OLD_HEADER_BYTES];
         let read = stream.read_exact(&mut start);
@@ -277,7 +269,7 @@ impl SpzFile {
         Err(self.damaged(format!("{what}: the data end after {skipped} bytes, where {bytes} are needed")))
     }
 
-    fn zstd(self, mut reader: Bytes) -> Result<Spz> {
+    fn zstd(self, mut reader: Bytes) -> Result<(Header, Spz)> {
         if self.bytes < HEADER_BYTES {
             let bytes = self.bytes;
             return Err(self.damaged(format!("ends after {bytes} of the header's {HEADER_BYTES} bytes")));
@@ -327,14 +319,21 @@ impl SpzFile {
         self.finish(packing, header, Layout::Zstd(places), &extensions)
     }
 
-    fn finish(self, packing: Packing, mut header: Header, layout: Layout, extensions: &[u8]) -> Result<Spz> {
+    fn finish(
+        self,
+        packing: Packing,
+        mut header: Header,
+        layout: Layout,
+        extensions: &[u8],
+    ) -> Result<(Header, Spz)> {
         let (mirrored, unused) = axes(extensions).map_err(|problem| {
             Error::input(&self.path, problem, "write it again with the axes right, up, back")
         })?;
         let shown = self.path.display();
         let unused = unused.iter().map(|kind| format!("{shown}: the extension {kind:#010x} is not used"));
         header.warnings.extend(unused);
-        Ok(Spz { file: self, packing, layout, mirrored, header })
+        let spz = Spz { file: self, packing, layout, mirrored, count: header.count };
+        Ok((header, spz))
     }
 }
 

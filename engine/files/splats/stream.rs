@@ -1,6 +1,6 @@
 //! Streams Gaussians block by block between files of any format.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
@@ -199,51 +199,56 @@ pub(crate) fn in_blocks(gaussians: &Gaussians, scale: f64, sink: &mut Sink<'_>) 
     Ok(())
 }
 
-/// An open file of one format.
-pub(crate) trait Source {
-    fn header(&self) -> &Header;
-
-    /// Passes all Gaussians to the sink, usable or not. Called once.
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()>;
+/// Collects single Gaussians into blocks for a sink.
+pub(crate) struct Blocks<'a, 's> {
+    block: Gaussians,
+    sink: &'a mut Sink<'s>,
 }
 
-/// Chooses an origin for a source whose positions are relative to `near`, from its first block.
-pub(crate) fn origin_near(near: DVec3, source: &mut dyn Source) -> DVec3 {
-    let mut points = Vec::new();
-    // The error stops the reading after the first block. The main reader reports any other error again.
-    drop(source.blocks(&mut |block| {
-        points = block.means.iter().map(|mean| near + DVec3::from_array(mean.map(f64::from))).collect();
-        Err(Error::Interrupted)
-    }));
-    WorldFrame::around(&points).origin
+impl<'a, 's> Blocks<'a, 's> {
+    pub(crate) fn new(sh_degree: u32, count: u64, sink: &'a mut Sink<'s>) -> Self {
+        Self { block: Gaussians::with_capacity(sh_degree, count.min(BLOCK as u64) as usize), sink }
+    }
+
+    /// The block to which the next Gaussian is to be appended.
+    pub(crate) fn next(&mut self) -> Result<&mut Gaussians> {
+        if self.block.len() == BLOCK {
+            let next = Gaussians::with_capacity(self.block.sh_degree, BLOCK);
+            (self.sink)(std::mem::replace(&mut self.block, next))?;
+        }
+        Ok(&mut self.block)
+    }
+
+    pub(crate) fn finish(self) -> Result<()> {
+        (self.sink)(self.block)
+    }
 }
+
+/// The header of an open file, and a call that passes all its Gaussians to a sink, usable or not.
+pub(crate) type Opened<'a> = (Header, Box<Produce<'a>>);
 
 /// An open file that is read block by block.
 pub(crate) struct Reader<'a> {
-    path: PathBuf,
-    source: Box<dyn Source + 'a>,
-    options: ReadOptions,
+    pub(super) path: &'a Path,
+    pub(crate) header: Header,
+    pub(super) produce: Box<Produce<'a>>,
+    pub(super) options: ReadOptions,
     /// Descriptions of the dropped and of the implausible Gaussians.
     pub(crate) warnings: Vec<String>,
 }
 
-impl<'a> Reader<'a> {
-    pub(crate) fn new(path: &Path, source: Box<dyn Source + 'a>, options: &ReadOptions) -> Self {
-        Self { path: path.to_owned(), source, options: *options, warnings: Vec::new() }
-    }
-
-    pub(crate) fn header(&self) -> &Header {
-        self.source.header()
-    }
-
-    /// Passes the usable Gaussians to the sink. Returns the number of dropped ones.
+impl Reader<'_> {
+    /// Passes the usable Gaussians to the sink, all with the header's SH degree. Returns the number of dropped ones.
     pub(crate) fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<u64> {
-        let Header { count, format, .. } = *self.header();
+        let Header { count, format, sh_degree, .. } = self.header;
         let row_name =
             if matches!(format, Format::Ply | Format::CompressedPly) { "vertex" } else { "Gaussian" };
         let drop_invalid = self.options.drop_invalid;
         let mut validation = Validation::default();
-        self.source.blocks(&mut |mut block| {
+        (self.produce)(&mut |mut block| {
+            if block.sh_degree < sh_degree {
+                block = block.with_sh_degree(sh_degree);
+            }
             validation.look_through(&mut block);
             // If the file is refused, Gaussians after the first unusable one are only counted.
             if validation.unusable == 0 || drop_invalid { sink(block) } else { Ok(()) }
@@ -256,19 +261,19 @@ impl<'a> Reader<'a> {
                 true => "none is left without them: write the file again",
                 false => "--drop-invalid leaves them out",
             };
-            return Err(Error::input(&self.path, problem, remedy));
+            return Err(Error::input(self.path, problem, remedy));
         }
         self.warnings = problem.into_iter().chain(validation.lines()).collect();
         Ok(validation.unusable)
     }
 
     pub(crate) fn collect(mut self) -> Result<Scene> {
-        let header = self.header().clone();
+        let header = self.header.clone();
         // The header's count has been checked against the file's size. But rows take more memory than packed ones, and
         // glTF may repeat Gaussians a limited number of times.
         let capacity = usize::try_from(header.count).unwrap_or(0);
         let needed = header.count.saturating_mul(row_bytes(header.sh_degree));
-        host_memory::check(&self.path, needed, self.options.max_host_memory)?;
+        host_memory::check(self.path, needed, self.options.max_host_memory)?;
         let mut gaussians = Gaussians::with_capacity(header.sh_degree, capacity);
         let dropped = self.blocks(&mut |block| {
             gaussians.append(&block);
