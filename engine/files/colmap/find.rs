@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::read;
+use super::records;
 use crate::names::{has_video_ending, holds_photos, quoted};
 use crate::{photogrammetry, transforms};
 use ashsplat::{Error, Result};
@@ -184,10 +184,10 @@ fn largest(candidates: &[PathBuf]) -> Result<ModelFolder> {
 fn claimed_size(folder: &Path) -> (u64, u64) {
     let Ok(found) = describe(folder.to_owned(), None) else { return (0, 0) };
     let images = match found.text {
-        true => read::images(&found.file(PARTS[1])).map_or(0, |images| images.len() as u64),
-        false => read::claimed_count(&found.file(PARTS[1])),
+        true => records::images(&found.file(PARTS[1])).map_or(0, |images| images.len() as u64),
+        false => records::claimed_count(&found.file(PARTS[1])),
     };
-    (images, read::claimed_count(&found.file(PARTS[2])))
+    (images, records::claimed_count(&found.file(PARTS[2])))
 }
 
 fn has_model(folder: &Path) -> bool {

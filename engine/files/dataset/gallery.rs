@@ -7,15 +7,15 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 
+use super::DatasetOptions;
 use super::View;
-use super::crop::Crop;
-use super::depths;
-use super::level::Level;
-use super::mask::Mask;
-use super::options::DatasetOptions;
+use super::companions;
+use super::plan;
+use super::plan::Level;
 use super::plan::Plan;
+use super::planned_view::Crop;
+use super::planned_view::Mask;
 use super::planned_view::{PlannedView, Track};
-use super::read;
 use super::unpacked::Unpacked;
 use crate::cameras_json::NamedCamera;
 use crate::colmap::{self, Model};
@@ -39,10 +39,15 @@ impl Gallery {
     pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         let unpacked = Unpacked::open(path.as_ref(), progress)?;
         let open = || {
-            let mut plan = read::plan(&unpacked.folder, options)?;
+            let mut plan = plan::plan(&unpacked.folder, options)?;
             plan.check_views()?;
             let mut views = std::mem::take(&mut plan.views).into_iter().collect::<Result<Vec<_>>>()?;
-            depths::plan(&unpacked.folder, (&mut views, plan.frame.unit), options, &mut plan.warnings)?;
+            companions::plan_depths(
+                &unpacked.folder,
+                (&mut views, plan.frame.unit),
+                options,
+                &mut plan.warnings,
+            )?;
             Ok((plan, views))
         };
         let (mut plan, views) = open().map_err(|error| unpacked.name(error))?;

@@ -7,11 +7,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
+use super::DatasetOptions;
 use super::notes::{self, may_lack_points, random_points_instead};
-use super::options::DatasetOptions;
+use super::plan;
 use super::plan::{Plan, check_split};
 use super::planned_view::{PhotoUse, PlannedView};
-use super::read;
 use super::unpacked::Unpacked;
 use crate::progress::Progress;
 use crate::{colmap, cost};
@@ -75,7 +75,7 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
         }
     };
     let named = |e: Error| unpacked.name(e).to_string();
-    let mut plan = match read::plan(&unpacked.folder, options) {
+    let mut plan = match plan::plan(&unpacked.folder, options) {
         Ok(plan) => plan,
         Err(e) => {
             report.model = colmap::find(&unpacked.folder).ok().map(|found| unpacked.named(&found.folder));

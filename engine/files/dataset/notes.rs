@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::options::AlphaUse;
+use super::AlphaUse;
 use super::planned_view::{PhotoUse, PlannedView};
 use crate::images::{AUTO_MAX_WIDTH, Resolution};
 use crate::init::RANDOM_POINTS;

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::mask::is_scaled;
-use super::options::DatasetOptions;
+use super::DatasetOptions;
+use super::planned_view::is_scaled;
 use super::planned_view::{FileSize, PlannedView};
 use crate::images::{Header, PhotoOrientation, header};
 use crate::names::{Finder, ending, has_photos, photos_below, photos_beside, plain, stays_inside};
@@ -137,7 +137,7 @@ fn of_another_size(view: &PlannedView, (width, height): (u32, u32)) -> Error {
 }
 
 /// Width and height of a camera, or values in proportion to them.
-pub(super) type Sides = [f64; 2];
+type Sides = [f64; 2];
 
 /// Decides the rotation of photos (if they exist) by the sides of their cameras (if they are known). The second value
 /// is the number of photos that are used as stored although their metadata ask for a rotation: no size decides it.

@@ -13,7 +13,7 @@ use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
 use super::Photo;
-use super::scale::RowScaler;
+use super::RowScaler;
 use crate::cost;
 use crate::host_memory::{self, HostMemory, Lease};
 use crate::regular_file::{self, OnFile};
@@ -22,7 +22,7 @@ use ashsplat::{Error, Result};
 
 /// Deflate's largest compression ratio. A PNG with less data is cut short or has a wrong size in its header.
 const MAX_DEFLATE_RATIO: u64 = 1032;
-pub(super) const UNREAD_KIND: &str = "its colours are of a kind that is not read";
+pub(crate) const UNREAD_KIND: &str = "its colours are of a kind that is not read";
 /// Bytes that usually hold everything before the pixels, including a preview in the metadata.
 const HEADER_BYTES: u64 = 256 << 10;
 
@@ -240,7 +240,7 @@ pub(crate) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     Ok(rows.finish(gamma, lease))
 }
 
-pub(super) fn limits(memory: &HostMemory) -> Limits {
+pub(crate) fn limits(memory: &HostMemory) -> Limits {
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_IMAGE_SIDE);
     limits.max_image_height = Some(MAX_IMAGE_SIDE);
@@ -259,22 +259,22 @@ fn check_size(path: &Path, request: &Request<'_>, header: &Header) -> Result<()>
 }
 
 /// True if a PNG is too small for its pixels.
-pub(super) fn cannot_hold(file_bytes: u64, decoded: u64) -> bool {
+pub(crate) fn cannot_hold(file_bytes: u64, decoded: u64) -> bool {
     decoded / MAX_DEFLATE_RATIO > file_bytes
 }
 
 /// The error text for a picture that is too small for its pixels.
-pub(super) fn claims((width, height): (u32, u32), file_bytes: u64) -> String {
+pub(crate) fn claims((width, height): (u32, u32), file_bytes: u64) -> String {
     format!("claims {width}x{height} pixels in {file_bytes} bytes")
 }
 
 /// The error for a picture that cannot be decoded.
-pub(super) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
+pub(crate) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
     Error::input(path, format!("cannot be decoded: {problem}"), "copy or export the picture again")
 }
 
 /// Chooses a decoder by the content, not by the file's name.
-pub(super) fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<impl ImageDecoder + 'a> {
+pub(crate) fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<impl ImageDecoder + 'a> {
     let Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) = image::guess_format(bytes) else {
         let known = regular_file::recognise(bytes.get(..512).unwrap_or(bytes));
         let (problem, remedy) = known.unwrap_or(("is not a JPEG or PNG", "convert it"));

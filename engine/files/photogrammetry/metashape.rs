@@ -11,8 +11,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use roxmltree::Node;
 
-use super::xml::{first, named, parse};
-use super::{Lens, Scene, numbers, perspective, posed, rotation};
+use super::{Lens, Scene, first, named, numbers, parse_xml, perspective, posed, rotation};
 use crate::colmap::CameraModel;
 use crate::names::ending;
 use crate::{cost, regular_file, text};
@@ -24,7 +23,7 @@ const PANORAMA: i64 = 17;
 
 pub(super) fn read(path: &Path) -> Result<Scene> {
     let text = text::from_bytes(path, regular_file::read(path, 1)?)?;
-    let document = parse(path, &text)?;
+    let document = parse_xml(path, &text)?;
     let file = File { path };
     let chunk = file.chunk(document.root_element())?;
     let mut scene = Scene::default();

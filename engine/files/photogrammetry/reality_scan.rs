@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DVec3};
 use roxmltree::Node;
 
-use super::{Lens, Scene, numbers, perspective, posed, rotation, xml};
+use super::{Lens, Scene, numbers, parse_xml, perspective, posed, rotation};
 use crate::names::{entries, has_one_of};
 use crate::{cost, regular_file, text};
 use ashsplat::{Error, Result};
@@ -96,7 +96,7 @@ pub(super) fn read_xmp(folder: &Path, size_of: &mut dyn FnMut(&str) -> Result<(u
         cost::step();
         let error = |problem: String| Error::input(&path, problem, "export the metadata (XMP) again");
         let text = text::from_bytes(&path, regular_file::read(&path, 1)?)?;
-        let document = xml::parse(&path, &text)?;
+        let document = parse_xml(&path, &text)?;
         let of_rs = |node: &Node<'_, '_>| {
             node.tag_name().name() == "Description"
                 && node.namespaces().any(|namespace| namespace.uri() == NAMESPACE)
