@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use crate::host_memory::HostMemory;
 use crate::images::{UNREAD_KIND, cannot_hold, claims, damaged, decoder, limits};
-use crate::{cost, regular_file, text};
+use crate::{regular_file, text};
 use ashsplat::{Error, Result};
 
 /// Name of the file with the parameters, beside a COLMAP model.
@@ -48,7 +48,6 @@ impl DepthFit {
         let ends = [camera_size.0, camera_size.1].map(|side| f64::from(side) * ratio);
         let mut pairs = Vec::new();
         for point in points {
-            cost::step();
             let [x, y] = point.position_px.map(|place| f64::from((place * ratio) as f32));
             let inside = x >= 0.0 && y >= 0.0 && x < ends[0] && y < ends[1];
             if inside && point.inverse_z > 0.0 {
@@ -93,11 +92,8 @@ impl DepthFit {
         let remedy =
             "expected {\"photo\": {\"scale\": 1.5, \"offset\": 0.1}, …}; without the file, they are fitted";
         let fits: BTreeMap<String, Self> = text::json(path, "a list of depth parameters", remedy)?;
-        let finite = |fit: &Self| {
-            cost::step();
-            (fit.scale as f32).is_finite() && (fit.offset as f32).is_finite()
-        };
-        match fits.iter().find(|(_, fit)| !finite(fit)) {
+        let is_finite = |fit: &Self| (fit.scale as f32).is_finite() && (fit.offset as f32).is_finite();
+        match fits.iter().find(|(_, fit)| !is_finite(fit)) {
             None => Ok(fits),
             Some((name, _)) => {
                 Err(Error::input(path, format!("{name} has a number that is too large"), remedy))
@@ -149,7 +145,6 @@ impl DepthMap {
         let _lease =
             memory.take(path, bytes.len() as u64 + 2 * decoded + 4 * u64::from(width) * u64::from(height))?;
         decoder.set_limits(limits(memory)).map_err(|e| damaged(path, &e))?;
-        cost::steps(bytes.len());
         let channels = usize::from(color.channel_count());
         let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
         let all = match image {
@@ -159,7 +154,6 @@ impl DepthMap {
             DynamicImage::ImageRgba16(image) => image.into_raw(),
             _ => return Err(damaged(path, &UNREAD_KIND)),
         };
-        cost::steps(all.len());
         let values = all.chunks_exact(channels).map(|pixel| f32::from(pixel[0]) / STEPS).collect();
         Ok(Self { width, height, values })
     }
@@ -183,7 +177,6 @@ impl DepthMap {
         let of =
             |at: u32, size: u32, own: u32| (f64::from(at) + 0.5) * f64::from(own) / f64::from(size) - 0.5;
         let row = |y: u32| {
-            cost::steps(width as usize);
             let y = of(y, height, self.height);
             (0..width).map(move |x| self.sample(of(x, width, self.width), y) as f32)
         };

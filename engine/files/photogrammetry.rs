@@ -12,7 +12,7 @@ use roxmltree::{Document, Node};
 use crate::colmap::{CameraModel, ColmapCamera, ColmapImage, Model, ModelFolder};
 use crate::names::{entries, has_one_of};
 use crate::transforms::cloud_beside;
-use crate::{cost, host_memory, ply, regular_file, text};
+use crate::{host_memory, ply, regular_file, text};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
@@ -41,7 +41,6 @@ pub fn find(dataset: &Path, images: &str) -> Vec<Source> {
     let start_of = |path: &Path| {
         /// The marks of all formats lie near the beginning.
         const START_BYTES: u64 = 4096;
-        cost::step();
         text::decoded(regular_file::start(path, START_BYTES).unwrap_or_default())
     };
     let files = |folder: &Path, ending: &'static str| {

@@ -8,8 +8,8 @@ mod compressed;
 mod file;
 
 use std::collections::HashSet;
-use std::io;
-use std::io::Write;
+use std::io::{self, Write};
+use std::ops::Range;
 use std::path::Path;
 
 use glam::DVec3;
@@ -21,7 +21,7 @@ use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
 use ashsplat::scene::{Gaussians, PointCloud, SourcePoints, WorldFrame, filtered, median_ball};
 use ashsplat::{Error, Result};
-use file::{DISKS, Element, FILTER, Kind, Marks, ORIGIN, PlyFile, Property, RenderMode, UNIT};
+use file::{DISKS, Element, FILTER, Marks, ORIGIN, PlyFile, RenderMode, UNIT};
 
 pub(super) use compressed::{
     morton_order, open as open_compressed, pack_unorm, rotation_of_shares, shares_of_rotation, typical_step,
@@ -47,7 +47,11 @@ pub(crate) fn open(path: &Path) -> Result<Opened<'_>> {
     let element = file.seek_element("vertex")?;
     let mut layout = Layout::new(path, &element)?;
     file.check_no_list(&element)?;
-    let restored = restore_frame(path, &mut file.header, || first_positions(path))?;
+    // Rows that cannot be read are reported when all are.
+    let sample = first_rows(path, &layout.names[..SH_REST]).unwrap_or_default();
+    let position = |row: &[f64; SH_REST]| DVec3::new(row[0], row[1], row[2]);
+    let positions = || sample.iter().map(position).collect::<Vec<_>>();
+    let restored = restore_frame(path, &mut file.header, positions);
     let marks = &file.header.marks;
     let mut warnings: Vec<String> = marks.warning().into_iter().collect();
     if layout.is_flat && warnings.is_empty() {
@@ -68,20 +72,15 @@ pub(crate) fn open(path: &Path) -> Result<Opened<'_>> {
         warnings.push(format!("has no f_dc: its {red} {green} {blue} (0 to {white}) are used as colours"));
     }
     warnings.extend(unused_properties(&element, &layout));
-    warnings.extend(raw_values_doubtful(path, layout.rgb.is_none() && !layout.is_flat));
+    warnings.extend(raw_values_doubtful(&sample, layout.rgb.is_none() && !layout.is_flat));
     let count = element.count;
     warnings.extend(file.bytes_behind(&element).map(|bytes| {
         format!(
             "{bytes} bytes behind the {count} Gaussians of its header are not read: are two files joined?"
         )
     }));
-    let is_double =
-        |p: &Property| ["x", "y", "z"].contains(&p.name.as_str()) && p.kind == Kind::Scalar(Scalar::F64);
-    let double_positions = element.properties.iter().any(is_double);
-    let shift = match double_positions {
-        true => WorldFrame::around(&first_positions(path)?).origin,
-        false => DVec3::ZERO,
-    };
+    let double_positions = ["x", "y", "z"].iter().any(|name| element.scalar(name) == Some(Scalar::F64));
+    let shift = if double_positions { WorldFrame::around(&positions()).origin } else { DVec3::ZERO };
     let header = Header {
         is_2dgs: marks.mode == RenderMode::Disks || layout.is_flat,
         origin: file.header.origin + shift,
@@ -124,56 +123,44 @@ fn unused_properties(element: &Element, layout: &Layout) -> Option<String> {
     (!unused.is_empty()).then(|| format!("{named}{more}: such properties are not used"))
 }
 
-/// Calls `visit` with these properties of the first vertices, which are a sample of the whole file.
-fn first_rows(path: &Path, names: &[&str], mut visit: impl FnMut(&[f64])) -> Result<()> {
+/// These properties of the first vertices, which are a sample of the whole file.
+fn first_rows(path: &Path, names: &[String]) -> Result<Vec<[f64; SH_REST]>> {
     let mut file = PlyFile::open(path)?;
     let vertex = file.seek_element("vertex")?;
     let first = Element { count: vertex.count.min(BLOCK as u64), ..vertex };
+    let mut rows = Vec::new();
     file.for_each_row(&first, names, |_, row| {
-        visit(row);
+        rows.extend(row.first_chunk());
         Ok(())
-    })
+    })?;
+    Ok(rows)
 }
 
 /// Names values to which a program seems to have applied sigmoid, exponential or SH already.
-fn raw_values_doubtful(path: &Path, has_all: bool) -> Option<String> {
-    const NAMES: [&str; 7] = ["opacity", "f_dc_0", "f_dc_1", "f_dc_2", "scale_0", "scale_1", "scale_2"];
-    let names = if has_all { &NAMES[..] } else { &NAMES[..1] };
-    let groups = [0..1, 1..4, 4..7].map(|group| group.start.min(names.len())..group.end.min(names.len()));
-    let (mut count, mut ranges, mut scales) = (0_u64, [[f64::INFINITY, f64::NEG_INFINITY]; 3], 0.0);
-    let visit = |row: &[f64]| {
-        count += 1;
-        for (range, group) in ranges.iter_mut().zip(&groups) {
-            for &value in &row[group.clone()] {
-                *range = [range[0].min(value), range[1].max(value)];
-            }
-        }
-        scales += row[groups[2].clone()].iter().sum::<f64>();
+fn raw_values_doubtful(sample: &[[f64; SH_REST]], has_all: bool) -> Option<String> {
+    let values =
+        |columns: Range<usize>| sample.iter().flat_map(move |row| row[columns.clone()].iter().copied());
+    let range = |columns: Range<usize>| {
+        let empty = [f64::INFINITY, f64::NEG_INFINITY];
+        values(columns).fold(empty, |[least, most], value| [least.min(value), most.max(value)])
     };
-    // The main reader reports damaged rows.
-    first_rows(path, names, visit).ok()?;
-    let [opacity, color, scale] = ranges;
     // Logits and SH coefficients of trained scenes go far beyond 0 and 1.
     let is_share = |[least, most]: [f64; 2]| least >= 0.0 && most <= 1.0 && most - least > 0.5;
+    let [opacity, color, scale] = [OPACITY..SCALE, SH_DC..SH_REST, SCALE..QUATERNION].map(range);
     let mut found = Vec::new();
     if is_share(opacity) {
         found.push("opacities all lie between 0 and 1, but are taken as logits");
     }
-    if is_share(color) || color[0] >= 0.0 && color[1] > 10.0 {
+    if has_all && (is_share(color) || color[0] >= 0.0 && color[1] > 10.0) {
         found.push("f_dc looks like colours, but is taken as SH coefficients");
     }
     // Taken as logarithms, these values would make every Gaussian at least a unit large, and most of them hardly larger.
-    if scale[0] >= 0.0 && scale[1] > scale[0] && scales < count as f64 * 3.0 {
+    let are_small = || values(SCALE..QUATERNION).sum::<f64>() < sample.len() as f64 * 3.0;
+    if has_all && scale[0] >= 0.0 && scale[1] > scale[0] && are_small() {
         found.push("scales look like sizes, but are taken as their logarithms");
     }
-    let is_likely = count >= 16 && !found.is_empty();
+    let is_likely = sample.len() >= 16 && !found.is_empty();
     is_likely.then(|| format!("{}: if that is wrong, export raw values", found.join("; ")))
-}
-
-fn first_positions(path: &Path) -> Result<Vec<DVec3>> {
-    let mut points = Vec::new();
-    first_rows(path, &["x", "y", "z"], |row| points.push(DVec3::new(row[0], row[1], row[2])))?;
-    Ok(points)
 }
 
 /// Reads origin and unit from the cameras.json of a model folder, for a `point_cloud/iteration_N/point_cloud.ply` that
@@ -182,21 +169,18 @@ fn first_positions(path: &Path) -> Result<Vec<DVec3>> {
 pub(super) fn restore_frame(
     path: &Path,
     header: &mut file::Header,
-    positions: impl FnOnce() -> Result<Vec<DVec3>>,
-) -> Result<Option<String>> {
+    positions: impl FnOnce() -> Vec<DVec3>,
+) -> Option<String> {
     if header.origin != DVec3::ZERO || header.unit.is_some() {
-        return Ok(None);
+        return None;
     }
-    let model = || {
-        let file = dunce::canonicalize(path).ok()?;
-        let saved = file.ancestors().nth(2).filter(|saved| saved.ends_with("point_cloud"))?;
-        Some(saved.parent()?.join("cameras.json"))
-    };
-    let found = model().and_then(|file| Some((cameras_json::frame_of(&file)?, file)));
-    let Some((frame, cameras)) = found else { return Ok(None) };
+    let file = dunce::canonicalize(path).ok()?;
+    let saved = file.ancestors().nth(2).filter(|saved| saved.ends_with("point_cloud"))?;
+    let cameras = saved.parent()?.join("cameras.json");
+    let frame = cameras_json::frame_of(&cameras)?;
     let DVec3 { x, y, z } = frame.origin;
-    let is_relative = median_ball(&positions()?)
-        .is_some_and(|(center, _)| center.length() <= center.distance(frame.origin));
+    let is_relative =
+        median_ball(&positions()).is_some_and(|(center, _)| center.length() <= center.distance(frame.origin));
     let mut used = Vec::new();
     if is_relative && frame.origin != DVec3::ZERO {
         header.origin = frame.origin;
@@ -207,7 +191,7 @@ pub(super) fn restore_frame(
         used.push(format!("unit {}", frame.unit));
     }
     let line = || format!("names no {}: {} has it", used.join(" and "), cameras.display());
-    Ok((!used.is_empty()).then(line))
+    (!used.is_empty()).then(line)
 }
 
 /// Property names of colours; the last are those of Gaussians.
@@ -255,12 +239,12 @@ pub fn read_points(path: impl AsRef<Path>, warnings: &mut Vec<String>) -> Result
             .push(row.get(3..6).map_or([255.0; 3], |color| [color[0], color[1], color[2]].map(|c| c as f32)));
         Ok(())
     })?;
-    let kind = color.and_then(|[first, ..]| element.properties.iter().find(|p| p.name == first));
+    let scalar = color.and_then(|[first, ..]| element.scalar(first));
     let largest = colors.as_flattened().iter().copied().fold(0.0, f32::max);
-    let byte = |value: f32| match kind.map(|property| &property.kind) {
+    let byte = |value: f32| match scalar {
         _ if of_gaussians => 255.0 * sh_dc_to_rgb(value),
-        Some(Kind::Scalar(Scalar::F32 | Scalar::F64)) if largest <= 1.0 => 255.0 * value,
-        Some(Kind::Scalar(Scalar::U16)) if largest > 255.0 => value / 257.0,
+        Some(Scalar::F32 | Scalar::F64) if largest <= 1.0 => 255.0 * value,
+        Some(Scalar::U16) if largest > 255.0 => value / 257.0,
         _ => value,
     };
     points.colors =
@@ -305,14 +289,12 @@ const REQUIRED: [&str; SH_REST] = [
     "x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "f_dc_0",
     "f_dc_1", "f_dc_2",
 ];
-/// Names of colours in files without `f_dc`.
-const RGB: [[&str; 3]; 2] = [["red", "green", "blue"], ["r", "g", "b"]];
-
 impl Layout {
     fn new(path: &Path, element: &Element) -> Result<Self> {
         let mut fixed = REQUIRED;
         let has_none = |names: &[&str]| !names.iter().any(|name| element.has(name));
-        let rgb = RGB.into_iter().find(|rgb| rgb.iter().all(|name| element.has(name)));
+        // Gaussians without `f_dc` have colours of the first two names.
+        let rgb = COLORS.into_iter().take(2).find(|rgb| rgb.iter().all(|name| element.has(name)));
         let rgb = rgb.filter(|_| has_none(&REQUIRED[SH_DC..]));
         if let Some(rgb) = rgb {
             fixed[SH_DC..].copy_from_slice(&rgb);
@@ -379,10 +361,9 @@ impl Layout {
 
 /// The value of white: the type's maximum for integers, 255 for floats if a colour is far above 1.
 fn white(path: &Path, element: &Element, names: [&str; 3]) -> Result<f64> {
-    let kind = element.properties.iter().find(|property| property.name == names[0]).map(|p| &p.kind);
-    match kind {
-        Some(Kind::Scalar(Scalar::U16)) => return Ok(65535.0),
-        Some(Kind::Scalar(Scalar::F32 | Scalar::F64)) => {}
+    match element.scalar(names[0]) {
+        Some(Scalar::U16) => return Ok(65535.0),
+        Some(Scalar::F32 | Scalar::F64) => {}
         _ => return Ok(255.0),
     }
     let mut file = PlyFile::open(path)?;

@@ -40,6 +40,7 @@ impl<T> OnFile<T> for std::io::Result<T> {
 #[allow(clippy::disallowed_methods)]
 pub fn open(path: impl AsRef<Path>) -> Result<(File, u64)> {
     let path = path.as_ref();
+    cost::step();
     // Checked before opening, because opening a pipe waits for its writer.
     check_kind(path, &fs::metadata(path).reading(path)?)?;
     let file = File::open(path).reading(path)?;

@@ -30,7 +30,7 @@ use ashsplat::{Error, Result};
 pub(crate) use format::{FARTHEST, MAX_COMPRESSED_LOG_SCALE};
 pub use format::{Format, foreign, is_sog};
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION, mirrored};
-pub(super) use gltf_write::glb_head;
+pub(super) use gltf_write::{glb_head, placed_primitive};
 use stream::PackingLoss;
 pub(super) use stream::{BLOCK, Blocks, Opened, Outline, Produce, Reader, Sink, in_blocks, is_kernel_size};
 pub use stream::{Header, ReadOptions, Scene, WriteOptions, row_bytes};

@@ -55,14 +55,7 @@ pub fn find(dataset: impl AsRef<Path>) -> Result<ModelFolder> {
         }
         Ok(_) => {}
     }
-    let sparse = dataset.join("sparse");
-    let mut candidates = subfolders(&sparse)?;
-    candidates.retain(|folder| has_model(folder));
-    if candidates.is_empty() {
-        candidates =
-            [sparse, dataset.to_owned()].into_iter().filter(|folder| has_model(folder)).take(1).collect();
-    }
-    match candidates.as_slice() {
+    match candidates(dataset)?.as_slice() {
         [] => Err(no_model(dataset)),
         [only] => describe(only.clone(), None),
         several => largest(several),
@@ -71,10 +64,18 @@ pub fn find(dataset: impl AsRef<Path>) -> Result<ModelFolder> {
 
 /// True if a data set has a model at one of the places of [`find`].
 pub fn exists(dataset: impl AsRef<Path>) -> bool {
-    let dataset = dataset.as_ref();
+    candidates(dataset.as_ref()).is_ok_and(|folders| !folders.is_empty())
+}
+
+/// The folders with models below `sparse`, or else `sparse` or the data set itself.
+fn candidates(dataset: &Path) -> Result<Vec<PathBuf>> {
     let sparse = dataset.join("sparse");
-    let below = subfolders(&sparse).unwrap_or_default();
-    below.iter().chain([&sparse, &dataset.to_owned()]).any(|folder| has_model(folder))
+    let mut below = subfolders(&sparse)?;
+    below.retain(|folder| has_model(folder));
+    if below.is_empty() {
+        below = [sparse, dataset.to_owned()].into_iter().filter(|folder| has_model(folder)).take(1).collect();
+    }
+    Ok(below)
 }
 
 /// True if a folder has a model, or the cameras of a transforms.json or of a photogrammetry program.

@@ -13,8 +13,8 @@ use super::plan;
 use super::plan::{Plan, check_split};
 use super::planned_view::{PhotoUse, PlannedView};
 use super::unpacked::Unpacked;
+use crate::colmap;
 use crate::progress::Progress;
-use crate::{colmap, cost};
 use ashsplat::scene::{Bounds, WorldFrame, scene_extent};
 use ashsplat::{Error, Result};
 
@@ -107,7 +107,6 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
 impl DatasetReport {
     /// Notes a problem once: many images share a camera.
     fn problem(&mut self, problem: String) {
-        cost::step();
         if self.known.insert(problem.clone()) {
             self.problems.push(problem);
         }

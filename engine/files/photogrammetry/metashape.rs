@@ -14,7 +14,7 @@ use roxmltree::Node;
 use super::{Lens, Scene, first, named, numbers, parse_xml, perspective, posed, rotation};
 use crate::colmap::CameraModel;
 use crate::names::ending;
-use crate::{cost, regular_file, text};
+use crate::{regular_file, text};
 use ashsplat::{Error, Result};
 
 /// COLMAP's THIN_PRISM_FISHEYE and EQUIRECTANGULAR.
@@ -110,7 +110,6 @@ impl File<'_> {
             all.filter(|node| node.tag_name().name() == "camera" && is_used(node)).collect();
         let mut by_component: BTreeMap<Option<&str>, Vec<Node<'a, 't>>> = BTreeMap::new();
         for camera in all.iter().filter(|camera| first(**camera, "transform").is_some()) {
-            cost::step();
             by_component.entry(camera.attribute("component_id")).or_default().push(*camera);
         }
         let of_rigs = all.iter().filter(|camera| camera.has_attribute("master_id")).count();

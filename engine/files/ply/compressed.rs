@@ -55,7 +55,7 @@ pub(crate) fn open(path: &Path) -> Result<Opened<'_>> {
     }
     let (sh_degree, sh) = read_sh(path, vertex.count)?;
     let corners = |chunk: &Chunk| DVec3::new(chunk[0].into(), chunk[1].into(), chunk[2].into());
-    let restored = restore_frame(path, &mut file.header, || Ok(chunks.iter().map(corners).collect()))?;
+    let restored = restore_frame(path, &mut file.header, || chunks.iter().map(corners).collect());
     let mut warnings: Vec<String> = file.header.marks.warning().into_iter().collect();
     warnings.extend(restored);
     let infinite = chunks.iter().filter(|chunk| chunk[6..12].iter().any(|v| v.is_infinite())).count();

@@ -99,6 +99,14 @@ impl Element {
     pub(crate) fn has(&self, name: &str) -> bool {
         self.properties.iter().any(|p| p.name == name)
     }
+
+    /// Type of a property that is no list.
+    pub(crate) fn scalar(&self, name: &str) -> Option<Scalar> {
+        self.properties.iter().find_map(|p| match p.kind {
+            Kind::Scalar(scalar) if p.name == name => Some(scalar),
+            _ => None,
+        })
+    }
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -443,7 +443,7 @@ fn members(path: &Path, all: &Gaussians, outline: &Outline) -> Result<Vec<(&'sta
         })
     });
     let words: Vec<[[u8; 2]; 3]> = words.collect();
-    let half = |at: usize| words.iter().map(|word| word.map(|bytes| bytes[at])).collect::<Vec<_>>();
+    let half = |at: usize| words.iter().map(move |word| word.map(|bytes| bytes[at]));
 
     let in_order = |values: &[[f32; 3]], stride: usize| -> Vec<f32> {
         order.iter().flat_map(|&i| values[i * stride]).collect()
@@ -452,26 +452,25 @@ fn members(path: &Path, all: &Gaussians, outline: &Outline) -> Result<Vec<(&'sta
     let coefficients = sh_coefficients(all.sh_degree);
     let (color_book, colors) = scalar_codebook(&in_order(&all.sh, coefficients));
     let opacity = |&i: &usize| (255.0 * all.opacity(i)).round() as u8;
-    let colors = colors.as_chunks::<3>().0.iter().zip(&order).map(|(&[r, g, b], i)| [r, g, b, opacity(i)]);
+    let triples = |bytes: &[u8]| bytes.as_chunks::<3>().0.to_vec();
+    let colors = triples(&colors).into_iter().zip(&order).map(|([r, g, b], i)| [r, g, b, opacity(i)]);
     let quats = order.iter().map(|&i| pack_rotation(all.quats[i]));
     let mut files = vec![
-        ("means_l.webp", Picture::rgb(&half(0), size).packed()),
-        ("means_u.webp", Picture::rgb(&half(1), size).packed()),
-        ("scales.webp", Picture::rgb(scales.as_chunks::<3>().0, size).packed()),
-        ("quats.webp", Picture::rgba(quats, size).packed()),
-        ("sh0.webp", Picture::rgba(colors, size).packed()),
+        ("means_l.webp", picture(half(0), size)),
+        ("means_u.webp", picture(half(1), size)),
+        ("scales.webp", picture(triples(&scales), size)),
+        ("quats.webp", picture(quats, size)),
+        ("sh0.webp", picture(colors, size)),
     ];
     let mut higher = None;
     if coefficients > 1 {
         let vectors: Vec<f32> = order.iter().flat_map(|&i| &all.sh_of(i)[1..]).flatten().copied().collect();
         let Palette { book, vectors, labels } = Palette::of(&vectors, 3 * (coefficients - 1));
         let found = vectors.len() / (3 * (coefficients - 1));
-        let rows = found.div_ceil(PALETTE_COLUMNS).max(1);
-        let palette = Picture::rgb(vectors.as_chunks::<3>().0, (PALETTE_COLUMNS * (coefficients - 1), rows));
-        let labels: Vec<[u8; 3]> =
-            labels.iter().map(|label| label.to_le_bytes()).map(|[l, h]| [l, h, 0]).collect();
-        files.push(("shN_centroids.webp", palette.packed()));
-        files.push(("shN_labels.webp", Picture::rgb(&labels, size).packed()));
+        let palette = (palette_width(all.sh_degree), found.div_ceil(PALETTE_COLUMNS).max(1));
+        let labels = labels.iter().map(|label| label.to_le_bytes()).map(|[l, h]| [l, h, 0]);
+        files.push(("shN_centroids.webp", picture(triples(&vectors), palette)));
+        files.push(("shN_labels.webp", picture(labels, size)));
         higher = Some(Attribute {
             count: Some(found),
             bands: Some(all.sh_degree),
@@ -506,33 +505,13 @@ fn members(path: &Path, all: &Gaussians, outline: &Outline) -> Result<Vec<(&'sta
     Ok(files)
 }
 
-/// Pixels to be packed. Those after the last value are 0.
-struct Picture {
-    bytes: Vec<u8>,
-    size: (usize, usize),
-    channels: usize,
-}
-
-impl Picture {
-    fn rgb(values: &[[u8; 3]], size: (usize, usize)) -> Self {
-        let mut bytes = values.as_flattened().to_vec();
-        bytes.resize(3 * size.0 * size.1, 0);
-        Self { bytes, size, channels: 3 }
-    }
-
-    fn rgba(values: impl Iterator<Item = [u8; 4]>, size: (usize, usize)) -> Self {
-        let mut bytes: Vec<u8> = values.flatten().collect();
-        bytes.resize(4 * size.0 * size.1, 0);
-        Self { bytes, size, channels: 4 }
-    }
-
-    fn packed(self) -> Vec<u8> {
-        let Self { bytes, size: (width, height), channels } = self;
-        let (width, height) = (width as u32, height as u32);
-        let encoder = match channels {
-            3 => webp::Encoder::from_rgb(&bytes, width, height),
-            _ => webp::Encoder::from_rgba(&bytes, width, height),
-        };
-        encoder.encode_lossless().to_vec()
-    }
+/// Packs pixels of r, g, b or r, g, b, a without loss. Those after the last value are 0.
+fn picture<const N: usize>(
+    pixels: impl IntoIterator<Item = [u8; N]>,
+    (width, height): (usize, usize),
+) -> Vec<u8> {
+    let mut bytes: Vec<u8> = pixels.into_iter().flatten().collect();
+    bytes.resize(N * width * height, 0);
+    let layout = if N == 3 { webp::PixelLayout::Rgb } else { webp::PixelLayout::Rgba };
+    webp::Encoder::new(&bytes, layout, width as u32, height as u32).encode_lossless().to_vec()
 }

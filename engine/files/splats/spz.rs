@@ -420,7 +420,8 @@ impl Packing {
         block
     }
 
-    fn pack(&self, block: &Gaussians, planes: &mut [Vec<u8>; PLANES]) {
+    fn pack(&self, block: &Gaussians) -> [Vec<u8>; PLANES] {
+        let mut planes: [Vec<u8>; PLANES] = Default::default();
         let factor = (self.fractional_bits as f32).exp2();
         for index in 0..block.len() {
             for value in block.means[index] {
@@ -440,6 +441,7 @@ impl Packing {
                 planes[5].extend(rgb.map(|value| pack_sh(value, 1 << (8 - bits))));
             }
         }
+        planes
     }
 }
 
@@ -528,9 +530,9 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
         if outline.count * row_bytes as u64 == 0 {
             continue;
         }
-        let mut encoder = zstd::stream::write::Encoder::new(room_for_one()?, LEVEL).map_err(temporary)?;
+        let mut encoder = zstd::stream::write::Encoder::new(temporary_file()?, LEVEL).map_err(temporary)?;
         io::copy(&mut file, &mut encoder).map_err(temporary)?;
-        let packed = from_the_start(encoder.finish().map_err(temporary)?)?;
+        let packed = rewound(encoder.finish().map_err(temporary)?)?;
         let packed_bytes = packed.metadata().map_err(temporary)?.len();
         streams.push((packed, packed_bytes, outline.count * row_bytes as u64));
     }
@@ -555,12 +557,12 @@ pub(super) fn old(
     produce: &mut Produce<'_>,
 ) -> Result<File> {
     let (packing, files) = packed(path, version, mirrored, outline, produce)?;
-    let mut encoder = GzEncoder::new(room_for_one()?, flate2::Compression::default());
+    let mut encoder = GzEncoder::new(temporary_file()?, flate2::Compression::default());
     encoder.write_all(&head(packing, outline, 0)).map_err(temporary)?;
     for mut file in files {
         io::copy(&mut file, &mut encoder).map_err(temporary)?;
     }
-    from_the_start(encoder.finish().map_err(temporary)?)
+    rewound(encoder.finish().map_err(temporary)?)
 }
 
 /// The header that all versions begin with. The last byte is the number of streams, 0 if there is only one.
@@ -591,28 +593,35 @@ fn packed(
         Error::input(path, problem, remedy)
     })?;
     let packing = Packing { version, sh_degree: outline.sh_degree, fractional_bits };
-    let mut files = (0..PLANES).map(|_| room_for_one()).collect::<Result<Vec<BufWriter<File>>>>()?;
-    let mut planes: [Vec<u8>; PLANES] = Default::default();
-    produce(&mut |mut block| {
+    let files = spooled(produce, |mut block| {
         block.mirror(mirrored);
-        planes.iter_mut().for_each(Vec::clear);
-        packing.pack(&block, &mut planes);
-        let mut pairs = files.iter_mut().zip(&planes);
-        pairs.try_for_each(|(file, plane)| file.write_all(plane).map_err(temporary))
+        packing.pack(&block)
     })?;
-    Ok((packing, files.into_iter().map(from_the_start).collect::<Result<_>>()?))
+    Ok((packing, files))
 }
 
-pub(super) fn room_for_one() -> Result<BufWriter<File>> {
+/// Temporary files with what `parts` makes of each block, ready to be read from their start.
+pub(super) fn spooled<const N: usize>(
+    produce: &mut Produce<'_>,
+    mut parts: impl FnMut(Gaussians) -> [Vec<u8>; N],
+) -> Result<Vec<File>> {
+    let mut files = (0..N).map(|_| temporary_file()).collect::<Result<Vec<_>>>()?;
+    produce(&mut |block| {
+        let mut pairs = files.iter_mut().zip(parts(block));
+        pairs.try_for_each(|(file, part)| file.write_all(&part).map_err(temporary))
+    })?;
+    files.into_iter().map(rewound).collect()
+}
+
+fn temporary_file() -> Result<BufWriter<File>> {
     tempfile::tempfile().map(BufWriter::new).map_err(temporary)
 }
 
-pub(super) fn temporary(source: io::Error) -> Error {
+fn temporary(source: io::Error) -> Error {
     Error::io(std::env::temp_dir(), "write a temporary file", source)
 }
 
-/// Rewinds a written file for reading.
-pub(super) fn from_the_start(file: BufWriter<File>) -> Result<File> {
+fn rewound(file: BufWriter<File>) -> Result<File> {
     let mut file = file.into_inner().map_err(|e| temporary(e.into_error()))?;
     file.rewind().map_err(temporary)?;
     Ok(file)

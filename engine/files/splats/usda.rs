@@ -5,8 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_2;
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io;
 use std::ops::Range;
 use std::path::Path;
 
@@ -414,10 +413,9 @@ impl<'a> Parser<'a> {
 
 /// Writes Gaussians block by block. Temporary files hold the arrays until they are put together.
 pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
-    let mut files = ARRAYS.iter().map(|_| spz::room_for_one()).collect::<Result<Vec<BufWriter<File>>>>()?;
     let mut separator = "";
     let mut extent = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
-    produce(&mut |mut block| {
+    let mut files = spz::spooled(produce, |mut block| {
         block.mirror(MIRRORED);
         let mut texts: [String; ARRAYS.len()] = Default::default();
         for index in 0..block.len() {
@@ -437,10 +435,8 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
             }
             separator = ", ";
         }
-        let mut pairs = files.iter_mut().zip(&texts);
-        pairs.try_for_each(|(file, text)| file.write_all(text.as_bytes()).map_err(spz::temporary))
+        texts.map(String::into_bytes)
     })?;
-    let mut files = files.into_iter().map(spz::from_the_start).collect::<Result<Vec<File>>>()?;
     let origin = mirrored(outline.options.frame.origin).to_array();
     atomic::write(path, |writer| {
         writeln!(writer, "#usda 1.0\n(\n    defaultPrim = \"Gaussians\"\n    upAxis = \"Y\"\n)\n")?;
