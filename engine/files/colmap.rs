@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec2, DVec3, Mat3, Vec3};
 
-use crate::depth_fit::DepthPoint;
+use crate::depth_fit::ObservedPoint;
 use crate::ply;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::scene::{Camera, PhotoLens, SourcePoints};
@@ -199,7 +199,7 @@ fn observed(model: &Model) -> Result<(Vec<Observed>, Positions)> {
 }
 
 /// The points that each image of a model shows, by image id.
-pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
+pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<ObservedPoint>>> {
     let (observed, positions) = observed(model)?;
     let pose = |image: &ColmapImage| (image.id, (image.rotation(), DVec3::from_array(image.translation)));
     let poses: HashMap<u32, (DMat3, DVec3)> = model.images.iter().map(pose).collect();
@@ -209,7 +209,8 @@ pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
             let (rotation, translation) = pose?;
             let position = DVec3::from_array(*positions.get(&point?)?);
             let z = (*rotation * position + *translation).z;
-            Some(DepthPoint { position_px, inverse_z: 1.0 / z }).filter(|point| point.inverse_z.is_finite())
+            Some(ObservedPoint { position_px, inverse_z: 1.0 / z })
+                .filter(|point| point.inverse_z.is_finite())
         };
         (id, places.into_iter().filter_map(point).collect())
     };

@@ -25,7 +25,7 @@ use ashsplat::passes::loss::DepthPoint;
 use ashsplat::scene::{Camera, PhotoLens, PointCloud, Projection, WorldFrame};
 use ashsplat::{Error, Result};
 use notes::{may_lack_points, random_points_instead};
-use planned_view::{PhotoUse, PlannedView};
+use planned_view::PlannedView;
 
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
@@ -102,13 +102,13 @@ impl Dataset {
     }
 
     fn of(gallery: &Gallery, progress: Progress<'_>) -> Result<Self> {
-        let Gallery { options, views: planned, .. } = gallery;
-        plan::check_split(&gallery.plan.list, planned)?;
-        let mut warnings = gallery.plan.warnings.clone();
+        let Gallery { options, views: planned, plan, .. } = gallery;
+        plan::check_split(&plan.list, planned)?;
+        let mut warnings = plan.warnings.clone();
         let needed = gallery.texel_bytes();
         let file = photo_file(needed, options, &mut warnings)?;
         let kept = gallery.map_bytes() + if file.is_some() { 0 } else { needed };
-        let (list, total) = (gallery.plan.list.display(), planned.len());
+        let (list, total) = (plan.list.display(), planned.len());
         let what = || format!("{list}: keeping its {total} photos in memory (-r makes them smaller)");
         let _kept = options.host_memory.keep(&what, kept)?;
         // Decoding gets the memory that the kept photos leave: waiting for theirs would never end.
@@ -138,29 +138,20 @@ impl Dataset {
             Ok((view, half, photo_use))
         };
         let views = planned.par_iter().map(load).collect::<Result<Vec<_>>>()?;
-        Ok(Self::assemble(gallery, views, warnings))
-    }
-
-    /// `views`: each with its training half, if it is held out.
-    fn assemble(
-        gallery: &Gallery,
-        views: Vec<(View, Option<View>, PhotoUse)>,
-        mut warnings: Vec<String>,
-    ) -> Self {
         let (mut train, mut test, mut uses) = (Vec::new(), Vec::new(), Vec::new());
-        for ((view, half, photo_use), planned) in views.into_iter().zip(&gallery.views) {
+        for ((view, half, photo_use), planned) in views.into_iter().zip(planned) {
             uses.push(photo_use);
             if planned.held_out { &mut test } else { &mut train }.push(view);
             train.extend(half);
         }
-        let (notes, doubts) = notes::of_pixels(gallery.views.iter().zip(uses), gallery.options.alpha);
+        let (notes, doubts) = notes::of_pixels(planned.iter().zip(uses), options.alpha);
         warnings.extend(doubts);
-        let mut extent = gallery.scene_extent();
-        if extent == 0.0 {
+        let mut scene_extent = gallery.scene_extent();
+        if scene_extent == 0.0 {
             warnings.push("all training cameras are at one place; the scene extent is taken as 1".into());
-            extent = 1.0;
+            scene_extent = 1.0;
         }
-        let points = gallery.plan.points.clone();
+        let (source, points) = (plan.source.clone(), plan.points.clone());
         if points.is_empty() {
             const GUESSED: &str = ", at guessed depths: the cameras do not look at one place and so do not tell how far the \
                                    scene is; give points";
@@ -168,8 +159,7 @@ impl Dataset {
             let guessed = if seen_box(&cameras).is_some() { "" } else { GUESSED };
             warnings.push(random_points_instead() + guessed);
         }
-        let source = gallery.plan.source.clone();
-        Self { frame: gallery.plan.frame, train, test, points, scene_extent: extent, source, warnings, notes }
+        Ok(Self { frame: plan.frame, train, test, points, scene_extent, source, warnings, notes })
     }
 
     /// All views by name, including held-out ones.

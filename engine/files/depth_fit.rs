@@ -33,7 +33,7 @@ pub struct DepthFit {
 
 /// A sparse point and its place in a photo.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DepthPoint {
+pub struct ObservedPoint {
     /// Position in the photo, pixels of its camera.
     pub position_px: [f64; 2],
     /// 1 / z in the camera's frame, 1 / world units.
@@ -43,7 +43,7 @@ pub struct DepthPoint {
 impl DepthFit {
     /// Fits a map to its photo's points: medians and mean absolute deviations agree. `camera_size`: of the photo's camera.
     /// The flag is true if the map's values fall as points come nearer: it then holds depths.
-    pub fn of(map: &DepthMap, camera_size: (u32, u32), points: &[DepthPoint]) -> (Self, bool) {
+    pub fn of(map: &DepthMap, camera_size: (u32, u32), points: &[ObservedPoint]) -> (Self, bool) {
         let ratio = f64::from(map.height) / f64::from(camera_size.1.max(1));
         let ends = [camera_size.0, camera_size.1].map(|side| f64::from(side) * ratio);
         let mut pairs = Vec::new();

@@ -22,7 +22,7 @@ pub use ashsplat::scene::photo::Photo;
 pub use ashsplat::scene::stored_photo::{PhotoFile, StoredPhoto};
 pub use decode::photo_size;
 pub(crate) use decode::{
-    Decoded, Header, Request, UNREAD_KIND, cannot_hold, claims, damaged, decoder, header, limits,
+    Decoded, PhotoHeader, Request, UNREAD_KIND, cannot_hold, claims, damaged, decoder, limits, photo_header,
     read as read_as,
 };
 

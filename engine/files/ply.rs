@@ -21,7 +21,7 @@ use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
 use ashsplat::scene::{Gaussians, PointCloud, SourcePoints, WorldFrame, filtered, median_ball};
 use ashsplat::{Error, Result};
-use file::{DISKS, Element, FILTER, Marks, ORIGIN, PlyFile, RenderMode, UNIT};
+use file::{DISKS, Element, FILTER, Marks, ORIGIN, PlyFile, PlyHeader, RenderMode, UNIT};
 
 pub(super) use compressed::{
     morton_order, open as open_compressed, pack_unorm, rotation_of_shares, shares_of_rotation, typical_step,
@@ -168,7 +168,7 @@ fn raw_values_doubtful(sample: &[[f64; SH_REST]], has_all: bool) -> Option<Strin
 /// a note if any was used.
 pub(super) fn restore_frame(
     path: &Path,
-    header: &mut file::Header,
+    header: &mut PlyHeader,
     positions: impl FnOnce() -> Vec<DVec3>,
 ) -> Option<String> {
     if header.origin != DVec3::ZERO || header.unit.is_some() {

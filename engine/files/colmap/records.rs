@@ -182,7 +182,7 @@ pub(super) struct Sensor {
 type Rig = HashMap<Sensor, Option<Pose>>;
 
 /// Images that the sensors of a rig took at one time.
-pub(super) struct Frame {
+pub(super) struct RigFrame {
     pub(super) id: u32,
     pub(super) rig: u32,
     /// From the world to the rig.
@@ -206,7 +206,7 @@ const CAMERA: RecordKind = kind("camera", 24, size_of::<ColmapCamera>() + 16 * s
 /// 74 bytes: the fields, a name of one letter with its NUL, and the number of observations.
 const IMAGE: RecordKind = kind("image", 74, size_of::<ColmapImage>() + 64);
 const RIG: RecordKind = kind("rig", 8, size_of::<(u32, Rig)>() + 4 * size_of::<(Sensor, Option<Pose>)>());
-const FRAME: RecordKind = kind("frame", 68, size_of::<Frame>() + 2 * size_of::<(Sensor, u64)>());
+const FRAME: RecordKind = kind("frame", 68, size_of::<RigFrame>() + 2 * size_of::<(Sensor, u64)>());
 const POINT: RecordKind = kind("point", 51, 2 * size_of::<(u64, [f64; 3])>());
 const OBSERVATION_BYTES: u64 = 24;
 const TRACK_ENTRY_BYTES: u64 = 8;
@@ -262,14 +262,14 @@ pub(super) fn rigs(path: &Path) -> Result<HashMap<u32, Rig>> {
     Ok(rigs)
 }
 
-pub(super) fn frames(path: &Path) -> Result<Vec<Frame>> {
+pub(super) fn frames(path: &Path) -> Result<Vec<RigFrame>> {
     let mut file = Records::open(path, FRAME)?;
     let mut frames = Vec::with_capacity(file.count);
     while file.next()? {
         let (id, rig) = (file.number("frame id")?, file.number("rig id")?);
         let (pose, count) = (file.pose()?, file.number::<u32>("number of images")?);
         let data = (0..count).map(|_| Ok((file.sensor()?, file.number("image id")?)));
-        frames.push(Frame { id, rig, pose, data: data.collect::<Result<_>>()? });
+        frames.push(RigFrame { id, rig, pose, data: data.collect::<Result<_>>()? });
     }
     Ok(frames)
 }

@@ -13,7 +13,7 @@ use crate::dataset::plan::Plan;
 use crate::dataset::planned_view::cut;
 use crate::dataset::planned_view::{PlannedMap, PlannedView};
 use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit, DepthMap};
-use crate::images::header;
+use crate::images::photo_header;
 use crate::names::{Finder, entries, is_companion, pictures_below, plain, stays_inside};
 use crate::{colmap, transforms};
 use ashsplat::scene::PicturePart;
@@ -358,7 +358,7 @@ fn checked_map_of(folder: &Path, view: &PlannedView, finder: &mut Finder) -> Res
             format!("photo {} is of a fisheye or a panorama, whose depths may be of two kinds", view.name);
         return Err(Error::input(path, problem, "train without -d"));
     }
-    let (width, height) = header(&path)?.size(false);
+    let (width, height) = photo_header(&path)?.size(false);
     let (photo_width, photo_height) = (u64::from(view.lens.width), u64::from(view.lens.height));
     let apart = (u64::from(width) * photo_height).abs_diff(u64::from(height) * photo_width);
     // A smaller size is rounded to whole pixels.

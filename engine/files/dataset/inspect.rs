@@ -84,7 +84,7 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
         }
     };
     plan.name_paths(&unpacked);
-    report.describe(&plan);
+    report.describe(&mut plan);
     let has_views = plan.check_views();
     let mut views = Vec::new();
     for view in std::mem::take(&mut plan.views) {
@@ -112,15 +112,13 @@ impl DatasetReport {
         }
     }
 
-    fn describe(&mut self, plan: &Plan) {
+    fn describe(&mut self, plan: &mut Plan) {
         self.model = Some(plan.source.clone());
-        self.cameras.clone_from(&plan.cameras);
+        self.cameras = std::mem::take(&mut plan.cameras);
         self.images = plan.registered;
-        self.points = plan.points.len();
+        (self.points, self.point_bounds) = (plan.points.len(), plan.points.bounds());
         self.frame = plan.frame;
-        self.point_bounds = plan.points.bounds();
-        self.warnings.clone_from(&plan.warnings);
-        self.notes.clone_from(&plan.notes);
+        (self.warnings, self.notes) = (std::mem::take(&mut plan.warnings), std::mem::take(&mut plan.notes));
         if plan.points.is_empty() {
             self.warnings.push(match may_lack_points(&plan.source) {
                 true => random_points_instead(),

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::DatasetOptions;
 use super::planned_view::is_scaled;
 use super::planned_view::{FileSize, PlannedView};
-use crate::images::{Header, PhotoOrientation, header};
+use crate::images::{PhotoHeader, PhotoOrientation, photo_header};
 use crate::names::{Finder, ending, has_photos, photos_below, photos_beside, plain, stays_inside};
 use crate::{colmap, regular_file};
 use ashsplat::scene::PhotoLens;
@@ -50,7 +50,7 @@ pub(super) fn size(folder: &Path, name: &str, finder: &mut Finder) -> Result<(u3
         let problem = format!("has no photo {:?}, or several", ending(&name));
         Error::input(folder, problem, "copy it there, or remove its camera")
     };
-    Ok(header(&found.ok_or_else(missing)?)?.size(false))
+    Ok(photo_header(&found.ok_or_else(missing)?)?.size(false))
 }
 
 /// All photos of the folder, in the model or not. The data set's own folder may hold other pictures, such as masks:
@@ -146,11 +146,11 @@ pub(super) fn turned(
     choice: PhotoOrientation,
 ) -> (Vec<FileSize>, usize) {
     // A photo that cannot be read is reported when it is loaded.
-    let header_of = |&(path, _): &(Option<&Path>, _)| header(path?).ok();
-    let headers: Vec<Option<Header>> = photos.par_iter().map(header_of).collect();
+    let header_of = |&(path, _): &(Option<&Path>, _)| photo_header(path?).ok();
+    let headers: Vec<Option<PhotoHeader>> = photos.par_iter().map(header_of).collect();
     // For a photo whose metadata ask for a rotation: what its size tells, if anything.
     let reported = |index: usize| -> Option<Option<bool>> {
-        let header = headers[index].filter(Header::has_orientation)?;
+        let header = headers[index].filter(PhotoHeader::has_orientation)?;
         Some(photos[index].1.and_then(|sides| told_by(header, sides)))
     };
     let all = || (0..photos.len()).filter_map(reported);
@@ -164,7 +164,7 @@ pub(super) fn turned(
             reported(index).is_some_and(|reported| reported.unwrap_or(turned && !stored))
         }
     };
-    let photo = |(index, header): (usize, &Option<Header>)| {
+    let photo = |(index, header): (usize, &Option<PhotoHeader>)| {
         let turned = is_turned(index);
         (turned, header.map(|header| header.size(turned)))
     };
@@ -187,7 +187,7 @@ pub(super) fn untold_rotation(list: &Path, untold: usize) -> Option<String> {
 }
 
 /// True if a camera has the size of the rotated photo; `None` if its sides fit both.
-fn told_by(header: Header, [width, height]: Sides) -> Option<bool> {
+fn told_by(header: PhotoHeader, [width, height]: Sides) -> Option<bool> {
     let (stored_width, stored_height) = header.size(false);
     let tells = header.lies_on_its_side() && stored_width != stored_height && width != height;
     tells.then_some((width > height) != (stored_width > stored_height))

@@ -13,7 +13,7 @@ use crate::dataset::companions::mask_in_folder;
 use crate::dataset::planned_view::{FileSize, PlannedView};
 use crate::dataset::unpacked::Unpacked;
 use crate::dataset::{notes, photos};
-use crate::images::header;
+use crate::images::photo_header;
 use crate::names::{Finder, ending, first_with, photos_below, plain, stays_inside};
 use crate::transforms::{Frame, Transforms};
 use crate::{colmap, photogrammetry, text, transforms};
@@ -573,7 +573,7 @@ impl Plan {
         let (width, height) = match (frame.optics.size, size) {
             (Some([width, height]), _) => (width, height),
             (None, Some(size)) => size,
-            (None, None) => header(&photo_path)?.size(turned),
+            (None, None) => photo_header(&photo_path)?.size(turned),
         };
         let problem = |problem: String| {
             Error::input(&self.list, format!("frame {}: {problem}", frame.name), "correct the file")

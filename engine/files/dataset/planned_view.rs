@@ -10,7 +10,9 @@ use crate::dataset::View;
 use crate::dataset::{AlphaUse, DatasetOptions};
 use crate::depth_fit::DepthFit;
 use crate::host_memory::HostMemory;
-use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, header, read_as, undistort};
+use crate::images::{
+    Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, photo_header, read_as, undistort,
+};
 use ashsplat::kernels::constants::TILE_SIZE;
 use ashsplat::scene::{Camera, PhotoLens, PicturePart, Projection, Shutter, WorldFrame};
 use ashsplat::{Error, Result};
@@ -310,7 +312,7 @@ impl Mask {
         (width, height): (u32, u32),
         memory: &HostMemory,
     ) -> Result<(Self, bool)> {
-        let size = header(path)?.size(turned);
+        let size = photo_header(path)?.size(turned);
         if !is_enlarged(size, (width, height)) {
             let problem = format!("is {}x{} pixels, its photo {width}x{height}", size.0, size.1);
             let remedy = "masks must have their photo's size, or be larger with the same proportions";

@@ -27,14 +27,14 @@ pub(crate) const UNREAD_KIND: &str = "its colours are of a kind that is not read
 const HEADER_BYTES: u64 = 256 << 10;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Header {
+pub(crate) struct PhotoHeader {
     /// Width and height as stored, pixels.
     stored: (u32, u32),
     /// The transformation from the stored to the displayed picture.
     orientation: Orientation,
 }
 
-impl Header {
+impl PhotoHeader {
     /// Not rotated if the metadata cannot be read.
     fn of(decoder: &mut impl ImageDecoder) -> Self {
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
@@ -60,9 +60,9 @@ impl Header {
 }
 
 /// Reads a picture's header, and as little of the file as possible.
-pub(crate) fn header(path: &Path) -> Result<Header> {
+pub(crate) fn photo_header(path: &Path) -> Result<PhotoHeader> {
     let start = regular_file::start(path, HEADER_BYTES)?;
-    let of = |bytes: &[u8]| Ok(Header::of(&mut decoder(path, bytes)?));
+    let of = |bytes: &[u8]| Ok(PhotoHeader::of(&mut decoder(path, bytes)?));
     match of(&start) {
         Err(_) if start.len() as u64 == HEADER_BYTES => of(&regular_file::read(path, 1)?),
         result => result,
@@ -71,7 +71,7 @@ pub(crate) fn header(path: &Path) -> Result<Header> {
 
 /// Width and height of a JPEG or PNG from its header, as stored, pixels.
 pub fn photo_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
-    Ok(header(path.as_ref())?.stored)
+    Ok(photo_header(path.as_ref())?.stored)
 }
 
 #[derive(Clone, Copy)]
@@ -182,7 +182,7 @@ pub(crate) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     }
     let (bytes, _) = regular_file::read_within(path, 1, request.memory)?;
     let mut decoder = decoder(path, &bytes)?;
-    let header = Header::of(&mut decoder);
+    let header = PhotoHeader::of(&mut decoder);
     let size = header.size(request.turned);
     check_size(path, request, &header)?;
     let (width, height) = header.stored;
@@ -249,7 +249,7 @@ pub(crate) fn limits(memory: &HostMemory) -> Limits {
 }
 
 /// Refuses a picture that has another size than requested.
-fn check_size(path: &Path, request: &Request<'_>, header: &Header) -> Result<()> {
+fn check_size(path: &Path, request: &Request<'_>, header: &PhotoHeader) -> Result<()> {
     let (width, height) = header.size(request.turned);
     let Some((w, h)) = request.size.filter(|&size| size != (width, height)) else { return Ok(()) };
     let how =
@@ -345,10 +345,10 @@ fn read_png_rows(path: &Path, file: File, request: &Request<'_>) -> Result<Resul
     let gamma = info.gama_chunk.filter(|_| info.srgb.is_none()).map(png::ScaledFloat::into_value);
     let gamma = gamma.filter(|gamma| *gamma > 0.0);
     let (size, interlaced) = (info.size(), info.interlaced);
-    if interlaced || request.turned && header(path)?.has_orientation() {
+    if interlaced || request.turned && photo_header(path)?.has_orientation() {
         return Ok(Err(gamma));
     }
-    check_size(path, request, &Header { stored: size, orientation: Orientation::NoTransforms })?;
+    check_size(path, request, &PhotoHeader { stored: size, orientation: Orientation::NoTransforms })?;
     if size.0.max(size.1) > MAX_IMAGE_SIDE {
         return Err(damaged(&format!("{}x{} pixels; {MAX_IMAGE_SIDE} a side are possible", size.0, size.1)));
     }

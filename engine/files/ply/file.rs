@@ -110,7 +110,7 @@ impl Element {
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Header {
+pub(crate) struct PlyHeader {
     pub(crate) encoding: Encoding,
     pub(crate) elements: Vec<Element>,
     /// Length of the header, bytes.
@@ -125,7 +125,7 @@ pub(crate) struct Header {
     pub(crate) padding: Vec<(u64, u64)>,
 }
 
-impl Header {
+impl PlyHeader {
     /// The properties of a file of Gaussians that the comments give.
     pub(super) fn of_gaussians(&self, format: Format, count: u64, sh_degree: u32) -> splats::Header {
         splats::Header {
@@ -221,14 +221,14 @@ impl Marks {
 pub(crate) const FILTER: &str = "filter_3D";
 
 /// Reads the header. The reader is then at the first byte of the data.
-pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
+pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<PlyHeader> {
     check_magic(reader, path)?;
-    let header = Header::default();
+    let header = PlyHeader::default();
     let (element_names, property_names) = (HashSet::new(), HashSet::new());
     let mut parser = Parser { path, encoding: None, header, element_names, property_names };
     while !parser.line(reader)? {}
     let encoding = parser.encoding.ok_or_else(|| parser.error("the header has no format line"))?;
-    Ok(Header { encoding, ..parser.header })
+    Ok(PlyHeader { encoding, ..parser.header })
 }
 
 fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
@@ -249,7 +249,7 @@ fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
 struct Parser<'a> {
     path: &'a Path,
     encoding: Option<Encoding>,
-    header: Header,
+    header: PlyHeader,
     /// Names of the elements, and of the last element's properties.
     element_names: HashSet<String>,
     property_names: HashSet<String>,
@@ -384,7 +384,7 @@ const BUFFER_BYTES: usize = 1 << 20;
 pub(crate) struct PlyFile<'a> {
     path: &'a Path,
     reader: BufReader<File>,
-    pub(crate) header: Header,
+    pub(crate) header: PlyHeader,
     /// Bytes of the file after the current position.
     remaining: u64,
     /// Lines read so far, for messages about ASCII files.

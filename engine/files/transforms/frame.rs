@@ -151,7 +151,7 @@ pub(super) fn read_all(
     for (index, raw) in list.iter().enumerate() {
         // A frame that is no object has no file_path.
         let value = values(path, serde_json::from_str(raw.get()).unwrap_or_default())?;
-        let reader = Reader { path, index, frame: &value, document, finder: &finder };
+        let reader = FrameReader { path, index, frame: &value, document, finder: &finder };
         let (mut frame, led_out) = reader.read()?;
         elsewhere += usize::from(led_out);
         uses_shutter |= frame.shutter.is_some();
@@ -253,7 +253,7 @@ fn numbers_of(params: &Value) -> Option<[f64; 6]> {
     numbers?.try_into().ok()
 }
 
-struct Reader<'a> {
+struct FrameReader<'a> {
     path: &'a Path,
     index: usize,
     frame: &'a Value,
@@ -261,7 +261,7 @@ struct Reader<'a> {
     finder: &'a RefCell<Finder>,
 }
 
-impl Reader<'_> {
+impl FrameReader<'_> {
     fn error(&self, problem: impl std::fmt::Display) -> Error {
         let problem = format!("frame {}: {problem}", self.index);
         Error::input(self.path, problem, "correct the file or compute it again")
