@@ -9,10 +9,9 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use serde_json::json;
 
-use crate::atomic;
-use crate::ply;
 use crate::regular_file::OnFile;
 use crate::splats::{glb_head, mirrored, placed_primitive};
+use crate::{atomic, ply};
 use ashsplat::scene::{WorldFrame, linear_from_srgb};
 use ashsplat::surface::Mesh;
 use ashsplat::{Error, Result};

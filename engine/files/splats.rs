@@ -94,8 +94,7 @@ fn write_with(
 /// Names what Gaussians lose in a format, one line each.
 pub fn losses(format: Format, gaussians: &Gaussians, options: &WriteOptions) -> Result<Vec<String>> {
     gaussians.check_shapes()?;
-    let marks = (options.antialiased, options.kernel_size, options.is_2dgs);
-    let mut losses = format.losses(gaussians.sh_degree, marks);
+    let mut losses = format.losses(gaussians.sh_degree, options);
     if let Some(mut loss) = PackingLoss::of(format, options.spz_version) {
         in_blocks(gaussians, options.frame.unit, &mut |block| {
             loss.add(&block);
@@ -305,7 +304,8 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     let mut warnings: Vec<String> = inputs.iter().zip(&headers).flat_map(own).collect();
     let Header { antialiased, kernel_size, .. } = *first;
     let is_2dgs = headers.iter().any(|header| header.is_2dgs);
-    warnings.extend(format.losses(wanted_degree, (antialiased, kernel_size, is_2dgs)));
+    let marks = WriteOptions { antialiased, kernel_size, is_2dgs, ..Default::default() };
+    warnings.extend(format.losses(wanted_degree, &marks));
     let count = headers.iter().map(|header| header.count).fold(0, u64::saturating_add);
     if options.decimate.is_some() {
         // All Gaussians, the merged ones, and the search for pairs.
@@ -378,9 +378,7 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     let unit = unit(0).filter(|own| (1..inputs.len()).all(|index| unit(index) == Some(*own)));
     let frame = WorldFrame { origin: to, unit: unit.unwrap_or(1.0) };
     let double_positions = headers.iter().any(|header| header.double_positions) && format == Format::Ply;
-    let spz_version = options.spz_version;
-    let options =
-        WriteOptions { format: Some(format), antialiased, kernel_size, is_2dgs, spz_version, frame };
+    let options = WriteOptions { format: Some(format), spz_version: options.spz_version, frame, ..marks };
     let outline = Outline { count, sh_degree, options, bounds, double_positions };
     warnings.extend(format.origin_note(output, &outline));
     let loss = write_readable(output, format, &outline, &mut |sink| match kept.take() {

@@ -1,17 +1,15 @@
 //! Companion files of a data set's photos: masks and depth maps.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use crate::colmap::{ColmapImage, Model};
-use crate::dataset::DatasetOptions;
-use crate::dataset::View;
 use crate::dataset::plan::Plan;
-use crate::dataset::planned_view::cut;
-use crate::dataset::planned_view::{PlannedMap, PlannedView};
+use crate::dataset::planned_view::{PlannedMap, PlannedView, cut};
+use crate::dataset::{DatasetOptions, View};
 use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit, DepthMap};
 use crate::images::photo_header;
 use crate::names::{Finder, entries, is_companion, pictures_below, plain, stays_inside};
@@ -222,36 +220,44 @@ fn ending_of(images: &str) -> &str {
     images.trim_end_matches(std::path::is_separator).strip_prefix("images").unwrap_or_default()
 }
 
-/// Finds the maps of the views that are trained on; none for those whose map cannot be fitted. `unit` is the frame's
-/// unit in source units.
-pub(super) fn plan_depths(
-    dataset: &Path,
-    (views, unit): (&mut [PlannedView], f64),
-    options: &DatasetOptions,
-    warnings: &mut Vec<String>,
-) -> Result<()> {
-    let Some(folder) = &options.depths else { return Ok(()) };
-    let trained: Vec<&PlannedView> = views.iter().filter(|view| view.is_trained(options)).collect();
-    let maps = of_trained(dataset, folder, (&trained, unit, options), warnings)?;
-    let trained = views.iter_mut().filter(|view| view.is_trained(options));
-    trained.zip(maps).for_each(|(view, map)| view.map = map);
-    Ok(())
+impl Plan {
+    /// Finds the maps of the views that are trained on; none for those whose map cannot be fitted.
+    pub(super) fn find_depth_maps(
+        &mut self,
+        dataset: &Path,
+        views: &mut [PlannedView],
+        options: &DatasetOptions,
+    ) -> Result<()> {
+        let Some(folder) = &options.depths else { return Ok(()) };
+        let folder = dataset.join(folder);
+        if !folder.is_dir() {
+            let remedy = "give -d the folder of the maps within the data set, or train without it";
+            return Err(Error::input(folder, "is no folder with depth maps", remedy));
+        }
+        let trained: Vec<&PlannedView> = views.iter().filter(|view| view.is_trained(options)).collect();
+        let paths = map_paths(&folder, &trained, &mut self.warnings)?;
+        let maps = match transforms::find(dataset).is_some() && !colmap::exists(dataset) {
+            // The maps of a transforms.json hold inverse depths.
+            true => {
+                let fit = DepthFit { scale: self.frame.unit, offset: 0.0 };
+                paths.into_iter().map(|path| Some(PlannedMap { path, fit })).collect()
+            }
+            false => {
+                let fits =
+                    MapFits { model: Model::of_dataset(dataset)?, folder, unit: self.frame.unit, options };
+                fits.of(&trained, paths, &mut self.warnings)?
+            }
+        };
+        let trained = views.iter_mut().filter(|view| view.is_trained(options));
+        trained.zip(maps).for_each(|(view, map)| view.map = map);
+        Ok(())
+    }
 }
 
-/// Finds the maps of training views, in their order.
-fn of_trained(
-    dataset: &Path,
-    folder: &Path,
-    (views, unit, options): (&[&PlannedView], f64, &DatasetOptions),
-    warnings: &mut Vec<String>,
-) -> Result<Vec<Option<PlannedMap>>> {
-    let folder = dataset.join(folder);
-    if !folder.is_dir() {
-        let remedy = "give -d the folder of the maps within the data set, or train without it";
-        return Err(Error::input(folder, "is no folder with depth maps", remedy));
-    }
+/// Paths of the maps of views, in their order.
+fn map_paths(folder: &Path, views: &[&PlannedView], warnings: &mut Vec<String>) -> Result<Vec<PathBuf>> {
     let mut finder = Finder::default();
-    let found = views.iter().map(|view| checked_map_of(&folder, view, &mut finder));
+    let found = views.iter().map(|view| checked_map_of(folder, view, &mut finder));
     let (paths, shapes): (Vec<PathBuf>, Vec<bool>) = found.collect::<Result<_>>()?;
     let mut known = HashMap::new();
     if let Some((view, path, other)) =
@@ -268,55 +274,108 @@ fn of_trained(
             first.display()
         ));
     }
-    if transforms::find(dataset).is_some() && !colmap::exists(dataset) {
-        // The maps of a transforms.json hold inverse depths.
-        let fit = DepthFit { scale: unit, offset: 0.0 };
-        return Ok(paths.into_iter().map(|path| Some(PlannedMap { path, fit })).collect());
-    }
-    let model = Model::of_dataset(dataset)?;
-    let file = model.source.folder.join(DEPTH_PARAMS_FILE);
-    let is_given = file.is_file();
-    let fits = match is_given {
-        true => given(&file, views, unit)?,
-        false => {
-            let fits = fitted(&model, (views, unit), &paths, options)?;
-            let falling = fits.iter().filter(|(_, falls)| *falls).count();
-            if 2 * falling > fits.len() {
-                let (folder, all) = (folder.display(), fits.len());
-                warnings.push(format!(
+    Ok(paths)
+}
+
+/// How the values of maps become inverse depths: by a file beside the model, or by its sparse points.
+struct MapFits<'a> {
+    model: Model,
+    folder: PathBuf,
+    /// World unit, source units.
+    unit: f64,
+    options: &'a DatasetOptions,
+}
+
+impl MapFits<'_> {
+    fn of(
+        &self,
+        views: &[&PlannedView],
+        paths: Vec<PathBuf>,
+        warnings: &mut Vec<String>,
+    ) -> Result<Vec<Option<PlannedMap>>> {
+        let folder = &self.folder;
+        let file = self.model.source.folder.join(DEPTH_PARAMS_FILE);
+        let is_given = file.is_file();
+        let fits = match is_given {
+            true => self.given(&file, views)?,
+            false => {
+                let fits = self.fitted(views, &paths)?;
+                let falling = fits.iter().filter(|(_, falls)| *falls).count();
+                if 2 * falling > fits.len() {
+                    let (folder, all) = (folder.display(), fits.len());
+                    warnings.push(format!(
                     "{folder}: {falling} of {all} depth maps fall where the sparse points come nearer: -d reads inverse depths, and these \
                      look like depths"
                 ));
+                }
+                fits.into_iter().map(|(fit, _)| fit).collect()
             }
-            fits.into_iter().map(|(fit, _)| fit).collect()
-        }
-    };
-    let median = DepthFit::median_scale(&fits);
-    let reliable =
-        |(path, fit): (PathBuf, DepthFit)| fit.is_reliable(median).then_some(PlannedMap { path, fit });
-    let maps: Vec<_> = paths.into_iter().zip(fits).map(reliable).collect();
-    let left_out = maps.iter().filter(|map| map.is_none()).count();
-    if left_out == maps.len() && left_out > 0 {
-        if is_given {
-            let remedy = "correct it, or remove it: then all are fitted";
-            return Err(Error::input(file, "has no scale above 0 for any photo", remedy));
-        }
-        let problem =
-            "none of the depth maps could be scaled: their photos show too few of the sparse points";
-        return Err(Error::input(folder, problem, format!("write {}, or train without -d", file.display())));
-    }
-    if left_out > 0 {
-        let first = views.iter().zip(&maps).find(|(_, map)| map.is_none()).map_or("", |(view, _)| &view.name);
-        let why = match is_given {
-            true => format!("in {} their scale is not above 0, or far from the others'", file.display()),
-            false => "their scale is far from the others', or too few sparse points tell it".into(),
         };
-        let (folder, all) = (folder.display(), maps.len());
-        warnings.push(format!(
-            "{folder}: {left_out} of {all} depth maps are left out, the first of photo {first}: {why}"
-        ));
+        let median = DepthFit::median_scale(&fits);
+        let reliable =
+            |(path, fit): (PathBuf, DepthFit)| fit.is_reliable(median).then_some(PlannedMap { path, fit });
+        let maps: Vec<_> = paths.into_iter().zip(fits).map(reliable).collect();
+        let left_out = maps.iter().filter(|map| map.is_none()).count();
+        if left_out == maps.len() && left_out > 0 {
+            if is_given {
+                let remedy = "correct it, or remove it: then all are fitted";
+                return Err(Error::input(file, "has no scale above 0 for any photo", remedy));
+            }
+            let problem =
+                "none of the depth maps could be scaled: their photos show too few of the sparse points";
+            return Err(Error::input(
+                folder,
+                problem,
+                format!("write {}, or train without -d", file.display()),
+            ));
+        }
+        if left_out > 0 {
+            let first =
+                views.iter().zip(&maps).find(|(_, map)| map.is_none()).map_or("", |(view, _)| &view.name);
+            let why = match is_given {
+                true => format!("in {} their scale is not above 0, or far from the others'", file.display()),
+                false => "their scale is far from the others', or too few sparse points tell it".into(),
+            };
+            let (folder, all) = (folder.display(), maps.len());
+            warnings.push(format!(
+                "{folder}: {left_out} of {all} depth maps are left out, the first of photo {first}: {why}"
+            ));
+        }
+        Ok(maps)
     }
-    Ok(maps)
+
+    /// Reads the parameters of a file and converts them from 1 / source units to 1 / world units.
+    fn given(&self, file: &Path, views: &[&PlannedView]) -> Result<Vec<DepthFit>> {
+        let (all, unit) = (DepthFit::read_all(file)?, self.unit);
+        let of = |view: &&PlannedView| {
+            let fit = all.get(&stem(&view.name));
+            let fit = fit.map(|fit| DepthFit { scale: unit * fit.scale, offset: unit * fit.offset });
+            fit.ok_or_else(|| {
+                let remedy = "add them, or remove the file: then all are fitted to the sparse points";
+                Error::input(file, format!("has no scale and offset for photo {}", view.name), remedy)
+            })
+        };
+        views.iter().map(of).collect()
+    }
+
+    /// Each fit, and true if the map holds depths.
+    fn fitted(&self, views: &[&PlannedView], paths: &[PathBuf]) -> Result<Vec<(DepthFit, bool)>> {
+        let mut observed = colmap::observations(&self.model)?;
+        observed.values_mut().flatten().for_each(|point| point.inverse_z *= self.unit);
+        let size = |image: &ColmapImage| {
+            let camera = self.model.cameras.get(&image.camera_id)?;
+            Some((image.id, (u32::try_from(camera.width).ok()?, u32::try_from(camera.height).ok()?)))
+        };
+        let sizes: HashMap<u32, (u32, u32)> = self.model.images.iter().filter_map(size).collect();
+        let fit = |(view, path): (&&PlannedView, &PathBuf)| {
+            let id = view.image_id;
+            let (Some(points), Some(size)) = (observed.get(&id), sizes.get(&id)) else {
+                return Ok((DepthFit::default(), false));
+            };
+            Ok(DepthFit::of(&DepthMap::read(path, &self.options.host_memory)?, *size, points))
+        };
+        views.par_iter().zip(paths).map(fit).collect()
+    }
 }
 
 /// A photo's name without its extension, as maps are named.
@@ -363,43 +422,6 @@ fn checked_map_of(folder: &Path, view: &PlannedView, finder: &mut Finder) -> Res
     let apart = (u64::from(width) * photo_height).abs_diff(u64::from(height) * photo_width);
     // A smaller size is rounded to whole pixels.
     Ok((path, apart <= photo_width + photo_height))
-}
-
-/// Reads the parameters of a file and converts them from 1 / source units to 1 / world units.
-fn given(file: &Path, views: &[&PlannedView], unit: f64) -> Result<Vec<DepthFit>> {
-    let all: BTreeMap<String, DepthFit> = DepthFit::read_all(file)?;
-    let of = |view: &&PlannedView| {
-        let fit = all.get(&stem(&view.name));
-        let fit = fit.map(|fit| DepthFit { scale: unit * fit.scale, offset: unit * fit.offset });
-        fit.ok_or_else(|| {
-            let remedy = "add them, or remove the file: then all are fitted to the sparse points";
-            Error::input(file, format!("has no scale and offset for photo {}", view.name), remedy)
-        })
-    };
-    views.iter().map(of).collect()
-}
-
-fn fitted(
-    model: &Model,
-    (views, unit): (&[&PlannedView], f64),
-    paths: &[PathBuf],
-    options: &DatasetOptions,
-) -> Result<Vec<(DepthFit, bool)>> {
-    let mut observed = colmap::observations(model)?;
-    observed.values_mut().flatten().for_each(|point| point.inverse_z *= unit);
-    let size = |image: &ColmapImage| {
-        let camera = model.cameras.get(&image.camera_id)?;
-        Some((image.id, (u32::try_from(camera.width).ok()?, u32::try_from(camera.height).ok()?)))
-    };
-    let sizes: HashMap<u32, (u32, u32)> = model.images.iter().filter_map(size).collect();
-    let fit = |(view, path): (&&PlannedView, &PathBuf)| {
-        let id = view.image_id;
-        let (Some(points), Some(size)) = (observed.get(&id), sizes.get(&id)) else {
-            return Ok((DepthFit::default(), false));
-        };
-        Ok(DepthFit::of(&DepthMap::read(path, &options.host_memory)?, *size, points))
-    };
-    views.par_iter().zip(paths).map(fit).collect()
 }
 
 impl PlannedMap {

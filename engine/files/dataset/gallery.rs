@@ -7,16 +7,10 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 
-use super::DatasetOptions;
-use super::View;
-use super::companions;
-use super::plan;
-use super::plan::Level;
-use super::plan::Plan;
-use super::planned_view::Crop;
-use super::planned_view::Mask;
-use super::planned_view::{PlannedView, Track};
+use super::plan::{Level, Plan};
+use super::planned_view::{Crop, Mask, PlannedView, Track};
 use super::unpacked::Unpacked;
+use super::{DatasetOptions, View, plan};
 use crate::cameras_json::NamedCamera;
 use crate::colmap::{self, Model};
 use crate::progress::Progress;
@@ -42,12 +36,7 @@ impl Gallery {
             let mut plan = plan::plan(&unpacked.folder, options)?;
             plan.check_views()?;
             let mut views = std::mem::take(&mut plan.views).into_iter().collect::<Result<Vec<_>>>()?;
-            companions::plan_depths(
-                &unpacked.folder,
-                (&mut views, plan.frame.unit),
-                options,
-                &mut plan.warnings,
-            )?;
+            plan.find_depth_maps(&unpacked.folder, &mut views, options)?;
             Ok((plan, views))
         };
         let (mut plan, views) = open().map_err(|error| unpacked.name(error))?;

@@ -7,12 +7,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::DatasetOptions;
 use super::notes::{self, may_lack_points, random_points_instead};
-use super::plan;
 use super::plan::{Plan, check_split};
 use super::planned_view::{PhotoUse, PlannedView};
 use super::unpacked::Unpacked;
+use super::{DatasetOptions, plan};
 use crate::colmap;
 use crate::progress::Progress;
 use ashsplat::scene::{Bounds, WorldFrame, scene_extent};

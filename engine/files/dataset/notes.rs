@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use super::AlphaUse;
 use super::planned_view::{PhotoUse, PlannedView};
+use super::{AlphaUse, DatasetOptions};
 use crate::images::{AUTO_MAX_WIDTH, Resolution};
 use crate::init::RANDOM_POINTS;
 use crate::names::has_one_of;
@@ -85,12 +85,12 @@ pub(super) fn distorted_lenses<'a>(
 pub(super) fn distorted_photos(
     which: Option<&str>,
     sizes: &[(u32, u32)],
-    (resolution, undistort): (Resolution, bool),
+    options: &DatasetOptions,
 ) -> Option<String> {
     let (which, ((width, height), up_to)) = (which?, largest(sizes)?);
-    let (width, height) = resolution.apply(width, height);
-    let scaled = divisor(resolution).map_or_else(String::new, |by| format!(" (-r {by})"));
-    let how = match undistort {
+    let (width, height) = options.resolution.apply(width, height);
+    let scaled = divisor(options.resolution).map_or_else(String::new, |by| format!(" (-r {by})"));
+    let how = match options.undistort {
         true => "photos are undistorted as they are read, and used",
         false => "photos are used as they were taken,",
     };

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::DatasetOptions;
-use super::planned_view::is_scaled;
-use super::planned_view::{FileSize, PlannedView};
+use super::planned_view::{FileSize, PlannedView, is_scaled};
 use crate::images::{PhotoHeader, PhotoOrientation, photo_header};
 use crate::names::{Finder, ending, has_photos, photos_below, photos_beside, plain, stays_inside};
 use crate::{colmap, regular_file};

@@ -8,11 +8,10 @@ use std::str::FromStr;
 use glam::{DMat3, DQuat, DVec3, Vec3};
 
 use crate::colmap::{ColmapImage, Model};
-use crate::dataset::DatasetOptions;
 use crate::dataset::companions::mask_in_folder;
 use crate::dataset::planned_view::{FileSize, PlannedView};
 use crate::dataset::unpacked::Unpacked;
-use crate::dataset::{notes, photos};
+use crate::dataset::{DatasetOptions, notes, photos};
 use crate::images::photo_header;
 use crate::names::{Finder, ending, first_with, photos_below, plain, stays_inside};
 use crate::transforms::{Frame, Transforms};
@@ -347,8 +346,7 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
     let distorted =
         plan.views.iter().flatten().filter(|view| view.lens.projection != Projection::Perspective);
     let distorted: Vec<_> = distorted.map(size).collect();
-    let how = (options.resolution, options.undistort);
-    let note = notes::distorted_photos(plan.distorted.as_deref(), &distorted, how);
+    let note = notes::distorted_photos(plan.distorted.as_deref(), &distorted, options);
     if options.undistort && plan.distorted.is_none() {
         plan.notes.push("all cameras are pinholes: --undistort changes nothing".into());
     }

@@ -6,8 +6,7 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3, Vec3};
 
-use crate::dataset::View;
-use crate::dataset::{AlphaUse, DatasetOptions};
+use crate::dataset::{AlphaUse, DatasetOptions, View};
 use crate::depth_fit::DepthFit;
 use crate::host_memory::HostMemory;
 use crate::images::{

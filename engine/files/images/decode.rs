@@ -12,8 +12,7 @@ use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
-use super::Photo;
-use super::RowScaler;
+use super::{Photo, RowScaler};
 use crate::cost;
 use crate::host_memory::{self, HostMemory, Lease};
 use crate::regular_file::{self, OnFile};

@@ -10,8 +10,7 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 
 use super::file::{Element, Marks, PADDING, PlyFile};
-use super::restore_frame;
-use super::write_frame;
+use super::{restore_frame, write_frame};
 use crate::regular_file::OnFile;
 use crate::splats::{Blocks, Format, Header, MAX_COMPRESSED_LOG_SCALE, Opened, Outline, Produce, Sink};
 use crate::{atomic, host_memory};
