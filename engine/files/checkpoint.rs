@@ -46,7 +46,6 @@ const TERMS: &str = "loss_terms";
 const BLOCK: [&str; 3] = ["block_core_bits", "block_frozen", "block_fingerprint"];
 /// [`Checkpoint::frame`]: origin x, y, z and unit, comma-separated. Absent for the identity.
 const FRAME: &str = "frame";
-/// Alignment of the data, bytes.
 const ALIGNMENT: usize = 8;
 
 /// Reads and writes a [`Checkpoint`] as a file.

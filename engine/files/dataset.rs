@@ -263,7 +263,6 @@ pub enum AlphaUse {
 impl FromStr for AlphaUse {
     type Err = Error;
 
-    /// `target`, `mask` or `ignore`.
     fn from_str(text: &str) -> Result<Self> {
         match text {
             "target" => Ok(Self::Target),

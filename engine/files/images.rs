@@ -123,7 +123,6 @@ pub enum PhotoOrientation {
 impl FromStr for PhotoOrientation {
     type Err = Error;
 
-    /// `auto`, `stored` or `upright`.
     fn from_str(text: &str) -> Result<Self> {
         match text {
             "auto" => Ok(Self::Auto),
@@ -172,7 +171,6 @@ impl Resolution {
 impl FromStr for Resolution {
     type Err = Error;
 
-    /// `-1` or `auto`, `1`, `2`, `4`, `8`, or a width in pixels.
     fn from_str(text: &str) -> Result<Self> {
         match text.parse::<i64>() {
             Ok(-1) => Ok(Self::Auto),
@@ -207,7 +205,6 @@ struct Taps {
 }
 
 impl Taps {
-    /// Taps of pixel `place` of `to`, made of `from` pixels.
     fn of(place: u32, from: u32, to: u32) -> Self {
         let ratio = from as f32 / to as f32;
         let stretch = if ratio < 1.0 { 1.0 } else { ratio };

@@ -30,7 +30,6 @@ pub(super) use compressed::{
 pub use file::Encoding;
 pub(crate) use file::{Scalar, decode};
 
-/// Number of vertices in a PLY's header.
 pub(crate) fn claimed_points(path: &Path) -> Result<u64> {
     Ok(PlyFile::open(path)?.header.elements.iter().find(|e| e.name == "vertex").map_or(0, |e| e.count))
 }

@@ -145,7 +145,6 @@ fn contents(path: &Path, file: File, length: u64) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The little-endian number at byte `at`.
 pub(crate) fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
 }

@@ -132,7 +132,6 @@ fn write_readable(
     })
 }
 
-/// Writes a file of any format. Returns a warning about the format's losses.
 fn write_blocks(
     path: &Path,
     format: Format,
@@ -444,7 +443,6 @@ impl OriginSample {
         count.div_ceil(ORIGIN_SAMPLE).max(1) as usize
     }
 
-    /// Adds every `step`th Gaussian of a block.
     pub(crate) fn add(&mut self, block: &Gaussians, step: usize) {
         self.means.extend(block.means.iter().step_by(step).map(|&mean| Vec3::from_array(mean)));
         let largest = |[x, y, z]: &[f32; 3]| x.max(*y).max(*z).exp();
@@ -465,7 +463,6 @@ impl OriginSample {
     }
 }
 
-/// Applies SH degree, cut and similarity to a block.
 fn changed(mut block: Gaussians, sh_degree: u32, cut: &Cut, similarity: &Similarity) -> Gaussians {
     if sh_degree != block.sh_degree {
         block = block.with_sh_degree(sh_degree);

@@ -282,7 +282,6 @@ struct TileWriter<'a, 'm> {
 }
 
 impl TileWriter<'_, '_> {
-    /// Writes all tiles. Returns the coarsest.
     fn write(&mut self, steps: &[Step]) -> Result<Option<Written>> {
         let mut written = Vec::new();
         for step in steps {
@@ -363,7 +362,6 @@ fn enclosing(a: Bounds, b: Bounds) -> Bounds {
     Bounds { min: a.min.min(b.min), max: a.max.max(b.max) }
 }
 
-/// The box that the Gaussians reach.
 fn reach(all: &Gaussians) -> Bounds {
     let nothing = Bounds { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
     let own = |index: usize| {
@@ -455,7 +453,6 @@ pub struct Tile {
     pub children: Vec<usize>,
 }
 
-/// A tile in the description.
 #[derive(Deserialize, Serialize)]
 #[serde(rename_all = "camelCase")]
 struct TileJson {

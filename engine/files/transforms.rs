@@ -285,7 +285,6 @@ pub(crate) fn cloud_beside(path: &Path, warnings: &mut Vec<String>) -> Option<Pa
     None
 }
 
-/// A plain path below a folder; `None` if it leads out of the folder.
 fn below(name: &str) -> Option<String> {
     Some(plain(name)).filter(|name| stays_inside(name))
 }
@@ -324,7 +323,6 @@ impl<'a> Document<'a> {
     }
 }
 
-/// The values of an object by their keys.
 type RawObject<'a> = BTreeMap<String, &'a RawValue>;
 
 /// Parses the values of an object, except the frames and what is too long to be of use.

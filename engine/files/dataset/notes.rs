@@ -139,7 +139,6 @@ fn doubt(lens: &PhotoLens) -> Option<String> {
     doubtful.then(|| format!("focal lengths of {} and {} pixels", focal[0], focal[1]))
 }
 
-/// Returns the notes and the warnings about photos.
 pub(super) fn of_pixels<'v>(
     photos: impl Iterator<Item = (&'v PlannedView, PhotoUse)>,
     alpha: AlphaUse,

@@ -36,13 +36,11 @@ pub(super) struct Plan {
     pub(super) has_split: bool,
     /// The rotation of views and points to the source coordinates.
     pub(super) level: Level,
-    /// The frame of views and points.
     pub(super) frame: WorldFrame,
     pub(super) points: PointCloud,
     /// Number of cameras by "MODEL WIDTHxHEIGHT".
     pub(super) cameras: BTreeMap<String, usize>,
     pub(super) warnings: Vec<String>,
-    /// Harmless notes on the treatment of the photos.
     pub(super) notes: Vec<String>,
     /// Number of depth maps that a transforms.json names.
     pub(super) named_depth_maps: usize,
@@ -217,7 +215,6 @@ impl Plan {
         }
     }
 
-    /// Refuses a data set without views.
     pub(super) fn check_views(&self) -> Result<()> {
         if !self.views.is_empty() {
             return Ok(());
@@ -659,7 +656,6 @@ impl Level {
 impl FromStr for Level {
     type Err = Error;
 
-    /// `off`, `on`, or the six numbers of up direction and pivot.
     fn from_str(text: &str) -> Result<Self> {
         let wrong =
             || Error::argument("level", format!("'{text}' is not off, on, or up direction and pivot"));

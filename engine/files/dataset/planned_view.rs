@@ -52,7 +52,6 @@ pub(crate) struct PlannedView {
     pub(super) track: Option<Track>,
 }
 
-/// An inverse-depth map that is read with its photo.
 #[derive(Clone, Debug)]
 pub(super) struct PlannedMap {
     pub(super) path: PathBuf,
@@ -447,14 +446,11 @@ const WINDOW: u32 = 10;
 pub(super) struct Crop {
     /// Size of the coarse picture.
     coarse: (u32, u32),
-    /// Columns of the coarse picture.
     columns: (u32, u32),
-    /// Rows of the coarse picture.
     rows: (u32, u32),
 }
 
 impl Crop {
-    /// A part of these columns and rows of a picture of size `coarse`.
     pub(super) fn of(coarse: (u32, u32), columns: Range<u32>, rows: Range<u32>) -> Result<Self> {
         let lies_in = |range: &Range<u32>, side: u32| !range.is_empty() && range.end <= side;
         if !lies_in(&columns, coarse.0) || !lies_in(&rows, coarse.1) {

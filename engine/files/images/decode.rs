@@ -77,7 +77,6 @@ pub fn photo_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
 pub(crate) struct Request<'a> {
     /// Colour (r, g, b in [0, 1]) where the picture is transparent. `None` keeps the colours as stored.
     pub(crate) background: Option<[f32; 3]>,
-    /// True if it is rotated by its metadata.
     pub(crate) turned: bool,
     /// Required size after the rotation, checked before decoding. `None` for any size.
     pub(crate) size: Option<(u32, u32)>,
@@ -89,7 +88,6 @@ pub(crate) struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// Reads the picture unchanged.
     pub(crate) fn plain(background: Option<[f32; 3]>, memory: &'a HostMemory) -> Self {
         Self { background, turned: false, size: None, scaled: None, besides: 0, memory }
     }
@@ -114,7 +112,6 @@ pub(crate) struct Decoded {
 struct Rows {
     background: Option<[f32; 3]>,
     width: u32,
-    /// Width and height of the result.
     to: (u32, u32),
     scaler: Option<RowScaler>,
     rgb: Vec<u8>,
@@ -122,7 +119,6 @@ struct Rows {
 }
 
 impl Rows {
-    /// Bytes needed for a picture of this size.
     fn bytes(request: &Request<'_>, size: (u32, u32), has_alpha: bool) -> u64 {
         let pixels = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
         let alpha = if has_alpha { pixels(size) } else { 0 };
@@ -147,7 +143,6 @@ impl Rows {
         Ok(Self { background: request.background, width: size.0, to, scaler, rgb, alpha })
     }
 
-    /// Adds rows of this number of channels.
     fn push(&mut self, rows: Vec<u8>, channels: usize) {
         let (rgb, alpha) = composite(rows, channels, self.background);
         match &mut self.scaler {
@@ -257,17 +252,14 @@ fn check_size(path: &Path, request: &Request<'_>, header: &PhotoHeader) -> Resul
     Err(Error::input(path, problem, "use the pictures that the cameras were computed from"))
 }
 
-/// True if a PNG is too small for its pixels.
 pub(crate) fn cannot_hold(file_bytes: u64, decoded: u64) -> bool {
     decoded / MAX_DEFLATE_RATIO > file_bytes
 }
 
-/// The error text for a picture that is too small for its pixels.
 pub(crate) fn claims((width, height): (u32, u32), file_bytes: u64) -> String {
     format!("claims {width}x{height} pixels in {file_bytes} bytes")
 }
 
-/// The error for a picture that cannot be decoded.
 pub(crate) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
     Error::input(path, format!("cannot be decoded: {problem}"), "copy or export the picture again")
 }
@@ -310,11 +302,9 @@ fn composite(values: Vec<u8>, channels: usize, background: Option<[f32; 3]>) -> 
     (rgb, Some(alphas))
 }
 
-/// Bytes of the file that are read at a time.
 const BUFFER_BYTES: usize = 64 << 10;
 /// Bytes that the decoder needs beside its rows, for reading ahead and unpacking.
 const DECODER_BYTES: u64 = 1 << 20;
-/// Rows that the decoder holds.
 const DECODER_ROWS: u64 = 8;
 
 fn png_reader(file: File, memory: &HostMemory) -> png::Decoder<BufReader<File>> {
@@ -387,9 +377,7 @@ struct JpegOutline {
     progressive: bool,
     /// Smallest number of 8×8 blocks of an image of the claimed size.
     blocks: u64,
-    /// Bytes of entropy-coded data.
     coded_bytes: u64,
-    /// Number of scans of entropy-coded data.
     scans: u32,
     /// Byte ranges of its parts, between the first and the last marker. Some cameras write other bytes between them.
     parts: Vec<Range<usize>>,

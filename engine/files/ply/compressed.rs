@@ -38,7 +38,6 @@ const SH_RANGE: f32 = 8.0;
 
 type Chunk = [f32; 18];
 
-/// Opens a compressed PLY.
 pub(crate) fn open(path: &Path) -> Result<Opened<'_>> {
     let mut file = PlyFile::open(path)?;
     let chunk = file.seek_element("chunk")?;
@@ -386,7 +385,6 @@ fn pack_sh(value: f32) -> u8 {
     ((value / SH_RANGE + 0.5) * 256.0).clamp(0.0, 255.0) as u8
 }
 
-/// Bits per axis in a Morton code.
 const MORTON_BITS: u32 = 21;
 
 /// Indices of points along the Z-order (Morton) curve through the cube around them; coincident points keep their order. Its cells

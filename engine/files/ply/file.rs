@@ -630,7 +630,6 @@ impl<'a> PlyFile<'a> {
     }
 }
 
-/// Decodes the number at the start of `bytes`.
 pub(crate) fn decode(bytes: &[u8], scalar: Scalar, encoding: Encoding) -> f64 {
     fn take<const N: usize>(bytes: &[u8], encoding: Encoding) -> [u8; N] {
         let mut array = [0; N];

@@ -43,11 +43,8 @@ pub enum Format {
 /// The place where a file names the origin of its positions.
 #[derive(Clone, Copy, PartialEq)]
 enum OriginPlace {
-    /// A comment in the header.
     Comment,
-    /// The translation of a node.
     Node,
-    /// A file beside it.
     Beside,
 }
 
@@ -477,7 +474,6 @@ fn start_of_text(path: &Path) -> Option<String> {
 /// Name of the description of a SOG, in the ZIP or in the folder.
 pub(super) const META: &str = "meta.json";
 
-/// True for the name of a description.
 pub(super) fn is_meta(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.eq_ignore_ascii_case(META))
 }

@@ -44,7 +44,6 @@ const MOST_USES: u64 = 16;
 struct Part {
     placement: Similarity,
     header: Header,
-    /// Number of bytes in the file.
     bytes: u64,
     rows: Rows,
 }
@@ -353,7 +352,6 @@ const SHAPE_TOLERANCE: f64 = 1e-4;
 const GLB_JSON: u32 = 0x4e4f_534a;
 const GLB_BINARY: u32 = 0x004e_4942;
 
-/// The used parts of the JSON.
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 #[derive(Default)]
@@ -426,7 +424,6 @@ struct SplatsExtension {
     kernel: Option<String>,
     color_space: Option<String>,
     extras: SplatsExtras,
-    /// Compressions by name.
     extensions: BTreeMap<String, Compression>,
 }
 
@@ -572,7 +569,6 @@ impl Node {
     }
 }
 
-/// The similarity of a matrix; `None` if it is none.
 pub(super) fn similarity(matrix: DMat4) -> Option<Similarity> {
     if matrix == DMat4::IDENTITY {
         return Some(Similarity::default());
@@ -640,7 +636,6 @@ fn open_uri(path: &Path, index: usize, uri: &str) -> Result<Buffer> {
     Ok(Buffer::File { path, file, offset: 0, bytes })
 }
 
-/// Largest stride in glTF, bytes.
 const MAX_STRIDE: u64 = 252;
 
 struct Buffers(pub(super) Vec<Buffer>);

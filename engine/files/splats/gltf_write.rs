@@ -72,7 +72,6 @@ pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mu
     })
 }
 
-/// An unused name for the binary of a `.gltf`.
 fn free_binary(path: &Path) -> PathBuf {
     let mut binary = path.with_extension("bin");
     let mut number = 0;

@@ -35,7 +35,6 @@ const PALETTE_COLUMNS: usize = 64;
 const MOST_VECTORS: usize = 1 << 16;
 /// Alpha of a quaternion whose w is omitted; x, y and z follow.
 const OMITS_W: u8 = 252;
-/// Largest side of a WebP picture.
 const MOST_SIDE: usize = 16_383;
 const VERSION: u32 = 2;
 
@@ -300,7 +299,6 @@ fn each_channel<T>(value: impl Fn(usize) -> Result<T>) -> Result<[T; 3]> {
     Ok([value(0)?, value(1)?, value(2)?])
 }
 
-/// Columns of the palette's picture.
 fn palette_width(sh_degree: u32) -> usize {
     PALETTE_COLUMNS * (sh_coefficients(sh_degree) - 1)
 }
@@ -321,7 +319,6 @@ fn is_lossy(packed: &[u8]) -> bool {
 struct Members {
     path: PathBuf,
     archive: Option<RefCell<ZipArchive<BufReader<File>>>>,
-    /// See [`ReadOptions::max_host_memory`].
     max_host_memory: Option<u64>,
 }
 
@@ -385,7 +382,6 @@ fn pack_rotation(quat: [f32; 4]) -> [u8; 4] {
     [a, b, c, OMITS_W + omitted as u8]
 }
 
-/// The logarithm that positions are stored as.
 fn logarithm(value: f32) -> f64 {
     libm::log1p(f64::from(value).abs()) * f64::from(value).signum()
 }

@@ -20,7 +20,6 @@ use ashsplat::{Error, Result};
 const MAGIC: u32 = 0x5053_474e;
 const FLAG_ANTIALIASED: u8 = 1;
 const FLAG_EXTENSIONS: u8 = 2;
-/// Length of the header of version 4.
 const HEADER_BYTES: u64 = 32;
 /// Length of the header of versions 2 and 3, inside the gzip stream.
 const OLD_HEADER_BYTES: usize = 16;
@@ -156,14 +155,11 @@ struct Plane<'a> {
     file: &'a SpzFile,
     name: &'static str,
     stream: Box<dyn Read>,
-    /// Expected number of bytes.
     bytes: u64,
-    /// Bytes read so far.
     read: u64,
 }
 
 impl Plane<'_> {
-    /// Reads the next `needed` bytes.
     fn fill(&mut self, packed: &mut Vec<u8>, needed: usize) -> Result<()> {
         packed.clear();
         let read = (&mut self.stream).take(needed as u64).read_to_end(packed);
@@ -257,7 +253,6 @@ impl SpzFile {
         self.finish(packing, header, Layout::Gzip { extensions: limit }, &extensions)
     }
 
-    /// Unpacks and discards `bytes`.
     fn skip(&self, stream: &mut impl Read, bytes: u64, what: &str) -> Result<()> {
         let skipped = io::copy(&mut stream.take(bytes), &mut io::sink());
         let skipped =
@@ -386,7 +381,6 @@ impl Packing {
         [9, 1, 3, 3, rotation, 3 * (sh_coefficients(self.sh_degree) - 1)]
     }
 
-    /// Bytes of one Gaussian in all planes.
     fn bytes(&self) -> u64 {
         self.row_bytes().iter().sum::<usize>() as u64
     }

@@ -32,14 +32,12 @@ const ARRAYS: [(&str, &str, usize); 5] = [
 ];
 /// Host memory of a prim.
 const PRIM_BYTES: usize = size_of::<Prim>() + 64;
-/// Most operations of a prim's transform.
 const MOST_OPS: usize = 64;
 /// Highest SH degree that is skipped rather than refused.
 const MOST_DEGREES: u32 = 10;
 /// Standard deviations of a Gaussian that lie within the extent.
 const REACH: f32 = 3.0;
 
-/// One prim of Gaussians.
 struct Part {
     placement: Similarity,
     count: usize,
@@ -291,9 +289,7 @@ enum Token<'a> {
 /// Reads tokens. Commas, semicolons and ends of lines separate them and mean nothing.
 struct Parser<'a> {
     text: &'a [u8],
-    /// Begin of the last token.
     start: usize,
-    /// End of the last token.
     at: usize,
 }
 
@@ -351,7 +347,6 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// All prims that are defined, each after its parent.
     fn prims(mut self) -> Option<Vec<Prim<'a>>> {
         let mut prims = vec![Prim::default()];
         // Those around the current place.

@@ -466,7 +466,6 @@ impl FrameReader<'_> {
         }
     }
 
-    /// Reads the coefficients k1 to k4, p1 and p2.
     fn coefficients(&self) -> Result<([f64; 4], [f64; 2])> {
         let lists = [&self.frame[DISTORTION_PARAMS], &self.document[DISTORTION_PARAMS]];
         if let Some([k1, k2, k3, k4, p1, p2]) = lists.into_iter().find_map(numbers_of) {
@@ -479,7 +478,6 @@ impl FrameReader<'_> {
         Ok((k, [self.number("p1")?.unwrap_or(0.0), self.number("p2")?.unwrap_or(0.0)]))
     }
 
-    /// Family and coefficients of the lens.
     fn lens(&self) -> Result<(Projection, [f64; 12])> {
         let ([k1, k2, k3, k4], [p1, p2]) = self.coefficients()?;
         let model =
