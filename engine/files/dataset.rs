@@ -102,8 +102,9 @@ impl Dataset {
     }
 
     fn of(gallery: &Gallery, progress: Progress<'_>) -> Result<Self> {
-        let Gallery { options, views: planned, plan, .. } = gallery;
-        plan::check_split(&plan.list, planned)?;
+        let Gallery { options, plan, .. } = gallery;
+        let planned = &plan.views;
+        plan.check_split()?;
         let mut warnings = plan.warnings.clone();
         let needed = gallery.texel_bytes();
         let file = photo_file(needed, options, &mut warnings)?;

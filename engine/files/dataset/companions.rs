@@ -24,45 +24,40 @@ impl Plan {
         let images = dataset.join(&options.images);
         let mut finder = Finder::default();
         let folders = folders_of_masks(dataset, &options.images, &mut finder);
-        let (mut photos, mut masks) = (HashMap::new(), HashMap::new());
-        let (mut names, mut twice) = (Vec::new(), Vec::new());
+        let (mut photos, mut masks, mut twice) = (HashMap::new(), HashMap::new(), Vec::new());
         let list = self.list.clone();
         let shared = |what: &str, path: &Path, names: [&str; 2]| {
             let problem =
                 format!("{} and {} would both have the {what} {}", names[0], names[1], path.display());
             Error::input(&list, problem, format!("give each a {what} whose path ends as its name does"))
         };
-        for view in &mut self.views {
-            let Ok(found) = view else { continue };
-            if let Some(other) = photos.insert(found.photo_path.clone(), found.name.clone()) {
-                if other != found.name {
-                    *view = Err(shared("photo", &found.photo_path, [&other, &found.name]));
-                    continue;
-                }
-                twice.push(other);
+        self.refuse(|view| match photos.insert(view.photo_path.clone(), view.name.clone()) {
+            Some(other) if other != view.name => Err(shared("photo", &view.photo_path, [&other, &view.name])),
+            other => {
+                twice.extend(other);
+                Ok(())
             }
-            let below = |folder: &Path| found.photo_path.strip_prefix(folder).ok();
-            let name = below(&images).or_else(|| below(dataset)).unwrap_or(&found.photo_path).to_path_buf();
-            names.push(name);
-        }
+        });
         if let Some(first) = twice.first() {
             let count = twice.len();
             self.warn(format!("{count} photos have more than one pose, {first} for example: all are used"));
         }
-        let found = self.views.iter_mut().filter(|view| view.is_ok()).zip(&names);
-        for (view, name) in found {
-            let Ok(of_view) = view else { continue };
-            if of_view.mask_path.is_some() {
-                masks.insert(of_view.mask_path.clone().unwrap_or_default(), of_view.name.clone());
-                continue;
+        let name_of = |view: &PlannedView| {
+            let below = |folder: &Path| view.photo_path.strip_prefix(folder).ok();
+            below(&images).or_else(|| below(dataset)).unwrap_or(&view.photo_path).to_path_buf()
+        };
+        let names: Vec<PathBuf> = self.views.iter().map(name_of).collect();
+        self.refuse(|view| {
+            if let Some(mask) = &view.mask_path {
+                masks.insert(mask.clone(), view.name.clone());
+                return Ok(());
             }
-            let mask = mask_of(&folders, name, &of_view.photo_path, &mut finder);
-            of_view.mask_path = mask.filter(|mask| !photos.contains_key(mask));
-            let Some(mask) = of_view.mask_path.clone() else { continue };
-            if let Some(other) = masks.insert(mask.clone(), of_view.name.clone()) {
-                *view = Err(shared("mask", &mask, [&other, &of_view.name]));
-            }
-        }
+            let mask = mask_of(&folders, &name_of(view), &view.photo_path, &mut finder);
+            view.mask_path = mask.filter(|mask| !photos.contains_key(mask));
+            let Some(mask) = &view.mask_path else { return Ok(()) };
+            let other = masks.insert(mask.clone(), view.name.clone());
+            other.map_or(Ok(()), |other| Err(shared("mask", mask, [&other, &view.name])))
+        });
         let used: HashSet<&Path> = photos.keys().chain(masks.keys()).map(PathBuf::as_path).collect();
         self.tell_of_masks(&images, &folders, &used);
         for folder in unused_folders(dataset, &folders, !masks.is_empty()) {
@@ -80,9 +75,8 @@ impl Plan {
     }
 
     fn tell_of_masks(&mut self, images: &Path, folders: &[PathBuf], used: &HashSet<&Path>) {
-        let all = self.views.iter().flatten().count();
-        let masks: Vec<&Path> =
-            self.views.iter().flatten().filter_map(|view| view.mask_path.as_deref()).collect();
+        let all = self.views.len();
+        let masks: Vec<&Path> = self.views.iter().filter_map(|view| view.mask_path.as_deref()).collect();
         if let Some(folder) = masks.first().and_then(|mask| mask.parent()) {
             let (count, folder) = (masks.len(), folder.display());
             self.notes.push(format!("{count} of {all} photos have a mask, the first in {folder}"));
@@ -222,19 +216,14 @@ fn ending_of(images: &str) -> &str {
 
 impl Plan {
     /// Finds the maps of the views that are trained on; none for those whose map cannot be fitted.
-    pub(super) fn find_depth_maps(
-        &mut self,
-        dataset: &Path,
-        views: &mut [PlannedView],
-        options: &DatasetOptions,
-    ) -> Result<()> {
+    pub(super) fn find_depth_maps(&mut self, dataset: &Path, options: &DatasetOptions) -> Result<()> {
         let Some(folder) = &options.depths else { return Ok(()) };
         let folder = dataset.join(folder);
         if !folder.is_dir() {
             let remedy = "give -d the folder of the maps within the data set, or train without it";
             return Err(Error::input(folder, "is no folder with depth maps", remedy));
         }
-        let trained: Vec<&PlannedView> = views.iter().filter(|view| view.is_trained(options)).collect();
+        let trained: Vec<&PlannedView> = self.views.iter().filter(|view| view.is_trained(options)).collect();
         let paths = map_paths(&folder, &trained, &mut self.warnings)?;
         let maps = match transforms::find(dataset).is_some() && !colmap::exists(dataset) {
             // The maps of a transforms.json hold inverse depths.
@@ -248,7 +237,7 @@ impl Plan {
                 fits.of(&trained, paths, &mut self.warnings)?
             }
         };
-        let trained = views.iter_mut().filter(|view| view.is_trained(options));
+        let trained = self.views.iter_mut().filter(|view| view.is_trained(options));
         trained.zip(maps).for_each(|(view, map)| view.map = map);
         Ok(())
     }

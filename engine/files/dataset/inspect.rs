@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::notes::{self, may_lack_points, random_points_instead};
-use super::plan::{Plan, check_split};
+use super::plan::Plan;
 use super::planned_view::{PhotoUse, PlannedView};
 use super::unpacked::Unpacked;
 use super::{DatasetOptions, plan};
@@ -84,22 +84,15 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
     };
     plan.name_paths(&unpacked);
     report.describe(&mut plan);
-    let has_views = plan.check_views();
-    let mut views = Vec::new();
-    for view in std::mem::take(&mut plan.views) {
-        match view {
-            Ok(view) => views.push(view),
-            Err(e) => report.problem(named(e)),
-        }
-    }
-    let split = has_views.and_then(|()| check_split(&plan.list, &views));
+    plan.take_problems().into_iter().for_each(|problem| report.problem(named(problem)));
+    let split = plan.check_views().and_then(|()| plan.check_split());
     if report.problems.is_empty()
         && let Err(e) = split
     {
         report.problem(named(e));
     }
-    report.split(&views);
-    report.check_photos(&views, options, progress, &named);
+    report.split(&plan.views);
+    report.check_photos(&plan.views, options, progress, &named);
     report
 }
 

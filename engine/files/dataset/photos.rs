@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::DatasetOptions;
+use super::plan::Plan;
 use super::planned_view::{FileSize, PlannedView, is_scaled};
 use crate::images::{PhotoHeader, PhotoOrientation, photo_header};
 use crate::names::{Finder, ending, has_photos, photos_below, photos_beside, plain, stays_inside};
@@ -78,47 +79,40 @@ pub(super) fn advice_for_more(dataset: &Path) -> &'static str {
     }
 }
 
-/// Scales the cameras of views to their photos. Photos of other proportions, or of another size than other photos of
-/// the same camera, become errors. Returns a warning, unless the photos' folder is named after the ratio (`divisor`).
-pub(super) fn fit_lenses(
-    views: &mut [Result<PlannedView>],
-    list: &Path,
-    options: &DatasetOptions,
-) -> Option<String> {
-    let divisor = options.divisor();
-    let key = |view: &PlannedView| format!("{} {:?}", view.camera_id, view.lens);
-    let own_size = |view: &PlannedView| (view.lens.width, view.lens.height);
-    let unscaled = views.iter().flatten().filter(|view| view.file_size == Some(own_size(view)));
-    let unscaled: HashSet<String> = unscaled.map(key).collect();
-    let mut known: HashMap<String, Option<PhotoLens>> = HashMap::new();
-    let (mut first, mut count, mut as_named) = (None, 0, divisor > 1);
-    for result in views {
-        let Ok(view) = result else { continue };
-        let own = own_size(view);
-        let Some((width, height)) = view.file_size.filter(|&size| size != own) else { continue };
-        let rounded = width.abs_diff(own.0) <= 1 && height.abs_diff(own.1) <= 1;
-        if !is_scaled((width, height), own) || unscaled.contains(&key(view)) && !rounded {
-            *result = Err(of_another_size(view, (width, height)));
-            continue;
-        }
-        first.get_or_insert(((width, height), own));
-        count += 1;
-        let divided = |side: u32, own: u32| side == own / divisor || side == own.div_ceil(divisor);
-        as_named &= divided(width, own.0) && divided(height, own.1);
-        let lens = view.lens.scaled_to(width, height);
-        match known.entry(format!("{lens:?}")).or_insert_with(|| options.used_lens(&lens)) {
-            Some(used) => (view.lens, view.used) = (lens, *used),
-            None => {
-                *result = Err(no_pinhole(&view.photo_path, "its camera at the photo's size"));
+impl Plan {
+    /// Scales the cameras of views to their photos. Photos of other proportions, or of another size than other photos of
+    /// the same camera, are refused. Warns, unless the photos' folder is named after the ratio (`divisor`).
+    pub(super) fn fit_lenses(&mut self, options: &DatasetOptions) {
+        let divisor = options.divisor();
+        let key = |view: &PlannedView| format!("{} {:?}", view.camera_id, view.lens);
+        let own_size = |view: &PlannedView| (view.lens.width, view.lens.height);
+        let unscaled = self.views.iter().filter(|view| view.file_size == Some(own_size(view)));
+        let unscaled: HashSet<String> = unscaled.map(key).collect();
+        let mut known: HashMap<String, Option<PhotoLens>> = HashMap::new();
+        let (mut first, mut count, mut as_named) = (None, 0, divisor > 1);
+        self.refuse(|view| {
+            let own = own_size(view);
+            let Some((width, height)) = view.file_size.filter(|&size| size != own) else { return Ok(()) };
+            let rounded = width.abs_diff(own.0) <= 1 && height.abs_diff(own.1) <= 1;
+            if !is_scaled((width, height), own) || unscaled.contains(&key(view)) && !rounded {
+                return Err(of_another_size(view, (width, height)));
             }
+            first.get_or_insert(((width, height), own));
+            count += 1;
+            let divided = |side: u32, own: u32| side == own / divisor || side == own.div_ceil(divisor);
+            as_named &= divided(width, own.0) && divided(height, own.1);
+            let lens = view.lens.scaled_to(width, height);
+            let used = known.entry(format!("{lens:?}")).or_insert_with(|| options.used_lens(&lens));
+            let used = used.ok_or_else(|| no_pinhole(&view.photo_path, "its camera at the photo's size"))?;
+            (view.lens, view.used) = (lens, used);
+            Ok(())
+        });
+        if let Some(((w, h), (width, height))) = first.filter(|_| !as_named) {
+            self.warn(format!(
+            "{count} photos are not of their camera's size, {w}x{h} and {width}x{height} for example: the cameras are scaled to them"
+        ));
         }
     }
-    let ((w, h), (width, height)) = first.filter(|_| !as_named)?;
-    let list = list.display();
-    Some(format!(
-        "{list}: {count} photos are not of their camera's size, {w}x{h} and {width}x{height} for example: the cameras are scaled \
-         to them"
-    ))
 }
 
 fn of_another_size(view: &PlannedView, (width, height): (u32, u32)) -> Error {

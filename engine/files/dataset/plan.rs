@@ -28,8 +28,10 @@ pub(super) struct Plan {
     pub(super) source: PathBuf,
     /// The file that lists the views.
     pub(super) list: PathBuf,
-    /// The views by name, or the reason why one cannot be used.
-    pub(super) views: Vec<Result<PlannedView>>,
+    /// The usable views, by name.
+    pub(super) views: Vec<PlannedView>,
+    /// Why others cannot be used, each with its [`PlannedView::rank`].
+    problems: Vec<(usize, Error)>,
     /// Number of images that have a camera.
     pub(super) registered: usize,
     /// True if the data set itself specifies the held-out views.
@@ -60,20 +62,40 @@ impl Plan {
         self.source = unpacked.named(&self.source);
     }
 
+    /// Adds a view, or the reason why it cannot be used.
+    fn add(&mut self, view: Result<PlannedView>) {
+        let rank = self.views.len() + self.problems.len();
+        match view {
+            Ok(view) => self.views.push(PlannedView { rank, ..view }),
+            Err(e) => self.problems.push((rank, e)),
+        }
+    }
+
+    /// Removes the views that a step refuses, and keeps the reasons.
+    pub(super) fn refuse(&mut self, mut step: impl FnMut(&mut PlannedView) -> Result<()>) {
+        let problems = &mut self.problems;
+        self.views.retain_mut(|view| step(view).map_err(|e| problems.push((view.rank, e))).is_ok());
+    }
+
+    /// The problems so far, in the views' order.
+    pub(super) fn take_problems(&mut self) -> Vec<Error> {
+        self.problems.sort_by_key(|(rank, _)| *rank);
+        self.problems.drain(..).map(|(_, e)| e).collect()
+    }
+
     /// Chooses the frame unless one is given, and moves views and points into it.
     fn settle_frame(&mut self, given: Option<WorldFrame>, mut points: SourcePoints) {
         self.leave_out_copies(&mut points);
         self.lighten_black(&mut points);
-        let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
-        self.frame = given.unwrap_or_else(|| frame_of(&views, &points));
-        if is_far(&views, &points, &self.frame) {
+        self.frame = given.unwrap_or_else(|| frame_of(&self.views, &points));
+        if is_far(&self.views, &points, &self.frame) {
             let origin = self.frame.origin;
             self.warn(format!(
                 "the data set lies far from the origin of the scene or checkpoint that it is used with ({origin}), so that single \
                  precision rounds its cameras"
             ));
         }
-        self.views.iter_mut().flatten().for_each(|view| view.frame = self.frame);
+        self.views.iter_mut().for_each(|view| view.frame = self.frame);
         self.points = points.in_frame(&self.frame);
     }
 
@@ -143,10 +165,9 @@ impl Plan {
 
     /// Names the cameras that the scene extent ignores, or the farthest one that decides it.
     fn warn_of_strays(&mut self) {
-        let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
-        let positions: Vec<Vec3> = views.iter().map(|view| view.camera().position()).collect();
+        let positions: Vec<Vec3> = self.views.iter().map(|view| view.camera().position()).collect();
         let strays = strays(&positions);
-        let mut strays = views.iter().zip(strays).filter_map(|(view, stray)| Some((&view.name, stray?)));
+        let mut strays = self.views.iter().zip(strays).filter_map(|(view, stray)| Some((&view.name, stray?)));
         if let Some((name, times)) = strays.next() {
             let (name, others) = (name.clone(), strays.count());
             let others = if others > 0 { format!(" (and {others} others)") } else { String::new() };
@@ -155,7 +176,7 @@ impl Plan {
                  the scene extent leaves it out: if its pose is wrong, remove it"
             ));
         } else if let Some((index, times)) = far_camera(&positions) {
-            let name = views[index].name.clone();
+            let name = self.views[index].name.clone();
             self.warn(format!(
                 "the camera of {name} lies at {times:.0} times the median distance from the cameras' middle, with others, and decides the \
                  scene extent: if their poses are wrong, remove them"
@@ -167,7 +188,7 @@ impl Plan {
     fn warn_of_lenses(&mut self) {
         let of_model = self.source != self.list;
         let mut known = HashSet::new();
-        let views = self.views.iter().flatten().filter(|view| known.insert(format!("{:?}", view.lens)));
+        let views = self.views.iter().filter(|view| known.insert(format!("{:?}", view.lens)));
         let name = |view: &PlannedView| match of_model {
             true => format!("camera {}", view.camera_id),
             false => format!("frame {}", view.name),
@@ -180,7 +201,7 @@ impl Plan {
     fn warn_of_points_out_of_view(&mut self) {
         const SAMPLE: usize = 500;
         const LEAST_SEEN: f32 = 0.1;
-        let views = self.views.iter().flatten().step_by(self.views.len().div_ceil(SAMPLE).max(1));
+        let views = self.views.iter().step_by(self.views.len().div_ceil(SAMPLE).max(1));
         let cameras: Vec<Camera> = views.map(PlannedView::camera).collect();
         let sample = |count: usize| {
             let step = self.points.len().div_ceil(count).max(1);
@@ -208,10 +229,9 @@ impl Plan {
 
     /// Settles which views are held out: those that the data set names, or else some by their number.
     fn settle_split(&mut self, options: &DatasetOptions) {
-        let by_number = options.held_out(self.views.len());
-        for (view, by_number) in self.views.iter_mut().zip(by_number) {
-            let Ok(view) = view else { continue };
-            view.held_out = if self.has_split { options.eval && view.held_out } else { by_number };
+        let by_number = options.held_out(self.views.len() + self.problems.len());
+        for view in &mut self.views {
+            view.held_out = if self.has_split { options.eval && view.held_out } else { by_number[view.rank] };
         }
     }
 
@@ -222,15 +242,16 @@ impl Plan {
         let remedy = "run COLMAP's mapper again with more overlapping photos";
         Err(Error::input(&self.list, "no images are registered", remedy))
     }
-}
 
-/// Refuses a split that leaves no views to train on.
-pub(super) fn check_split(list: &Path, views: &[PlannedView]) -> Result<()> {
-    if views.iter().any(|view| !view.held_out) {
-        return Ok(());
+    /// Refuses a split that leaves no views to train on.
+    pub(super) fn check_split(&self) -> Result<()> {
+        if self.views.iter().any(|view| !view.held_out) {
+            return Ok(());
+        }
+        let count = self.views.len();
+        let problem = format!("all of its {count} images are held out, none is left to train on");
+        Err(Error::input(&self.list, problem, "train without --eval"))
     }
-    let problem = format!("all of its {} images are held out, none is left to train on", views.len());
-    Err(Error::input(list, problem, "train without --eval"))
 }
 
 /// Most points and views that are sampled.
@@ -249,7 +270,7 @@ const FAR: f64 = 1000.0;
 /// Its unit brings the near depth to between 1 and 10.
 ///
 /// Without visible points, the cameras' median distance from their middle replaces the near depth.
-fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFrame {
+fn frame_of(views: &[PlannedView], points: &SourcePoints) -> WorldFrame {
     let mut depths: Vec<f64> = Vec::new();
     for view in views.iter().step_by(views.len().div_ceil(VIEWS).max(1)) {
         depths.extend(sample(points).filter_map(|point| view.depth_of(point)));
@@ -268,7 +289,7 @@ fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFrame {
 }
 
 /// True if single precision rounds a data set in a frame that was not chosen for it, such as the frame of another scene.
-fn is_far(views: &[&PlannedView], points: &SourcePoints, frame: &WorldFrame) -> bool {
+fn is_far(views: &[PlannedView], points: &SourcePoints, frame: &WorldFrame) -> bool {
     median_ball(&all(views, points))
         .is_some_and(|(center, radius)| center.distance(frame.origin) > FAR * radius)
 }
@@ -277,12 +298,12 @@ fn sample(points: &SourcePoints) -> impl Iterator<Item = DVec3> {
     points.positions.iter().copied().step_by(points.len().div_ceil(SAMPLE).max(1))
 }
 
-pub(super) fn centers(views: &[&PlannedView]) -> Vec<DVec3> {
+pub(super) fn centers(views: &[PlannedView]) -> Vec<DVec3> {
     views.iter().map(|view| view.source_position()).collect()
 }
 
 /// A sample of the points, and all cameras.
-fn all(views: &[&PlannedView], points: &SourcePoints) -> Vec<DVec3> {
+fn all(views: &[PlannedView], points: &SourcePoints) -> Vec<DVec3> {
     sample(points).chain(centers(views)).collect()
 }
 
@@ -324,7 +345,7 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
             (Plan::of_model(path, &model, options)?, points)
         }
     };
-    plan.warnings.extend(photos::fit_lenses(&mut plan.views, &plan.list, options));
+    plan.fit_lenses(options);
     plan.warnings.extend(unused);
     plan.find_companions(path, options);
     if points.is_empty() {
@@ -338,10 +359,9 @@ pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
     plan.warn_of_lenses();
     plan.warn_of_points_out_of_view();
     let size = |view: &PlannedView| (view.used.width, view.used.height);
-    let sizes: Vec<(u32, u32)> = plan.views.iter().flatten().map(size).collect();
+    let sizes: Vec<(u32, u32)> = plan.views.iter().map(size).collect();
     plan.warnings.extend(notes::scaling_warning(&sizes, options.resolution));
-    let distorted =
-        plan.views.iter().flatten().filter(|view| view.lens.projection != Projection::Perspective);
+    let distorted = plan.views.iter().filter(|view| view.lens.projection != Projection::Perspective);
     let distorted: Vec<_> = distorted.map(size).collect();
     let note = notes::distorted_photos(plan.distorted.as_deref(), &distorted, options);
     if options.undistort && plan.distorted.is_none() {
@@ -377,7 +397,7 @@ impl Plan {
             notes::distorted_lenses(&model.file("cameras"), lenses.values().map(|(lens, _)| lens));
         let folder = match photos::find_folder(path, &options.images) {
             Ok(folder) => folder,
-            Err(e) => return Ok(Self { views: vec![Err(e)], ..plan }),
+            Err(e) => return Ok(Self { problems: vec![(0, e)], ..plan }),
         };
         let mut finder = Finder::default();
         let paths = plan.photo_paths(&images, &folder, &mut finder);
@@ -414,13 +434,13 @@ impl Plan {
         };
         let names = images.iter().map(|image| image.name.as_str());
         plan.tell_of_photos_without_camera(photos::in_folder(path, &folder, names), path, &folder);
-        plan.views = images.into_iter().zip(paths).zip(photos).map(view).collect();
+        images.into_iter().zip(paths).zip(photos).map(view).for_each(|view| plan.add(view));
         Ok(plan)
     }
 
     fn tell_of_shutters(&mut self) {
-        let (all, list) = (self.views.iter().flatten().count(), self.list.display());
-        let rolling = self.views.iter().flatten().filter(|view| view.shutter.is_some());
+        let (all, list) = (self.views.len(), self.list.display());
+        let rolling = self.views.iter().filter(|view| view.shutter.is_some());
         let (count, bent) =
             rolling.fold((0, false), |(n, bent), view| (n + 1, bent || view.is_undistorted()));
         if count > 0 {
@@ -536,7 +556,7 @@ impl Plan {
                 mask_path: view.mask_path.map(|named| mask_in_folder(path, &options.images, &named)),
                 ..view
             });
-            plan.views.push(view);
+            plan.add(view);
         }
         let sizes: Vec<String> = plan.cameras.keys().cloned().collect();
         if frames.iter().any(|frame| frame.optics.size.is_none()) && sizes.len() > 1 {
@@ -686,10 +706,9 @@ impl fmt::Display for Level {
 impl Plan {
     /// Turns views and points, and notes the angle. [`Level::On`] turns them about the middle of the cameras.
     fn turn_upright(&mut self, level: Level, points: &mut SourcePoints) {
-        let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
         let by_cameras = || {
-            let cameras: Vec<Camera> = views.iter().map(|view| view.camera()).collect();
-            let (pivot, _) = median_ball(&centers(&views))?;
+            let cameras: Vec<Camera> = self.views.iter().map(PlannedView::camera).collect();
+            let (pivot, _) = median_ball(&centers(&self.views))?;
             Some(Level::Turn { up: level_up(&cameras)?.normalize(), pivot })
         };
         self.level = match level {
@@ -697,13 +716,13 @@ impl Plan {
             level => level,
         };
         let Level::Turn { up, pivot } = self.level else {
-            if level == Level::On && !views.is_empty() {
+            if level == Level::On && !self.views.is_empty() {
                 self.warn("its cameras have no common up direction, so that --level does not turn it");
             }
             return;
         };
         let (level, back) = (self.level, self.level.rotation().transpose());
-        for view in self.views.iter_mut().flatten() {
+        for view in &mut self.views {
             view.translation += view.camera_from_source * (pivot - back * pivot);
             view.camera_from_source *= back;
         }

@@ -21,6 +21,8 @@ pub(super) type FileSize = (bool, Option<(u32, u32)>);
 
 pub(crate) struct PlannedView {
     pub(crate) name: String,
+    /// Number among all views by name, usable or not.
+    pub(super) rank: usize,
     pub(super) image_id: u32,
     pub(super) camera_id: u32,
     /// Rotation and translation from source coordinates to the camera; with a rolling shutter to that halfway.
@@ -84,6 +86,7 @@ impl PlannedView {
     ) -> Self {
         Self {
             name: String::new(),
+            rank: 0,
             image_id: 0,
             camera_id: 0,
             camera_from_source: DMat3::IDENTITY,
