@@ -126,8 +126,7 @@ impl ColmapImage {
 
     /// Rotation from the file's coordinates to the camera's axes.
     pub fn rotation(&self) -> DMat3 {
-        let [w, x, y, z] = self.quat;
-        DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
+        Pose::of(self).axes().0
     }
 
     /// The photo's path below the images folder.

@@ -1,17 +1,16 @@
 //! Finds the photos of a data set, and which of them are rotated or scaled.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
 use super::DatasetOptions;
-use super::plan::Plan;
+use super::plan::{Plan, UsedLenses};
 use super::planned_view::{FileSize, PlannedView, is_scaled};
 use crate::images::{PhotoHeader, PhotoOrientation, photo_header};
 use crate::names::{Finder, ending, has_photos, photos_below, photos_beside, plain, stays_inside};
 use crate::{colmap, regular_file};
-use ashsplat::scene::PhotoLens;
 use ashsplat::{Error, Result};
 
 /// The named folder, or the data set itself if it has no `images` and photos lie beside the model.
@@ -88,7 +87,7 @@ impl Plan {
         let own_size = |view: &PlannedView| (view.lens.width, view.lens.height);
         let unscaled = self.views.iter().filter(|view| view.file_size == Some(own_size(view)));
         let unscaled: HashSet<String> = unscaled.map(key).collect();
-        let mut known: HashMap<String, Option<PhotoLens>> = HashMap::new();
+        let mut lenses = UsedLenses::new(options);
         let (mut first, mut count, mut as_named) = (None, 0, divisor > 1);
         self.refuse(|view| {
             let own = own_size(view);
@@ -102,7 +101,7 @@ impl Plan {
             let divided = |side: u32, own: u32| side == own / divisor || side == own.div_ceil(divisor);
             as_named &= divided(width, own.0) && divided(height, own.1);
             let lens = view.lens.scaled_to(width, height);
-            let used = known.entry(format!("{lens:?}")).or_insert_with(|| options.used_lens(&lens));
+            let used = lenses.of(lens);
             let used = used.ok_or_else(|| no_pinhole(&view.photo_path, "its camera at the photo's size"))?;
             (view.lens, view.used) = (lens, used);
             Ok(())

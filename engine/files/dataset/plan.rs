@@ -307,8 +307,24 @@ fn all(views: &[PlannedView], points: &SourcePoints) -> Vec<DVec3> {
     sample(points).chain(centers(views)).collect()
 }
 
-/// Lenses and those of the pictures that are used, by the lens's debug text, which differs whenever a number does.
-type Lenses = BTreeMap<String, (PhotoLens, Option<PhotoLens>)>;
+/// Finds the lenses of the pictures that are used. Views share a few lenses, and undistorting is expensive to prepare.
+pub(super) struct UsedLenses<'a> {
+    options: &'a DatasetOptions,
+    /// A lens and the used one, by the lens's debug text, which differs whenever a number does.
+    known: BTreeMap<String, (PhotoLens, Option<PhotoLens>)>,
+}
+
+impl<'a> UsedLenses<'a> {
+    pub(super) fn new(options: &'a DatasetOptions) -> Self {
+        Self { options, known: BTreeMap::new() }
+    }
+
+    /// See [`DatasetOptions::used_lens`].
+    pub(super) fn of(&mut self, lens: PhotoLens) -> Option<PhotoLens> {
+        let used = || (lens, self.options.used_lens(&lens));
+        self.known.entry(format!("{lens:?}")).or_insert_with(used).1
+    }
+}
 
 /// Reads the contents of a data set. Finds the photos without decoding them; opens those of unknown size.
 pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
@@ -429,7 +445,7 @@ impl Plan {
                 camera_id: image.camera_id,
                 camera_from_source: image.rotation(),
                 translation: DVec3::from_array(image.translation),
-                ..PlannedView::of((lens, used), photo_path, photo)
+                ..PlannedView::of(lens, used, photo_path, photo)
             })
         };
         let names = images.iter().map(|image| image.name.as_str());
@@ -549,9 +565,9 @@ impl Plan {
         let asked = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
         let (photos, untold) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
         plan.warnings.extend(photos::untold_rotation(&plan.list, untold));
-        let mut lenses = Lenses::new();
+        let mut lenses = UsedLenses::new(options);
         for (index, ((frame, photo_path), photo)) in frames.iter().zip(paths).zip(photos).enumerate() {
-            let view = plan.frame(frame, photo_path, photo, (&mut lenses, options)).map(|view| PlannedView {
+            let view = plan.frame(frame, photo_path, photo, &mut lenses).map(|view| PlannedView {
                 image_id: index as u32,
                 mask_path: view.mask_path.map(|named| mask_in_folder(path, &options.images, &named)),
                 ..view
@@ -562,7 +578,7 @@ impl Plan {
         if frames.iter().any(|frame| frame.optics.size.is_none()) && sizes.len() > 1 {
             plan.warn(format!("the photos have several sizes, each its own camera: {}", sizes.join(", ")));
         }
-        plan.distorted = notes::distorted_lenses(&plan.list, lenses.values().map(|(lens, _)| lens));
+        plan.distorted = notes::distorted_lenses(&plan.list, lenses.known.values().map(|(lens, _)| lens));
         if !plan.has_split && frames.iter().all(|frame| frame.name.starts_with("images/")) {
             let folder = path.join(&options.images);
             plan.tell_of_photos_without_camera(photos_below(&folder), path, &folder);
@@ -575,15 +591,12 @@ impl Plan {
         frame: &Frame,
         photo_path: PathBuf,
         (turned, size): FileSize,
-        (lenses, options): (&mut Lenses, &DatasetOptions),
+        lenses: &mut UsedLenses<'_>,
     ) -> Result<PlannedView> {
         if !photo_path.is_file() {
             let problem = format!("the photo of frame {} is missing", frame.name);
-            return Err(Error::input(
-                photo_path,
-                problem,
-                "copy it there, or remove the frame from the file",
-            ));
+            let remedy = "copy it there, or remove the frame from the file";
+            return Err(Error::input(photo_path, problem, remedy));
         }
         let (width, height) = match (frame.optics.size, size) {
             (Some([width, height]), _) => (width, height),
@@ -597,9 +610,7 @@ impl Plan {
         if let Some(what) = lens.intrinsics().absurdity() {
             return Err(problem(what));
         }
-        // Frames share a few lenses, and undistorting is expensive to prepare.
-        let known = lenses.entry(format!("{lens:?}"));
-        let used = known.or_insert_with(|| (lens, options.used_lens(&lens))).1;
+        let used = lenses.of(lens);
         let kind =
             if lens.projection == Projection::Perspective { "PINHOLE" } else { lens.projection.name() };
         *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
@@ -619,7 +630,7 @@ impl Plan {
             mask_path: frame.mask_path.clone(),
             rim: frame.rim_px.map(|radius| radius / f64::from(width)),
             held_out: frame.test,
-            ..PlannedView::of((lens, used), photo_path, (turned, size))
+            ..PlannedView::of(lens, used, photo_path, (turned, size))
         })
     }
 }

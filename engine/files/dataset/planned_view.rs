@@ -80,7 +80,8 @@ pub(super) struct PhotoUse {
 impl PlannedView {
     /// A view at the origin with its whole photo, and without a name.
     pub(super) fn of(
-        (lens, used): (PhotoLens, PhotoLens),
+        lens: PhotoLens,
+        used: PhotoLens,
         photo_path: PathBuf,
         (turned, file_size): FileSize,
     ) -> Self {
