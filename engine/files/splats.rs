@@ -26,12 +26,12 @@ use crate::decimate::decimate;
 use crate::{decimate, host_memory, ply};
 use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
+use stream::PackingLoss;
 
 pub(crate) use format::{FARTHEST, MAX_COMPRESSED_LOG_SCALE};
 pub use format::{Format, foreign, is_sog};
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION, mirrored};
 pub(super) use gltf_write::{glb_head, placed_primitive};
-use stream::PackingLoss;
 pub(super) use stream::{BLOCK, Blocks, Opened, Outline, Produce, Reader, Sink, in_blocks, is_kernel_size};
 pub use stream::{Header, ReadOptions, Scene, WriteOptions, row_bytes};
 
@@ -63,7 +63,11 @@ pub fn write(
     gaussians: &Gaussians,
     options: &WriteOptions,
 ) -> Result<Option<String>> {
-    write_with(write_blocks, path.as_ref(), gaussians, options)
+    let path = path.as_ref();
+    gaussians.check_shapes()?;
+    let format = Format::chosen(options.format, path)?;
+    let outline = Outline::of(gaussians, options);
+    write_blocks(path, format, &outline, &mut |sink| in_blocks(gaussians, options.frame.unit, sink))
 }
 
 /// Same as [`write()`], but refuses Gaussians that could not be read again, since they were changed after reading. The file has the
@@ -73,22 +77,11 @@ pub fn write_changed(
     gaussians: &Gaussians,
     options: &WriteOptions,
 ) -> Result<Option<String>> {
-    write_with(write_readable, path.as_ref(), gaussians, options)
-}
-
-/// Writes the blocks of a scene in a format. Returns a warning about the format's losses.
-type WriteBlocks = fn(&Path, Format, &Outline, &mut Produce<'_>) -> Result<Option<String>>;
-
-fn write_with(
-    write: WriteBlocks,
-    path: &Path,
-    gaussians: &Gaussians,
-    options: &WriteOptions,
-) -> Result<Option<String>> {
+    let path = path.as_ref();
     gaussians.check_shapes()?;
-    let format = Format::chosen(options.format, path)?;
-    let outline = Outline::of(gaussians, options);
-    write(path, format, &outline, &mut |sink| in_blocks(gaussians, options.frame.unit, sink))
+    stream::check_origin(path, options.frame.origin)?;
+    in_blocks(gaussians, options.frame.unit, &mut |block| stream::check_readable(path, &block))?;
+    write(path, gaussians, options)
 }
 
 /// Names what Gaussians lose in a format, one line each.
@@ -116,22 +109,7 @@ pub fn check_spz_version(format: Format, version: Option<u32>) -> Result<()> {
     }
 }
 
-/// Same as [`write_blocks`], but refuses Gaussians that could not be read again, since they were changed after reading.
-fn write_readable(
-    path: &Path,
-    format: Format,
-    outline: &Outline,
-    produce: &mut Produce<'_>,
-) -> Result<Option<String>> {
-    stream::check_origin(path, outline.options.frame.origin)?;
-    write_blocks(path, format, outline, &mut |sink| {
-        produce(&mut |block| {
-            stream::check_readable(path, &block)?;
-            sink(block)
-        })
-    })
-}
-
+/// Writes the blocks of a scene in a format. Returns a warning about the format's losses.
 fn write_blocks(
     path: &Path,
     format: Format,
@@ -151,7 +129,7 @@ fn write_blocks(
         Format::Glb if spz_version == Some(2) => gltf_write::write_packed(path, outline, produce),
         Format::Ply => ply::write_blocks(path, outline, None, produce),
         Format::CompressedPly => ply::write_compressed_blocks(path, outline, produce),
-        Format::Splat => dot_splat::write(path, outline, produce),
+        Format::Splat => dot_splat::write(path, produce),
         Format::Spz => spz::write(path, outline, produce),
         Format::Glb | Format::Gltf => gltf_write::write(path, format, outline, produce),
         Format::Sog => sog::write(path, outline, produce),
@@ -380,9 +358,16 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     let options = WriteOptions { format: Some(format), spz_version: options.spz_version, frame, ..marks };
     let outline = Outline { count, sh_degree, options, bounds, double_positions };
     warnings.extend(format.origin_note(output, &outline));
-    let loss = write_readable(output, format, &outline, &mut |sink| match kept.take() {
-        Some(all) => sink(all),
-        None => read(to, &mut |_, block| sink(block)).map(drop),
+    stream::check_origin(output, to)?;
+    let loss = write_blocks(output, format, &outline, &mut |sink| {
+        let mut sink = |block: Gaussians| {
+            stream::check_readable(output, &block)?;
+            sink(block)
+        };
+        match kept.take() {
+            Some(all) => sink(all),
+            None => read(to, &mut |_, block| sink(block)).map(drop),
+        }
     })?;
     warnings.extend(loss);
     Ok(Converted { inputs: headers, format, written: count, taken, sh_degree, warnings })

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use super::{Blocks, Format, Header, Opened, Outline, Produce, Sink, spz};
+use super::{Blocks, Format, Header, Opened, Produce, Sink, spz};
 use crate::atomic;
 use crate::regular_file::{self, OnFile, u32_at};
 use ashsplat::scene::Gaussians;
@@ -55,7 +55,7 @@ fn unpack(row: &[u8], block: &mut Gaussians) {
     block.quats.push(if length > 0.0 { quat.map(|q| q / length) } else { quat });
 }
 
-pub(super) fn write(path: &Path, _outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+pub(super) fn write(path: &Path, produce: &mut Produce<'_>) -> Result<()> {
     atomic::write_seekable(path, |writer| {
         let mut rows = Vec::new();
         produce(&mut |block| {

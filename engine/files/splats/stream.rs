@@ -16,7 +16,7 @@ use ashsplat::{Error, RenderSettings, Result};
 /// Largest number of Gaussians in a block.
 pub(crate) const BLOCK: usize = 16_384;
 
-/// Receives Gaussians block by block. All blocks have the same SH degree.
+/// Receives Gaussians block by block. All blocks of a [`Reader`] have the same SH degree.
 pub(crate) type Sink<'a> = dyn FnMut(Gaussians) -> Result<()> + 'a;
 
 /// Properties of a file before its Gaussians.
@@ -226,7 +226,8 @@ impl<'a, 's> Blocks<'a, 's> {
     }
 }
 
-/// The header of an open file, and a call that passes all its Gaussians to a sink, usable or not.
+/// The header of an open file, and a call that passes all its Gaussians to a sink once: usable or not, with the header's SH
+/// degree or a lower one.
 pub(crate) type Opened<'a> = (Header, Box<Produce<'a>>);
 
 /// An open file that is read block by block.
