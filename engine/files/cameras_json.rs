@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::splats::FARTHEST;
-use super::{atomic, cost, text};
+use super::{atomic, text};
 use ashsplat::scene::{Camera, Coefficients, Intrinsics, Projection, Readout, Shutter, WorldFrame};
 use ashsplat::{Error, Result};
 
@@ -150,17 +150,14 @@ pub fn read(path: impl AsRef<Path>, frame: &WorldFrame) -> Result<Vec<NamedCamer
     let path = path.as_ref();
     let remedy = "expected [{id, img_name, width, height, position, rotation, fx, fy}, …]";
     let entries: Vec<Entry> = text::json(path, "a list of cameras", remedy)?;
-    let check = |entry: &Entry| {
-        cost::step();
-        let camera = entry.camera(frame).and_then(|camera| match camera.problem() {
-            Some(problem) => Err(problem),
-            None => Ok(NamedCamera { name: entry.img_name.clone(), camera }),
-        });
-        camera.map_err(|problem| {
+    let named = |entry: &Entry| {
+        let camera = entry.camera(frame).and_then(|camera| camera.problem().map_or(Ok(camera), Err));
+        let camera = camera.map_err(|problem| {
             Error::input(path, format!("camera {}: {problem}", entry.id), "correct it in the file")
-        })
+        })?;
+        Ok(NamedCamera { name: entry.img_name.clone(), camera })
     };
-    entries.iter().map(check).collect()
+    entries.iter().map(named).collect()
 }
 
 /// Reads the frame from a list's first camera. `None` if it names none, or if the file is no list of cameras.

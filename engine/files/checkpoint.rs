@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 
 use crate::host_memory::HostMemory;
 use crate::splats::Format;
-use crate::{atomic, cost, regular_file, text};
+use crate::{atomic, regular_file, text};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Fingerprint, Gaussians, WorldFrame};
 use ashsplat::train::checkpoint::{
@@ -46,7 +46,6 @@ const TERMS: &str = "loss_terms";
 const BLOCK: [&str; 3] = ["block_core_bits", "block_frozen", "block_fingerprint"];
 /// [`Checkpoint::frame`]: origin x, y, z and unit, comma-separated. Absent for the identity.
 const FRAME: &str = "frame";
-/// Alignment of the data, bytes.
 const ALIGNMENT: usize = 8;
 
 /// Reads and writes a [`Checkpoint`] as a file.
@@ -119,9 +118,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         .map_err(|e| Error::argument("settings", format!("cannot be written: {e}")))?;
     let views = checkpoint.views.max(1);
     let mut capacities = checkpoint.capacities;
-    let max_memory = capacities.max_memory.map(|bytes| (MAX_MEMORY, bytes.to_string()));
-    let capacities = capacity_numbers(&mut capacities).map(|(name, number)| (name, number.to_string()));
-    let pairs = [
+    let mut entries: BTreeMap<String, String> = [
         ("format", FORMAT.to_owned()),
         ("version", checkpoint.version.clone()),
         ("device", checkpoint.device.clone()),
@@ -142,22 +139,37 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         // For readers of the file: both follow from seed and iteration, which key all random numbers.
         ("view_order_epoch", (u64::from(checkpoint.iteration) / views).to_string()),
         ("view_order_position", (u64::from(checkpoint.iteration) % views).to_string()),
-    ];
-    let due = DUE.map(|(name, action)| (name, checkpoint.due.contains(action).to_string()));
-    let others = DUE.iter().fold(checkpoint.due, |due, (_, action)| due.without(*action));
-    let others = (!others.is_empty()).then(|| (OTHERS_DUE, others.0.to_string()));
-    let block = checkpoint.block.iter().flat_map(|BlockState { core, frozen, fingerprint }| {
+    ]
+    .map(|(name, value)| (name.to_owned(), value))
+    .into();
+    let mut put = |name: &str, value: String| drop(entries.insert(name.to_owned(), value));
+    for (name, number) in capacity_numbers(&mut capacities) {
+        put(name, number.to_string());
+    }
+    if let Some(bytes) = capacities.max_memory {
+        put(MAX_MEMORY, bytes.to_string());
+    }
+    let mut others = checkpoint.due;
+    for (name, action) in DUE {
+        put(name, checkpoint.due.contains(action).to_string());
+        others = others.without(action);
+    }
+    if !others.is_empty() {
+        put(OTHERS_DUE, others.0.to_string());
+    }
+    if !checkpoint.frame.is_identity() {
+        let WorldFrame { origin, unit } = checkpoint.frame;
+        put(FRAME, [origin.x, origin.y, origin.z, unit].map(|value| value.to_string()).join(","));
+    }
+    if let Some(BlockState { core, frozen, fingerprint }) = &checkpoint.block {
         let core: Vec<String> = core.as_flattened().iter().map(|x| format!("{:08x}", x.to_bits())).collect();
-        BLOCK.into_iter().zip([core.join(","), frozen.to_string(), format!("{fingerprint:016x}")])
-    });
-    let WorldFrame { origin, unit } = checkpoint.frame;
-    let frame = [origin.x, origin.y, origin.z, unit].map(|value| value.to_string()).join(",");
-    let frame = (!checkpoint.frame.is_identity()).then_some((FRAME, frame));
-    let named = pairs.into_iter().chain(capacities).chain(due).chain(others).chain(max_memory);
-    let named = named.chain(frame).chain(block);
-    let own = checkpoint.strategy.values.iter();
-    let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
-    Ok(named.map(|(name, value)| (name.to_owned(), value)).chain(own).collect())
+        let values = [core.join(","), frozen.to_string(), format!("{fingerprint:016x}")];
+        BLOCK.into_iter().zip(values).for_each(|(name, value)| put(name, value));
+    }
+    for (name, value) in &checkpoint.strategy.values {
+        put(&format!("{}{name}", Checkpoint::STRATEGY), value.clone());
+    }
+    Ok(entries)
 }
 
 /// The capacities, with the names of their entries.
@@ -315,7 +327,6 @@ impl Metadata {
 
     fn strategy(&self) -> Vec<(String, String)> {
         let own = |(name, value): (&String, &String)| {
-            cost::step();
             Some((name.strip_prefix(Checkpoint::STRATEGY)?.to_owned(), value.clone()))
         };
         self.0.iter().filter_map(own).collect()
@@ -367,7 +378,6 @@ fn strategy_statistics(
 ) -> Result<Vec<StrategyStatistic>, String> {
     let mut all = Vec::new();
     for name in header.offset_keys() {
-        cost::step();
         let Some(own) = name.strip_prefix(Checkpoint::STRATEGY) else { continue };
         let tensor = tensors.tensor(&name).map_err(|e| e.to_string())?;
         let (Dtype::F32, &[_, floats]) = (tensor.dtype(), tensor.shape()) else {

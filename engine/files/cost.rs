@@ -1,6 +1,6 @@
 //! Counts the steps of readers, for tests of how their cost grows. Does nothing in other builds.
 
-/// Counts one step: a node, a name, a row, a folder that is searched.
+/// Counts one step: a file that is opened, a node, a name, a row, a folder that is searched.
 pub(crate) fn step() {
     steps(1);
 }

@@ -116,7 +116,6 @@ pub(crate) fn check_writing(path: &Path, bytes: u64) -> Result<()> {
     HostMemory::machine().keep(&|| format!("{}: writing it", path.display()), bytes).map(drop)
 }
 
-/// An empty vector with a capacity of `bytes`.
 pub(crate) fn reserved(path: &Path, bytes: u64) -> Result<Vec<u8>> {
     reserved_for(&|| reading(path), bytes)
 }

@@ -18,7 +18,6 @@ use ashsplat::{Error, Result};
 /// Number of random points that replace a missing point cloud (reference implementation).
 pub const RANDOM_POINTS: usize = 100_000;
 
-/// Initial opacity of every Gaussian.
 const INITIAL_OPACITY: f64 = 0.1;
 /// Smallest mean squared distance to the neighbours, so that coincident points get a size, world units².
 const MIN_SQUARED_DISTANCE: f64 = 1e-7;

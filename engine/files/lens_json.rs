@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{atomic, cost, text};
+use super::{atomic, text};
 use ashsplat::scene::LensEffects;
 use ashsplat::{Error, Result};
 
@@ -66,7 +66,6 @@ impl LensFile {
         let document: Document = text::json(path, "a description of cameras' light", remedy)?;
         let mut cameras = BTreeMap::new();
         for (id, Entry { vignetting, response }) in document.cameras {
-            cost::step();
             if !vignetting.as_flattened().iter().all(|a| a.is_finite()) {
                 return Err(problem(format!("camera {id} has a vignetting that is not finite")));
             }
@@ -79,11 +78,7 @@ impl LensFile {
             };
             cameras.insert(id, LensEffects { rows: [row(0), row(1), row(2)] });
         }
-        let unknown = |id: &u32| {
-            cost::step();
-            !cameras.contains_key(id)
-        };
-        if let Some((name, id)) = document.photos.iter().find(|(_, id)| unknown(id)) {
+        if let Some((name, id)) = document.photos.iter().find(|(_, id)| !cameras.contains_key(id)) {
             return Err(problem(format!("{name} is of camera {id}, which it does not describe")));
         }
         Ok(Self { cameras, photos: document.photos })

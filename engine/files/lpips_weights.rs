@@ -5,7 +5,7 @@ use std::path::Path;
 use safetensors::{Dtype, SafeTensors};
 
 use crate::host_memory::HostMemory;
-use crate::{cost, regular_file};
+use crate::regular_file;
 use ashsplat::passes::lpips::{Layer, Network, Weights};
 use ashsplat::{Error, Result};
 
@@ -93,13 +93,10 @@ fn network_of(tensors: &SafeTensors) -> Result<Network, String> {
 /// The name of a convolution's tensor in the file.
 fn named(tensors: &SafeTensors, index: u32, part: &str) -> Result<Option<String>, String> {
     let end = format!(".{index}.{part}");
-    let is_one = |name: &&str| {
-        cost::step();
-        match name.strip_suffix(&end) {
-            Some("net" | "features") => true,
-            Some(start) => start.strip_prefix("net.slice").is_some_and(|k| k.parse::<u8>().is_ok()),
-            None => false,
-        }
+    let is_one = |name: &&str| match name.strip_suffix(&end) {
+        Some("net" | "features") => true,
+        Some(start) => start.strip_prefix("net.slice").is_some_and(|k| k.parse::<u8>().is_ok()),
+        None => false,
     };
     let mut found: Vec<&str> = tensors.names().into_iter().filter(is_one).collect();
     found.sort_unstable();

@@ -9,10 +9,9 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use serde_json::json;
 
-use crate::atomic;
-use crate::ply;
 use crate::regular_file::OnFile;
-use crate::splats::{glb_head, mirrored};
+use crate::splats::{glb_head, mirrored, placed_primitive};
+use crate::{atomic, ply};
 use ashsplat::scene::{WorldFrame, linear_from_srgb};
 use ashsplat::surface::Mesh;
 use ashsplat::{Error, Result};
@@ -110,40 +109,26 @@ fn write_glb(path: &Path, writer: &mut impl Write, mesh: &Mesh, frame: &WorldFra
     let low = positions(mesh, frame).map(place).reduce(Vec3::min).unwrap_or_default();
     let high = positions(mesh, frame).map(place).reduce(Vec3::max).unwrap_or_default();
     let (vertices, indices) = (mesh.positions.len() as u64, 3 * mesh.triangles.len() as u64);
-    let mut node = json!({ "mesh": 0 });
-    if frame.origin != DVec3::ZERO {
-        node["translation"] = json!(mirrored(frame.origin).to_array());
-    }
     let (colors_at, indices_at, bytes) = (12 * vertices, 20 * vertices, 20 * vertices + 4 * indices);
-    let document = json!({
-        "asset": { "version": "2.0", "generator": concat!("ashsplat ", env!("CARGO_PKG_VERSION")) },
-        "scene": 0,
-        "scenes": [{ "nodes": [0] }],
-        "nodes": [node],
-        "buffers": [{ "byteLength": bytes }],
-        "bufferViews": [
-            { "buffer": 0, "byteLength": 12 * vertices, "target": 34_962 },
-            { "buffer": 0, "byteOffset": colors_at, "byteLength": 8 * vertices, "target": 34_962 },
-            { "buffer": 0, "byteOffset": indices_at, "byteLength": 4 * indices, "target": 34_963 },
-        ],
-        "accessors": [
-            {
-                "bufferView": 0, "componentType": FLOAT, "count": vertices, "type": "VEC3",
-                "min": low.to_array(), "max": high.to_array(),
-            },
-            {
-                "bufferView": 1, "componentType": UNSIGNED_SHORT, "normalized": true, "count": vertices,
-                "type": "VEC4",
-            },
-            { "bufferView": 2, "componentType": UNSIGNED_INT, "count": indices, "type": "SCALAR" },
-        ],
-        // Colours are lit already.
-        "extensionsUsed": ["KHR_materials_unlit"],
-        "materials": [{ "extensions": { "KHR_materials_unlit": {} } }],
-        "meshes": [{
-            "primitives": [{ "attributes": { "POSITION": 0, "COLOR_0": 1 }, "indices": 2, "material": 0 }],
-        }],
-    });
+    let primitive = json!({ "attributes": { "POSITION": 0, "COLOR_0": 1 }, "indices": 2, "material": 0 });
+    let mut document = placed_primitive(primitive, frame.origin);
+    document["buffers"] = json!([{ "byteLength": bytes }]);
+    document["bufferViews"] = json!([
+        { "buffer": 0, "byteLength": 12 * vertices, "target": 34_962 },
+        { "buffer": 0, "byteOffset": colors_at, "byteLength": 8 * vertices, "target": 34_962 },
+        { "buffer": 0, "byteOffset": indices_at, "byteLength": 4 * indices, "target": 34_963 },
+    ]);
+    document["accessors"] = json!([
+        {
+            "bufferView": 0, "componentType": FLOAT, "count": vertices, "type": "VEC3",
+            "min": low.to_array(), "max": high.to_array(),
+        },
+        { "bufferView": 1, "componentType": UNSIGNED_SHORT, "normalized": true, "count": vertices, "type": "VEC4" },
+        { "bufferView": 2, "componentType": UNSIGNED_INT, "count": indices, "type": "SCALAR" },
+    ]);
+    // Colours are lit already.
+    document["extensionsUsed"] = json!(["KHR_materials_unlit"]);
+    document["materials"] = json!([{ "extensions": { "KHR_materials_unlit": {} } }]);
     writer.write_all(&glb_head(&document, bytes)?).writing(path)?;
     for at in positions(mesh, frame).map(place) {
         writer.write_all(at.to_array().map(f32::to_le_bytes).as_flattened()).writing(path)?;

@@ -7,7 +7,6 @@ use ashsplat::{Error, Result};
 
 /// Radius of SSIM's window: 11×11 pixels.
 const RADIUS: usize = 5;
-/// Width of SSIM's window, pixels.
 const WINDOW: usize = 2 * RADIUS + 1;
 /// Standard deviation of SSIM's Gaussian window, pixels.
 const SIGMA: f64 = 1.5;

@@ -212,7 +212,6 @@ impl Finder {
         self.within(&folder, name).filter(|found| found.is_file())
     }
 
-    /// Finds the folder `name` in `place`.
     pub(super) fn folder(&mut self, place: &Path, name: &str) -> Option<PathBuf> {
         self.within(place, name).filter(|found| found.is_dir())
     }

@@ -2,17 +2,17 @@
 
 mod metashape;
 mod reality_scan;
-mod xml;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat, DVec3};
+use roxmltree::{Document, Node};
 
 use crate::colmap::{CameraModel, ColmapCamera, ColmapImage, Model, ModelFolder};
 use crate::names::{entries, has_one_of};
 use crate::transforms::cloud_beside;
-use crate::{cost, ply, regular_file, text};
+use crate::{host_memory, ply, regular_file, text};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
@@ -41,7 +41,6 @@ pub fn find(dataset: &Path, images: &str) -> Vec<Source> {
     let start_of = |path: &Path| {
         /// The marks of all formats lie near the beginning.
         const START_BYTES: u64 = 4096;
-        cost::step();
         text::decoded(regular_file::start(path, START_BYTES).unwrap_or_default())
     };
     let files = |folder: &Path, ending: &'static str| {
@@ -164,4 +163,37 @@ fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
         *number = words.next()?.parse().ok().filter(|number: &f64| number.is_finite())?;
     }
     words.next().is_none().then_some(numbers)
+}
+
+/// Memory of an element with its text, and of an attribute, bytes.
+const NODE_BYTES: u64 = 400;
+const ATTRIBUTE_BYTES: u64 = 160;
+/// Most attributes of an element. Parsing takes the square of their number.
+const ATTRIBUTES: usize = 256;
+/// Most namespaces. Each element may hold a list of them.
+const NAMESPACES: usize = 64;
+
+/// Parses an XML file, if the machine has free memory for its contents.
+fn parse_xml<'t>(path: &Path, text: &'t str) -> Result<Document<'t>> {
+    let error = |problem: String| Error::input(path, problem, "export it again");
+    let count = |byte: u8| text.bytes().filter(|own| *own == byte).count() as u64;
+    let bytes = NODE_BYTES * count(b'<') + ATTRIBUTE_BYTES * count(b'=');
+    host_memory::check_free(path, bytes + text.len() as u64)?;
+    if text.split('<').any(|tag| tag.matches('=').nth(ATTRIBUTES).is_some()) {
+        return Err(error(format!("has an element of more than {ATTRIBUTES} attributes")));
+    }
+    if text.matches("xmlns").nth(NAMESPACES).is_some() {
+        return Err(error(format!("has more than {NAMESPACES} namespaces")));
+    }
+    Document::parse(text).map_err(|e| error(format!("is not XML: {e}")))
+}
+
+/// The elements of this name directly in `node`, in any namespace.
+fn named<'a, 't>(node: Node<'a, 't>, name: &'static str) -> impl Iterator<Item = Node<'a, 't>> {
+    node.children().filter(move |child| child.tag_name().name() == name)
+}
+
+/// The first element of this name directly in `node`.
+fn first<'a, 't>(node: Node<'a, 't>, name: &'static str) -> Option<Node<'a, 't>> {
+    named(node, name).next()
 }

@@ -5,8 +5,8 @@ use std::fs::{self, File, Metadata};
 use std::io::{BufReader, Read, Seek, SeekFrom, Take};
 use std::path::Path;
 
-use crate::host_memory;
-use crate::host_memory::{HostMemory, Lease};
+use crate::cost;
+use crate::host_memory::{self, HostMemory, Lease};
 use ashsplat::scene::Fingerprint;
 use ashsplat::{Error, Result};
 
@@ -40,6 +40,7 @@ impl<T> OnFile<T> for std::io::Result<T> {
 #[allow(clippy::disallowed_methods)]
 pub fn open(path: impl AsRef<Path>) -> Result<(File, u64)> {
     let path = path.as_ref();
+    cost::step();
     // Checked before opening, because opening a pipe waits for its writer.
     check_kind(path, &fs::metadata(path).reading(path)?)?;
     let file = File::open(path).reading(path)?;
@@ -66,6 +67,29 @@ pub(crate) fn part(path: &Path, at: u64, bytes: u64) -> Result<BufReader<Take<Fi
     let (mut file, _) = open(path)?;
     file.seek(SeekFrom::Start(at)).reading(path)?;
     Ok(BufReader::new(file.take(bytes)))
+}
+
+/// Passes `count` rows of `row_bytes` bytes each to `row`, through a buffer.
+pub(crate) fn rows(
+    path: &Path,
+    reader: &mut impl Read,
+    (count, row_bytes): (u64, usize),
+    mut row: impl FnMut(&[u8]) -> Result<()>,
+) -> Result<()> {
+    const BUFFER_BYTES: usize = 1 << 20;
+    let most = (BUFFER_BYTES / row_bytes).max(1) as u64;
+    let mut buffer = vec![0; row_bytes * most.min(count) as usize];
+    let mut left = count;
+    while left > 0 {
+        let bytes = &mut buffer[..row_bytes * most.min(left) as usize];
+        reader.read_exact(bytes).reading(path)?;
+        left -= most.min(left);
+        for bytes in bytes.chunks_exact(row_bytes) {
+            cost::step();
+            row(bytes)?;
+        }
+    }
+    Ok(())
 }
 
 fn check_kind(path: &Path, metadata: &Metadata) -> Result<()> {
@@ -121,7 +145,6 @@ fn contents(path: &Path, file: File, length: u64) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The little-endian number at byte `at`.
 pub(crate) fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
 }

@@ -8,23 +8,23 @@
 //! intrinsics per frame, `depth_file_path` and points of the GLB (`ply_file_path`), and with shared intrinsics, whose principal
 //! point they put in the middle.
 
-mod frame;
-
-use std::collections::BTreeMap;
+use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec3, dvec2};
 use serde_json::error::Category;
 use serde_json::value::RawValue;
 use serde_json::{Map, Value};
 
-use crate::names::{Finder, MAX_PATH_BYTES, ending, entries, first_with, plain, stays_inside};
+use crate::names::{
+    Finder, MAX_PATH_BYTES, ending, entries, first_with, has_photo_ending, plain, stays_inside,
+};
 use crate::{cost, ply, regular_file, text};
-use ashsplat::scene::SourcePoints;
+use ashsplat::scene::camera::MAX_IMAGE_SIDE;
+use ashsplat::scene::{Camera, PhotoLens, Projection, Readout, Shutter, SourcePoints};
 use ashsplat::{Error, Result};
-
-pub use frame::{Frame, Optics, lens_keys, opengl_rows};
 
 /// Files of the synthetic NeRF scenes: for training, and for testing (the first that exists).
 const SPLIT_FILES: [&str; 3] = ["transforms_train.json", "transforms_test.json", "transforms_val.json"];
@@ -131,7 +131,7 @@ impl Transforms {
             }
             let document = Document::parse(path, &text)?;
             let before = all.frames.len();
-            let (warnings, depth_maps) = frame::read_all(path, &document, &mut all.frames)?;
+            let (warnings, depth_maps) = read_frames(path, &document, &mut all.frames)?;
             all.warnings.extend(warnings);
             all.depth_maps += depth_maps;
             all.frames[before..].iter_mut().for_each(|frame| frame.test |= index > 0);
@@ -206,7 +206,7 @@ fn cloud(
     let mut applied = match &document["applied_transform"] {
         Value::Null => None,
         value => {
-            let rows = frame::matrix(value)
+            let rows = matrix(value)
                 .ok_or_else(|| error("applied_transform is not a matrix of 3 or 4 rows of 4 numbers"))?;
             let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
             let axes = DMat3::from_cols(column(0), column(1), column(2));
@@ -285,7 +285,6 @@ pub(crate) fn cloud_beside(path: &Path, warnings: &mut Vec<String>) -> Option<Pa
     None
 }
 
-/// A plain path below a folder; `None` if it leads out of the folder.
 fn below(name: &str) -> Option<String> {
     Some(plain(name)).filter(|name| stays_inside(name))
 }
@@ -324,7 +323,6 @@ impl<'a> Document<'a> {
     }
 }
 
-/// The values of an object by their keys.
 type RawObject<'a> = BTreeMap<String, &'a RawValue>;
 
 /// Parses the values of an object, except the frames and what is too long to be of use.
@@ -332,11 +330,11 @@ fn values(path: &Path, raw: RawObject<'_>) -> Result<Value> {
     let mut values = Map::new();
     for (key, value) in raw {
         let bytes = value.get().len();
-        if bytes > MOST_BYTES && (key == "file_path" || frame::MASK_KEYS.contains(&key.as_str())) {
+        if bytes > MOST_BYTES && (key == "file_path" || MASK_KEYS.contains(&key.as_str())) {
             let problem = format!("{key} has {bytes} bytes; {MAX_PATH_BYTES} are possible for a path");
             return Err(Error::input(path, problem, DAMAGED));
         }
-        let is_used = bytes <= MOST_BYTES || frame::LISTS.contains(&key.as_str());
+        let is_used = bytes <= MOST_BYTES || LISTS.contains(&key.as_str());
         if is_used && key != "frames" {
             let parsed = serde_json::from_str(value.get());
             let problem = |e| Error::input(path, format!("{key} is not JSON: {e}"), DAMAGED);
@@ -344,4 +342,560 @@ fn values(path: &Path, raw: RawObject<'_>) -> Result<Value> {
         }
     }
     Ok(Value::Object(values))
+}
+
+/// Largest relative deviation of a pose's `R Rᵀ` from a multiple of the identity.
+const ROTATION_TOLERANCE: f64 = 1e-3;
+/// Pose at the last row of a rolling shutter, whose first has the usual one, and the order of its rows or columns. Both keys are
+/// this project's own: nerfstudio has none.
+const END_KEY: &str = "transform_matrix_end";
+const SHUTTER_KEY: &str = "shutter";
+/// Largest difference from 1 of a scale that is taken as 1.
+const SCALE_ROUNDING: f64 = 1e-12;
+
+/// A photo and its camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// The photo's path below the file's folder, as the file names it, with its extension.
+    pub name: String,
+    /// Path of the photo.
+    pub photo_path: PathBuf,
+    /// The photo's mask (`mask_path`), if the file names one.
+    pub mask_path: Option<PathBuf>,
+    /// Rotation from the file's coordinates to the camera's axes (x right, y down, z forward). With a rolling shutter, the pose is
+    /// that halfway.
+    pub camera_from_source: DMat3,
+    /// Translation from the file's coordinates to the camera.
+    pub translation: DVec3,
+    /// Rolling shutter, if the file has a second pose. Its shift is in the file's units.
+    pub shutter: Option<Shutter>,
+    /// The frame's intrinsics.
+    pub optics: Optics,
+    /// Radius around the picture's middle beyond which a fisheye shows nothing (`fisheye_crop_radius`), pixels.
+    pub rim_px: Option<f64>,
+    /// True if the frame is held out.
+    pub test: bool,
+}
+
+/// Intrinsics that may lack the photo's size.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Optics {
+    /// Width and height, pixels, if the file has them.
+    pub size: Option<[u32; 2]>,
+    /// Focal lengths in x and y. A missing one equals the other: pixels are square.
+    focal: [Option<Focal>; 2],
+    /// Principal point, pixels; the image's centre by default.
+    center: [Option<f64>; 2],
+    projection: Projection,
+    /// In the order that [`Projection`] lists.
+    coefficients: [f64; 12],
+}
+
+/// A focal length, or the angle that determines it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Focal {
+    Pixels(f64),
+    /// Angle from edge to edge, radians.
+    Angle(f64),
+}
+
+impl Focal {
+    /// Focal length of a picture with this side, pixels.
+    fn pixels(self, side: f64) -> f64 {
+        match self {
+            Self::Pixels(focal) => focal,
+            Self::Angle(angle) => 0.5 * side / (0.5 * angle).tan(),
+        }
+    }
+}
+
+impl Optics {
+    /// Width and height, or values proportional to them; `None` if the file has neither.
+    pub(crate) fn sides(&self) -> Option<[f64; 2]> {
+        let middle = || Some([self.center[0]?, self.center[1]?]);
+        self.size.map(|size| size.map(f64::from)).or_else(middle)
+    }
+
+    /// The lens for photos of this size.
+    pub fn lens(&self, width: u32, height: u32) -> PhotoLens {
+        let sides = [f64::from(width), f64::from(height)];
+        let pixels = |axis: usize| Some(self.focal[axis]?.pixels(sides[axis]));
+        let [fx, fy] =
+            [pixels(0).or(pixels(1)), pixels(1).or(pixels(0))].map(|focal| focal.unwrap_or(f64::NAN));
+        let [cx, cy] = [0, 1].map(|axis| self.center[axis].unwrap_or(0.5 * sides[axis]));
+        let Self { projection, coefficients, .. } = *self;
+        if projection == Projection::Equirectangular {
+            return PhotoLens::panorama(width, height);
+        }
+        let (focal_px, center_px) = (dvec2(fx, fy), dvec2(cx, cy));
+        PhotoLens { focal_px, center_px, width, height, projection, coefficients }.without_zeros()
+    }
+}
+
+/// Rows of `transform_matrix`: from the camera's axes, with y up and z backward, to the world of its centre.
+pub fn opengl_rows(camera_from_world: DMat3, center: DVec3) -> [[f64; 4]; 4] {
+    let axes = camera_from_world.transpose();
+    let row = |r: usize| [axes.x_axis[r], -axes.y_axis[r], -axes.z_axis[r], center[r]];
+    [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
+}
+
+/// The first three rows of a matrix of 3 or 4 rows with 4 finite numbers.
+fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
+    let rows = value.as_array().filter(|rows| matches!(rows.len(), 3 | 4))?;
+    let row = |row: &Value| -> Option<[f64; 4]> {
+        let numbers: Option<Vec<f64>> = row.as_array()?.iter().map(Value::as_f64).collect();
+        numbers?.try_into().ok().filter(|row: &[f64; 4]| row.iter().all(|v| v.is_finite()))
+    };
+    let rows: Option<Vec<[f64; 4]>> = rows.iter().map(row).collect();
+    rows?.get(..3)?.try_into().ok()
+}
+
+/// Appends the frames of a file. Returns the warnings, and the number of frames that name a depth map.
+fn read_frames(
+    path: &Path,
+    document: &Document<'_>,
+    frames: &mut Vec<Frame>,
+) -> Result<(Vec<String>, usize)> {
+    let Some(list) = &document.frames else {
+        return Err(Error::input(path, "has no list `frames`", "is it a transforms.json?"));
+    };
+    if list.is_empty() {
+        let remedy = "the cameras were not found: compute them again";
+        return Err(Error::input(path, "the list `frames` is empty", remedy));
+    }
+    let (shown, document) = (path.display(), &document.values);
+    let finder = RefCell::new(Finder::default());
+    let split = Split::of(path, document)?;
+    let (mut warnings, mut met) = (Vec::new(), HashSet::new());
+    let (count, mut elsewhere, mut unused, mut depth_maps) = (list.len(), 0, 0, 0);
+    let mut lens_keys = BTreeSet::new();
+    unused_lens_keys(document, &mut lens_keys);
+    let mut unused_keys = BTreeSet::new();
+    if document["test_frames"].as_array().is_some_and(|frames| !frames.is_empty()) {
+        unused_keys.insert("test_frames".to_owned());
+    }
+    let (mut times, mut contradiction) = (f64::INFINITY..f64::NEG_INFINITY, None);
+    if !document[END_KEY].is_null() {
+        unused_keys.insert(format!("{END_KEY} outside the frames"));
+    }
+    let mut uses_shutter = document[SHUTTER_KEY].is_null();
+    for (index, raw) in list.iter().enumerate() {
+        // A frame that is no object has no file_path.
+        let value = values(path, serde_json::from_str(raw.get()).unwrap_or_default())?;
+        let reader = FrameReader { path, index, frame: &value, document, finder: &finder };
+        let (mut frame, led_out) = reader.read()?;
+        elsewhere += usize::from(led_out);
+        uses_shutter |= frame.shutter.is_some();
+        unused_lens_keys(&value, &mut lens_keys);
+        contradiction = contradiction.take().or_else(|| reader.contradiction(frame.optics.size));
+        if let Some(time) = value["time"].as_f64() {
+            times = times.start.min(time)..times.end.max(time);
+        }
+        depth_maps += usize::from(DEPTH_KEYS.iter().any(|key| value[key].is_string()));
+        unused_keys.extend(value.as_object().into_iter().flatten().filter_map(|(key, value)| {
+            let is_known = MASK_KEYS.contains(&key.as_str()) || DEPTH_KEYS.contains(&key.as_str());
+            let names_file = value.is_string() && (key.contains("mask") || key.contains("depth"));
+            (names_file && !is_known || key == "is_bad" && *value == true).then(|| key.clone())
+        }));
+        if frame.optics.projection == Projection::Fisheye {
+            let (_, p) = reader.coefficients()?;
+            lens_keys.extend(
+                ["p1", "p2"].into_iter().zip(p).filter(|(_, p)| *p != 0.0).map(|(key, _)| key.into()),
+            );
+        }
+        let names = [plain(value["file_path"].as_str().unwrap_or_default()), frame.name.clone()];
+        let held_out = split.is_held_out(&names);
+        met.extend(names);
+        match held_out {
+            None => unused += 1,
+            Some(held_out) => {
+                frame.test = held_out;
+                frames.push(frame);
+            }
+        }
+    }
+    if !uses_shutter {
+        unused_keys.insert(format!("{SHUTTER_KEY} without {END_KEY}"));
+    }
+    split.check(path, &met)?;
+    if elsewhere > 0 {
+        warnings.push(format!(
+            "{shown}: {elsewhere} of {count} paths lead out of its folder: the photos in it whose paths end as theirs are taken"
+        ));
+    }
+    if !lens_keys.is_empty() {
+        let verb = if lens_keys.len() == 1 { "is" } else { "are" };
+        let keys = Vec::from_iter(lens_keys).join(", ");
+        warnings.push(format!(
+            "{shown}: {keys} {verb} of the lens not used, and the photos are taken as if it were 0: undistort them first if they show it"
+        ));
+    }
+    warnings.extend(contradiction);
+    if !unused_keys.is_empty() {
+        let keys = Vec::from_iter(unused_keys).join(", ");
+        warnings.push(format!("{shown}: {keys}: such keys are not used"));
+    }
+    if times.start < times.end {
+        let (start, end) = (times.start, times.end);
+        warnings.push(format!(
+            "{shown}: its frames are of times from {start} to {end}: the scene is taken as one that does not move"
+        ));
+    }
+    if unused > 0 {
+        let lists = split.used_lists();
+        warnings.push(format!(
+            "{shown}: {unused} of {count} frames are in none of the lists {lists} and are not used"
+        ));
+    }
+    Ok((warnings, depth_maps))
+}
+
+/// Adds unsupported lens keys that have an effect in other programs.
+fn unused_lens_keys(holder: &Value, keys: &mut BTreeSet<String>) {
+    /// Skew and affinity of Metashape, further coefficients of OpenCV, and keys of nerfstudio and instant-ngp.
+    const SHORT_KEYS: [&str; 13] =
+        ["b1", "b2", "k5", "k6", "p3", "p4", "s1", "s2", "s3", "s4", "skew", "sk_x", "sk_y"];
+    const KEYS: [&str; 3] = ["distortion", DISTORTION_PARAMS, "rolling_shutter"];
+    fn is_set(value: &Value) -> bool {
+        match value {
+            Value::Number(number) => number.as_f64() != Some(0.0),
+            Value::Array(values) => values.iter().any(is_set),
+            Value::Object(_) => true,
+            _ => false,
+        }
+    }
+    let is_used = |key: &str, value: &Value| key == DISTORTION_PARAMS && numbers_of(value).is_some();
+    let all = holder.as_object().into_iter().flatten();
+    let has_effect =
+        |key: &str| SHORT_KEYS.contains(&key) || KEYS.contains(&key) || key.starts_with("ftheta_");
+    let unused = all.filter(|(key, value)| has_effect(key) && is_set(value) && !is_used(key, value));
+    keys.extend(unused.map(|(key, _)| key.clone()));
+}
+
+/// Keys of the path of a frame's mask; the first is nerfstudio's.
+const MASK_KEYS: [&str; 3] = ["mask_path", "mask_file_path", "mask_filename"];
+/// Keys of the path of a frame's depth map, of nerfstudio and instant-ngp.
+const DEPTH_KEYS: [&str; 2] = ["depth_file_path", "depth_path"];
+/// nerfstudio's list of k1, k2, k3, k4, p1 and p2, which takes precedence over single keys.
+const DISTORTION_PARAMS: &str = "distortion_params";
+
+fn numbers_of(params: &Value) -> Option<[f64; 6]> {
+    let numbers: Option<Vec<f64>> = params.as_array()?.iter().map(Value::as_f64).collect();
+    numbers?.try_into().ok()
+}
+
+struct FrameReader<'a> {
+    path: &'a Path,
+    index: usize,
+    frame: &'a Value,
+    document: &'a Value,
+    finder: &'a RefCell<Finder>,
+}
+
+impl FrameReader<'_> {
+    fn error(&self, problem: impl std::fmt::Display) -> Error {
+        let problem = format!("frame {}: {problem}", self.index);
+        Error::input(self.path, problem, "correct the file or compute it again")
+    }
+
+    /// Reads the frame. The flag is true if its path led out of the folder.
+    fn read(&self) -> Result<(Frame, bool)> {
+        let Some(file_path) = self.frame["file_path"].as_str() else {
+            return Err(self.error("has no file_path"));
+        };
+        let (name, photo_path, led_out) = self.photo(file_path)?;
+        let mask = MASK_KEYS.iter().find_map(|&key| Some((key, self.frame[key].as_str()?)));
+        let mask_path = mask.map(|(key, name)| self.mask(key, name)).transpose()?;
+        let ((camera_from_source, translation), shutter) = self.motion()?;
+        let optics = self.optics()?;
+        let rim_px = self.number("fisheye_crop_radius")?.filter(|radius| *radius > 0.0);
+        let frame = Frame {
+            name,
+            photo_path,
+            mask_path,
+            camera_from_source,
+            translation,
+            shutter,
+            optics,
+            rim_px,
+            test: false,
+        };
+        Ok((frame, led_out))
+    }
+
+    fn mask(&self, key: &str, name: &str) -> Result<PathBuf> {
+        self.check_length(key, name)?;
+        let mut finder = self.finder.borrow_mut();
+        let inside = below(name);
+        let found = inside.as_deref().and_then(|name| finder.file(self.folder(), name));
+        let found = found.or_else(|| finder.file_by_end(self.folder(), &plain(name)));
+        found.or_else(|| Some(self.folder().join(inside?))).ok_or_else(|| self.leaves(name))
+    }
+
+    fn folder(&self) -> &Path {
+        self.path.parent().unwrap_or(Path::new(""))
+    }
+
+    fn check_length(&self, key: &str, name: &str) -> Result<()> {
+        match name.len() {
+            0..=MAX_PATH_BYTES => Ok(()),
+            bytes => {
+                Err(self.error(format!("{key} is a path of {bytes} bytes; {MAX_PATH_BYTES} are possible")))
+            }
+        }
+    }
+
+    fn leaves(&self, name: &str) -> Error {
+        let name = ending(name);
+        self.error(format!("the path {name:?} leads out of the folder, and nothing in it has that name"))
+    }
+
+    /// The photo's name and path, and true if the name led out of the folder. Without an extension, it is a PNG's.
+    fn photo(&self, named: &str) -> Result<(String, PathBuf, bool)> {
+        self.check_length("file_path", named)?;
+        let mut finder = self.finder.borrow_mut();
+        let mut name = plain(named);
+        let led_out = !stays_inside(&name);
+        let found = match led_out {
+            false => finder.photo(self.folder(), &name).unwrap_or_else(|| self.folder().join(&name)),
+            true => {
+                // The path is from another machine or folder: searches for the photo's name here.
+                let found = finder.photo_by_end(self.folder(), &name).map_err(|two| {
+                    let [first, second] = two.map(|photo| photo.display().to_string());
+                    self.error(format!("the path {:?} may mean {first} or {second}", ending(named)))
+                })?;
+                let path = found.ok_or_else(|| self.leaves(named))?;
+                let end = path.strip_prefix(self.folder()).unwrap_or(&path);
+                name = plain(&end.to_string_lossy());
+                path
+            }
+        };
+        let path = match found.is_file() || has_photo_ending(&found) {
+            true => found,
+            false => PathBuf::from(format!("{}.png", found.display())),
+        };
+        if !has_photo_ending(Path::new(&name)) {
+            let ending = path.extension().unwrap_or_default().to_string_lossy();
+            name = format!("{name}.{ending}");
+        }
+        Ok((name, path, led_out))
+    }
+
+    /// Reads the pose, and with one at the last row that halfway and the rolling shutter.
+    fn motion(&self) -> Result<((DMat3, DVec3), Option<Shutter>)> {
+        let first = self.pose("transform_matrix")?;
+        if self.frame[END_KEY].is_null() {
+            return Ok((first, None));
+        }
+        let last = self.pose(END_KEY)?;
+        let orders = [&self.frame[SHUTTER_KEY], &self.document[SHUTTER_KEY]];
+        let readout = match orders.into_iter().find(|order| !order.is_null()) {
+            None => Readout::default(),
+            Some(order) => {
+                let wrong = |problem: String| self.error(format!("{SHUTTER_KEY}: {problem}"));
+                Readout::named(order.as_str().unwrap_or(&order.to_string())).map_err(wrong)?
+            }
+        };
+        let (halfway, shutter) = Shutter::between(first, last, readout);
+        Ok((halfway, Some(shutter)))
+    }
+
+    fn pose(&self, key: &str) -> Result<(DMat3, DVec3)> {
+        let value = &self.frame[key];
+        if value.is_null() {
+            return Err(self.error(format!("has no {key}")));
+        }
+        let Some(rows) = matrix(value) else {
+            return Err(self.error(format!("{key} is not of 3 or 4 rows of 4 finite numbers")));
+        };
+        let last: Vec<f64> = value[3].as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
+        if last.iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(given, right)| (given - right).abs() > SCALE_ROUNDING)
+        {
+            let problem = format!("the last row of {key} is {last:?} and not 0, 0, 0, 1: is it transposed?");
+            return Err(self.error(problem));
+        }
+        let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
+        let axes = DMat3::from_cols(column(0), column(1), column(2));
+        let scale = axes.determinant().cbrt();
+        // A rotation up to the rounding of doubles is used bit for bit.
+        let rotation = if (scale - 1.0).abs() < SCALE_ROUNDING { axes } else { axes * (1.0 / scale) };
+        let off = rotation * rotation.transpose() - DMat3::IDENTITY;
+        // Also refuses a scale of 0, which gives NaN.
+        if !(scale > 0.0 && off.to_cols_array().iter().all(|v| v.abs() < ROTATION_TOLERANCE)) {
+            return Err(self.error(format!("{key} is no rotation with a translation")));
+        }
+        // Converts from y up, z backward to y down, z forward.
+        let camera_from_source = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * rotation.transpose();
+        // Same order as for COLMAP's files, so that both layouts of a camera give the same bits.
+        Ok((camera_from_source, -(camera_from_source * column(3))))
+    }
+
+    /// Reads a number of the frame, or else of the file. Other types are errors.
+    fn number(&self, key: &str) -> Result<Option<f64>> {
+        let holders = [("", &self.frame[key]), ("the file's ", &self.document[key])];
+        let Some((holder, value)) = holders.into_iter().find(|(_, value)| !value.is_null()) else {
+            return Ok(None);
+        };
+        let number = value.as_f64().filter(|v| v.is_finite());
+        number.map(Some).ok_or_else(|| self.error(format!("{holder}{key} is not a number")))
+    }
+
+    fn optics(&self) -> Result<Optics> {
+        let mut size = [0; 2];
+        for (side, key) in size.iter_mut().zip(["w", "h"]) {
+            if let Some(pixels) = self.number(key)? {
+                let sides = 1.0..=f64::from(MAX_IMAGE_SIDE);
+                *side = if sides.contains(&pixels) { pixels as u32 } else { 0 };
+                if *side == 0 {
+                    let problem = format!("{key} is {pixels}; 1 to {MAX_IMAGE_SIDE} pixels are possible");
+                    return Err(self.error(problem));
+                }
+            }
+        }
+        let size = (size[0] > 0 && size[1] > 0).then_some(size);
+        let focal = [self.focal("fl_x", "camera_angle_x")?, self.focal("fl_y", "camera_angle_y")?];
+        let (projection, coefficients) = self.lens()?;
+        // The size of a panorama says all.
+        if focal == [None; 2] && projection != Projection::Equirectangular {
+            return Err(self.error("has no camera: neither fl_x nor camera_angle_x, nor has the file"));
+        }
+        let center = [self.number("cx")?, self.number("cy")?];
+        Ok(Optics { size, focal, center, projection, coefficients })
+    }
+
+    /// A warning if a focal length and an angle contradict each other, both of the frame or both of the document.
+    fn contradiction(&self, size: Option<[u32; 2]>) -> Option<String> {
+        /// Ratio from which the difference is visible.
+        const SHOWS: f64 = 1.02;
+        let ways = [("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")];
+        size?.into_iter().zip(ways).find_map(|(side, (pixels, angle))| {
+            let holder = if self.frame[pixels].is_null() { self.document } else { self.frame };
+            let (focal, radians) = (holder[pixels].as_f64()?, holder[angle].as_f64()?);
+            let other = Focal::Angle(radians).pixels(side.into());
+            let ratio = focal / other;
+            (ratio.max(ratio.recip()) > SHOWS).then(|| {
+                let (path, index) = (self.path.display(), self.index);
+                format!(
+                    "{path}: frame {index}: {pixels} is {focal}, {angle} means {other:.1}: {pixels} is used"
+                )
+            })
+        })
+    }
+
+    fn focal(&self, pixels: &str, angle: &str) -> Result<Option<Focal>> {
+        match self.number(pixels)? {
+            Some(focal) if focal > 0.0 => return Ok(Some(Focal::Pixels(focal))),
+            Some(focal) => return Err(self.error(format!("{pixels} is {focal}, which is not positive"))),
+            None => {}
+        }
+        match self.number(angle)? {
+            Some(value) if value > 0.0 && value < std::f64::consts::PI => Ok(Some(Focal::Angle(value))),
+            Some(value) => Err(self.error(format!(
+                "{angle} is {value} radians; more than 0 and less than pi are possible (are these degrees?)"
+            ))),
+            None => Ok(None),
+        }
+    }
+
+    fn coefficients(&self) -> Result<([f64; 4], [f64; 2])> {
+        let lists = [&self.frame[DISTORTION_PARAMS], &self.document[DISTORTION_PARAMS]];
+        if let Some([k1, k2, k3, k4, p1, p2]) = lists.into_iter().find_map(numbers_of) {
+            return Ok(([k1, k2, k3, k4], [p1, p2]));
+        }
+        let mut k = [0.0; 4];
+        for (k, key) in k.iter_mut().zip(["k1", "k2", "k3", "k4"]) {
+            *k = self.number(key)?.unwrap_or(0.0);
+        }
+        Ok((k, [self.number("p1")?.unwrap_or(0.0), self.number("p2")?.unwrap_or(0.0)]))
+    }
+
+    fn lens(&self) -> Result<(Projection, [f64; 12])> {
+        let ([k1, k2, k3, k4], [p1, p2]) = self.coefficients()?;
+        let model =
+            [&self.frame["camera_model"], &self.document["camera_model"]].into_iter().find_map(Value::as_str);
+        let is_fisheye = self.frame["is_fisheye"] == true || self.document["is_fisheye"] == true;
+        let mut coefficients = [0.0; 12];
+        let projection = match model {
+            Some("OPENCV_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE") => Projection::Fisheye,
+            Some("OPENCV" | "RADIAL" | "SIMPLE_RADIAL" | "PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE")
+            | None => match is_fisheye {
+                true => Projection::Fisheye,
+                false => Projection::Brown,
+            },
+            Some("EQUIRECTANGULAR") => return Ok((Projection::Equirectangular, coefficients)),
+            Some(other) => return Err(self.error(format!("camera_model {other:?} is not known"))),
+        };
+        match projection {
+            Projection::Fisheye => {
+                [coefficients[0], coefficients[1], coefficients[4], coefficients[5]] = [k1, k2, k3, k4]
+            }
+            // Their k4 is a fourth coefficient of the numerator, unlike COLMAP's.
+            _ => coefficients[..9].copy_from_slice(&[k1, k2, p1, p2, k3, 0.0, 0.0, 0.0, k4]),
+        }
+        Ok((projection, coefficients))
+    }
+}
+
+/// Returns a camera's lens as the file has it: `camera_model`, `k1` to `k4`, `p1` and `p2`. None for lenses that it cannot hold.
+pub fn lens_keys(camera: &Camera) -> Option<(&'static str, [f32; 4], [f32; 2])> {
+    let [k1, k2, p1, p2, k3, k4, third, fourth, n4, ..] = camera.coefficients;
+    match camera.projection {
+        Projection::Perspective => Some(("PINHOLE", [0.0; 4], [0.0; 2])),
+        Projection::Brown if [k4, third, fourth] == [0.0; 3] => Some(("OPENCV", [k1, k2, k3, n4], [p1, p2])),
+        Projection::Fisheye if [p1, p2, third, fourth] == [0.0; 4] => {
+            Some(("OPENCV_FISHEYE", [k1, k2, k3, k4], [0.0; 2]))
+        }
+        Projection::Equirectangular => Some(("EQUIRECTANGULAR", [0.0; 4], [0.0; 2])),
+        _ => None,
+    }
+}
+
+/// Keys of the name lists. The first held-out list that exists is used; they come last.
+const LISTS: [&str; 3] = ["train_filenames", "test_filenames", "val_filenames"];
+
+/// The names of each list; empty for a list that is missing.
+struct Split([HashSet<String>; 3]);
+
+impl Split {
+    fn of(path: &Path, document: &Value) -> Result<Self> {
+        let names = |key: &str| match &document[key] {
+            Value::Null => Some(HashSet::new()),
+            Value::Array(names) => names.iter().map(|name| Some(plain(name.as_str()?))).collect(),
+            _ => None,
+        };
+        let mut lists: [HashSet<String>; 3] = Default::default();
+        for (list, key) in lists.iter_mut().zip(LISTS) {
+            let wrong = || Error::input(path, format!("{key} is not a list of names"), "correct the file");
+            *list = names(key).ok_or_else(wrong)?;
+        }
+        Ok(Self(lists))
+    }
+
+    /// True if the frame with this path or name is held out; `None` if it is not used. Without a training list, frames in
+    /// no list are training frames.
+    fn is_held_out(&self, names: &[String; 2]) -> Option<bool> {
+        let [train, test, val] = self.0.each_ref().map(|list| names.iter().any(|name| list.contains(name)));
+        match if self.0[1].is_empty() { val } else { test } {
+            true => Some(true),
+            false if train || self.0[0].is_empty() && !val => Some(false),
+            false => None,
+        }
+    }
+
+    /// Refuses a list with a name that no frame has.
+    fn check(&self, path: &Path, met: &HashSet<String>) -> Result<()> {
+        for (list, key) in self.0.iter().zip(LISTS) {
+            if let Some(name) = list.difference(met).min() {
+                let problem = format!("{key} names {name:?}, which no frame has as its file_path");
+                return Err(Error::input(path, problem, "correct the list or add the frame"));
+            }
+        }
+        Ok(())
+    }
+
+    fn used_lists(&self) -> String {
+        let held_out = if self.0[1].is_empty() { 2 } else { 1 };
+        let used = [0, held_out].into_iter().filter(|&at| !self.0[at].is_empty());
+        used.map(|at| LISTS[at]).collect::<Vec<_>>().join(" and ")
+    }
 }

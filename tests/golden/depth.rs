@@ -7,7 +7,7 @@ use crate::common::engine;
 use crate::common::prelude::*;
 use crate::common::terms::inverse_depth_l1;
 use crate::golden::npz::Npz;
-use ashsplat_files::depth_fit::{DepthFit, DepthPoint};
+use ashsplat_files::depth_fit::{DepthFit, ObservedPoint};
 use ashsplat_files::images::DepthMap;
 use std::path::Path;
 
@@ -91,12 +91,12 @@ fn of_host(path: &Path) -> Outcome {
         .collect();
     let full = npz.values("full_wh");
     let camera_size = (full[0] as u32, full[1] as u32);
-    let observed: Vec<(usize, DepthPoint)> = npz
+    let observed: Vec<(usize, ObservedPoint)> = npz
         .values("obs_image")
         .iter()
         .zip(npz.rows::<2>("obs_xy"))
         .zip(npz.values("obs_inv_z"))
-        .map(|((&image, position_px), &inverse_z)| (image as usize, DepthPoint { position_px, inverse_z }))
+        .map(|((&image, position_px), &inverse_z)| (image as usize, ObservedPoint { position_px, inverse_z }))
         .collect();
     let ratio = height as f64 / full[1];
     for ((image, point), (&expected, valid)) in

@@ -7,16 +7,10 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 
-use super::View;
-use super::crop::Crop;
-use super::depths;
-use super::level::Level;
-use super::mask::Mask;
-use super::options::DatasetOptions;
-use super::plan::Plan;
-use super::planned_view::{PlannedView, Track};
-use super::read;
+use super::plan::{Level, Plan};
+use super::planned_view::{Crop, Mask, PlannedView, Track};
 use super::unpacked::Unpacked;
+use super::{DatasetOptions, View, plan};
 use crate::cameras_json::NamedCamera;
 use crate::colmap::{self, Model};
 use crate::progress::Progress;
@@ -29,8 +23,6 @@ use ashsplat::{Error, Result};
 pub struct Gallery {
     pub(super) unpacked: Unpacked,
     pub(super) options: DatasetOptions,
-    pub(super) views: Vec<PlannedView>,
-    /// The plan without its views.
     pub(super) plan: Plan,
 }
 
@@ -39,26 +31,26 @@ impl Gallery {
     pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         let unpacked = Unpacked::open(path.as_ref(), progress)?;
         let open = || {
-            let mut plan = read::plan(&unpacked.folder, options)?;
+            let mut plan = plan::plan(&unpacked.folder, options)?;
+            plan.take_problems().into_iter().next().map_or(Ok(()), Err)?;
             plan.check_views()?;
-            let mut views = std::mem::take(&mut plan.views).into_iter().collect::<Result<Vec<_>>>()?;
-            depths::plan(&unpacked.folder, (&mut views, plan.frame.unit), options, &mut plan.warnings)?;
-            Ok((plan, views))
+            plan.find_depth_maps(&unpacked.folder, options)?;
+            Ok(plan)
         };
-        let (mut plan, views) = open().map_err(|error| unpacked.name(error))?;
+        let mut plan = open().map_err(|error| unpacked.name(error))?;
         plan.name_paths(&unpacked);
-        Ok(Self { unpacked, options: options.clone(), views, plan })
+        Ok(Self { unpacked, options: options.clone(), plan })
     }
 
     /// Removes all views except those with these names. The choice of held-out views stays as it was.
     pub fn keep(&mut self, names: &BTreeSet<String>) -> Result<()> {
-        let known: BTreeSet<&str> = self.views.iter().map(|view| view.name.as_str()).collect();
+        let known: BTreeSet<&str> = self.plan.views.iter().map(|view| view.name.as_str()).collect();
         if let Some(missing) = names.iter().find(|name| !known.contains(name.as_str())) {
             let problem = format!("has no photo {missing}, which is to be used");
             let remedy = "give the data set that the list of photos was made for";
             return Err(self.unpacked.name(Error::input(&self.plan.list, problem, remedy)));
         }
-        self.views.retain(|view| names.contains(&view.name));
+        self.plan.views.retain(|view| names.contains(&view.name));
         Ok(())
     }
 
@@ -87,13 +79,13 @@ impl Gallery {
 
     /// Share of a view's photo that is used; 1 without [`Gallery::use_part`]. `None` for an index out of range.
     pub fn share_used(&self, index: usize) -> Option<f64> {
-        self.views.get(index).map(PlannedView::share_used)
+        self.plan.views.get(index).map(PlannedView::share_used)
     }
 
     /// Undoes [`Gallery::use_part`] for all views.
     #[must_use]
     pub fn with_whole_photos(mut self) -> Self {
-        self.views.iter_mut().for_each(|view| view.crop = None);
+        self.plan.views.iter_mut().for_each(|view| view.crop = None);
         self
     }
 
@@ -101,18 +93,18 @@ impl Gallery {
     pub fn used_cameras(&self) -> Result<Vec<Camera>> {
         let used =
             |view: &PlannedView| view.used_camera(&self.options).map_err(|error| self.unpacked.name(error));
-        self.views.iter().map(used).collect()
+        self.plan.views.iter().map(used).collect()
     }
 
     /// The views that are trained on, as a whole or as a half, with their indices.
     pub(super) fn trained(&self) -> impl Iterator<Item = (usize, &PlannedView)> {
-        self.views.iter().enumerate().filter(|(_, view)| view.is_trained(&self.options))
+        self.plan.views.iter().enumerate().filter(|(_, view)| view.is_trained(&self.options))
     }
 
     fn planned(&mut self, index: usize) -> Result<&mut PlannedView> {
-        let count = self.views.len();
+        let count = self.plan.views.len();
         let problem = || format!("is {index}, there are {count}");
-        self.views.get_mut(index).ok_or_else(|| Error::argument("view", problem()))
+        self.plan.views.get_mut(index).ok_or_else(|| Error::argument("view", problem()))
     }
 
     /// The cameras by name, at the photos' own sizes.
@@ -124,7 +116,7 @@ impl Gallery {
     pub fn cameras_in(&self, frame: &WorldFrame) -> Vec<NamedCamera> {
         let named =
             |view: &PlannedView| NamedCamera { name: view.name.clone(), camera: view.camera_in(frame) };
-        self.views.iter().map(named).collect()
+        self.plan.views.iter().map(named).collect()
     }
 
     /// The training photos with the sizes that they will have. Masks and transparency are known once they are read.
@@ -164,12 +156,12 @@ impl Gallery {
     /// Estimated bytes of all kept photos.
     pub(super) fn texel_bytes(&self) -> u64 {
         let copies = |view: &PlannedView| if view.held_out && self.options.train_test_exp { 2 } else { 1 };
-        self.views.iter().map(|view| copies(view) * view.texel_bytes(&self.options)).sum()
+        self.plan.views.iter().map(|view| copies(view) * view.texel_bytes(&self.options)).sum()
     }
 
     /// True for each held-out view, by name; all false without [`DatasetOptions::eval`].
     pub fn held_out(&self) -> Vec<bool> {
-        self.views.iter().map(|view| view.held_out).collect()
+        self.plan.views.iter().map(|view| view.held_out).collect()
     }
 
     /// True if the data set says itself which views are held out.
@@ -204,12 +196,12 @@ impl Gallery {
 
     /// Width and height in pixels that a photo will have when it is read; `None` for an index out of range.
     pub fn size(&self, index: usize) -> Option<(u32, u32)> {
-        Some(self.views.get(index)?.size(&self.options))
+        Some(self.plan.views.get(index)?.size(&self.options))
     }
 
     /// Reads a photo as the options say; `None` for an index out of range.
     pub fn view(&self, index: usize) -> Option<Result<View>> {
-        let view = self.views.get(index)?;
+        let view = self.plan.views.get(index)?;
         let loaded = view.load(&self.options).map_err(|error| self.unpacked.name(error));
         Some(loaded.map(|(view, _)| view))
     }
@@ -222,7 +214,7 @@ impl Gallery {
     pub fn read_tracks(&mut self) -> Result<usize> {
         let tracks = self.shown_points(u64::MAX)?;
         let count = tracks.iter().flatten().map(|track| track.len()).sum();
-        self.views.iter_mut().zip(tracks).for_each(|(view, track)| view.track = track);
+        self.plan.views.iter_mut().zip(tracks).for_each(|(view, track)| view.track = track);
         Ok(count)
     }
 
@@ -237,7 +229,7 @@ impl Gallery {
             return Ok(Vec::new());
         }
         let mut shown = colmap::tracks(&model).map_err(|error| self.unpacked.name(error))?;
-        let mut tracks = vec![None; self.views.len()];
+        let mut tracks = vec![None; self.plan.views.len()];
         for (index, view) in self.trained() {
             let points = shown.remove(&view.image_id).filter(|points| !points.is_empty());
             let world = |point| self.plan.frame.world(self.plan.level.turned(DVec3::from_array(point)));

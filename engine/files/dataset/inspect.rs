@@ -8,13 +8,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::notes::{self, may_lack_points, random_points_instead};
-use super::options::DatasetOptions;
-use super::plan::{Plan, check_split};
+use super::plan::Plan;
 use super::planned_view::{PhotoUse, PlannedView};
-use super::read;
 use super::unpacked::Unpacked;
+use super::{DatasetOptions, plan};
+use crate::colmap;
 use crate::progress::Progress;
-use crate::{colmap, cost};
 use ashsplat::scene::{Bounds, WorldFrame, scene_extent};
 use ashsplat::{Error, Result};
 
@@ -75,7 +74,7 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
         }
     };
     let named = |e: Error| unpacked.name(e).to_string();
-    let mut plan = match read::plan(&unpacked.folder, options) {
+    let mut plan = match plan::plan(&unpacked.folder, options) {
         Ok(plan) => plan,
         Err(e) => {
             report.model = colmap::find(&unpacked.folder).ok().map(|found| unpacked.named(&found.folder));
@@ -84,44 +83,34 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
         }
     };
     plan.name_paths(&unpacked);
-    report.describe(&plan);
-    let has_views = plan.check_views();
-    let mut views = Vec::new();
-    for view in std::mem::take(&mut plan.views) {
-        match view {
-            Ok(view) => views.push(view),
-            Err(e) => report.problem(named(e)),
-        }
-    }
-    let split = has_views.and_then(|()| check_split(&plan.list, &views));
+    report.describe(&mut plan);
+    plan.take_problems().into_iter().for_each(|problem| report.problem(named(problem)));
+    let split = plan.check_views().and_then(|()| plan.check_split());
     if report.problems.is_empty()
         && let Err(e) = split
     {
         report.problem(named(e));
     }
-    report.split(&views);
-    report.check_photos(&views, options, progress, &named);
+    report.split(&plan.views);
+    report.check_photos(&plan.views, options, progress, &named);
     report
 }
 
 impl DatasetReport {
     /// Notes a problem once: many images share a camera.
     fn problem(&mut self, problem: String) {
-        cost::step();
         if self.known.insert(problem.clone()) {
             self.problems.push(problem);
         }
     }
 
-    fn describe(&mut self, plan: &Plan) {
+    fn describe(&mut self, plan: &mut Plan) {
         self.model = Some(plan.source.clone());
-        self.cameras.clone_from(&plan.cameras);
+        self.cameras = std::mem::take(&mut plan.cameras);
         self.images = plan.registered;
-        self.points = plan.points.len();
+        (self.points, self.point_bounds) = (plan.points.len(), plan.points.bounds());
         self.frame = plan.frame;
-        self.point_bounds = plan.points.bounds();
-        self.warnings.clone_from(&plan.warnings);
-        self.notes.clone_from(&plan.notes);
+        (self.warnings, self.notes) = (std::mem::take(&mut plan.warnings), std::mem::take(&mut plan.notes));
         if plan.points.is_empty() {
             self.warnings.push(match may_lack_points(&plan.source) {
                 true => random_points_instead(),

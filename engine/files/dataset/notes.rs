@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use super::options::AlphaUse;
 use super::planned_view::{PhotoUse, PlannedView};
+use super::{AlphaUse, DatasetOptions};
 use crate::images::{AUTO_MAX_WIDTH, Resolution};
 use crate::init::RANDOM_POINTS;
 use crate::names::has_one_of;
@@ -85,12 +85,12 @@ pub(super) fn distorted_lenses<'a>(
 pub(super) fn distorted_photos(
     which: Option<&str>,
     sizes: &[(u32, u32)],
-    (resolution, undistort): (Resolution, bool),
+    options: &DatasetOptions,
 ) -> Option<String> {
     let (which, ((width, height), up_to)) = (which?, largest(sizes)?);
-    let (width, height) = resolution.apply(width, height);
-    let scaled = divisor(resolution).map_or_else(String::new, |by| format!(" (-r {by})"));
-    let how = match undistort {
+    let (width, height) = options.resolution.apply(width, height);
+    let scaled = divisor(options.resolution).map_or_else(String::new, |by| format!(" (-r {by})"));
+    let how = match options.undistort {
         true => "photos are undistorted as they are read, and used",
         false => "photos are used as they were taken,",
     };
@@ -139,34 +139,22 @@ fn doubt(lens: &PhotoLens) -> Option<String> {
     doubtful.then(|| format!("focal lengths of {} and {} pixels", focal[0], focal[1]))
 }
 
-/// Returns the notes and the warnings about photos.
 pub(super) fn of_pixels<'v>(
     photos: impl Iterator<Item = (&'v PlannedView, PhotoUse)>,
     alpha: AlphaUse,
 ) -> (Vec<String>, Vec<String>) {
     /// 1 / 2.2 and the values of older screens, which look like sRGB.
     const USUAL_GAMMA: std::ops::RangeInclusive<f32> = 0.4..=0.6;
-    let (mut all, mut cut_outs, mut transparent, mut beside_mask) = (0, 0, 0, 0);
-    let mut all_opaque = true;
-    let mut hidden: Vec<&PlannedView> = Vec::new();
-    let mut unusual: Vec<(&PlannedView, f32)> = Vec::new();
-    let mut round: Vec<&PlannedView> = Vec::new();
-    for (view, photo) in photos {
-        all += 1;
-        cut_outs += usize::from(photo.mask_is_cut_out);
-        unusual.extend(photo.gamma.filter(|gamma| !USUAL_GAMMA.contains(gamma)).map(|gamma| (view, gamma)));
-        if photo.is_hidden {
-            hidden.push(view);
-        }
-        if photo.is_round {
-            round.push(view);
-        }
-        all_opaque &= !photo.is_transparent;
-        // A block's own mask says nothing about the photo.
-        if photo.is_transparent && view.coarse_mask.is_none() {
-            *if view.mask_path.is_some() { &mut beside_mask } else { &mut transparent } += 1;
-        }
-    }
+    let photos: Vec<(&PlannedView, PhotoUse)> = photos.collect();
+    let all = photos.len();
+    // Number of the photos with a finding, and the first of them.
+    let found = |has: &dyn Fn(&PlannedView, &PhotoUse) -> bool| {
+        let mut found = photos.iter().filter(|(view, photo)| has(view, photo));
+        found.next().map(|first| (1 + found.count(), first))
+    };
+    // A block's own mask says nothing about the photo.
+    let shows_through =
+        |view: &PlannedView, photo: &PhotoUse| photo.is_transparent && view.coarse_mask.is_none();
     let (name, alone, beside) = match alpha {
         AlphaUse::Target => (
             "target",
@@ -185,31 +173,34 @@ pub(super) fn of_pixels<'v>(
         }
     };
     let notes = [
-        (cut_outs, "the masks of {} photos are cut-outs of pictures: their alpha channels are the masks"),
-        (transparent, alone),
-        (beside_mask, beside),
+        (
+            found(&|_, photo| photo.mask_is_cut_out),
+            "the masks of {} photos are cut-outs of pictures: their alpha channels are the masks",
+        ),
+        (found(&|view, photo| shows_through(view, photo) && view.mask_path.is_none()), alone),
+        (found(&|view, photo| shows_through(view, photo) && view.mask_path.is_some()), beside),
     ];
-    let notes = notes.into_iter().filter(|(count, _)| *count > 0);
-    let mut notes: Vec<String> = notes.map(|(count, line)| line.replace("{}", &count.to_string())).collect();
+    let notes = notes.into_iter().filter_map(|(found, line)| Some(line.replace("{}", &found?.0.to_string())));
+    let mut notes: Vec<String> = notes.collect();
+    let all_opaque = found(&|_, photo| photo.is_transparent).is_none();
     if all_opaque && all > 0 && alpha != AlphaUse::default() {
         notes.push(format!("--alpha {name} changes nothing: no photo has transparent pixels"));
     }
-    let hidden = hidden.first().map(|PlannedView { name, .. }| {
-        let count = hidden.len();
+    let hidden = found(&|_, photo| photo.is_hidden).map(|(count, (PlannedView { name, .. }, _))| {
         format!(
             "{count} of {all} photos, {name} for example, are hidden as a whole by their mask or alpha channel and teach nothing; \
              pixels count where a mask is brighter than half: is it inverted, or does it hold labels?"
         )
     });
-    let unusual = unusual.first().map(|(PlannedView { name, .. }, gamma)| {
-        let count = unusual.len();
+    let is_unusual = |photo: &PhotoUse| photo.gamma.is_some_and(|gamma| !USUAL_GAMMA.contains(&gamma));
+    let unusual = found(&|_, photo| is_unusual(photo)).map(|(count, (PlannedView { name, .. }, photo))| {
+        let gamma = photo.gamma.unwrap_or_default();
         format!(
             "{count} photos are PNGs that name a gamma of {gamma}, {name} for example (linear light has 1, sRGB about 0.45): their \
              values are used as sRGB; convert them if they look too dark"
         )
     });
-    let round = round.first().map(|PlannedView { name, .. }| {
-        let count = round.len();
+    let round = found(&|_, photo| photo.is_round).map(|(count, (PlannedView { name, .. }, _))| {
         format!(
             "{count} photos of fisheyes, {name} for example, have black corners and no masks: black is trained there; masks hide it"
         )

@@ -1,17 +1,16 @@
 //! Finds the photos of a data set, and which of them are rotated or scaled.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::mask::is_scaled;
-use super::options::DatasetOptions;
-use super::planned_view::{FileSize, PlannedView};
-use crate::images::{Header, PhotoOrientation, header};
+use super::DatasetOptions;
+use super::plan::{Plan, UsedLenses};
+use super::planned_view::{FileSize, PlannedView, is_scaled};
+use crate::images::{PhotoHeader, PhotoOrientation, photo_header};
 use crate::names::{Finder, ending, has_photos, photos_below, photos_beside, plain, stays_inside};
 use crate::{colmap, regular_file};
-use ashsplat::scene::PhotoLens;
 use ashsplat::{Error, Result};
 
 /// The named folder, or the data set itself if it has no `images` and photos lie beside the model.
@@ -50,7 +49,7 @@ pub(super) fn size(folder: &Path, name: &str, finder: &mut Finder) -> Result<(u3
         let problem = format!("has no photo {:?}, or several", ending(&name));
         Error::input(folder, problem, "copy it there, or remove its camera")
     };
-    Ok(header(&found.ok_or_else(missing)?)?.size(false))
+    Ok(photo_header(&found.ok_or_else(missing)?)?.size(false))
 }
 
 /// All photos of the folder, in the model or not. The data set's own folder may hold other pictures, such as masks:
@@ -79,47 +78,40 @@ pub(super) fn advice_for_more(dataset: &Path) -> &'static str {
     }
 }
 
-/// Scales the cameras of views to their photos. Photos of other proportions, or of another size than other photos of
-/// the same camera, become errors. Returns a warning, unless the photos' folder is named after the ratio (`divisor`).
-pub(super) fn fit_lenses(
-    views: &mut [Result<PlannedView>],
-    list: &Path,
-    options: &DatasetOptions,
-) -> Option<String> {
-    let divisor = options.divisor();
-    let key = |view: &PlannedView| format!("{} {:?}", view.camera_id, view.lens);
-    let own_size = |view: &PlannedView| (view.lens.width, view.lens.height);
-    let unscaled = views.iter().flatten().filter(|view| view.file_size == Some(own_size(view)));
-    let unscaled: HashSet<String> = unscaled.map(key).collect();
-    let mut known: HashMap<String, Option<PhotoLens>> = HashMap::new();
-    let (mut first, mut count, mut as_named) = (None, 0, divisor > 1);
-    for result in views {
-        let Ok(view) = result else { continue };
-        let own = own_size(view);
-        let Some((width, height)) = view.file_size.filter(|&size| size != own) else { continue };
-        let rounded = width.abs_diff(own.0) <= 1 && height.abs_diff(own.1) <= 1;
-        if !is_scaled((width, height), own) || unscaled.contains(&key(view)) && !rounded {
-            *result = Err(of_another_size(view, (width, height)));
-            continue;
-        }
-        first.get_or_insert(((width, height), own));
-        count += 1;
-        let divided = |side: u32, own: u32| side == own / divisor || side == own.div_ceil(divisor);
-        as_named &= divided(width, own.0) && divided(height, own.1);
-        let lens = view.lens.scaled_to(width, height);
-        match known.entry(format!("{lens:?}")).or_insert_with(|| options.used_lens(&lens)) {
-            Some(used) => (view.lens, view.used) = (lens, *used),
-            None => {
-                *result = Err(no_pinhole(&view.photo_path, "its camera at the photo's size"));
+impl Plan {
+    /// Scales the cameras of views to their photos. Photos of other proportions, or of another size than other photos of
+    /// the same camera, are refused. Warns, unless the photos' folder is named after the ratio (`divisor`).
+    pub(super) fn fit_lenses(&mut self, options: &DatasetOptions) {
+        let divisor = options.divisor();
+        let key = |view: &PlannedView| format!("{} {:?}", view.camera_id, view.lens);
+        let own_size = |view: &PlannedView| (view.lens.width, view.lens.height);
+        let unscaled = self.views.iter().filter(|view| view.file_size == Some(own_size(view)));
+        let unscaled: HashSet<String> = unscaled.map(key).collect();
+        let mut lenses = UsedLenses::new(options);
+        let (mut first, mut count, mut as_named) = (None, 0, divisor > 1);
+        self.refuse(|view| {
+            let own = own_size(view);
+            let Some((width, height)) = view.file_size.filter(|&size| size != own) else { return Ok(()) };
+            let rounded = width.abs_diff(own.0) <= 1 && height.abs_diff(own.1) <= 1;
+            if !is_scaled((width, height), own) || unscaled.contains(&key(view)) && !rounded {
+                return Err(of_another_size(view, (width, height)));
             }
+            first.get_or_insert(((width, height), own));
+            count += 1;
+            let divided = |side: u32, own: u32| side == own / divisor || side == own.div_ceil(divisor);
+            as_named &= divided(width, own.0) && divided(height, own.1);
+            let lens = view.lens.scaled_to(width, height);
+            let used = lenses.of(lens);
+            let used = used.ok_or_else(|| no_pinhole(&view.photo_path, "its camera at the photo's size"))?;
+            (view.lens, view.used) = (lens, used);
+            Ok(())
+        });
+        if let Some(((w, h), (width, height))) = first.filter(|_| !as_named) {
+            self.warn(format!(
+            "{count} photos are not of their camera's size, {w}x{h} and {width}x{height} for example: the cameras are scaled to them"
+        ));
         }
     }
-    let ((w, h), (width, height)) = first.filter(|_| !as_named)?;
-    let list = list.display();
-    Some(format!(
-        "{list}: {count} photos are not of their camera's size, {w}x{h} and {width}x{height} for example: the cameras are scaled \
-         to them"
-    ))
 }
 
 fn of_another_size(view: &PlannedView, (width, height): (u32, u32)) -> Error {
@@ -137,7 +129,7 @@ fn of_another_size(view: &PlannedView, (width, height): (u32, u32)) -> Error {
 }
 
 /// Width and height of a camera, or values in proportion to them.
-pub(super) type Sides = [f64; 2];
+type Sides = [f64; 2];
 
 /// Decides the rotation of photos (if they exist) by the sides of their cameras (if they are known). The second value
 /// is the number of photos that are used as stored although their metadata ask for a rotation: no size decides it.
@@ -146,11 +138,11 @@ pub(super) fn turned(
     choice: PhotoOrientation,
 ) -> (Vec<FileSize>, usize) {
     // A photo that cannot be read is reported when it is loaded.
-    let header_of = |&(path, _): &(Option<&Path>, _)| header(path?).ok();
-    let headers: Vec<Option<Header>> = photos.par_iter().map(header_of).collect();
+    let header_of = |&(path, _): &(Option<&Path>, _)| photo_header(path?).ok();
+    let headers: Vec<Option<PhotoHeader>> = photos.par_iter().map(header_of).collect();
     // For a photo whose metadata ask for a rotation: what its size tells, if anything.
     let reported = |index: usize| -> Option<Option<bool>> {
-        let header = headers[index].filter(Header::has_orientation)?;
+        let header = headers[index].filter(PhotoHeader::has_orientation)?;
         Some(photos[index].1.and_then(|sides| told_by(header, sides)))
     };
     let all = || (0..photos.len()).filter_map(reported);
@@ -164,7 +156,7 @@ pub(super) fn turned(
             reported(index).is_some_and(|reported| reported.unwrap_or(turned && !stored))
         }
     };
-    let photo = |(index, header): (usize, &Option<Header>)| {
+    let photo = |(index, header): (usize, &Option<PhotoHeader>)| {
         let turned = is_turned(index);
         (turned, header.map(|header| header.size(turned)))
     };
@@ -187,7 +179,7 @@ pub(super) fn untold_rotation(list: &Path, untold: usize) -> Option<String> {
 }
 
 /// True if a camera has the size of the rotated photo; `None` if its sides fit both.
-fn told_by(header: Header, [width, height]: Sides) -> Option<bool> {
+fn told_by(header: PhotoHeader, [width, height]: Sides) -> Option<bool> {
     let (stored_width, stored_height) = header.size(false);
     let tells = header.lies_on_its_side() && stored_width != stored_height && width != height;
     tells.then_some((width > height) != (stored_width > stored_height))

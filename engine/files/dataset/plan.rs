@@ -1,17 +1,25 @@
 //! The contents of a data set of any format before its photos are read.
 
 use std::collections::{BTreeMap, HashSet};
+use std::fmt;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
-use glam::{DVec3, Vec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 
-use super::level::Level;
-use super::notes;
-use super::options::DatasetOptions;
-use super::planned_view::PlannedView;
-use super::unpacked::Unpacked;
-use crate::names::first_with;
-use ashsplat::scene::{Camera, PointCloud, SourcePoints, WorldFrame, far_camera, median_ball, strays};
+use crate::colmap::{ColmapImage, Model};
+use crate::dataset::companions::mask_in_folder;
+use crate::dataset::planned_view::{FileSize, PlannedView};
+use crate::dataset::unpacked::Unpacked;
+use crate::dataset::{DatasetOptions, notes, photos};
+use crate::images::photo_header;
+use crate::names::{Finder, ending, first_with, photos_below, plain, stays_inside};
+use crate::transforms::{Frame, Transforms};
+use crate::{colmap, photogrammetry, text, transforms};
+use ashsplat::scene::{
+    Camera, PhotoLens, PointCloud, Projection, SourcePoints, WorldFrame, far_camera, level_up, median_ball,
+    strays,
+};
 use ashsplat::{Error, Result};
 
 #[derive(Default)]
@@ -20,21 +28,21 @@ pub(super) struct Plan {
     pub(super) source: PathBuf,
     /// The file that lists the views.
     pub(super) list: PathBuf,
-    /// The views by name, or the reason why one cannot be used.
-    pub(super) views: Vec<Result<PlannedView>>,
+    /// The usable views, by name.
+    pub(super) views: Vec<PlannedView>,
+    /// Why others cannot be used, each with its [`PlannedView::rank`].
+    problems: Vec<(usize, Error)>,
     /// Number of images that have a camera.
     pub(super) registered: usize,
     /// True if the data set itself specifies the held-out views.
     pub(super) has_split: bool,
     /// The rotation of views and points to the source coordinates.
     pub(super) level: Level,
-    /// The frame of views and points.
     pub(super) frame: WorldFrame,
     pub(super) points: PointCloud,
     /// Number of cameras by "MODEL WIDTHxHEIGHT".
     pub(super) cameras: BTreeMap<String, usize>,
     pub(super) warnings: Vec<String>,
-    /// Harmless notes on the treatment of the photos.
     pub(super) notes: Vec<String>,
     /// Number of depth maps that a transforms.json names.
     pub(super) named_depth_maps: usize,
@@ -54,20 +62,40 @@ impl Plan {
         self.source = unpacked.named(&self.source);
     }
 
+    /// Adds a view, or the reason why it cannot be used.
+    fn add(&mut self, view: Result<PlannedView>) {
+        let rank = self.views.len() + self.problems.len();
+        match view {
+            Ok(view) => self.views.push(PlannedView { rank, ..view }),
+            Err(e) => self.problems.push((rank, e)),
+        }
+    }
+
+    /// Removes the views that a step refuses, and keeps the reasons.
+    pub(super) fn refuse(&mut self, mut step: impl FnMut(&mut PlannedView) -> Result<()>) {
+        let problems = &mut self.problems;
+        self.views.retain_mut(|view| step(view).map_err(|e| problems.push((view.rank, e))).is_ok());
+    }
+
+    /// The problems so far, in the views' order.
+    pub(super) fn take_problems(&mut self) -> Vec<Error> {
+        self.problems.sort_by_key(|(rank, _)| *rank);
+        self.problems.drain(..).map(|(_, e)| e).collect()
+    }
+
     /// Chooses the frame unless one is given, and moves views and points into it.
-    pub(super) fn settle_frame(&mut self, given: Option<WorldFrame>, mut points: SourcePoints) {
+    fn settle_frame(&mut self, given: Option<WorldFrame>, mut points: SourcePoints) {
         self.leave_out_copies(&mut points);
         self.lighten_black(&mut points);
-        let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
-        self.frame = given.unwrap_or_else(|| frame_of(&views, &points));
-        if is_far(&views, &points, &self.frame) {
+        self.frame = given.unwrap_or_else(|| frame_of(&self.views, &points));
+        if is_far(&self.views, &points, &self.frame) {
             let origin = self.frame.origin;
             self.warn(format!(
                 "the data set lies far from the origin of the scene or checkpoint that it is used with ({origin}), so that single \
                  precision rounds its cameras"
             ));
         }
-        self.views.iter_mut().flatten().for_each(|view| view.frame = self.frame);
+        self.views.iter_mut().for_each(|view| view.frame = self.frame);
         self.points = points.in_frame(&self.frame);
     }
 
@@ -99,7 +127,7 @@ impl Plan {
     }
 
     /// Names files that other programs use and ashsplat does not.
-    pub(super) fn tell_of_unused_files(&mut self, dataset: &Path, options: &DatasetOptions) {
+    fn tell_of_unused_files(&mut self, dataset: &Path, options: &DatasetOptions) {
         let there = |names: &[&str]| -> Vec<String> {
             let folders = [dataset, &self.source];
             let files = folders.iter().flat_map(|folder| names.iter().map(move |name| folder.join(name)));
@@ -119,7 +147,7 @@ impl Plan {
     }
 
     /// Names point files that are not read, if the data set has no other points.
-    pub(super) fn tell_of_points(&mut self, dataset: &Path) {
+    fn tell_of_points(&mut self, dataset: &Path) {
         const ENDINGS: [&str; 8] = ["las", "laz", "e57", "pts", "ptx", "xyz", "pcd", "ply"];
         // Beside a transforms.json, any PLY is used or named already.
         let endings = if self.source == self.list { &ENDINGS[..7] } else { &ENDINGS[..] };
@@ -136,11 +164,10 @@ impl Plan {
     }
 
     /// Names the cameras that the scene extent ignores, or the farthest one that decides it.
-    pub(super) fn warn_of_strays(&mut self) {
-        let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
-        let positions: Vec<Vec3> = views.iter().map(|view| view.camera().position()).collect();
+    fn warn_of_strays(&mut self) {
+        let positions: Vec<Vec3> = self.views.iter().map(|view| view.camera().position()).collect();
         let strays = strays(&positions);
-        let mut strays = views.iter().zip(strays).filter_map(|(view, stray)| Some((&view.name, stray?)));
+        let mut strays = self.views.iter().zip(strays).filter_map(|(view, stray)| Some((&view.name, stray?)));
         if let Some((name, times)) = strays.next() {
             let (name, others) = (name.clone(), strays.count());
             let others = if others > 0 { format!(" (and {others} others)") } else { String::new() };
@@ -149,7 +176,7 @@ impl Plan {
                  the scene extent leaves it out: if its pose is wrong, remove it"
             ));
         } else if let Some((index, times)) = far_camera(&positions) {
-            let name = views[index].name.clone();
+            let name = self.views[index].name.clone();
             self.warn(format!(
                 "the camera of {name} lies at {times:.0} times the median distance from the cameras' middle, with others, and decides the \
                  scene extent: if their poses are wrong, remove them"
@@ -158,10 +185,10 @@ impl Plan {
     }
 
     /// Warns of cameras that can hardly belong to their photos.
-    pub(super) fn warn_of_lenses(&mut self) {
+    fn warn_of_lenses(&mut self) {
         let of_model = self.source != self.list;
         let mut known = HashSet::new();
-        let views = self.views.iter().flatten().filter(|view| known.insert(format!("{:?}", view.lens)));
+        let views = self.views.iter().filter(|view| known.insert(format!("{:?}", view.lens)));
         let name = |view: &PlannedView| match of_model {
             true => format!("camera {}", view.camera_id),
             false => format!("frame {}", view.name),
@@ -171,10 +198,10 @@ impl Plan {
     }
 
     /// Warns of points that hardly any camera sees: they belong to another frame or another scene.
-    pub(super) fn warn_of_points_out_of_view(&mut self) {
+    fn warn_of_points_out_of_view(&mut self) {
         const SAMPLE: usize = 500;
         const LEAST_SEEN: f32 = 0.1;
-        let views = self.views.iter().flatten().step_by(self.views.len().div_ceil(SAMPLE).max(1));
+        let views = self.views.iter().step_by(self.views.len().div_ceil(SAMPLE).max(1));
         let cameras: Vec<Camera> = views.map(PlannedView::camera).collect();
         let sample = |count: usize| {
             let step = self.points.len().div_ceil(count).max(1);
@@ -201,15 +228,13 @@ impl Plan {
     }
 
     /// Settles which views are held out: those that the data set names, or else some by their number.
-    pub(super) fn settle_split(&mut self, options: &DatasetOptions) {
-        let by_number = options.held_out(self.views.len());
-        for (view, by_number) in self.views.iter_mut().zip(by_number) {
-            let Ok(view) = view else { continue };
-            view.held_out = if self.has_split { options.eval && view.held_out } else { by_number };
+    fn settle_split(&mut self, options: &DatasetOptions) {
+        let by_number = options.held_out(self.views.len() + self.problems.len());
+        for view in &mut self.views {
+            view.held_out = if self.has_split { options.eval && view.held_out } else { by_number[view.rank] };
         }
     }
 
-    /// Refuses a data set without views.
     pub(super) fn check_views(&self) -> Result<()> {
         if !self.views.is_empty() {
             return Ok(());
@@ -217,15 +242,16 @@ impl Plan {
         let remedy = "run COLMAP's mapper again with more overlapping photos";
         Err(Error::input(&self.list, "no images are registered", remedy))
     }
-}
 
-/// Refuses a split that leaves no views to train on.
-pub(super) fn check_split(list: &Path, views: &[PlannedView]) -> Result<()> {
-    if views.iter().any(|view| !view.held_out) {
-        return Ok(());
+    /// Refuses a split that leaves no views to train on.
+    pub(super) fn check_split(&self) -> Result<()> {
+        if self.views.iter().any(|view| !view.held_out) {
+            return Ok(());
+        }
+        let count = self.views.len();
+        let problem = format!("all of its {count} images are held out, none is left to train on");
+        Err(Error::input(&self.list, problem, "train without --eval"))
     }
-    let problem = format!("all of its {} images are held out, none is left to train on", views.len());
-    Err(Error::input(list, problem, "train without --eval"))
 }
 
 /// Most points and views that are sampled.
@@ -244,7 +270,7 @@ const FAR: f64 = 1000.0;
 /// Its unit brings the near depth to between 1 and 10.
 ///
 /// Without visible points, the cameras' median distance from their middle replaces the near depth.
-fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFrame {
+fn frame_of(views: &[PlannedView], points: &SourcePoints) -> WorldFrame {
     let mut depths: Vec<f64> = Vec::new();
     for view in views.iter().step_by(views.len().div_ceil(VIEWS).max(1)) {
         depths.extend(sample(points).filter_map(|point| view.depth_of(point)));
@@ -263,7 +289,7 @@ fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFrame {
 }
 
 /// True if single precision rounds a data set in a frame that was not chosen for it, such as the frame of another scene.
-fn is_far(views: &[&PlannedView], points: &SourcePoints, frame: &WorldFrame) -> bool {
+fn is_far(views: &[PlannedView], points: &SourcePoints, frame: &WorldFrame) -> bool {
     median_ball(&all(views, points))
         .is_some_and(|(center, radius)| center.distance(frame.origin) > FAR * radius)
 }
@@ -272,11 +298,448 @@ fn sample(points: &SourcePoints) -> impl Iterator<Item = DVec3> {
     points.positions.iter().copied().step_by(points.len().div_ceil(SAMPLE).max(1))
 }
 
-pub(super) fn centers(views: &[&PlannedView]) -> Vec<DVec3> {
+pub(super) fn centers(views: &[PlannedView]) -> Vec<DVec3> {
     views.iter().map(|view| view.source_position()).collect()
 }
 
 /// A sample of the points, and all cameras.
-fn all(views: &[&PlannedView], points: &SourcePoints) -> Vec<DVec3> {
+fn all(views: &[PlannedView], points: &SourcePoints) -> Vec<DVec3> {
     sample(points).chain(centers(views)).collect()
+}
+
+/// Finds the lenses of the pictures that are used. Views share a few lenses, and undistorting is expensive to prepare.
+pub(super) struct UsedLenses<'a> {
+    options: &'a DatasetOptions,
+    /// A lens and the used one, by the lens's debug text, which differs whenever a number does.
+    known: BTreeMap<String, (PhotoLens, Option<PhotoLens>)>,
+}
+
+impl<'a> UsedLenses<'a> {
+    pub(super) fn new(options: &'a DatasetOptions) -> Self {
+        Self { options, known: BTreeMap::new() }
+    }
+
+    /// See [`DatasetOptions::used_lens`].
+    pub(super) fn of(&mut self, lens: PhotoLens) -> Option<PhotoLens> {
+        let used = || (lens, self.options.used_lens(&lens));
+        self.known.entry(format!("{lens:?}")).or_insert_with(used).1
+    }
+}
+
+/// Reads the contents of a data set. Finds the photos without decoding them; opens those of unknown size.
+pub(super) fn plan(path: &Path, options: &DatasetOptions) -> Result<Plan> {
+    let files = transforms::find(path);
+    let unused = transforms::unused(path, if colmap::exists(path) { None } else { files.as_deref() });
+    let (mut plan, mut points) = match files {
+        Some(files) if !colmap::exists(path) => {
+            let mut transforms = Transforms::read(&files)?;
+            let points = std::mem::take(&mut transforms.points);
+            (Plan::of_transforms(path, transforms, options)?, points)
+        }
+        _ => {
+            let sources =
+                if colmap::exists(path) { Vec::new() } else { photogrammetry::find(path, &options.images) };
+            let mut model = match sources.as_slice() {
+                [] => Model::of_dataset(path)?,
+                [source] => {
+                    let (folder, mut finder) =
+                        (photos::find_folder(path, &options.images)?, Finder::default());
+                    let mut size_of = |name: &str| photos::size(&folder, name, &mut finder);
+                    photogrammetry::read(source, path, &mut size_of)?
+                }
+                several => {
+                    let files: Vec<String> =
+                        several.iter().map(|source| source.path().display().to_string()).collect();
+                    let problem = format!("several files have cameras: {}", files.join(", "));
+                    return Err(Error::input(path, problem, "leave one of them there"));
+                }
+            };
+            let points = std::mem::take(&mut model.points);
+            if sources.is_empty() {
+                model.warnings.extend(colmap::contradiction(&model));
+            }
+            (Plan::of_model(path, &model, options)?, points)
+        }
+    };
+    plan.fit_lenses(options);
+    plan.warnings.extend(unused);
+    plan.find_companions(path, options);
+    if points.is_empty() {
+        plan.tell_of_points(path);
+    }
+    plan.turn_upright(options.level, &mut points);
+    plan.settle_frame(options.frame, points);
+    plan.settle_split(options);
+    plan.tell_of_unused_files(path, options);
+    plan.warn_of_strays();
+    plan.warn_of_lenses();
+    plan.warn_of_points_out_of_view();
+    let size = |view: &PlannedView| (view.used.width, view.used.height);
+    let sizes: Vec<(u32, u32)> = plan.views.iter().map(size).collect();
+    plan.warnings.extend(notes::scaling_warning(&sizes, options.resolution));
+    let distorted = plan.views.iter().filter(|view| view.lens.projection != Projection::Perspective);
+    let distorted: Vec<_> = distorted.map(size).collect();
+    let note = notes::distorted_photos(plan.distorted.as_deref(), &distorted, options);
+    if options.undistort && plan.distorted.is_none() {
+        plan.notes.push("all cameras are pinholes: --undistort changes nothing".into());
+    }
+    plan.notes.extend(note.or_else(|| notes::scaling_note(&sizes, options.resolution)));
+    plan.tell_of_shutters();
+    Ok(plan)
+}
+
+impl Plan {
+    fn of_model(path: &Path, model: &Model, options: &DatasetOptions) -> Result<Self> {
+        let mut plan = Self {
+            source: model.source.folder.clone(),
+            list: model.file("images"),
+            registered: model.images.len(),
+            warnings: model.warnings.clone(),
+            notes: model.notes.clone(),
+            ..Self::default()
+        };
+        let mut images: Vec<&ColmapImage> = model.images.iter().collect();
+        images.sort_by(|a, b| a.name.cmp(&b.name));
+        let mut lenses = BTreeMap::new();
+        for camera in model.cameras.values() {
+            let kind = format!("{} {}x{}", camera.model.name(), camera.width, camera.height);
+            *plan.cameras.entry(kind).or_default() += 1;
+            // A problem of a camera is reported for the images that use it.
+            if let Ok(lens) = model.lens(camera) {
+                lenses.insert(camera.id, (lens, options.used_lens(&lens)));
+            }
+        }
+        plan.distorted =
+            notes::distorted_lenses(&model.file("cameras"), lenses.values().map(|(lens, _)| lens));
+        let folder = match photos::find_folder(path, &options.images) {
+            Ok(folder) => folder,
+            Err(e) => return Ok(Self { problems: vec![(0, e)], ..plan }),
+        };
+        let mut finder = Finder::default();
+        let paths = plan.photo_paths(&images, &folder, &mut finder);
+        let asked = images.iter().zip(&paths).map(|(image, path)| {
+            let camera = model.cameras.get(&image.camera_id);
+            (path.as_deref().ok(), camera.map(|camera| [camera.width as f64, camera.height as f64]))
+        });
+        // COLMAP itself never rotates photos, so no warning is needed if no size shows otherwise.
+        let (photos, _) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
+        let view = |((image, photo_path), photo): ((&ColmapImage, Result<PathBuf>), FileSize)| {
+            model.camera_of(image)?;
+            let Some(&(lens, Some(used))) = lenses.get(&image.camera_id) else {
+                let place = format!("camera {}:", image.camera_id);
+                return Err(photos::no_pinhole(&model.file("cameras"), &place));
+            };
+            let photo_path = photo_path?;
+            if !photo_path.is_file() {
+                let problem = format!("the photo of image {} is missing", image.id);
+                let remedy = "copy it there, or remove the image from the model";
+                return Err(Error::input(photo_path, problem, remedy));
+            }
+            // The name is shown and written. A path outside the photos' folder and a name without extension are replaced.
+            let found = photo_path.strip_prefix(&folder).unwrap_or(&photo_path).to_string_lossy();
+            let is_whole = stays_inside(&plain(&image.name)) && Path::new(&image.name).extension().is_some();
+            let name = if is_whole { image.name.clone() } else { found.into_owned() };
+            Ok(PlannedView {
+                name,
+                image_id: image.id,
+                camera_id: image.camera_id,
+                camera_from_source: image.rotation(),
+                translation: DVec3::from_array(image.translation),
+                ..PlannedView::of(lens, used, photo_path, photo)
+            })
+        };
+        let names = images.iter().map(|image| image.name.as_str());
+        plan.tell_of_photos_without_camera(photos::in_folder(path, &folder, names), path, &folder);
+        images.into_iter().zip(paths).zip(photos).map(view).for_each(|view| plan.add(view));
+        Ok(plan)
+    }
+
+    fn tell_of_shutters(&mut self) {
+        let (all, list) = (self.views.len(), self.list.display());
+        let rolling = self.views.iter().filter(|view| view.shutter.is_some());
+        let (count, bent) =
+            rolling.fold((0, false), |(n, bent), view| (n + 1, bent || view.is_undistorted()));
+        if count > 0 {
+            self.notes.push(format!(
+                "{list}: {count} of {all} photos have a rolling shutter, and are drawn with it"
+            ));
+        }
+        if bent {
+            self.warnings.push(format!(
+                "{list}: --undistort bends the rows of a rolling shutter, which are taken as straight: leave it out"
+            ));
+        }
+    }
+
+    fn tell_of_photos_without_camera(&mut self, photos: Vec<PathBuf>, dataset: &Path, folder: &Path) {
+        let registered = self.registered;
+        let stems: HashSet<PathBuf> = photos.iter().map(|photo| photo.with_extension("")).collect();
+        let (alike, photos) = (photos.len() - stems.len(), stems.len());
+        if alike > 0 && photos + alike > registered {
+            let (folder, list) = (folder.display(), self.list.display());
+            self.warnings.push(format!(
+                "{folder}: {alike} of its photos have the name of another one but for the ending: those that {list} names are used"
+            ));
+        }
+        if photos > registered {
+            // A file of another program is no folder of COLMAP's.
+            let advice = match self.source.is_dir() {
+                true => photos::advice_for_more(dataset),
+                false => "the program that wrote the cameras left them out",
+            };
+            let folder = folder.display();
+            self.warnings.push(format!(
+                "{folder}: only {registered} of its {photos} photos have a camera: the others are not used ({advice})"
+            ));
+        }
+    }
+
+    /// Finds the photos of a model's images: by their names; if none matches, by the names' ends, among
+    /// photos that no image names.
+    fn photo_paths(
+        &mut self,
+        images: &[&ColmapImage],
+        folder: &Path,
+        finder: &mut Finder,
+    ) -> Vec<Result<PathBuf>> {
+        let list = self.list.clone();
+        let path = |image: &&ColmapImage| {
+            let path = image.photo_path(folder, &list)?;
+            Ok(finder.photo(folder, &plain(&image.name)).unwrap_or(path))
+        };
+        let mut paths: Vec<Result<PathBuf>> = images.iter().map(path).collect();
+        let named: HashSet<PathBuf> = paths.iter().flatten().filter(|path| path.is_file()).cloned().collect();
+        let mut found = Vec::new();
+        for (image, path) in images.iter().zip(&mut paths) {
+            if path.as_ref().is_ok_and(|path| named.contains(path)) {
+                continue;
+            }
+            match finder.photo_by_end(folder, &plain(&image.name)) {
+                Ok(Some(photo)) if !named.contains(&photo) => {
+                    found.push(format!("{} for {:?}", photo.display(), ending(&image.name)));
+                    *path = Ok(photo);
+                }
+                Ok(_) => {}
+                Err(two) => {
+                    let ([first, second], name) =
+                        (two.map(|photo| photo.display().to_string()), ending(&image.name));
+                    let problem = format!("the photo of {name:?} may be {first} or {second}");
+                    *path =
+                        Err(Error::input(&list, problem, "put the photos into the folders that it names"));
+                }
+            }
+        }
+        if let Some(first) = found.first() {
+            let (found, all) = (found.len(), images.len());
+            self.warn(format!(
+                "{found} of {all} photos do not lie where it says: those whose paths end alike are taken, {first}"
+            ));
+        }
+        paths
+    }
+
+    fn of_transforms(path: &Path, transforms: Transforms, options: &DatasetOptions) -> Result<Self> {
+        let Transforms { source, mut frames, has_split, warnings, depth_maps, note, .. } = transforms;
+        frames.sort_by(|a, b| a.name.cmp(&b.name));
+        let (registered, named_depth_maps) = (frames.len(), depth_maps);
+        let mut plan = Self {
+            list: source.clone(),
+            source,
+            registered,
+            has_split,
+            warnings,
+            notes: vec![note],
+            named_depth_maps,
+            ..Self::default()
+        };
+        let mut finder = Finder::default();
+        let paths: Vec<PathBuf> =
+            frames.iter().map(|frame| photo_in_folder(path, frame, &options.images, &mut finder)).collect();
+        if options.images != "images" && frames.iter().all(|frame| !frame.name.starts_with("images/")) {
+            let (images, list, first) = (&options.images, plan.list.display(), &frames[0].name);
+            let problem = format!(
+                "{images} has no effect here: {list} names photos outside of images/, {first} for example"
+            );
+            return Err(Error::argument("images", problem));
+        }
+        let asked = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
+        let (photos, untold) = photos::turned(&asked.collect::<Vec<_>>(), options.orientation);
+        plan.warnings.extend(photos::untold_rotation(&plan.list, untold));
+        let mut lenses = UsedLenses::new(options);
+        for (index, ((frame, photo_path), photo)) in frames.iter().zip(paths).zip(photos).enumerate() {
+            let view = plan.frame(frame, photo_path, photo, &mut lenses).map(|view| PlannedView {
+                image_id: index as u32,
+                mask_path: view.mask_path.map(|named| mask_in_folder(path, &options.images, &named)),
+                ..view
+            });
+            plan.add(view);
+        }
+        let sizes: Vec<String> = plan.cameras.keys().cloned().collect();
+        if frames.iter().any(|frame| frame.optics.size.is_none()) && sizes.len() > 1 {
+            plan.warn(format!("the photos have several sizes, each its own camera: {}", sizes.join(", ")));
+        }
+        plan.distorted = notes::distorted_lenses(&plan.list, lenses.known.values().map(|(lens, _)| lens));
+        if !plan.has_split && frames.iter().all(|frame| frame.name.starts_with("images/")) {
+            let folder = path.join(&options.images);
+            plan.tell_of_photos_without_camera(photos_below(&folder), path, &folder);
+        }
+        Ok(plan)
+    }
+
+    fn frame(
+        &mut self,
+        frame: &Frame,
+        photo_path: PathBuf,
+        (turned, size): FileSize,
+        lenses: &mut UsedLenses<'_>,
+    ) -> Result<PlannedView> {
+        if !photo_path.is_file() {
+            let problem = format!("the photo of frame {} is missing", frame.name);
+            let remedy = "copy it there, or remove the frame from the file";
+            return Err(Error::input(photo_path, problem, remedy));
+        }
+        let (width, height) = match (frame.optics.size, size) {
+            (Some([width, height]), _) => (width, height),
+            (None, Some(size)) => size,
+            (None, None) => photo_header(&photo_path)?.size(turned),
+        };
+        let problem = |problem: String| {
+            Error::input(&self.list, format!("frame {}: {problem}", frame.name), "correct the file")
+        };
+        let lens = frame.optics.lens(width, height);
+        if let Some(what) = lens.intrinsics().absurdity() {
+            return Err(problem(what));
+        }
+        let used = lenses.of(lens);
+        let kind =
+            if lens.projection == Projection::Perspective { "PINHOLE" } else { lens.projection.name() };
+        *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
+        let Some(used) = used else {
+            return Err(photos::no_pinhole(&self.list, &format!("frame {}: the camera", frame.name)));
+        };
+        let camera = used.camera(frame.camera_from_source.as_mat3(), frame.translation.as_vec3());
+        let camera = Camera { shutter: frame.shutter, ..camera };
+        if let Some(what) = camera.problem().or_else(|| camera.absurdity()) {
+            return Err(problem(what));
+        }
+        Ok(PlannedView {
+            name: frame.name.clone(),
+            camera_from_source: frame.camera_from_source,
+            translation: frame.translation,
+            shutter: frame.shutter,
+            mask_path: frame.mask_path.clone(),
+            rim: frame.rim_px.map(|radius| radius / f64::from(width)),
+            held_out: frame.test,
+            ..PlannedView::of(lens, used, photo_path, (turned, size))
+        })
+    }
+}
+
+/// The photo of a frame; in the requested folder if the file names `images`.
+fn photo_in_folder(path: &Path, frame: &Frame, images: &str, finder: &mut Finder) -> PathBuf {
+    match frame.name.strip_prefix("images/") {
+        Some(rest) if images != "images" => {
+            let folder = path.join(images);
+            finder.photo(&folder, rest).unwrap_or_else(|| folder.join(rest))
+        }
+        _ => frame.photo_path.clone(),
+    }
+}
+
+/// Direction that viewers show above: -y, as in pictures.
+const UP: DVec3 = DVec3::NEG_Y;
+
+/// Rotation that turns a data set upright, so that its up direction becomes -y. All that is read, trained and written is in the
+/// turned coordinates.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Level {
+    /// The files' coordinates.
+    #[default]
+    Off,
+    /// Up is the direction across the cameras' horizontal axes.
+    On,
+    /// The turn of an earlier reading.
+    Turn {
+        /// Up direction in the files' coordinates, of unit length.
+        up: DVec3,
+        /// Point that stays in its place, the files' coordinates.
+        pivot: DVec3,
+    },
+}
+
+impl Level {
+    fn rotation(self) -> DMat3 {
+        match self {
+            Self::Turn { up, .. } => DMat3::from_quat(DQuat::from_rotation_arc(up, UP)),
+            Self::Off | Self::On => DMat3::IDENTITY,
+        }
+    }
+
+    /// Turned coordinates of a point in the files' coordinates.
+    pub(super) fn turned(self, point: DVec3) -> DVec3 {
+        match self {
+            Self::Turn { pivot, .. } => pivot + self.rotation() * (point - pivot),
+            Self::Off | Self::On => point,
+        }
+    }
+}
+
+impl FromStr for Level {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let wrong =
+            || Error::argument("level", format!("'{text}' is not off, on, or up direction and pivot"));
+        match text {
+            "off" => return Ok(Self::Off),
+            "on" => return Ok(Self::On),
+            _ => {}
+        }
+        let [a, b, c, x, y, z] = text::numbers(text).ok_or_else(wrong)?;
+        let (up, pivot) = (DVec3::new(a, b, c), DVec3::new(x, y, z));
+        let up = up.try_normalize().filter(|_| pivot.is_finite()).ok_or_else(wrong)?;
+        Ok(Self::Turn { up, pivot })
+    }
+}
+
+impl fmt::Display for Level {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Off => f.write_str("off"),
+            Self::On => f.write_str("on"),
+            Self::Turn { up, pivot } => {
+                write!(f, "{},{},{},{},{},{}", up.x, up.y, up.z, pivot.x, pivot.y, pivot.z)
+            }
+        }
+    }
+}
+
+impl Plan {
+    /// Turns views and points, and notes the angle. [`Level::On`] turns them about the middle of the cameras.
+    fn turn_upright(&mut self, level: Level, points: &mut SourcePoints) {
+        let by_cameras = || {
+            let cameras: Vec<Camera> = self.views.iter().map(PlannedView::camera).collect();
+            let (pivot, _) = median_ball(&centers(&self.views))?;
+            Some(Level::Turn { up: level_up(&cameras)?.normalize(), pivot })
+        };
+        self.level = match level {
+            Level::On => by_cameras().unwrap_or_default(),
+            level => level,
+        };
+        let Level::Turn { up, pivot } = self.level else {
+            if level == Level::On && !self.views.is_empty() {
+                self.warn("its cameras have no common up direction, so that --level does not turn it");
+            }
+            return;
+        };
+        let (level, back) = (self.level, self.level.rotation().transpose());
+        for view in &mut self.views {
+            view.translation += view.camera_from_source * (pivot - back * pivot);
+            view.camera_from_source *= back;
+        }
+        points.positions.iter_mut().for_each(|point| *point = level.turned(*point));
+        let (list, angle) = (self.list.display(), up.angle_between(UP).to_degrees());
+        self.notes
+            .push(format!("{list}: the scene is turned by {angle:.1} degrees, so that up is -y (--level)"));
+    }
 }

@@ -74,9 +74,7 @@ impl Unpacked {
 
 /// True if a file's content is a ZIP archive, even an empty one.
 pub(super) fn starts_like_zip(path: &Path) -> bool {
-    let mut start = [0; 4];
-    regular_file::open(path).is_ok_and(|(mut file, _)| file.read_exact(&mut start).is_ok())
-        && (start == *b"PK\x03\x04" || start == *b"PK\x05\x06")
+    regular_file::start(path, 4).is_ok_and(|start| start == b"PK\x03\x04" || start == b"PK\x05\x06")
 }
 
 fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {

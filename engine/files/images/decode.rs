@@ -12,8 +12,7 @@ use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
-use super::Photo;
-use super::scale::RowScaler;
+use super::{Photo, RowScaler};
 use crate::cost;
 use crate::host_memory::{self, HostMemory, Lease};
 use crate::regular_file::{self, OnFile};
@@ -22,19 +21,19 @@ use ashsplat::{Error, Result};
 
 /// Deflate's largest compression ratio. A PNG with less data is cut short or has a wrong size in its header.
 const MAX_DEFLATE_RATIO: u64 = 1032;
-pub(super) const UNREAD_KIND: &str = "its colours are of a kind that is not read";
+pub(crate) const UNREAD_KIND: &str = "its colours are of a kind that is not read";
 /// Bytes that usually hold everything before the pixels, including a preview in the metadata.
 const HEADER_BYTES: u64 = 256 << 10;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Header {
+pub(crate) struct PhotoHeader {
     /// Width and height as stored, pixels.
     stored: (u32, u32),
     /// The transformation from the stored to the displayed picture.
     orientation: Orientation,
 }
 
-impl Header {
+impl PhotoHeader {
     /// Not rotated if the metadata cannot be read.
     fn of(decoder: &mut impl ImageDecoder) -> Self {
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
@@ -60,9 +59,9 @@ impl Header {
 }
 
 /// Reads a picture's header, and as little of the file as possible.
-pub(crate) fn header(path: &Path) -> Result<Header> {
+pub(crate) fn photo_header(path: &Path) -> Result<PhotoHeader> {
     let start = regular_file::start(path, HEADER_BYTES)?;
-    let of = |bytes: &[u8]| Ok(Header::of(&mut decoder(path, bytes)?));
+    let of = |bytes: &[u8]| Ok(PhotoHeader::of(&mut decoder(path, bytes)?));
     match of(&start) {
         Err(_) if start.len() as u64 == HEADER_BYTES => of(&regular_file::read(path, 1)?),
         result => result,
@@ -71,14 +70,13 @@ pub(crate) fn header(path: &Path) -> Result<Header> {
 
 /// Width and height of a JPEG or PNG from its header, as stored, pixels.
 pub fn photo_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
-    Ok(header(path.as_ref())?.stored)
+    Ok(photo_header(path.as_ref())?.stored)
 }
 
 #[derive(Clone, Copy)]
 pub(crate) struct Request<'a> {
     /// Colour (r, g, b in [0, 1]) where the picture is transparent. `None` keeps the colours as stored.
     pub(crate) background: Option<[f32; 3]>,
-    /// True if it is rotated by its metadata.
     pub(crate) turned: bool,
     /// Required size after the rotation, checked before decoding. `None` for any size.
     pub(crate) size: Option<(u32, u32)>,
@@ -90,7 +88,6 @@ pub(crate) struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// Reads the picture unchanged.
     pub(crate) fn plain(background: Option<[f32; 3]>, memory: &'a HostMemory) -> Self {
         Self { background, turned: false, size: None, scaled: None, besides: 0, memory }
     }
@@ -115,7 +112,6 @@ pub(crate) struct Decoded {
 struct Rows {
     background: Option<[f32; 3]>,
     width: u32,
-    /// Width and height of the result.
     to: (u32, u32),
     scaler: Option<RowScaler>,
     rgb: Vec<u8>,
@@ -123,7 +119,6 @@ struct Rows {
 }
 
 impl Rows {
-    /// Bytes needed for a picture of this size.
     fn bytes(request: &Request<'_>, size: (u32, u32), has_alpha: bool) -> u64 {
         let pixels = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
         let alpha = if has_alpha { pixels(size) } else { 0 };
@@ -148,7 +143,6 @@ impl Rows {
         Ok(Self { background: request.background, width: size.0, to, scaler, rgb, alpha })
     }
 
-    /// Adds rows of this number of channels.
     fn push(&mut self, rows: Vec<u8>, channels: usize) {
         let (rgb, alpha) = composite(rows, channels, self.background);
         match &mut self.scaler {
@@ -182,7 +176,7 @@ pub(crate) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     }
     let (bytes, _) = regular_file::read_within(path, 1, request.memory)?;
     let mut decoder = decoder(path, &bytes)?;
-    let header = Header::of(&mut decoder);
+    let header = PhotoHeader::of(&mut decoder);
     let size = header.size(request.turned);
     check_size(path, request, &header)?;
     let (width, height) = header.stored;
@@ -240,7 +234,7 @@ pub(crate) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     Ok(rows.finish(gamma, lease))
 }
 
-pub(super) fn limits(memory: &HostMemory) -> Limits {
+pub(crate) fn limits(memory: &HostMemory) -> Limits {
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_IMAGE_SIDE);
     limits.max_image_height = Some(MAX_IMAGE_SIDE);
@@ -249,7 +243,7 @@ pub(super) fn limits(memory: &HostMemory) -> Limits {
 }
 
 /// Refuses a picture that has another size than requested.
-fn check_size(path: &Path, request: &Request<'_>, header: &Header) -> Result<()> {
+fn check_size(path: &Path, request: &Request<'_>, header: &PhotoHeader) -> Result<()> {
     let (width, height) = header.size(request.turned);
     let Some((w, h)) = request.size.filter(|&size| size != (width, height)) else { return Ok(()) };
     let how =
@@ -258,23 +252,20 @@ fn check_size(path: &Path, request: &Request<'_>, header: &Header) -> Result<()>
     Err(Error::input(path, problem, "use the pictures that the cameras were computed from"))
 }
 
-/// True if a PNG is too small for its pixels.
-pub(super) fn cannot_hold(file_bytes: u64, decoded: u64) -> bool {
+pub(crate) fn cannot_hold(file_bytes: u64, decoded: u64) -> bool {
     decoded / MAX_DEFLATE_RATIO > file_bytes
 }
 
-/// The error text for a picture that is too small for its pixels.
-pub(super) fn claims((width, height): (u32, u32), file_bytes: u64) -> String {
+pub(crate) fn claims((width, height): (u32, u32), file_bytes: u64) -> String {
     format!("claims {width}x{height} pixels in {file_bytes} bytes")
 }
 
-/// The error for a picture that cannot be decoded.
-pub(super) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
+pub(crate) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
     Error::input(path, format!("cannot be decoded: {problem}"), "copy or export the picture again")
 }
 
 /// Chooses a decoder by the content, not by the file's name.
-pub(super) fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<impl ImageDecoder + 'a> {
+pub(crate) fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<impl ImageDecoder + 'a> {
     let Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) = image::guess_format(bytes) else {
         let known = regular_file::recognise(bytes.get(..512).unwrap_or(bytes));
         let (problem, remedy) = known.unwrap_or(("is not a JPEG or PNG", "convert it"));
@@ -311,11 +302,9 @@ fn composite(values: Vec<u8>, channels: usize, background: Option<[f32; 3]>) -> 
     (rgb, Some(alphas))
 }
 
-/// Bytes of the file that are read at a time.
 const BUFFER_BYTES: usize = 64 << 10;
 /// Bytes that the decoder needs beside its rows, for reading ahead and unpacking.
 const DECODER_BYTES: u64 = 1 << 20;
-/// Rows that the decoder holds.
 const DECODER_ROWS: u64 = 8;
 
 fn png_reader(file: File, memory: &HostMemory) -> png::Decoder<BufReader<File>> {
@@ -345,10 +334,10 @@ fn read_png_rows(path: &Path, file: File, request: &Request<'_>) -> Result<Resul
     let gamma = info.gama_chunk.filter(|_| info.srgb.is_none()).map(png::ScaledFloat::into_value);
     let gamma = gamma.filter(|gamma| *gamma > 0.0);
     let (size, interlaced) = (info.size(), info.interlaced);
-    if interlaced || request.turned && header(path)?.has_orientation() {
+    if interlaced || request.turned && photo_header(path)?.has_orientation() {
         return Ok(Err(gamma));
     }
-    check_size(path, request, &Header { stored: size, orientation: Orientation::NoTransforms })?;
+    check_size(path, request, &PhotoHeader { stored: size, orientation: Orientation::NoTransforms })?;
     if size.0.max(size.1) > MAX_IMAGE_SIDE {
         return Err(damaged(&format!("{}x{} pixels; {MAX_IMAGE_SIDE} a side are possible", size.0, size.1)));
     }
@@ -388,9 +377,7 @@ struct JpegOutline {
     progressive: bool,
     /// Smallest number of 8×8 blocks of an image of the claimed size.
     blocks: u64,
-    /// Bytes of entropy-coded data.
     coded_bytes: u64,
-    /// Number of scans of entropy-coded data.
     scans: u32,
     /// Byte ranges of its parts, between the first and the last marker. Some cameras write other bytes between them.
     parts: Vec<Range<usize>>,

@@ -11,11 +11,10 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use roxmltree::Node;
 
-use super::xml::{first, named, parse};
-use super::{Lens, Scene, numbers, perspective, posed, rotation};
+use super::{Lens, Scene, first, named, numbers, parse_xml, perspective, posed, rotation};
 use crate::colmap::CameraModel;
 use crate::names::ending;
-use crate::{cost, regular_file, text};
+use crate::{regular_file, text};
 use ashsplat::{Error, Result};
 
 /// COLMAP's THIN_PRISM_FISHEYE and EQUIRECTANGULAR.
@@ -24,7 +23,7 @@ const PANORAMA: i64 = 17;
 
 pub(super) fn read(path: &Path) -> Result<Scene> {
     let text = text::from_bytes(path, regular_file::read(path, 1)?)?;
-    let document = parse(path, &text)?;
+    let document = parse_xml(path, &text)?;
     let file = File { path };
     let chunk = file.chunk(document.root_element())?;
     let mut scene = Scene::default();
@@ -111,7 +110,6 @@ impl File<'_> {
             all.filter(|node| node.tag_name().name() == "camera" && is_used(node)).collect();
         let mut by_component: BTreeMap<Option<&str>, Vec<Node<'a, 't>>> = BTreeMap::new();
         for camera in all.iter().filter(|camera| first(**camera, "transform").is_some()) {
-            cost::step();
             by_component.entry(camera.attribute("component_id")).or_default().push(*camera);
         }
         let of_rigs = all.iter().filter(|camera| camera.has_attribute("master_id")).count();

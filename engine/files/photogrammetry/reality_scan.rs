@@ -13,9 +13,9 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DVec3};
 use roxmltree::Node;
 
-use super::{Lens, Scene, numbers, perspective, posed, rotation, xml};
+use super::{Lens, Scene, numbers, parse_xml, perspective, posed, rotation};
 use crate::names::{entries, has_one_of};
-use crate::{cost, regular_file, text};
+use crate::{regular_file, text};
 use ashsplat::{Error, Result};
 
 /// Namespace of the properties in an XMP.
@@ -45,7 +45,6 @@ pub(super) fn read_csv(path: &Path, size_of: &mut dyn FnMut(&str) -> Result<(u32
     let mut scene = Scene::default();
     let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()).skip(1);
     for (index, (number, line)) in lines.enumerate() {
-        cost::step();
         let error = |problem: String| Error::input(path, format!("line {}: {problem}", number + 1), AGAIN);
         let fields: Vec<&str> = line.split(',').map(str::trim).collect();
         let field = |name: &str| columns.0.get(name).map(|&at| fields.get(at).copied().unwrap_or_default());
@@ -93,10 +92,9 @@ pub(super) fn read_xmp(folder: &Path, size_of: &mut dyn FnMut(&str) -> Result<(u
     files.sort_unstable();
     let (mut scene, all) = (Scene::default(), files.len());
     for path in files {
-        cost::step();
         let error = |problem: String| Error::input(&path, problem, "export the metadata (XMP) again");
         let text = text::from_bytes(&path, regular_file::read(&path, 1)?)?;
-        let document = xml::parse(&path, &text)?;
+        let document = parse_xml(&path, &text)?;
         let of_rs = |node: &Node<'_, '_>| {
             node.tag_name().name() == "Description"
                 && node.namespaces().any(|namespace| namespace.uri() == NAMESPACE)

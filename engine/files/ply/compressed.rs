@@ -10,10 +10,9 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 
 use super::file::{Element, Marks, PADDING, PlyFile};
-use super::read::restore_frame;
-use super::write::write_frame;
+use super::{restore_frame, write_frame};
 use crate::regular_file::OnFile;
-use crate::splats::{BLOCK, Format, Header, MAX_COMPRESSED_LOG_SCALE, Outline, Produce, Sink, Source};
+use crate::splats::{Blocks, Format, Header, MAX_COMPRESSED_LOG_SCALE, Opened, Outline, Produce, Sink};
 use crate::{atomic, host_memory};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::sh::C0;
@@ -39,44 +38,55 @@ const SH_RANGE: f32 = 8.0;
 
 type Chunk = [f32; 18];
 
-pub(crate) struct CompressedPly<'a> {
-    file: PlyFile<'a>,
-    vertex: Element,
-    chunks: Vec<Chunk>,
-    /// Rows of the higher SH, channel-major, one byte for each value.
-    sh: Vec<u8>,
-    header: Header,
-}
-
-impl<'a> CompressedPly<'a> {
-    pub(crate) fn open(path: &'a Path) -> Result<Self> {
-        let mut file = PlyFile::open(path)?;
-        let chunk = file.seek_element("chunk")?;
-        let chunks = read_chunks(&mut file, &chunk)?;
-        let vertex = file.seek_element("vertex")?;
-        if let Some(name) = VERTEX_PROPERTIES.iter().find(|name| !vertex.has(name)) {
-            let problem = format!("property {name} of element vertex is missing");
-            return Err(Error::input(path, problem, "write the file again"));
-        }
-        let (count, found, needed) = (vertex.count, chunk.count, vertex.count.div_ceil(CHUNK as u64));
-        if found != needed {
-            return Err(file.error(format!("has {found} chunks, its {count} vertices need {needed}")));
-        }
-        let (sh_degree, sh) = read_sh(path, vertex.count)?;
-        let corners = |chunk: &Chunk| DVec3::new(chunk[0].into(), chunk[1].into(), chunk[2].into());
-        let restored = restore_frame(path, &mut file.header, || Ok(chunks.iter().map(corners).collect()))?;
-        let mut warnings: Vec<String> = file.header.marks.warning().into_iter().collect();
-        warnings.extend(restored);
-        let infinite = chunks.iter().filter(|chunk| chunk[6..12].iter().any(|v| v.is_infinite())).count();
-        if infinite > 0 {
-            let all = chunks.len();
-            warnings.push(format!("sizes are lost in {infinite} of {all} chunks: their range is infinite"));
-        }
-        let padding = file.header.padding.iter().map(|&(_, count)| count).fold(0, u64::saturating_add);
-        let count = vertex.count.saturating_sub(padding);
-        let header = Header { warnings, ..file.header.of_gaussians(Format::CompressedPly, count, sh_degree) };
-        Ok(Self { file, vertex, chunks, sh, header })
+pub(crate) fn open(path: &Path) -> Result<Opened<'_>> {
+    let mut file = PlyFile::open(path)?;
+    let chunk = file.seek_element("chunk")?;
+    let chunks = read_chunks(&mut file, &chunk)?;
+    let vertex = file.seek_element("vertex")?;
+    if let Some(name) = VERTEX_PROPERTIES.iter().find(|name| !vertex.has(name)) {
+        let problem = format!("property {name} of element vertex is missing");
+        return Err(Error::input(path, problem, "write the file again"));
     }
+    let (count, found, needed) = (vertex.count, chunk.count, vertex.count.div_ceil(CHUNK as u64));
+    if found != needed {
+        return Err(file.error(format!("has {found} chunks, its {count} vertices need {needed}")));
+    }
+    let (sh_degree, sh) = read_sh(path, vertex.count)?;
+    let corners = |chunk: &Chunk| DVec3::new(chunk[0].into(), chunk[1].into(), chunk[2].into());
+    let restored = restore_frame(path, &mut file.header, || chunks.iter().map(corners).collect());
+    let mut warnings: Vec<String> = file.header.marks.warning().into_iter().collect();
+    warnings.extend(restored);
+    let infinite = chunks.iter().filter(|chunk| chunk[6..12].iter().any(|v| v.is_infinite())).count();
+    if infinite > 0 {
+        let all = chunks.len();
+        warnings.push(format!("sizes are lost in {infinite} of {all} chunks: their range is infinite"));
+    }
+    let padding = file.header.padding.iter().map(|&(_, count)| count).fold(0, u64::saturating_add);
+    let count = vertex.count.saturating_sub(padding);
+    let header = Header { warnings, ..file.header.of_gaussians(Format::CompressedPly, count, sh_degree) };
+    let padding = std::mem::take(&mut file.header.padding);
+    let is_padding =
+        move |row: u64| padding.iter().any(|&(first, count)| row >= first && row - first < count);
+    let higher = sh_coefficients(sh_degree) - 1;
+    let produce = move |sink: &mut Sink<'_>| {
+        let mut blocks = Blocks::new(sh_degree, count, sink);
+        file.for_each_row(&vertex, &VERTEX_PROPERTIES, |index, row| {
+            if is_padding(index) {
+                return Ok(());
+            }
+            let index = index as usize;
+            let packed = [row[0], row[1], row[2], row[3]].map(|value| value as u32);
+            let block = blocks.next()?;
+            push(&chunks[index / CHUNK], packed, block);
+            let rest = &sh[index * 3 * higher..(index + 1) * 3 * higher];
+            block.sh.extend(
+                (0..higher).map(|k| std::array::from_fn(|channel| unpack_sh(rest[channel * higher + k]))),
+            );
+            Ok(())
+        })?;
+        blocks.finish()
+    };
+    Ok((header, Box::new(produce)))
 }
 
 fn read_chunks(file: &mut PlyFile<'_>, element: &Element) -> Result<Vec<Chunk>> {
@@ -95,7 +105,8 @@ fn read_chunks(file: &mut PlyFile<'_>, element: &Element) -> Result<Vec<Chunk>> 
     Ok(chunks)
 }
 
-/// Reads the degree and the bytes of the optional element `sh`, which follows the vertices.
+/// Reads the optional element `sh`, which follows the vertices: its degree, and its rows, channel-major, one byte for
+/// each value.
 fn read_sh(path: &Path, count: u64) -> Result<(u32, Vec<u8>)> {
     let mut file = PlyFile::open(path)?;
     if !file.header.elements.iter().any(|e| e.name == "sh") {
@@ -117,38 +128,6 @@ fn read_sh(path: &Path, count: u64) -> Result<(u32, Vec<u8>)> {
         Ok(())
     })?;
     Ok((degree, bytes))
-}
-
-impl Source for CompressedPly<'_> {
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        let (chunks, sh) = (&self.chunks, &self.sh);
-        let degree = self.header.sh_degree;
-        let higher = sh_coefficients(degree) - 1;
-        let mut block = Gaussians { sh_degree: degree, ..Default::default() };
-        let padding = self.file.header.padding.clone();
-        let is_padding = |row: u64| padding.iter().any(|&(first, count)| row >= first && row - first < count);
-        self.file.for_each_row(&self.vertex, &VERTEX_PROPERTIES, |index, row| {
-            if is_padding(index) {
-                return Ok(());
-            }
-            let index = index as usize;
-            let packed = [row[0], row[1], row[2], row[3]].map(|value| value as u32);
-            push(&chunks[index / CHUNK], packed, &mut block);
-            let rest = &sh[index * 3 * higher..(index + 1) * 3 * higher];
-            block.sh.extend(
-                (0..higher).map(|k| std::array::from_fn(|channel| unpack_sh(rest[channel * higher + k]))),
-            );
-            if block.len() < BLOCK {
-                return Ok(());
-            }
-            sink(std::mem::replace(&mut block, Gaussians { sh_degree: degree, ..Default::default() }))
-        })?;
-        sink(block)
-    }
 }
 
 /// Appends a Gaussian without its higher SH.
@@ -406,7 +385,6 @@ fn pack_sh(value: f32) -> u8 {
     ((value / SH_RANGE + 0.5) * 256.0).clamp(0.0, 255.0) as u8
 }
 
-/// Bits per axis in a Morton code.
 const MORTON_BITS: u32 = 21;
 
 /// Indices of points along the Z-order (Morton) curve through the cube around them; coincident points keep their order. Its cells

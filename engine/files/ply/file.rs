@@ -99,10 +99,18 @@ impl Element {
     pub(crate) fn has(&self, name: &str) -> bool {
         self.properties.iter().any(|p| p.name == name)
     }
+
+    /// Type of a property that is no list.
+    pub(crate) fn scalar(&self, name: &str) -> Option<Scalar> {
+        self.properties.iter().find_map(|p| match p.kind {
+            Kind::Scalar(scalar) if p.name == name => Some(scalar),
+            _ => None,
+        })
+    }
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Header {
+pub(crate) struct PlyHeader {
     pub(crate) encoding: Encoding,
     pub(crate) elements: Vec<Element>,
     /// Length of the header, bytes.
@@ -117,7 +125,7 @@ pub(crate) struct Header {
     pub(crate) padding: Vec<(u64, u64)>,
 }
 
-impl Header {
+impl PlyHeader {
     /// The properties of a file of Gaussians that the comments give.
     pub(super) fn of_gaussians(&self, format: Format, count: u64, sh_degree: u32) -> splats::Header {
         splats::Header {
@@ -213,14 +221,14 @@ impl Marks {
 pub(crate) const FILTER: &str = "filter_3D";
 
 /// Reads the header. The reader is then at the first byte of the data.
-pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
+pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<PlyHeader> {
     check_magic(reader, path)?;
-    let header = Header::default();
+    let header = PlyHeader::default();
     let (element_names, property_names) = (HashSet::new(), HashSet::new());
     let mut parser = Parser { path, encoding: None, header, element_names, property_names };
     while !parser.line(reader)? {}
     let encoding = parser.encoding.ok_or_else(|| parser.error("the header has no format line"))?;
-    Ok(Header { encoding, ..parser.header })
+    Ok(PlyHeader { encoding, ..parser.header })
 }
 
 fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
@@ -241,7 +249,7 @@ fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
 struct Parser<'a> {
     path: &'a Path,
     encoding: Option<Encoding>,
-    header: Header,
+    header: PlyHeader,
     /// Names of the elements, and of the last element's properties.
     element_names: HashSet<String>,
     property_names: HashSet<String>,
@@ -376,7 +384,7 @@ const BUFFER_BYTES: usize = 1 << 20;
 pub(crate) struct PlyFile<'a> {
     path: &'a Path,
     reader: BufReader<File>,
-    pub(crate) header: Header,
+    pub(crate) header: PlyHeader,
     /// Bytes of the file after the current position.
     remaining: u64,
     /// Lines read so far, for messages about ASCII files.
@@ -474,12 +482,21 @@ impl<'a> PlyFile<'a> {
                 }
                 Ok(())
             }
-            encoding => self.binary_rows(element, |index, bytes| {
-                for (value, column) in values.iter_mut().zip(&columns) {
-                    *value = decode(&bytes[column.offset..], column.scalar, encoding);
-                }
-                row(index, &values)
-            }),
+            encoding => {
+                // The size is zero for elements without properties, which have no columns.
+                let row_bytes = element.row_bytes().filter(|bytes| *bytes > 0);
+                let Some(row_bytes) = row_bytes else { return self.skip_element(element) };
+                let mut index = 0..;
+                let size = (element.count, row_bytes as usize);
+                regular_file::rows(self.path, &mut self.reader, size, |bytes| {
+                    for (value, column) in values.iter_mut().zip(&columns) {
+                        *value = decode(&bytes[column.offset..], column.scalar, encoding);
+                    }
+                    row(index.next().unwrap_or(0), &values)
+                })?;
+                self.remaining = self.remaining.saturating_sub(element.count * row_bytes);
+                Ok(())
+            }
         }
     }
 
@@ -501,33 +518,6 @@ impl<'a> PlyFile<'a> {
             }
         }
         Err(Error::input(self.path, format!("property {name} of element {} is missing", element.name), ""))
-    }
-
-    fn binary_rows(
-        &mut self,
-        element: &Element,
-        mut row: impl FnMut(u64, &[u8]) -> Result<()>,
-    ) -> Result<()> {
-        // The size is zero for lists and elements without properties; the caller has excluded both.
-        let row_bytes = element.row_bytes().unwrap_or(0) as usize;
-        if row_bytes == 0 {
-            return self.skip_element(element);
-        }
-        let rows_at_once = (BUFFER_BYTES / row_bytes).max(1) as u64;
-        let mut buffer = vec![0; row_bytes * rows_at_once.min(element.count) as usize];
-        let mut index = 0;
-        while index < element.count {
-            let rows = rows_at_once.min(element.count - index);
-            let bytes = &mut buffer[..rows as usize * row_bytes];
-            self.reader.read_exact(bytes).reading(self.path)?;
-            self.remaining = self.remaining.saturating_sub(bytes.len() as u64);
-            for bytes in bytes.chunks_exact(row_bytes) {
-                cost::step();
-                row(index, bytes)?;
-                index += 1;
-            }
-        }
-        Ok(())
     }
 
     fn ascii_row(
@@ -640,7 +630,6 @@ impl<'a> PlyFile<'a> {
     }
 }
 
-/// Decodes the number at the start of `bytes`.
 pub(crate) fn decode(bytes: &[u8], scalar: Scalar, encoding: Encoding) -> f64 {
     fn take<const N: usize>(bytes: &[u8], encoding: Encoding) -> [u8; N] {
         let mut array = [0; N];

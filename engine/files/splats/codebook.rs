@@ -6,13 +6,11 @@ use std::cmp::Ordering;
 
 use rayon::prelude::*;
 
-/// Values of a scalar codebook.
 pub(super) const LEVELS: usize = 256;
 /// Rounds until the values of a scalar codebook hardly move.
 const SCALAR_ROUNDS: usize = 60;
 /// Bins of the histogram that the first values are chosen by.
 const BINS: usize = 4096;
-/// Largest palette.
 const MOST_VECTORS: usize = 1 << 16;
 /// Rounds within a part of the vectors.
 const PART_ROUNDS: usize = 4;
@@ -358,17 +356,5 @@ mod tests {
         }
         let (parts, whole) = (error(inputs, &centers, &labels), error(inputs, &plain, &own));
         assert!(parts <= 1.05 * whole, "{parts} {whole}");
-    }
-
-    #[test]
-    fn as_many_different_vectors_as_the_palette_has_are_exact() {
-        let _turn = turn();
-        let all = numbers(9 * 1024).repeat(2);
-        let palette = Palette::of(&all, 9);
-        let of = |input: usize| &palette.vectors[usize::from(palette.labels[input]) * 9..][..9];
-        assert_eq!(palette.vectors.len(), 9 * 1024);
-        let (book, indices) = scalar_codebook(&all[..9 * 1024]);
-        assert_eq!((book, of(5)), (palette.book, &indices[45..54]));
-        assert_eq!(palette.labels[5], palette.labels[1024 + 5]);
     }
 }

@@ -3,14 +3,11 @@
 //! Mean and standard deviations as floats, colour and opacity as bytes, then the quaternion (w, x, y, z) as bytes
 //! around 128. Format: antimatter15/splat.
 
-use std::fs::File;
-use std::io::{BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::format::read_origin;
-use super::{BLOCK, Format, Header, Outline, Produce, Sink, Source, spz};
+use super::{Blocks, Format, Header, Opened, Produce, Sink, spz};
+use crate::atomic;
 use crate::regular_file::{self, OnFile, u32_at};
-use crate::{atomic, cost};
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
 use ashsplat::{Error, Result};
@@ -19,49 +16,25 @@ const ROW: usize = 32;
 /// Least distance of a stored opacity from 0 and 1, whose logits are infinite.
 const OPACITY_MARGIN: f64 = 1e-6;
 
-pub(super) struct DotSplat {
-    path: PathBuf,
-    file: File,
-    header: Header,
-}
-
-impl DotSplat {
-    pub(super) fn open(path: &Path) -> Result<Self> {
-        let (file, bytes) = regular_file::open(path)?;
-        if bytes == 0 {
-            return Err(Error::input(path, "is empty", "download or copy it again"));
-        }
-        if !bytes.is_multiple_of(ROW as u64) {
-            let (count, rest) = (bytes / ROW as u64, bytes % ROW as u64);
-            let problem = format!("has {rest} bytes after {count} Gaussians of {ROW} bytes");
-            return Err(Error::input(path, problem, "it is cut short or no .splat: download it again"));
-        }
-        let origin = read_origin(path)?;
-        let header = Header { origin, ..Header::new(Format::Splat, bytes / ROW as u64, 0) };
-        Ok(Self { path: path.to_owned(), file, header })
+pub(super) fn open(path: &Path) -> Result<Opened<'_>> {
+    let (mut file, bytes) = regular_file::open(path)?;
+    if bytes == 0 {
+        return Err(Error::input(path, "is empty", "download or copy it again"));
     }
-}
-
-impl Source for DotSplat {
-    fn header(&self) -> &Header {
-        &self.header
+    let (count, rest) = (bytes / ROW as u64, bytes % ROW as u64);
+    if rest > 0 {
+        let problem = format!("has {rest} bytes after {count} Gaussians of {ROW} bytes");
+        return Err(Error::input(path, problem, "it is cut short or no .splat: download it again"));
     }
-
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        let mut reader = BufReader::with_capacity(1 << 20, &self.file);
-        let mut left = self.header.count as usize;
-        let mut bytes = vec![0; ROW * BLOCK.min(left)];
-        while left > 0 {
-            let rows = BLOCK.min(left);
-            let bytes = &mut bytes[..rows * ROW];
-            reader.read_exact(bytes).reading(&self.path)?;
-            let mut block = Gaussians::with_capacity(0, rows);
-            bytes.as_chunks::<ROW>().0.iter().for_each(|row| unpack(row, &mut block));
-            sink(block)?;
-            left -= rows;
-        }
-        Ok(())
-    }
+    let produce = move |sink: &mut Sink<'_>| {
+        let mut blocks = Blocks::new(0, count, sink);
+        regular_file::rows(path, &mut file, (count, ROW), |row| {
+            unpack(row, blocks.next()?);
+            Ok(())
+        })?;
+        blocks.finish()
+    };
+    Ok((Header::new(Format::Splat, count, 0), Box::new(produce)))
 }
 
 /// Logit of an opacity in 255ths.
@@ -70,8 +43,7 @@ pub(super) fn opacity_logit(byte: u8) -> f32 {
     (opacity / (1.0 - opacity)).ln() as f32
 }
 
-fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
-    cost::step();
+fn unpack(row: &[u8], block: &mut Gaussians) {
     let float = |at: usize| f32::from_bits(u32_at(row, at));
     block.means.push([float(0), float(4), float(8)]);
     // The logarithm of a negative size is NaN, which is unusable.
@@ -83,7 +55,7 @@ fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
     block.quats.push(if length > 0.0 { quat.map(|q| q / length) } else { quat });
 }
 
-pub(super) fn write(path: &Path, _outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+pub(super) fn write(path: &Path, produce: &mut Produce<'_>) -> Result<()> {
     atomic::write_seekable(path, |writer| {
         let mut rows = Vec::new();
         produce(&mut |block| {

@@ -8,11 +8,10 @@ use flate2::read::GzDecoder;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::Outline;
 use super::streamed_sog::is_lod_meta;
+use super::{Outline, WriteOptions};
 use crate::names::{has_photo_ending, quoted};
-use crate::regular_file;
-use crate::{atomic, ply};
+use crate::{atomic, ply, regular_file};
 use ashsplat::{Error, Result};
 
 /// Bound of log-scales in both directions, as in the format's first writer.
@@ -45,11 +44,8 @@ pub enum Format {
 /// The place where a file names the origin of its positions.
 #[derive(Clone, Copy, PartialEq)]
 enum OriginPlace {
-    /// A comment in the header.
     Comment,
-    /// The translation of a node.
     Node,
-    /// A file beside it.
     Beside,
 }
 
@@ -209,12 +205,9 @@ impl Format {
         format!("{extension}: read: {read}; written: {written}; holds {holds}; loses {loses}{rounds}")
     }
 
-    /// Names what Gaussians of this SH degree and with these header marks lose in the format.
-    pub(super) fn losses(
-        self,
-        sh_degree: u32,
-        (antialiased, kernel_size, is_2dgs): (bool, Option<f32>, bool),
-    ) -> Vec<String> {
+    /// Names what Gaussians of this SH degree and with these marks lose in the format.
+    pub(super) fn losses(self, sh_degree: u32, marks: &WriteOptions) -> Vec<String> {
+        let WriteOptions { antialiased, kernel_size, is_2dgs, .. } = *marks;
         let mut losses = Vec::new();
         if sh_degree > self.max_sh_degree() {
             losses.push(format!("{self} holds no spherical harmonics: the view dependence is lost"));
@@ -476,7 +469,6 @@ pub(super) const META: &str = "meta.json";
 /// Name of the description of a streamed SOG.
 pub(crate) const LOD_META: &str = "lod-meta.json";
 
-/// True for the name of a description.
 pub(super) fn is_meta(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.eq_ignore_ascii_case(META))
 }

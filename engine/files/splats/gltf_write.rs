@@ -72,7 +72,6 @@ pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mu
     })
 }
 
-/// An unused name for the binary of a `.gltf`.
 fn free_binary(path: &Path) -> PathBuf {
     let mut binary = path.with_extension("bin");
     let mut number = 0;
@@ -219,19 +218,25 @@ fn scene(
         // The shortest decimal number with the same f32.
         extension["extras"]["kernel_size"] = json!(size.to_string().parse::<f64>().ok());
     }
+    let primitive = json!({ "mode": 0, "attributes": attributes, "extensions": { EXTENSION: extension } });
+    let mut document = placed_primitive(primitive, outline.options.frame.origin);
+    document["extensionsUsed"] = json!(extensions);
+    (document["bufferViews"], document["accessors"]) = (views, accessors);
+    document
+}
+
+/// The document of one primitive whose positions are relative to an origin, without buffers and accessors.
+pub(crate) fn placed_primitive(primitive: Value, origin: DVec3) -> Value {
     let mut node = json!({ "mesh": 0 });
-    if outline.options.frame.origin != DVec3::ZERO {
-        node["translation"] = json!(mirrored(outline.options.frame.origin).to_array());
+    if origin != DVec3::ZERO {
+        node["translation"] = json!(mirrored(origin).to_array());
     }
     json!({
         "asset": { "version": "2.0", "generator": concat!("ashsplat ", env!("CARGO_PKG_VERSION")) },
-        "extensionsUsed": extensions,
         "scene": 0,
         "scenes": [{ "nodes": [0] }],
         "nodes": [node],
-        "bufferViews": views,
-        "accessors": accessors,
-        "meshes": [{ "primitives": [{ "mode": 0, "attributes": attributes, "extensions": { EXTENSION: extension } }] }],
+        "meshes": [{ "primitives": [primitive] }],
     })
 }
 

@@ -6,11 +6,10 @@
 
 use std::fs::File;
 use std::io::{BufReader, Read, Take};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::dot_splat::opacity_logit;
-use super::format::read_origin;
-use super::{BLOCK, Format, Header, Sink, Source};
+use super::{Blocks, Format, Header, Opened, Sink};
 use crate::cost;
 use crate::regular_file::{self, OnFile, damaged, u32_at};
 use ashsplat::scene::Gaussians;
@@ -26,13 +25,6 @@ const CENTER_BYTES: u64 = 12;
 const MIDDLE: u32 = 32_767;
 /// Largest SH value of level 2, where the header names none.
 const MAX_SH: f32 = 1.5;
-
-pub(super) struct Ksplat {
-    path: PathBuf,
-    packing: Packing,
-    sections: Vec<Section>,
-    header: Header,
-}
 
 /// How the numbers of a row are stored.
 #[derive(Clone, Copy)]
@@ -66,7 +58,6 @@ impl Packing {
 
     /// Appends the Gaussian of a row. `center` is that of its bucket.
     fn unpack(self, row: &[u8], section: &Section, center: [f32; 3], block: &mut Gaussians) {
-        cost::step();
         let short = |index: usize| u16::from_le_bytes([row[2 * index], row[2 * index + 1]]);
         let number = |index: usize| match self.level {
             0 => f32::from_bits(u32_at(row, 4 * index)),
@@ -96,113 +87,89 @@ impl Packing {
     }
 }
 
-impl Ksplat {
-    pub(super) fn open(path: &Path) -> Result<Self> {
-        let (file, bytes) = regular_file::open(path)?;
-        let mut reader = BufReader::new(file);
-        let mut head = [0; HEADER_BYTES as usize];
-        if bytes < HEADER_BYTES {
-            return Err(damaged(path, format!("ends after {bytes} of the header's {HEADER_BYTES} bytes")));
-        }
-        reader.read_exact(&mut head).reading(path)?;
-        let (major, minor) = (head[0], head[1]);
-        let level = usize::from(u16::from_le_bytes([head[20], head[21]]));
-        if major != 0 || minor == 0 || level > 2 {
-            let problem = format!(
-                "is .ksplat version {major}.{minor}, level {level}; 0.1 with levels 0, 1, 2 is known"
-            );
-            return Err(Error::input(path, problem, "write it again with GaussianSplats3D 0.4"));
-        }
-        let named = |at: usize, usual: f32| match f32::from_bits(u32_at(&head, at)) {
-            0.0 => usual,
-            value => value,
-        };
-        let packing = Packing { level, sh_range: [named(36, -MAX_SH), named(40, MAX_SH)] };
-        let section_count = u64::from(u32_at(&head, 4));
-        let mut at = HEADER_BYTES + SECTION_HEADER_BYTES * section_count;
-        if at > bytes {
-            return Err(damaged(path, format!("the header says {section_count} sections, more than it has")));
-        }
-        let mut sections = Vec::new();
-        for number in 0..section_count {
-            let mut head = [0; SECTION_HEADER_BYTES as usize];
-            reader.read_exact(&mut head).reading(path)?;
-            cost::step();
-            let [count, most, bucket_rows, buckets, full_buckets, others] =
-                [0, 4, 8, 12, 32, 36].map(|at| u64::from(u32_at(&head, at)));
-            let [bucket_bytes, sh_degree] = [20, 40].map(|at| u16::from_le_bytes([head[at], head[at + 1]]));
-            let sh_degree = u32::from(sh_degree);
-            if sh_degree > 3 || count > most || (buckets > 0 && u64::from(bucket_bytes) != CENTER_BYTES) {
-                return Err(damaged(path, format!("the header of section {number} makes no sense")));
-            }
-            let middle = Some(u32_at(&head, 24)).filter(|middle| *middle != 0).unwrap_or(MIDDLE) as f32;
-            let centers_at = at + 4 * others;
-            let rows_at = centers_at + CENTER_BYTES * buckets;
-            sections.push(Section {
-                count,
-                sh_degree,
-                bucket_rows,
-                full_buckets,
-                lengths_at: at,
-                centers_at,
-                rows_at,
-                middle,
-                step: f32::from_bits(u32_at(&head, 16)) / 2.0 / middle,
-            });
-            at = rows_at + packing.row_bytes(sh_degree) * most;
-            if at > bytes {
-                return Err(damaged(path, format!("section {number} ends at byte {at} of {bytes}")));
-            }
-        }
-        let count = u64::from(u32_at(&head, 16));
-        let found = sections.iter().map(|section| section.count).sum::<u64>();
-        if count != found {
-            return Err(damaged(
-                path,
-                format!("the header says {count} Gaussians, the sections have {found}"),
-            ));
-        }
-        let sh_degree = sections.iter().map(|section| section.sh_degree).max().unwrap_or(0);
-        let mut header =
-            Header { origin: read_origin(path)?, ..Header::new(Format::Ksplat, count, sh_degree) };
-        if at < bytes {
-            let rest = bytes - at;
-            header
-                .warnings
-                .push(format!("{}: {rest} bytes after the last section are not read", path.display()));
-        }
-        Ok(Self { path: path.to_owned(), packing, sections, header })
+pub(super) fn open(path: &Path) -> Result<Opened<'_>> {
+    let (file, bytes) = regular_file::open(path)?;
+    let mut reader = BufReader::new(file);
+    let mut head = [0; HEADER_BYTES as usize];
+    if bytes < HEADER_BYTES {
+        return Err(damaged(path, format!("ends after {bytes} of the header's {HEADER_BYTES} bytes")));
     }
+    reader.read_exact(&mut head).reading(path)?;
+    let (major, minor) = (head[0], head[1]);
+    let level = usize::from(u16::from_le_bytes([head[20], head[21]]));
+    if major != 0 || minor == 0 || level > 2 {
+        let problem =
+            format!("is .ksplat version {major}.{minor}, level {level}; 0.1 with levels 0, 1, 2 is known");
+        return Err(Error::input(path, problem, "write it again with GaussianSplats3D 0.4"));
+    }
+    let named = |at: usize, usual: f32| match f32::from_bits(u32_at(&head, at)) {
+        0.0 => usual,
+        value => value,
+    };
+    let packing = Packing { level, sh_range: [named(36, -MAX_SH), named(40, MAX_SH)] };
+    let section_count = u64::from(u32_at(&head, 4));
+    let mut at = HEADER_BYTES + SECTION_HEADER_BYTES * section_count;
+    if at > bytes {
+        return Err(damaged(path, format!("the header says {section_count} sections, more than it has")));
+    }
+    let mut sections = Vec::new();
+    for number in 0..section_count {
+        let mut head = [0; SECTION_HEADER_BYTES as usize];
+        reader.read_exact(&mut head).reading(path)?;
+        cost::step();
+        let [count, most, bucket_rows, buckets, full_buckets, others] =
+            [0, 4, 8, 12, 32, 36].map(|at| u64::from(u32_at(&head, at)));
+        let [bucket_bytes, sh_degree] = [20, 40].map(|at| u16::from_le_bytes([head[at], head[at + 1]]));
+        let sh_degree = u32::from(sh_degree);
+        if sh_degree > 3 || count > most || (buckets > 0 && u64::from(bucket_bytes) != CENTER_BYTES) {
+            return Err(damaged(path, format!("the header of section {number} makes no sense")));
+        }
+        let middle = Some(u32_at(&head, 24)).filter(|middle| *middle != 0).unwrap_or(MIDDLE) as f32;
+        let centers_at = at + 4 * others;
+        let rows_at = centers_at + CENTER_BYTES * buckets;
+        sections.push(Section {
+            count,
+            sh_degree,
+            bucket_rows,
+            full_buckets,
+            lengths_at: at,
+            centers_at,
+            rows_at,
+            middle,
+            step: f32::from_bits(u32_at(&head, 16)) / 2.0 / middle,
+        });
+        at = rows_at + packing.row_bytes(sh_degree) * most;
+        if at > bytes {
+            return Err(damaged(path, format!("section {number} ends at byte {at} of {bytes}")));
+        }
+    }
+    let count = u64::from(u32_at(&head, 16));
+    let found = sections.iter().map(|section| section.count).sum::<u64>();
+    if count != found {
+        return Err(damaged(path, format!("the header says {count} Gaussians, the sections have {found}")));
+    }
+    let sh_degree = sections.iter().map(|section| section.sh_degree).max().unwrap_or(0);
+    let mut header = Header::new(Format::Ksplat, count, sh_degree);
+    if at < bytes {
+        let rest = bytes - at;
+        header.warnings.push(format!("{}: {rest} bytes after the last section are not read", path.display()));
+    }
+    Ok((header, Box::new(move |sink| sections.iter().try_for_each(|own| own.read(path, packing, sink)))))
 }
 
-impl Source for Ksplat {
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        for section in &self.sections {
-            let row_bytes = self.packing.row_bytes(section.sh_degree) as usize;
-            let mut reader =
-                regular_file::part(&self.path, section.rows_at, row_bytes as u64 * section.count)?;
-            let mut buckets = Buckets::of(section, self.packing.level, &self.path)?;
-            let (count, mut bytes) = (section.count as usize, Vec::new());
-            for start in (0..count).step_by(BLOCK) {
-                let rows = BLOCK.min(count - start);
-                bytes.resize(rows * row_bytes, 0);
-                reader.read_exact(&mut bytes).reading(&self.path)?;
-                let mut block = Gaussians::with_capacity(section.sh_degree, rows);
-                for row in bytes.chunks_exact(row_bytes) {
-                    let center = buckets.center_of_next_row().map_err(|_| {
-                        damaged(&self.path, "a section's buckets hold fewer Gaussians than its header says")
-                    })?;
-                    self.packing.unpack(row, section, center, &mut block);
-                }
-                let is_lower = section.sh_degree < self.header.sh_degree;
-                sink(if is_lower { block.with_sh_degree(self.header.sh_degree) } else { block })?;
-            }
-        }
-        Ok(())
+impl Section {
+    fn read(&self, path: &Path, packing: Packing, sink: &mut Sink<'_>) -> Result<()> {
+        let row_bytes = packing.row_bytes(self.sh_degree);
+        let mut reader = regular_file::part(path, self.rows_at, row_bytes * self.count)?;
+        let mut buckets = Buckets::of(self, packing.level, path)?;
+        let mut blocks = Blocks::new(self.sh_degree, self.count, sink);
+        regular_file::rows(path, &mut reader, (self.count, row_bytes as usize), |row| {
+            let too_few = "a section's buckets hold fewer Gaussians than its header says";
+            let center = buckets.center_of_next_row().map_err(|_| damaged(path, too_few))?;
+            packing.unpack(row, self, center, blocks.next()?);
+            Ok(())
+        })?;
+        blocks.finish()
     }
 }
 

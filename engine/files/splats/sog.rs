@@ -16,10 +16,9 @@ use zip::{CompressionMethod, System, ZipArchive, ZipWriter};
 
 use super::codebook::{LEVELS, Palette, scalar_codebook};
 use super::dot_splat::opacity_logit;
-use super::format::{META, is_meta, read_origin, sog_in};
-use super::streamed_sog::{StreamedSog, is_lod_meta};
-use super::validation::check_readable;
-use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, WriteOptions, row_bytes};
+use super::format::{META, is_meta};
+use super::stream::check_readable;
+use super::{Blocks, Format, Header, Opened, Outline, Produce, ReadOptions, Sink, WriteOptions, row_bytes};
 use crate::ply::{morton_order, pack_unorm, rotation_of_shares, shares_of_rotation};
 use crate::regular_file::{self, OnFile, damaged};
 use crate::{atomic, cost, host_memory};
@@ -37,7 +36,6 @@ const PALETTE_COLUMNS: usize = 64;
 const MOST_VECTORS: usize = 1 << 16;
 /// Alpha of a quaternion whose w is omitted; x, y and z follow.
 const OMITS_W: u8 = 252;
-/// Largest side of a WebP picture.
 const MOST_SIDE: usize = 16_383;
 const VERSION: u32 = 2;
 
@@ -113,48 +111,37 @@ impl Numbers {
 }
 
 /// An open SOG. Its pictures are decoded when the Gaussians are read.
-pub(super) struct Sog {
+struct Sog {
     members: Members,
     meta: Meta,
-    header: Header,
-}
-
-/// Opens a SOG or a streamed one: its ZIP, its description, or the folder of that.
-pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn Source>> {
-    let description = sog_in(path).filter(|_| path.is_dir());
-    let path = description.as_deref().unwrap_or(path);
-    Ok(match is_lod_meta(path) {
-        true => Box::new(StreamedSog::open(path, options)?),
-        false => Box::new(Sog::open(path, options)?),
-    })
+    count: u64,
 }
 
 /// RGBA of each pixel of a decoded picture, row by row.
 type Pixels = Vec<[u8; 4]>;
 
-impl Sog {
-    pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self> {
-        let members = Members::open(path, options)?;
-        let text = members.read(META, MOST_META_BYTES)?;
-        regular_file::check_json(path, &text, options.max_host_memory)?;
-        let meta: Meta = serde_json::from_slice(&text).map_err(|e| damaged(path, format!("{META}: {e}")))?;
-        if !(1..=VERSION).contains(&meta.version) {
-            let problem = format!("is SOG version {}; 1 and 2 are known", meta.version);
-            return Err(Error::input(path, problem, "write it again as version 2"));
-        }
-        let count = if meta.version == 1 { meta.means.shape.first().copied() } else { meta.count };
-        let most = (MOST_SIDE * MOST_SIDE) as u64;
-        let count = count.filter(|count| *count <= most).ok_or_else(|| {
-            damaged(path, format!("{META}: the number of Gaussians is missing or above {most}"))
-        })?;
-        let mut header = Header::new(Format::Sog, count, 0);
-        header.antialiased = meta.antialias;
-        header.origin = read_origin(path)?;
-        let mut sog = Self { members, meta, header };
-        sog.header.sh_degree = sog.degree()?;
-        Ok(sog)
+pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>> {
+    let members = Members::open(path, options)?;
+    let text = members.read(META, MOST_META_BYTES)?;
+    regular_file::check_json(path, &text, options.max_host_memory)?;
+    let meta: Meta = serde_json::from_slice(&text).map_err(|e| damaged(path, format!("{META}: {e}")))?;
+    if !(1..=VERSION).contains(&meta.version) {
+        let problem = format!("is SOG version {}; 1 and 2 are known", meta.version);
+        return Err(Error::input(path, problem, "write it again as version 2"));
     }
+    let count = if meta.version == 1 { meta.means.shape.first().copied() } else { meta.count };
+    let most = (MOST_SIDE * MOST_SIDE) as u64;
+    let count = count.filter(|count| *count <= most).ok_or_else(|| {
+        damaged(path, format!("{META}: the number of Gaussians is missing or above {most}"))
+    })?;
+    let antialiased = meta.antialias;
+    let sog = Sog { members, meta, count };
+    let sh_degree = sog.degree()?;
+    let header = Header { antialiased, ..Header::new(Format::Sog, count, sh_degree) };
+    Ok((header, Box::new(move |sink| sog.read(sh_degree, sink))))
+}
 
+impl Sog {
     /// SH degree of the palette. Version 1 tells it by the width of the picture alone.
     fn degree(&self) -> Result<u32> {
         let Some(palette) = &self.meta.higher else { return Ok(0) };
@@ -176,7 +163,7 @@ impl Sog {
     fn packed<'a>(&self, attribute: &'a Attribute, index: usize) -> Result<(&'a str, Vec<u8>)> {
         let name =
             attribute.files.get(index).ok_or_else(|| self.damaged(format!("{META} names too few files")))?;
-        let most = 8 * (self.header.count + SPARE_PIXELS) + 4 * (MOST_VECTORS * 16) as u64;
+        let most = 8 * (self.count + SPARE_PIXELS) + 4 * (MOST_VECTORS * 16) as u64;
         Ok((name, self.members.read(name, most)?))
     }
 
@@ -239,16 +226,10 @@ impl Sog {
         let ends = attribute.mins.at(channel).zip(attribute.maxs.at(channel));
         ends.ok_or_else(|| self.damaged(format!("{META}: {name} has no mins and maxs")))
     }
-}
 
-impl Source for Sog {
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
+    fn read(&self, sh_degree: u32, sink: &mut Sink<'_>) -> Result<()> {
         let Meta { version, means, scales, quats, sh0, higher, .. } = &self.meta;
-        let (count, sh_degree) = (self.header.count, self.header.sh_degree);
+        let count = self.count;
         let pixels = |attribute, index| {
             Ok::<_, Error>(self.decoded(attribute, index, count..=2 * count + SPARE_PIXELS)?.1)
         };
@@ -289,33 +270,29 @@ impl Source for Sog {
             let found: Option<&[[f32; 3]]> = palette.get(first..first + coefficients);
             found.ok_or_else(|| self.damaged("an index lies beyond the palette of spherical harmonics"))
         };
-        for start in (0..count as usize).step_by(BLOCK) {
-            let rows = start..(start + BLOCK).min(count as usize);
-            let mut block = Gaussians::with_capacity(sh_degree, rows.len());
-            for i in rows {
-                block.means.push(std::array::from_fn(|axis| {
-                    let share = f64::from(u16::from_le_bytes([low[i][axis], high[i][axis]])) / 65_535.0;
-                    let (min, max) = ranges[axis];
-                    let logarithm = min + (max - min) * share;
-                    (libm::expm1(logarithm.abs()) * logarithm.signum()) as f32
-                }));
-                block
-                    .log_scales
-                    .push(std::array::from_fn(|axis| scale_levels[axis][usize::from(scales[i][axis])]));
-                let no_index =
-                    || self.damaged(format!("the quaternion of Gaussian {i} does not say what it omits"));
-                block.quats.push(unpack_rotation(quats[i]).ok_or_else(no_index)?);
-                block.opacity_logits.push(logits[usize::from(sh0[i][3])]);
-                block
-                    .sh
-                    .push(std::array::from_fn(|channel| color_levels[channel][usize::from(sh0[i][channel])]));
-                if let Some(label) = labels.get(i) {
-                    block.sh.extend_from_slice(sh_of(*label)?);
-                }
+        let mut blocks = Blocks::new(sh_degree, count, sink);
+        for i in 0..count as usize {
+            let block = blocks.next()?;
+            block.means.push(std::array::from_fn(|axis| {
+                let share = f64::from(u16::from_le_bytes([low[i][axis], high[i][axis]])) / 65_535.0;
+                let (min, max) = ranges[axis];
+                let logarithm = min + (max - min) * share;
+                (libm::expm1(logarithm.abs()) * logarithm.signum()) as f32
+            }));
+            let level = |levels: &[[f32; LEVELS]; 3], pixel: [u8; 4]| -> [f32; 3] {
+                std::array::from_fn(|channel| levels[channel][usize::from(pixel[channel])])
+            };
+            block.log_scales.push(level(&scale_levels, scales[i]));
+            let no_index =
+                || self.damaged(format!("the quaternion of Gaussian {i} does not say what it omits"));
+            block.quats.push(unpack_rotation(quats[i]).ok_or_else(no_index)?);
+            block.opacity_logits.push(logits[usize::from(sh0[i][3])]);
+            block.sh.push(level(&color_levels, sh0[i]));
+            if let Some(label) = labels.get(i) {
+                block.sh.extend_from_slice(sh_of(*label)?);
             }
-            sink(block)?;
         }
-        Ok(())
+        blocks.finish()
     }
 }
 
@@ -323,7 +300,6 @@ fn each_channel<T>(value: impl Fn(usize) -> Result<T>) -> Result<[T; 3]> {
     Ok([value(0)?, value(1)?, value(2)?])
 }
 
-/// Columns of the palette's picture.
 fn palette_width(sh_degree: u32) -> usize {
     PALETTE_COLUMNS * (sh_coefficients(sh_degree) - 1)
 }
@@ -344,7 +320,6 @@ fn is_lossy(packed: &[u8]) -> bool {
 struct Members {
     path: PathBuf,
     archive: Option<RefCell<ZipArchive<BufReader<File>>>>,
-    /// See [`ReadOptions::max_host_memory`].
     max_host_memory: Option<u64>,
 }
 
@@ -408,7 +383,6 @@ fn pack_rotation(quat: [f32; 4]) -> [u8; 4] {
     [a, b, c, OMITS_W + omitted as u8]
 }
 
-/// The logarithm that positions are stored as.
 fn logarithm(value: f32) -> f64 {
     libm::log1p(f64::from(value).abs()) * f64::from(value).signum()
 }
@@ -486,7 +460,7 @@ fn members(
         })
     });
     let words: Vec<[[u8; 2]; 3]> = words.collect();
-    let half = |at: usize| words.iter().map(|word| word.map(|bytes| bytes[at])).collect::<Vec<_>>();
+    let half = |at: usize| words.iter().map(move |word| word.map(|bytes| bytes[at]));
 
     let in_order = |values: &[[f32; 3]], stride: usize| -> Vec<f32> {
         order.iter().flat_map(|&i| values[i * stride]).collect()
@@ -495,26 +469,25 @@ fn members(
     let coefficients = sh_coefficients(all.sh_degree);
     let (color_book, colors) = scalar_codebook(&in_order(&all.sh, coefficients));
     let opacity = |&i: &usize| (255.0 * all.opacity(i)).round() as u8;
-    let colors = colors.as_chunks::<3>().0.iter().zip(order).map(|(&[r, g, b], i)| [r, g, b, opacity(i)]);
+    let triples = |bytes: &[u8]| bytes.as_chunks::<3>().0.to_vec();
+    let colors = triples(&colors).into_iter().zip(order).map(|([r, g, b], i)| [r, g, b, opacity(i)]);
     let quats = order.iter().map(|&i| pack_rotation(all.quats[i]));
     let mut files = vec![
-        ("means_l.webp", Picture::rgb(&half(0), size).packed()),
-        ("means_u.webp", Picture::rgb(&half(1), size).packed()),
-        ("scales.webp", Picture::rgb(scales.as_chunks::<3>().0, size).packed()),
-        ("quats.webp", Picture::rgba(quats, size).packed()),
-        ("sh0.webp", Picture::rgba(colors, size).packed()),
+        ("means_l.webp", picture(half(0), size)),
+        ("means_u.webp", picture(half(1), size)),
+        ("scales.webp", picture(triples(&scales), size)),
+        ("quats.webp", picture(quats, size)),
+        ("sh0.webp", picture(colors, size)),
     ];
     let mut higher = None;
     if coefficients > 1 {
         let vectors: Vec<f32> = order.iter().flat_map(|&i| &all.sh_of(i)[1..]).flatten().copied().collect();
         let Palette { book, vectors, labels } = Palette::of(&vectors, 3 * (coefficients - 1));
         let found = vectors.len() / (3 * (coefficients - 1));
-        let rows = found.div_ceil(PALETTE_COLUMNS).max(1);
-        let palette = Picture::rgb(vectors.as_chunks::<3>().0, (PALETTE_COLUMNS * (coefficients - 1), rows));
-        let labels: Vec<[u8; 3]> =
-            labels.iter().map(|label| label.to_le_bytes()).map(|[l, h]| [l, h, 0]).collect();
-        files.push(("shN_centroids.webp", palette.packed()));
-        files.push(("shN_labels.webp", Picture::rgb(&labels, size).packed()));
+        let palette = (palette_width(all.sh_degree), found.div_ceil(PALETTE_COLUMNS).max(1));
+        let labels = labels.iter().map(|label| label.to_le_bytes()).map(|[l, h]| [l, h, 0]);
+        files.push(("shN_centroids.webp", picture(triples(&vectors), palette)));
+        files.push(("shN_labels.webp", picture(labels, size)));
         higher = Some(Attribute {
             count: Some(found),
             bands: Some(all.sh_degree),
@@ -549,33 +522,13 @@ fn members(
     Ok(files)
 }
 
-/// Pixels to be packed. Those after the last value are 0.
-struct Picture {
-    bytes: Vec<u8>,
-    size: (usize, usize),
-    channels: usize,
-}
-
-impl Picture {
-    fn rgb(values: &[[u8; 3]], size: (usize, usize)) -> Self {
-        let mut bytes = values.as_flattened().to_vec();
-        bytes.resize(3 * size.0 * size.1, 0);
-        Self { bytes, size, channels: 3 }
-    }
-
-    fn rgba(values: impl Iterator<Item = [u8; 4]>, size: (usize, usize)) -> Self {
-        let mut bytes: Vec<u8> = values.flatten().collect();
-        bytes.resize(4 * size.0 * size.1, 0);
-        Self { bytes, size, channels: 4 }
-    }
-
-    fn packed(self) -> Vec<u8> {
-        let Self { bytes, size: (width, height), channels } = self;
-        let (width, height) = (width as u32, height as u32);
-        let encoder = match channels {
-            3 => webp::Encoder::from_rgb(&bytes, width, height),
-            _ => webp::Encoder::from_rgba(&bytes, width, height),
-        };
-        encoder.encode_lossless().to_vec()
-    }
+/// Packs pixels of r, g, b or r, g, b, a without loss. Those after the last value are 0.
+fn picture<const N: usize>(
+    pixels: impl IntoIterator<Item = [u8; N]>,
+    (width, height): (usize, usize),
+) -> Vec<u8> {
+    let mut bytes: Vec<u8> = pixels.into_iter().flatten().collect();
+    bytes.resize(N * width * height, 0);
+    let layout = if N == 3 { webp::PixelLayout::Rgb } else { webp::PixelLayout::Rgba };
+    webp::Encoder::new(&bytes, layout, width as u32, height as u32).encode_lossless().to_vec()
 }

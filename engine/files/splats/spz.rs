@@ -9,8 +9,7 @@ use std::path::{Path, PathBuf};
 use flate2::bufread::GzDecoder;
 use flate2::write::GzEncoder;
 
-use super::format::read_origin;
-use super::{BLOCK, Format, Header, Outline, Produce, Sink, Source};
+use super::{BLOCK, Format, Header, Opened, Outline, Produce, Sink};
 use crate::regular_file::{self, OnFile, u32_at};
 use crate::{atomic, cost};
 use ashsplat::scene::Gaussians;
@@ -21,7 +20,6 @@ use ashsplat::{Error, Result};
 const MAGIC: u32 = 0x5053_474e;
 const FLAG_ANTIALIASED: u8 = 1;
 const FLAG_EXTENSIONS: u8 = 2;
-/// Length of the header of version 4.
 const HEADER_BYTES: u64 = 32;
 /// Length of the header of versions 2 and 3, inside the gzip stream.
 const OLD_HEADER_BYTES: usize = 16;
@@ -41,7 +39,7 @@ pub(super) struct Spz {
     layout: Layout,
     /// Axes to mirror after unpacking.
     pub(super) mirrored: [bool; 3],
-    header: Header,
+    count: u64,
 }
 
 /// A reader that ends at the end of the SPZ.
@@ -54,16 +52,15 @@ enum Layout {
     Zstd([Option<(u64, u64)>; PLANES]),
 }
 
-impl Spz {
-    pub(super) fn open(path: &Path) -> Result<Self> {
-        let (_, bytes) = regular_file::open(path)?;
-        let mut spz = Self::inside(path, 0, bytes)?;
-        spz.header.origin = read_origin(path)?;
-        Ok(spz)
-    }
+pub(super) fn open(path: &Path) -> Result<Opened<'static>> {
+    let (_, bytes) = regular_file::open(path)?;
+    let (header, spz) = Spz::inside(path, 0, bytes)?;
+    Ok((header, Box::new(move |sink| spz.read(sink))))
+}
 
+impl Spz {
     /// Opens an SPZ inside a file: `bytes` bytes from `offset`.
-    pub(super) fn inside(path: &Path, offset: u64, bytes: u64) -> Result<Self> {
+    pub(super) fn inside(path: &Path, offset: u64, bytes: u64) -> Result<(Header, Self)> {
         let file = SpzFile { path: path.to_owned(), offset, bytes };
         let mut reader = file.from(0)?;
         let mut start = Vec::new();
@@ -82,7 +79,7 @@ impl Spz {
         let mut before = OLD_HEADER_BYTES as u64;
         let mut planes = Vec::new();
         for (index, row_bytes) in self.packing.row_bytes().into_iter().enumerate() {
-            let bytes = self.header.count * row_bytes as u64;
+            let bytes = self.count * row_bytes as u64;
             let name = NAMES[index];
             let stream: Box<dyn Read> = match &self.layout {
                 Layout::Zstd(places) => match places[index] {
@@ -119,7 +116,7 @@ impl Spz {
             let rest = io::copy(&mut (&mut plane.stream).take(limit + 1), &mut io::sink());
             let rest = rest.map_err(|e| plane.broken(&e))?;
             if rest > limit {
-                let (name, bytes, count) = (plane.name, plane.bytes, self.header.count);
+                let (name, bytes, count) = (plane.name, plane.bytes, self.count);
                 return Err(self.file.damaged(match self.layout {
                     Layout::Gzip { .. } => format!("holds more data than its {count} Gaussians need"),
                     Layout::Zstd(_) => format!("{name}: unpacks to more than {bytes} bytes"),
@@ -128,21 +125,9 @@ impl Spz {
         }
         Ok(())
     }
-}
 
-/// Largest window of a plane's decoder, as a power of two. All planes are decoded at once, and zstd's own bound would
-/// be 128 MiB for each. The minimum suffices for its levels up to 19 at any length.
-fn window_log(bytes: u64) -> u32 {
-    bytes.max(1).next_power_of_two().trailing_zeros().clamp(23, 27)
-}
-
-impl Source for Spz {
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        let count = self.header.count as usize;
+    pub(super) fn read(&self, sink: &mut Sink<'_>) -> Result<()> {
+        let count = self.count as usize;
         let row_bytes = self.packing.row_bytes();
         let mut planes = self.planes()?;
         let mut packed: [Vec<u8>; PLANES] = Default::default();
@@ -159,19 +144,22 @@ impl Source for Spz {
     }
 }
 
+/// Largest window of a plane's decoder, as a power of two. All planes are decoded at once, and zstd's own bound would
+/// be 128 MiB for each. The minimum suffices for its levels up to 19 at any length.
+fn window_log(bytes: u64) -> u32 {
+    bytes.max(1).next_power_of_two().trailing_zeros().clamp(23, 27)
+}
+
 /// One attribute of all Gaussians, while it is unpacked.
 struct Plane<'a> {
     file: &'a SpzFile,
     name: &'static str,
     stream: Box<dyn Read>,
-    /// Expected number of bytes.
     bytes: u64,
-    /// Bytes read so far.
     read: u64,
 }
 
 impl Plane<'_> {
-    /// Reads the next `needed` bytes.
     fn fill(&mut self, packed: &mut Vec<u8>, needed: usize) -> Result<()> {
         packed.clear();
         let read = (&mut self.stream).take(needed as u64).read_to_end(packed);
@@ -244,7 +232,7 @@ impl SpzFile {
         Ok((packing, header, bytes[14] & FLAG_EXTENSIONS != 0))
     }
 
-    fn gzip(self, reader: Bytes) -> Result<Spz> {
+    fn gzip(self, reader: Bytes) -> Result<(Header, Spz)> {
         let mut stream = GzDecoder::new(reader);
         let mut start = [0; OLD_HEADER_BYTES];
         let read = stream.read_exact(&mut start);
@@ -265,7 +253,6 @@ impl SpzFile {
         self.finish(packing, header, Layout::Gzip { extensions: limit }, &extensions)
     }
 
-    /// Unpacks and discards `bytes`.
     fn skip(&self, stream: &mut impl Read, bytes: u64, what: &str) -> Result<()> {
         let skipped = io::copy(&mut stream.take(bytes), &mut io::sink());
         let skipped =
@@ -277,7 +264,7 @@ impl SpzFile {
         Err(self.damaged(format!("{what}: the data end after {skipped} bytes, where {bytes} are needed")))
     }
 
-    fn zstd(self, mut reader: Bytes) -> Result<Spz> {
+    fn zstd(self, mut reader: Bytes) -> Result<(Header, Spz)> {
         if self.bytes < HEADER_BYTES {
             let bytes = self.bytes;
             return Err(self.damaged(format!("ends after {bytes} of the header's {HEADER_BYTES} bytes")));
@@ -327,14 +314,21 @@ impl SpzFile {
         self.finish(packing, header, Layout::Zstd(places), &extensions)
     }
 
-    fn finish(self, packing: Packing, mut header: Header, layout: Layout, extensions: &[u8]) -> Result<Spz> {
+    fn finish(
+        self,
+        packing: Packing,
+        mut header: Header,
+        layout: Layout,
+        extensions: &[u8],
+    ) -> Result<(Header, Spz)> {
         let (mirrored, unused) = axes(extensions).map_err(|problem| {
             Error::input(&self.path, problem, "write it again with the axes right, up, back")
         })?;
         let shown = self.path.display();
         let unused = unused.iter().map(|kind| format!("{shown}: the extension {kind:#010x} is not used"));
         header.warnings.extend(unused);
-        Ok(Spz { file: self, packing, layout, mirrored, header })
+        let spz = Spz { file: self, packing, layout, mirrored, count: header.count };
+        Ok((header, spz))
     }
 }
 
@@ -387,7 +381,6 @@ impl Packing {
         [9, 1, 3, 3, rotation, 3 * (sh_coefficients(self.sh_degree) - 1)]
     }
 
-    /// Bytes of one Gaussian in all planes.
     fn bytes(&self) -> u64 {
         self.row_bytes().iter().sum::<usize>() as u64
     }
@@ -421,7 +414,8 @@ impl Packing {
         block
     }
 
-    fn pack(&self, block: &Gaussians, planes: &mut [Vec<u8>; PLANES]) {
+    fn pack(&self, block: &Gaussians) -> [Vec<u8>; PLANES] {
+        let mut planes: [Vec<u8>; PLANES] = Default::default();
         let factor = (self.fractional_bits as f32).exp2();
         for index in 0..block.len() {
             for value in block.means[index] {
@@ -441,6 +435,7 @@ impl Packing {
                 planes[5].extend(rgb.map(|value| pack_sh(value, 1 << (8 - bits))));
             }
         }
+        planes
     }
 }
 
@@ -529,9 +524,9 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
         if outline.count * row_bytes as u64 == 0 {
             continue;
         }
-        let mut encoder = zstd::stream::write::Encoder::new(room_for_one()?, LEVEL).map_err(temporary)?;
+        let mut encoder = zstd::stream::write::Encoder::new(temporary_file()?, LEVEL).map_err(temporary)?;
         io::copy(&mut file, &mut encoder).map_err(temporary)?;
-        let packed = from_the_start(encoder.finish().map_err(temporary)?)?;
+        let packed = rewound(encoder.finish().map_err(temporary)?)?;
         let packed_bytes = packed.metadata().map_err(temporary)?.len();
         streams.push((packed, packed_bytes, outline.count * row_bytes as u64));
     }
@@ -556,12 +551,12 @@ pub(super) fn old(
     produce: &mut Produce<'_>,
 ) -> Result<File> {
     let (packing, files) = packed(path, version, mirrored, outline, produce)?;
-    let mut encoder = GzEncoder::new(room_for_one()?, flate2::Compression::default());
+    let mut encoder = GzEncoder::new(temporary_file()?, flate2::Compression::default());
     encoder.write_all(&head(packing, outline, 0)).map_err(temporary)?;
     for mut file in files {
         io::copy(&mut file, &mut encoder).map_err(temporary)?;
     }
-    from_the_start(encoder.finish().map_err(temporary)?)
+    rewound(encoder.finish().map_err(temporary)?)
 }
 
 /// The header that all versions begin with. The last byte is the number of streams, 0 if there is only one.
@@ -592,28 +587,35 @@ fn packed(
         Error::input(path, problem, remedy)
     })?;
     let packing = Packing { version, sh_degree: outline.sh_degree, fractional_bits };
-    let mut files = (0..PLANES).map(|_| room_for_one()).collect::<Result<Vec<BufWriter<File>>>>()?;
-    let mut planes: [Vec<u8>; PLANES] = Default::default();
-    produce(&mut |mut block| {
+    let files = spooled(produce, |mut block| {
         block.mirror(mirrored);
-        planes.iter_mut().for_each(Vec::clear);
-        packing.pack(&block, &mut planes);
-        let mut pairs = files.iter_mut().zip(&planes);
-        pairs.try_for_each(|(file, plane)| file.write_all(plane).map_err(temporary))
+        packing.pack(&block)
     })?;
-    Ok((packing, files.into_iter().map(from_the_start).collect::<Result<_>>()?))
+    Ok((packing, files))
 }
 
-pub(super) fn room_for_one() -> Result<BufWriter<File>> {
+/// Temporary files with what `parts` makes of each block, ready to be read from their start.
+pub(super) fn spooled<const N: usize>(
+    produce: &mut Produce<'_>,
+    mut parts: impl FnMut(Gaussians) -> [Vec<u8>; N],
+) -> Result<Vec<File>> {
+    let mut files = (0..N).map(|_| temporary_file()).collect::<Result<Vec<_>>>()?;
+    produce(&mut |block| {
+        let mut pairs = files.iter_mut().zip(parts(block));
+        pairs.try_for_each(|(file, part)| file.write_all(&part).map_err(temporary))
+    })?;
+    files.into_iter().map(rewound).collect()
+}
+
+fn temporary_file() -> Result<BufWriter<File>> {
     tempfile::tempfile().map(BufWriter::new).map_err(temporary)
 }
 
-pub(super) fn temporary(source: io::Error) -> Error {
+fn temporary(source: io::Error) -> Error {
     Error::io(std::env::temp_dir(), "write a temporary file", source)
 }
 
-/// Rewinds a written file for reading.
-pub(super) fn from_the_start(file: BufWriter<File>) -> Result<File> {
+fn rewound(file: BufWriter<File>) -> Result<File> {
     let mut file = file.into_inner().map_err(|e| temporary(e.into_error()))?;
     file.rewind().map_err(temporary)?;
     Ok(file)

@@ -5,13 +5,12 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Component, Path};
 
 use serde::{Deserialize, Serialize};
 
-use super::format::{LOD_META, read_origin};
-use super::sog::Sog;
-use super::{Format, Header, ReadOptions, Sink, Source};
+use super::format::LOD_META;
+use super::{Format, Header, Opened, ReadOptions, Sink, sog};
 use crate::regular_file::{self, damaged};
 use ashsplat::{Error, Result};
 
@@ -85,57 +84,60 @@ impl LodMeta {
     }
 }
 
-/// An open streamed SOG. Its finest level is read.
-pub(super) struct StreamedSog {
-    options: ReadOptions,
-    header: Header,
-    /// SOGs with the rows that are read, in order and without overlaps; `None` for all.
-    parts: Vec<(PathBuf, Option<Vec<Range<u64>>>)>,
-}
-
-impl StreamedSog {
-    pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self> {
-        let text = regular_file::read_json(path)?;
-        let meta: LodMeta = serde_json::from_slice(&text).map_err(|e| damaged(path, e.to_string()))?;
-        if meta.version != LodMeta::VERSION {
-            let problem = format!("is version {} of a streamed SOG; 1 is known", meta.version);
-            return Err(Error::input(path, problem, "write it again as version 1"));
-        }
-        let mut header = Header::new(Format::Sog, 0, 0);
-        header.origin = read_origin(path)?;
-        if meta.lod_levels > 1 {
-            header.warnings.push(format!("the finest of {} levels of detail is used", meta.lod_levels));
-        }
-        let mut parts = Vec::new();
-        let whole = meta.environment.iter().map(|name| (name, None));
-        let levels = meta.finest().into_iter().map(|(file, rows)| match meta.filenames.get(file) {
-            Some(name) => Ok((name, Some(rows))),
-            None => Err(damaged(path, format!("a region is in file {file}, which filenames do not list"))),
-        });
-        for part in levels.chain(whole.map(Ok)) {
-            let (name, rows) = part?;
-            let inside = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-            if !inside || name.contains([':', '\\']) {
-                return Err(damaged(path, format!("{name:?} does not lie in its folder")));
-            }
-            let file = path.with_file_name(name);
-            let sog = Sog::open(&file, options)?;
-            let Header { count, sh_degree, antialiased, .. } = *sog.header();
-            let rows = rows.map(joined);
-            let taken = rows.iter().flatten();
-            if taken.clone().any(|rows| rows.end > count) {
-                return Err(damaged(path, format!("a region ends behind the end of {name}")));
-            }
-            header.count += rows.as_ref().map_or(count, |_| taken.map(|rows| rows.end - rows.start).sum());
-            header.sh_degree = header.sh_degree.max(sh_degree);
-            if antialiased != header.antialiased && !parts.is_empty() {
-                return Err(damaged(path, "only some of its files want antialiasing"));
-            }
-            header.antialiased = antialiased;
-            parts.push((file, rows));
-        }
-        Ok(Self { options: *options, header, parts })
+/// Opens a streamed SOG, of which the finest level is read.
+pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>> {
+    let text = regular_file::read_json(path)?;
+    let meta: LodMeta = serde_json::from_slice(&text).map_err(|e| damaged(path, e.to_string()))?;
+    if meta.version != LodMeta::VERSION {
+        let problem = format!("is version {} of a streamed SOG; 1 is known", meta.version);
+        return Err(Error::input(path, problem, "write it again as version 1"));
     }
+    let mut header = Header::new(Format::Sog, 0, 0);
+    if meta.lod_levels > 1 {
+        header.warnings.push(format!("the finest of {} levels of detail is used", meta.lod_levels));
+    }
+    // Files, with the rows that are read; `None` for all.
+    let mut parts = Vec::new();
+    let whole = meta.environment.iter().map(|name| (name, None));
+    let levels = meta.finest().into_iter().map(|(file, rows)| match meta.filenames.get(file) {
+        Some(name) => Ok((name, Some(joined(rows)))),
+        None => Err(damaged(path, format!("a region is in file {file}, which filenames do not list"))),
+    });
+    for part in levels.chain(whole.map(Ok)) {
+        let (name, rows) = part?;
+        let inside = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+        if !inside || name.contains([':', '\\']) {
+            return Err(damaged(path, format!("{name:?} does not lie in its folder")));
+        }
+        let (Header { count, sh_degree, antialiased, .. }, produce) =
+            sog::open(&path.with_file_name(name), options)?;
+        let taken = rows.iter().flatten();
+        if taken.clone().any(|rows| rows.end > count) {
+            return Err(damaged(path, format!("a region ends behind the end of {name}")));
+        }
+        header.count += rows.as_ref().map_or(count, |_| taken.map(|rows| rows.end - rows.start).sum());
+        header.sh_degree = header.sh_degree.max(sh_degree);
+        if antialiased != header.antialiased && !parts.is_empty() {
+            return Err(damaged(path, "only some of its files want antialiasing"));
+        }
+        header.antialiased = antialiased;
+        parts.push((produce, rows));
+    }
+    let read = move |sink: &mut Sink<'_>| {
+        for (produce, rows) in &mut parts {
+            let mut first = 0;
+            produce(&mut |mut block| {
+                let begin = first;
+                first += block.len() as u64;
+                if let Some(rows) = rows {
+                    block.retain(|_, index| rows.iter().any(|rows| rows.contains(&(begin + index as u64))));
+                }
+                sink(block)
+            })?;
+        }
+        Ok(())
+    };
+    Ok((header, Box::new(read)))
 }
 
 /// Sorts rows and joins those that touch or overlap.
@@ -149,27 +151,6 @@ fn joined(mut all: Vec<Range<u64>>) -> Vec<Range<u64>> {
         }
     }
     joined
-}
-
-impl Source for StreamedSog {
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        for (file, rows) in &self.parts {
-            let mut first = 0;
-            Sog::open(file, &self.options)?.blocks(&mut |mut block| {
-                let begin = first;
-                first += block.len() as u64;
-                if let Some(rows) = rows {
-                    block.retain(|_, index| rows.iter().any(|rows| rows.contains(&(begin + index as u64))));
-                }
-                sink(block.with_sh_degree(self.header.sh_degree))
-            })?;
-        }
-        Ok(())
-    }
 }
 
 /// True for the name of a description.

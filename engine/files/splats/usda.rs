@@ -5,21 +5,19 @@
 
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_2;
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DMat4, DQuat, DVec3};
 
-use super::gltf::{MIRRORED, mirrored, opacity_logit, similarity};
-use super::stream::origin_near;
-use super::{BLOCK, Format, Header, Outline, Produce, ReadOptions, Sink, Source, spz};
+use super::gltf::{MIRRORED, mirrored, opacity_logit, origin_of, placed, similarity};
+use super::{Blocks, Format, Header, Opened, Outline, Produce, ReadOptions, Sink, spz};
 use crate::regular_file::{self, damaged};
 use crate::{atomic, cost, host_memory};
+use ashsplat::scene::Similarity;
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::sh::rgb_to_sh_dc;
-use ashsplat::scene::{Gaussians, Similarity};
 use ashsplat::{Error, Result};
 
 const PRIM: &str = "ParticleField3DGaussianSplat";
@@ -34,21 +32,12 @@ const ARRAYS: [(&str, &str, usize); 5] = [
 ];
 /// Host memory of a prim.
 const PRIM_BYTES: usize = size_of::<Prim>() + 64;
-/// Most operations of a prim's transform.
 const MOST_OPS: usize = 64;
 /// Highest SH degree that is skipped rather than refused.
 const MOST_DEGREES: u32 = 10;
 /// Standard deviations of a Gaussian that lie within the extent.
 const REACH: f32 = 3.0;
 
-pub(super) struct Usda {
-    path: PathBuf,
-    text: Vec<u8>,
-    parts: Vec<Part>,
-    header: Header,
-}
-
-/// One prim of Gaussians.
 struct Part {
     placement: Similarity,
     count: usize,
@@ -58,160 +47,144 @@ struct Part {
     arrays: [Option<Range<usize>>; 5],
 }
 
-impl Usda {
-    pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self> {
-        host_memory::check(path, regular_file::open(path)?.1, options.max_host_memory)?;
-        let mut text = regular_file::read(path, 1)?;
-        if text.starts_with(b"\xef\xbb\xbf") {
-            text.drain(..3);
-        }
-        let defined = text.windows(3).filter(|word| word == b"def").count() * PRIM_BYTES;
-        host_memory::check(path, (text.len() + defined) as u64, options.max_host_memory)?;
-        if !text.starts_with(b"#usda ") {
-            let remedy = "`usdcat IN -o OUT.usda` makes it of other forms of USD";
-            return Err(Error::input(path, "is no USD text: it does not begin with #usda", remedy));
-        }
-        let damaged = || damaged(path, "ends inside a value or a prim, or closes one that is not open");
-        let prims = Parser::of(&text).prims().ok_or_else(damaged)?;
-        let mut header = Header::new(Format::Usda, 0, 0);
-        let (mut parts, mut placements) = (Vec::new(), Vec::<DMat4>::new());
-        let mut hidden = Vec::new();
-        for prim in &prims {
-            hidden.push(prim.is_hidden || hidden.get(prim.parent).is_some_and(|hidden| *hidden));
-            let refused = |problem: String, remedy: &str| {
-                Error::input(path, format!("prim {}: {problem}", prim.name), remedy)
-            };
-            let flatten = "apply the transform, and save the scene again";
-            let own = prim.transform(&text).map_err(|op| refused(format!("{op} is not read"), flatten))?;
-            let placement = placements.get(prim.parent).copied().unwrap_or(DMat4::IDENTITY) * own;
-            placements.push(placement);
-            if prim.kind != PRIM {
-                continue;
-            }
-            let mut warn = |what: String| {
-                header.warnings.push(format!("{}: prim {}: {what}", path.display(), prim.name));
-            };
-            if hidden.last() == Some(&true) {
-                warn("is inactive or invisible, and not read".into());
-                continue;
-            }
-            let is_none =
-                || refused("its transform is more than rotation, scale and translation".into(), flatten);
-            let mut part = Part {
-                placement: similarity(placement).ok_or_else(is_none)?,
-                count: 0,
-                sh_degrees: [0; 2],
-                arrays: Default::default(),
-            };
-            let stored = match prim.attributes.get(DEGREE) {
-                None => MAX_SH_DEGREE,
-                Some(place) => {
-                    words(&text, place).next().and_then(|degree| degree.parse().ok()).unwrap_or(u32::MAX)
-                }
-            };
-            if stored > MOST_DEGREES {
-                return Err(refused(format!("its {DEGREE} makes no sense"), "write 0 to 3"));
-            }
-            for (array, (_, name, components)) in ARRAYS.iter().enumerate() {
-                let half = format!("{name}h");
-                let found = [name, &*half].into_iter().filter_map(|name| prim.attributes.get(name));
-                let counted = found.map(|place| (place, words(&text, place).count()));
-                let Some((place, count)) = counted.into_iter().find(|(_, count)| *count > 0) else {
-                    if array == 0 {
-                        warn("has no positions; values over time are not read".into());
-                    }
-                    continue;
-                };
-                let is_sh = array == ARRAYS.len() - 1;
-                if array == 0 {
-                    part.count = count / components;
-                }
-                let needed = components * part.count * if is_sh { sh_coefficients(stored) } else { 1 };
-                if array == 0 && count > needed {
-                    return Err(refused(
-                        format!("{name} has {count} numbers, not three for each"),
-                        "write it again",
-                    ));
-                }
-                if count < needed {
-                    let problem = format!("{name} has {count} numbers instead of {needed}");
-                    return Err(refused(problem, "write it again"));
-                }
-                if count > needed {
-                    warn(format!("{name} has {count} numbers, of which {needed} are read"));
-                }
-                part.arrays[array] = Some(place.clone());
-                if is_sh {
-                    part.sh_degrees = [stored, stored.min(MAX_SH_DEGREE)];
-                }
-            }
-            if part.sh_degrees[0] > MAX_SH_DEGREE {
-                warn(format!("SH of degree {stored} are cut to {MAX_SH_DEGREE}, the highest here"));
-            }
-            header.count += part.count as u64;
-            header.sh_degree = header.sh_degree.max(part.sh_degrees[1]);
-            parts.push(part);
-        }
-        if parts.is_empty() {
-            let problem = format!("has no prim of {PRIM}");
-            return Err(Error::input(path, problem, "flatten it if it refers to others: `usdcat --flatten`"));
-        }
-        let near =
-            parts.iter().map(|part| mirrored(part.placement.translation)).find(|at| *at != DVec3::ZERO);
-        let mut usda = Self { path: path.to_owned(), text, parts, header };
-        if let Some(near) = near {
-            usda.header.origin = near;
-            usda.header.origin = origin_near(near, &mut usda);
-        }
-        Ok(usda)
+pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Opened<'static>> {
+    host_memory::check(path, regular_file::open(path)?.1, options.max_host_memory)?;
+    let mut text = regular_file::read(path, 1)?;
+    if text.starts_with(b"\xef\xbb\xbf") {
+        text.drain(..3);
     }
+    let defined = text.windows(3).filter(|word| word == b"def").count() * PRIM_BYTES;
+    host_memory::check(path, (text.len() + defined) as u64, options.max_host_memory)?;
+    if !text.starts_with(b"#usda ") {
+        let remedy = "`usdcat IN -o OUT.usda` makes it of other forms of USD";
+        return Err(Error::input(path, "is no USD text: it does not begin with #usda", remedy));
+    }
+    let damaged = || damaged(path, "ends inside a value or a prim, or closes one that is not open");
+    let prims = Parser::of(&text).prims().ok_or_else(damaged)?;
+    let mut header = Header::new(Format::Usda, 0, 0);
+    let (mut parts, mut placements) = (Vec::new(), Vec::<DMat4>::new());
+    let mut hidden = Vec::new();
+    for prim in &prims {
+        hidden.push(prim.is_hidden || hidden.get(prim.parent).is_some_and(|hidden| *hidden));
+        let refused = |problem: String, remedy: &str| {
+            Error::input(path, format!("prim {}: {problem}", prim.name), remedy)
+        };
+        let flatten = "apply the transform, and save the scene again";
+        let own = prim.transform(&text).map_err(|op| refused(format!("{op} is not read"), flatten))?;
+        let placement = placements.get(prim.parent).copied().unwrap_or(DMat4::IDENTITY) * own;
+        placements.push(placement);
+        if prim.kind != PRIM {
+            continue;
+        }
+        let mut warn = |what: String| {
+            header.warnings.push(format!("{}: prim {}: {what}", path.display(), prim.name));
+        };
+        if hidden.last() == Some(&true) {
+            warn("is inactive or invisible, and not read".into());
+            continue;
+        }
+        let is_none =
+            || refused("its transform is more than rotation, scale and translation".into(), flatten);
+        let mut part = Part {
+            placement: similarity(placement).ok_or_else(is_none)?,
+            count: 0,
+            sh_degrees: [0; 2],
+            arrays: Default::default(),
+        };
+        let stored = match prim.attributes.get(DEGREE) {
+            None => MAX_SH_DEGREE,
+            Some(place) => {
+                words(&text, place).next().and_then(|degree| degree.parse().ok()).unwrap_or(u32::MAX)
+            }
+        };
+        if stored > MOST_DEGREES {
+            return Err(refused(format!("its {DEGREE} makes no sense"), "write 0 to 3"));
+        }
+        for (array, (_, name, components)) in ARRAYS.iter().enumerate() {
+            let half = format!("{name}h");
+            let found = [name, &*half].into_iter().filter_map(|name| prim.attributes.get(name));
+            let counted = found.map(|place| (place, words(&text, place).count()));
+            let Some((place, count)) = counted.into_iter().find(|(_, count)| *count > 0) else {
+                if array == 0 {
+                    warn("has no positions; values over time are not read".into());
+                }
+                continue;
+            };
+            let is_sh = array == ARRAYS.len() - 1;
+            if array == 0 {
+                part.count = count / components;
+            }
+            let needed = components * part.count * if is_sh { sh_coefficients(stored) } else { 1 };
+            if array == 0 && count > needed {
+                return Err(refused(
+                    format!("{name} has {count} numbers, not three for each"),
+                    "write it again",
+                ));
+            }
+            if count < needed {
+                let problem = format!("{name} has {count} numbers instead of {needed}");
+                return Err(refused(problem, "write it again"));
+            }
+            if count > needed {
+                warn(format!("{name} has {count} numbers, of which {needed} are read"));
+            }
+            part.arrays[array] = Some(place.clone());
+            if is_sh {
+                part.sh_degrees = [stored, stored.min(MAX_SH_DEGREE)];
+            }
+        }
+        if part.sh_degrees[0] > MAX_SH_DEGREE {
+            warn(format!("SH of degree {stored} are cut to {MAX_SH_DEGREE}, the highest here"));
+        }
+        header.count += part.count as u64;
+        header.sh_degree = header.sh_degree.max(part.sh_degrees[1]);
+        parts.push(part);
+    }
+    if parts.is_empty() {
+        let problem = format!("has no prim of {PRIM}");
+        return Err(Error::input(path, problem, "flatten it if it refers to others: `usdcat --flatten`"));
+    }
+    let placements: Vec<Similarity> = parts.iter().map(|part| part.placement).collect();
+    let path = path.to_owned();
+    let read = move |origin: DVec3, sink: &mut Sink<'_>| {
+        parts.iter().try_for_each(|part| {
+            part.read(&path, &text, &mut |block| sink(placed(block, &part.placement, origin)))
+        })
+    };
+    let origin = origin_of(&placements, &read);
+    header.origin = origin;
+    Ok((header, Box::new(move |sink| read(origin, sink))))
 }
 
-impl Source for Usda {
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        for part in &self.parts {
-            let mut placement = part.placement;
-            placement.translation -= mirrored(self.header.origin);
-            let [stored, kept] = part.sh_degrees.map(sh_coefficients);
-            let mut arrays: [_; 5] = std::array::from_fn(|array| {
-                let place = part.arrays[array].as_ref();
-                Array {
-                    name: ARRAYS[array].1,
-                    path: &self.path,
-                    words: place.map(|place| words(&self.text, place)),
-                }
-            });
-            for start in (0..part.count).step_by(BLOCK) {
-                let rows = BLOCK.min(part.count - start);
-                let mut block = Gaussians::with_capacity(part.sh_degrees[1], rows);
-                let [positions, orientations, scales, opacities, sh] = &mut arrays;
-                for _ in 0..rows {
-                    cost::step();
-                    block.means.push(positions.next([0.0; 3])?);
-                    block.quats.push(orientations.next([1.0, 0.0, 0.0, 0.0])?);
-                    // The logarithm of a negative size is NaN, which is unusable.
-                    block.log_scales.push(scales.next([1.0; 3])?.map(libm::logf));
-                    block.opacity_logits.push(opacity_logit(opacities.next([1.0])?[0]));
-                    for k in 0..stored {
-                        let value = sh.next([rgb_to_sh_dc(0.5); 3])?;
-                        block.sh.extend((k < kept).then_some(value));
-                    }
-                }
-                if block.opacity_logits.iter().any(|logit| logit.is_nan()) {
-                    let problem = "opacities has values outside of 0 to 1";
-                    return Err(Error::input(&self.path, problem, "write opacities, not their logits"));
-                }
-                block.transform(&placement);
-                block.mirror(MIRRORED);
-                let is_lower = block.sh_degree < self.header.sh_degree;
-                sink(if is_lower { block.with_sh_degree(self.header.sh_degree) } else { block })?;
+impl Part {
+    /// Passes the Gaussians in the prim's coordinates to a sink.
+    fn read(&self, path: &Path, text: &[u8], sink: &mut Sink<'_>) -> Result<()> {
+        let [stored, kept] = self.sh_degrees.map(sh_coefficients);
+        let mut arrays: [_; 5] = std::array::from_fn(|array| {
+            let place = self.arrays[array].as_ref();
+            Array { name: ARRAYS[array].1, path, words: place.map(|place| words(text, place)) }
+        });
+        let [positions, orientations, scales, opacities, sh] = &mut arrays;
+        let mut blocks = Blocks::new(self.sh_degrees[1], self.count as u64, sink);
+        for _ in 0..self.count {
+            cost::step();
+            let block = blocks.next()?;
+            block.means.push(positions.next([0.0; 3])?);
+            block.quats.push(orientations.next([1.0, 0.0, 0.0, 0.0])?);
+            // The logarithm of a negative size is NaN, which is unusable.
+            block.log_scales.push(scales.next([1.0; 3])?.map(libm::logf));
+            let logit = opacity_logit(opacities.next([1.0])?[0]);
+            if logit.is_nan() {
+                let problem = "opacities has values outside of 0 to 1";
+                return Err(Error::input(path, problem, "write opacities, not their logits"));
+            }
+            block.opacity_logits.push(logit);
+            for k in 0..stored {
+                let value = sh.next([rgb_to_sh_dc(0.5); 3])?;
+                block.sh.extend((k < kept).then_some(value));
             }
         }
-        Ok(())
+        blocks.finish()
     }
 }
 
@@ -316,9 +289,7 @@ enum Token<'a> {
 /// Reads tokens. Commas, semicolons and ends of lines separate them and mean nothing.
 struct Parser<'a> {
     text: &'a [u8],
-    /// Begin of the last token.
     start: usize,
-    /// End of the last token.
     at: usize,
 }
 
@@ -376,7 +347,6 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// All prims that are defined, each after its parent.
     fn prims(mut self) -> Option<Vec<Prim<'a>>> {
         let mut prims = vec![Prim::default()];
         // Those around the current place.
@@ -438,10 +408,9 @@ impl<'a> Parser<'a> {
 
 /// Writes Gaussians block by block. Temporary files hold the arrays until they are put together.
 pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
-    let mut files = ARRAYS.iter().map(|_| spz::room_for_one()).collect::<Result<Vec<BufWriter<File>>>>()?;
     let mut separator = "";
     let mut extent = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
-    produce(&mut |mut block| {
+    let mut files = spz::spooled(produce, |mut block| {
         block.mirror(MIRRORED);
         let mut texts: [String; ARRAYS.len()] = Default::default();
         for index in 0..block.len() {
@@ -461,10 +430,8 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
             }
             separator = ", ";
         }
-        let mut pairs = files.iter_mut().zip(&texts);
-        pairs.try_for_each(|(file, text)| file.write_all(text.as_bytes()).map_err(spz::temporary))
+        texts.map(String::into_bytes)
     })?;
-    let mut files = files.into_iter().map(spz::from_the_start).collect::<Result<Vec<File>>>()?;
     let origin = mirrored(outline.options.frame.origin).to_array();
     atomic::write(path, |writer| {
         writeln!(writer, "#usda 1.0\n(\n    defaultPrim = \"Gaussians\"\n    upAxis = \"Y\"\n)\n")?;
