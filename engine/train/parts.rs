@@ -18,7 +18,7 @@ use crate::vk::Context;
 pub struct TrainParts {
     /// Density control.
     pub strategy: Box<dyn Strategy>,
-    /// Loss terms besides the photometric one and the strategy's own.
+    /// Loss terms besides the photometric one.
     pub terms: Vec<Box<dyn LossTerm>>,
     /// Block that the initial Gaussians form; None if they are the whole scene.
     pub block: Option<SceneBlock>,
@@ -136,7 +136,7 @@ impl BuiltParts {
         parts: TrainParts,
         photos: &[PhotoSize],
     ) -> Result<Self> {
-        let TrainParts { mut strategy, terms, block: _ } = parts;
+        let TrainParts { strategy, terms, block: _ } = parts;
         let any_masked = photos.iter().any(|photo| photo.masked);
         let mut all: Vec<Box<dyn LossTerm>> =
             vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
@@ -153,11 +153,9 @@ impl BuiltParts {
             all.push(Box::new(SparseDepth::new(context, settings, scene_extent, most)?));
         }
         all.extend(terms);
-        all.extend(strategy.loss_terms(context, settings)?);
         check_depths(settings, &all)?;
         let parameter_gradients = StepRecorder::term_data_of(&all).parameters;
-        let rows =
-            RowMemory::new(strategy.statistics(), parameter_gradients, context.planes_memory(), settings);
+        let rows = RowMemory::new(parameter_gradients, context.planes_memory(), settings);
         let recorder = StepRecorder::new(context, all, settings, strategy.absolute_gradients())?;
         Ok(Self { strategy, recorder, rows })
     }

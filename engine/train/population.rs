@@ -82,9 +82,13 @@ impl Population<'_> {
         &self.model.moments
     }
 
-    /// Statistics per Gaussian: see [`super::strategy::StepInputs::statistics`].
-    pub fn statistics(&self) -> &[Buffer] {
-        &self.model.statistics
+    /// Per Gaussian, since the last change of the set: sum over views of the norm of the 2D mean's gradient (NDC), and number of
+    /// views. Views count if [`Work::accumulates`](super::strategy::Work::accumulates) is set. With
+    /// [`Strategy::absolute_gradients`](super::Strategy::absolute_gradients) the norm is that of the absolute gradients:
+    /// ‖(W/2 Σ|g_x|, H/2 Σ|g_y|)‖, where g is the gradient with respect to the 2D mean in pixels through one pixel alone (AbsGS,
+    /// Ye et al. 2024).
+    pub fn statistics(&self) -> &Buffer {
+        &self.model.statistics[0]
     }
 
     /// Frees the buffers of pictures drawn between steps.
@@ -236,7 +240,7 @@ impl Population<'_> {
         new.scene.count = rows;
         self.context.run_commands("densify: gather", |r| {
             let sources = record_sources(r, &old.scene);
-            new.statistics.iter().for_each(|statistic| r.fill(statistic, 0));
+            r.fill(&new.statistics[0], 0);
             let gather = Gather { from: &old.scene, to: &new.scene, sources, scratch: &moved };
             kernels.record_gather_parameters(r, &gather, key);
             for (from, to) in old.moment_planes().zip(new.moment_planes()) {

@@ -30,8 +30,6 @@ use std::collections::VecDeque;
 pub(super) struct StepRecorder {
     terms: Vec<Box<dyn LossTerm>>,
     term_data: TermData,
-    /// Converts pictures to rows, for terms that read them so.
-    layout: Option<LayoutConverter>,
     sizes: LaunchSizes,
     appearance: Appearance,
     backward: Backward,
@@ -55,8 +53,6 @@ pub(super) struct LossMemory {
     losses: Buffer,
     /// Replaces the frame's, which does not hold the gradient of the inverse depth on all devices.
     image_gradient: Option<Buffer>,
-    /// Pictures by rows, for terms that read them so.
-    rows: Option<PixelRows>,
     /// Photograph reduced to the frame's size or over another background.
     prepared: Option<Buffer>,
     pub appearance: AppearanceMemory,
@@ -64,13 +60,6 @@ pub(super) struct LossMemory {
     lens_gradient: Option<Buffer>,
     /// The losses, then the gradient of the lens.
     pub readback: Buffer,
-}
-
-/// Pictures of a view by rows.
-struct PixelRows {
-    picture: Buffer,
-    gradient: Buffer,
-    photo: Buffer,
 }
 
 /// Total loss and the values of each term.
@@ -143,7 +132,6 @@ impl StepRecorder {
         };
         Ok(Self {
             preparation: PhotoPreparation::new(context, settings)?,
-            layout: term_data.rows().then(|| LayoutConverter::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
             appearance: Appearance::new(context, settings)?,
             backward: Backward::new(context),
@@ -161,7 +149,7 @@ impl StepRecorder {
     /// True if no term reads pixels that a photograph's mask hides: those besides the photometric one read no pictures.
     pub fn hides_masked_tiles(&self) -> bool {
         let others = Self::term_data_of(&self.terms[1..]);
-        others.picture.is_none() && !others.inverse_depth
+        !(others.picture || others.inverse_depth)
     }
 
     fn backward_form(&self, absolute: bool) -> BackwardForm {
@@ -220,18 +208,9 @@ impl StepRecorder {
     /// Further device buffers of the loss for views of these sizes, one per view.
     pub fn device_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
         let mut requests = vec![("losses", self.losses_bytes())];
-        let largest =
-            |bytes: fn(u32, u32) -> u64| sizes.iter().map(|&(width, height)| bytes(width, height)).max();
         if self.term_data.inverse_depth {
-            requests.push(("image_gradient", largest(LayoutConverter::gradient_bytes).unwrap_or(0)));
-        }
-        if self.term_data.rows() {
-            let pixels = largest(|width, height| u64::from(width) * u64::from(height)).unwrap_or(0);
-            requests.extend([
-                ("picture_rows", 16 * pixels),
-                ("gradient_rows", 16 * pixels),
-                ("photo_rows", 4 * pixels),
-            ]);
+            let each = sizes.iter().map(|&(width, height)| LayoutConverter::gradient_bytes(width, height));
+            requests.push(("image_gradient", each.max().unwrap_or(0)));
         }
         requests.extend(self.preparation.iter().map(|preparation| preparation.request(sizes)));
         requests.extend(self.appearance.requests(sizes));
@@ -257,17 +236,12 @@ impl StepRecorder {
         match (device.next(), <[Buffer; 1]>::try_from(host)) {
             (Some(losses), Ok([readback])) => {
                 let image_gradient = self.term_data.inverse_depth.then(|| device.next()).flatten();
-                let mut buffers = |count: usize| device.by_ref().take(count).collect::<Vec<_>>();
-                let rows = if self.term_data.rows() { buffers(3) } else { Vec::new() };
-                let rows = <[Buffer; 3]>::try_from(rows).ok();
-                let rows = rows.map(|[picture, gradient, photo]| PixelRows { picture, gradient, photo });
                 let prepared = self.preparation.as_ref().and_then(|_| device.next());
                 let appearance = self.appearance.allocated(context, device)?;
                 Ok(LossMemory {
                     scratch_counts,
                     losses,
                     image_gradient,
-                    rows,
                     prepared,
                     appearance,
                     lens_gradient,
@@ -288,35 +262,21 @@ impl StepRecorder {
         r.barrier();
         let accumulate = plan.work.accumulates;
         let statistics = Statistics { buffer: &model.statistics[0], accumulate };
-        let hooks = parts.strategy.records();
-        self.backward.record(
-            r,
-            inputs,
-            gradient,
-            statistics,
-            self.backward_form(self.absolute && accumulate),
-        );
-        let step = StepInputs {
-            frame: inputs,
-            moments: &model.moments,
-            statistics: &model.statistics,
-            iteration: plan.iteration,
-            step: &plan.step,
-            settings: &parts.run.settings,
-            scene_extent: parts.run.scene_extent,
-        };
-        if hooks.statistics {
-            r.barrier();
-            parts.strategy.record_statistics(r, &step);
-        }
+        let form = self.backward_form(self.absolute && accumulate);
+        self.backward.record(r, inputs, gradient, statistics, form);
         if plan.work.optimizes {
             r.barrier();
             let direct = &model.parameter_gradients;
             self.optimizer.record(r, inputs, &model.moments, direct, &plan.step);
-            if hooks.update {
-                r.barrier();
-                parts.strategy.record_update(r, &step);
-            }
+            let step = StepInputs {
+                frame: inputs,
+                moments: &model.moments,
+                iteration: plan.iteration,
+                step: &plan.step,
+                settings: &parts.run.settings,
+                scene_extent: parts.run.scene_extent,
+            };
+            parts.strategy.record_update(r, &step);
             self.appearance.record_step(r, &self.appearance_inputs(inputs, parts));
             // The frame has its own copy of its camera.
             if let Some(poses) = parts.poses {
@@ -340,18 +300,11 @@ impl StepRecorder {
         let (photo, photo_is_masked) = (photos.of(plan.view), photos.is_masked(plan.view));
         let prepared = self.preparation.as_ref().and_then(|preparation| preparation.record(r, parts));
         let photo = prepared.unwrap_or(photo);
-        let rows = self.layout.as_ref().zip(memory.rows.as_ref());
         if self.term_data.inverse_depth {
             r.fill(gradient, 0);
         }
         model.parameter_gradients.iter().for_each(|gradients| r.fill(gradients, 0));
-        if let Some((layout, rows)) = rows {
-            layout.record_picture(r, inputs, &rows.picture);
-            let size = (inputs.camera.width, inputs.camera.height);
-            layout.record_photo(r, size, photo_is_masked, photo, &rows.photo);
-        }
-        // The gradient of the inverse depth may be native, without rows.
-        if self.term_data.inverse_depth || self.term_data.parameters || rows.is_some() {
+        if self.term_data.inverse_depth || self.term_data.parameters {
             r.barrier();
         }
         let rendered = inputs.buffers.rendered(&self.sizes);
@@ -364,26 +317,16 @@ impl StepRecorder {
             if row > 0 {
                 r.barrier();
             }
-            let by_rows = rows.filter(|_| term.data().rows());
-            if let Some((_, rows)) = by_rows {
-                r.fill(&rows.gradient, 0);
-                r.barrier();
-            }
-            // Only the photometric term, which comes first, compares with a photograph.
-            let picture = as_photographed.filter(|_| row == 0).unwrap_or(rendered);
-            let (picture, photo, image_gradient) = match by_rows {
-                Some((_, rows)) => (&rows.picture, &rows.photo, &rows.gradient),
-                None => (picture, photo, gradient),
-            };
             let inputs = TermInputs {
                 frame: inputs,
-                picture,
+                // Only the photometric term, which comes first, compares with a photograph.
+                picture: as_photographed.filter(|_| row == 0).unwrap_or(rendered),
                 photo,
                 photo_is_masked,
                 inverse_depth_map: parts.maps.of(plan.view),
                 depth_points: parts.maps.points_of(plan.view),
                 iteration: plan.iteration,
-                image_gradient,
+                image_gradient: gradient,
                 parameter_gradients: &model.parameter_gradients,
                 scratch,
                 losses: &memory.losses,
@@ -392,10 +335,6 @@ impl StepRecorder {
             term.record(r, &inputs);
             if row == 0 {
                 self.appearance.record_backward(r, &appearance, gradient);
-            }
-            if let Some((layout, rows)) = by_rows {
-                r.barrier();
-                layout.record_gradient(r, inputs.frame, &rows.gradient, gradient, true);
             }
         }
     }

@@ -1,27 +1,16 @@
 //! Adaptive density control as a replaceable part of training.
 //!
 //! A strategy decides what an iteration accumulates, how the set of Gaussians changes between two steps, and what it adds to
-//! the parameters and the loss. It declares its memory and its part of the checkpoint. [`Reference`](super::Reference) is the
-//! strategy of Kerbl et al. 2023.
+//! the parameters. It declares its part of the checkpoint. [`Reference`](super::Reference) is the strategy of Kerbl et al. 2023.
 
-pub use super::work::{Actions, Changes, Densified, GRADIENT_STATISTIC, Statistic, Work};
+pub use super::work::{Actions, Changes, Densified, Work};
 
 use super::population::Population;
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 use crate::frame::FrameInputs;
 use crate::passes::adam::{Moments, Step};
-use crate::passes::loss::LossTerm;
-use crate::vk::{Buffer, Context, Recorder};
-
-/// Parts of a step that a strategy records.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Hooks {
-    /// True if [`Strategy::record_statistics`] is called.
-    pub statistics: bool,
-    /// True if [`Strategy::record_update`] is called, after steps of the optimiser.
-    pub update: bool,
-}
+use crate::vk::Recorder;
 
 /// Inputs of a step for a strategy's recordings.
 #[derive(Clone, Copy)]
@@ -30,8 +19,6 @@ pub struct StepInputs<'a> {
     pub frame: &'a FrameInputs<'a>,
     /// Adam's moments.
     pub moments: &'a Moments,
-    /// [`GRADIENT_STATISTIC`], then those of [`Strategy::statistics`].
-    pub statistics: &'a [Buffer],
     /// Iteration, counted from 1.
     pub iteration: u32,
     /// Step of the optimiser, with its learning rates.
@@ -62,39 +49,19 @@ pub trait Strategy: Send {
     /// Work of an iteration, counted from 1. Depends only on its arguments.
     fn work(&self, settings: &TrainSettings, iteration: u32) -> Work;
 
-    /// Returns the terms that the strategy adds to the loss. Called once.
-    fn loss_terms(&mut self, _: &Context, _: &TrainSettings) -> Result<Vec<Box<dyn LossTerm>>> {
-        Ok(Vec::new())
-    }
-
-    /// Statistics of the strategy besides [`GRADIENT_STATISTIC`]. The trainer allocates their memory and keeps them in the
-    /// checkpoint.
-    fn statistics(&self) -> Vec<Statistic> {
-        Vec::new()
-    }
-
-    /// True if [`GRADIENT_STATISTIC`] sums norms of absolute gradients.
+    /// True if [`Population::statistics`] sums norms of absolute gradients.
     fn absolute_gradients(&self) -> bool {
         false
     }
 
-    /// Recordings that the strategy uses. The trainer does not call the others.
-    fn records(&self) -> Hooks {
-        Hooks::default()
-    }
-
-    /// True if the strategy selects the Gaussians that it adds by [`GRADIENT_STATISTIC`]. In training
-    /// of a [block](super::SceneBlock) Gaussians outside the core are then below every threshold.
+    /// True if the strategy selects the Gaussians that it adds by [`Population::statistics`]. In training of a
+    /// [block](super::SceneBlock) Gaussians outside the core are then below every threshold.
     fn grows_by_statistics(&self) -> bool {
         true
     }
 
-    /// Records the update of the strategy's own statistics, after the backward pass. A barrier precedes it. It must change
-    /// nothing if `state[STATE_OVERFLOW]` is set.
-    fn record_statistics(&self, _: &mut Recorder, _: &StepInputs) {}
-
-    /// Records the strategy's changes of the parameters, after the optimiser's step. A barrier precedes it. It must change
-    /// nothing if `state[STATE_OVERFLOW]` is set.
+    /// Records the strategy's changes of the parameters, after the optimiser's step and behind a barrier of its own. It must
+    /// change nothing if `state[STATE_OVERFLOW]` is set.
     fn record_update(&self, _: &mut Recorder, _: &StepInputs) {}
 
     /// Does one action of an iteration's [`Work::actions`] before the next iteration, the lowest bit first.

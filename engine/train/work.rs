@@ -54,8 +54,7 @@ impl Actions {
 /// Part of an iteration's work that the strategy decides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Work {
-    /// True if the backward pass adds to the gradient statistics
-    /// ([`StepInputs::statistics`](super::strategy::StepInputs::statistics)).
+    /// True if the backward pass adds to the statistics ([`Population::statistics`](super::Population::statistics)).
     pub accumulates: bool,
     /// True if the optimiser makes a step.
     pub optimizes: bool,
@@ -96,22 +95,6 @@ impl Densified {
         self.kept + self.cloned + 2 * self.split
     }
 }
-
-/// A buffer of a strategy with values per Gaussian: zero at the start and after each change of the set.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Statistic {
-    /// Name in memory reports and in the checkpoint.
-    pub name: &'static str,
-    /// Number of floats per Gaussian.
-    pub floats: u32,
-}
-
-/// Norm of the 2D mean's gradient (NDC) summed over views, and the number of views. The backward pass accumulates it if
-/// [`Work::accumulates`] is set. The first of every trainer's statistics. With
-/// [`Strategy::absolute_gradients`](super::Strategy::absolute_gradients) the norm is that of the absolute gradients:
-/// ‖(W/2 Σ|g_x|, H/2 Σ|g_y|)‖, where g is the gradient with respect to the 2D mean in pixels through one pixel alone (AbsGS, Ye
-/// et al. 2024).
-pub const GRADIENT_STATISTIC: Statistic = Statistic { name: "statistics", floats: 2 };
 
 /// Report of a step.
 #[derive(Clone, Debug, Default)]

@@ -217,7 +217,7 @@ impl Budget {
             count: population.count(),
             wanted,
             candidates: Candidates {
-                statistics: &population.statistics()[0],
+                statistics: population.statistics(),
                 threshold: settings.densify_grad_threshold as f32,
             },
             chances: match (importance, settings.importance) {

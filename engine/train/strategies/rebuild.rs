@@ -34,7 +34,7 @@ impl<'a> Decisions<'a> {
     /// Decides what happens to each Gaussian. `selected`: see [`ClassifyInputs::selected`].
     pub fn classify(&self, population: &Population, selected: Option<&Buffer>) -> Result<Densified> {
         let context = population.context();
-        let inputs = ClassifyInputs { statistics: &population.statistics()[0], selected };
+        let inputs = ClassifyInputs { statistics: population.statistics(), selected };
         context.run_commands("densify: classify", |r| {
             let scene = population.scene();
             self.kernels.record_classify(r, scene, inputs, &self.buffers, &self.settings);
