@@ -122,18 +122,12 @@ impl RecordSlot {
             discarded_late: false,
             inner,
         };
-        slot.create()?;
-        Ok(slot)
-    }
-
-    fn create(&mut self) -> Result<()> {
-        let inner = &self.inner;
         // SAFETY: a valid create info for this device.
-        let event = unsafe { inner.device.create_event(&vk::EventCreateInfo::default(), None) };
-        self.event = event.map_err(vk_error("vkCreateEvent"))?;
-        self.queries = inner.create_queries(2 * MAX_SCOPES, "slot timestamps")?;
-        inner.names.name(self.event, "slot event");
-        Ok(())
+        let event = unsafe { slot.inner.device.create_event(&vk::EventCreateInfo::default(), None) };
+        slot.event = event.map_err(vk_error("vkCreateEvent"))?;
+        slot.queries = slot.inner.create_queries(2 * MAX_SCOPES, "slot timestamps")?;
+        slot.inner.names.name(slot.event, "slot event");
+        Ok(slot)
     }
 
     /// Allocates for recordings of up to `dispatches` dispatches, from the next one on. Allowed while one is in flight.

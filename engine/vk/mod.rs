@@ -106,5 +106,5 @@ pub use pipeline::KernelJob;
 pub use pipeline_cache::{BindingInfo, BindingKind, ImageInfo, PipelineCacheKey, PipelineCacheStore};
 pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
-pub use requirements::{Features, OptionalExtension, OptionalFeature, Requirements};
+pub use requirements::{Features, Optional, Requirements};
 pub use submit::{Pending, RunReport};

@@ -16,8 +16,8 @@ pub(super) const MAX_COMMANDS: u32 = 1024;
 
 const CLOCK_READINGS: u32 = 3;
 
-/// Records all submissions of its context, command by command, until it is dropped. It costs a timestamp per command;
-/// without a profile there is no cost.
+/// Records all submissions of its context but staged uploads, command by command, until it is dropped. It costs a timestamp per
+/// command; without a profile there is no cost.
 pub struct Profile {
     pub(super) log: Arc<Log>,
 }

@@ -729,7 +729,7 @@ impl Recorder {
         commands.submit(None)?;
         commands.wait(self.inner.timeout)?;
         audit.log()?;
-        self.commands = Target::Owned(Box::new(Commands::begin(&pools, &audit.submission, false)?));
+        self.commands = Target::Owned(Box::new(Commands::begin(&pools, None, &audit.submission, 0)?));
         self.bound = vk::Pipeline::null();
         Ok(())
     }

@@ -6,7 +6,7 @@ use super::context::Context;
 use super::lock::lock;
 use super::memory::Buffer;
 use super::memory_types::Place;
-use super::profile::{self, Profiler, ScopeTime};
+use super::profile::{self, MAX_SCOPES, Profiler, QUERIES, ScopeTime};
 use super::recorder::{Kept, MAX_UPDATE_BYTES, Recorder};
 use crate::error::{Error, Result};
 use std::sync::atomic::Ordering;
@@ -90,7 +90,8 @@ impl Context {
         let profile = lock(&self.logs.profile).upgrade();
         let profiled = profile.map(|log| profile::Commands::begin(&self.device, log)).transpose()?;
         let audit = lock(&self.logs.audit).upgrade();
-        let commands = Commands::begin(&self.pools, label, profiled.is_some())?;
+        let queries = if profiled.is_some() { QUERIES } else { 2 * MAX_SCOPES };
+        let commands = Commands::begin(&self.pools, None, label, queries)?;
         let audited = audit.map(|log| audit::Commands::begin(log, label));
         Ok(Recorder::new(commands, label, profiled, audited))
     }
@@ -151,10 +152,7 @@ impl Context {
         if bytes.len() <= MAX_UPDATE_BYTES && whole_words {
             return self.run_commands("upload", |recorder| recorder.update(buffer, bytes)).map(drop);
         }
-        let copied = match self.is_watched() {
-            true => self.upload_watched(buffer, bytes),
-            false => self.copy_staged(buffer, bytes, true).and_then(|()| self.finish_uploads()),
-        };
+        let copied = self.copy_staged(buffer, bytes, true).and_then(|()| self.finish_uploads());
         if self.is_foreign() {
             // A host gets its memory back.
             self.free_staging();
@@ -174,7 +172,7 @@ impl Context {
     /// [`Context::take_over_uploads`] see them in the buffer. Until then the caller must not write these bytes otherwise,
     /// and nothing in flight may use them: a copy queue may write them at once.
     pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
-        if buffer.block().is_mapped() || self.is_foreign() || self.is_watched() {
+        if buffer.block().is_mapped() || self.is_foreign() {
             return self.upload(buffer, bytes);
         }
         buffer.check_range(0, bytes.len())?;
@@ -188,10 +186,6 @@ impl Context {
         if self.device.place != Place::Window || self.device.copying.is_none() {
             return self.begin_upload(buffer, bytes);
         }
-        if self.is_watched() {
-            self.finish_uploads()?;
-            return self.upload(buffer, bytes);
-        }
         buffer.check_range(0, bytes.len())?;
         self.copy_staged(buffer, bytes, false)
     }
@@ -199,11 +193,6 @@ impl Context {
     /// Makes all later submissions see the uploaded data.
     pub(crate) fn take_over_uploads(&self) -> Result<()> {
         lock(&self.staging).take_over(&self.pools)
-    }
-
-    /// True if a profile or an audit observes every command.
-    fn is_watched(&self) -> bool {
-        lock(&self.logs.profile).strong_count() > 0 || self.is_audited()
     }
 
     pub(super) fn is_audited(&self) -> bool {
@@ -224,25 +213,6 @@ impl Context {
             let rest = buffer.range(done as u64, buffer.bytes() - done as u64);
             let copied = ring.copy(&self.pools, &rest, &bytes[done..], after_work);
             done += copied.inspect_err(|_| ring.forget(buffer))?;
-        }
-        Ok(())
-    }
-
-    /// Uploads piece by piece, each as a command that a profile times and an audit hashes.
-    fn upload_watched(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
-        let mut ring = lock(&self.staging);
-        let mut offset = 0;
-        while offset < bytes.len() {
-            let (staging, place) = ring.reserve(&self.device, (bytes.len() - offset) as u64)?;
-            let length = place.end - place.start;
-            let piece = &bytes[offset..][..length as usize];
-            staging.block().write_mapped(staging.offset() + place.start, piece);
-            // The last piece may end within a word: the rest of that word is in the buffer's padding.
-            let whole = length.next_multiple_of(4).min(buffer.bytes() - offset as u64);
-            let (from, to) = (staging.range(place.start, whole), buffer.range(offset as u64, whole));
-            let ran = self.run_commands("upload", |recorder| recorder.copy(&from, &to));
-            ran.inspect_err(|_| ring.abandon())?;
-            offset += length as usize;
         }
         Ok(())
     }
