@@ -49,7 +49,7 @@ pub enum Error {
         problem: String,
     },
     /// There is no Vulkan loader on this machine.
-    #[error("no Vulkan loader found ({reason}); {INSTALL_VULKAN}")]
+    #[error("no Vulkan loader found ({}); {INSTALL_VULKAN}", OneLine(reason))]
     NoLoader {
         /// The system's reason.
         reason: String,

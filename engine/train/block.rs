@@ -138,30 +138,25 @@ pub struct BlockState {
 impl BlockState {
     /// Difference between the block of a checkpoint and that of a run; None if they are equal.
     pub(super) fn difference(there: Option<&Self>, here: Option<&Self>) -> Option<String> {
-        let sides = |core: &[[f32; 3]; 2]| {
-            let all: Vec<String> = core.as_flattened().iter().map(f32::to_string).collect();
-            all.join(",")
-        };
-        match (there, here) {
-            (None, None) => None,
-            (Some(there), None) => Some(format!(
-                "was made for the block {}, here the whole scene is trained",
-                sides(&there.core)
-            )),
-            (None, Some(here)) => {
-                Some(format!("was made for a whole scene, here the block {} is trained", sides(&here.core)))
-            }
-            (Some(there), Some(here)) if there.core != here.core => Some(format!(
-                "was made for the block {}, here it is {}",
-                sides(&there.core),
-                sides(&here.core)
-            )),
-            (Some(there), Some(here)) if there != here => Some(format!(
+        if there == here {
+            return None;
+        }
+        if let (Some(there), Some(here)) = (there, here)
+            && there.core == here.core
+        {
+            return Some(format!(
                 "was made among {} other Gaussians around the block, here are {} (of another scene or margin)",
                 there.frozen, here.frozen
-            )),
-            _ => None,
+            ));
         }
+        let name = |state: Option<&Self>| match state {
+            None => "the whole scene".to_owned(),
+            Some(Self { core, .. }) => {
+                let sides: Vec<String> = core.as_flattened().iter().map(f32::to_string).collect();
+                format!("the block {}", sides.join(","))
+            }
+        };
+        Some(format!("was made for {}, here {} is trained", name(there), name(here)))
     }
 }
 

@@ -33,19 +33,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 
-/// An open device with its queue. Cheap to clone; buffers, kernels and recordings keep it open.
-///
-/// # Examples
-/// ```no_run
-/// use ashsplat::vk::{Context, ContextOptions};
-///
-/// # fn main() -> ashsplat::Result<()> {
-/// let options = ContextOptions { device: Some("llvmpipe".into()), ..ContextOptions::default() };
-/// let context = Context::new(&options)?;
-/// println!("{}, subgroups of {}", context.device_name(), context.limits().subgroup_size);
-/// # Ok(())
-/// # }
-/// ```
+/// An open device with its queue. Cheap to clone; buffers, kernels and recordings keep it open. See the
+/// [guide](crate::guide::first_frame).
 #[derive(Clone)]
 pub struct Context {
     pub(super) device: Arc<Device>,
@@ -68,11 +57,6 @@ pub(super) struct Logs {
 }
 
 impl Context {
-    pub(super) fn on(device: Arc<Device>) -> Self {
-        let pools = Arc::new(Pools::new(device.clone()));
-        Self { pools, logs: Arc::default(), staging: Arc::default(), jobs: None, device }
-    }
-
     /// Returns the device's limits, as changed by the options.
     pub fn limits(&self) -> &Limits {
         &self.device.limits
@@ -294,9 +278,6 @@ impl ContextOptions {
         parsed.transpose().map_err(|problem: String| Error::argument("ASHSPLAT_BACKEND", problem))
     }
 
-    fn least_version(&self) -> u32 {
-        if self.capture { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_3 }
-    }
 }
 
 impl Default for ContextOptions {
@@ -373,7 +354,8 @@ impl Context {
         let instance = Instance::new(options.validation, options.debug_printf, &options.instance_extensions)?;
         let from_environment = std::env::var("ASHSPLAT_DEVICE").ok().filter(|d| !d.trim().is_empty());
         let requested = options.device.clone().or(from_environment);
-        let mut candidate = device::choose(&instance.raw, requested.as_deref(), options.least_version())?;
+        let least = if options.capture { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_3 };
+        let mut candidate = device::choose(&instance.raw, requested.as_deref(), least)?;
         candidate.features.push_descriptor &= options.push_descriptors;
         if options.device_extensions.contains(&ash::khr::swapchain::NAME) {
             candidate.queue_family = candidate.presenting_family;
@@ -566,7 +548,9 @@ impl Context {
         if let (Some(store), false) = (&options.pipeline_cache, foreign || !runs) {
             open.pipeline_cache = PipelineCache::of_store(&open.device, &properties, store.clone())?;
         }
-        Ok(Self::on(Arc::new(open)))
+        let device = Arc::new(open);
+        let pools = Arc::new(Pools::new(device.clone()));
+        Ok(Self { pools, logs: Arc::default(), staging: Arc::default(), jobs: None, device })
     }
 }
 

@@ -27,7 +27,7 @@ impl Instance {
     pub(super) fn new(validation: bool, printf: bool, extensions: &[&CStr]) -> Result<Self> {
         // SAFETY: loading the system's Vulkan loader runs its initialisers, which are sound for a proper install.
         let entry = unsafe { ash::Entry::load() }
-            .map_err(|e| Error::NoLoader { reason: one_line(&e.to_string()) })?;
+            .map_err(|e| Error::NoLoader { reason: e.to_string() })?;
         let layer = if validation || printf { layer_version(&entry)? } else { None };
         if (validation || printf) && layer.is_none() {
             return Err(lacks_on_this_machine(
@@ -123,10 +123,6 @@ fn lacks_on_this_machine(feature: String) -> Error {
 
 pub(super) fn has_extension(present: &[vk::ExtensionProperties], name: &CStr) -> bool {
     present.iter().any(|extension| extension.extension_name_as_c_str() == Ok(name))
-}
-
-fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// See [`Limits::instances_per_dispatch`]: 256 pixels per instance, tens of milliseconds on a GPU.

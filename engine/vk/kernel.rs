@@ -46,25 +46,19 @@ pub(super) mod sealed {
 pub trait KernelInterface: sealed::Generated {
     /// Path below glsl/ without extension, "sort/sort_upsweep".
     const NAME: &'static str;
-    /// Its SPIR-V.
-    const SPIRV: &'static [u32];
-    /// Its buffers.
-    const BINDINGS: &'static [BindingInfo];
-    /// Its other forms. Those that read texels have bit-identical results.
+    /// Its forms; the first neither reads texels nor has lenses. Those that read texels have bit-identical results.
     const FORMS: &'static [Form];
     /// Its images.
     const IMAGES: &'static [ImageInfo];
     /// Its specialization constants.
     const CONSTANTS: &'static [ConstantInfo];
-    /// Bytes of push constants of the plain form.
-    const PUSH_BYTES: u32;
     /// Buffers and images of a dispatch.
     type Bind<'a>;
     /// Push constants of a dispatch.
     type Push: Copy;
     /// Specialization constants of a pipeline.
     type Spec: Clone + std::fmt::Debug + PartialEq;
-    /// Returns the buffers in the order of `BINDINGS`, then those that only a form has.
+    /// Returns the buffers in the order of the form with the most bindings.
     fn buffers<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Buffer]>;
     /// Returns the images in the order of `IMAGES`.
     fn images<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Image]>;
@@ -84,14 +78,8 @@ pub trait KernelInterface: sealed::Generated {
     fn spec_for(limits: &Limits) -> Self::Spec;
     /// Returns the form for a device: see [`Limits::prefers_texels`].
     fn form(limits: &Limits, spec: &Self::Spec) -> Form {
-        let (spirv, bindings, push_bytes) = (Self::SPIRV, Self::BINDINGS, Self::PUSH_BYTES);
-        let plain = Form { spirv, bindings, push_bytes, texels: false, lenses: false };
-        let of = |texels: bool| {
-            let wanted = (texels, Self::lenses(spec));
-            Self::FORMS.iter().find(|form| (form.texels, form.lenses) == wanted)
-        };
-        let texels = limits.prefers_texels().then(|| of(true)).flatten();
-        texels.or_else(|| of(false)).copied().unwrap_or(plain)
+        let fits = |form: &&Form| form.lenses == Self::lenses(spec) && form.texels <= limits.prefers_texels();
+        *Self::FORMS.iter().filter(fits).max_by_key(|form| form.texels).unwrap_or(&Self::FORMS[0])
     }
 }
 
