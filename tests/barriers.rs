@@ -210,11 +210,7 @@ fn barriers_are_complete_and_none_is_superfluous() {
 fn barriers_satisfy_synchronization_validation() {
     let training = Training::new();
     for kind in KINDS {
-        let record = |recorder: &mut Recorder| {
-            training.record(recorder, kind);
-            Ok(())
-        };
-        training.context.run("training step", record).expect("a step");
+        training.context.run("training step", |recorder| training.record(recorder, kind)).expect("a step");
     }
     assert_silent(&training.context);
 }

@@ -420,10 +420,7 @@ impl Strategy for Watching {
             seed: population.settings().seed,
             iteration: population.iteration(),
         };
-        context.run("select", |r| {
-            unique_draw.record(r, &draw, &buffers);
-            Ok(())
-        })?;
+        context.run("select", |r| unique_draw.record(r, &draw, &buffers))?;
         let bytes = context.download(&buffers.selected.range(0, u64::from(before) * 4))?;
         let selected: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
         let kept: Vec<u32> = (0..before).filter(|&i| selected[i as usize] == 0).collect();

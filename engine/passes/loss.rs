@@ -88,7 +88,6 @@ pub enum PhotoFormat {
 ///     };
 ///     context.run("loss", |recorder| {
 ///         loss.record(recorder, &inputs);
-///         Ok(())
 ///     })?;
 ///     Ok(bytemuck::pod_read_unaligned(&context.download(losses)?))
 /// }

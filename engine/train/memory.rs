@@ -182,7 +182,7 @@ impl Model {
     pub fn new(context: &Context, scene: SceneBuffers, rows: &RowMemory) -> Result<Self> {
         let model = Self::allocate(context, scene, rows)?;
         let moments = model.moments.sets.iter().flatten();
-        context.run_commands("clear moments", |r| {
+        context.run("clear moments", |r| {
             moments.chain(&model.statistics).for_each(|buffer| r.fill(buffer, 0))
         })?;
         Ok(model)

@@ -122,7 +122,7 @@ impl Population<'_> {
         };
         let (importance, place) = (&own[0], &place[0]);
         let buffers = ImportanceBuffers::from_allocated(buffers);
-        context.run_commands("clear importance", |r| r.fill(importance, 0))?;
+        context.run("clear importance", |r| r.fill(importance, 0))?;
         // The weights do not depend on colours.
         let settings = RenderSettings { inverse_depth: false, ..self.run.settings.render_settings() };
         let share = 1.0 / views.len() as f32;
@@ -153,7 +153,6 @@ impl Population<'_> {
                 kernels.record_edges(r, &photo, &buffers, gradient);
                 r.barrier();
                 kernels.record_view(r, inputs, gradient, &buffers, importance, share);
-                Ok(())
             });
             or_none(ran.map_err(Failed::error))?;
         }
@@ -238,7 +237,7 @@ impl Population<'_> {
             None => (old.clone(), self.moved_planes()?),
         };
         new.scene.count = rows;
-        self.context.run_commands("densify: gather", |r| {
+        self.context.run("densify: gather", |r| {
             let sources = record_sources(r, &old.scene);
             r.fill(&new.statistics[0], 0);
             let gather = Gather { from: &old.scene, to: &new.scene, sources, scratch: &moved };

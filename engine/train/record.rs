@@ -296,7 +296,7 @@ impl Trainer {
         let (plan, sh_degree) = (&self.state.model.scene.plan, self.run.settings.sh_degree);
         self.runner.reserve(plan, &self.frozen, &self.run.cameras, sh_degree, &drawn)?;
         let frame = self.runner.store.current()?;
-        self.context.run_commands("clear state", |r| r.fill(&frame.state, 0))?;
+        self.context.run("clear state", |r| r.fill(&frame.state, 0))?;
         let dispatches = self.step_dispatches();
         for slot in self.recorded.slots.iter_mut().filter(|slot| slot.dispatches < dispatches) {
             slot.recording = RecordSlot::new(&self.context, dispatches)?;

@@ -422,8 +422,7 @@ impl Trainer {
         let mask = self.block.as_ref().and_then(|block| block.mask.as_ref());
         let Some(mask) = mask.filter(|_| action == Actions::DENSIFY) else { return Ok(()) };
         let model = &self.state.model;
-        self.context
-            .run_commands("mask statistics", |r| mask.record(r, &model.scene, &model.statistics[0]))?;
+        self.context.run("mask statistics", |r| mask.record(r, &model.scene, &model.statistics[0]))?;
         Ok(())
     }
 
@@ -626,7 +625,6 @@ impl Trainer {
         let parts = StepParts { run, model, frozen, photos, maps, memory, strategy, filter, poses, plan };
         self.runner.run(&parts.frame(self.recorder.hides_masked_tiles()), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
-            Ok(())
         })
     }
 

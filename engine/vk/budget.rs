@@ -103,7 +103,7 @@ impl Context {
         blocks.sort_by_key(Buffer::memory_id);
         blocks.dedup_by_key(|block| block.memory_id());
         let clear = |recorder: &mut Recorder| blocks.iter().for_each(|block| recorder.fill(block, 0));
-        self.run_commands("clear", clear).map(drop)
+        self.run("clear", clear).map(drop)
     }
 
     /// Resets the peaks of [`Context::memory`] and [`Context::memory_total`] to the current bytes, and forgets empty
@@ -338,7 +338,7 @@ impl Context {
         let mut best = f64::INFINITY;
         for _ in 0..ROUNDS {
             let begin = Instant::now();
-            let report = self.run_commands("measurement", |recorder| recorder.copy(from, to))?;
+            let report = self.run("measurement", |recorder| recorder.copy(from, to))?;
             let waited = begin.elapsed().as_secs_f64();
             best = best.min(if report.nanoseconds > 0.0 { report.nanoseconds * 1e-9 } else { waited });
         }

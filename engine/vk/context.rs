@@ -277,7 +277,6 @@ impl ContextOptions {
         let parsed = named.map(|name| name.to_string_lossy().parse());
         parsed.transpose().map_err(|problem: String| Error::argument("ASHSPLAT_BACKEND", problem))
     }
-
 }
 
 impl Default for ContextOptions {

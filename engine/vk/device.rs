@@ -26,8 +26,7 @@ impl Instance {
     /// `printf`, turns on the layer for shader output. Also enables all `extensions`.
     pub(super) fn new(validation: bool, printf: bool, extensions: &[&CStr]) -> Result<Self> {
         // SAFETY: loading the system's Vulkan loader runs its initialisers, which are sound for a proper install.
-        let entry = unsafe { ash::Entry::load() }
-            .map_err(|e| Error::NoLoader { reason: e.to_string() })?;
+        let entry = unsafe { ash::Entry::load() }.map_err(|e| Error::NoLoader { reason: e.to_string() })?;
         let layer = if validation || printf { layer_version(&entry)? } else { None };
         if (validation || printf) && layer.is_none() {
             return Err(lacks_on_this_machine(

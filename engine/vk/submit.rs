@@ -119,10 +119,10 @@ impl Context {
     /// Records, submits and waits.
     ///
     /// # Errors
-    /// Errors of `record` (nothing is submitted then), of [`Context::submit`] and of [`Pending::wait`].
-    pub fn run(&self, label: &str, record: impl FnOnce(&mut Recorder) -> Result<()>) -> Result<RunReport> {
+    /// Same as [`Context::begin`], [`Context::submit`] and [`Pending::wait`].
+    pub fn run(&self, label: &str, record: impl FnOnce(&mut Recorder)) -> Result<RunReport> {
         let mut recorder = self.begin(label)?;
-        record(&mut recorder)?;
+        record(&mut recorder);
         self.submit(recorder)?.wait()
     }
 }
@@ -150,7 +150,7 @@ impl Context {
         }
         let whole_words = bytes.len().is_multiple_of(4) && buffer.offset().is_multiple_of(4);
         if bytes.len() <= MAX_UPDATE_BYTES && whole_words {
-            return self.run_commands("upload", |recorder| recorder.update(buffer, bytes)).map(drop);
+            return self.run("upload", |recorder| recorder.update(buffer, bytes)).map(drop);
         }
         let copied = self.copy_staged(buffer, bytes, true).and_then(|()| self.finish_uploads());
         if self.is_foreign() {
@@ -158,14 +158,6 @@ impl Context {
             self.free_staging();
         }
         copied
-    }
-
-    /// Same as [`Context::run`], for commands whose recording cannot fail.
-    pub(crate) fn run_commands(&self, label: &str, record: impl FnOnce(&mut Recorder)) -> Result<RunReport> {
-        self.run(label, |recorder| {
-            record(recorder);
-            Ok(())
-        })
     }
 
     /// Same as [`Context::upload`], but without waiting: the bytes are copied to staging memory. Submissions after
@@ -273,7 +265,7 @@ impl Context {
         let (staging, place) = ring.reserve(&self.device, from.bytes())?;
         let length = place.end - place.start;
         let (from, to) = (from.range(0, length), staging.range(place.start, length));
-        let ran = self.run_commands("download", |recorder| recorder.copy(&from, &to));
+        let ran = self.run("download", |recorder| recorder.copy(&from, &to));
         ran.inspect_err(|_| ring.abandon())?;
         to.block().read_mapped(to.offset(), &mut bytes[..length as usize]);
         Ok(length as usize)

@@ -3,7 +3,9 @@
 use crate::common;
 use ashsplat::Error;
 use ashsplat::kernels::{self, scan::scan_reduce};
-use ashsplat::vk::{BindingInfo, Context, Form, Kernel, KernelInterface, KernelVisitor, Limits, LimitsOverride};
+use ashsplat::vk::{
+    BindingInfo, Context, Form, Kernel, KernelInterface, KernelVisitor, Limits, LimitsOverride,
+};
 
 #[test]
 fn what_exceeds_the_device_is_refused_before_the_driver_sees_it() {

@@ -295,16 +295,8 @@ pub fn copy_bandwidth(context: &Context) -> Result<Option<CopyBandwidth>> {
     let bytes = COPY_BYTES.min(limits.max_storage_buffer_range).min(limits.max_allocation_bytes) / 256 * 256;
     let requests = [("copy_source", bytes), ("copy_destination", bytes)];
     let buffers = context.allocate("copy", &requests, MemoryKind::Device)?;
-    let copy = || {
-        context.run("copy", |r| {
-            r.copy(&buffers[0], &buffers[1]);
-            Ok(())
-        })
-    };
-    context.run("fill", |r| {
-        buffers.iter().for_each(|buffer| r.fill(buffer, 1));
-        Ok(())
-    })?;
+    let copy = || context.run("copy", |r| r.copy(&buffers[0], &buffers[1]));
+    context.run("fill", |r| buffers.iter().for_each(|buffer| r.fill(buffer, 1)))?;
     copy()?;
     let profile = context.profile();
     for _ in 0..COPIES {
@@ -330,12 +322,7 @@ fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
     let arithmetic = Arithmetic::new(context)?;
     let count = arithmetic_results(context);
     let results = context.allocate("arithmetic", &[("results", 4 * count)], MemoryKind::Device)?;
-    let run = || {
-        context.run("arithmetic", |r| {
-            arithmetic.record(r, &results[0]);
-            Ok(())
-        })
-    };
+    let run = || context.run("arithmetic", |r| arithmetic.record(r, &results[0]));
     run()?;
     let profile = context.profile();
     for _ in 0..ARITHMETIC_RUNS {

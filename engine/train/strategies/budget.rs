@@ -210,7 +210,7 @@ impl Budget {
     ) -> Result<u32> {
         let (context, settings) = (population.context(), population.settings());
         if wanted == 0 {
-            context.run_commands("select none", |r| r.fill(&buffers.selected, 0))?;
+            context.run("select none", |r| r.fill(&buffers.selected, 0))?;
             return Ok(0);
         }
         let draw = UniqueDrawInputs {
@@ -228,7 +228,7 @@ impl Budget {
             seed: settings.seed,
             iteration: population.iteration(),
         };
-        context.run_commands("select", |r| self.unique_draw.record(r, &draw, buffers))?;
+        context.run("select", |r| self.unique_draw.record(r, &draw, buffers))?;
         let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&context.download(&buffers.totals)?);
         Ok(totals[2])
     }
@@ -265,7 +265,7 @@ impl Budget {
             population.allocate(&UniqueDrawBuffers::requests(&population.sizes(), population.count()))?;
         let Some(buffers) = buffers.map(UniqueDrawBuffers::from_allocated) else { return Ok(None) };
         let mut sorted = None;
-        context.run_commands("order opacities", |r| {
+        context.run("order opacities", |r| {
             sorted = Some(self.unique_draw.record_opacities(r, population.scene(), &buffers))
         })?;
         let Some(sorted) = sorted else { unreachable!("recorded") };

@@ -35,7 +35,7 @@ impl<'a> Decisions<'a> {
     pub fn classify(&self, population: &Population, selected: Option<&Buffer>) -> Result<Densified> {
         let context = population.context();
         let inputs = ClassifyInputs { statistics: population.statistics(), selected };
-        context.run_commands("densify: classify", |r| {
+        context.run("densify: classify", |r| {
             let scene = population.scene();
             self.kernels.record_classify(r, scene, inputs, &self.buffers, &self.settings);
         })?;
@@ -48,7 +48,7 @@ impl<'a> Decisions<'a> {
     pub fn classify_kept(&self, population: &Population) -> Result<Densified> {
         // The buffer is zero until sources are written, so no Gaussian is selected.
         let none = &self.buffers.sources;
-        population.context().run_commands("select none", |r| r.fill(none, 0))?;
+        population.context().run("select none", |r| r.fill(none, 0))?;
         self.classify(population, Some(none))
     }
 
@@ -89,9 +89,9 @@ pub(super) fn order_buffers(population: &Population, rows: u32) -> Result<Option
 
 /// Lowers all opacities to at most this one.
 pub(super) fn reset_opacity(population: &Population, kernels: &Densify, most: f64) -> Result<Changes> {
-    population.context().run_commands("reset opacity", |r| {
-        kernels.record_reset(r, population.scene(), population.moments(), most)
-    })?;
+    population
+        .context()
+        .run("reset opacity", |r| kernels.record_reset(r, population.scene(), population.moments(), most))?;
     Ok(Changes { opacities_reset: true, ..Changes::default() })
 }
 

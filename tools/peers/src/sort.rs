@@ -104,8 +104,7 @@ impl Ours {
         context.run("unsorted", |r| {
             r.copy(&b[7], &b[1]);
             r.copy(&b[8], &b[3]);
-            Ok(())
-        })?;
+})?;
         let buffers = SortBuffers {
             counts: &b[0],
             count_index: 0,
@@ -116,10 +115,7 @@ impl Ours {
         };
         let elements = ashsplat::passes::scan::Workgroups::Elements((*pairs).into());
         measure::time(|| {
-            context.run("sort", |r| {
-                sort.record(r, &buffers, Values::Given, u32::BITS, elements);
-                Ok(())
-            })?;
+            context.run("sort", |r| sort.record(r, &buffers, Values::Given, u32::BITS, elements))?;
             Ok(())
         })
     }
