@@ -31,9 +31,6 @@ impl Photo {
     }
 
     /// Refuses a picture whose number of bytes does not match its size.
-    ///
-    /// # Errors
-    /// [`Error::Argument`].
     pub fn check_shape(&self) -> Result<()> {
         let needs = 3 * u64::from(self.width) * u64::from(self.height);
         if self.rgb.len() as u64 == needs {

@@ -72,9 +72,6 @@ impl StoredPhoto {
     }
 
     /// Masks the pixels whose indices are `hidden`, so that they do not count.
-    ///
-    /// # Errors
-    /// Same as [`StoredPhoto::photo`].
     pub fn hiding(&self, hidden: impl Fn(usize) -> bool) -> Result<Self> {
         let texels = self.texels()?;
         let coverage = texels.as_chunks::<4>().0.iter().map(|texel| texel[3]).enumerate();
@@ -119,9 +116,6 @@ impl StoredPhoto {
     }
 
     /// One byte per pixel, 0 if the pixel does not count. None if all pixels count.
-    ///
-    /// # Errors
-    /// Same as [`StoredPhoto::photo`].
     pub fn mask(&self) -> Result<Option<Arc<[u8]>>> {
         match &self.place {
             _ if !self.masked => Ok(None),
@@ -135,9 +129,6 @@ impl StoredPhoto {
 
     /// Pixels with coverage: r, g, b, coverage per pixel, row-major. Coverage is 0 if the pixel does not count, else from 1
     /// (transparent) to 255 (opaque).
-    ///
-    /// # Errors
-    /// Same as [`StoredPhoto::photo`].
     pub fn texels(&self) -> Result<Vec<u8>> {
         match &self.place {
             Place::Memory { photo, mask } => Ok(self.texels_of(photo, mask.as_deref())),

@@ -78,9 +78,6 @@ pub struct DistanceField {
 
 impl DistanceField {
     /// Allocates the voxels of these blocks, which no view has seen yet.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] without a block; memory or device failures.
     pub fn new(context: &Context, blocks: &FieldBlocks) -> Result<Self> {
         if blocks.is_empty() {
             return Err(Error::argument("blocks", "there are none: no view shows a surface"));

@@ -132,10 +132,7 @@ impl AppearanceMemory {
         Ok([state(exposures, usize::MAX)?, state(lens_effects, lenses)?])
     }
 
-    /// Restores [`AppearanceMemory::states`].
-    ///
-    /// # Errors
-    /// [`Error::Argument`] if there are more rows than views.
+    /// Restores [`AppearanceMemory::states`]; refuses more rows than views.
     pub fn restore(&self, context: &Context, states: [&ExposureState; 2]) -> Result<()> {
         for (buffers, state) in self.0.iter().zip(states) {
             let Some(buffers) = buffers else { continue };

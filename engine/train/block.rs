@@ -40,8 +40,7 @@ impl SceneBlock {
     /// `margin` (world units) on all sides. Both parts keep their order.
     ///
     /// # Errors
-    /// [`Error::Argument`] if the core has no volume or a NaN side, if the margin is negative or not finite, or if no Gaussian
-    /// is to be trained.
+    /// Same as [`SceneBlock::check_box`]; [`Error::Argument`] if no Gaussian is to be trained.
     pub fn divide(scene: &Gaussians, core: Bounds, margin: f32) -> Result<(Gaussians, Self)> {
         Self::check_box(core, margin)?;
         let inside = |&index: &usize| Self::contains(core, margin, scene.means[index]);
@@ -91,10 +90,7 @@ impl SceneBlock {
         core.min == Vec3::NEG_INFINITY && core.max == Vec3::INFINITY
     }
 
-    /// Checks a core and a margin as [`SceneBlock::divide`] does.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] if the core has no volume or a NaN side, or if the margin is negative or not finite.
+    /// Refuses a core without volume or with a NaN side, and a margin that is negative or not finite.
     pub fn check_box(core: Bounds, margin: f32) -> Result<()> {
         // False for NaN.
         if !core.min.cmplt(core.max).all() {

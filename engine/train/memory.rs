@@ -306,10 +306,7 @@ impl StartMemory<'_> {
         FrameCapacity { gaussians, visible, instances, ..shape }
     }
 
-    /// Refuses photographs whose frames exceed a limit of the device, whatever the memory.
-    ///
-    /// # Errors
-    /// [`Error::TooLarge`] for the photograph with the largest need, with the size of its largest buffer.
+    /// Refuses photographs whose frames exceed a limit of the device, whatever the memory. Names the one with the largest need.
     pub fn check_photos(&self, context: &Context) -> Result<()> {
         // The first photograph of each size, and the number of photographs with that size.
         let mut sizes: HashMap<Size, (&PhotoSize, usize)> = HashMap::new();

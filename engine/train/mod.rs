@@ -6,6 +6,7 @@
 //! capacity.
 //!
 //! Unless a function names other errors, they are those of the device: it refuses a pipeline, has no memory left or is lost.
+//! Functions that read a trainer's state also fail while recorded steps are in flight, and after a step with an unknown outcome.
 
 mod appearance;
 mod block;

@@ -95,9 +95,6 @@ impl Forecast<'_> {
     }
 
     /// Initial capacity in Gaussians, and true if it is the checkpoint's because all of its capacities fit.
-    ///
-    /// # Errors
-    /// [`Error::TooLarge`](crate::Error::TooLarge), before anything is allocated.
     pub(super) fn capacity(&self, context: &Context, parts: &BuiltParts) -> Result<(u32, bool)> {
         let (photos, photo_memory) = (self.photos, self.photo_memory);
         let (photo_bytes, refused) = match photos::device_bytes(context, photos, photo_memory) {

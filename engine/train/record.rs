@@ -207,9 +207,6 @@ impl Trainer {
     }
 
     /// Outcome of a slot's last step; None without a step, or while it is in flight. Never waits.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved; when the device is lost.
     pub fn step_outcome(&mut self, slot: u32) -> Result<Option<StepOutcome>> {
         self.settle()?;
         let index = self.slot_index(slot)?;
@@ -350,9 +347,6 @@ impl Trainer {
 
     /// Recording state of a slot, for a host that has discarded its command buffer ([`SlotRecording::discard`]). The host must
     /// then also discard those of all steps recorded later.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved.
     pub fn step_recording(&mut self, slot: u32) -> Result<SlotRecording<'_>> {
         let index = self.slot_index(slot)?;
         Ok(SlotRecording::new(&mut self.recorded.slots[index].recording))

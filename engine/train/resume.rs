@@ -17,10 +17,6 @@ use crate::vk::Context;
 
 impl Trainer {
     /// Downloads the state that [`Trainer::resume`] needs.
-    ///
-    /// # Errors
-    /// [`crate::Error::Argument`] while recorded steps are in flight, and after a step with an unknown
-    /// outcome; when the device is lost.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
         if let Some(rescued) = &self.state.rescued {
             return Ok((**rescued).clone());
@@ -86,9 +82,6 @@ impl Trainer {
     }
 
     /// Same as [`Trainer::resume`], for a run of [`Trainer::with_parts`].
-    ///
-    /// # Errors
-    /// Same as [`Trainer::resume`].
     pub fn resume_with_parts(
         context: &Context,
         views: Vec<TrainView>,

@@ -127,9 +127,6 @@ impl Trainer {
     }
 
     /// Same as [`Trainer::new`], but with a strategy or loss terms that the settings cannot name.
-    ///
-    /// # Errors
-    /// Same as [`Trainer::new`].
     pub fn with_parts(
         context: &Context,
         views: Vec<TrainView>,
@@ -318,10 +315,6 @@ impl Trainer {
     }
 
     /// Renders the current scene. Uses the SH degree of this iteration if `settings.sh_degree` is None.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an invalid camera, while recorded steps are in flight, and after a step with
-    /// an unknown outcome; memory or device failures.
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
         let settings = self.at_current_degree(settings);
         self.draw(|renderer| renderer.render(camera, &settings))
@@ -369,10 +362,6 @@ impl Trainer {
     }
 
     /// Downloads the Gaussians.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] while recorded steps are in flight, and after a step with an unknown outcome; when
-    /// the device is lost.
     pub fn gaussians(&self) -> Result<Gaussians> {
         self.check_readable()?;
         planes::download(&self.context, &self.state.model.scene)
@@ -380,9 +369,6 @@ impl Trainer {
 
     /// Downloads the Gaussians. The 3D filter, if any, is merged into scales and opacities, so that any renderer draws them
     /// alike.
-    ///
-    /// # Errors
-    /// Same as [`Trainer::gaussians`].
     pub fn baked_gaussians(&self) -> Result<Gaussians> {
         let mut gaussians = self.gaussians()?;
         if self.filter.is_some() {
@@ -392,9 +378,6 @@ impl Trainer {
     }
 
     /// Sizes of Mip-Splatting's 3D filter, world units, one per Gaussian; empty without [`TrainSettings::filter_3d`].
-    ///
-    /// # Errors
-    /// Same as [`Trainer::gaussians`].
     pub fn filters(&self) -> Result<Vec<f32>> {
         self.check_readable()?;
         match self.filter {
@@ -431,9 +414,6 @@ impl Trainer {
     }
 
     /// Exposures of the views' photographs in their order; empty unless they are learned ([`TrainSettings::exposure`]).
-    ///
-    /// # Errors
-    /// Same as [`Trainer::checkpoint`].
     pub fn exposures(&self) -> Result<Vec<Exposure>> {
         self.check_readable()?;
         let [exposures, _] = self.appearance_states()?;
@@ -441,9 +421,6 @@ impl Trainer {
     }
 
     /// Lens effects of the views' cameras in the views' order; empty unless they are learned ([`TrainSettings::lens_effects`]).
-    ///
-    /// # Errors
-    /// Same as [`Trainer::checkpoint`].
     pub fn lens_effects(&self) -> Result<Vec<LensEffects>> {
         self.check_readable()?;
         let [_, lens_effects] = self.appearance_states()?;
@@ -630,10 +607,6 @@ impl Trainer {
 
     /// Current cameras of the training views, in the views' order. [`pose_opt`](super::TrainSettings::pose_opt) moves their poses away
     /// from the given ones, [`lens_opt`](super::TrainSettings::lens_opt) their lenses.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] while recorded steps are in flight, and after a step with an unknown
-    /// outcome; when the device is lost.
     pub fn cameras(&self) -> Result<Vec<Camera>> {
         self.check_readable()?;
         match &self.poses {
@@ -644,9 +617,6 @@ impl Trainer {
 
     /// Total movement of each training view's camera, in the views' order; 0 without
     /// [`pose_opt`](super::TrainSettings::pose_opt).
-    ///
-    /// # Errors
-    /// Same as [`Trainer::cameras`].
     pub fn pose_changes(&self) -> Result<Vec<Twist>> {
         self.check_readable()?;
         let Some(poses) = &self.poses else { return Ok(vec![Twist::default(); self.run.cameras.len()]) };

@@ -36,9 +36,6 @@ impl Context {
 
     /// Same as [`Context::allocate`], but buffers share memory if their `lives`, one per request, have no step in common.
     /// Requests without an entry share none.
-    ///
-    /// # Errors
-    /// Same as [`Context::allocate`].
     pub fn allocate_shared(
         &self,
         arena: &str,
@@ -219,9 +216,6 @@ impl Context {
     }
 
     /// Returns the names of living buffers with writes outside them; see [`super::ContextOptions::guard_bands`].
-    ///
-    /// # Errors
-    /// When a band cannot be read.
     pub fn breached_guards(&self) -> Result<Vec<&'static str>> {
         let blocks = lock(&self.logs.guarded).clone();
         let mut breached = Vec::new();

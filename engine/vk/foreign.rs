@@ -106,9 +106,6 @@ pub struct RecordSlot {
 
 impl RecordSlot {
     /// Creates a slot for recordings of up to `dispatches` dispatches.
-    ///
-    /// # Errors
-    /// [`Error::Vulkan`] when the driver has no memory left.
     pub fn new(context: &Context, dispatches: usize) -> Result<Self> {
         let inner = context.device.clone();
         let mut slot = Self {
@@ -140,9 +137,6 @@ impl RecordSlot {
 
     /// True if the commands recorded through the slot have finished. True for a slot that was never used; false while the
     /// command buffer has not been submitted. Commands that the host recorded after them may still run. Never waits.
-    ///
-    /// # Errors
-    /// [`Error::Vulkan`] when the device is lost.
     pub fn finished(&self) -> Result<bool> {
         if !self.recorded {
             return Ok(true);
@@ -185,9 +179,6 @@ impl RecordSlot {
 
     /// Releases all resources of the last recording, once its command buffer has finished. Scenes and image views dropped
     /// meanwhile are destroyed now, not by the next recording.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] while the recording is in flight.
     pub fn release(&mut self) -> Result<()> {
         self.check_free()?;
         lock(&self.kept).clear();
@@ -274,9 +265,6 @@ impl RecordSlot {
 
     /// Returns the time of each scope of the last recording. Empty before it has finished and the device has written the
     /// times, without timestamps, and at a second call.
-    ///
-    /// # Errors
-    /// [`Error::Vulkan`] when the device is lost.
     pub fn times(&mut self) -> Result<Vec<ScopeTime>> {
         let Some(mut profiler) = self.profiler.take() else { return Ok(Vec::new()) };
         if !(self.finished()? && profiler.is_ready(&self.inner)?) {
@@ -393,9 +381,6 @@ impl<'a> SlotRecording<'a> {
     }
 
     /// See [`RecordSlot::finished`].
-    ///
-    /// # Errors
-    /// When the device is lost.
     pub fn finished(&self) -> Result<bool> {
         self.0.finished()
     }

@@ -219,9 +219,6 @@ pub struct PipelineStatistics {
 impl Context {
     /// Returns the compiler's statistics of every pipeline built so far, sorted by kernel and constants. Empty without
     /// [`ContextOptions::compile_only`](super::ContextOptions::compile_only).
-    ///
-    /// # Errors
-    /// When the driver refuses.
     pub fn pipeline_statistics(&self) -> Result<Vec<PipelineStatistics>> {
         let Some(functions) = &self.device.executables else { return Ok(Vec::new()) };
         let of = |(info, handles): (PipelineInfo, PipelineHandles)| {

@@ -16,9 +16,6 @@ impl<K: KernelInterface> Default for KernelSet<K> {
 
 impl<K: KernelInterface> KernelSet<K> {
     /// Builds the kernel with these constants unless it exists.
-    ///
-    /// # Errors
-    /// Same as [`Kernel::new`].
     pub fn prepare(&mut self, context: &Context, spec: K::Spec) -> Result<()> {
         if !self.0.iter().any(|(built, _)| *built == spec) {
             let kernel = Kernel::new(context, &spec)?;

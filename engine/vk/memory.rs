@@ -448,9 +448,6 @@ impl Buffer {
     }
 
     /// Reads from a [`MemoryKind::HostVisible`] buffer.
-    ///
-    /// # Errors
-    /// Same as [`Buffer::write`].
     pub fn read(&self, offset: u64, bytes: &mut [u8]) -> Result<()> {
         self.check_host("read", offset, bytes.len())?;
         self.block.read_mapped(self.offset + offset, bytes);

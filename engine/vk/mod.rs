@@ -44,6 +44,9 @@
 //! # Subgroups
 //! A kernel whose `Spec` has a `subgroup_size` runs with exactly that size and full subgroups. [`Limits::subgroup_size`]
 //! and [`Limits::heavy_subgroup_size`] give the size, [`Limits::workgroup_size`] a workgroup that fits it.
+//!
+//! # Errors
+//! Unless a function names other errors, they are the driver's: it has no memory left, or the device is lost.
 
 #![allow(unsafe_code)]
 

@@ -217,9 +217,6 @@ impl KernelJob {
     }
 
     /// Builds it, or waits for the thread that builds it.
-    ///
-    /// # Errors
-    /// When the driver refuses it.
     pub fn build(self) -> Result<()> {
         Pipeline::shared(&self.device, self.info, self.spirv).map(drop)
     }

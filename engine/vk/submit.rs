@@ -82,9 +82,6 @@ impl Context {
     }
 
     /// Starts a recording under a label. Dropping the recorder discards it.
-    ///
-    /// # Errors
-    /// [`Error::Vulkan`] when the driver has no memory left, [`Error::DeviceLost`].
     pub fn begin(&self, label: &str) -> Result<Recorder> {
         self.check_alive()?;
         let profile = lock(&self.logs.profile).upgrade();
@@ -97,9 +94,6 @@ impl Context {
     }
 
     /// Submits a recording. Wait for the [`Pending`] before using its results.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`]. [`Error::Vulkan`] when out of memory, even if that happened while recording.
     ///
     /// # Panics
     /// When the recorder records into a foreign command buffer.
@@ -117,9 +111,6 @@ impl Context {
     }
 
     /// Records, submits and waits.
-    ///
-    /// # Errors
-    /// Same as [`Context::begin`], [`Context::submit`] and [`Pending::wait`].
     pub fn run(&self, label: &str, record: impl FnOnce(&mut Recorder)) -> Result<RunReport> {
         let mut recorder = self.begin(label)?;
         record(&mut recorder);
@@ -221,9 +212,6 @@ impl Context {
 
     /// Passes the contents of a buffer to `take` in order, chunk by chunk, so that they are not held twice. All chunks
     /// except the last have a multiple of 256 bytes.
-    ///
-    /// # Errors
-    /// Same as [`Context::download`].
     pub fn download_chunks(&self, buffer: &Buffer, take: impl FnMut(&[u8])) -> Result<()> {
         let downloaded = self.download_pieces(buffer, take);
         if self.is_foreign() && !buffer.block().is_read_mapped() {
