@@ -15,8 +15,7 @@ use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 use scale::RowScaler;
 
-pub use ashsplat::scene::photo::Photo;
-pub use ashsplat::scene::stored_photo::{PhotoFile, StoredPhoto};
+pub use ashsplat::scene::{Photo, PhotoFile, StoredPhoto};
 pub use decode::photo_size;
 pub(crate) use decode::{Decoded, Header, Request, header, read as read_as};
 pub use depth_map::DepthMap;

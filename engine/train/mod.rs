@@ -18,16 +18,13 @@ mod photos;
 mod population;
 mod poses;
 mod record;
-mod resume;
 mod schedule;
 pub mod settings;
 mod step;
-mod strategies;
 pub mod strategy;
 mod terms;
 mod trainer;
 pub mod verify;
-mod work;
 
 pub use block::{BlockState, SceneBlock, Surroundings};
 pub use checkpoint::{Capacities, Checkpoint, ExposureState, MomentState, PoseState};
@@ -35,12 +32,13 @@ pub use lens_opt::{LENS_STATE_VALUES, LensState};
 pub use parts::{Forecast, TrainParts};
 pub use photos::{PhotoSize, TrainView};
 pub use population::{Growth, Population};
-pub use record::{RecordedStep, StepReservation};
+pub use record::{Maintenance, RecordedStep, StepOutcome, StepReservation};
 pub use settings::{
     ImportanceType, MomentsType, OptimizerType, Preset, ShStorage, SplitType, StrategyType, TrainSettings,
 };
-pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, QuantilePlace, Reference};
-pub use strategy::Strategy;
+pub use step::StepReport;
+pub use strategy::{
+    Actions, Budget, Densified, Fixed, GrowthSchedule, Mcmc, QuantilePlace, Reference, Strategy,
+};
 pub use terms::*;
 pub use trainer::Trainer;
-pub use work::{Actions, Densified, Maintenance, StepOutcome, StepReport};

@@ -6,8 +6,7 @@ use super::memory::{RowMemory, StartMemory};
 use super::photos::{self, PhotoBytes, PhotoSize};
 use super::settings::TrainSettings;
 use super::step::StepRecorder;
-use super::strategies;
-use super::strategy::Strategy;
+use super::strategy::{self, Strategy};
 use super::terms::{self, InverseDepth, SparseDepth, Surface};
 use crate::error::{Error, Result};
 use crate::frame::max_trained_among;
@@ -28,7 +27,7 @@ impl TrainParts {
     /// Returns the parts that the settings select.
     pub fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let terms = terms::of_settings(context, settings)?;
-        Ok(Self { strategy: strategies::of_settings(context, settings)?, terms, block: None })
+        Ok(Self { strategy: strategy::of_settings(context, settings)?, terms, block: None })
     }
 }
 

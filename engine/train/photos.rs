@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::passes::loss::{
     DepthPoint, DepthPointBuffers, NativeLayout, check_depth_points, photo_bytes, photo_on_device,
 };
-use crate::scene::stored_photo::TEXEL_BYTES;
+use crate::scene::photo::TEXEL_BYTES;
 use crate::scene::{Camera, Fingerprint, StoredPhoto};
 use crate::vk::{Buffer, Context, MemoryKind};
 use std::sync::Arc;

@@ -6,9 +6,9 @@
 
 use super::memory::{Model, PeakCounts};
 use super::schedule::IterationPlan;
-use super::step::{InFlight, RecordedSteps, StepParts, StepSlot};
+use super::step::{InFlight, RecordedSteps, StepParts, StepReport, StepSlot};
+use super::strategy::Densified;
 use super::trainer::Trainer;
-use super::work::{Maintenance, StepOutcome, StepReport};
 use crate::error::{Error, Result};
 use crate::frame::{FrameCapacity, LaunchSizes, ScenePlan, frame_fits_device, gaussians_with, planes};
 use crate::render::{DeviceScene, FrameCounts, Release, frozen_capacity};
@@ -43,6 +43,43 @@ impl Default for StepReservation {
     fn default() -> Self {
         Self { slots: 2, instances: 0, visible: 0 }
     }
+}
+
+/// Outcome of a recorded step that has finished.
+#[derive(Clone, Debug)]
+pub enum StepOutcome {
+    /// The step was executed.
+    Done(StepReport),
+    /// The step changed nothing, because its frame or that of an earlier step overflowed.
+    /// [`Trainer::maintain`](super::Trainer::maintain) grows the capacity, and the iteration is recorded again.
+    Overflowed {
+        /// Iteration to repeat.
+        iteration: u32,
+        /// Number of visible Gaussians that the step needs.
+        visible_needed: u32,
+        /// Capacity of the step in visible Gaussians.
+        visible_capacity: u32,
+        /// Number of (tile, Gaussian) instances that the step needs. If visible Gaussians overflowed, counts only those that
+        /// fit.
+        instances_needed: u32,
+        /// Capacity of the step in instances.
+        instance_capacity: u32,
+    },
+}
+
+/// Report of [`Trainer::maintain`](super::Trainer::maintain).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Maintenance {
+    /// Report of the densification, if one was due.
+    pub densified: Option<Densified>,
+    /// True if opacities were reset.
+    pub opacities_reset: bool,
+    /// True if the capacity grew after an overflow.
+    pub grown: bool,
+    /// Iteration that was skipped, because its frame exceeds the largest possible capacity: see
+    /// [`Trainer::step`](super::Trainer::step).
+    pub skipped: Option<u32>,
 }
 
 impl Trainer {

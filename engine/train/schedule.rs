@@ -2,7 +2,7 @@
 //! the iteration and the progress before it.
 
 use super::settings::{OptimizerType, TrainSettings};
-use super::work::{Actions, Work};
+use super::strategy::{Actions, Work};
 use crate::frame::{Dropout, RenderSettings};
 use crate::passes::adam::{Rates, Step};
 use crate::passes::appearance::AppearanceStep;

@@ -4,10 +4,11 @@ use super::appearance::{Appearance, AppearanceInputs, AppearanceMemory};
 use super::memory::Model;
 use super::photos::{DepthMaps, Photos};
 use super::poses::Poses;
+use super::record::StepOutcome;
 use super::schedule::{IterationPlan, Progress, TrainingRun, WARM_UP_FACTORS};
 use super::settings::{MomentsType, OptimizerType, ShStorage, TrainSettings};
+use super::strategy::Densified;
 use super::strategy::{StepInputs, Strategy};
-use super::work::{StepOutcome, StepReport};
 use crate::error::Result;
 use crate::frame::{
     FrameInputs, FrameVariant, LENS_SUM_BYTES, LaunchSizes, RenderSettings, SceneBuffers, SceneSettings,
@@ -21,9 +22,9 @@ use crate::passes::filter_3d::Filter3d;
 use crate::passes::lens::LensGradient;
 use crate::passes::loss::{LossTerm, NativeLayout, TermData, TermInputs, photo_bytes};
 use crate::passes::pixels::LayoutConverter;
-use crate::render::{FrameCounts, Request};
+use crate::render::{BlendSamples, FrameCounts, Request};
 use crate::scene::{Camera, LENS_PARAMETERS};
-use crate::vk::{Buffer, Context, Kernel, MemoryKind, RecordSlot, Recorder};
+use crate::vk::{Buffer, Context, Kernel, MemoryKind, RecordSlot, Recorder, ScopeTime};
 use std::collections::VecDeque;
 
 /// Kernels of an iteration after its frame.
@@ -476,6 +477,46 @@ impl StepSlot {
         self.counts.read(0, &mut bytes)?;
         Ok(FrameCounts::of(&bytes))
     }
+}
+
+/// Report of a step.
+#[derive(Clone, Debug, Default)]
+pub struct StepReport {
+    /// Iteration, counted from 1.
+    pub iteration: u32,
+    /// True if the iteration was skipped, because its frame has more visible Gaussians or (tile, Gaussian) instances than the
+    /// device or the memory can hold. A skipped iteration changes nothing, and its losses are NaN. See
+    /// [`Trainer::step`](super::Trainer::step).
+    pub skipped: bool,
+    /// Loss before the step: the sum of its terms.
+    pub loss: f32,
+    /// Mean absolute difference of the colours.
+    pub l1: f32,
+    /// Mean SSIM.
+    pub ssim: f32,
+    /// Name and weighted value of each loss term. The first is (1 - λ) L1 + λ (1 - SSIM).
+    pub terms: Vec<(&'static str, f32)>,
+    /// Number of Gaussians in the step.
+    pub gaussians: u32,
+    /// Number of visible Gaussians in the step's view.
+    pub visible: u32,
+    /// Number of (tile, Gaussian) instances in the step's view.
+    pub instances: u32,
+    /// Number of instances in the longest tile of the step's view.
+    pub longest_tile: u32,
+    /// Counts of blending samples, if enabled.
+    pub samples: BlendSamples,
+    /// Number of Gaussians that did not change because their gradient was not finite.
+    pub skipped_non_finite: u32,
+    /// Wall time of the step; 0 for a recorded step.
+    pub milliseconds: f64,
+    /// Index of the view.
+    pub view: usize,
+    /// Report of the densification before the step, if the previous iteration requested one. For recorded steps see
+    /// [`Maintenance`](super::Maintenance).
+    pub densified: Option<Densified>,
+    /// Device time per stage.
+    pub scopes: Vec<ScopeTime>,
 }
 
 impl StepReport {

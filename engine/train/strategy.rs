@@ -1,16 +1,116 @@
 //! Adaptive density control as a replaceable part of training.
 //!
 //! A strategy decides what an iteration accumulates, how the set of Gaussians changes between two steps, and what it adds to
-//! the parameters. It declares its part of the checkpoint. [`Reference`](super::Reference) is the strategy of Kerbl et al. 2023.
+//! the parameters. It declares its part of the checkpoint. [`Reference`](Reference) is the strategy of Kerbl et al. 2023.
 
-pub use super::work::{Actions, Changes, Densified, Work};
+mod budget;
+mod mcmc;
+mod rebuild;
+mod reference;
+
+pub use budget::{Budget, GrowthSchedule, QuantilePlace};
+pub use mcmc::Mcmc;
+pub use reference::Reference;
 
 use super::population::Population;
-use super::settings::TrainSettings;
+use super::settings::{StrategyType, TrainSettings};
 use crate::error::{Error, Result};
 use crate::frame::FrameInputs;
 use crate::passes::adam::{Moments, Step};
-use crate::vk::Recorder;
+use crate::vk::{Context, Recorder};
+
+/// Work between two steps: a set of up to 32 actions. The strategy interprets them. The two named actions also tell the program
+/// whether the scene is complete, so a strategy must use them in their sense.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Actions(pub u32);
+
+impl Actions {
+    /// Empty set.
+    pub const NONE: Self = Self(0);
+    /// A densification.
+    pub const DENSIFY: Self = Self(1);
+    /// An opacity reset.
+    pub const RESET_OPACITY: Self = Self(2);
+
+    /// Returns the union of both sets.
+    #[must_use]
+    pub const fn and(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Returns the set if the condition holds, otherwise the empty set.
+    #[must_use]
+    pub const fn when(self, condition: bool) -> Self {
+        if condition { self } else { Self::NONE }
+    }
+
+    /// Returns the set without the actions of another set.
+    #[must_use]
+    pub const fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+
+    /// True if all actions of another set are in this one.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// True if the set is empty.
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Returns the action with the lowest bit, which comes first.
+    #[must_use]
+    pub const fn first(self) -> Self {
+        Self(self.0 & self.0.wrapping_neg())
+    }
+}
+
+/// Part of an iteration's work that the strategy decides.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Work {
+    /// True if the backward pass adds to the statistics ([`Population::statistics`](super::Population::statistics)).
+    pub accumulates: bool,
+    /// True if the optimiser makes a step.
+    pub optimizes: bool,
+    /// True if that step moves the opacities.
+    pub optimizes_opacity: bool,
+    /// Work before the next iteration.
+    pub actions: Actions,
+}
+
+/// Outcome of [`Strategy::between_steps`](Strategy::between_steps).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Changes {
+    /// Change of the set of Gaussians, if any.
+    pub densified: Option<Densified>,
+    /// True if opacities were reset.
+    pub opacities_reset: bool,
+}
+
+/// Report of a densification.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Densified {
+    /// Number of Gaussians before.
+    pub before: u32,
+    /// Number of Gaussians that stayed.
+    pub kept: u32,
+    /// Number of added clones.
+    pub cloned: u32,
+    /// Number of Gaussians that were replaced by two each.
+    pub split: u32,
+    /// True if memory or the device's limits were too small. Then only the Gaussians with the largest gradients were cloned or
+    /// split, or none were pruned.
+    pub limited: bool,
+}
+
+impl Densified {
+    /// Number of Gaussians afterwards.
+    pub fn rows(&self) -> u32 {
+        self.kept + self.cloned + 2 * self.split
+    }
+}
 
 /// Inputs of a step for a strategy's recordings.
 #[derive(Clone, Copy)]
@@ -98,4 +198,35 @@ pub(super) const NOT_IN_OTHERS: [&str; 7] =
 pub(super) fn unknown(strategy: &str, action: Actions) -> Error {
     let problem = format!("has work ({:#x}) that the strategy {strategy} does not know", action.0);
     Error::argument("checkpoint", problem)
+}
+
+/// Returns the strategy that the settings select.
+pub(super) fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Box<dyn Strategy>> {
+    Ok(match settings.strategy {
+        StrategyType::Reference => Box::new(Reference::of_settings(context, settings)?),
+        StrategyType::Fixed => Box::new(Fixed),
+        StrategyType::Mcmc => Box::new(Mcmc::new(context)?),
+        StrategyType::Budget => Box::new(Budget::new(context, settings)?),
+    })
+}
+
+/// Optimises the initial Gaussians, and neither adds nor removes any.
+pub struct Fixed;
+
+impl Strategy for Fixed {
+    fn name(&self) -> &'static str {
+        "fixed"
+    }
+
+    fn check(&self, settings: &TrainSettings, _: u32) -> Result<()> {
+        settings.refuse(self.name(), &NOT_IN_OTHERS)
+    }
+
+    fn work(&self, _: &TrainSettings, _: u32) -> Work {
+        Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions: Actions::NONE }
+    }
+
+    fn between_steps(&mut self, _: &mut Population, _: Actions) -> Result<Changes> {
+        Ok(Changes::default())
+    }
 }

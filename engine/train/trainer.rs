@@ -11,9 +11,8 @@ use super::population::{Population, may_have_executed};
 use super::poses::Poses;
 use super::schedule::{IterationPlan, Progress, Schedule, TrainingRun};
 use super::settings::TrainSettings;
-use super::step::{LossMemory, RecordedSteps, StepParts, StepRecorder};
-use super::strategy::Strategy;
-use super::work::{Actions, Changes, StepReport, Work};
+use super::step::{LossMemory, RecordedSteps, StepParts, StepRecorder, StepReport};
+use super::strategy::{Actions, Changes, Strategy, Work};
 use crate::error::{Error, Result};
 use crate::frame::{
     Blending, PictureCapacity, RenderSettings, SceneBuffers, gaussians_with, planes, subgroups, to_u32,

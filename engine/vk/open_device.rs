@@ -7,7 +7,7 @@ use super::device::{DeviceDescription, Instance, queue_families};
 use super::limits::Limits;
 use super::lock::lock;
 use super::memory_types::{HostAllocator, Place, Registry};
-use super::pipeline_cache::{BuiltPipelines, PipelineCache};
+use super::pipeline::{BuiltPipelines, PipelineCache};
 use super::raw_device::RawDevice;
 use super::spirv::SubgroupRules;
 use crate::error::{Error, Result};

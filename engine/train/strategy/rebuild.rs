@@ -6,7 +6,7 @@ use crate::passes::densify::{
     ClassifyInputs, Densify, DensifyBuffers, DensifySettings, OrderBuffers, OrderInputs,
 };
 use crate::train::population::{Growth, Population};
-use crate::train::work::{Changes, Densified};
+use crate::train::strategy::{Changes, Densified};
 use crate::vk::{Buffer, Recorder};
 
 /// A densification by decisions per Gaussian.
