@@ -18,6 +18,7 @@ mod photos;
 mod population;
 mod poses;
 mod record;
+mod resume;
 mod schedule;
 pub mod settings;
 mod step;
@@ -32,11 +33,11 @@ pub use lens_opt::{LENS_STATE_VALUES, LensState};
 pub use parts::{Forecast, TrainParts};
 pub use photos::{PhotoSize, TrainView};
 pub use population::{Growth, Population};
-pub use record::{Maintenance, RecordedStep, StepOutcome, StepReservation};
+pub use record::{Maintenance, RecordedStep, StepReservation};
 pub use settings::{
     ImportanceType, MomentsType, OptimizerType, Preset, ShStorage, SplitType, StrategyType, TrainSettings,
 };
-pub use step::StepReport;
+pub use step::{StepOutcome, StepReport};
 pub use strategy::{
     Actions, Budget, Densified, Fixed, GrowthSchedule, Mcmc, QuantilePlace, Reference, Strategy,
 };

@@ -6,7 +6,7 @@
 
 use super::memory::{Model, PeakCounts};
 use super::schedule::IterationPlan;
-use super::step::{InFlight, RecordedSteps, StepParts, StepReport, StepSlot};
+use super::step::{InFlight, RecordedSteps, StepOutcome, StepParts, StepReport, StepSlot};
 use super::strategy::Densified;
 use super::trainer::Trainer;
 use crate::error::{Error, Result};
@@ -43,28 +43,6 @@ impl Default for StepReservation {
     fn default() -> Self {
         Self { slots: 2, instances: 0, visible: 0 }
     }
-}
-
-/// Outcome of a recorded step that has finished.
-#[derive(Clone, Debug)]
-pub enum StepOutcome {
-    /// The step was executed.
-    Done(StepReport),
-    /// The step changed nothing, because its frame or that of an earlier step overflowed.
-    /// [`Trainer::maintain`](super::Trainer::maintain) grows the capacity, and the iteration is recorded again.
-    Overflowed {
-        /// Iteration to repeat.
-        iteration: u32,
-        /// Number of visible Gaussians that the step needs.
-        visible_needed: u32,
-        /// Capacity of the step in visible Gaussians.
-        visible_capacity: u32,
-        /// Number of (tile, Gaussian) instances that the step needs. If visible Gaussians overflowed, counts only those that
-        /// fit.
-        instances_needed: u32,
-        /// Capacity of the step in instances.
-        instance_capacity: u32,
-    },
 }
 
 /// Report of [`Trainer::maintain`](super::Trainer::maintain).

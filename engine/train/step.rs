@@ -4,7 +4,6 @@ use super::appearance::{Appearance, AppearanceInputs, AppearanceMemory};
 use super::memory::Model;
 use super::photos::{DepthMaps, Photos};
 use super::poses::Poses;
-use super::record::StepOutcome;
 use super::schedule::{IterationPlan, Progress, TrainingRun, WARM_UP_FACTORS};
 use super::settings::{MomentsType, OptimizerType, ShStorage, TrainSettings};
 use super::strategy::Densified;
@@ -517,6 +516,28 @@ pub struct StepReport {
     pub densified: Option<Densified>,
     /// Device time per stage.
     pub scopes: Vec<ScopeTime>,
+}
+
+/// Outcome of a recorded step that has finished.
+#[derive(Clone, Debug)]
+pub enum StepOutcome {
+    /// The step was executed.
+    Done(StepReport),
+    /// The step changed nothing, because its frame or that of an earlier step overflowed.
+    /// [`Trainer::maintain`](super::Trainer::maintain) grows the capacity, and the iteration is recorded again.
+    Overflowed {
+        /// Iteration to repeat.
+        iteration: u32,
+        /// Number of visible Gaussians that the step needs.
+        visible_needed: u32,
+        /// Capacity of the step in visible Gaussians.
+        visible_capacity: u32,
+        /// Number of (tile, Gaussian) instances that the step needs. If visible Gaussians overflowed, counts only those that
+        /// fit.
+        instances_needed: u32,
+        /// Capacity of the step in instances.
+        instance_capacity: u32,
+    },
 }
 
 impl StepReport {

@@ -1,7 +1,7 @@
 //! Adaptive density control as a replaceable part of training.
 //!
 //! A strategy decides what an iteration accumulates, how the set of Gaussians changes between two steps, and what it adds to
-//! the parameters. It declares its part of the checkpoint. [`Reference`](Reference) is the strategy of Kerbl et al. 2023.
+//! the parameters. It declares its part of the checkpoint. [`Reference`] is the strategy of Kerbl et al. 2023.
 
 mod budget;
 mod mcmc;
@@ -12,6 +12,8 @@ pub use budget::{Budget, GrowthSchedule, QuantilePlace};
 pub use mcmc::Mcmc;
 pub use reference::Reference;
 
+pub use super::schedule::{Actions, Work};
+
 use super::population::Population;
 use super::settings::{StrategyType, TrainSettings};
 use crate::error::{Error, Result};
@@ -19,68 +21,7 @@ use crate::frame::FrameInputs;
 use crate::passes::adam::{Moments, Step};
 use crate::vk::{Context, Recorder};
 
-/// Work between two steps: a set of up to 32 actions. The strategy interprets them. The two named actions also tell the program
-/// whether the scene is complete, so a strategy must use them in their sense.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Actions(pub u32);
-
-impl Actions {
-    /// Empty set.
-    pub const NONE: Self = Self(0);
-    /// A densification.
-    pub const DENSIFY: Self = Self(1);
-    /// An opacity reset.
-    pub const RESET_OPACITY: Self = Self(2);
-
-    /// Returns the union of both sets.
-    #[must_use]
-    pub const fn and(self, other: Self) -> Self {
-        Self(self.0 | other.0)
-    }
-
-    /// Returns the set if the condition holds, otherwise the empty set.
-    #[must_use]
-    pub const fn when(self, condition: bool) -> Self {
-        if condition { self } else { Self::NONE }
-    }
-
-    /// Returns the set without the actions of another set.
-    #[must_use]
-    pub const fn without(self, other: Self) -> Self {
-        Self(self.0 & !other.0)
-    }
-
-    /// True if all actions of another set are in this one.
-    pub const fn contains(self, other: Self) -> bool {
-        self.0 & other.0 == other.0
-    }
-
-    /// True if the set is empty.
-    pub const fn is_empty(self) -> bool {
-        self.0 == 0
-    }
-
-    /// Returns the action with the lowest bit, which comes first.
-    #[must_use]
-    pub const fn first(self) -> Self {
-        Self(self.0 & self.0.wrapping_neg())
-    }
-}
-
-/// Part of an iteration's work that the strategy decides.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Work {
-    /// True if the backward pass adds to the statistics ([`Population::statistics`](super::Population::statistics)).
-    pub accumulates: bool,
-    /// True if the optimiser makes a step.
-    pub optimizes: bool,
-    /// True if that step moves the opacities.
-    pub optimizes_opacity: bool,
-    /// Work before the next iteration.
-    pub actions: Actions,
-}
-
-/// Outcome of [`Strategy::between_steps`](Strategy::between_steps).
+/// Outcome of [`Strategy::between_steps`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Changes {
     /// Change of the set of Gaussians, if any.

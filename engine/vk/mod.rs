@@ -8,11 +8,12 @@
 //! | `limits`, `requirements` | [`Limits`], read once; features that a host enables |
 //! | `debug` | names, labels and validation messages |
 //! | `memory_types` | [`MemoryKind`] and its memory types; [`HostAllocator`]: memory from a host |
-//! | `faults`, `raw_device`, `compile_only` | the device's functions, that may fail on demand, or run nothing |
+//! | `compile_only` | a device's functions that run nothing |
 //! | `device`, `spirv` | the loader, devices and their choice; shaders as they need them |
-//! | `pipeline` | pipelines, what identifies them, their demands on the device; a VkPipelineCache kept between runs; descriptor sets |
-//! | `open_device` | the open device; everything made from it keeps it open; its queues and their locks |
+//! | `pipeline_cache` | what identifies a pipeline; the pipelines of a device, and a VkPipelineCache kept between runs |
+//! | `open_device`, `faults` | the open device; everything made from it keeps it open; its queues and their locks; calls that fail on demand |
 //! | `memory` | requests packed into blocks; a [`Buffer`] is a named range of one |
+//! | `pipeline` | the Vulkan pipeline, its demands on the device, descriptor sets; [`KernelJob`] |
 //! | `profile`, `audit` | [`Context::profile`] and [`Context::audit`]: time and output of every command |
 //! | `commands` | command buffers: recorded, submitted, waited for |
 //! | `staging` | the ring of staging memory of uploads and downloads |
@@ -70,8 +71,8 @@ mod memory;
 mod memory_types;
 mod open_device;
 mod pipeline;
+mod pipeline_cache;
 mod profile;
-mod raw_device;
 mod recorder;
 mod requirements;
 mod spirv;
@@ -101,7 +102,8 @@ pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
 pub use memory::{Buffer, Life, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use memory_types::{ArenaMemory, HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 pub use open_device::QueueLock;
-pub use pipeline::{BindingInfo, BindingKind, ImageInfo, KernelJob, PipelineCacheKey, PipelineCacheStore};
+pub use pipeline::KernelJob;
+pub use pipeline_cache::{BindingInfo, BindingKind, ImageInfo, PipelineCacheKey, PipelineCacheStore};
 pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use requirements::{Features, Optional, Requirements};

@@ -4,19 +4,59 @@
 use super::compile_only::Executables;
 use super::debug::{Messages, Names, vk_error};
 use super::device::{DeviceDescription, Instance, queue_families};
+#[cfg(feature = "testing")]
+use super::faults::Faults;
 use super::limits::Limits;
 use super::lock::lock;
 use super::memory_types::{HostAllocator, Place, Registry};
-use super::pipeline::{BuiltPipelines, PipelineCache};
-use super::raw_device::RawDevice;
+use super::pipeline_cache::{BuiltPipelines, PipelineCache};
 use super::spirv::SubgroupRules;
 use crate::error::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
 use std::ffi::CStr;
+use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
+
+/// A device's functions. Destroys the device when dropped, if it is ours.
+pub(super) struct RawDevice {
+    pub(super) raw: ash::Device,
+    ours: bool,
+    /// For tests: calls that fail on demand.
+    #[cfg(feature = "testing")]
+    pub(super) faults: Option<Faults>,
+}
+
+impl RawDevice {
+    /// Wraps a device that we created and nothing else destroys (`ours`), or a host's.
+    pub(super) fn new(raw: ash::Device, ours: bool) -> Self {
+        Self {
+            raw,
+            ours,
+            #[cfg(feature = "testing")]
+            faults: None,
+        }
+    }
+}
+
+impl Deref for RawDevice {
+    type Target = ash::Device;
+
+    fn deref(&self) -> &ash::Device {
+        &self.raw
+    }
+}
+
+impl Drop for RawDevice {
+    fn drop(&mut self) {
+        if self.ours {
+            // SAFETY: whoever owns this value has destroyed all that was made from the device, which is idle.
+            unsafe { self.raw.destroy_device(None) }
+        }
+    }
+}
 
 /// An open device. Everything made from it keeps it open.
 pub(super) struct Device {

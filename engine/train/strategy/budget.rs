@@ -11,8 +11,7 @@ use crate::passes::densify::{
 use crate::train::population::Population;
 use crate::train::schedule::pool_views;
 use crate::train::settings::{ImportanceType, SplitType, TrainSettings};
-use crate::train::strategy::{Actions, Changes, Densified, Work};
-use crate::train::strategy::{Strategy, unknown};
+use crate::train::strategy::{Actions, Changes, Densified, Strategy, Work, unknown};
 use crate::vk::{Buffer, Context};
 
 /// Pruning of Gaussians that are still faint after the start.

@@ -6,8 +6,7 @@ use crate::error::Result;
 use crate::passes::densify::{Densify, DensifyForm, Draw, DrawBuffers, OrderInputs, RandomKey, Relocation};
 use crate::train::population::Population;
 use crate::train::settings::TrainSettings;
-use crate::train::strategy::{Actions, Changes, Densified, Work};
-use crate::train::strategy::{NOT_IN_OTHERS, StepInputs, Strategy};
+use crate::train::strategy::{Actions, Changes, Densified, NOT_IN_OTHERS, StepInputs, Strategy, Work};
 use crate::vk::{Context, Recorder};
 
 /// Size of the set after a densification (3dgs-mcmc, `add_new_gs`), in percent.
