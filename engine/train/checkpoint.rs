@@ -418,29 +418,18 @@ impl Checkpoint {
             poses.sets().iter().all(|rows| rows.len() as u64 == self.views)
                 && poses.depths.len() as u64 == self.views
         };
-        let of_gaussians = "of another number than the Gaussians";
-        let of_views = "are of another number than the views";
-        let checks: [(bool, &str, String); 8] = [
-            (
-                storage == self.settings.moments,
-                "moments",
-                "are stored otherwise than the settings say".into(),
-            ),
-            (moments_fit, "moments", format!("are {of_gaussians}")),
-            (self.statistics.len() == gaussians, "statistics", format!("are {of_gaussians}")),
-            (self.filters.len() == filters, Self::FILTERS, format!("is {of_gaussians}")),
-            (
-                self.exposures.sets().iter().all(|set| set.len() as u64 == exposures),
-                "exposures",
-                format!("are not those of {exposures} photographs"),
-            ),
-            (lenses_fit, "lenses", format!("are not those of {most} photographs")),
-            (self.poses.as_ref().is_none_or(poses_fit), "poses", of_views.into()),
-            (
-                self.gaussians.sh_degree == self.settings.sh_degree,
-                "sh_degree",
-                "of the Gaussians and of the settings differ".into(),
-            ),
+        let exposures_fit = self.exposures.sets().iter().all(|set| set.len() as u64 == exposures);
+        let degree_fits = self.gaussians.sh_degree == self.settings.sh_degree;
+        let of_gaussians = "are of another number than the Gaussians";
+        let checks = [
+            (storage == self.settings.moments, "moments", "are stored otherwise than the settings say"),
+            (moments_fit, "moments", of_gaussians),
+            (self.statistics.len() == gaussians, "statistics", of_gaussians),
+            (self.filters.len() == filters, Self::FILTERS, of_gaussians),
+            (exposures_fit, "exposures", "are not those of the photographs"),
+            (lenses_fit, "lenses", "are not those of the photographs"),
+            (self.poses.as_ref().is_none_or(poses_fit), "poses", "are of another number than the views"),
+            (degree_fits, "sh_degree", "of the Gaussians and of the settings differ"),
         ];
         match checks.into_iter().find(|(fits, ..)| !fits) {
             Some((_, name, problem)) => Err(Error::argument(name, problem)),

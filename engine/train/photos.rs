@@ -3,6 +3,7 @@
 use super::schedule::ViewOrder;
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
+use crate::frame::array_of;
 use crate::passes::loss::{
     DepthPoint, DepthPointBuffers, NativeLayout, check_depth_points, photo_bytes, photo_on_device,
 };
@@ -417,8 +418,7 @@ impl DepthMaps {
             let points = match &view.depth_points {
                 Some(points) if size.depth_points > 0 => {
                     let size = (view.photo.width, view.photo.height);
-                    let own = <[Buffer; 3]>::try_from(buffers.by_ref().take(3).collect::<Vec<_>>());
-                    let Ok(own) = own else { unreachable!("one buffer per request") };
+                    let own = array_of(buffers.by_ref().take(3).collect());
                     Some(DepthPointBuffers::upload(context, own, points, size)?)
                 }
                 _ => None,

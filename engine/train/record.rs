@@ -76,9 +76,7 @@ impl Trainer {
             let problem = "lie in a file: recorded steps need all of them on the device";
             return Err(Error::argument("photographs", problem));
         }
-        if self.settle()? > 0 {
-            return Err(Error::argument("training steps", "are in flight: wait for them first"));
-        }
+        self.check_none_in_flight()?;
         self.recorded.slots.clear();
         self.recorded.frame_is_ready = false;
         self.runner.store.set_at_least(wanted.visible, wanted.instances);
@@ -159,6 +157,13 @@ impl Trainer {
         })
     }
 
+    fn check_none_in_flight(&mut self) -> Result<()> {
+        match self.settle()? {
+            0 => Ok(()),
+            _ => Err(Error::argument("training steps", "are in flight: wait for them first")),
+        }
+    }
+
     /// Updates the state from recorded steps that have finished. Returns the number still in flight. Never waits.
     pub fn settle(&mut self) -> Result<u32> {
         let settled = self.settle_finished();
@@ -205,20 +210,20 @@ impl Trainer {
         let RecordedSteps { slots, in_flight, .. } = &mut self.recorded;
         let is_recorded = |step: &InFlight| slots[step.slot].recording.is_recorded();
         let Some(first) = in_flight.iter().position(|step| !is_recorded(step)) else { return Ok(()) };
-        if in_flight.range(first..).any(is_recorded) {
-            self.state.broken = true;
-            let problem =
-                "a step was thrown away, but not those recorded behind it; continue from a checkpoint";
-            return Err(Error::argument("training steps", problem));
-        }
-        let late = in_flight.range(first..).any(|step| slots[step.slot].recording.was_discarded_late());
-        in_flight.truncate(first);
-        if late {
-            self.state.broken = true;
-            let problem = "a step was discarded after it had been executed; continue from a checkpoint";
-            return Err(Error::argument("training steps", problem));
-        }
-        Ok(())
+        let discarded = in_flight.range(first..);
+        let problem = match discarded.clone().any(is_recorded) {
+            true => "a step was thrown away, but not those recorded behind it; continue from a checkpoint",
+            false if discarded.clone().any(|step| slots[step.slot].recording.was_discarded_late()) => {
+                in_flight.truncate(first);
+                "a step was discarded after it had been executed; continue from a checkpoint"
+            }
+            false => {
+                in_flight.truncate(first);
+                return Ok(());
+            }
+        };
+        self.state.broken = true;
+        Err(Error::argument("training steps", problem))
     }
 
     /// Outcome of a slot's last step; None without a step, or while it is in flight. Never waits.
@@ -261,9 +266,7 @@ impl Trainer {
     /// [`Error::Argument`] while recorded steps are in flight or without a queue; same as [`Trainer::step`].
     pub fn maintain(&mut self) -> Result<Maintenance> {
         self.state.check_whole()?;
-        if self.settle()? > 0 {
-            return Err(Error::argument("training steps", "are in flight: wait for them first"));
-        }
+        self.check_none_in_flight()?;
         if !self.maintenance_is_due()? {
             return Ok(Maintenance::default());
         }

@@ -226,25 +226,21 @@ pub(super) trait IsOption: Copy {
     fn value(self) -> OptionValue;
 }
 
-impl IsOption for u32 {
-    const KIND: OptionKind = OptionKind::Integer;
-    fn value(self) -> OptionValue {
-        OptionValue::Integer(self)
-    }
+macro_rules! is_option {
+    ($($kind:ty: $value:ident,)*) => {$(
+        impl IsOption for $kind {
+            const KIND: OptionKind = OptionKind::$value;
+            fn value(self) -> OptionValue {
+                OptionValue::$value(self)
+            }
+        }
+    )*};
 }
 
-impl IsOption for f64 {
-    const KIND: OptionKind = OptionKind::Number;
-    fn value(self) -> OptionValue {
-        OptionValue::Number(self)
-    }
-}
-
-impl IsOption for bool {
-    const KIND: OptionKind = OptionKind::Switch;
-    fn value(self) -> OptionValue {
-        OptionValue::Switch(self)
-    }
+is_option! {
+    u32: Integer,
+    f64: Number,
+    bool: Switch,
 }
 
 /// Declares the settings: a struct with documented fields, and a table of their types, defaults, bounds and descriptions.

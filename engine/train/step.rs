@@ -11,7 +11,7 @@ use super::strategy::{StepInputs, Strategy};
 use crate::error::Result;
 use crate::frame::{
     FrameInputs, FrameVariant, LENS_SUM_BYTES, LaunchSizes, RenderSettings, SceneBuffers, SceneSettings,
-    Strips, blocks,
+    Strips, array_of, blocks,
 };
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::pixels::photo_reduced;
@@ -232,24 +232,21 @@ impl StepRecorder {
         let lens_gradient = self.lens.as_ref().and_then(|_| device.pop());
         let mut device = device.into_iter();
         let scratch_counts = self.terms.iter().map(|term| term.scratch_requests(sizes).len()).collect();
-        let host = context.allocate("readback", &[self.readback_request()], MemoryKind::HostVisible)?;
-        match (device.next(), <[Buffer; 1]>::try_from(host)) {
-            (Some(losses), Ok([readback])) => {
-                let image_gradient = self.term_data.inverse_depth.then(|| device.next()).flatten();
-                let prepared = self.preparation.as_ref().and_then(|_| device.next());
-                let appearance = self.appearance.allocated(context, device)?;
-                Ok(LossMemory {
-                    scratch_counts,
-                    losses,
-                    image_gradient,
-                    prepared,
-                    appearance,
-                    lens_gradient,
-                    readback,
-                })
-            }
-            _ => unreachable!("one buffer per request"),
-        }
+        let [readback] =
+            array_of(context.allocate("readback", &[self.readback_request()], MemoryKind::HostVisible)?);
+        let [losses] = array_of(device.by_ref().take(1).collect());
+        let image_gradient = self.term_data.inverse_depth.then(|| device.next()).flatten();
+        let prepared = self.preparation.as_ref().and_then(|_| device.next());
+        let appearance = self.appearance.allocated(context, device)?;
+        Ok(LossMemory {
+            scratch_counts,
+            losses,
+            image_gradient,
+            prepared,
+            appearance,
+            lens_gradient,
+            readback,
+        })
     }
 
     /// Records the work after a frame. `losses` is a host-readable copy. If the frame overflowed, persistent state does not
@@ -458,10 +455,7 @@ pub(super) struct InFlight {
 impl StepSlot {
     pub fn new(context: &Context, dispatches: usize, losses: (&'static str, u64)) -> Result<Self> {
         let host = [("state_readback", u64::from(STATE_WORDS) * 4), losses];
-        let host = context.allocate("step slot", &host, MemoryKind::HostVisible)?;
-        let Ok([counts, losses]) = <[Buffer; 2]>::try_from(host) else {
-            unreachable!("one buffer per request")
-        };
+        let [counts, losses] = array_of(context.allocate("step slot", &host, MemoryKind::HostVisible)?);
         Ok(Self {
             recording: RecordSlot::new(context, dispatches)?,
             counts,

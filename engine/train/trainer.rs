@@ -11,7 +11,7 @@ use super::population::{Population, may_have_executed};
 use super::poses::Poses;
 use super::schedule::{IterationPlan, Progress, Schedule, TrainingRun};
 use super::settings::TrainSettings;
-use super::step::{LossMemory, RecordedSteps, StepParts, StepRecorder, StepReport};
+use super::step::{LossMemory, LossValues, RecordedSteps, StepParts, StepRecorder, StepReport};
 use super::strategy::{Actions, Changes, Strategy, Work};
 use crate::error::{Error, Result};
 use crate::frame::{
@@ -461,10 +461,7 @@ impl Trainer {
             Err(Failed::OutOfMemory { counts, error }) => self.skip(&plan, &counts, error)?,
             ran => {
                 ran.map_err(Failed::error)?;
-                let losses = self.recorder.read_losses(&self.losses.readback)?;
-                if let Some(lenses) = &mut self.lens_opt {
-                    lenses.step(&mut self.run.cameras, &plan, &losses);
-                }
+                self.read_losses(&plan)?;
                 self.state.progress = before.after(&plan);
             }
         }
@@ -502,16 +499,22 @@ impl Trainer {
             ran => ran.map_err(Failed::error)?,
         };
         self.state.done(progress.after(&plan), PeakCounts::of_whole_frame(&plan, &self.run, &ran.counts));
-        let losses = self.recorder.read_losses(&self.losses.readback)?;
-        if let Some(lenses) = &mut self.lens_opt {
-            lenses.step(&mut self.run.cameras, &plan, &losses);
-        }
+        let losses = self.read_losses(&plan)?;
         Ok(StepReport {
             milliseconds: start.elapsed().as_secs_f64() * 1e3,
             densified,
             scopes: ran.report.scopes,
             ..StepReport::new(&plan, self.state.model.scene.count, &losses, &ran.counts)
         })
+    }
+
+    /// Reads the losses of a finished step, and makes the lenses' step.
+    fn read_losses(&mut self, plan: &IterationPlan) -> Result<LossValues> {
+        let losses = self.recorder.read_losses(&self.losses.readback)?;
+        if let Some(lenses) = &mut self.lens_opt {
+            lenses.step(&mut self.run.cameras, plan, &losses);
+        }
+        Ok(losses)
     }
 
     /// Number of steps of lenses that were not made, because they would have folded the picture.
