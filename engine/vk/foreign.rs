@@ -111,7 +111,7 @@ impl RecordSlot {
         let mut slot = Self {
             event: vk::Event::null(),
             queries: vk::QueryPool::null(),
-            descriptors: Arc::new(Mutex::new(DescriptorSets::reserved(&inner, dispatches)?)),
+            descriptors: Arc::new(Mutex::new(DescriptorSets::new(&inner))),
             kept: Arc::default(),
             profiler: None,
             spare: None,
@@ -119,6 +119,7 @@ impl RecordSlot {
             discarded_late: false,
             inner,
         };
+        slot.reserve(dispatches)?;
         // SAFETY: a valid create info for this device.
         let event = unsafe { slot.inner.device.create_event(&vk::EventCreateInfo::default(), None) };
         slot.event = event.map_err(vk_error("vkCreateEvent"))?;

@@ -246,11 +246,16 @@ impl Block {
     ) -> Result<()> {
         let kind = self.kind;
         let piece = allocator.allocate(&MemoryRequest { name: &self.arena, requirements, kind });
-        let piece = piece.map_err(|reason| self.refused_by_host(&reason))?;
-        self.hosted = Some(piece);
+        let refused = |reason: &str| {
+            let (call, result) = ("the host's allocator", self.with_purpose(reason));
+            Error::Vulkan { call, result, remedy: String::new() }
+        };
+        let piece = piece.map_err(|reason| refused(&reason))?;
         if kind == MemoryKind::HostVisible && piece.mapped.is_none() {
-            return Err(self.refused_by_host("it has not mapped host-visible memory"));
+            allocator.free(piece);
+            return Err(refused("it has not mapped host-visible memory"));
         }
+        self.hosted = Some(piece);
         // SAFETY: the allocator guarantees the requested size, alignment and type; the buffer is bound once.
         let bound = unsafe { self.inner.device.bind_buffer_memory(self.raw, piece.memory, piece.offset) };
         bound.map_err(vk_error("vkBindBufferMemory"))?;
@@ -258,11 +263,6 @@ impl Block {
             self.mapping = piece.mapped.map(|address| Mutex::new(Mapping(address)));
         }
         Ok(())
-    }
-
-    fn refused_by_host(&self, reason: &str) -> Error {
-        let (call, result) = ("the host's allocator", self.with_purpose(reason));
-        Error::Vulkan { call, result, remedy: String::new() }
     }
 
     fn with_purpose(&self, failure: &str) -> String {

@@ -296,12 +296,6 @@ impl DescriptorSets {
         Some(Self { inner: inner.clone(), layouts, pools, sets, used })
     }
 
-    /// Allocates sets for recordings of up to `count` dispatches; None with push descriptors.
-    pub(super) fn reserved(inner: &Arc<Device>, count: usize) -> Result<Option<Self>> {
-        let reserved = Self::new(inner).map(|mut sets| sets.reserve(count).map(|()| sets));
-        reserved.transpose()
-    }
-
     /// Frees the sets of the previous recording.
     pub(super) fn reset(&mut self) {
         self.used = Default::default();

@@ -212,39 +212,32 @@ impl Context {
 
     /// Passes the contents of a buffer to `take` in order, chunk by chunk, so that they are not held twice. All chunks
     /// except the last have a multiple of 256 bytes.
-    pub fn download_chunks(&self, buffer: &Buffer, take: impl FnMut(&[u8])) -> Result<()> {
-        let downloaded = self.download_pieces(buffer, take);
-        if self.is_foreign() && !buffer.block().is_read_mapped() {
-            self.free_staging();
-        }
-        downloaded
-    }
-
-    fn download_pieces(&self, buffer: &Buffer, mut take: impl FnMut(&[u8])) -> Result<()> {
-        let total = buffer.bytes();
-        let mapped = buffer.block().is_read_mapped();
-        if total == 0 {
+    pub fn download_chunks(&self, buffer: &Buffer, mut take: impl FnMut(&[u8])) -> Result<()> {
+        let (block, total) = (buffer.block(), buffer.bytes());
+        if block.is_read_mapped() {
+            buffer.check_idle()?;
+            let mut chunk = vec![0; total.min(MAPPED_CHUNK_BYTES) as usize];
+            for offset in (0..total).step_by(MAPPED_CHUNK_BYTES as usize) {
+                let bytes = &mut chunk[..(total - offset).min(MAPPED_CHUNK_BYTES) as usize];
+                block.read_mapped(buffer.offset() + offset, bytes);
+                take(bytes);
+            }
             return Ok(());
         }
-        if mapped {
-            buffer.check_idle()?;
-        }
-        let step = if mapped { MAPPED_CHUNK_BYTES } else { CHUNK_BYTES };
-        let mut chunk = vec![0; total.min(step) as usize];
-        let mut offset = 0;
-        while offset < total {
-            let length = (total - offset).min(step);
-            let mut bytes = &mut chunk[..length as usize];
-            if mapped {
-                buffer.block().read_mapped(buffer.offset() + offset, bytes);
-            } else {
-                let length = self.download_staged(&buffer.range(offset, length), bytes)?;
-                bytes = &mut bytes[..length];
+        let mut chunk = vec![0; total.min(CHUNK_BYTES) as usize];
+        let (mut offset, mut downloaded) = (0, Ok(0));
+        while offset < total && downloaded.is_ok() {
+            let part = buffer.range(offset, (total - offset).min(CHUNK_BYTES));
+            downloaded = self.download_staged(&part, &mut chunk);
+            if let Ok(length) = downloaded {
+                take(&chunk[..length]);
+                offset += length as u64;
             }
-            offset += bytes.len() as u64;
-            take(bytes);
         }
-        Ok(())
+        if self.is_foreign() {
+            self.free_staging();
+        }
+        downloaded.map(drop)
     }
 
     /// Reads as many bytes of a buffer as fit a piece of the ring, and returns their number.
