@@ -225,30 +225,36 @@ impl<'a> Sight<'a> {
 /// without the 3D filter.
 pub(super) fn seen(gaussians: &Gaussians, cameras: &[Camera], low_pass_px2: f64) -> Vec<bool> {
     let sights: Vec<Sight<'_>> = cameras.iter().map(Sight::of).collect();
+    let rows: Vec<usize> = (0..gaussians.len()).collect();
+    // The same cameras show neighbours, so each search begins with the last one found.
+    in_threads(&rows, 0, |last, &row| {
+        let axis = gaussians.log_scales[row].into_iter().fold(f32::NEG_INFINITY, f32::max);
+        let (mean, axis) = (DVec3::from_array(gaussians.means[row].map(f64::from)), f64::from(axis).exp());
+        let mut order = (*last..sights.len()).chain(0..(*last).min(sights.len()));
+        let found = order.find(|&sight| sights[sight].may_show(mean, axis, low_pass_px2));
+        *last = found.unwrap_or(*last);
+        found.is_some()
+    })
+}
+
+/// Maps items in several threads, each with a state that begins as `state`.
+pub(super) fn in_threads<T: Sync, S: Clone + Send, R: Clone + Default + Send>(
+    items: &[T],
+    state: S,
+    map: impl Fn(&mut S, &T) -> R + Sync,
+) -> Vec<R> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let each = gaussians.len().div_ceil(threads).max(1);
-    let mut seen = vec![false; gaussians.len()];
+    let share = items.len().div_ceil(threads).max(1);
+    let mut results = vec![R::default(); items.len()];
     std::thread::scope(|scope| {
-        for (part, seen) in seen.chunks_mut(each).enumerate() {
-            let (first, sights) = (part * each, &sights);
+        for (results, items) in results.chunks_mut(share).zip(items.chunks(share)) {
+            let (mut state, map) = (state.clone(), &map);
             scope.spawn(move || {
-                // The same cameras show neighbours.
-                let mut last = 0;
-                for (offset, seen) in seen.iter_mut().enumerate() {
-                    let index = first + offset;
-                    let [mean, scales] = [gaussians.means[index], gaussians.log_scales[index]];
-                    let axis = scales.into_iter().fold(f32::NEG_INFINITY, f32::max);
-                    let (mean, axis) = (DVec3::from_array(mean.map(f64::from)), f64::from(axis).exp());
-                    let order = (last..sights.len()).chain(0..last.min(sights.len()));
-                    let found =
-                        order.into_iter().find(|&sight| sights[sight].may_show(mean, axis, low_pass_px2));
-                    last = found.unwrap_or(last);
-                    *seen = found.is_some();
-                }
+                results.iter_mut().zip(items).for_each(|(to, item)| *to = map(&mut state, item))
             });
         }
     });
-    seen
+    results
 }
 
 pub(super) struct Block {

@@ -1,5 +1,6 @@
 //! Photographs on the device: all of them, or those of the next iterations.
 
+use super::block::in_threads;
 use super::schedule::ViewOrder;
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
@@ -565,16 +566,8 @@ pub(super) fn fingerprint_of(views: &[TrainView], by_camera: bool) -> u64 {
         }
         print.finish()
     };
-    // Photographs have many megabytes, so each thread hashes a share of them.
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let share = views.len().div_ceil(threads).max(1);
-    let mut each = vec![0; views.len()];
-    std::thread::scope(|scope| {
-        for (prints, views) in each.chunks_mut(share).zip(views.chunks(share)) {
-            scope
-                .spawn(move || prints.iter_mut().zip(views).for_each(|(print, view)| *print = of_view(view)));
-        }
-    });
+    // Photographs have many megabytes.
+    let each = in_threads(views, (), |(), view| of_view(view));
     let mut all = Fingerprint::new();
     all.add(bytemuck::cast_slice(&each));
     all.finish()

@@ -261,20 +261,15 @@ impl Population<'_> {
     /// device is lost.
     pub fn keep(&mut self, kept: &[u32], kernels: &Densify) -> Result<()> {
         let count = self.count();
+        let refuse = |problem: String| Err(Error::argument("Gaussians to keep", problem));
         if kept.is_empty() || kept.len() > count as usize {
-            let problem = format!("are {}, must be 1 to {count}", kept.len());
-            return Err(Error::argument("Gaussians to keep", problem));
+            return refuse(format!("are {}, must be 1 to {count}", kept.len()));
         }
         let mut seen = vec![false; count as usize];
         for &index in kept {
             match seen.get_mut(index as usize) {
-                None => {
-                    let problem = format!("have {index}, there are {count}");
-                    return Err(Error::argument("Gaussians to keep", problem));
-                }
-                Some(true) => {
-                    return Err(Error::argument("Gaussians to keep", format!("have {index} twice")));
-                }
+                None => return refuse(format!("have {index}, there are {count}")),
+                Some(true) => return refuse(format!("have {index} twice")),
                 Some(seen) => *seen = true,
             }
         }
