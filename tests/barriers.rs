@@ -60,7 +60,7 @@ impl Training {
         let scene = planes::upload(&context, "scene", &start, 1200, SH_DEGREE).expect("a scene");
         assert!(scene.plan.chunks > 1, "the parameters are to lie in several buffers");
         let planes_of =
-            |arena: &str| planes::allocate(&context, arena, MemoryKind::Device, &scene.plan).expect("planes");
+            |arena: &'static str| planes::allocate(&context, arena, MemoryKind::Device, &scene.plan).expect("planes");
         let capacity = FrameCapacity {
             gaussians: 1200,
             visible: 1200,

@@ -27,7 +27,7 @@ impl Context {
     /// [`crate::Error::Vulkan`] when the device has no memory left.
     pub fn allocate(
         &self,
-        arena: &str,
+        arena: &'static str,
         requests: &[(&'static str, u64)],
         kind: MemoryKind,
     ) -> Result<Vec<Buffer>> {
@@ -38,7 +38,7 @@ impl Context {
     /// Requests without an entry share none.
     pub fn allocate_shared(
         &self,
-        arena: &str,
+        arena: &'static str,
         requests: &[(&'static str, u64)],
         lives: &[Life],
         kind: MemoryKind,
@@ -320,8 +320,8 @@ impl Context {
 
     /// Allocates a buffer in a memory type. None if it does not fit, or no buffer may use this type.
     fn of_type(&self, index: u32, bytes: u64) -> Result<Option<Buffer>> {
-        let (arena, kind) = ("measurement".into(), MemoryKind::HostVisible);
-        match Block::new(&self.device, (&arena, 0), bytes, kind, 1 << index) {
+        let (arena, kind) = ("measurement", MemoryKind::HostVisible);
+        match Block::new(&self.device, (arena, 0), bytes, kind, 1 << index) {
             Ok(block) => Ok(Some(Buffer::new(Arc::new(block), 0, bytes, "host"))),
             Err(error @ Error::DeviceLost { .. }) => Err(error),
             Err(_) => Ok(None),

@@ -196,7 +196,7 @@ impl RecordSlot {
     /// # Errors
     /// [`Error::Argument`] if the previous recording has not finished, or if the commands belong to another context.
     /// Nothing is recorded then.
-    pub fn begin(&mut self, commands: ForeignCommands, label: &str) -> Result<Recorder> {
+    pub fn begin(&mut self, commands: ForeignCommands, label: &'static str) -> Result<Recorder> {
         if !Arc::ptr_eq(&commands.inner, &self.inner) {
             return Err(Error::argument("commands", "it belongs to another context"));
         }

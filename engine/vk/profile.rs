@@ -26,7 +26,7 @@ pub struct Profile {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScopeTime {
     /// The name given to [`super::Recorder::scope`].
-    pub name: String,
+    pub name: &'static str,
     /// Its nesting depth.
     pub depth: u32,
     /// Time from the end of the previous work to the end of the scope's own commands.
@@ -38,7 +38,7 @@ pub struct ScopeTime {
 #[non_exhaustive]
 pub struct Submission {
     /// Label given to [`Context::begin`](super::Context::begin) or [`Context::run`](super::Context::run).
-    pub label: String,
+    pub label: &'static str,
     /// Commands in recording order.
     pub commands: Vec<CommandRecord>,
     /// Scopes, same as in [`super::RunReport`].
@@ -70,7 +70,7 @@ pub struct CommandRecord {
     /// The kernel's name, or "fill", "copy" or "update".
     pub name: &'static str,
     /// Innermost scope around it; empty without a scope.
-    pub scope: String,
+    pub scope: &'static str,
     /// Grid of a dispatch. For an indirect dispatch: its arguments at the end of the recording.
     pub workgroups: Option<[u32; 3]>,
     /// Its buffers.
@@ -174,7 +174,7 @@ impl Commands {
     pub(super) fn log(
         self,
         inner: &Device,
-        label: String,
+        label: &'static str,
         [submitting, submitted, done]: [Instant; 3],
         collected: Collected,
     ) {
@@ -260,9 +260,7 @@ pub(super) const QUERIES: u32 = 2 * MAX_SCOPES + MAX_COMMANDS;
 #[derive(Default)]
 pub(super) struct Profiler {
     pool: vk::QueryPool,
-    /// The first [`Profiler::used`] belong to this recording. The others keep their names' memory for reuse.
     scopes: Vec<Scope>,
-    used: usize,
     open: Vec<Option<usize>>,
     /// Number of timestamps written so far; they take the pool's queries in order.
     written: u32,
@@ -280,7 +278,7 @@ pub(super) struct Profiler {
 }
 
 struct Scope {
-    name: String,
+    name: &'static str,
     depth: u32,
     begin: u32,
     end: u32,
@@ -294,38 +292,28 @@ impl Profiler {
 
     /// For a recording behind a host's commands. Reuses the memory of a finished recording.
     pub(super) fn again(self, pool: vk::QueryPool) -> Self {
-        let Self { scopes, mut open, mut command_ends, .. } = self;
+        let Self { mut scopes, mut open, mut command_ends, .. } = self;
+        scopes.clear();
         open.clear();
         command_ends.clear();
         Self { pool, scopes, open, command_ends, behind_host: true, ..Self::default() }
     }
 
-    pub(super) fn begin(&mut self, inner: &Device, commands: vk::CommandBuffer, name: &str) {
+    pub(super) fn begin(&mut self, inner: &Device, commands: vk::CommandBuffer, name: &'static str) {
         inner.names.begin_label(commands, name);
-        let index = self.used;
+        let index = self.scopes.len();
         let timed =
             index < MAX_SCOPES as usize && (self.pool != vk::QueryPool::null() || self.commands.is_some());
         if timed {
             let (depth, begin) = (self.open.len() as u32, self.now(inner, commands));
-            match self.scopes.get_mut(index) {
-                Some(scope) => {
-                    scope.name.clear();
-                    scope.name.push_str(name);
-                    (scope.depth, scope.begin, scope.end) = (depth, begin, begin);
-                }
-                None => self.scopes.push(Scope { name: name.to_owned(), depth, begin, end: begin }),
-            }
-            self.used += 1;
+            self.scopes.push(Scope { name, depth, begin, end: begin });
         }
         self.open.push(timed.then_some(index));
     }
 
     /// Returns the name of the whole recording; empty without a profile.
-    pub(super) fn label(&self) -> String {
-        match self.scopes[..self.used].first() {
-            Some(whole) if self.commands.is_some() => whole.name.clone(),
-            _ => String::new(),
-        }
+    pub(super) fn label(&self) -> &'static str {
+        self.scopes.first().filter(|_| self.commands.is_some()).map_or("", |whole| whole.name)
     }
 
     pub(super) fn end(&mut self, inner: &Device, commands: vk::CommandBuffer) {
@@ -346,7 +334,7 @@ impl Profiler {
         self.fresh = false;
         let Some(commands) = &mut self.commands else { return };
         let scope = self.open.last().copied().flatten().filter(|&index| index > 0);
-        let scope = scope.map_or_else(String::new, |index| self.scopes[index].name.clone());
+        let scope = scope.map_or("", |index| self.scopes[index].name);
         let waits = barriers - std::mem::replace(&mut self.barriers, barriers);
         commands.records.push(CommandRecord { scope, barriers: waits, ..describe() });
         if self.command_ends.len() < MAX_COMMANDS as usize {
@@ -393,16 +381,16 @@ impl Profiler {
     /// for.
     pub(super) fn collect(&mut self, inner: &Device) -> Result<Collected> {
         let mut commands = self.commands.as_mut().map_or_else(Vec::new, Commands::take);
-        if self.used == 0 || self.pool == vk::QueryPool::null() {
+        if self.scopes.is_empty() || self.pool == vk::QueryPool::null() {
             return Ok(Collected { commands, ..Collected::default() });
         }
         let ticks = self.read(inner).map_err(vk_error("vkGetQueryPoolResults"))?;
         let between =
             |begin: u32, end: u32| inner.nanoseconds_between(ticks[begin as usize], ticks[end as usize]);
-        let mut scopes = self.scopes[..self.used].iter().map(|scope| ScopeTime {
+        let mut scopes = self.scopes.iter().map(|scope| ScopeTime {
             depth: scope.depth.saturating_sub(1),
             nanoseconds: between(scope.begin, scope.end),
-            name: scope.name.clone(),
+            name: scope.name,
         });
         let whole = scopes.next().map(|s| s.nanoseconds);
         let mut before = 0;

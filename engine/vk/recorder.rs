@@ -115,7 +115,7 @@ pub(super) enum Target {
 impl Recorder {
     pub(super) fn new(
         commands: Commands,
-        label: &str,
+        label: &'static str,
         profiled: Option<Profiled>,
         audit: Option<audit::Commands>,
     ) -> Self {
@@ -131,7 +131,7 @@ impl Recorder {
         inner: Arc<Device>,
         kept: Arc<Mutex<Kept>>,
         profiler: Profiler,
-        label: &str,
+        label: &'static str,
     ) -> Self {
         let mut recorder = Self {
             commands,
@@ -278,7 +278,7 @@ impl Recorder {
                 access,
                 bytes: buffer.bytes(),
             };
-            let (scope, buffers) = (String::new(), uses.map(bound).collect());
+            let (scope, buffers) = ("", uses.map(bound).collect());
             CommandRecord { name, scope, workgroups, buffers, barriers: 0, begin_ns: None, nanoseconds: None }
         });
     }
@@ -422,7 +422,7 @@ impl Recorder {
     }
 
     /// Labels and times the commands that `f` records.
-    pub fn scope<T>(&mut self, name: &str, f: impl FnOnce(&mut Self) -> T) -> T {
+    pub fn scope<T>(&mut self, name: &'static str, f: impl FnOnce(&mut Self) -> T) -> T {
         self.profiler.begin(&self.inner, self.raw(), name);
         let result = f(self);
         self.profiler.end(&self.inner, self.raw());
@@ -717,7 +717,7 @@ impl Recorder {
         commands.submit(None)?;
         commands.wait(self.inner.timeout)?;
         audit.log()?;
-        self.commands = Target::Owned(Box::new(Commands::begin(&pools, None, &audit.submission, 0)?));
+        self.commands = Target::Owned(Box::new(Commands::begin(&pools, None, audit.submission, 0)?));
         self.bound = vk::Pipeline::null();
         Ok(())
     }

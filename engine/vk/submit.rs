@@ -82,7 +82,7 @@ impl Context {
     }
 
     /// Starts a recording under a label. Dropping the recorder discards it.
-    pub fn begin(&self, label: &str) -> Result<Recorder> {
+    pub fn begin(&self, label: &'static str) -> Result<Recorder> {
         self.check_alive()?;
         let profile = lock(&self.logs.profile).upgrade();
         let profiled = profile.map(|log| profile::Commands::begin(&self.device, log)).transpose()?;
@@ -111,7 +111,7 @@ impl Context {
     }
 
     /// Records, submits and waits.
-    pub fn run(&self, label: &str, record: impl FnOnce(&mut Recorder)) -> Result<RunReport> {
+    pub fn run(&self, label: &'static str, record: impl FnOnce(&mut Recorder)) -> Result<RunReport> {
         let mut recorder = self.begin(label)?;
         record(&mut recorder);
         self.submit(recorder)?.wait()

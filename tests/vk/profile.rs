@@ -50,7 +50,7 @@ fn profile_names_every_command_with_its_grid_and_time() {
     let profile = gpu.context.profile();
     run_scans(&gpu);
     let submission = of_scans(profile.take());
-    let names: Vec<(&str, &str)> = submission.commands.iter().map(|c| (c.scope.as_str(), c.name)).collect();
+    let names: Vec<(&str, &str)> = submission.commands.iter().map(|c| (c.scope, c.name)).collect();
     let kernels = ["scan/scan_reduce", "scan/scan_spine", "scan/scan_apply"];
     let expected: Vec<(&str, &str)> = std::iter::once(("", "fill"))
         .chain(kernels.map(|name| ("direct", name)))
