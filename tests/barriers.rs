@@ -59,8 +59,9 @@ impl Training {
         let start = gaussians(&small_scene(&mut Random::new(1), 1200, 4));
         let scene = planes::upload(&context, "scene", &start, 1200, SH_DEGREE).expect("a scene");
         assert!(scene.plan.chunks > 1, "the parameters are to lie in several buffers");
-        let planes_of =
-            |arena: &'static str| planes::allocate(&context, arena, MemoryKind::Device, &scene.plan).expect("planes");
+        let planes_of = |arena: &'static str| {
+            planes::allocate(&context, arena, MemoryKind::Device, &scene.plan).expect("planes")
+        };
         let capacity = FrameCapacity {
             gaussians: 1200,
             visible: 1200,

@@ -17,7 +17,7 @@ use super::memory::Block;
 use super::memory::UNBOUNDED;
 use super::memory_types::{HostAllocator, Place, Registry};
 use super::open_device::RawDevice;
-use super::open_device::{Clock, CopyQueue, Device, LockedQueue, Owner, QueueLock};
+use super::open_device::{CopyQueue, Device, LockedQueue, Owner, QueueLock};
 use super::pipeline::{Jobs, add_shared_layouts};
 use super::pipeline_cache::{BuiltPipelines, PipelineCache, PipelineCacheStore};
 use super::profile;
@@ -369,7 +369,6 @@ impl Context {
         if options.compile_only.is_some() {
             // A compile-only device has no times and no budget.
             candidate.features.memory_budget = false;
-            candidate.features.calibrated_timestamps = None;
             limits.heap_bytes = compile_only::memory_properties().memory_heaps[0].size;
         }
         let raw = create_device(&instance.raw, &candidate, options)?;
@@ -438,7 +437,6 @@ impl Context {
         candidate.queue_family = host.queue_family;
         candidate.features.push_descriptor &=
             options.push_descriptors && host.extensions.contains(&ash::khr::push_descriptor::NAME);
-        candidate.features.calibrated_timestamps = None;
         candidate.features.keep_enabled(&host.features, host.extensions);
         let limits = effective_limits(&candidate, options)?;
         let owner = Owner::Host(host.instance.clone());
@@ -495,7 +493,6 @@ impl Context {
             }),
             executables: options.compile_only.map(|requested| Executables::new(instance, &device, requested)),
             shared_layouts: None,
-            clock: features.calibrated_timestamps.map(|name| Clock::new(instance, &device, name)),
             names: Names::new(instance, &device, debug_utils),
             device,
             queue: queue.map(Mutex::new),
@@ -620,7 +617,6 @@ fn create_device(
         (optional.uniform_control_flow, ash::khr::shader_subgroup_uniform_control_flow::NAME),
     ];
     let used = used.into_iter().filter_map(|(is_used, name)| is_used.then_some(name));
-    let used = used.chain(optional.calibrated_timestamps);
     let names: Vec<&CStr> = options.device_extensions.iter().copied().chain(used).collect();
     // SAFETY: a plain query.
     let present = unsafe { instance.enumerate_device_extension_properties(candidate.physical) };

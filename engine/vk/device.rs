@@ -197,8 +197,6 @@ pub(super) struct OptionalFeatures {
     pub(super) int64: bool,
     pub(super) push_descriptor: bool,
     pub(super) portability_subset: bool,
-    /// The extension that provides calibrated timestamps.
-    pub(super) calibrated_timestamps: Option<&'static CStr>,
     pub(super) memory_budget: bool,
     pub(super) dynamic_broadcasts: bool,
     pub(super) reconverges: bool,
@@ -358,8 +356,6 @@ fn features(
     unsafe { instance.get_physical_device_features2(physical, &mut all) };
     let f = all.features;
     let missing = Features::of(&v12, &v13).missing().into_iter().map(str::to_owned).collect();
-    // Validation layers of 2023 warn about the newer extension.
-    let clocks = [ash::ext::calibrated_timestamps::NAME, ash::khr::calibrated_timestamps::NAME];
     let optional = OptionalFeatures {
         v12: vk::PhysicalDeviceVulkan12Features {
             shader_int8: v12.shader_int8,
@@ -372,7 +368,6 @@ fn features(
         int64: f.shader_int64 != 0,
         push_descriptor: has(ash::khr::push_descriptor::NAME),
         portability_subset: has(ash::khr::portability_subset::NAME),
-        calibrated_timestamps: clocks.into_iter().find(|name| has(name)),
         memory_budget: has(ash::ext::memory_budget::NAME),
         dynamic_broadcasts: v12.subgroup_broadcast_dynamic_id != 0,
         reconverges: reconvergence.shader_maximal_reconvergence != 0,

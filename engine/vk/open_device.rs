@@ -14,7 +14,6 @@ use super::spirv::SubgroupRules;
 use crate::error::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
-use std::ffi::CStr;
 use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -85,8 +84,6 @@ pub(super) struct Device {
     pub(super) timestamp_bits: u32,
     /// True while timestamps are written.
     pub(super) timestamps: AtomicBool,
-    /// Reads the device's clock, if it can be compared with the host's.
-    pub(super) clock: Option<Clock>,
     pub(super) hazard_check: bool,
     pub(super) timeout: Option<Duration>,
     /// Most bytes of all arenas together; [`super::memory::UNBOUNDED`] for no bound.
@@ -300,33 +297,5 @@ impl Drop for LockedQueue<'_> {
         if let Some(host) = self.host {
             host.unlock();
         }
-    }
-}
-
-/// The device's clock, by the extension that is enabled.
-pub(super) enum Clock {
-    Khr(ash::khr::calibrated_timestamps::Device),
-    Ext(ash::ext::calibrated_timestamps::Device),
-}
-
-impl Clock {
-    pub(super) fn new(instance: &ash::Instance, device: &ash::Device, extension: &CStr) -> Self {
-        match extension == ash::khr::calibrated_timestamps::NAME {
-            true => Self::Khr(ash::khr::calibrated_timestamps::Device::new(instance, device)),
-            false => Self::Ext(ash::ext::calibrated_timestamps::Device::new(instance, device)),
-        }
-    }
-
-    /// Returns the device's current clock, ticks; None if the driver fails.
-    pub(super) fn ticks(&self) -> Option<u64> {
-        let info = [vk::CalibratedTimestampInfoKHR::default().time_domain(vk::TimeDomainKHR::DEVICE)];
-        // SAFETY: the extension is enabled, and every implementation of it has the device's time domain.
-        let read = unsafe {
-            match self {
-                Self::Khr(clock) => clock.get_calibrated_timestamps(&info),
-                Self::Ext(clock) => clock.get_calibrated_timestamps(&info),
-            }
-        };
-        read.ok()?.0.first().copied()
     }
 }

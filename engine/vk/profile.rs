@@ -14,8 +14,6 @@ use std::time::{Duration, Instant};
 /// Most timed commands of one profiled recording.
 pub(super) const MAX_COMMANDS: u32 = 1024;
 
-const CLOCK_READINGS: u32 = 3;
-
 /// Records all submissions of its context but staged uploads, command by command, until it is dropped. It costs a timestamp per
 /// command; without a profile there is no cost.
 pub struct Profile {
@@ -53,14 +51,9 @@ pub struct Submission {
     pub submitted: Instant,
     /// Host time when its end was known.
     pub done: Instant,
-    /// Host time when the device began it; None without timestamps.
+    /// Host time when the device began it; None without timestamps. Assumes that it ended at `done`, which is late by the time
+    /// that it takes to wake the host.
     pub device_begun: Option<Instant>,
-    /// True if `device_begun` comes from calibrated timestamps. Otherwise the device is assumed to have finished at `done`,
-    /// which is late by the time it takes to wake the host.
-    pub calibrated: bool,
-    /// Error bound of a calibrated `device_begun`: half of the time that reading both clocks took. Zero if it is not
-    /// calibrated.
-    pub calibration_error: Duration,
 }
 
 /// A command of a recording.
@@ -103,8 +96,6 @@ pub(super) struct Collected {
     pub(super) nanoseconds: Option<f64>,
     pub(super) scopes: Vec<ScopeTime>,
     pub(super) commands: Vec<CommandRecord>,
-    /// Device clock at the recording's begin, ticks.
-    pub(super) begin_ticks: u64,
 }
 
 /// Log of submissions, and memory for the arguments of indirect dispatches.
@@ -173,19 +164,11 @@ impl Commands {
     /// Adds the submission to the log. Its times on the host are `submitting`, `submitted` and `done`.
     pub(super) fn log(
         self,
-        inner: &Device,
         label: &'static str,
         [submitting, submitted, done]: [Instant; 3],
         collected: Collected,
     ) {
-        let clocks = inner.now_on_both_clocks();
-        let device_begun = collected.nanoseconds.and_then(|whole| match clocks {
-            Some((ticks, host, _)) => {
-                host.checked_sub(nanoseconds(inner.nanoseconds_between(collected.begin_ticks, ticks)))
-            }
-            None => done.checked_sub(nanoseconds(whole)),
-        });
-        let calibrated = clocks.filter(|_| device_begun.is_some());
+        let ago = |whole: f64| done.checked_sub(Duration::from_nanos(whole as u64));
         lock(&self.log.submissions).push(Submission {
             label,
             commands: collected.commands,
@@ -195,16 +178,10 @@ impl Commands {
             submitting,
             submitted,
             done,
-            device_begun,
-            calibrated: calibrated.is_some(),
-            calibration_error: calibrated.map_or(Duration::ZERO, |(_, _, error)| error),
+            device_begun: collected.nanoseconds.and_then(ago),
         });
         lock(&self.log.spare).push(self.readback);
     }
-}
-
-fn nanoseconds(n: f64) -> Duration {
-    Duration::from_nanos(n.max(0.0) as u64)
 }
 
 impl Device {
@@ -225,20 +202,6 @@ impl Device {
         let bits = self.timestamp_bits;
         let mask = if bits >= 64 { u64::MAX } else { (1 << bits) - 1 };
         (end.wrapping_sub(begin) & mask) as f64 * self.limits.timestamp_period_ns
-    }
-
-    /// Reads the device's clock (ticks) and the host's at the same moment, within an error; None if timestamps cannot be
-    /// calibrated.
-    fn now_on_both_clocks(&self) -> Option<(u64, Instant, Duration)> {
-        let clock = self.clock.as_ref()?;
-        // An interruption between two readings would offset them by milliseconds, so the closest pair counts.
-        let readings = (0..CLOCK_READINGS).map(|_| {
-            let before = Instant::now();
-            let ticks = clock.ticks()?;
-            let error = before.elapsed() / 2;
-            Some((ticks, before + error, error))
-        });
-        readings.collect::<Option<Vec<_>>>()?.into_iter().min_by_key(|(_, _, error)| *error)
     }
 }
 
@@ -399,7 +362,7 @@ impl Profiler {
             command.nanoseconds = Some(between(before, end));
             before = end;
         }
-        Ok(Collected { nanoseconds: whole, scopes: scopes.collect(), commands, begin_ticks: ticks[0] })
+        Ok(Collected { nanoseconds: whole, scopes: scopes.collect(), commands })
     }
 
     fn read(&self, inner: &Device) -> Result<Vec<u64>, vk::Result> {

@@ -61,7 +61,7 @@ impl Pending {
         let report = RunReport { scopes: collected.scopes.clone(), nanoseconds };
         let label = profiler.label();
         if let Some(commands) = profiler.commands {
-            commands.log(inner, label, [self.submitting, self.submitted, done], collected);
+            commands.log(label, [self.submitting, self.submitted, done], collected);
         }
         Ok(report)
     }
@@ -154,20 +154,14 @@ impl Context {
     /// Same as [`Context::upload`], but without waiting: the bytes are copied to staging memory. Submissions after
     /// [`Context::take_over_uploads`] see them in the buffer. Until then the caller must not write these bytes otherwise,
     /// and nothing in flight may use them: a copy queue may write them at once.
-    pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
-        if buffer.block().is_mapped() || self.is_foreign() {
+    ///
+    /// With `beside`, uses the copy queue even if the host sees a card's memory (resizable BAR): writing that memory would have
+    /// to wait for the main queue's work. All uploads to a buffer are then `beside`: the host writes only memory that no copy is
+    /// known to use.
+    pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8], beside: bool) -> Result<()> {
+        let copies = beside && self.device.place == Place::Window && self.device.copying.is_some();
+        if !copies && (buffer.block().is_mapped() || self.is_foreign()) {
             return self.upload(buffer, bytes);
-        }
-        buffer.check_range(0, bytes.len())?;
-        self.copy_staged(buffer, bytes, false)
-    }
-
-    /// Same as [`Context::begin_upload`], but uses the copy queue even if the host sees a card's memory (resizable BAR).
-    /// Writing that memory would have to wait for the main queue's work. All uploads to a buffer use this function or none:
-    /// the host writes only memory that no copy is known to use.
-    pub(crate) fn begin_upload_beside(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
-        if self.device.place != Place::Window || self.device.copying.is_none() {
-            return self.begin_upload(buffer, bytes);
         }
         buffer.check_range(0, bytes.len())?;
         self.copy_staged(buffer, bytes, false)

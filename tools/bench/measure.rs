@@ -225,7 +225,7 @@ impl Measured {
                     kernel.bytes_written += written;
                 }
                 None => found.push(KernelResult {
-                    scope: command.scope.clone(),
+                    scope: command.scope.to_owned(),
                     kernel: command.name.to_owned(),
                     calls: 1,
                     workgroups: groups,
@@ -339,9 +339,7 @@ fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
 
 /// The arenas of a context, with the peak of each since the measurement began.
 fn memory(context: &Context) -> Vec<Arena> {
-    let arenas = context
-        .memory()
-        .into_iter()
-        .filter(|arena| !["copy", "arithmetic", "profile"].contains(&arena.name.as_str()));
-    arenas.map(|arena| Arena { name: arena.name, peak_bytes: arena.peak_bytes }).collect()
+    let arenas =
+        context.memory().into_iter().filter(|arena| !["copy", "arithmetic", "profile"].contains(&arena.name));
+    arenas.map(|arena| Arena { name: arena.name.to_owned(), peak_bytes: arena.peak_bytes }).collect()
 }

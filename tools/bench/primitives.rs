@@ -105,7 +105,7 @@ pub fn sort(job: &Job) -> Result<Run> {
     };
     let iterate = || {
         let recorded = job.context.run("sort", |r| {
-            r.scope("sort", |r| sort.record(r, &buffers, Values::Positions, u32::BITS, elements))
+            r.scope("sort", |r| sort.record(r, &buffers, Values::Positions, u32::BITS, elements));
         });
         recorded.map(drop)
     };

@@ -20,7 +20,7 @@ pub struct KernelTimes {
 }
 
 struct Kernel {
-    stage: String,
+    stage: &'static str,
     name: &'static str,
     calls: u32,
     /// Time in each timed iteration that ran it; empty without timestamps.
