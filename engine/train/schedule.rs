@@ -112,11 +112,6 @@ impl TrainSettings {
         (f64::from(SCHEDULE_ITERATIONS) / f64::from(self.iterations.max(1))).max(1.0)
     }
 
-    /// Learning rate of the SH coefficients of degree 1 and above.
-    pub fn feature_rest_lr(&self) -> f64 {
-        self.feature_lr * FEATURE_REST_SHARE
-    }
-
     /// SH degree in use at an iteration (1-based): rises by one at every `sh_degree_interval`, from at least `sh_degree_start`
     /// to `sh_degree`. With `scale_sh_degree` the interval keeps its share of the run.
     pub fn sh_degree_at(&self, iteration: u32) -> u32 {
@@ -363,13 +358,6 @@ pub(super) struct TrainingRun {
     pub views_fingerprint: u64,
 }
 
-impl TrainingRun {
-    /// Number of lenses.
-    pub fn lens_count(&self) -> usize {
-        self.lens_of_view.iter().max().map_or(0, |&last| last as usize + 1)
-    }
-}
-
 /// Progress of a run between two iterations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Progress {
@@ -491,7 +479,7 @@ fn optimizer_step(run: &TrainingRun, iteration: u32, progress: &Progress, work: 
         quat: s.rotation_lr * decay,
         log_scale: s.scaling_lr * others,
         sh_dc: s.feature_lr * others,
-        sh_rest: s.feature_rest_lr() * others,
+        sh_rest: s.feature_lr * FEATURE_REST_SHARE * others,
     };
     let (count, opacity_count) = match s.optimizer_type {
         OptimizerType::SparseAdam => (0, 0),

@@ -409,7 +409,7 @@ impl Trainer {
     }
 
     pub(super) fn appearance_states(&self) -> Result<[ExposureState; 2]> {
-        self.losses.appearance.states(&self.context, self.run.lens_count())
+        self.losses.appearance.states(&self.context, &self.run.lens_of_view)
     }
 
     /// Exposures of the views' photographs in their order; empty unless they are learned ([`TrainSettings::exposure`]).

@@ -17,7 +17,7 @@ use super::memory::Block;
 use super::memory::UNBOUNDED;
 use super::memory_types::{HostAllocator, Place, Registry};
 use super::open_device::RawDevice;
-use super::open_device::{CopyQueue, Device, LockedQueue, Owner, QueueLock};
+use super::open_device::{CopyQueue, Device, Owner, QueueLock};
 use super::pipeline::{Jobs, add_shared_layouts};
 use super::pipeline_cache::{BuiltPipelines, PipelineCache, PipelineCacheStore};
 use super::profile;
@@ -169,10 +169,10 @@ impl Context {
     ///
     /// # Errors
     /// [`Error::Argument`](crate::Error::Argument) if a host keeps its queue.
-    pub fn hold_queues(&self) -> Result<HeldQueues<'_>> {
+    pub fn hold_queues(&self) -> Result<impl Sized> {
         // Only this function takes both locks, so their order cannot deadlock.
         let main = self.device.lock_queue()?;
-        Ok(HeldQueues { _main: main, _copies: self.device.copying.as_ref().map(|copies| copies.lock()) })
+        Ok((main, self.device.copying.as_ref().map(|copies| copies.lock())))
     }
 
     /// Hashes the outputs of all following commands, until the audit is dropped.
@@ -181,12 +181,6 @@ impl Context {
         *lock(&self.logs.audit) = Arc::downgrade(&log);
         Audit { log }
     }
-}
-
-/// Locked queues of a context, owned by the holding thread: [`Context::hold_queues`].
-pub struct HeldQueues<'a> {
-    _main: LockedQueue<'a>,
-    _copies: Option<LockedQueue<'a>>,
 }
 
 /// Options for opening a device.

@@ -376,16 +376,6 @@ impl<'a> SlotRecording<'a> {
         Self(slot)
     }
 
-    /// See [`RecordSlot::is_recorded`].
-    pub fn is_recorded(&self) -> bool {
-        self.0.is_recorded()
-    }
-
-    /// See [`RecordSlot::finished`].
-    pub fn finished(&self) -> Result<bool> {
-        self.0.finished()
-    }
-
     /// See [`RecordSlot::discard`].
     ///
     /// # Safety

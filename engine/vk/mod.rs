@@ -82,7 +82,7 @@ mod submit;
 pub use audit::{Audit, AuditRecord};
 pub use budget::{MemoryRates, Transfers};
 pub use compile_only::{CompileOnly, Executable, Statistic};
-pub use context::{Context, ContextOptions, ForeignDevice, HeldQueues};
+pub use context::{Context, ContextOptions, ForeignDevice};
 pub use device::{DeviceDescription, devices, validation_available};
 #[cfg(feature = "testing")]
 pub use faults::{Fault, Faults};

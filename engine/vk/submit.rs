@@ -208,7 +208,7 @@ impl Context {
     /// except the last have a multiple of 256 bytes.
     pub fn download_chunks(&self, buffer: &Buffer, mut take: impl FnMut(&[u8])) -> Result<()> {
         let (block, total) = (buffer.block(), buffer.bytes());
-        if block.is_read_mapped() {
+        if block.is_read_mapped() && total > 0 {
             buffer.check_idle()?;
             let mut chunk = vec![0; total.min(MAPPED_CHUNK_BYTES) as usize];
             for offset in (0..total).step_by(MAPPED_CHUNK_BYTES as usize) {

@@ -104,7 +104,7 @@ impl Ours {
         context.run("unsorted", |r| {
             r.copy(&b[7], &b[1]);
             r.copy(&b[8], &b[3]);
-})?;
+        })?;
         let buffers = SortBuffers {
             counts: &b[0],
             count_index: 0,
@@ -115,7 +115,9 @@ impl Ours {
         };
         let elements = ashsplat::passes::scan::Workgroups::Elements((*pairs).into());
         measure::time(|| {
-            context.run("sort", |r| sort.record(r, &buffers, Values::Given, u32::BITS, elements))?;
+            context.run("sort", |r| {
+                sort.record(r, &buffers, Values::Given, u32::BITS, elements);
+            })?;
             Ok(())
         })
     }
